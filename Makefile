@@ -1,0 +1,38 @@
+# Two commands on a fresh machine: `make demo`, `make test`. Each makes .venv when it is missing.
+PYTHON ?= python3
+BIN := .venv/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+STAMP := .venv/.armlab-installed
+
+.PHONY: help setup demo test check docs bench clean
+
+help:  ## list the commands
+	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "make %-8s %s\n", $$1, $$2}'
+
+$(STAMP): pyproject.toml constraints.txt CMakeLists.txt $(wildcard native/*.cpp native/*.h)
+	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	@echo "Installing armlab and what it needs into .venv (about two minutes the first time)."
+	PIP_CONSTRAINT=constraints.txt $(PIP) install --quiet --editable ".[dev]"
+	@touch $@
+
+setup: $(STAMP)  ## make .venv and install everything
+
+demo: $(STAMP)  ## simulated YuMi over EGM: excite, identify, estimate a hand's force
+	$(BIN)/armlab demo
+
+test: $(STAMP)  ## the default tests
+	$(BIN)/python -m pytest
+
+check: $(STAMP)  ## linters and type checks
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+
+docs: $(STAMP)  ## build the documentation into docs/_build
+	$(BIN)/sphinx-build -W --keep-going -q -b html docs docs/_build/html
+
+bench: $(STAMP)  ## benchmarks side by side with peers (a separate environment)
+	$(BIN)/python benchmarks/run.py
+
+clean:  ## remove what was built, keep logs
+	rm -rf .venv .bench-venv build docs/_build

@@ -1,0 +1,6 @@
+"""``python -m armlab`` is the command ``armlab``."""
+
+from armlab.cli import main
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,159 @@
+"""All errors of armlab.
+
+Every message is a sentence that says what was expected, what came, where, and what to do.
+Each class is an `ArmlabError` and, where one fits, also the builtin that callers would catch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from difflib import get_close_matches
+from typing import Any
+
+__all__ = [
+    "ArmlabError",
+    "CommandRefused",
+    "ConfigError",
+    "ControllerFailed",
+    "ControllerLate",
+    "FrameError",
+    "LabCommError",
+    "LinkError",
+    "LogError",
+    "MissingExtra",
+    "ModelMismatchError",
+    "NoRobot",
+    "NotConverged",
+    "NotExcited",
+    "RobotError",
+    "SessionEnded",
+    "ShapeError",
+    "SingularPoseError",
+    "UnknownName",
+]
+
+
+class ArmlabError(Exception):
+    """Root of all errors that armlab raises on purpose."""
+
+    def __str__(self) -> str:
+        """Return the sentence itself (a KeyError would show its quoted form)."""
+        return str(self.args[0]) if self.args else ""
+
+
+class ShapeError(ArmlabError, ValueError):
+    """An array has the wrong shape or content: shape, NaN rows, not a rotation, time order."""
+
+
+class UnknownName(ArmlabError, KeyError):
+    """A robot, column, link or convention does not exist. The message lists those that do."""
+
+    @classmethod
+    def among(cls, kind: str, name: object, known: Iterable[str]) -> UnknownName:
+        """Build the error for `name`, listing what exists and the closest match.
+
+        Parameters
+        ----------
+        kind : what was looked up, for example "robot".
+        name : what came.
+        known : the names that exist.
+        """
+        names = sorted(known)
+        close = get_close_matches(str(name), names, n=1)
+        hint = f" Did you mean {close[0]!r}?" if close else ""
+        return cls(f"Expected the name of a {kind}, got {name!r}. Known: {', '.join(names) or 'none'}.{hint}")
+
+
+class RobotError(ArmlabError, ValueError):
+    """A robot description is inconsistent."""
+
+
+class ConfigError(ArmlabError, ValueError):
+    """A configuration file or option has a wrong value."""
+
+
+class MissingExtra(ArmlabError, ImportError):
+    """An optional dependency is not installed. The message holds the command that installs it."""
+
+
+class LogError(ArmlabError, ValueError):
+    """A log file cannot be read or written."""
+
+
+class LabCommError(ArmlabError, ValueError):
+    """A LabComm packet or definition is malformed."""
+
+
+class FrameError(ArmlabError, ValueError):
+    """Two frames do not fit together. The message names both."""
+
+
+class ModelMismatchError(ArmlabError, ValueError):
+    """A model file belongs to another robot, sign convention or unit."""
+
+
+class NotExcited(ArmlabError, ValueError):
+    """The data do not determine what was asked for.
+
+    Attributes
+    ----------
+    directions : names of the parameters, joints or directions that were not excited.
+    spread : what the data showed for each of them, in words.
+    """
+
+    def __init__(self, message: str, directions: Sequence[str] = (), spread: Sequence[str] = ()) -> None:
+        super().__init__(message)
+        self.directions = tuple(directions)
+        self.spread = tuple(spread)
+
+
+class NotConverged(ArmlabError, RuntimeError):
+    """An iteration stopped before its tolerance.
+
+    Attributes
+    ----------
+    best : the best result found.
+    history : the cost after each iteration.
+    """
+
+    def __init__(self, message: str, best: Any = None, history: Sequence[float] = ()) -> None:
+        super().__init__(message)
+        self.best = best
+        self.history = tuple(history)
+
+
+class SingularPoseError(ArmlabError, ValueError):
+    """At this pose a requested quantity is not determined."""
+
+
+class LinkError(ArmlabError, RuntimeError):
+    """A link to a robot failed.
+
+    Attributes
+    ----------
+    table : the last seconds before the failure as a Table, or None.
+    """
+
+    def __init__(self, message: str, table: Any = None) -> None:
+        super().__init__(message)
+        self.table = table
+
+
+class NoRobot(LinkError):
+    """No packet from a robot came within the time allowed."""
+
+
+class SessionEnded(LinkError):
+    """The controller ended the EGM session. The message says why."""
+
+
+class CommandRefused(LinkError):
+    """A command was refused: shape, not finite, a jump, or a capability the link does not have."""
+
+
+class ControllerLate(LinkError):
+    """The user's controller was late too often."""
+
+
+class ControllerFailed(LinkError):
+    """The user's controller raised. The original exception is `__cause__`."""

@@ -1,0 +1,64 @@
+"""Every symbol of armlab once: shape, unit, frame, kind and one sentence, read from ``glossary.toml``.
+
+Labels of plots, headers of logs and messages about shapes come from here.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from types import MappingProxyType
+
+from armlab.errors import UnknownName
+
+__all__ = ["Symbol", "label", "lookup", "symbols"]
+
+
+@dataclass(frozen=True, slots=True)
+class Symbol:
+    """One symbol.
+
+    Attributes
+    ----------
+    name : the symbol as used in code, columns and files.
+    shape : shape in words, N samples, n joints.
+    unit : SI unit. frame : axes the numbers are in, empty when none.
+    kind : real, angle, pose, quaternion, count, flag or text; decides how a column is resampled.
+    text : one sentence.
+    """
+
+    name: str
+    shape: str
+    unit: str
+    frame: str
+    kind: str
+    text: str
+
+
+@cache
+def symbols() -> Mapping[str, Symbol]:
+    """Return all symbols by name."""
+    text = files("armlab").joinpath("glossary.toml").read_text(encoding="utf-8")
+    return MappingProxyType({name: Symbol(name=name, **entry) for name, entry in tomllib.loads(text).items()})
+
+
+def lookup(name: str) -> Symbol:
+    """Return the symbol `name`.
+
+    Raises
+    ------
+    UnknownName : when the glossary does not have it; the message lists what exists.
+    """
+    try:
+        return symbols()[name]
+    except KeyError:
+        raise UnknownName.among("symbol", name, symbols()) from None
+
+
+def label(name: str) -> str:
+    """Return the axis label of a symbol: ``"tau [N m]"``; the bare name when it is not in the glossary."""
+    symbol = symbols().get(name)
+    return f"{name} [{symbol.unit}]" if symbol and symbol.unit not in ("", "1") else name
