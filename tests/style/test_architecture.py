@@ -1,0 +1,298 @@
+"""The rules of structure: layers, owners of sockets and disk, sizes, exports, documentation, error sentences, pose names.
+
+They are read from the sources, never imported, so that a broken module cannot hide from them.
+Docstrings do not count in the length of a function; everything else does.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+SOURCE = ROOT / "src" / "armlab"
+GENERATED = {SOURCE / "wire/egm/armlab_egm_pb2.py"}
+FILES = sorted(p for p in SOURCE.rglob("*.py") if p not in GENERATED)
+TESTS = sorted((ROOT / "tests").rglob("*.py"))
+
+LAYERS = [  # low to high; packages on one line do not see each other
+    {"errors"},
+    {"glossary", "state"},
+    {"kernels"},
+    {"lie", "wire"},
+    {"robots", "signals"},
+    {"kinematics", "models", "log"},
+    {"estimation"},
+    {"frames"},
+    {"calibrate", "identify", "contact", "motion"},
+    {"sim", "bridge"},
+    {"live", "plots", "fleet"},
+    {"cli"},
+]
+LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}
+SAME_LEVEL_ALLOWED = {("models", "kinematics")}
+DISK_OWNERS = {"log", "robots", "models", "cli", "fleet"}
+BANNED_NAMES = {"utils", "common", "helpers", "core", "base", "misc"}
+MAX_FILE, MAX_FUNCTION = 400, 60
+
+
+def relative(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+def tree(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"), filename=str(path))
+
+
+def package(path: Path) -> str:
+    """Name of the layer that owns a file; the top files (`__init__`, `__main__`) see everything."""
+    parts = path.relative_to(SOURCE).parts
+    return parts[0].removesuffix(".py")
+
+
+def imported(node: ast.AST) -> list[str]:
+    if isinstance(node, ast.Import):
+        return [alias.name for alias in node.names]
+    if isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+        return [node.module] + [f"{node.module}.{alias.name}" for alias in node.names]
+    return []
+
+
+def file_param(paths: list[Path]) -> pytest.MarkDecorator:
+    return pytest.mark.parametrize("path", paths, ids=relative)
+
+
+def functions(module: ast.Module) -> list[ast.FunctionDef | ast.AsyncFunctionDef]:
+    return [n for n in ast.walk(module) if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)]
+
+
+def exports(module: ast.Module) -> list[str] | None:
+    for node in module.body:
+        if isinstance(node, ast.Assign) and any(isinstance(t, ast.Name) and t.id == "__all__" for t in node.targets):
+            return [e.value for e in ast.walk(node.value) if isinstance(e, ast.Constant)]
+    return None
+
+
+@file_param(FILES)
+def test_imports_point_down(path: Path) -> None:
+    me = package(path)
+    if me in ("__init__", "__main__"):
+        return
+    assert me in LEVEL, f"package {me!r} has no layer: add it to design and LAYERS"
+    for node in ast.walk(tree(path)):
+        assert not (isinstance(node, ast.ImportFrom) and node.level), f"relative import at line {node.lineno}"
+        for name in imported(node):
+            if not name.startswith("armlab."):
+                continue
+            other = name.split(".")[1]
+            if other == me or other not in LEVEL:
+                continue
+            down = LEVEL[other] < LEVEL[me] or (me, other) in SAME_LEVEL_ALLOWED
+            assert down, f"{me} may not import {other} (line {node.lineno})"
+
+
+@file_param(FILES)
+def test_owners(path: Path) -> None:
+    me = package(path)
+    for node in ast.walk(tree(path)):
+        for name in imported(node):
+            root = name.split(".")[0]
+            assert "_native" not in name or me == "kernels", "only kernels imports the extension"
+            assert root not in ("socket", "socketserver", "asyncio") or me in ("bridge", "sim"), (
+                "only bridge and sim open sockets"
+            )
+            assert root != "matplotlib" or me == "plots", "only plots imports matplotlib"
+            assert root != "viser" or me == "live", "only live imports viser"
+        if isinstance(node, ast.Call) and me not in DISK_OWNERS | {"glossary"}:
+            called = node.func.id if isinstance(node.func, ast.Name) else getattr(node.func, "attr", "")
+            touches = called in {"write_text", "write_bytes", "read_text", "read_bytes"} or (
+                called == "open" and isinstance(node.func, ast.Name)
+            )
+            assert not touches, f"{me} touches the disk at line {node.lineno}; only {sorted(DISK_OWNERS)} may"
+
+
+@file_param([p for p in FILES if package(p) in ("plots", "live")])
+def test_heavy_imports_are_lazy(path: Path) -> None:
+    for node in tree(path).body:
+        for name in imported(node):
+            assert name.split(".")[0] not in ("matplotlib", "viser"), (
+                f"line {node.lineno}: import it inside the function"
+            )
+
+
+@file_param(FILES + TESTS)
+def test_sizes(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= MAX_FILE, f"{relative(path)} has more than {MAX_FILE} lines"
+    for function in functions(tree(path)):
+        body = function.body
+        documented = ast.get_docstring(function) is not None
+        first = body[1] if documented and len(body) > 1 else body[0]
+        length = (function.end_lineno or 0) - first.lineno + 1
+        assert length <= MAX_FUNCTION, f"{function.name} (line {function.lineno}) has {length} lines"
+
+
+@file_param(FILES)
+def test_file_names(path: Path) -> None:
+    assert path.stem not in BANNED_NAMES
+    assert package(path) not in BANNED_NAMES
+
+
+@file_param([p for p in FILES if not p.stem.startswith("_") or p.stem == "__init__"])
+def test_exports_exist_and_are_documented(path: Path) -> None:
+    module = tree(path)
+    assert ast.get_docstring(module), "the module has no docstring"
+    names = exports(module)
+    defined = {n.name: n for n in module.body if isinstance(n, ast.FunctionDef | ast.ClassDef)}
+    public = [name for name in defined if not name.startswith("_")]
+    if public:
+        assert names is not None, "__all__ is missing"
+    for name in public:
+        if path.name != "__init__.py" or names:
+            assert name in (names or []) or not public, f"{name} is public but not in __all__"
+    for name in names or []:
+        node = defined.get(name)
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            assert ast.get_docstring(node), f"{name} has no docstring"
+        if isinstance(node, ast.FunctionDef):
+            check_signature(node)
+        if isinstance(node, ast.ClassDef):
+            for method in node.body:
+                if isinstance(method, ast.FunctionDef) and not method.name.startswith("_"):
+                    assert ast.get_docstring(method), f"{name}.{method.name} has no docstring"
+                    check_signature(method)
+
+
+def check_signature(node: ast.FunctionDef) -> None:
+    arguments = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
+    names = {a.arg for a in arguments} | {a.arg for a in (node.args.vararg, node.args.kwarg) if a}
+    for argument in arguments:
+        assert argument.annotation or argument.arg in ("self", "cls"), f"{node.name}: {argument.arg} is not annotated"
+    assert node.returns is not None, f"{node.name}: the return value is not annotated"
+    for documented in documented_parameters(ast.get_docstring(node) or ""):
+        assert documented in names, f"{node.name} documents {documented!r}, which is not a parameter"
+
+
+def documented_parameters(docstring: str) -> list[str]:
+    """Names in the NumPy section Parameters."""
+    match = re.search(r"^Parameters\n-+\n(.*?)(?=^\w[\w ]*\n-+\n|\Z)", docstring, flags=re.M | re.S)
+    if not match:
+        return []
+    lines = [line for line in match[1].splitlines() if line and not line.startswith(" ") and " : " in line]
+    return [name.strip().lstrip("*") for line in lines for name in line.split(" : ")[0].split(",")]
+
+
+@file_param([p for p in FILES if p.name == "__init__.py" and p.parent != SOURCE])
+def test_package_exports_are_imported(path: Path) -> None:
+    module = tree(path)
+    names = exports(module)
+    assert names is not None, "__all__ is missing"
+    bound: set[str] = set()
+    for node in ast.walk(module):
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            bound |= {alias.asname or alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.FunctionDef | ast.ClassDef):
+            bound.add(node.name)
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            bound.add(node.id)
+    submodules = {p.stem for p in path.parent.glob("*.py")} | {p.name for p in path.parent.iterdir() if p.is_dir()}
+    missing = [name for name in names if name not in bound | submodules]
+    assert not missing, f"{missing} are exported but do not exist"
+
+
+@file_param([p for p in FILES if not p.stem.startswith("_") and package(p) not in ("errors", "glossary", "state")])
+def test_every_public_name_is_tested(path: Path) -> None:
+    names = exports(tree(path))
+    if not names:
+        return
+    inside = path.relative_to(SOURCE)
+    twin = ROOT / "tests" / inside.parent / f"test_{inside.name}"
+    assert twin.exists(), f"{relative(twin)} is missing"
+    text = twin.read_text(encoding="utf-8")
+    missing = [name for name in names if not re.search(rf"\b{re.escape(name)}\b", text)]
+    assert not missing, f"{missing} do not appear in {relative(twin)}"
+
+
+@file_param(FILES)
+def test_validation_raises_sentences(path: Path) -> None:
+    for node in ast.walk(tree(path)):
+        assert not isinstance(node, ast.Assert), f"assert at line {node.lineno}: validation raises"
+        if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
+            check_sentence(node.exc, path)
+
+
+def check_sentence(call: ast.Call, path: Path) -> None:
+    name = call.func.id if isinstance(call.func, ast.Name) else ""
+    known = {n.name for n in tree(SOURCE / "errors.py").body if isinstance(n, ast.ClassDef)}
+    if name not in known or not call.args:
+        return
+    pieces = [n.value for n in ast.walk(call.args[0]) if isinstance(n, ast.Constant) and isinstance(n.value, str)]
+    if not pieces or not isinstance(call.args[0], ast.Constant | ast.JoinedStr):
+        return
+    text = " ".join(pieces)
+    where = f"{relative(path)}:{call.lineno}"
+    assert len(text.split()) >= 5, f"{where}: {text!r} is not a sentence"
+    last = call.args[0].values[-1] if isinstance(call.args[0], ast.JoinedStr) else call.args[0]
+    if isinstance(last, ast.Constant):
+        assert str(last.value).rstrip().endswith((".", "`", '"')), (
+            f"{where}: the sentence does not end with a full stop"
+        )
+
+
+@file_param(FILES + TESTS)
+def test_pose_products_match(path: Path) -> None:
+    for node in ast.walk(tree(path)):
+        if isinstance(node, ast.BinOp) and isinstance(node.op, ast.MatMult):
+            left, right = pose_frames(node.left), pose_frames(node.right)
+            if left and right:
+                assert left[1] == right[0], f"line {node.lineno}: T_{'_'.join(left)} @ T_{'_'.join(right)}"
+
+
+def pose_frames(node: ast.AST) -> tuple[str, str] | None:
+    """Frames (a, b) of a name T_a_b; of a product, those of its nearer factor."""
+    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.MatMult):
+        left, right = pose_frames(node.left), pose_frames(node.right)
+        return (left[0], right[1]) if left and right else None
+    name = node.id if isinstance(node, ast.Name) else getattr(node, "attr", "")
+    match = re.fullmatch(r"T_([a-z0-9]+)_([a-z0-9]+)", name)
+    return (match[1], match[2]) if match else None
+
+
+def test_import_armlab_is_light() -> None:
+    """`import armlab` loads NumPy at most; `armlab --help` loads no numerical package."""
+    heavy = "scipy matplotlib mujoco mcap rosbags google.protobuf viser"
+    code = f"import sys, armlab; print([m for m in {heavy.split()} if m in sys.modules])"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == "[]"
+    code = (
+        "import sys, contextlib, io\nfrom armlab.cli import main\n"
+        "with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):\n    main(['--help'])\n"
+        f"print([m for m in {heavy.split()} if m in sys.modules])"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("layer", ["contact", "identify", "bridge", "estimation", "models"])
+def test_the_estimator_never_sees_the_truth(layer: str) -> None:
+    """Only the log that came over the wire: no file of these packages names the simulator's package."""
+    for path in (SOURCE / layer).rglob("*.py"):
+        assert not re.search(r"armlab\.sim|from armlab import .*\bsim\b", path.read_text(encoding="utf-8")), relative(
+            path
+        )
+
+
+def test_the_rules_can_fail() -> None:
+    """The pose rule and the parameter parser see what they must see."""
+    bad = ast.parse("T_base_tool @ T_cam_marker").body[0].value  # type: ignore[attr-defined]
+    assert pose_frames(bad.left)[1] != pose_frames(bad.right)[0]  # type: ignore[index]
+    good = ast.parse("T_a_b @ T_b_c").body[0].value  # type: ignore[attr-defined]
+    assert pose_frames(good) == ("a", "c")
+    assert documented_parameters(
+        "x\n\nParameters\n----------\nq, qd : (n,) a\n    more : no\n\nReturns\n-------\nz : b"
+    ) == ["q", "qd"]
