@@ -66,22 +66,22 @@ class State:
     session: int = 1
     qd_source: str = "difference"
     tau_source: str = "none"
-    q_start: np.ndarray = _EMPTY
-    q_planned: np.ndarray = _EMPTY
-    q_sent: np.ndarray = _EMPTY
-    qd_sent: np.ndarray = _EMPTY
-    clamped: np.ndarray = _EMPTY
-    T_frame_tool: np.ndarray = _NAN44
-    wrench_raw: np.ndarray = _NAN6
-    wrench: np.ndarray = _NAN6
-    q_ext: np.ndarray = _EMPTY
+    q_start: np.ndarray = field(default_factory=lambda: _EMPTY)
+    q_planned: np.ndarray = field(default_factory=lambda: _EMPTY)
+    q_sent: np.ndarray = field(default_factory=lambda: _EMPTY)
+    qd_sent: np.ndarray = field(default_factory=lambda: _EMPTY)
+    clamped: np.ndarray = field(default_factory=lambda: _EMPTY)
+    T_frame_tool: np.ndarray = field(default_factory=lambda: _NAN44)
+    wrench_raw: np.ndarray = field(default_factory=lambda: _NAN6)
+    wrench: np.ndarray = field(default_factory=lambda: _NAN6)
+    q_ext: np.ndarray = field(default_factory=lambda: _EMPTY)
     motors: int = 0
     rapid: int = 0
     mci: int = 0
     converged: bool = False
     utilization: float = float("nan")
     robotware: str = ""
-    rapid_data: np.ndarray = _EMPTY
+    rapid_data: np.ndarray = field(default_factory=lambda: _EMPTY)
     rapid_digital: bool = False
     robot_ns: int = 0
     t_receive: int = 0

@@ -1,0 +1,11 @@
+// The extension module armlab.kernels._native. Each topic binds its own kernels; this file only calls them.
+#define ARMLAB_IMPORTS_NUMPY
+#include "arrays.h"
+
+void bind_chain(nb::module_ &m);
+
+NB_MODULE(_native, m) {
+  if (PyArray_ImportNumPyAPI() < 0) throw nb::python_error();
+  m.doc() = "Compiled kernels of armlab; armlab.kernels is their public face.";
+  bind_chain(m);
+}

@@ -1,0 +1,10 @@
+"""The kernels in plain NumPy: the specification that the compiled ones are held to.
+
+Every name here exists in `armlab.kernels._native` with the same signature and the same results to 1e-12.
+"""
+
+from __future__ import annotations
+
+from armlab.kernels._reference.chain import Chain
+
+__all__ = ["Chain"]

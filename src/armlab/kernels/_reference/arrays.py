@@ -1,0 +1,79 @@
+"""Arguments of the reference kernels: the checks of `native/arrays.h`, with the same sentences."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from armlab.errors import ShapeError
+
+__all__ = ["read", "result", "same_shape"]
+
+
+def read(value: Any, name: str, tail: tuple[int, ...], exact: bool = False) -> np.ndarray:
+    """Return `value` as a float64 array whose shape ends with `tail`.
+
+    Parameters
+    ----------
+    value : array-like of real numbers.
+    name : how error messages call it.
+    tail : the last axes that are required.
+    exact : refuse leading axes too.
+
+    Raises
+    ------
+    ShapeError
+        When it does not convert or has another shape.
+    """
+    try:
+        array = np.asarray(value)
+        convertible = np.can_cast(array.dtype, np.float64, "safe")
+    except (TypeError, ValueError):
+        convertible = False
+    if not convertible:
+        raise ShapeError(
+            f"Expected {name} to be an array of real numbers, got {type(value).__name__} that does not convert to "
+            "float64. Give a NumPy array or nested lists of equal length."
+        )
+    leading = array.ndim - len(tail)
+    if leading < 0 or (exact and leading) or array.shape[leading:] != tail:
+        wanted = str(tail) if exact else f"(..., {', '.join(map(str, tail))})"
+        advice = "" if exact else " Put the joints on the last axis, batches before it."
+        raise ShapeError(f"Expected {name} of shape {wanted}, got {array.shape}.{advice}")
+    return array.astype(np.float64, copy=False)
+
+
+def same_shape(array: np.ndarray, name: str, other: np.ndarray, other_name: str) -> None:
+    """Refuse `array` unless it has the shape of `other`.
+
+    Raises
+    ------
+    ShapeError
+        When the shapes differ.
+    """
+    if array.shape != other.shape:
+        raise ShapeError(
+            f"Expected {name} of the same shape as {other_name}, {other.shape}, got {array.shape}. "
+            "Broadcast them first with numpy.broadcast_arrays."
+        )
+
+
+def result(value: np.ndarray, out: Any, name: str = "out") -> np.ndarray:
+    """Return `value`, written into `out` when that is given.
+
+    Raises
+    ------
+    ShapeError
+        When `out` is not a writable C-contiguous float64 array of the shape of `value`.
+    """
+    if out is None:
+        return value
+    wanted = f"Expected {name} to be a writable C-contiguous float64 array of shape {value.shape}"
+    plain = type(out) is np.ndarray and out.dtype == np.float64 and out.flags.carray
+    if not plain:
+        raise ShapeError(f"{wanted}, got an object that is not. Make it with numpy.empty, or leave it out.")
+    if out.shape != value.shape:
+        raise ShapeError(f"{wanted}, got shape {out.shape}.")
+    out[...] = value
+    return out

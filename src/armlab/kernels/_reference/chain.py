@@ -1,0 +1,272 @@
+"""Kinematics and rigid-body dynamics of a serial chain, in NumPy."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from armlab.errors import ShapeError
+from armlab.kernels._reference.arrays import read, result, same_shape
+
+__all__ = ["Chain"]
+
+MAX_JOINTS = 32
+_Pair = tuple[np.ndarray, np.ndarray]
+
+
+class Chain:
+    """A serial chain of revolute and prismatic joints, immutable.
+
+    ``T_base_tool(q) = E_0 Z_1(q_1) E_1 ... Z_n(q_n) E_n`` with ``Z(q) = Rz(q)`` (revolute) or ``Tz(q)`` (prismatic):
+    the local product of exponentials with every joint axis along z. Link frame i is
+    ``T_base_i = E_0 Z_1(q_1) ... E_{i-1} Z_i(q_i)``.
+
+    Every method takes any leading batch and keeps it, accepts read-only input, leaves it unchanged, and writes into
+    `out` when that is given. NaN in a sample gives NaN in its result. Argument errors are `ShapeError`.
+
+    Parameters
+    ----------
+    frames : (n + 1, 4, 4) E_0 ... E_n, rigid to 1e-9 (rotations are then projected on SO(3)) [m].
+    prismatic : (n,) bool, True for prismatic joints; n from 1 to 32.
+    """
+
+    def __init__(self, frames: Any, prismatic: Any) -> None:
+        kinds = np.asarray(prismatic)
+        if kinds.ndim != 1 or not 1 <= kinds.size <= MAX_JOINTS:
+            raise ShapeError(
+                f"Expected prismatic of shape (n,) with n from 1 to {MAX_JOINTS} joints, got {kinds.shape}."
+            )
+        self._prismatic = tuple(bool(kind) for kind in kinds)
+        self._frames = _rigid(read(frames, "frames", (self.n + 1, 4, 4), exact=True))
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self._prismatic)
+
+    @property
+    def frames(self) -> np.ndarray:
+        """(n + 1, 4, 4) a copy of E_0 ... E_n."""
+        return self._frames.copy()
+
+    @property
+    def prismatic(self) -> np.ndarray:
+        """(n,) bool, True for prismatic joints."""
+        return np.array(self._prismatic)
+
+    def __reduce__(self) -> tuple[type[Chain], _Pair]:
+        """Pickle by the constructor's arguments."""
+        return type(self), (self.frames, self.prismatic)
+
+    def forward(self, q: Any, out: Any = None) -> np.ndarray:
+        """Return T_base_tool (..., 4, 4) for joint positions `q` (..., n)."""
+        return result(self._links(self._joints(q))[..., -1, :, :] @ self._frames[-1], out)
+
+    def link_transforms(self, q: Any, out: Any = None) -> np.ndarray:
+        """Return T_base_i (..., n, 4, 4) of link frames 1 ... n."""
+        return result(self._links(self._joints(q)), out)
+
+    def jacobian(self, q: Any, tool: bool = False, out: Any = None) -> np.ndarray:
+        """Return J (..., 6, n), rows [v; w], at the tool point in base axes, or in tool axes when `tool`.
+
+        Column i is ``[z_i x (p - p_i); z_i]`` (revolute) or ``[z_i; 0]`` (prismatic).
+        """
+        T, J = self._forward_jacobian(self._joints(q))
+        if tool:
+            R_transposed = np.swapaxes(T[..., :3, :3], -1, -2)
+            J = np.concatenate([R_transposed @ J[..., :3, :], R_transposed @ J[..., 3:, :]], axis=-2)
+        return result(J, out)
+
+    def forward_jacobian(self, q: Any, out: _Pair | None = None) -> _Pair:
+        """Return T_base_tool (..., 4, 4) and J (..., 6, n) at the tool point in base axes; `out` is such a pair."""
+        T, J = self._forward_jacobian(self._joints(q))
+        into = _pair(out)
+        return result(T, into[0], "out[0]"), result(J, into[1], "out[1]")
+
+    def rnea(self, q: Any, qd: Any, qdd: Any, gravity: Any, pi: Any, out: Any = None) -> np.ndarray:
+        """Return joint torques tau (..., n) of a motion, by recursive Newton-Euler.
+
+        ``F_i = I_i A_i + V_i x* (I_i V_i)`` with ``A_0 = [-g; 0]``; ``tau_i = S_i . sum of F_k, k >= i``.
+
+        Parameters
+        ----------
+        q, qd, qdd : (..., n) joint positions, velocities, accelerations.
+        gravity : (3,) gravity in base axes [m/s^2].
+        pi : (n, 10) per link, in link frame i about its origin: m, m cx, m cy, m cz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz.
+        out : (..., n) array to write into, or None.
+        """
+        steps, V, A = self._motion(q, qd, qdd, gravity)
+        inertia = np.einsum("ik,kab->iab", read(pi, "pi", (self.n, 10), exact=True), _UNIT_INERTIAS)
+        tau = np.empty(V[0].shape[:-1] + (self.n,))
+        F = np.zeros_like(V[0])
+        for i in reversed(range(self.n)):
+            F = F + _apply(inertia[i], A[i]) + _apply(_wrench_cross(V[i]), _apply(inertia[i], V[i]))
+            tau[..., i] = F @ self._axis(i)
+            F = _apply(np.swapaxes(steps[i], -1, -2), F)
+        return result(tau, out)
+
+    def rigid_regressor(self, q: Any, qd: Any, qdd: Any, gravity: Any, out: Any = None) -> np.ndarray:
+        """Return Y (..., n, 10 n) with ``tau = Y pi.ravel()``, parameters as in `rnea`."""
+        steps, V, A = self._motion(q, qd, qdd, gravity)
+        Y = np.zeros(V[0].shape[:-1] + (self.n, 10 * self.n))
+        for k in range(self.n):
+            momenta = np.einsum("kab,...b->...ak", _UNIT_INERTIAS, V[k])
+            F = np.einsum("kab,...b->...ak", _UNIT_INERTIAS, A[k]) + _wrench_cross(V[k]) @ momenta
+            for i in reversed(range(k + 1)):
+                Y[..., i, 10 * k : 10 * k + 10] = self._axis(i) @ F
+                F = np.swapaxes(steps[i], -1, -2) @ F
+        return result(Y, out)
+
+    def gravity_regressor(self, q: Any, gravity: Any, out: Any = None) -> np.ndarray:
+        """Return Y_g (..., n, 4 n) of the gravity torques ``G = dU/dq = Y_g [m, m cx, m cy, m cz]`` per link.
+
+        ``U = -sum g . (m_i p_i + R_i m_i c_i)``.
+        """
+        g = read(gravity, "gravity", (3,), exact=True)
+        T = self._links(self._joints(q))
+        z, p = T[..., :3, 2], T[..., :3, 3]
+        Y = np.zeros((*T.shape[:-3], self.n, 4 * self.n))
+        for k in range(self.n):
+            for i in range(k + 1):
+                lever = z[..., i, :] if self._prismatic[i] else np.cross(z[..., i, :], p[..., k, :] - p[..., i, :])
+                Y[..., i, 4 * k] = -lever @ g
+                if not self._prismatic[i]:
+                    turn = np.cross(z[..., i, :], g)
+                    Y[..., i, 4 * k + 1 : 4 * k + 4] = _apply(np.swapaxes(T[..., k, :3, :3], -1, -2), turn)
+        return result(Y, out)
+
+    def _joints(self, q: Any) -> np.ndarray:
+        return read(q, "q", (self.n,))
+
+    def _axis(self, i: int) -> np.ndarray:
+        """(6,) axis of joint i as a twist [v; w] in link frame i."""
+        return np.eye(6)[2 if self._prismatic[i] else 5]
+
+    def _joint_transform(self, i: int, q: np.ndarray) -> np.ndarray:
+        """(..., 4, 4) Z_i(q_i)."""
+        Z = np.zeros((*q.shape, 4, 4))
+        Z[...] = np.eye(4)
+        if self._prismatic[i]:
+            Z[..., 2, 3] = q
+            return Z
+        Z[..., 0, 0] = Z[..., 1, 1] = np.cos(q)
+        Z[..., 1, 0] = np.sin(q)
+        Z[..., 0, 1] = -Z[..., 1, 0]
+        return Z
+
+    def _links(self, q: np.ndarray) -> np.ndarray:
+        T = np.empty((*q.shape, 4, 4))
+        for i in range(self.n):
+            before = self._frames[0] if i == 0 else T[..., i - 1, :, :] @ self._frames[i]
+            T[..., i, :, :] = before @ self._joint_transform(i, q[..., i])
+        return T
+
+    def _forward_jacobian(self, q: np.ndarray) -> _Pair:
+        links = self._links(q)
+        T = links[..., -1, :, :] @ self._frames[-1]
+        z = links[..., :3, 2]
+        lever = T[..., None, :3, 3] - links[..., :3, 3]
+        prismatic = self.prismatic[:, None]
+        columns = np.concatenate(
+            [np.where(prismatic, z, np.cross(z, lever)), np.where(prismatic, 0.0 * z, z)], axis=-1
+        )
+        return T, np.ascontiguousarray(np.swapaxes(columns, -1, -2))
+
+    def _motion(
+        self, q: Any, qd: Any, qdd: Any, gravity: Any
+    ) -> tuple[list[np.ndarray], list[np.ndarray], list[np.ndarray]]:
+        """Twist transforms from link to link, twists V and spatial accelerations A of every link, in its own frame."""
+        positions, speeds = self._joints(q), read(qd, "qd", (self.n,))
+        accelerations = read(qdd, "qdd", (self.n,))
+        same_shape(speeds, "qd", positions, "q")
+        same_shape(accelerations, "qdd", positions, "q")
+        g = read(gravity, "gravity", (3,), exact=True)
+        v = np.zeros((*positions.shape[:-1], 6))
+        a = v - np.concatenate([g, np.zeros(3)])
+        steps, V, A = [], [], []
+        for i in range(self.n):
+            X = _twist_transform(self._frames[i] @ self._joint_transform(i, positions[..., i]))
+            own = self._axis(i) * speeds[..., i, None]
+            v = _apply(X, v) + own
+            a = _apply(X, a) + self._axis(i) * accelerations[..., i, None] + _apply(_twist_cross(v), own)
+            steps.append(X)
+            V.append(v)
+            A.append(a)
+        return steps, V, A
+
+
+def _rigid(frames: np.ndarray) -> np.ndarray:
+    """Return `frames` with rotations projected on SO(3); refuse what is not rigid to 1e-9."""
+    R = frames[:, :3, :3]
+    gram = np.swapaxes(R, -1, -2) @ R
+    rigid = (
+        np.isfinite(frames).all()
+        and np.abs(gram - np.eye(3)).max() <= 1e-9
+        and (np.linalg.det(R) > 0).all()
+        and (frames[:, 3] == [0.0, 0.0, 0.0, 1.0]).all()
+    )
+    if not rigid:
+        raise ShapeError(
+            "Expected every frame to be a rigid transformation (rotation orthonormal to 1e-9, determinant 1, last row "
+            "0 0 0 1), got one that is not. Normalise quaternions and rotations first."
+        )
+    rigid_frames = frames.copy()
+    rigid_frames[:, :3, :3] = R @ (3.0 * np.eye(3) - gram) / 2.0
+    return rigid_frames
+
+
+def _pair(out: Any) -> tuple[Any, Any]:
+    if out is None:
+        return None, None
+    if not isinstance(out, tuple) or len(out) != 2:
+        raise ShapeError("Expected out to be a pair of arrays (T, J), got something else. Give a tuple of two arrays.")
+    return out
+
+
+def _apply(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    return (matrix @ vector[..., None])[..., 0]
+
+
+def _hat(p: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) with ``hat(p) x = p x x``."""
+    x, y, z = np.moveaxis(p, -1, 0)
+    zero = np.zeros_like(x)
+    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape((*p.shape, 3))
+
+
+def _twist_transform(T: np.ndarray) -> np.ndarray:
+    """(..., 6, 6) Ad(T^-1): the twist of a body, told in frame b instead of a, for T = T_a_b."""
+    R_transposed = np.swapaxes(T[..., :3, :3], -1, -2)
+    X = np.zeros((*T.shape[:-2], 6, 6))
+    X[..., :3, :3] = X[..., 3:, 3:] = R_transposed
+    X[..., :3, 3:] = -R_transposed @ _hat(T[..., :3, 3])
+    return X
+
+
+def _twist_cross(V: np.ndarray) -> np.ndarray:
+    """(..., 6, 6) V x: rate of change of a twist that is fixed in a body moving with V."""
+    X = np.zeros((*V.shape, 6))
+    X[..., :3, :3] = X[..., 3:, 3:] = _hat(V[..., 3:])
+    X[..., :3, 3:] = _hat(V[..., :3])
+    return X
+
+
+def _wrench_cross(V: np.ndarray) -> np.ndarray:
+    """(..., 6, 6) V x*: the same for a wrench, -(V x)^T."""
+    return -np.swapaxes(_twist_cross(V), -1, -2)
+
+
+def _unit_inertias() -> np.ndarray:
+    """(10, 6, 6) spatial inertia [[m 1, -hat(h)], [hat(h), I]] of each unit parameter, in the order of `pi`."""
+    units = np.zeros((10, 6, 6))
+    units[0, :3, :3] = np.eye(3)
+    for k in range(3):
+        h = _hat(np.eye(3)[k])
+        units[1 + k, :3, 3:], units[1 + k, 3:, :3] = -h, h
+    for k, (row, column) in enumerate([(0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)]):
+        units[4 + k, 3 + row, 3 + column] = units[4 + k, 3 + column, 3 + row] = 1.0
+    return units
+
+
+_UNIT_INERTIAS = _unit_inertias()

@@ -1,0 +1,121 @@
+"""Static MAP contact wrench with presliding friction (specification; the compiled twin is native/estimator.cpp).
+
+One step, with ``tau_e = model - measured = J^T F + error``:
+
+1. y follows q with a play of +-resolution; z slides by dy; its variance ``p <- p exp(-2 |dy| / delta)``, then relaxes towards
+   1/3 (a uniform variable on [-1, 1]) with the time constant REST_TIME: what friction does after a long rest is not known.
+2. qdd = (qd_k - qd_{k-1}) / dt; tau_e = rnea + rotor qdd + friction(qd, z) + ripple(q) - tau.
+3. tau_e passes a second-order Butterworth low-pass (state-variable form, exact for a varying dt up to frequency warping).
+4. C_tau = diag(s^2(qd) + static^2 p_filtered), with p low-passed like tau_e so that it stays as long as its error does.
+5. S = J^T C_F J + C_tau, K = C_F J S^-1, F = K tau_e, P = (I - K J^T) C_F (I - K J^T)^T + K C_tau K^T.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from armlab.kernels._reference.presliding import slide
+
+__all__ = ["WrenchEstimator"]
+
+REST_TIME = 0.5  # s
+UNKNOWN = 1.0 / 3.0  # variance of a uniform variable on [-1, 1]
+
+
+class WrenchEstimator:
+    """Contact wrench from joint motion and torque, one sample at a time.
+
+    Parameters
+    ----------
+    chain : kinematics and dynamics kernel.
+    gravity : (3,) [m/s^2], base axes.
+    links : (n, 10) link parameters. rotor : (n,) rotor inertia.
+    friction : (8, n) rows viscous, coulomb_pos, coulomb_neg, offset, stribeck, stribeck_speed, delta, resolution.
+    ripple : (3, n) rows cycles, cosine, sine.
+    covariance : (4, n) rows C0, Cinf, shape, kind (0 exp, 1 step, 2 const); C0 and Cinf already scaled.
+    prior : (6,) prior variances of the wrench.
+    cutoff : corner of the low-pass [Hz].
+    """
+
+    def __init__(self, chain, gravity, links, rotor, friction, ripple, covariance, prior, cutoff) -> None:  # noqa: ANN001
+        self._chain = chain
+        self._gravity, self._links, self._rotor = (np.array(a, dtype=float) for a in (gravity, links, rotor))
+        self._friction, self._ripple, self._covariance = (np.array(a, dtype=float) for a in (friction, ripple, covariance))
+        self._prior = np.array(prior, dtype=float)
+        self._cutoff = float(cutoff)
+        self._static = 0.5 * (self._friction[1] + self._friction[2]) + np.maximum(self._friction[4], 0.0)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything but the parameters."""
+        n = len(self._rotor)
+        self._play: np.ndarray | None = None
+        self._qd = np.zeros(n)
+        self._z, self._p = np.zeros(n), np.full(n, UNKNOWN)
+        self._low = np.zeros((2, 2 * n))
+
+    def step(self, q, qd, tau, dt):  # noqa: ANN001, ANN201
+        """Advance by one sample; return F (6,), P (6, 6), observability (6,), filtered tau_e (n,), its variance (n,).
+
+        A sample that is not finite, or dt <= 0, gives NaN everywhere and leaves the state unchanged.
+        """
+        q, qd, tau = (np.asarray(a, dtype=float) for a in (q, qd, tau))
+        n = len(self._rotor)
+        if not (np.isfinite(q).all() and np.isfinite(qd).all() and np.isfinite(tau).all() and 0.0 < dt < np.inf):
+            return tuple(np.full(shape, np.nan) for shape in ((6,), (6, 6), (6,), (n,), (n,)))
+        first = self._play is None
+        if first:
+            self._play, self._qd = q.copy(), qd.copy()
+        self._slide(q, dt)
+        qdd = (qd - self._qd) / dt
+        self._qd = qd.copy()
+        rigid = self._chain.rnea(q, qd, qdd, self._gravity, self._links) + self._rotor * qdd
+        raw = rigid + self._drive_torque(q, qd) - tau
+        filtered = self._lowpass(np.concatenate([raw, self._p]), dt, first)
+        torque, p = filtered[:n], np.clip(filtered[n:], 0.0, UNKNOWN)
+        variance = self._variance(qd) + self._static**2 * p
+        return (*self._posterior(self._chain.jacobian(q), torque, variance), torque, variance)
+
+    def _slide(self, q: np.ndarray, dt: float) -> None:
+        delta, resolution = self._friction[6], self._friction[7]
+        moved = np.clip(self._play, q - resolution, q + resolution)
+        dy = moved - self._play
+        self._z, self._play = slide(self._z, dy, delta), moved
+        p = self._p * np.exp(-2.0 * np.abs(dy) / delta)
+        self._p = p + (UNKNOWN - p) * (1.0 - np.exp(-dt / REST_TIME))
+
+    def _drive_torque(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+        viscous, positive, negative, offset, stribeck, speed, _, _ = self._friction
+        z = self._z
+        coulomb = positive * np.maximum(z, 0) + negative * np.minimum(z, 0)
+        friction = viscous * qd + coulomb + offset + stribeck * z * np.exp(-((qd / speed) ** 2))
+        angle = self._ripple[0] * q
+        return friction + self._ripple[1] * np.cos(angle) + self._ripple[2] * np.sin(angle)
+
+    def _lowpass(self, x: np.ndarray, dt: float, first: bool) -> np.ndarray:
+        if first:  # start in steady state, without a transient from zero
+            self._low[0], self._low[1] = 0.0, x
+            return x
+        g = np.tan(np.pi * min(self._cutoff * dt, 0.45))
+        a = 1.0 / (1.0 + g * (g + np.sqrt(2.0)))
+        error = x - self._low[1]
+        v1 = a * (self._low[0] + g * error)
+        v2 = self._low[1] + g * v1
+        self._low = np.stack([2.0 * v1 - self._low[0], 2.0 * v2 - self._low[1]])
+        return v2
+
+    def _variance(self, qd: np.ndarray) -> np.ndarray:
+        at_rest, at_speed, shape, kind = self._covariance
+        speed = np.abs(qd)
+        weight = np.where(kind == 0, np.exp(-shape * speed), np.where(kind == 1, speed < shape, 0.0))
+        return (at_rest - at_speed) * weight + at_speed
+
+    def _posterior(self, J: np.ndarray, torque: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, ...]:
+        prior = self._prior
+        weighted = prior[:, None] * J
+        S = J.T @ weighted + np.diag(variance)
+        K = np.linalg.solve(S, weighted.T).T
+        A = np.eye(6) - K @ J.T
+        P = (A * prior) @ A.T + (K * variance) @ K.T
+        P = 0.5 * (P + P.T)
+        return K @ torque, P, 1.0 - np.diag(P) / prior
