@@ -1,0 +1,8 @@
+"""Logs: `Table`, the recorder that survives kill -9, and the readers."""
+
+from __future__ import annotations
+
+from armlab.log.column import Column
+from armlab.log.table import Table
+
+__all__ = ["Column", "Table"]

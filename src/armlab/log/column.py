@@ -1,0 +1,140 @@
+"""What one column of a table is: shape, unit, frame, labels and kind."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from armlab.errors import ShapeError, UnknownName
+from armlab.glossary import symbols
+
+__all__ = ["KINDS", "Column"]
+
+KINDS = ("real", "angle", "pose", "quaternion", "count", "flag", "text")
+"""Kinds of columns; the kind decides how a column is stored and how it is resampled."""
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """Description of one column: everything but its values.
+
+    Known names take what is not given from the glossary; a new name must state its unit.
+
+    Attributes
+    ----------
+    shape : shape of one row; ``()`` for a scalar per row.
+    unit : SI unit, "1" for none; None for "as in the glossary".
+    frame : axes the numbers are in; None for "as in the glossary".
+    labels : names of the components along the first axis of a row (joint names), or empty.
+    kind : one of `KINDS`; None for "as in the glossary", else real.
+    """
+
+    shape: tuple[int, ...] = ()
+    unit: str | None = None
+    frame: str | None = None
+    labels: tuple[str, ...] = ()
+    kind: str | None = None
+
+    def resolved(self, name: str) -> Column:
+        """Return the description with everything that the glossary knows about `name` filled in.
+
+        Raises
+        ------
+        ShapeError : unit, frame or row shape contradict the glossary; the unit of a new name is missing;
+            labels do not count what they name.
+        UnknownName : the kind does not exist.
+        """
+        symbol = symbols().get(name)
+        if symbol is None and self.unit is None:
+            raise ShapeError(
+                f"Expected a unit for the column {name!r}, which the glossary does not know; give unit='1' for none."
+            )
+        for what, given in (("unit", self.unit), ("frame", self.frame)):
+            known = getattr(symbol, what, None)
+            if known is not None and given is not None and given != known:
+                raise ShapeError(
+                    f"Expected {what} {known!r} for the column {name!r} (glossary), got {given!r}; "
+                    "convert the values or use another name."
+                )
+        kind = self.kind or (symbol.kind if symbol else "real")
+        if kind not in KINDS:
+            raise UnknownName.among("kind of column", kind, KINDS)
+        if symbol:
+            _check_row_shape(name, self.shape, symbol.shape)
+        if self.labels and (not self.shape or len(self.labels) != self.shape[0]):
+            raise ShapeError(
+                f"Expected {self.shape[0] if self.shape else 0} labels for the column {name!r}, got {len(self.labels)}."
+            )
+        unit = self.unit if self.unit is not None else (symbol.unit if symbol else "1")
+        frame = self.frame if self.frame is not None else (symbol.frame if symbol else "")
+        return replace(self, unit=unit, frame=frame, kind=kind, labels=tuple(self.labels))
+
+    def heading(self, name: str) -> str:
+        """Return the label of an axis or a header: ``"tau [N m]"``."""
+        return name if self.unit in (None, "", "1") else f"{name} [{self.unit}]"
+
+
+def _check_row_shape(name: str, shape: tuple[int, ...], words: str) -> None:
+    """Compare a row shape with the glossary's, for example "(N, 4, 4)"; letters match any size."""
+    expected = [word.strip() for word in words.strip("()").split(",") if word.strip()][1:]
+    fits = len(expected) == len(shape) and all(
+        not word.isdigit() or int(word) == size for word, size in zip(expected, shape, strict=True)
+    )
+    if not fits:
+        got = ", ".join(["N", *map(str, shape)]) + ("," if not shape else "")
+        raise ShapeError(f"Expected shape {words} for the column {name!r} (glossary), got ({got}).")
+
+
+def stored(name: str, values: Any, column: Column | None) -> tuple[np.ndarray, Column, str]:
+    """Return values as they are kept (C-contiguous, little-endian, read-only), their description, and a note or "".
+
+    What the caller could still write to is copied. Counts and flags with missing values become real.
+    """
+    raw = np.asarray(values)
+    if raw.ndim == 0:
+        raise ShapeError(f"Expected one value per row for the column {name!r}, got a single value.")
+    described = replace(column or Column(), shape=raw.shape[1:]).resolved(name)
+    note = ""
+    if described.kind in ("count", "flag") and raw.dtype.kind == "f" and not np.isfinite(raw).all():
+        note = f"{name}: {described.kind} with missing values, kept as real"
+        described = replace(described, kind="real")
+    return frozen(_cast(name, raw, described.kind or "real")), described, note
+
+
+def _cast(name: str, raw: np.ndarray, kind: str) -> np.ndarray:
+    """Return the array in the storage type of its kind."""
+    if kind == "text":
+        return raw if raw.dtype.kind == "U" else raw.astype(np.str_)
+    if raw.dtype.kind not in "biuf":
+        raise ShapeError(f"Expected numbers in the column {name!r} of kind {kind}, got values of type {raw.dtype}.")
+    if kind == "flag":
+        wanted = np.dtype(bool)
+    else:
+        wanted = np.dtype("<i8") if kind == "count" else np.dtype("<f8")
+    if raw.dtype == wanted:
+        return raw
+    cast = raw.astype(wanted)
+    if kind in ("count", "flag") and not np.array_equal(cast, raw):
+        raise ShapeError(f"Expected whole numbers that fit {wanted} in the column {name!r} of kind {kind}.")
+    return cast
+
+
+def frozen(array: np.ndarray) -> np.ndarray:
+    """Return the array C-contiguous and read-only, copied if anyone could still write to its memory."""
+    array = np.ascontiguousarray(array) if array.ndim else array
+    if _writable_somewhere(array):
+        array = array.copy()
+    array.flags.writeable = False
+    return array
+
+
+def _writable_somewhere(array: np.ndarray) -> bool:
+    """Tell whether the memory can be written through this array or through what it views."""
+    seen: Any = array
+    while isinstance(seen, np.ndarray):
+        if seen.flags.writeable:
+            return True
+        seen = seen.base
+    return not (seen is None or isinstance(seen, bytes))

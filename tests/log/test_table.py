@@ -1,0 +1,249 @@
+"""`Table`: construction, access, rows, columns, states, text and hash."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from armlab.errors import ShapeError, UnknownName
+from armlab.log import Column, Table
+
+
+def example(rows: int = 50, joints: int = 7, seed: int = 1) -> Table:
+    rng = np.random.default_rng(seed)
+    return Table(
+        np.arange(rows) * 0.004,
+        {
+            "q": rng.normal(size=(rows, joints)),
+            "qd": rng.normal(size=(rows, joints)),
+            "tau": rng.normal(size=(rows, joints)),
+            "seq": np.arange(rows) + 100,
+            "grip": rng.normal(size=rows),
+        },
+        {"grip": Column(unit="N")},
+        t0_ns=1_700_000_000_000_000_000,
+        clock="robot",
+    )
+
+
+def test_known_names_take_unit_kind_and_frame_from_the_glossary() -> None:
+    table = example()
+    assert table.units == {"q": "rad", "qd": "rad/s", "tau": "N m", "seq": "1", "grip": "N"}
+    assert table.columns["q"].kind == "angle"
+    assert table.columns["tau"].frame == "joint"
+    assert table["seq"].dtype == np.dtype("<i8")
+    assert table.names == ("q", "qd", "tau", "seq", "grip")
+    assert "q" in table
+    assert "nothing" not in table
+    assert len(table) == 50
+
+
+def test_values_are_read_only_and_independent_of_the_callers_array() -> None:
+    q = np.zeros((3, 2))
+    view = q[:, :]
+    view.flags.writeable = False
+    table = Table([0.0, 1.0, 2.0], {"q": view})
+    q[:] = 7.0
+    assert np.all(table["q"] == 0.0)
+    with pytest.raises(ValueError, match="read-only"):
+        table["q"][0, 0] = 1.0
+    with pytest.raises(AttributeError):
+        table.t0_ns = 3  # type: ignore[misc]
+
+
+@pytest.mark.parametrize(
+    ("t", "message"),
+    [
+        ([0.0, 1.0, 1.0], "row 2 after 1 s"),
+        ([0.0, 2.0, 1.0], "row 2 after 2 s"),
+        ([0.0, np.nan, 1.0], "nan in row 1"),
+        ([[0.0, 1.0, 2.0]], "got \\(1, 3\\)"),
+    ],
+)
+def test_clock_must_be_finite_and_increase(t: list, message: str) -> None:
+    with pytest.raises(ShapeError, match=message):
+        Table(t, {})
+
+
+@pytest.mark.parametrize(
+    ("values", "columns", "message"),
+    [
+        ({"q": np.zeros((2, 7))}, {}, "Expected 3 rows in the column 'q'"),
+        ({"q": np.zeros((3, 7)), "qd": np.zeros((3, 6))}, {}, "same number of joints"),
+        ({"wrench": np.zeros((3, 5))}, {}, r"\(N, 6\) for the column 'wrench'.*\(N, 5\)"),
+        ({"mine": np.zeros(3)}, {}, "Expected a unit for the column 'mine'"),
+        ({"tau": np.zeros((3, 7))}, {"tau": Column(unit="Nm")}, "Expected unit 'N m'.*got 'Nm'"),
+        ({"wrench": np.zeros((3, 6))}, {"wrench": Column(frame="sensor")}, "Expected frame 'base'"),
+        ({"mine": np.zeros(3)}, {"mine": Column(unit="1", kind="odd")}, "kind of column"),
+        ({"mine": np.zeros((3, 2))}, {"mine": Column(unit="1", labels=("a",))}, "Expected 2 labels"),
+        ({"seq": [0.0, 0.5, 1.0]}, {}, "whole numbers"),
+        ({"q": [["a"], ["b"], ["c"]]}, {}, "Expected numbers"),
+        ({}, {"q": Column()}, "that have values"),
+    ],
+)
+def test_wrong_columns_are_refused(values: dict, columns: dict, message: str) -> None:
+    with pytest.raises((ShapeError, UnknownName), match=message):
+        Table([0.0, 1.0, 2.0], values, columns)
+
+
+def test_a_wrong_name_lists_the_columns() -> None:
+    with pytest.raises(UnknownName, match="Known: grip, q, qd, seq, tau"):
+        example()["torque"]
+
+
+def test_counts_with_holes_become_real_and_say_so() -> None:
+    table = Table([0.0, 1.0], {"seq": [1.0, np.nan]})
+    assert table.columns["seq"].kind == "real"
+    assert np.isnan(table["seq"][1])
+    assert table.notes == ("seq: count with missing values, kept as real",)
+
+
+def test_rows_slices_are_views_and_masks_copies() -> None:
+    table = example()
+    part = table.rows(slice(10, 20))
+    assert np.shares_memory(part["q"], table["q"])
+    assert np.array_equal(part.t, table.t[10:20])
+    mask = table["q"][:, 0] > 0
+    some = table.where(mask)
+    assert np.array_equal(some["qd"], table["qd"][mask])
+    assert not np.shares_memory(some["q"], table["q"])
+    assert np.array_equal(table.where(lambda tab: tab["q"][:, 0] > 0)["q"], some["q"])
+    assert np.array_equal(table.rows(np.array([3, 7]))["seq"], [103, 107])
+    assert table.rows(slice(None, None, 2))["q"].flags.c_contiguous
+    with pytest.raises(ShapeError, match="mask of 50 rows"):
+        table.rows(np.ones(3, dtype=bool))
+
+
+def test_between_is_half_open_and_keeps_units_and_wall_clock() -> None:
+    table = example()
+    part = table.between(0.04, 0.08)
+    assert part.t[0] == pytest.approx(0.04)
+    assert part.t[-1] < 0.08
+    assert len(part) == 10
+    assert part.units == table.units
+    assert part.t0_ns == table.t0_ns
+    assert part.source == ("between(0.04, 0.08)",)
+
+
+def test_select_without_with_column_and_rename() -> None:
+    table = example()
+    assert table.select("tau", "q").names == ("tau", "q")
+    assert table.without("q").names == ("qd", "tau", "seq", "grip")
+    more = table.with_column("wrench", np.ones((50, 6)))
+    assert more.units["wrench"] == "N, N m"
+    renamed = table.rename({"grip": "pinch"})
+    assert renamed.units["pinch"] == "N"
+    for call in (
+        lambda: table.select("nope"),
+        lambda: table.without("nope"),
+        lambda: table.rename({"nope": "x"}),
+    ):
+        with pytest.raises(UnknownName, match="Known: grip"):
+            call()
+    with pytest.raises(ShapeError, match="Expected a unit"):
+        table.with_column("mine", np.ones(50))
+    with pytest.raises(ShapeError, match="Expected unit"):
+        table.rename({"grip": "qdd"})
+    with pytest.raises(ShapeError, match="do not meet"):
+        table.rename({"grip": "q"})
+
+
+def test_matching_is_in_natural_order() -> None:
+    names = [f"irb2ext.robot[0].joint[{i}].posRawAbs" for i in (10, 2, 1, 0)]
+    values = {name: np.full(2, float(name.split("[")[2].split("]")[0])) for name in names}
+    table = Table([0.0, 1.0], values, {name: Column(unit="rad") for name in names})
+    assert np.array_equal(table.matching(r"robot_0.*posRawAbs"), [[0.0, 1.0, 2.0, 10.0]] * 2)
+    assert np.array_equal(table.matching(r"joint\[2\]"), [[2.0]] * 2)
+    with pytest.raises(UnknownName, match="column that matches"):
+        table.matching("velocity")
+
+
+def test_missing_and_dropna() -> None:
+    table = example()
+    tau = table["tau"].copy()
+    tau[[4, 9], 2] = np.nan
+    table = table.with_column("tau", tau)
+    assert table.missing() == {"tau": (2, (4, 9))}
+    whole = table.dropna("tau")
+    assert len(whole) == 48
+    assert whole.missing() == {}
+    assert "2 of 50 rows removed" in whole.notes[-1]
+    assert len(table.dropna("q")) == 50
+
+
+def test_states_carry_the_columns_and_nothing_else() -> None:
+    table = example().with_column("session", np.repeat([1, 2], 25)).without("tau")
+    states = list(table.states())
+    assert len(states) == 50
+    assert np.array_equal(states[3].q, table["q"][3])
+    assert states[3].t == table.t[3]
+    assert states[3].dt == table.dt[3]
+    assert states[3].seq == 103
+    assert np.all(np.isnan(states[3].tau))
+    assert states[3].tau_source == "none"
+    assert np.all(np.isnan(states[3].wrench))
+    assert np.array_equal(states[20].q_start, table["q"][0])
+    assert np.array_equal(states[30].q_start, table["q"][25])
+    with pytest.raises(UnknownName, match="'q'"):
+        table.without("q").states()
+
+
+def test_dt_is_the_recorded_one_or_the_difference() -> None:
+    table = example()
+    assert table.dt[0] == pytest.approx(0.004)
+    assert np.array_equal(table.dt[1:], np.diff(table.t))
+    assert np.all(table.with_column("dt", np.full(50, 0.0041)).dt == 0.0041)
+    assert np.isnan(table.rows(slice(0, 1)).dt[0])
+
+
+def test_text_names_every_column_with_shape_unit_and_missing() -> None:
+    table = example().with_column("tau", np.full((50, 7), np.nan))
+    text = str(table)
+    assert "50 rows" in text
+    assert "250 Hz on the robot clock" in text
+    assert "50 rows from row 0" in text
+    for name in table.names:
+        assert f"\n{name} " in text
+    assert "q[7]" in table.describe()
+    assert "Table 50 rows" in repr(table)
+
+
+def test_hash_depends_on_data_only() -> None:
+    table = example()
+    assert table.sha256 == example().select("grip", "seq", "tau", "qd", "q").sha256
+    assert table.sha256 == Table(table.t, table.values, table.columns, notes=("read elsewhere",)).sha256
+    q = table["q"].copy()
+    q[17, 3] = np.nextafter(q[17, 3], 9.0)
+    for other in (
+        table.with_column("q", q),
+        table.rename({"grip": "pinch"}),
+        table.shifted(1e-9),
+        table.rows(slice(0, 49)),
+        table.with_column("grip", table["grip"], unit="kg"),
+    ):
+        assert other.sha256 != table.sha256
+
+
+def test_pickle_and_extreme_sizes() -> None:
+    table = example()
+    again = pickle.loads(pickle.dumps(table))
+    assert again.sha256 == table.sha256
+    assert again.t0_ns == table.t0_ns
+    empty = table.rows(slice(0, 0))
+    assert len(empty) == 0
+    assert "0 rows" in str(empty)
+    assert empty.describe()
+    assert list(empty.states()) == []
+
+
+@given(st.integers(0, 60), st.integers(0, 60), st.integers(0, 60))
+def test_cutting_twice_is_cutting_once(a: int, b: int, c: int) -> None:
+    table = example()
+    first, second = table.t[min(a, 49)], table.t[min(b, 49)]
+    third = table.t[min(c, 49)]
+    twice = table.between(first, second).between(first, third)
+    assert np.array_equal(twice.t, table.between(first, min(second, third)).t)
