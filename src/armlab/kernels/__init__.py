@@ -21,9 +21,11 @@ if TYPE_CHECKING:
 __all__ = ["Chain", "backend"]
 
 
-def _reference(reason: str) -> tuple[str, ModuleType]:
+def _fall_back(reason: str) -> tuple[str, ModuleType]:
     warnings.warn(
-        f"armlab runs its NumPy reference kernels, ten to a thousand times slower: {reason}.", RuntimeWarning, stacklevel=3
+        f"armlab runs its NumPy reference kernels, ten to a thousand times slower: {reason}.",
+        RuntimeWarning,
+        stacklevel=3,
     )
     return "reference", import_module("armlab.kernels._reference")
 
@@ -33,13 +35,13 @@ def _choose() -> tuple[str, ModuleType]:
     if wanted not in ("", "native", "reference"):
         raise ConfigError(f"Expected ARMLAB_KERNELS to be native or reference, got {wanted!r}. Correct it or unset it.")
     if wanted == "reference":
-        return _reference("ARMLAB_KERNELS=reference asks for them")
+        return _fall_back("ARMLAB_KERNELS=reference asks for them")
     try:
         return "native", import_module("armlab.kernels._native")
     except ImportError as error:
         if wanted == "native":
             raise
-        return _reference(f"the extension cannot be imported ({error})")
+        return _fall_back(f"the extension cannot be imported ({error})")
 
 
 backend, _module = _choose()
