@@ -1,0 +1,74 @@
+"""``armlab robot``: the robots of the library and of the user."""
+
+from __future__ import annotations
+
+from cyclopts import App
+
+__all__ = ["list_robots", "robot", "show"]
+
+robot = App(name="robot", help="List and show robot descriptions.")
+
+
+@robot.command(name="list")
+def list_robots(*, json: bool = False) -> None:
+    """List the robots of the library.
+
+    Parameters
+    ----------
+    json : print JSON for scripts.
+    """
+    from armlab import robots
+    from armlab.cli.output import aligned, print_json, result
+
+    found = [robots.load(name) for name in robots.names()]
+    if json:
+        print_json([{"name": arm.name, "joints": arm.n, "side": arm.side, "hash": arm.hash} for arm in found])
+        return
+    rows = [("name", "joints", "side", "source")]
+    rows += [(arm.name, str(arm.n), arm.side or "-", (arm.source.splitlines() or [""])[0]) for arm in found]
+    result(aligned(rows, right=(1,)))
+
+
+@robot.command
+def show(name: str, *, json: bool = False) -> None:
+    """Show one robot: joints, limits, gears, home pose.
+
+    Parameters
+    ----------
+    name : name in the library, or the path of a description.
+    json : print JSON for scripts.
+    """
+    import numpy as np
+
+    from armlab import robots
+    from armlab.cli.output import aligned, print_json, result
+
+    arm = robots.load(name)
+    if json:
+        arrays = (
+            "q_min",
+            "q_max",
+            "qd_max",
+            "qdd_max",
+            "q_home",
+            "prismatic",
+            "gravity",
+            "coupling",
+            "screws",
+            "T_home",
+        )
+        words = ("name", "n", "joint_names", "abb_axes", "side", "source", "hash")
+        print_json({key: getattr(arm, key) for key in words + arrays})
+        return
+    result(f"{arm.name}: {arm.n} joints, hash {arm.hash[:16]}\n{arm.source}")
+    with np.printoptions(precision=6, suppress=True):
+        result(f"gravity {arm.gravity} m/s^2 in base axes\nT_base_tool at q = 0\n{arm.T_home}")
+    rows: list[tuple[str, ...]] = [("joint", "kind", "from", "to", "speed", "home", "unit", "gear", "ABB axis")]
+    for i in range(arm.n):
+        numbers = [f"{limits[i]:.4g}" for limits in (arm.q_min, arm.q_max, arm.qd_max, arm.q_home)]
+        kind, unit = ("slides", "m") if arm.prismatic[i] else ("turns", "rad")
+        gear = arm.coupling[i, i]
+        rows.append(
+            (arm.joint_names[i], kind, *numbers, unit, f"{1 / gear:.5g}" if gear else "0", str(arm.abb_axes[i]))
+        )
+    result(aligned(rows, right=(2, 3, 4, 5, 7, 8)))

@@ -1,0 +1,85 @@
+"""The frame of the command line: exit codes, one-line errors, `--debug`."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from armlab import cli
+from armlab.errors import LogError
+
+
+def run(*words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-m", "armlab", *words], capture_output=True, text=True, timeout=60)
+
+
+def test_help_lists_every_command_on_standard_output() -> None:
+    result = run("--help")
+    assert result.returncode == 0
+    assert result.stderr == ""
+    for name in ("demo", "sim", "identify", "estimate", "log", "robot"):
+        assert name in result.stdout
+
+
+def test_help_imports_no_command() -> None:
+    code = (
+        "import sys\nfrom armlab.cli import main\ntry:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
+        "print([m for m in sys.modules if m.startswith('armlab.') and m != 'armlab.cli'], file=sys.stderr)"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert result.stderr.strip() == "['armlab.errors', 'armlab.state']"
+
+
+def test_wrong_use_is_2_and_an_error_1_each_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["robot", "show"]) == cli.WRONG_USE
+    assert cli.main(["robot", "show", "yumi_rihgt"]) == cli.FAILED
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 2
+    assert "--name requires an argument" in lines[0]
+    assert "Did you mean 'yumi_right'?" in lines[1]
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "said"),
+    [
+        (LogError("Expected a log, got a cat."), 1, "armlab: Expected a log, got a cat.\n"),
+        (FileNotFoundError(2, "No such file or directory", "a.mcap"), 1, "No such file or directory: a.mcap."),
+        (OSError(28, "No space left on device"), 1, "armlab: No space left on device.\n"),
+        (ZeroDivisionError("division by zero"), 1, "internal error, ZeroDivisionError: division by zero"),
+        (KeyboardInterrupt(), 130, "armlab: interrupted.\n"),
+    ],
+)
+def test_errors_become_sentences(
+    error: BaseException,
+    code: int,
+    said: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def fail(_words: list[str]) -> int:
+        raise error
+
+    monkeypatch.setattr(cli, "_run", fail)
+    assert cli.main(["demo"]) == code
+    captured = capsys.readouterr().err
+    assert said in captured
+    assert "Traceback" not in captured
+    assert cli.main(["demo", "--debug"]) == code
+    assert ("Traceback" in capsys.readouterr().err) is not isinstance(error, KeyboardInterrupt)
+
+
+def test_termination_is_an_interrupt(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cli, "_run", lambda _words: signal.raise_signal(signal.SIGTERM))
+    before = signal.getsignal(signal.SIGTERM)
+    assert cli.main([]) == cli.INTERRUPTED
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_the_number_a_command_returns_is_the_exit_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    app = cli.build_app()
+    app.command(lambda: cli.SKIPPED, name="partly")
+    monkeypatch.setattr(cli, "build_app", lambda: app)
+    assert cli.main(["partly"]) == cli.SKIPPED

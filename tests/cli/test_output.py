@@ -1,0 +1,28 @@
+"""What commands print."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from armlab.cli.output import aligned, note, print_json, result
+
+
+def test_results_and_notes_go_to_their_streams(capsys: pytest.CaptureFixture[str]) -> None:
+    result("done")
+    note("careful")
+    captured = capsys.readouterr()
+    assert captured.out == "done\n"
+    assert captured.err == "careful\n"
+
+
+def test_json_has_arrays_as_lists_and_null_for_what_is_not_finite(capsys: pytest.CaptureFixture[str]) -> None:
+    print_json({"q": np.array([1.0, np.nan]), "n": np.int64(7), "names": ("a", "b"), "none": None})
+    assert json.loads(capsys.readouterr().out) == {"q": [1.0, None], "n": 7, "names": ["a", "b"], "none": None}
+
+
+def test_columns_line_up() -> None:
+    assert aligned([("name", "n"), ("yumi", "7"), ("x", "12")], right=(1,)) == "name   n\nyumi   7\nx     12"
+    assert aligned([]) == ""

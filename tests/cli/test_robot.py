@@ -1,0 +1,34 @@
+"""``armlab robot list`` and ``armlab robot show``."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from armlab import robots
+from armlab.cli.robot import list_robots, robot, show
+
+
+def test_list_names_every_robot_of_the_library(capsys: pytest.CaptureFixture[str]) -> None:
+    assert robot.name == ("robot",)
+    list_robots()
+    text = capsys.readouterr().out
+    list_robots(json=True)
+    data = json.loads(capsys.readouterr().out)
+    assert [entry["name"] for entry in data] == list(robots.names())
+    for name in robots.names():
+        assert name in text
+        assert len([line for line in text.splitlines() if line.startswith(f"{name} ")]) == 1
+
+
+def test_show_prints_the_joints(capsys: pytest.CaptureFixture[str]) -> None:
+    arm = robots.load("yumi_right")
+    show("yumi_right")
+    text = capsys.readouterr().out
+    for name in arm.joint_names:
+        assert f"\n{name} " in text
+    show("yumi_right", json=True)
+    data = json.loads(capsys.readouterr().out)
+    assert data["q_max"] == pytest.approx(arm.q_max)
+    assert data["hash"] == arm.hash
