@@ -76,6 +76,13 @@ class WrenchEstimator:
         variance = self._variance(qd) + self._static**2 * p
         return (*self._posterior(self._chain.jacobian(q), torque, variance), torque, variance)
 
+    def run(self, q, qd, tau, dt):  # noqa: ANN001, ANN201
+        """Step along a record (N, n) with steps dt (N,); return the outputs of `step` stacked over N."""
+        rows = [self.step(*row) for row in zip(q, qd, tau, dt)]
+        n = len(self._rotor)
+        shapes = ((6,), (6, 6), (6,), (n,), (n,))
+        return tuple(np.array([row[k] for row in rows]).reshape(len(rows), *shape) for k, shape in enumerate(shapes))
+
     def _slide(self, q: np.ndarray, dt: float) -> None:
         delta, resolution = self._friction[6], self._friction[7]
         moved = np.clip(self._play, q - resolution, q + resolution)

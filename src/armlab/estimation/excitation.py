@@ -1,0 +1,96 @@
+"""What the data can tell: rank, condition and the weakest directions in words.
+
+The test is on the column-scaled, whitened design matrix A (each column divided by its norm): its singular values are free
+of units, and its condition number c says how many digits of the answer the noise of the data can eat.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from armlab.errors import NotExcited
+
+__all__ = ["Excitation", "check_excitation"]
+
+MAX_CONDITION = 1e4  # beyond it a direction is called not excited
+WARN_CONDITION = 300.0
+
+
+@dataclass(frozen=True, eq=False)
+class Excitation:
+    """What the data could tell.
+
+    Attributes
+    ----------
+    rank, expected : rank found and rank needed.
+    singular_values : of the column-scaled, whitened design matrix, descending.
+    weakest : the least excited direction in words.
+    """
+
+    rank: int
+    expected: int
+    singular_values: np.ndarray
+    weakest: str
+
+    @property
+    def condition(self) -> float:
+        """Largest over smallest singular value."""
+        smallest = self.singular_values[-1]
+        return float(self.singular_values[0] / smallest) if smallest > 0 else float("inf")
+
+    def text(self) -> str:
+        """Return one line for a report."""
+        verdict = "good" if self.condition < WARN_CONDITION else "weak: log a longer or richer motion"
+        return f"excitation {verdict}: rank {self.rank} of {self.expected}, condition {self.condition:.0f}; weakest: {self.weakest}"
+
+
+def check_excitation(gram: np.ndarray, names: Sequence[str], what: str) -> Excitation:
+    """Judge whether data determine all parameters.
+
+    Parameters
+    ----------
+    gram : (d, d) whitened normal matrix A^T A.
+    names : of the d parameters.
+    what : what is fitted, for the message.
+
+    Returns
+    -------
+    Excitation with the singular values of the column-scaled A.
+
+    Raises
+    ------
+    NotExcited : when the condition number exceeds 1e4, with every direction beyond it by the names of its parameters.
+    """
+    norms = np.sqrt(np.diag(gram))
+    dead = [name for name, norm in zip(names, norms) if not norm > 0]
+    if dead:
+        raise NotExcited(
+            f"Expected motion that excites every parameter of the {what}, got none at all for: {', '.join(dead)}. "
+            "Record a log in which these joints move.",
+            dead,
+            ["no signal"] * len(dead),
+        )
+    eigenvalues, vectors = np.linalg.eigh(gram / np.outer(norms, norms))
+    singular = np.sqrt(np.maximum(eigenvalues, 0.0))[::-1]
+    weak = np.flatnonzero(singular[::-1] * MAX_CONDITION < singular[0])
+    directions = [_in_words(vectors[:, i], names) for i in range(len(names))]
+    if len(weak):
+        spread = [f"{singular[::-1][i] / singular[0]:.1e} of the strongest direction" for i in weak]
+        raise NotExcited(
+            f"Expected motion that excites every direction of the {what} (condition below {MAX_CONDITION:.0e}), got "
+            f"{len(weak)} that it does not tell apart: {'; '.join(directions[i] for i in weak)}. "
+            "Record a log that moves these joints together and apart, at several speeds and poses.",
+            [directions[i] for i in weak],
+            spread,
+        )
+    return Excitation(len(names), len(names), singular, directions[0])
+
+
+def _in_words(vector: np.ndarray, names: Sequence[str]) -> str:
+    """Name the parameters that carry most of a direction."""
+    order = np.argsort(-np.abs(vector))[:3]
+    kept = [i for i in order if abs(vector[i]) > 0.3 * abs(vector[order[0]])]
+    return " and ".join(names[i] for i in kept)

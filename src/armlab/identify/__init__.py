@@ -1,0 +1,18 @@
+"""Identification: excitation design, regressors, base parameters, rigid-body dynamics, friction, torque covariance."""
+
+from armlab.identify.base_parameters import BaseParameters, base_parameters
+from armlab.identify.covariance import fit_velocity_covariance
+from armlab.identify.dynamics import fit_dynamics
+from armlab.identify.excitation import Trajectory, excitation
+from armlab.identify.preparation import Prepared, prepare
+
+__all__ = [
+    "BaseParameters",
+    "Prepared",
+    "Trajectory",
+    "base_parameters",
+    "excitation",
+    "fit_dynamics",
+    "fit_velocity_covariance",
+    "prepare",
+]

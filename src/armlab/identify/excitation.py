@@ -1,0 +1,180 @@
+"""Excitation: periodic joint motion that tells the parameters apart.
+
+    q_i(t) = centre_i + sum_k a_ik / (2 pi f0 k) sin(2 pi f0 k t) - b_ik / (2 pi f0 k) cos(2 pi f0 k t)
+
+(Swevers et al. 1997). The record starts and ends at rest: a quintic ramp of the phase blends motion in and out. Among
+seeded candidates, each scaled to the limits, the one with the largest log det of the scaled information of the base
+regressor is kept (D-optimal).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from armlab.errors import ShapeError
+from armlab.identify.base_parameters import BaseParameters, base_parameters
+from armlab.robots import Robot
+from armlab.state import Command, State
+
+__all__ = ["Trajectory", "excitation"]
+
+RAMP = 2.0  # s, blend at each end
+CANDIDATES = 60
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """A joint motion that can be sampled at any time.
+
+    Attributes
+    ----------
+    seconds : length.
+    sample : gives q, qd, qdd (..., n) at times (...,); constant outside [0, seconds].
+    """
+
+    seconds: float
+    sample: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
+
+    @property
+    def q_first(self) -> np.ndarray:
+        """Position (n,) at the start."""
+        return self.sample(np.array(0.0))[0]
+
+    def controller(self, approach: float = 4.0) -> Callable[[State], Command]:
+        """Return a controller that walks from where the arm stands to the start, then runs the motion.
+
+        Parameters
+        ----------
+        approach : seconds of the walk (quintic, at rest at both ends).
+        """
+
+        def step(state: State) -> Command:
+            if state.t < approach:
+                s, ds = _quintic(state.t / approach)
+                way = self.q_first - state.q_start
+                return Command(q=state.q_start + s * way, qd=ds / approach * way)
+            q, qd, _ = self.sample(np.array(state.t - approach))
+            return Command(q=q, qd=qd)
+
+        return step
+
+
+def _quintic(x: float) -> tuple[float, float]:
+    """Return the smooth step of x in [0, 1] and its derivative."""
+    x = min(max(x, 0.0), 1.0)
+    return x**3 * (10 - 15 * x + 6 * x * x), 30 * x * x * (1 - x) ** 2
+
+
+def excitation(
+    robot: Robot,
+    seconds: float = 60.0,
+    f0: float = 0.1,
+    harmonics: int = 8,
+    speed: float = 0.6,
+    acceleration: float = 15.0,
+    centre: np.ndarray | None = None,
+    seed: int = 0,
+) -> Trajectory:
+    """Design an excitation motion.
+
+    Parameters
+    ----------
+    robot : limits and dynamics.
+    seconds : length, at least 10.
+    f0 : base frequency [Hz].
+    harmonics : number of them.
+    speed : peak speed as a share of the robot's limits, in (0, 1].
+    acceleration : peak acceleration [rad/s^2].
+    centre : (n,) centre of the motion; the robot's home when left out.
+    seed : of the candidates.
+
+    Returns
+    -------
+    Trajectory within 0.05 rad of the position limits and below the other limits.
+
+    Raises
+    ------
+    ShapeError : for a share outside (0, 1] or a record that is too short.
+    """
+    if not 0 < speed <= 1 or seconds < 10:
+        raise ShapeError(
+            f"Expected a speed share in (0, 1] and at least 10 seconds, got {speed:g} and {seconds:g} s. "
+            "Shorter motions do not excite friction at all speeds."
+        )
+    rng = np.random.default_rng(seed)
+    home = np.array(robot.q_home if centre is None else centre, dtype=float)
+    base = base_parameters(robot)
+    best: tuple[float, Trajectory] | None = None
+    for _ in range(CANDIDATES):
+        a, b = rng.standard_normal((2, harmonics, robot.n)) / np.sqrt(harmonics)
+        trajectory = _scaled(robot, home, a, b, f0, seconds, speed, acceleration)
+        score = _information(robot, base, trajectory, f0)
+        if best is None or score > best[0]:
+            best = (score, trajectory)
+    if best is None:
+        raise ShapeError("Expected at least one candidate motion, got none. This is a fault of the design.")
+    return best[1]
+
+
+def _scaled(
+    robot: Robot, centre: np.ndarray, a: np.ndarray, b: np.ndarray, f0: float, seconds: float, speed: float, peak: float
+) -> Trajectory:
+    """Scale each joint of a candidate as far as speed, acceleration and position limits allow."""
+    t = np.linspace(0, seconds, int(seconds * 100))
+    q, qd, qdd = _fourier(centre, a, b, f0, seconds)(t)
+    middle = np.clip(centre, robot.q_min + 0.1, robot.q_max - 0.1)
+    room_up, room_down = robot.q_max - 0.05 - middle, middle - robot.q_min - 0.05
+    shares = np.stack([
+        speed * robot.qd_max / np.abs(qd).max(axis=0),
+        np.minimum(peak, robot.qdd_max) / np.abs(qdd).max(axis=0),
+        room_up / np.maximum((q - centre).max(axis=0), 1e-9),
+        room_down / np.maximum((centre - q).max(axis=0), 1e-9),
+    ])
+    scale = shares.min(axis=0)
+    return Trajectory(seconds, _fourier(middle, a * scale, b * scale, f0, seconds))
+
+
+def _fourier(
+    centre: np.ndarray, a: np.ndarray, b: np.ndarray, f0: float, seconds: float
+) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Return the blended Fourier motion as a function of time; a, b (harmonics, n) are velocity amplitudes."""
+    omega = 2 * np.pi * f0 * np.arange(1, len(a) + 1)
+
+    def sample(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        t = np.clip(np.asarray(t, dtype=float), 0.0, seconds)
+        phase = t[..., None] * omega
+        s, c = np.sin(phase), np.cos(phase)
+        x = (s / omega) @ a - (c / omega) @ b
+        xd = c @ a + s @ b
+        xdd = -(s * omega) @ a + (c * omega) @ b
+        w, wd, wdd = (v[..., None] for v in _window(t, seconds))
+        return centre + w * x, w * xd + wd * x, w * xdd + 2 * wd * xd + wdd * x
+
+    return sample
+
+
+def _window(t: np.ndarray, seconds: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the quintic window that is 0 at both ends and 1 between the ramps, with two derivatives."""
+    rising = t < seconds / 2
+    x = np.clip(np.where(rising, t, seconds - t) / RAMP, 0.0, 1.0)
+    sign = np.where(rising, 1.0, -1.0)
+    w = x**3 * (10 - 15 * x + 6 * x * x)
+    wd = 30 * x * x * (1 - x) ** 2 / RAMP * sign
+    wdd = 60 * x * (1 - x) * (1 - 2 * x) / RAMP**2
+    return w, wd, wdd
+
+
+def _information(robot: Robot, base: BaseParameters, trajectory: Trajectory, f0: float) -> float:
+    """Return log det of the column-scaled information of the base parameters over one period."""
+    t = np.linspace(RAMP, min(RAMP + 1.0 / f0, trajectory.seconds - RAMP), 100)
+    q, qd, qdd = trajectory.sample(t)
+    n = robot.n
+    rotor = np.zeros((len(t), n, n))
+    rotor[:, range(n), range(n)] = qdd
+    Y = np.concatenate([robot.chain.rigid_regressor(q, qd, qdd, robot.gravity), rotor], axis=2)
+    A = Y[:, :, base.kept].reshape(-1, len(base.kept))
+    sign, logdet = np.linalg.slogdet(A.T @ A)
+    return float(logdet) if sign > 0 else -np.inf

@@ -1,0 +1,89 @@
+"""How good a torque model is: held-out residuals, their covariance over velocity, and the report per joint."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from armlab.estimation import Fit
+from armlab.identify.covariance import fit_velocity_covariance
+from armlab.identify.preparation import Prepared
+from armlab.models import TorqueModel, VelocityCovariance
+
+__all__ = ["assess", "held_out", "report"]
+
+SETTLED = 0.003  # variance of the presliding state below which friction is known from motion
+ALPHA2_BOUNDS = (0.25, 25.0)
+
+
+def held_out(folds: list[tuple[TorqueModel, np.ndarray]], data: Prepared) -> tuple[np.ndarray, np.ndarray]:
+    """Return causal residuals (N, n) of models that did not see the row, and a mask (N,) of rows in motion.
+
+    Parameters
+    ----------
+    folds : models and the rows (N,) that each did not see.
+    data : the record.
+    """
+    residuals = np.full(data.q.shape, np.nan)
+    moving = np.zeros(len(data.t), dtype=bool)
+    for model, rows in folds:
+        torque, variance = _causal(model, data)
+        residuals[rows] = torque[rows]
+        moving[rows] = (variance[rows] < SETTLED * model.friction.static**2).all(axis=1)
+    return residuals, moving & np.isfinite(residuals).all(axis=1)
+
+
+def _causal(model: TorqueModel, data: Prepared) -> tuple[np.ndarray, np.ndarray]:
+    """Run the estimator's own residual filter; return filtered residuals and the variance from unknown friction."""
+    kernel = model.estimator_kernel(np.ones(6))
+    torque, variance = np.empty_like(data.q), np.empty_like(data.q)
+    for a, b in data.segments:
+        kernel.reset()
+        _, _, _, torque[a:b], variance[a:b] = kernel.run(data.q[a:b], data.qd[a:b], data.tau[a:b], data.dt[a:b])
+    return torque, variance
+
+
+def assess(
+    model: TorqueModel, folds: list[tuple[TorqueModel, np.ndarray]], data: Prepared, residuals: np.ndarray
+) -> TorqueModel:
+    """Return the model with its torque covariance and quality figures.
+
+    Parameters
+    ----------
+    model : fitted to all data. folds : models for held-out rows.
+    data : the record. residuals : (M, n) of the fit itself [N m].
+    """
+    errors, moving = held_out(folds, data)
+    e, qd = errors[moving], data.qd[moving]
+    covariance = fit_velocity_covariance(e, qd, "exp").value
+    ratio = e**2 / covariance.variance(qd)
+    alpha2 = float(np.clip(np.quantile(ratio, 0.954) / 4.0, *ALPHA2_BOUNDS))
+    scaled = VelocityCovariance("exp", covariance.C0, covariance.Cinf, covariance.shape, alpha2)
+    quality = replace(
+        model.quality,
+        rms=np.sqrt(np.mean(residuals**2, axis=0)),
+        rms_cv=np.sqrt(np.mean(e**2, axis=0)),
+        coverage=np.mean(ratio < 4.0 * alpha2, axis=0),
+    )
+    return replace(model, covariance=scaled, quality=quality)
+
+
+def report(fit: Fit[TorqueModel]) -> str:
+    """Return a table per joint: torque, residuals in % of the torque's deviation, friction with deviations."""
+    model, q = fit.value, fit.value.quality
+    p = len(model.base_names)
+    sd = fit.sd[p:].reshape(model.n, -1)
+    f = model.friction
+    head = (
+        "joint  torque sd   rms    % of sd  held-out  viscous         coulomb+        coulomb-        delta    vs     2-sigma\n"
+        "       [N m]       [N m]  fit      %         [N m s/rad]     [N m]           [N m]           [rad]    [rad/s] %"
+    )
+    lines = [
+        f"{i + 1:5d}  {q.torque_sd[i]:9.3f}  {q.rms[i]:6.3f}  {100 * q.rms[i] / q.torque_sd[i]:7.2f}  "
+        f"{100 * q.rms_cv[i] / q.torque_sd[i]:8.2f}  {f.viscous[i]:6.3f} +- {sd[i, 0]:.3f}  "
+        f"{f.coulomb_pos[i]:6.3f} +- {sd[i, 1]:.3f}  {f.coulomb_neg[i]:6.3f} +- {sd[i, 2]:.3f}  "
+        f"{f.delta[i]:.1e}  {f.stribeck_speed[i]:5.2f}  {100 * q.coverage[i]:6.1f}"
+        for i in range(model.n)
+    ]
+    return "\n".join([head, *lines, f"{fit.n} samples, {q.seconds:.1f} s", fit.excitation.text()])

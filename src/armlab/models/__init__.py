@@ -1,0 +1,17 @@
+"""What is identified, saved, and later run: friction, ripple, torque covariance, the torque model and its file."""
+
+from armlab.models.files import load, save
+from armlab.models.friction import Friction, Ripple
+from armlab.models.torque import Quality, TorqueModel
+from armlab.models.velocity_covariance import VelocityCovariance, velocity_covariance
+
+__all__ = [
+    "Friction",
+    "Quality",
+    "Ripple",
+    "TorqueModel",
+    "VelocityCovariance",
+    "load",
+    "save",
+    "velocity_covariance",
+]

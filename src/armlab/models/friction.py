@@ -1,0 +1,103 @@
+"""Joint friction with a presliding state, and torque ripple.
+
+Friction of joint i (specification of the torque model, per joint)::
+
+    F_f = viscous qd + coulomb_pos max(z, 0) + coulomb_neg min(z, 0) + offset + stribeck z exp(-(qd / stribeck_speed)^2)
+
+The presliding state z in [-1, 1] is driven by measured displacement dq (Dahl 1968), exact for constant direction in a step::
+
+    z_k = s + (z_{k-1} - s) exp(-|dq_k| / delta),   s = sign(dq_k)
+
+It keeps its value at rest, where a sign function would be 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from armlab.errors import ShapeError
+
+__all__ = ["Friction", "Ripple"]
+
+
+def _freeze(instance: Friction | Ripple) -> None:
+    """Make every field a read-only float64 vector of one length."""
+    shape = None
+    for entry in fields(instance):
+        values = np.array(getattr(instance, entry.name), dtype=float)
+        shape = values.shape if shape is None else shape
+        if values.ndim != 1 or values.shape != shape or not np.all(np.isfinite(values)):
+            raise ShapeError(
+                f"Expected finite {entry.name} of shape (n,) like the other fields, got shape {values.shape}. "
+                "Give one number per joint."
+            )
+        values.flags.writeable = False
+        object.__setattr__(instance, entry.name, values)
+
+
+@dataclass(frozen=True, eq=False)
+class Friction:
+    """Friction of all joints; every field has shape (n,).
+
+    Attributes
+    ----------
+    viscous : [N m s/rad].
+    coulomb_pos, coulomb_neg : Coulomb torque for positive and negative motion, both counted positive [N m].
+    offset : [N m].
+    stribeck : extra torque near zero speed [N m]. stribeck_speed : its width [rad/s].
+    delta : presliding distance [rad].
+    resolution : displacement that the encoder can tell from noise [rad]; smaller changes leave the state alone.
+    """
+
+    viscous: np.ndarray
+    coulomb_pos: np.ndarray
+    coulomb_neg: np.ndarray
+    offset: np.ndarray
+    stribeck: np.ndarray
+    stribeck_speed: np.ndarray
+    delta: np.ndarray
+    resolution: np.ndarray
+
+    def __post_init__(self) -> None:
+        """Check shapes and freeze."""
+        _freeze(self)
+        if np.any(self.stribeck_speed <= 0) or np.any(self.delta <= 0):
+            raise ShapeError("Expected stribeck_speed > 0 and delta > 0, got a value that is not. Give positive numbers.")
+
+    def torque(self, qd: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """Return the friction torque (..., n) [N m] at velocity `qd` (..., n) and presliding state `z` (..., n)."""
+        qd, z = np.asarray(qd, dtype=float), np.asarray(z, dtype=float)
+        coulomb = self.coulomb_pos * np.maximum(z, 0) + self.coulomb_neg * np.minimum(z, 0)
+        bump = self.stribeck * z * np.exp(-((qd / self.stribeck_speed) ** 2))
+        return self.viscous * qd + coulomb + self.offset + bump
+
+    @property
+    def static(self) -> np.ndarray:
+        """Largest friction at rest (n,) [N m]: mean Coulomb plus Stribeck torque."""
+        return 0.5 * (self.coulomb_pos + self.coulomb_neg) + np.maximum(self.stribeck, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Ripple:
+    """One torque ripple line per joint: ``cosine cos(cycles q) + sine sin(cycles q)``; every field has shape (n,).
+
+    Attributes
+    ----------
+    cycles : angular frequency over the joint angle [rad/rad], 2 |gear| for strain-wave gears.
+    cosine, sine : amplitudes [N m].
+    """
+
+    cycles: np.ndarray
+    cosine: np.ndarray
+    sine: np.ndarray
+
+    def __post_init__(self) -> None:
+        """Check shapes and freeze."""
+        _freeze(self)
+
+    def torque(self, q: np.ndarray) -> np.ndarray:
+        """Return the ripple torque (..., n) [N m] at `q` (..., n)."""
+        angle = self.cycles * np.asarray(q, dtype=float)
+        return self.cosine * np.cos(angle) + self.sine * np.sin(angle)

@@ -1,0 +1,139 @@
+"""The torque model of one robot: rigid body, friction, ripple, and how uncertain it is.
+
+    tau = Y(q, qd, qdd) pi + rotor qdd + F_f(qd, z) + ripple(q) - J^T F + e,   e ~ N(0, C_tau(qd))
+
+F is the wrench by the environment on the robot, in base axes, at the tool point.
+`link_parameters` is the smallest parameter vector that gives the identified base parameters: it evaluates the model
+exactly and is not a set of masses.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from armlab.errors import ModelMismatchError
+from armlab.kernels import Chain, WrenchEstimator, presliding
+from armlab.models.friction import Friction, Ripple
+from armlab.models.velocity_covariance import KINDS, VelocityCovariance
+from armlab.robots import Robot
+
+__all__ = ["Quality", "TorqueModel"]
+
+SIGN = "environment_on_robot"
+
+
+@dataclass(frozen=True, eq=False)
+class Quality:
+    """How well the model fits, per joint (n,).
+
+    Attributes
+    ----------
+    torque_sd : standard deviation of the measured torque [N m].
+    rms : residual in the data it was fitted to [N m]; rms_cv : in held-out blocks [N m].
+    coverage : share of held-out causal residuals inside 2 sigma.
+    q_min, q_max : range of the training data [rad]; qd_peak : largest speed in it [rad/s].
+    seconds : length of the training data.
+    """
+
+    torque_sd: np.ndarray
+    rms: np.ndarray
+    rms_cv: np.ndarray
+    coverage: np.ndarray
+    q_min: np.ndarray
+    q_max: np.ndarray
+    qd_peak: np.ndarray
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueModel:
+    """An identified torque model, bound to one robot.
+
+    Attributes
+    ----------
+    robot_name, robot_hash : the robot it belongs to; `check_robot` refuses another.
+    frames, prismatic, gravity : its kinematics (n + 1, 4, 4), (n,), and gravity (3,) [m/s^2] in base axes.
+    link_parameters : (n, 10) in link frames, order m, m c (3), Ixx, Ixy, Iyy, Ixz, Iyz, Izz.
+    rotor : (n,) rotor inertia [kg m^2]. friction, ripple, covariance : the other terms.
+    cutoff : corner [Hz] of the causal filter on the torque residual that `covariance` belongs to.
+    base_names, base_values, base_cov : the identified base parameters with their covariance.
+    quality : how well it fits. sources : SHA-256 and name of each log.
+    """
+
+    robot_name: str
+    robot_hash: str
+    frames: np.ndarray
+    prismatic: np.ndarray
+    gravity: np.ndarray
+    link_parameters: np.ndarray
+    rotor: np.ndarray
+    friction: Friction
+    ripple: Ripple
+    covariance: VelocityCovariance
+    cutoff: float
+    base_names: tuple[str, ...]
+    base_values: np.ndarray
+    base_cov: np.ndarray
+    quality: Quality
+    sources: tuple[str, ...] = field(default=())
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.rotor)
+
+    @cached_property
+    def chain(self) -> Chain:
+        """Kinematics and dynamics kernel of the robot."""
+        return Chain(self.frames, self.prismatic)
+
+    def check_robot(self, robot: Robot) -> None:
+        """Raise `ModelMismatchError` unless `robot` is the one this model was identified on."""
+        if robot.hash != self.robot_hash:
+            raise ModelMismatchError(
+                f"Expected robot {self.robot_name!r} ({self.robot_hash[:12]}), got {robot.name!r} ({robot.hash[:12]}). "
+                "A torque model is bound to one robot description: identify again for this one."
+            )
+
+    def rigid_torque(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+        """Return gravity, inertial and rotor torque (..., n) [N m]; all inputs (..., n)."""
+        return self.chain.rnea(q, qd, qdd, self.gravity, self.link_parameters) + self.rotor * qdd
+
+    def torque(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray | None = None) -> np.ndarray:
+        """Return the model torque (N, n) [N m] without contact along a record.
+
+        The presliding state runs through the rows in order, from 0 at the first.
+
+        Parameters
+        ----------
+        q, qd : (N, n) positions [rad] and velocities [rad/s] in time order.
+        qdd : (N, n) accelerations [rad/s^2]; zero when left out.
+        """
+        q, qd = np.atleast_2d(q), np.atleast_2d(qd)
+        qdd = np.zeros_like(q) if qdd is None else np.atleast_2d(qdd)
+        z = presliding(q, self.friction.delta, self.friction.resolution)
+        return self.rigid_torque(q, qd, qdd) + self.friction.torque(qd, z) + self.ripple.torque(q)
+
+    def estimator_kernel(self, prior: np.ndarray) -> WrenchEstimator:
+        """Return a fresh estimator kernel with this model's numbers.
+
+        Parameters
+        ----------
+        prior : (6,) prior variances of the wrench [N^2, (N m)^2].
+        """
+        f, r, c = self.friction, self.ripple, self.covariance
+        kind = float(KINDS.index(c.kind))
+        return WrenchEstimator(
+            self.chain,
+            self.gravity,
+            self.link_parameters,
+            self.rotor,
+            np.stack([f.viscous, f.coulomb_pos, f.coulomb_neg, f.offset, f.stribeck, f.stribeck_speed, f.delta, f.resolution]),
+            np.stack([r.cycles, r.cosine, r.sine]),
+            np.stack([c.alpha2 * c.C0, c.alpha2 * c.Cinf, c.shape, np.full(self.n, kind)]),
+            np.asarray(prior, dtype=float),
+            self.cutoff,
+        )
