@@ -1,0 +1,3 @@
+"""Pure codecs, bytes to SI values: no sockets, no files. The only place with millimetres, degrees and milliseconds."""
+
+__all__ = ["egm"]

@@ -1,0 +1,47 @@
+"""measuredForce: RobotWare 6 and 7 number its fields differently, and a decoder of the wrong one returns nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+from google.protobuf.message import DecodeError
+
+from armlab.wire.egm import armlab_egm_pb2 as pb
+
+__all__ = ["NO_WRENCH", "decode_force", "encode_force"]
+
+NO_WRENCH = np.full(6, np.nan)
+NO_WRENCH.flags.writeable = False
+
+_RW6_TAGS = (0x09, 0x0A)  # field 1 doubles, unpacked or packed
+_RW7_TAGS = (0x08, 0x11, 0x12)  # field 1 bool; field 2 doubles, unpacked or packed
+
+
+def decode_force(data: bytes) -> tuple[np.ndarray, bool]:
+    """Return the (6,) wrench [N, N m], NaN when there is none, and whether the layout is that of RobotWare 7.
+
+    The first tag byte tells the layout. Frame and sign are not documented by ABB.
+
+    Parameters
+    ----------
+    data : content of the field measuredForce.
+    """
+    if not data or data[0] not in _RW6_TAGS + _RW7_TAGS:
+        return NO_WRENCH, False
+    is_rw7 = data[0] in _RW7_TAGS
+    try:
+        force = (pb.EgmForceRw7 if is_rw7 else pb.EgmForceRw6).FromString(data).force
+    except DecodeError:
+        return NO_WRENCH, False
+    return (np.array(force) if len(force) == 6 else NO_WRENCH), is_rw7
+
+
+def encode_force(wrench: np.ndarray, is_rw7: bool) -> bytes:
+    """Return the bytes of measuredForce in the layout of RobotWare 6 or 7.
+
+    Parameters
+    ----------
+    wrench : (6,) N, N m. is_rw7 : True for the layout of RobotWare 7.
+    """
+    message = pb.EgmForceRw7(fcActive=True) if is_rw7 else pb.EgmForceRw6()
+    message.force.extend(wrench.tolist())
+    return message.SerializeToString()

@@ -1,0 +1,256 @@
+"""The robot's side of EGM, for the simulated controller: encode EgmRobot, decode EgmSensor."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from google.protobuf.message import DecodeError
+
+from armlab.errors import ConfigError, UnknownName
+from armlab.wire.egm import armlab_egm_pb2 as pb
+from armlab.wire.egm.axes import RADIAN, AxisMap, Refused
+from armlab.wire.egm.force import encode_force
+from armlab.wire.egm.pose import NO_POSE, matrix_from_pose, pose_from_matrix
+from armlab.wire.egm.types import Arm, Drop, RobotMessage, SensorMessage
+
+__all__ = ["DEFAULT_ARRAYS", "EXTENSION_ARRAYS", "MAX_BYTES", "ROBOTWARE", "RobotSideCodec"]
+
+ROBOTWARE = ("6.06", "6.07", "6.10", "7")
+"""The flavours of EgmRobot that exist."""
+
+MAX_BYTES = 1024
+"""abb_libegm and abbegm receive into buffers of this size and are silent above it."""
+
+EXTENSION_ARRAYS = ("qd", "tau", "tau_total", "tau_gravity", "current", "q_reference", "qd_reference")
+"""Arrays of EgmRIState by their names in `RobotMessage`, in the order of its fields 1 to 7."""
+
+DEFAULT_ARRAYS = EXTENSION_ARRAYS[:4]
+"""Arrays sent unless told otherwise."""
+
+_WIRE_ARRAYS = dict(
+    zip(
+        EXTENSION_ARRAYS,
+        ("jointVel", "torqueMeas", "torqueRefTotal", "torqueGravity", "motorCurrent", "jointPosRef", "jointVelRef"),
+        strict=True,
+    )
+)
+_ANGULAR = ("qd", "q_reference", "qd_reference")
+_DATA, _CORRECTION, _PATH_CORRECTION = 2, 3, 4
+_KINEMATIC = 1
+_UINT32 = 2**32 - 1
+_MILLIMETRE = 1e-3
+
+
+class RobotSideCodec:
+    """`RobotMessage` to EgmRobot and EgmSensor to `SensorMessage`, for one arm.
+
+    Parameters
+    ----------
+    arm : the robot: number of joints, which are linear, ABB's axis numbers.
+    robotware : one of `ROBOTWARE`: which fields exist and whether feedback is in radians (6.06).
+    extension : names of `EXTENSION_ARRAYS` to send in field 101; True for `DEFAULT_ARRAYS`, False for none.
+    force : the messages will hold `wrench_raw`.
+    external : number of external axes beyond the robot's own. data : number of values of `rapid_data`.
+
+    Raises
+    ------
+    ConfigError : unknown flavour, or the largest message would exceed `MAX_BYTES`.
+    UnknownName : unknown array of the extension.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        robotware: str = "6.10",
+        extension: bool | Iterable[str] = False,
+        *,
+        force: bool = False,
+        external: int = 0,
+        data: int = 0,
+    ) -> None:
+        if robotware not in ROBOTWARE:
+            raise ConfigError(f"Expected robotware to be one of {', '.join(ROBOTWARE)}, got {robotware!r}.")
+        self._axes = AxisMap(arm)
+        self._robotware = robotware
+        self._arrays = DEFAULT_ARRAYS if extension is True else tuple(extension or ())
+        for name in self._arrays:
+            if name not in EXTENSION_ARRAYS:
+                raise UnknownName.among("array of the extension", name, EXTENSION_ARRAYS)
+        self._scale = np.ones(arm.n) if robotware == "6.06" else self._axes.scale
+        self._check_size(force, external, data)
+
+    def encode_robot(self, message: RobotMessage) -> bytes:
+        """Return the bytes of one EgmRobot. Fields that the flavour does not have are left out.
+
+        Parameters
+        ----------
+        message : SI values, kinematic order.
+        """
+        robot = pb.EgmRobot()
+        header = robot.header
+        header.seqno, header.mtype = message.seqno & _UINT32, _DATA
+        if message.tm_ms is not None:
+            header.tm = message.tm_ms & _UINT32
+        self._motion(robot.feedBack, message.q, message)
+        if message.q_planned is not None:
+            self._motion(robot.planned, message.q_planned, message)
+        for field, value in (
+            (robot.motorState, message.motors),
+            (robot.mciState, message.mci),
+            (robot.rapidExecState, message.rapid),
+        ):
+            if value is not None:
+                field.state = value
+        if message.converged is not None:
+            robot.mciConvergenceMet = message.converged
+        if self._robotware in ("6.10", "7"):
+            self._newer_fields(robot, message)
+        if self._arrays:
+            self._research(robot.researchState, message)
+        return robot.SerializeToString()
+
+    def decode_sensor(self, data: bytes) -> SensorMessage | Drop:
+        """Return what the sensor asks for, or why it is dropped. Never raises. NaN is not refused here.
+
+        Parameters
+        ----------
+        data : one datagram: EgmSensor or EgmSensorPathCorr, told apart by the message type.
+        """
+        try:
+            sensor = pb.EgmSensor.FromString(data)
+            header = sensor.header
+            if not sensor.HasField("header"):
+                return Drop("no header", f"{len(data)} bytes without a header")
+            if header.mtype == _PATH_CORRECTION:
+                return _path_correction(pb.EgmSensorPathCorr.FromString(data))
+            if header.mtype != _CORRECTION:
+                return Drop("wrong type", f"expected message type 3 or 4 (from a sensor), got {header.mtype}")
+            return self._sensor(sensor)
+        except DecodeError:
+            return Drop("unparsable", f"{len(data)} bytes are no protobuf message")
+        except Refused as refused:
+            return refused.drop
+
+    def _motion(self, motion: Any, q: np.ndarray, message: RobotMessage) -> None:
+        values = self._axes.wire(q, self._scale)
+        motion.joints.joints.extend(values[: self._axes.head])
+        external_scale = 1.0 if self._robotware == "6.06" else RADIAN
+        external = [*values[self._axes.head :], *(value / external_scale for value in message.q_ext)]
+        if external:
+            motion.externalJoints.joints.extend(external)
+        if message.T_frame_tool is not None:
+            pose_from_matrix(motion.cartesian, message.T_frame_tool)
+        if message.robot_ns is not None and self._robotware != "6.06":
+            motion.time.sec, rest = divmod(message.robot_ns, 10**9)
+            motion.time.usec = rest // 1000
+
+    def _newer_fields(self, robot: Any, message: RobotMessage) -> None:
+        is_rw7 = self._robotware == "7"
+        if message.utilization is not None:
+            robot.utilizationRate = message.utilization
+        if message.wrench_raw is not None:
+            robot.measuredForce = encode_force(message.wrench_raw, is_rw7)
+        if not is_rw7:
+            return
+        robot.moveIndex = 0
+        robot.collisionInfo.collsionTriggered = False
+        if message.rapid_digital is not None or len(message.rapid_data):
+            robot.rapidFromRobot.digVal = bool(message.rapid_digital)
+            robot.rapidFromRobot.dnum.extend(message.rapid_data)
+        if message.tau_reference is not None:
+            values = message.tau_reference.tolist()
+            robot.torqueRef.joints.extend([values[k] for k in self._axes.inverse][: self._axes.head])
+
+    def _research(self, research: Any, message: RobotMessage) -> None:
+        for name in self._arrays:
+            values = getattr(message, name)
+            if values is not None:
+                scaled = values / self._axes.scale if name in _ANGULAR else values
+                getattr(research, _WIRE_ARRAYS[name]).extend(scaled.tolist())
+        research.tNs, research.overruns, research.mode = message.mono_ns, message.overruns, message.mode
+        research.order = _KINEMATIC
+        research.usedSeqno, research.queueDepth = message.used_seq & _UINT32, message.queue_depth
+
+    def _check_size(self, force: bool, external: int, data: int) -> None:
+        """Refuse by name a configuration whose largest message does not fit into the buffers of other clients."""
+        axes = np.full(self._axes.n, 1.0)
+        worst = RobotMessage(
+            seqno=_UINT32,
+            tm_ms=_UINT32,
+            q=axes,
+            q_planned=axes,
+            robot_ns=2**62,
+            q_ext=[1.0] * external,
+            T_frame_tool=np.eye(4),
+            wrench_raw=np.ones(6) if force else None,
+            rapid_data=[1.0] * data,
+            rapid_digital=True,
+            tau_reference=axes,
+            mono_ns=2**62,
+            overruns=_UINT32,
+            used_seq=_UINT32,
+            queue_depth=_UINT32,
+            **dict.fromkeys(self._arrays, axes),
+        )
+        size = len(self.encode_robot(worst))
+        if size > MAX_BYTES:
+            raise ConfigError(
+                f"Expected messages of at most {MAX_BYTES} bytes, the buffer of other EGM clients; this configuration "
+                f"can reach {size}. Leave out some of {', '.join(reversed(self._arrays)) or 'the external axes and data'}."
+            )
+
+    def _sensor(self, sensor: Any) -> SensorMessage:
+        header, axes = sensor.header, self._axes
+        q = _joints(axes, sensor.planned)
+        qd = _joints(axes, sensor.speedRef)
+        has_pose = sensor.planned.HasField("cartesian")
+        T_frame_tool = matrix_from_pose(sensor.planned.cartesian) if has_pose else NO_POSE
+        speed = sensor.speedRef.cartesians.value
+        twist_scale = (_MILLIMETRE, _MILLIMETRE, _MILLIMETRE, RADIAN, RADIAN, RADIAN)
+        has_data = sensor.HasField("rapidToRobot")
+        return SensorMessage(
+            seqno=header.seqno if header.HasField("seqno") else None,
+            tm_ms=header.tm if header.HasField("tm") else None,
+            mtype=header.mtype,
+            q=q,
+            qd=qd,
+            T_frame_tool=None if T_frame_tool is NO_POSE else T_frame_tool,
+            twist=np.multiply(speed, twist_scale) if len(speed) == 6 else None,
+            rapid_data=np.array(sensor.rapidToRobot.dnum) if has_data else None,
+            rapid_digital=sensor.rapidToRobot.digVal if has_data else None,
+            **_research_reference(axes, sensor.researchRef) if sensor.HasField("researchRef") else {},
+        )
+
+
+def _joints(axes: AxisMap, motion: Any) -> np.ndarray | None:
+    joints, external = motion.joints.joints, motion.externalJoints.joints
+    return axes.joints(joints, external, axes.scale) if joints or external else None
+
+
+def _research_reference(axes: AxisMap, research: Any) -> dict[str, Any]:
+    kinematic = research.order == _KINEMATIC
+    fields = (
+        ("tau", research.torqueFF, 1.0),
+        ("qd_reference", research.velRef, axes.scale),
+        ("q_reference", research.posRef, axes.scale),
+        ("gain_q", research.posGainScale, 1.0),
+        ("gain_qd", research.velGainScale, 1.0),
+    )
+    found: dict[str, Any] = {"echo_mono_ns": research.echoTNs, "echo_seq": research.echoSeqno}
+    for bit, (name, values, scale) in enumerate(fields):
+        array = axes.array(values, kinematic) if research.validMask >> bit & 1 else None
+        found[name] = None if array is None else array * scale
+    return found
+
+
+def _path_correction(message: Any) -> SensorMessage:
+    header, correction = message.header, message.pathCorr
+    return SensorMessage(
+        seqno=header.seqno if header.HasField("seqno") else None,
+        tm_ms=header.tm if header.HasField("tm") else None,
+        mtype=header.mtype,
+        path_yz=_MILLIMETRE * np.array([correction.pos.y, correction.pos.z]),
+        path_age=1e-3 * correction.age,
+    )

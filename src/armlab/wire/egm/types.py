@@ -1,0 +1,214 @@
+"""What crosses the border of the EGM codec: `Packet`, `Drop`, `Reference`, `RobotMessage`, `SensorMessage`, `Codec`.
+
+All values are SI and radians in kinematic joint order. They are named tuples: immutable, and five times cheaper to make
+than frozen dataclasses, which counts at one of each per control cycle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+__all__ = ["DROP_REASONS", "Arm", "Codec", "Drop", "Packet", "Reference", "RobotMessage", "SensorMessage"]
+
+DROP_REASONS = (
+    "unparsable",
+    "no header",
+    "wrong type",
+    "no joints",
+    "joint count",
+    "not finite",
+    "foreign source",
+    "duplicate",
+    "old",
+    "after the end",
+)
+"""Why a datagram is dropped. The codec finds the first six, the session the others."""
+
+
+class Arm(Protocol):
+    """What the codec needs to know of a robot: a `robots.Robot` has it."""
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        ...
+
+    @property
+    def prismatic(self) -> np.ndarray:
+        """(n,) True for linear joints."""
+        ...
+
+    @property
+    def abb_axes(self) -> tuple[int, ...]:
+        """ABB's axis number of each joint in kinematic order; YuMi (1, 2, 7, 3, 4, 5, 6)."""
+        ...
+
+
+class Packet(NamedTuple):
+    """One decoded EgmRobot.
+
+    Attributes
+    ----------
+    seqno, tm_ms : header; `tm_ms` is None when the robot sent none.
+    robot_ns : feedBack.time in nanoseconds since 1970, 0 when absent.
+    q : (n,) measured joints. q_planned : (n,) the controller's reference, NaN when absent. q_ext : external axes.
+    qd : (n,) measured velocities, None without the extension.
+    tau : (n,) torques or None; tau_source : "measured" (extension), "reference" (torqueRef) or "none".
+    T_frame_tool : (4, 4), NaN when absent. wrench_raw : (6,) measuredForce, NaN when absent.
+    motors, mci, rapid : states as ABB numbers them, 0 when absent. converged : the window of EGMAct is met.
+    utilization : percent, NaN when absent. robotware : "6.06", "6.07", "6.10" or "7".
+    rapid_data, rapid_digital : RAPIDfromRobot.
+    robot_mono_ns : monotonic clock of the extension, 0 when absent.
+    queue_depth : messages left in the robot's queue, -1 without the extension.
+    """
+
+    seqno: int
+    tm_ms: int | None
+    robot_ns: int
+    q: np.ndarray
+    q_planned: np.ndarray
+    q_ext: np.ndarray
+    qd: np.ndarray | None
+    tau: np.ndarray | None
+    tau_source: str
+    T_frame_tool: np.ndarray
+    wrench_raw: np.ndarray
+    motors: int
+    mci: int
+    rapid: int
+    converged: bool
+    utilization: float
+    robotware: str
+    rapid_data: np.ndarray
+    rapid_digital: bool
+    robot_mono_ns: int
+    queue_depth: int
+
+
+class Drop(NamedTuple):
+    """A datagram that is not answered: the kind, one of `DROP_REASONS`, and a detail in words."""
+
+    reason: str
+    detail: str
+
+
+class Reference(NamedTuple):
+    """One reply to the robot.
+
+    Attributes
+    ----------
+    q, qd, tau : (n,) references; `qd` None sends no speed reference, `tau` goes out with the extension only.
+    seq : our own sequence number. tm_ms : the `tm` of the packet answered (0 when it had none).
+    robot_seq, robot_mono_ns : echoes of the packet answered, sent with the extension only.
+    """
+
+    q: np.ndarray
+    qd: np.ndarray | None
+    tau: np.ndarray | None
+    seq: int
+    tm_ms: int
+    robot_seq: int = 0
+    robot_mono_ns: int = 0
+
+
+class Codec(Protocol):
+    """The plug-in point of the bridge: bytes to SI and back. A site with another interface writes one of these.
+
+    `capabilities` is a subset of {"position", "velocity", "torque", "measured_torque"}.
+    """
+
+    capabilities: frozenset[str]
+
+    def reset(self) -> None:
+        """Forget what was learnt about the robot: a new session begins."""
+        ...
+
+    def decode(self, data: bytes) -> Packet | Drop:
+        """Return the packet, or why it is dropped. Never raises."""
+        ...
+
+    def encode(self, ref: Reference) -> bytes:
+        """Return the bytes of one reply."""
+        ...
+
+
+class RobotMessage(NamedTuple):
+    """What a robot controller says in one EgmRobot, for the simulated controller. None leaves a field out.
+
+    Attributes
+    ----------
+    seqno, tm_ms : header. q, q_planned : (n,) measured and planned joints.
+    robot_ns : nanoseconds since 1970. q_ext : external axes [rad].
+    T_frame_tool : (4, 4). motors, mci, rapid : states as ABB numbers them. converged : the window of EGMAct is met.
+    utilization : percent. wrench_raw : (6,) N, N m. rapid_data, rapid_digital : RAPIDfromRobot.
+    tau_reference : (n,) the standard torqueRef field (RobotWare 7; ABB axes 1 to 6 only).
+    qd, tau, tau_total, tau_gravity, current, q_reference, qd_reference : (n,) arrays of the extension, in the order
+        of its fields 1 to 7; those that the codec was not configured for are left out.
+    mono_ns, overruns, mode, used_seq, queue_depth : scalars of the extension.
+    """
+
+    seqno: int
+    tm_ms: int | None
+    q: np.ndarray
+    q_planned: np.ndarray | None = None
+    robot_ns: int | None = None
+    q_ext: Sequence[float] = ()
+    T_frame_tool: np.ndarray | None = None
+    motors: int | None = 1
+    mci: int | None = 3
+    rapid: int | None = 2
+    converged: bool | None = False
+    utilization: float | None = 0.0
+    wrench_raw: np.ndarray | None = None
+    rapid_data: Sequence[float] = ()
+    rapid_digital: bool | None = None
+    tau_reference: np.ndarray | None = None
+    qd: np.ndarray | None = None
+    tau: np.ndarray | None = None
+    tau_total: np.ndarray | None = None
+    tau_gravity: np.ndarray | None = None
+    current: np.ndarray | None = None
+    q_reference: np.ndarray | None = None
+    qd_reference: np.ndarray | None = None
+    mono_ns: int = 0
+    overruns: int = 0
+    mode: int = 1
+    used_seq: int = 0
+    queue_depth: int = 0
+
+
+class SensorMessage(NamedTuple):
+    """One decoded EgmSensor, or EgmSensorPathCorr, as the robot controller sees it. Values may be NaN: the robot decides.
+
+    Attributes
+    ----------
+    seqno, tm_ms : header, None when absent. mtype : 3 correction, 4 path correction.
+    q : (n,) planned joints or None. qd : (n,) speed reference or None.
+    T_frame_tool : (4, 4) planned pose or None. twist : (6,) speed reference of the pose, or None.
+    path_yz, path_age : path correction in the sensor's tool frame [m] and its age [s], or None.
+    rapid_data, rapid_digital : RAPIDtoRobot.
+    tau, qd_reference, q_reference, gain_q, gain_qd : (n,) valid arrays of the extension, else None.
+    echo_mono_ns, echo_seq : echoes of the extension, None without it.
+    """
+
+    seqno: int | None
+    tm_ms: int | None
+    mtype: int
+    q: np.ndarray | None = None
+    qd: np.ndarray | None = None
+    T_frame_tool: np.ndarray | None = None
+    twist: np.ndarray | None = None
+    path_yz: np.ndarray | None = None
+    path_age: float | None = None
+    rapid_data: np.ndarray | None = None
+    rapid_digital: bool | None = None
+    tau: np.ndarray | None = None
+    qd_reference: np.ndarray | None = None
+    q_reference: np.ndarray | None = None
+    gain_q: np.ndarray | None = None
+    gain_qd: np.ndarray | None = None
+    echo_mono_ns: int | None = None
+    echo_seq: int | None = None
