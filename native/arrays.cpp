@@ -1,18 +1,16 @@
 #include "arrays.h"
 
 #include <algorithm>
+#include <functional>
+#include <numeric>
 
 namespace armlab {
 namespace {
 
-std::string shape_text(const npy_intp *shape, int ndim, const char *prefix = "") {
+std::string shape_text(const npy_intp *shape, int ndim) {
   std::string text = "(";
-  text += prefix;
-  for (int i = 0; i < ndim; ++i) {
-    if (i || *prefix) text += ", ";
-    text += std::to_string(shape[i]);
-  }
-  return text + (ndim == 1 && !*prefix ? ",)" : ")");
+  for (int i = 0; i < ndim; ++i) text += (i ? ", " : "") + std::to_string(shape[i]);
+  return text + (ndim == 1 ? ",)" : ")");
 }
 
 bool is_plain(PyObject *value, int flags) {
@@ -34,6 +32,14 @@ void raise_shape_error(const std::string &sentence) {
   throw nb::python_error();
 }
 
+nb::object fresh_array(int ndim, const npy_intp *shape, const double *data) {
+  PyObject *array = PyArray_SimpleNew(ndim, shape, NPY_DOUBLE);
+  if (!array) throw nb::python_error();
+  auto *pointer = reinterpret_cast<PyArrayObject *>(array);
+  if (data) std::copy(data, data + PyArray_SIZE(pointer), static_cast<double *>(PyArray_DATA(pointer)));
+  return nb::steal(array);
+}
+
 Input::Input(nb::handle value, const char *name) : name_(name) {
   if (is_plain(value.ptr(), NPY_ARRAY_CARRAY_RO)) {
     array_ = nb::borrow(value);
@@ -51,49 +57,49 @@ Input::Input(nb::handle value, const char *name) : name_(name) {
   array_ = nb::steal(converted);
 }
 
-void Input::require_tail(std::initializer_list<npy_intp> tail, bool exact) const {
-  int n = static_cast<int>(tail.size());
-  if (ndim() >= n && (!exact || ndim() == n) && std::equal(tail.begin(), tail.end(), shape() + ndim() - n)) return;
-  raise_shape_error(std::string("Expected ") + name_ + " of shape " + shape_text(tail.begin(), n, exact ? "" : "...") +
-                    ", got " + shape_text(shape(), ndim()) +
-                    (exact ? "." : ". Put the joints on the last axis, batches before it."));
+std::string Input::shape_text() const { return armlab::shape_text(shape(), ndim()); }
+
+void Input::require_exactly(std::initializer_list<npy_intp> wanted) const {
+  const int n = static_cast<int>(wanted.size());
+  if (ndim() == n && std::equal(wanted.begin(), wanted.end(), shape())) return;
+  raise_shape_error(std::string("Expected ") + name_ + " of shape " + armlab::shape_text(wanted.begin(), n) + ", got " +
+                    shape_text() + ".");
+}
+
+void Input::require_last_axis(npy_intp n) const {
+  if (ndim() >= 1 && shape()[ndim() - 1] == n) return;
+  raise_shape_error(std::string("Expected ") + name_ + " of shape (..., " + std::to_string(n) + "), got " + shape_text() +
+                    ". Put the joints on the last axis, batches before it.");
 }
 
 void Input::require_shape_of(const Input &other) const {
   if (ndim() == other.ndim() && std::equal(shape(), shape() + ndim(), other.shape())) return;
-  raise_shape_error(std::string("Expected ") + name_ + " of the same shape as " + other.name_ + ", " +
-                    shape_text(other.shape(), other.ndim()) + ", got " + shape_text(shape(), ndim()) +
-                    ". Broadcast them first with numpy.broadcast_arrays.");
+  raise_shape_error(std::string("Expected ") + name_ + " of the same shape as " + other.name_ + ", " + other.shape_text() +
+                    ", got " + shape_text() + ". Broadcast them first with numpy.broadcast_arrays.");
 }
 
-Batch::Batch(const Input &input, int tail_ndim) : ndim(input.ndim() - tail_ndim), count(1), dims(input.shape()) {
-  for (int i = 0; i < ndim; ++i) count *= dims[i];
-}
-
-Output::Output(nb::handle out, const char *name, const Batch &batch, std::initializer_list<npy_intp> tail,
-               std::initializer_list<const Input *> inputs) {
-  npy_intp shape[NPY_MAXDIMS];
-  const int ndim = batch.ndim + static_cast<int>(tail.size());
-  if (ndim > NPY_MAXDIMS) raise_shape_error("Expected fewer leading axes: the result would have more than NumPy allows.");
-  std::copy(tail.begin(), tail.end(), std::copy(batch.dims, batch.dims + batch.ndim, shape));
+Output::Output(nb::handle out, const char *name, std::initializer_list<npy_intp> tail,
+               std::initializer_list<const Samples *> inputs) {
+  const Samples &first = **inputs.begin();
+  const int batch = first.ndim() - 1, ndim = batch + static_cast<int>(tail.size());
+  npy_intp shape[NPY_MAXDIMS + 2];
+  std::copy(tail.begin(), tail.end(), std::copy(first.shape(), first.shape() + batch, shape));
+  width_ = static_cast<int>(std::accumulate(tail.begin(), tail.end(), npy_intp{1}, std::multiplies<>()));
   if (out.is_none()) {
-    PyObject *fresh = PyArray_SimpleNew(ndim, shape, NPY_DOUBLE);
-    if (!fresh) throw nb::python_error();
-    array_ = nb::steal(fresh);
+    array_ = fresh_array(ndim, shape);
     return;
   }
-  const std::string wanted = std::string("Expected ") + name + " to be a writable C-contiguous float64 array of shape " +
-                             shape_text(shape, ndim);
+  const std::string wanted =
+      std::string("Expected ") + name + " to be a writable C-contiguous float64 array of shape " + shape_text(shape, ndim);
   if (!is_plain(out.ptr(), NPY_ARRAY_CARRAY))
     raise_shape_error(wanted + ", got an object that is not. Make it with numpy.empty, or leave it out.");
-  auto *array = reinterpret_cast<PyArrayObject *>(out.ptr());
-  if (PyArray_NDIM(array) != ndim || !std::equal(shape, shape + ndim, PyArray_DIMS(array)))
-    raise_shape_error(wanted + ", got shape " + shape_text(PyArray_DIMS(array), PyArray_NDIM(array)) + ".");
-  for (const Input *input : inputs)
-    if (overlap(array, *input))
+  array_ = nb::borrow(out);
+  if (PyArray_NDIM(pointer()) != ndim || !std::equal(shape, shape + ndim, PyArray_DIMS(pointer())))
+    raise_shape_error(wanted + ", got shape " + shape_text(PyArray_DIMS(pointer()), PyArray_NDIM(pointer())) + ".");
+  for (const Samples *input : inputs)
+    if (overlap(pointer(), *input))
       raise_shape_error(wanted + " apart from the inputs, got one that shares memory with " + input->name() +
                         ". Give another array.");
-  array_ = nb::borrow(out);
 }
 
 }  // namespace armlab

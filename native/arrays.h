@@ -14,8 +14,12 @@
 #include <nanobind/nanobind.h>
 #include <numpy/arrayobject.h>
 
+#include <array>
+#include <cstddef>
 #include <initializer_list>
 #include <string>
+
+#include "batch.h"
 
 namespace nb = nanobind;
 
@@ -23,19 +27,24 @@ namespace armlab {
 
 [[noreturn]] void raise_shape_error(const std::string &sentence);
 
+// A fresh array; with the values of `data` when that is given.
+nb::object fresh_array(int ndim, const npy_intp *shape, const double *data = nullptr);
+
 // A C-contiguous float64 array for reading: the argument itself when it already is one, otherwise a converted copy.
 class Input {
  public:
   Input(nb::handle value, const char *name);
 
+  const char *name() const { return name_; }
   const double *data() const { return static_cast<const double *>(PyArray_DATA(array())); }
   int ndim() const { return PyArray_NDIM(array()); }
   const npy_intp *shape() const { return PyArray_DIMS(array()); }
   npy_intp size() const { return PyArray_SIZE(array()); }
-  const char *name() const { return name_; }
+  std::string shape_text() const;
+  Reading samples() const { return {data(), static_cast<int>(shape()[ndim() - 1])}; }
 
-  // Refuse a shape that does not end with `tail`; `exact` refuses leading axes too.
-  void require_tail(std::initializer_list<npy_intp> tail, bool exact = false) const;
+  void require_exactly(std::initializer_list<npy_intp> shape) const;
+  void require_last_axis(npy_intp n) const;
   void require_shape_of(const Input &other) const;
 
  private:
@@ -45,41 +54,35 @@ class Input {
   const char *name_;
 };
 
-// The leading axes of an input, which every output keeps.
-struct Batch {
-  Batch(const Input &input, int tail_ndim);
-
-  int ndim;
-  npy_intp count;
-  const npy_intp *dims;
+// Samples of shape (n,), given as (..., n); the leading axes are the batch, which every output keeps.
+struct Samples : Input {
+  Samples(nb::handle value, const char *name, int n) : Input(value, name) { require_last_axis(n); }
+  Samples(nb::handle value, const char *name, const Samples &same) : Input(value, name) { require_shape_of(same); }
 };
 
 // An array of shape batch + tail to write into: `out` when given (float64, C-contiguous, writable, apart from the inputs),
 // a fresh one when `out` is None.
 class Output {
  public:
-  Output(nb::handle out, const char *name, const Batch &batch, std::initializer_list<npy_intp> tail,
-         std::initializer_list<const Input *> inputs);
+  Output(nb::handle out, const char *name, std::initializer_list<npy_intp> tail, std::initializer_list<const Samples *> inputs);
 
-  double *data() const { return static_cast<double *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(array_.ptr()))); }
-  nb::object take() { return std::move(array_); }
+  const nb::object &array() const { return array_; }
+  Writing samples() const { return {static_cast<double *>(PyArray_DATA(pointer())), width_}; }
 
  private:
+  PyArrayObject *pointer() const { return reinterpret_cast<PyArrayObject *>(array_.ptr()); }
+
   nb::object array_;
+  int width_;
 };
 
-// Lets other Python threads run while a batch is computed; for a few samples the hand-over would cost more than the work.
-class BatchWithoutGil {
- public:
-  explicit BatchWithoutGil(npy_intp count) : state_(count >= 32 ? PyEval_SaveThread() : nullptr) {}
-  ~BatchWithoutGil() {
-    if (state_) PyEval_RestoreThread(state_);
-  }
-  BatchWithoutGil(const BatchWithoutGil &) = delete;
-  BatchWithoutGil &operator=(const BatchWithoutGil &) = delete;
-
- private:
-  PyThreadState *state_;
-};
+// Runs a kernel over all samples of `first`, without the GIL when there are enough of them to pay for handing it over.
+template <std::size_t Ins, std::size_t Outs, class Kernel>
+void compute(const Samples &first, const std::array<Reading, Ins> &ins, const std::array<Writing, Outs> &outs, Kernel kernel) {
+  const npy_intp count = first.size() / first.samples().width;
+  if (count < 32) return run_batch(count, ins, outs, kernel);
+  nb::gil_scoped_release released;
+  run_batch(count, ins, outs, kernel);
+}
 
 }  // namespace armlab

@@ -1,71 +1,51 @@
-// First version: forward kinematics.
-#include <cmath>
-#include <vector>
+#include "chain.h"
 
-#include "arrays.h"
+#include <algorithm>
+#include <cmath>
 
 namespace armlab {
+namespace {
 
-struct Chain {
-  int n;
-  std::vector<double> frames;
-  std::vector<char> prismatic;
+constexpr double pi = 3.14159265358979323846;
+
+// R = Rz(beta) Rx(alpha) Rz(gamma). Where alpha is near 0 or pi beta is arbitrary: alpha and gamma are therefore read from
+// Rz(-beta) R, which makes the product right whatever beta is.
+struct Angles {
+  double beta, alpha, gamma;
 };
 
-static void multiply(const double *a, const double *b, double *out) {
-  for (int i = 0; i < 3; ++i)
-    for (int j = 0; j < 4; ++j)
-      out[4 * i + j] = a[4 * i] * b[j] + a[4 * i + 1] * b[4 + j] + a[4 * i + 2] * b[8 + j] + (j == 3 ? a[4 * i + 3] : 0.0);
-  out[12] = out[13] = out[14] = 0.0;
-  out[15] = 1.0;
+Angles zxz(const double *E) {
+  double beta = std::atan2(E[2], -E[6]);
+  if (beta > pi / 2) beta -= pi;
+  if (beta < -pi / 2) beta += pi;
+  const double c = std::cos(beta), s = std::sin(beta);
+  const double gamma = std::atan2(-(c * E[1] + s * E[5]), c * E[0] + s * E[4]);
+  const double alpha = std::atan2(s * E[2] - c * E[6], E[10]);
+  return {beta, alpha, gamma};
 }
 
-static void forward(const Chain &chain, const double *q, double *T) {
-  double work[16];
-  std::copy(chain.frames.begin(), chain.frames.begin() + 16, T);
-  for (int i = 0; i < chain.n; ++i) {
-    const double c = chain.prismatic[i] ? 1.0 : std::cos(q[i]), s = chain.prismatic[i] ? 0.0 : std::sin(q[i]);
-    const double d = chain.prismatic[i] ? q[i] : 0.0;
-    for (int k = 0; k < 3; ++k) {
-      double *row = T + 4 * k;
-      const double x = row[0], y = row[1];
-      row[0] = c * x + s * y;
-      row[1] = c * y - s * x;
-      row[3] += d * row[2];
-    }
-    multiply(T, &chain.frames[16 * (i + 1)], work);
-    std::copy(work, work + 16, T);
+}  // namespace
+
+Chain::Chain(int n, const double *frames_, const bool *prismatic) : n(n), frames{}, steps{} {
+  std::copy(frames_, frames_ + 16 * (n + 1), frames.begin());
+  double gamma_before = 0.0;
+  for (int i = 0; i < n; ++i) {
+    const double *E = frame(i + 1);
+    const Angles angles = zxz(E);
+    const double c = std::cos(angles.beta), s = std::sin(angles.beta);
+    Step &step = steps[i];
+    step.offset = std::remainder(gamma_before + angles.beta, 2 * pi);
+    step.slides = prismatic[i];
+    step.turns = prismatic[i] ? 0.0 : 1.0;
+    step.px = c * E[3] + s * E[7];
+    step.py = c * E[7] - s * E[3];
+    step.pz = E[11];
+    step.cos_alpha = std::cos(angles.alpha);
+    step.sin_alpha = std::sin(angles.alpha);
+    gamma_before = angles.gamma;
   }
+  cos_last = std::cos(gamma_before);
+  sin_last = std::sin(gamma_before);
 }
 
 }  // namespace armlab
-
-void bind_chain(nb::module_ &m) {
-  using namespace armlab;
-  nb::class_<Chain>(m, "Chain")
-      .def("__init__",
-           [](Chain *self, nb::handle frames, nb::handle prismatic) {
-             Input f(frames, "frames"), p(prismatic, "prismatic");
-             p.require_tail({p.size()}, true);
-             const int n = static_cast<int>(p.size());
-             f.require_tail({n + 1, 4, 4}, true);
-             new (self) Chain{n, {f.data(), f.data() + f.size()}, {}};
-             for (int i = 0; i < n; ++i) self->prismatic.push_back(p.data()[i] != 0.0);
-           },
-           nb::arg("frames"), nb::arg("prismatic"))
-      .def_prop_ro("n", [](const Chain &self) { return self.n; })
-      .def(
-          "forward",
-          [](const Chain &self, nb::handle q_, nb::handle out) {
-            Input q(q_, "q");
-            q.require_tail({self.n});
-            Batch batch(q, 1);
-            Output T(out, "out", batch, {4, 4}, {&q});
-            {
-              BatchWithoutGil released(batch.count);
-              for (npy_intp k = 0; k < batch.count; ++k) forward(self, q.data() + k * self.n, T.data() + 16 * k);
-            }
-            return T.take();
-          },
-          nb::arg("q"), nb::arg("out") = nb::none());
-}

@@ -27,7 +27,7 @@ class Chain:
 
     Parameters
     ----------
-    frames : (n + 1, 4, 4) E_0 ... E_n, rigid to 1e-9 (rotations are then projected on SO(3)) [m].
+    frames : (n + 1, 4, 4) E_0 ... E_n, rigid to 1e-6 (rotations are then projected on SO(3)) [m].
     prismatic : (n,) bool, True for prismatic joints; n from 1 to 32.
     """
 
