@@ -1,4 +1,5 @@
 // Python class WrenchEstimator and function presliding: arguments are checked here, the mathematics is in estimator.cpp.
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <vector>
@@ -54,52 +55,57 @@ nb::object step(WrenchEstimator &self, nb::handle q_, nb::handle qd_, nb::handle
                                 vector_of(n, error).ptr(), vector_of(n, variance).ptr()));
 }
 
+// A fresh array of shape (N, tail) and a pointer to its numbers.
+nb::object fresh(std::vector<npy_intp> shape, double *&data) {
+  nb::object array = nb::steal(PyArray_SimpleNew(static_cast<int>(shape.size()), shape.data(), NPY_DOUBLE));
+  if (!array) throw nb::python_error();
+  data = static_cast<double *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(array.ptr())));
+  return array;
+}
+
 nb::object run(WrenchEstimator &self, nb::handle q_, nb::handle qd_, nb::handle tau_, nb::handle dt_) {
   const int n = self.n();
   const Input q(q_, "q"), qd(qd_, "qd"), tau(tau_, "tau"), dt(dt_, "dt");
-  const npy_intp N = q.ndim() == 2 ? q.shape()[0] : 0;
+  const npy_intp N = dt.size();
+  dt.require_exactly({N});
   q.require_exactly({N, n});
   qd.require_exactly({N, n});
   tau.require_exactly({N, n});
-  dt.require_exactly({N});
-  const Batch batch(dt, 0);
-  Output F(nb::none(), "F", batch, {6}, {}), P(nb::none(), "P", batch, {6, 6}, {});
-  Output observability(nb::none(), "observability", batch, {6}, {}), error(nb::none(), "error", batch, {n}, {});
-  Output variance(nb::none(), "variance", batch, {n}, {});
+  double *F, *P, *observability, *error, *variance;
+  const nb::object arrays[5] = {fresh({N, 6}, F), fresh({N, 6, 6}, P), fresh({N, 6}, observability), fresh({N, n}, error),
+                                fresh({N, n}, variance)};
   {
-    const BatchWithoutGil released(N);
+    nb::gil_scoped_release released;
     for (npy_intp k = 0; k < N; ++k)
-      self.step(q.data() + n * k, qd.data() + n * k, tau.data() + n * k, dt.data()[k], F.data() + 6 * k, P.data() + 36 * k,
-                observability.data() + 6 * k, error.data() + n * k, variance.data() + n * k);
+      self.step(q.data() + n * k, qd.data() + n * k, tau.data() + n * k, dt.data()[k], F + 6 * k, P + 36 * k,
+                observability + 6 * k, error + n * k, variance + n * k);
   }
-  return nb::steal(PyTuple_Pack(5, F.array().ptr(), P.array().ptr(), observability.array().ptr(), error.array().ptr(),
-                                variance.array().ptr()));
+  return nb::steal(PyTuple_Pack(5, arrays[0].ptr(), arrays[1].ptr(), arrays[2].ptr(), arrays[3].ptr(), arrays[4].ptr()));
 }
 
 nb::object presliding(nb::handle q_, nb::handle delta_, nb::handle resolution_) {
   const Input q(q_, "q"), delta(delta_, "delta"), resolution(resolution_, "resolution");
-  const npy_intp N = q.ndim() == 2 ? q.shape()[0] : 0, n = q.ndim() == 2 ? q.shape()[1] : 0;
+  const npy_intp n = delta.size(), N = n ? q.size() / n : 0;
   q.require_exactly({N, n});
   delta.require_exactly({n});
   resolution.require_exactly({n});
-  const Batch batch(q, 0);
-  Output z(nb::none(), "z", batch, {}, {});
-  const BatchWithoutGil released(N);
+  double *z;
+  nb::object array = fresh({N, n}, z);
+  nb::gil_scoped_release released;
   std::vector<double> state(n, 0.0), play;
-  for (npy_intp k = 0; k < N; ++k) {
+  for (npy_intp k = 0; k < N; ++k, z += n) {
     const double *row = q.data() + n * k;
-    double *out = z.data() + n * k;
     if (!std::all_of(row, row + n, [](double x) { return std::isfinite(x); })) {
-      std::fill(out, out + n, std::numeric_limits<double>::quiet_NaN());
+      std::fill(z, z + n, std::numeric_limits<double>::quiet_NaN());
       continue;
     }
     if (play.empty()) play.assign(row, row + n);
     for (npy_intp i = 0; i < n; ++i) {
       const double dy = follow(play[i], row[i], resolution.data()[i]);
-      out[i] = state[i] = slide(state[i], dy, delta.data()[i]);
+      z[i] = state[i] = slide(state[i], dy, delta.data()[i]);
     }
   }
-  return z.array();
+  return array;
 }
 
 }  // namespace

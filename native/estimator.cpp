@@ -101,7 +101,7 @@ void WrenchEstimator::step(const double *q, const double *qd, const double *tau,
   const bool first = first_;
   first_ = false;
   const double relax = 1.0 - std::exp(-dt / rest_time);
-  double qdd[max_joints], rigid[max_joints], J[6 * max_joints];
+  double qdd[max_joints] = {}, rigid[max_joints], J[6 * max_joints];
   for (int i = 0; i < n; ++i) {
     Joint &joint = joints_[i];
     if (first) {

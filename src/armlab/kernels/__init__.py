@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING
 from armlab.errors import ConfigError
 
 if TYPE_CHECKING:
-    from armlab.kernels._reference import Chain
+    from armlab.kernels._reference import Chain, WrenchEstimator, presliding
 
-__all__ = ["Chain", "backend"]
+__all__ = ["Chain", "WrenchEstimator", "backend", "presliding"]
 
 
 def _fall_back(reason: str) -> tuple[str, ModuleType]:
@@ -47,3 +47,5 @@ def _choose() -> tuple[str, ModuleType]:
 backend, _module = _choose()
 if not TYPE_CHECKING:
     Chain = _module.Chain
+    WrenchEstimator = _module.WrenchEstimator
+    presliding = _module.presliding

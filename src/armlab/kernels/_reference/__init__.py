@@ -6,5 +6,7 @@ Every name here exists in `armlab.kernels._native` with the same signature and t
 from __future__ import annotations
 
 from armlab.kernels._reference.chain import Chain
+from armlab.kernels._reference.estimator import WrenchEstimator
+from armlab.kernels._reference.presliding import presliding
 
-__all__ = ["Chain"]
+__all__ = ["Chain", "WrenchEstimator", "presliding"]
