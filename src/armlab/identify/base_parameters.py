@@ -52,8 +52,8 @@ def base_parameters(robot: Robot) -> BaseParameters:
     """Return the base parameters of `robot`, rotor inertias included.
 
     The regressor is evaluated at 50 n random states (fixed seed); columns are scaled to norm 1. A column counts as
-    independent when its part outside the span of the columns before it exceeds 1e-8. Rotor inertias come first, so that
-    they keep their names; then links from tip to base, so that a name speaks of the lightest link that carries it.
+    independent when its part outside the span of the columns before it exceeds 1e-8. First moments and inertias come first,
+    from base to tip, then rotors, then masses: so a name reads ``m c_x2 + 0.2465 m3``, as in the literature.
 
     Parameters
     ----------
@@ -71,7 +71,8 @@ def base_parameters(robot: Robot) -> BaseParameters:
     rotor = np.zeros((50 * n, n, n))
     rotor[:, range(n), range(n)] = qdd
     A = np.concatenate([Y, rotor], axis=2).reshape(-1, 11 * n)
-    order = [10 * n + i for i in range(n)] + [10 * link + j for link in reversed(range(n)) for j in range(10)]
+    order = [10 * link + j for link in range(n) for j in range(1, 10)]
+    order += [10 * n + joint for joint in range(n)] + [10 * link for link in range(n)]
     kept, B = _independent(A, np.array(order))
     names = _column_names(robot)
     texts = tuple(_combination(B[row], kept[row], names) for row in range(len(kept)))

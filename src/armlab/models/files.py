@@ -1,0 +1,220 @@
+"""Model files: TOML with provenance, exact to the last digit, bound to one robot.
+
+A file begins with ``[meta]``: kind, format, armlab version, command line, UTC time, sources with their SHA-256, robot name
+and hash, and the sign convention of the wrench. A loader refuses another kind, format or sign.
+"""
+
+from __future__ import annotations
+
+import sys
+import tomllib
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import tomli_w
+
+import armlab
+from armlab.errors import ConfigError, ModelMismatchError
+from armlab.models.friction import Friction, Ripple
+from armlab.models.torque import SIGN, Quality, TorqueModel
+from armlab.models.velocity_covariance import VelocityCovariance
+
+__all__ = ["load", "save"]
+
+KIND = "torque_model"
+FORMAT = 1
+FRICTION = ("viscous", "coulomb_pos", "coulomb_neg", "offset", "stribeck", "stribeck_speed", "delta", "resolution")
+RIPPLE = ("cycles", "cosine", "sine")
+QUALITY = ("torque_sd", "rms", "rms_cv", "coverage", "q_min", "q_max", "qd_peak")
+UNITS = {
+    "link_parameters": "kg, kg m, kg m^2; order m, m c (3), Ixx, Ixy, Iyy, Ixz, Iyz, Izz; link frames",
+    "rotor": "kg m^2",
+    "friction": "N m, rad, s",
+    "ripple": "N m; cycles in rad/rad",
+    "ctau": "(N m)^2, s/rad",
+    "validation": "N m, rad, s",
+}
+
+
+class _Strict(msgspec.Struct, forbid_unknown_fields=True):
+    """A table of the file: unknown keys are errors."""
+
+
+class _Meta(_Strict):
+    kind: str
+    format: int
+    armlab: str
+    command: str
+    created: str
+    sources: list[str]
+    robot: str
+    robot_hash: str
+    sign: str
+    units: dict[str, str]
+
+
+class _RobotPart(_Strict):
+    frames: list[list[list[float]]]
+    prismatic: list[bool]
+    gravity: list[float]
+
+
+class _Dynamics(_Strict):
+    link_parameters: list[list[float]]
+    rotor: list[float]
+    base_names: list[str]
+    base_values: list[float]
+    base_cov_lower: list[float]
+
+
+class _Covariance(_Strict):
+    kind: str
+    C0: list[float]
+    Cinf: list[float]
+    shape: list[float]
+    alpha2: float
+    cutoff: float
+
+
+class _File(_Strict):
+    meta: _Meta
+    robot: _RobotPart
+    dynamics: _Dynamics
+    friction: dict[str, dict[str, float]]
+    ripple: dict[str, dict[str, float]]
+    ctau: _Covariance
+    validation: dict[str, list[float] | float]
+
+
+def save(model: TorqueModel, path: str | Path) -> Path:
+    """Write a model file and return its path; an existing file is replaced in one step or not at all.
+
+    Parameters
+    ----------
+    model : what to save.
+    path : ends in ``.toml``.
+    """
+    path = Path(path)
+    if path.suffix != ".toml":
+        raise ConfigError(f"Expected a model file name that ends in .toml, got {path}. Add the ending.")
+    lower = np.tril_indices(len(model.base_names))
+    c, q = model.covariance, model.quality
+    content = {
+        "meta": {
+            "kind": KIND,
+            "format": FORMAT,
+            "armlab": armlab.__version__,
+            "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+            "created": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+            "sources": list(model.sources),
+            "robot": model.robot_name,
+            "robot_hash": model.robot_hash,
+            "sign": SIGN,
+            "units": UNITS,
+        },
+        "robot": {
+            "frames": model.frames.tolist(),
+            "prismatic": [bool(p) for p in model.prismatic],
+            "gravity": model.gravity.tolist(),
+        },
+        "dynamics": {
+            "link_parameters": model.link_parameters.tolist(),
+            "rotor": model.rotor.tolist(),
+            "base_names": list(model.base_names),
+            "base_values": model.base_values.tolist(),
+            "base_cov_lower": model.base_cov[lower].tolist(),
+        },
+        "friction": _by_joint(model.friction, FRICTION),
+        "ripple": _by_joint(model.ripple, RIPPLE),
+        "ctau": {
+            "kind": c.kind,
+            "C0": c.C0.tolist(),
+            "Cinf": c.Cinf.tolist(),
+            "shape": c.shape.tolist(),
+            "alpha2": c.alpha2,
+            "cutoff": model.cutoff,
+        },
+        "validation": {**{name: getattr(q, name).tolist() for name in QUALITY}, "seconds": q.seconds},
+    }
+    temporary = path.with_name(path.name + ".part")
+    temporary.write_text(tomli_w.dumps(content), encoding="utf-8")
+    temporary.replace(path)
+    return path
+
+
+def _by_joint(part: Friction | Ripple, names: tuple[str, ...]) -> dict[str, dict[str, float]]:
+    count = len(getattr(part, names[0]))
+    return {f"joint{i + 1}": {name: float(getattr(part, name)[i]) for name in names} for i in range(count)}
+
+
+def _joined(tables: dict[str, dict[str, float]], names: tuple[str, ...], path: Path) -> dict[str, np.ndarray]:
+    try:
+        return {name: np.array([tables[f"joint{i + 1}"][name] for i in range(len(tables))]) for name in names}
+    except KeyError as error:
+        raise ConfigError(f"Expected {error} for every joint in {path}, got none. Identify again.") from None
+
+
+def load(path: str | Path) -> TorqueModel:
+    """Read a model file.
+
+    Parameters
+    ----------
+    path : file written by `save`.
+
+    Raises
+    ------
+    ConfigError : when the file is missing, damaged or has unknown fields; one line with the place.
+    ModelMismatchError : when it is of another kind, format or sign convention.
+    """
+    path = Path(path)
+    try:
+        raw: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"Expected a model file at {path}, got: {error.strerror}. Check the name.") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"Expected a TOML model file, got something else in {path}: {error}.") from None
+    meta = raw.get("meta", {})
+    found = (meta.get("kind"), meta.get("format"), meta.get("sign"))
+    if found != (KIND, FORMAT, SIGN):
+        raise ModelMismatchError(
+            f"Expected kind, format and sign {(KIND, FORMAT, SIGN)} in {path}, got {found}. "
+            "Identify again with this version of armlab."
+        )
+    try:
+        file = msgspec.convert(raw, _File)
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"Model file {path}: {error}.") from None
+    return _model(file, path)
+
+
+def _model(file: _File, path: Path) -> TorqueModel:
+    d = file.dynamics
+    p = len(d.base_names)
+    if len(d.base_values) != p or len(d.base_cov_lower) != p * (p + 1) // 2:
+        raise ConfigError(f"Expected {p} base values and their covariance in {path}, got other lengths. Identify again.")
+    cov = np.zeros((p, p))
+    cov[np.tril_indices(p)] = d.base_cov_lower
+    cov = cov + np.tril(cov, -1).T
+    quality = {name: np.array(file.validation[name], dtype=float) for name in QUALITY}
+    c = file.ctau
+    return TorqueModel(
+        robot_name=file.meta.robot,
+        robot_hash=file.meta.robot_hash,
+        frames=np.array(file.robot.frames),
+        prismatic=np.array(file.robot.prismatic),
+        gravity=np.array(file.robot.gravity),
+        link_parameters=np.array(d.link_parameters),
+        rotor=np.array(d.rotor),
+        friction=Friction(**_joined(file.friction, FRICTION, path)),
+        ripple=Ripple(**_joined(file.ripple, RIPPLE, path)),
+        covariance=VelocityCovariance(c.kind, np.array(c.C0), np.array(c.Cinf), np.array(c.shape), c.alpha2),
+        cutoff=c.cutoff,
+        base_names=tuple(d.base_names),
+        base_values=np.array(d.base_values),
+        base_cov=cov,
+        quality=Quality(**quality, seconds=float(np.asarray(file.validation["seconds"]))),
+        sources=tuple(file.meta.sources),
+    )
