@@ -1,0 +1,273 @@
+"""`Arm`: the simulated arm. MuJoCo's rigid bodies, our drives and friction, what the sensors report.
+
+One period is divided into equal steps of at most 1.05 ms, integrated by the leapfrog rule (positions and velocities half a step
+apart), so that the stiff friction springs stay stable and lose no energy by the integration::
+
+    v_k = v_{k-1/2} + a_{k-1} h/2,   M a_k = tau - C v_k - G - F_f + J^T F,   v_{k+1/2} = v_{k-1/2} + a_k h,
+    q_{k+1} = q_k + v_{k+1/2} h
+
+What a packet reports is one instant: the beginning of the last step of the period. There position, velocity,
+acceleration and torque satisfy the equation of motion exactly; only then noise and quantisation are added.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from armlab.errors import ConfigError, ShapeError
+from armlab.robots import Robot
+from armlab.sim.drive import Drive
+from armlab.sim.friction import Friction
+from armlab.sim.truth import Truth
+
+__all__ = ["Arm", "Measurement", "Sample", "build_model"]
+
+LONGEST_STEP = 1.05e-3  # s
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sample:
+    """The exact state at one instant; nothing of it goes over the wire.
+
+    Attributes
+    ----------
+    q, qd, qdd : (n,) position, velocity, acceleration.
+    tau : (n,) torque of the drives, joint side. tau_friction : (n,) friction and ripple, counted against motion.
+    tau_gravity : (n,) what the drives feed forward. q_ref : (n,) reference of the drives.
+    wrench : (6,) by the environment on the robot, base axes, at the tool point.
+    T_base_tool : (4, 4) pose of the tool.
+    """
+
+    q: np.ndarray
+    qd: np.ndarray
+    qdd: np.ndarray
+    tau: np.ndarray
+    tau_friction: np.ndarray
+    tau_gravity: np.ndarray
+    q_ref: np.ndarray
+    wrench: np.ndarray
+    T_base_tool: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measurement:
+    """What the sensors report of one instant: noise and quantisation included.
+
+    Attributes
+    ----------
+    q, qd, tau : (n,) position, velocity, torque.
+    """
+
+    q: np.ndarray
+    qd: np.ndarray
+    tau: np.ndarray
+
+
+class Arm:
+    """One simulated arm.
+
+    Parameters
+    ----------
+    robot : the description; its frames, gravity and home posture are used.
+    truth : the synthetic parameters.
+    period : time between two packets [s].
+    q : (n,) posture to start from; the robot's home by default.
+    seed : of the measurement noise.
+
+    Raises
+    ------
+    ShapeError : when truth or posture have another number of joints.
+    ConfigError : when the period is not between 0.1 ms and 1 s.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        truth: Truth,
+        *,
+        period: float = 0.004032,
+        q: np.ndarray | None = None,
+        seed: int | Sequence[int] = 0,
+    ) -> None:
+        import mujoco
+
+        if not 1e-4 <= period <= 1.0:
+            raise ConfigError(f"Expected a period between 0.0001 s and 1 s, got {period} s.")
+        if len(truth.pi) != robot.n:
+            raise ShapeError(f"Expected a truth for {robot.n} joints of robot {robot.name!r}, got {len(truth.pi)}.")
+        self.robot, self.truth, self.period = robot, truth, period
+        self.steps = math.ceil(period / LONGEST_STEP - 1e-9)
+        self.step_time = period / self.steps
+        self._mj: Any = mujoco
+        self._model = build_model(robot, truth)
+        self._data = mujoco.MjData(self._model)
+        data = self._data  # the next five are views: no copies between the physics and us
+        self._q, self._qd, self._bias = data.qpos, data.qvel, data.qfrc_bias
+        self._applied, self._smooth = data.qfrc_applied, data.qacc_smooth
+        self._tool = data.site_xpos[0], data.site_xmat[0].reshape(3, 3)
+        self._half = np.zeros(robot.n)  # velocity half a step ago
+        self._qdd = np.zeros(robot.n)
+        self._dq, self._tau, self._tau_friction = np.zeros((3, robot.n))
+        self._noise = np.random.default_rng(seed)
+        self.friction = Friction(truth)
+        self.drive = Drive(self.inertia(robot.q_home), truth.tau_max, truth.feedforward, self.step_time)
+        self.sample: Sample
+        self.place(robot.q_home if q is None else q)
+
+    def place(self, q: np.ndarray) -> None:
+        """Put the arm at rest at `q`, held there by the drives alone.
+
+        Parameters
+        ----------
+        q : (n,) posture.
+
+        Raises
+        ------
+        ShapeError : when the shape is wrong or a value is not finite.
+        """
+        q = np.array(q, dtype=np.float64)
+        if q.shape != (self.robot.n,) or not np.isfinite(q).all():
+            raise ShapeError(f"Expected a finite posture of shape ({self.robot.n},), got shape {q.shape}.")
+        self._q[:], self._qd[:], self._half[:], self._qdd[:] = q, 0.0, 0.0, 0.0
+        self._mj.mj_forward(self._model, self._data)
+        self.friction.reset()
+        holding = self.friction.torque(self._q, self._qd, np.empty_like(q)) + self._data.qfrc_bias
+        self.drive.reset(holding, self._data.qfrc_bias)
+        self._q_ref, self._qd_ref = q, np.zeros_like(q)
+        self.step(q, self._qd_ref, None)
+
+    def inertia(self, q: np.ndarray) -> np.ndarray:
+        """Return the diagonal (n,) of the mass matrix at `q`, rotors included [kg m^2].
+
+        Parameters
+        ----------
+        q : (n,) posture.
+        """
+        data, column = self._mj.MjData(self._model), np.empty(self.robot.n)
+        data.qpos[:] = q
+        self._mj.mj_forward(self._model, data)
+        diagonal = np.empty(self.robot.n)
+        for i, unit in enumerate(np.eye(self.robot.n)):
+            self._mj.mj_mulM(self._model, data, column, unit)
+            diagonal[i] = column[i]
+        return diagonal
+
+    def step(self, q_ref: np.ndarray, qd_ref: np.ndarray, wrench: np.ndarray | None) -> None:
+        """Advance by one period while the reference moves evenly from its last value to this one.
+
+        Parameters
+        ----------
+        q_ref, qd_ref : (n,) reference of the drives at the end of the period.
+        wrench : (6,) by the environment on the robot, base axes, at the tool point; None for no contact.
+        """
+        steps, share = self.steps, 1.0 / self.steps
+        q, qd, dq = self._q_ref.copy(), self._qd_ref.copy(), (q_ref - self._q_ref) * share
+        dqd = (qd_ref - self._qd_ref) * share
+        qdd = dqd * (1.0 / self.step_time)
+        for _ in range(steps - 1):
+            self._advance(q, qd, qdd, wrench)
+            self._move()
+            q += dq
+            qd += dqd
+        self._advance(q, qd, qdd, wrench)
+        self.sample = self._report(q, wrench)
+        self._move()
+        self._q_ref, self._qd_ref = q_ref.copy(), qd_ref.copy()
+
+    def measure(self) -> Measurement:
+        """Return what the sensors report of the sampled instant, with fresh noise."""
+        sample, truth = self.sample, self.truth
+        noise = self._noise.standard_normal((2, self.robot.n))
+        return Measurement(
+            q=_quantise(sample.q, truth.q_step),
+            qd=sample.qd + truth.qd_noise * noise[0],
+            tau=_quantise(sample.tau + truth.tau_noise * noise[1], truth.tau_step),
+        )
+
+    def _advance(self, q_ref: np.ndarray, qd_ref: np.ndarray, qdd_ref: np.ndarray, wrench: np.ndarray | None) -> None:
+        """Evaluate torques and accelerations at this instant."""
+        mj, model, data, half = self._mj, self._model, self._data, self.step_time / 2
+        np.multiply(self._qdd, half, out=self._qd)
+        self._qd += self._half
+        mj.mj_fwdPosition(model, data)
+        mj.mj_fwdVelocity(model, data)
+        self.drive.torque(q_ref, qd_ref, qdd_ref, self._q, self._qd, self._bias, self._tau)
+        self.friction.torque(self._q, self._qd, self._tau_friction)
+        np.subtract(self._tau, self._tau_friction, out=self._applied)
+        if wrench is not None:
+            mj.mj_applyFT(model, data, wrench[:3], wrench[3:], self._tool[0], self.robot.n, self._applied)
+        mj.mj_fwdAcceleration(model, data)
+        self._qdd[:] = self._smooth
+
+    def _move(self) -> None:
+        """Carry velocity and position over one step."""
+        np.multiply(self._qdd, self.step_time, out=self._dq)
+        self._half += self._dq
+        np.multiply(self._half, self.step_time, out=self._dq)
+        self._q += self._dq
+        self.friction.advance(self._dq, self._half)
+
+    def _report(self, q_ref: np.ndarray, wrench: np.ndarray | None) -> Sample:
+        T_base_tool = np.eye(4)
+        T_base_tool[:3, :3], T_base_tool[:3, 3] = self._tool[1], self._tool[0]
+        return Sample(
+            q=self._q.copy(),
+            qd=self._qd.copy(),
+            qdd=self._qdd.copy(),
+            tau=self._tau.copy(),
+            tau_friction=self._tau_friction.copy(),
+            tau_gravity=self.drive.gravity.copy(),
+            q_ref=q_ref,
+            wrench=np.zeros(6) if wrench is None else np.array(wrench),
+            T_base_tool=T_base_tool,
+        )
+
+
+def build_model(robot: Robot, truth: Truth) -> Any:
+    """Return MuJoCo's model of the arm: one body per link frame, no contacts, no limits, one site at the tool point.
+
+    Parameters
+    ----------
+    robot : frames, joint kinds and gravity.
+    truth : inertial parameters and rotor inertias.
+    """
+    import mujoco
+
+    def pose(T: np.ndarray) -> dict[str, np.ndarray]:
+        quat = np.empty(4)
+        mujoco.mju_mat2Quat(quat, np.ascontiguousarray(T[:3, :3]).ravel())
+        return {"pos": T[:3, 3], "quat": quat}
+
+    spec = mujoco.MjSpec()
+    off = mujoco.mjtDisableBit
+    spec.option.disableflags = int(off.mjDSBL_CONTACT | off.mjDSBL_CONSTRAINT | off.mjDSBL_LIMIT | off.mjDSBL_SENSOR)
+    spec.option.gravity = robot.gravity
+    body = spec.worldbody
+    for i in range(robot.n):
+        body = body.add_body(name=f"link_{i + 1}", **pose(robot.frames[i]))
+        kind = mujoco.mjtJoint.mjJNT_SLIDE if robot.prismatic[i] else mujoco.mjtJoint.mjJNT_HINGE
+        body.add_joint(name=robot.joint_names[i], type=kind, axis=[0, 0, 1], armature=truth.rotor[i])
+        mass, centre, inertia = _about_centre(truth.pi[i])
+        body.mass, body.ipos, body.fullinertia, body.explicitinertial = mass, centre, inertia, True
+    body.add_site(name="tool", **pose(robot.frames[-1]))
+    return spec.compile()
+
+
+def _about_centre(pi: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+    """Return mass, centre of mass and inertia about it as (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) from (10,) parameters."""
+    mass, centre = pi[0], pi[1:4] / pi[0]
+    about = np.array([[pi[4], pi[5], pi[7]], [pi[5], pi[6], pi[8]], [pi[7], pi[8], pi[9]]])
+    about -= mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+    return mass, centre, about[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+
+
+def _quantise(value: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """Round to multiples of `step`; a step of zero leaves the value."""
+    if not step.all():
+        return np.where(step > 0, np.rint(value / np.where(step > 0, step, 1.0)) * step, value)
+    return np.rint(value / step) * step

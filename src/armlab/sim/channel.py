@@ -1,0 +1,195 @@
+"""`Channel`: the UDP client of one motion task. The controller of a robot sends first; its peer is the server."""
+
+from __future__ import annotations
+
+import select
+import socket
+import struct
+import time
+from collections import deque
+from collections.abc import Callable
+
+from armlab.errors import LinkError
+from armlab.sim.controller import Controller
+from armlab.sim.faults import Faults
+from armlab.wire.egm import SensorMessage
+
+__all__ = ["Channel"]
+
+_LARGEST = 65535
+_DRAINED = 64  # datagrams read per cycle: a flood cannot hold the cycle up
+_SO_TIMESTAMPNS = 35  # Linux: the kernel stamps arrivals; the constant is not in Python's socket module
+_LOOK = 0.25  # s between two looks whether to go on waiting
+_REFUSED_PAUSE = 0.05  # s before a packet is sent again to a port that nobody has bound yet
+
+
+class Channel:
+    """One controller and its socket.
+
+    Parameters
+    ----------
+    controller : the motion task.
+    host, port : where the bridge listens.
+    outgoing, incoming : what goes wrong on the way. With `incoming` round trips are not measured.
+
+    Attributes
+    ----------
+    heard : monotonic time of the last message [s].
+
+    Raises
+    ------
+    LinkError : when the address does not exist.
+    """
+
+    def __init__(
+        self,
+        controller: Controller,
+        host: str,
+        port: int,
+        outgoing: Faults | None = None,
+        incoming: Faults | None = None,
+    ) -> None:
+        self.controller = controller
+        self._outgoing, self._incoming = outgoing, incoming
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket.connect((host, port))
+        except (OSError, OverflowError) as error:
+            self._socket.close()
+            raise LinkError(f"Expected an address to send to, got {host}:{port} ({error}). Check host and port.") from error
+        self._socket.setblocking(False)
+        self._stamped = self._ask_for_stamps()
+        self._poll = select.poll()
+        self._poll.register(self._socket, select.POLLIN)
+        self._sent: deque[tuple[int, int, int]] = deque(maxlen=64)  # (seq, tm, nanoseconds just before sending)
+        self._packet: bytes | None = None
+        self._tm, self._number, self._newest, self._arrival = 0, 0, -1, 0
+        self._refused = self._awaited = False
+        self._arrived: list[tuple[int, bytes]] = []
+        self.heard = time.monotonic()
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+    def prepare(self) -> bool:
+        """Build the packet of the coming cycle, so that it can leave on time. Return whether there is one."""
+        self._seq, self._tm = self.controller.seq, self.controller.tm_ms
+        self._packet = self.controller.packet()
+        return self._packet is not None
+
+    def send(self) -> None:
+        """Send what was prepared, or what the faults make of it."""
+        self._number += 1
+        datagrams = [(self._number, self._packet)] if self._packet is not None else []
+        if self._outgoing is not None:
+            datagrams = self._outgoing.through(datagrams)
+        if self._packet is not None:
+            self._sent.append((self._seq, self._tm, time.time_ns()))
+        self._awaited = False
+        for number, datagram in datagrams:
+            self._put(datagram)
+            self._awaited = self._awaited or number > self._newest  # a peer answers what is newer than all before
+            self._newest = max(self._newest, number)
+
+    def drain(self) -> None:
+        """Read what has arrived."""
+        for _ in range(_DRAINED):
+            data = self._get()
+            if data is None:
+                break
+            self._receive(data)
+        self._deliver()
+
+    def wait(self, patience: float, alive: Callable[[], bool]) -> bool:
+        """Wait for the reply to the packet just sent. Return False when none came.
+
+        Packets that the faults removed are not waited for. While nobody has bound the port, the packet is sent again.
+
+        Parameters
+        ----------
+        patience : how long to wait [s]. alive : asked now and then whether to go on.
+        """
+        deadline = time.monotonic() + patience
+        while self._awaited:
+            data = self._get()
+            if data is not None:
+                self._awaited = not self._receive(data)
+                continue
+            left = deadline - time.monotonic()
+            if left <= 0 or not alive():
+                return False
+            if self._refused and self._packet is not None:
+                time.sleep(_REFUSED_PAUSE)
+                self._put(self._packet)
+            else:
+                self._poll.poll(1e3 * min(left, _LOOK))
+        self._deliver()
+        return True
+
+    def _receive(self, data: bytes) -> bool:
+        """Take one datagram from the socket. Return whether it is what lockstep waits for."""
+        if self._incoming is not None:
+            self._arrived.append((0, data))
+            self.heard = time.monotonic()
+            return True
+        message = self.controller.accept(data)
+        if message is None:
+            return False
+        self.heard = time.monotonic()
+        self._match(message)
+        # a peer that does not echo tm (None, or 0 as abb_libegm sends) gets the benefit of the doubt
+        return not message.tm_ms or message.tm_ms == self._tm
+
+    def _deliver(self) -> None:
+        """Hand on what the faults let through in this cycle."""
+        if self._incoming is not None:
+            for _, datagram in self._incoming.through(self._arrived):
+                self.controller.accept(datagram)
+            self._arrived.clear()
+
+    def _match(self, message: SensorMessage) -> None:
+        """Find the packet that this answers, by the echoes, and note the round trip."""
+        for seq, tm, sent in reversed(self._sent):
+            if message.echo_seq == seq if message.echo_seq is not None else message.tm_ms == tm:
+                self.controller.statistics.trip(1e-9 * (self._arrival - sent), self.controller.uptime)
+                return
+
+    def _put(self, datagram: bytes) -> None:
+        self._refused = False
+        try:
+            self._socket.send(datagram)
+        except OSError as error:
+            self._count(error)
+
+    def _get(self) -> bytes | None:
+        """Return the next datagram, or None. Socket errors, as from a port that nobody has bound, are counted."""
+        try:
+            if not self._stamped:
+                data = self._socket.recv(_LARGEST)
+                self._arrival = time.time_ns()
+                return data
+            data, extra, _, _ = self._socket.recvmsg(_LARGEST, 64)
+        except BlockingIOError:
+            return None
+        except OSError as error:
+            self._count(error)
+            return None
+        self._arrival = time.time_ns()
+        for _, kind, stamp in extra:
+            if kind == _SO_TIMESTAMPNS and len(stamp) >= 16:
+                seconds, nanoseconds = struct.unpack("qq", stamp[:16])
+                self._arrival = seconds * 10**9 + nanoseconds
+        return data
+
+    def _count(self, error: OSError) -> None:
+        refused = isinstance(error, ConnectionRefusedError)
+        self._refused = self._refused or refused
+        self.controller.statistics.counts["refused" if refused else "socket errors"] += 1
+
+    def _ask_for_stamps(self) -> bool:
+        try:
+            self._socket.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+        except OSError:
+            return False
+        return True

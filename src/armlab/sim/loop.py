@@ -1,0 +1,125 @@
+"""`run`: the cycles of one or more simulated controllers, in real time or in lockstep."""
+
+from __future__ import annotations
+
+import gc
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from armlab.sim.channel import Channel
+
+__all__ = ["Pace", "run"]
+
+_CATCH_UP = 25  # cycles made up without packets after this process was held up; more are forgotten
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How time passes.
+
+    Attributes
+    ----------
+    lockstep : each cycle waits for the reply, as fast as it comes; otherwise wall-clock time.
+    seconds : robot time after which to end, None for never.
+    patience : how long lockstep waits for one reply before the session times out [s].
+    gone : silence after which lockstep gives its peer up and ends [s].
+    """
+
+    lockstep: bool = False
+    seconds: float | None = None
+    patience: float = 10.0
+    gone: float = 120.0
+
+
+def run(
+    channels: Sequence[Channel],
+    pace: Pace,
+    *,
+    alive: Callable[[], bool] = lambda: True,
+    observe: Callable[[int], None] | None = None,
+) -> str:
+    """Run until all controllers are over, the time is up, or `alive` says no. Return the reason in words.
+
+    Parameters
+    ----------
+    channels : one per motion task, all with the same period.
+    pace : see `Pace`.
+    alive : asked in every cycle and while waiting.
+    observe : called with the index of each channel whenever its packet has been built.
+    """
+    gc.collect()
+    gc.freeze()  # what exists now is not searched again: a full collection would cost cycles
+    try:
+        return (_lockstep if pace.lockstep else _real_time)(channels, pace, alive, observe or (lambda _: None))
+    finally:
+        gc.unfreeze()
+        for channel in channels:
+            channel.close()
+
+
+def _prepare(channels: Sequence[Channel], observe: Callable[[int], None]) -> None:
+    for index, channel in enumerate(channels):
+        if channel.prepare():
+            observe(index)
+
+
+def _end(channels: Sequence[Channel], pace: Pace, alive: Callable[[], bool]) -> str:
+    """Return why to end, or nothing."""
+    tasks = [channel.controller for channel in channels]
+    if all(task.phase == "over" for task in tasks):
+        return "; ".join(task.reason for task in tasks)
+    if pace.seconds is not None and tasks[0].uptime >= pace.seconds - 1e-9:
+        return "the time is up"
+    return "" if alive() else "the process that started the simulator has ended"
+
+
+def _lockstep(
+    channels: Sequence[Channel], pace: Pace, alive: Callable[[], bool], observe: Callable[[int], None]
+) -> str:
+    """Send, move while the peer computes, then wait for its reply: it acts in the next cycle, as in real time."""
+    while True:
+        reason = _end(channels, pace, alive)
+        if reason:
+            return reason
+        _prepare(channels, observe)
+        for channel in channels:
+            channel.send()
+        for channel in channels:
+            channel.controller.advance()
+        for channel in channels:
+            if not channel.wait(pace.patience, alive):
+                channel.controller.lose_peer()
+                if time.monotonic() - channel.heard > pace.gone:
+                    return f"no reply for {pace.gone:g} s: the peer is gone"
+
+
+def _real_time(
+    channels: Sequence[Channel], pace: Pace, alive: Callable[[], bool], observe: Callable[[int], None]
+) -> str:
+    """Keep the schedule ``t0 + k T``; cycles that this process misses are made up without packets, never in a burst."""
+    period = channels[0].controller.arm.period
+    due = time.monotonic()
+    while True:
+        reason = _end(channels, pace, alive)
+        if reason:
+            return reason
+        _prepare(channels, observe)
+        due += period
+        left = due - time.monotonic()
+        if left > 0:
+            time.sleep(left)
+            for channel in channels:
+                channel.controller.statistics.late(time.monotonic() - due)
+        for channel in channels:
+            channel.send()
+        for channel in channels:
+            channel.drain()
+            channel.controller.advance()
+        missed = int((time.monotonic() - due) / period)
+        if missed:
+            for channel in channels:
+                channel.controller.statistics.counts["skipped"] += missed
+                for _ in range(min(missed, _CATCH_UP)):
+                    channel.controller.advance()
+            due += missed * period
