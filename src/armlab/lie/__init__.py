@@ -1,5 +1,5 @@
 """Lie groups of rigid motion as functions on arrays with any leading axes."""
 
-from armlab.lie import quaternion, se3, so3
+from armlab.lie import euler, quaternion, se3, so3
 
-__all__ = ["quaternion", "se3", "so3"]
+__all__ = ["euler", "quaternion", "se3", "so3"]

@@ -1,26 +1,254 @@
-"""Poses SE(3) as arrays (..., 4, 4) and their twists [v; w] (..., 6)."""
+"""Poses SE(3) as arrays (..., 4, 4) and twists [v; w] (..., 6).
+
+Every function takes any leading axes and keeps them. NaN gives NaN.
+"""
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from armlab.lie import so3
+from armlab.errors import ShapeError
+from armlab.lie import _check, so3
 
-__all__ = ["is_pose"]
+__all__ = [
+    "adjoint",
+    "adjoint_inv",
+    "exp",
+    "from_rp",
+    "hat",
+    "inv",
+    "is_pose",
+    "log",
+    "project",
+    "transform_wrench",
+    "vee",
+]
 
 
-def is_pose(T: np.ndarray, tolerance: float = so3.ROTATION_TOLERANCE) -> np.ndarray:
+def from_rp(R: ArrayLike, p: ArrayLike = (0.0, 0.0, 0.0)) -> np.ndarray:
+    """Return the pose ``[[R, p], [0, 1]]``.
+
+    Parameters
+    ----------
+    R : (..., 3, 3).
+    p : (..., 3) [m], leading axes broadcast with those of R.
+
+    Returns
+    -------
+    (..., 4, 4).
+
+    Raises
+    ------
+    ShapeError : when R is not a rotation within `so3.ROTATION_TOLERANCE`.
+    """
+    return _assemble(_check.rotation(R), _check.array(p, (3,), "p"))
+
+
+def hat(xi: ArrayLike) -> np.ndarray:
+    """Return the matrix of a twist: ``[[hat(w), v], [0, 0]]``.
+
+    Parameters
+    ----------
+    xi : (..., 6) twist [v; w].
+
+    Returns
+    -------
+    (..., 4, 4).
+    """
+    xi = _check.array(xi, (6,), "xi")
+    X = np.zeros((*xi.shape[:-1], 4, 4))
+    X[..., :3, :3] = so3.hat(xi[..., 3:])
+    X[..., :3, 3] = xi[..., :3]
+    return X
+
+
+def vee(X: ArrayLike) -> np.ndarray:
+    """Return the twist of its matrix: ``vee(hat(xi)) = xi``.
+
+    Parameters
+    ----------
+    X : (..., 4, 4), upper left skew, last row zero.
+
+    Returns
+    -------
+    (..., 6) [v; w].
+
+    Raises
+    ------
+    ShapeError : when X is not a twist matrix; for a pose use `log`.
+    """
+    X = _check.array(X, (4, 4), "X")
+    if (np.abs(X[..., 3, :]) > 0).any():
+        raise ShapeError(
+            f"Expected a twist matrix with last row zero, got {X[..., 3, :].max():.3g}. Use log for a pose."
+        )
+    return np.concatenate([X[..., :3, 3], so3.vee(X[..., :3, :3])], axis=-1)
+
+
+def exp(xi: ArrayLike) -> np.ndarray:
+    """Return the pose after one unit of time at a twist: ``[[exp(w), V v], [0, 1]]``, V = so3.left_jacobian(w).
+
+    Parameters
+    ----------
+    xi : (..., 6) twist [v; w]; w = 0 is a pure translation.
+
+    Returns
+    -------
+    (..., 4, 4).
+    """
+    xi = _check.array(xi, (6,), "xi")
+    v, w = xi[..., :3], xi[..., 3:]
+    return _assemble(so3.exp(w), (so3.left_jacobian(w) @ v[..., None])[..., 0])
+
+
+def log(T: ArrayLike) -> np.ndarray:
+    """Return the twist of least turn: ``exp(log(T)) = T``, abs(w) ≤ π.
+
+    Parameters
+    ----------
+    T : (..., 4, 4).
+
+    Returns
+    -------
+    (..., 6) [v; w].
+
+    Raises
+    ------
+    ShapeError : when T is not a pose within `so3.ROTATION_TOLERANCE`.
+    """
+    T = _check.pose(T)
+    w = so3.log(T[..., :3, :3])
+    v = (so3.left_jacobian_inv(w) @ T[..., :3, 3:])[..., 0]
+    return np.concatenate([v, w], axis=-1)
+
+
+def inv(T: ArrayLike) -> np.ndarray:
+    """Return the inverse pose: ``[[Rᵀ, -Rᵀ p], [0, 1]]``.
+
+    Parameters
+    ----------
+    T : (..., 4, 4).
+
+    Returns
+    -------
+    (..., 4, 4).
+
+    Raises
+    ------
+    ShapeError : when T is not a pose within `so3.ROTATION_TOLERANCE`.
+    """
+    T = _check.pose(T)
+    Rt = np.swapaxes(T[..., :3, :3], -1, -2)
+    return _assemble(Rt, -(Rt @ T[..., :3, 3:])[..., 0])
+
+
+def adjoint(T_a_b: ArrayLike) -> np.ndarray:
+    """Return Ad with ``twist_a = Ad twist_b``: ``[[R, hat(p) R], [0, R]]``; ``hat(Ad xi) = T hat(xi) T⁻¹``.
+
+    Parameters
+    ----------
+    T_a_b : (..., 4, 4).
+
+    Returns
+    -------
+    (..., 6, 6) for twists [v; w].
+
+    Raises
+    ------
+    ShapeError : when T_a_b is not a pose within `so3.ROTATION_TOLERANCE`.
+    """
+    T = _check.pose(T_a_b, "T_a_b")
+    R = T[..., :3, :3]
+    Ad = np.zeros((*T.shape[:-2], 6, 6))
+    Ad[..., :3, :3] = Ad[..., 3:, 3:] = R
+    Ad[..., :3, 3:] = so3.hat(T[..., :3, 3]) @ R
+    return Ad
+
+
+def adjoint_inv(T_a_b: ArrayLike) -> np.ndarray:
+    """Return ``adjoint(T)⁻¹ = adjoint(T⁻¹)``.
+
+    Parameters
+    ----------
+    T_a_b : (..., 4, 4).
+
+    Returns
+    -------
+    (..., 6, 6) for twists [v; w].
+
+    Raises
+    ------
+    ShapeError : when T_a_b is not a pose within `so3.ROTATION_TOLERANCE`.
+    """
+    return adjoint(inv(T_a_b))
+
+
+def transform_wrench(T_a_b: ArrayLike, wrench_b: ArrayLike) -> np.ndarray:
+    """Return a wrench in another frame, power kept: ``f_a = R f_b``, ``m_a = R m_b + p × f_a``.
+
+    Axes and moment point change together: the moment of `wrench_b` is about b's origin, the result's about a's.
+
+    Parameters
+    ----------
+    T_a_b : (..., 4, 4), leading axes broadcast.
+    wrench_b : (..., 6) [f; m] in b.
+
+    Returns
+    -------
+    (..., 6) [f; m] in a, equal to ``adjoint(T_b_a)ᵀ wrench_b``.
+
+    Raises
+    ------
+    ShapeError : when T_a_b is not a pose within `so3.ROTATION_TOLERANCE`.
+    """
+    T, wrench = _check.pose(T_a_b, "T_a_b"), _check.array(wrench_b, (6,), "wrench_b")
+    R, p = T[..., :3, :3], T[..., :3, 3]
+    f = (R @ wrench[..., :3, None])[..., 0]
+    m = (R @ wrench[..., 3:, None])[..., 0] + np.cross(p, f)
+    return np.concatenate([f, m], axis=-1)
+
+
+def is_pose(T: ArrayLike, tolerance: float = so3.ROTATION_TOLERANCE) -> np.ndarray:
     """Tell which matrices are poses: a rotation, a finite position and the last row (0, 0, 0, 1).
 
     Parameters
     ----------
     T : (..., 4, 4).
-    tolerance : largest entry of ``|RᵀR - I|``.
+    tolerance : largest entry of ``abs(RᵀR - I)`` that passes.
 
     Returns
     -------
-    (...) bool; False for NaN.
+    (...) bool; False for NaN and infinity.
     """
-    T = np.asarray(T, dtype=np.float64)
+    T = _check.array(T, (4, 4), "T")
     last_row = (T[..., 3, :] == (0.0, 0.0, 0.0, 1.0)).all(axis=-1)
     return so3.is_rotation(T[..., :3, :3], tolerance) & np.isfinite(T[..., :3, 3]).all(axis=-1) & last_row
+
+
+def project(M: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pose with the rotation nearest to that of a matrix and the same position, and the distance moved.
+
+    Parameters
+    ----------
+    M : (..., 4, 4).
+
+    Returns
+    -------
+    T : (..., 4, 4).
+    distance : (...) Frobenius norm of the change of the rotation.
+
+    Raises
+    ------
+    ShapeError : when the last row is not (0, 0, 0, 1) or no rotation is nearest.
+    """
+    M = _check.array(M, (4, 4), "M")
+    _check.last_row(M, "M")
+    R, distance = so3.project(M[..., :3, :3])
+    return _assemble(R, M[..., :3, 3]), distance
+
+
+def _assemble(R: np.ndarray, p: np.ndarray) -> np.ndarray:
+    T = np.zeros((*np.broadcast_shapes(R.shape[:-2], p.shape[:-1]), 4, 4))
+    T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R, p, 1.0
+    return T

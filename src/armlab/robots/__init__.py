@@ -1,7 +1,27 @@
 """Robots: the frozen description of an arm, its builders, files and library."""
 
-from armlab.robots.build import Details, from_dh, from_links
-from armlab.robots.files import load, names
-from armlab.robots.robot import Robot
+from armlab.robots import couplings
+from armlab.robots.build import GRAVITY, RAMP_TIME, Details, from_dh, from_links
+from armlab.robots.files import load, names, save
+from armlab.robots.poe import SCREW_TOLERANCE, LocalPoe, from_local_poe, from_poe, normalise_screw, to_local_poe
+from armlab.robots.robot import POSE_TOLERANCE, Robot
 
-__all__ = ["Details", "Robot", "from_dh", "from_links", "load", "names"]
+__all__ = [
+    "GRAVITY",
+    "POSE_TOLERANCE",
+    "RAMP_TIME",
+    "SCREW_TOLERANCE",
+    "Details",
+    "LocalPoe",
+    "Robot",
+    "couplings",
+    "from_dh",
+    "from_links",
+    "from_local_poe",
+    "from_poe",
+    "load",
+    "names",
+    "normalise_screw",
+    "save",
+    "to_local_poe",
+]

@@ -1,4 +1,4 @@
-"""Robots from Denavit-Hartenberg rows or from screws (product of exponentials)."""
+"""Robots from constant links or from Denavit-Hartenberg rows."""
 
 from __future__ import annotations
 
@@ -11,20 +11,23 @@ from numpy.typing import ArrayLike
 from armlab.errors import RobotError
 from armlab.robots.robot import Robot
 
-__all__ = ["Details", "from_dh"]
+__all__ = ["GRAVITY", "RAMP_TIME", "Details", "from_dh", "from_links"]
 
 GRAVITY = (0.0, 0.0, -9.80665)
-RAMP_TIME = 0.1  # s: acceleration limit when none is given = speed limit reached in this time
+"""Standard gravity on an upright arm [m/s^2]."""
+
+RAMP_TIME = 0.1
+"""Where no acceleration limit is given, the speed limit is reached in this time [s]."""
 
 
 class Details(TypedDict, total=False):
-    """What a builder may be told beside the geometry; see `Robot`. What is left out gets its default.
+    """What a builder may be told beside the geometry (see `Robot`), and what holds when it is not told.
 
     Attributes
     ----------
-    q_min, q_max, qd_max : without limit. qdd_max : `qd_max` reached in 0.1 s.
+    q_min, q_max, qd_max : infinite. qdd_max : `qd_max` reached in `RAMP_TIME`.
     q_home : zero, moved inside the limits. joint_names : joint_1, joint_2 ...
-    T_base_mount, T_flange_tool : identity. gravity : (0, 0, -9.80665) m/s^2. coupling : identity.
+    T_base_mount, T_flange_tool, coupling : identity. gravity : `GRAVITY`.
     abb_axes : 1, 2 ... n. side, source : empty.
     """
 
@@ -44,7 +47,7 @@ class Details(TypedDict, total=False):
 
 
 def from_links(name: str, links: ArrayLike, prismatic: ArrayLike | None = None, **details: Unpack[Details]) -> Robot:
-    """Return the robot whose joints turn about (slide along) z between constant poses.
+    """Return the robot whose joints turn about, or slide along, z between constant poses.
 
     ``T_mount_flange = L_0 Z_1(q_1) L_1 ... Z_n(q_n) L_n``.
 
@@ -59,25 +62,27 @@ def from_links(name: str, links: ArrayLike, prismatic: ArrayLike | None = None, 
     ------
     RobotError : when the numbers contradict each other.
     """
-    links = np.asarray(links, dtype=np.float64)
-    n = len(links) - 1
-    q_min = np.asarray(details.get("q_min", np.full(n, -np.inf)), dtype=np.float64)
-    q_max = np.asarray(details.get("q_max", np.full(n, np.inf)), dtype=np.float64)
-    qd_max = np.asarray(details.get("qd_max", np.full(n, np.inf)), dtype=np.float64)
+    links = _floats(links)
+    n = max(len(links) - 1, 0)
+    q_min, q_max = (
+        _floats(details.get(key, np.full(n, limit))) for key, limit in (("q_min", -np.inf), ("q_max", np.inf))
+    )
+    qd_max = _floats(details.get("qd_max", np.full(n, np.inf)))
+    q_home = details["q_home"] if "q_home" in details else np.minimum(np.maximum(0.0, q_min), q_max)
     return Robot(
         name=name,
         links=links,
-        prismatic=np.zeros(n, dtype=bool) if prismatic is None else np.asarray(prismatic),
+        prismatic=np.zeros(n, dtype=bool) if prismatic is None else np.asarray(prismatic, dtype=bool),
         q_min=q_min,
         q_max=q_max,
         qd_max=qd_max,
-        qdd_max=np.asarray(details.get("qdd_max", qd_max / RAMP_TIME), dtype=np.float64),
-        q_home=np.asarray(details.get("q_home", np.clip(0.0, q_min, q_max)), dtype=np.float64),
+        qdd_max=_floats(details.get("qdd_max", qd_max / RAMP_TIME)),
+        q_home=_floats(q_home),
         joint_names=tuple(details.get("joint_names", [f"joint_{i + 1}" for i in range(n)])),
-        T_base_mount=np.asarray(details.get("T_base_mount", np.eye(4))),
-        T_flange_tool=np.asarray(details.get("T_flange_tool", np.eye(4))),
-        gravity=np.asarray(details.get("gravity", GRAVITY), dtype=np.float64),
-        coupling=np.asarray(details.get("coupling", np.eye(n)), dtype=np.float64),
+        T_base_mount=_floats(details.get("T_base_mount", np.eye(4))),
+        T_flange_tool=_floats(details.get("T_flange_tool", np.eye(4))),
+        gravity=_floats(details.get("gravity", GRAVITY)),
+        coupling=_floats(details.get("coupling", np.eye(n))),
         abb_axes=tuple(details.get("abb_axes", range(1, n + 1))),
         side=details.get("side", ""),
         source=details.get("source", ""),
@@ -97,41 +102,49 @@ def from_dh(
 ) -> Robot:
     """Return the robot of a Denavit-Hartenberg table.
 
-    Standard: ``A_j = Rz(theta_j) Tz(d_j) Tx(a_j) Rx(alpha_j)``;
-    modified: ``A_j = Rx(alpha_j) Tx(a_j) Rz(theta_j) Tz(d_j)``, alpha and a being those of row j as printed
-    (often written alpha_{j-1}, a_{j-1}). Revolute: ``theta_j = q_j + offset_j``;
-    prismatic: ``theta_j = offset_j`` and q_j adds to d_j.
+    Standard: ``A_j = Rz(theta_j) Tz(d_j) Tx(a_j) Rx(alpha_j)``.
+    Modified: ``A_j = Rx(alpha_j) Tx(a_j) Rz(theta_j) Tz(d_j)``; alpha and a are those printed in row j
+    (called alpha_{j-1} and a_{j-1} by Craig). ``theta_j = offset_j + q_j``; the position of a prismatic joint adds to
+    d_j instead.
 
     Parameters
     ----------
     name : name of the robot.
-    alpha, a, d, offset : (n,) rows of the table [rad, m, m, rad].
+    alpha, a, d, offset : (n,) columns of the table [rad, m, m, rad]; a number stands for all rows.
     prismatic : (n,) bool, default all revolute.
-    modified : True for Craig's convention.
+    modified : True for the modified convention.
     **details : limits, mount, tool and more, see `Details`.
 
     Raises
     ------
-    RobotError : when rows are missing or numbers contradict each other.
+    RobotError : when the columns have different lengths, hold NaN, or the numbers contradict each other.
     """
     alpha, a, d, offset = _columns(name, alpha=alpha, a=a, d=d, offset=offset)
-    along_x, along_z = _screw_x(alpha, a), _screw_z(offset, d)
+    along_x = _screw_x(alpha, a)
     links = np.tile(np.eye(4), (len(a) + 1, 1, 1))
     if modified:
-        links[:-1] = along_x @ along_z
-    else:  # a joint commutes with its own Tz(d), so the angle goes before it and the rest after it
-        turn = _screw_z(offset, np.zeros_like(d))
-        links[:-1] = turn
-        links[1:] = _screw_z(np.zeros_like(d), d) @ along_x
-        links[1:-1] = links[1:-1] @ turn[1:]
+        links[:-1] = along_x @ _screw_z(offset, d)
+    else:  # a joint commutes with its own Rz(offset) Tz(d): the turn goes before it, the shift after it
+        links[:-1] = _screw_z(offset, np.zeros_like(d))
+        links[1:] = _screw_z(np.zeros_like(d), d) @ along_x @ links[[*range(1, len(a)), -1]]
     return from_links(name, links, prismatic, **details)
 
 
-def _columns(name: str, **columns: ArrayLike) -> list[np.ndarray]:
-    """Return the columns as float vectors of one length; a scalar stands for all rows."""
-    arrays = {key: np.asarray(column, dtype=np.float64) for key, column in columns.items()}
+def _floats(value: ArrayLike) -> np.ndarray:
+    return np.asarray(value, dtype=np.float64)
+
+
+def _columns(name: str, **columns: ArrayLike) -> tuple[np.ndarray, ...]:
+    """Return the columns as vectors of one length."""
+    arrays = {key: np.atleast_1d(_floats(column)) for key, column in columns.items()}
+    for key, array in arrays.items():
+        if not np.isfinite(array).all():
+            i = int(np.argmin(np.isfinite(array)))
+            raise RobotError(
+                f"Expected finite {key} in the DH table of robot {name!r}, got {array[i]} at joint {i + 1}."
+            )
     try:
-        return list(np.broadcast_arrays(*(np.atleast_1d(array) for array in arrays.values())))
+        return np.broadcast_arrays(*arrays.values())
     except ValueError:
         sizes = ", ".join(f"{key} {array.size}" for key, array in arrays.items())
         raise RobotError(f"Expected DH columns of one length for robot {name!r}, got {sizes}.") from None

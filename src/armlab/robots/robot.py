@@ -10,12 +10,15 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from armlab.errors import RobotError
-from armlab.lie import se3, so3
+from armlab.lie import se3
 
 if TYPE_CHECKING:
     from armlab.kernels import Chain
 
-__all__ = ["Robot"]
+__all__ = ["POSE_TOLERANCE", "Robot"]
+
+POSE_TOLERANCE = 1e-9
+"""Largest entry of |RᵀR - I| in a robot's poses: an error that kinematics carries to the tool undetected."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,15 +129,20 @@ class Robot:
 
     @cached_property
     def hash(self) -> str:
-        """SHA-256 (hex) over every number of the description; names and sources do not count."""
+        """SHA-256 (hex) over the numbers of the description; names and sources do not count.
+
+        Numbers are rounded to 12 decimals, so that machines whose sine differs in the last digit agree.
+        """
         digest = hashlib.sha256()
         for field in fields(self):
             value = getattr(self, field.name)
             if field.name == "abb_axes":
-                value = np.array(value, dtype=np.int64)
+                value = np.array(value)
             if isinstance(value, np.ndarray):
                 digest.update(f"{field.name}{value.shape}".encode())
-                digest.update(np.ascontiguousarray(value).astype(value.dtype.newbyteorder("<")).tobytes())
+                digest.update(
+                    (np.round(value.astype(np.float64), 12) + 0.0).astype("<f8").tobytes()
+                )  # + 0.0 turns -0.0 into 0.0
         return digest.hexdigest()
 
     def with_tool(self, T_flange_tool: np.ndarray) -> Robot:
@@ -158,7 +166,8 @@ class Robot:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Robot):
             return NotImplemented
-        return self.hash == other.hash and self._words == other._words
+        pairs = ((getattr(self, field.name), getattr(other, field.name)) for field in fields(self))
+        return all(np.array_equal(a, b) if isinstance(a, np.ndarray) else a == b for a, b in pairs)
 
     def __hash__(self) -> int:
         return hash(self.hash)
@@ -170,19 +179,13 @@ class Robot:
         """Pickle the fields only: caches are rebuilt, arrays are read-only again."""
         return Robot, tuple(getattr(self, field.name) for field in fields(self))
 
-    @property
-    def _words(self) -> tuple:
-        return self.name, self.joint_names, self.side, self.source
-
 
 def _check_shapes(robot: Robot) -> None:
     """Every array has the shape that n joints need and no NaN."""
     n = robot.prismatic.size
     if robot.prismatic.ndim != 1 or n == 0:
-        raise RobotError(
-            f"Expected one prismatic flag per joint of robot {robot.name!r}, got shape {robot.prismatic.shape}."
-        )
-    vectors = dict.fromkeys(("prismatic", "q_min", "q_max", "qd_max", "qdd_max", "q_home"), (n,))
+        raise RobotError(f"Expected at least one joint for robot {robot.name!r}, got shape {robot.prismatic.shape}.")
+    vectors = dict.fromkeys(("q_min", "q_max", "qd_max", "qdd_max", "q_home"), (n,))
     matrices = {"links": (n + 1, 4, 4), "T_base_mount": (4, 4), "T_flange_tool": (4, 4), "coupling": (n, n)}
     for field, shape in {**vectors, **matrices, "gravity": (3,)}.items():
         value = getattr(robot, field)
@@ -191,8 +194,9 @@ def _check_shapes(robot: Robot) -> None:
                 f"Expected {field} of robot {robot.name!r} ({n} joints) to have shape {shape}, got {value.shape}."
             )
         if np.isnan(value).any():
-            where = ", ".join(str(int(i)) for i in np.argwhere(np.isnan(value))[0])
-            raise RobotError(f"Expected numbers in {field} of robot {robot.name!r}, got NaN at index [{where}].")
+            index = tuple(int(i) for i in np.argwhere(np.isnan(value))[0])
+            where = _joint(robot, index[0]) if field in vectors else f"index {index}"
+            raise RobotError(f"Expected numbers in {field} of robot {robot.name!r}, got NaN at {where}.")
 
 
 def _check_poses(robot: Robot) -> None:
@@ -200,11 +204,11 @@ def _check_poses(robot: Robot) -> None:
     poses = {f"links[{i}]": link for i, link in enumerate(robot.links)}
     poses |= {"T_base_mount": robot.T_base_mount, "T_flange_tool": robot.T_flange_tool}
     for field, pose in poses.items():
-        if not se3.is_pose(pose):
-            off = np.abs(pose[:3, :3].T @ pose[:3, :3] - np.eye(3)).max()
+        if not se3.is_pose(pose, POSE_TOLERANCE):
+            rows = "; ".join(" ".join(f"{x:.9g}" for x in row) for row in pose)
             raise RobotError(
                 f"Expected {field} of robot {robot.name!r} to be a pose with a rotation orthonormal to "
-                f"{so3.ROTATION_TOLERANCE:g}, got one that is off by {off:.3g}. Project it first (lie.se3.project)."
+                f"{POSE_TOLERANCE:g}, got [{rows}]. Project it first if it is nearly one (lie.se3.project)."
             )
     if not np.isfinite(robot.gravity).all():
         raise RobotError(f"Expected a finite gravity of robot {robot.name!r}, got {robot.gravity}.")
@@ -229,9 +233,7 @@ def _check_limits(robot: Robot) -> None:
         if not holds.all():
             i = int(np.argmin(holds))
             got = ", ".join(f"{name} {getattr(robot, name)[i]:.6g}" for name in names)
-            raise RobotError(
-                f"Expected {rule}, got {got} at {joint_label(robot.joint_names, i)} of robot {robot.name!r}."
-            )
+            raise RobotError(f"Expected {rule}, got {got} at {_joint(robot, i)} of robot {robot.name!r}.")
 
 
 def _check_names(robot: Robot) -> None:
@@ -248,6 +250,7 @@ def _check_names(robot: Robot) -> None:
         raise RobotError(f'Expected side of robot {robot.name!r} to be "left", "right" or "", got {robot.side!r}.')
 
 
-def joint_label(names: tuple[str, ...], i: int) -> str:
+def _joint(robot: Robot, i: int) -> str:
     """Return ``joint 3 (axis_7)`` for index 2."""
-    return f"joint {i + 1} ({names[i]})" if i < len(names) else f"joint {i + 1}"
+    name = f" ({robot.joint_names[i]})" if i < len(robot.joint_names) else ""
+    return f"joint {i + 1}{name}"

@@ -1,0 +1,183 @@
+"""The format of robot files and the way from text to `Robot`. Described in docs/decisions."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from typing import Any, Literal
+
+import msgspec
+import numpy as np
+
+from armlab.errors import RobotError, ShapeError
+from armlab.lie import quaternion, se3, so3
+from armlab.robots.build import GRAVITY, RAMP_TIME, Details, from_dh, from_links
+from armlab.robots.robot import POSE_TOLERANCE, Robot
+
+__all__ = ["read_robot"]
+
+Vector = tuple[float, float, float]
+DIGITS_TOLERANCE = 1e-5  # a rotation matrix typed with six decimals is this far from orthonormal
+
+
+class Pose(msgspec.Struct, forbid_unknown_fields=True):
+    """A constant pose: position [m], and a quaternion wxyz or a rotation matrix."""
+
+    position: Vector = (0.0, 0.0, 0.0)
+    quaternion: tuple[float, float, float, float] | None = None
+    rotation: tuple[Vector, Vector, Vector] | None = None
+
+
+class Joint(msgspec.Struct, forbid_unknown_fields=True):
+    """One joint: its DH row, or the pose of the next joint; limits, home and gear."""
+
+    name: str
+    kind: Literal["revolute", "prismatic"] = "revolute"
+    alpha: float = 0.0
+    a: float = 0.0
+    d: float = 0.0
+    offset: float = 0.0
+    next: Pose | None = None
+    limits: tuple[float, float] = (-math.inf, math.inf)
+    speed: float = math.inf
+    acceleration: float | None = None
+    home: float | None = None
+    gear_ratio: float | None = None
+
+
+class File(msgspec.Struct, forbid_unknown_fields=True):
+    """A robot file."""
+
+    name: str
+    source: str | dict[str, str]
+    joint: list[Joint]
+    convention: Literal["standard", "modified"] = "standard"
+    first: Pose | None = None
+    side: Literal["left", "right", ""] = ""
+    gravity: Vector = GRAVITY
+    abb_axes: list[int] | None = None
+    coupling: list[list[float]] | None = None
+    mount: Pose = msgspec.field(default_factory=Pose)
+    tool: Pose = msgspec.field(default_factory=Pose)
+
+
+def read_robot(text: str, path: str) -> Robot:
+    """Return the robot that a TOML text describes.
+
+    Parameters
+    ----------
+    text : content of the file.
+    path : its name, for messages.
+
+    Raises
+    ------
+    RobotError : when the text is no TOML, has unknown, missing or wrong fields, or describes no consistent robot.
+    """
+    try:
+        return _build(msgspec.convert(_in_radians(tomllib.loads(text)), File))
+    except (tomllib.TOMLDecodeError, msgspec.ValidationError) as error:
+        raise RobotError(f"Expected a robot file in {path}, got one that cannot be read: {error}.") from None
+    except RobotError as error:
+        raise RobotError(f"The robot file {path} describes no robot. {error}") from None
+
+
+def _in_radians(value: Any, where: str = "") -> Any:
+    """Replace every ``x_deg`` by ``x`` in radians."""
+    if isinstance(value, list):
+        return [_in_radians(item, where) for item in value]
+    if not isinstance(value, dict):
+        return value
+    if value.get("kind") == "prismatic" and (wrong := sorted({"limits_deg", "speed_deg", "home_deg"} & value.keys())):
+        raise RobotError(f"Expected metres for prismatic joint {value.get('name')!r}, got {wrong[0]}.")
+    result = {}
+    for key, item in value.items():
+        name = key.removesuffix("_deg")
+        if name in result:
+            raise RobotError(f"Expected one of {name} and {name}_deg, got both in {value.get('name', 'the file')!r}.")
+        result[name] = _in_radians(item) if name == key else _radians(item)
+    return result
+
+
+def _radians(value: Any) -> Any:
+    if isinstance(value, list):
+        return [_radians(item) for item in value]
+    return math.radians(value) if type(value) in (int, float) else value
+
+
+def _build(file: File) -> Robot:
+    joints = file.joint
+    if not joints:
+        raise RobotError("Expected at least one joint, got none.")
+    prismatic = [joint.kind == "prismatic" for joint in joints]
+    details = _details(file)
+    if any(joint.next for joint in joints):
+        for joint in joints:
+            if joint.next is None or joint.alpha or joint.a or joint.d or joint.offset:
+                raise RobotError(
+                    f"Expected either DH numbers or `next` in all joints, got another mixture in {joint.name!r}."
+                )
+        poses = [("first", file.first or Pose()), *((f"next of {joint.name!r}", joint.next) for joint in joints)]
+        links = [_matrix(pose, where) for where, pose in poses if pose]
+        return from_links(file.name, links, prismatic, **details)
+    if file.first:
+        raise RobotError("Expected `first` only beside joints with `next`, got DH numbers.")
+    columns = np.array([(joint.alpha, joint.a, joint.d, joint.offset) for joint in joints]).T
+    return from_dh(file.name, *columns, prismatic=prismatic, modified=file.convention == "modified", **details)
+
+
+def _details(file: File) -> Details:
+    joints = file.joint
+    details: Details = {
+        "q_min": [joint.limits[0] for joint in joints],
+        "q_max": [joint.limits[1] for joint in joints],
+        "qd_max": [joint.speed for joint in joints],
+        "qdd_max": [joint.speed / RAMP_TIME if joint.acceleration is None else joint.acceleration for joint in joints],
+        "q_home": [_clip(0.0, joint.limits) if joint.home is None else joint.home for joint in joints],
+        "joint_names": [joint.name for joint in joints],
+        "T_base_mount": _matrix(file.mount, "mount"),
+        "T_flange_tool": _matrix(file.tool, "tool"),
+        "gravity": file.gravity,
+        "coupling": _coupling(file),
+        "side": file.side,
+        "source": file.source
+        if isinstance(file.source, str)
+        else "\n".join(f"{k}: {v}" for k, v in file.source.items()),
+    }
+    if file.abb_axes is not None:
+        details["abb_axes"] = file.abb_axes
+    return details
+
+
+def _clip(value: float, limits: tuple[float, float]) -> float:
+    return min(max(value, limits[0]), limits[1])
+
+
+def _coupling(file: File) -> np.ndarray:
+    ratios = [joint.gear_ratio for joint in file.joint]
+    if file.coupling is not None:
+        if any(ratio is not None for ratio in ratios):
+            raise RobotError("Expected gears as coupling or as gear_ratio, got both.")
+        if any(len(row) != len(ratios) for row in file.coupling):
+            raise RobotError(
+                f"Expected {len(ratios)} numbers in every row of coupling, got {[*map(len, file.coupling)]}."
+            )
+        return np.array(file.coupling)
+    for joint in file.joint:
+        if joint.gear_ratio == 0:
+            raise RobotError(f"Expected a gear_ratio other than zero, got 0 in joint {joint.name!r}.")
+    return np.diag([1.0 if ratio is None else 1.0 / ratio for ratio in ratios])
+
+
+def _matrix(pose: Pose, where: str) -> np.ndarray:
+    """Return the pose as a matrix; digits missing in a typed rotation are restored."""
+    if pose.quaternion is not None and pose.rotation is not None:
+        raise RobotError(f"Expected quaternion or rotation in {where}, got both.")
+    R = np.eye(3) if pose.rotation is None else np.array(pose.rotation)
+    try:
+        if pose.quaternion is not None:
+            R = quaternion.to_matrix(pose.quaternion)
+        elif so3.is_rotation(R, DIGITS_TOLERANCE) and not so3.is_rotation(R, POSE_TOLERANCE):
+            R, _ = so3.project(R)
+        return se3.from_rp(R, pose.position)
+    except ShapeError as error:
+        raise RobotError(f"Expected a pose in {where}, got none. {error}") from None

@@ -1,0 +1,115 @@
+"""Between joint orders and between the two sides of the gears: last axis joints, any leading axes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armlab.errors import ShapeError
+from armlab.robots.robot import Robot
+
+__all__ = [
+    "abb_to_logical",
+    "joint_to_motor",
+    "joint_torque_to_motor",
+    "logical_to_abb",
+    "motor_to_joint",
+    "motor_torque_to_joint",
+]
+
+
+def abb_to_logical(robot: Robot, values: ArrayLike) -> np.ndarray:
+    """Bring values in the order of ABB's axis numbers into kinematic order, base to tool.
+
+    Parameters
+    ----------
+    robot : its `abb_axes` is the order: 1 2 7 3 4 5 6 for a YuMi arm.
+    values : (..., n).
+
+    Returns
+    -------
+    (..., n), a new array.
+    """
+    return _values(robot, values)[..., np.array(robot.abb_axes) - 1]
+
+
+def logical_to_abb(robot: Robot, values: ArrayLike) -> np.ndarray:
+    """Bring values in kinematic order into the order of ABB's axis numbers: the inverse of `abb_to_logical`.
+
+    Parameters
+    ----------
+    robot : its `abb_axes` is the order.
+    values : (..., n).
+
+    Returns
+    -------
+    (..., n), a new array.
+    """
+    return _values(robot, values)[..., np.argsort(robot.abb_axes)]
+
+
+def motor_to_joint(robot: Robot, values: ArrayLike) -> np.ndarray:
+    """Bring motor positions, velocities or accelerations through the gears: ``q = G q_motor``.
+
+    Parameters
+    ----------
+    robot : its `coupling` is G.
+    values : (..., n) in kinematic order.
+
+    Returns
+    -------
+    (..., n).
+    """
+    return _values(robot, values) @ robot.coupling.T
+
+
+def joint_to_motor(robot: Robot, values: ArrayLike) -> np.ndarray:
+    """Bring joint positions, velocities or accelerations to the motors: ``q_motor = G⁻¹ q``.
+
+    Parameters
+    ----------
+    robot : its `coupling` is G.
+    values : (..., n) in kinematic order.
+
+    Returns
+    -------
+    (..., n).
+    """
+    return np.linalg.solve(robot.coupling, _values(robot, values)[..., None])[..., 0]
+
+
+def motor_torque_to_joint(robot: Robot, tau_motor: ArrayLike) -> np.ndarray:
+    """Bring motor torques to the joints with the power kept: ``tau = G⁻ᵀ tau_motor``.
+
+    Parameters
+    ----------
+    robot : its `coupling` is G.
+    tau_motor : (..., n) [N m] in kinematic order.
+
+    Returns
+    -------
+    (..., n).
+    """
+    return np.linalg.solve(robot.coupling.T, _values(robot, tau_motor)[..., None])[..., 0]
+
+
+def joint_torque_to_motor(robot: Robot, tau: ArrayLike) -> np.ndarray:
+    """Bring joint torques to the motors with the power kept: ``tau_motor = Gᵀ tau``.
+
+    Parameters
+    ----------
+    robot : its `coupling` is G.
+    tau : (..., n) [N m] in kinematic order.
+
+    Returns
+    -------
+    (..., n).
+    """
+    return _values(robot, tau) @ robot.coupling
+
+
+def _values(robot: Robot, values: ArrayLike) -> np.ndarray:
+    result = np.asarray(values, dtype=np.float64)
+    if result.shape[-1:] != (robot.n,):
+        raise ShapeError(f"Expected values of shape (..., {robot.n}) for robot {robot.name!r}, got {result.shape}.")
+    return result
