@@ -1,4 +1,7 @@
-"""Arguments of the group functions: shapes and membership, refused with a sentence. NaN passes: missing stays missing."""
+"""Arguments of the group functions: shapes and membership, refused with a sentence.
+
+NaN passes: what is missing stays missing.
+"""
 
 from __future__ import annotations
 

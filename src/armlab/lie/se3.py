@@ -79,10 +79,8 @@ def vee(X: ArrayLike) -> np.ndarray:
     ShapeError : when X is not a twist matrix; for a pose use `log`.
     """
     X = _check.array(X, (4, 4), "X")
-    if (np.abs(X[..., 3, :]) > 0).any():
-        raise ShapeError(
-            f"Expected a twist matrix with last row zero, got {X[..., 3, :].max():.3g}. Use log for a pose."
-        )
+    if (X[..., 3, :] != 0).any():
+        raise ShapeError(f"Expected a twist matrix with last row 0, got {X[..., 3, :].max():.3g}. Use log for a pose.")
     return np.concatenate([X[..., :3, 3], so3.vee(X[..., :3, :3])], axis=-1)
 
 

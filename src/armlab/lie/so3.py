@@ -5,6 +5,8 @@ Every function takes any leading axes and keeps them. NaN gives NaN.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -30,27 +32,10 @@ ROTATION_TOLERANCE = _check.ROTATION_TOLERANCE
 
 SKEW_TOLERANCE = 1e-9
 SERIES_BELOW = 0.5  # rad: above, the closed forms below keep all digits; here eight terms reach 1e-18
-# (x - sin x) / x^3 and (1 - x/2 cot(x/2)) / x^2 in powers of x^2; the latter are |B_2k| / (2k)!
-SINE_SERIES = (
-    1 / 6,
-    -1 / 120,
-    1 / 5040,
-    -1 / 362880,
-    1 / 39916800,
-    -1 / 6227020800,
-    1 / 1307674368000,
-    -1 / 355687428096000,
-)
-COTANGENT_SERIES = (
-    1 / 12,
-    1 / 720,
-    1 / 30240,
-    1 / 1209600,
-    1 / 47900160,
-    691 / 1307674368000,
-    1 / 74724249600,
-    3617 / 10670622842880000,
-)
+# (x - sin x) / x^3 and (1 - x/2 cot(x/2)) / x^2 in powers of x^2: (-1)^k / (2k + 3)! and |B_2k| / (2k)!
+SINE_SERIES = tuple((-1) ** k / math.factorial(2 * k + 3) for k in range(8))
+BERNOULLI = (1 / 6, 1 / 30, 1 / 42, 1 / 30, 5 / 66, 691 / 2730, 7 / 6, 3617 / 510)
+COTANGENT_SERIES = tuple(b / math.factorial(2 * k) for k, b in enumerate(BERNOULLI, start=1))
 
 
 def hat(w: ArrayLike) -> np.ndarray:
@@ -205,13 +190,13 @@ def project(M: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     ShapeError : when no rotation is nearest (rank below 2 or a reflection of equal axes).
     """
     M = _check.array(M, (3, 3), "M")
-    missing = ~np.isfinite(M).all(axis=(-1, -2))
-    U, S, Vt = np.linalg.svd(np.where(missing[..., None, None], np.eye(3), M))
+    missing = ~np.isfinite(M).all(axis=(-1, -2), keepdims=True)
+    U, S, Vt = np.linalg.svd(np.where(missing, np.eye(3), M))
     sign = np.linalg.det(U @ Vt)
     if (S[..., 1] + sign * S[..., 2] < 1e-9 * S[..., 0]).any():
         raise ShapeError(f"Expected matrices with one nearest rotation, got singular values {S.reshape(-1, 3)[0]}.")
     U[..., 2] *= np.sign(sign)[..., None]
-    R = np.where(missing[..., None, None], np.nan, U @ Vt)
+    R = np.where(missing, np.nan, U @ Vt)
     return R, np.linalg.norm(R - M, axis=(-1, -2))
 
 

@@ -81,10 +81,10 @@ def read_robot(text: str, path: str) -> Robot:
         raise RobotError(f"The robot file {path} describes no robot. {error}") from None
 
 
-def _in_radians(value: Any, where: str = "") -> Any:
+def _in_radians(value: Any) -> Any:
     """Replace every ``x_deg`` by ``x`` in radians."""
     if isinstance(value, list):
-        return [_in_radians(item, where) for item in value]
+        return [_in_radians(item) for item in value]
     if not isinstance(value, dict):
         return value
     if value.get("kind") == "prismatic" and (wrong := sorted({"limits_deg", "speed_deg", "home_deg"} & value.keys())):
@@ -114,7 +114,7 @@ def _build(file: File) -> Robot:
         for joint in joints:
             if joint.next is None or joint.alpha or joint.a or joint.d or joint.offset:
                 raise RobotError(
-                    f"Expected either DH numbers or `next` in all joints, got another mixture in {joint.name!r}."
+                    f"Expected DH numbers or `next`, the same in all joints, got another in {joint.name!r}."
                 )
         poses = [("first", file.first or Pose()), *((f"next of {joint.name!r}", joint.next) for joint in joints)]
         links = [_matrix(pose, where) for where, pose in poses if pose]
@@ -139,13 +139,15 @@ def _details(file: File) -> Details:
         "gravity": file.gravity,
         "coupling": _coupling(file),
         "side": file.side,
-        "source": file.source
-        if isinstance(file.source, str)
-        else "\n".join(f"{k}: {v}" for k, v in file.source.items()),
+        "source": _source(file.source),
     }
     if file.abb_axes is not None:
         details["abb_axes"] = file.abb_axes
     return details
+
+
+def _source(source: str | dict[str, str]) -> str:
+    return source if isinstance(source, str) else "\n".join(f"{key}: {text}" for key, text in source.items())
 
 
 def _clip(value: float, limits: tuple[float, float]) -> float:
@@ -157,10 +159,9 @@ def _coupling(file: File) -> np.ndarray:
     if file.coupling is not None:
         if any(ratio is not None for ratio in ratios):
             raise RobotError("Expected gears as coupling or as gear_ratio, got both.")
-        if any(len(row) != len(ratios) for row in file.coupling):
-            raise RobotError(
-                f"Expected {len(ratios)} numbers in every row of coupling, got {[*map(len, file.coupling)]}."
-            )
+        lengths = [len(row) for row in file.coupling]
+        if set(lengths) != {len(ratios)}:
+            raise RobotError(f"Expected {len(ratios)} numbers in every row of coupling, got {lengths}.")
         return np.array(file.coupling)
     for joint in file.joint:
         if joint.gear_ratio == 0:

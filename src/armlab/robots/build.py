@@ -64,11 +64,9 @@ def from_links(name: str, links: ArrayLike, prismatic: ArrayLike | None = None, 
     """
     links = _floats(links)
     n = max(len(links) - 1, 0)
-    q_min, q_max = (
-        _floats(details.get(key, np.full(n, limit))) for key, limit in (("q_min", -np.inf), ("q_max", np.inf))
-    )
-    qd_max = _floats(details.get("qd_max", np.full(n, np.inf)))
-    q_home = details["q_home"] if "q_home" in details else np.minimum(np.maximum(0.0, q_min), q_max)
+    unlimited = np.full(n, np.inf)
+    q_min, q_max = _floats(details.get("q_min", -unlimited)), _floats(details.get("q_max", unlimited))
+    qd_max = _floats(details.get("qd_max", unlimited))
     return Robot(
         name=name,
         links=links,
@@ -77,7 +75,7 @@ def from_links(name: str, links: ArrayLike, prismatic: ArrayLike | None = None, 
         q_max=q_max,
         qd_max=qd_max,
         qdd_max=_floats(details.get("qdd_max", qd_max / RAMP_TIME)),
-        q_home=_floats(q_home),
+        q_home=_floats(details["q_home"] if "q_home" in details else np.minimum(np.maximum(0.0, q_min), q_max)),
         joint_names=tuple(details.get("joint_names", [f"joint_{i + 1}" for i in range(n)])),
         T_base_mount=_floats(details.get("T_base_mount", np.eye(4))),
         T_flange_tool=_floats(details.get("T_flange_tool", np.eye(4))),
@@ -140,9 +138,7 @@ def _columns(name: str, **columns: ArrayLike) -> tuple[np.ndarray, ...]:
     for key, array in arrays.items():
         if not np.isfinite(array).all():
             i = int(np.argmin(np.isfinite(array)))
-            raise RobotError(
-                f"Expected finite {key} in the DH table of robot {name!r}, got {array[i]} at joint {i + 1}."
-            )
+            raise RobotError(f"Expected finite {key} in the DH table of {name!r}, got {array[i]} at joint {i + 1}.")
     try:
         return np.broadcast_arrays(*arrays.values())
     except ValueError:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from armlab.errors import RobotError, ShapeError
 from armlab.lie import se3
 from armlab.robots.build import Details, from_links
-from armlab.robots.robot import Robot
+from armlab.robots.robot import POSE_TOLERANCE, Robot
 
 __all__ = ["SCREW_TOLERANCE", "LocalPoe", "from_local_poe", "from_poe", "normalise_screw", "to_local_poe"]
 
@@ -45,6 +45,8 @@ def from_poe(name: str, screws: ArrayLike, T_home: ArrayLike, **details: Unpack[
     ------
     RobotError : when a screw is not a unit axis without pitch, or the numbers contradict each other.
     """
+    if np.shape(T_home) != (4, 4) or not se3.is_pose(T_home, POSE_TOLERANCE):
+        raise RobotError(f"Expected T_home of robot {name!r} to be a pose (4, 4), got {np.asarray(T_home).tolist()}.")
     screws = np.asarray(screws, dtype=np.float64)
     poses = np.tile(np.eye(4), (len(screws) + 1, 1, 1))
     poses[-1] = T_home
@@ -71,13 +73,12 @@ def from_local_poe(name: str, poses: ArrayLike, screws: ArrayLike, **details: Un
             f"Expected screws of shape (n, 6) and poses of shape (n+1, 4, 4) for robot {name!r}, "
             f"got {screws.shape} and {poses.shape}."
         )
-    prismatic = ~screws[:, 3:].any(axis=1)
-    _check_screws(name, screws, prismatic)
+    _check_screws(name, screws)
     frames = _axis_frames(screws)  # exp(xi q) = C Z(q) C⁻¹
     links = poses.copy()
     links[:-1] = links[:-1] @ frames
     links[1:] = se3.inv(frames) @ links[1:]
-    return from_links(name, links, prismatic, **details)
+    return from_links(name, links, ~screws[:, 3:].any(axis=1), **details)
 
 
 def to_local_poe(robot: Robot) -> LocalPoe:
@@ -127,10 +128,11 @@ def normalise_screw(screw: ArrayLike, keep_pitch: bool = False) -> np.ndarray:
     return np.concatenate([v, w], axis=-1)
 
 
-def _check_screws(name: str, screws: np.ndarray, prismatic: np.ndarray) -> None:
+def _check_screws(name: str, screws: np.ndarray) -> None:
     """Every screw is a unit axis without pitch."""
     v, w = screws[:, :3], screws[:, 3:]
-    length = np.linalg.norm(np.where(prismatic[:, None], v, w), axis=1)
+    turns = w.any(axis=1, keepdims=True)
+    length = np.linalg.norm(np.where(turns, w, v), axis=1)
     pitch = (v * w).sum(axis=1)
     for i in range(len(screws)):
         if not (abs(length[i] - 1) <= SCREW_TOLERANCE and abs(pitch[i]) <= SCREW_TOLERANCE):

@@ -140,9 +140,8 @@ class Robot:
                 value = np.array(value)
             if isinstance(value, np.ndarray):
                 digest.update(f"{field.name}{value.shape}".encode())
-                digest.update(
-                    (np.round(value.astype(np.float64), 12) + 0.0).astype("<f8").tobytes()
-                )  # + 0.0 turns -0.0 into 0.0
+                rounded = np.round(value.astype(np.float64), 12) + 0.0  # -0.0 becomes 0.0
+                digest.update(rounded.astype("<f8").tobytes())
         return digest.hexdigest()
 
     def with_tool(self, T_flange_tool: np.ndarray) -> Robot:
