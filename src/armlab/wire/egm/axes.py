@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import pi
+from operator import itemgetter
+from typing import Any
 
 import numpy as np
 
@@ -47,24 +49,28 @@ class AxisMap:
         self.n = arm.n
         self.head = min(arm.n, _HEAD)
         self.tail = arm.n - self.head
-        self.order = tuple(axis - 1 for axis in axes)
-        self.inverse = tuple(self.order.index(k) for k in range(arm.n))
-        linear_tail = np.asarray(arm.prismatic, dtype=bool) & (np.array(self.order) >= self.head)
-        self.scale = np.where(linear_tail, _MILLIMETRE, RADIAN)
-        self.linear_head = tuple(i for i in range(arm.n) if arm.prismatic[i] and self.order[i] < self.head)
+        order = tuple(axis - 1 for axis in axes)
+        linear = np.asarray(arm.prismatic, dtype=bool)
+        self.scale = np.where(linear & (np.array(order) >= self.head), _MILLIMETRE, RADIAN)
+        self.has_linear_head = bool(np.any(linear & (np.array(order) < self.head)))
+        self.kinematic = _picker(order)
+        self.abb = _picker(tuple(order.index(k) for k in range(arm.n)))
 
-    def joints(self, joints: Sequence[float], external: Sequence[float], scale: np.ndarray) -> np.ndarray:
-        """Return (n,) kinematic joints from the two wire arrays.
+    def joints(self, motion: Any) -> tuple[float, ...]:
+        """Return the n joints of an EgmMotion or EgmSpeedRef in kinematic order, in wire units.
 
         Parameters
         ----------
-        joints, external : EgmJoints of one message; further external axes may follow the robot's own.
-        scale : (n,) factors to SI.
+        motion : a message with joints and externalJoints; further external axes may follow the robot's own.
 
         Raises
         ------
         Refused : no joints, or their number is not that of this robot.
         """
+        joints = motion.joints.joints[:]
+        if len(joints) == self.head and not self.tail:
+            return self.kinematic(joints)
+        external = motion.externalJoints.joints[:]
         if not joints:
             raise Refused("no joints", "the array of joints is absent or empty")
         if len(joints) != self.head or len(external) < self.tail:
@@ -72,15 +78,14 @@ class AxisMap:
                 "joint count",
                 f"expected {self.head} joints and at least {self.tail} external, got {len(joints)} and {len(external)}",
             )
-        wire = [*joints, *external]
-        return np.array([wire[k] for k in self.order]) * scale
+        return self.kinematic(joints + external)
 
-    def array(self, values: Sequence[float], kinematic: bool) -> np.ndarray | None:
-        """Return (n,) values of one extension array in kinematic order, None when it is absent.
+    def array(self, values: Sequence[float], is_kinematic: bool) -> tuple[float, ...] | None:
+        """Return the n values of one extension array in kinematic order, None when it is absent.
 
         Parameters
         ----------
-        values : as received. kinematic : True when the sender uses kinematic order, False for ABB's.
+        values : as received. is_kinematic : True when the sender uses kinematic order, False for ABB's.
 
         Raises
         ------
@@ -90,9 +95,18 @@ class AxisMap:
             return None
         if len(values) != self.n:
             raise Refused("joint count", f"expected {self.n} values in each array of the extension, got {len(values)}")
-        return np.array(values if kinematic else [values[k] for k in self.order])
+        return tuple(values[:]) if is_kinematic else self.kinematic(values[:])
 
-    def wire(self, q: np.ndarray, scale: np.ndarray) -> list[float]:
-        """Return the n wire values in ABB's order, in wire units: the first `head` are joints, the rest external."""
-        values = (q / scale).tolist()
-        return [values[k] for k in self.inverse]
+    def wire(self, q: np.ndarray, scale: np.ndarray) -> tuple[float, ...]:
+        """Return the n wire values in ABB's order: the first `head` are joints, the rest external.
+
+        Parameters
+        ----------
+        q : (n,) SI, kinematic order. scale : (n,) SI per wire unit.
+        """
+        return self.abb((q / scale).tolist())
+
+
+def _picker(order: tuple[int, ...]) -> Callable[[Sequence[float]], tuple[float, ...]]:
+    """Return the function that picks the elements `order` of a sequence."""
+    return itemgetter(*order) if len(order) > 1 else lambda values: tuple(values[k] for k in order)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import nan
+
 import numpy as np
 from google.protobuf.message import DecodeError
 
@@ -9,17 +11,17 @@ from armlab.wire.egm import armlab_egm_pb2 as pb
 
 __all__ = ["NO_WRENCH", "decode_force", "encode_force"]
 
-NO_WRENCH = np.full(6, np.nan)
-NO_WRENCH.flags.writeable = False
+NO_WRENCH = (nan,) * 6
+"""The values of a force that was not sent."""
 
 _RW6_TAGS = (0x09, 0x0A)  # field 1 doubles, unpacked or packed
 _RW7_TAGS = (0x08, 0x11, 0x12)  # field 1 bool; field 2 doubles, unpacked or packed
 
 
-def decode_force(data: bytes) -> tuple[np.ndarray, bool]:
-    """Return the (6,) wrench [N, N m], NaN when there is none, and whether the layout is that of RobotWare 7.
+def decode_force(data: bytes) -> tuple[tuple[float, ...], bool]:
+    """Return the 6 values of the wrench [N, N m] and whether the layout is that of RobotWare 7.
 
-    The first tag byte tells the layout. Frame and sign are not documented by ABB.
+    `NO_WRENCH` when there is none. The first tag byte tells the layout. Frame and sign are not documented by ABB.
 
     Parameters
     ----------
@@ -29,10 +31,10 @@ def decode_force(data: bytes) -> tuple[np.ndarray, bool]:
         return NO_WRENCH, False
     is_rw7 = data[0] in _RW7_TAGS
     try:
-        force = (pb.EgmForceRw7 if is_rw7 else pb.EgmForceRw6).FromString(data).force
+        force = (pb.EgmForceRw7 if is_rw7 else pb.EgmForceRw6).FromString(data).force[:]
     except DecodeError:
         return NO_WRENCH, False
-    return (np.array(force) if len(force) == 6 else NO_WRENCH), is_rw7
+    return (tuple(force) if len(force) == 6 else NO_WRENCH), is_rw7
 
 
 def encode_force(wrench: np.ndarray, is_rw7: bool) -> bytes:

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from math import sqrt
+from math import nan, sqrt
 from typing import Any
 
 import numpy as np
 
-__all__ = ["NO_POSE", "matrix_from_pose", "pose_from_matrix"]
+__all__ = ["NO_POSE", "pose_from_matrix", "pose_values"]
 
-NO_POSE = np.full((4, 4), np.nan)
-NO_POSE.flags.writeable = False
+NO_POSE = (nan,) * 16
+"""The values of a pose that was not sent."""
 
 
-def matrix_from_pose(pose: Any) -> np.ndarray:
-    """Return the (4, 4) matrix of an EgmPose [m], `NO_POSE` without a position and a usable quaternion.
+def pose_values(pose: Any) -> tuple[float, ...]:
+    """Return the 16 values, row by row, of the matrix of an EgmPose [m]; `NO_POSE` without position or quaternion.
 
     Plain arithmetic: ten times cheaper than small arrays. The quaternion is normalised. Euler angles are not read.
 
@@ -31,14 +31,15 @@ def matrix_from_pose(pose: Any) -> np.ndarray:
     if not 1e-12 < norm < 1e12:  # also NaN
         return NO_POSE
     s = 2.0 / norm
-    return np.array(
-        (
-            (1.0 - s * (c * c + d * d), s * (b * c - a * d), s * (b * d + a * c), 1e-3 * x),
-            (s * (b * c + a * d), 1.0 - s * (b * b + d * d), s * (c * d - a * b), 1e-3 * y),
-            (s * (b * d - a * c), s * (c * d + a * b), 1.0 - s * (b * b + c * c), 1e-3 * z),
-            (0.0, 0.0, 0.0, 1.0),
-        )
-    )
+    b2, c2, d2 = s * b * b, s * c * c, s * d * d
+    bc, bd, cd = s * b * c, s * b * d, s * c * d
+    ab, ac, ad = s * a * b, s * a * c, s * a * d
+    return (
+        1.0 - c2 - d2, bc - ad, bd + ac, 1e-3 * x,
+        bc + ad, 1.0 - b2 - d2, cd - ab, 1e-3 * y,
+        bd - ac, cd + ab, 1.0 - b2 - c2, 1e-3 * z,
+        0.0, 0.0, 0.0, 1.0,
+    )  # fmt: skip
 
 
 def pose_from_matrix(pose: Any, T_frame_tool: np.ndarray) -> None:

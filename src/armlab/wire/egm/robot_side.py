@@ -12,7 +12,7 @@ from armlab.errors import ConfigError, UnknownName
 from armlab.wire.egm import armlab_egm_pb2 as pb
 from armlab.wire.egm.axes import RADIAN, AxisMap, Refused
 from armlab.wire.egm.force import encode_force
-from armlab.wire.egm.pose import NO_POSE, matrix_from_pose, pose_from_matrix
+from armlab.wire.egm.pose import pose_from_matrix, pose_values
 from armlab.wire.egm.types import Arm, Drop, RobotMessage, SensorMessage
 
 __all__ = ["DEFAULT_ARRAYS", "EXTENSION_ARRAYS", "MAX_BYTES", "ROBOTWARE", "RobotSideCodec"]
@@ -29,7 +29,7 @@ EXTENSION_ARRAYS = ("qd", "tau", "tau_total", "tau_gravity", "current", "q_refer
 DEFAULT_ARRAYS = EXTENSION_ARRAYS[:4]
 """Arrays sent unless told otherwise."""
 
-_WIRE_ARRAYS = dict(
+_WIRE_ARRAYS: dict[str, str] = dict(
     zip(
         EXTENSION_ARRAYS,
         ("jointVel", "torqueMeas", "torqueRefTotal", "torqueGravity", "motorCurrent", "jointPosRef", "jointVelRef"),
@@ -160,8 +160,7 @@ class RobotSideCodec:
             robot.rapidFromRobot.digVal = bool(message.rapid_digital)
             robot.rapidFromRobot.dnum.extend(message.rapid_data)
         if message.tau_reference is not None:
-            values = message.tau_reference.tolist()
-            robot.torqueRef.joints.extend([values[k] for k in self._axes.inverse][: self._axes.head])
+            robot.torqueRef.joints.extend(self._axes.abb(message.tau_reference.tolist())[: self._axes.head])
 
     def _research(self, research: Any, message: RobotMessage) -> None:
         for name in self._arrays:
@@ -176,6 +175,7 @@ class RobotSideCodec:
     def _check_size(self, force: bool, external: int, data: int) -> None:
         """Refuse by name a configuration whose largest message does not fit into the buffers of other clients."""
         axes = np.full(self._axes.n, 1.0)
+        arrays: dict[str, Any] = dict.fromkeys(self._arrays, axes)
         worst = RobotMessage(
             seqno=_UINT32,
             tm_ms=_UINT32,
@@ -192,13 +192,14 @@ class RobotSideCodec:
             overruns=_UINT32,
             used_seq=_UINT32,
             queue_depth=_UINT32,
-            **dict.fromkeys(self._arrays, axes),
+            **arrays,
         )
         size = len(self.encode_robot(worst))
         if size > MAX_BYTES:
+            spare = ", ".join(reversed(self._arrays)) or "the external axes and the data of RAPID"
             raise ConfigError(
                 f"Expected messages of at most {MAX_BYTES} bytes, the buffer of other EGM clients; this configuration "
-                f"can reach {size}. Leave out some of {', '.join(reversed(self._arrays)) or 'the external axes and data'}."
+                f"can reach {size}. Leave out some of {spare}."
             )
 
     def _sensor(self, sensor: Any) -> SensorMessage:
@@ -206,7 +207,6 @@ class RobotSideCodec:
         q = _joints(axes, sensor.planned)
         qd = _joints(axes, sensor.speedRef)
         has_pose = sensor.planned.HasField("cartesian")
-        T_frame_tool = matrix_from_pose(sensor.planned.cartesian) if has_pose else NO_POSE
         speed = sensor.speedRef.cartesians.value
         twist_scale = (_MILLIMETRE, _MILLIMETRE, _MILLIMETRE, RADIAN, RADIAN, RADIAN)
         has_data = sensor.HasField("rapidToRobot")
@@ -216,7 +216,7 @@ class RobotSideCodec:
             mtype=header.mtype,
             q=q,
             qd=qd,
-            T_frame_tool=None if T_frame_tool is NO_POSE else T_frame_tool,
+            T_frame_tool=np.reshape(pose_values(sensor.planned.cartesian), (4, 4)) if has_pose else None,
             twist=np.multiply(speed, twist_scale) if len(speed) == 6 else None,
             rapid_data=np.array(sensor.rapidToRobot.dnum) if has_data else None,
             rapid_digital=sensor.rapidToRobot.digVal if has_data else None,
@@ -225,12 +225,12 @@ class RobotSideCodec:
 
 
 def _joints(axes: AxisMap, motion: Any) -> np.ndarray | None:
-    joints, external = motion.joints.joints, motion.externalJoints.joints
-    return axes.joints(joints, external, axes.scale) if joints or external else None
+    if motion.joints.joints or motion.externalJoints.joints:
+        return np.array(axes.joints(motion)) * axes.scale
+    return None
 
 
 def _research_reference(axes: AxisMap, research: Any) -> dict[str, Any]:
-    kinematic = research.order == _KINEMATIC
     fields = (
         ("tau", research.torqueFF, 1.0),
         ("qd_reference", research.velRef, axes.scale),
@@ -240,8 +240,8 @@ def _research_reference(axes: AxisMap, research: Any) -> dict[str, Any]:
     )
     found: dict[str, Any] = {"echo_mono_ns": research.echoTNs, "echo_seq": research.echoSeqno}
     for bit, (name, values, scale) in enumerate(fields):
-        array = axes.array(values, kinematic) if research.validMask >> bit & 1 else None
-        found[name] = None if array is None else array * scale
+        array = axes.array(values, research.order == _KINEMATIC) if research.validMask >> bit & 1 else None
+        found[name] = None if array is None else np.array(array) * scale
     return found
 
 

@@ -181,7 +181,7 @@ class RobotMessage(NamedTuple):
 
 
 class SensorMessage(NamedTuple):
-    """One decoded EgmSensor, or EgmSensorPathCorr, as the robot controller sees it. Values may be NaN: the robot decides.
+    """One decoded EgmSensor or EgmSensorPathCorr, as the robot controller sees it. NaN is let through.
 
     Attributes
     ----------

@@ -1,0 +1,184 @@
+"""Where the numbers of a CDR message are: ROS 2 messages read and patched without building objects."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+from armlab.errors import LogError
+
+__all__ = ["Field", "Layout", "definitions", "layout"]
+
+_SIZES = {
+    "bool": ("b1", 1),
+    "byte": ("u1", 1),
+    "char": ("u1", 1),
+    "octet": ("u1", 1),
+    "int8": ("i1", 1),
+    "uint8": ("u1", 1),
+    "int16": ("i2", 2),
+    "uint16": ("u2", 2),
+    "int32": ("i4", 4),
+    "uint32": ("u4", 4),
+    "int64": ("i8", 8),
+    "uint64": ("u8", 8),
+    "float32": ("f4", 4),
+    "float64": ("f8", 8),
+}
+_HEADER = 4  # encapsulation: kind of CDR and byte order; alignment counts from its end
+_MAX_DEPTH = 32
+
+Definitions = Mapping[str, list[tuple[str, Any]]]
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """A run of numbers in a message.
+
+    Attributes
+    ----------
+    path : dotted name, for example "pose.position.x" or "position".
+    start, stop : bytes from the beginning of the message, encapsulation included.
+    dtype : NumPy type with byte order. count : how many. scalar : False for arrays and sequences.
+    """
+
+    path: str
+    start: int
+    stop: int
+    dtype: str
+    count: int
+    scalar: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Numbers and texts of one message.
+
+    Attributes
+    ----------
+    fields : runs of numbers in the order of the message, empty sequences included.
+    texts : strings by dotted name; a sequence of strings is a tuple.
+    """
+
+    fields: tuple[Field, ...]
+    texts: Mapping[str, str | tuple[str, ...]]
+
+    def field(self, path: str) -> Field | None:
+        """Return the run of numbers with this dotted name, or None."""
+        return next((field for field in self.fields if field.path == path), None)
+
+
+@lru_cache(maxsize=64)
+def definitions(name: str, text: str) -> Definitions:
+    """Return the fields of a message type and of the types in it, from the text of a ``ros2msg`` schema.
+
+    Parameters
+    ----------
+    name : type, for example "sensor_msgs/msg/JointState".
+    text : definition with those of the types it uses, separated by lines of ``=``.
+
+    Raises
+    ------
+    LogError : the text is not a message definition.
+    """
+    from rosbags.typesys import TypesysError, get_types_from_msg
+
+    try:
+        types = get_types_from_msg(text, name)
+    except (TypesysError, ValueError, KeyError, RecursionError) as error:
+        raise LogError(f"Expected a ros2msg definition of {name}, got a text that does not parse: {error}.") from None
+    return {typename: entry[1] for typename, entry in types.items()}
+
+
+def layout(raw: bytes | memoryview, name: str, types: Definitions) -> Layout:
+    """Return where the numbers and texts of one message are.
+
+    Parameters
+    ----------
+    raw : message with its encapsulation header, either byte order.
+    name : its type.
+    types : from `definitions`.
+
+    Raises
+    ------
+    LogError : the bytes do not fit the type.
+    """
+    if len(raw) < _HEADER or raw[0] != 0 or raw[1] not in (0, 1):
+        raise LogError(f"Expected a {name} in plain CDR, got {bytes(raw[:4]).hex(' ') or 'nothing'} at its beginning.")
+    walk = _Walk(raw, "<" if raw[1] else ">", types)
+    try:
+        walk.message(name, "", 0)
+    except (struct.error, UnicodeDecodeError, KeyError, IndexError) as error:
+        raise LogError(f"Expected a {name}, got {len(raw)} bytes that do not fit it ({error}).") from None
+    return Layout(tuple(walk.fields), walk.texts)
+
+
+class _Walk:
+    """One pass over a message."""
+
+    def __init__(self, raw: bytes | memoryview, order: str, types: Definitions) -> None:
+        self.raw, self.order, self.types = raw, order, types
+        self.at = _HEADER
+        self.fields: list[Field] = []
+        self.texts: dict[str, str | tuple[str, ...]] = {}
+
+    def message(self, name: str, path: str, depth: int) -> None:
+        if depth > _MAX_DEPTH:
+            raise LogError(f"Expected message types nested at most {_MAX_DEPTH} deep, got more in {name}.")
+        for field, description in self.types[name]:
+            self.value(description, f"{path}.{field}" if path else field, depth)
+
+    def value(self, description: Any, path: str, depth: int) -> None:
+        # rosbags: 1 a basic type, 2 a message, 3 an array of fixed length, 4 a sequence
+        node, detail = int(description[0]), description[1]
+        if node == 1 and detail[0] == "string":
+            self.texts[path] = self.text()
+        elif node == 1:
+            self.numbers(detail[0], 1, path, scalar=True)
+        elif node == 2:
+            self.message(detail, path, depth + 1)
+        else:
+            element, length = detail
+            self.several(element, length if node == 3 else self.count(), path, depth)
+
+    def several(self, element: Any, count: int, path: str, depth: int) -> None:
+        if count > len(self.raw):
+            raise LogError(f"Expected at most {len(self.raw)} elements in {path}, got {count}.")
+        if int(element[0]) == 2:
+            for index in range(count):
+                self.message(element[1], f"{path}[{index}]", depth + 1)
+        elif element[1][0] == "string":
+            self.texts[path] = tuple(self.text() for _ in range(count))
+        else:
+            self.numbers(element[1][0], count, path, scalar=False)
+
+    def numbers(self, kind: str, count: int, path: str, scalar: bool) -> None:
+        dtype, size = _SIZES[kind]
+        if count:
+            self.align(size)
+        stop = self.at + count * size
+        if stop > len(self.raw):
+            raise LogError(f"Expected {count} numbers of type {kind} in {path}, got the end of the message.")
+        dtype = dtype if size == 1 else self.order + dtype
+        self.fields.append(Field(path, self.at, stop, dtype, count, scalar))
+        self.at = stop
+
+    def text(self) -> str:
+        length = self.count()
+        if length > len(self.raw) - self.at:
+            raise LogError(f"Expected a text of {length} bytes, got the end of the message.")
+        raw = bytes(self.raw[self.at : self.at + length])
+        self.at += length
+        return raw.removesuffix(b"\0").decode()
+
+    def count(self) -> int:
+        self.align(4)
+        (value,) = struct.unpack_from(f"{self.order}I", self.raw, self.at)
+        self.at += 4
+        return value
+
+    def align(self, size: int) -> None:
+        self.at += -(self.at - _HEADER) % size
