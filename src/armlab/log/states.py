@@ -13,11 +13,15 @@ from armlab.state import State
 if TYPE_CHECKING:
     from armlab.log.table import Table
 
-__all__ = ["iterate"]
+__all__ = ["QD_SOURCES", "TAU_SOURCES", "iterate"]
+
+# The columns `qd_source` and `tau_source` hold the index of the word.
+QD_SOURCES = ("difference", "measured")
+TAU_SOURCES = ("none", "measured", "reference")
 
 # Fields of `State` that a table may have.
-_ARRAYS = ("qdd", "q_planned", "q_sent", "qd_sent", "clamped", "T_frame_tool")
-_ARRAYS += ("wrench_raw", "wrench", "q_ext", "rapid_data")
+_ARRAYS = ("qdd", "q_planned", "T_frame_tool", "wrench_raw", "wrench", "q_ext", "rapid_data")
+_PREVIOUS = ("q_sent", "qd_sent", "clamped")  # a row holds its own reply, a State the one before
 _NUMBERS = {"seq": int, "missed": int, "session": int, "motors": int, "rapid": int, "mci": int}
 _NUMBERS |= {"utilization": float, "robot_ns": int, "converged": bool, "rapid_digital": bool}
 
@@ -26,7 +30,7 @@ def iterate(table: Table) -> Iterator[State]:
     """Yield one `State` per row.
 
     `dt` is the recorded one, else the difference of `t`. Joint velocities or torques that the table does not have are
-    NaN. `q_start` is the position in the first row of the session.
+    NaN. `q_start` is the position in the first row of the session; `t` the session's time where it was recorded.
 
     Raises
     ------
@@ -43,13 +47,19 @@ def _rows(table: Table) -> Iterator[State]:
     nothing.flags.writeable = False
     arrays = {name: table[name] for name in _ARRAYS if name in table}
     numbers = {name: (kind, table[name].tolist()) for name, kind in _NUMBERS.items() if name in table}
+    replies = {name: table[name] for name in _PREVIOUS if name in table}
+    clock = table.values.get("session_t", table.t)
     receive = table["receive_ns"].tolist() if "receive_ns" in table else None
     qd, tau = table.values.get("qd"), table.values.get("tau")
-    sources = {"tau_source": "none" if tau is None else "measured"}
+    words = {"qd_source": QD_SOURCES, "tau_source": TAU_SOURCES}
+    codes = {name: (known, table[name].tolist()) for name, known in words.items() if name in table}
+    constant = {} if tau is None or "tau_source" in table else {"tau_source": "measured"}
     session, q_start = None, nothing
-    for row, (t, dt) in enumerate(zip(table.t.tolist(), table.dt.tolist(), strict=True)):
+    for row, (t, dt) in enumerate(zip(clock.tolist(), table.dt.tolist(), strict=True)):
         extra: dict[str, Any] = {name: array[row] for name, array in arrays.items()}
+        extra |= {name: array[row - 1] for name, array in replies.items() if row}
         extra |= {name: kind(values[row]) for name, (kind, values) in numbers.items() if values[row] == values[row]}
+        extra |= {name: known[int(code[row])] for name, (known, code) in codes.items()} | constant
         if receive is not None and receive[row] == receive[row]:
             extra["t_receive"] = int(receive[row])
         if extra.get("session", 1) != session:
@@ -61,6 +71,5 @@ def _rows(table: Table) -> Iterator[State]:
             qd=nothing if qd is None else qd[row],
             tau=nothing if tau is None else tau[row],
             q_start=q_start,
-            **sources,
             **extra,
         )

@@ -1,0 +1,113 @@
+"""From recorded columns to a `Table`: which clock, which rows, which columns."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from armlab.log.column import Column
+from armlab.log.table import Table
+
+__all__ = ["in_time_order", "recording_clock", "recording_table"]
+
+_MAX_DISAGREEMENT = 1.0  # s between two rows, robot clock against session time: beyond it the robot clock was set
+
+
+def recording_table(
+    values: Mapping[str, np.ndarray],
+    columns: Mapping[str, Column],
+    stamp_ns: np.ndarray,
+    *,
+    notes: Sequence[str] = (),
+    source: Sequence[str] = (),
+    raw: bool = False,
+) -> Table:
+    """Return the table of one recording: t = 0 at the first row, columns without any value left out.
+
+    Parameters
+    ----------
+    values : column name -> (N, ...), missing values NaN.
+    columns : their descriptions.
+    stamp_ns : (N,) wall clock of each row.
+    notes, source : as in `Table`.
+    raw : keep rows whose clock does not advance; `t` is then the row's stamp order, one nanosecond apart.
+
+    Returns
+    -------
+    Table : on the robot's clock where it was recorded, else on the bridge's.
+    """
+    t, clock = recording_clock(values, stamp_ns)
+    keep, lost = in_time_order(t)
+    notes = list(notes)
+    if raw and lost:
+        t, keep = _spread(t), np.ones(len(t), dtype=bool)
+    elif lost:
+        rows = ", ".join(str(row) for row in np.flatnonzero(~keep)[:5])
+        notes.append(f"{lost} rows dropped: their time does not advance (rows {rows}{', ...' if lost > 5 else ''})")
+        warnings.warn(f"{notes[-1]}; log.read(..., raw=True) keeps them", stacklevel=2)
+    if "q_ext" in values:
+        values = {**values, "q_ext": _used_axes(values["q_ext"])}
+    present = {name: array for name, array in values.items() if name != "t" and not _absent(array)}
+    return Table(
+        t[keep],
+        {name: array[keep] for name, array in present.items()},
+        {name: replace(columns[name], shape=()) for name in present},
+        t0_ns=int(stamp_ns[keep][0]) if keep.any() else 0,
+        clock=clock,
+        notes=tuple(notes),
+        source=tuple(source),
+    )
+
+
+def recording_clock(values: Mapping[str, np.ndarray], stamp_ns: np.ndarray) -> tuple[np.ndarray, str]:
+    """Return t (N,) [s], 0 in the first row, and whose clock it is.
+
+    A column `t` is taken as it is. Else the robot's own clock, if every row has it, it always advances and never
+    leaves the session's time by a second (it was not set while recording). Else the session's time, sessions placed
+    by the stamps. Else the stamps.
+    """
+    if "t" in values and np.isfinite(values["t"]).any():
+        return np.asarray(values["t"], dtype=float), "file"
+    stamps = (stamp_ns - stamp_ns[:1]) / 1e9 if len(stamp_ns) else np.zeros(0)
+    session_t = values.get("session_t")
+    session = values.get("session", np.ones(len(stamps)))
+    robot = values.get("robot_ns")
+    same = np.diff(session) == 0
+    if robot is not None and len(robot) and robot.dtype.kind == "i":
+        steps = np.diff(robot) / 1e9
+        expected = np.diff(session_t) if session_t is not None else np.diff(stamps)
+        if (steps > 0).all() and (np.abs(steps - expected)[same] <= _MAX_DISAGREEMENT).all():
+            return (robot - robot[0]) / 1e9, "robot"
+    if session_t is None or not np.isfinite(session_t).all():
+        return stamps, "bridge"
+    first = np.concatenate(([0], np.flatnonzero(~same) + 1)).astype(int)[: len(stamps)]
+    begin = np.repeat(stamps[first] - session_t[first], np.diff(np.append(first, len(stamps))))
+    return session_t + begin, "robot"
+
+
+def in_time_order(t: np.ndarray) -> tuple[np.ndarray, int]:
+    """Return the mask (N,) of rows later than all rows before them, and how many are not."""
+    finite = np.where(np.isfinite(t), t, -np.inf)
+    before = np.concatenate(([-np.inf], np.maximum.accumulate(finite)[:-1]))[: len(t)]
+    keep = finite > before
+    return keep, int((~keep).sum())
+
+
+def _spread(t: np.ndarray) -> np.ndarray:
+    """Return times that increase: where the clock stands or steps back, one nanosecond after the row before."""
+    spread = np.where(np.isfinite(t), t, -np.inf)
+    steps = np.arange(len(t)) * 1e-9
+    return np.maximum.accumulate(spread - steps) + steps
+
+
+def _absent(array: np.ndarray) -> bool:
+    return array.dtype.kind == "f" and array.size > 0 and bool(np.isnan(array).all())
+
+
+def _used_axes(q_ext: np.ndarray) -> np.ndarray:
+    """Return the external axes up to the last that ever had a value."""
+    used = np.flatnonzero(~np.isnan(q_ext).all(axis=0))
+    return q_ext[:, : used[-1] + 1 if len(used) else 1]

@@ -1,0 +1,107 @@
+"""`Log` and `Tail`: tables that grow in memory, row by row."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from armlab.log.assemble import recording_table
+from armlab.log.column import Column
+from armlab.log.rows import RowLayout, Tick
+from armlab.log.table import Table
+from armlab.state import Command, State
+
+if TYPE_CHECKING:
+    from armlab.robots import Robot
+
+__all__ = ["Log", "Tail"]
+
+# Names of the fields of Robotlab.jl's logs, read as ours.
+_OLD_NAMES = {"pos": "q", "vel": "qd", "trq": "tau", "pos_o": "q_ref", "vel_o": "qd_ref", "trq_o": "tau_ref"}
+_OLD_NAMES |= {"timestamp": "t", "seqnum": "seq"}
+_TAIL_RATE = 500.0  # rows per second a Tail has room for; EGM's fastest is 250
+
+
+class Log:
+    """Log in memory that grows without copying: the standard columns and the user's.
+
+    Parameters
+    ----------
+    robot : gives the joints.
+    extra : the user's columns, name -> `Column` with shape, unit and frame.
+
+    Examples
+    --------
+    >>> log = Log(robot, extra={"fext": Column(shape=(6,), unit="N", frame="base")})
+    >>> log.push(t=0.0, q=q, fext=f)
+    >>> log.table()["fext"]
+    """
+
+    def __init__(self, robot: Robot, extra: Mapping[str, Column] | None = None) -> None:
+        self._layout = RowLayout(robot, {**(extra or {}), "t": Column()})
+        self._rows: deque[bytes] = deque(maxlen=self._capacity())  # bytes: nothing for the garbage collector to scan
+        self._start_ns = time.time_ns() - time.monotonic_ns()
+        self._pushed = 0
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def push(self, **values: Any) -> None:
+        """Append one row by column name; what is not given is missing.
+
+        Field names of the ancestor's logs (pos vel trq pos_o vel_o trq_o timestamp seqnum) are read as ours.
+        `t` is the row's time [s], given for every row or for none; without it the clock is the time of the call.
+
+        Raises
+        ------
+        UnknownName, ShapeError : before anything is stored.
+        """
+        values = {_OLD_NAMES.get(name, name): value for name, value in values.items()}
+        stamp = self._start_ns + time.monotonic_ns()
+        standard = {"tick": self._pushed, "session": 1, "stamp_ns": stamp}
+        self._rows.append(self._layout.pack_values({**standard, **values}))
+        self._pushed += 1
+
+    def row(self, state: State, command: Command | None, tick: Tick) -> None:
+        """Append what the bridge knows of one tick.
+
+        Raises
+        ------
+        ShapeError : an array has the wrong number of values.
+        """
+        self._rows.append(self._layout.pack(state, command, tick))
+
+    def table(self) -> Table:
+        """Return the rows so far; the table stays valid while pushing goes on."""
+        values = self._layout.unpack(self._rows.copy())
+        columns = {name: slot.column for name, slot in self._layout.slots.items()}
+        return recording_table(values, columns, values.pop("stamp_ns"))
+
+    def _capacity(self) -> int | None:
+        return None
+
+
+class Tail(Log):
+    """The last seconds of a log: a ring of fixed size.
+
+    Parameters
+    ----------
+    seconds : how much is kept.
+    robot, extra : as in `Log`.
+    """
+
+    def __init__(self, seconds: float, robot: Robot, extra: Mapping[str, Column] | None = None) -> None:
+        self.seconds = seconds
+        super().__init__(robot, extra)
+
+    def table(self) -> Table:
+        """Return the rows of the last `seconds`."""
+        table = super().table()
+        return table.between(table.t[-1] - self.seconds, np.inf) if len(table) else table
+
+    def _capacity(self) -> int | None:
+        return int(self.seconds * _TAIL_RATE) + 1

@@ -1,0 +1,196 @@
+"""`Recorder`: writes what a link does to an MCAP file without ever holding up its loop."""
+
+from __future__ import annotations
+
+import atexit
+import threading
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+from armlab.log.column import Column
+from armlab.log.recording_file import RecordingFile
+from armlab.log.rows import RowLayout, Tick
+from armlab.state import Command, State
+
+if TYPE_CHECKING:
+    from armlab.robots import Robot
+
+__all__ = ["Recorder"]
+
+FLUSH_PERIOD = 0.8  # s; the promise is to lose less than 1 s
+QUEUE_ROWS = 2500  # 10 s at 250 Hz
+
+
+class Recorder:
+    """Recording of one arm: `row()` in the loop, a thread that writes, at most 0.8 s between disk and truth.
+
+    Parameters
+    ----------
+    path : file to write; ``-2``, ``-3`` is added when it exists. The attribute `path` is the real one.
+    robot : the arm; its name is the first part of every topic.
+    extra : columns of the controller's own (``Command.record``); `wrench_hat` and `wrench_hat_cov` need none.
+    attachments : name -> bytes kept in the file, for example the robot's description and the model used.
+    note : the user's words, kept in the metadata.
+    wait : let `row()` wait when the queue is full instead of dropping: for links in lockstep, which keep no real time.
+
+    Attributes
+    ----------
+    rows, dropped : rows accepted and rows lost. failed : why the recorder stopped, or None.
+
+    Raises
+    ------
+    LogError : the file cannot be created or written.
+    ShapeError, UnknownName : a declared column is not acceptable.
+
+    Notes
+    -----
+    A row is packed into bytes and queued (10 s of rows). When the queue is full the arriving row is dropped and
+    counted, and two events mark the hole. The thread closes the chunk, flushes and syncs every 0.8 s. A write error
+    stops the recorder, never the loop.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        robot: Robot,
+        *,
+        extra: Mapping[str, Column] | None = None,
+        attachments: Mapping[str, bytes] | None = None,
+        note: str = "",
+        wait: bool = False,
+    ) -> None:
+        self._layout = RowLayout(robot, extra)
+        self._file = RecordingFile(path, robot, self._layout, dict(attachments or {}), note)
+        self.path = self._file.path
+        self.rows = 0
+        self.dropped = 0
+        self.failed: str | None = None
+        self._wait = wait
+        self._holes: list[tuple[int, int, int]] = []  # first tick, last tick, rows
+        self._hole: tuple[int, int, int] | None = None
+        self._complained: set[str] = set()
+        self._closed = False
+        self._queue: SimpleQueue[bytes | tuple[str, int] | None] = SimpleQueue()
+        self._thread = threading.Thread(target=self._run, name=f"recorder {self.path.name}", daemon=True)
+        self._thread.start()
+        atexit.register(self.close)
+
+    def __enter__(self) -> Recorder:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def row(self, state: State, command: Command | None, tick: Tick) -> bool:
+        """Queue one row; False when it was dropped. Neither blocks (unless `wait`) nor raises.
+
+        Parameters
+        ----------
+        state : what the controller saw.
+        command : what it returned, None when it was not called.
+        tick : what the bridge knows of the tick.
+        """
+        if self._closed or self.failed is not None:
+            return self._drop(tick)
+        if self._queue.qsize() >= QUEUE_ROWS and not (self._wait and self._wait_for_room()):
+            return self._drop(tick)
+        try:
+            row = self._layout.pack(state, command, tick)
+        except Exception as error:  # whatever it is: a row that cannot be packed must not stop the loop
+            self._complain(f"row not written: {error}", tick)
+            return self._drop(tick)
+        if command is not None and command.record and not command.record.keys() <= self._layout.extra.keys():
+            unknown = ", ".join(sorted(command.record.keys() - self._layout.extra.keys()))
+            self._complain(f"not written, as not declared with extra=: {unknown}", tick)
+        if self._hole is not None:
+            self._end_hole(tick.stamp_ns)
+        self._queue.put(row)
+        self.rows += 1
+        return True
+
+    def event(self, text: str, stamp_ns: int) -> None:
+        """Queue one line for the events of the recording."""
+        self._queue.put((text, stamp_ns))
+
+    def close(self, summary: Mapping[str, Any] | None = None) -> None:
+        """Write what is queued, the summary and the footer, and close the file. A second call does nothing.
+
+        Parameters
+        ----------
+        summary : kept in the file as summary.json, with the recorder's own counts.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        atexit.unregister(self.close)
+        if self._hole is not None:
+            self._end_hole(self._file.last_stamp_ns)
+        self._queue.put(None)
+        self._thread.join()
+        self.dropped += self.rows - self._file.rows  # rows that were queued when the disk failed
+        self.rows = self._file.rows
+        counts = {"rows": self.rows, "dropped": self.dropped, "holes": self._holes}
+        if self.failed is None:
+            self._guarded(lambda: self._file.finish({**(summary or {}), **counts}))
+
+    def _run(self) -> None:
+        """Write what comes from the queue; sync every `FLUSH_PERIOD`."""
+        self._guarded(self._write_queue)
+
+    def _write_queue(self) -> None:
+        due = time.monotonic() + FLUSH_PERIOD
+        while True:
+            try:
+                item = self._queue.get(timeout=max(0.0, due - time.monotonic()))
+            except Empty:
+                item = b""
+            if item is None:
+                return
+            if isinstance(item, tuple):
+                self._file.event(*item)
+            elif item:
+                self._file.write(item)
+            if time.monotonic() >= due:
+                self._file.sync()
+                due = time.monotonic() + FLUSH_PERIOD
+
+    def _guarded(self, work: Callable[[], None]) -> None:
+        """Do work on the file; an error stops the recorder and is kept as a sentence."""
+        try:
+            work()
+        except Exception as error:  # the loop goes on, so this thread has nobody to raise to
+            reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
+            self.failed = f"The log {self.path} stopped after {self._file.rows} rows: {reason}."
+            self._file.abandon()
+
+    def _wait_for_room(self) -> bool:
+        while self._queue.qsize() >= QUEUE_ROWS and self.failed is None:
+            time.sleep(0.001)
+        return self.failed is None
+
+    def _drop(self, tick: Tick) -> bool:
+        self.dropped += 1
+        if self._hole is None:
+            self._hole = (tick.number, tick.number, 0)
+            self.event(f"rows are dropped from tick {tick.number} on, {self._queue.qsize()} rows wait", tick.stamp_ns)
+        first, _, count = self._hole
+        self._hole = (first, tick.number, count + 1)
+        return False
+
+    def _end_hole(self, stamp_ns: int) -> None:
+        hole, self._hole = self._hole, None
+        if hole is not None:
+            self._holes.append(hole)
+            self.event(f"{hole[2]} rows were dropped, ticks {hole[0]} to {hole[1]}", stamp_ns)
+
+    def _complain(self, text: str, tick: Tick) -> None:
+        """Write an event the first time it comes."""
+        if text not in self._complained:
+            self._complained.add(text)
+            self.event(text, tick.stamp_ns)

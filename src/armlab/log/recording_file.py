@@ -1,0 +1,195 @@
+"""The MCAP file of a recording: opened once, never over another, complete up to the last `sync` whatever happens."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import platform
+import re
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+from armlab.errors import LogError
+from armlab.log.messages import Pen, definition, event, topic_name, topics
+from armlab.log.rows import RowLayout
+
+if TYPE_CHECKING:
+    from armlab.robots import Robot
+
+__all__ = ["RecordingFile", "open_new"]
+
+MAX_CHUNK_ROWS = 250  # a second at 250 Hz: what a torn chunk can cost, also after a stall
+_SECRET = re.compile(r"(?i)(token|password|passwd|secret|api[-_]?key)")
+_EVENT_TYPE = "rcl_interfaces/msg/Log"
+
+
+def open_new(path: str | Path) -> tuple[BinaryIO, Path]:
+    """Open a file that does not exist yet: ``run.mcap``, else ``run-2.mcap``, ``run-3.mcap``, ...
+
+    Returns
+    -------
+    The open file and its path.
+
+    Raises
+    ------
+    LogError : the file cannot be created; says why.
+    """
+    path = Path(path)
+    number, candidate = 1, path
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        while True:
+            try:
+                return candidate.open("xb"), candidate
+            except FileExistsError:
+                number += 1
+                candidate = path.with_name(f"{path.stem}-{number}{path.suffix}")
+    except OSError as error:
+        raise LogError(f"Expected to create the log {candidate}, got: {error.strerror}.") from None
+
+
+class RecordingFile:
+    """One recording: topics of one arm in an MCAP file (profile ros2, zstd), written row by row.
+
+    After construction header, metadata, attachments, schemas and channels are on the disk.
+
+    Parameters
+    ----------
+    path : wanted name; `path` holds the real one.
+    robot, layout : the arm and the layout of its rows.
+    attachments : name -> bytes, for example the robot's description.
+    note : the user's.
+    """
+
+    def __init__(
+        self, path: str | Path, robot: Robot, layout: RowLayout, attachments: Mapping[str, bytes], note: str
+    ) -> None:
+        from mcap.writer import CompressionType, Writer
+
+        from armlab import __version__
+
+        self._file, self.path = open_new(path)
+        self._layout = layout
+        self._chunk_rows = 0
+        self.rows = 0
+        self.last_stamp_ns = time.time_ns()
+        self._writer = Writer(self._file, chunk_size=1 << 40, compression=CompressionType.ZSTD)
+        try:
+            self._writer.start(profile="ros2", library=f"armlab {__version__}")
+            self._writer.add_metadata("armlab", _metadata(robot, attachments, note))
+            for name, data in attachments.items():
+                self.attach(name, data)
+            self._channels = self._register(robot)
+            self.event(f"recording {robot.name}", self.last_stamp_ns)
+            self.sync()
+        except OSError as error:
+            self.abandon()
+            raise LogError(f"Expected to write the log {self.path}, got: {error.strerror}.") from None
+
+    def _register(self, robot: Robot) -> list[tuple[int, Pen]]:
+        """Register all schemas and channels; return the pens with their channels."""
+        columns = {name: slot.column for name, slot in self._layout.slots.items()}
+        schemas: dict[str, int] = {}
+
+        def channel(name: str, message_type: str, metadata: dict[str, str]) -> int:
+            if message_type not in schemas:
+                text = definition(message_type).encode()
+                schemas[message_type] = self._writer.register_schema(message_type, "ros2msg", text)
+            topic = f"/{topic_name(robot.name)}/{name}"
+            return self._writer.register_channel(topic, "cdr", schemas[message_type], metadata)
+
+        self._events = channel("events", _EVENT_TYPE, {})
+        found = topics(self._layout, robot.joint_names)
+        return [(channel(t.name, t.type, t.metadata(columns)), Pen(t, self._layout.slots)) for t in found]
+
+    def write(self, row: bytes) -> None:
+        """Add the messages of one row to the chunk in progress."""
+        stamp_ns = int.from_bytes(row[:8], "little", signed=True)
+        tick = int.from_bytes(row[8:12], "little")  # MCAP's sequence has 32 bits
+        for channel, pen in self._channels:
+            message = pen.message(row, stamp_ns)
+            if message is not None:
+                self._writer.add_message(channel, stamp_ns, message, stamp_ns, tick)
+        self.rows += 1
+        self.last_stamp_ns = stamp_ns
+        self._chunk_rows += 1
+        if self._chunk_rows >= MAX_CHUNK_ROWS:
+            self._close_chunk()
+
+    def event(self, text: str, stamp_ns: int, tick: int = 0) -> None:
+        """Add one line to the events."""
+        self._writer.add_message(self._events, stamp_ns, event(stamp_ns, text), stamp_ns, tick & 0xFFFFFFFF)
+
+    def attach(self, name: str, data: bytes) -> None:
+        """Add an attachment."""
+        media = "application/json" if name.endswith(".json") else "application/octet-stream"
+        self._writer.add_attachment(self.last_stamp_ns, self.last_stamp_ns, name, media, data)
+
+    def sync(self) -> None:
+        """Close the chunk and bring everything to the disk: what was written so far survives a power loss."""
+        self._close_chunk()
+        _fsync(self._file)
+
+    def finish(self, summary: Mapping[str, Any]) -> None:
+        """Write the summary and the footer, bring file and folder to the disk, and close."""
+        self._close_chunk()
+        self.attach("summary.json", json.dumps(summary, indent=1, default=_plain).encode())
+        self._writer.finish()
+        self._file.flush()
+        _fsync(self._file)
+        self._file.close()
+        with contextlib.suppress(OSError):
+            folder = os.open(self.path.parent, os.O_RDONLY)
+            os.fsync(folder)
+            os.close(folder)
+
+    def abandon(self) -> None:
+        """Close the file as it is, after a write error."""
+        with contextlib.suppress(OSError, ValueError):
+            self._file.close()
+
+    def _close_chunk(self) -> None:
+        self._writer.flush()
+        self._chunk_rows = 0
+
+
+def _fsync(file: BinaryIO) -> None:
+    os.fsync(file.fileno())
+
+
+def _metadata(robot: Robot, attachments: Mapping[str, bytes], note: str) -> dict[str, str]:
+    """Return the metadata record of a recording; values of secret options are replaced."""
+    from armlab import __version__
+
+    return {
+        "version": __version__,
+        "command": " ".join(_without_secrets(sys.argv)),
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "robot": robot.name,
+        "robot_hash": robot.hash,
+        "attachments": json.dumps({name: hashlib.sha256(data).hexdigest() for name, data in attachments.items()}),
+        "note": note,
+    }
+
+
+def _without_secrets(words: list[str]) -> list[str]:
+    """Replace what follows an option whose name tells a secret, and what such an option equals."""
+    kept: list[str] = []
+    hide = False
+    for word in words:
+        option, equals, _ = word.partition("=")
+        secret = word.startswith("-") and bool(_SECRET.search(option))
+        kept.append("***" if hide else f"{option}=***" if secret and equals else word)
+        hide = secret and not equals
+    return kept
+
+
+def _plain(value: Any) -> Any:
+    """Make NumPy values plain for JSON."""
+    return value.tolist() if hasattr(value, "tolist") else str(value)

@@ -1,0 +1,111 @@
+"""Numbers in CDR messages are where rosbags puts them."""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armlab.errors import LogError
+from armlab.wire.cdr import Field, Layout, definitions, layout
+
+MIXED = """
+uint8 flag
+string name
+float64 x
+bool[3] bits
+int16[] few
+string[] names
+Inner[] inner
+float32 last
+float64[4] fixed
+int64 stamp
+================================================================================
+MSG: test_msgs/Inner
+uint8 a
+float64 b
+"""
+
+
+@pytest.fixture(scope="module")
+def store():
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    store.register(get_types_from_msg(MIXED, "test_msgs/msg/Mixed"))
+    return store
+
+
+def mixed(store, name: str, few: list[int], names: list[str], inner: list[float], little: bool) -> bytes:
+    inner_type = store.types["test_msgs/msg/Inner"]
+    message = store.types["test_msgs/msg/Mixed"](
+        flag=7,
+        name=name,
+        x=1.5,
+        bits=np.array([True, False, True]),
+        few=np.array(few, dtype=np.int16),
+        names=names,
+        inner=[inner_type(a=3, b=value) for value in inner],
+        last=2.5,
+        fixed=np.array([1.0, 2.0, 3.0, 4.0]),
+        stamp=-5,
+    )
+    return bytes(store.serialize_cdr(message, "test_msgs/msg/Mixed", little_endian=little))
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.text(max_size=9),
+    st.lists(st.integers(-100, 100), max_size=5),
+    st.lists(st.text(max_size=4), max_size=3),
+    st.lists(st.floats(allow_nan=False), max_size=3),
+    st.booleans(),
+)
+def test_fields_are_where_rosbags_wrote_them(
+    store, name: str, few: list[int], names: list[str], inner: list[float], little: bool
+) -> None:
+    raw = mixed(store, name, few, names, inner, little)
+    found = layout(raw, "test_msgs/msg/Mixed", definitions("test_msgs/msg/Mixed", MIXED))
+    assert isinstance(found, Layout)
+
+    def numbers(path: str) -> list:
+        field = found.field(path)
+        assert isinstance(field, Field)
+        return np.frombuffer(raw[field.start : field.stop], field.dtype).tolist()
+
+    assert numbers("flag") == [7]
+    assert numbers("x") == [1.5]
+    assert numbers("bits") == [True, False, True]
+    assert numbers("few") == few
+    assert numbers("last") == [2.5]
+    assert numbers("fixed") == [1.0, 2.0, 3.0, 4.0]
+    assert numbers("stamp") == [-5]
+    assert [numbers(f"inner[{i}].b")[0] for i in range(len(inner))] == inner
+    assert found.texts == {"name": name, "names": tuple(names)}
+    assert found.field("nothing") is None
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.integers(0, 200), st.integers(0, 10_000), st.integers(0, 255))
+def test_damaged_messages_fit_or_are_refused(store, cut: int, place: int, value: int) -> None:
+    raw = bytearray(mixed(store, "joint", [1, 2], ["a", "bc"], [1.0], True))
+    raw[place % len(raw)] = value
+    try:
+        found = layout(bytes(raw[: max(cut, 4)]), "test_msgs/msg/Mixed", definitions("test_msgs/msg/Mixed", MIXED))
+    except LogError as error:
+        assert str(error).endswith(".")  # noqa: PT017
+    else:
+        assert all(field.stop <= len(raw) for field in found.fields)
+
+
+def test_foreign_bytes_and_texts_are_refused() -> None:
+    types = definitions("test_msgs/msg/Mixed", MIXED)
+    with pytest.raises(LogError, match="plain CDR"):
+        layout(b"\x00\x03\x00\x00", "test_msgs/msg/Mixed", types)
+    with pytest.raises(LogError, match="end of the message"):
+        layout(b"\x00\x01\x00\x00\x07\x00\x00\x00" + struct.pack("<I", 2**31), "test_msgs/msg/Mixed", types)
+    with pytest.raises(LogError, match="does not parse"):
+        definitions("test_msgs/msg/Bad", "float64 [[[")
