@@ -89,17 +89,19 @@ Output::Output(nb::handle out, const char *name, std::initializer_list<npy_intp>
     array_ = fresh_array(ndim, shape);
     return;
   }
-  const std::string wanted =
-      std::string("Expected ") + name + " to be a writable C-contiguous float64 array of shape " + shape_text(shape, ndim);
+  const auto refuse = [&](const std::string &what_came) {
+    raise_shape_error(std::string("Expected ") + name + " to be a writable C-contiguous float64 array of shape " +
+                      shape_text(shape, ndim) + what_came);
+  };
   if (!is_plain(out.ptr(), NPY_ARRAY_CARRAY))
-    raise_shape_error(wanted + ", got an object that is not. Make it with numpy.empty, or leave it out.");
+    refuse(", got an object that is not. Make it with numpy.empty, or leave it out.");
   array_ = nb::borrow(out);
   if (PyArray_NDIM(pointer()) != ndim || !std::equal(shape, shape + ndim, PyArray_DIMS(pointer())))
-    raise_shape_error(wanted + ", got shape " + shape_text(PyArray_DIMS(pointer()), PyArray_NDIM(pointer())) + ".");
+    refuse(", got shape " + shape_text(PyArray_DIMS(pointer()), PyArray_NDIM(pointer())) + ".");
   for (const Samples *input : inputs)
     if (overlap(pointer(), *input))
-      raise_shape_error(wanted + " apart from the inputs, got one that shares memory with " + input->name() +
-                        ". Give another array.");
+      refuse(std::string(" apart from the inputs, got one that shares memory with ") + input->name() +
+             ". Give another array.");
 }
 
 }  // namespace armlab

@@ -1,4 +1,4 @@
-// Runs a kernel over the samples of a batch: Lanes::width samples side by side, the last few one by one.
+// Runs a kernel over the samples of a batch: four samples side by side, the last few one by one.
 #pragma once
 
 #include <array>
@@ -21,8 +21,8 @@ struct Writing {
 
 // kernel(in, out) with in[k] and out[k] pointing to the values of one sample: `const Real *` and `Real *`.
 template <std::size_t Ins, std::size_t Outs, class Kernel>
-void run_batch(std::ptrdiff_t count, const std::array<Reading, Ins> &ins, const std::array<Writing, Outs> &outs,
-               Kernel kernel) {
+ARMLAB_VECTORISED void run_batch(std::ptrdiff_t count, const std::array<Reading, Ins> &ins,
+                                 const std::array<Writing, Outs> &outs, Kernel kernel) {
   constexpr int width = Lanes::width;
   std::ptrdiff_t sample = 0;
   if (count >= width) {

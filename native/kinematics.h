@@ -5,7 +5,7 @@
 
 namespace armlab {
 
-// sine[i], cosine[i] of factor[i] q[i] + offset[i], the angle of joint i.
+// Sine and cosine of every joint's angle.
 inline void joint_sincos(const Chain &chain, const Lanes *q, Lanes *sine, Lanes *cosine) {
   for (int i = 0; i < chain.n; ++i)
     sincos(Lanes(chain.steps[i].turns) * q[i] + Lanes(chain.steps[i].offset), sine[i], cosine[i]);
