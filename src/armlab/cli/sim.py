@@ -50,20 +50,33 @@ def sim(
 
     Parameters
     ----------
-    robot : names in the library, one motion task each.
-    to : HOST:PORT of the bridge; with several robots one each, separated by commas.
-    lockstep : wait for each reply and run as fast as the peer; the same seed gives the same bytes.
-    seed : of noise and faults.
-    seconds : robot time after which to end; without it until Ctrl-C.
-    extension : send velocities and torques too (research extension, field 101).
-    operator : CSV file of the wrench that a hand exerts on the first robot: t,fx,fy,fz,mx,my,mz (N, N m, base axes, at the
-        tool point, seconds since guidance began, linear between rows).
-    truth : CSV file to write with the exact state, friction and wrench of every packet (one robot only).
-    stats : JSON file to write with counters and round-trip times.
-    patience : how long lockstep waits for one reply before the session times out [s].
-    abb_defaults : speed deviation 1 deg/s and convergence after 1 s within 0.5 deg, as on a robot set up without care.
-    settings : of the controller.
-    faults : in both directions.
+    robot : str
+        Names in the library, one motion task each.
+    to : str
+        HOST:PORT of the bridge; with several robots one each, separated by commas.
+    lockstep : bool
+        Wait for each reply and run as fast as the peer; the same seed gives the same bytes.
+    seed : int
+        Seed of noise and faults.
+    seconds : float
+        Robot time after which to end [s]; without it until Ctrl-C.
+    extension : bool
+        Send velocities and torques too (research extension, field 101).
+    operator : Path
+        CSV file of the wrench that a hand exerts on the first robot, t,fx,fy,fz,mx,my,mz: seconds since guidance began,
+        N and N m in base axes at the tool point, linear between rows.
+    truth : Path
+        CSV file to write with the exact state, friction and wrench of every packet (one robot only).
+    stats : Path
+        JSON file to write with counters and round-trip times.
+    patience : float
+        How long lockstep waits for one reply before the session times out [s].
+    abb_defaults : bool
+        Speed deviation 1 deg/s and convergence after 1 s within 0.5 deg, as on a robot set up without care.
+    settings : Settings
+        Of the controller.
+    faults : FaultRates
+        In both directions.
     """
     from armlab.cli.output import note
     from armlab.sim.loop import Pace, run
@@ -132,7 +145,8 @@ def read_operator(path: Path) -> Operator:
             )
         if rows and row[0] <= rows[-1][0]:
             raise ConfigError(
-                f"Expected times that increase, got {row[0]:g} s after {rows[-1][0]:g} s in line {lines.line_num} of {path}."
+                f"Expected times that increase in line {lines.line_num} of {path}, "
+                f"got {row[0]:g} s after {rows[-1][0]:g} s."
             )
         rows.append(row)
     table = np.array(rows).reshape(len(rows), len(_OPERATOR))

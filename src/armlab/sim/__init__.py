@@ -1,3 +1,28 @@
-"""The simulated arm and its controller: the only place that knows a truth. Everything else sees what came over the wire."""
+"""The simulated arm and its EGM controller: the only place that knows a truth. All else sees what the wire carries."""
 
-__all__: list[str] = []
+from armlab.sim.arm import Arm, Measurement, Sample
+from armlab.sim.channel import Channel
+from armlab.sim.controller import Controller
+from armlab.sim.faults import FaultRates, Faults
+from armlab.sim.guidance import Guidance, Settings
+from armlab.sim.loop import Pace, run
+from armlab.sim.operator import Operator
+from armlab.sim.truth import Truth, synthetic_truth, truth_names
+
+__all__ = [
+    "Arm",
+    "Channel",
+    "Controller",
+    "FaultRates",
+    "Faults",
+    "Guidance",
+    "Measurement",
+    "Operator",
+    "Pace",
+    "Sample",
+    "Settings",
+    "Truth",
+    "run",
+    "synthetic_truth",
+    "truth_names",
+]

@@ -1,7 +1,7 @@
 """`Arm`: the simulated arm. MuJoCo's rigid bodies, our drives and friction, what the sensors report.
 
-One period is divided into equal steps of at most 1.05 ms, integrated by the leapfrog rule (positions and velocities half a step
-apart), so that the stiff friction springs stay stable and lose no energy by the integration::
+One period is divided into equal steps of at most 1.05 ms, integrated by the leapfrog rule (positions and velocities
+half a step apart), so that the stiff friction springs stay stable and lose no energy by the integration::
 
     v_k = v_{k-1/2} + a_{k-1} h/2,   M a_k = tau - C v_k - G - F_f + J^T F,   v_{k+1/2} = v_{k-1/2} + a_k h,
     q_{k+1} = q_k + v_{k+1/2} h
@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -94,8 +95,6 @@ class Arm:
         q: np.ndarray | None = None,
         seed: int | Sequence[int] = 0,
     ) -> None:
-        import mujoco
-
         if not 1e-4 <= period <= 1.0:
             raise ConfigError(f"Expected a period between 0.0001 s and 1 s, got {period} s.")
         if len(truth.pi) != robot.n:
@@ -103,7 +102,7 @@ class Arm:
         self.robot, self.truth, self.period = robot, truth, period
         self.steps = math.ceil(period / LONGEST_STEP - 1e-9)
         self.step_time = period / self.steps
-        self._mj: Any = mujoco
+        mujoco = self._mj = _mujoco()
         self._model = build_model(robot, truth)
         self._data = mujoco.MjData(self._model)
         data = self._data  # the next five are views: no copies between the physics and us
@@ -228,6 +227,11 @@ class Arm:
         )
 
 
+def _mujoco() -> Any:
+    """Return MuJoCo, imported when the first arm is built. Its bindings have no types."""
+    return import_module("mujoco")
+
+
 def build_model(robot: Robot, truth: Truth) -> Any:
     """Return MuJoCo's model of the arm: one body per link frame, no contacts, no limits, one site at the tool point.
 
@@ -236,7 +240,7 @@ def build_model(robot: Robot, truth: Truth) -> Any:
     robot : frames, joint kinds and gravity.
     truth : inertial parameters and rotor inertias.
     """
-    import mujoco
+    mujoco = _mujoco()
 
     def pose(T: np.ndarray) -> dict[str, np.ndarray]:
         quat = np.empty(4)

@@ -56,7 +56,7 @@ class Channel:
             self._socket.connect((host, port))
         except (OSError, OverflowError) as error:
             self._socket.close()
-            raise LinkError(f"Expected an address to send to, got {host}:{port} ({error}). Check host and port.") from error
+            raise LinkError(f"Expected an address to send to, got {host}:{port} ({error}). Correct it.") from error
         self._socket.setblocking(False)
         self._stamped = self._ask_for_stamps()
         self._poll = select.poll()
@@ -156,11 +156,14 @@ class Channel:
                 return
 
     def _put(self, datagram: bytes) -> None:
+        """Send; twice when the first attempt only reports that an earlier datagram was refused."""
         self._refused = False
-        try:
-            self._socket.send(datagram)
-        except OSError as error:
-            self._count(error)
+        for _ in range(2):
+            try:
+                self._socket.send(datagram)
+                return
+            except OSError as error:
+                self._count(error)
 
     def _get(self) -> bytes | None:
         """Return the next datagram, or None. Socket errors, as from a port that nobody has bound, are counted."""

@@ -1,8 +1,8 @@
 """`Controller`: one motion task of the simulated robot controller, without sockets.
 
-It keeps the order of ABB's cycle (3HAC073318-001, section 2.3): build and send the packet; take at most one message from a first-in
-first-out queue; hold the last reference, speed included, when there is none; move. So the reply to a packet acts
-in the next cycle at the earliest, and a surplus reply adds one cycle of lag for ever.
+It keeps the order of ABB's cycle (3HAC073318-001, section 2.3): build and send the packet; take at most one message of
+a first-in first-out queue; hold the last reference, speed included, when there is none; move. So the reply to a packet
+acts in the next cycle at the earliest, and a surplus reply adds one cycle of lag for ever.
 
 Phases: ``streaming`` (packets say STOPPED) -> ``guiding`` (RUNNING) -> ``failing`` (ERROR, while the arm brakes) ->
 ``paused`` (no packets) -> the next session or ``over``.
@@ -225,7 +225,7 @@ class Controller:
     def _pause(self) -> None:
         self._guidance.brake()
         if self._lasted(self._settings.restart):
-            if self._settings.loop:
+            if self._settings.program == "loop":
                 self._begin_session()
             else:
                 self.stop("the program ran once")

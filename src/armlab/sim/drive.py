@@ -6,9 +6,9 @@ Per joint, at every physics step h, with the nominal inertia J of the joint at t
     I  += h e / INTEGRAL_TIME
     tau = J (a_ref + VELOCITY_GAIN (e + I)) + feedforward (C v + G),     |tau| <= tau_max
 
-The integral is what makes an arm at rest stiff: a push is first carried by static friction and then, within about a second,
-by the drive. It stops growing while the torque is saturated. The feed-forward is deliberately incomplete, as in real drives.
-The drive sees position and velocity without the quantisation and noise of what is reported.
+The integral makes an arm at rest stiff: a push is first carried by static friction and then, within about a second, by
+the drive. It stops growing while the torque is saturated. The feed-forward is deliberately incomplete, as in real
+drives. The drive sees position and velocity without the quantisation and noise of what is reported.
 """
 
 from __future__ import annotations
@@ -34,11 +34,12 @@ class Drive:
     """
 
     def __init__(self, inertia: np.ndarray, tau_max: np.ndarray, feedforward: np.ndarray, step: float) -> None:
-        self._inertia, self._tau_max, self._feedforward = inertia, tau_max, feedforward
+        self._inertia, self._feedforward = inertia, feedforward
+        self._tau_max, self._tau_min = tau_max, -tau_max
         self._gain = inertia * VELOCITY_GAIN
         self._rate = step / INTEGRAL_TIME
         self._integral = np.zeros_like(inertia)
-        self._error, self._growth, self._part = np.zeros((3, len(inertia)))
+        self._error, self._growth = np.zeros((2, len(inertia)))
         self.gravity = np.zeros_like(inertia)
         self.saturated = 0
 
@@ -84,9 +85,11 @@ class Drive:
         out += error
         np.multiply(self._feedforward, bias, out=self.gravity)
         out += self.gravity
-        np.clip(out, -self._tau_max, self._tau_max, out=error)
-        if not np.array_equal(error, out):
-            self._integral -= np.where(error == out, 0.0, growth)
-            out[:] = error
+        np.minimum(out, self._tau_max, out=error)
+        np.maximum(error, self._tau_min, out=error)
+        error -= out
+        if error.dot(error) > 0.0:  # the cheapest test for "any"
+            self._integral -= np.where(error == 0.0, 0.0, growth)
+            out += error
             self.saturated += 1
         return out

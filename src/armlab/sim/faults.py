@@ -22,8 +22,16 @@ class FaultRates:
 
     Attributes
     ----------
-    loss, duplicate, reorder, corrupt : probabilities per datagram. A reordered one arrives one cycle later.
-    delay : mean delay in cycles, exponentially distributed, rounded down; it reorders too.
+    loss : float
+        Probability that a datagram is lost.
+    duplicate : float
+        Probability that it arrives twice.
+    reorder : float
+        Probability that it arrives one cycle later, behind its successor.
+    corrupt : float
+        Probability that it arrives damaged, so that nobody can read it.
+    delay : float
+        Mean delay in cycles, exponentially distributed, rounded down.
 
     Raises
     ------
@@ -61,7 +69,7 @@ class Faults:
     def __init__(self, rates: FaultRates, seed: int | Sequence[int]) -> None:
         self._rates = rates
         self._random = np.random.default_rng(seed)
-        self._under_way: list[tuple[int, int, int, bytes]] = []
+        self._under_way: list[tuple[int, int, tuple[int, bytes]]] = []  # (cycle when due, order of arrival, item)
         self._cycle = self._order = 0
 
     def through(self, datagrams: list[tuple[int, bytes]]) -> list[tuple[int, bytes]]:
@@ -82,11 +90,11 @@ class Faults:
             for _ in range(1 + int(twice)):
                 if delay:
                     self._order += 1
-                    heapq.heappush(self._under_way, (self._cycle + delay, self._order, *item))
+                    heapq.heappush(self._under_way, (self._cycle + delay, self._order, item))
                 else:
                     out.append(item)
         while self._under_way and self._under_way[0][0] <= self._cycle:
-            out.append(heapq.heappop(self._under_way)[2:])
+            out.append(heapq.heappop(self._under_way)[2])
         self._cycle += 1
         return out
 

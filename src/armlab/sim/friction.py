@@ -1,11 +1,12 @@
-"""Drive friction of the simulated arms: a bristle (LuGre) state, Stribeck curve, viscous part, offset and torque ripple.
+"""Drive friction of the simulated arms: a bristle state (LuGre), Stribeck curve, viscous part, offset, torque ripple.
 
 Between reversals the bristle force f of a joint relaxes over distance, not over time (Canudas de Wit et al. 1995)::
 
-    df/dq = (c / delta) (1 - f s / g(v)),   s = sign(v),   g(v) = c (1 + (ratio - 1) exp(-(v / vs)^2)),   c = c_pos or c_neg
+    df/dq = (c / delta) (1 - f s / g(v)),   g(v) = c (1 + (ratio - 1) exp(-(v / vs)^2)),   s = sign(v)
 
-In small motions it is a spring of stiffness c / delta; with growing distance it slides at g. At rest it keeps its value, so
-a joint really sticks: it needs ``ratio`` x Coulomb to break away. For constant v in a step the solution is exact::
+with c = c_pos or c_neg by direction. In small motions it is a spring of stiffness c / delta; with growing distance it
+slides at g. At rest it keeps its value: a joint really sticks, and needs ``ratio`` x Coulomb to break away.
+For constant v in a step the solution is exact::
 
     f' = s g + (f - s g) exp(-(c / delta) |dq| / g)
 

@@ -1,19 +1,21 @@
 """How the simulated controller turns references into motion: `Settings` and `Guidance` (joint mode).
 
-Per cycle, per joint, T = period (ABB 3HAC073318-001, section 2.3; the filter stages are our model, ABB gives no number)::
+Per cycle, per joint, T = period (ABB 3HAC073318-001, section 2.3; the filter is our model, ABB gives no number)::
 
     v* = w (k g (q_ref - p) + qd_ref),   w = min(1, time / ramp_in)
     v* is scaled for all joints by min(1, max_speed / max |v*|)
     v += (1 - exp(-2 pi f T)) (v* - v), once for level 0, twice in series for levels 1 and 2
     p += v T
 
-At constant speed without qd_ref the reference p lags by v / (k g): 2 degrees at 10 deg/s with k = 5. With qd_ref it does not.
+At constant speed without qd_ref the reference p lags by v / (k g): 2 degrees at 10 deg/s with k = 5. With qd_ref it
+does not lag.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -47,14 +49,34 @@ class Settings:
 
     Attributes
     ----------
-    period : of the packets [s]; 4.032 ms on a real controller.
-    gain : k, default proportional position gain [1/s]. position_gain : g, PosCorrGain; 0 is pure velocity.
-    filter : LpFilter [Hz]. level : 0 raw, 1 and 2 with a second filter stage. ramp_in : RampInTime [s].
-    max_deviation : MaxPosDeviation from the start [rad]. max_speed : MaxSpeedDeviation [rad/s], never more than the
-        fastest joint of the robot allows.
-    window : half width of the convergence window [rad]; 0 is never converged. condition_time : CondTime [s].
-    comm_timeout : CommTimeout [s]. stream : seconds of packets before guidance begins.
-    restart : seconds from the end of a session to the next. loop : begin another session when one ends.
+    period : float
+        Time between two packets [s]; 4.032 ms on a real controller.
+    gain : float
+        k, the proportional position gain [1/s].
+    filter : float
+        LpFilter, bandwidth of the speed filter [Hz].
+    level : int
+        0 filters once, 1 and 2 twice.
+    position_gain : float
+        g, PosCorrGain; 0 is pure velocity control.
+    ramp_in : float
+        RampInTime [s].
+    max_deviation : float
+        MaxPosDeviation from where guidance began [rad].
+    max_speed : float
+        MaxSpeedDeviation [rad/s]; never more than the fastest joint of the robot allows.
+    window : float
+        Half width of the convergence window [rad]; 0 is never converged.
+    condition_time : float
+        CondTime, how long the window must be met to end the session [s].
+    comm_timeout : float
+        CommTimeout, silence that ends the session [s].
+    stream : float
+        Time of packets before guidance begins, MCI stopped [s].
+    restart : float
+        Time from the end of a session to the next [s].
+    program : str
+        "loop" begins another session when one ends, "once" does not.
 
     Raises
     ------
@@ -74,7 +96,7 @@ class Settings:
     comm_timeout: float = 1.0
     stream: float = 0.0
     restart: float = 0.2
-    loop: bool = True
+    program: Literal["loop", "once"] = "loop"
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -85,7 +107,7 @@ class Settings:
 
     @classmethod
     def abb_defaults(cls) -> Settings:
-        """Return what ABB's own defaults give: hardly any speed, and a session that ends when the robot stands still."""
+        """Return what ABB's own defaults give: hardly any speed, and sessions that end when the robot stands still."""
         return cls(max_speed=math.radians(1.0), window=math.radians(0.5))
 
 
@@ -126,7 +148,9 @@ class Guidance:
         """
         settings = self._settings
         self._time += settings.period
-        wanted = settings.gain * settings.position_gain * (q_ref - self.q) if q_ref is not None else np.zeros_like(self.q)
+        wanted = (
+            settings.gain * settings.position_gain * (q_ref - self.q) if q_ref is not None else np.zeros_like(self.q)
+        )
         if qd_ref is not None:
             wanted = wanted + qd_ref
         if self._time < settings.ramp_in:
@@ -177,6 +201,5 @@ class Guidance:
         ----------
         q_ref : (n,) or None.
         """
-        return (
-            self._settings.window > 0 and q_ref is not None and bool((np.abs(q_ref - self.q) <= self._settings.window).all())
-        )
+        window = self._settings.window
+        return window > 0 and q_ref is not None and bool((np.abs(q_ref - self.q) <= window).all())

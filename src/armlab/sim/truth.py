@@ -126,6 +126,7 @@ class _Sizes:
     rotor: tuple[float, ...]
     radius: float
     shortest: float
+    gear: float | None = None  # assumed where the robot's file has no gears
 
 
 _YUMI = _Sizes(
@@ -144,6 +145,7 @@ _SIZES = {
         rotor=(30, 30, 20, 2, 1.5, 1),
         radius=0.10,
         shortest=0.12,
+        gear=100.0,
     ),
     "irb7600": _Sizes(
         mass=(700, 450, 350, 120, 60, 20),
@@ -151,6 +153,7 @@ _SIZES = {
         rotor=(800, 800, 500, 50, 40, 20),
         radius=0.22,
         shortest=0.25,
+        gear=100.0,
     ),
 }
 
@@ -178,7 +181,7 @@ def synthetic_truth(robot: Robot) -> Truth:
     if len(tau_max) != n:
         raise ShapeError(f"Expected {len(tau_max)} joints in robot {robot.name!r}, got {n}.")
     coulomb = 0.05 * tau_max
-    gear = np.abs(np.diag(np.linalg.inv(robot.coupling)))
+    gear = np.abs(np.diag(np.linalg.inv(robot.coupling))) if sizes.gear is None else np.full(n, sizes.gear)
     return Truth(
         pi=np.array([cylinder(m, p, sizes.radius, sizes.shortest) for m, p in zip(sizes.mass, robot.links[1:, :3, 3])]),
         rotor=np.array(sizes.rotor, dtype=float),
@@ -223,4 +226,6 @@ def cylinder(mass: float, p: np.ndarray, radius: float, shortest: float) -> np.n
 def _parameters(mass: float, centre: np.ndarray, inertia: np.ndarray) -> np.ndarray:
     """Return (10,) parameters about the origin from an inertia (3, 3) about the centre of mass."""
     about = inertia + mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
-    return np.array([mass, *(mass * centre), about[0, 0], about[0, 1], about[1, 1], about[0, 2], about[1, 2], about[2, 2]])
+    return np.array(
+        [mass, *(mass * centre), about[0, 0], about[0, 1], about[1, 1], about[0, 2], about[1, 2], about[2, 2]]
+    )

@@ -1,0 +1,300 @@
+"""The controller's cycle, sessions, time-outs and events, without sockets."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armlab import robots
+from armlab.sim.arm import Arm
+from armlab.sim.controller import EPOCH_NS, QUEUE_LENGTH, Controller
+from armlab.sim.guidance import Settings
+from armlab.sim.operator import Operator
+from armlab.sim.truth import synthetic_truth
+from armlab.wire.egm import EgmCodec, Packet, Reference, RobotSideCodec
+
+ROBOT = robots.load("yumi_right")
+TRUTH = synthetic_truth(ROBOT)
+STOPPED, RUNNING, ERROR = 2, 3, 1
+
+
+class Peer:
+    """A bridge without a network: decodes packets, answers with a fixed reference."""
+
+    def __init__(self, controller: Controller) -> None:
+        self.controller, self.codec = controller, EgmCodec(ROBOT, extension=True)
+        self.packets: list[Packet] = []
+        self._seq = 0
+
+    def cycle(self, q: np.ndarray | None = None, qd: np.ndarray | None = None, replies: int = 1) -> Packet | None:
+        """One cycle: the packet, what the controller does with older messages, then the replies to the packet."""
+        data = self.controller.packet()
+        self.controller.advance()
+        if data is None:
+            return None
+        packet = self.codec.decode(data)
+        assert isinstance(packet, Packet)
+        self.packets.append(packet)
+        for _ in range(replies if q is not None else 0):
+            assert self.controller.accept(self.reply(packet, q, qd)) is not None
+        return packet
+
+    def reply(self, packet: Packet, q: np.ndarray, qd: np.ndarray | None = None) -> bytes:
+        self._seq += 1
+        return self.codec.encode(
+            Reference(q, qd, None, self._seq, packet.tm_ms or 0, packet.seqno, packet.robot_mono_ns)
+        )
+
+
+def start(seed: int = 0, operator: Operator | None = None, extension: bool = True, **changes: object) -> Peer:
+    chosen = Settings(**changes)  # type: ignore[arg-type]
+    events: list[str] = []
+    arm = Arm(ROBOT, TRUTH, period=chosen.period, seed=seed)
+    peer = Peer(Controller(arm, RobotSideCodec(ROBOT, extension=extension), chosen, operator, events.append))
+    peer.events = events  # type: ignore[attr-defined]
+    return peer
+
+
+def test_packet_content() -> None:
+    peer = start()
+    first, second = peer.cycle(ROBOT.q_home), peer.cycle(ROBOT.q_home)
+    assert first is not None
+    assert second is not None
+    assert (first.seqno, second.seqno) == (0, 1)
+    assert first.tm_ms == 10000
+    assert second.tm_ms == 10004
+    assert first.robot_ns == EPOCH_NS
+    assert second.robot_ns == EPOCH_NS + 4_032_000
+    assert (first.motors, first.mci, first.rapid) == (1, RUNNING, 2)
+    assert first.robotware == "6.10"
+    assert np.isnan(first.wrench_raw).all()
+    np.testing.assert_allclose(first.q, ROBOT.q_home, atol=1e-5)
+    np.testing.assert_allclose(first.q_planned, ROBOT.q_home, atol=1e-12)
+    np.testing.assert_allclose(first.T_frame_tool, ROBOT.chain.forward(first.q), atol=1e-9)
+    assert first.qd is not None
+    assert first.tau is not None
+    assert first.tau_source == "measured"
+    assert (np.abs(first.qd) < 6e-3).all()
+    assert (np.abs(first.tau - peer.controller.arm.sample.tau) < 6 * TRUTH.tau_noise).all()
+
+
+def test_without_extension_no_torque() -> None:
+    packet = start(extension=False).cycle()
+    assert packet is not None
+    assert packet.tau is None
+    assert packet.qd is None
+
+
+def test_lag_of_the_planned_reference() -> None:
+    """10 deg/s without speed reference and k = 5: 2 degrees; with it none."""
+    for feedforward, expected in ((False, 2.0), (True, 0.0)):
+        peer, speed = start(), np.radians(10.0)
+        for k in range(750):
+            q = ROBOT.q_home + np.array([speed * k * 0.004032, 0, 0, 0, 0, 0, 0])
+            peer.cycle(q, np.array([speed, 0, 0, 0, 0, 0, 0]) if feedforward else None)
+        lag = q[0] - peer.controller.arm._q_ref[0]
+        assert np.degrees(lag) == pytest.approx(expected, abs=0.06)
+        assert np.degrees(q[0] - peer.packets[-1].q[0]) == pytest.approx(expected, abs=0.15)
+
+
+def test_the_answer_to_a_packet_acts_in_the_next_cycle() -> None:
+    peer = start(ramp_in=0.005)
+    peer.cycle(ROBOT.q_home + 0.1)
+    still = peer.cycle(ROBOT.q_home + 0.1)
+    moving = peer.cycle(ROBOT.q_home + 0.1)
+    assert still is not None
+    assert moving is not None
+    np.testing.assert_allclose(still.q_planned, ROBOT.q_home, atol=1e-12)
+    assert (moving.q_planned > ROBOT.q_home + 1e-6).all()
+    assert dict(peer.controller.statistics.age) == {1: 2}
+
+
+def test_a_surplus_reply_adds_a_cycle_for_ever() -> None:
+    peer = start()
+    for k in range(20):
+        packet = peer.cycle(ROBOT.q_home, replies=2 if k == 5 else 1)
+    assert packet is not None
+    assert packet.queue_depth == 2
+    assert set(peer.controller.statistics.age) == {1, 2}
+    assert peer.controller.statistics.age[2] >= 12
+
+
+def test_the_queue_is_bounded() -> None:
+    peer = start()
+    peer.cycle(ROBOT.q_home, replies=QUEUE_LENGTH + 5)
+    assert peer.controller.statistics.drops["queue full"] == 5
+
+
+def test_the_last_reference_stays_speed_included() -> None:
+    peer = start(ramp_in=0.005, position_gain=0.0)
+    for _ in range(60):
+        peer.cycle(ROBOT.q_home, np.full(7, 0.1))
+    for _ in range(100):
+        peer.cycle()
+    speeds = np.diff([p.q_planned for p in peer.packets[-50:]], axis=0) / 0.004032
+    np.testing.assert_allclose(speeds, 0.1, rtol=1e-6)
+    assert peer.controller.statistics.counts["starved"] == 99
+
+
+def test_comm_timeout_ends_the_session_and_the_next_begins() -> None:
+    peer = start(comm_timeout=0.2, ramp_in=0.005)
+    for _ in range(60):
+        peer.cycle(ROBOT.q_home + 0.3, np.full(7, 0.5))
+    sent = len(peer.packets)
+    while peer.cycle() is not None:
+        pass
+    assert (len(peer.packets) - sent) * 0.004032 == pytest.approx(0.2, abs=0.013)
+    assert any("41822 No data from the UdpUc device" in event for event in peer.events)
+    gap = 0
+    while (packet := peer.cycle()) is None:
+        gap += 1
+    assert gap * 0.004032 == pytest.approx(0.2, abs=0.01)
+    assert packet.seqno == 0
+    assert peer.controller.session == 2
+    assert np.abs(peer.controller.arm.sample.qd).max() < 0.02, "the arm came to a stop"
+    assert packet.robot_ns > peer.packets[-2].robot_ns + 100_000_000
+
+
+def test_session_time_out_is_said_once_without_a_peer() -> None:
+    peer = start(comm_timeout=0.05)
+    for _ in range(400):
+        peer.cycle()
+    assert peer.controller.session > 3
+    assert len(peer.events) == 1
+
+
+def test_program_once_ends() -> None:
+    peer = start(comm_timeout=0.05, program="once")
+    for _ in range(200):
+        peer.cycle()
+    assert peer.controller.phase == "over"
+    assert peer.controller.reason == "the program ran once"
+    assert peer.controller.session == 1
+
+
+def test_convergence_ends_the_session() -> None:
+    peer = start(window=np.radians(0.5), condition_time=0.4)
+    while peer.cycle(ROBOT.q_home + 0.05) is not None:
+        pass
+    converged = [p.converged for p in peer.packets]
+    assert not converged[2]
+    assert converged[-1]
+    assert sum(converged) * 0.004032 == pytest.approx(0.4, abs=0.01)
+    assert any("convergence" in event for event in peer.events)
+
+
+def test_streaming_comes_before_guidance() -> None:
+    peer = start(stream=0.1, operator=Operator(np.array([0.0, 1.0]), np.tile([5.0, 0, 0, 0, 0, 0], (2, 1))))
+    for _ in range(60):
+        peer.cycle(ROBOT.q_home + 0.2)
+    states = [p.mci for p in peer.packets]
+    assert states == [STOPPED] * 25 + [RUNNING] * 35
+    for p in peer.packets[:26]:
+        np.testing.assert_allclose(p.q_planned, ROBOT.q_home, atol=1e-12)
+    assert peer.controller.statistics.drops["not guiding"] >= 24
+    assert peer.packets[25].robot_ns - EPOCH_NS == 25 * 4_032_000
+
+
+def test_a_reference_out_of_bounds_stops_in_error() -> None:
+    peer = start()
+    for _ in range(20):
+        peer.cycle(ROBOT.q_home)
+    peer.cycle(ROBOT.q_max + 0.01)
+    while peer.cycle(ROBOT.q_home) is not None:
+        pass
+    assert [p.mci for p in peer.packets][-20:] == [ERROR] * 20
+    assert any("input out of bounds" in event and "joint 1" in event for event in peer.events)
+    np.testing.assert_allclose(peer.controller.arm.sample.q, ROBOT.q_home, atol=1e-3)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_reference_that_is_no_number_kills_the_controller(value: float) -> None:
+    peer = start()
+    peer.cycle(ROBOT.q_home)
+    packet = peer.cycle(ROBOT.q_home)
+    assert packet is not None
+    q = ROBOT.q_home.copy()
+    q[3] = value
+    peer.controller.accept(peer.reply(packet, q))
+    for _ in range(400):
+        peer.cycle()
+    assert peer.controller.dead
+    assert any(" 10014 " in event for event in peer.events)
+    assert peer.controller.session == 1
+    np.testing.assert_allclose(peer.controller.arm.sample.q, ROBOT.q_home, atol=1e-3)
+
+
+def test_operator_acts_on_guidance_time() -> None:
+    """The wrench of the packet at guidance time t is the operator's at t."""
+    times = np.array([0.0, 0.1, 0.2])
+    wrench = np.zeros((3, 6))
+    wrench[1, 2] = -5.0
+    peer = start(operator=Operator(times, wrench))
+    seen = []
+    for _ in range(60):
+        seen.append((peer.controller.guidance_time, peer.controller.arm.sample.wrench[2]))
+        peer.cycle(ROBOT.q_home)
+    t, f = np.array(seen).T
+    np.testing.assert_allclose(f, np.interp(t, times, wrench[:, 2]), atol=1e-9)
+
+
+def test_same_seed_same_bytes() -> None:
+    def stream(seed: int) -> list[bytes | None]:
+        peer = start(seed=seed)
+        packets = []
+        for k in range(100):
+            peer.cycle(ROBOT.q_home + 0.001 * k)
+            packets.append(peer.controller.packet())
+        return packets
+
+    assert stream(5) == stream(5)
+    assert stream(5) != stream(6)
+
+
+def test_losing_the_peer_ends_the_session_at_once() -> None:
+    peer = start()
+    peer.cycle(ROBOT.q_home)
+    peer.controller.lose_peer()
+    assert peer.controller.packet() is None
+    peer.controller.stop("enough")
+    assert (peer.controller.phase, peer.controller.reason) == ("over", "enough")
+
+
+def planned_after(garbage: list[bytes]) -> np.ndarray:
+    """Run 30 cycles with garbage before each good reply; return what was planned."""
+    peer = start()
+    for k in range(30):
+        for data in garbage:
+            assert peer.controller.accept(data) is None
+        peer.cycle(ROBOT.q_home + 0.002 * k, np.full(7, 0.1))
+    return np.array([p.q_planned for p in peer.packets])
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.lists(st.binary(max_size=60), max_size=4))
+def test_garbage_never_moves_the_robot(noise: list[bytes]) -> None:
+    peer = start()
+    packet = peer.codec.decode(peer.controller.packet() or b"")
+    assert isinstance(packet, Packet)
+    good = peer.reply(packet, ROBOT.q_home)
+    robot_side = RobotSideCodec(ROBOT)
+    garbage = [
+        data
+        for data in [b"", b"\0", good[:1], good[: len(good) // 2], good[:-3], bytes(65507), *noise]
+        if type(robot_side.decode_sensor(data)).__name__ == "Drop" or robot_side.decode_sensor(data).q is None  # type: ignore[union-attr]
+    ]
+    np.testing.assert_array_equal(planned_after(garbage), planned_after([]))
+
+
+def test_garbage_is_counted_by_kind_and_said_once() -> None:
+    peer = start()
+    echo = start(extension=False).controller.packet() or b""
+    for _ in range(3):
+        for data in (b"", b"\xff\xff", echo):
+            assert peer.controller.accept(data) is None
+    drops = peer.controller.statistics.drops
+    assert sum(drops.values()) == 9
+    assert {"no header", "unparsable", "wrong type"} <= set(drops)
+    assert len(peer.events) == len(drops)

@@ -1,0 +1,54 @@
+"""The drive's law, its integral and its saturation."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from armlab.sim.drive import INTEGRAL_TIME, POSITION_GAIN, VELOCITY_GAIN, Drive
+
+INERTIA, TAU_MAX = np.array([0.2, 0.1]), np.array([40.0, 5.0])
+ZERO = np.zeros(2)
+
+
+def drive() -> Drive:
+    return Drive(INERTIA, TAU_MAX, np.array([0.9, 0.9]), 1e-3)
+
+
+def test_law_without_integral() -> None:
+    error = np.array([1e-4, -2e-4])
+    speed = np.array([0.01, 0.02])
+    e = POSITION_GAIN * error + speed
+    expected = INERTIA * (3.0 + VELOCITY_GAIN * (e + e * 1e-3 / INTEGRAL_TIME)) + 0.9 * np.array([2.0, 1.0])
+    tau = drive().torque(error, speed, np.full(2, 3.0), ZERO, ZERO, np.array([2.0, 1.0]), np.empty(2))
+    np.testing.assert_allclose(tau, expected, rtol=1e-12)
+
+
+def test_reset_holds() -> None:
+    unit, holding, bias = drive(), np.array([7.0, -1.0]), np.array([6.0, 0.5])
+    unit.reset(holding, bias)
+    np.testing.assert_allclose(unit.torque(ZERO, ZERO, ZERO, ZERO, ZERO, bias, np.empty(2)), holding, rtol=1e-12)
+    np.testing.assert_allclose(unit.gravity, 0.9 * bias)
+
+
+def test_saturation_stops_the_integral() -> None:
+    unit, far = drive(), np.array([0.0, 1.0])
+    for _ in range(1000):
+        tau = unit.torque(far, ZERO, ZERO, ZERO, ZERO, ZERO, np.empty(2))
+    assert tau[1] == TAU_MAX[1]
+    assert unit.saturated == 1000
+    back = unit.torque(ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, np.empty(2))
+    np.testing.assert_allclose(back, 0.0, atol=1e-9)
+
+
+def test_integral_removes_a_constant_load() -> None:
+    """A free mass under a constant load returns to its reference."""
+    unit, q, qd, load = drive(), np.zeros(2), np.zeros(2), np.array([-3.0, 1.0])
+    largest = np.zeros(2)
+    for _ in range(3000):
+        tau = unit.torque(ZERO, ZERO, ZERO, q, qd, ZERO, np.empty(2))
+        qd += 1e-3 * (tau + load) / INERTIA
+        q += 1e-3 * qd
+        largest = np.maximum(largest, np.abs(q))
+    assert (largest > 1e-4).all()
+    np.testing.assert_allclose(q, 0.0, atol=1e-9)
+    np.testing.assert_allclose(tau, -load, rtol=1e-6)

@@ -1,0 +1,43 @@
+"""Counters and quantiles of the simulated controller."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from armlab.sim.statistics import Statistics
+
+
+def test_round_trips_leave_out_the_first_second() -> None:
+    statistics = Statistics()
+    statistics.trip(0.024, uptime=0.5)
+    for microseconds in range(1, 101):
+        statistics.trip(microseconds * 1e-6, uptime=2.0)
+    trips = statistics.as_dict()["round_trip_us"]
+    assert trips["p50"] == pytest.approx(50.5)
+    assert trips["max"] == pytest.approx(100.0)
+
+
+def test_everything_is_plain_json() -> None:
+    statistics = Statistics()
+    statistics.counts["packets"] += 3
+    statistics.drops["unparsable"] += 1
+    statistics.queue[1] += 2
+    statistics.age[1] += 2
+    statistics.late(1e-4)
+    statistics.events.append("0.000 s yumi_left - something")
+    data = json.loads(json.dumps(statistics.as_dict()))
+    assert data["counts"] == {"packets": 3}
+    assert data["drops"] == {"unparsable": 1}
+    assert data["queue_depth"] == {"1": 2}
+    assert data["reference_age"] == {"1": 2}
+    assert data["wake_up_late_us"]["p50"] == pytest.approx(100.0)
+    assert data["round_trip_us"] == {}
+
+
+def test_line_names_what_was_dropped() -> None:
+    statistics = Statistics()
+    statistics.drops["no header"] += 2
+    assert "dropped: 2 no header" in statistics.line()
+    assert "round trip" not in statistics.line()
