@@ -111,8 +111,8 @@ void WrenchEstimator::step(const double *q, const double *qd, const double *tau,
     const JointFriction &f = p_.friction[i];
     const double dy = follow(joint.play, q[i], f.resolution);
     joint.z = slide(joint.z, dy, f.delta);
-    joint.uncertainty *= std::exp(-2.0 * std::fabs(dy) / f.delta);
     joint.uncertainty += (unknown - joint.uncertainty) * relax;
+    joint.uncertainty *= std::exp(-2.0 * std::fabs(dy) / f.delta);
     qdd[i] = (qd[i] - joint.qd) / dt;
     joint.qd = qd[i];
   }

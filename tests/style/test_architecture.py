@@ -1,4 +1,4 @@
-"""The rules of structure: layers, owners of sockets and disk, sizes, exports, documentation, error sentences, pose names.
+"""The rules of structure: layers, owners, sizes, exports, documentation, error sentences, pose names.
 
 They are read from the sources, never imported, so that a broken module cannot hide from them.
 Docstrings do not count in the length of a function; everything else does.

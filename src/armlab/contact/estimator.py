@@ -4,9 +4,9 @@ With ``tau_e = model - measured = J^T F + e``, e ~ N(0, C_tau(qd)), F ~ N(0, C_F
 
     S = J^T C_F J + C_tau,   K = C_F J S^-1,   F_hat = K tau_e,   P = (I - K J^T) C_F (I - K J^T)^T + K C_tau K^T
 
-It needs no inverse of C_tau or C_F and works at singular poses, where the prior remains. TFRT-7651 prints the estimate with
-C_tau where its inverse belongs; as a covariance that gives the noisiest joint the most weight. The prior shrinks: the bias
-is ``(I - K J^T) F``.
+It needs no inverse of C_tau or C_F and works at singular poses, where the prior remains. TFRT-7651 prints the estimate
+with C_tau where its inverse belongs; as a covariance that gives the noisiest joint the most weight. The prior shrinks:
+the bias is ``(I - K J^T) F``.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ DEFAULT_PRIOR = (400.0, 400.0, 400.0, 4.0, 4.0, 4.0)  # variances: 20 N, 2 N m
 class Estimator:
     """Contact wrench from joint motion and torque, sample by sample or for a whole log.
 
-    `step` and `run` call the same kernel: for the same rows their results are equal bit for bit. Causal: a residual filter
-    of second order at the model's cut-off (10 Hz: 22 ms delay).
+    `step` and `run` call the same kernel: for the same rows their results are equal bit for bit. Causal: a residual
+    filter of second order at the model's cut-off (10 Hz: 22 ms delay).
 
     Parameters
     ----------
@@ -94,8 +94,8 @@ class Estimator:
         q, qd, tau = (np.ascontiguousarray(table[name], dtype=float) for name in ("q", "qd", "tau"))
         if q.shape != (len(table), self._n):
             raise ShapeError(
-                f"Expected q of shape ({len(table)}, {self._n}), got {q.shape}. Give the log of the robot that the model "
-                "belongs to."
+                f"Expected q of shape ({len(table)}, {self._n}), got {q.shape}. "
+                "Give the log of the robot that the model belongs to."
             )
         self.reset()
         F, cov, observability, error, variance = self._kernel.run(q, qd, tau, np.ascontiguousarray(table.dt))

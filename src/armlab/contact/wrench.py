@@ -41,7 +41,7 @@ class Wrench:
 
     @property
     def cond(self) -> float:
-        """Condition number of C_tau^-1/2 J^T C_F^1/2: how unevenly this pose sees the wrench; inf when it is singular."""
+        """Condition of C_tau^-1/2 J^T C_F^1/2: how unevenly this pose sees the wrench; inf when singular."""
         if self.flags & INVALID:
             return float("nan")
         scale = np.sqrt(self.prior)

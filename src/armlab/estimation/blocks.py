@@ -1,8 +1,8 @@
 """Least squares over blocks of time: sums that can be left out, drawn again, or added.
 
 A block keeps ``A^T A``, ``A^T y`` and ``y^T y`` of its whitened rows. Residuals of robots are coloured, so the formal
-covariance is far too small; drawing whole blocks again (Kunsch 1989) keeps their correlation. Two hundred draws cost two
-hundred solves of size d.
+covariance is far too small; drawing whole blocks again (Kunsch 1989) keeps their correlation. Two hundred draws cost
+two hundred solves of size d.
 """
 
 from __future__ import annotations
@@ -85,7 +85,8 @@ def block_bootstrap(sums: BlockSums, draws: int = 200, seed: int = 0) -> np.ndar
 def correlation_time(x: np.ndarray, dt: float) -> float:
     """Return ``dt (1/2 + sum rho_k)`` [s] of a record (N,): the sum runs while pairs of autocorrelations are positive.
 
-    The variance of a mean over T >> correlation_time is ``2 s^2 correlation_time / T`` (Geyer's initial positive sequence).
+    The variance of a mean over T >> correlation_time is ``2 s^2 correlation_time / T`` (Geyer's initial positive
+    sequence).
     """
     x = np.asarray(x, dtype=float) - np.mean(x)
     size = 2 ** int(np.ceil(np.log2(2 * len(x))))

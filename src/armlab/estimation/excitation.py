@@ -1,7 +1,7 @@
 """What the data can tell: rank, condition and the weakest directions in words.
 
-The test is on the column-scaled, whitened design matrix A (each column divided by its norm): its singular values are free
-of units, and its condition number c says how many digits of the answer the noise of the data can eat.
+The test is on the column-scaled, whitened design matrix A (each column divided by its norm): its singular values are
+free of units, and its condition number c says how many digits of the answer the noise of the data can eat.
 """
 
 from __future__ import annotations
@@ -44,7 +44,8 @@ class Excitation:
     def text(self) -> str:
         """Return one line for a report."""
         verdict = "good" if self.condition < WARN_CONDITION else "weak: log a longer or richer motion"
-        return f"excitation {verdict}: rank {self.rank} of {self.expected}, condition {self.condition:.0f}; weakest: {self.weakest}"
+        found = f"rank {self.rank} of {self.expected}, condition {self.condition:.0f}"
+        return f"excitation {verdict}: {found}; weakest: {self.weakest}"
 
 
 def check_excitation(gram: np.ndarray, names: Sequence[str], what: str) -> Excitation:

@@ -67,7 +67,8 @@ class Fit(Generic[Value]):
         """Return the fit in words and tables."""
         if self.summary is not None:
             return self.summary(self)
-        rows = [f"{n:32s} {v: .6g} +- {s:.2g} {u}" for n, v, s, u in zip(self.names, self.parameters, self.sd, self.units)]
+        columns = zip(self.names, self.parameters, self.sd, self.units)
+        rows = [f"{name:32s} {value: .6g} +- {sd:.2g} {unit}" for name, value, sd, unit in columns]
         return "\n".join([*rows, f"{self.n} samples", self.excitation.text()])
 
     def save(self, path: str | Path) -> Path:

@@ -3,16 +3,20 @@
 from armlab.identify.base_parameters import BaseParameters, base_parameters
 from armlab.identify.covariance import fit_velocity_covariance
 from armlab.identify.dynamics import fit_dynamics
-from armlab.identify.excitation import Trajectory, excitation
+from armlab.identify.excitation import Trajectory, dither, excitation, sequence
 from armlab.identify.preparation import Prepared, prepare
+from armlab.identify.validation import predict
 
 __all__ = [
     "BaseParameters",
     "Prepared",
     "Trajectory",
     "base_parameters",
+    "dither",
     "excitation",
     "fit_dynamics",
     "fit_velocity_covariance",
+    "predict",
     "prepare",
+    "sequence",
 ]

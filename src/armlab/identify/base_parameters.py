@@ -1,7 +1,8 @@
 """Base parameters: the combinations of link parameters that motion can tell apart.
 
 The regressor of an arm, ``Y pi`` with 10 parameters per link and one rotor inertia per joint, has dependent columns. A
-pivoted QR in a fixed physical order (Gautier 1991) keeps the first independent columns and expresses the others by them:
+pivoted QR in a fixed physical order (Gautier 1991) keeps the first independent columns and expresses the others by
+them:
 
     Y pi = Y[:, kept] B pi,      B = [I, K] in the order of the columns
 
@@ -52,8 +53,8 @@ def base_parameters(robot: Robot) -> BaseParameters:
     """Return the base parameters of `robot`, rotor inertias included.
 
     The regressor is evaluated at 50 n random states (fixed seed); columns are scaled to norm 1. A column counts as
-    independent when its part outside the span of the columns before it exceeds 1e-8. First moments and inertias come first,
-    from base to tip, then rotors, then masses: so a name reads ``m c_x2 + 0.2465 m3``, as in the literature.
+    independent when its part outside the span of the columns before it exceeds 1e-8. First moments and inertias come
+    first, from base to tip, then rotors, then masses: so a name reads ``m c_x2 + 0.2465 m3``, as in the literature.
 
     Parameters
     ----------

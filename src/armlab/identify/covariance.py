@@ -1,7 +1,7 @@
 """Torque covariance over velocity by maximum likelihood on free-motion residuals.
 
-Minimise ``sum log s^2 + e^2 / s^2`` over C0, Cinf and the decay rate, per joint, in their logarithms. Residuals must have
-passed the same causal filter as the estimator will use. Covariances of the parameters count effective samples.
+Minimise ``sum log s^2 + e^2 / s^2`` over C0, Cinf and the decay rate, per joint, in their logarithms. Residuals must
+have passed the same causal filter as the estimator will use. Covariances of the parameters count effective samples.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ def fit_velocity_covariance(residuals: np.ndarray, qd: np.ndarray, kind: str = "
 
     Raises
     ------
-    ShapeError : shapes differ or values are not finite. NotExcited : fewer than 100 samples. UnknownName : another kind.
+    ShapeError : shapes differ or values are not finite. NotExcited : fewer than 100 samples. UnknownName : another
+    kind.
     """
     residuals, qd = np.asarray(residuals, dtype=float), np.asarray(qd, dtype=float)
     if residuals.ndim != 2 or residuals.shape != qd.shape or not np.isfinite(residuals).all():
@@ -98,7 +99,8 @@ def _fit_exponential(e: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.n
         return float(np.mean(np.log(variance) + ratio)), gradient @ ((1 - ratio) / variance) / len(e)
 
     results = [
-        minimize(cost, np.array([start, 1.0, np.log(rate)]), jac=True, method="L-BFGS-B", bounds=bounds) for rate in STARTS
+        minimize(cost, np.array([start, 1.0, np.log(rate)]), jac=True, method="L-BFGS-B", bounds=bounds)
+        for rate in STARTS
     ]
     theta = min(results, key=lambda r: r.fun).x
     variance, gradient = _exponential(theta, speed)

@@ -1,7 +1,8 @@
 """The linear regression behind `fit_dynamics`: filtered, thinned regressor columns and the choice of friction shape.
 
-Base-parameter columns are shared by all joints; each joint has its own seven: viscous, Coulomb for both directions, offset,
-Stribeck, and cosine and sine of the ripple line at twice the gear ratio (strain-wave gears press twice per input turn).
+Base-parameter columns are shared by all joints; each joint has its own seven: viscous, Coulomb for both directions,
+offset, Stribeck, and cosine and sine of the ripple line at twice the gear ratio (strain-wave gears press twice per
+input turn).
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ DELTAS = np.geomspace(1e-4, 1e-2, 7)  # rad
 STRIBECK_SPEEDS = np.array([0.02, 0.05, 0.1, 0.3])  # rad/s
 LOCAL = (("viscous", "N m s/rad"), ("coulomb+", "N m"), ("coulomb-", "N m"), ("offset", "N m"), ("stribeck", "N m"))
 RIPPLE = (("ripple cos", "N m"), ("ripple sin", "N m"))
+REFINEMENTS = (1.5, 1.25, 1.12, 1.06)  # factors tried both ways after the grid
 BLOCK = 1.0  # s, alternating blocks for the choice of shape
 
 
@@ -31,7 +33,8 @@ class Design:
     Attributes
     ----------
     data : the record. rows : (M,) rows of it that are kept. cutoff : of the zero-phase filter [Hz].
-    tau : (M, n) filtered torque. rigid : (M, n, p) filtered base-parameter columns. fixed : (M, n, 4) filtered columns of
+    tau : (M, n) filtered torque. rigid : (M, n, p) filtered base-parameter columns. fixed : (M, n, 4) filtered columns
+    of
         each joint that have no shape: viscous, offset, ripple cosine and sine.
     delta, speed : (n,) shape of friction. cycles : (n,) ripple line [rad/rad].
     names, units : of the p + 7 n parameters.
@@ -129,14 +132,21 @@ class Design:
         target = self.tau - self.rigid @ theta[:p]
         odd = self.data.blocks(BLOCK)[self.rows] % 2 == 1
         n = self.tau.shape[1]
-        best = np.full(n, np.inf)
-        delta, speed = self.delta.copy(), self.speed.copy()
+        best, delta, speed = np.full(n, np.inf), self.delta.copy(), self.speed.copy()
+
+        def attempt(trial_delta: np.ndarray, trial_speed: np.ndarray) -> None:
+            trial = replace(self, delta=trial_delta, speed=trial_speed).local()
+            score = np.array([_held_out(trial[:, i], target[:, i], odd) for i in range(n)])
+            better = score < best
+            best[better], delta[better], speed[better] = score[better], trial_delta[better], trial_speed[better]
+
         for candidate in DELTAS:
             for width in STRIBECK_SPEEDS:
-                trial = replace(self, delta=np.full(n, candidate), speed=np.full(n, width)).local()
-                score = np.array([_held_out(trial[:, i], target[:, i], odd) for i in range(n)])
-                better = score < best
-                best[better], delta[better], speed[better] = score[better], candidate, width
+                attempt(np.full(n, candidate), np.full(n, width))
+        for step in REFINEMENTS:
+            for factor in (step, 1.0 / step):
+                attempt(delta * factor, speed.copy())
+                attempt(delta.copy(), speed * factor)
         return replace(self, delta=delta, speed=speed)
 
     def _shaped(self, delta: np.ndarray, speed: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ regressor is kept (D-optimal).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +19,7 @@ from armlab.identify.base_parameters import BaseParameters, base_parameters
 from armlab.robots import Robot
 from armlab.state import Command, State
 
-__all__ = ["Trajectory", "excitation"]
+__all__ = ["Trajectory", "dither", "excitation", "sequence"]
 
 RAMP = 2.0  # s, blend at each end
 CANDIDATES = 60
@@ -53,7 +53,7 @@ class Trajectory:
 
         def step(state: State) -> Command:
             if state.t < approach:
-                s, ds = _quintic(state.t / approach)
+                s, ds, _ = _quintic(state.t / approach)
                 way = self.q_first - state.q_start
                 return Command(q=state.q_start + s * way, qd=ds / approach * way)
             q, qd, _ = self.sample(np.array(state.t - approach))
@@ -62,10 +62,10 @@ class Trajectory:
         return step
 
 
-def _quintic(x: float) -> tuple[float, float]:
-    """Return the smooth step of x in [0, 1] and its derivative."""
+def _quintic(x: float) -> tuple[float, float, float]:
+    """Return the smooth step of x in [0, 1] and its two derivatives."""
     x = min(max(x, 0.0), 1.0)
-    return x**3 * (10 - 15 * x + 6 * x * x), 30 * x * x * (1 - x) ** 2
+    return x**3 * (10 - 15 * x + 6 * x * x), 30 * x * x * (1 - x) ** 2, 60 * x * (1 - x) * (1 - 2 * x)
 
 
 def excitation(
@@ -88,7 +88,8 @@ def excitation(
     harmonics : number of them.
     speed : peak speed as a share of the robot's limits, in (0, 1].
     acceleration : peak acceleration [rad/s^2].
-    centre : (n,) centre of the motion; the robot's home when left out.
+    centre : (n,) centre of the motion; when left out, the robot's home, moved from the limits until every joint has 70
+        degrees to both sides (or half its range, where that is less).
     seed : of the candidates.
 
     Returns
@@ -105,7 +106,7 @@ def excitation(
             "Shorter motions do not excite friction at all speeds."
         )
     rng = np.random.default_rng(seed)
-    home = np.array(robot.q_home if centre is None else centre, dtype=float)
+    home = _with_room(robot) if centre is None else np.array(centre, dtype=float)
     base = base_parameters(robot)
     best: tuple[float, Trajectory] | None = None
     for _ in range(CANDIDATES):
@@ -119,6 +120,68 @@ def excitation(
     return best[1]
 
 
+def dither(
+    centre: np.ndarray, seconds: float, amplitude: float = np.deg2rad(2.0), frequency: float = 0.5
+) -> Trajectory:
+    """Sway every joint gently about a pose, so that static friction cannot hide a small force.
+
+    Joints have different phases: they do not all reverse at once.
+
+    Parameters
+    ----------
+    centre : (n,) [rad]. seconds : length. amplitude : [rad]. frequency : [Hz].
+    """
+    centre = np.array(centre, dtype=float)
+    omega = 2 * np.pi * frequency
+    phase = np.arange(len(centre)) * 2 * np.pi / len(centre)
+
+    def sample(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        t = np.clip(np.asarray(t, dtype=float), 0.0, seconds)
+        w, wd, wdd = (v[..., None] for v in _window(t, seconds))
+        angle = omega * t[..., None] + phase
+        x, xd = amplitude * np.sin(angle), amplitude * omega * np.cos(angle)
+        return centre + w * x, w * xd + wd * x, -w * omega**2 * x + 2 * wd * xd + wdd * x
+
+    return Trajectory(seconds, sample)
+
+
+def sequence(parts: Sequence[Trajectory], walk: float = 2.0) -> Trajectory:
+    """Join motions that start and end at rest, with a quintic walk of `walk` seconds between them.
+
+    Parameters
+    ----------
+    parts : at least one motion. walk : seconds of each walk.
+    """
+    starts = np.cumsum([0.0, *(part.seconds + walk for part in parts[:-1])])
+    total = float(starts[-1] + parts[-1].seconds)
+
+    def one(t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        k = int(np.searchsorted(starts, t, side="right")) - 1
+        local = t - starts[k]
+        if local <= parts[k].seconds or k == len(parts) - 1:
+            return parts[k].sample(np.array(local))
+        here, there = parts[k].sample(np.array(parts[k].seconds))[0], parts[k + 1].q_first
+        x = (local - parts[k].seconds) / walk
+        s, ds, dds = _quintic(x)
+        return here + s * (there - here), ds / walk * (there - here), dds / walk**2 * (there - here)
+
+    def sample(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        t = np.clip(np.asarray(t, dtype=float), 0.0, total)
+        if t.ndim == 0:
+            return one(float(t))
+        rows = [one(float(x)) for x in t.ravel()]
+        q, qd, qdd = (np.array([row[k] for row in rows]).reshape(*t.shape, -1) for k in range(3))
+        return q, qd, qdd
+
+    return Trajectory(total, sample)
+
+
+def _with_room(robot: Robot) -> np.ndarray:
+    """Return the home position (n,) moved away from the limits."""
+    room = np.minimum(np.deg2rad(70.0), 0.5 * (robot.q_max - robot.q_min))
+    return np.clip(robot.q_home, robot.q_min + room, robot.q_max - room)
+
+
 def _scaled(
     robot: Robot, centre: np.ndarray, a: np.ndarray, b: np.ndarray, f0: float, seconds: float, speed: float, peak: float
 ) -> Trajectory:
@@ -127,12 +190,14 @@ def _scaled(
     q, qd, qdd = _fourier(centre, a, b, f0, seconds)(t)
     middle = np.clip(centre, robot.q_min + 0.1, robot.q_max - 0.1)
     room_up, room_down = robot.q_max - 0.05 - middle, middle - robot.q_min - 0.05
-    shares = np.stack([
-        speed * robot.qd_max / np.abs(qd).max(axis=0),
-        np.minimum(peak, robot.qdd_max) / np.abs(qdd).max(axis=0),
-        room_up / np.maximum((q - centre).max(axis=0), 1e-9),
-        room_down / np.maximum((centre - q).max(axis=0), 1e-9),
-    ])
+    shares = np.stack(
+        [
+            speed * robot.qd_max / np.abs(qd).max(axis=0),
+            np.minimum(peak, robot.qdd_max) / np.abs(qdd).max(axis=0),
+            room_up / np.maximum((q - centre).max(axis=0), 1e-9),
+            room_down / np.maximum((centre - q).max(axis=0), 1e-9),
+        ]
+    )
     scale = shares.min(axis=0)
     return Trajectory(seconds, _fourier(middle, a * scale, b * scale, f0, seconds))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -88,7 +89,7 @@ def prepare(table: Table | Sequence[Table], robot: Robot) -> Prepared:
     t = np.concatenate([t[a:b] for t, _, segs in pieces for a, b in segs])
     columns = [np.concatenate([c[k][a:b] for _, c, segs in pieces for a, b in segs]) for k in range(3)]
     lengths = np.cumsum([0, *(b - a for _, _, segs in pieces for a, b in segs)])
-    segments = tuple((int(a), int(b)) for a, b in zip(lengths[:-1], lengths[1:]))
+    segments = tuple((int(a), int(b)) for a, b in pairwise(lengths))
     dt = np.diff(t, prepend=t[0])
     dt[lengths[:-1]] = 1.0 / rate
     q, qd, tau = columns
@@ -125,7 +126,7 @@ def _segments(table: Table, robot: Robot) -> tuple[np.ndarray, list[np.ndarray],
     step = np.diff(t)
     cuts = np.flatnonzero(step > 1.5 * np.median(step)) + 1
     edges = [0, *cuts.tolist(), len(t)]
-    return t, columns, [(a, b) for a, b in zip(edges[:-1], edges[1:]) if b - a >= MIN_SEGMENT]
+    return t, columns, [(a, b) for a, b in pairwise(edges) if b - a >= MIN_SEGMENT]
 
 
 def _resolution(q: np.ndarray) -> np.ndarray:
@@ -143,8 +144,8 @@ def _check_motion(data: Prepared, robot: Robot) -> None:
         spread = [f"{np.rad2deg(ranges[i]):.2f} deg" for i in still]
         listed = ", ".join(f"{a} ({b})" for a, b in zip(names, spread))
         raise NotExcited(
-            f"Expected every joint to move by at least 5 deg, got less for {listed}: their inertia, gravity and friction "
-            "cannot be told apart. Record a motion of all joints, for example `armlab demo` or identify.excitation.",
+            f"Expected every joint to move by at least 5 deg, got less for {listed}: their inertia, "
+            "gravity and friction cannot be told apart. Record a motion of all joints, for example `armlab demo` or identify.excitation.",
             names,
             spread,
         )

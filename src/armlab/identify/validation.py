@@ -9,9 +9,11 @@ import numpy as np
 from armlab.estimation import Fit
 from armlab.identify.covariance import fit_velocity_covariance
 from armlab.identify.preparation import Prepared
+from armlab.log import Table
 from armlab.models import TorqueModel, VelocityCovariance
+from armlab.signals import central_diff, lowpass_offline
 
-__all__ = ["assess", "held_out", "report"]
+__all__ = ["assess", "held_out", "predict", "report"]
 
 SETTLED = 0.003  # variance of the presliding state below which friction is known from motion
 ALPHA2_BOUNDS = (0.25, 25.0)
@@ -69,21 +71,53 @@ def assess(
     return replace(model, covariance=scaled, quality=quality)
 
 
+def predict(model: TorqueModel, table: Table) -> Table:
+    """Return the log with tau_model and tau_sigma (N, n) [N m]: what the model says without contact, and how surely.
+
+    Parameters
+    ----------
+    model : identified torque model.
+    table : log with columns q and qd (N, n).
+    """
+    rate = 1.0 / float(np.median(np.diff(table.t)))
+    qdd = lowpass_offline(central_diff(table["qd"], table.t), rate, rate / 10.0)
+    torque = model.torque(table["q"], table["qd"], qdd)
+    sigma = np.sqrt(model.covariance.variance(table["qd"]))
+    return table.with_column("tau_model", torque, unit="N m").with_column("tau_sigma", sigma, unit="N m")
+
+
 def report(fit: Fit[TorqueModel]) -> str:
     """Return a table per joint: torque, residuals in % of the torque's deviation, friction with deviations."""
-    model, q = fit.value, fit.value.quality
-    p = len(model.base_names)
-    sd = fit.sd[p:].reshape(model.n, -1)
-    f = model.friction
-    head = (
-        "joint  torque sd   rms    % of sd  held-out  viscous         coulomb+        coulomb-        delta    vs     2-sigma\n"
-        "       [N m]       [N m]  fit      %         [N m s/rad]     [N m]           [N m]           [rad]    [rad/s] %"
+    model, q, f = fit.value, fit.value.quality, fit.value.friction
+    sd = fit.sd[len(model.base_names) :].reshape(model.n, -1)
+    header = (
+        "joint",
+        "torque sd",
+        "rms",
+        "fit",
+        "held-out",
+        "viscous",
+        "coulomb +",
+        "coulomb -",
+        "delta",
+        "in 2 sigma",
     )
-    lines = [
-        f"{i + 1:5d}  {q.torque_sd[i]:9.3f}  {q.rms[i]:6.3f}  {100 * q.rms[i] / q.torque_sd[i]:7.2f}  "
-        f"{100 * q.rms_cv[i] / q.torque_sd[i]:8.2f}  {f.viscous[i]:6.3f} +- {sd[i, 0]:.3f}  "
-        f"{f.coulomb_pos[i]:6.3f} +- {sd[i, 1]:.3f}  {f.coulomb_neg[i]:6.3f} +- {sd[i, 2]:.3f}  "
-        f"{f.delta[i]:.1e}  {f.stribeck_speed[i]:5.2f}  {100 * q.coverage[i]:6.1f}"
+    units = ("", "N m", "N m", "% of sd", "% of sd", "N m s/rad", "N m", "N m", "rad", "%")
+    rows = [
+        (
+            f"{i + 1}",
+            f"{q.torque_sd[i]:.3f}",
+            f"{q.rms[i]:.3f}",
+            f"{100 * q.rms[i] / q.torque_sd[i]:.2f}",
+            f"{100 * q.rms_cv[i] / q.torque_sd[i]:.2f}",
+            f"{f.viscous[i]:.3f} +- {sd[i, 0]:.3f}",
+            f"{f.coulomb_pos[i]:.3f} +- {sd[i, 1]:.3f}",
+            f"{f.coulomb_neg[i]:.3f} +- {sd[i, 2]:.3f}",
+            f"{f.delta[i]:.1e}",
+            f"{100 * q.coverage[i]:.1f}",
+        )
         for i in range(model.n)
     ]
-    return "\n".join([head, *lines, f"{fit.n} samples, {q.seconds:.1f} s", fit.excitation.text()])
+    widths = [max(map(len, column)) for column in zip(header, units, *rows)]
+    lines = ["  ".join(f"{cell:>{width}}" for cell, width in zip(row, widths)) for row in (header, units, *rows)]
+    return "\n".join([*lines, f"{fit.n} samples, {q.seconds:.1f} s", fit.excitation.text()])

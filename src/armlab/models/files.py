@@ -1,7 +1,7 @@
 """Model files: TOML with provenance, exact to the last digit, bound to one robot.
 
-A file begins with ``[meta]``: kind, format, armlab version, command line, UTC time, sources with their SHA-256, robot name
-and hash, and the sign convention of the wrench. A loader refuses another kind, format or sign.
+A file begins with ``[meta]``: kind, format, armlab version, command line, UTC time, sources with their SHA-256, robot
+name and hash, and the sign convention of the wrench. A loader refuses another kind, format or sign.
 """
 
 from __future__ import annotations
@@ -194,7 +194,7 @@ def _model(file: _File, path: Path) -> TorqueModel:
     d = file.dynamics
     p = len(d.base_names)
     if len(d.base_values) != p or len(d.base_cov_lower) != p * (p + 1) // 2:
-        raise ConfigError(f"Expected {p} base values and their covariance in {path}, got other lengths. Identify again.")
+        raise ConfigError(f"Expected {p} base values with covariance in {path}, got other lengths. Identify again.")
     cov = np.zeros((p, p))
     cov[np.tril_indices(p)] = d.base_cov_lower
     cov = cov + np.tril(cov, -1).T

@@ -4,7 +4,8 @@ Friction of joint i (specification of the torque model, per joint)::
 
     F_f = viscous qd + coulomb_pos max(z, 0) + coulomb_neg min(z, 0) + offset + stribeck z exp(-(qd / stribeck_speed)^2)
 
-The presliding state z in [-1, 1] is driven by measured displacement dq (Dahl 1968), exact for constant direction in a step::
+The presliding state z in [-1, 1] is driven by measured displacement dq (Dahl 1968), exact for constant direction in a
+step::
 
     z_k = s + (z_{k-1} - s) exp(-|dq_k| / delta),   s = sign(dq_k)
 
@@ -64,7 +65,7 @@ class Friction:
         """Check shapes and freeze."""
         _freeze(self)
         if np.any(self.stribeck_speed <= 0) or np.any(self.delta <= 0):
-            raise ShapeError("Expected stribeck_speed > 0 and delta > 0, got a value that is not. Give positive numbers.")
+            raise ShapeError("Expected stribeck_speed > 0 and delta > 0, got a value that is not. Make it positive.")
 
     def torque(self, qd: np.ndarray, z: np.ndarray) -> np.ndarray:
         """Return the friction torque (..., n) [N m] at velocity `qd` (..., n) and presliding state `z` (..., n)."""

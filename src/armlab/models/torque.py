@@ -131,7 +131,9 @@ class TorqueModel:
             self.gravity,
             self.link_parameters,
             self.rotor,
-            np.stack([f.viscous, f.coulomb_pos, f.coulomb_neg, f.offset, f.stribeck, f.stribeck_speed, f.delta, f.resolution]),
+            np.stack(
+                [f.viscous, f.coulomb_pos, f.coulomb_neg, f.offset, f.stribeck, f.stribeck_speed, f.delta, f.resolution]
+            ),
             np.stack([r.cycles, r.cosine, r.sine]),
             np.stack([c.alpha2 * c.C0, c.alpha2 * c.Cinf, c.shape, np.full(self.n, kind)]),
             np.asarray(prior, dtype=float),

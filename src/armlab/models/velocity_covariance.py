@@ -44,7 +44,7 @@ class VelocityCovariance:
             values.flags.writeable = False
             object.__setattr__(self, name, values)
         regular = self.C0.ndim == 1 and self.C0.shape == self.Cinf.shape == self.shape.shape
-        if not regular or not np.all(self.Cinf > 0) or not np.all(self.C0 >= self.Cinf):
+        if not regular or not np.all(self.Cinf > 0) or not np.all(self.Cinf <= self.C0):
             raise ShapeError(
                 f"Expected C0 >= Cinf > 0, both of shape (n,) in (N m)^2, got shapes {self.C0.shape} and "
                 f"{self.Cinf.shape}. Give variances, one per joint."

@@ -2,10 +2,12 @@
 
 One step, with ``tau_e = model - measured = J^T F + error``:
 
-1. y follows q with a play of +-resolution; z slides by dy; its variance ``p <- p exp(-2 |dy| / delta)``, then relaxes towards
-   1/3 (a uniform variable on [-1, 1]) with the time constant REST_TIME: what friction does after a long rest is not known.
+1. y follows q with a play of +-resolution; z slides by dy. Its variance p relaxes towards 1/3 (a uniform variable on
+   [-1, 1]) with the time constant REST_TIME, since what friction does during a long rest is not known; then
+   displacement wipes it out: ``p <- p exp(-2 |dy| / delta)``.
 2. qdd = (qd_k - qd_{k-1}) / dt; tau_e = rnea + rotor qdd + friction(qd, z) + ripple(q) - tau.
-3. tau_e passes a second-order Butterworth low-pass (state-variable form, exact for a varying dt up to frequency warping).
+3. tau_e passes a second-order Butterworth low-pass (state-variable form, exact for a varying dt up to frequency
+warping).
 4. C_tau = diag(s^2(qd) + static^2 p_filtered), with p low-passed like tau_e so that it stays as long as its error does.
 5. S = J^T C_F J + C_tau, K = C_F J S^-1, F = K tau_e, P = (I - K J^T) C_F (I - K J^T)^T + K C_tau K^T.
 """
@@ -14,6 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from armlab.kernels._reference.chain import Chain
 from armlab.kernels._reference.presliding import slide
 
 __all__ = ["WrenchEstimator"]
@@ -37,10 +40,22 @@ class WrenchEstimator:
     cutoff : corner of the low-pass [Hz].
     """
 
-    def __init__(self, chain, gravity, links, rotor, friction, ripple, covariance, prior, cutoff) -> None:  # noqa: ANN001
+    def __init__(
+        self,
+        chain: Chain,
+        gravity: np.ndarray,
+        links: np.ndarray,
+        rotor: np.ndarray,
+        friction: np.ndarray,
+        ripple: np.ndarray,
+        covariance: np.ndarray,
+        prior: np.ndarray,
+        cutoff: float,
+    ) -> None:
         self._chain = chain
         self._gravity, self._links, self._rotor = (np.array(a, dtype=float) for a in (gravity, links, rotor))
-        self._friction, self._ripple, self._covariance = (np.array(a, dtype=float) for a in (friction, ripple, covariance))
+        self._friction, self._ripple = np.array(friction, dtype=float), np.array(ripple, dtype=float)
+        self._covariance = np.array(covariance, dtype=float)
         self._prior = np.array(prior, dtype=float)
         self._cutoff = float(cutoff)
         self._static = 0.5 * (self._friction[1] + self._friction[2]) + np.maximum(self._friction[4], 0.0)
@@ -49,12 +64,12 @@ class WrenchEstimator:
     def reset(self) -> None:
         """Forget everything but the parameters."""
         n = len(self._rotor)
-        self._play: np.ndarray | None = None
+        self._play, self._started = np.zeros(n), False
         self._qd = np.zeros(n)
         self._z, self._p = np.zeros(n), np.full(n, UNKNOWN)
         self._low = np.zeros((2, 2 * n))
 
-    def step(self, q, qd, tau, dt):  # noqa: ANN001, ANN201
+    def step(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, dt: float) -> tuple[np.ndarray, ...]:
         """Advance by one sample; return F (6,), P (6, 6), observability (6,), filtered tau_e (n,), its variance (n,).
 
         A sample that is not finite, or dt <= 0, gives NaN everywhere and leaves the state unchanged.
@@ -63,7 +78,7 @@ class WrenchEstimator:
         n = len(self._rotor)
         if not (np.isfinite(q).all() and np.isfinite(qd).all() and np.isfinite(tau).all() and 0.0 < dt < np.inf):
             return tuple(np.full(shape, np.nan) for shape in ((6,), (6, 6), (6,), (n,), (n,)))
-        first = self._play is None
+        first, self._started = not self._started, True
         if first:
             self._play, self._qd = q.copy(), qd.copy()
         self._slide(q, dt)
@@ -76,7 +91,7 @@ class WrenchEstimator:
         variance = self._variance(qd) + self._static**2 * p
         return (*self._posterior(self._chain.jacobian(q), torque, variance), torque, variance)
 
-    def run(self, q, qd, tau, dt):  # noqa: ANN001, ANN201
+    def run(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, dt: np.ndarray) -> tuple[np.ndarray, ...]:
         """Step along a record (N, n) with steps dt (N,); return the outputs of `step` stacked over N."""
         rows = [self.step(*row) for row in zip(q, qd, tau, dt)]
         n = len(self._rotor)
@@ -88,8 +103,8 @@ class WrenchEstimator:
         moved = np.clip(self._play, q - resolution, q + resolution)
         dy = moved - self._play
         self._z, self._play = slide(self._z, dy, delta), moved
-        p = self._p * np.exp(-2.0 * np.abs(dy) / delta)
-        self._p = p + (UNKNOWN - p) * (1.0 - np.exp(-dt / REST_TIME))
+        p = self._p + (UNKNOWN - self._p) * (1.0 - np.exp(-dt / REST_TIME))
+        self._p = p * np.exp(-2.0 * np.abs(dy) / delta)
 
     def _drive_torque(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         viscous, positive, negative, offset, stribeck, speed, _, _ = self._friction

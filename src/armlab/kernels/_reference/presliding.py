@@ -10,8 +10,9 @@ __all__ = ["presliding"]
 def presliding(q: np.ndarray, delta: np.ndarray, resolution: np.ndarray) -> np.ndarray:
     """Return the presliding state z (N, n) in [-1, 1] along positions `q` (N, n) [rad], from 0 at the first row.
 
-    ``z_k = s + (z_{k-1} - s) exp(-|dy_k| / delta)``, s = sign(dy_k), where y follows q with a play of +-resolution, so that
-    the last digit of an encoder at rest does not wear the state down. A row with a NaN gives NaN and changes nothing.
+    ``z_k = s + (z_{k-1} - s) exp(-|dy_k| / delta)``, s = sign(dy_k), where y follows q with a play of +-resolution, so
+    that the last digit of an encoder at rest does not wear the state down. A row with a NaN gives NaN and changes
+    nothing.
 
     Parameters
     ----------

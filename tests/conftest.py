@@ -1,0 +1,93 @@
+"""Fixtures that several packages share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from armlab import identify, robots
+from armlab.kernels import presliding
+from armlab.log import Table
+from armlab.models import Friction, TorqueModel
+from armlab.robots import Robot
+
+PERIOD = 0.004
+SUBSTEPS = 4  # friction runs finer than the log, as in nature
+
+
+@dataclass(frozen=True)
+class Truth:
+    """A made-up arm with known parameters: what identification must find."""
+
+    robot: Robot
+    links: np.ndarray
+    rotor: np.ndarray
+    friction: Friction
+    noise: np.ndarray
+
+    def torque(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, z: np.ndarray) -> np.ndarray:
+        rigid = self.robot.chain.rnea(q, qd, qdd, self.robot.gravity, self.links)
+        return rigid + self.rotor * qdd + self.friction.torque(qd, z)
+
+    def log(
+        self,
+        trajectory: identify.Trajectory,
+        seed: int = 0,
+        noise: float = 1.0,
+        wrench: Callable[[np.ndarray], np.ndarray] | None = None,
+    ) -> Table:
+        """Log of the motion; `noise` scales torque noise, velocity noise and encoder steps together."""
+        fine = np.arange(0, trajectory.seconds, PERIOD / SUBSTEPS)
+        q, qd, qdd = trajectory.sample(fine)
+        z = presliding(q, self.friction.delta, np.zeros(self.robot.n))
+        t, q, qd, qdd, z = (x[::SUBSTEPS] for x in (fine, q, qd, qdd, z))
+        tau = self.torque(q, qd, qdd, z)
+        if wrench is not None:
+            tau = tau - np.einsum("kij,ki->kj", self.robot.chain.jacobian(q), wrench(t))
+        rng = np.random.default_rng(seed)
+        tau = tau + noise * self.noise * rng.standard_normal(tau.shape)
+        qd = qd + noise * 1e-3 * rng.standard_normal(qd.shape)
+        if noise:
+            q = np.round(q / (noise * 1e-5)) * noise * 1e-5
+        return Table(t, {"q": q, "qd": qd, "tau": tau})
+
+
+@pytest.fixture(scope="session")
+def truth() -> Truth:
+    """The left arm of a YuMi with random, physically possible links."""
+    robot = robots.load("yumi_left")
+    rng = np.random.default_rng(7)
+    links = np.zeros((robot.n, 10))
+    for i, mass in enumerate([1.7, 1.6, 1.4, 1.1, 0.9, 0.5, 0.3]):
+        c = rng.uniform(-0.06, 0.06, 3)
+        A = rng.standard_normal((3, 3)) * 0.03
+        inertia = mass * (A @ A.T + (c @ c) * np.eye(3) - np.outer(c, c))
+        links[i] = [mass, *(mass * c), *inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]]
+    tau_max = np.array([40.0, 40, 25, 25, 10, 10, 5])
+    coulomb = 0.05 * tau_max
+    friction = Friction(
+        viscous=coulomb / robot.qd_max,
+        coulomb_pos=1.05 * coulomb,
+        coulomb_neg=0.95 * coulomb,
+        offset=0.01 * tau_max * (-1.0) ** np.arange(robot.n),
+        stribeck=0.3 * coulomb,
+        stribeck_speed=np.full(robot.n, 0.05),
+        delta=np.full(robot.n, 10**-3.5),
+        resolution=np.zeros(robot.n),
+    )
+    return Truth(robot, links, np.full(robot.n, 0.1), friction, 0.005 * tau_max)
+
+
+@pytest.fixture(scope="session")
+def excited(truth: Truth) -> Table:
+    """A noisy 30 s excitation log of the made-up arm."""
+    return truth.log(identify.excitation(truth.robot, seconds=30, seed=1), seed=1)
+
+
+@pytest.fixture(scope="session")
+def model(truth: Truth, excited: Table) -> TorqueModel:
+    """The model identified from that log."""
+    return identify.fit_dynamics(excited, truth.robot).value

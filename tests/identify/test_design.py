@@ -1,0 +1,27 @@
+"""The regression problem: columns, shapes of friction."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from armlab.identify import base_parameters, excitation, prepare
+from armlab.identify.design import DELTAS, STRIBECK_SPEEDS, Design
+
+
+def test_design_finds_the_shape_of_friction_and_the_parameters_of_a_clean_log(truth) -> None:
+    """Noise-free data, truth between the grids DELTAS and STRIBECK_SPEEDS: both shapes come out within 15 %."""
+    robot = truth.robot
+    data = prepare(truth.log(excitation(robot, seconds=20, seed=2), noise=0.0), robot)
+    design = Design.build(data, robot, base_parameters(robot))
+    weights = np.ones(robot.n)
+    for _ in range(2):
+        design = design.choose_shapes(design.solve(weights))
+    assert truth.friction.delta[0] not in DELTAS
+    np.testing.assert_allclose(design.delta, truth.friction.delta, rtol=0.15)
+    np.testing.assert_allclose(design.speed, STRIBECK_SPEEDS[1], rtol=0.15)
+    theta = design.solve(weights)
+    relative = np.sqrt(np.mean(design.residuals(theta) ** 2, axis=0)) / np.std(design.tau, axis=0)
+    assert np.all(relative < 5e-3)
+    assert design.matrix().shape == (len(design.t), robot.n, len(design.names)) == (len(design.rows), 7, 99)
+    assert design.local().shape == (len(design.t), 7, 7)
+    assert len(design.units) == 99

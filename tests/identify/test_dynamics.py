@@ -1,0 +1,95 @@
+"""The torque model: right, honest about its uncertainty, and refused when the log cannot tell."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from armlab import identify
+from armlab.errors import NotExcited
+from armlab.identify import fit_dynamics
+from armlab.log import Table
+
+
+def true_parameters(truth) -> np.ndarray:
+    base = identify.base_parameters(truth.robot)
+    f = truth.friction
+    local = np.stack(
+        [f.viscous, f.coulomb_pos, f.coulomb_neg, f.offset, f.stribeck, 0 * f.offset, 0 * f.offset], axis=1
+    )
+    return np.concatenate([base.B @ np.concatenate([truth.links.ravel(), truth.rotor]), local.ravel()])
+
+
+def test_fit_dynamics_predicts_the_torque_of_another_motion(truth, model) -> None:
+    """Held-out motion: the error stays below a tenth of the Coulomb torque, without any knowledge of the truth."""
+    t = np.arange(0, 20, 0.004)
+    motion = identify.excitation(truth.robot, seconds=20, f0=0.07, harmonics=6, speed=0.4, seed=99)
+    clean = truth.log(motion, noise=0.0)
+    _, _, qdd = motion.sample(t)
+    error = model.torque(clean["q"], clean["qd"], qdd) - clean["tau"]
+    assert np.all(np.sqrt(np.mean(error[250:] ** 2, axis=0)) < 0.1 * truth.friction.coulomb_pos)
+
+
+@pytest.mark.slow
+def test_errors_match_the_covariance_and_shrink(truth) -> None:
+    """Well-excited parameters: NEES near 1 over seeds; four times the data halves the error."""
+    expected = true_parameters(truth)
+    p = len(identify.base_parameters(truth.robot).names)
+    viscous = p + 7 * np.arange(7)
+    errors, nees = {}, []
+    for seconds in (20, 80):
+        errors[seconds] = []
+        for seed in range(8):
+            motion = identify.excitation(truth.robot, seconds=seconds, seed=seed)
+            fit = fit_dynamics(truth.log(motion, seed=seed), truth.robot)
+            error = (fit.parameters - expected)[viscous]
+            errors[seconds].append(error / truth.friction.viscous)
+            nees.append(np.mean((error / fit.sd[viscous]) ** 2))
+    ratio = np.sqrt(np.mean(np.square(errors[80])) / np.mean(np.square(errors[20])))
+    assert 0.3 < ratio < 0.75
+    assert 0.4 < np.median(nees) < 3.0
+
+
+def test_the_fit_reports_every_joint_and_progress(truth, excited) -> None:
+    said: list[str] = []
+    fit = fit_dynamics(excited, truth.robot, progress=lambda done, total, what: said.append(what))
+    assert said[0] == "checking the log"
+    assert said[-1] == "done"
+    assert len(fit.names) == len(fit.parameters) == 99
+    assert fit.excitation.condition < 300
+    text = fit.report()
+    assert text.count("+-") == 3 * truth.robot.n
+    assert "good" in text
+    assert np.all(fit.value.quality.rms_cv < 0.05 * fit.value.quality.torque_sd)
+    np.testing.assert_allclose(fit.value.quality.coverage, 0.954, atol=0.03)
+
+
+def test_same_log_same_bits(truth, excited, model) -> None:
+    again = fit_dynamics(excited, truth.robot).value
+    assert np.array_equal(again.base_values, model.base_values)
+    assert np.array_equal(again.base_cov, model.base_cov)
+
+
+def test_a_log_of_one_joint_is_refused_by_the_names_of_the_others(truth) -> None:
+    t = np.arange(0, 20, 0.004)
+    robot = truth.robot
+    q = np.tile(robot.q_home, (len(t), 1))
+    q[:, 2] += 0.5 * np.sin(t)
+    qd = np.zeros_like(q)
+    qd[:, 2] = 0.5 * np.cos(t)
+    tau = np.random.default_rng(0).standard_normal(q.shape)
+    with pytest.raises(NotExcited) as caught:
+        fit_dynamics(Table(t, {"q": q, "qd": qd, "tau": tau}), robot)
+    assert set(caught.value.directions) == set(robot.joint_names) - {robot.joint_names[2]}
+
+
+def test_a_small_sway_of_all_joints_is_refused_by_direction(truth) -> None:
+    """All joints in phase over 0.1 rad: acceleration is proportional to position, so gravity and inertia look alike."""
+    robot = truth.robot
+    t = np.arange(0, 20, 0.004)
+    wave = np.stack([np.sin(2 * t), 2 * np.cos(2 * t), -4 * np.sin(2 * t)])[:, :, None] * 0.1 * np.ones(robot.n)
+    q, qd, qdd = robot.q_home + wave[0], wave[1], wave[2]
+    table = Table(t, {"q": q, "qd": qd, "tau": truth.torque(q, qd, qdd, np.sign(qd))})
+    with pytest.raises(NotExcited, match="does not tell apart") as caught:
+        fit_dynamics(table, robot)
+    assert any("m c" in direction or "I_" in direction for direction in caught.value.directions)

@@ -1,0 +1,76 @@
+"""Logs are checked before they are fitted, and refused in sentences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from armlab.errors import NotExcited, ShapeError
+from armlab.identify import Prepared, prepare
+from armlab.log import Table
+
+
+def changed(table: Table, **columns: np.ndarray) -> Table:
+    values = {name: columns.get(name, table[name]) for name in ("q", "qd", "tau")}
+    return Table(table.t, values)
+
+
+def test_prepare_cuts_at_gaps_and_joins_logs(truth, excited) -> None:
+    holed = Table(
+        np.delete(excited.t, slice(1000, 1020)),
+        {k: np.delete(excited[k], slice(1000, 1020), 0) for k in ("q", "qd", "tau")},
+    )
+    data = prepare([excited, holed], truth.robot)
+    assert isinstance(data, Prepared)
+    N = len(excited)
+    assert data.segments == ((0, N), (N, N + 1000), (N + 1000, 2 * N - 20))
+    assert data.rate == pytest.approx(250.0)
+    np.testing.assert_allclose(data.resolution, 0.5e-5, rtol=1e-3)
+    np.testing.assert_allclose(data.dt[[0, 1, N + 1000]], 0.004, rtol=1e-6)
+    blocks = data.blocks(1.0)
+    assert blocks[0] == 0
+    assert np.all(np.diff(blocks) >= 0)
+    assert blocks[N + 1000] > blocks[N + 999]
+    assert len(data.sources) == 2
+    assert excited.sha256 in data.sources[0]
+
+
+def test_filter_and_differentiate_do_not_reach_across_a_gap(truth, excited) -> None:
+    data = prepare([excited, excited], truth.robot)
+    N = len(excited)
+    for result in (data.filter(data.q, 10.0), data.differentiate(data.q)):
+        np.testing.assert_array_equal(result[:N], result[N:])
+
+
+def test_refusals_name_what_is_missing(truth, excited) -> None:
+    robot = truth.robot
+    still = excited["q"].copy()
+    still[:, 3] = still[0, 3]
+    speed = excited["qd"].copy()
+    speed[:, 3] = 0.0
+    with pytest.raises(NotExcited, match=robot.joint_names[3]) as caught:
+        prepare(changed(excited, q=still, qd=speed), robot)
+    assert caught.value.directions == (robot.joint_names[3],)
+    torque = excited["tau"].copy()
+    torque[:, 5] = 1.0
+    with pytest.raises(NotExcited, match=f"constant for {robot.joint_names[5]}"):
+        prepare(changed(excited, tau=torque), robot)
+    with pytest.raises(NotExcited, match="at least 5 s"):
+        prepare(excited.between(0.0, 3.0), robot)
+    with pytest.raises(ShapeError, match="at least one log"):
+        prepare([], robot)
+
+
+def test_bad_columns_are_refused(truth, excited) -> None:
+    robot = truth.robot
+    holes = excited["tau"].copy()
+    holes[[7, 9]] = np.nan
+    with pytest.raises(ShapeError, match=r"NaN or Inf in 2 rows, first \[7, 9\]"):
+        prepare(changed(excited, tau=holes), robot)
+    with pytest.raises(ShapeError, match="derivative of q"):
+        prepare(changed(excited, qd=-excited["qd"]), robot)
+    with pytest.raises(ShapeError, match=r"57.3 times"):
+        prepare(changed(excited, qd=np.rad2deg(excited["qd"])), robot)
+    six = Table(excited.t, {name: excited[name][:, :6] for name in ("q", "qd", "tau")})
+    with pytest.raises(ShapeError, match="Name the robot that was logged"):
+        prepare(six, robot)

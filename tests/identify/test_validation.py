@@ -1,0 +1,34 @@
+"""Quality of a model: held-out causal residuals, predicted torque, report."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from armlab.identify import fit_dynamics, predict, prepare
+from armlab.identify.validation import assess, held_out, report
+
+
+def test_held_out_residuals_cover_the_log_and_assess_calibrates(truth, excited, model) -> None:
+    data = prepare(excited, truth.robot)
+    rows = np.arange(len(data.t)) % 2 == 0
+    folds = [(model, rows), (model, ~rows)]
+    errors, moving = held_out(folds, data)
+    assert np.isfinite(errors).all()
+    assert 0.8 < moving.mean() < 1.0
+    judged = assess(model, folds, data, errors)
+    ratio = errors[moving] ** 2 / judged.covariance.variance(data.qd[moving])
+    assert abs(np.mean(ratio < 4.0) - 0.954) < 1e-3  # alpha is set to make it so
+
+
+def test_predict_adds_model_torque_and_its_deviation(truth, excited, model) -> None:
+    table = predict(model, excited)
+    share = np.sqrt(np.mean((table["tau"] - table["tau_model"]) ** 2, axis=0)) / np.std(table["tau"], axis=0)
+    assert np.all(share < 0.3)
+    assert np.all(table["tau_sigma"] > 0)
+    assert table["tau_model"].shape == table["tau_sigma"].shape == excited["tau"].shape
+
+
+def test_report_has_one_line_per_joint(truth, excited) -> None:
+    fit = fit_dynamics(excited, truth.robot)
+    assert report(fit) == fit.report()
+    assert len(fit.report().splitlines()) == truth.robot.n + 4
