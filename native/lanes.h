@@ -52,30 +52,28 @@ inline double from_bits(std::int64_t bits) {
 ARMLAB_INLINE Lanes::Bits to_bits(Lanes x) { return (Lanes::Bits)x.v; }
 ARMLAB_INLINE Lanes from_bits(Lanes::Bits bits) { return (Lanes::Doubles)bits; }
 
-inline bool all_within(double x, double limit) { return std::fabs(x) <= limit; }
-ARMLAB_INLINE bool all_within(Lanes x, double limit) {
-  bool within = true;
-  for (int lane = 0; lane < Lanes::width; ++lane) within &= std::fabs(x.v[lane]) <= limit;
-  return within;
-}
-
-inline void library_sincos(double x, double &sine, double &cosine) {
+// Where |x| is beyond `limit`, infinite or NaN: sine and cosine from the C library instead.
+inline void replace_far(double x, double limit, double &sine, double &cosine) {
+  if (__builtin_expect(std::fabs(x) <= limit, 1)) return;
   sine = std::sin(x);
   cosine = std::cos(x);
 }
-inline void library_sincos(const Lanes &x, Lanes &sine, Lanes &cosine) {
-  for (int lane = 0; lane < Lanes::width; ++lane) {
-    sine.v[lane] = std::sin(x.v[lane]);
-    cosine.v[lane] = std::cos(x.v[lane]);
-  }
+inline void replace_far(const Lanes &x, double limit, Lanes &sine, Lanes &cosine) {
+  bool near = true;
+  for (int lane = 0; lane < Lanes::width; ++lane) near &= std::fabs(x.v[lane]) <= limit;
+  if (__builtin_expect(near, 1)) return;
+  for (int lane = 0; lane < Lanes::width; ++lane)
+    if (!(std::fabs(x.v[lane]) <= limit)) {
+      sine.v[lane] = std::sin(x.v[lane]);
+      cosine.v[lane] = std::cos(x.v[lane]);
+    }
 }
 
 // Sine and cosine, error below 2.5e-16.
 // x = k pi/2 + r with pi/2 in three parts of 33 bits, so that k times a part is exact for |k| < 2^20; then the Taylor
-// polynomials on |r| <= pi/4, whose first neglected terms are below 5e-17. Beyond that range, and for NaN: the C library.
+// polynomials on |r| <= pi/4, whose first neglected terms are below 5e-17. Far angles are left to the C library.
 template <class Real>
 inline void sincos(const Real &x, Real &sine, Real &cosine) {
-  if (__builtin_expect(!all_within(x, 1e6), 0)) return library_sincos(x, sine, cosine);
   constexpr Real two_over_pi(0x1.45f306dc9c883p-1);
   constexpr Real half_pi_1(0x1.921fb54400000p0), half_pi_2(0x1.0b4611a600000p-34), half_pi_3(0x1.3198a2e037073p-69);
   constexpr Real shifter(0x1.8p52);  // x + shifter holds the integer nearest to x in its low bits
@@ -98,6 +96,7 @@ inline void sincos(const Real &x, Real &sine, Real &cosine) {
   const auto s_bits = to_bits(s), c_bits = to_bits(c);
   sine = from_bits(((s_bits & ~swap) | (c_bits & swap)) ^ ((bits & 2) << 62));
   cosine = from_bits(((c_bits & ~swap) | (s_bits & swap)) ^ (((bits + 1) & 2) << 62));
+  replace_far(x, 1e6, sine, cosine);
 }
 
 }  // namespace armlab

@@ -98,7 +98,7 @@ class Chain:
         """
         steps, V, A = self._motion(q, qd, qdd, gravity)
         inertia = np.einsum("ik,kab->iab", read(pi, "pi", (self.n, 10), exact=True), _UNIT_INERTIAS)
-        tau = np.empty(V[0].shape[:-1] + (self.n,))
+        tau = np.empty((*V[0].shape[:-1], self.n))
         F = np.zeros_like(V[0])
         for i in reversed(range(self.n)):
             F = F + _apply(inertia[i], A[i]) + _apply(_wrench_cross(V[i]), _apply(inertia[i], V[i]))
@@ -109,7 +109,7 @@ class Chain:
     def rigid_regressor(self, q: Any, qd: Any, qdd: Any, gravity: Any, out: Any = None) -> np.ndarray:
         """Return Y (..., n, 10 n) with ``tau = Y pi.ravel()``, parameters as in `rnea`."""
         steps, V, A = self._motion(q, qd, qdd, gravity)
-        Y = np.zeros(V[0].shape[:-1] + (self.n, 10 * self.n))
+        Y = np.zeros((*V[0].shape[:-1], self.n, 10 * self.n))
         for k in range(self.n):
             momenta = np.einsum("kab,...b->...ak", _UNIT_INERTIAS, V[k])
             F = np.einsum("kab,...b->...ak", _UNIT_INERTIAS, A[k]) + _wrench_cross(V[k]) @ momenta
@@ -169,7 +169,7 @@ class Chain:
         lever = T[..., None, :3, 3] - links[..., :3, 3]
         prismatic = self.prismatic[:, None]
         columns = np.concatenate(
-            [np.where(prismatic, z, np.cross(z, lever)), np.where(prismatic, 0.0 * z, z)], axis=-1
+            [np.where(prismatic, z, np.cross(z, lever)), np.where(prismatic, np.zeros(3), z)], axis=-1
         )
         return T, np.ascontiguousarray(np.swapaxes(columns, -1, -2))
 
@@ -197,23 +197,22 @@ class Chain:
 
 
 def _rigid(frames: np.ndarray) -> np.ndarray:
-    """Return `frames` with rotations projected on SO(3); refuse what is not rigid to 1e-9."""
-    R = frames[:, :3, :3]
-    gram = np.swapaxes(R, -1, -2) @ R
-    rigid = (
-        np.isfinite(frames).all()
-        and np.abs(gram - np.eye(3)).max() <= 1e-9
-        and (np.linalg.det(R) > 0).all()
-        and (frames[:, 3] == [0.0, 0.0, 0.0, 1.0]).all()
-    )
-    if not rigid:
-        raise ShapeError(
-            "Expected every frame to be a rigid transformation (rotation orthonormal to 1e-9, determinant 1, last row "
-            "0 0 0 1), got one that is not. Normalise quaternions and rotations first."
-        )
-    rigid_frames = frames.copy()
-    rigid_frames[:, :3, :3] = R @ (3.0 * np.eye(3) - gram) / 2.0
-    return rigid_frames
+    """Return `frames` with rotations projected on SO(3) by two Newton steps; refuse what is off by more than 1e-6."""
+    frames = frames.copy()
+    for _ in range(2):
+        R = frames[:, :3, :3]
+        gram = np.swapaxes(R, -1, -2) @ R
+        off = np.abs(gram - np.eye(3)).max(axis=(1, 2))
+        bottom = (frames[:, 3] == [0.0, 0.0, 0.0, 1.0]).all(axis=1)
+        right_handed = np.vecdot(np.cross(R[:, :, 0], R[:, :, 1]), R[:, :, 2]) > 0.0
+        good = bottom & (off <= 1e-6) & right_handed & np.isfinite(frames[:, :3, 3]).all(axis=1)
+        if not good.all():
+            raise ShapeError(
+                "Expected every frame to be a rigid transformation (rotation orthonormal to 1e-6, determinant 1, last row "
+                f"0 0 0 1), got one that is not: frames[{np.argmin(good)}]. Normalise quaternions and rotations first."
+            )
+        frames[:, :3, :3] = R @ (3.0 * np.eye(3) - gram) / 2.0
+    return frames
 
 
 def _pair(out: Any) -> tuple[Any, Any]:
