@@ -28,8 +28,9 @@ def array(value: ArrayLike, tail: tuple[int, ...], name: str) -> np.ndarray:
 def rotation(R: ArrayLike, name: str = "R") -> np.ndarray:
     """Return rotations (..., 3, 3), refusing matrices that are none."""
     R = array(R, (3, 3), name)
-    refuse(name, orthonormality(R) > ROTATION_TOLERANCE, orthonormality(R), "max|R^T R - I|")
-    refuse(name, np.linalg.det(R) < 0, np.linalg.det(R), "determinant")
+    off, det = orthonormality(R), determinant(R)
+    refuse(name, off > ROTATION_TOLERANCE, off, "max|R^T R - I|")
+    refuse(name, det < 0, det, "determinant")
     return R
 
 
@@ -51,6 +52,11 @@ def last_row(T: np.ndarray, name: str) -> None:
 def orthonormality(R: np.ndarray) -> np.ndarray:
     """Return max|RᵀR - I|, (...); NaN for NaN."""
     return np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max(axis=(-1, -2))
+
+
+def determinant(R: np.ndarray) -> np.ndarray:
+    """Return det R, (...); NaN for NaN, of which numpy.linalg.det would warn."""
+    return (np.cross(R[..., 0, :], R[..., 1, :]) * R[..., 2, :]).sum(axis=-1)
 
 
 def refuse(name: str, bad: np.ndarray, value: np.ndarray, measure: str) -> None:

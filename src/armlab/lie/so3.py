@@ -170,7 +170,7 @@ def is_rotation(R: ArrayLike, tolerance: float = ROTATION_TOLERANCE) -> np.ndarr
     """
     R = _check.array(R, (3, 3), "R")
     R = np.where(np.isfinite(R).all(axis=(-1, -2), keepdims=True), R, 0.0)
-    return (_check.orthonormality(R) <= tolerance) & (np.linalg.det(R) > 0)
+    return (_check.orthonormality(R) <= tolerance) & (_check.determinant(R) > 0)
 
 
 def project(M: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
@@ -192,9 +192,10 @@ def project(M: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     M = _check.array(M, (3, 3), "M")
     missing = ~np.isfinite(M).all(axis=(-1, -2), keepdims=True)
     U, S, Vt = np.linalg.svd(np.where(missing, np.eye(3), M))
-    sign = np.linalg.det(U @ Vt)
-    if (S[..., 1] + sign * S[..., 2] < 1e-9 * S[..., 0]).any():
-        raise ShapeError(f"Expected matrices with one nearest rotation, got singular values {S.reshape(-1, 3)[0]}.")
+    sign = _check.determinant(U @ Vt)
+    ambiguous = S[..., 1] + sign * S[..., 2] <= 1e-9 * S[..., 0]
+    if ambiguous.any():
+        raise ShapeError(f"Expected matrices with one nearest rotation, got singular values {S[ambiguous][0]}.")
     U[..., 2] *= np.sign(sign)[..., None]
     R = np.where(missing, np.nan, U @ Vt)
     return R, np.linalg.norm(R - M, axis=(-1, -2))

@@ -113,9 +113,7 @@ def _build(file: File) -> Robot:
     if any(joint.next for joint in joints):
         for joint in joints:
             if joint.next is None or joint.alpha or joint.a or joint.d or joint.offset:
-                raise RobotError(
-                    f"Expected DH numbers or `next`, the same in all joints, got another in {joint.name!r}."
-                )
+                raise RobotError(f"Expected DH numbers or `next` alike in all joints, got a mixture at {joint.name!r}.")
         poses = [("first", file.first or Pose()), *((f"next of {joint.name!r}", joint.next) for joint in joints)]
         links = [_matrix(pose, where) for where, pose in poses if pose]
         return from_links(file.name, links, prismatic, **details)

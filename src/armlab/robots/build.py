@@ -67,6 +67,7 @@ def from_links(name: str, links: ArrayLike, prismatic: ArrayLike | None = None, 
     unlimited = np.full(n, np.inf)
     q_min, q_max = _floats(details.get("q_min", -unlimited)), _floats(details.get("q_max", unlimited))
     qd_max = _floats(details.get("qd_max", unlimited))
+    home = np.clip(0.0, q_min, q_max) if q_min.shape == q_max.shape == (n,) else np.zeros(n)
     return Robot(
         name=name,
         links=links,
@@ -75,7 +76,7 @@ def from_links(name: str, links: ArrayLike, prismatic: ArrayLike | None = None, 
         q_max=q_max,
         qd_max=qd_max,
         qdd_max=_floats(details.get("qdd_max", qd_max / RAMP_TIME)),
-        q_home=_floats(details["q_home"] if "q_home" in details else np.minimum(np.maximum(0.0, q_min), q_max)),
+        q_home=_floats(details.get("q_home", home)),
         joint_names=tuple(details.get("joint_names", [f"joint_{i + 1}" for i in range(n)])),
         T_base_mount=_floats(details.get("T_base_mount", np.eye(4))),
         T_flange_tool=_floats(details.get("T_flange_tool", np.eye(4))),

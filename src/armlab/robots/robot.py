@@ -232,7 +232,7 @@ def _check_limits(robot: Robot) -> None:
         if not holds.all():
             i = int(np.argmin(holds))
             got = ", ".join(f"{name} {getattr(robot, name)[i]:.6g}" for name in names)
-            raise RobotError(f"Expected {rule}, got {got} at {_joint(robot, i)} of robot {robot.name!r}.")
+            raise RobotError(f"Expected {rule} at {_joint(robot, i)} of robot {robot.name!r}, got {got}.")
 
 
 def _check_names(robot: Robot) -> None:

@@ -1,0 +1,176 @@
+"""Group laws of rotations, poses and quaternions: every law, every batch shape, every region of the group.
+
+The samplers near the identity and near a half turn find what uniform ones never meet: the branches of the series.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from armlab.lie import quaternion, se3, so3
+
+BATCHES = [(), (1,), (7,), (2, 3), (0,), (2, 0, 3)]
+LAW = 1e-13
+
+
+def directions(rng: np.random.Generator, batch: tuple[int, ...]) -> np.ndarray:
+    u = rng.standard_normal((*batch, 3))
+    return u / np.linalg.norm(u, axis=-1, keepdims=True)
+
+
+def uniform(rng: np.random.Generator, batch: tuple[int, ...]) -> np.ndarray:
+    """Rotation vectors of uniformly distributed rotations, made without the code under test."""
+    q = rng.standard_normal((*batch, 4))
+    half = np.arctan2(np.linalg.norm(q[..., 1:], axis=-1), np.abs(q[..., 0]))
+    return 2 * half[..., None] * directions(rng, batch)
+
+
+def tangent(rng: np.random.Generator, batch: tuple[int, ...]) -> np.ndarray:
+    return rng.uniform(0, np.pi, (*batch, 1)) * directions(rng, batch)
+
+
+def near_identity(rng: np.random.Generator, batch: tuple[int, ...]) -> np.ndarray:
+    return 10.0 ** rng.uniform(-16, -1, (*batch, 1)) * directions(rng, batch)
+
+
+def near_half_turn(rng: np.random.Generator, batch: tuple[int, ...]) -> np.ndarray:
+    return (np.pi - 10.0 ** rng.uniform(-12, -2, (*batch, 1))) * directions(rng, batch)
+
+
+SAMPLERS: list[Callable[[np.random.Generator, tuple[int, ...]], np.ndarray]] = [
+    uniform,
+    tangent,
+    near_identity,
+    near_half_turn,
+]
+
+
+def twists(rng: np.random.Generator, batch: tuple[int, ...], sampler: Callable[..., np.ndarray]) -> np.ndarray:
+    return np.concatenate([rng.standard_normal((*batch, 3)), sampler(rng, batch)], axis=-1)
+
+
+def so3_case(rng, batch, sampler) -> SimpleNamespace:
+    w = [sampler(rng, batch) for _ in range(3)]
+    elements = [so3.exp(v) for v in w]
+    return SimpleNamespace(
+        exp=so3.exp, log=so3.log, multiply=np.matmul, inverse=lambda R: np.swapaxes(R, -1, -2),
+        identity=np.eye(3), vectors=w, elements=elements,
+    )  # fmt: skip
+
+
+def se3_case(rng, batch, sampler) -> SimpleNamespace:
+    xi = [twists(rng, batch, sampler) for _ in range(3)]
+    return SimpleNamespace(
+        exp=se3.exp, log=se3.log, multiply=np.matmul, inverse=se3.inv,
+        identity=np.eye(4), vectors=xi, elements=[se3.exp(v) for v in xi],
+    )  # fmt: skip
+
+
+def quaternion_case(rng, batch, sampler) -> SimpleNamespace:
+    w = [sampler(rng, batch) for _ in range(3)]
+
+    def exp(v: np.ndarray) -> np.ndarray:
+        return quaternion.from_matrix(so3.exp(v))
+
+    return SimpleNamespace(
+        exp=exp, log=lambda q: so3.log(quaternion.to_matrix(q)), multiply=quaternion.multiply,
+        inverse=quaternion.conjugate, identity=np.array([1.0, 0, 0, 0]), vectors=w, elements=[exp(v) for v in w],
+    )  # fmt: skip
+
+
+@pytest.fixture(params=[so3_case, se3_case, quaternion_case], ids=["so3", "se3", "quaternion"])
+def case(request: pytest.FixtureRequest, batch: tuple[int, ...], sampler) -> SimpleNamespace:
+    return request.param(np.random.default_rng(1), batch, sampler)
+
+
+@pytest.fixture(params=BATCHES, ids=str)
+def batch(request: pytest.FixtureRequest) -> tuple[int, ...]:
+    return request.param
+
+
+@pytest.fixture(params=SAMPLERS, ids=lambda sampler: sampler.__name__)
+def sampler(request: pytest.FixtureRequest):
+    return request.param
+
+
+def distance(a: np.ndarray, b: np.ndarray) -> float:
+    assert a.shape == b.shape
+    return float(np.abs(a - b).max(initial=0.0))
+
+
+def test_log_inverts_exp(case: SimpleNamespace) -> None:
+    v = case.vectors[0]
+    assert distance(case.log(case.exp(v)), v) <= LAW
+
+
+def test_exp_inverts_log(case: SimpleNamespace) -> None:
+    a = case.elements[0]
+    assert distance(case.exp(case.log(a)), a) <= LAW
+
+
+def test_inverse(case: SimpleNamespace) -> None:
+    a = case.elements[0]
+    identity = np.broadcast_to(case.identity, a.shape)
+    assert distance(case.multiply(a, case.inverse(a)), identity) <= LAW
+    assert distance(case.multiply(case.inverse(a), a), identity) <= LAW
+
+
+def test_associativity(case: SimpleNamespace) -> None:
+    a, b, c = case.elements
+    assert distance(case.multiply(case.multiply(a, b), c), case.multiply(a, case.multiply(b, c))) <= LAW
+
+
+def test_identity(case: SimpleNamespace) -> None:
+    a = case.elements[0]
+    assert distance(case.multiply(a, np.broadcast_to(case.identity, a.shape)), a) == 0
+    assert distance(case.exp(np.zeros_like(case.vectors[0])), np.broadcast_to(case.identity, a.shape)) == 0
+
+
+def test_closure(case: SimpleNamespace) -> None:
+    """A product is a member again: it equals the exponential of its logarithm."""
+    a, b, _ = case.elements
+    product = case.multiply(a, b)
+    again = case.exp(case.log(product))
+    if product.shape[-1:] == (4,) and case.identity.ndim == 1:  # q and -q are one rotation
+        product = np.where((product * again).sum(axis=-1, keepdims=True) < 0, -product, product)
+    assert distance(again, product) <= LAW
+
+
+def test_adjoint_is_a_homomorphism(batch: tuple[int, ...], sampler) -> None:
+    case = se3_case(np.random.default_rng(2), batch, sampler)
+    T_a_b, T_b_c, _ = case.elements
+    assert distance(se3.adjoint(T_a_b @ T_b_c), se3.adjoint(T_a_b) @ se3.adjoint(T_b_c)) <= LAW
+    assert distance(se3.adjoint_inv(T_a_b), np.linalg.inv(se3.adjoint(T_a_b))) <= LAW
+
+
+def test_adjoint_moves_twists(batch: tuple[int, ...], sampler) -> None:
+    case = se3_case(np.random.default_rng(3), batch, sampler)
+    T, xi = case.elements[0], case.vectors[1]
+    moved = se3.vee(T @ se3.hat(xi) @ se3.inv(T))
+    assert distance((se3.adjoint(T) @ xi[..., None])[..., 0], moved) <= LAW
+
+
+def test_power_does_not_depend_on_the_frame(batch: tuple[int, ...], sampler) -> None:
+    case = se3_case(np.random.default_rng(4), batch, sampler)
+    T_a_b, twist_b, wrench_b = case.elements[0], *case.vectors[1:]
+    twist_a = (se3.adjoint(T_a_b) @ twist_b[..., None])[..., 0]
+    wrench_a = se3.transform_wrench(T_a_b, wrench_b)
+    assert distance((twist_a * wrench_a).sum(axis=-1), (twist_b * wrench_b).sum(axis=-1)) <= 1e-12
+    by_adjoint = np.swapaxes(se3.adjoint_inv(T_a_b), -1, -2) @ wrench_b[..., None]
+    assert distance(by_adjoint[..., 0], wrench_a) <= LAW
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-300, 1e-12, 1e-6, np.pi - 1e-9, np.pi])
+def test_exp_log_at_special_angles(angle: float) -> None:
+    u = directions(np.random.default_rng(5), (1000,))
+    R = so3.exp(angle * u)
+    w = so3.log(R)
+    assert distance(so3.exp(w), R) <= 2e-15
+    if angle < np.pi:
+        assert distance(w, angle * u) <= 2e-15 * angle
+    else:  # both directions of a half turn are right
+        assert np.minimum(np.abs(w - angle * u), np.abs(w + angle * u)).max() <= 2e-15 * angle

@@ -1,0 +1,134 @@
+"""Poses: known values, the matrix exponential of SciPy, translations, refusals. Group laws: tests/laws."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from armlab.errors import ShapeError
+from armlab.lie import euler, se3, so3
+
+
+def random_twists(count: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).standard_normal((count, 6))
+
+
+def test_from_rp() -> None:
+    R, p = so3.exp([0.1, 0.2, 0.3]), np.array([1.0, 2.0, 3.0])
+    T = se3.from_rp(R, p)
+    np.testing.assert_array_equal(T[:3, :3], R)
+    np.testing.assert_array_equal(T[:, 3], [1, 2, 3, 1])
+    np.testing.assert_array_equal(T[3], [0, 0, 0, 1])
+    assert se3.from_rp(R, np.zeros((4, 1, 3))).shape == (4, 1, 4, 4)
+    np.testing.assert_array_equal(se3.from_rp(R)[:3, 3], 0)
+
+
+def test_hat_and_vee() -> None:
+    xi = np.arange(1.0, 7.0)
+    np.testing.assert_array_equal(se3.hat(xi), [[0, -6, 5, 1], [6, 0, -4, 2], [-5, 4, 0, 3], [0, 0, 0, 0]])
+    batch = random_twists(10)
+    np.testing.assert_array_equal(se3.vee(se3.hat(batch)), batch)
+
+
+def test_exp_equals_the_matrix_exponential() -> None:
+    for xi in [*random_twists(50), np.array([1.0, 2, 3, 0, 0, 0]), np.array([1.0, 2, 3, 1e-9, 0, 0])]:
+        np.testing.assert_allclose(se3.exp(xi), expm(se3.hat(xi)), atol=1e-14)
+
+
+def test_exp_of_a_translation_is_exact() -> None:
+    T = se3.exp([1.0, -2.0, 3.0, 0.0, 0.0, 0.0])
+    np.testing.assert_array_equal(T, se3.from_rp(np.eye(3), [1.0, -2.0, 3.0]))
+    np.testing.assert_array_equal(se3.log(T), [1.0, -2.0, 3.0, 0.0, 0.0, 0.0])
+
+
+def test_log_of_robotlibs_test_robot() -> None:
+    """A turn by 2π/3 about (1, -1, 1) with a translation; numbers computed from Robotlib.jl's runtests.jl."""
+    T = [[0, -1, 0, 1.2], [0, 0, -1, 0], [1, 0, 0, 1], [0, 0, 0, 1]]
+    expected = [1.620079689181, -0.410880113025, 0.169040197794, 1.209199576156, -1.209199576156, 1.209199576156]
+    np.testing.assert_allclose(se3.log(T), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-6, 0.4999, 0.5001, 2.0, np.pi - 1e-9, np.pi])
+def test_exp_inverts_log_to_the_last_digits(angle: float) -> None:
+    u = random_twists(1000)[:, :3]
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    p = 10 * random_twists(1000, seed=1)[:, :3]
+    T = se3.from_rp(so3.exp(angle * u), p)
+    error = np.abs(se3.exp(se3.log(T)) - T).max(axis=(1, 2))
+    assert (error <= 3e-15 * (1 + np.linalg.norm(p, axis=1))).all()
+
+
+def test_inv() -> None:
+    T = se3.exp(random_twists(100))
+    np.testing.assert_allclose(se3.inv(T), np.linalg.inv(T), atol=1e-14)
+
+
+def test_adjoint_by_hand() -> None:
+    """A frame 1 m along x, turned a quarter about z: a turn about its z axis moves the origin of a along -y."""
+    T_a_b = se3.from_rp(euler.rot_z(np.pi / 2), [1.0, 0.0, 0.0])
+    twist_a = se3.adjoint(T_a_b) @ [0, 0, 0, 0, 0, 1.0]
+    np.testing.assert_allclose(twist_a, [0, -1, 0, 0, 0, 1], atol=1e-16)
+    np.testing.assert_allclose(se3.adjoint_inv(T_a_b) @ twist_a, [0, 0, 0, 0, 0, 1], atol=1e-16)
+
+
+def test_transform_wrench_by_hand() -> None:
+    """2 N along b's x axis, which is a's y axis, at 1 m along a's x axis: 2 N m about a's z axis."""
+    T_a_b = se3.from_rp(euler.rot_z(np.pi / 2), [1.0, 0.0, 0.0])
+    np.testing.assert_allclose(se3.transform_wrench(T_a_b, [2.0, 0, 0, 0, 0, 0]), [0, 2, 0, 0, 0, 2], atol=1e-15)
+    np.testing.assert_allclose(se3.transform_wrench(T_a_b, [0, 0, 0, 3.0, 0, 0]), [0, 0, 0, 0, 3, 0], atol=1e-15)
+    assert se3.transform_wrench(T_a_b, np.zeros((5, 6))).shape == (5, 6)
+
+
+def test_is_pose() -> None:
+    T = se3.exp([1, 2, 3, 0.1, 0.2, 0.3])
+    scaled, last_row, missing = T.copy(), T.copy(), T.copy()
+    scaled[:3, :3] *= 1.01
+    last_row[3, 0] = 1e-12
+    missing[0, 3] = np.nan
+    np.testing.assert_array_equal(se3.is_pose([T, scaled, last_row, missing]), [True, False, False, False])
+    assert se3.is_pose(T).shape == ()
+    T[:3, :3] += 2e-7
+    assert se3.is_pose(T)
+    assert not se3.is_pose(T, tolerance=1e-9)
+
+
+def test_project() -> None:
+    T = se3.exp(random_twists(10))
+    rough = T.copy()
+    rough[:, :3, :3] = np.round(T[:, :3, :3], 3)
+    projected, distance = se3.project(rough)
+    assert se3.is_pose(projected, 1e-14).all()
+    np.testing.assert_array_equal(projected[:, :3, 3], T[:, :3, 3])
+    assert (distance > 0).all()
+    assert (distance < 2e-3).all()
+
+
+@pytest.mark.parametrize(
+    ("call", "sentence"),
+    [
+        (lambda: se3.exp([1, 2, 3]), r"Expected xi of shape \(\.\.\., 6\), got \(3,\)\."),
+        (lambda: se3.inv(np.eye(3)), r"Expected T of shape \(\.\.\., 4, 4\), got \(3, 3\)\."),
+        (lambda: se3.inv(2 * np.eye(4)), "Expected the rotation of T to be a rotation within 1e-06"),
+        (lambda: se3.log(np.diag([1.0, 1, 1, 2])), r"Expected \(0, 0, 0, 1\) as the last row of T, got one off by 1\."),
+        (lambda: se3.project(np.diag([1.0, 1, 1, 2])), "as the last row of M"),
+        (lambda: se3.adjoint(np.zeros((4, 4))), "Expected the rotation of T_a_b"),
+        (lambda: se3.from_rp(np.eye(3), [1, 2]), "Expected p of shape"),
+        (lambda: se3.from_rp(-np.eye(3)), "determinant = -1"),
+        (lambda: se3.vee(np.eye(4)), "Use log for a pose"),
+        (lambda: se3.hat([[1, 2]]), "Expected xi of shape"),
+        (lambda: se3.transform_wrench(np.eye(4), [1, 2, 3]), "Expected wrench_b of shape"),
+    ],
+)
+def test_bad_input_is_a_sentence(call, sentence: str) -> None:
+    with pytest.raises(ShapeError, match=sentence):
+        call()
+
+
+def test_missing_stays_missing() -> None:
+    T = se3.exp(random_twists(2))
+    T[1] = np.nan
+    T[1, 3] = 0, 0, 0, 1
+    for result in (se3.log(T), se3.inv(T), se3.adjoint(T), se3.project(T)[0]):
+        assert np.isfinite(result[0]).all()
+        assert np.isnan(result[1]).any()

@@ -1,0 +1,199 @@
+"""Rotations: known values, SciPy, the corners at 0 and at half turns, refusals. Group laws: tests/laws."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from armlab.errors import ShapeError
+from armlab.lie import so3
+
+HALF_TURNS = [np.diag(d) for d in ([1.0, -1, -1], [-1.0, 1, -1], [-1.0, -1, 1])]
+
+
+def rotation_vectors(count: int, longest: float = np.pi, seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    u = rng.standard_normal((count, 3))
+    return u / np.linalg.norm(u, axis=1, keepdims=True) * rng.uniform(0, longest, (count, 1))
+
+
+def test_hat_is_the_cross_product() -> None:
+    w, x = rotation_vectors(100), rotation_vectors(100, seed=1)
+    np.testing.assert_allclose((so3.hat(w) @ x[..., None])[..., 0], np.cross(w, x), atol=1e-15)
+    np.testing.assert_array_equal(so3.hat([1, 2, 3]), [[0, -3, 2], [3, 0, -1], [-2, 1, 0]])
+
+
+def test_vee_inverts_hat_and_never_guesses() -> None:
+    w = rotation_vectors(100)
+    np.testing.assert_array_equal(so3.vee(so3.hat(w)), w)
+    with pytest.raises(ShapeError, match="Use log for a rotation"):
+        so3.vee(so3.exp([0.1, 0.2, 0.3]))
+    with pytest.raises(ShapeError, match="Use log for a rotation"):
+        so3.vee(np.eye(3))
+
+
+def test_skew_part() -> None:
+    M = np.random.default_rng(0).standard_normal((5, 3, 3))
+    S = so3.skew_part(M)
+    np.testing.assert_array_equal(S, -np.swapaxes(S, -1, -2))
+    np.testing.assert_allclose(so3.skew_part(S + np.eye(3)), S, atol=1e-16)
+
+
+def test_exp_equals_scipy() -> None:
+    w = rotation_vectors(10_000, longest=3 * np.pi)
+    np.testing.assert_allclose(so3.exp(w), Rotation.from_rotvec(w).as_matrix(), atol=5e-15)
+
+
+def test_exp_of_known_vectors() -> None:
+    np.testing.assert_allclose(so3.exp([0, 0, np.pi / 2]), [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=2e-16)
+    np.testing.assert_array_equal(so3.exp([0, 0, 0]), np.eye(3))
+    np.testing.assert_array_equal(so3.exp([1e-300, 0, 0])[2, 1], 1e-300)
+
+
+def test_log_equals_scipy() -> None:
+    w = rotation_vectors(10_000, longest=np.pi - 1e-3)
+    np.testing.assert_allclose(so3.log(so3.exp(w)), Rotation.from_matrix(so3.exp(w)).as_rotvec(), atol=1e-14)
+
+
+def test_log_of_half_turns() -> None:
+    """Numbers of Robotlib.jl's tests; the sign rule: the first component that is not zero is positive."""
+    np.testing.assert_array_equal(so3.log(np.diag([-1.0, -1, 1])), [0, 0, np.pi])
+    r = np.pi / np.sqrt(2)
+    np.testing.assert_allclose(so3.log([[-1, 0, 0], [0, 0, 1], [0, 1, 0]]), [0, r, r], rtol=1e-15)
+    np.testing.assert_allclose(so3.log([[-1, 0, 0], [0, 0, -1], [0, -1, 0]]), [0, r, -r], rtol=1e-15)
+    np.testing.assert_array_equal(so3.log(HALF_TURNS), np.pi * np.eye(3))
+
+
+def test_log_survives_rounded_half_turns() -> None:
+    """Rounding pushes the trace below -1, where acos has no value; R is never off by more than the last digits."""
+    u = rotation_vectors(100_000)
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    R = 2 * u[:, :, None] * u[:, None, :] - np.eye(3)
+    assert (np.trace(R, axis1=1, axis2=2) < -1).any()
+    w = so3.log(R)
+    assert np.isfinite(w).all()
+    np.testing.assert_allclose(np.linalg.norm(w, axis=1), np.pi, rtol=1e-15)
+    np.testing.assert_allclose(np.abs((w * u).sum(axis=1)), np.pi, rtol=1e-14)
+
+
+@pytest.mark.parametrize("w", [(1e-13, 0, 0), (1e-14, -1e-15, 2e-15), (3e-300, 4e-300, 0)])
+def test_log_of_tiny_rotations(w: tuple[float, float, float]) -> None:
+    np.testing.assert_allclose(so3.log(so3.exp(w)), w, rtol=1e-14)
+    np.testing.assert_allclose(so3.log(so3.exp(123 * np.array(w))), 123 * np.array(w), rtol=1e-14)
+
+
+@pytest.mark.parametrize("angle", [1e-8, 1e-4, 0.5, 2.0, np.pi - 1e-4, np.pi - 1e-5, np.pi - 1e-9])
+def test_log_keeps_all_digits(angle: float) -> None:
+    w = rotation_vectors(1000)
+    w *= angle / np.linalg.norm(w, axis=1, keepdims=True)
+    assert np.abs(so3.log(so3.exp(w)) - w).max() <= 2e-15 * angle
+
+
+def test_angle() -> None:
+    R = so3.exp(rotation_vectors(1000))
+    w = rotation_vectors(1000, seed=1)
+    assert so3.angle(R, R).max() <= 1e-15
+    np.testing.assert_allclose(so3.angle(R, R @ so3.exp(w)), np.linalg.norm(w, axis=1), atol=2e-15)
+    degree = so3.exp([0, 0, np.pi / 180])
+    np.testing.assert_allclose(so3.angle(np.eye(3), degree), np.pi / 180, rtol=1e-14)
+    assert so3.angle(np.eye(3), R).shape == (1000,)
+
+
+def test_is_rotation_and_its_tolerance() -> None:
+    R = so3.exp([0.1, 0.2, 0.3])
+    bad = [R, -R, R * 1.001, np.full((3, 3), np.nan), np.zeros((3, 3)), np.full((3, 3), np.inf)]
+    np.testing.assert_array_equal(so3.is_rotation(bad), [True] + [False] * 5)
+    off = R + 2e-7
+    assert so3.is_rotation(off)
+    assert not so3.is_rotation(off, tolerance=1e-9)
+    assert so3.ROTATION_TOLERANCE == 1e-6
+
+
+def test_project_is_the_nearest_rotation() -> None:
+    rng = np.random.default_rng(0)
+    R = so3.exp(rotation_vectors(50))
+    M = R + 0.1 * rng.standard_normal(R.shape)
+    projected, distance = so3.project(M)
+    assert so3.is_rotation(projected, 1e-14).all()
+    np.testing.assert_allclose(distance, np.linalg.norm(projected - M, axis=(1, 2)), rtol=1e-14)
+    nearby = projected @ so3.exp(1e-3 * rng.standard_normal((20, 50, 3)))
+    assert (np.linalg.norm(nearby - M, axis=(-1, -2)) > distance).all()
+
+
+def test_project_is_idempotent_and_leaves_its_input() -> None:
+    M = so3.exp(rotation_vectors(1000)) * 1.1
+    before = M.copy()
+    once, distance = so3.project(M)
+    np.testing.assert_array_equal(M, before)
+    np.testing.assert_allclose(distance, 0.1 * np.sqrt(3), rtol=1e-13)
+    twice, moved = so3.project(once)
+    assert np.abs(twice - once).max() <= 2e-15
+    assert moved.max() <= 5e-15
+
+
+def test_project_of_a_reflection_and_of_nothing() -> None:
+    R, _ = so3.project(np.diag([1.0, 1.0, -0.5]))
+    np.testing.assert_allclose(R, np.eye(3), atol=1e-15)
+    for M in (np.diag([1.0, 0.0, 0.0]), np.zeros((3, 3)), -np.eye(3)):
+        with pytest.raises(ShapeError, match="one nearest rotation"):
+            so3.project(M)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 0.499, 0.501, 2.0, 3.1, np.pi, 5.0])
+def test_left_jacobian(angle: float) -> None:
+    """exp(w + dw) = exp(J dw) exp(w), by central differences; both sides of the border of the series."""
+    w = rotation_vectors(20)
+    w *= angle / np.linalg.norm(w, axis=1, keepdims=True)
+    step = 1e-5
+    columns = [so3.log(so3.exp(w + e) @ np.swapaxes(so3.exp(w - e), -1, -2)) / (2 * step) for e in step * np.eye(3)]
+    J = so3.left_jacobian(w)
+    np.testing.assert_allclose(J, np.stack(columns, axis=-1), atol=1e-8)
+    np.testing.assert_allclose(so3.left_jacobian_inv(w) @ J, np.broadcast_to(np.eye(3), J.shape), atol=1e-13)
+
+
+def test_left_jacobian_series_meets_the_closed_form() -> None:
+    u = np.array([0.6, 0.0, 0.8])
+    below, above = u * np.nextafter(so3.SERIES_BELOW, 0), u * (so3.SERIES_BELOW + 1e-15)
+    for function in (so3.left_jacobian, so3.left_jacobian_inv):
+        np.testing.assert_allclose(function(below), function(above), atol=5e-15)
+
+
+def test_left_jacobian_of_a_turn() -> None:
+    """V of a full quarter turn about z, by hand: sin θ/θ and (1 - cos θ)/θ."""
+    s, c = 2 / np.pi, 2 / np.pi
+    np.testing.assert_allclose(so3.left_jacobian([0, 0, np.pi / 2]), [[s, -c, 0], [c, s, 0], [0, 0, 1]], atol=1e-16)
+
+
+@pytest.mark.parametrize(
+    ("call", "sentence"),
+    [
+        (lambda: so3.exp([1, 2]), r"Expected w of shape \(\.\.\., 3\), got \(2,\)\."),
+        (lambda: so3.hat(1.0), r"Expected w of shape \(\.\.\., 3\), got \(\)\."),
+        (lambda: so3.exp("turn"), r"Expected numbers of shape \(\.\.\., 3\) for w, got str\."),
+        (lambda: so3.log(np.eye(4)), r"Expected R of shape \(\.\.\., 3, 3\), got \(4, 4\)\."),
+        (lambda: so3.log(2 * np.eye(3)), r"Expected R to be a rotation within 1e-06, got max\|R\^T R - I\| = 3\."),
+        (lambda: so3.log([np.eye(3), -np.eye(3)]), r"Expected R\[1\] to be a rotation.*determinant = -1\..*Project"),
+        (lambda: so3.angle(np.eye(3), np.zeros((3, 3))), "Expected R_b to be a rotation"),
+        (lambda: so3.project(np.eye(2)), "Expected M of shape"),
+    ],
+)
+def test_bad_input_is_a_sentence(call, sentence: str) -> None:
+    with pytest.raises(ShapeError, match=sentence):
+        call()
+
+
+def test_missing_stays_missing() -> None:
+    R = so3.exp(np.array([[0.1, 0.2, 0.3], [np.nan, 0, 0]]))
+    for result in (R, so3.log(R), so3.angle(R, np.eye(3)), so3.project(R)[0], so3.left_jacobian_inv(so3.log(R))):
+        assert np.isfinite(result[0]).all()
+        assert np.isnan(result[1]).any()
+
+
+def test_read_only_input_is_accepted_and_kept() -> None:
+    w = np.array([0.1, 0.2, 0.3])
+    w.flags.writeable = False
+    R = so3.exp(w)
+    R.flags.writeable = False
+    np.testing.assert_allclose(so3.log(R), w, rtol=1e-15)
+    so3.project(R)

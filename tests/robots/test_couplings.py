@@ -1,0 +1,103 @@
+"""ABB's order and the gears, with numbers written down by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from armlab import robots
+from armlab.errors import ShapeError
+from armlab.robots import Robot, couplings
+
+G = np.array([[0.5, 0.0], [0.25, 0.5]])  # the second motor also turns with the first joint, as in a wrist
+
+
+@pytest.fixture(scope="module")
+def yumi() -> Robot:
+    return robots.load("yumi_left")
+
+
+@pytest.fixture(scope="module")
+def wrist() -> Robot:
+    return robots.from_dh("wrist", 0.0, [1.0, 1.0], 0.0, coupling=G)
+
+
+def test_abb_to_logical_by_hand(yumi: Robot) -> None:
+    """ABB's axis 7 sits between its axes 2 and 3."""
+    abb = [10, 20, 30, 40, 50, 60, 70]
+    np.testing.assert_array_equal(couplings.abb_to_logical(yumi, abb), [10, 20, 70, 30, 40, 50, 60])
+
+
+def test_logical_to_abb_by_hand(yumi: Robot) -> None:
+    logical = [10, 20, 70, 30, 40, 50, 60]
+    np.testing.assert_array_equal(couplings.logical_to_abb(yumi, logical), [10, 20, 30, 40, 50, 60, 70])
+
+
+def test_orders_invert_each_other_in_batches(yumi: Robot) -> None:
+    values = np.random.default_rng(0).standard_normal((4, 3, 7))
+    before = values.copy()
+    np.testing.assert_array_equal(couplings.logical_to_abb(yumi, couplings.abb_to_logical(yumi, values)), values)
+    np.testing.assert_array_equal(couplings.abb_to_logical(yumi, couplings.logical_to_abb(yumi, values)), values)
+    np.testing.assert_array_equal(values, before)
+    assert couplings.abb_to_logical(yumi, np.zeros((0, 7))).shape == (0, 7)
+
+
+def test_order_of_an_arm_that_needs_none() -> None:
+    robot = robots.load("irb2400")
+    np.testing.assert_array_equal(couplings.abb_to_logical(robot, np.arange(6)), np.arange(6))
+
+
+def test_yumi_gears_by_hand(yumi: Robot) -> None:
+    """100 motor turns per joint turn; joint 4 turns against its motor, joint 6 has 101."""
+    q_motor = np.array([100, 200, 300, 400, 500, 606, 700.0])
+    np.testing.assert_allclose(couplings.motor_to_joint(yumi, q_motor), [1, 2, 3, -4, 5, -6, 7], rtol=1e-15)
+    np.testing.assert_allclose(couplings.joint_to_motor(yumi, [1, 2, 3, -4, 5, -6, 7]), q_motor, rtol=1e-15)
+    tau_motor = np.array([0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.07])
+    tau = [1, 2, 3, -4, 5, -6.06, 7]
+    np.testing.assert_allclose(couplings.motor_torque_to_joint(yumi, tau_motor), tau, rtol=1e-14)
+    np.testing.assert_allclose(couplings.joint_torque_to_motor(yumi, tau), tau_motor, rtol=1e-14)
+
+
+def test_coupled_gears_by_hand(wrist: Robot) -> None:
+    """q = (0.5 m1, 0.25 m1 + 0.5 m2); virtual work gives tau_motor = (0.5 t1 + 0.25 t2, 0.5 t2)."""
+    np.testing.assert_allclose(couplings.motor_to_joint(wrist, [2.0, 4.0]), [1.0, 2.5])
+    np.testing.assert_allclose(couplings.joint_to_motor(wrist, [1.0, 2.5]), [2.0, 4.0])
+    np.testing.assert_allclose(couplings.joint_torque_to_motor(wrist, [1.0, 2.0]), [1.0, 1.0])
+    np.testing.assert_allclose(couplings.motor_torque_to_joint(wrist, [1.0, 1.0]), [1.0, 2.0])
+
+
+def test_power_is_kept(wrist: Robot) -> None:
+    rng = np.random.default_rng(1)
+    qd_motor, tau_motor = rng.standard_normal((2, 50, 2))
+    qd, tau = couplings.motor_to_joint(wrist, qd_motor), couplings.motor_torque_to_joint(wrist, tau_motor)
+    np.testing.assert_allclose((qd * tau).sum(axis=1), (qd_motor * tau_motor).sum(axis=1), rtol=1e-12)
+
+
+def test_gears_come_after_the_order(yumi: Robot) -> None:
+    """A log in ABB's order with motor values: reorder, then gear; the other way round is another number."""
+    abb = np.arange(1.0, 8.0)
+    right = couplings.motor_to_joint(yumi, couplings.abb_to_logical(yumi, abb))
+    np.testing.assert_allclose(right, [0.01, 0.02, 0.07, -0.03, 0.04, -5 / 101, 0.06], rtol=1e-14)
+
+
+def test_coupling_in_batches(wrist: Robot) -> None:
+    values = np.random.default_rng(2).standard_normal((3, 4, 2))
+    for there, back in (
+        (couplings.motor_to_joint, couplings.joint_to_motor),
+        (couplings.motor_torque_to_joint, couplings.joint_torque_to_motor),
+    ):
+        np.testing.assert_allclose(back(wrist, there(wrist, values)), values, atol=1e-14)
+        np.testing.assert_allclose(there(wrist, values)[1, 2], there(wrist, values[1, 2]), rtol=1e-14)
+
+
+@pytest.mark.parametrize("name", couplings.__all__)
+def test_a_wrong_count_is_refused_with_a_sentence(yumi: Robot, name: str) -> None:
+    with pytest.raises(ShapeError, match=r"Expected values of shape \(\.\.\., 7\) for robot 'yumi_left', got \(6,\)\."):
+        getattr(couplings, name)(yumi, np.zeros(6))
+
+
+def test_gears_follow_the_robot(yumi: Robot) -> None:
+    direct = replace(yumi, coupling=np.eye(7))
+    np.testing.assert_array_equal(couplings.motor_to_joint(direct, np.arange(7)), np.arange(7))

@@ -1,0 +1,263 @@
+"""Robot files: round trip to the last bit, the format, and a sentence for everything that can be wrong."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from armlab import robots
+from armlab.errors import RobotError, UnknownName
+from armlab.lie import quaternion, se3
+from armlab.robots import Robot
+
+MINIMAL = """
+name = "mine"
+source = "measured"
+joint = [
+  { name = "shoulder", alpha_deg = 90, a = 0.1, d = 0.2, limits_deg = [-90, 90], speed_deg = 100 },
+  { name = "elbow", a = 0.3, offset_deg = 45 },
+]
+"""
+
+
+def written(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "mine.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def assert_same_bits(a: Robot, b: Robot) -> None:
+    assert a == b
+    assert a.hash == b.hash
+    assert a.frames.tobytes() == b.frames.tobytes()
+    assert a.q_min.tobytes() == b.q_min.tobytes()
+
+
+def test_names_and_load() -> None:
+    assert robots.names() == ("dh_test", "irb2400", "irb7600", "yumi_left", "yumi_right")
+    assert robots.load("irb2400").name == "irb2400"
+    assert robots.load("irb2400") is robots.load("irb2400")
+
+
+def test_an_unknown_name_lists_what_exists() -> None:
+    with pytest.raises(UnknownName) as caught:
+        robots.load("yumi_rigth")
+    assert str(caught.value) == (
+        "Expected the name of a robot, got 'yumi_rigth'. "
+        "Known: dh_test, irb2400, irb7600, yumi_left, yumi_right. Did you mean 'yumi_right'?"
+    )
+
+
+def test_load_a_file_of_the_user(tmp_path: Path) -> None:
+    path = written(tmp_path, MINIMAL)
+    robot = robots.load(path)
+    assert robot == robots.load(str(path))
+    expected = robots.from_dh(
+        "mine", [np.pi / 2, 0], [0.1, 0.3], [0.2, 0], [0, np.pi / 4],
+        q_min=[-np.pi / 2, -np.inf], q_max=[np.pi / 2, np.inf], qd_max=[np.deg2rad(100), np.inf],
+        joint_names=["shoulder", "elbow"], source="measured",
+    )  # fmt: skip
+    assert_same_bits(robot, expected)
+
+
+def test_degrees_and_radians_are_one(tmp_path: Path) -> None:
+    radians = MINIMAL.replace("alpha_deg = 90", f"alpha = {np.pi / 2}").replace(
+        "offset_deg = 45", f"offset = {np.pi / 4}"
+    )
+    assert robots.load(written(tmp_path, radians)) == robots.load(written(tmp_path, MINIMAL))
+
+
+def test_everything_a_file_may_say(tmp_path: Path) -> None:
+    text = """
+name = "all"
+side = "right"
+convention = "modified"
+gravity = [0, 9.81, 0]
+abb_axes = [2, 1]
+joint = [
+  { name = "lift", kind = "prismatic", limits = [0, 0.5], speed = 0.2, acceleration = 1, home = 0.1, gear_ratio = 50 },
+  { name = "turn", alpha_deg = -90, limits_deg = [10, 90], speed_deg = 90, acceleration_deg = 180 },
+]
+[mount]
+position = [1, 2, 3]
+quaternion = [0.7071, 0.7071, 0, 0]
+[tool]
+position = [0, 0, 0.1]
+rotation = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
+[source]
+geometry = "CAD"
+limits = "assumption"
+"""
+    robot = robots.load(written(tmp_path, text))
+    np.testing.assert_array_equal(robot.prismatic, [True, False])
+    np.testing.assert_allclose(robot.q_home, [0.1, np.deg2rad(10)])
+    np.testing.assert_allclose(robot.qdd_max, [1, np.pi])
+    np.testing.assert_allclose(robot.coupling, np.diag([1 / 50, 1]))
+    np.testing.assert_allclose(robot.T_base_mount[:3, :3], [[1, 0, 0], [0, 0, -1], [0, 1, 0]], atol=1e-15)
+    np.testing.assert_array_equal(robot.T_flange_tool[:3], [[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0.1]])
+    np.testing.assert_array_equal(robot.gravity, [0, 9.81, 0])
+    assert (robot.abb_axes, robot.side) == ((2, 1), "right")
+    assert robot.source == "geometry: CAD\nlimits: assumption"
+
+
+def test_a_typed_rotation_gets_its_missing_digits_back(tmp_path: Path) -> None:
+    R = np.round(quaternion.to_matrix([0.8, 0.36, 0.48, 0.0]) @ quaternion.to_matrix([0.28, 0.96, 0, 0]), 6)
+    robot = robots.load(written(tmp_path, MINIMAL + f"[tool]\nrotation = {R.tolist()}\n"))
+    assert se3.is_pose(robot.T_flange_tool, 1e-15)
+    np.testing.assert_allclose(robot.T_flange_tool[:3, :3], R, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", robots.names())
+def test_the_library_survives_a_round_trip(tmp_path: Path, name: str) -> None:
+    path = tmp_path / f"{name}.toml"
+    robots.save(robots.load(name), path)
+    assert_same_bits(robots.load(path), robots.load(name))
+    assert "next" not in path.read_text(encoding="utf-8"), "a DH robot is written as DH rows"
+
+
+def test_a_written_file_is_pleasant_to_read(tmp_path: Path) -> None:
+    path = tmp_path / "yumi.toml"
+    robots.save(robots.load("yumi_left"), path)
+    row = (
+        '  { name = "axis_5", alpha_deg = 90, a = -0.027, d = 0, offset_deg = 0, limits_deg = [-88, 138], '
+        "speed_deg = 400, home_deg = 40, gear_ratio = -101 },"
+    )
+    assert row in path.read_text(encoding="utf-8").splitlines()
+
+
+finite = st.floats(-10, 10)
+positive = st.floats(1e-3, 1e3)
+words = st.text(max_size=20)
+
+
+@st.composite
+def any_robot(draw: st.DrawFn) -> Robot:
+    n = draw(st.integers(1, 4))
+    seed = draw(st.integers(0, 2**32 - 1))
+    rng = np.random.default_rng(seed)
+    low = np.array(draw(st.lists(finite | st.just(-np.inf), min_size=n, max_size=n)))
+    prismatic = np.array(draw(st.lists(st.booleans(), min_size=n, max_size=n)))
+    details: robots.Details = {
+        "q_min": low,
+        "q_max": np.where(np.isfinite(low), low, 0.0) + draw(st.lists(positive, min_size=n, max_size=n)),
+        "qd_max": draw(st.lists(positive, min_size=n, max_size=n)),
+        "joint_names": draw(st.lists(words, min_size=n, max_size=n, unique=True)),
+        "gravity": draw(st.sampled_from([(0, 0, -9.80665), (0.1, 9.7, -1 / 3)])),
+        "coupling": draw(st.sampled_from([np.eye(n), np.diag([-1 / 101] * n), np.eye(n) + np.tri(n) / 3])),
+        "abb_axes": [int(axis) for axis in rng.permutation(n) + 1],
+        "side": draw(st.sampled_from(["left", "right", ""])),
+        "source": draw(words | st.just("geometry: CAD\nlimits: none") | st.just("geometry: CAD\nno key")),
+    }
+    if draw(st.booleans()):
+        details["qdd_max"] = draw(st.lists(positive, min_size=n, max_size=n))
+    if draw(st.booleans()):
+        details |= {"T_base_mount": se3.exp(rng.standard_normal(6)), "T_flange_tool": se3.exp(rng.standard_normal(6))}
+    name = draw(words)
+    if draw(st.booleans()):
+        return robots.from_links(name, se3.exp(rng.standard_normal((n + 1, 6))), prismatic, **details)
+    table = rng.standard_normal((4, n)) if draw(st.booleans()) else np.deg2rad(rng.integers(-180, 180, (4, n)))
+    return robots.from_dh(name, *table, prismatic=prismatic, modified=draw(st.booleans()), **details)
+
+
+@settings(deadline=None, max_examples=300, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(robot=any_robot())
+def test_any_robot_survives_a_round_trip(tmp_path: Path, robot: Robot) -> None:
+    path = tmp_path / "robot.toml"
+    robots.save(robot, path)
+    assert_same_bits(robots.load(path), robot)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        (
+            "limits_deg = [-90, 90]",
+            "limits_deg = [90, -90]",
+            r"q_min below q_max at joint 1 \(shoulder\) of robot",
+        ),
+        ("a = 0.1", "a = nan", "Expected finite a in the DH table of 'mine', got nan at joint 1."),
+        ("speed_deg = 100", "speed_deg = nan", r"Expected numbers in qd_max of robot 'mine', got NaN at joint 1"),
+        ("speed_deg = 100", "speed_deg = -1", "Expected a positive speed limit at joint 1"),
+        ("speed_deg = 100", "home_deg = 100", "Expected a home position inside the limits at joint 1"),
+        ("alpha_deg = 90", "alhpa_deg = 90", r"unknown field `alhpa` - at `\$\.joint\[0\]`"),
+        (
+            "alpha_deg = 90",
+            "alpha_deg = 90, alpha = 1.5",
+            "one of alpha and alpha_deg, got both in 'shoulder'",
+        ),
+        ("alpha_deg = 90", 'alpha_deg = "90"', r"Expected `float`, got `str` - at `\$\.joint\[0\]\.alpha`"),
+        ("limits_deg = [-90, 90]", "limits_deg = [-90]", r"at `\$\.joint\[0\]\.limits`"),
+        ("alpha_deg = 90", 'kind = "sliding"', r"Invalid enum value 'sliding' - at `\$\.joint\[0\]\.kind`"),
+        ('{ name = "elbow", ', "{ ", r"missing required field `name` - at `\$\.joint\[1\]`"),
+        ("elbow", "shoulder", "Expected 2 different joint_names"),
+        ('source = "measured"', "", "missing required field `source`"),
+        ('name = "mine"', 'name = "mine"\nabb_axes = [1, 2, 3]', "Expected 2 different abb_axes"),
+        ('name = "mine"', 'name = "mine"\ncoupling = [[1]]', "Expected 2 numbers in every row of coupling, got"),
+        (
+            'name = "mine"',
+            'name = "mine"\ncoupling = [[1, 0], [1, 0]]',
+            "coupling of robot .* that can be inverted",
+        ),
+        ('name = "mine"', 'name = "mine"\nfirst = {}', "Expected `first` only beside joints with `next`"),
+        (
+            'name = "mine"',
+            'name = "mine"\nmount = { rotation = [[1, 0, 0], [0, 2, 0], [0, 0, 1]] }',
+            "pose in mount.*rotat",
+        ),
+        ('name = "mine"', 'name = "mine"\nmount = { quaternion = [1, 1, 0, 0] }', "pose in mount.* length 1"),
+        ('name = "mine"', 'name = "mine"\ntool = { position = [1, 2] }', r"at `\$\.tool\.position`"),
+        ('name = "mine"', 'name = "mine"\ntool = { position = [1, 2, nan] }', "Expected numbers in T_flange_tool"),
+        ("alpha_deg = 90", "gear_ratio = 0", "Expected a gear_ratio other than zero, got 0 in joint 'shoulder'"),
+        ("alpha_deg = 90, ", 'kind = "prismatic", ', "Expected metres for prismatic joint 'shoulder', got limits_deg"),
+        ("offset_deg = 45", "next = {}", "alike in all joints, got a mixture at 'shoulder'"),
+        ("joint = [", "joint = [ 1,", r"Expected `object`, got `int` - at `\$\.joint\[0\]`"),
+        ("joint = [", "joint = ", "Expected a robot file in"),
+    ],
+)
+def test_a_bad_file_is_one_sentence_with_its_path(tmp_path: Path, old: str, new: str, sentence: str) -> None:
+    assert old in MINIMAL
+    path = written(tmp_path, MINIMAL.replace(old, new, 1))
+    with pytest.raises(RobotError, match=sentence) as caught:
+        robots.load(path)
+    message = str(caught.value)
+    assert str(path) in message
+    assert "\n" not in message
+    assert message.endswith(".")
+
+
+def test_gears_said_twice_are_refused(tmp_path: Path) -> None:
+    text = MINIMAL.replace("a = 0.1", "a = 0.1, gear_ratio = 2").replace("name", "coupling = [[1, 0], [0, 1]]\nname", 1)
+    with pytest.raises(RobotError, match="Expected gears as coupling or as gear_ratio, got both"):
+        robots.load(written(tmp_path, text))
+
+
+def test_a_pose_said_twice_is_refused(tmp_path: Path) -> None:
+    tool = "[tool]\nquaternion = [1, 0, 0, 0]\nrotation = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n"
+    with pytest.raises(RobotError, match="Expected quaternion or rotation in tool, got both"):
+        robots.load(written(tmp_path, MINIMAL + tool))
+
+
+def test_no_joints_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(RobotError, match="Expected at least one joint, got none"):
+        robots.load(written(tmp_path, 'name = "none"\nsource = ""\njoint = []\n'))
+
+
+def test_a_missing_or_binary_file(tmp_path: Path) -> None:
+    with pytest.raises(RobotError, match=r"Expected a robot file at .*absent\.toml, got: .*No such file"):
+        robots.load(tmp_path / "absent.toml")
+    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(RobotError, match=r"Expected a robot file at .*binary\.toml"):
+        robots.load(tmp_path / "binary.toml")
+
+
+def test_save_refuses_what_load_would_not_find(tmp_path: Path) -> None:
+    robot = replace(robots.load("dh_test"))
+    with pytest.raises(RobotError, match=r"Expected a path that ends in \.toml for robot 'dh_test'"):
+        robots.save(robot, tmp_path / "robot.txt")
+    with pytest.raises(RobotError, match="Expected to write robot 'dh_test' to"):
+        robots.save(robot, tmp_path / "absent" / "robot.toml")
