@@ -11,7 +11,7 @@ namespace armlab {
 namespace {
 
 constexpr double rest_time = 0.5;      // s
-constexpr double unknown = 1.0 / 3.0;  // variance of a uniform variable on [-1, 1]
+constexpr double unknown = 1.0;    // largest variance of a variable in [-1, 1]
 constexpr double pi = 3.14159265358979323846;
 
 bool finite(const double *values, int n) {

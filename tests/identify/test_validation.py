@@ -14,7 +14,7 @@ def test_held_out_residuals_cover_the_log_and_assess_calibrates(truth, excited, 
     folds = [(model, rows), (model, ~rows)]
     errors, moving = held_out(folds, data)
     assert np.isfinite(errors).all()
-    assert 0.8 < moving.mean() < 1.0
+    assert 0.7 < moving.mean() < 1.0
     judged = assess(model, folds, data, errors)
     ratio = errors[moving] ** 2 / judged.covariance.variance(data.qd[moving])
     assert abs(np.mean(ratio < 4.0) - 0.954) < 1e-3  # alpha is set to make it so

@@ -15,7 +15,7 @@ from armlab.signals import central_diff, lowpass_offline
 
 __all__ = ["assess", "held_out", "predict", "report"]
 
-SETTLED = 0.003  # variance of the presliding state below which friction is known from motion
+SETTLED = 0.01  # variance of the presliding state below which friction is known from motion
 ALPHA2_BOUNDS = (0.25, 25.0)
 
 

@@ -1,0 +1,195 @@
+"""The MAP estimator: formula, sign, units, singular poses, coverage; step and run are one code path."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from armlab import identify, robots
+from armlab.contact import INVALID, WEAK, Estimator
+from armlab.errors import ModelMismatchError, ShapeError
+from armlab.log import Table
+from armlab.models import TorqueModel, velocity_covariance
+from armlab.state import State
+
+PRIOR_SD = np.array([20.0, 20, 20, 2, 2, 2])
+
+
+@pytest.fixture(scope="module")
+def perfect(truth, model) -> TorqueModel:
+    """The true parameters with a covariance of (5 % of the Coulomb torque)^2: only the estimator is under test."""
+    sd = 0.05 * truth.friction.coulomb_pos
+    return replace(
+        model,
+        link_parameters=truth.links,
+        rotor=truth.rotor,
+        friction=truth.friction,
+        ripple=replace(model.ripple, cosine=np.zeros(7), sine=np.zeros(7)),
+        covariance=velocity_covariance("const", sd**2, sd**2),
+    )
+
+
+def press(direction: np.ndarray):
+    return lambda t: np.outer(np.clip(t / 0.5, 0, 1), direction)
+
+
+def test_run_equals_step_bit_for_bit(truth, model, excited) -> None:
+    log = excited.between(0.0, 4.0)
+    estimator = Estimator(model, truth.robot)
+    table = estimator.run(log)
+    estimator.reset()
+    for k, state in enumerate(log.states()):
+        wrench = estimator.step(state)
+        assert np.array_equal(wrench.F, table["wrench_hat"][k])
+        assert np.array_equal(wrench.cov, table["wrench_hat_cov"][k])
+        assert np.array_equal(wrench.observability, table["observability"][k])
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_press_along_an_axis_appears_with_its_sign(truth, perfect, axis: int, sign: float) -> None:
+    """Plus 5 N by the environment along base x gives plus 5 N."""
+    force = np.zeros(6)
+    force[axis] = 5.0 * sign
+    motion = identify.dither(truth.robot.q_home, seconds=4.0)
+    table = Estimator(perfect, truth.robot).run(truth.log(motion, noise=0.0, wrench=press(force)))
+    tail = table["wrench_hat"][250:].mean(axis=0)
+    np.testing.assert_allclose(tail[:3], force[:3], atol=0.3)
+
+
+def test_a_load_that_the_model_does_not_know_pulls_down(truth, perfect) -> None:
+    """1 kg at the tool point: f_z = -9.81 N in motion through many poses."""
+    motion = identify.excitation(truth.robot, seconds=12, speed=0.2, acceleration=1.0, seed=4)
+    weight = np.array([0, 0, -9.80665, 0, 0, 0])
+    table = Estimator(perfect, truth.robot).run(
+        truth.log(motion, noise=0.0, wrench=lambda t: np.tile(weight, (len(t), 1)))
+    )
+    seen = table["observability"][:, 2] > 0.9
+    assert seen.mean() > 0.5
+    assert np.mean(table["wrench_hat"][seen, 2]) == pytest.approx(-9.80665, rel=0.05)
+
+
+def test_the_posterior_is_the_information_form(truth, perfect, excited) -> None:
+    """P = (J C^-1 J^T + C_F^-1)^-1 and F = P J C^-1 tau_e, to 1e-9 where both exist."""
+    table = Estimator(perfect, truth.robot).run(excited.between(3.0, 6.0))
+    for k in range(100, len(table), 100):
+        J = truth.robot.chain.jacobian(table["q"][k])
+        weight = J / table["tau_variance"][k]
+        P = np.linalg.inv(weight @ J.T + np.diag(1 / PRIOR_SD**2))
+        np.testing.assert_allclose(table["wrench_hat_cov"][k], P, rtol=1e-7, atol=1e-10)
+        np.testing.assert_allclose(table["wrench_hat"][k], P @ weight @ table["tau_error"][k], rtol=1e-7, atol=1e-9)
+
+
+def test_a_singular_pose_gives_a_finite_estimate_and_a_hidden_direction(truth, perfect) -> None:
+    q = np.zeros(7)  # joints 1, 3, 5 and 7 share a plane: a wrench is hidden
+    singular = [q.copy() for _ in range(50)]
+    qd = np.zeros((50, 7))
+    table = Table(np.arange(50) * 0.004, {"q": np.array(singular), "qd": qd, "tau": np.ones((50, 7))})
+    estimator = Estimator(perfect, truth.robot)
+    estimator.run(table)
+    wrench = estimator.step(State(t=0.2, dt=0.004, q=q, qd=qd[0], tau=np.ones(7)))
+    assert np.all(np.isfinite(wrench.F))
+    assert np.linalg.norm(wrench.F / PRIOR_SD) < 30
+    J = truth.robot.chain.jacobian(q)
+    if np.linalg.matrix_rank(J, tol=1e-6) < 6:
+        scaled_hidden = wrench.hidden * PRIOR_SD
+        assert np.linalg.norm(J.T @ scaled_hidden) < 1e-3 * np.linalg.norm(J)
+        assert wrench.cond > 1e3
+
+
+def test_a_noisier_joint_is_trusted_less(truth, perfect) -> None:
+    log = truth.log(identify.dither(truth.robot.q_home, seconds=2.0), noise=0.0)
+
+    def gain(scale: float) -> float:
+        sd = np.sqrt(perfect.covariance.C0) * np.where(np.arange(7) == 1, scale, 1.0)
+        noisy = replace(perfect, covariance=velocity_covariance("const", sd**2, sd**2))
+        changed = log.with_column("tau", log["tau"] + 0.1 * (np.arange(7) == 1))
+        difference = (
+            Estimator(noisy, truth.robot).run(changed)["wrench_hat"]
+            - Estimator(noisy, truth.robot).run(log)["wrench_hat"]
+        )
+        return float(np.linalg.norm(difference[-1] / PRIOR_SD))
+
+    assert gain(2.0) < gain(1.0)
+
+
+def test_newtons_or_kilonewtons_it_is_the_same_wrench(truth, perfect, excited) -> None:
+    """Torques, masses, friction and prior in thousands: the wrench is a thousandth, to 1e-9."""
+    log = excited.between(3.0, 4.0)
+    f, s = perfect.friction, 1e-3
+    small = replace(
+        perfect,
+        link_parameters=perfect.link_parameters * s,
+        rotor=perfect.rotor * s,
+        friction=replace(
+            f,
+            viscous=f.viscous * s,
+            coulomb_pos=f.coulomb_pos * s,
+            coulomb_neg=f.coulomb_neg * s,
+            offset=f.offset * s,
+            stribeck=f.stribeck * s,
+        ),
+        covariance=velocity_covariance("const", perfect.covariance.C0 * s**2, perfect.covariance.Cinf * s**2),
+    )
+    newtons = Estimator(perfect, truth.robot).run(log)["wrench_hat"]
+    kilo = Estimator(small, truth.robot, prior=PRIOR_SD * s).run(log.with_column("tau", log["tau"] * s))["wrench_hat"]
+    np.testing.assert_allclose(kilo / s, newtons, rtol=1e-9, atol=1e-12)
+
+
+def test_at_rest_the_band_is_wide_and_holds_the_truth(truth, model) -> None:
+    """Static friction hides the press: 2 sigma must say so, whatever the friction does inside its limits."""
+    robot = truth.robot
+    force = np.array([0.0, 0, -4.905, 0, 0, 0])
+    rng = np.random.default_rng(3)
+    t = np.arange(0, 4, 0.004)
+    q, zero = np.tile(robot.q_home, (len(t), 1)), np.zeros((len(t), 7))
+    for _ in range(20):
+        z = np.tile(rng.uniform(-1, 1, 7), (len(t), 1))
+        tau = truth.torque(q, zero, zero, z) - np.einsum("kij,i->kj", robot.chain.jacobian(q), force)
+        table = Estimator(model, robot).run(Table(t, {"q": q, "qd": zero, "tau": tau}))
+        error = table["wrench_hat"][-1] - force
+        sigma = np.sqrt(np.diag(table["wrench_hat_cov"][-1]))
+        assert np.all(np.abs(error) < 2 * sigma)
+        assert sigma[:3].max() > 3.0
+
+
+def test_coverage_and_force_error_on_another_motion(truth, model) -> None:
+    """Free motion of another seed: false force at most 1 N RMS where it can be seen, 2 sigma holds 85 to 99 %."""
+    motion = identify.excitation(truth.robot, seconds=20, f0=0.07, harmonics=6, speed=0.4, seed=77)
+    table = Estimator(model, truth.robot).run(truth.log(motion, seed=8)).between(2.0, 18.0)
+    F, sigma = table["wrench_hat"], np.sqrt(np.einsum("kii->ki", table["wrench_hat_cov"]))
+    for axis in range(3):
+        seen = table["observability"][:, axis] > 0.9
+        assert np.sqrt(np.mean(F[seen, axis] ** 2)) < 1.0
+        assert 0.85 < np.mean(np.abs(F[seen, axis]) < 2 * sigma[seen, axis]) <= 0.995
+
+
+def test_a_broken_sample_gives_nan_and_leaves_the_state_alone(truth, model, excited) -> None:
+    log = excited.between(0.0, 1.0)
+    good = Estimator(model, truth.robot)
+    disturbed = Estimator(model, truth.robot)
+    for k, state in enumerate(log.states()):
+        if k == 100:
+            bad = disturbed.step(replace(state, tau=np.full(7, np.nan)))
+            assert bad.flags == INVALID
+            assert np.all(np.isnan(bad.F))
+            assert np.all(np.isnan(bad.cov))
+            assert disturbed.step(replace(state, dt=0.0)).flags == INVALID
+        assert np.array_equal(good.step(state).F, disturbed.step(state).F)
+
+
+def test_weak_axes_are_flagged(truth, model, excited) -> None:
+    table = Estimator(model, truth.robot, prior=np.full(6, 1e-4)).run(excited.between(0.0, 0.5))
+    assert np.all(table["wrench_flags"] == WEAK)
+
+
+def test_wrong_use_is_refused(truth, model, excited) -> None:
+    with pytest.raises(ModelMismatchError, match=r"yumi_left.*yumi_right"):
+        Estimator(model, robots.load("yumi_right"))
+    with pytest.raises(ShapeError, match="six positive"):
+        Estimator(model, truth.robot, prior=np.zeros(6))
+    six = Table(excited.t, {name: excited[name][:, :6] for name in ("q", "qd", "tau")})
+    with pytest.raises(ShapeError, match="belongs to"):
+        Estimator(model, truth.robot).run(six)
