@@ -4,10 +4,12 @@
 
 void bind_chain(nb::module_ &m);
 void bind_estimator(nb::module_ &m);
+void bind_limits(nb::module_ &m);
 
 NB_MODULE(_native, m) {
   if (PyArray_ImportNumPyAPI() < 0) throw nb::python_error();
   m.doc() = "Compiled kernels of armlab; armlab.kernels is their public face.";
   bind_chain(m);
   bind_estimator(m);
+  bind_limits(m);
 }

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING
 from armlab.errors import ConfigError
 
 if TYPE_CHECKING:
-    from armlab.kernels._reference import Chain, WrenchEstimator, presliding
+    from armlab.kernels._reference import Chain, WrenchEstimator, limit_reference, presliding
 
-__all__ = ["Chain", "WrenchEstimator", "backend", "presliding"]
+__all__ = ["Chain", "WrenchEstimator", "backend", "limit_reference", "presliding"]
 
 
 def _fall_back(reason: str) -> tuple[str, ModuleType]:
@@ -48,4 +48,5 @@ backend, _module = _choose()
 if not TYPE_CHECKING:
     Chain = _module.Chain
     WrenchEstimator = _module.WrenchEstimator
+    limit_reference = _module.limit_reference
     presliding = _module.presliding

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from armlab.kernels._reference.chain import Chain
 from armlab.kernels._reference.estimator import WrenchEstimator
+from armlab.kernels._reference.limits import limit_reference
 from armlab.kernels._reference.presliding import presliding
 
-__all__ = ["Chain", "WrenchEstimator", "presliding"]
+__all__ = ["Chain", "WrenchEstimator", "limit_reference", "presliding"]
