@@ -1,0 +1,158 @@
+"""`armlab sim`: options, files, bad input, and that no simulator outlives what started it."""
+
+from __future__ import annotations
+
+import json
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from armlab import cli, robots
+from armlab.cli.sim import read_operator, sim
+from armlab.errors import ConfigError
+from armlab.wire.egm import EgmCodec, Packet, Reference
+
+HEADER = "t,fx,fy,fz,mx,my,mz\n"
+
+
+@pytest.fixture
+def holding_peer() -> Iterator[int]:
+    """Give the port of a bridge that holds every robot where it is."""
+    server = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    server.bind(("127.0.0.1", 0))
+    codec = EgmCodec(robots.load("yumi_right"), extension=True)
+
+    def serve() -> None:
+        k = 0
+        while True:
+            data, address = server.recvfrom(65535)
+            if not data:
+                return
+            packet = codec.decode(data)
+            assert isinstance(packet, Packet)
+            server.sendto(codec.encode(Reference(packet.q_planned, None, None, k, packet.tm_ms or 0)), address)
+            k += 1
+
+    thread = threading.Thread(target=serve, daemon=True)
+    thread.start()
+    port = server.getsockname()[1]
+    yield port
+    server.sendto(b"", ("127.0.0.1", port))
+    thread.join()
+    server.close()
+
+
+def arguments(port: int, *more: str) -> list[str]:
+    return ["sim", "yumi_right", "--to", f"127.0.0.1:{port}", "--lockstep", "--seconds", "0.5", "--extension", *more]
+
+
+def test_a_run_writes_statistics_and_truth(
+    holding_peer: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    operator, truth, stats = tmp_path / "push.csv", tmp_path / "truth.csv", tmp_path / "stats.json"
+    operator.write_text(HEADER + "0.1,0,0,0,0,0,0\n0.2,5,0,0,0,0,0\n0.4,5,0,0,0,0,0\n", encoding="utf-8")
+    files = ["--operator", str(operator), "--truth", str(truth), "--stats", str(stats)]
+    assert cli.main(arguments(holding_peer, "--seed", "3", *files)) == 0
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert "yumi_right: 0.504 s, 125 packets, 125 replies, 0 starved, 1 sessions" in said.err
+    counted = json.loads(stats.read_text(encoding="utf-8"))["yumi_right"]
+    assert counted["counts"]["packets"] == 125
+    header = truth.read_text(encoding="utf-8").splitlines()[0].split(",")
+    rows = np.loadtxt(truth, delimiter=",", skiprows=1)
+    assert rows.shape == (125, len(header))
+    assert header[:5] == ["robot_ns", "session", "seq", "t [s]", "wrench_true1 [N]"]
+    t, push = rows[:, 3], rows[:, 4]
+    np.testing.assert_allclose(push, np.interp(t, [0.1, 0.2, 0.4, 0.4001], [0, 5, 5, 0]), atol=1e-3)
+    np.testing.assert_array_equal(rows[:, 2], np.arange(125))
+
+
+def test_the_option_names_of_the_bridge_work(holding_peer: int) -> None:
+    """The bridge turns ``sim://yumi_right?key=value`` into ``--key value``."""
+    more = ["--period", "0.004", "--gain", "10", "--comm-timeout", "0.5", "--abb-defaults", "--loss", "0.01"]
+    assert cli.main(arguments(holding_peer, *more, "--program", "once")) == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["sim", "yumi_rihgt", "--to", "127.0.0.1:6510"], "yumi_right"),
+        (["sim", "dh_test", "--to", "127.0.0.1:6510"], "irb2400"),
+        (["sim", "yumi_right", "--to", "127.0.0.1"], "HOST:PORT"),
+        (["sim", "yumi_right", "--to", "127.0.0.1:99999"], "65535"),
+        (["sim", "yumi_right", "--to", "127.0.0.1:6511,127.0.0.1:6512"], "got 1 and 2"),
+        (["sim", "--to", "127.0.0.1:6511"], "got 0 and 1"),
+        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--period", "9"], "period"),
+        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--loss", "2"], "loss"),
+        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--operator", "missing.csv"], "missing.csv"),
+    ],
+)
+def test_wrong_arguments_are_one_line(words: list[str], text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(words) in (cli.FAILED, cli.WRONG_USE)
+    said = capsys.readouterr().err
+    assert len(said.splitlines()) == 1
+    assert text in said
+
+
+@pytest.mark.parametrize(
+    ("text", "where"),
+    [
+        ("t,fx,fy,fz\n", "line 1"),
+        (HEADER + "0,1,2,3,4,5,6\n1,1,2,3\n", "line 3"),
+        (HEADER + "0,1,2,3,4,5,6\n1,a,0,0,0,0,0\n", "line 3"),
+        (HEADER + "0,1,2,3,4,5,nan\n", "line 2"),
+        (HEADER + "1,0,0,0,0,0,0\n\n1,0,0,0,0,0,0\n", "line 4"),
+        ("", "line 1"),
+    ],
+)
+def test_read_operator_names_file_and_line(tmp_path: Path, text: str, where: str) -> None:
+    path = tmp_path / "hand.csv"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigError, match=rf"{where} of .*hand\.csv"):
+        read_operator(path)
+
+
+def test_read_operator_reads(tmp_path: Path) -> None:
+    path = tmp_path / "hand.csv"
+    path.write_text("\ufeff" + HEADER + "0, 0,0,0,0,0,0\n2,10,0,0,0,0,1\n", encoding="utf-8")
+    np.testing.assert_allclose(read_operator(path).at(1.0), [5, 0, 0, 0, 0, 0.5])
+    path.write_text(HEADER, encoding="utf-8")
+    assert read_operator(path).at(0.0) is None
+
+
+def test_a_simulator_ends_with_the_process_that_started_it() -> None:
+    """The child keeps the pipe open as long as it lives: reading to its end returns only because it ended."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
+        silent.bind(("127.0.0.1", 0))
+        words = [sys.executable, "-m", "armlab", *arguments(silent.getsockname()[1])]
+        code = f"import subprocess, sys; subprocess.Popen({words!r}); sys.stdin.readline()"
+        with subprocess.Popen(
+            [sys.executable, "-c", code], stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        ) as parent:
+            silent.settimeout(30)
+            silent.recvfrom(65535)  # the simulator runs and waits for a reply
+            _, said = parent.communicate("\n", timeout=30)
+    assert "the process that started the simulator has ended" in said
+
+
+def test_sim_ends_cleanly_when_terminated(tmp_path: Path) -> None:
+    stats = tmp_path / "stats.json"
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
+        silent.bind(("127.0.0.1", 0))
+        words = arguments(silent.getsockname()[1], "--stats", str(stats))
+        with subprocess.Popen([sys.executable, "-m", "armlab", *words], stderr=subprocess.PIPE, text=True) as process:
+            silent.settimeout(30)
+            silent.recvfrom(65535)
+            process.terminate()
+            _, said = process.communicate(timeout=30)
+    assert process.returncode == cli.INTERRUPTED
+    assert "interrupted" in said
+    assert "Traceback" not in said
+    assert json.loads(stats.read_text(encoding="utf-8"))["yumi_right"]["counts"]["packets"] >= 1
+    assert sim.__doc__

@@ -1,0 +1,147 @@
+"""Lockstep is deterministic, in real time the schedule is kept, and both end by themselves."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab import robots
+from armlab.sim.arm import Arm
+from armlab.sim.channel import Channel
+from armlab.sim.controller import Controller
+from armlab.sim.faults import FaultRates, Faults
+from armlab.sim.guidance import Settings
+from armlab.sim.loop import Pace, run
+from armlab.sim.truth import synthetic_truth
+from armlab.wire.egm import RobotSideCodec
+
+RIGHT, LEFT = robots.load("yumi_right"), robots.load("yumi_left")
+MakePeer = Callable[..., Any]
+
+
+def channel(port: int, seed: int = 0, robot: Any = RIGHT, rates: FaultRates | None = None, **changes: Any) -> Channel:
+    settings = Settings(**changes)
+    arm = Arm(robot, synthetic_truth(robot), period=settings.period, seed=seed)
+    controller = Controller(arm, RobotSideCodec(robot, extension=True), settings)
+    faults = [Faults(rates, [seed, i]) if rates else None for i in (0, 1)]
+    return Channel(controller, "127.0.0.1", port, *faults)
+
+
+def lockstep(make_peer: MakePeer, seed: int, rates: FaultRates | None = None) -> tuple[str, bytes, Channel]:
+    """Two seconds of lockstep; return the digest of the packets, the final state of the arm, the channel."""
+    peer = make_peer(RIGHT)
+    client = channel(peer.port, seed, rates=rates)
+    assert run([client], Pace(lockstep=True, seconds=2.0)) == "the time is up"
+    digest = peer.digest.hexdigest()
+    return digest, client.controller.arm.sample.q.tobytes(), client
+
+
+@pytest.mark.parametrize("rates", [None, FaultRates(loss=0.05, duplicate=0.05, reorder=0.05, corrupt=0.05)])
+def test_lockstep_same_seed_same_bytes(make_peer: MakePeer, rates: FaultRates | None) -> None:
+    first, second, other = (lockstep(make_peer, seed, rates) for seed in (3, 3, 4))
+    assert first[1] == second[1]
+    assert other[1] != first[1] or rates is None, "without faults the noise is only measured: the arm moves the same"
+    if rates is None:
+        assert first[0] == second[0]
+        assert other[0] != first[0]
+
+
+def test_lockstep_is_faster_than_real_time(make_peer: MakePeer) -> None:
+    peer = make_peer(RIGHT)
+    client = channel(peer.port)
+    begin = time.perf_counter()
+    run([client], Pace(lockstep=True, seconds=4.0))
+    assert time.perf_counter() - begin < 2.0
+    assert len(peer.packets) == 993
+    steps = np.diff([p.robot_ns for p in peer.packets])
+    assert (steps == 4_032_000).all()
+
+
+def test_lockstep_gives_a_gone_peer_up(make_peer: MakePeer) -> None:
+    peer = make_peer(RIGHT, lambda k, packet, reply: [reply] if k < 50 else [])
+    client = channel(peer.port)
+    reason = run([client], Pace(lockstep=True, patience=0.05, gone=0.3))
+    assert "the peer is gone" in reason
+    statistics = client.controller.statistics
+    assert statistics.counts["replies"] == 50
+    assert client.controller.session > 2, "each time-out is a CommTimeout of the robot"
+    assert sum("41822" in event for event in statistics.events) == 1
+
+
+def test_a_pause_of_the_peer_does_not_move_robot_time(make_peer: MakePeer) -> None:
+    """Between two runs the peer is silent: robot time stands still and the session goes on."""
+
+    def answer(k: int, packet: Any, reply: bytes) -> list[bytes]:
+        if k == 100:
+            time.sleep(0.4)
+        return [reply]
+
+    peer = make_peer(RIGHT, answer)
+    run([channel(peer.port)], Pace(lockstep=True, seconds=1.0))
+    assert [p.seqno for p in peer.packets] == list(range(len(peer.packets)))
+
+
+def test_it_ends_with_the_process_that_started_it(make_peer: MakePeer) -> None:
+    peer, calls = make_peer(RIGHT), []
+
+    def alive() -> bool:
+        calls.append(0)
+        return len(calls) < 20
+
+    assert "has ended" in run([channel(peer.port)], Pace(lockstep=True), alive=alive)
+    assert len(peer.packets) <= 20
+
+
+def test_a_dead_controller_ends_the_run(make_peer: MakePeer) -> None:
+    from armlab.wire.egm import EgmCodec, Reference
+
+    def answer(k: int, packet: Any, reply: bytes) -> list[bytes]:
+        if k < 10:
+            return [reply]
+        return [EgmCodec(RIGHT).encode(Reference(np.full(7, np.nan), None, None, k, packet.tm_ms))]
+
+    client = channel(make_peer(RIGHT, answer).port)
+    assert "10014" in run([client], Pace(lockstep=True, seconds=5.0))
+    assert client.controller.dead
+
+
+def test_two_arms_in_one_process(make_peer: MakePeer) -> None:
+    peers = [make_peer(RIGHT), make_peer(LEFT)]
+    clients = [channel(peers[0].port), channel(peers[1].port, 1, LEFT)]
+    seen: list[int] = []
+    run(clients, Pace(lockstep=True, seconds=0.5), observe=seen.append)
+    assert seen[:4] == [0, 1, 0, 1]
+    times = [[p.robot_ns for p in peer.packets] for peer in peers]
+    assert times[0] == times[1]
+
+
+def test_real_time_keeps_the_period(make_peer: MakePeer) -> None:
+    peer = make_peer(RIGHT)
+    client = channel(peer.port)
+    begin = time.monotonic()
+    assert run([client], Pace(seconds=1.5)) == "the time is up"
+    took = time.monotonic() - begin
+    assert took == pytest.approx(1.5, abs=0.25)
+    statistics = client.controller.statistics
+    assert statistics.counts["packets"] + statistics.counts["skipped"] >= 372
+    assert statistics.as_dict()["wake_up_late_us"]["p50"] < 4000
+
+
+def test_missed_cycles_are_skipped_not_sent_in_a_burst(make_peer: MakePeer) -> None:
+    peer = make_peer(RIGHT)
+    client = channel(peer.port)
+    stalled: list[float] = []
+
+    def observe(_: int) -> None:
+        if client.controller.seq == 50 and not stalled:
+            stalled.append(time.sleep(0.05) or 0.0)
+
+    run([client], Pace(seconds=0.5), observe=observe)
+    assert client.controller.statistics.counts["skipped"] >= 10
+    gaps = np.diff([p.robot_ns for p in peer.packets]) / 4_032_000
+    assert gaps.max() >= 10, "robot time went on while the process slept"
+    assert [p.seqno for p in peer.packets] == list(range(len(peer.packets))), "what was not sent has no number"
