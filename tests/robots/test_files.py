@@ -214,6 +214,7 @@ def test_any_robot_survives_a_round_trip(tmp_path: Path, robot: Robot) -> None:
         ('name = "mine"', 'name = "mine"\ntool = { position = [1, 2, nan] }', "Expected numbers in T_flange_tool"),
         ("alpha_deg = 90", "gear_ratio = 0", "Expected a gear_ratio other than zero, got 0 in joint 'shoulder'"),
         ("alpha_deg = 90, ", 'kind = "prismatic", ', "Expected metres for prismatic joint 'shoulder', got limits_deg"),
+        ("offset_deg = 45", 'kind = "prismatic", acceleration_deg = 9', "'elbow', got acceleration_deg"),
         ("offset_deg = 45", "next = {}", "alike in all joints, got a mixture at 'shoulder'"),
         ("joint = [", "joint = [ 1,", r"Expected `object`, got `int` - at `\$\.joint\[0\]`"),
         ("joint = [", "joint = ", "Expected a robot file in"),

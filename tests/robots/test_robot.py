@@ -44,6 +44,7 @@ def test_it_copies_what_it_is_given() -> None:
     robot = robots.from_dh("two", 0.0, a, 0.0, q_home=a)
     a[:] = 9
     np.testing.assert_array_equal(robot.q_home, [0.1, 0.2])
+    assert replace(robot, q_home=[0.1, 0.2], joint_names=["joint_1", "joint_2"]) == robot
 
 
 def test_frames_hold_mount_and_tool(yumi: Robot) -> None:

@@ -87,8 +87,9 @@ def _in_radians(value: Any) -> Any:
         return [_in_radians(item) for item in value]
     if not isinstance(value, dict):
         return value
-    if value.get("kind") == "prismatic" and (wrong := sorted({"limits_deg", "speed_deg", "home_deg"} & value.keys())):
-        raise RobotError(f"Expected metres for prismatic joint {value.get('name')!r}, got {wrong[0]}.")
+    for key in ("limits_deg", "speed_deg", "acceleration_deg", "home_deg"):
+        if key in value and value.get("kind") == "prismatic":
+            raise RobotError(f"Expected metres for prismatic joint {value.get('name')!r}, got {key}.")
     result = {}
     for key, item in value.items():
         name = key.removesuffix("_deg")

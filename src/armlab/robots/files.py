@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
 
 from armlab.errors import RobotError, UnknownName
-from armlab.robots._reading import read_robot
-from armlab.robots._writing import write_robot
 from armlab.robots.robot import Robot
 
 __all__ = ["load", "names", "save"]
 
-_LIBRARY = files("armlab.robots") / "library"
+_LIBRARY = Path(__file__).with_name("library")
 
 
 def names() -> tuple[str, ...]:
     """Return the names of the library's robots, sorted."""
-    entries = (entry.name for entry in _LIBRARY.iterdir())
-    return tuple(sorted(name.removesuffix(".toml") for name in entries if name.endswith(".toml")))
+    return tuple(sorted(path.stem for path in _LIBRARY.glob("*.toml")))
 
 
 def load(name: str | Path) -> Robot:
@@ -35,11 +31,7 @@ def load(name: str | Path) -> Robot:
     RobotError : when the file is missing or describes no consistent robot; names file, joint and value.
     """
     if Path(name).suffix == ".toml":
-        try:
-            text = Path(name).read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise RobotError(f"Expected a robot file at {name}, got: {error}.") from None
-        return read_robot(text, str(name))
+        return _from_file(Path(name))
     if name not in names():
         raise UnknownName.among("robot", str(name), names())
     return _from_library(str(name))
@@ -57,6 +49,8 @@ def save(robot: Robot, path: str | Path) -> None:
     ------
     RobotError : when the path does not end in ``.toml`` or cannot be written.
     """
+    from armlab.robots._writing import write_robot
+
     path = Path(path)
     if path.suffix != ".toml":
         raise RobotError(f"Expected a path that ends in .toml for robot {robot.name!r}, got {path}.")
@@ -68,4 +62,14 @@ def save(robot: Robot, path: str | Path) -> None:
 
 @cache
 def _from_library(name: str) -> Robot:
-    return read_robot((_LIBRARY / f"{name}.toml").read_text(encoding="utf-8"), f"{name}.toml")
+    return _from_file(_LIBRARY / f"{name}.toml")
+
+
+def _from_file(path: Path) -> Robot:
+    from armlab.robots._reading import read_robot  # it brings msgspec, which kinematics alone does not need
+
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise RobotError(f"Expected a robot file at {path}, got: {error}.") from None
+    return read_robot(text, str(path))

@@ -72,12 +72,13 @@ class Robot:
         """Make every array a read-only float64 copy (prismatic: bool) and check the description."""
         for field in fields(self):
             value = getattr(self, field.name)
-            if isinstance(value, np.ndarray):
-                copy = np.array(value, dtype=bool if field.name == "prismatic" else np.float64)
-                if copy.dtype == np.float64:
-                    copy += 0.0  # -0.0 becomes 0.0: equal robots have equal bytes
-                copy.flags.writeable = False
-                object.__setattr__(self, field.name, copy)
+            if field.type == "np.ndarray":
+                # + 0.0 turns -0.0 into 0.0: equal robots have equal bytes
+                value = np.array(value, dtype=bool) if field.name == "prismatic" else np.array(value, np.float64) + 0.0
+                value.flags.writeable = False
+            elif str(field.type).startswith("tuple"):
+                value = tuple(value)
+            object.__setattr__(self, field.name, value)
         _check_shapes(self)
         _check_poses(self)
         _check_limits(self)
@@ -151,7 +152,7 @@ class Robot:
         ----------
         T_flange_tool : (4, 4) pose of the tool point in the flange.
         """
-        return replace(self, T_flange_tool=np.asarray(T_flange_tool))
+        return replace(self, T_flange_tool=T_flange_tool)
 
     def with_base(self, T_base_mount: np.ndarray) -> Robot:
         """Return the robot mounted elsewhere; gravity stays as it is in base axes.
@@ -160,7 +161,7 @@ class Robot:
         ----------
         T_base_mount : (4, 4) pose of the arm's mount (its DH frame 0) in the base.
         """
-        return replace(self, T_base_mount=np.asarray(T_base_mount))
+        return replace(self, T_base_mount=T_base_mount)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Robot):
