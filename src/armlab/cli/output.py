@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-__all__ = ["aligned", "note", "print_json", "result"]
+from armlab.errors import ConfigError
+
+__all__ = ["aligned", "note", "print_json", "progress", "refuse_overwrite", "result"]
 
 
 def result(text: str) -> None:
@@ -38,6 +42,44 @@ def aligned(rows: Sequence[Sequence[str]], right: Sequence[int] = ()) -> str:
         ]
         lines.append("  ".join(words).rstrip())
     return "\n".join(lines)
+
+
+def refuse_overwrite(path: Path, force: bool) -> None:
+    """Raise `ConfigError` when `path` exists and `force` is not set."""
+    if path.exists() and not force:
+        raise ConfigError(f"Expected a new file, got {path}, which exists. Choose another name or add --force.")
+
+
+@contextmanager
+def progress(title: str) -> Iterator[Callable[[float, float, str], None]]:
+    """Show a bar on standard error while the block runs; yields a function (done, total, what) that moves it.
+
+    Where standard error is not a terminal, each new `what` is one line.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        last = ""
+
+        def say(done: float, total: float, what: str) -> None:
+            nonlocal last
+            if what != last:
+                note(f"{title}: {what}")
+            last = what
+
+        yield say
+        return
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:3.0f} %"),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=console) as bar:
+        task = bar.add_task(title, total=1.0)
+        yield lambda done, total, what: bar.update(task, completed=done / total, description=f"{title}: {what}")
 
 
 def _plain(data: Any) -> Any:

@@ -1,6 +1,7 @@
 """Contact: the wrench of the environment on the robot, estimated from joint torques."""
 
 from armlab.contact.estimator import Estimator
+from armlab.contact.intervals import Contact, contacts
 from armlab.contact.wrench import INVALID, WEAK, Wrench
 
-__all__ = ["INVALID", "WEAK", "Estimator", "Wrench"]
+__all__ = ["INVALID", "WEAK", "Contact", "Estimator", "Wrench", "contacts"]

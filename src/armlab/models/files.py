@@ -186,7 +186,7 @@ def load(path: str | Path) -> TorqueModel:
     try:
         file = msgspec.convert(raw, _File)
     except msgspec.ValidationError as error:
-        raise ConfigError(f"Model file {path}: {error}.") from None
+        raise ConfigError(f"Expected a complete model file at {path}, got: {error}. Identify again.") from None
     return _model(file, path)
 
 
