@@ -11,7 +11,8 @@
 namespace armlab::python {
 namespace {
 
-// Makes R orthonormal (two Newton steps towards the nearest rotation); refuses what is off by more than 1e-6.
+// Makes R orthonormal by Newton steps towards the nearest rotation. Refuses what is off by more than 1e-6, leaves alone what
+// is orthonormal to rounding.
 bool make_rigid(double *E) {
   const double bottom[4] = {0.0, 0.0, 0.0, 1.0};
   if (!std::equal(bottom, bottom + 4, E + 12) || !std::isfinite(E[3] + E[7] + E[11])) return false;
@@ -19,9 +20,13 @@ bool make_rigid(double *E) {
     Pose<double> T(E);
     const double xx = dot(T.x, T.x), yy = dot(T.y, T.y), zz = dot(T.z, T.z);
     const double xy = dot(T.x, T.y), xz = dot(T.x, T.z), yz = dot(T.y, T.z);
-    for (double off : {xx - 1.0, yy - 1.0, zz - 1.0, xy, xz, yz})
-      if (!(std::fabs(off) <= 1e-6)) return false;
+    double off = 0.0;
+    for (double error : {xx - 1.0, yy - 1.0, zz - 1.0, xy, xz, yz}) {
+      if (!(std::fabs(error) <= 1e-6)) return false;
+      off = std::max(off, std::fabs(error));
+    }
     if (dot(cross(T.x, T.y), T.z) < 0.0) return false;
+    if (off <= 1e-14) return true;
     const Pose<double> nearer{0.5 * ((3.0 - xx) * T.x - xy * T.y - xz * T.z), 0.5 * ((3.0 - yy) * T.y - xy * T.x - yz * T.z),
                               0.5 * ((3.0 - zz) * T.z - xz * T.x - yz * T.y), T.p};
     nearer.write(E);

@@ -220,5 +220,5 @@ def test_slightly_rough_rotations_are_projected(module: Any) -> None:
     frames = np.tile(np.eye(4), (3, 1, 1))
     frames[:, :3, :3] += 3e-8 * np.random.default_rng(3).normal(size=(3, 3, 3))
     R = module.Chain(frames, [False, False]).frames[:, :3, :3]
-    np.testing.assert_allclose(np.swapaxes(R, 1, 2) @ R, np.tile(np.eye(3), (3, 1, 1)), atol=1e-15)
+    np.testing.assert_allclose(np.swapaxes(R, 1, 2) @ R, np.tile(np.eye(3), (3, 1, 1)), atol=1e-14)
     np.testing.assert_allclose(R, frames[:, :3, :3], atol=3e-7)

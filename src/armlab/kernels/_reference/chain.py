@@ -197,7 +197,10 @@ class Chain:
 
 
 def _rigid(frames: np.ndarray) -> np.ndarray:
-    """Return `frames` with rotations projected on SO(3) by two Newton steps; refuse what is off by more than 1e-6."""
+    """Return `frames` with rotations projected on SO(3) by Newton steps.
+
+    Refuses what is off by more than 1e-6, leaves alone what is orthonormal to rounding.
+    """
     frames = frames.copy()
     for _ in range(2):
         R = frames[:, :3, :3]
@@ -208,10 +211,11 @@ def _rigid(frames: np.ndarray) -> np.ndarray:
         good = bottom & (off <= 1e-6) & right_handed & np.isfinite(frames[:, :3, 3]).all(axis=1)
         if not good.all():
             raise ShapeError(
-                "Expected every frame to be a rigid transformation (rotation orthonormal to 1e-6, determinant 1, last row "
-                f"0 0 0 1), got one that is not: frames[{np.argmin(good)}]. Normalise quaternions and rotations first."
+                "Expected every frame to be a rigid transformation (rotation orthonormal to 1e-6, determinant 1, last "
+                f"row 0 0 0 1), got one that is not: frames[{np.argmin(good)}]. Normalise quaternions and rotations first."
             )
-        frames[:, :3, :3] = R @ (3.0 * np.eye(3) - gram) / 2.0
+        rough = off > 1e-14
+        frames[rough, :3, :3] = R[rough] @ (3.0 * np.eye(3) - gram[rough]) / 2.0
     return frames
 
 

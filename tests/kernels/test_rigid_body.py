@@ -1,0 +1,162 @@
+"""Laws of the dynamic kernels, of whichever backend is in use, and the golden values of the synthetic YuMi."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from armlab.kernels import Chain
+
+GRAVITY = np.array([1.0, -2.0, -9.0])
+
+
+def mass_matrix(chain: Chain, q: np.ndarray, pi: np.ndarray) -> np.ndarray:
+    rest = np.zeros((chain.n, chain.n))
+    return chain.rnea(rest + q, rest, np.eye(chain.n), np.zeros(3), pi)
+
+
+def potential(chain: Chain, q: np.ndarray, pi: np.ndarray) -> np.ndarray:
+    """U = -sum g . (m p + R m c)."""
+    T = chain.link_transforms(q)
+    moments = pi[:, :1] * T[..., :3, 3] + (T[..., :3, :3] @ pi[:, 1:4, None])[..., 0]
+    return -(moments @ GRAVITY).sum(axis=-1)
+
+
+def kinetic(chain: Chain, q: np.ndarray, qd: np.ndarray, pi: np.ndarray) -> float:
+    """Sum over links of m v.v/2 + v.(w x h) + w.I w/2, from the Jacobians of the link frames."""
+    energy = 0.0
+    for i in range(chain.n):
+        link = Chain(np.concatenate([chain.frames[: i + 1], np.eye(4)[None]]), chain.prismatic[: i + 1])
+        v, w = np.split(link.jacobian(q[: i + 1], tool=True) @ qd[: i + 1], 2)
+        xx, xy, yy, xz, yz, zz = pi[i, 4:]
+        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        energy += 0.5 * pi[i, 0] * v @ v + v @ np.cross(w, pi[i, 1:4]) + 0.5 * w @ inertia @ w
+    return energy
+
+
+def test_rnea_is_the_regressor_times_the_parameters(chain: Chain) -> None:
+    rng = np.random.default_rng(0)
+    q, qd, qdd = rng.normal(scale=2.0, size=(3, 40, chain.n))
+    pi = rng.normal(size=(chain.n, 10))
+    tau = chain.rnea(q, qd, qdd, GRAVITY, pi)
+    Y = chain.rigid_regressor(q, qd, qdd, GRAVITY)
+    assert Y.shape == (40, chain.n, 10 * chain.n)
+    np.testing.assert_allclose(Y @ pi.ravel(), tau, atol=1e-12 * np.abs(tau).max())
+
+
+def test_gravity_is_the_gradient_of_the_potential(chain: Chain, solids: np.ndarray) -> None:
+    h, q = 1e-4, np.random.default_rng(1).uniform(-3, 3, chain.n)
+    steps = h * np.eye(chain.n)
+    gradient = (potential(chain, q + steps, solids) - potential(chain, q - steps, solids)) / (2 * h)
+    G = chain.gravity_regressor(q, GRAVITY) @ solids[:, :4].ravel()
+    np.testing.assert_allclose(G, gradient, atol=1e-7 * max(1.0, np.abs(G).max()))
+    rest = np.zeros(chain.n)
+    np.testing.assert_allclose(chain.rnea(q, rest, rest, GRAVITY, solids), G, atol=1e-12 * max(1.0, np.abs(G).max()))
+
+
+def test_mass_matrix_is_symmetric_positive_and_the_kinetic_energy(chain: Chain, solids: np.ndarray) -> None:
+    rng = np.random.default_rng(2)
+    q, qd = rng.uniform(-3, 3, (2, chain.n))
+    M = mass_matrix(chain, q, solids)
+    np.testing.assert_allclose(M, M.T, atol=1e-12 * np.abs(M).max())
+    assert np.linalg.eigvalsh(M).min() > 0.0
+    assert 0.5 * qd @ M @ qd == pytest.approx(kinetic(chain, q, qd, solids), rel=1e-12)
+
+
+def test_power_is_the_rate_of_energy(chain: Chain, solids: np.ndarray) -> None:
+    """qd . tau = d(kinetic + potential)/dt: Coriolis terms do no work of their own."""
+    rng = np.random.default_rng(3)
+    q, qd, qdd = rng.normal(size=(3, chain.n))
+    h = 1e-5
+
+    def energy(t: float) -> float:
+        x, v = q + t * qd + 0.5 * t * t * qdd, qd + t * qdd
+        return kinetic(chain, x, v, solids) + float(potential(chain, x, solids))
+
+    rate = (energy(h) - energy(-h)) / (2 * h)
+    assert qd @ chain.rnea(q, qd, qdd, GRAVITY, solids) == pytest.approx(rate, rel=1e-6, abs=1e-6)
+
+
+def test_coriolis_of_a_sliding_joint_on_a_turntable() -> None:
+    """r = d + q2 on a table turning about the vertical: tau1 = 2 m r rd w + m r^2 wd, f2 = m (rdd - r w^2)."""
+    quarter = np.array([[0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1.0]])  # z of the slide along x
+    chain = Chain(np.stack([np.eye(4), quarter, np.eye(4)]), [False, True])
+    pi = np.zeros((2, 10))
+    m, w, wd, r, rd, rdd = 2.0, 0.7, -0.4, 0.9, 1.3, 0.2
+    pi[1, 0] = m
+    tau = chain.rnea([0.5, r], [w, rd], [wd, rdd], [0.0, 0.0, -9.81], pi)
+    np.testing.assert_allclose(tau, [2 * m * r * rd * w + m * r * r * wd, m * (rdd - r * w * w)], atol=1e-14)
+
+
+def test_double_pendulum_of_the_textbook() -> None:
+    """Planar two-link arm, point masses at the ends of the links (Craig, Introduction to Robotics, section 6.7)."""
+    l1, l2, m1, m2, g = 0.5, 0.4, 1.5, 0.8, 9.81
+    upright = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]])  # plane x-z, angle from x
+    shift = [np.eye(4), np.eye(4)]
+    shift[0][0, 3], shift[1][0, 3] = l1, l2
+    chain = Chain(np.stack([upright, *shift]), [False, False])
+    pi = np.zeros((2, 10))
+    for row, mass, length in zip(pi, (m1, m2), (l1, l2)):
+        row[0], row[1], row[[6, 9]] = mass, mass * length, mass * length**2
+    (q1, q2), (w1, w2), (a1, a2) = (0.3, -1.1), (0.9, 1.7), (-0.6, 2.0)
+    c2, s2 = np.cos(q2), np.sin(q2)
+    common = m2 * l2**2 * (a1 + a2) + m2 * l2 * g * np.cos(q1 + q2)
+    tau1 = common + m2 * l1 * l2 * c2 * (2 * a1 + a2) + (m1 + m2) * l1**2 * a1
+    tau1 += -m2 * l1 * l2 * s2 * (w2**2 + 2 * w1 * w2) + (m1 + m2) * l1 * g * np.cos(q1)
+    tau2 = common + m2 * l1 * l2 * (c2 * a1 + s2 * w1**2)
+    tau = chain.rnea([q1, q2], [w1, w2], [a1, a2], [0.0, 0.0, -g], pi)
+    np.testing.assert_allclose(tau, [tau1, tau2], atol=1e-13)
+
+
+# The synthetic YuMi: geometry of the arm, masses of an assumption (never a measured robot).
+ALPHA = np.array([-1, 1, -1, 1, -1, 1, 0]) * np.pi / 2
+A = np.array([-0.030, 0.030, 0.0405, -0.0405, 0.0135, -0.027, 0.0])
+D = np.array([0.110, 0.0, 0.2465, 0.0, 0.265, 0.0, 0.032])
+OFFSET = np.array([0, 0, 0, 1, 0, 0, 0]) * np.pi / 2
+MASS = np.array([1.7, 1.6, 1.4, 1.1, 0.9, 0.5, 0.2])
+HOME = np.deg2rad([0, -130, 135, 30, 0, 40, 0])
+
+
+def cylinders() -> np.ndarray:
+    """(7, 10) solid cylinders, radius 45 mm, along the vector p from link frame to the next, centred on p/2."""
+    pi = np.zeros((7, 10))
+    for row, mass, a, d in zip(pi, MASS, A, D):
+        p = np.array([a, 0.0, d])
+        length, axis, centre = max(np.linalg.norm(p), 0.06), p / np.linalg.norm(p), p / 2
+        across, along = mass * (3 * 0.045**2 + length**2) / 12, mass * 0.045**2 / 2
+        inertia = across * np.eye(3) + (along - across) * np.outer(axis, axis)
+        inertia += mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+        row[0], row[1:4], row[4:] = mass, mass * centre, inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
+    return pi
+
+
+def mount(side: str) -> np.ndarray:
+    sign = 1.0 if side == "left" else -1.0
+    w, x, y, z = np.array([0.82888, -0.31402 * sign, 0.40801, -0.2188 * sign]) / 0.9999984
+    T = np.eye(4)
+    T[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    T[:3, 3] = 0.0476, 0.07 * sign, 0.4115
+    return T
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_golden_values_of_the_synthetic_yumi(from_dh: Callable[..., Chain], side: str) -> None:
+    chain = from_dh(ALPHA, A, D, OFFSET, mount(side))
+    mirror = np.array([1, 1, 1, 1, 1, 1, 1.0])
+    home, y = HOME.copy(), 0.186292
+    if side == "right":
+        mirror[[0, 2, 4]] = -1.0
+        home[2], y = -home[2], -y
+    np.testing.assert_allclose(chain.forward(home)[:3, 3], [-0.018163, y, 0.195626], atol=1e-6)
+    rest = np.zeros(7)
+    G = chain.rnea(home, rest, rest, [0.0, 0.0, -9.81], cylinders())
+    golden = np.array([6.20953, 5.37511, -0.02260, 0.53069, -0.00042, -0.02481, 0.0])
+    np.testing.assert_allclose(G, mirror * golden, atol=6e-6)
+    M = mass_matrix(chain, home, cylinders())
+    np.testing.assert_allclose(np.diag(M), [0.1636, 0.1976, 0.1013, 0.0803, 0.0016, 0.0009, 0.0002], atol=6e-5)
