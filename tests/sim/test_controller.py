@@ -209,7 +209,7 @@ def test_a_reference_out_of_bounds_stops_in_error() -> None:
     np.testing.assert_allclose(peer.controller.arm.sample.q, ROBOT.q_home, atol=1e-3)
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e300])
 def test_a_reference_that_is_no_number_kills_the_controller(value: float) -> None:
     peer = start()
     peer.cycle(ROBOT.q_home)

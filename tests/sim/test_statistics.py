@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from armlab.sim.statistics import Statistics
+from armlab.sim.statistics import Event, Statistics
 
 
 def test_round_trips_leave_out_the_first_second() -> None:
@@ -26,7 +26,7 @@ def test_everything_is_plain_json() -> None:
     statistics.queue[1] += 2
     statistics.age[1] += 2
     statistics.late(1e-4)
-    statistics.events.append("0.000 s yumi_left - something")
+    statistics.events.append(Event(0.5, "yumi_left", 41822, "No data"))
     data = json.loads(json.dumps(statistics.as_dict()))
     assert data["counts"] == {"packets": 3}
     assert data["drops"] == {"unparsable": 1}
@@ -34,6 +34,12 @@ def test_everything_is_plain_json() -> None:
     assert data["reference_age"] == {"1": 2}
     assert data["wake_up_late_us"]["p50"] == pytest.approx(100.0)
     assert data["round_trip_us"] == {}
+    assert data["events"] == [{"t": 0.5, "task": "yumi_left", "number": 41822, "text": "No data"}]
+
+
+def test_an_event_is_one_line() -> None:
+    assert str(Event(1.25, "yumi_left", 41822, "No data")) == "1.250 s yumi_left 41822 No data"
+    assert str(Event(1.25, "yumi_left", 0, "dropped")) == "1.250 s yumi_left - dropped"
 
 
 def test_line_names_what_was_dropped() -> None:

@@ -18,7 +18,7 @@ import numpy as np
 from armlab.sim.arm import Arm
 from armlab.sim.guidance import Guidance, Settings
 from armlab.sim.operator import Operator
-from armlab.sim.statistics import Statistics
+from armlab.sim.statistics import Event, Statistics
 from armlab.wire.egm import Drop, RobotMessage, RobotSideCodec, SensorMessage
 
 __all__ = ["Controller"]
@@ -27,6 +27,7 @@ QUEUE_LENGTH = 64
 EPOCH_NS = 1_500_000_000_000_000_000  # robot time starts here: the same bytes in every run
 _UPTIME_MS = 10_000  # tm of the first packet; 0 would look like "no tm" when it is echoed
 _FAILING_TIME = 0.1  # s
+_ABSURD = 1e9  # rad, rad/s
 _MCI = {"streaming": 2, "guiding": 3, "failing": 1}
 _NO_DATA = (41822, "No data from the UdpUc device")
 
@@ -241,7 +242,7 @@ class Controller:
         message = self._queue.popleft()
         self._note_age(message)
         q, qd = message.q, message.qd
-        if q is None or not np.isfinite(q).all() or (qd is not None and not np.isfinite(qd).all()):
+        if q is None or not _is_number(q) or (qd is not None and not _is_number(qd)):
             self._event(10014, "System failure state: a reference is not a finite number; restart the controller")
             self.dead = True
             self.stop("event 10014")
@@ -275,7 +276,12 @@ class Controller:
             self._event(0, f"dropped a datagram, {drop.reason}: {drop.detail}; first bytes {data[:32].hex(' ')}")
 
     def _event(self, number: int, text: str) -> None:
-        line = f"{self.uptime:.3f} s {self.arm.robot.name} {number or '-'} {text}"
-        self.statistics.events.append(line)
+        event = Event(round(self.uptime, 6), self.arm.robot.name, number, text)
+        self.statistics.events.append(event)
         if self._on_event:
-            self._on_event(line)
+            self._on_event(str(event))
+
+
+def _is_number(values: np.ndarray) -> bool:
+    """Whether all values are finite, and not so large that sums of them would not be."""
+    return bool((np.abs(values) < _ABSURD).all())

@@ -88,7 +88,7 @@ def _lockstep(
         for channel in channels:
             channel.controller.advance()
         for channel in channels:
-            if not channel.wait(pace.patience, alive):
+            if not channel.wait(pace.patience, alive) and alive():
                 channel.controller.lose_peer()
                 if time.monotonic() - channel.heard > pace.gone:
                     return f"no reply for {pace.gone:g} s: the peer is gone"

@@ -3,14 +3,31 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-__all__ = ["Statistics"]
+__all__ = ["Event", "Statistics"]
 
 _WARM_UP = 1.0  # seconds left out of the round trips: a peer's first reply may be slow
 _KEPT = 100_000  # newest times kept for the quantiles: memory does not grow in a long run
+
+
+class Event(NamedTuple):
+    """Something that the controller's event log would show.
+
+    Attributes
+    ----------
+    t : robot time [s]. task : the robot. number : ABB's event number, 0 where there is none. text : in words.
+    """
+
+    t: float
+    task: str
+    number: int
+    text: str
+
+    def __str__(self) -> str:
+        return f"{self.t:.3f} s {self.task} {self.number or '-'} {self.text}"
 
 
 class Statistics:
@@ -21,7 +38,7 @@ class Statistics:
         self.drops: Counter[str] = Counter()
         self.queue: Counter[int] = Counter()
         self.age: Counter[int] = Counter()
-        self.events: deque[str] = deque(maxlen=1000)
+        self.events: deque[Event] = deque(maxlen=1000)
         self._round_trips: deque[float] = deque(maxlen=_KEPT)
         self._wake_ups: deque[float] = deque(maxlen=_KEPT)
 
@@ -54,7 +71,7 @@ class Statistics:
             "reference_age": {str(k): v for k, v in sorted(self.age.items())},
             "round_trip_us": _quantiles(self._round_trips),
             "wake_up_late_us": _quantiles(self._wake_ups),
-            "events": list(self.events),
+            "events": [event._asdict() for event in self.events],
         }
 
     def line(self) -> str:
