@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from armlab.log.column import Column
 from armlab.log.growing import Log, Tail
+from armlab.log.reading import read
 from armlab.log.recorder import Recorder
 from armlab.log.rows import Tick
 from armlab.log.table import Table
 
-__all__ = ["Column", "Log", "Recorder", "Table", "Tail", "Tick"]
+__all__ = ["Column", "Log", "Recorder", "Table", "Tail", "Tick", "read"]

@@ -51,6 +51,7 @@ def recording_table(
     if "q_ext" in values:
         values = {**values, "q_ext": _used_axes(values["q_ext"])}
     present = {name: array for name, array in values.items() if name != "t" and not _absent(array)}
+    present = dict(sorted(present.items(), key=lambda item: item[1].ndim == 1))  # q qd tau before the counters
     return Table(
         t[keep],
         {name: array[keep] for name, array in present.items()},

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from armlab.log.column import Column
 from armlab.log.rows import RowLayout, Slot
 from armlab.wire import cdr
 
@@ -66,13 +65,15 @@ class Topic:
     optional: frozenset[str] = frozenset()
     clock: bool = False
 
-    def metadata(self, columns: Mapping[str, Column]) -> dict[str, str]:
+    def metadata(self, slots: Mapping[str, Slot]) -> dict[str, str]:
         """Return the channel metadata from which a reader rebuilds the columns without knowing armlab."""
         data = {CLOCK_KEY: "rows"} if self.clock else {}
         for name, paths in self.fields.items():
-            column = columns[name]
+            column, missing = slots[name].column, slots[name].missing
             about: dict[str, Any] = {"fields": list(paths), "shape": list(column.shape), "unit": column.unit}
             about |= {"frame": column.frame, "kind": column.kind, "labels": list(column.labels)}
+            if missing is not None:
+                about["missing"] = missing
             if column.kind == "pose":
                 about["encoding"] = "position xyz, quaternion xyzw"
             data[COLUMN_KEY + name] = json.dumps(about)

@@ -93,7 +93,6 @@ class RecordingFile:
 
     def _register(self, robot: Robot) -> list[tuple[int, Pen]]:
         """Register all schemas and channels; return the pens with their channels."""
-        columns = {name: slot.column for name, slot in self._layout.slots.items()}
         schemas: dict[str, int] = {}
 
         def channel(name: str, message_type: str, metadata: dict[str, str]) -> int:
@@ -105,7 +104,7 @@ class RecordingFile:
 
         self._events = channel("events", _EVENT_TYPE, {})
         found = topics(self._layout, robot.joint_names)
-        return [(channel(t.name, t.type, t.metadata(columns)), Pen(t, self._layout.slots)) for t in found]
+        return [(channel(t.name, t.type, t.metadata(self._layout.slots)), Pen(t, self._layout.slots)) for t in found]
 
     def write(self, row: bytes) -> None:
         """Add the messages of one row to the chunk in progress."""

@@ -1,0 +1,337 @@
+"""Numbers out of the messages of an MCAP file, a chunk at a time and without building objects.
+
+The first message of a channel is walked field by field. All messages of equal length whose bytes outside the numbers
+are the same hold their numbers in the same places, so those of a whole chunk are copied at once.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from armlab.errors import LogError
+from armlab.log.mcap_records import DAMAGE, MESSAGE, Chunk, Contents, records, unpacked
+from armlab.wire import cdr
+
+__all__ = ["Decoded", "decode", "messages"]
+
+_PREFIX = np.dtype(
+    [("kind", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log", "<i8"), ("publish", "<i8")]
+)
+_MAX_VARIANTS = 8  # layouts remembered per channel and length; text that differs in every message is read one by one
+_BATCH = 2_000_000  # bytes of records decoded at once: amortises calls, stays in the cache of a core
+
+_NO_OFFSETS = np.zeros(0, dtype=np.int64)
+
+# Numbers of one type that follow each other in a message: (path, count) of each.
+Run = tuple[tuple[str, int], ...]
+Values = dict[Run, np.ndarray]
+
+
+@dataclass(slots=True)
+class Decoded:
+    """The messages of one channel.
+
+    Attributes
+    ----------
+    sequence, log_ns : (N,) sequence numbers and log times.
+    fields : dotted name -> (N, count); NaN where a message does not have it.
+    """
+
+    sequence: np.ndarray
+    log_ns: np.ndarray
+    fields: dict[str, np.ndarray]
+
+
+@dataclass(slots=True)
+class _Variant:
+    """Messages of one length with equal bytes in `fixed`: start, stop and type of the runs of their numbers."""
+
+    first: np.ndarray
+    fixed: list[tuple[int, int]]
+    runs: dict[Run, tuple[int, int, str]]
+
+    def numbers(self, block: np.ndarray) -> Values:
+        """Return the numbers (k, count) of messages (k, length), in the machine's byte order."""
+        found = {}
+        for run, (start, stop, dtype) in self.runs.items():
+            array = np.ascontiguousarray(block[:, start:stop]).view(dtype)
+            found[run] = array.astype(array.dtype.newbyteorder("="), copy=False)
+        return found
+
+
+@dataclass(slots=True)
+class _Part:
+    """The messages of one channel in some chunks."""
+
+    sequence: np.ndarray
+    log_ns: np.ndarray
+    values: Values
+
+
+@dataclass(slots=True)
+class _Reader:
+    """What is wanted of one channel, and the layouts seen so far."""
+
+    type: str
+    types: cdr.Definitions
+    wanted: frozenset[str]
+    variants: dict[int, list[_Variant]] = field(default_factory=dict)
+
+
+def decode(
+    view: memoryview, found: Contents, wanted: Mapping[int, Sequence[str]]
+) -> tuple[dict[int, Decoded], list[str]]:
+    """Return the wanted fields of the wanted channels, and one sentence per damaged chunk.
+
+    Parameters
+    ----------
+    view : bytes of the file.
+    found : its contents.
+    wanted : channel -> dotted names of fields.
+
+    Raises
+    ------
+    LogError : the schema of a wanted channel cannot be read.
+    """
+    readers = {}
+    for number, paths in wanted.items():
+        channel = found.channels[number]
+        if channel.encoding != "cdr":
+            raise LogError(f"Expected messages in cdr on {channel.topic}, got {channel.encoding!r}.")
+        types = cdr.definitions(channel.type, channel.schema)
+        readers[number] = _Reader(channel.type, types, frozenset(paths))
+    chunks = [chunk for chunk in found.chunks if not chunk.indexes or chunk.indexes.keys() & readers.keys()]
+    parts: dict[int, list[_Part]] = {number: [] for number in wanted}
+    damage: list[str] = []
+    with ThreadPoolExecutor(2) as pool:  # decompression, checksums and copies release the interpreter lock
+        for decoded, lost in pool.map(lambda batch: _decode_batch(view, batch, readers), _batches(chunks)):
+            damage += lost
+            for number, part in decoded.items():
+                parts[number].append(part)
+    if found.loose:
+        for number, part in _decode_loose(view, found.loose, readers).items():
+            parts[number].append(part)
+    return {number: _joined(of_channel) for number, of_channel in parts.items()}, damage
+
+
+def messages(view: memoryview, found: Contents, channel: int) -> Iterator[tuple[int, int, bytes]]:
+    """Yield (sequence, log time, message) of one channel; damaged chunks are left out."""
+    for chunk in found.chunks:
+        if chunk.indexes and channel not in chunk.indexes:
+            continue
+        try:
+            data = unpacked(view, chunk)
+        except LogError:
+            continue
+        for kind, start, stop in records(memoryview(data), 0, len(data)):
+            if kind == MESSAGE and stop - start >= 22:
+                number, sequence, log, _ = struct.unpack_from("<HIQQ", data, start)
+                if number == channel:
+                    yield sequence, log, data[start + 22 : stop]
+
+
+def _batches(chunks: Sequence[Chunk]) -> Iterator[list[Chunk]]:
+    batch: list[Chunk] = []
+    for chunk in chunks:
+        batch.append(chunk)
+        if sum(c.size for c in batch) > _BATCH:
+            yield batch
+            batch = []
+    if batch:
+        yield batch
+
+
+def _decode_batch(
+    view: memoryview, chunks: Sequence[Chunk], readers: Mapping[int, _Reader]
+) -> tuple[dict[int, _Part], list[str]]:
+    """Decode several chunks as if they were one; damaged ones are left out and named."""
+    pieces: list[bytes] = []
+    whole: list[tuple[int, Chunk]] = []
+    at, damage = 0, []
+    for chunk in chunks:
+        try:
+            pieces.append(unpacked(view, chunk))
+        except LogError as error:
+            damage.append(f"chunk at byte {chunk.start} skipped: {error}")
+            continue
+        whole.append((at, chunk))
+        at += len(pieces[-1])
+    data = b"".join(pieces)
+    raw = np.frombuffer(data, dtype=np.uint8)
+    parts = {}
+    for number, reader in readers.items():
+        try:
+            offsets = np.concatenate([_indexed(view, chunk, number) + at for at, chunk in whole] or [_NO_OFFSETS])
+            if not all(chunk.indexes for _, chunk in whole) or not _are_messages(raw, offsets, number):
+                offsets = _walked(data, number)
+            parts[number] = _decode_messages(raw, offsets, reader)
+        except DAMAGE as error:
+            damage.append(f"messages of type {reader.type} skipped: {error}")
+    return parts, damage
+
+
+def _indexed(view: memoryview, chunk: Chunk, number: int) -> np.ndarray:
+    """Return where the messages of a channel begin in a chunk, from its index."""
+    start, stop = chunk.indexes.get(number, (0, 0))
+    if not start:
+        return _NO_OFFSETS
+    return np.frombuffer(view[start : stop - (stop - start) % 16], dtype="<i8")[1::2]
+
+
+def _are_messages(raw: np.ndarray, offsets: np.ndarray, number: int) -> bool:
+    """Tell whether messages of the channel begin at the offsets, in increasing order and wholly inside."""
+    if not len(offsets):
+        return True
+    if offsets[0] < 0 or offsets[-1] > len(raw) - _PREFIX.itemsize or (np.diff(offsets) <= 0).any():
+        return False
+    prefix = _items(raw, offsets, _PREFIX)
+    length = prefix["length"]
+    fits = (length >= 22) & (length <= len(raw)) & (offsets + 9 + length.astype(np.int64) <= len(raw))
+    return bool((fits & (prefix["kind"] == MESSAGE) & (prefix["channel"] == number)).all())
+
+
+def _walked(data: bytes, number: int) -> np.ndarray:
+    """Return where the messages of a channel begin by walking the records."""
+    starts = [
+        start - 9
+        for kind, start, stop in records(memoryview(data), 0, len(data))
+        if kind == MESSAGE and stop - start >= 22 and struct.unpack_from("<H", data, start)[0] == number
+    ]
+    return np.array(starts, dtype=np.int64)
+
+
+def _decode_loose(
+    view: memoryview, places: Sequence[tuple[int, int]], readers: Mapping[int, _Reader]
+) -> dict[int, _Part]:
+    """Decode the messages of a file without chunks."""
+    raw = np.frombuffer(view, dtype=np.uint8)
+    offsets: dict[int, list[int]] = {}
+    for start, stop in places:
+        if stop - start >= 22:
+            offsets.setdefault(struct.unpack_from("<H", view, start)[0], []).append(start - 9)
+    return {
+        number: _decode_messages(raw, np.array(offsets[number], dtype=np.int64), reader)
+        for number, reader in readers.items()
+        if number in offsets
+    }
+
+
+def _items(raw: np.ndarray, offsets: np.ndarray, dtype: np.dtype) -> np.ndarray:
+    """Return the items (k,) of a type that begin at the offsets, wherever they are."""
+    places = max(len(raw) - dtype.itemsize + 1, 0)
+    return np.ndarray((places,), dtype=dtype, buffer=raw, strides=(1,))[offsets]
+
+
+def _decode_messages(raw: np.ndarray, offsets: np.ndarray, reader: _Reader) -> _Part:
+    if not len(offsets):
+        return _Part(np.zeros(0, dtype=np.uint32), np.zeros(0, dtype=np.int64), {})
+    prefix = _items(raw, offsets, _PREFIX)
+    lengths = prefix["length"].astype(np.int64) - 22
+    pieces: list[tuple[np.ndarray, Values]] = []
+    for length in np.unique(lengths):
+        rows = np.flatnonzero(lengths == length)
+        block = _items(raw, offsets[rows] + _PREFIX.itemsize, np.dtype((np.void, int(length)))) if length else rows
+        pieces += _decode_block(block.view(np.uint8).reshape(len(rows), -1), rows, reader)
+    return _Part(prefix["sequence"], prefix["log"], _assembled(len(offsets), pieces))
+
+
+def _decode_block(block: np.ndarray, rows: np.ndarray, reader: _Reader) -> Iterator[tuple[np.ndarray, Values]]:
+    """Yield (rows, numbers) of messages of one length, layout by layout."""
+    known = reader.variants.setdefault(block.shape[1], [])
+    for variant in list(known):
+        same = _same(block, variant)
+        if same.any():
+            yield rows[same], variant.numbers(block[same] if not same.all() else block)
+            block, rows = block[~same], rows[~same]
+        if not len(block):
+            return
+    while len(block):
+        variant = _variant(block[0], reader)
+        few = len(known) < _MAX_VARIANTS
+        same = _same(block, variant) if few else np.arange(len(block)) == 0  # all against all would be quadratic
+        if few:
+            known.append(variant)
+        yield rows[same], variant.numbers(block[same])
+        block, rows = block[~same], rows[~same]
+
+
+def _same(block: np.ndarray, variant: _Variant) -> np.ndarray:
+    """Return the mask (k,) of messages whose bytes outside the numbers are those of the variant."""
+    same = np.ones(len(block), dtype=bool)
+    for start, stop in variant.fixed:
+        equal = block[:, start:stop] == variant.first[start:stop]
+        if not equal.all():
+            same &= equal.all(axis=1)
+    return same
+
+
+def _variant(first: np.ndarray, reader: _Reader) -> _Variant:
+    """Walk one message: its bytes outside the numbers, and the wanted numbers as runs."""
+    raw = first.tobytes()
+    found = cdr.layout(raw, reader.type, reader.types)
+    fixed, at = [], 0
+    for start, stop in [*((f.start, f.stop) for f in found.fields), (len(raw), len(raw))]:
+        if start > at:
+            fixed.append((at, start))
+        at = stop
+    runs: dict[Run, tuple[int, int, str]] = {}
+    for f in found.fields:
+        if f.path not in reader.wanted or not f.count:
+            continue
+        run, (start, stop, dtype) = next(reversed(runs.items()), ((), (0, 0, "")))
+        if run and stop == f.start and dtype == f.dtype:
+            del runs[run]
+            runs[(*run, (f.path, f.count))] = (start, f.stop, dtype)
+        else:
+            runs[((f.path, f.count),)] = (f.start, f.stop, f.dtype)
+    return _Variant(np.frombuffer(raw, dtype=np.uint8), fixed, runs)
+
+
+def _assembled(count: int, pieces: Sequence[tuple[np.ndarray, Values]]) -> Values:
+    """Put the numbers of several layouts into their rows; NaN where a layout has none."""
+    if len(pieces) == 1:
+        return pieces[0][1]
+    values: Values = {}
+    single = [
+        (rows, {(((path, array.shape[1]),)): array for path, array in _split(found).items()}) for rows, found in pieces
+    ]
+    for path in dict.fromkeys(run[0][0] for _, found in single for run in found):
+        there = [(rows, array) for rows, found in single for run, array in found.items() if run[0][0] == path]
+        width = max(array.shape[1] for _, array in there)
+        whole = len(there) == len(pieces) and all(array.shape[1] == width for _, array in there)
+        target = np.empty((count, width), there[0][1].dtype) if whole else np.full((count, width), np.nan)
+        for rows, array in there:
+            target[rows, : array.shape[1]] = array
+        values[((path, width),)] = target
+    return values
+
+
+def _split(values: Values) -> dict[str, np.ndarray]:
+    """Return the numbers of each path from runs."""
+    fields = {}
+    for run, array in values.items():
+        at = 0
+        for path, count in run:
+            fields[path] = array[:, at : at + count]
+            at += count
+    return fields
+
+
+def _joined(parts: Sequence[_Part]) -> Decoded:
+    """Join the batches of one channel."""
+    parts = [part for part in parts if len(part.sequence)]
+    if not parts:
+        return Decoded(np.zeros(0, dtype=np.uint32), np.zeros(0, dtype=np.int64), {})
+    if all(part.values.keys() == parts[0].values.keys() for part in parts):
+        values = {run: np.concatenate([part.values[run] for part in parts]) for run in parts[0].values}
+    else:
+        ends = np.cumsum([len(part.sequence) for part in parts])
+        rows = [np.arange(end - len(part.sequence), end) for end, part in zip(ends, parts, strict=True)]
+        values = _assembled(int(ends[-1]), [(r, part.values) for r, part in zip(rows, parts, strict=True)])
+    sequence = np.concatenate([part.sequence for part in parts])
+    return Decoded(sequence, np.concatenate([part.log_ns for part in parts]), _split(values))

@@ -1,0 +1,308 @@
+"""The records of an MCAP file, finished or torn, found over a memory map. Follows the MCAP specification, version 0."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from armlab.errors import LogError
+
+__all__ = ["MAGIC", "Attached", "Channel", "Chunk", "Contents", "contents", "records", "unpacked"]
+
+MAGIC = b"\x89MCAP0\r\n"
+HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
+ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = range(9, 16)
+_FOOTER_SIZE = 9 + 20
+_MAX_CHUNK = 1 << 31  # bytes; a larger size is a damaged one
+
+# What reading damaged bytes can raise.
+DAMAGE = (struct.error, UnicodeDecodeError, ValueError, IndexError, KeyError, OverflowError, MemoryError, LogError)
+
+
+@dataclass(slots=True)
+class Channel:
+    """A channel: topic, type and schema text of its messages, encoding, and a map of strings."""
+
+    topic: str
+    type: str
+    schema: str
+    encoding: str
+    metadata: dict[str, str]
+
+
+@dataclass(slots=True)
+class Chunk:
+    """A chunk of messages: where its record is [start, stop), its times, size and checksum, where its data are.
+
+    `indexes` maps channels to the place [start, stop) of the entries of their MessageIndex.
+    """
+
+    start: int
+    stop: int
+    first_ns: int
+    last_ns: int
+    size: int
+    crc: int
+    compression: str
+    data: tuple[int, int]
+    indexes: dict[int, tuple[int, int]] = field(default_factory=dict)
+
+
+@dataclass(slots=True)
+class Attached:
+    """An attachment: name, kind, and where its data are [start, stop)."""
+
+    name: str
+    media_type: str
+    data: tuple[int, int]
+
+
+@dataclass(slots=True)
+class Contents:
+    """What an MCAP file contains.
+
+    Attributes
+    ----------
+    finished : the file ends with a footer. torn : bytes after the last whole record.
+    profile, library : of the header.
+    channels, chunks, attachments, metadata : by channel number; in order; in order; by name.
+    loose : places [start, stop) of messages outside chunks.
+    """
+
+    finished: bool = False
+    torn: int = 0
+    profile: str = ""
+    library: str = ""
+    channels: dict[int, Channel] = field(default_factory=dict)
+    chunks: list[Chunk] = field(default_factory=list)
+    attachments: list[Attached] = field(default_factory=list)
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    loose: list[tuple[int, int]] = field(default_factory=list)
+    _schemas: dict[int, tuple[str, str]] = field(default_factory=dict)
+
+
+def contents(view: memoryview) -> Contents:
+    """Return what the file contains, by its summary where that is whole, else record by record.
+
+    Raises
+    ------
+    LogError : the bytes are not an MCAP file, or its header is damaged.
+    """
+    if bytes(view[: len(MAGIC)]) != MAGIC:
+        raise LogError(f"Expected an MCAP file, got {bytes(view[:8]).hex(' ') or 'nothing'} at its beginning.")
+    try:
+        found = _by_summary(view)
+    except DAMAGE:
+        found = None
+    return found or _by_walking(view)
+
+
+def records(view: memoryview, at: int, stop: int) -> Iterator[tuple[int, int, int]]:
+    """Yield (kind, start, stop) of the body of each record that lies wholly in [at, stop)."""
+    while at + 9 <= stop:
+        kind, length = struct.unpack_from("<BQ", view, at)
+        body = at + 9
+        if length > stop - body:
+            return
+        yield kind, body, body + length
+        at = body + length
+
+
+def unpacked(view: memoryview, chunk: Chunk) -> bytes:
+    """Return the records of a chunk.
+
+    Raises
+    ------
+    LogError : the chunk is damaged (size, checksum) or compressed in an unknown way.
+    """
+    start, stop = chunk.data
+    if chunk.size > _MAX_CHUNK:
+        raise LogError(f"Expected a chunk of at most {_MAX_CHUNK} bytes at byte {chunk.start}, got {chunk.size}.")
+    data = _decompressed(bytes(view[start:stop]), chunk)
+    if len(data) != chunk.size:
+        raise LogError(f"Expected {chunk.size} bytes in the chunk at byte {chunk.start}, got {len(data)}.")
+    if chunk.crc and zlib.crc32(data) != chunk.crc:
+        raise LogError(f"Expected checksum {chunk.crc:08x} of the chunk at byte {chunk.start}, got another.")
+    return data
+
+
+def _decompressed(packed: bytes, chunk: Chunk) -> bytes:
+    if chunk.compression == "":
+        return packed
+    try:
+        if chunk.compression == "zstd":
+            import zstandard
+
+            declared = zstandard.frame_content_size(packed)
+            if declared not in (-1, chunk.size):  # before anything of that size is allocated
+                raise LogError(f"Expected {chunk.size} bytes in the chunk at byte {chunk.start}, got {declared}.")
+            return zstandard.ZstdDecompressor().decompress(packed, max_output_size=chunk.size)
+        if chunk.compression == "lz4":
+            import lz4.frame
+
+            return lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=chunk.size + 1)
+    except LogError:
+        raise
+    except ImportError:
+        raise LogError("Expected the package lz4 for this file; install it with `pip install lz4`.") from None
+    except Exception as error:  # the codecs' own errors share no base class
+        raise LogError(f"Expected {chunk.compression} data in the chunk at byte {chunk.start}, got: {error}.") from None
+    raise LogError(f"Expected compression zstd, lz4 or none, got {chunk.compression!r} at byte {chunk.start}.")
+
+
+def _by_summary(view: memoryview) -> Contents | None:
+    """Return the contents from a whole summary section, or None."""
+    end = len(view) - len(MAGIC) - _FOOTER_SIZE
+    if end < len(MAGIC) or bytes(view[-len(MAGIC) :]) != MAGIC or view[end] != FOOTER:
+        return None
+    start, _, crc = struct.unpack_from("<QQI", view, end + 9)
+    if not (0 < start < end) or not crc or zlib.crc32(view[start : end + 9 + 16]) != crc:
+        return None
+    found = Contents(finished=True)
+    chunk_count = None
+    for kind, body, stop in records(view, start, end):
+        if kind in (SCHEMA, CHANNEL):
+            _register(found, view, kind, body, stop)
+        elif kind == CHUNK_INDEX:
+            found.chunks.append(_indexed_chunk(view, body))
+        elif kind == ATTACHMENT_INDEX:
+            at = struct.unpack_from("<Q", view, body)[0]
+            found.attachments.append(_attachment(view, at + 9))
+        elif kind == METADATA_INDEX:
+            at = struct.unpack_from("<Q", view, body)[0]
+            _metadata(found, view, at + 9)
+        elif kind == STATISTICS:
+            (chunk_count,) = struct.unpack_from("<I", view, body + 22)
+    _, body, _ = next(records(view, len(MAGIC), len(view)))
+    found.profile, at = _text(view, body)
+    found.library, _ = _text(view, at)
+    whole = found.channels and found.chunks and chunk_count == len(found.chunks)
+    return found if whole else None
+
+
+def _by_walking(view: memoryview) -> Contents:
+    """Return the contents record by record; what is damaged is left out."""
+    found = Contents()
+    at = len(MAGIC)
+    for kind, body, stop in records(view, at, len(view)):
+        if body == at + 9 == len(MAGIC) + 9 and kind != HEADER:
+            raise LogError(f"Expected the header of an MCAP file, got a record of kind {kind}.")
+        try:
+            _take(found, view, kind, body, stop)
+        except DAMAGE:
+            continue
+        finally:
+            at = stop
+        if kind == FOOTER:
+            found.finished = bytes(view[stop : stop + len(MAGIC)]) == MAGIC
+            break
+    found.torn = 0 if found.finished else len(view) - at
+    _find_channels(found, view)
+    return found
+
+
+def _take(found: Contents, view: memoryview, kind: int, body: int, stop: int) -> None:
+    if kind == HEADER:
+        found.profile, at = _text(view, body)
+        found.library, _ = _text(view, at)
+    elif kind in (SCHEMA, CHANNEL):
+        _register(found, view, kind, body, stop)
+    elif kind == CHUNK:
+        found.chunks.append(_chunk(view, body, stop))
+    elif kind == MESSAGE_INDEX and found.chunks:
+        channel, length = struct.unpack_from("<HI", view, body)
+        if length == stop - body - 6:
+            found.chunks[-1].indexes[channel] = (body + 6, stop)
+    elif kind == ATTACHMENT:
+        found.attachments.append(_attachment(view, body))
+    elif kind == METADATA:
+        _metadata(found, view, body)
+    elif kind == MESSAGE:
+        found.loose.append((body, stop))
+
+
+def _find_channels(found: Contents, view: memoryview) -> None:
+    """Read schemas and channels inside the chunks: without a summary they are nowhere else."""
+    used = {channel for chunk in found.chunks for channel in chunk.indexes}
+    for number, chunk in enumerate(found.chunks):
+        if number and used and used <= found.channels.keys():
+            return
+        try:
+            data = memoryview(unpacked(view, chunk))
+            for kind, body, stop in records(data, 0, len(data)):
+                if kind in (SCHEMA, CHANNEL):
+                    _register(found, data, kind, body, stop)
+        except DAMAGE:
+            continue
+
+
+def _register(found: Contents, view: memoryview, kind: int, body: int, stop: int) -> None:
+    if kind == SCHEMA:
+        (number,) = struct.unpack_from("<H", view, body)
+        name, at = _text(view, body + 2)
+        _, at = _text(view, at)
+        text, _ = _text(view, at)
+        found._schemas[number] = (name, text)
+        return
+    number, schema = struct.unpack_from("<HH", view, body)
+    topic, at = _text(view, body + 4)
+    encoding, at = _text(view, at)
+    name, text = found._schemas.get(schema, ("", ""))
+    found.channels[number] = Channel(topic, name, text, encoding, _map(view, at, stop))
+
+
+def _chunk(view: memoryview, body: int, stop: int) -> Chunk:
+    first, last, size, crc = struct.unpack_from("<QQQI", view, body)
+    compression, at = _text(view, body + 28)
+    (length,) = struct.unpack_from("<Q", view, at)
+    if at + 8 + length != stop:
+        raise LogError(f"Expected a chunk of {stop - at - 8} bytes at byte {body}, got {length}.")
+    return Chunk(body - 9, stop, first, last, size, crc, compression, (at + 8, stop))
+
+
+def _indexed_chunk(view: memoryview, body: int) -> Chunk:
+    """Return the chunk that a ChunkIndex points at."""
+    _, _, start, length, size = struct.unpack_from("<QQQQI", view, body)
+    chunk = _chunk(view, start + 9, start + length)
+    for at in range(body + 36, body + 36 + size, 10):
+        channel, place = struct.unpack_from("<HQ", view, at)
+        (entries,) = struct.unpack_from("<I", view, place + 9 + 2)
+        chunk.indexes[channel] = (place + 15, place + 15 + entries)
+    return chunk
+
+
+def _attachment(view: memoryview, body: int) -> Attached:
+    name, at = _text(view, body + 16)
+    media_type, at = _text(view, at)
+    (length,) = struct.unpack_from("<Q", view, at)
+    if at + 8 + length > len(view):
+        raise LogError(f"Expected an attachment of {length} bytes at byte {body}, got the end of the file.")
+    return Attached(name, media_type, (at + 8, at + 8 + length))
+
+
+def _metadata(found: Contents, view: memoryview, body: int) -> None:
+    name, at = _text(view, body)
+    found.metadata[name] = _map(view, at, len(view))
+
+
+def _text(view: memoryview, at: int) -> tuple[str, int]:
+    (length,) = struct.unpack_from("<I", view, at)
+    at += 4
+    if length > len(view) - at:
+        raise LogError(f"Expected a text of {length} bytes at byte {at}, got the end of the file.")
+    return bytes(view[at : at + length]).decode(), at + length
+
+
+def _map(view: memoryview, at: int, stop: int) -> dict[str, str]:
+    (length,) = struct.unpack_from("<I", view, at)
+    at += 4
+    end = at + length
+    if end > stop:
+        raise LogError(f"Expected a map of {length} bytes at byte {at}, got the end of the record.")
+    pairs = {}
+    while at < end:
+        key, at = _text(view, at)
+        pairs[key], at = _text(view, at)
+    return pairs
