@@ -129,6 +129,7 @@ def test_real_time_keeps_the_period(make_peer: MakePeer) -> None:
     statistics = client.controller.statistics
     assert statistics.counts["packets"] + statistics.counts["skipped"] >= 372
     assert statistics.as_dict()["wake_up_late_us"]["p50"] < 4000
+    assert max(statistics.queue) <= 1 + statistics.counts["starved"], "only late replies make the queue longer"
 
 
 def test_missed_cycles_are_skipped_not_sent_in_a_burst(make_peer: MakePeer) -> None:

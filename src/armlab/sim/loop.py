@@ -112,9 +112,9 @@ def _real_time(
             for channel in channels:
                 channel.controller.statistics.late(time.monotonic() - due)
         for channel in channels:
+            channel.drain()  # first, or a fast reply to the packet that leaves now would count for this cycle
             channel.send()
         for channel in channels:
-            channel.drain()
             channel.controller.advance()
         missed = int((time.monotonic() - due) / period)
         if missed:
