@@ -91,17 +91,14 @@ Output::Output(nb::handle out, const char *name, std::initializer_list<npy_intp>
   }
   const auto refuse = [&](const std::string &what_came) {
     raise_shape_error(std::string("Expected ") + name + " to be a writable C-contiguous float64 array of shape " +
-                      shape_text(shape, ndim) + what_came);
+                      shape_text(shape, ndim) + ", got " + what_came + ". Make it with numpy.empty, or leave it out.");
   };
-  if (!is_plain(out.ptr(), NPY_ARRAY_CARRAY))
-    refuse(", got an object that is not. Make it with numpy.empty, or leave it out.");
+  if (!is_plain(out.ptr(), NPY_ARRAY_CARRAY)) refuse("an object that is not");
   array_ = nb::borrow(out);
   if (PyArray_NDIM(pointer()) != ndim || !std::equal(shape, shape + ndim, PyArray_DIMS(pointer())))
-    refuse(", got shape " + shape_text(PyArray_DIMS(pointer()), PyArray_NDIM(pointer())) + ".");
+    refuse("shape " + shape_text(PyArray_DIMS(pointer()), PyArray_NDIM(pointer())));
   for (const Samples *input : inputs)
-    if (overlap(pointer(), *input))
-      refuse(std::string(" apart from the inputs, got one that shares memory with ") + input->name() +
-             ". Give another array.");
+    if (overlap(pointer(), *input)) refuse(std::string("one that shares memory with ") + input->name());
 }
 
 }  // namespace armlab

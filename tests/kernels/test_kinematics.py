@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
+from threading import Thread
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from armlab.kernels import Chain
+from armlab.kernels import Chain, backend
 
 
 def product_of_exponentials(chain: Chain, q: np.ndarray) -> np.ndarray:
@@ -93,3 +95,30 @@ def test_chain_is_immutable_and_pickles(chain: Chain) -> None:
     copy = pickle.loads(pickle.dumps(chain))
     q = np.ones(chain.n)
     np.testing.assert_array_equal(copy.forward(q), chain.forward(q))
+
+
+@pytest.fixture
+def patient_threads() -> Iterator[None]:
+    """No thread asks another for the interpreter: it runs on until it lets go by itself."""
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(100.0)
+    yield
+    sys.setswitchinterval(interval)
+
+
+@pytest.mark.skipif(backend == "reference", reason="NumPy decides for itself when it lets go")
+@pytest.mark.usefixtures("patient_threads")
+def test_batches_let_other_threads_run() -> None:
+    chain = Chain(np.tile(np.eye(4), (8, 1, 1)), np.zeros(7))
+    q, done = np.zeros((50_000, 7)), []
+
+    def work() -> None:
+        for _ in range(40):
+            chain.jacobian(q)
+        done.append(True)
+
+    thread = Thread(target=work)
+    thread.start()  # returns when the worker lets go of the interpreter
+    assert not done
+    thread.join()
+    assert done

@@ -26,12 +26,8 @@ def read(value: Any, name: str, tail: tuple[int, ...], exact: bool = False) -> n
     ShapeError
         When it does not convert or has another shape.
     """
-    try:
-        array = np.asarray(value)
-        convertible = np.can_cast(array.dtype, np.float64, "safe")
-    except (TypeError, ValueError):
-        convertible = False
-    if not convertible:
+    array = _convertible(value)
+    if array is None:
         raise ShapeError(
             f"Expected {name} to be an array of real numbers, got {type(value).__name__} that does not convert to "
             "float64. Give a NumPy array or nested lists of equal length."
@@ -69,11 +65,21 @@ def result(value: np.ndarray, out: Any, name: str = "out") -> np.ndarray:
     """
     if out is None:
         return value
-    wanted = f"Expected {name} to be a writable C-contiguous float64 array of shape {value.shape}"
     plain = type(out) is np.ndarray and out.dtype == np.float64 and out.flags.carray
-    if not plain:
-        raise ShapeError(f"{wanted}, got an object that is not. Make it with numpy.empty, or leave it out.")
-    if out.shape != value.shape:
-        raise ShapeError(f"{wanted}, got shape {out.shape}.")
+    if not plain or out.shape != value.shape:
+        came = f"shape {out.shape}" if plain else "an object that is not"
+        raise ShapeError(
+            f"Expected {name} to be a writable C-contiguous float64 array of shape {value.shape}, got {came}. "
+            "Make it with numpy.empty, or leave it out."
+        )
     out[...] = value
     return out
+
+
+def _convertible(value: Any) -> np.ndarray | None:
+    """Return `value` as an array if it converts to float64 without loss of kind."""
+    try:
+        array = np.asarray(value)
+    except (TypeError, ValueError):
+        return None
+    return array if np.can_cast(array.dtype, np.float64, "safe") else None
