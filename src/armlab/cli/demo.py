@@ -1,8 +1,8 @@
 """``armlab demo``: the main job without a robot.
 
-A simulated YuMi is excited over EGM, its torque model identified from the log, then the arm sways while an operator presses
-on the tool, and the force is estimated live from motor torques. The estimator sees only what comes over the wire; the
-operator's forces come from the plan and are compared afterwards.
+A simulated YuMi is excited over EGM, its torque model identified from the log, then the arm sways while an operator
+presses on the tool, and the force is estimated live from motor torques. The estimator sees only what comes over the
+wire; the operator's forces come from the plan and are compared afterwards.
 """
 
 from __future__ import annotations

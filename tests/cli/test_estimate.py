@@ -1,0 +1,50 @@
+"""armlab estimate: the range per axis and the contacts."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from armlab import identify, models
+from armlab.cli import main
+from armlab.cli.estimate import estimate
+
+
+@pytest.fixture
+def pushed(monkeypatch, truth, model, tmp_path) -> str:
+    """A log with a press of 8 N along +x for one second, and the model file."""
+
+    def hand(t: np.ndarray) -> np.ndarray:
+        return np.outer(8.0 * ((t > 3) & (t < 4)), np.eye(6)[0])
+
+    table = truth.log(identify.dither(truth.robot.q_home, 6.0), seed=5, wrench=hand)
+    monkeypatch.setattr("armlab.log.read", lambda path: table)
+    return str(models.save(model, tmp_path / "model.toml"))
+
+
+def test_the_press_is_found(pushed: str, tmp_path, capsys) -> None:
+    figure = tmp_path / "wrench.png"
+    assert main(["estimate", "yumi_left", "push.mcap", "--model", pushed, "--figure", str(figure)]) == 0
+    said = capsys.readouterr().out
+    (line,) = [line for line in said.splitlines() if line.startswith("contact")]
+    start, end, fx = float(line.split()[1]), float(line.split()[3]), float(line.split()[7])
+    assert start == pytest.approx(3.0, abs=0.15)
+    assert end == pytest.approx(4.0, abs=0.15)
+    assert fx == pytest.approx(8.0, abs=1.0)
+    assert figure.exists()
+
+
+def test_json(pushed: str, capsys) -> None:
+    assert estimate.__doc__
+    assert main(["estimate", "yumi_left", "push.mcap", "--model", pushed, "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert len(data["contacts"]) == 1
+    assert data["contacts"][0]["force"][0] == pytest.approx(8.0, abs=1.0)
+    assert [axis["axis"] for axis in data["axes"]] == ["f_x", "f_y", "f_z", "m_x", "m_y", "m_z"]
+
+
+def test_the_model_of_another_arm_is_refused(pushed: str, capsys) -> None:
+    assert main(["estimate", "yumi_right", "push.mcap", "--model", pushed]) == 1
+    assert "yumi_left" in capsys.readouterr().err
