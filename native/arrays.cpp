@@ -68,14 +68,14 @@ void Input::require_exactly(std::initializer_list<npy_intp> wanted) const {
 
 void Input::require_last_axis(npy_intp n) const {
   if (ndim() >= 1 && shape()[ndim() - 1] == n) return;
-  raise_shape_error(std::string("Expected ") + name_ + " of shape (..., " + std::to_string(n) + "), got " + shape_text() +
-                    ". Put the joints on the last axis, batches before it.");
+  raise_shape_error(std::string("Expected ") + name_ + " of shape (..., " + std::to_string(n) + "), got " +
+                    shape_text() + ". Put the joints on the last axis, batches before it.");
 }
 
 void Input::require_shape_of(const Input &other) const {
   if (ndim() == other.ndim() && std::equal(shape(), shape() + ndim(), other.shape())) return;
-  raise_shape_error(std::string("Expected ") + name_ + " of the same shape as " + other.name_ + ", " + other.shape_text() +
-                    ", got " + shape_text() + ". Broadcast them first with numpy.broadcast_arrays.");
+  raise_shape_error(std::string("Expected ") + name_ + " of the same shape as " + other.name_ + ", " +
+                    other.shape_text() + ", got " + shape_text() + ". Broadcast them first with numpy.broadcast_arrays.");
 }
 
 Output::Output(nb::handle out, const char *name, std::initializer_list<npy_intp> tail,

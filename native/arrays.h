@@ -1,7 +1,7 @@
 // NumPy arrays in and out of the kernels.
 //
-// Fresh arrays come from the NumPy C-API (about 0.1 us; nanobind's ndarray takes 0.4 us). Arguments are checked here, once,
-// and every refusal is an armlab.errors.ShapeError: a sentence that says what was expected, what came and what to do.
+// Fresh arrays come from the NumPy C-API (about 0.1 us; nanobind's ndarray takes 0.4 us). Arguments are checked here,
+// once, and every refusal is an armlab.errors.ShapeError: a sentence with what was expected, what came and what to do.
 #pragma once
 
 #define PY_ARRAY_UNIQUE_SYMBOL armlab_numpy_api
@@ -60,11 +60,12 @@ struct Samples : Input {
   Samples(nb::handle value, const char *name, const Samples &same) : Input(value, name) { require_shape_of(same); }
 };
 
-// An array of shape batch + tail to write into: `out` when given (float64, C-contiguous, writable, apart from the inputs),
-// a fresh one when `out` is None.
+// An array of shape batch + tail to write into: `out` when given (float64, C-contiguous, writable, apart from the
+// inputs), a fresh one when `out` is None.
 class Output {
  public:
-  Output(nb::handle out, const char *name, std::initializer_list<npy_intp> tail, std::initializer_list<const Samples *> inputs);
+  Output(nb::handle out, const char *name, std::initializer_list<npy_intp> tail,
+         std::initializer_list<const Samples *> inputs);
 
   const nb::object &array() const { return array_; }
   Writing samples() const { return {static_cast<double *>(PyArray_DATA(pointer())), width_}; }
@@ -78,7 +79,8 @@ class Output {
 
 // Runs a kernel over all samples of `first`, without the GIL when there are enough of them to pay for handing it over.
 template <std::size_t Ins, std::size_t Outs, class Kernel>
-void compute(const Samples &first, const std::array<Reading, Ins> &ins, const std::array<Writing, Outs> &outs, Kernel kernel) {
+void compute(const Samples &first, const std::array<Reading, Ins> &ins, const std::array<Writing, Outs> &outs,
+             Kernel kernel) {
   const npy_intp count = first.size() / first.samples().width;
   if (count < 32) return run_batch(count, ins, outs, kernel);
   nb::gil_scoped_release released;

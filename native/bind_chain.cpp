@@ -11,8 +11,8 @@
 namespace armlab::python {
 namespace {
 
-// Makes R orthonormal by Newton steps towards the nearest rotation. Refuses what is off by more than 1e-6, leaves alone what
-// is orthonormal to rounding.
+// Makes R orthonormal by Newton steps towards the nearest rotation. Refuses what is off by more than 1e-6, leaves alone
+// what is orthonormal to rounding.
 bool make_rigid(double *E) {
   const double bottom[4] = {0.0, 0.0, 0.0, 1.0};
   if (!std::equal(bottom, bottom + 4, E + 12) || !std::isfinite(E[3] + E[7] + E[11])) return false;
@@ -27,7 +27,8 @@ bool make_rigid(double *E) {
     }
     if (dot(cross(T.x, T.y), T.z) < 0.0) return false;
     if (off <= 1e-14) return true;
-    const Pose<double> nearer{0.5 * ((3.0 - xx) * T.x - xy * T.y - xz * T.z), 0.5 * ((3.0 - yy) * T.y - xy * T.x - yz * T.z),
+    const Pose<double> nearer{0.5 * ((3.0 - xx) * T.x - xy * T.y - xz * T.z),
+                              0.5 * ((3.0 - yy) * T.y - xy * T.x - yz * T.z),
                               0.5 * ((3.0 - zz) * T.z - xz * T.x - yz * T.y), T.p};
     nearer.write(E);
   }
@@ -37,8 +38,8 @@ bool make_rigid(double *E) {
 void construct(Chain *self, nb::handle frames_, nb::handle prismatic_) {
   const Input prismatic(prismatic_, "prismatic");
   if (prismatic.ndim() != 1 || prismatic.size() < 1 || prismatic.size() > max_joints)
-    raise_shape_error("Expected prismatic of shape (n,) with n from 1 to " + std::to_string(max_joints) + " joints, got " +
-                      prismatic.shape_text() + ".");
+    raise_shape_error("Expected prismatic of shape (n,) with n from 1 to " + std::to_string(max_joints) +
+                      " joints, got " + prismatic.shape_text() + ".");
   const int n = static_cast<int>(prismatic.size());
   const Input frames(frames_, "frames");
   frames.require_exactly({n + 1, 4, 4});
@@ -46,8 +47,8 @@ void construct(Chain *self, nb::handle frames_, nb::handle prismatic_) {
   for (int i = 0; i <= n; ++i)
     if (!make_rigid(&rigid[16 * i]))
       raise_shape_error(
-          "Expected every frame to be a rigid transformation (rotation orthonormal to 1e-6, determinant 1, last row 0 0 0 "
-          "1), got one that is not: frames[" + std::to_string(i) + "]. Normalise quaternions and rotations first.");
+          "Expected every frame to be a rigid transformation (rotation orthonormal to 1e-6, determinant 1, last row "
+          "0 0 0 1), got one that is not: frames[" + std::to_string(i) + "]. Normalise quaternions and rotations first.");
   bool slides[max_joints];
   std::transform(prismatic.data(), prismatic.data() + n, slides, [](double kind) { return kind != 0.0; });
   new (self) Chain(n, rigid.data(), slides);
@@ -137,8 +138,9 @@ nb::object gravity_regressor(const Chain &self, nb::handle q_, nb::handle gravit
   const Input gravity(gravity_, "gravity");
   gravity.require_exactly({3});
   const Output Y(out, "out", {self.n, 4 * self.n}, {&q});
-  compute<1, 1>(q, {q.samples()}, {Y.samples()},
-                [&](const auto &in, const auto &out) { armlab::gravity_regressor(self, in[0], gravity.data(), out[0]); });
+  compute<1, 1>(q, {q.samples()}, {Y.samples()}, [&](const auto &in, const auto &out) {
+    armlab::gravity_regressor(self, in[0], gravity.data(), out[0]);
+  });
   return Y.array();
 }
 
@@ -162,7 +164,8 @@ void bind(nb::module_ &m) {
       .def("forward_jacobian", &forward_jacobian, arg("q"), arg("out") = nb::none())
       .def("link_transforms", &link_transforms, arg("q"), arg("out") = nb::none())
       .def("rnea", &rnea, arg("q"), arg("qd"), arg("qdd"), arg("gravity"), arg("pi"), arg("out") = nb::none())
-      .def("rigid_regressor", &rigid_regressor, arg("q"), arg("qd"), arg("qdd"), arg("gravity"), arg("out") = nb::none())
+      .def("rigid_regressor", &rigid_regressor, arg("q"), arg("qd"), arg("qdd"), arg("gravity"),
+           arg("out") = nb::none())
       .def("gravity_regressor", &gravity_regressor, arg("q"), arg("gravity"), arg("out") = nb::none());
 }
 

@@ -8,8 +8,8 @@ namespace {
 
 constexpr double pi = 3.14159265358979323846;
 
-// R = Rz(beta) Rx(alpha) Rz(gamma). Where alpha is near 0 or pi beta is arbitrary: alpha and gamma are therefore read from
-// Rz(-beta) R, which makes the product right whatever beta is.
+// R = Rz(beta) Rx(alpha) Rz(gamma). Where alpha is near 0 or pi beta is arbitrary: alpha and gamma are therefore read
+// from Rz(-beta) R, which makes the product right whatever beta is.
 struct Angles {
   double beta, alpha, gamma;
 };

@@ -1,4 +1,4 @@
-// A serial chain, immutable: T_base_tool(q) = E_0 Z_1(q_1) E_1 ... Z_n(q_n) E_n with Z = Rz (revolute) or Tz (prismatic).
+// A serial chain, immutable: T_base_tool(q) = E_0 Z_1(q_1) E_1 ... Z_n(q_n) E_n, Z = Rz (revolute) or Tz (prismatic).
 #pragma once
 
 #include <array>
@@ -10,9 +10,9 @@ namespace armlab {
 constexpr int max_joints = 32;
 
 struct Chain {
-  // One joint and what follows it, with every E_i = Rz(beta_i) [p_i; Rx(alpha_i)] Rz(gamma_i). Rotations about z merge with
-  // those of the neighbouring joints, so a step is Rz(turns q + offset), Tz(slides q), a translation by p, and Rx(alpha):
-  // 54 multiplications and additions instead of 87, for any E_i.
+  // One joint and what follows it, with every E_i = Rz(beta_i) [p_i; Rx(alpha_i)] Rz(gamma_i). Rotations about z merge
+  // with those of the neighbouring joints, so a step is Rz(turns q + offset), Tz(slides q), a translation by p, and
+  // Rx(alpha): 54 multiplications and additions instead of 81, for any E_i.
   struct Step {
     double offset;  // gamma_{i-1} + beta_i
     double turns;   // 1 revolute, 0 prismatic

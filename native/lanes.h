@@ -1,8 +1,8 @@
 // `Lanes`: the same quantity of four configurations side by side.
 //
-// Kernels are templates over Real, which is double (one configuration) or Lanes (a batch). Both do the same operations in
-// the same order and the compiler may not contract them, so a batch gives bit for bit what a loop over its samples gives,
-// on every machine. (Fused multiply-add was measured: it gains nothing here.)
+// Kernels are templates over Real, which is double (one configuration) or Lanes (a batch). Both do the same operations
+// in the same order and the compiler may not contract them, so a batch gives bit for bit what a loop over its samples
+// gives, on every machine. (Fused multiply-add was measured: it gains nothing here.)
 #pragma once
 
 #include <cmath>

@@ -1,9 +1,8 @@
 // Rigid-body dynamics of a chain, for Real = double (one sample) or Lanes (several).
 //
 // Parameters per link, in the link frame, about its origin: m, m cx, m cy, m cz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz.
-// Everything is told in link frames; w, wd are the angular velocity and acceleration of a link, a the acceleration of its
-// origin, where the base accelerates by -gravity. Swevers, Verdonck and De Schutter, IEEE Control Systems 27 (2007), and
-// Siciliano et al., Robotics, 2009, section 7.5, have the recursion.
+// Everything is told in link frames; w, wd are the angular velocity and acceleration of a link, a the acceleration of
+// its origin, where the base accelerates by -gravity (recursive Newton-Euler: Siciliano et al., Robotics, 2009, 7.5).
 #pragma once
 
 #include "kinematics.h"
@@ -46,7 +45,8 @@ inline LinkMotion<Real> base_motion(const double *gravity) {
 
 template <class Real>
 inline Vec3<Real> inertia_times(const double *I, const Vec3<Real> &u) {  // I = Ixx, Ixy, Iyy, Ixz, Iyz, Izz
-  return {Real(I[0]) * u.x + Real(I[1]) * u.y + Real(I[3]) * u.z, Real(I[1]) * u.x + Real(I[2]) * u.y + Real(I[4]) * u.z,
+  return {Real(I[0]) * u.x + Real(I[1]) * u.y + Real(I[3]) * u.z,
+          Real(I[1]) * u.x + Real(I[2]) * u.y + Real(I[4]) * u.z,
           Real(I[3]) * u.x + Real(I[4]) * u.y + Real(I[5]) * u.z};
 }
 
@@ -74,7 +74,7 @@ inline void rnea(const Chain &chain, const Real *q, const Real *qd, const Real *
   }
 }
 
-// Axes of the joints below a link as twists [v; w] in its frame: tau_i = v . force + w . moment for a wrench on the link.
+// Axes of the joints up to a link as twists [v; w] in its frame: tau_i = v . force + w . moment of a wrench on it.
 template <class Real>
 struct JointAxes {
   Vec3<Real> v[max_joints], w[max_joints];
