@@ -35,7 +35,7 @@ _COMMANDS = {
 
 def build_app() -> App:
     """Return the application with all commands, none of them imported yet."""
-    from cyclopts import App
+    from cyclopts import App, Parameter
 
     from armlab import __version__
 
@@ -44,6 +44,7 @@ def build_app() -> App:
         version=__version__,
         help="A robotics laboratory for robot arms. First steps: armlab demo.",
         help_epilogue="Every command takes --help. --debug shows the traceback of an error.",
+        default_parameter=Parameter(negative=()),
         result_action="return_value",
         suppress_keyboard_interrupt=False,
     )

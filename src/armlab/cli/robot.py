@@ -15,7 +15,8 @@ def list_robots(*, json: bool = False) -> None:
 
     Parameters
     ----------
-    json : print JSON for scripts.
+    json
+        Print JSON for scripts.
     """
     from armlab import robots
     from armlab.cli.output import aligned, print_json, result
@@ -35,8 +36,10 @@ def show(name: str, *, json: bool = False) -> None:
 
     Parameters
     ----------
-    name : name in the library, or the path of a description.
-    json : print JSON for scripts.
+    name
+        Name in the library, or the path of a description.
+    json
+        Print JSON for scripts.
     """
     import numpy as np
 

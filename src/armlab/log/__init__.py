@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from armlab.log.column import Column
 from armlab.log.growing import Log, Tail
+from armlab.log.inspection import inspect
 from armlab.log.reading import read
 from armlab.log.recorder import Recorder
+from armlab.log.recovery import recover
+from armlab.log.resample import concat
 from armlab.log.rows import Tick
 from armlab.log.table import Table
 
-__all__ = ["Column", "Log", "Recorder", "Table", "Tail", "Tick", "read"]
+__all__ = ["Column", "Log", "Recorder", "Table", "Tail", "Tick", "concat", "inspect", "read", "recover"]

@@ -9,12 +9,14 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from armlab.errors import LogError
-from armlab.log.mcap_records import DAMAGE, MESSAGE, Chunk, Contents, records, unpacked
+from armlab.log.mcap_chunk import Chunk, unpacked
+from armlab.log.mcap_records import DAMAGE, MESSAGE, Contents, records
+from armlab.log.mcap_variants import MessageReader, Values, assembled, decode_block, split
 from armlab.wire import cdr
 
 __all__ = ["Decoded", "decode", "messages"]
@@ -22,14 +24,9 @@ __all__ = ["Decoded", "decode", "messages"]
 _PREFIX = np.dtype(
     [("kind", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log", "<i8"), ("publish", "<i8")]
 )
-_MAX_VARIANTS = 8  # layouts remembered per channel and length; text that differs in every message is read one by one
 _BATCH = 2_000_000  # bytes of records decoded at once: amortises calls, stays in the cache of a core
 
 _NO_OFFSETS = np.zeros(0, dtype=np.int64)
-
-# Numbers of one type that follow each other in a message: (path, count) of each.
-Run = tuple[tuple[str, int], ...]
-Values = dict[Run, np.ndarray]
 
 
 @dataclass(slots=True)
@@ -48,39 +45,12 @@ class Decoded:
 
 
 @dataclass(slots=True)
-class _Variant:
-    """Messages of one length with equal bytes in `fixed`: start, stop and type of the runs of their numbers."""
-
-    first: np.ndarray
-    fixed: list[tuple[int, int]]
-    runs: dict[Run, tuple[int, int, str]]
-
-    def numbers(self, block: np.ndarray) -> Values:
-        """Return the numbers (k, count) of messages (k, length), in the machine's byte order."""
-        found = {}
-        for run, (start, stop, dtype) in self.runs.items():
-            array = np.ascontiguousarray(block[:, start:stop]).view(dtype)
-            found[run] = array.astype(array.dtype.newbyteorder("="), copy=False)
-        return found
-
-
-@dataclass(slots=True)
 class _Part:
     """The messages of one channel in some chunks."""
 
     sequence: np.ndarray
     log_ns: np.ndarray
     values: Values
-
-
-@dataclass(slots=True)
-class _Reader:
-    """What is wanted of one channel, and the layouts seen so far."""
-
-    type: str
-    types: cdr.Definitions
-    wanted: frozenset[str]
-    variants: dict[int, list[_Variant]] = field(default_factory=dict)
 
 
 def decode(
@@ -104,7 +74,7 @@ def decode(
         if channel.encoding != "cdr":
             raise LogError(f"Expected messages in cdr on {channel.topic}, got {channel.encoding!r}.")
         types = cdr.definitions(channel.type, channel.schema)
-        readers[number] = _Reader(channel.type, types, frozenset(paths))
+        readers[number] = MessageReader(channel.type, types, frozenset(paths))
     chunks = [chunk for chunk in found.chunks if not chunk.indexes or chunk.indexes.keys() & readers.keys()]
     parts: dict[int, list[_Part]] = {number: [] for number in wanted}
     damage: list[str] = []
@@ -147,7 +117,7 @@ def _batches(chunks: Sequence[Chunk]) -> Iterator[list[Chunk]]:
 
 
 def _decode_batch(
-    view: memoryview, chunks: Sequence[Chunk], readers: Mapping[int, _Reader]
+    view: memoryview, chunks: Sequence[Chunk], readers: Mapping[int, MessageReader]
 ) -> tuple[dict[int, _Part], list[str]]:
     """Decode several chunks as if they were one; damaged ones are left out and named."""
     pieces: list[bytes] = []
@@ -206,7 +176,7 @@ def _walked(data: bytes, number: int) -> np.ndarray:
 
 
 def _decode_loose(
-    view: memoryview, places: Sequence[tuple[int, int]], readers: Mapping[int, _Reader]
+    view: memoryview, places: Sequence[tuple[int, int]], readers: Mapping[int, MessageReader]
 ) -> dict[int, _Part]:
     """Decode the messages of a file without chunks."""
     raw = np.frombuffer(view, dtype=np.uint8)
@@ -227,7 +197,7 @@ def _items(raw: np.ndarray, offsets: np.ndarray, dtype: np.dtype) -> np.ndarray:
     return np.ndarray((places,), dtype=dtype, buffer=raw, strides=(1,))[offsets]
 
 
-def _decode_messages(raw: np.ndarray, offsets: np.ndarray, reader: _Reader) -> _Part:
+def _decode_messages(raw: np.ndarray, offsets: np.ndarray, reader: MessageReader) -> _Part:
     if not len(offsets):
         return _Part(np.zeros(0, dtype=np.uint32), np.zeros(0, dtype=np.int64), {})
     prefix = _items(raw, offsets, _PREFIX)
@@ -236,90 +206,8 @@ def _decode_messages(raw: np.ndarray, offsets: np.ndarray, reader: _Reader) -> _
     for length in np.unique(lengths):
         rows = np.flatnonzero(lengths == length)
         block = _items(raw, offsets[rows] + _PREFIX.itemsize, np.dtype((np.void, int(length)))) if length else rows
-        pieces += _decode_block(block.view(np.uint8).reshape(len(rows), -1), rows, reader)
-    return _Part(prefix["sequence"], prefix["log"], _assembled(len(offsets), pieces))
-
-
-def _decode_block(block: np.ndarray, rows: np.ndarray, reader: _Reader) -> Iterator[tuple[np.ndarray, Values]]:
-    """Yield (rows, numbers) of messages of one length, layout by layout."""
-    known = reader.variants.setdefault(block.shape[1], [])
-    for variant in list(known):
-        same = _same(block, variant)
-        if same.any():
-            yield rows[same], variant.numbers(block[same] if not same.all() else block)
-            block, rows = block[~same], rows[~same]
-        if not len(block):
-            return
-    while len(block):
-        variant = _variant(block[0], reader)
-        few = len(known) < _MAX_VARIANTS
-        same = _same(block, variant) if few else np.arange(len(block)) == 0  # all against all would be quadratic
-        if few:
-            known.append(variant)
-        yield rows[same], variant.numbers(block[same])
-        block, rows = block[~same], rows[~same]
-
-
-def _same(block: np.ndarray, variant: _Variant) -> np.ndarray:
-    """Return the mask (k,) of messages whose bytes outside the numbers are those of the variant."""
-    same = np.ones(len(block), dtype=bool)
-    for start, stop in variant.fixed:
-        equal = block[:, start:stop] == variant.first[start:stop]
-        if not equal.all():
-            same &= equal.all(axis=1)
-    return same
-
-
-def _variant(first: np.ndarray, reader: _Reader) -> _Variant:
-    """Walk one message: its bytes outside the numbers, and the wanted numbers as runs."""
-    raw = first.tobytes()
-    found = cdr.layout(raw, reader.type, reader.types)
-    fixed, at = [], 0
-    for start, stop in [*((f.start, f.stop) for f in found.fields), (len(raw), len(raw))]:
-        if start > at:
-            fixed.append((at, start))
-        at = stop
-    runs: dict[Run, tuple[int, int, str]] = {}
-    for f in found.fields:
-        if f.path not in reader.wanted or not f.count:
-            continue
-        run, (start, stop, dtype) = next(reversed(runs.items()), ((), (0, 0, "")))
-        if run and stop == f.start and dtype == f.dtype:
-            del runs[run]
-            runs[(*run, (f.path, f.count))] = (start, f.stop, dtype)
-        else:
-            runs[((f.path, f.count),)] = (f.start, f.stop, f.dtype)
-    return _Variant(np.frombuffer(raw, dtype=np.uint8), fixed, runs)
-
-
-def _assembled(count: int, pieces: Sequence[tuple[np.ndarray, Values]]) -> Values:
-    """Put the numbers of several layouts into their rows; NaN where a layout has none."""
-    if len(pieces) == 1:
-        return pieces[0][1]
-    values: Values = {}
-    single = [
-        (rows, {(((path, array.shape[1]),)): array for path, array in _split(found).items()}) for rows, found in pieces
-    ]
-    for path in dict.fromkeys(run[0][0] for _, found in single for run in found):
-        there = [(rows, array) for rows, found in single for run, array in found.items() if run[0][0] == path]
-        width = max(array.shape[1] for _, array in there)
-        whole = len(there) == len(pieces) and all(array.shape[1] == width for _, array in there)
-        target = np.empty((count, width), there[0][1].dtype) if whole else np.full((count, width), np.nan)
-        for rows, array in there:
-            target[rows, : array.shape[1]] = array
-        values[((path, width),)] = target
-    return values
-
-
-def _split(values: Values) -> dict[str, np.ndarray]:
-    """Return the numbers of each path from runs."""
-    fields = {}
-    for run, array in values.items():
-        at = 0
-        for path, count in run:
-            fields[path] = array[:, at : at + count]
-            at += count
-    return fields
+        pieces += decode_block(block.view(np.uint8).reshape(len(rows), -1), rows, reader)
+    return _Part(prefix["sequence"], prefix["log"], assembled(len(offsets), pieces))
 
 
 def _joined(parts: Sequence[_Part]) -> Decoded:
@@ -332,6 +220,6 @@ def _joined(parts: Sequence[_Part]) -> Decoded:
     else:
         ends = np.cumsum([len(part.sequence) for part in parts])
         rows = [np.arange(end - len(part.sequence), end) for end, part in zip(ends, parts, strict=True)]
-        values = _assembled(int(ends[-1]), [(r, part.values) for r, part in zip(rows, parts, strict=True)])
+        values = assembled(int(ends[-1]), [(r, part.values) for r, part in zip(rows, parts, strict=True)])
     sequence = np.concatenate([part.sequence for part in parts])
-    return Decoded(sequence, np.concatenate([part.log_ns for part in parts]), _split(values))
+    return Decoded(sequence, np.concatenate([part.log_ns for part in parts]), split(values))

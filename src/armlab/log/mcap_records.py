@@ -8,14 +8,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from armlab.errors import LogError
+from armlab.log.mcap_chunk import Chunk, unpacked
 
-__all__ = ["MAGIC", "Attached", "Channel", "Chunk", "Contents", "contents", "records", "unpacked"]
+__all__ = ["DAMAGE", "MAGIC", "Attached", "Channel", "Contents", "contents", "records"]
 
 MAGIC = b"\x89MCAP0\r\n"
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
 ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = range(9, 16)
 _FOOTER_SIZE = 9 + 20
-_MAX_CHUNK = 1 << 31  # bytes; a larger size is a damaged one
 
 # What reading damaged bytes can raise.
 DAMAGE = (struct.error, UnicodeDecodeError, ValueError, IndexError, KeyError, OverflowError, MemoryError, LogError)
@@ -23,39 +23,23 @@ DAMAGE = (struct.error, UnicodeDecodeError, ValueError, IndexError, KeyError, Ov
 
 @dataclass(slots=True)
 class Channel:
-    """A channel: topic, type and schema text of its messages, encoding, and a map of strings."""
+    """A channel: topic, type, schema and its encoding, encoding of the messages, and a map of strings."""
 
     topic: str
     type: str
     schema: str
+    schema_encoding: str
     encoding: str
     metadata: dict[str, str]
 
 
 @dataclass(slots=True)
-class Chunk:
-    """A chunk of messages: where its record is [start, stop), its times, size and checksum, where its data are.
-
-    `indexes` maps channels to the place [start, stop) of the entries of their MessageIndex.
-    """
-
-    start: int
-    stop: int
-    first_ns: int
-    last_ns: int
-    size: int
-    crc: int
-    compression: str
-    data: tuple[int, int]
-    indexes: dict[int, tuple[int, int]] = field(default_factory=dict)
-
-
-@dataclass(slots=True)
 class Attached:
-    """An attachment: name, kind, and where its data are [start, stop)."""
+    """An attachment: name, kind, time, and where its data are [start, stop)."""
 
     name: str
     media_type: str
+    log_ns: int
     data: tuple[int, int]
 
 
@@ -80,7 +64,7 @@ class Contents:
     attachments: list[Attached] = field(default_factory=list)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     loose: list[tuple[int, int]] = field(default_factory=list)
-    _schemas: dict[int, tuple[str, str]] = field(default_factory=dict)
+    _schemas: dict[int, tuple[str, str, str]] = field(default_factory=dict)
 
 
 def contents(view: memoryview) -> Contents:
@@ -108,48 +92,6 @@ def records(view: memoryview, at: int, stop: int) -> Iterator[tuple[int, int, in
             return
         yield kind, body, body + length
         at = body + length
-
-
-def unpacked(view: memoryview, chunk: Chunk) -> bytes:
-    """Return the records of a chunk.
-
-    Raises
-    ------
-    LogError : the chunk is damaged (size, checksum) or compressed in an unknown way.
-    """
-    start, stop = chunk.data
-    if chunk.size > _MAX_CHUNK:
-        raise LogError(f"Expected a chunk of at most {_MAX_CHUNK} bytes at byte {chunk.start}, got {chunk.size}.")
-    data = _decompressed(bytes(view[start:stop]), chunk)
-    if len(data) != chunk.size:
-        raise LogError(f"Expected {chunk.size} bytes in the chunk at byte {chunk.start}, got {len(data)}.")
-    if chunk.crc and zlib.crc32(data) != chunk.crc:
-        raise LogError(f"Expected checksum {chunk.crc:08x} of the chunk at byte {chunk.start}, got another.")
-    return data
-
-
-def _decompressed(packed: bytes, chunk: Chunk) -> bytes:
-    if chunk.compression == "":
-        return packed
-    try:
-        if chunk.compression == "zstd":
-            import zstandard
-
-            declared = zstandard.frame_content_size(packed)
-            if declared not in (-1, chunk.size):  # before anything of that size is allocated
-                raise LogError(f"Expected {chunk.size} bytes in the chunk at byte {chunk.start}, got {declared}.")
-            return zstandard.ZstdDecompressor().decompress(packed, max_output_size=chunk.size)
-        if chunk.compression == "lz4":
-            import lz4.frame
-
-            return lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=chunk.size + 1)
-    except LogError:
-        raise
-    except ImportError:
-        raise LogError("Expected the package lz4 for this file; install it with `pip install lz4`.") from None
-    except Exception as error:  # the codecs' own errors share no base class
-        raise LogError(f"Expected {chunk.compression} data in the chunk at byte {chunk.start}, got: {error}.") from None
-    raise LogError(f"Expected compression zstd, lz4 or none, got {chunk.compression!r} at byte {chunk.start}.")
 
 
 def _by_summary(view: memoryview) -> Contents | None:
@@ -242,15 +184,15 @@ def _register(found: Contents, view: memoryview, kind: int, body: int, stop: int
     if kind == SCHEMA:
         (number,) = struct.unpack_from("<H", view, body)
         name, at = _text(view, body + 2)
-        _, at = _text(view, at)
+        encoding, at = _text(view, at)
         text, _ = _text(view, at)
-        found._schemas[number] = (name, text)
+        found._schemas[number] = (name, text, encoding)
         return
     number, schema = struct.unpack_from("<HH", view, body)
     topic, at = _text(view, body + 4)
     encoding, at = _text(view, at)
-    name, text = found._schemas.get(schema, ("", ""))
-    found.channels[number] = Channel(topic, name, text, encoding, _map(view, at, stop))
+    description = found._schemas.get(schema, ("", "", ""))
+    found.channels[number] = Channel(topic, *description, encoding, _map(view, at, stop))
 
 
 def _chunk(view: memoryview, body: int, stop: int) -> Chunk:
@@ -279,7 +221,8 @@ def _attachment(view: memoryview, body: int) -> Attached:
     (length,) = struct.unpack_from("<Q", view, at)
     if at + 8 + length > len(view):
         raise LogError(f"Expected an attachment of {length} bytes at byte {body}, got the end of the file.")
-    return Attached(name, media_type, (at + 8, at + 8 + length))
+    (log_ns,) = struct.unpack_from("<Q", view, body)
+    return Attached(name, media_type, log_ns, (at + 8, at + 8 + length))
 
 
 def _metadata(found: Contents, view: memoryview, body: int) -> None:

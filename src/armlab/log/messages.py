@@ -192,9 +192,10 @@ class Pen:
         counts = {}
         for (name, slot), there in zip(self._slots.items(), present, strict=True):
             counts[name] = slot.size if there or name not in self.topic.optional else 0
-        raw = bytearray(_serialised(self.topic, counts))
+        raw = _serialised(self.topic, counts)
         found = cdr.layout(raw, self.topic.type, cdr.definitions(self.topic.type, definition(self.topic.type)))
-        template = _Template(raw, memoryview(raw))
+        buffer = bytearray(raw)
+        template = _Template(buffer, memoryview(buffer))
         for name, paths in self.topic.fields.items():
             at = self._slots[name].start
             for path in paths:

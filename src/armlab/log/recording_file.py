@@ -113,7 +113,7 @@ class RecordingFile:
         for channel, pen in self._channels:
             message = pen.message(row, stamp_ns)
             if message is not None:
-                self._writer.add_message(channel, stamp_ns, message, stamp_ns, tick)
+                self._writer.add_message(channel, stamp_ns, bytes(message), stamp_ns, tick)
         self.rows += 1
         self.last_stamp_ns = stamp_ns
         self._chunk_rows += 1

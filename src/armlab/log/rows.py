@@ -142,7 +142,7 @@ class RowLayout:
         ------
         ShapeError : an array has the wrong number of values; names the column.
         """
-        n, nan = self.n, self._nan["q"]
+        n, nan, none = self.n, self._nan, self._nan["q"]
         q_ref = qd_ref = tau_ref = None
         record: Mapping[str, Any] = {}
         if command is not None:
@@ -154,28 +154,26 @@ class RowLayout:
                 _QD_CODES.get(state.qd_source, 0), _TAU_CODES.get(state.tau_source, 0),
                 state.t, state.dt, state.utilization, state.converged, tick.late,
             ),
-            _raw("q", state.q, n, nan),
-            _raw("qd", state.qd, n, nan),
-            _raw("tau", state.tau, n, nan),
-            _raw("q_planned", state.q_planned, n, nan),
-            _raw("q_ref", q_ref, n, nan),
-            _raw("qd_ref", qd_ref, n, nan),
-            _raw("tau_ref", tau_ref, n, nan),
-            _raw("q_sent", tick.q_sent, n, nan),
-            _raw("qd_sent", tick.qd_sent, n, nan),
-            _raw("tau_sent", tick.tau_sent, n, nan),
-            _raw("wrench_raw", state.wrench_raw, 6, self._nan["wrench_raw"]),
-            _raw("wrench", state.wrench, 6, self._nan["wrench"]),
-            _raw("T_frame_tool", state.T_frame_tool, 16, self._nan["T_frame_tool"]),
+            _raw("q", state.q, n, none),
+            _raw("qd", state.qd, n, none),
+            _raw("tau", state.tau, n, none),
+            _raw("q_planned", state.q_planned, n, none),
+            _raw("q_ref", q_ref, n, none),
+            _raw("qd_ref", qd_ref, n, none),
+            _raw("tau_ref", tau_ref, n, none),
+            _raw("q_sent", tick.q_sent, n, none),
+            _raw("qd_sent", tick.qd_sent, n, none),
+            _raw("tau_sent", tick.tau_sent, n, none),
+            _raw("wrench_raw", state.wrench_raw, 6, nan["wrench_raw"]),
+            _raw("wrench", state.wrench, 6, nan["wrench"]),
+            _raw("T_frame_tool", state.T_frame_tool, 16, nan["T_frame_tool"]),
             self._external(state.q_ext),
         ]  # fmt: skip
         parts += [_raw(name, record.get(name), len(empty) // 8, empty) for name, empty in self._extra]
-        clamped = tick.clamped
-        parts.append(self._nan["clamped"] if clamped is None else np.asarray(clamped, dtype=np.uint8).tobytes())
-        row = b"".join(parts)
-        if len(row) != self.size:
-            raise ShapeError(f"Expected {n} clamps, got {np.size(clamped)}.")
-        return row
+        clamped = np.asarray(tick.clamped, dtype=np.uint8).tobytes() if tick.clamped is not None else nan["clamped"]
+        if len(clamped) != n:
+            raise ShapeError(f"Expected {n} clamps, got {len(clamped)}.")
+        return b"".join([*parts, clamped])
 
     def pack_values(self, values: Mapping[str, Any]) -> bytes:
         """Return one row as bytes from values by column name; what is not given is missing.

@@ -12,7 +12,9 @@ from typing import Any
 import numpy as np
 
 from armlab.errors import ShapeError, UnknownName
+from armlab.glossary import symbols
 from armlab.log.column import Column, frozen, stored
+from armlab.log.labels import alias, natural_key
 from armlab.state import State
 
 __all__ = ["Table"]
@@ -272,21 +274,10 @@ class Table:
 
 def missing_rows(array: np.ndarray) -> np.ndarray:
     """Return the mask (N,) of rows with a NaN or, in text, an empty value."""
-    if array.dtype.kind not in "fU":
+    if array.dtype.kind not in "fU" or not array.size:
         return np.zeros(len(array), dtype=bool)
-    holes = np.isnan(array) if array.dtype.kind == "f" else array == ""
-    return holes.reshape(len(array), -1).any(axis=1) if holes.size else np.zeros(len(array), dtype=bool)
-
-
-def alias(name: str) -> str:
-    """Return a column name with ``: . [ ]`` replaced by ``_`` and outer ``_`` stripped, as the old tools did."""
-    return re.sub(r"[:.\[\]]", "_", name).strip("_")
-
-
-def natural_key(name: str) -> list[tuple[int, int, str]]:
-    """Return the sorting key in which digit groups compare as numbers."""
-    pieces = re.findall(r"\d+|\D+", name)
-    return [(0, int(piece), "") if piece.isdigit() else (1, 0, piece) for piece in pieces]
+    holes = np.isnan(array) if array.dtype.kind == "f" else np.equal(array, "")
+    return holes.reshape(len(array), -1).any(axis=1)
 
 
 def _check_clock(t: np.ndarray) -> None:
@@ -305,8 +296,6 @@ def _check_clock(t: np.ndarray) -> None:
 
 
 def _check_lengths(rows: int, values: Mapping[str, np.ndarray]) -> None:
-    from armlab.glossary import symbols
-
     joints: dict[str, int] = {}
     for name, array in values.items():
         if len(array) != rows:

@@ -1,0 +1,135 @@
+"""``armlab log``: what a log holds, and the repair of one that was cut off."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cyclopts import App
+
+if TYPE_CHECKING:
+    from armlab.log import Table
+    from armlab.log.inspection import Inspection
+
+__all__ = ["log", "recover", "show"]
+
+_EVENTS_SHOWN = 20
+
+log = App(name="log", help="Show and repair logs.")
+
+
+@log.command
+def show(file: Path, *, json: bool = False) -> None:
+    """Show what a log holds: rows, rate, columns with units and ranges, metadata, events.
+
+    Parameters
+    ----------
+    file
+        A recording, finished or not.
+    json
+        Print JSON for scripts.
+    """
+    import warnings
+
+    from armlab import log as logs
+    from armlab.cli.output import print_json, result
+
+    held = logs.inspect(file)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the notes of the table say the same and are shown below
+        table = logs.read(file)
+    if json:
+        print_json(_data(held, table))
+    else:
+        result(_text(held, table))
+
+
+@log.command
+def recover(file: Path, *, output: Path | None = None) -> None:
+    """Write a whole copy of a log that was cut off or damaged. The original stays as it is.
+
+    Parameters
+    ----------
+    file
+        The recording.
+    output
+        The copy; <name>.recovered.mcap beside the file when not given.
+    """
+    from armlab import log as logs
+    from armlab.cli.output import note, result, with_progress
+
+    with with_progress() as progress:
+        done = logs.recover(file, output, progress=progress)
+    note(
+        f"{done.messages} messages over {done.seconds:.3f} s; lost: {done.torn} bytes at the end, "
+        f"{done.lost_chunks} damaged chunks"
+    )
+    result(str(done.path))
+
+
+def _data(held: Inspection, table: Table) -> dict[str, Any]:
+    """Return what is shown, for scripts."""
+    from armlab.log.text import component_names, statistics, timing
+
+    holes = table.missing()
+    columns = {}
+    for name in table.names:
+        about, stats = table.columns[name], statistics(table[name])
+        columns[name] = {"shape": list(about.shape), "unit": about.unit, "frame": about.frame, "kind": about.kind}
+        columns[name] |= {"missing": holes.get(name, (0, ()))[0], "components": component_names(table, name)}
+        columns[name] |= {key: stats[key] for key in ("min", "max", "mean", "sigma")}
+    return {
+        "file": str(held.path),
+        "bytes": held.size,
+        "finished": held.finished,
+        "torn_bytes": held.torn,
+        **timing(table),
+        "clock": table.clock,
+        "t0_ns": table.t0_ns,
+        "sha256": table.sha256,
+        "columns": columns,
+        "notes": table.notes,
+        "metadata": held.metadata,
+        "topics": [{"name": t.name, "type": t.type, "messages": t.messages} for t in held.topics],
+        "attachments": {name: len(data) for name, data in held.attachments.items()},
+        "events": [{"stamp_ns": event.stamp_ns, "text": event.text} for event in held.events],
+        "summary": held.summary,
+    }
+
+
+def _text(held: Inspection, table: Table) -> str:
+    from datetime import UTC, datetime
+
+    from armlab.cli.output import aligned
+    from armlab.log.text import table_text
+
+    state = "finished" if held.finished else f"not finished, {held.torn} bytes torn"
+    began = datetime.fromtimestamp(table.t0_ns / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC") if table.t0_ns else "-"
+    blocks = [f"{held.path}: {held.size / 1e6:.2f} MB, {state}, began {began}"]
+    about = held.metadata.get("armlab", {})
+    blocks.append(aligned([(key, value) for key, value in about.items() if value and key != "attachments"]))
+    first, *rest = table_text(table).splitlines()
+    blocks.append("\n".join([first, *(line for line in rest if line.startswith("note:"))]))
+    blocks.append(aligned(_column_rows(table), right=(4, 5, 6)))
+    blocks.append(aligned([("attachment", "bytes"), *((n, str(len(d))) for n, d in held.attachments.items())], (1,)))
+    lines = [f"{(event.stamp_ns - table.t0_ns) / 1e9:10.3f} s  {event.text}" for event in held.events[:_EVENTS_SHOWN]]
+    more = len(held.events) - len(lines)
+    blocks.append("\n".join(["events", *lines, *([f"and {more} more (--json shows all)"] if more > 0 else [])]))
+    return "\n\n".join(block for block in blocks if block)
+
+
+def _column_rows(table: Table) -> list[tuple[str, ...]]:
+    """Return one row per column: shape of a row, unit, frame, missing, minimum and maximum over its components."""
+    import numpy as np
+
+    from armlab.log.text import statistics
+
+    holes = table.missing()
+    rows: list[tuple[str, ...]] = [("column", "shape", "unit", "frame", "missing", "min", "max")]
+    for name in table.names:
+        column, stats = table.columns[name], statistics(table[name])
+        known = ~np.isnan(stats["min"])
+        numbers = [f"{f(stats[k][known]):.6g}" if known.any() else "-" for k, f in (("min", np.min), ("max", np.max))]
+        shape = "x".join(map(str, column.shape)) or "1"
+        rows.append((name, shape, column.unit or "", column.frame or "-", str(holes.get(name, (0,))[0]), *numbers))
+    return rows

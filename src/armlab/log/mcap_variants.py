@@ -1,0 +1,127 @@
+"""Where the numbers of messages are: layouts found once, checked on whole blocks, copied at once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from armlab.wire import cdr
+
+__all__ = ["MessageReader", "Values", "Variant", "assembled", "decode_block", "split"]
+
+_MAX_VARIANTS = 8  # layouts remembered per channel and length; text that differs in every message is read one by one
+
+# Numbers of one type that follow each other in a message: (path, count) of each.
+Run = tuple[tuple[str, int], ...]
+Values = dict[Run, np.ndarray]
+
+
+@dataclass(slots=True)
+class Variant:
+    """Messages of one length with equal bytes in `fixed`: start, stop and type of the runs of their numbers."""
+
+    first: np.ndarray
+    fixed: list[tuple[int, int]]
+    runs: dict[Run, tuple[int, int, str]]
+
+    def numbers(self, block: np.ndarray) -> Values:
+        """Return the numbers (k, count) of messages (k, length), in the machine's byte order."""
+        found = {}
+        for run, (start, stop, dtype) in self.runs.items():
+            array = np.ascontiguousarray(block[:, start:stop]).view(dtype)
+            found[run] = array.astype(array.dtype.newbyteorder("="), copy=False)
+        return found
+
+
+@dataclass(slots=True)
+class MessageReader:
+    """What is wanted of one channel, and the layouts seen so far."""
+
+    type: str
+    types: cdr.Definitions
+    wanted: frozenset[str]
+    variants: dict[int, list[Variant]] = field(default_factory=dict)
+
+
+def decode_block(block: np.ndarray, rows: np.ndarray, reader: MessageReader) -> Iterator[tuple[np.ndarray, Values]]:
+    """Yield (rows, numbers) of messages of one length, layout by layout."""
+    known = reader.variants.setdefault(block.shape[1], [])
+    for variant in list(known):
+        same = _same(block, variant)
+        if same.any():
+            yield rows[same], variant.numbers(block[same] if not same.all() else block)
+            block, rows = block[~same], rows[~same]
+        if not len(block):
+            return
+    while len(block):
+        variant = _variant(block[0], reader)
+        few = len(known) < _MAX_VARIANTS
+        same = _same(block, variant) if few else np.arange(len(block)) == 0  # all against all would be quadratic
+        if few:
+            known.append(variant)
+        yield rows[same], variant.numbers(block[same])
+        block, rows = block[~same], rows[~same]
+
+
+def _same(block: np.ndarray, variant: Variant) -> np.ndarray:
+    """Return the mask (k,) of messages whose bytes outside the numbers are those of the variant."""
+    same = np.ones(len(block), dtype=bool)
+    for start, stop in variant.fixed:
+        equal = block[:, start:stop] == variant.first[start:stop]
+        if not equal.all():
+            same &= equal.all(axis=1)
+    return same
+
+
+def _variant(first: np.ndarray, reader: MessageReader) -> Variant:
+    """Walk one message: its bytes outside the numbers, and the wanted numbers as runs."""
+    raw = first.tobytes()
+    found = cdr.layout(raw, reader.type, reader.types)
+    fixed, at = [], 0
+    for start, stop in [*((f.start, f.stop) for f in found.fields), (len(raw), len(raw))]:
+        if start > at:
+            fixed.append((at, start))
+        at = stop
+    runs: dict[Run, tuple[int, int, str]] = {}
+    for f in found.fields:
+        if f.path not in reader.wanted or not f.count:
+            continue
+        run, (start, stop, dtype) = next(reversed(runs.items()), ((), (0, 0, "")))
+        if run and stop == f.start and dtype == f.dtype:
+            del runs[run]
+            runs[(*run, (f.path, f.count))] = (start, f.stop, dtype)
+        else:
+            runs[((f.path, f.count),)] = (f.start, f.stop, f.dtype)
+    return Variant(np.frombuffer(raw, dtype=np.uint8), fixed, runs)
+
+
+def assembled(count: int, pieces: Sequence[tuple[np.ndarray, Values]]) -> Values:
+    """Put the numbers of several layouts into their rows; NaN where a layout has none."""
+    if len(pieces) == 1:
+        return pieces[0][1]
+    values: Values = {}
+    single = [
+        (rows, {(((path, array.shape[1]),)): array for path, array in split(found).items()}) for rows, found in pieces
+    ]
+    for path in dict.fromkeys(run[0][0] for _, found in single for run in found):
+        there = [(rows, array) for rows, found in single for run, array in found.items() if run[0][0] == path]
+        width = max(array.shape[1] for _, array in there)
+        whole = len(there) == len(pieces) and all(array.shape[1] == width for _, array in there)
+        target = np.empty((count, width), there[0][1].dtype) if whole else np.full((count, width), np.nan)
+        for rows, array in there:
+            target[rows, : array.shape[1]] = array
+        values[((path, width),)] = target
+    return values
+
+
+def split(values: Values) -> dict[str, np.ndarray]:
+    """Return the numbers of each path from runs."""
+    fields = {}
+    for run, array in values.items():
+        at = 0
+        for path, count in run:
+            fields[path] = array[:, at : at + count]
+            at += count
+    return fields
