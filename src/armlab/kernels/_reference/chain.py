@@ -212,7 +212,8 @@ def _rigid(frames: np.ndarray) -> np.ndarray:
         if not good.all():
             raise ShapeError(
                 "Expected every frame to be a rigid transformation (rotation orthonormal to 1e-6, determinant 1, last "
-                f"row 0 0 0 1), got one that is not: frames[{np.argmin(good)}]. Normalise quaternions and rotations first."
+                f"row 0 0 0 1), got one that is not: frames[{np.argmin(good)}]. "
+                "Normalise quaternions and rotations first."
             )
         rough = off > 1e-14
         frames[rough, :3, :3] = R[rough] @ (3.0 * np.eye(3) - gram[rough]) / 2.0
