@@ -7,7 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from armlab.cli.output import aligned, note, print_json, result
+from armlab.cli.output import aligned, note, print_json, progress, refuse_overwrite, result
+from armlab.errors import ConfigError
 
 
 def test_results_and_notes_go_to_their_streams(capsys: pytest.CaptureFixture[str]) -> None:
@@ -26,3 +27,20 @@ def test_json_has_arrays_as_lists_and_null_for_what_is_not_finite(capsys: pytest
 def test_columns_line_up() -> None:
     assert aligned([("name", "n"), ("yumi", "7"), ("x", "12")], right=(1,)) == "name   n\nyumi   7\nx     12"
     assert aligned([]) == ""
+
+
+def test_refuse_overwrite_protects_what_exists(tmp_path) -> None:
+    path = tmp_path / "model.toml"
+    refuse_overwrite(path, force=False)
+    path.write_text("mine")
+    refuse_overwrite(path, force=True)
+    with pytest.raises(ConfigError, match="--force"):
+        refuse_overwrite(path, force=False)
+
+
+def test_progress_says_each_step_once_where_there_is_no_terminal(capsys) -> None:
+    with progress("identify") as tell:
+        for done in range(3):
+            tell(done, 4, "reading")
+        tell(4, 4, "done")
+    assert capsys.readouterr().err.splitlines() == ["identify: reading", "identify: done"]

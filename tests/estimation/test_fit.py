@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from armlab.errors import ShapeError
+from armlab.errors import ConfigError, ShapeError
 from armlab.estimation import Excitation, Fit
 
 
@@ -26,3 +26,9 @@ def test_fit_is_frozen_and_reports_value_deviation_and_unit() -> None:
 def test_fit_refuses_a_covariance_of_another_size() -> None:
     with pytest.raises(ShapeError, match=r"cov of shape \(2, 2\)"):
         fit(np.eye(3))
+
+
+def test_a_value_without_a_file_format_is_not_saved(tmp_path) -> None:
+    with pytest.raises(ConfigError, match="float"):
+        fit(np.eye(2)).save(tmp_path / "x.toml")
+    assert not list(tmp_path.iterdir())

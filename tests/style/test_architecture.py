@@ -18,7 +18,8 @@ ROOT = Path(__file__).parents[2]
 SOURCE = ROOT / "src" / "armlab"
 GENERATED = {SOURCE / "wire/egm/armlab_egm_pb2.py"}
 FILES = sorted(p for p in SOURCE.rglob("*.py") if p not in GENERATED)
-PUBLIC = [p for p in FILES if not any(part.startswith("_") and part != "__init__.py" for part in p.relative_to(SOURCE).parts)]
+PRIVATE = re.compile(r"(^|/)_(?!_init__\.py)")  # files and folders whose name begins with one underscore
+PUBLIC = [p for p in FILES if not PRIVATE.search(str(p.relative_to(SOURCE)))]
 TESTS = sorted((ROOT / "tests").rglob("*.py"))
 
 LAYERS = [  # low to high; packages on one line do not see each other

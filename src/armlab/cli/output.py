@@ -82,20 +82,6 @@ def progress(title: str) -> Iterator[Callable[[float, float, str], None]]:
         yield lambda done, total, what: bar.update(task, completed=done / total, description=f"{title}: {what}")
 
 
-@contextmanager
-def with_progress() -> Iterator[Callable[[int, int, str], None]]:
-    """Show a bar on standard error, on a terminal only; gives the function (done, total, what) that moves it."""
-    if not sys.stderr.isatty():
-        yield lambda _done, _total, _what: None
-        return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as bars:
-        bar = bars.add_task("", total=None)
-        yield lambda done, total, what: bars.update(bar, completed=done, total=total, description=what)
-
-
 def _plain(data: Any) -> Any:
     if isinstance(data, dict):
         return {str(key): _plain(value) for key, value in data.items()}

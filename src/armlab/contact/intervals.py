@@ -45,7 +45,7 @@ def contacts(table: Table) -> list[Contact]:
     distance[known] = np.einsum("ki,ki->k", force[known], np.linalg.solve(cov[known], force[known][..., None])[..., 0])
     touched = distance > CHI2_95
     edges = np.flatnonzero(np.diff(touched.astype(int), prepend=0, append=0))
-    spans = [(table.t[a], table.t[b - 1]) for a, b in edges.reshape(-1, 2)]
+    spans = [(float(table.t[a]), float(table.t[b - 1])) for a, b in edges.reshape(-1, 2)]
     merged: list[tuple[float, float]] = []
     for start, end in spans:
         if merged and start - merged[-1][1] < HOLE:

@@ -94,4 +94,4 @@ def _in_words(vector: np.ndarray, names: Sequence[str]) -> str:
     """Name the parameters that carry most of a direction."""
     order = np.argsort(-np.abs(vector))[:3]
     kept = [i for i in order if abs(vector[i]) > 0.3 * abs(vector[order[0]])]
-    return " and ".join(names[i] for i in kept)
+    return " and ".join(str(names[int(i)]) for i in kept)

@@ -10,7 +10,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from armlab import models
-from armlab.errors import ShapeError
+from armlab.errors import ConfigError, ShapeError
 from armlab.estimation.excitation import Excitation
 
 __all__ = ["Fit"]
@@ -73,4 +73,9 @@ class Fit(Generic[Value]):
 
     def save(self, path: str | Path) -> Path:
         """Write the value to a model file and return its path; see `armlab.models.save`."""
+        if not isinstance(self.value, models.TorqueModel):
+            raise ConfigError(
+                f"Expected a fit whose value has a file format, got {type(self.value).__name__}. "
+                "Save its numbers yourself."
+            )
         return models.save(self.value, path)

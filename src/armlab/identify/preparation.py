@@ -145,7 +145,7 @@ def _check_motion(data: Prepared, robot: Robot) -> None:
         listed = ", ".join(f"{a} ({b})" for a, b in zip(names, spread))
         raise NotExcited(
             f"Expected every joint to move by at least 5 deg, got less for {listed}: their inertia, "
-            "gravity and friction cannot be told apart. Record a motion of all joints, for example identify.excitation.",
+            "gravity and friction cannot be told apart. Record a motion of all joints, as of identify.excitation.",
             names,
             spread,
         )

@@ -32,7 +32,7 @@ def lowpass_offline(x: np.ndarray, rate: float, cutoff: float, order: int = 4) -
     x = np.asarray(x, dtype=float)
     if not 0.0 < cutoff < rate / 2:
         raise ShapeError(f"Expected a cut-off between 0 and {rate / 2:g} Hz (half the rate), got {cutoff:g} Hz.")
-    sections = butter(order, cutoff / (rate / 2), output="sos")
+    sections = np.asarray(butter(order, cutoff / (rate / 2), output="sos"))
     needed = 6 * sections.shape[0] + 4
     if x.shape[0] < needed:
         raise ShapeError(f"Expected at least {needed} samples to filter, got {x.shape[0]}. Record for longer.")

@@ -2,9 +2,9 @@
 
 One step, with ``tau_e = model - measured = J^T F + error``:
 
-1. y follows q with a play of +-resolution; z slides by dy. Its variance p relaxes towards 1, the largest that a variable
-   in [-1, 1] can have, with the time constant REST_TIME, since what friction does during a long rest is not known; then
-   displacement wipes it out: ``p <- p exp(-2 |dy| / delta)``.
+1. y follows q with a play of +-resolution; z slides by dy. Its variance p relaxes towards 1, the largest that a
+   variable in [-1, 1] can have, with the time constant REST_TIME, since what friction does during a long rest is not
+   known; then displacement wipes it out: ``p <- p exp(-2 |dy| / delta)``.
 2. qdd = (qd_k - qd_{k-1}) / dt; tau_e = rnea + rotor qdd + friction(qd, z) + ripple(q) - tau.
 3. tau_e passes a second-order Butterworth low-pass (state-variable form, exact for a varying dt up to frequency
 warping).

@@ -23,13 +23,13 @@ def presliding(q: np.ndarray, delta: np.ndarray, resolution: np.ndarray) -> np.n
     q = np.asarray(q, dtype=float)
     z = np.zeros(q.shape)
     current = np.zeros(q.shape[1])
-    play: np.ndarray | None = None
+    play, started = np.zeros(q.shape[1]), False
     for k, row in enumerate(q):
         if not np.all(np.isfinite(row)):
             z[k] = np.nan
             continue
-        if play is None:
-            play = row.copy()
+        if not started:
+            play, started = row.copy(), True
         moved = np.clip(play, row - resolution, row + resolution)
         current, play = slide(current, moved - play, delta), moved
         z[k] = current

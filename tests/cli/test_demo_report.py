@@ -1,0 +1,81 @@
+"""The demo's verdict: every bar can be met and can be missed; figures and summary are written."""
+
+from __future__ import annotations
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from armlab import robots
+from armlab.cli.demo import Plan
+from armlab.cli.demo_report import Verdict, figures, judge, latency_line
+from armlab.log import Table
+
+
+@pytest.fixture(scope="module")
+def plan() -> Plan:
+    return Plan.make(robots.load("yumi_right"), seed=0)
+
+
+def pretend(plan: Plan, error: np.ndarray, sigma: float = 0.5) -> Table:
+    """A run whose estimate is the truth plus `error` (N, 6)."""
+    t = np.arange(0, 3.0 + plan.test.seconds, 0.004)
+    wrench = plan.wrench(t) + error if error.ndim else plan.wrench(t) + error * np.ones((len(t), 6))
+    cov = np.tile(sigma**2 * np.eye(6), (len(t), 1, 1))
+    columns = {"wrench_hat": wrench, "wrench_hat_cov": cov, "observability": np.ones((len(t), 6))}
+    return Table(t, columns).with_column("t_guidance", t, unit="s")
+
+
+def noise(plan: Plan, sd: float) -> np.ndarray:
+    N = len(np.arange(0, 3.0 + plan.test.seconds, 0.004))
+    return sd * np.clip(np.random.default_rng(0).standard_normal((N, 6)), -2.5, 2.5)
+
+
+def test_a_good_estimate_passes_and_its_text_says_so(plan: Plan) -> None:
+    """White errors with the stated deviation: everything but the rest is in order; with a wide band at rest, all is."""
+    table = pretend(plan, noise(plan, 0.5))
+    verdict = judge(table, plan)
+    assert len(verdict.missed) == 1
+    assert "at rest" in verdict.missed[0]
+    rest = (table["t_guidance"] > plan.rest[0])[:, None, None]
+    wide = table.with_column("wrench_hat_cov", np.where(rest, 100 * np.eye(6), table["wrench_hat_cov"]))
+    verdict = judge(wide, plan)
+    assert verdict.passed
+    assert 0.94 < verdict.coverage < 0.97
+    assert "500 g -z" in verdict.text()
+
+
+@pytest.mark.parametrize(
+    ("error", "sigma", "words"),
+    [(2.0, 2.0, "force error x"), (0.0, 0.5, "coverage 100.0 %"), (1.0, 0.4, "500 g"), (2.0, 2.0, "false force")],
+)
+def test_each_bar_can_be_missed(plan: Plan, error: float, sigma: float, words: str) -> None:
+    verdict = judge(pretend(plan, np.array(error), sigma), plan)
+    assert any(words in missed for missed in verdict.missed)
+
+
+def test_an_axis_that_cannot_be_seen_misses_the_bar(plan: Plan) -> None:
+    """No sample with observability above 0.9: there is no error to judge, and the demo does not pass."""
+    table = pretend(plan, noise(plan, 0.5))
+    blind = table.with_column("observability", 0.5 * np.ones((len(table), 6)))
+    assert any("force error x nan" in missed for missed in judge(blind, plan).missed)
+
+
+def test_latency_line_takes_the_line_with_percentiles() -> None:
+    run = SimpleNamespace(report=lambda: "cycles 100\n  round trip p50 60 us\nnone")
+    assert latency_line(run) == "round trip p50 60 us"
+    assert latency_line(SimpleNamespace(report=lambda: "nothing yet")) == "nothing yet"
+
+
+def test_figures_and_summary_are_written(monkeypatch, plan: Plan, tmp_path, model, excited) -> None:
+    monkeypatch.setattr("armlab.log.read", lambda path: excited)
+    table = pretend(plan, noise(plan, 0.5))
+    verdict = judge(table, plan)
+    assert isinstance(verdict, Verdict)
+    files = figures(tmp_path, {"plan": plan, "estimate": table, "fit": SimpleNamespace(value=model)}, verdict)
+    assert [path.name for path in files] == ["summary.json", "torque.png", "wrench.png"]
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["passed"] is verdict.passed
+    assert len(summary["presses"]) == 9
