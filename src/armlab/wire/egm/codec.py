@@ -58,7 +58,7 @@ class EgmCodec:
         self._without_speed = _Reply(self._axes, extension, speed=False)
         self.robotware = ""
         moves = () if self._axes.has_linear_head else ("position", "velocity")
-        self.capabilities = frozenset((*moves, *(("measured_torque",) if extension else ())))
+        self.capabilities: frozenset[str] = frozenset((*moves, *(("measured_torque",) if extension else ())))
 
     def reset(self) -> None:
         """Forget the flavour: a new session begins."""

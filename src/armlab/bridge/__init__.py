@@ -1,0 +1,7 @@
+"""The real-time loop between a controller in Python and a robot."""
+
+from armlab.bridge.limits import Limits
+from armlab.bridge.link import Link, connect
+from armlab.bridge.run import Run
+
+__all__ = ["Limits", "Link", "Run", "connect"]

@@ -1,0 +1,95 @@
+"""What a controller returned, checked: `wanted` gives the references, `refusal` the sentence for a refused one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from armlab.errors import CommandRefused
+from armlab.robots import Robot
+from armlab.state import Command
+
+__all__ = ["entry_refusal", "refusal", "wanted"]
+
+_CAUSES = "Usual causes are degrees instead of radians and another joint order."
+
+
+def wanted(command: Command, robot: Robot, capabilities: frozenset[str]) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Return the position and velocity (n,) that a command asks for, None for what it does not.
+
+    Parameters
+    ----------
+    command : what the controller returned. robot : the arm. capabilities : of the codec.
+
+    Raises
+    ------
+    CommandRefused : not a Command, wrong shape, no numbers, or a torque that this link cannot send.
+    """
+    if not isinstance(command, Command):
+        raise CommandRefused(
+            f"Expected the controller to return a Command or None, got {type(command).__name__}. "
+            "Write Command(q) for positions, Command(qd=...) for velocities."
+        )
+    if command.tau is not None:
+        able = ", ".join(sorted(capabilities)) or "nothing"
+        raise CommandRefused(
+            f"Expected no torque in the Command, but tau is set and this link can carry {able} only. "
+            "Command q or qd, or connect with a codec that carries torques."
+        )
+    return _vector("q", command.q, robot), _vector("qd", command.qd, robot)
+
+
+def _vector(name: str, values: Any, robot: Robot) -> np.ndarray | None:
+    if values is None:
+        return None
+    try:
+        array = np.ascontiguousarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise CommandRefused(
+            f"Expected {robot.n} numbers in Command.{name} for {robot.name}, got {values!r} ({error})."
+        ) from error
+    if np.shape(values) != (robot.n,):
+        raise CommandRefused(
+            f"Expected Command.{name} of shape ({robot.n},) for {robot.name}, got {np.shape(values)}. "
+            f"Give one value per joint: {', '.join(robot.joint_names)}."
+        )
+    return array
+
+
+def refusal(refused: int, q: np.ndarray | None, qd: np.ndarray | None, sent: np.ndarray, robot: Robot) -> str:
+    """Return the sentence for a reference that the limits refused.
+
+    Parameters
+    ----------
+    refused : i when joint i (from 1) is not finite, -i when it jumps. q, qd : asked for. sent : (n,) position before.
+    robot : names the joints.
+    """
+    i = abs(refused) - 1
+    joint = f"joint {i + 1} ({robot.joint_names[i]})"
+    if refused > 0:
+        got = ", ".join(f"{name} = {values[i]}" for name, values in (("q", q), ("qd", qd)) if values is not None)
+        return f"Expected finite numbers in the Command, got {got} for {joint}. NaN never goes to a robot."
+    asked = float("nan") if q is None else q[i]
+    return (
+        f"Expected a position near the last one sent, {sent[i]:.4f}, for {joint}, got {asked:.4f}: a jump of "
+        f"{abs(asked - sent[i]):.4f}. Move there gradually. {_CAUSES}"
+    )
+
+
+def entry_refusal(q: np.ndarray, held: np.ndarray, entry: np.ndarray, robot: Robot) -> str:
+    """Return the sentence for a first position too far from where the arm holds, "" when it is near enough.
+
+    Parameters
+    ----------
+    q : (n,) asked for. held : (n,) where the arm holds. entry : (n,) distance allowed. robot : names the joints.
+    """
+    distance = np.abs(q - held)
+    far = distance > entry
+    if not far.any():
+        return ""
+    i = int(np.argmax(np.where(far, distance / entry, 0.0)))
+    return (
+        f"Expected the first position within {entry[i]:g} of where the arm holds, got {q[i]:.4f} for joint {i + 1} "
+        f"({robot.joint_names[i]}), which holds at {held[i]:.4f}. Begin at state.q_start. {_CAUSES}"
+    )

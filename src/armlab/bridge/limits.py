@@ -1,0 +1,123 @@
+"""What a reference may do: `Limits`, and `Limiter`, which remembers what was sent last."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from armlab import kernels
+from armlab.errors import ConfigError
+from armlab.robots import Robot
+
+__all__ = ["Limiter", "Limits", "Reply"]
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """Limits on what is sent, per joint (n,).
+
+    Attributes
+    ----------
+    q_min, q_max : positions [rad or m]. qd_max, qdd_max : speed and acceleration.
+    jump : how far a position may be from the last one sent, besides ``qd_max dt``.
+    entry : how far the first position may be from where the arm holds.
+    """
+
+    q_min: np.ndarray
+    q_max: np.ndarray
+    qd_max: np.ndarray
+    qdd_max: np.ndarray
+    jump: np.ndarray
+    entry: np.ndarray
+
+    @classmethod
+    def of(cls, robot: Robot, *, margin: float = 0.01, speed: float = 1.0, entry: float = 0.05) -> Limits:
+        """Return the limits of a robot.
+
+        Parameters
+        ----------
+        margin : distance kept from the ends of the joints [rad or m].
+        speed : share of the robot's own speed and acceleration limits, in (0, 1].
+        entry : see `Limits`.
+
+        Raises
+        ------
+        ConfigError : a share outside (0, 1], or a margin that leaves no room.
+        """
+        if not 0.0 < speed <= 1.0 or not entry > 0.0:
+            raise ConfigError(f"Expected speed in (0, 1] and entry above 0, got {speed} and {entry}.")
+        q_min, q_max = robot.q_min + margin, robot.q_max - margin
+        if not np.all(q_min < q_max):
+            raise ConfigError(f"Expected a margin that leaves room between the joint limits, got {margin}.")
+        jump = np.where(robot.prismatic, 0.02, 0.1)
+        return cls(q_min, q_max, speed * robot.qd_max, speed * robot.qdd_max, jump, np.full(robot.n, entry))
+
+
+class Reply(NamedTuple):
+    """One reference after the limits.
+
+    Attributes
+    ----------
+    q, qd : (n,) position and speed to send. clamped : (n,) bits 1 position, 2 velocity, 4 acceleration, 8 braking.
+    ratio : of the velocity limit, 1 when it did not act.
+    refused : 0, or i when joint i (from 1) is not finite, -i when it jumps; the reply then holds.
+    """
+
+    q: np.ndarray
+    qd: np.ndarray
+    clamped: np.ndarray
+    ratio: float = 1.0
+    refused: int = 0
+
+
+class Limiter:
+    """The last reference sent, and the next one within the limits (law: `kernels.limit_reference`).
+
+    Parameters
+    ----------
+    limits : see `Limits`.
+    """
+
+    def __init__(self, limits: Limits) -> None:
+        self._bounds = np.stack((limits.q_min, limits.q_max, limits.qd_max, limits.qdd_max, limits.jump))
+        self._none = np.zeros(len(limits.q_min), dtype=np.uint8)
+        self._none.flags.writeable = False
+        self._sent = np.zeros((3, len(limits.q_min)))
+        self._asked: np.ndarray | None = None
+
+    @property
+    def q(self) -> np.ndarray:
+        """(n,) position sent last."""
+        return self._sent[0]
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the last reference stood still."""
+        return not self._sent[1:].any()
+
+    def rest(self, q: np.ndarray) -> Reply:
+        """Stand still at `q` (n,), wherever the last reference was: for an arm that does not follow references."""
+        self._sent = np.stack((q, np.zeros_like(q), np.zeros_like(q)))
+        self._sent.flags.writeable = False
+        self._asked = None
+        return Reply(self._sent[0], self._sent[1], self._none)
+
+    def hold(self, period: float) -> Reply:
+        """Come to rest within the acceleration limits, then stay. `period` in seconds."""
+        return self.step(None, None, period)
+
+    def step(self, q: np.ndarray | None, qd: np.ndarray | None, period: float) -> Reply:
+        """Return what may be sent for a position `q` (n,), a velocity `qd` (n,), both, or neither (hold).
+
+        Parameters
+        ----------
+        q, qd : references or None. period : cycle time of the robot [s].
+        """
+        sent, clamped, ratio, refused = kernels.limit_reference(self._sent, self._bounds, period, q, self._asked, qd)
+        sent.flags.writeable = False
+        clamped.flags.writeable = False
+        self._sent = sent
+        self._asked = None if q is None or refused else q.copy()
+        return Reply(sent[0], sent[2], clamped, ratio, refused)

@@ -1,0 +1,208 @@
+"""`Session`: which packets count, where a session begins and ends, and why; `Sample`, one packet that counts."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from armlab.bridge.clock import Period, RobotClock
+from armlab.bridge.port import Arrival
+from armlab.wire.egm import Codec, Drop, Packet
+
+__all__ = ["Sample", "Session"]
+
+_SEQUENCES = 2**32
+_OLD = 2**31
+_FILTER = 30.0  # Hz, of velocities from differences
+_SILENT_PERIODS = 5  # of the old source, before another port of the same host may begin a session
+_OWN_SILENCE = 150_000_000  # ns without a reply: shorter than any CommTimeout in use
+_MOTORS_OFF, _RAPID_STOPPED, _MCI_ERROR, _MCI_RUNNING = 2, 1, 1, 3
+
+
+class Sample(NamedTuple):
+    """One packet that counts.
+
+    Attributes
+    ----------
+    packet : as decoded. arrival_ns : on our monotonic clock.
+    dt : seconds of robot time since the sample before (the period for the first of a session).
+    missed : packets lost before this one. session : number of the session from 1. fresh : first of its session.
+    qd : (n,) velocities; qd_source : "measured" (extension) or "difference".
+    """
+
+    packet: Packet
+    arrival_ns: int
+    dt: float
+    missed: int
+    session: int
+    fresh: bool
+    qd: np.ndarray
+    qd_source: str
+
+
+class Session:
+    """Follows one robot controller: sequence numbers, sources, sessions.
+
+    Numbers compare modulo 2**32. A packet with number 0 begins a session, unless its `tm` is that of the first packet
+    of the current one (a late duplicate). So do the first packet of all and the first after a silence.
+
+    Parameters
+    ----------
+    codec : decodes; is reset in each session.
+    timeout : silence that ends a session [s], infinite for a robot in lockstep.
+    on_event : called with a sentence for what a user should know.
+
+    Attributes
+    ----------
+    number : sessions so far. active : one is running. source : address of the robot, None before the first packet.
+    received, missed, errors : packets that counted, packets lost. drops : datagrams refused, by kind.
+    seq : sequence number of the next reply. period : measured cycle time. reason : why the last session ended.
+    """
+
+    def __init__(self, codec: Codec, timeout: float = 0.5, on_event: Callable[[str], None] = lambda text: None) -> None:
+        self._codec, self._timeout_ns, self._on_event = codec, 1e9 * timeout, on_event
+        self.number, self.active = 0, False
+        self.source: tuple[str, int] | None = None
+        self.received = self.missed = self.seq = self._total_drops = 0
+        self.drops: Counter[str] = Counter()
+        self.period = Period()
+        self.reason = ""
+        self._told: set[str] = set()
+        self._clock = RobotClock()
+        self._last: Sample | None = None
+        self._first_tm: int | None = None
+        self._begun_ns = self._replied_ns = 0
+
+    @property
+    def total_drops(self) -> int:
+        """Datagrams refused so far."""
+        return self._total_drops
+
+    def accept(self, arrival: Arrival) -> Sample | None:
+        """Return the sample of one datagram, or None when it does not count.
+
+        Parameters
+        ----------
+        arrival : the datagram.
+        """
+        if self.silent(arrival.ns):
+            self.end()
+        foreign = self.active and arrival.source != self.source
+        if foreign and not self._may_replace(arrival):
+            return self._drop(Drop("foreign source", "only the first sender of a session is answered"), arrival)
+        packet = self._codec.decode(arrival.data)
+        if isinstance(packet, Drop):
+            return self._drop(packet, arrival)
+        if foreign and packet.seqno != 0:
+            return self._drop(Drop("foreign source", "only the first sender of a session is answered"), arrival)
+        missed = -1 if foreign or not self.active or self._last is None else self._count(packet, self._last.packet)
+        if isinstance(missed, Drop):
+            return self._drop(missed, arrival)
+        return self._begin(arrival) if missed < 0 else self._sample(packet, arrival, missed)
+
+    def silent(self, now_ns: int) -> bool:
+        """Return whether the robot has been silent for so long that its session is over."""
+        return self.active and self._last is not None and now_ns - self._last.arrival_ns >= self._timeout_ns
+
+    def replied(self, now_ns: int) -> None:
+        """Note that a reply left: the next has the next number."""
+        self.seq += 1
+        self._replied_ns = now_ns
+
+    def end(self) -> str:
+        """End the session and return why it ended, in words: the first cause that fits its last packet."""
+        if self.active and self._last is not None:
+            self.reason = self._why(self._last)
+            self._on_event(f"Session {self.number} ended: {self.reason}.")
+        self.active = False
+        return self.reason
+
+    def _why(self, last: Sample) -> str:
+        packet = last.packet
+        own = last.arrival_ns - max(self._replied_ns, self._begun_ns)
+        causes = (
+            (packet.converged, "the convergence condition of EGMAct was met (a window of zero never is)"),
+            (packet.motors == _MOTORS_OFF, "the motors were switched off"),
+            (packet.rapid == _RAPID_STOPPED, "RAPID was stopped"),
+            (packet.mci == _MCI_ERROR, "the controller reported an EGM error"),
+            (
+                packet.mci == _MCI_RUNNING and own > _OWN_SILENCE,
+                f"we did not answer for {1e-9 * own:.2f} s (event 41822 is likely)",
+            ),
+        )
+        return next((text for holds, text in causes if holds), "the controller stopped sending")
+
+    def _may_replace(self, arrival: Arrival) -> bool:
+        """RAPID restarts fast: the same host may come back from another port once the old one is silent."""
+        if self.source is None or self._last is None or arrival.source[0] != self.source[0]:
+            return False
+        return arrival.ns - self._last.arrival_ns > _SILENT_PERIODS * 1e9 * self.period.seconds
+
+    def _count(self, packet: Packet, last: Packet) -> int | Drop:
+        """Return the packets lost between two, -1 for a new session, or why the later one does not count."""
+        ahead = (packet.seqno - last.seqno) % _SEQUENCES
+        if packet.seqno == 0 and ahead != 1:
+            same_tm = packet.tm_ms == self._first_tm if packet.tm_ms is not None else last.seqno == 0
+            return Drop("duplicate", "the first packet of the session again") if same_tm else -1
+        if ahead == 0:
+            return Drop("duplicate", f"packet {packet.seqno} again")
+        if ahead >= _OLD:
+            return Drop("old", f"packet {packet.seqno} after {last.seqno}")
+        return ahead - 1
+
+    def _begin(self, arrival: Arrival) -> Sample | None:
+        if self.active:
+            self.end()
+        self._codec.reset()
+        packet = self._codec.decode(arrival.data)
+        if isinstance(packet, Drop):
+            return self._drop(packet, arrival)
+        self.number, self.active, self.source, self.seq = self.number + 1, True, arrival.source, 0
+        self.period, self._clock, self._last = Period(), RobotClock(), None
+        self._first_tm, self._begun_ns = packet.tm_ms, arrival.ns
+        self._told.clear()
+        host, port = arrival.source
+        self._on_event(
+            f"Session {self.number} began: RobotWare {packet.robotware}, {len(packet.q)} joints, {host}:{port}."
+        )
+        return self._sample(packet, arrival, 0)
+
+    def _sample(self, packet: Packet, arrival: Arrival, missed: int) -> Sample:
+        last = self._last
+        dt = self._clock.step(packet, arrival.ns)
+        if dt is None:
+            dt = self.period.seconds
+        else:
+            self.period.add(dt / (missed + 1))
+        if packet.qd is not None:
+            qd, source = packet.qd, "measured"
+        else:
+            qd, source = _difference(packet.q, last, dt), "difference"
+        self.received += 1
+        self.missed += missed
+        self._last = Sample(packet, arrival.ns, dt, missed, self.number, last is None, qd, source)
+        return self._last
+
+    def _drop(self, drop: Drop, arrival: Arrival) -> None:
+        self.drops[drop.reason] += 1
+        self._total_drops += 1
+        if drop.reason not in self._told:
+            self._told.add(drop.reason)
+            host, port = arrival.source
+            bytes_ = arrival.data[:32].hex(" ")
+            self._on_event(f"Dropped a datagram from {host}:{port}, {drop.reason}: {drop.detail}. It begins {bytes_}.")
+
+
+def _difference(q: np.ndarray, last: Sample | None, dt: float) -> np.ndarray:
+    """Return the velocity from two positions through a first-order low-pass; it starts from rest."""
+    if last is None:
+        qd = np.zeros_like(q)
+    else:
+        share = 1.0 - math.exp(-2.0 * math.pi * _FILTER * dt)
+        qd = last.qd + share * ((q - last.packet.q) / dt - last.qd)
+    qd.flags.writeable = False
+    return qd

@@ -1,0 +1,310 @@
+"""The state machine of a run: `Mode`, and `Guide`, which says what is sent for each packet.
+
+WAITING -> HOLDING (not ready: feedback is sent back; ready: a frozen position) -> RUNNING -> STOPPING -> ENDED.
+LISTENING sends nothing, ever. *Hold* means everywhere: the sent velocity ramps to zero within the acceleration limits,
+then the position reached is repeated with speed zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import Enum
+
+import numpy as np
+
+from armlab.bridge.commands import entry_refusal, refusal, wanted
+from armlab.bridge.limits import Limiter, Limits, Reply
+from armlab.bridge.session import Sample
+from armlab.errors import CommandRefused, LinkError
+from armlab.robots import Robot
+from armlab.state import Command, State
+from armlab.wire.egm import Packet
+
+__all__ = ["Guide", "Mode"]
+
+STOP_TIME = 0.5  # s at rest before a run ends
+_REFUSALS = 3  # in a row end the run
+_ENTRY_PATIENCE = 1.0  # s of refused entries before a warning
+_PLAUSIBLE = 0.1  # rad or m beyond the limits of a joint
+_MOTORS_ON, _MCI_RUNNING, _RAPID_MOVES = 1, 3, (0, 2)  # RAPID stays undefined (0) after a controller restart
+_BITS = {"position": 1, "velocity": 2, "acceleration": 4, "braking": 8}
+
+
+class Mode(Enum):
+    """Where a run is."""
+
+    WAITING = "waiting"
+    LISTENING = "listening"
+    HOLDING = "holding"
+    RUNNING = "running"
+    STOPPING = "stopping"
+    ENDED = "ended"
+
+
+class Guide:
+    """Decides, packet by packet, whether the controller is asked and what is sent.
+
+    Parameters
+    ----------
+    robot : the arm. limits : on what is sent.
+    commands : False when there is no controller: LISTENING.
+    capabilities : of the codec. answer_stream : answer also before guidance.
+    on_event : called with a sentence for what a user should know.
+
+    Attributes
+    ----------
+    mode, ready : see the module. t : robot time since guidance began in this session [s].
+    elapsed : robot time while ready since the first readiness [s]. q_start : (n,) where guidance began.
+    failure, reason : why the run stops. clamps : times each limit acted, (4, n). worst_ratio : of the velocity limit.
+    refused : commands refused.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        limits: Limits,
+        *,
+        commands: bool = True,
+        capabilities: frozenset[str] = frozenset(("position", "velocity")),
+        answer_stream: bool = True,
+        on_event: Callable[[str], None] = lambda text: None,
+    ) -> None:
+        self._robot, self._limits, self._capabilities = robot, limits, capabilities
+        self._answer_stream, self._on_event = answer_stream, on_event
+        self._limiter = Limiter(limits)
+        self._last = self._limiter.rest(np.full(robot.n, np.nan))
+        self.mode = Mode.WAITING if commands else Mode.LISTENING
+        self.ready = False
+        self.t = self.elapsed = self._rested = self._waited = 0.0
+        self.q_start = self._last.q
+        self.failure: LinkError | None = None
+        self.reason = ""
+        self.clamps = np.zeros((len(_BITS), robot.n), dtype=int)
+        self.worst_ratio = 1.0
+        self.refused = self._refused_in_a_row = 0
+        self._missing = np.full(robot.n, np.nan)
+        self._missing.flags.writeable = False
+        self._packet: Packet | None = None
+        self._guided = self._plausible = self._warned = False
+
+    @property
+    def calls(self) -> bool:
+        """Whether the controller is asked for this packet."""
+        return self.ready and self.mode in (Mode.HOLDING, Mode.RUNNING)
+
+    def observe(self, sample: Sample) -> None:
+        """Take one sample: readiness, time, transitions. The newest one observed is the one that `answer` answers.
+
+        Parameters
+        ----------
+        sample : from the session.
+        """
+        packet = self._packet = sample.packet
+        if sample.fresh:
+            self.t, self._guided, self.ready = 0.0, False, False
+            self._check_plausible(packet)
+            if self.mode is Mode.RUNNING:
+                self.mode = Mode.HOLDING
+        else:
+            self.t += sample.dt if self._guided or self.mode is Mode.LISTENING else 0.0
+        if self.mode is Mode.LISTENING:
+            self.elapsed += 0.0 if sample.fresh else sample.dt
+            return
+        if self.mode is Mode.WAITING:
+            self.mode = Mode.HOLDING
+        ready = self._plausible and not _obstacle(packet)
+        if ready and self.ready:
+            self.elapsed += sample.dt
+        elif ready:
+            self._become_ready(packet)
+        elif self.ready:
+            self._lose_ready(packet)
+        self.ready = ready
+
+    def state(self, sample: Sample, t_receive: int) -> State:
+        """Return what the controller sees of a sample just observed.
+
+        Parameters
+        ----------
+        sample : from the session. t_receive : arrival, wall clock [ns].
+        """
+        packet, last = sample.packet, self._last
+        return State(
+            t=self.t,
+            dt=sample.dt,
+            q=packet.q,
+            qd=sample.qd,
+            tau=self._missing if packet.tau is None else packet.tau,
+            seq=packet.seqno,
+            missed=sample.missed,
+            session=sample.session,
+            qd_source=sample.qd_source,
+            tau_source=packet.tau_source,
+            q_start=self.q_start if self._guided else packet.q,
+            q_planned=packet.q_planned,
+            q_sent=last.q,
+            qd_sent=last.qd,
+            clamped=last.clamped,
+            T_frame_tool=packet.T_frame_tool,
+            wrench_raw=packet.wrench_raw,
+            q_ext=packet.q_ext,
+            motors=packet.motors,
+            rapid=packet.rapid,
+            mci=packet.mci,
+            converged=packet.converged,
+            utilization=packet.utilization,
+            robotware=packet.robotware,
+            rapid_data=packet.rapid_data,
+            rapid_digital=packet.rapid_digital,
+            robot_ns=packet.robot_ns,
+            t_receive=t_receive,
+        )
+
+    def answer(self, command: Command | None, period: float) -> Reply | None:
+        """Return the reply to the newest packet observed, or None when nothing is sent.
+
+        Parameters
+        ----------
+        command : what the controller returned; None holds. period : cycle time of the robot [s].
+        """
+        packet = self._packet
+        if packet is None or self.mode in (Mode.WAITING, Mode.LISTENING, Mode.ENDED):
+            return None
+        if not self.ready:
+            self._rest(period)
+            if not (self._answer_stream or packet.mci == _MCI_RUNNING):
+                return None
+            self._last = self._limiter.rest(packet.q)
+        elif self.mode is Mode.STOPPING:
+            self._last = self._limiter.hold(period)
+            if self._limiter.at_rest:
+                self._rest(period)
+        else:
+            self._last = self._follow(command, period)
+        if self._last.clamped.any():
+            self.clamps += [(self._last.clamped & bit) != 0 for bit in _BITS.values()]
+            self.worst_ratio = min(self.worst_ratio, self._last.ratio)
+        return self._last
+
+    def hold(self, period: float) -> Reply | None:
+        """Return the reply to the newest packet when the controller is overdue: hold, and stay in the mode.
+
+        Parameters
+        ----------
+        period : cycle time of the robot [s].
+        """
+        if not self.calls:
+            return self.answer(None, period)
+        self._last = self._limiter.hold(period)
+        return self._last
+
+    def stop(self, reason: str, failure: LinkError | None = None) -> None:
+        """Bring the arm to rest and end; the first reason stays.
+
+        Parameters
+        ----------
+        reason : in words. failure : what `run` raises in the end.
+        """
+        if self.mode in (Mode.STOPPING, Mode.ENDED):
+            return
+        self.reason, self.failure = reason, failure
+        self._on_event(f"Stopping: {reason}.")
+        self.mode = Mode.ENDED if self.mode in (Mode.WAITING, Mode.LISTENING) else Mode.STOPPING
+
+    def lose(self, reason: str, resume: bool) -> None:
+        """Take note that the session ended.
+
+        Parameters
+        ----------
+        reason : why. resume : wait for the next one.
+        """
+        self.ready = False
+        self._packet = None
+        if self.mode is Mode.STOPPING:
+            self.mode = Mode.ENDED
+        elif not resume:
+            self.reason, self.mode = reason, Mode.ENDED
+        elif self.mode is not Mode.LISTENING:
+            self.mode = Mode.WAITING
+
+    def _follow(self, command: Command | None, period: float) -> Reply:
+        try:
+            q, qd = (None, None) if command is None else wanted(command, self._robot, self._capabilities)
+        except CommandRefused as error:
+            self.stop("a command was refused", error)
+            return self._limiter.hold(period)
+        if command is not None and command.ends:
+            self.stop("the controller ended the run")
+            return self._limiter.hold(period)
+        if q is None and qd is None:
+            self.mode, self._refused_in_a_row = Mode.HOLDING, 0
+            return self._limiter.hold(period)
+        before = self._limiter.q
+        if self.mode is Mode.HOLDING and q is not None:
+            problem = entry_refusal(q, before, self._limits.entry, self._robot)
+            if problem:
+                return self._refuse_entry(problem, period)
+        reply = self._limiter.step(q, qd, period)
+        if reply.refused:
+            self._refuse(refusal(reply.refused, q, qd, before, self._robot))
+        else:
+            self.mode, self._refused_in_a_row, self._waited = Mode.RUNNING, 0, 0.0
+        return reply
+
+    def _refuse(self, problem: str) -> None:
+        self.refused += 1
+        self._refused_in_a_row += 1
+        if self._refused_in_a_row == 1:
+            self._on_event(problem)
+        if self._refused_in_a_row >= _REFUSALS:
+            self.stop("commands were refused", CommandRefused(problem))
+
+    def _refuse_entry(self, problem: str, period: float) -> Reply:
+        self.refused += 1
+        self._waited += period
+        if self._waited >= _ENTRY_PATIENCE and not self._warned:
+            self._warned = True
+            self._on_event(problem)
+        return self._limiter.hold(period)
+
+    def _rest(self, period: float) -> None:
+        if self.mode is Mode.STOPPING:
+            self._rested += period
+            if self._rested >= STOP_TIME:
+                self.mode = Mode.ENDED
+
+    def _become_ready(self, packet: Packet) -> None:
+        self._last = self._limiter.rest(packet.q)
+        self._waited, self._warned = 0.0, False
+        if not self._guided:
+            self._guided, self.t, self.q_start = True, 0.0, packet.q
+        self._on_event("The robot is ready and holds.")
+
+    def _lose_ready(self, packet: Packet) -> None:
+        self._on_event(f"The robot is not ready: {_obstacle(packet)}.")
+        if self.mode is Mode.RUNNING:
+            self.mode = Mode.HOLDING
+
+    def _check_plausible(self, packet: Packet) -> None:
+        """A first feedback far outside the joint limits means wrong units or order: never move then."""
+        robot = self._robot
+        outside = np.maximum(robot.q_min - packet.q, packet.q - robot.q_max)
+        self._plausible = bool((outside <= _PLAUSIBLE).all())
+        if self._plausible or self.mode is Mode.LISTENING:
+            return
+        i = int(np.argmax(outside))
+        problem = (
+            f"Expected joint {i + 1} ({robot.joint_names[i]}) of {robot.name} between {robot.q_min[i]:.3f} and "
+            f"{robot.q_max[i]:.3f}, but the robot reports {packet.q[i]:.3f}. Usual causes are another robot, "
+            "another joint order and other units: check the robot's description and its RobotWare."
+        )
+        self.stop("the feedback is not plausible", LinkError(problem))
+
+
+def _obstacle(packet: Packet) -> str:
+    """Return why the robot would not follow a reference, or nothing."""
+    if packet.motors != _MOTORS_ON:
+        return "the motors are off"
+    if packet.rapid not in _RAPID_MOVES:
+        return "RAPID is stopped"
+    return "" if packet.mci == _MCI_RUNNING else "guidance has not begun (EGMRunJoint)"
