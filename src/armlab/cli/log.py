@@ -56,10 +56,10 @@ def recover(file: Path, *, output: Path | None = None) -> None:
         The copy; <name>.recovered.mcap beside the file when not given.
     """
     from armlab import log as logs
-    from armlab.cli.output import note, result, with_progress
+    from armlab.cli.output import note, progress, result
 
-    with with_progress() as progress:
-        done = logs.recover(file, output, progress=progress)
+    with progress("recover") as tell:
+        done = logs.recover(file, output, progress=tell)
     note(
         f"{done.messages} messages over {done.seconds:.3f} s; lost: {done.torn} bytes at the end, "
         f"{done.lost_chunks} damaged chunks"

@@ -1,0 +1,148 @@
+"""The look of all figures: colours that most eyes can tell apart, lines that keep gaps and spikes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from armlab.errors import ShapeError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "AXIS_COLORS",
+    "GREY",
+    "JOINT_STYLES",
+    "MODEL",
+    "band",
+    "envelope",
+    "legend",
+    "line",
+    "look",
+    "panels",
+    "shade",
+]
+
+# Okabe and Ito, "Color Universal Design" (2008), without yellow, which vanishes on white.
+_BLUE, _VERMILION, _GREEN = "#0072B2", "#D55E00", "#009E73"
+_PURPLE, _ORANGE, _SKY, _BLACK = "#CC79A7", "#E69F00", "#56B4E9", "#000000"
+_COLORS = (_BLUE, _VERMILION, _GREEN, _PURPLE, _ORANGE, _SKY, _BLACK)
+
+JOINT_STYLES = tuple((color, style) for style in ("-", "-.") for color in _COLORS)
+"""Colour and line style of joint 1, 2, ...: the same in every figure."""
+AXIS_COLORS = (_VERMILION, _GREEN, _BLUE)
+"""Colours of the axes x, y, z."""
+MODEL, GREY = _VERMILION, "#4D4D4D"
+
+_MOST_POINTS = 20_000  # of one line; more become an envelope
+_ENVELOPE_COLUMNS = 4_000
+_RC: dict[Any, Any] = {
+    "font.size": 9.0,
+    "axes.titlesize": 9.0,
+    "axes.titlelocation": "left",
+    "axes.labelsize": 9.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.xmargin": 0.01,
+    "grid.alpha": 0.25,
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.0,
+    "legend.frameon": False,
+    "legend.fontsize": 8.0,
+    "xtick.labelsize": 8.0,
+    "ytick.labelsize": 8.0,
+    "figure.constrained_layout.use": True,
+}
+
+
+@contextmanager
+def look() -> Iterator[None]:
+    """Draw with the look of armlab's figures; the user's settings are back afterwards."""
+    import matplotlib as mpl
+
+    with mpl.rc_context(_RC):
+        yield
+
+
+def panels(
+    rows: int, columns: int, ax: Any = None, *, width: float = 9.0, height: float = 1.8, **layout: Any
+) -> tuple[Figure, np.ndarray]:
+    """Return a figure and its axes (rows, columns): new ones, or those the caller gave.
+
+    Parameters
+    ----------
+    rows, columns : panels.
+    ax : one Axes or an array of rows x columns of them; None makes a new figure.
+    width, height : of the figure, and of one row, in inches.
+    layout : passed to ``matplotlib.pyplot.subplots``.
+
+    Raises
+    ------
+    ShapeError : another number of Axes than panels.
+    """
+    if ax is None:
+        import matplotlib.pyplot as plt
+
+        size = (width, max(height * rows, 2.6))
+        return plt.subplots(rows, columns, figsize=size, squeeze=False, **layout)
+    given = np.atleast_1d(np.asarray(ax, dtype=object))
+    if given.size != rows * columns:
+        raise ShapeError(f"Expected {rows * columns} Axes in ax= ({rows} x {columns} panels), got {given.size}.")
+    given = given.reshape(rows, columns)
+    return given[0, 0].figure, given
+
+
+def line(ax: Axes, t: np.ndarray, values: np.ndarray, **style: Any) -> None:
+    """Draw values (N,) over t; NaN leaves a gap, and beyond 20 000 points the extremes of each stretch are drawn."""
+    ax.plot(*envelope(t, values), **style)
+
+
+def envelope(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return times and values to draw: as they are up to 20 000 points, else minimum and maximum per stretch.
+
+    A stretch without values is NaN, so that gaps stay gaps.
+    """
+    values = np.asarray(values, dtype=float)
+    if len(values) <= _MOST_POINTS:
+        return t, values
+    edges = np.linspace(0, len(values), _ENVELOPE_COLUMNS + 1).astype(int)[:-1]
+    holes = np.isnan(values)
+    empty = np.minimum.reduceat(holes, edges)
+    low = np.minimum.reduceat(np.where(holes, np.inf, values), edges)
+    high = np.maximum.reduceat(np.where(holes, -np.inf, values), edges)
+    pairs = np.stack([np.where(empty, np.nan, low), np.where(empty, np.nan, high)], axis=1)
+    return np.repeat(t[edges], 2), pairs.ravel()
+
+
+def band(ax: Axes, t: np.ndarray, middle: np.ndarray, half: np.ndarray, **style: Any) -> None:
+    """Fill middle - half to middle + half (N,); thinned to the width of the figure when there are many points."""
+    step = max(1, len(t) // _ENVELOPE_COLUMNS)
+    t, middle, half = t[::step], np.asarray(middle)[::step], np.asarray(half)[::step]
+    ax.fill_between(t, middle - half, middle + half, **{"linewidth": 0.0, **style})
+
+
+def shade(ax: Axes, t: np.ndarray, on: np.ndarray, **style: Any) -> None:
+    """Shade the spans of time in which the mask (N,) is true."""
+    edges = np.flatnonzero(np.diff(np.asarray(on, dtype=int), prepend=0, append=0))
+    style = {"color": "#999999", "alpha": 0.25, "linewidth": 0.0, "zorder": 0, **style}
+    for first, last in edges.reshape(-1, 2):
+        ax.axvspan(float(t[first]), float(t[last - 1]), **style)
+        style["label"] = "_"  # one entry in the legend for all spans
+
+
+def legend(figure: Figure, *axes: Axes) -> None:
+    """Put one legend for some axes above the figure; into the first of them where the user's layout has no room."""
+    entries: dict[str, Any] = {}
+    for ax in axes:
+        entries |= {label: handle for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
+    handles, labels = list(entries.values()), list(entries)
+    if figure.get_layout_engine() is None:
+        axes[0].legend(handles, labels)
+    else:
+        figure.legend(handles, labels, loc="outside upper right", ncols=min(len(labels), 10))
