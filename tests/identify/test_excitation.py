@@ -54,19 +54,33 @@ def test_sequence_walks_between_its_parts_without_a_jump() -> None:
     np.testing.assert_allclose(q[-1], [0.5, -0.5], atol=1e-9)
 
 
+def states(times: np.ndarray, session: int = 1) -> list[State]:
+    rest = np.zeros(2)
+    steps = np.diff(times, prepend=times[0] - 0.004)
+    return [State(t=t, dt=dt, q=rest, qd=rest, tau=rest, q_start=rest, session=session) for t, dt in zip(times, steps)]
+
+
 def test_the_controller_walks_to_the_start_and_follows_the_motion() -> None:
     motion = dither(np.array([0.3, 0.3]), 10.0)
     controller = motion.controller(approach=2.0)
-    rest = np.zeros(2)
+    times = np.arange(0, 8, 0.004)
+    commands = [controller(state) for state in states(times)]
+    assert isinstance(commands[0], Command)
+    np.testing.assert_array_equal(commands[0].q, 0.0)
+    np.testing.assert_allclose(commands[500].q, motion.q_first, atol=1e-6)
+    expected = motion.sample(times[500:] - 2.0)
+    np.testing.assert_allclose([c.q for c in commands[500:]], expected[0], atol=1e-9)
+    np.testing.assert_allclose([c.qd for c in commands[500:]], expected[1], atol=1e-9)
 
-    def at(t: float) -> Command:
-        return controller(State(t=t, dt=0.004, q=rest, qd=rest, tau=rest, q_start=rest))
 
-    np.testing.assert_array_equal(at(0.0).q, rest)
-    np.testing.assert_allclose(at(2.0 - 1e-9).q, motion.q_first, atol=1e-6)
-    expected = motion.sample(np.array(3.0))
-    np.testing.assert_allclose(at(5.0).q, expected[0])
-    np.testing.assert_allclose(at(5.0).qd, expected[1])
+def test_after_lost_packets_the_motion_goes_on_without_a_jump_and_a_new_session_starts_over() -> None:
+    motion = dither(np.zeros(2), 20.0, amplitude=0.5, frequency=1.0)
+    controller = motion.controller(approach=1.0)
+    times = np.concatenate([np.arange(0, 5, 0.004), np.arange(5.5, 8, 0.004)])
+    commands = np.array([controller(state).q for state in states(times)])
+    assert np.abs(np.diff(commands, axis=0)).max() < 0.5 * 2 * np.pi * 0.021
+    (first,) = [controller(state).q for state in states(np.array([0.0]), session=2)]
+    np.testing.assert_array_equal(first, 0.0)
 
 
 def test_nonsense_is_refused() -> None:

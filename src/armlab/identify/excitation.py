@@ -22,6 +22,7 @@ from armlab.state import Command, State
 __all__ = ["Trajectory", "dither", "excitation", "sequence"]
 
 RAMP = 2.0  # s, blend at each end
+LONGEST_STEP = 0.02  # s that a controller's clock moves at once
 CANDIDATES = 60
 
 
@@ -46,17 +47,24 @@ class Trajectory:
     def controller(self, approach: float = 4.0) -> Callable[[State], Command]:
         """Return a controller that walks from where the arm stands to the start, then runs the motion.
 
+        Its clock follows the robot's, but never by more than 20 ms at once: after lost packets the motion goes on
+        where it was, without a jump. It starts again in each session.
+
         Parameters
         ----------
         approach : seconds of the walk (quintic, at rest at both ends).
         """
+        clock, session = 0.0, 0
 
         def step(state: State) -> Command:
-            if state.t < approach:
-                s, ds, _ = _quintic(state.t / approach)
+            nonlocal clock, session
+            clock = clock + min(state.dt, LONGEST_STEP) if state.session == session else 0.0
+            session = state.session
+            if clock < approach:
+                s, ds, _ = _quintic(clock / approach)
                 way = self.q_first - state.q_start
                 return Command(q=state.q_start + s * way, qd=ds / approach * way)
-            q, qd, _ = self.sample(np.array(state.t - approach))
+            q, qd, _ = self.sample(np.array(clock - approach))
             return Command(q=q, qd=qd)
 
         return step

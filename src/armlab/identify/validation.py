@@ -72,18 +72,23 @@ def assess(
 
 
 def predict(model: TorqueModel, table: Table) -> Table:
-    """Return the log with tau_model and tau_sigma (N, n) [N m]: what the model says without contact, and how surely.
+    """Return the log with tau, tau_model and tau_sigma (N, n) [N m]: measured, modelled, and how surely.
+
+    Measured and modelled torque pass a zero-phase low-pass at the model's cut-off: to that band its covariance belongs.
 
     Parameters
     ----------
     model : identified torque model.
-    table : log with columns q and qd (N, n).
+    table : log with columns q, qd, tau (N, n), without gaps.
     """
     rate = 1.0 / float(np.median(np.diff(table.t)))
-    qdd = lowpass_offline(central_diff(table["qd"], table.t), rate, rate / 10.0)
-    torque = model.torque(table["q"], table["qd"], qdd)
+    torque = model.torque(table["q"], table["qd"], central_diff(table["qd"], table.t))
     sigma = np.sqrt(model.covariance.variance(table["qd"]))
-    return table.with_column("tau_model", torque, unit="N m").with_column("tau_sigma", sigma, unit="N m")
+    return (
+        table.with_column("tau", lowpass_offline(table["tau"], rate, model.cutoff))
+        .with_column("tau_model", lowpass_offline(torque, rate, model.cutoff), unit="N m")
+        .with_column("tau_sigma", sigma, unit="N m")
+    )
 
 
 def report(fit: Fit[TorqueModel]) -> str:
