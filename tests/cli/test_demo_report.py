@@ -25,7 +25,7 @@ def pretend(plan: Plan, error: np.ndarray, sigma: float = 0.5) -> Table:
     wrench = plan.wrench(t) + error if error.ndim else plan.wrench(t) + error * np.ones((len(t), 6))
     cov = np.tile(sigma**2 * np.eye(6), (len(t), 1, 1))
     columns = {"wrench_hat": wrench, "wrench_hat_cov": cov, "observability": np.ones((len(t), 6))}
-    return Table(t, columns).with_column("t_guidance", t, unit="s")
+    return Table(t, columns).with_column("session_t", t)
 
 
 def noise(plan: Plan, sd: float) -> np.ndarray:
@@ -39,7 +39,7 @@ def test_a_good_estimate_passes_and_its_text_says_so(plan: Plan) -> None:
     verdict = judge(table, plan)
     assert len(verdict.missed) == 1
     assert "at rest" in verdict.missed[0]
-    rest = (table["t_guidance"] > plan.rest[0])[:, None, None]
+    rest = (table["session_t"] > plan.rest[0])[:, None, None]
     wide = table.with_column("wrench_hat_cov", np.where(rest, 100 * np.eye(6), table["wrench_hat_cov"]))
     verdict = judge(wide, plan)
     assert verdict.passed

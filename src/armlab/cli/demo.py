@@ -7,7 +7,7 @@ wire; the operator's forces come from the plan and are compared afterwards.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -190,11 +190,9 @@ def _estimating(plan: Plan, estimator: Estimator) -> Any:
     move = plan.test.controller(APPROACH)
 
     def step(state: State) -> Command:
-        from dataclasses import replace
-
         wrench = estimator.step(state)
         record = {"wrench_hat": wrench.F, "wrench_hat_cov": wrench.cov, "observability": wrench.observability}
-        return replace(move(state), record={**record, "t_guidance": state.t})
+        return replace(move(state), record=record)
 
     return step
 
@@ -203,11 +201,6 @@ def _drive(robot: Robot, url: str, controller: Any, seconds: float, path: Path, 
     from armlab import bridge
     from armlab.log import Column
 
-    extra = {
-        "wrench_hat": Column(shape=(6,)),
-        "wrench_hat_cov": Column(shape=(6, 6)),
-        "observability": Column(shape=(6,)),
-        "t_guidance": Column(unit="s"),
-    }
+    extra = {"observability": Column(shape=(6,))}  # wrench_hat and its covariance need no declaration
     with bridge.connect(url, robot) as link:
         return link.run(controller, seconds, record=path, extra=extra, progress=tell)

@@ -81,10 +81,10 @@ def judge(table: Table, plan: Plan) -> Verdict:
 
     Parameters
     ----------
-    table : log of the second run, with wrench_hat, wrench_hat_cov, observability and t_guidance.
+    table : log of the second run, with wrench_hat, wrench_hat_cov, observability and session_t.
     plan : what the operator did.
     """
-    t = table["t_guidance"]
+    t = table["session_t"]
     force, truth = table["wrench_hat"][:, :3], plan.wrench(t)[:, :3]
     sigma = np.sqrt(np.einsum("kii->ki", table["wrench_hat_cov"])[:, :3])
     seen = table["observability"][:, :3] >= SEEN
@@ -154,7 +154,7 @@ def figures(folder: Path, outcome: dict[str, Any], verdict: Verdict) -> list[Pat
     from armlab.identify import predict
 
     plan, table = outcome["plan"], outcome["estimate"]
-    truth = table.with_column("wrench_true", plan.wrench(table["t_guidance"]))
+    truth = table.with_column("wrench_true", plan.wrench(table["session_t"]))
     excited = predict(outcome["fit"].value, log.read(folder / "excite.mcap"))
     plots.torque_fit(excited).savefig(folder / "torque.png", dpi=120)
     plots.wrench(truth).savefig(folder / "wrench.png", dpi=120)

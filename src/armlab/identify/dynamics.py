@@ -13,6 +13,7 @@ them the
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -132,7 +133,8 @@ def _block_sums(design: Design, theta: np.ndarray, weights: np.ndarray, data: Pr
             [f"{span:.1f} s"],
         )
     sums = accumulate(design.matrix() * weights[None, :, None], design.tau * weights, block)
-    return sums, check_excitation(sums.gram.sum(axis=0), design.names, "torque model")
+    leaders = [re.split(r" [+-] ", name)[0] for name in design.names]  # a whole combination fills a line
+    return sums, check_excitation(sums.gram.sum(axis=0), leaders, "torque model")
 
 
 def _model(
