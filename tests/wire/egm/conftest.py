@@ -1,0 +1,86 @@
+"""Arms, and an EGM message writer that shares nothing with the code under test."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from tomllib import loads
+
+import numpy as np
+import pytest
+
+
+@dataclass(frozen=True)
+class MadeArm:
+    n: int
+    prismatic: np.ndarray
+    abb_axes: tuple[int, ...]
+
+
+@pytest.fixture(scope="session")
+def six() -> MadeArm:
+    return MadeArm(6, np.zeros(6, dtype=bool), (1, 2, 3, 4, 5, 6))
+
+
+@pytest.fixture(scope="session")
+def yumi() -> MadeArm:
+    return MadeArm(7, np.zeros(7, dtype=bool), (1, 2, 7, 3, 4, 5, 6))
+
+
+@pytest.fixture(scope="session")
+def scara() -> MadeArm:
+    return MadeArm(4, np.array([False, False, True, False]), (1, 2, 3, 4))
+
+
+def varint(value: int) -> bytes:
+    out = bytearray()
+    while value > 0x7F:
+        out.append(value & 0x7F | 0x80)
+        value >>= 7
+    return bytes([*out, value])
+
+
+class Wire:
+    """Protobuf by hand: `u` an integer field, `d` a double, `m` a message, `packed` packed doubles."""
+
+    @staticmethod
+    def u(field: int, value: int) -> bytes:
+        return varint(field << 3) + varint(value)
+
+    @staticmethod
+    def d(field: int, *values: float) -> bytes:
+        return b"".join(varint(field << 3 | 1) + struct.pack("<d", value) for value in values)
+
+    @staticmethod
+    def m(field: int, *parts: bytes) -> bytes:
+        body = b"".join(parts)
+        return varint(field << 3 | 2) + varint(len(body)) + body
+
+    def packed(self, field: int, *values: float) -> bytes:
+        return self.m(field, struct.pack(f"<{len(values)}d", *values))
+
+    def header(self, seqno: int = 0, tm: int = 0, mtype: int = 2) -> bytes:
+        return self.m(1, self.u(1, seqno), self.u(2, tm), self.u(3, mtype))
+
+    def joints(self, *values: float) -> bytes:
+        return self.d(1, *values)
+
+    def robot(self, joints: bytes, *more: bytes, seqno: int = 0, tm: int = 0, external: bytes = b"") -> bytes:
+        """The least EgmRobot: header and feedback joints; `more` are further fields."""
+        parts = [self.m(1, joints)] + ([self.m(3, external)] if external else [])
+        return self.header(seqno, tm) + self.m(2, *parts) + b"".join(more)
+
+
+@pytest.fixture(scope="session")
+def wire() -> Wire:
+    return Wire()
+
+
+@pytest.fixture(scope="session")
+def vector() -> Callable[[str], bytes]:
+    """Bytes of a message in tests/vectors/egm."""
+    path = Path(__file__).parents[2] / "vectors" / "egm" / "messages.toml"
+    table = loads(path.read_text(encoding="utf-8"))
+    return lambda name: bytes.fromhex(table[name]["hex"])

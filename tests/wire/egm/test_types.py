@@ -1,0 +1,37 @@
+"""The types that cross the border of the codec."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from armlab import robots
+from armlab.wire.egm import EgmCodec
+from armlab.wire.egm.types import DROP_REASONS, Arm, Codec, Drop, Packet, Reference, RobotMessage, SensorMessage
+
+
+def test_a_robot_is_an_arm_and_the_codec_is_a_codec() -> None:
+    arm: Arm = robots.load("yumi_right")
+    codec: Codec = EgmCodec(arm)
+    assert codec.capabilities == {"position", "velocity"}
+    assert arm.abb_axes == (1, 2, 7, 3, 4, 5, 6)
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        Drop("old", "packet 3 after 5"),
+        Reference(np.zeros(1), None, None, 0, 0),
+        RobotMessage(0, 0, np.zeros(1)),
+        SensorMessage(0, None, 3),
+    ],
+)
+def test_values_cannot_be_changed(value: tuple[object, ...]) -> None:
+    with pytest.raises(AttributeError):
+        value.seqno = 1  # type: ignore[attr-defined]
+
+
+def test_reasons_are_words_of_a_fixed_set() -> None:
+    assert len(set(DROP_REASONS)) == len(DROP_REASONS)
+    assert {"unparsable", "no header", "foreign source", "duplicate", "old"} <= set(DROP_REASONS)
+    assert Packet._fields[:2] == ("seqno", "tm_ms")
