@@ -129,8 +129,8 @@ def test_configurations_above_the_limit_are_refused_by_name(yumi: Any) -> None:
     RobotSideCodec(yumi, "7", DEFAULT_ARRAYS)
     with pytest.raises(ConfigError, match=rf"{MAX_BYTES} bytes.*qd_reference, q_reference"):
         RobotSideCodec(yumi, "7", EXTENSION_ARRAYS, force=True, data=20)
-    with pytest.raises(ConfigError, match="Leave out"):
-        RobotSideCodec(yumi, "7", force=True, external=5, data=40)
+    with pytest.raises(ConfigError, match="external axes and the data"):
+        RobotSideCodec(yumi, "7", force=True, external=5, data=60)
 
 
 def test_the_promised_size_is_never_exceeded(yumi: Any) -> None:
