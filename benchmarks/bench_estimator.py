@@ -1,0 +1,85 @@
+"""One step of the contact-force estimator, back to back and paced as in a control loop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+from blocks import Contender, Table, agree, alternate, each, figures
+from identified import PERIOD, WRENCH, log, model, with_masses
+from pinocchio_estimator import PinocchioEstimator
+
+from armlab import robots
+from armlab.contact import Estimator
+from armlab.kernels import _reference
+from armlab.models import TorqueModel
+from armlab.robots import Robot
+from armlab.state import State
+
+ROBOT = "yumi_right"
+
+
+def run(quick: bool) -> list[Table]:
+    """Measure `contact.Estimator.step` beside the same computation made of Pinocchio's pieces, and in NumPy."""
+    robot = robots.load(ROBOT)
+    torque_model = model(robot, seconds=15)
+    states = list(log(robot, 15, seed=4, wrench=WRENCH).states())
+    ours = Estimator(torque_model, robot)
+    pinocchio = PinocchioEstimator(torque_model, robot, with_masses(robot, torque_model.link_parameters), ours.prior)
+    reference = _in_numpy(torque_model, robot)
+    worst = _check(ours, pinocchio, reference, states[:1000])
+
+    def contenders(count: int, period: float) -> list[Contender]:
+        def block(estimator: Any) -> Callable[[], np.ndarray]:
+            return each(estimator.step, states[:count], estimator.reset, period)
+
+        return [
+            Contender("armlab contact.Estimator.step(state)", block(ours), "armlab"),
+            Contender("Pinocchio with NumPy", block(pinocchio), note="rnea, computeFrameJacobian, LAPACK dposv"),
+            Contender("armlab's reference kernel", block(reference), note="plain NumPy"),
+        ]
+
+    what = f"Wrench, covariance and observability of {ROBOT} from one state; forces agree to {worst:.1g} N."
+    tight = f"{what} Steps back to back, each with its own time."
+    paced = f"{what} One step every {1e3 * PERIOD:g} ms and asleep between, as in a control loop: caches have cooled."
+    return [
+        *_tables("Estimator step", tight, contenders(1000, 0.0), 5 if quick else 20),
+        *_tables("Estimator step, paced", paced, contenders(250, PERIOD), 2 if quick else 10),
+    ]
+
+
+def _tables(title: str, text: str, contenders: Sequence[Contender], rounds: int) -> list[Table]:
+    samples = alternate(contenders, rounds)
+    p50 = figures(contenders, samples, np.median)
+    p99 = figures(contenders, samples, lambda block: float(np.percentile(block, 99)))
+    return [
+        Table(f"{title}, p50", f"{text} The middle one of a block.", "µs", p50, rounds),
+        Table(f"{title}, p99", f"{text} The slowest hundredth of a block begins here.", "µs", p99, rounds),
+    ]
+
+
+def _in_numpy(torque_model: TorqueModel, robot: Robot) -> Estimator:
+    """Return the estimator on the reference kernels, which otherwise run only without the extension."""
+    torque = "armlab.models.torque"
+    with (
+        patch(f"{torque}.Chain", _reference.Chain),
+        patch(f"{torque}.WrenchEstimator", _reference.WrenchEstimator),
+    ):
+        return Estimator(replace(torque_model), robot)
+
+
+def _check(ours: Estimator, pinocchio: PinocchioEstimator, reference: Estimator, states: Sequence[State]) -> float:
+    worst = 0.0
+    for state in states:
+        wrench, same = ours.step(state), reference.step(state)
+        F, cov, observability, error, variance = pinocchio.step(state)
+        worst = max(worst, agree("wrench", F, wrench.F, 1e-7), agree("wrench of the reference", same.F, wrench.F, 1e-7))
+        agree("covariance", cov, wrench.cov, 1e-6)
+        agree("covariance of the reference", same.cov, wrench.cov, 1e-6)
+        agree("observability", observability, wrench.observability, 1e-8)
+        agree("torque error", error, wrench.torque_error, 1e-8)
+        agree("torque variance", variance, wrench.torque_variance, 1e-8)
+    return worst

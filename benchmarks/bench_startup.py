@@ -1,0 +1,40 @@
+"""Import times, beyond those of Python and NumPy."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+
+import numpy as np
+from blocks import Contender, Table, table
+
+BAR = 0.030
+PROGRAM = """
+import numpy
+from time import perf_counter
+start = perf_counter()
+import {module}
+print(perf_counter() - start)
+"""
+
+
+def run(quick: bool) -> list[Table]:
+    """Measure ``import armlab`` and ``import armlab.kinematics`` in fresh interpreters, after NumPy."""
+    contenders = [
+        Contender("armlab.kinematics", _importing("armlab.kinematics"), "armlab", BAR),
+        Contender("armlab", _importing("armlab"), "armlab", BAR),
+        Contender("pinocchio", _importing("pinocchio")),
+        Contender("roboticstoolbox", _importing("roboticstoolbox")),
+    ]
+    text = "Time of the import in a fresh interpreter that has NumPy already; files are in the disk cache."
+    return [table("Import", text, "ms", contenders, 3 if quick else 10)]
+
+
+def _importing(module: str) -> Callable[[], np.ndarray]:
+    command = [sys.executable, "-c", PROGRAM.format(module=module)]
+
+    def block() -> np.ndarray:
+        return np.array([float(subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()[-1])])
+
+    return block

@@ -1,0 +1,58 @@
+"""The environment of the benchmarks: armlab, installed as a user would, and its peers. Standard library only."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+HOME = ROOT / ".bench-venv"
+PYTHON = HOME / "bin" / "python"
+STAMP = HOME / ".installed"
+REQUIREMENTS = ROOT / "benchmarks" / "requirements.txt"
+CONSTRAINTS = ROOT / "constraints.txt"
+
+# One thread, and the compiled kernels or an error: never the reference kernels by accident.
+SETTINGS = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "ARMLAB_KERNELS": "native"}
+
+
+def fingerprint() -> str:
+    """Return a hash over everything that decides what is installed."""
+    files = [REQUIREMENTS, CONSTRAINTS, ROOT / "pyproject.toml", ROOT / "CMakeLists.txt"]
+    files += sorted((ROOT / "native").iterdir())
+    files += sorted(p for p in (ROOT / "src").rglob("*") if p.is_file() and p.suffix not in (".pyc", ".so"))
+    digest = hashlib.sha256(sys.version.encode())
+    for file in files:
+        digest.update(str(file.relative_to(ROOT)).encode() + b"\0" + file.read_bytes() + b"\0")
+    return digest.hexdigest()
+
+
+def prepare() -> None:
+    """Make the environment, or bring it up to date when armlab or the list of peers has changed."""
+    wanted = fingerprint()
+    if STAMP.exists() and STAMP.read_text() == wanted:
+        return
+    print(f"Installing armlab and its peers into {HOME.name} (about two minutes the first time).", flush=True)
+    if not PYTHON.exists():
+        subprocess.run([sys.executable, "-m", "venv", str(HOME)], check=True)
+    install = [str(PYTHON), "-m", "pip", "--disable-pip-version-check", "install", "--quiet"]
+    # A build directory of its own: the editable installation in .venv has another.
+    subprocess.run(
+        [*install, "-r", str(REQUIREMENTS), "-C", f"build-dir={HOME / 'build'}", str(ROOT)],
+        check=True,
+        env={**os.environ, "PIP_CONSTRAINT": str(CONSTRAINTS)},
+    )
+    STAMP.write_text(wanted)
+
+
+def enter(script: str, arguments: list[str]) -> None:
+    """Replace this process by the same script in the environment."""
+    os.execve(PYTHON, [str(PYTHON), script, *arguments], {**os.environ, **SETTINGS})
+
+
+def is_inside() -> bool:
+    """Tell whether this process already runs there, with its settings."""
+    return Path(sys.prefix).resolve() == HOME and all(os.environ.get(k) == v for k, v in SETTINGS.items())

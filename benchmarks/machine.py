@@ -1,0 +1,94 @@
+"""What the figures were measured on, what the machine allows at most, and who else was using it."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import platform
+import subprocess
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+
+PACKAGES = ("armlab", "numpy", "scipy", "protobuf", "pin", "roboticstoolbox-python", "ABBRobotEGM")
+
+
+def describe() -> list[str]:
+    """Return the machine line, the versions and the commit, one sentence each."""
+    versions = ", ".join(f"{name} {version(name)}" for name in PACKAGES)
+    return [
+        f"{_cpu()}, {os.cpu_count()} cores, {_memory():.0f} GiB, {platform.system()} {platform.release()}, "
+        f"Python {platform.python_version()}.",
+        f"{versions}.",
+        f"Commit {_commit()}. One thread everywhere.",
+    ]
+
+
+def writer(size: int, fresh: bool) -> Callable[[], None]:
+    """Return a function that writes `size` bytes once as fast as the machine can.
+
+    Parameters
+    ----------
+    fresh : into newly allocated memory, where each page is first given by the kernel; otherwise into memory in use.
+    """
+    if fresh:
+        return lambda: np.empty(size // 8).fill(1.0)
+    memory = np.ones(size // 8)
+
+    def write() -> None:
+        ctypes.memset(memory.ctypes.data, 1, memory.nbytes)
+
+    return write
+
+
+def multiply_add_rate(repeats: int = 5, n: int = 768) -> float:
+    """Return the double-precision operations per second of one core at its best: a product of matrices in cache."""
+    a = np.ones((n, n))
+    out = np.empty_like(a)
+    best = float("inf")
+    for _ in range(repeats):
+        start = perf_counter()
+        np.matmul(a, a, out=out)
+        best = min(best, perf_counter() - start)
+    return 2 * n**3 / best
+
+
+class OtherLoad:
+    """Cores that other processes, and the hypervisor, took while the block ran: ``with OtherLoad() as load: ...``."""
+
+    def __enter__(self) -> OtherLoad:
+        self._start = _clocks()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        busy, own, wall = (now - then for now, then in zip(_clocks(), self._start, strict=True))
+        self.cores = max(0.0, (busy - own) / wall)
+
+
+def _clocks() -> tuple[float, float, float]:
+    """Return seconds of work of all cores since boot, of this process and its children, and of the wall clock."""
+    ticks = [int(word) for word in Path("/proc/stat").read_text().splitlines()[0].split()[1:9]]
+    user, nice, system, _idle, _iowait, irq, softirq, steal = ticks
+    own = os.times()
+    busy = (user + nice + system + irq + softirq + steal) / os.sysconf("SC_CLK_TCK")
+    return busy, sum(own[:4]), own.elapsed
+
+
+def _cpu() -> str:
+    lines = Path("/proc/cpuinfo").read_text().splitlines()
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    family = [line.split(":", 1)[1].strip() for line in lines if line.startswith(("cpu family", "model\t"))]
+    return f"{names[0]} (family {family[0]}, model {family[1]})" if names else platform.machine()
+
+
+def _memory() -> float:
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
+
+
+def _commit() -> str:
+    here = Path(__file__).parent
+    command = ["git", "describe", "--always", "--dirty"]
+    return subprocess.run(command, cwd=here, capture_output=True, text=True, check=False).stdout.strip() or "unknown"

@@ -1,0 +1,91 @@
+"""The report in Markdown: the machine, how it was measured, the bars, and a table per benchmark."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from blocks import Figure, Table
+
+SCALE = {"µs": 1e6, "ms": 1e3}
+
+METHOD = """\
+Contenders run side by side: in short blocks that take turns in random order, in one process, on the same data, after a
+check that they compute the same. A time is the median over the blocks, with the minimum and the quartiles. The ratio is
+that of medians, armlab's time over the contender's: smaller is better. Its range is the quartiles of the ratios of
+blocks of one round. A bar is the largest value that the project allows itself: of that ratio, or of armlab's own time.
+Bold lines are armlab's, lines in italics are limits of the machine.
+"""
+
+
+@dataclass(frozen=True)
+class Section:
+    """The tables of one benchmark, and the cores that other processes used meanwhile."""
+
+    name: str
+    tables: Sequence[Table]
+    other_cores: float
+
+
+def render(date: str, machine: Sequence[str], sections: Sequence[Section], quick: bool = False) -> str:
+    """Return the report.
+
+    Parameters
+    ----------
+    date : as told. machine : sentences. quick : say that the run was too short to judge by.
+    """
+    lines = ["# Benchmarks", "", f"Measured by `make bench`, {date}.", *machine, ""]
+    if quick:
+        lines += ["**A quick run: good for a look, too short to judge by.**", ""]
+    lines += [METHOD, *_bars(sections)]
+    for section in sections:
+        for table in section.tables:
+            lines += _table(table, section)
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _bars(sections: Sequence[Section]) -> list[str]:
+    judged = [(t, f) for section in sections for t in section.tables for f in t.figures if f.bar is not None]
+    if not judged:
+        return []
+    lines = ["## Bars", "", "| benchmark | contender | measured | bar | |", "|---|---|---|---|---|"]
+    for table, figure in judged:
+        if figure.role == "armlab":
+            scale = SCALE[table.unit]
+            measured, bar = (
+                f"{_digits(figure.median * scale)} {table.unit}",
+                f"{_digits(figure.bar * scale)} {table.unit}",
+            )
+        else:
+            measured, bar = _ratio(figure), f"{figure.bar:.3g}"
+        verdict = "met" if figure.is_met else "**missed**"
+        lines.append(f"| {table.title} | {figure.name} | {measured} | {bar} | {verdict} |")
+    return [*lines, ""]
+
+
+def _table(table: Table, section: Section) -> list[str]:
+    noise = f"{table.rounds} rounds; other processes used {section.other_cores:.2f} cores meanwhile."
+    head = f"| | median [{table.unit}] | minimum | quartiles | armlab / it | |"
+    rows = [_row(figure, SCALE[table.unit]) for figure in table.figures]
+    return [f"## {table.title}", "", table.text, "", head, "|---|---|---|---|---|---|", *rows, "", noise, ""]
+
+
+def _row(figure: Figure, scale: float) -> str:
+    median, minimum, lower, upper = (
+        _digits(value * scale) for value in (figure.median, figure.minimum, figure.lower, figure.upper)
+    )
+    name = f"**{figure.name}**" if figure.role == "armlab" else figure.name
+    note = figure.note
+    if figure.role == "limit":
+        name = f"*{figure.name}*"
+        note = "; ".join(filter(None, (note, f"armlab at {100 / figure.ratio:.0f} % of it")))
+    return f"| {name} | {median} | {minimum} | {lower}–{upper} | {_ratio(figure)} | {note} |"
+
+
+def _ratio(figure: Figure) -> str:
+    return f"{_digits(figure.ratio)} ({_digits(figure.ratio_lower)}–{_digits(figure.ratio_upper)})"
+
+
+def _digits(value: float) -> str:
+    """Three digits, never an exponent above one."""
+    return f"{value:.0f}" if value >= 100 else f"{value:.3g}"

@@ -1,0 +1,123 @@
+"""The harness of the benchmarks: its arithmetic, its report, and the form of its files. No clock is judged here."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import re
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+HERE = Path(__file__).parents[2] / "benchmarks"
+FILES = sorted(HERE.glob("*.py"))
+BENCHMARKS = sorted(HERE.glob("bench_*.py"))
+
+
+@pytest.fixture
+def harness(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, ModuleType]]:
+    """The modules that need no peer."""
+    names = ("blocks", "report", "environment")
+    monkeypatch.syspath_prepend(str(HERE))
+    yield {name: importlib.import_module(name) for name in names}
+    for name in names:
+        sys.modules.pop(name, None)
+
+
+def constant(*seconds: float) -> Callable[[], np.ndarray]:
+    rounds = iter(seconds)
+    return lambda: np.array([next(rounds)])
+
+
+def test_contenders_take_turns(harness: dict[str, ModuleType]) -> None:
+    blocks, calls = harness["blocks"], []
+
+    def block(name: str) -> Callable[[], np.ndarray]:
+        return lambda: calls.append(name) or np.array([1.0])
+
+    contenders = [blocks.Contender(name, block(name)) for name in "abc"]
+    samples = blocks.alternate(contenders, rounds=20)
+    rounds = [tuple(calls[k : k + 3]) for k in range(0, len(calls), 3)]
+    assert len(rounds) == 21, "one round to warm up, then the measured ones"
+    assert all(sorted(one) == ["a", "b", "c"] for one in rounds)
+    assert len(set(rounds)) > 3, "the order changes"
+    assert [len(one) for one in samples] == [20, 20, 20]
+
+
+def test_figures_are_medians_and_ratios_of_one_round(harness: dict[str, ModuleType]) -> None:
+    blocks = harness["blocks"]
+    contenders = [
+        blocks.Contender("ours", constant(9.0, 1.0, 2.0, 3.0), "armlab", bar=2.5),
+        blocks.Contender("theirs", constant(9.0, 4.0, 8.0, 12.0), bar=0.2),
+        blocks.Contender("limit", constant(9.0, 1.0, 1.0, 1.0), "limit"),
+    ]
+    ours, theirs, limit = blocks.figures(contenders, blocks.alternate(contenders, rounds=3))
+    assert (ours.median, ours.minimum, ours.lower, ours.upper) == (2.0, 1.0, 1.5, 2.5), "without the warm-up's 9"
+    assert (theirs.ratio, theirs.ratio_lower, theirs.ratio_upper) == (0.25, 0.25, 0.25)
+    assert (ours.is_met, theirs.is_met, limit.is_met) == (True, False, None)
+
+
+def test_each_keeps_every_sample(harness: dict[str, ModuleType]) -> None:
+    begun: list[int] = []
+    seen: list[int] = []
+    block = harness["blocks"].each(seen.append, [1, 2, 3], lambda: begun.append(len(seen)))
+    assert block().shape == (3,)
+    block()
+    assert (seen, begun) == ([1, 2, 3, 1, 2, 3], [0, 3])
+
+
+@pytest.mark.parametrize("got", [[1.0, 2.1], [1.0, np.nan], [1.0]])
+def test_contenders_that_disagree_are_not_timed(harness: dict[str, ModuleType], got: list[float]) -> None:
+    blocks = harness["blocks"]
+    assert blocks.agree("same", [1.0, 2.0 + 1e-12], [1.0, 2.0]) < 1e-11
+    with pytest.raises(blocks.Disagreement, match="poses"):
+        blocks.agree("poses", got, [1.0, 2.0])
+
+
+def test_report_tells_bars_and_noise(harness: dict[str, ModuleType]) -> None:
+    blocks, report = harness["blocks"], harness["report"]
+    contenders = [
+        blocks.Contender("armlab forward", constant(2e-6, 2e-6), "armlab", bar=3e-6),
+        blocks.Contender("Peer", constant(3e-3, 3e-3), bar=0.0005, note="its best"),
+        blocks.Contender("writing", constant(1e-6, 1e-6), "limit"),
+    ]
+    section = report.Section("pose", [blocks.table("One pose", "A pose.", "µs", contenders, rounds=1)], 0.25)
+    text = report.render("2026-01-02", ["A machine."], [section], quick=True)
+    assert "| One pose | armlab forward | 2 µs | 3 µs | met |" in text
+    assert re.search(r"\| One pose \| Peer \| 0\.000667 .*\| 0\.0005 \| \*\*missed\*\* \|", text)
+    assert "| Peer | 3000 | 3000 | 3000–3000 |" in text
+    assert "armlab at 50 % of it" in text
+    assert "other processes used 0.25 cores" in text
+    assert "quick run" in text
+    assert "quick run" not in report.render("2026-01-02", [], [section])
+
+
+def test_environment_follows_what_is_installed(harness: dict[str, ModuleType]) -> None:
+    environment = harness["environment"]
+    assert environment.fingerprint() == environment.fingerprint()
+    assert not environment.is_inside(), "the tests run in another environment"
+
+
+def test_peers_are_pinned_by_name_and_version_only() -> None:
+    lines = [line for line in (HERE / "requirements.txt").read_text().splitlines() if not line.startswith("#")]
+    assert lines
+    assert all(re.fullmatch(r"[\w.-]+==[\w.]+", line) for line in lines)
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+def test_files_are_small_and_documented(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert ast.get_docstring(ast.parse(text))
+    assert len(text.splitlines()) <= 300
+
+
+@pytest.mark.parametrize("path", BENCHMARKS, ids=lambda path: path.name)
+def test_benchmarks_have_one_entry(path: Path) -> None:
+    entries = [n for n in ast.parse(path.read_text(encoding="utf-8")).body if isinstance(n, ast.FunctionDef)]
+    run = next(entry for entry in entries if entry.name == "run")
+    assert [argument.arg for argument in run.args.args] == ["quick"]
+    assert ast.get_docstring(run)
