@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from armlab.errors import ArmlabError
 from armlab.log import Column, Log, Recorder, Table, Tail, Tick
 from armlab.robots import Robot
 from armlab.state import Command, State
@@ -58,7 +57,7 @@ class Recording:
         """
         try:
             self._log.row(state, command, tick)
-        except (ArmlabError, TypeError, ValueError) as error:  # what a controller returned may have any shape
+        except Exception as error:  # what a controller returned may be anything
             if str(error) not in self._told:
                 self._told.add(str(error))
                 self.event(f"A row was kept without its command: {error}")

@@ -1,8 +1,13 @@
-"""How the loop waits for the next packet: block, poll just ahead of it, or poll always."""
+"""How the loop waits for the next packet: block, poll just ahead of it, or poll always.
+
+A cycle that runs once in 4 ms finds cold caches and takes three times as long as one that runs all the time. So a loop
+that polls rehearses first: it does its work on the packet before and throws the result away.
+"""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import Literal
 
 from armlab.bridge.port import Arrival, Port
@@ -59,11 +64,16 @@ class Waiting:
     Parameters
     ----------
     port : where they arrive. mode : "block", "ahead" (sleep, poll around the predicted arrival, block) or "spin".
+
+    Attributes
+    ----------
+    prediction : of the next arrival. rehearse : called shortly before it; must change nothing.
     """
 
     def __init__(self, port: Port, mode: Wait) -> None:
         self._port, self._mode = port, mode
         self.prediction = Prediction()
+        self.rehearse: Callable[[], None] = lambda: None
 
     def next(self, seconds: float) -> Arrival | None:
         """Return the next datagram, or None when none came in the time.
@@ -77,15 +87,20 @@ class Waiting:
             return arrival
         now = time.monotonic_ns()
         end = now + int(1e9 * seconds)
-        if self._mode == "spin":
-            return self._poll(end)
         predicted = self.prediction.next_ns
-        if self._mode == "ahead" and predicted is not None and now < predicted + _AFTER and predicted < end:
-            if predicted - _AHEAD > now:
+        if self._mode != "block" and predicted is not None and now < predicted - _AHEAD < end:
+            if self._mode == "ahead":
                 time.sleep(1e-9 * (predicted - _AHEAD - now))
-            arrival = self._poll(int(predicted) + _AFTER)
+            else:
+                arrival = self._poll(int(predicted - _AHEAD))
+                if arrival is not None:
+                    return arrival
+            self.rehearse()
+            arrival = self._poll(int(predicted + _AFTER))
             if arrival is not None:
                 return arrival
+        if self._mode == "spin":
+            return self._poll(end)
         self._port.wait(1e-9 * (end - time.monotonic_ns()))
         return self._port.receive()
 

@@ -41,10 +41,9 @@ class Lateness:
         self._row = self._row + 1 if late else 0
         self._recent.append((now_ns, late))
         self._recent_late += late
-        full = False
         while self._recent[0][0] < now_ns - _WINDOW:
             self._recent_late -= self._recent.popleft()[1]
-            full = True
+        full = now_ns - self._recent[0][0] > 0.9 * _WINDOW
         if call_ns > _LONGEST_CALL:
             return f"one call took {1e-9 * call_ns:.2f} s, allowed are {1e-9 * _LONGEST_CALL:.2f} s"
         if self._row >= _ROW:

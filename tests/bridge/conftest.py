@@ -1,0 +1,168 @@
+"""A robot's controller in the test: packets one by one, or a UDP peer that plays a script in lockstep."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab import bridge, robots
+from armlab.bridge import Link, Run
+from armlab.bridge.port import Arrival
+from armlab.bridge.session import Sample, Session
+from armlab.robots import Robot
+from armlab.wire.egm import EgmCodec, RobotMessage, RobotSideCodec, SensorMessage
+
+PERIOD_NS = 4_000_000
+START_NS = 1_700_000_000_000_000_000
+PATIENCE = 10.0  # s; only a test that fails waits so long
+
+
+@pytest.fixture(scope="session")
+def robot() -> Robot:
+    return robots.load("yumi_right")
+
+
+class Packets:
+    """The robot's side: messages with their own sequence, one period apart."""
+
+    def __init__(self, robot: Robot, extension: bool = False) -> None:
+        self.robot, self.codec = robot, RobotSideCodec(robot, extension=extension)
+        self.q, self.seq, self.cycle = np.array(robot.q_home), 0, 0
+
+    def message(self, **fields: Any) -> RobotMessage:
+        q = fields.pop("q", self.q)
+        values = {
+            "seqno": self.seq,
+            "tm_ms": 10_000 + 4 * self.cycle,
+            "q": q,
+            "q_planned": q,
+            "robot_ns": START_NS + self.cycle * PERIOD_NS,
+        }
+        message = RobotMessage(**{**values, **fields})
+        self.seq, self.cycle = message.seqno + 1, self.cycle + 1
+        return message
+
+    def __call__(self, **fields: Any) -> bytes:
+        return self.codec.encode_robot(self.message(**fields))
+
+
+@pytest.fixture
+def packets(robot: Robot) -> Packets:
+    return Packets(robot)
+
+
+class Feed:
+    """A session fed without sockets; the arrival clock follows the robot's."""
+
+    def __init__(self, robot: Robot, **options: Any) -> None:
+        self.packets = Packets(robot)
+        self.events: list[str] = []
+        self.session = Session(EgmCodec(robot), on_event=self.events.append, **options)
+        self.now = 1_000_000_000
+
+    def raw(self, data: bytes, port: int = 5000, host: str = "127.0.0.1", after: int = PERIOD_NS) -> Sample | None:
+        self.now += after
+        return self.session.accept(Arrival(data, (host, port), self.now))
+
+    def __call__(self, port: int = 5000, after: int = PERIOD_NS, **fields: Any) -> Sample | None:
+        return self.raw(self.packets(**fields), port, after=after)
+
+    def sample(self, **fields: Any) -> Sample:
+        sample = self(**fields)
+        assert sample is not None
+        return sample
+
+
+@pytest.fixture
+def feed(robot: Robot) -> Feed:
+    return Feed(robot)
+
+
+class Peer:
+    """A robot's controller on a UDP socket. It sends, waits for the one reply, and can look for surplus ones."""
+
+    def __init__(self, robot: Robot, port: int, extension: bool = False) -> None:
+        self.packets = Packets(robot, extension)
+        self.to = ("127.0.0.1", port)
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.bind(("127.0.0.1", 0))
+        self.replies: list[SensorMessage] = []
+
+    def send(self, data: bytes | None = None, **fields: Any) -> None:
+        self.socket.sendto(self.packets(**fields) if data is None else data, self.to)
+
+    def answer(self) -> SensorMessage:
+        self.socket.settimeout(PATIENCE)
+        found = self.packets.codec.decode_sensor(self.socket.recv(65535))
+        assert isinstance(found, SensorMessage), found
+        self.replies.append(found)
+        return found
+
+    def cycle(self, **fields: Any) -> SensorMessage:
+        self.send(**fields)
+        return self.answer()
+
+    def cycles(self, count: int, **fields: Any) -> list[SensorMessage]:
+        return [self.cycle(**fields) for _ in range(count)]
+
+    def surplus(self) -> int:
+        """Datagrams that wait although everything was answered."""
+        self.socket.setblocking(False)
+        for count in range(1000):
+            try:
+                self.socket.recv(65535)
+            except BlockingIOError:
+                return count
+        return 1000
+
+
+class Play:
+    """Runs a link in the main thread while a script plays the robot in another."""
+
+    def __init__(self, robot: Robot) -> None:
+        self.robot = robot
+        self.links: list[Link] = []
+        self.peer: Peer
+
+    def link(self, clock: Any = "robot", **options: Any) -> Link:
+        link = bridge.connect("egm://127.0.0.1:0", self.robot, clock=clock, patience=PATIENCE, **options)
+        self.links.append(link)
+        return link
+
+    def __call__(
+        self, script: Callable[[Peer], None], controller: Any, link: Link | None = None, **options: Any
+    ) -> Run:
+        link = link or self.link()
+        self.peer = Peer(self.robot, link.port)
+        failures: list[BaseException] = []
+
+        def play() -> None:
+            try:
+                script(self.peer)
+            except BaseException as error:
+                failures.append(error)
+
+        thread = threading.Thread(target=play, daemon=True)
+        thread.start()
+        try:
+            return link.run(controller, **options)
+        finally:
+            thread.join(PATIENCE)
+            assert not thread.is_alive()
+            if failures:
+                raise failures[0]
+
+
+@pytest.fixture
+def play(robot: Robot) -> Iterator[Play]:
+    made = Play(robot)
+    yield made
+    for link in made.links:
+        link.close()
+    if hasattr(made, "peer"):
+        made.peer.socket.close()

@@ -1,0 +1,56 @@
+"""Robot time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from armlab.bridge.clock import NOMINAL_PERIOD, Period, RobotClock
+from armlab.wire.egm import EgmCodec
+
+
+def packet(packets: Any, **fields: Any) -> Any:
+    return EgmCodec(packets.robot).decode(packets(**fields))
+
+
+def test_dt_is_feedback_time(packets: Any) -> None:
+    clock = RobotClock()
+    assert clock.step(packet(packets, robot_ns=10**18), 0) is None
+    assert clock.step(packet(packets, robot_ns=10**18 + 4_032_000), 1) == pytest.approx(0.004032)
+    assert clock.step(packet(packets, robot_ns=10**18 + 3 * 4_032_000), 2) == pytest.approx(0.008064)
+
+
+@pytest.mark.parametrize("robot_ns", [10**18 - 1, 10**18, 10**18 + 1_100_000_000, None])
+def test_a_clock_that_was_set_gives_way_to_tm(packets: Any, robot_ns: int | None) -> None:
+    clock = RobotClock()
+    clock.step(packet(packets, robot_ns=10**18, tm_ms=100), 0)
+    assert clock.step(packet(packets, robot_ns=robot_ns, tm_ms=108), 1) == pytest.approx(0.008)
+
+
+def test_tm_wraps_after_seven_weeks(packets: Any) -> None:
+    clock = RobotClock()
+    clock.step(packet(packets, robot_ns=None, tm_ms=2**32 - 2), 0)
+    assert clock.step(packet(packets, robot_ns=None, tm_ms=2), 1) == pytest.approx(0.004)
+
+
+def test_arrival_is_the_last_resort(packets: Any) -> None:
+    clock = RobotClock()
+    clock.step(packet(packets, robot_ns=None, tm_ms=None), 1_000)
+    assert clock.step(packet(packets, robot_ns=None, tm_ms=None), 5_001_000) == pytest.approx(0.005)
+    assert clock.step(packet(packets, robot_ns=None, tm_ms=None), 5_001_000) > 0.0
+
+
+def test_the_period_is_the_robots_not_the_gaps() -> None:
+    period = Period()
+    assert period.seconds == NOMINAL_PERIOD
+    for sample in [0.001, 0.001, 0.02, 0.001, 0.001]:
+        period.add(sample)
+    assert period.seconds == 0.001
+    for _ in range(20):
+        period.add(0.001)
+    period.add(5.0)
+    assert period.seconds <= 0.00102
+    for _ in range(500):
+        period.add(0.0011)
+    assert period.seconds == pytest.approx(0.0011, rel=1e-3)

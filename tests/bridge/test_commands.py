@@ -1,0 +1,58 @@
+"""What a controller returns, checked."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab.bridge.commands import entry_refusal, refusal, wanted
+from armlab.errors import CommandRefused
+from armlab.robots import Robot
+from armlab.state import Command
+
+ABLE = frozenset(("position", "velocity"))
+
+
+def test_references_pass(robot: Robot) -> None:
+    q, qd = wanted(Command([0.0] * 7, np.ones(7, dtype=np.float32)), robot, ABLE)  # type: ignore[arg-type]
+    assert q is not None
+    assert qd is not None
+    assert (q.dtype, qd.dtype) == (np.float64, np.float64)
+    assert wanted(Command(), robot, ABLE) == (None, None)
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ([0.0] * 7, "got list"),
+        (Command(np.zeros(6)), r"shape \(7,\).*got \(6,\)"),
+        (Command(qd=np.zeros((1, 7))), r"Command.qd.*got \(1, 7\)"),
+        (Command(0.5), r"got \(\)"),  # type: ignore[arg-type]
+        (Command(["a"] * 7), "7 numbers in Command.q"),  # type: ignore[arg-type]
+        (Command({}), "7 numbers"),  # type: ignore[arg-type]
+        (Command(tau=np.zeros(7)), "can carry position, velocity only"),
+    ],
+)
+def test_what_is_no_reference_is_refused(robot: Robot, command: Any, words: str) -> None:
+    with pytest.raises(CommandRefused, match=words):
+        wanted(command, robot, ABLE)
+
+
+def test_the_sentence_names_joint_and_values(robot: Robot) -> None:
+    q = np.zeros(7)
+    q[2] = np.nan
+    assert f"q = nan for joint 3 ({robot.joint_names[2]})" in refusal(3, q, None, np.zeros(7), robot)
+    q[2] = 57.3
+    sentence = refusal(-3, q, None, np.zeros(7), robot)
+    assert "57.3" in sentence
+    assert "degrees" in sentence
+
+
+def test_entry(robot: Robot) -> None:
+    held, entry = np.zeros(7), np.full(7, 0.05)
+    assert entry_refusal(held + 0.05, held, entry, robot) == ""
+    far = held.copy()
+    far[[1, 4]] = [0.06, -0.5]
+    assert f"-0.5000 for joint 5 ({robot.joint_names[4]})" in entry_refusal(far, held, entry, robot)

@@ -1,0 +1,75 @@
+"""Garbage collection, thread switches, priority."""
+
+from __future__ import annotations
+
+import gc
+import os
+import sys
+import threading
+
+import pytest
+
+from armlab.bridge.conditions import (
+    GUARD_PRIORITY,
+    LOOP_PRIORITY,
+    collect_if_due,
+    priority,
+    quiet_memory,
+    short_switches,
+)
+
+
+def test_the_collector_sleeps_and_wakes() -> None:
+    assert gc.isenabled()
+
+    def fail() -> None:
+        with quiet_memory():
+            assert not gc.isenabled()
+            assert gc.get_freeze_count() > 0
+            raise RuntimeError("anything")
+
+    with pytest.raises(RuntimeError, match="anything"):
+        fail()
+    assert gc.isenabled()
+    assert gc.get_freeze_count() == 0
+
+
+def test_a_collector_that_was_off_stays_off() -> None:
+    gc.disable()
+    try:
+        with quiet_memory():
+            pass
+        assert not gc.isenabled()
+    finally:
+        gc.enable()
+
+
+def test_young_garbage_is_collected_when_there_is_much() -> None:
+    with quiet_memory():
+        kept = [[] for _ in range(2000)]
+        assert gc.get_count()[0] > 700
+        collect_if_due()
+        assert gc.get_count()[0] < 700
+        assert len(kept) == 2000
+
+
+def test_switches_are_short_inside() -> None:
+    before = sys.getswitchinterval()
+    with short_switches():
+        assert sys.getswitchinterval() == pytest.approx(5e-4)
+    assert sys.getswitchinterval() == before
+
+
+def test_priority_is_raised_or_told_and_given_back() -> None:
+    before, told, inherited = os.sched_getscheduler(0), [], []
+    assert GUARD_PRIORITY > LOOP_PRIORITY
+    with priority(LOOP_PRIORITY, told.append) as raised:
+        assert raised == (not told)
+        if raised:
+            assert os.sched_getparam(0).sched_priority == LOOP_PRIORITY
+        thread = threading.Thread(target=lambda: inherited.append(os.sched_getscheduler(0)))
+        thread.start()
+        thread.join()
+    assert os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == before
+    assert inherited == [before]
+    assert all("rtprio" in sentence for sentence in told)

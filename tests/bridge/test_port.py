@@ -1,0 +1,86 @@
+"""The socket."""
+
+from __future__ import annotations
+
+import socket
+import subprocess
+import sys
+import time
+
+import pytest
+
+from armlab.bridge.port import Arrival, Port, holder
+from armlab.errors import LinkError
+
+
+def test_send_and_receive() -> None:
+    one, two = Port("127.0.0.1", 0), Port("127.0.0.1", 0)
+    assert one.receive() is None
+    assert not one.wait(0.0)
+    before = time.monotonic_ns()
+    assert two.send(b"abc", (one.host, one.port))
+    assert one.wait(5.0)
+    arrival = one.receive()
+    assert isinstance(arrival, Arrival)
+    assert (arrival.data, arrival.source) == (b"abc", (two.host, two.port))
+    assert before - 1_000_000 <= arrival.ns <= time.monotonic_ns()
+    one.close()
+    two.close()
+
+
+def test_the_stamp_is_the_arrival_not_the_reading() -> None:
+    port = Port("127.0.0.1", 0)
+    port.send(b"", (port.host, port.port))
+    assert port.wait(5.0)
+    reading = time.monotonic_ns()
+    time.sleep(0.01)
+    arrival = port.receive()
+    assert arrival is not None
+    assert arrival.ns < reading + 1_000_000
+    port.close()
+
+
+def test_flush() -> None:
+    port = Port("127.0.0.1", 0)
+    for _ in range(5):
+        port.send(b"old", (port.host, port.port))
+    assert port.wait(5.0)
+    port.flush()
+    assert port.receive() is None
+    port.close()
+
+
+def test_errors_are_counted_not_raised() -> None:
+    port = Port("127.0.0.1", 0)
+    assert not port.send(b"x" * 70_000, ("127.0.0.1", port.port))
+    assert port.errors == 1
+    port.close()
+
+
+def test_a_port_in_use_names_its_holder() -> None:
+    code = (
+        "import socket, sys; s = socket.socket(socket.AF_INET, socket.SOCK_DGRAM); s.bind(('127.0.0.1', 0)); "
+        "print(s.getsockname()[1], flush=True); sys.stdin.read()"
+    )
+    command = [sys.executable, "-c", code]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout is not None
+        number = int(other.stdout.readline())
+        with pytest.raises(
+            LinkError, match=rf"127.0.0.1:{number} .* in use by process {other.pid} \(.*python.*End that"
+        ):
+            Port("127.0.0.1", number)
+        assert str(other.pid) in holder(number)
+
+
+def test_nobody_holds_a_free_port() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        number = free.getsockname()[1]
+    assert holder(number) == ""
+
+
+@pytest.mark.parametrize("host", ["203.0.113.7", "no such host"])
+def test_an_address_of_another_computer(host: str) -> None:
+    with pytest.raises(LinkError, match=f"Expected a local address to listen on, got {host}:6510"):
+        Port(host, 6510)

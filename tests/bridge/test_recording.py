@@ -1,0 +1,52 @@
+"""Rows and events of a run, in memory and in a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab import log
+from armlab.bridge.recording import Recording
+from armlab.log import Column, Tick
+from armlab.robots import Robot
+from armlab.state import Command, State
+
+
+def row(robot: Robot, k: int) -> tuple[State, Tick]:
+    q = robot.q_home + 0.001 * k
+    state = State(0.02 * k, 0.02, q, 0 * q, 0 * q, seq=k, robot_ns=10**18 + 20_000_000 * k)
+    return state, Tick(k, k, 10**18 + 20_000_000 * k, 1, 2, 3)
+
+
+@pytest.mark.parametrize("in_file", [False, True])
+def test_rows_and_events(robot: Robot, tmp_path: Path, in_file: bool) -> None:
+    path = tmp_path / "run.mcap" if in_file else None
+    recording = Recording(robot, path, {"grip": Column(unit="N")}, wait=True, clock=lambda: 5)
+    for k in range(1000):
+        state, tick = row(robot, k)
+        recording.row(state, Command(state.q, record={"grip": float(k)}), tick)
+    recording.event("Something happened.")
+    tail = recording.tail()
+    assert recording.close({"rows asked": 1000}) == []
+    table = recording.table()
+    assert len(table) == 1000
+    np.testing.assert_array_equal(table["grip"], np.arange(1000.0))
+    assert len(tail) == 501
+    np.testing.assert_array_equal(tail["seq"], np.arange(499, 1000))
+    assert list(recording.events) == [(5, "Something happened.")]
+    assert recording.path == path
+    if path is not None:
+        assert len(log.read(path)) == 1000
+
+
+def test_a_command_of_any_shape_does_not_stop_the_rows(robot: Robot) -> None:
+    recording = Recording(robot, None, None, wait=False, clock=lambda: 0)
+    odd: list[Any] = [Command(np.zeros(3)), Command(q="up"), "no command", None]  # type: ignore[arg-type]
+    for k, command in enumerate(odd):
+        state, tick = row(robot, k)
+        recording.row(state, command, tick)
+    assert len(recording.table()) == len(odd)
+    assert any("without its command" in text for _, text in recording.events)

@@ -1,0 +1,97 @@
+"""Ends that come from outside the controller."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from armlab.bridge.limits import Limits
+from armlab.bridge.port import Port
+from armlab.bridge.states import Guide, Mode
+from armlab.bridge.supervision import Settings, Supervisor, check_list
+from armlab.errors import LinkError, NoRobot, SessionEnded
+from armlab.robots import Robot
+
+
+class Bench:
+    """A supervisor over a session that can be given packets."""
+
+    def __init__(self, feed: Any, robot: Robot, **settings: Any) -> None:
+        self.port = Port("127.0.0.1", 0)
+        self.guide = Guide(robot, Limits.of(robot))
+        self.told: list[str] = []
+        self.feed, feed.now = feed, time.monotonic_ns()
+        self.supervisor = Supervisor(self.port, feed.session, self.guide, Settings(**settings), self.told.append)
+
+    def packet(self) -> None:
+        self.guide.observe(self.feed.sample(after=0))
+
+    def look(self, silent_for: float) -> None:
+        """Look as if the last packet had come so many seconds ago."""
+        heard = time.monotonic_ns() - int(1e9 * silent_for)
+        if self.feed.session._last is not None:
+            self.feed.session._last = self.feed.session._last._replace(arrival_ns=heard)
+        self.supervisor.look(heard)
+        self.port.close()
+
+
+def test_patience_ends_with_no_robot_and_a_check_list(feed: Any, robot: Robot) -> None:
+    bench = Bench(feed, robot, patience=7.0)
+    feed.raw(b"noise", after=0)
+    bench.look(7.1)
+    assert bench.guide.mode is Mode.ENDED
+    failure = bench.guide.failure
+    assert isinstance(failure, NoRobot)
+    for words in ("within 7 s", "1 unparsable", f"127.0.0.1:{bench.port.port}", "this computer only", "firewall"):
+        assert words in str(failure)
+
+
+def test_the_check_list_is_told_before(feed: Any, robot: Robot) -> None:
+    bench = Bench(feed, robot, patience=30.0)
+    bench.look(5.5)
+    bench.look(5.6)
+    assert bench.told == [f"No packet yet. {check_list(bench.port)}"]
+    assert bench.guide.mode is Mode.WAITING
+
+
+def test_silence_ends_the_session_and_waits(feed: Any, robot: Robot) -> None:
+    bench = Bench(feed, robot)
+    bench.packet()
+    bench.look(0.4)
+    assert feed.session.active
+    bench.look(0.6)
+    assert not feed.session.active
+    assert bench.guide.mode is Mode.WAITING
+
+
+def test_silence_ends_the_run_when_asked(feed: Any, robot: Robot) -> None:
+    bench = Bench(feed, robot, resume=False)
+    bench.packet()
+    bench.look(0.6)
+    assert (bench.guide.mode, bench.guide.reason) == (Mode.ENDED, "the controller stopped sending")
+
+
+def test_no_other_session_is_an_error(feed: Any, robot: Robot) -> None:
+    bench = Bench(feed, robot, patience=3.0)
+    bench.packet()
+    bench.look(3.5)
+    assert isinstance(bench.guide.failure, SessionEnded)
+    assert "the controller stopped sending" in str(bench.guide.failure)
+
+
+def test_a_robot_that_ended_ends_the_run(feed: Any, robot: Robot) -> None:
+    bench = Bench(feed, robot, alive=lambda: "the simulated robot ended")
+    bench.packet()
+    bench.look(0.0)
+    assert (bench.guide.mode, bench.guide.reason) == (Mode.ENDED, "the simulated robot ended")
+    assert bench.guide.failure is None
+
+
+def test_a_robot_that_died_is_an_error(feed: Any, robot: Robot) -> None:
+    def alive() -> str:
+        raise LinkError("Expected the simulator to go on, but it ended with status 2.")
+
+    bench = Bench(feed, robot, alive=alive)
+    bench.look(0.0)
+    assert "status 2" in str(bench.guide.failure)
+    assert bench.guide.mode is Mode.ENDED
