@@ -10,7 +10,7 @@ from typing import Any
 
 from armlab.errors import LogError
 from armlab.log.formats import check_readable
-from armlab.log.mcap_decode import messages
+from armlab.log.mcap_decode import message_counts, messages
 from armlab.log.mcap_records import DAMAGE, Contents, contents
 from armlab.log.reading import opened
 from armlab.wire import cdr
@@ -78,7 +78,7 @@ def inspect(path: str | Path) -> Inspection:
                 finished=found.finished,
                 torn=found.torn,
                 metadata=found.metadata,
-                topics=_topics(found),
+                topics=_topics(view, found),
                 events=_events(view, found),
                 attachments=attachments,
                 summary=_summary(attachments),
@@ -89,11 +89,8 @@ def inspect(path: str | Path) -> Inspection:
             raise LogError(f"Expected a whole MCAP file at {path}, got a damaged one ({error}).") from None
 
 
-def _topics(found: Contents) -> tuple[Topic, ...]:
-    counts = dict.fromkeys(found.channels, 0)
-    for chunk in found.chunks:
-        for number, (start, stop) in chunk.indexes.items():
-            counts[number] = counts.get(number, 0) + (stop - start) // 16
+def _topics(view: memoryview, found: Contents) -> tuple[Topic, ...]:
+    counts = message_counts(view, found)
     return tuple(Topic(channel.topic, channel.type, counts[number]) for number, channel in found.channels.items())
 
 

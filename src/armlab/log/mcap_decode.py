@@ -7,7 +7,8 @@ are the same hold their numbers in the same places, so those of a whole chunk ar
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -19,7 +20,7 @@ from armlab.log.mcap_records import DAMAGE, MESSAGE, Contents, records
 from armlab.log.mcap_variants import MessageReader, Values, assembled, decode_block, split
 from armlab.wire import cdr
 
-__all__ = ["Decoded", "decode", "messages"]
+__all__ = ["Decoded", "decode", "message_counts", "messages"]
 
 _PREFIX = np.dtype(
     [("kind", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log", "<i8"), ("publish", "<i8")]
@@ -75,11 +76,13 @@ def decode(
             raise LogError(f"Expected messages in cdr on {channel.topic}, got {channel.encoding!r}.")
         types = cdr.definitions(channel.type, channel.schema)
         readers[number] = MessageReader(channel.type, types, frozenset(paths))
-    chunks = [chunk for chunk in found.chunks if not chunk.indexes or chunk.indexes.keys() & readers.keys()]
+    chunks = [chunk for chunk in found.chunks if not found.indexed or chunk.indexes.keys() & readers.keys()]
     parts: dict[int, list[_Part]] = {number: [] for number in wanted}
     damage: list[str] = []
     with ThreadPoolExecutor(2) as pool:  # decompression, checksums and copies release the interpreter lock
-        for decoded, lost in pool.map(lambda batch: _decode_batch(view, batch, readers), _batches(chunks)):
+        for decoded, lost in pool.map(
+            lambda batch: _decode_batch(view, batch, readers, found.indexed), _batches(chunks)
+        ):
             damage += lost
             for number, part in decoded.items():
                 parts[number].append(part)
@@ -92,7 +95,7 @@ def decode(
 def messages(view: memoryview, found: Contents, channel: int) -> Iterator[tuple[int, int, bytes]]:
     """Yield (sequence, log time, message) of one channel; damaged chunks are left out."""
     for chunk in found.chunks:
-        if chunk.indexes and channel not in chunk.indexes:
+        if found.indexed and channel not in chunk.indexes:
             continue
         try:
             data = unpacked(view, chunk)
@@ -103,6 +106,21 @@ def messages(view: memoryview, found: Contents, channel: int) -> Iterator[tuple[
                 number, sequence, log, _ = struct.unpack_from("<HIQQ", data, start)
                 if number == channel:
                     yield sequence, log, data[start + 22 : stop]
+
+
+def message_counts(view: memoryview, found: Contents) -> Counter[int]:
+    """Return how many messages that can be read each channel has."""
+    counts: Counter[int] = Counter()
+    for chunk in found.chunks:
+        if found.indexed:
+            counts.update({number: (stop - start) // 16 for number, (start, stop) in chunk.indexes.items()})
+            continue
+        try:
+            walked = _walked(unpacked(view, chunk), found.channels)
+        except LogError:
+            continue
+        counts.update({number: len(offsets) for number, offsets in walked.items()})
+    return counts
 
 
 def _batches(chunks: Sequence[Chunk]) -> Iterator[list[Chunk]]:
@@ -117,9 +135,12 @@ def _batches(chunks: Sequence[Chunk]) -> Iterator[list[Chunk]]:
 
 
 def _decode_batch(
-    view: memoryview, chunks: Sequence[Chunk], readers: Mapping[int, MessageReader]
+    view: memoryview, chunks: Sequence[Chunk], readers: Mapping[int, MessageReader], indexed: bool
 ) -> tuple[dict[int, _Part], list[str]]:
-    """Decode several chunks as if they were one; damaged ones are left out and named."""
+    """Decode several chunks as if they were one; damaged ones are left out and named.
+
+    Without whole indexes, or where one is wrong, the records are walked.
+    """
     pieces: list[bytes] = []
     whole: list[tuple[int, Chunk]] = []
     at, damage = 0, []
@@ -133,13 +154,17 @@ def _decode_batch(
         at += len(pieces[-1])
     data = b"".join(pieces)
     raw = np.frombuffer(data, dtype=np.uint8)
+    offsets = {}
+    for number in readers if indexed else ():
+        found = [_indexed(view, chunk, number) + at for at, chunk in whole]
+        offsets[number] = np.concatenate(found) if found else _NO_OFFSETS
+        indexed = indexed and _are_messages(raw, offsets[number], number)
+    if not indexed:
+        offsets = _walked(data, readers)
     parts = {}
     for number, reader in readers.items():
         try:
-            offsets = np.concatenate([_indexed(view, chunk, number) + at for at, chunk in whole] or [_NO_OFFSETS])
-            if not all(chunk.indexes for _, chunk in whole) or not _are_messages(raw, offsets, number):
-                offsets = _walked(data, number)
-            parts[number] = _decode_messages(raw, offsets, reader)
+            parts[number] = _decode_messages(raw, offsets[number], reader)
         except DAMAGE as error:
             damage.append(f"messages of type {reader.type} skipped: {error}")
     return parts, damage
@@ -150,7 +175,7 @@ def _indexed(view: memoryview, chunk: Chunk, number: int) -> np.ndarray:
     start, stop = chunk.indexes.get(number, (0, 0))
     if not start:
         return _NO_OFFSETS
-    return np.frombuffer(view[start : stop - (stop - start) % 16], dtype="<i8")[1::2]
+    return np.frombuffer(view[start:stop], dtype="<i8")[1::2]
 
 
 def _are_messages(raw: np.ndarray, offsets: np.ndarray, number: int) -> bool:
@@ -165,14 +190,15 @@ def _are_messages(raw: np.ndarray, offsets: np.ndarray, number: int) -> bool:
     return bool((fits & (prefix["kind"] == MESSAGE) & (prefix["channel"] == number)).all())
 
 
-def _walked(data: bytes, number: int) -> np.ndarray:
-    """Return where the messages of a channel begin by walking the records."""
-    starts = [
-        start - 9
-        for kind, start, stop in records(memoryview(data), 0, len(data))
-        if kind == MESSAGE and stop - start >= 22 and struct.unpack_from("<H", data, start)[0] == number
-    ]
-    return np.array(starts, dtype=np.int64)
+def _walked(data: bytes, numbers: Collection[int]) -> dict[int, np.ndarray]:
+    """Return where the messages of some channels begin by walking the records."""
+    found: dict[int, list[int]] = {number: [] for number in numbers}
+    for kind, start, stop in records(memoryview(data), 0, len(data)):
+        if kind == MESSAGE and stop - start >= 22:
+            number = data[start] | data[start + 1] << 8
+            if number in found:
+                found[number].append(start - 9)
+    return {number: np.array(starts, dtype=np.int64) for number, starts in found.items()}
 
 
 def _decode_loose(

@@ -50,12 +50,14 @@ class Contents:
     Attributes
     ----------
     finished : the file ends with a footer. torn : bytes after the last whole record.
+    indexed : the summary is whole, so the indexes of the chunks name every message.
     profile, library : of the header.
     channels, chunks, attachments, metadata : by channel number; in order; in order; by name.
     loose : places [start, stop) of messages outside chunks.
     """
 
     finished: bool = False
+    indexed: bool = False
     torn: int = 0
     profile: str = ""
     library: str = ""
@@ -102,7 +104,7 @@ def _by_summary(view: memoryview) -> Contents | None:
     start, _, crc = struct.unpack_from("<QQI", view, end + 9)
     if not (0 < start < end) or not crc or zlib.crc32(view[start : end + 9 + 16]) != crc:
         return None
-    found = Contents(finished=True)
+    found = Contents(finished=True, indexed=True)
     chunk_count = None
     for kind, body, stop in records(view, start, end):
         if kind in (SCHEMA, CHANNEL):
@@ -210,7 +212,9 @@ def _indexed_chunk(view: memoryview, body: int) -> Chunk:
     chunk = _chunk(view, start + 9, start + length)
     for at in range(body + 36, body + 36 + size, 10):
         channel, place = struct.unpack_from("<HQ", view, at)
-        (entries,) = struct.unpack_from("<I", view, place + 9 + 2)
+        kind, length, _, entries = struct.unpack_from("<BQHI", view, place)
+        if kind != MESSAGE_INDEX or entries + 6 != length or entries % 16:
+            raise LogError(f"Expected an index of messages at byte {place}, got a record of kind {kind}.")
         chunk.indexes[channel] = (place + 15, place + 15 + entries)
     return chunk
 

@@ -134,7 +134,12 @@ def _read_mcap(
             values[name] = array
     described = {name: sources[name].column for name in values}
     table = recording_table(values, described, rows.log_ns, raw=raw)
-    return table.select(*(name for name in wanted if name in table)) if columns is not None else table, damage
+    if columns is None:
+        return table, damage
+    empty = [name for name in wanted if name not in table]
+    if empty:
+        raise LogError(f"Expected values of {', '.join(empty)} in {path}, got none in {len(table)} rows.")
+    return table.select(*wanted), damage
 
 
 def _clock_channel(found: Contents, path: Path, robot: str | None) -> int:

@@ -276,7 +276,7 @@ def missing_rows(array: np.ndarray) -> np.ndarray:
     """Return the mask (N,) of rows with a NaN or, in text, an empty value."""
     if array.dtype.kind not in "fU" or not array.size:
         return np.zeros(len(array), dtype=bool)
-    holes = np.isnan(array) if array.dtype.kind == "f" else np.equal(array, "")
+    holes = np.isnan(array) if array.dtype.kind == "f" else np.asarray(array == "")
     return holes.reshape(len(array), -1).any(axis=1)
 
 

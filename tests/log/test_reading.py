@@ -1,0 +1,207 @@
+"""`read`: what was recorded comes back, and nothing else."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from armlab.errors import LogError, UnknownName
+from armlab.log import Recorder, Tick, read
+from armlab.log.reading import Source, opened, torn_sentence
+from armlab.robots import Robot
+from armlab.state import Command, State
+
+
+def test_every_column_comes_back_bit_for_bit(recording: Callable[..., Path], rows: Callable) -> None:
+    count = 600  # more than two chunks
+    table = read(recording(count))
+    samples = [rows(i) for i in range(count)]
+    expected = {
+        name: np.array([getattr(state, name) for state, _, _ in samples])
+        for name in ("q", "qd", "tau", "seq", "missed", "q_planned", "wrench_raw", "motors", "mci", "rapid")
+    }
+    expected |= {"q_ref": np.array([c.q for _, c, _ in samples]), "qd_ref": np.array([c.qd for _, c, _ in samples])}
+    for name in ("fext", "mode", "wrench_hat", "wrench_hat_cov"):
+        expected[name] = np.array([command.record[name] for _, command, _ in samples])
+    for name in ("q_sent", "qd_sent", "clamped", "seq_sent", "send_ns", "receive_ns", "step_ns", "late", "drops"):
+        expected[name] = np.array([getattr(tick, name) for _, _, tick in samples])
+    expected |= {
+        name: np.array([getattr(s, name) for s, _, _ in samples]) for name in ("dt", "utilization", "converged")
+    }
+    for name, array in expected.items():
+        assert np.array_equal(table[name], array), name
+    poses = np.array([state.T_frame_tool for state, _, _ in samples])
+    assert table["T_frame_tool"] == pytest.approx(poses, abs=1e-14)
+    assert table.clock == "robot"
+    assert table.t0_ns == samples[0][2].stamp_ns
+    assert np.array_equal(table.t, np.arange(count) * 4_032_000 / 1e9)
+    assert table.columns["mode"].kind == "count"
+    assert table.columns["fext"].frame == "base"
+    assert table.columns["q"].labels == ("axis_1", "axis_2", "axis_7", "axis_3", "axis_4", "axis_5", "axis_6")
+    assert table["late"].dtype == bool
+    assert table.notes == ()
+    assert table.source[0].startswith("run.mcap sha256 ")
+
+
+def test_states_of_a_recording_are_those_of_the_run(recording: Callable[..., Path], rows: Callable) -> None:
+    states = list(read(recording(20)).states())
+    for i, state in enumerate(states):
+        live, _, _ = rows(i)
+        for name in ("t", "dt", "seq", "missed", "session", "motors", "mci", "rapid", "converged", "utilization"):
+            assert getattr(state, name) == getattr(live, name), name
+        assert (state.qd_source, state.tau_source, state.robot_ns) == ("measured", "measured", live.robot_ns)
+        assert np.array_equal(state.tau, live.tau)
+        assert np.all(np.isnan(state.wrench))
+        if i:
+            assert np.array_equal(state.q_sent, rows(i - 1)[2].q_sent)
+            assert np.array_equal(state.clamped, rows(i - 1)[2].clamped)
+
+
+def test_absent_data_have_no_column(tmp_path: Path, robot: Robot) -> None:
+    with Recorder(tmp_path / "bare.mcap", robot) as recorder:
+        for i in range(30):
+            state = State(i * 0.004, 0.004, q=np.ones(7), qd=np.zeros(7), tau=np.full(7, np.nan), robot_ns=0)
+            recorder.row(state, None, Tick(i, -1, 10**18 + i * 4_000_000, 0, -1, 0))
+    table = read(recorder.path)
+    assert table.names[:2] == ("q", "qd")
+    for name in ("tau", "q_ref", "q_sent", "seq_sent", "send_ns", "robot_ns", "wrench_hat", "T_frame_tool", "clamped"):
+        assert name not in table
+    assert np.all(table["qd"] == 0.0)
+    assert np.allclose(table.t, np.arange(30) * 0.004)
+
+
+def test_values_given_in_some_rows_only_are_nan_in_the_others(tmp_path: Path, robot: Robot, rows: Callable) -> None:
+    with Recorder(tmp_path / "some.mcap", robot) as recorder:
+        for i in range(50):
+            state, command, tick = rows(i)
+            command = Command(record={"wrench_hat": command.record["wrench_hat"]}) if i % 5 == 0 else None
+            tau = np.full(7, np.nan) if i < 10 else state.tau
+            recorder.row(State(state.t, state.dt, state.q, state.qd, tau, robot_ns=state.robot_ns), command, tick)
+    table = read(recorder.path)
+    given = np.arange(50) % 5 == 0
+    assert np.all(np.isnan(table["wrench_hat"][~given]))
+    assert np.array_equal(table["wrench_hat"][10], rows(10)[1].record["wrench_hat"])
+    assert np.all(np.isnan(table["wrench_hat"]).any(axis=1) == ~given)
+    assert table.missing()["tau"] == (10, tuple(range(10)))
+    assert "wrench_hat_cov" not in table
+
+
+def test_some_columns_only(recording: Callable[..., Path]) -> None:
+    path = recording(100)
+    whole = read(path)
+    part = read(path, ["tau", "fext"])
+    assert part.names == ("tau", "fext")
+    assert np.array_equal(part["tau"], whole["tau"])
+    assert np.array_equal(part.t, whole.t)
+    with pytest.raises(UnknownName, match=r"'torque'\. Known: .*fext"):
+        read(path, ["torque"])
+    with pytest.raises(LogError, match=r"Expected values of wrench in .*got none in 100 rows"):
+        read(path, ["q", "wrench"])
+    with pytest.raises(UnknownName, match="yumi_right"):
+        read(path, robot="yumi_left")
+    assert read(path, robot="yumi_right").sha256 == whole.sha256
+
+
+def test_rows_out_of_time_order_are_dropped_counted_and_reachable(tmp_path: Path, robot: Robot) -> None:
+    """A clock that was set back while recording: session time and stamps repeat too."""
+    times = [0, 1, 2, 2, 1, 3, 4]
+    with Recorder(tmp_path / "back.mcap", robot) as recorder:
+        for i, time in enumerate(times):
+            state = State(time * 0.004, 0.004, np.full(7, float(i)), np.zeros(7), np.zeros(7))
+            recorder.row(state, None, Tick(i, i, 10**18 + time * 4_000_000, 1, 1, 0))
+    with pytest.warns(UserWarning, match="2 rows dropped.*rows 3, 4"):
+        table = read(recorder.path)
+    assert np.array_equal(table["q"][:, 0], [0, 1, 2, 5, 6])
+    assert "2 rows dropped" in table.notes[0]
+    raw = read(recorder.path, raw=True)
+    assert np.array_equal(raw["q"][:, 0], np.arange(7))
+    assert np.all(np.diff(raw.t) > 0)
+
+
+def test_an_unfinished_file_is_read_with_one_warning(recording: Callable[..., Path], tmp_path: Path) -> None:
+    whole = recording(600)
+    data = whole.read_bytes()
+    torn = tmp_path / "torn.mcap"
+    torn.write_bytes(data[: len(data) // 2])
+    with pytest.warns(UserWarning, match="torn.mcap was not finished: recovered 250 rows.*armlab log recover") as told:
+        table = read(torn)
+    assert len(told) == 1
+    assert np.array_equal(table["q"], read(whole)["q"][:250])
+    assert "bytes torn" in table.notes[0]
+    assert torn.read_bytes() == data[: len(data) // 2]
+
+
+def test_a_damaged_chunk_costs_its_rows_only(recording: Callable[..., Path], tmp_path: Path) -> None:
+    whole = recording(600)
+    data = bytearray(whole.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    damaged = tmp_path / "damaged.mcap"
+    damaged.write_bytes(data)
+    with pytest.warns(UserWarning, match="chunk at byte .* skipped"):
+        table = read(damaged)
+    assert len(table) == 350
+    kept = np.isin(read(whole)["seq"], table["seq"])
+    assert np.array_equal(table["q"], read(whole)["q"][kept])
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"", "empty file"),
+        (b"\x89HDF\r\n\x1a\n" + b"\0" * 90, "format HDF5"),
+        (b"t,q1\n0,1\n", "format text"),
+        (b"\x00\x01\x02", "format unknown .*00 01 02"),
+        (b"\x89MCAP0\r\n", "without columns; topics: none"),
+        (b"\x89MCAP0\r\n" + b"\x01" + (2**60).to_bytes(8, "little"), "without columns"),
+    ],
+)
+def test_foreign_and_damaged_files_are_refused_in_a_sentence(tmp_path: Path, data: bytes, message: str) -> None:
+    path = tmp_path / "strange"
+    path.write_bytes(data)
+    with pytest.raises(LogError, match=message) as caught:
+        read(path)
+    assert str(caught.value).endswith(".")
+    assert "strange" in str(caught.value)
+
+
+def test_missing_files_and_folders_are_refused(tmp_path: Path) -> None:
+    for path in (tmp_path / "none.mcap", tmp_path):
+        with pytest.raises(LogError, match="Expected a log at"):
+            read(path)
+    with pytest.raises(LogError, match="Expected a log at"), opened(tmp_path / "none.mcap"):
+        pass
+
+
+def test_a_file_of_another_program_lists_its_topics(tmp_path: Path) -> None:
+    from mcap.writer import Writer
+
+    path = tmp_path / "other.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+        channel = writer.register_channel("/chatter", "cdr", schema)
+        writer.add_message(channel, 1, b"\0\1\0\0\1\0\0\0\0", 1)
+        writer.finish()
+    with pytest.raises(LogError, match=r"/chatter \(std_msgs/msg/String\)"):
+        read(path)
+
+
+def test_an_empty_recording_is_an_empty_table(tmp_path: Path, robot: Robot) -> None:
+    with Recorder(tmp_path / "none.mcap", robot) as recorder:
+        pass
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert len(read(recorder.path)) == 0
+
+
+def test_sources_and_sentences(recording: Callable[..., Path]) -> None:
+    from armlab.log.mcap_records import Contents
+
+    path = recording(3)
+    assert Source(1, ("position",), read(path).columns["q"], None, "").fields == ("position",)
+    assert "0 rows" in torn_sentence(path, Contents(torn=5), read(path).rows(slice(0, 0)))
