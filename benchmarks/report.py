@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from blocks import Figure, Table
 
 SCALE = {"µs": 1e6, "ms": 1e3}
+SHARED = 0.1  # cores; above it the report warns
 
 METHOD = """\
 Contenders run side by side: in short blocks that take turns in random order, in one process, on the same data, after a
@@ -37,6 +38,13 @@ def render(date: str, machine: Sequence[str], sections: Sequence[Section], quick
     lines = ["# Benchmarks", "", f"Measured by `make bench`, {date}.", *machine, ""]
     if quick:
         lines += ["**A quick run: good for a look, too short to judge by.**", ""]
+    others = max((section.other_cores for section in sections), default=0.0)
+    if others > SHARED:
+        lines += [
+            f"**The machine was shared:** other processes used up to {others:.1f} cores, so that times are longer and "
+            "scatter more than on a quiet one. Each table tells how much it was meanwhile.",
+            "",
+        ]
     lines += [METHOD, *_bars(sections)]
     for section in sections:
         for table in section.tables:

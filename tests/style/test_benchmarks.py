@@ -92,8 +92,11 @@ def test_report_tells_bars_and_noise(harness: dict[str, ModuleType]) -> None:
     assert "| Peer | 3000 | 3000 | 3000–3000 |" in text
     assert "armlab at 50 % of it" in text
     assert "other processes used 0.25 cores" in text
+    assert "The machine was shared" in text
     assert "quick run" in text
-    assert "quick run" not in report.render("2026-01-02", [], [section])
+    quiet = report.render("2026-01-02", [], [report.Section("pose", section.tables, 0.02)])
+    assert "quick run" not in quiet
+    assert "shared" not in quiet
 
 
 def test_environment_follows_what_is_installed(harness: dict[str, ModuleType]) -> None:
