@@ -1,0 +1,94 @@
+"""Sphinx extension: the docstrings of armlab, NumPy sections whose entries say shape, unit and frame in words.
+
+``name : (N, n) what it is [rad].`` is prose after the colon, not a type, so nothing of it is looked up as one.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+from sphinx.application import Sphinx
+
+SECTIONS = ("Parameters", "Returns", "Yields", "Raises", "Attributes", "Notes", "Examples", "References")
+WITH_ENTRIES = ("Parameters", "Raises", "Attributes")
+LITERAL = re.compile(r"(``.*?``|`.*?`)")
+ENTRY = re.compile(r"(\S.*?) : (.*)")
+NEXT_ENTRY = re.compile(r"(?<=\.) (?=[\w, *]+ : )")  # several short entries may share a line
+
+
+class _Pair(NamedTuple):
+    """A tuple whose field is of the type that Python gives to fields of named tuples."""
+
+    field: int
+
+
+TUPLE_FIELD = type(_Pair.__dict__["field"])
+
+
+def sections(lines: list[str]) -> Iterator[tuple[str, list[str]]]:
+    """Yield (title, lines) of a docstring; what stands before the first title has the title ""."""
+    title, body = "", []
+    for line, below in zip(lines, [*lines[1:], ""]):
+        if line in SECTIONS and below and not below.strip("-"):
+            yield title, body
+            title, body = line, []
+        elif body or line.strip("-"):  # not the ruler under a title
+            body.append(line)
+    yield title, body
+
+
+def entries(body: list[str]) -> Iterator[tuple[str, list[str]]]:
+    """Yield (names, description) of a section; a line that starts no entry goes on with the one before."""
+    name, text = "", []
+    body = [part for line in body for part in (NEXT_ENTRY.split(line) if line[:1].strip() else [line])]
+    for line, below in zip(body, [*body[1:], ""]):
+        match = ENTRY.fullmatch(line)
+        alone = bool(line) and not line[0].isspace() and not match and below.startswith(" ")
+        if match or alone:
+            if name:
+                yield name, text
+            name, text = (match[1], [match[2]]) if match else (line, [])
+        else:
+            text.append(line.strip())
+    if name:
+        yield name, text
+
+
+def escaped(line: str) -> str:
+    """Return a line in which bars are bars, not substitutions."""
+    parts = LITERAL.split(line)
+    return "".join(part if k % 2 else part.replace("|", r"\|") for k, part in enumerate(parts))
+
+
+def prose(lines: list[str]) -> list[str]:
+    """Escape what is not a literal block: those are indented."""
+    return [line if line.startswith("  ") else escaped(line) for line in lines]
+
+
+def rewrite(_app: Sphinx, _what: str, _name: str, _thing: Any, _options: Any, lines: list[str]) -> None:
+    """Turn one docstring into reStructuredText, in place."""
+    result: list[str] = []
+    for title, body in sections(lines):
+        if title:
+            result += ["", f".. rubric:: {title}", ""]
+        if title in WITH_ENTRIES:
+            for name, text in entries(body):
+                first, *others = text or [""]
+                result += [f"* ``{name}``: {escaped(first)}", *(f"  {escaped(line)}" for line in others)]
+        else:
+            result += prose(body)
+    lines[:] = result
+
+
+def skip(_app: Sphinx, _what: str, _name: str, thing: Any, is_skipped: bool, _options: Any) -> bool | None:
+    """Leave out the fields of named tuples: the section Attributes has them with more than a number."""
+    return True if isinstance(thing, TUPLE_FIELD) else None
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Connect to autodoc."""
+    app.connect("autodoc-process-docstring", rewrite)
+    app.connect("autodoc-skip-member", skip)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

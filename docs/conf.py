@@ -1,0 +1,30 @@
+"""Sphinx configuration. `make docs` builds offline; warnings are errors."""
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent / "_ext"))
+
+import armlab
+
+project = "armlab"
+author = "The armlab authors"
+copyright = author
+version = release = armlab.__version__
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "mathml", "plain_docstrings"]
+exclude_patterns = ["_build"]
+default_role = "literal"
+myst_enable_extensions = ["dollarmath", "deflist"]
+myst_heading_anchors = 3
+
+html_theme = "furo"
+html_title = f"armlab {version}"
+html_static_path = ["_static"]
+html_css_files = ["armlab.css"]
+html_math_renderer = "mathml"
+html_show_sourcelink = False
+html_copy_source = False
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "none"  # shapes, units and frames stand in the docstrings; annotations repeat less than that

@@ -1,0 +1,36 @@
+"""Read a recording, choose rows and columns, derive one more, draw it.
+
+Runs after 02_move_a_simulated_arm.py, which leaves sine.mcap.
+"""
+
+import numpy as np
+
+from armlab import log, plots, signals
+from armlab.log import Column, Table
+
+
+def main() -> None:
+    table = log.read("sine.mcap")
+    print(table["q"].shape, table.units["q"], "joints", table.columns["q"].labels)
+
+    moving = table.between(1.0, 5.0).select("q", "qd", "q_sent")  # seconds, half open; a view
+    print(moving.describe())
+
+    error = table["q_sent"] - table["q"]  # missing values are NaN and stay NaN
+    table = table.with_column("tracking_error", error, unit="rad")
+    worst = np.nanargmax(np.abs(error[:, -1]))
+    print(f"largest tracking error {np.rad2deg(error[worst, -1]):.2f} deg at t = {table.t[worst]:.2f} s")
+
+    slope = signals.central_diff(table["q"], table.t)  # on the true time stamps
+    print("measured velocity against slope of the position, RMS [rad/s]:", np.std(table["qd"] - slope, axis=0).round(5))
+
+    figure = plots.table(table, "q", "q_sent", "tau", "tracking_error")
+    figure.savefig("sine.png", dpi=120)
+    print("figure: sine.png")
+
+    mine = Table(table.t, {"q": table["q"], "grip": np.sin(table.t)}, {"grip": Column(unit="N")})
+    print(mine.resample(500.0))
+
+
+if __name__ == "__main__":
+    main()

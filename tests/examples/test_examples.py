@@ -1,0 +1,70 @@
+"""Every example runs as a reader would run it, alone in a process, and prints something."""
+
+from __future__ import annotations
+
+import ast
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+EXAMPLES = {path.name: path for path in sorted((ROOT / "examples").glob("*.py"))}
+NEEDS = {  # example -> the one whose files it reads, and one of these files
+    "04_contact_force.py": ("03_identify.py", "model.toml"),
+    "05_look_at_a_log.py": ("02_move_a_simulated_arm.py", "sine.mcap"),
+}
+LONG = ("03_identify.py", "04_contact_force.py")
+LONGEST = 120  # s, generous for a busy machine; each takes less than 30 s on a quiet one
+MAX_LINES = 40
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("examples")
+
+
+def run(name: str, folder: Path) -> str:
+    """Run an example and return what it printed."""
+    if name in NEEDS and not (folder / NEEDS[name][1]).exists():
+        run(NEEDS[name][0], folder)
+    environment = {**os.environ, "MPLBACKEND": "agg", "PYTHONWARNINGS": "error"}
+    if os.environ.get("ARMLAB_KERNELS") == "reference":  # it says so in a warning
+        environment["PYTHONWARNINGS"] = "default"
+    done = subprocess.run(
+        [sys.executable, EXAMPLES[name]],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=LONGEST,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow if n in LONG else ()) for n in EXAMPLES])
+def test_example_runs(name: str, folder: Path) -> None:
+    printed = run(name, folder)
+    assert printed.strip()
+    assert "nan" not in printed.lower()
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_example_is_short_and_says_what_it_does(name: str) -> None:
+    text = EXAMPLES[name].read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= MAX_LINES
+    assert ast.get_docstring(ast.parse(text))
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_example_is_on_a_page(name: str) -> None:
+    pages = "".join(page.read_text(encoding="utf-8") for page in (ROOT / "docs").rglob("*.md"))
+    assert f"examples/{name}" in pages, "show it with literalinclude"
+
+
+def test_numbers_have_no_holes() -> None:
+    numbers = [int(name[:2]) for name in EXAMPLES]
+    assert numbers == list(range(1, len(EXAMPLES) + 1))

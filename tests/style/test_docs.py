@@ -1,0 +1,149 @@
+"""The documentation builds without warnings, and its pages ask nobody outside for anything."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+import armlab
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+OUTSIDE = re.compile(r"(?:https?:)?//\w")
+IN_STYLES = re.compile(r"(?:url\(\s*|@import\s+)[\"']?\s*((?:https?:)?//[^\"')]+)")
+IN_SCRIPTS = re.compile(r"(?:fetch|import|importScripts|open|src\s*=|href\s*=)\s*\(?\s*[\"'`]((?:https?:)?//[^\"'`]+)")
+LINKS_THAT_LOAD = {
+    "stylesheet",
+    "preload",
+    "prefetch",
+    "modulepreload",
+    "icon",
+    "shortcut",
+    "dns-prefetch",
+    "preconnect",
+}
+
+
+class Requests(HTMLParser):
+    """Collects the outside addresses that a browser would ask for by itself; links to click are none."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.found: list[str] = []
+        self._inside = ""
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        values = {name: value or "" for name, value in attrs}
+        self._inside = tag if tag in ("style", "script") else ""
+        loads = tag != "link" or set(values.get("rel", "").split()) & LINKS_THAT_LOAD
+        names = ["src", "srcset", "data", "poster", *(["href"] if tag in ("link", "use", "image") else [])]
+        self.found += [values[name] for name in names if loads and OUTSIDE.match(values.get(name, "").strip())]
+        self.found += IN_STYLES.findall(values.get("style", ""))
+
+    def handle_endtag(self, tag: str) -> None:
+        self._inside = ""
+
+    def handle_data(self, data: str) -> None:
+        pattern = {"style": IN_STYLES, "script": IN_SCRIPTS}.get(self._inside)
+        self.found += pattern.findall(data) if pattern else []
+
+
+def outside_requests(name: str, text: str) -> list[str]:
+    """Return the outside addresses that a page, a style sheet or a script asks for."""
+    if name.endswith(".css"):
+        return IN_STYLES.findall(text)
+    if name.endswith(".js"):
+        return IN_SCRIPTS.findall(text)
+    page = Requests()
+    page.feed(text)
+    return page.found
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("html")
+    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html"]
+    done = subprocess.run(
+        [*command, "-d", folder / "doctrees", DOCS, folder / "html"], capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0, done.stderr
+    return folder / "html"
+
+
+@pytest.mark.slow
+def test_the_pages_ask_nobody_outside(built: Path) -> None:
+    files = [path for path in built.rglob("*") if path.suffix in (".html", ".css", ".js")]
+    assert len([path for path in files if path.suffix == ".html"]) > 25
+    asked = {
+        str(path.relative_to(built)): found
+        for path in files
+        if (found := outside_requests(path.name, path.read_text(encoding="utf-8")))
+    }
+    assert not asked
+
+
+@pytest.mark.slow
+def test_equations_are_mathml(built: Path) -> None:
+    page = (built / "theory" / "contact_force.html").read_text(encoding="utf-8")
+    assert page.count("<math") > 20
+    assert "$" not in re.sub(r"<(script|pre|code)\b.*?</\1>", "", page, flags=re.S)
+
+
+@pytest.mark.slow
+def test_every_package_is_in_the_reference(built: Path) -> None:
+    packages = [name for name in armlab.__all__ if isinstance(getattr(armlab, name), ModuleType)]
+    reference = "".join(path.read_text(encoding="utf-8") for path in (built / "reference").glob("*.html"))
+    missing = [name for name in packages if f'id="armlab.{name}.' not in reference]
+    assert not missing
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "count"),
+    [
+        ("a.html", '<script src="https://cdn.example/x.js"></script>', 1),
+        ("a.html", '<link rel="stylesheet" href="//fonts.example/f.css"><img src="http://x.example/a.png">', 2),
+        ("a.html", '<link rel="canonical" href="https://x.example"><a href="https://x.example">read</a>', 0),
+        ("a.html", '<style>@import "https://x.example/a.css";</style><script>fetch("https://x.example")</script>', 2),
+        ("a.html", '<svg xmlns="http://www.w3.org/2000/svg"></svg><img src="_images/a.png">', 0),
+        (
+            "a.css",
+            "a { src: url('https://x.example/f.woff2') } b { background: url(data:image/png;base64,A) }",
+            1,
+        ),
+        ("a.js", 'import("https://x.example/m.js"); // see https://x.example/docs', 1),
+    ],
+)
+def test_the_search_sees_what_a_browser_would_load(name: str, text: str, count: int) -> None:
+    assert len(outside_requests(name, text)) == count
+
+
+def test_commands_of_the_reference_are_those_of_the_program() -> None:
+    from armlab.cli import build_app
+
+    page = (DOCS / "reference" / "commands.md").read_text(encoding="utf-8")
+    documented = set(re.findall(r"`armlab (\w+)", page))
+    assert documented == {name for name in build_app() if not name.startswith("-")}
+
+
+def test_readme_names_commands_that_exist() -> None:
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    for page in ("README.md", "CONTRIBUTING.md", "docs/quick_start.md"):
+        text = (ROOT / page).read_text(encoding="utf-8")
+        targets = set(re.findall(r"\bmake (\w+)", text))
+        assert targets
+        for target in targets:
+            assert re.search(rf"^{target}:", makefile, flags=re.M), f"{page}: make {target}"
+
+
+def test_links_between_files_outside_the_pages_hold() -> None:
+    """Sphinx checks the pages; these files are read on their own."""
+    for page in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md"):
+        text = (ROOT / page).read_text(encoding="utf-8")
+        for link in re.findall(r"\]\((?!https?:)([^)#]+)", text):
+            assert (ROOT / link).exists(), f"{page}: {link}"
