@@ -125,7 +125,7 @@ class Loop:
     def answer_for_controller(self) -> None:
         """Hold for the packet whose reply is overdue and for newer ones until the controller returns. For the guard."""
         if self._taken:
-            self._port.wait(_NAP)
+            time.sleep(_NAP)  # not port.wait: only the loop's own thread may wait on the port
         with self._lock:
             if not self._calling:
                 return

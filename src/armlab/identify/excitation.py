@@ -22,7 +22,7 @@ from armlab.state import Command, State
 __all__ = ["Trajectory", "dither", "excitation", "sequence"]
 
 RAMP = 2.0  # s, blend at each end
-LONGEST_STEP = 0.02  # s that a controller's clock moves at once
+LONGEST_STEP = 0.006  # s that a controller's clock moves at once: 1.5 periods, as far as the bridge lets a reference move
 CANDIDATES = 60
 
 
@@ -47,7 +47,7 @@ class Trajectory:
     def controller(self, approach: float = 4.0) -> Callable[[State], Command]:
         """Return a controller that walks from where the arm stands to the start, then runs the motion.
 
-        Its clock follows the robot's, but never by more than 20 ms at once: after lost packets the motion goes on
+        Its clock follows the robot's, but never by more than 6 ms at once: after lost packets the motion goes on
         where it was, without a jump. It starts again in each session.
 
         Parameters
