@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import threading
+import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -92,12 +94,13 @@ class Peer:
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.bind(("127.0.0.1", 0))
         self.replies: list[SensorMessage] = []
+        self.over = threading.Event()
 
     def send(self, data: bytes | None = None, **fields: Any) -> None:
         self.socket.sendto(self.packets(**fields) if data is None else data, self.to)
 
-    def answer(self) -> SensorMessage:
-        self.socket.settimeout(PATIENCE)
+    def answer(self, patience: float = PATIENCE) -> SensorMessage:
+        self.socket.settimeout(patience)
         found = self.packets.codec.decode_sensor(self.socket.recv(65535))
         assert isinstance(found, SensorMessage), found
         self.replies.append(found)
@@ -109,6 +112,24 @@ class Peer:
 
     def cycles(self, count: int, **fields: Any) -> list[SensorMessage]:
         return [self.cycle(**fields) for _ in range(count)]
+
+    def begin(self) -> None:
+        """Send until the bridge listens: it throws away what came before."""
+        while True:
+            self.send()
+            with contextlib.suppress(TimeoutError):
+                self.answer(0.05)
+                return
+
+    def rest(self, pause: float = 0.0) -> None:
+        """Go on until the run has ended; its last packet has no answer."""
+        while not self.over.is_set():
+            self.send()
+            while not self.over.is_set():
+                with contextlib.suppress(TimeoutError):
+                    self.answer(0.02)
+                    break
+            time.sleep(pause)
 
     def surplus(self) -> int:
         """Datagrams that wait although everything was answered."""
@@ -127,7 +148,11 @@ class Play:
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
         self.links: list[Link] = []
-        self.peer: Peer
+        self.peers: list[Peer] = []
+
+    @property
+    def peer(self) -> Peer:
+        return self.peers[-1]
 
     def link(self, clock: Any = "robot", **options: Any) -> Link:
         link = bridge.connect("egm://127.0.0.1:0", self.robot, clock=clock, patience=PATIENCE, **options)
@@ -138,7 +163,7 @@ class Play:
         self, script: Callable[[Peer], None], controller: Any, link: Link | None = None, **options: Any
     ) -> Run:
         link = link or self.link()
-        self.peer = Peer(self.robot, link.port)
+        self.peers.append(Peer(self.robot, link.port))
         failures: list[BaseException] = []
 
         def play() -> None:
@@ -152,6 +177,7 @@ class Play:
         try:
             return link.run(controller, **options)
         finally:
+            self.peer.over.set()
             thread.join(PATIENCE)
             assert not thread.is_alive()
             if failures:
@@ -164,5 +190,5 @@ def play(robot: Robot) -> Iterator[Play]:
     yield made
     for link in made.links:
         link.close()
-    if hasattr(made, "peer"):
-        made.peer.socket.close()
+    for peer in made.peers:
+        peer.socket.close()
