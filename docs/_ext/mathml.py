@@ -5,6 +5,8 @@ The conversion is the one that docutils uses in its own HTML writer.
 
 from __future__ import annotations
 
+import re
+
 from docutils import nodes
 from docutils.utils.math import latex2mathml
 from sphinx.application import Sphinx
@@ -13,6 +15,8 @@ from sphinx.writers.html5 import HTML5Translator
 
 logger = logging.getLogger(__name__)
 
+BELOW_ACCENT = re.compile(r'<munderover>(?:(?!</munderover>).)*<mo stretchy="false">', re.DOTALL)
+
 
 def mathml(node: nodes.Node, block: bool) -> str:
     """Return an equation as MathML; what docutils does not understand is a warning, so an error of the build.
@@ -20,10 +24,13 @@ def mathml(node: nodes.Node, block: bool) -> str:
     Browsers without a font for mathematics lose the dot of an accent that is marked as one; the style sheet places it.
     """
     try:
-        return latex2mathml.tex2mathml(node.astext(), as_block=block).replace('accent="true"', 'class="accent"')
+        result = latex2mathml.tex2mathml(node.astext(), as_block=block)
     except SyntaxError as error:
         logger.warning("equation cannot be written as MathML: %s", error, location=node)
         return ""
+    if BELOW_ACCENT.search(result):
+        logger.warning("a subscript after an accent lands below the letter: %s", node.astext(), location=node)
+    return result.replace('accent="true"', 'class="accent"')
 
 
 def visit_math(translator: HTML5Translator, node: nodes.math) -> None:

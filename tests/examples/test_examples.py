@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -27,14 +28,18 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(name: str, folder: Path) -> str:
-    """Run an example and return what it printed."""
+    """Run an example, after the one that it needs, and return what it printed."""
     if name in NEEDS and not (folder / NEEDS[name][1]).exists():
         run(NEEDS[name][0], folder)
+    return run_file(EXAMPLES[name], folder)
+
+
+def run_file(path: Path, folder: Path) -> str:
     environment = {**os.environ, "MPLBACKEND": "agg", "PYTHONWARNINGS": "error"}
     if os.environ.get("ARMLAB_KERNELS") == "reference":  # it says so in a warning
         environment["PYTHONWARNINGS"] = "default"
     done = subprocess.run(
-        [sys.executable, EXAMPLES[name]],
+        [sys.executable, path],
         cwd=folder,
         env=environment,
         capture_output=True,
@@ -50,6 +55,21 @@ def test_example_runs(name: str, folder: Path) -> None:
     printed = run(name, folder)
     assert printed.strip()
     assert "nan" not in printed.lower()
+
+
+@pytest.mark.slow
+def test_the_program_of_the_readme_runs(folder: Path) -> None:
+    """As it stands there, but in lockstep and for two seconds."""
+    program = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+    assert program
+    text = program[1].replace("sim://yumi_right", "sim://yumi_right?lockstep=true").replace("seconds=10", "seconds=2")
+    assert "lockstep" in text
+    assert "seconds=2" in text
+    if not (folder / "model.toml").exists():
+        run("03_identify.py", folder)
+    path = folder / "readme.py"
+    path.write_text(text, encoding="utf-8")
+    assert "the time is up" in run_file(path, folder)
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
