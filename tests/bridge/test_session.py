@@ -33,7 +33,8 @@ def test_lost_packets_are_counted_and_dt_grows(feed: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("seqno", "reason"), [(7, "duplicate"), (6, "old"), ((7 - 2**31 + 1) % 2**32, "old"), (7 + 2**31, "old")]
+    ("seqno", "reason"),
+    [(7, "duplicate"), (6, "old"), ((7 - 2**31 + 1) % 2**32, "old"), (7 + 2**31, "old"), (7 + 2**30, "old")],
 )
 def test_duplicates_and_old_packets_are_dropped(feed: Any, seqno: int, reason: str) -> None:
     feed(seqno=7)

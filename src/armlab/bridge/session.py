@@ -16,7 +16,7 @@ from armlab.wire.egm import Codec, Drop, Packet
 __all__ = ["Sample", "Session"]
 
 _SEQUENCES = 2**32
-_OLD = 2**31
+_FAR = 2**16  # packets ahead: less than 2**31 of them do not fit into the silence that ends a session
 _FILTER = 30.0  # Hz, of velocities from differences
 _SILENT_PERIODS = 5  # of the old source, before another port of the same host may begin a session
 _OWN_SILENCE = 150_000_000  # ns without a reply: shorter than any CommTimeout in use
@@ -150,7 +150,7 @@ class Session:
             return Drop("duplicate", "the first packet of the session again") if same_tm else -1
         if ahead == 0:
             return Drop("duplicate", f"packet {packet.seqno} again")
-        if ahead >= _OLD:
+        if ahead > _FAR:
             return Drop("old", f"packet {packet.seqno} after {last.seqno}")
         return ahead - 1
 

@@ -1,0 +1,246 @@
+"""`connect`, `Link`, and whole runs with the simulated robot."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab import bridge, log
+from armlab.bridge import Limits
+from armlab.bridge.link import Link, connect
+from armlab.errors import ConfigError, LinkError, NoRobot, UnknownName
+from armlab.robots import Robot
+from armlab.state import Command, State
+
+
+def sway(state: State) -> Command:
+    return Command(state.q_start + 0.05 * np.sin(3.0 * state.t) * np.ones(7))
+
+
+@pytest.mark.parametrize(
+    ("url", "words"),
+    [
+        ("http://x", "egm://127.0.0.1:6510 or sim://"),
+        ("egm://", "egm://127.0.0.1:6510 or sim://"),
+        ("egm://127.0.0.1:port", "port from 0 to 65535"),
+        ("egm://127.0.0.1:99999", "port from 0 to 65535"),
+        ("egm://127.0.0.1:0?seed=1", "no options in an egm link, got seed"),
+    ],
+)
+def test_wrong_links(robot: Robot, url: str, words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        connect(url, robot)
+
+
+def test_wrong_options(robot: Robot) -> None:
+    with pytest.raises(UnknownName, match="codec"):
+        connect("egm://127.0.0.1:0", robot, codec="egmri")
+    with pytest.raises(ConfigError, match="clock"):
+        connect("egm://127.0.0.1:0", robot, clock="atomic")  # type: ignore[arg-type]
+    with connect("egm://127.0.0.1:0", robot) as link:
+        for options in ({"wait": "sleep"}, {"reconnect": "never"}, {"torque": "admittance"}):
+            with pytest.raises(ConfigError, match=next(iter(options))):
+                link.run(sway, **options)  # type: ignore[arg-type]
+
+
+def test_the_default_port_is_on_this_computer_only(robot: Robot) -> None:
+    with connect("egm://127.0.0.1:0", robot) as link:
+        assert isinstance(link, Link)
+        assert link.host == "127.0.0.1"
+        assert link.port > 0
+
+
+def test_a_port_in_use(robot: Robot) -> None:
+    with (
+        connect("egm://127.0.0.1:0", robot) as first,
+        pytest.raises(LinkError, match=rf"{first.port} .* in use by") as e,
+    ):
+        connect(f"egm://127.0.0.1:{first.port}", robot)
+    assert str(os.getpid()) in str(e.value)
+
+
+def test_the_port_is_free_after_the_link(robot: Robot) -> None:
+    with connect("egm://127.0.0.1:0", robot) as link:
+        number = link.port
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as again:
+        again.bind(("127.0.0.1", number))
+
+
+def test_no_robot(robot: Robot) -> None:
+    with (
+        connect("egm://127.0.0.1:0", robot, patience=0.1) as link,
+        pytest.raises(NoRobot, match=str(link.port)) as caught,
+    ):
+        link.run(sway)
+    assert len(caught.value.table) == 0
+
+
+def test_a_linear_joint_without_a_unit_may_only_be_listened_to(robot: Robot) -> None:
+    prismatic = robot.prismatic.copy()
+    prismatic[0] = True
+    scara = replace(robot, prismatic=prismatic)
+    with connect("egm://127.0.0.1:0", scara) as link, pytest.raises(ConfigError, match=r"cannot\. Listen only"):
+        link.run(sway)
+
+
+def test_another_codec(play: Any, robot: Robot) -> None:
+    """A site's own interface: an object with the methods of the protocol."""
+    from armlab.wire.egm import EgmCodec
+
+    class Counting(EgmCodec):
+        decoded = 0
+
+        def decode(self, data: bytes) -> Any:
+            self.decoded += 1
+            return super().decode(data)
+
+    codec = Counting(robot)
+    run = play(lambda peer: peer.rest(), sway, play.link(codec=codec), seconds=0.1)
+    assert codec.decoded >= run.statistics["packets"]
+
+
+def test_two_runs_on_one_link(play: Any) -> None:
+    link = play.link()
+    first = play(lambda peer: peer.rest(), sway, link, seconds=0.1)
+    second = play(lambda peer: peer.rest(), sway, link, seconds=0.1)
+    assert first.reason == second.reason == "the time is up"
+    np.testing.assert_array_equal(first.table["q_sent"][:30], second.table["q_sent"][:30])
+
+
+def test_own_limits(play: Any, robot: Robot) -> None:
+    limits = Limits.of(robot, speed=0.01)
+    run = play(lambda peer: peer.rest(), sway, limits=limits, seconds=0.2)
+    assert np.abs(run.table["qd_sent"]).max() <= 0.01 * robot.qd_max.max() + 1e-9
+    assert run.statistics["worst_ratio"] < 0.5
+
+
+def test_seconds_count_from_readiness(play: Any) -> None:
+    def script(peer: Any) -> None:
+        peer.cycles(100, mci=2)
+        peer.rest()
+
+    run = play(script, sway, seconds=0.2)
+    assert run.statistics["packets"] > 250
+    running = np.isfinite(run.table["q_ref"][:, 0])
+    assert not running[:100].any()
+    assert running.sum() == pytest.approx(51, abs=1)
+
+
+def test_a_session_that_ends_ends_the_run_when_asked(play: Any) -> None:
+    link = play.link(clock="wall")
+
+    def script(peer: Any) -> None:
+        peer.begin()
+        peer.cycles(20)
+        peer.cycle(motors=2)
+
+    run = play(script, sway, link, reconnect="stop", wait="block")
+    assert run.reason == "the motors were switched off"
+
+
+def test_ctrl_c_stops_the_arm_first_and_completes_the_log(play: Any, tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+
+    def controller(state: State) -> Command:
+        if state.seq == 50:
+            signal.raise_signal(signal.SIGINT)
+        return sway(state)
+
+    before = signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt):
+        play(lambda peer: peer.rest(), controller, record=path)
+    assert signal.getsignal(signal.SIGINT) is before
+    table = log.read(path)
+    np.testing.assert_array_equal(table["seq"], np.arange(len(table)))
+    assert len(table) > 50 + 0.5 / 0.004
+    np.testing.assert_array_equal(table["qd_sent"][-1], 0.0)
+
+
+def test_a_second_ctrl_c_raises_at_once(play: Any) -> None:
+    def controller(state: State) -> Command:
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+        raise AssertionError("not reached")
+
+    with pytest.raises(KeyboardInterrupt):
+        play(lambda peer: peer.rest(), controller)
+
+
+def test_the_simulated_robot_in_lockstep_is_repeatable(robot: Robot) -> None:
+    tables = []
+    for _ in range(2):
+        with bridge.connect("sim://yumi_right?lockstep=true&seed=4", robot) as link:
+            tables.append(link.run(sway, seconds=1.0).table)
+    one, two = tables
+    for name in ("q", "qd", "tau", "q_sent", "qd_sent", "robot_ns", "seq"):
+        np.testing.assert_array_equal(one[name], two[name])
+    assert np.isfinite(one["tau"]).all()
+    assert one["q"].std(axis=0).min() > 0.01
+
+
+def test_two_runs_of_the_simulated_robot(robot: Robot) -> None:
+    with bridge.connect("sim://yumi_right?lockstep=true", robot) as link:
+        first, second = (link.run(sway, seconds=0.5) for _ in range(2))
+    assert first.reason == second.reason
+    assert second.statistics["replies"] == second.statistics["packets"]
+
+
+def test_a_simulator_that_dies_early_is_quoted(robot: Robot) -> None:
+    url = "sim://yumi_right?operator=no_such_file.csv"
+    with bridge.connect(url, robot) as link, pytest.raises(LinkError, match=r"armlab sim.*status.*no_such_file.csv"):
+        link.run(sway, seconds=1.0)
+
+
+@pytest.mark.parametrize("fault", ["loss=0.1", "duplicate=0.5", "reorder=0.1", "corrupt=0.1"])
+def test_faults_on_the_way_leave_the_arm_within_limits(robot: Robot, fault: str) -> None:
+    with bridge.connect(f"sim://yumi_right?lockstep=true&seed=2&{fault}", robot) as link:
+        run = link.run(sway, seconds=1.0)
+    table = run.table
+    assert run.reason == "the time is up"
+    sent = table["q_sent"][np.isfinite(table["q_sent"]).all(axis=1)]
+    assert np.abs(np.diff(sent, axis=0)).max() <= robot.qd_max.max() * 1.5 * 0.004032
+    assert run.statistics["replies"] + run.statistics["overtaken"] == run.statistics["packets"] == len(table)
+
+
+_PROGRAM = """
+import sys
+from armlab import bridge, robots
+from armlab.state import Command
+robot = robots.load("yumi_right")
+def controller(state):
+    if state.t > 0.3 and not told:
+        told.append(1)
+        print("running", flush=True)
+    return Command(qd=0.1 + 0.0 * state.q)
+told = []
+with bridge.connect("sim://yumi_right", robot) as link:
+    try:
+        link.run(controller, record=sys.argv[1])
+    except KeyboardInterrupt:
+        print("stopped", flush=True)
+"""
+
+
+def test_ctrl_c_in_real_time(tmp_path: Path) -> None:
+    """A program of its own, interrupted from outside: the log is complete, the arm at rest, the simulator gone."""
+    path = tmp_path / "run.mcap"
+    command = [sys.executable, "-c", _PROGRAM, str(path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True) as program:
+        assert program.stdout is not None
+        assert program.stdout.readline() == "running\n"
+        program.send_signal(signal.SIGINT)
+        assert program.stdout.readline() == "stopped\n"
+        assert program.wait(20.0) == 0
+    table = log.read(path)
+    np.testing.assert_array_equal(table["qd_sent"][-1], 0.0)
+    assert np.nanmax(table["qd_sent"]) == pytest.approx(0.1)
+    assert not any("recovered" in note for note in table.notes)

@@ -1,0 +1,53 @@
+"""What a run leaves behind."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab import log
+from armlab.bridge import Run
+from armlab.state import Command, State
+
+
+def rush(state: State) -> Command:
+    return Command(qd=np.array([100.0, 0, 0, 0, 0, 0, 0]) * (state.t < 0.1))
+
+
+@pytest.mark.parametrize("in_file", [False, True])
+def test_report_and_table(play: Any, tmp_path: Path, in_file: bool) -> None:
+    path = tmp_path / "run.mcap" if in_file else None
+    run = play(lambda peer: peer.rest(), rush, seconds=0.3, record=path)
+    assert isinstance(run, Run)
+    assert (run.reason, run.path) == ("the time is up", path)
+    report = run.report()
+    for words in (
+        "Ended: the time is up.",
+        "yumi_right, RobotWare 6.10, 1 sessions, period 4.000 ms",
+        f"replies {run.statistics['replies']}",
+        "p99.9",
+        "Clamped by velocity",
+        "worst ratio 0.03",
+        "Dropped datagrams: none",
+    ):
+        assert words in report
+    assert run.table is run.table
+    assert len(run.table) == run.statistics["packets"]
+    assert run.table.clock == "robot"
+    np.testing.assert_allclose(np.diff(run.table.t), 0.004, atol=1e-9)
+    texts = [text for _, text in run.events]
+    assert texts[0].startswith("Session 1 began")
+    assert texts[-1] == "Stopping: the time is up."
+    if path is not None:
+        assert log.read(path).sha256 == run.table.sha256
+
+
+def test_the_table_and_the_wire_agree_on_clamps(play: Any) -> None:
+    run = play(lambda peer: peer.rest(), rush, seconds=0.3)
+    clamped = run.table["clamped"].astype(int)
+    counts = [int(((clamped[:, 0] & bit) != 0).sum()) for bit in (1, 2, 4, 8)]
+    assert counts == [run.statistics["clamps"][name][0] for name in ("position", "velocity", "acceleration", "braking")]
+    assert counts[1] > 5
