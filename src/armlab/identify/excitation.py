@@ -22,7 +22,7 @@ from armlab.state import Command, State
 __all__ = ["Trajectory", "dither", "excitation", "sequence"]
 
 RAMP = 2.0  # s, blend at each end
-LONGEST_STEP = 0.006  # s that a controller's clock moves at once: 1.5 periods, as far as the bridge lets a reference move
+LONGEST_STEP = 0.006  # s that a controller's clock moves at once: 1.5 periods, what the bridge lets a reference move
 CANDIDATES = 60
 
 
