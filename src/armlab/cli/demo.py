@@ -26,7 +26,7 @@ __all__ = ["Plan", "demo", "rehearse"]
 
 APPROACH = 3.0  # s, walk to the start of a motion
 EXCITATION = 36.0  # s
-FREE = 9.0  # s, free motion below half speed
+FREE = 10.0  # s, free motion below half speed
 WALK = 2.0  # s between motions
 SETTLE = 1.8  # s of sway before the first press and after the last
 HOLD, RAMP, GAP = 2.0, 0.1, 0.3  # s, one press
