@@ -23,6 +23,12 @@ def robot() -> Robot:
     return robots.load("yumi_right")
 
 
+@pytest.fixture
+def extra() -> dict[str, Column]:
+    """The controller's own columns in `rows`."""
+    return dict(EXTRA)
+
+
 class Rows:
     """Row i of a made-up run: every number is random, so that a column in the wrong place shows."""
 

@@ -104,7 +104,7 @@ def _by_summary(view: memoryview) -> Contents | None:
     start, _, crc = struct.unpack_from("<QQI", view, end + 9)
     if not (0 < start < end) or not crc or zlib.crc32(view[start : end + 9 + 16]) != crc:
         return None
-    found = Contents(finished=True, indexed=True)
+    found = Contents(finished=True)
     chunk_count = None
     for kind, body, stop in records(view, start, end):
         if kind in (SCHEMA, CHANNEL):
@@ -123,6 +123,7 @@ def _by_summary(view: memoryview) -> Contents | None:
     found.profile, at = _text(view, body)
     found.library, _ = _text(view, at)
     whole = found.channels and found.chunks and chunk_count == len(found.chunks)
+    found.indexed = all(chunk.indexes for chunk in found.chunks)
     return found if whole else None
 
 

@@ -277,7 +277,7 @@ def missing_rows(array: np.ndarray) -> np.ndarray:
     if array.dtype.kind not in "fU" or not array.size:
         return np.zeros(len(array), dtype=bool)
     holes = np.isnan(array) if array.dtype.kind == "f" else np.asarray(array == "")
-    return holes.reshape(len(array), -1).any(axis=1)
+    return np.asarray(holes.reshape(len(array), -1).any(axis=1))
 
 
 def _check_clock(t: np.ndarray) -> None:

@@ -1,0 +1,37 @@
+"""Formats are told by their first bytes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from armlab.errors import LogError
+from armlab.log.formats import check_readable, format_of
+
+
+@pytest.mark.parametrize(
+    ("first", "name"),
+    [
+        (b"\x89MCAP0\r\nrest", "MCAP"),
+        (b"SQLite format 3\0", "SQLite (rosbag2)"),
+        (b"#ROSBAG V2.0\n", "ROS 1 bag"),
+        (b"PAR1....", "Parquet"),
+        (b"MATLAB 5.0 MAT-file", "MAT v5"),
+        (b"\x1f\x8b\x08", "gzip"),
+        ("t [s],q1 [grå]\n".encode(), "text"),
+        (b"\x00\x01", "unknown"),
+        (b"", "empty"),
+    ],
+)
+def test_formats(first: bytes, name: str) -> None:
+    assert format_of(first) == name
+
+
+def test_only_mcap_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    path.write_bytes(b"PAR1")
+    with pytest.raises(LogError, match=r"Expected a log in MCAP at .*log\.mcap, got a file of format Parquet"):
+        check_readable(path)
+    path.write_bytes(b"\x89MCAP0\r\n")
+    check_readable(path)

@@ -1,0 +1,91 @@
+"""`Log` and `Tail`: tables in memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from armlab.errors import ShapeError, UnknownName
+from armlab.log import Column, Log, Tail, read
+from armlab.robots import Robot
+
+
+def test_pushed_values_become_columns_and_nothing_else(robot: Robot) -> None:
+    log = Log(robot, extra={"fext": Column(shape=(6,), unit="N", frame="base")})
+    for i in range(20):
+        log.push(t=0.5 + i * 0.004, q=np.full(7, i), fext=np.arange(6) if i % 2 else np.full(6, np.nan))
+    table = log.table()
+    assert len(log) == len(table) == 20
+    assert set(table.names) == {"q", "fext", "tick", "session"}
+    assert table.t == pytest.approx(0.5 + np.arange(20) * 0.004)
+    assert np.array_equal(table["q"][:, 3], np.arange(20))
+    assert table.missing() == {"fext": (10, tuple(range(0, 20, 2)))}
+    assert table.columns["fext"].frame == "base"
+
+
+def test_the_table_stays_valid_while_pushing_goes_on(robot: Robot) -> None:
+    log = Log(robot)
+    log.push(t=0.0, q=np.zeros(7))
+    before = log.table()
+    for i in range(1, 1000):
+        log.push(t=float(i), q=np.ones(7))
+    assert len(before) == 1
+    assert np.all(before["q"] == 0.0)
+    assert len(log.table()) == 1000
+
+
+def test_field_names_of_the_old_logs(robot: Robot) -> None:
+    log = Log(robot)
+    log.push(timestamp=0.1, seqnum=4, pos=np.ones(7), vel=np.ones(7) * 2, trq=np.ones(7) * 3, pos_o=np.ones(7) * 4)
+    table = log.table()
+    assert (table.t[0], table["seq"][0]) == (0.1, 4)
+    assert [table[name][0, 0] for name in ("q", "qd", "tau", "q_ref")] == [1.0, 2.0, 3.0, 4.0]
+
+
+def test_wrong_values_are_refused_before_anything_is_stored(robot: Robot, extra: dict[str, Column]) -> None:
+    log = Log(robot, extra=extra)
+    with pytest.raises(UnknownName, match=r"'force'.*fext"):
+        log.push(q=np.zeros(7), force=1.0)
+    with pytest.raises(ShapeError, match="fext"):
+        log.push(q=np.zeros(7), fext=np.zeros(5))
+    assert len(log) == 0
+    assert len(log.table()) == 0
+
+
+def test_without_a_time_the_clock_is_the_call(robot: Robot) -> None:
+    log = Log(robot)
+    for _ in range(5):
+        log.push(q=np.zeros(7))
+    table = log.table()
+    assert table.clock == "bridge"
+    assert table.t[0] == 0.0
+    assert np.all(np.diff(table.t) > 0)
+
+
+def test_memory_and_file_hold_the_same(
+    robot: Robot, rows: Callable, recording: Callable[..., Path], extra: dict[str, Column]
+) -> None:
+    log = Log(robot, extra)
+    for i in range(30):
+        log.row(*rows(i))
+    memory, file = log.table(), read(recording(30))
+    assert set(memory.names) == set(file.names)
+    assert np.array_equal(memory["q"], file["q"])
+    both = [name for name in memory.names if name != "T_frame_tool"]  # a pose goes through a quaternion in the file
+    assert memory.select(*both).sha256 == file.select(*both).sha256
+    assert memory["T_frame_tool"] == pytest.approx(file["T_frame_tool"], abs=1e-14)
+
+
+def test_a_tail_keeps_the_last_seconds(robot: Robot, rows: Callable, extra: dict[str, Column]) -> None:
+    tail = Tail(0.5, robot, extra)
+    for i in range(400):
+        tail.row(*rows(i))
+    table = tail.table()
+    assert table.t[-1] - table.t[0] <= 0.5
+    assert table["seq"][-1] == 399 + 7
+    assert len(table) == 125
+    assert len(Tail(1.0, robot).table()) == 0
+    assert tail.seconds == 0.5

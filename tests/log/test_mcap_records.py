@@ -1,0 +1,52 @@
+"""Records, finished and torn, and what the summary and a walk agree on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from armlab.errors import LogError
+from armlab.log import mcap_records
+from armlab.log.mcap_records import DAMAGE, MAGIC, Attached, Channel, Contents, contents, records
+
+
+def test_summary_and_walk_agree(recording: Callable[..., Path]) -> None:
+    view = memoryview(recording(300).read_bytes())
+    quick, walked = contents(view), mcap_records._by_walking(view)
+    assert isinstance(quick, Contents)
+    assert quick.indexed
+    assert not walked.indexed
+    assert quick.finished
+    assert walked.finished
+    for name in ("profile", "library", "channels", "chunks", "attachments", "metadata"):
+        assert getattr(quick, name) == getattr(walked, name), name
+    assert isinstance(quick.channels[1], Channel)
+    assert isinstance(quick.attachments[0], Attached)
+    assert quick.profile == "ros2"
+
+
+def test_a_damaged_summary_is_not_believed(recording: Callable[..., Path]) -> None:
+    data = bytearray(recording(30).read_bytes())
+    good = contents(memoryview(bytes(data)))
+    place = data.rindex(b"/yumi_right/tick")  # in the summary: the channel again
+    data[place + 1] ^= 1
+    found = contents(memoryview(bytes(data)))
+    assert not found.indexed
+    assert found.channels == good.channels
+
+
+def test_records_stop_at_the_first_that_is_cut() -> None:
+    whole = bytes([5]) + (3).to_bytes(8, "little") + b"abc"
+    view = memoryview(whole + whole[:-1])
+    assert list(records(view, 0, len(view))) == [(5, 9, 12)]
+    assert list(records(memoryview(b"\x05" + b"\xff" * 8), 0, 9)) == []
+
+
+def test_other_bytes_are_refused() -> None:
+    with pytest.raises(LogError, match="Expected an MCAP file"):
+        contents(memoryview(b"not MCAP"))
+    with pytest.raises(LogError, match="Expected the header"):
+        contents(memoryview(MAGIC + bytes([5]) + (0).to_bytes(8, "little")))
+    assert LogError in DAMAGE

@@ -1,0 +1,52 @@
+"""Layouts found once, checked on blocks."""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+
+from armlab.log.mcap_variants import MessageReader, Variant, assembled, decode_block, split
+from armlab.wire.cdr import definitions
+
+TEXT = "uint32 a\nuint32 b\nstring word\nfloat64[] x"
+
+
+def message(a: int, b: int, word: bytes, x: list[float]) -> bytes:
+    raw = b"\0\1\0\0" + struct.pack("<IIi", a, b, len(word)) + word
+    raw += b"\0" * (-(len(raw) - 4) % 4) + struct.pack("<I", len(x))
+    return raw + b"\0" * (-(len(raw) - 4) % 8) + struct.pack(f"<{len(x)}d", *x)
+
+
+def reader(*paths: str) -> MessageReader:
+    return MessageReader("t/msg/T", definitions("t/msg/T", TEXT), frozenset(paths))
+
+
+def test_numbers_that_follow_each_other_are_one_run() -> None:
+    found = reader("a", "b", "x")
+    block = np.frombuffer(message(1, 2, b"ab\0", [3.0, 4.0]), np.uint8)[None]
+    ((rows, values),) = decode_block(block, np.array([0]), found)
+    assert rows.tolist() == [0]
+    assert list(values) == [(("a", 1), ("b", 1)), (("x", 2),)]
+    fields = split(values)
+    assert fields["b"].tolist() == [[2]]
+    assert fields["x"].tolist() == [[3.0, 4.0]]
+    (variant,) = found.variants[block.shape[1]]
+    assert isinstance(variant, Variant)
+
+
+def test_rows_go_to_their_own_layout() -> None:
+    raw = [message(i, 0, word, [float(i)]) for i, word in enumerate([b"ab\0", b"cd\0", b"ab\0", b"ef\0"])]
+    block = np.frombuffer(b"".join(raw), np.uint8).reshape(4, -1)
+    pieces = list(decode_block(block, np.arange(4), reader("x")))
+    assert [rows.tolist() for rows, _ in pieces] == [[0, 2], [1], [3]]
+    values = split(assembled(4, pieces))
+    assert values["x"].ravel().tolist() == [0.0, 1.0, 2.0, 3.0]
+
+
+def test_what_a_layout_does_not_have_is_nan() -> None:
+    pieces = [(np.array([0, 2]), {(("x", 2),): np.ones((2, 2))}), (np.array([1]), {(("y", 1),): np.array([[5]])})]
+    values = split(assembled(3, pieces))
+    assert np.isnan(values["x"][1]).all()
+    assert values["y"][1, 0] == 5.0
+    assert np.isnan(values["y"][[0, 2]]).all()

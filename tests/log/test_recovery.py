@@ -1,0 +1,64 @@
+"""A torn recording becomes a whole file."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from rosbags.highlevel import AnyReader
+
+from armlab.errors import LogError
+from armlab.log import inspect, read, recover
+from armlab.log.recovery import Recovery
+
+
+@pytest.fixture
+def torn(recording: Callable[..., Path], tmp_path: Path) -> Path:
+    data = recording(700, name="whole.mcap").read_bytes()
+    path = tmp_path / "torn.mcap"
+    path.write_bytes(data[: int(0.8 * len(data))])
+    return path
+
+
+def test_the_copy_is_whole_and_holds_the_same(torn: Path) -> None:
+    before = torn.read_bytes()
+    told: list[tuple[int, int, str]] = []
+    done = recover(torn, progress=lambda *step: told.append(step))
+    assert isinstance(done, Recovery)
+    assert done.path.name == "torn.recovered.mcap"
+    with pytest.warns(UserWarning, match="not finished"):
+        table = read(torn)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert read(done.path).sha256 == table.sha256
+    assert torn.read_bytes() == before
+    held, original = inspect(done.path), inspect(torn)
+    assert held.finished
+    assert held.metadata == original.metadata
+    assert held.attachments == original.attachments
+    assert held.events == original.events
+    assert held.topics == original.topics
+    assert done.torn == original.torn > 0
+    assert done.messages == sum(topic.messages for topic in held.topics)
+    stamps = [held.events[0].stamp_ns, table.t0_ns]
+    assert done.seconds >= abs(stamps[1] - stamps[0]) / 1e9  # the event of the start is on the real clock
+    assert told[-1][0] <= told[-1][1] == len(before)
+    with AnyReader([done.path]) as reader:
+        assert sum(1 for _ in reader.messages()) == done.messages
+    assert sorted(path.name for path in torn.parent.iterdir()) == ["torn.mcap", "torn.recovered.mcap", "whole.mcap"]
+
+
+def test_nothing_is_overwritten_and_nothing_half_is_left(torn: Path, tmp_path: Path) -> None:
+    done = recover(torn)
+    with pytest.raises(LogError, match="Expected no file at"):
+        recover(torn)
+    assert recover(torn, tmp_path / "other.mcap").messages == done.messages
+    with pytest.raises(LogError, match="Expected to write"):
+        recover(torn, tmp_path / "nowhere" / "other.mcap")
+    empty = tmp_path / "empty.mcap"
+    empty.write_bytes(torn.read_bytes()[:40])
+    with pytest.raises(LogError, match="Expected messages in"):
+        recover(empty)
+    assert not list(tmp_path.glob("*.part"))
