@@ -1,0 +1,37 @@
+"""`plots.latency`: histograms and quantiles of the loop."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from armlab.errors import UnknownName
+from armlab.log import Table
+from armlab.plots.latencies import latency
+
+
+def test_every_tick_is_in_the_histogram() -> None:
+    rng = np.random.default_rng(1)
+    receive = 10**18 + np.arange(1000) * 4_000_000
+    late = np.arange(1000) % 100 == 0
+    reply = rng.integers(20_000, 300_000, 1000)
+    values = {"receive_ns": receive, "send_ns": receive + reply, "step_ns": reply // 4}
+    ax = latency(Table(np.arange(1000) * 0.004, {**values, "late": late, "missed": np.ones(1000, dtype=int)}))
+    assert ax.get_title(loc="left") == "1000 ticks, 1000 missed, 10 late"
+    assert ax.get_xlabel() == "time [µs]"
+    texts = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert texts[0].startswith(f"packet to reply:  p50 {np.median(reply) / 1e3:.3g}")
+    assert f"max {reply.max() / 1e3:.3g}" in texts[0]
+    steps = [patch for patch in ax.patches if not patch.get_fill()]
+    assert len(steps) == 2
+    for outline in steps:
+        assert outline.get_path().vertices[1:-1:2, 1].sum() == 1000
+    assert ax.get_xscale() == "log"
+
+
+def test_ticks_without_a_reply_do_not_count() -> None:
+    table = Table([0.0, 1.0], {"receive_ns": [1000, 5000], "send_ns": [np.nan, 9000.0]})
+    ax = latency(table)
+    assert "p50 4 " in ax.get_legend().get_texts()[0].get_text()
+    with pytest.raises(UnknownName, match="loop times"):
+        latency(table.select("receive_ns"))

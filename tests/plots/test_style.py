@@ -1,0 +1,98 @@
+"""The parts of all figures."""
+
+from __future__ import annotations
+
+import matplotlib as mpl
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from armlab.errors import ShapeError
+from armlab.plots.style import (
+    AXIS_COLORS,
+    GREY,
+    JOINT_STYLES,
+    MODEL,
+    band,
+    envelope,
+    legend,
+    line,
+    look,
+    panels,
+    shade,
+)  # fmt: skip
+
+
+def test_colours_and_styles_are_distinct() -> None:
+    assert len(set(JOINT_STYLES)) == len(JOINT_STYLES) >= 14
+    assert len(set(AXIS_COLORS)) == 3
+    assert MODEL != GREY
+
+
+def test_the_users_settings_are_back_afterwards() -> None:
+    before = dict(mpl.rcParams)
+    with look():
+        assert mpl.rcParams["font.size"] == 9.0
+    assert dict(mpl.rcParams) == before
+
+
+def test_few_points_are_drawn_as_they_are() -> None:
+    _, ax = plt.subplots()
+    t, y = np.arange(5.0), np.array([0.0, 1.0, np.nan, 3.0, 4.0])
+    line(ax, t, y)
+    assert np.array_equal(ax.lines[0].get_xdata(), t)
+    assert np.array_equal(ax.lines[0].get_ydata(), y, equal_nan=True)
+
+
+@given(st.integers(0, 99_999), st.integers(0, 99_999))
+def test_an_envelope_keeps_every_spike_and_every_gap(spike: int, hole: int) -> None:
+    t, y = np.arange(100_000.0), np.zeros(100_000)
+    y[hole : hole + 60] = np.nan
+    if np.isfinite(y[spike]):
+        y[spike] = 7.0
+    drawn_t, drawn = envelope(t, y)
+    assert len(drawn) <= 8_000
+    assert np.all(np.diff(drawn_t) >= 0)
+    assert np.nanmax(drawn) == np.nanmax(y)
+    if hole + 60 <= 100_000:
+        assert np.isnan(drawn).any()
+
+
+def test_panels_are_new_or_the_callers() -> None:
+    figure, axes = panels(2, 3)
+    assert axes.shape == (2, 3)
+    assert figure.axes == list(axes.ravel())
+    mine = plt.figure().subplots(3, 1)
+    figure, axes = panels(3, 1, mine)
+    assert axes[2, 0] is mine[2]
+    assert figure is mine[0].figure
+    with pytest.raises(ShapeError, match=r"Expected 6 Axes in ax= \(2 x 3 panels\), got 3"):
+        panels(2, 3, mine)
+
+
+def test_bands_and_shades_are_where_they_should_be() -> None:
+    _, ax = plt.subplots()
+    t = np.arange(10.0)
+    band(ax, t, np.zeros(10), np.full(10, 2.0))
+    vertices = ax.collections[0].get_paths()[0].vertices
+    assert (vertices[:, 1].min(), vertices[:, 1].max()) == (-2.0, 2.0)
+    shade(ax, t, np.isin(t, [2, 3, 4, 8]), label="on")
+    spans = [(patch.get_x(), patch.get_x() + patch.get_width()) for patch in ax.patches]
+    assert spans == [(2.0, 4.0), (8.0, 8.0)]
+    assert ax.get_legend_handles_labels()[1] == ["on"]
+
+
+def test_one_legend_for_all() -> None:
+    with look():
+        figure, axes = panels(2, 1)
+        for ax in axes[:, 0]:
+            ax.plot([0, 1], label="same")
+        axes[1, 0].plot([0, 1], label="other")
+        legend(figure, *axes[:, 0])
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["same", "other"]
+    mine, ax = plt.subplots()
+    ax.plot([0, 1], label="same")
+    legend(mine, ax)
+    assert ax.get_legend() is not None
