@@ -298,14 +298,3 @@ def test_clamps_are_counted_per_joint(bench: Bench) -> None:
     assert bench.guide.clamps[:, 3].tolist() == [0, 1, 1, 0]
     assert bench.guide.clamps.sum() == 2
     assert 0.0 < bench.guide.worst_ratio < 0.1
-
-
-def test_a_rehearsal_changes_nothing(bench: Bench) -> None:
-    bench.run()
-    sample = bench.feed.sample()
-    bench.guide.observe(sample)
-    before = bench.guide.state(sample, 0)
-    bench.guide.rehearse(sample, T)
-    after = bench.guide.state(sample, 0)
-    np.testing.assert_array_equal(before.q_sent, after.q_sent)
-    assert bench.guide.mode is Mode.RUNNING

@@ -108,10 +108,6 @@ class Limiter:
         """Come to rest within the acceleration limits, then stay. `period` in seconds."""
         return self.step(None, None, period)
 
-    def rehearse(self, period: float) -> None:
-        """Do what `step` does, to no effect. `period` in seconds."""
-        kernels.limit_reference(self._sent, self._bounds, period, self._sent[0], self._asked, None)
-
     def step(self, q: np.ndarray | None, qd: np.ndarray | None, period: float) -> Reply:
         """Return what may be sent for a position `q` (n,), a velocity `qd` (n,), both, or neither (hold).
 

@@ -17,6 +17,7 @@ from armlab.bridge.limits import Limits
 from armlab.bridge.loop import Controller, Loop
 from armlab.bridge.port import Port
 from armlab.bridge.recording import Recording
+from armlab.bridge.rehearsal import Rehearsal
 from armlab.bridge.run import Run
 from armlab.bridge.session import Session
 from armlab.bridge.simulator import Simulator
@@ -71,7 +72,7 @@ def connect(
     is_simulated = parts.scheme == "sim"
     if options and not is_simulated:
         raise ConfigError(f"Expected no options in an egm link, got {', '.join(options)} in {url!r}.")
-    wire = _codec(codec, robot, extension or is_simulated)
+    wires = _codecs(codec, robot, extension or is_simulated)
     if is_simulated:
         in_lockstep = options.get("lockstep", "false").lower() in ("", "true")
         settings = Settings(clock="robot" if in_lockstep else clock, patience=patience)
@@ -81,17 +82,18 @@ def connect(
         except BaseException:
             port.close()
             raise
-        return Link(port, robot, wire, answer_stream, replace(settings, alive=simulator.gone), simulator)
+        return Link(port, robot, wires, answer_stream, replace(settings, alive=simulator.gone), simulator)
     host, number = _address(url, parts.hostname, parts.netloc)
-    return Link(Port(host, number), robot, wire, answer_stream, Settings(clock=clock, patience=patience))
+    return Link(Port(host, number), robot, wires, answer_stream, Settings(clock=clock, patience=patience))
 
 
-def _codec(codec: str | Codec, robot: Robot, extension: bool) -> Codec:
+def _codecs(codec: str | Codec, robot: Robot, extension: bool) -> tuple[Codec, Codec | None]:
+    """Return the codec and one more for rehearsals, which an object of the user's does not have."""
     if not isinstance(codec, str):
-        return codec
+        return codec, None
     if codec != "egm":
         raise UnknownName.among("codec", codec, ["egm"])
-    return EgmCodec(robot, extension=extension)
+    return EgmCodec(robot, extension), EgmCodec(robot, extension)
 
 
 def _address(url: str, host: str | None, netloc: str) -> tuple[str, int]:
@@ -113,13 +115,14 @@ class Link:
         self,
         port: Port,
         robot: Robot,
-        codec: Codec,
+        codecs: tuple[Codec, Codec | None],
         answer_stream: bool,
         settings: Settings,
         simulator: Simulator | None = None,
     ) -> None:
         self.robot, self.host, self.port = robot, port.host, port.port
-        self._port, self._codec, self._answer_stream = port, codec, answer_stream
+        self._port, self._answer_stream = port, answer_stream
+        self._codec, self._spare = codecs
         self._settings, self._simulator = settings, simulator
 
     def __enter__(self) -> Link:
@@ -179,9 +182,10 @@ class Link:
         tell = None if progress is None else lambda done: progress(done, seconds or done, "moving")
         settings = replace(self._settings, seconds=seconds, resume=reconnect == "resume", progress=tell)
         recording = Recording(self.robot, record, extra, wait=in_lockstep, clock=lambda: loop.stamp_ns)
+        limits = limits or Limits.of(self.robot)
         guide = Guide(
             self.robot,
-            limits or Limits.of(self.robot),
+            limits,
             commands=controller is not None,
             capabilities=self._codec.capabilities,
             answer_stream=self._answer_stream,
@@ -189,7 +193,8 @@ class Link:
         )
         session = Session(self._codec, float("inf") if in_lockstep else _SILENCE, recording.event)
         waiting = Waiting(self._port, "block" if in_lockstep else wait)
-        loop = Loop(self._port, self._codec, session, guide, waiting, recording, controller, settings)
+        rehearsal = None if self._spare is None else Rehearsal(self.robot, limits, self._spare)
+        loop = Loop(self._port, self._codec, session, guide, waiting, recording, controller, settings, rehearsal)
         problems: list[str] = []
         statistics: dict[str, Any] = {}
         try:

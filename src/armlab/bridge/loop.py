@@ -16,6 +16,7 @@ from armlab.bridge.latency import Latency
 from armlab.bridge.limits import Reply
 from armlab.bridge.port import Arrival, Port
 from armlab.bridge.recording import Recording
+from armlab.bridge.rehearsal import Rehearsal
 from armlab.bridge.session import Sample, Session
 from armlab.bridge.states import Guide, Mode
 from armlab.bridge.supervision import Settings, Supervisor
@@ -54,7 +55,7 @@ class Loop:
     Parameters
     ----------
     port, codec, session, guide, waiting, recording : the parts.
-    controller : see `Controller`; None listens only. settings : see `Settings`.
+    controller : see `Controller`; None listens only. settings : see `Settings`. rehearsal : see `rehearsal`.
 
     Attributes
     ----------
@@ -71,9 +72,11 @@ class Loop:
         recording: Recording,
         controller: Controller | None,
         settings: Settings,
+        rehearsal: Rehearsal | None = None,
     ) -> None:
         self._port, self._codec, self._session, self._guide = port, codec, session, guide
         self._waiting, self._recording, self._controller, self._settings = waiting, recording, controller, settings
+        self._rehearsal = rehearsal
         self._in_lockstep = settings.clock == "robot"
         self.latency, self.lateness = Latency(), Lateness()
         self.replies = self.overtaken = self._ticks = 0
@@ -90,7 +93,7 @@ class Loop:
         self._deadline_ns = 0
         self._turn: _Turn | None = None
         self._arrival: Arrival | None = None
-        self._reference: Reference | None = None
+        self._command: Command | None = None
         waiting.rehearse = self._rehearse
 
     @property
@@ -186,16 +189,15 @@ class Loop:
                     self._surpassed.insert(0, turn)
                     command = command if newer.sample.session == turn.sample.session else None
                     turn = newer
+                self._command = command
                 reply = self._guide.answer(command, self._session.period.seconds)
                 self._reply(turn, command, reply, call_ns=call_ns)
             self._judge(call_ns, period_ns)
 
     def _rehearse(self) -> None:
-        """Decode, describe and encode the last packet once more, to no effect but warm caches."""
-        if self._arrival is not None and self._turn is not None and self._reference is not None:
-            self._codec.decode(self._arrival.data)
-            self._guide.rehearse(self._turn.sample, self._session.period.seconds)
-            self._codec.encode(self._reference)
+        if self._rehearsal is not None and self._arrival is not None:
+            self._rehearsal(self._arrival, self._command)
+            self._arrival = None
 
     def _judge(self, call_ns: int, period_ns: float) -> None:
         """Stop when the controller, not the computer, makes too many cycles late."""
@@ -218,7 +220,6 @@ class Loop:
             tm_ms = 0 if packet.tm_ms is None else packet.tm_ms
             reference = Reference(reply.q, reply.qd, None, session.seq, tm_ms, packet.seqno, packet.robot_mono_ns)
             data = self._codec.encode(reference)
-            self._reference = reference
             now = time.monotonic_ns()
             if self._port.send(data, session.source):
                 seq, send_ns = session.seq, now

@@ -198,16 +198,6 @@ class Guide:
         self._last = self._limiter.hold(period)
         return self._last
 
-    def rehearse(self, sample: Sample, period: float) -> None:
-        """Do what a cycle does, to no effect.
-
-        Parameters
-        ----------
-        sample : any. period : cycle time of the robot [s].
-        """
-        wanted(Command(self.state(sample, 0).q), self._robot, self._capabilities)
-        self._limiter.rehearse(period)
-
     def stop(self, reason: str, failure: LinkError | None = None) -> None:
         """Bring the arm to rest and end; the first reason stays.
 

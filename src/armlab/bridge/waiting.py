@@ -1,7 +1,6 @@
 """How the loop waits for the next packet: block, poll just ahead of it, or poll always.
 
-A cycle that runs once in 4 ms finds cold caches and takes three times as long as one that runs all the time. So a loop
-that polls rehearses first: it does its work on the packet before and throws the result away.
+A loop that polls rehearses first, see `rehearsal`.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ __all__ = ["Prediction", "Wait", "Waiting"]
 Wait = Literal["block", "ahead", "spin"]
 """Ways of waiting."""
 
-_AHEAD = 300_000  # ns before the predicted arrival at which polling begins
+_AHEAD = 500_000  # ns before the predicted arrival at which rehearsing and polling begin
 _AFTER = 600_000  # ns after it at which blocking begins
 _LATE_SHARE = 0.02  # of a late arrival that moves the prediction
 _LOST = 5  # periods: a prediction further off than this starts anew
