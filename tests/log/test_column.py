@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from armlab.errors import ShapeError, UnknownName
-from armlab.log.column import KINDS, Column
+from armlab.log.column import KINDS, Column, frozen, stored
 
 
 def test_known_names_are_filled_from_the_glossary() -> None:
@@ -33,3 +34,41 @@ def test_headings() -> None:
     assert Column(unit="N m").heading("tau") == "tau [N m]"
     assert Column(unit="1").heading("seq") == "seq"
     assert set(KINDS) == {"real", "angle", "pose", "quaternion", "count", "flag", "text"}
+
+
+def test_stored_values_have_the_type_of_their_kind() -> None:
+    for name, values, dtype in (
+        ("q", [[1, 2]], "<f8"),
+        ("seq", [1.0, 2.0], "<i8"),
+        ("late", [0, 1], "|b1"),
+        ("dt", np.ones(2, dtype=np.float32), "<f8"),
+        ("dt", np.ones(2, dtype=">f8"), "<f8"),
+    ):
+        array, column, note = stored(name, values, None)
+        assert array.dtype.str == dtype
+        assert not array.flags.writeable
+        assert column.shape == array.shape[1:]
+        assert note == ""
+    array, column, note = stored("late", [0.0, np.nan], None)
+    assert column.kind == "real"
+    assert "flag with missing values" in note
+    for name, values in (("seq", [2.0**70]), ("late", [2]), ("dt", 1.0)):
+        with pytest.raises(ShapeError):
+            stored(name, values, None)
+
+
+def test_frozen_copies_only_what_someone_could_still_write_to() -> None:
+    mine = np.arange(6.0)
+    assert not np.shares_memory(frozen(mine), mine)
+    whole = frozen(mine)
+    assert frozen(whole) is whole
+    assert np.shares_memory(frozen(whole[2:4]), whole)
+    assert frozen(whole[::2]).flags.c_contiguous
+    fixed = np.frombuffer(b"12345678", dtype="<f8")
+    assert np.shares_memory(frozen(fixed), fixed)
+    buffer = bytearray(8)
+    view = np.frombuffer(buffer, dtype="<f8")
+    view.flags.writeable = False
+    kept = frozen(view)
+    buffer[:] = b"\xff" * 8
+    assert kept[0] == 0.0

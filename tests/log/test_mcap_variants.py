@@ -6,7 +6,7 @@ import struct
 
 import numpy as np
 
-from armlab.log.mcap_variants import MessageReader, Variant, assembled, decode_block, split
+from armlab.log.mcap_variants import MessageReader, Values, Variant, assembled, decode_block, split
 from armlab.wire.cdr import definitions
 
 TEXT = "uint32 a\nuint32 b\nstring word\nfloat64[] x"
@@ -45,7 +45,10 @@ def test_rows_go_to_their_own_layout() -> None:
 
 
 def test_what_a_layout_does_not_have_is_nan() -> None:
-    pieces = [(np.array([0, 2]), {(("x", 2),): np.ones((2, 2))}), (np.array([1]), {(("y", 1),): np.array([[5]])})]
+    pieces: list[tuple[np.ndarray, Values]] = [
+        (np.array([0, 2]), {(("x", 2),): np.ones((2, 2))}),
+        (np.array([1]), {(("y", 1),): np.array([[5]])}),
+    ]
     values = split(assembled(3, pieces))
     assert np.isnan(values["x"][1]).all()
     assert values["y"][1, 0] == 5.0

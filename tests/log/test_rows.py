@@ -10,7 +10,7 @@ import pytest
 
 from armlab.errors import ShapeError, UnknownName
 from armlab.log import Column, Tick
-from armlab.log.rows import NO_COUNT, RowLayout, Slot
+from armlab.log.rows import NO_CLOCK, NO_COUNT, NO_FLAG, RowLayout, Slot, with_holes
 from armlab.robots import Robot
 from armlab.state import Command, State
 
@@ -62,7 +62,7 @@ def test_wrong_sizes_name_the_column(robot: Robot, rows: Callable) -> None:
     for bad, message in (
         ((replace(state, q=np.zeros(6)), command, tick), "Expected 7 values in q, got 6."),
         ((state, Command(tau=np.zeros(8)), tick), "Expected 7 values in tau_ref, got 8."),
-        ((state, command, tick._replace(clamped=np.zeros(3))), "Expected 7 clamps, got 3."),
+        ((state, command, tick._replace(clamped=np.zeros(3))), "Expected 7 values in clamped, got 3."),
         ((state, Command(record={"wrench_hat": [1.0]}), tick), "Expected 6 values in wrench_hat, got 1."),
     ):
         with pytest.raises(ShapeError, match=message.replace(".", r"\.")):
@@ -81,3 +81,17 @@ def test_packing_by_name(robot: Robot) -> None:
         layout.pack_values({"torque": 1.0})
     with pytest.raises(ShapeError, match=r"shape \(7,\) for q, got \(6,\)"):
         layout.pack_values({"q": np.zeros(6)})
+
+
+def test_marks_become_nan_and_whole_columns_stay_whole(robot: Robot) -> None:
+    counts = np.array([3, NO_COUNT, 5])
+    assert np.array_equal(with_holes(counts, NO_COUNT), [3.0, np.nan, 5.0], equal_nan=True)
+    assert with_holes(counts, None) is counts
+    assert with_holes(np.arange(3), NO_COUNT).dtype.kind == "i"
+    slots = RowLayout(robot).slots
+    assert [slots[name].missing for name in ("robot_ns", "seq_sent", "late", "clamped")] == [
+        NO_CLOCK,
+        NO_COUNT,
+        NO_FLAG,
+        NO_FLAG,
+    ]

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from armlab.errors import ShapeError, UnknownName
 from armlab.log import Column, Table
+from armlab.log.table import missing_rows
 
 
 def example(rows: int = 50, joints: int = 7, seed: int = 1) -> Table:
@@ -168,6 +169,8 @@ def test_missing_and_dropna() -> None:
     tau[[4, 9], 2] = np.nan
     table = table.with_column("tau", tau)
     assert table.missing() == {"tau": (2, (4, 9))}
+    assert np.flatnonzero(missing_rows(tau)).tolist() == [4, 9]
+    assert missing_rows(np.array(["a", ""])).tolist() == [False, True]
     whole = table.dropna("tau")
     assert len(whole) == 48
     assert whole.missing() == {}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from armlab.log import Column, Table
-from armlab.log.text import aligned, component_names, describe_text, statistics, table_text, timing
+from armlab.log.text import component_names, describe_text, statistics, table_text, timing
 
 
 def test_statistics_leave_out_what_is_missing() -> None:
@@ -47,4 +47,3 @@ def test_texts() -> None:
     assert table_text(table).splitlines()[2].split() == ["tau", "(2,", "1)", "N", "m", "1", "rows", "from", "row", "1"]
     assert table_text(table).endswith("note: cut short")
     assert describe_text(table).splitlines()[1].split() == ["tau[1]", "N", "m", "1", "1", "1", "0", "1"]
-    assert aligned([("a", "bb"), ("ccc", "d")]) == ["a    bb", "ccc  d"]

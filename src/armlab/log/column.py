@@ -10,7 +10,7 @@ import numpy as np
 from armlab.errors import ShapeError, UnknownName
 from armlab.glossary import symbols
 
-__all__ = ["KINDS", "Column"]
+__all__ = ["KINDS", "Column", "frozen", "stored"]
 
 KINDS = ("real", "angle", "pose", "quaternion", "count", "flag", "text")
 """Kinds of columns; the kind decides how a column is stored and how it is resampled."""
@@ -115,7 +115,8 @@ def _cast(name: str, raw: np.ndarray, kind: str) -> np.ndarray:
         wanted = np.dtype("<i8") if kind == "count" else np.dtype("<f8")
     if raw.dtype == wanted:
         return raw
-    cast = raw.astype(wanted)
+    with np.errstate(invalid="ignore"):  # what does not fit is refused below
+        cast = raw.astype(wanted)
     if kind in ("count", "flag") and not np.array_equal(cast, raw):
         raise ShapeError(f"Expected whole numbers that fit {wanted} in the column {name!r} of kind {kind}.")
     return cast

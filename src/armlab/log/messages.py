@@ -106,10 +106,10 @@ def topics(layout: RowLayout, joint_names: Sequence[str]) -> list[Topic]:
         ),
     ]
     own = ["q_planned", "q_ext", "wrench", *(name for name in layout.extra if name not in found[-1].fields)]
-    return found + [column_topic(name) for name in own]
+    return found + [_column_topic(name) for name in own]
 
 
-def column_topic(name: str) -> Topic:
+def _column_topic(name: str) -> Topic:
     """Return the topic of one column by itself."""
     return Topic(f"columns/{topic_name(name)}", "armlab_msgs/msg/Column", {name: ("values",)})
 

@@ -17,7 +17,7 @@ from armlab.state import Command, State
 if TYPE_CHECKING:
     from armlab.robots import Robot
 
-__all__ = ["RowLayout", "Slot", "Tick"]
+__all__ = ["NO_CLOCK", "NO_COUNT", "NO_FLAG", "RowLayout", "Slot", "Tick", "with_holes"]
 
 # Marks of values that are not there, in counts and in flags. A clock that reads zero was not sent.
 NO_COUNT, NO_CLOCK, NO_FLAG = -1, 0, 255
@@ -172,7 +172,7 @@ class RowLayout:
         parts += [_raw(name, record.get(name), len(empty) // 8, empty) for name, empty in self._extra]
         clamped = np.asarray(tick.clamped, dtype=np.uint8).tobytes() if tick.clamped is not None else nan["clamped"]
         if len(clamped) != n:
-            raise ShapeError(f"Expected {n} clamps, got {len(clamped)}.")
+            raise ShapeError(f"Expected {n} values in clamped, got {len(clamped)}.")
         return b"".join([*parts, clamped])
 
     def pack_values(self, values: Mapping[str, Any]) -> bytes:

@@ -17,7 +17,7 @@ from armlab.log.column import Column, frozen, stored
 from armlab.log.labels import alias, natural_key
 from armlab.state import State
 
-__all__ = ["Table"]
+__all__ = ["Table", "missing_rows"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

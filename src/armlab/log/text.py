@@ -42,7 +42,7 @@ def table_text(table: Table) -> str:
         gap = f"{count} rows from row {first[0]}" if count else "-"
         lines.append((name, str(table[name].shape), table.units[name], gap))
     notes = [f"note: {note}" for note in table.notes]
-    return "\n".join([head, *aligned(lines), *notes])
+    return "\n".join([head, *_aligned(lines), *notes])
 
 
 def describe_text(table: Table) -> str:
@@ -53,7 +53,7 @@ def describe_text(table: Table) -> str:
         for row, label in enumerate(component_names(table, name)):
             numbers = [f"{stats[key][row]:.6g}" for key in ("min", "max", "mean", "sigma")]
             lines.append((label, table.units[name], *numbers, str(int(stats["missing"][row]))))
-    return "\n".join(aligned(lines))
+    return "\n".join(_aligned(lines))
 
 
 def statistics(array: np.ndarray) -> dict[str, np.ndarray]:
@@ -94,7 +94,7 @@ def component_names(table: Table, name: str) -> list[str]:
     return names
 
 
-def aligned(lines: list[tuple[str, ...]]) -> list[str]:
+def _aligned(lines: list[tuple[str, ...]]) -> list[str]:
     """Return rows of words as lines with aligned columns."""
     widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
     return ["  ".join(word.ljust(width) for word, width in zip(line, widths, strict=True)).rstrip() for line in lines]
