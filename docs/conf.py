@@ -15,7 +15,6 @@ version = release = armlab.__version__
 extensions = ["myst_parser", "sphinx.ext.autodoc", "mathml", "plain_docstrings"]
 exclude_patterns = ["_build"]
 default_role = "literal"
-suppress_warnings = ["toc.empty_glob"]  # benchmarks.md is written by `make bench` and may be missing
 myst_enable_extensions = ["dollarmath", "deflist"]
 myst_heading_anchors = 3
 
