@@ -64,8 +64,11 @@ class Feed:
     def __init__(self, robot: Robot, **options: Any) -> None:
         self.packets = Packets(robot)
         self.events: list[str] = []
-        self.session = Session(EgmCodec(robot), on_event=self.events.append, **options)
+        self.session = Session(EgmCodec(robot), on_event=self.tell, **options)
         self.now = 1_000_000_000
+
+    def tell(self, text: str, warn: bool = False) -> None:
+        self.events.append(text)
 
     def raw(self, data: bytes, port: int = 5000, host: str = "127.0.0.1", after: int = PERIOD_NS) -> Sample | None:
         self.now += after

@@ -156,18 +156,19 @@ def test_a_session_that_ends_ends_the_run_when_asked(play: Any) -> None:
     assert run.reason == "the motors were switched off"
 
 
-def test_ctrl_c_stops_the_arm_first_and_completes_the_log(play: Any, tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_stops_the_arm_first_and_completes_the_log(play: Any, tmp_path: Path, number: signal.Signals) -> None:
     path = tmp_path / "run.mcap"
 
     def controller(state: State) -> Command:
         if state.seq == 50:
-            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(number)
         return sway(state)
 
-    before = signal.getsignal(signal.SIGINT)
+    before = signal.getsignal(number)
     with pytest.raises(KeyboardInterrupt):
         play(lambda peer: peer.rest(), controller, record=path)
-    assert signal.getsignal(signal.SIGINT) is before
+    assert signal.getsignal(number) is before
     table = log.read(path)
     np.testing.assert_array_equal(table["seq"], np.arange(len(table)))
     assert len(table) > 50 + 0.5 / 0.004

@@ -22,7 +22,7 @@ class Bench:
 
     def __init__(self, feed: Any, robot: Robot, **options: Any) -> None:
         self.feed, self.robot, self.events = feed, robot, feed.events
-        self.guide = Guide(robot, Limits.of(robot), on_event=self.events.append, **options)
+        self.guide = Guide(robot, Limits.of(robot), on_event=feed.tell, **options)
 
     def see(self, **fields: Any) -> Any:
         sample = self.feed.sample(**fields)

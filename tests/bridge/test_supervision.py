@@ -21,7 +21,9 @@ class Bench:
         self.guide = Guide(robot, Limits.of(robot))
         self.told: list[str] = []
         self.feed, feed.now = feed, time.monotonic_ns()
-        self.supervisor = Supervisor(self.port, feed.session, self.guide, Settings(**settings), self.told.append)
+        self.supervisor = Supervisor(
+            self.port, feed.session, self.guide, Settings(**settings), lambda text, warn=False: self.told.append(text)
+        )
 
     def packet(self) -> None:
         self.guide.observe(self.feed.sample(after=0))

@@ -5,8 +5,10 @@ from __future__ import annotations
 import gc
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+
+from armlab.bridge.events import Tell, nobody
 
 __all__ = ["GUARD_PRIORITY", "LOOP_PRIORITY", "collect_if_due", "priority", "quiet_memory", "short_switches"]
 
@@ -49,7 +51,7 @@ def short_switches() -> Iterator[None]:
 
 
 @contextmanager
-def priority(level: int, on_event: Callable[[str], None] = lambda text: None) -> Iterator[bool]:
+def priority(level: int, on_event: Tell = nobody) -> Iterator[bool]:
     """Run the calling thread under SCHED_FIFO where that is permitted; what it starts does not inherit that.
 
     Parameters

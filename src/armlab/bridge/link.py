@@ -13,6 +13,7 @@ from typing import Any, Literal
 from urllib.parse import parse_qsl, urlsplit
 
 from armlab.bridge.conditions import LOOP_PRIORITY, priority, quiet_memory, short_switches
+from armlab.bridge.events import Tell
 from armlab.bridge.limits import Limits
 from armlab.bridge.loop import Controller, Loop
 from armlab.bridge.port import Port
@@ -232,7 +233,7 @@ class Link:
             )
 
 
-def _enter_real_time(stack: ExitStack, loop: Loop, on_event: Callable[[str], None], wait: Wait) -> None:
+def _enter_real_time(stack: ExitStack, loop: Loop, on_event: Tell, wait: Wait) -> None:
     """Enter short switches, guard and priority. A loop that always polls keeps normal priority: it never yields."""
     stack.enter_context(short_switches())
     stack.enter_context(Guard(loop.overdue, loop.answer_for_controller))
@@ -242,7 +243,7 @@ def _enter_real_time(stack: ExitStack, loop: Loop, on_event: Callable[[str], Non
 
 @contextmanager
 def _interrupts(loop: Loop) -> Iterator[None]:
-    """Turn the first Ctrl-C into a stop of the loop; a second one raises at once. Only the main thread can."""
+    """Turn the first Ctrl-C or SIGTERM into a stop of the loop; a second raises at once. Only the main thread can."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -252,11 +253,12 @@ def _interrupts(loop: Loop) -> Iterator[None]:
             raise KeyboardInterrupt
         loop.interrupted = True
 
-    before = signal.signal(signal.SIGINT, stop)
+    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _statistics(robot: Robot, codec: Codec, port: Port, session: Session, guide: Guide, loop: Loop) -> dict[str, Any]:

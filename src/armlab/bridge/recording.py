@@ -60,17 +60,17 @@ class Recording:
         except Exception as error:  # what a controller returned may be anything
             if str(error) not in self._told:
                 self._told.add(str(error))
-                self.event(f"A row was kept without its command: {error}")
+                self.event(f"A row was kept without its command: {error}", warn=True)
             command = None
             self._log.row(state, None, tick)
         if self._recorder is not None:
             self._recorder.row(state, command, tick)
 
-    def event(self, text: str) -> None:
-        """Keep a sentence; it also goes to the logger ``armlab.bridge``."""
+    def event(self, text: str, warn: bool = False) -> None:
+        """Keep a sentence; it also goes to the logger ``armlab.bridge``, as a warning when something is wrong."""
         stamp = self._clock()
         self.events.append((stamp, text))
-        _logger.info(text)
+        _logger.log(logging.WARNING if warn else logging.INFO, text)
         if self._recorder is not None:
             self._recorder.event(text, stamp)
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from armlab.bridge.clock import Period, RobotClock
+from armlab.bridge.events import Tell, nobody
 from armlab.bridge.port import Arrival
 from armlab.wire.egm import Codec, Drop, Packet
 
@@ -63,7 +63,7 @@ class Session:
     seq : sequence number of the next reply. period : measured cycle time. reason : why the last session ended.
     """
 
-    def __init__(self, codec: Codec, timeout: float = 0.5, on_event: Callable[[str], None] = lambda text: None) -> None:
+    def __init__(self, codec: Codec, timeout: float = 0.5, on_event: Tell = nobody) -> None:
         self._codec, self._timeout_ns, self._on_event = codec, 1e9 * timeout, on_event
         self.number, self.active = 0, False
         self.source: tuple[str, int] | None = None
@@ -117,7 +117,7 @@ class Session:
         """End the session and return why it ended, in words: the first cause that fits its last packet."""
         if self.active and self._last is not None:
             self.reason = self._why(self._last)
-            self._on_event(f"Session {self.number} ended: {self.reason}.")
+            self._on_event(f"Session {self.number} ended: {self.reason}.", warn=True)
         self.active = False
         return self.reason
 
@@ -194,7 +194,8 @@ class Session:
             self._told.add(drop.reason)
             host, port = arrival.source
             bytes_ = arrival.data[:32].hex(" ")
-            self._on_event(f"Dropped a datagram from {host}:{port}, {drop.reason}: {drop.detail}. It begins {bytes_}.")
+            what = f"Dropped a datagram from {host}:{port}, {drop.reason}: {drop.detail}. It begins {bytes_}."
+            self._on_event(what, warn=True)
 
 
 def _difference(q: np.ndarray, last: Sample | None, dt: float) -> np.ndarray:

@@ -7,13 +7,14 @@ then the position reached is repeated with speed zero.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from enum import Enum
 
 import numpy as np
 
 from armlab.bridge.commands import entry_refusal, refusal, wanted
+from armlab.bridge.events import Tell, nobody
 from armlab.bridge.limits import Limiter, Limits, Reply
+from armlab.bridge.readiness import MCI_RUNNING, implausible, obstacle
 from armlab.bridge.session import Sample
 from armlab.errors import CommandRefused, LinkError
 from armlab.robots import Robot
@@ -25,8 +26,6 @@ __all__ = ["Guide", "Mode"]
 STOP_TIME = 0.5  # s at rest before a run ends
 _REFUSALS = 3  # in a row end the run
 _ENTRY_PATIENCE = 1.0  # s of refused entries before a warning
-_PLAUSIBLE = 0.1  # rad or m beyond the limits of a joint
-_MOTORS_ON, _MCI_RUNNING, _RAPID_MOVES = 1, 3, (0, 2)  # RAPID stays undefined (0) after a controller restart
 _BITS = {"position": 1, "velocity": 2, "acceleration": 4, "braking": 8}
 
 
@@ -67,7 +66,7 @@ class Guide:
         commands: bool = True,
         capabilities: frozenset[str] = frozenset(("position", "velocity")),
         answer_stream: bool = True,
-        on_event: Callable[[str], None] = lambda text: None,
+        on_event: Tell = nobody,
     ) -> None:
         self._robot, self._limits, self._capabilities = robot, limits, capabilities
         self._answer_stream, self._on_event = answer_stream, on_event
@@ -112,7 +111,7 @@ class Guide:
             return
         if self.mode is Mode.WAITING:
             self.mode = Mode.HOLDING
-        ready = self._plausible and not _obstacle(packet)
+        ready = self._plausible and not obstacle(packet)
         if ready and self.ready:
             self.elapsed += sample.dt
         elif ready:
@@ -172,7 +171,7 @@ class Guide:
             return None
         if not self.ready:
             self._rest(period)
-            if not (self._answer_stream or packet.mci == _MCI_RUNNING):
+            if not (self._answer_stream or packet.mci == MCI_RUNNING):
                 return None
             self._last = self._limiter.rest(packet.q)
         elif self.mode is Mode.STOPPING:
@@ -255,7 +254,7 @@ class Guide:
         self.refused += 1
         self._refused_in_a_row += 1
         if self._refused_in_a_row == 1:
-            self._on_event(problem)
+            self._on_event(problem, warn=True)
         if self._refused_in_a_row >= _REFUSALS:
             self.stop("commands were refused", CommandRefused(problem))
 
@@ -264,7 +263,7 @@ class Guide:
         self._waited += period
         if self._waited >= _ENTRY_PATIENCE and not self._warned:
             self._warned = True
-            self._on_event(problem)
+            self._on_event(problem, warn=True)
         return self._limiter.hold(period)
 
     def _rest(self, period: float) -> None:
@@ -281,30 +280,13 @@ class Guide:
         self._on_event("The robot is ready and holds.")
 
     def _lose_ready(self, packet: Packet) -> None:
-        self._on_event(f"The robot is not ready: {_obstacle(packet)}.")
+        self._on_event(f"The robot is not ready: {obstacle(packet)}.", warn=True)
         if self.mode is Mode.RUNNING:
             self.mode = Mode.HOLDING
 
     def _check_plausible(self, packet: Packet) -> None:
         """A first feedback far outside the joint limits means wrong units or order: never move then."""
-        robot = self._robot
-        outside = np.maximum(robot.q_min - packet.q, packet.q - robot.q_max)
-        self._plausible = bool((outside <= _PLAUSIBLE).all())
-        if self._plausible or self.mode is Mode.LISTENING:
-            return
-        i = int(np.argmax(outside))
-        problem = (
-            f"Expected joint {i + 1} ({robot.joint_names[i]}) of {robot.name} between {robot.q_min[i]:.3f} and "
-            f"{robot.q_max[i]:.3f}, but the robot reports {packet.q[i]:.3f}. Usual causes are another robot, "
-            "another joint order and other units: check the robot's description and its RobotWare."
-        )
-        self.stop("the feedback is not plausible", LinkError(problem))
-
-
-def _obstacle(packet: Packet) -> str:
-    """Return why the robot would not follow a reference, or nothing."""
-    if packet.motors != _MOTORS_ON:
-        return "the motors are off"
-    if packet.rapid not in _RAPID_MOVES:
-        return "RAPID is stopped"
-    return "" if packet.mci == _MCI_RUNNING else "guidance has not begun (EGMRunJoint)"
+        problem = implausible(packet.q, self._robot)
+        self._plausible = not problem
+        if problem and self.mode is not Mode.LISTENING:
+            self.stop("the feedback is not plausible", LinkError(problem))

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal
 
+from armlab.bridge.events import Tell
 from armlab.bridge.port import Port
 from armlab.bridge.session import Session
 from armlab.bridge.states import Guide
@@ -45,9 +46,7 @@ class Supervisor:
     port, session, guide : of the loop. settings : see `Settings`. on_event : told the check list.
     """
 
-    def __init__(
-        self, port: Port, session: Session, guide: Guide, settings: Settings, on_event: Callable[[str], None]
-    ) -> None:
+    def __init__(self, port: Port, session: Session, guide: Guide, settings: Settings, on_event: Tell) -> None:
         self._port, self._session, self._guide, self._settings = port, session, guide, settings
         self._on_event = on_event
         self._told = False
@@ -76,7 +75,7 @@ class Supervisor:
             guide.lose(gone, resume=False)
         elif quiet > _CHECKLIST_AFTER and not session.number and not self._told:
             self._told = True
-            self._on_event(f"No packet yet. {check_list(self._port)}")
+            self._on_event(f"No packet yet. {check_list(self._port)}", warn=True)
 
     def _silence(self) -> LinkError:
         session, seconds = self._session, self._settings.patience

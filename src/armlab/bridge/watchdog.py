@@ -59,13 +59,11 @@ class Guard:
     Parameters
     ----------
     overdue : called without a lock; returns the seconds until the loop will be overdue, 0 or less when it is.
-    act : called when it is: answers for the loop. on_event : as in `conditions.priority`.
+    act : called when it is: answers for the loop.
     """
 
-    def __init__(
-        self, overdue: Callable[[], float], act: Callable[[], None], on_event: Callable[[str], None] = lambda text: None
-    ) -> None:
-        self._overdue, self._act, self._on_event = overdue, act, on_event
+    def __init__(self, overdue: Callable[[], float], act: Callable[[], None]) -> None:
+        self._overdue, self._act = overdue, act
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="armlab guard", daemon=True)
 
