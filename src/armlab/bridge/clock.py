@@ -14,11 +14,12 @@ NOMINAL_PERIOD = 0.004
 _LONGEST = 1.0  # s between two packets; a clock that steps further was set
 _SAMPLES = 9  # of the first median; later samples are averaged
 _GAIN = 0.02
+_NEAR = 0.4  # of the estimate: wider than one tick of a clock in milliseconds, narrower than one skipped cycle
 _WRAP_MS = 2**32
 
 
 class Period:
-    """The robot's cycle time, robust against gaps: a median first, then a slow average of bounded samples.
+    """The robot's cycle time, robust against gaps: a median first, then a slow average of the samples near it.
 
     Attributes
     ----------
@@ -34,9 +35,8 @@ class Period:
         if len(self._first) < _SAMPLES:
             self._first.append(sample)
             self.seconds = median(self._first)
-        else:
-            bounded = min(max(sample, 0.5 * self.seconds), 1.5 * self.seconds)
-            self.seconds += _GAIN * (bounded - self.seconds)
+        elif abs(sample - self.seconds) < _NEAR * self.seconds:
+            self.seconds += _GAIN * (sample - self.seconds)
 
 
 class RobotClock:
