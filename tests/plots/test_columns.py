@@ -42,8 +42,9 @@ def test_usual_columns_each_in_a_panel(data: Table, tmp_path: Path) -> None:
         assert [line.get_color() for line in ax.lines] == [JOINT_STYLES[i][0] for i in range(3)]
         assert np.array_equal(ax.lines[0].get_xdata(), data.t)
     assert figure.axes[-1].get_xlabel() == "t [s]"
-    names = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert names == ["a1", "a2", "a3", "limit acted"]
+    legends = [ax.get_legend() for ax in figure.axes]
+    assert [text.get_text() for text in legends[0].get_texts()] == ["a1", "a2", "a3", "limit acted"]
+    assert legends[1:] == [None, None]  # the same lines: said once
     figure.savefig(tmp_path / "figure.png")
     assert (tmp_path / "figure.png").stat().st_size > 5000
 
@@ -56,6 +57,13 @@ def test_asked_and_sent_share_the_panel_dashed(data: Table) -> None:
     assert [line.get_linestyle() for line in lines] == ["-"] * 3 + ["--"] * 3 + [":"] * 3
     (span,) = ax.patches
     assert (span.get_x(), span.get_x() + span.get_width()) == pytest.approx((1.0, 1.9))
+
+
+def test_a_wrench_has_its_components(data: Table) -> None:
+    ax = table(data.with_column("wrench_hat", np.zeros((N, 6))), "wrench_hat")
+    assert isinstance(ax, Axes)
+    assert ax.get_ylabel() == "wrench_hat [N, N m]"
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["f_x", "f_y", "f_z", "m_x", "m_y", "m_z"]
 
 
 def test_one_panel_per_joint(data: Table) -> None:

@@ -39,7 +39,7 @@ def test_each_joint_has_its_numbers(fitted: Table) -> None:
         explained = 1 - residual[known].var() / fitted["tau"][known, i].var()
         inside = np.mean(np.abs(residual[known]) < 0.2)
         title = right.get_title(loc="left")
-        assert title.startswith(f"{100 * explained:.1f} % explained")
+        assert title.startswith(f"{100 * explained:.2f} % explained")
         assert f"{100 * inside:.0f} % in band" in title
         assert left.get_ylabel() == "tau [N m]"
         assert right.get_ylabel() == "residual [N m]"

@@ -112,10 +112,16 @@ def _text(held: Inspection, table: Table) -> str:
     blocks.append("\n".join([first, *(line for line in rest if line.startswith("note:"))]))
     blocks.append(aligned(_column_rows(table), right=(4, 5, 6)))
     blocks.append(aligned([("attachment", "bytes"), *((n, str(len(d))) for n, d in held.attachments.items())], (1,)))
-    lines = [f"{(event.stamp_ns - table.t0_ns) / 1e9:10.3f} s  {event.text}" for event in held.events[:_EVENTS_SHOWN]]
+    lines = [f"{_when(event.stamp_ns, table.t0_ns):>12}  {event.text}" for event in held.events[:_EVENTS_SHOWN]]
     more = len(held.events) - len(lines)
     blocks.append("\n".join(["events", *lines, *([f"and {more} more (--json shows all)"] if more > 0 else [])]))
     return "\n\n".join(block for block in blocks if block)
+
+
+def _when(stamp_ns: int, t0_ns: int) -> str:
+    """Return seconds since the first row; "-" where the stamp is on another clock, as in lockstep."""
+    seconds = (stamp_ns - t0_ns) / 1e9
+    return f"{seconds:.3f} s" if abs(seconds) < 30 * 86_400 else "-"
 
 
 def _column_rows(table: Table) -> list[tuple[str, ...]]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from armlab.errors import ShapeError, UnknownName
-from armlab.plots.style import GREY, JOINT_STYLES, legend, line, look, panels, shade
+from armlab.plots.style import GREY, JOINT_STYLES, line, look, panels, shade
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -62,7 +62,7 @@ def table(data: Table, *names: str, split: bool = False, ax: Any = None) -> Axes
         axes[-1, 0].set_xlabel("t [s]")
         figure.align_ylabels()
         if not split:
-            legend(figure, *axes[:, 0])
+            _legends(list(axes[:, 0]))
     return axes[0, 0] if len(parts) == 1 else figure
 
 
@@ -91,6 +91,16 @@ def _draw(ax: Axes, data: Table, names: list[str], component: int | None) -> Non
         shade(ax, data.t, clamped.any(axis=1) if component is None else clamped[:, component], label="limit acted")
 
 
+def _legends(axes: list[Axes]) -> None:
+    """Put a legend to the right of each panel whose lines are not those of the panel above."""
+    above: list[str] = []
+    for ax in axes:
+        handles, labels = ax.get_legend_handles_labels()
+        if labels != above:
+            ax.legend(handles, labels, loc="upper left", bbox_to_anchor=(1.0, 1.03), borderaxespad=0.3)
+        above = labels
+
+
 def _label(data: Table, name: str, i: int) -> str:
     """Return the name of a component: the joint's, or the column's and its number."""
     if data[name].ndim == 1:
@@ -99,6 +109,8 @@ def _label(data: Table, name: str, i: int) -> str:
     if data.columns[name].frame == "joint":
         labels = labels or next((c.labels for c in data.columns.values() if c.frame == "joint" and c.labels), ())
         return labels[i] if i < len(labels) else f"joint {i + 1}"
+    if data.units[name] == "N, N m":
+        return f"{'fm'[i // 3]}_{'xyz'[i % 3]}"
     return labels[i] if labels else f"{_quantity(name)} {i + 1}"
 
 

@@ -46,7 +46,7 @@ def latency(table: Table, ax: Any = None) -> Axes:
         _, axes = panels(1, 1, ax, width=7.5, height=3.8)
         panel: Axes = axes[0, 0]
         for (name, values), (color, _) in zip(spans.items(), JOINT_STYLES, strict=False):
-            numbers = "  ".join(f"{label} {np.quantile(values, p):.3g}" for label, p in _QUANTILES)
+            numbers = "  ".join(f"{label} {_short(np.quantile(values, p))}" for label, p in _QUANTILES)
             panel.hist(values, bins=bins, color=color, alpha=0.35, histtype="stepfilled")
             panel.hist(values, bins=bins, color=color, histtype="step", linewidth=1.2, label=f"{name}:  {numbers} µs")
         panel.set_xscale("log")
@@ -68,6 +68,11 @@ def _spans(table: Table) -> dict[str, np.ndarray]:
         found["controller"] = table["step_ns"] / 1e3
     kept = {name: values[np.isfinite(values) & (values > 0)] for name, values in found.items()}
     return {name: values for name, values in kept.items() if len(values)}
+
+
+def _short(number: float) -> str:
+    """Return three digits at least, never an exponent."""
+    return f"{number:.0f}" if number >= 100 else f"{number:.3g}"
 
 
 def _counts(table: Table) -> str:

@@ -145,4 +145,4 @@ def legend(figure: Figure, *axes: Axes) -> None:
     if figure.get_layout_engine() is None:
         axes[0].legend(handles, labels)
     else:
-        figure.legend(handles, labels, loc="outside upper right", ncols=min(len(labels), 10))
+        figure.legend(handles, labels, loc="outside upper right", ncols=min(len(labels), 7))

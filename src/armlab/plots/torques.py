@@ -43,8 +43,8 @@ def torque_fit(table: Table, ax: Any = None) -> Figure:
         figure, axes = panels(joints, 2, ax, width=11.0, height=1.55, sharex=True, width_ratios=(3, 2))
         for i in range(joints):
             left, right = axes[i]
-            line(left, t, tau[:, i], color=GREY, linewidth=1.4, alpha=0.75, label="measured")
-            line(left, t, model[:, i], color=MODEL, linewidth=0.9, label="model")
+            line(left, t, tau[:, i], color=GREY, linewidth=3.2, alpha=0.45, label="measured")
+            line(left, t, model[:, i], color=MODEL, linewidth=0.8, label="model")
             left.set_ylabel(f"tau [{unit}]")
             residual = tau[:, i] - model[:, i]
             band(right, t, np.zeros(len(t)), 2 * sigma[:, i], color=_RESIDUAL, alpha=0.22, label="± 2 sigma")
@@ -69,7 +69,7 @@ def _verdict(tau: np.ndarray, residual: np.ndarray, sigma: np.ndarray) -> str:
     explained = 1.0 - np.var(residual[known]) / spread
     inside = np.mean(np.abs(residual[known]) < 2 * sigma[known])
     rms = np.sqrt(np.mean(residual[known] ** 2))
-    return f"{100 * explained:.1f} % explained, {rms:.2g} N m RMS, {100 * inside:.0f} % in band"
+    return f"{100 * explained:.2f} % explained, {rms:.2g} N m RMS, {100 * inside:.0f} % in band"
 
 
 def _scale(residual: np.ndarray, sigma: np.ndarray) -> tuple[float | None, float | None]:
