@@ -36,10 +36,14 @@ def run(quick: bool) -> list[Table]:
         def block(estimator: Any) -> Callable[[], np.ndarray]:
             return each(estimator.step, states[:count], estimator.reset, period)
 
+        def nothing(_: State) -> None:
+            return None
+
         return [
             Contender("armlab contact.Estimator.step(state)", block(ours), "armlab"),
             Contender("Pinocchio with NumPy", block(pinocchio), note="rnea, computeFrameJacobian, LAPACK dposv"),
             Contender("armlab's reference kernel", block(reference), note="plain NumPy"),
+            Contender("a Python function that does nothing", each(nothing, states[:count], None, period), "limit"),
         ]
 
     what = f"Wrench, covariance and observability of {ROBOT} from one state; forces agree to {worst:.1g} N."
