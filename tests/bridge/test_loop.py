@@ -87,6 +87,42 @@ def test_overtaken_packets_get_no_reply_but_a_row(play: Any) -> None:
     np.testing.assert_allclose(table["dt"], 0.004)
 
 
+def test_overtaken_rows_stay_in_order(play: Any) -> None:
+    """Packets wait before the controller is called and more come while it computes: rows in the order of arrival."""
+    sent, more, go, called = (threading.Event() for _ in range(4))
+
+    def progress(*_: Any) -> None:
+        if go.is_set() and not sent.is_set():
+            sent.wait(5.0)
+
+    def controller(state: State) -> Command:
+        if sent.is_set() and not called.is_set():
+            called.set()
+            more.wait(5.0)
+        return sway(state)
+
+    def script(peer: Any) -> None:
+        peer.cycles(40)
+        go.set()
+        peer.cycle()
+        while peer.surplus() == 0 and peer.packets.cycle < 80:  # until progress, ten times a second, holds the loop up
+            peer.send()
+            time.sleep(0.002)
+        for _ in range(3):
+            peer.send()
+        sent.set()
+        called.wait(5.0)
+        peer.send()
+        peer.send()
+        more.set()
+        peer.rest()
+
+    run = play(script, controller, seconds=0.5, progress=progress)
+    assert called.is_set()
+    np.testing.assert_array_equal(run.table["seq"], np.arange(len(run.table)))
+    assert run.statistics["overtaken"] >= 4
+
+
 def test_duplicates_and_old_packets_get_no_reply(play: Any) -> None:
     def script(peer: Any) -> None:
         peer.packets.seq = 100

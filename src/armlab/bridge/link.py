@@ -272,7 +272,7 @@ def _statistics(robot: Robot, codec: Codec, port: Port, session: Session, guide:
         "replies": loop.replies,
         "overtaken": loop.overtaken,
         "missed": session.missed,
-        "late": loop.lateness.total,
+        "late": loop.late,
         "refused": guide.refused,
         "drops": dict(session.drops),
         "socket_errors": port.errors,

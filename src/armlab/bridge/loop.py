@@ -36,7 +36,7 @@ _DRAINED = 64  # datagrams per wake-up: a flood cannot hold the loop up
 _LOOK = 0.05  # s between two looks at silence and interrupts
 _DEADLINE = 0.75  # of a period, from arrival to reply
 _GRACE = 0.25  # of a period, that the controller has in any case
-_BLAME = 0.5  # of a period: a call that takes longer makes its cycle late
+_BLAME = 0.5  # of a period: a late cycle is the controller's fault when its call took longer
 _NAP = 2e-3  # s the guard waits for a packet
 _SPARE = 1_000_000  # ns to the next packet that leave time to collect garbage
 _PROGRESS = 0.1  # s between two calls of progress
@@ -59,7 +59,7 @@ class Loop:
 
     Attributes
     ----------
-    latency : arrival to reply. lateness : late cycles. replies, overtaken : counts. interrupted : set it to stop.
+    latency : arrival to reply. replies, overtaken, late : packets. interrupted : set it to stop.
     """
 
     def __init__(
@@ -78,8 +78,8 @@ class Loop:
         self._waiting, self._recording, self._controller, self._settings = waiting, recording, controller, settings
         self._rehearsal = rehearsal
         self._in_lockstep = settings.clock == "robot"
-        self.latency, self.lateness = Latency(), Lateness()
-        self.replies = self.overtaken = self._ticks = 0
+        self.latency, self._lateness = Latency(), Lateness()
+        self.replies = self.overtaken = self.late = self._ticks = 0
         self.interrupted = False
         self._supervisor = Supervisor(port, session, guide, settings, recording.event)
         self._lock = threading.Lock()
@@ -89,8 +89,8 @@ class Loop:
         self._next_progress = 0.0
         self._surpassed: list[_Turn] = []
         # Shared with the guard. `_calling` becomes False only under the lock, `_turn` does not change while it is True.
-        self._calling = self._taken = False
-        self._deadline_ns = 0
+        self._calling = self._taken = self._was_late = False
+        self._deadline_ns = 0.0
         self._turn: _Turn | None = None
         self._arrival: Arrival | None = None
         self._command: Command | None = None
@@ -130,21 +130,16 @@ class Loop:
         if self._taken:
             time.sleep(_NAP)  # not port.wait: only the loop's own thread may wait on the port
         with self._lock:
-            if not self._calling:
+            if self.overdue() > 0.0:
                 return
-            newer = self._take(self._port.receive())
-            if not self._taken and self._turn is not None:
-                self._taken = True
-                if newer is None:
-                    newer = self._turn
-                else:
-                    self._surpassed.insert(0, self._turn)
-            if newer is not None:
-                self._reply(newer, None, self._guide.hold(self._session.period.seconds), late=True)
+            turn = self._take(self._port.receive(), None if self._taken else self._turn)
+            self._taken = True
+            if turn is not None:
+                self._reply(turn, None, self._guide.hold(self._session.period.seconds), late=True)
 
-    def _take(self, arrival: Arrival | None) -> _Turn | None:
-        """Drain the port, at most `_DRAINED` datagrams. Return the newest packet that counts."""
-        newest: _Turn | None = None
+    def _take(self, arrival: Arrival | None, unanswered: _Turn | None = None) -> _Turn | None:
+        """Drain the port, at most `_DRAINED` datagrams. Return the newest packet that counts, or the unanswered one."""
+        newest = unanswered
         for _ in range(_DRAINED):
             if arrival is None:
                 break
@@ -169,7 +164,7 @@ class Loop:
         command, failure = None, None
         self._turn, self._taken = turn, False
         start = time.monotonic_ns()
-        self._deadline_ns = int(max(turn.sample.arrival_ns + _DEADLINE * period_ns, start + _GRACE * period_ns))
+        self._deadline_ns = max(self._deadline(turn.sample), start + _GRACE * period_ns)
         self._calling = True
         try:
             command = controller(turn.state) if controller is not None else None
@@ -184,15 +179,15 @@ class Loop:
             if failure is not None:
                 self._guide.stop("the controller failed", failure)
             if not self._taken:
-                newer = self._take(self._port.receive())
-                if newer is not None:
-                    self._surpassed.insert(0, turn)
-                    command = command if newer.sample.session == turn.sample.session else None
-                    turn = newer
-                self._command = command
-                reply = self._guide.answer(command, self._session.period.seconds)
-                self._reply(turn, command, reply, call_ns=call_ns)
+                newest = self._take(self._port.receive(), turn) or turn
+                self._command = command if newest.sample.session == turn.sample.session else None
+                reply = self._guide.answer(self._command, self._session.period.seconds)
+                self._reply(newest, self._command, reply, call_ns=call_ns)
             self._judge(call_ns, period_ns)
+
+    def _deadline(self, sample: Sample) -> float:
+        """Return when the reply is late, on our monotonic clock [ns]."""
+        return sample.arrival_ns + _DEADLINE * 1e9 * self._session.period.seconds
 
     def _rehearse(self) -> None:
         if self._rehearsal is not None and self._arrival is not None:
@@ -203,8 +198,8 @@ class Loop:
         """Stop when the controller, not the computer, makes too many cycles late."""
         if self._in_lockstep:
             return
-        late = self._taken or call_ns > _BLAME * period_ns
-        too_late = self.lateness.add(time.monotonic_ns(), late, call_ns)
+        blamed = self._taken or (self._was_late and call_ns > _BLAME * period_ns)
+        too_late = self._lateness.add(time.monotonic_ns(), blamed, call_ns)
         if too_late:
             sentence = f"The controller was too slow: {too_late}. The arm was stopped. Give work to another thread."
             self._guide.stop("the controller was late", ControllerLate(sentence))
@@ -226,6 +221,9 @@ class Loop:
                 session.replied(now)
                 self.replies += 1
                 self.latency.add(now - sample.arrival_ns)
+                late = late or (not self._in_lockstep and now > self._deadline(sample))
+        self._was_late = late
+        self.late += late
         for older in self._surpassed:
             self.overtaken += 1
             self._record(older, None, None, -1, -1, 0, late=False)

@@ -87,15 +87,13 @@ class Waiting:
         now = time.monotonic_ns()
         end = now + int(1e9 * seconds)
         predicted = self.prediction.next_ns
-        if self._mode != "block" and predicted is not None and now < predicted - _AHEAD < end:
-            if self._mode == "ahead":
-                time.sleep(1e-9 * (predicted - _AHEAD - now))
-            else:
-                arrival = self._poll(int(predicted - _AHEAD))
+        if self._mode != "block" and predicted is not None and now < predicted + _AFTER < end:
+            if now < predicted - _AHEAD:
+                arrival = self._idle(predicted - _AHEAD)
                 if arrival is not None:
                     return arrival
-            self.rehearse()
-            arrival = self._poll(int(predicted + _AFTER))
+                self.rehearse()
+            arrival = self._poll(predicted + _AFTER)
             if arrival is not None:
                 return arrival
         if self._mode == "spin":
@@ -103,7 +101,13 @@ class Waiting:
         self._port.wait(1e-9 * (end - time.monotonic_ns()))
         return self._port.receive()
 
-    def _poll(self, end: int) -> Arrival | None:
+    def _idle(self, until: float) -> Arrival | None:
+        if self._mode == "spin":
+            return self._poll(until)
+        time.sleep(1e-9 * max(until - time.monotonic_ns(), 0.0))
+        return self._port.receive()
+
+    def _poll(self, end: float) -> Arrival | None:
         while True:
             arrival = self._port.receive()
             if arrival is not None or time.monotonic_ns() >= end:

@@ -19,15 +19,10 @@ _NAP = 2e-3  # s between two looks of the guard
 
 
 class Lateness:
-    """Counts late cycles and says when they are too many: 5 in a row, 5 % in 1 s, or one call above 0.25 s.
-
-    Attributes
-    ----------
-    total : late cycles so far.
-    """
+    """Says when late cycles are too many: 5 in a row, 5 % in 1 s, or one call above 0.25 s."""
 
     def __init__(self) -> None:
-        self.total = self._row = self._recent_late = 0
+        self._row = self._recent_late = 0
         self._recent: deque[tuple[int, bool]] = deque()
 
     def add(self, now_ns: int, late: bool, call_ns: int) -> str:
@@ -35,9 +30,8 @@ class Lateness:
 
         Parameters
         ----------
-        now_ns : our monotonic clock. late : the reply of this cycle was. call_ns : time spent in the controller.
+        now_ns : our monotonic clock. late : this cycle was, by the controller's fault. call_ns : time it spent.
         """
-        self.total += late
         self._row = self._row + 1 if late else 0
         self._recent.append((now_ns, late))
         self._recent_late += late
