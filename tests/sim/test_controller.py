@@ -116,7 +116,10 @@ def test_a_surplus_reply_adds_a_cycle_for_ever() -> None:
     for k in range(20):
         packet = peer.cycle(ROBOT.q_home, replies=2 if k == 5 else 1)
     assert packet is not None
-    assert packet.queue_depth == 2
+    assert packet.queue_depth == 1
+    assert {p.queue_depth for p in peer.packets[:7]} == {0}, (
+        "what is left after the last take, not what waits for the next"
+    )
     assert set(peer.controller.statistics.age) == {1, 2}
     assert peer.controller.statistics.age[2] >= 12
 
@@ -195,6 +198,48 @@ def test_streaming_comes_before_guidance() -> None:
         np.testing.assert_allclose(p.q_planned, ROBOT.q_home, atol=1e-12)
     assert peer.controller.statistics.drops["not guiding"] >= 24
     assert peer.packets[25].robot_ns - EPOCH_NS == 25 * 4_032_000
+
+
+@pytest.mark.parametrize("stream", [0.0, 0.0975, 0.1])
+def test_guidance_time_is_zero_at_the_first_running_packet_of_each_session(stream: float) -> None:
+    peer = start(stream=stream, comm_timeout=0.05)
+    first: dict[int, float] = {}
+    states: dict[int, list[int]] = {}
+    for _ in range(200):
+        session, t = peer.controller.session, peer.controller.guidance_time
+        packet = peer.cycle()
+        if packet is not None:
+            states.setdefault(session, []).append(packet.mci)
+        if packet is not None and packet.mci == RUNNING:
+            first.setdefault(session, t)
+    assert len(first) >= 2
+    np.testing.assert_allclose(list(first.values()), 0.0, atol=1e-12)
+    streamed = [seen.count(STOPPED) for seen in states.values()]
+    assert streamed[0] == streamed[1] == np.ceil(stream / 0.004032)
+
+
+def test_a_fast_reference_that_leaves_the_range_brakes_at_once() -> None:
+    """No cycle of standstill between guidance and braking: speed falls by no more than the acceleration limit."""
+    peer = start(ramp_in=0.005)
+    for _ in range(30):
+        peer.cycle(ROBOT.q_home, np.full(7, 1.0))
+    peer.cycle(ROBOT.q_max + 0.01)
+    while peer.cycle() is not None:
+        pass
+    speeds = np.diff([p.q_planned for p in peer.packets], axis=0) / 0.004032
+    assert speeds.max() > 0.8
+    assert (np.diff(speeds, axis=0) >= -ROBOT.qdd_max * 0.004032 - 1e-9).all()
+
+
+def test_an_arm_driven_beyond_all_numbers_is_dead() -> None:
+    """An operator who means newtons and writes millions; packets of NaN would be the alternative."""
+    peer = start(operator=Operator(np.array([0.0, 9.0]), np.full((2, 6), 1e9)))
+    with np.errstate(all="ignore"):
+        for _ in range(300):
+            peer.cycle(ROBOT.q_home)
+    assert peer.controller.dead
+    assert sum("beyond all numbers" in event for event in peer.events) == 1
+    assert all(np.isfinite(p.q).all() for p in peer.packets)
 
 
 def test_a_reference_out_of_bounds_stops_in_error() -> None:

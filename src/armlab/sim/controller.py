@@ -10,6 +10,7 @@ Phases: ``streaming`` (packets say STOPPED) -> ``guiding`` (RUNNING) -> ``failin
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable
 
@@ -45,7 +46,7 @@ class Controller:
 
     Attributes
     ----------
-    phase : see the module. reason : why it is over, "" before. dead : over by a system failure.
+    phase : see the module. reason : why it is over, "" before. dead : over by a failure that only a restart ends.
     session : number of the session from 1. uptime : robot time [s]. guidance_time : since guidance began [s].
     robot_ns, seq : stamp and sequence number of the next packet.
     statistics : what was counted.
@@ -73,9 +74,9 @@ class Controller:
             "paused": self._pause,
             "over": self._guidance.brake,
         }
-        self._cycle = self.session = self.seq = self._used_seq = 0
+        self._cycle = self.session = 0
         self.reason, self.dead, self._answered = "", False, False
-        self._begin_session()
+        self._begin_session(0)
 
     @property
     def uptime(self) -> float:
@@ -120,7 +121,7 @@ class Controller:
             qd_reference=guidance.qd,
             mono_ns=self.robot_ns - EPOCH_NS,
             used_seq=self._used_seq,
-            queue_depth=len(self._queue),
+            queue_depth=self._left,
         )
         self._sent.append((self.tm_ms, self._cycle))
         self.seq += 1
@@ -158,6 +159,8 @@ class Controller:
         self._cycle += 1
         wrench = self._operator.at(self.guidance_time) if guiding else None
         self.arm.step(self._guidance.q, self._guidance.qd, wrench)
+        if self.phase != "over" and not np.isfinite(self.arm.sample.q).all():
+            self._die(0, "the simulated arm was driven beyond all numbers; push it with less force")
 
     def lose_peer(self) -> None:
         """End the session as CommTimeout does. For lockstep, where robot time stands still while the peer is silent."""
@@ -175,17 +178,19 @@ class Controller:
             self.reason = reason
             self._enter("over")
 
-    def _begin_session(self) -> None:
+    def _begin_session(self, first_cycle: int) -> None:
         self.session += 1
         self.statistics.counts["sessions"] += 1
-        self.seq, self._near_for, self._near = 0, 0, False
+        self.seq = self._used_seq = self._left = self._near_for = 0
+        self._near = False
         self._q_ref: np.ndarray | None = None
         self._qd_ref: np.ndarray | None = None
         self._told: set[str] = set()
         self._queue.clear()
         self._sent.clear()
-        self._guided_since = self._cycle + round(self._settings.stream / self._settings.period)
-        self._enter("streaming" if self._guided_since > self._cycle else "guiding")
+        streamed = math.ceil(self._settings.stream / self._settings.period - 1e-9)
+        self._guided_since = first_cycle + streamed
+        self._enter("streaming" if streamed else "guiding")
 
     def _enter(self, phase: str) -> None:
         self.phase, self._in_phase = phase, 0
@@ -197,14 +202,16 @@ class Controller:
         return self._in_phase * self._settings.period >= seconds - 1e-9
 
     def _stream(self) -> None:
-        if self._lasted(self._settings.stream):
+        self._guidance.brake()
+        if self._cycle + 1 == self._guided_since:
             self._enter("guiding")
 
     def _guide(self) -> None:
         self._take()
-        if self.phase != "guiding":
-            return
         guidance = self._guidance
+        if self.phase != "guiding":
+            guidance.brake()
+            return
         guidance.follow(self._q_ref, self._qd_ref)
         if violation := guidance.violation():
             self._fail(violation)
@@ -227,7 +234,7 @@ class Controller:
         self._guidance.brake()
         if self._lasted(self._settings.restart):
             if self._settings.program == "loop":
-                self._begin_session()
+                self._begin_session(self._cycle + 1)
             else:
                 self.stop("the program ran once")
 
@@ -240,12 +247,11 @@ class Controller:
             return
         self._silent_for = 0
         message = self._queue.popleft()
+        self._left = len(self._queue)
         self._note_age(message)
         q, qd = message.q, message.qd
         if q is None or not _is_number(q) or (qd is not None and not _is_number(qd)):
-            self._event(10014, "System failure state: a reference is not a finite number; restart the controller")
-            self.dead = True
-            self.stop("event 10014")
+            self._die(10014, "System failure state: a reference is no usable number; restart the controller")
         elif refusal := self._guidance.refusal(q):
             self._fail(refusal)
         else:
@@ -257,6 +263,11 @@ class Controller:
             if tm == message.tm_ms:
                 self.statistics.age[self._cycle - cycle] += 1
                 return
+
+    def _die(self, number: int, text: str) -> None:
+        self._event(number, text)
+        self.dead = True
+        self.stop(f"event {number}" if number else text)
 
     def _fail(self, text: str) -> None:
         self._event(0, f"External Motion Interface input out of bounds: {text}")
