@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import socket
+import time
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -74,6 +76,42 @@ def test_a_silent_peer_ends_the_waiting(make_peer: MakePeer) -> None:
     assert not client.wait(0.05, lambda: True)
     assert not client.wait(60.0, lambda: False), "told to stop"
     client.close()
+
+
+def test_a_flood_does_not_outlast_the_patience(make_peer: MakePeer) -> None:
+    """Garbage without end: each look at it is a look at the clock and at the parent too."""
+    client = channel(make_peer(ROBOT, lambda k, packet, reply: []).port)
+    client._get = lambda: b"garbage"  # type: ignore[method-assign]
+    client.prepare()
+    client.send()
+    assert not client.wait(0.05, lambda: True)
+    assert not client.wait(60.0, lambda: False)
+    client.close()
+
+
+def test_replies_that_come_between_sessions_do_not_wait_for_the_next(make_peer: MakePeer) -> None:
+    client = channel(make_peer(ROBOT, lambda k, packet, reply: [reply, reply]).port)
+    cycles(client, 1)
+    client.controller.lose_peer()
+    drops = client.controller.statistics.drops
+    for _ in range(40):
+        cycles(client, 1)
+        if drops["not guiding"]:
+            break
+        time.sleep(0.01)
+    assert drops["not guiding"] == 1
+    client.close()
+
+
+def test_delayed_packets_leave_newest_first() -> None:
+    """So that a peer answers one of them, however fast it looks."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as server:
+        server.bind(("127.0.0.1", 0))
+        client = channel(server.getsockname()[1])
+        client._outgoing = SimpleNamespace(through=lambda _: [(1, b"old"), (3, b"new"), (2, b"middle")])  # type: ignore[assignment]
+        client.send()
+        assert [server.recv(100) for _ in range(3)] == [b"new", b"middle", b"old"]
+        client.close()
 
 
 def test_a_port_that_is_bound_late_is_served(make_peer: MakePeer) -> None:

@@ -117,7 +117,8 @@ def test_abb_defaults_are_slow_and_converge() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("gain", 21.0), ("filter", 0.0), ("level", 3), ("period", 0.0), ("gain", float("nan"))]
+    ("name", "value"),
+    [("gain", 21.0), ("filter", 0.0), ("level", 3), ("period", 0.0), ("gain", float("nan")), ("stream", np.inf)],
 )
 def test_settings_out_of_range(name: str, value: float) -> None:
     with pytest.raises(ConfigError, match=name):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from armlab import robots
+from armlab.errors import ConfigError
 from armlab.sim.arm import Arm
 from armlab.sim.channel import Channel
 from armlab.sim.controller import Controller
@@ -83,6 +84,18 @@ def test_a_pause_of_the_peer_does_not_move_robot_time(make_peer: MakePeer) -> No
     peer = make_peer(RIGHT, answer)
     run([channel(peer.port)], Pace(lockstep=True, seconds=1.0))
     assert [p.seqno for p in peer.packets] == list(range(len(peer.packets)))
+
+
+@pytest.mark.parametrize("changes", [{"seconds": -1.0}, {"seconds": np.nan}, {"patience": np.nan}, {"gone": -1.0}])
+def test_times_that_make_no_sense_are_refused(changes: dict[str, float]) -> None:
+    with pytest.raises(ConfigError, match=next(iter(changes))):
+        Pace(**changes)
+
+
+def test_lateness_counts_the_late_cycles_too(make_peer: MakePeer) -> None:
+    client = channel(make_peer(RIGHT).port)
+    run([client], Pace(seconds=0.2), observe=lambda _: time.sleep(0.03 if client.controller.seq == 20 else 0.0))
+    assert client.controller.statistics.as_dict()["wake_up_late_us"]["max"] > 20_000
 
 
 def test_it_ends_with_the_process_that_started_it(make_peer: MakePeer) -> None:

@@ -87,7 +87,8 @@ class Channel:
         if self._packet is not None:
             self._sent.append((self._seq, self._tm, time.time_ns()))
         self._awaited = False
-        for number, datagram in datagrams:
+        # the newest first: then a peer answers one of them, whether it looks before or after the others have come
+        for number, datagram in sorted(datagrams, key=lambda item: -item[0]):
             self._put(datagram)
             self._awaited = self._awaited or number > self._newest  # a peer answers what is newer than all before
             self._newest = max(self._newest, number)
@@ -110,15 +111,19 @@ class Channel:
         ----------
         patience : how long to wait [s]. alive : asked now and then whether to go on.
         """
+        if self._packet is None and not self._awaited:
+            self.drain()  # what comes between two sessions must not wait in the socket for the next one
+            return True
         deadline = time.monotonic() + patience
         while self._awaited:
             data = self._get()
-            if data is not None:
-                self._awaited = not self._receive(data)
-                continue
+            if data is not None and self._receive(data):
+                break
             left = deadline - time.monotonic()
-            if left <= 0 or not alive():
+            if left <= 0 or not alive():  # also under a flood of what is no answer
                 return False
+            if data is not None:
+                continue
             if self._refused and self._packet is not None:
                 time.sleep(_REFUSED_PAUSE)
                 self._put(self._packet)

@@ -36,7 +36,7 @@ _RANGES: dict[str, tuple[float, float]] = {
     "window": (0.0, math.inf),
     "condition_time": (0.0, math.inf),
     "comm_timeout": (1e-3, math.inf),
-    "stream": (0.0, math.inf),
+    "stream": (0.0, 1e6),
     "restart": (0.0, math.inf),
 }
 

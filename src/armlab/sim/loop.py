@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from armlab.errors import ConfigError
 from armlab.sim.channel import Channel
 
 __all__ = ["Pace", "run"]
@@ -24,12 +25,23 @@ class Pace:
     seconds : robot time after which to end, None for never.
     patience : how long lockstep waits for one reply before the session times out [s].
     gone : silence after which lockstep gives its peer up and ends [s].
+
+    Raises
+    ------
+    ConfigError : for a time that is negative or no number.
     """
 
     lockstep: bool = False
     seconds: float | None = None
     patience: float = 10.0
     gone: float = 120.0
+
+    def __post_init__(self) -> None:
+        """Check the times."""
+        for name in ("seconds", "patience", "gone"):
+            value = getattr(self, name)
+            if value is not None and not value >= 0:
+                raise ConfigError(f"Expected {name} of at least 0 s, got {value}.")
 
 
 def run(
@@ -109,8 +121,8 @@ def _real_time(
         left = due - time.monotonic()
         if left > 0:
             time.sleep(left)
-            for channel in channels:
-                channel.controller.statistics.late(time.monotonic() - due)
+        for channel in channels:
+            channel.controller.statistics.late(time.monotonic() - due)
         for channel in channels:
             channel.drain()  # first, or a fast reply to the packet that leaves now would count for this cycle
             channel.send()
