@@ -16,6 +16,7 @@ import pytest
 from armlab import cli, robots
 from armlab.cli.sim import read_operator, sim
 from armlab.errors import ConfigError
+from armlab.sim.guidance import Settings
 from armlab.wire.egm import EgmCodec, Packet, Reference
 
 HEADER = "t,fx,fy,fz,mx,my,mz\n"
@@ -79,6 +80,24 @@ def test_the_option_names_of_the_bridge_work(holding_peer: int) -> None:
     assert cli.main(arguments(holding_peer, *more, "--program", "once")) == 0
 
 
+def test_two_robots_of_one_name_are_both_counted(tmp_path: Path) -> None:
+    stats = tmp_path / "stats.json"
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
+        silent.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{silent.getsockname()[1]}"
+        words = ["sim", "yumi_left", "yumi_left", "--to", f"{address},{address}", "--seconds", "0.05"]
+        assert cli.main([*words, "--stats", str(stats)]) == 0
+    assert list(json.loads(stats.read_text(encoding="utf-8"))) == ["yumi_left 1", "yumi_left 2"]
+
+
+def test_abb_defaults_do_not_replace_what_was_given(holding_peer: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[Settings] = []
+    original = Settings.__post_init__
+    monkeypatch.setattr(Settings, "__post_init__", lambda self: (original(self), seen.append(self))[0])
+    assert cli.main(arguments(holding_peer, "--abb-defaults", "--window", "0.2")) == 0
+    assert (seen[-1].window, seen[-1].max_speed) == (0.2, np.radians(1.0))
+
+
 @pytest.mark.parametrize(
     ("words", "text"),
     [
@@ -90,6 +109,12 @@ def test_the_option_names_of_the_bridge_work(holding_peer: int) -> None:
         (["sim", "--to", "127.0.0.1:6511"], "got 0 and 1"),
         (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--period", "9"], "period"),
         (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--loss", "2"], "loss"),
+        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--seed", "-1"], "seed"),
+        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--seconds", "nan"], "seconds"),
+        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--patience", "-1"], "patience"),
+        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--stream", "inf"], "stream"),
+        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--stats", "missing/stats.json"], "missing/stats.json"),
+        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--truth", "missing/truth.csv"], "missing/truth.csv"),
         (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--operator", "missing.csv"], "missing.csv"),
     ],
 )
@@ -108,6 +133,7 @@ def test_wrong_arguments_are_one_line(words: list[str], text: str, capsys: pytes
         (HEADER + "0,1,2,3,4,5,6\n1,a,0,0,0,0,0\n", "line 3"),
         (HEADER + "0,1,2,3,4,5,nan\n", "line 2"),
         (HEADER + "1,0,0,0,0,0,0\n\n1,0,0,0,0,0,0\n", "line 4"),
+        (HEADER + "1" * 200_000 + ",0,0,0,0,0,0\n", "line 2"),
         ("", "line 1"),
     ],
 )

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 import os
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TextIO
 
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["read_operator", "sim"]
 
 _OPERATOR = ("t", "fx", "fy", "fz", "mx", "my", "mz")
+_SHOWN = 80  # characters of a wrong line that a message quotes
 _flat = Parameter(name="*")
 
 
@@ -68,11 +68,12 @@ def sim(
     truth : Path
         CSV file to write with the exact state, friction and wrench of every packet (one robot only).
     stats : Path
-        JSON file to write with counters and round-trip times.
+        JSON file to write with counters and round-trip times, per robot; a name given twice gets a number.
     patience : float
         How long lockstep waits for one reply before the session times out [s].
     abb_defaults : bool
-        Speed deviation 1 deg/s and convergence after 1 s within 0.5 deg, as on a robot set up without care.
+        Speed deviation 1 deg/s and convergence after 1 s within 0.5 deg, as on a robot set up without care. What is
+        given as an option of its own keeps its value.
     settings : Settings
         Of the controller.
     faults : FaultRates
@@ -81,37 +82,36 @@ def sim(
     from armlab.cli.output import note
     from armlab.sim.loop import Pace, run
 
+    parent = os.getppid()  # now, before anything takes time in which it could end
+    pace = Pace(lockstep, seconds, patience)
+    if seed < 0:
+        raise ConfigError(f"Expected a seed of at least 0, got {seed}.")
     if abb_defaults:
-        careless = Settings.abb_defaults()
-        settings = replace(settings, max_speed=careless.max_speed, window=careless.window)
+        settings = _with_abb_defaults(settings)
     hand = Operator.idle() if operator is None else read_operator(operator)
     addresses = _addresses(to, robot)
     if truth is not None and len(robot) > 1:
         raise ConfigError(f"Expected one robot together with --truth, got {len(robot)}. Start one simulator per robot.")
-    channels = [
-        _channel(name, address, settings, extension, hand if i == 0 else Operator.idle(), faults, [seed, i], note)
-        for i, (name, address) in enumerate(zip(robot, addresses, strict=True))
-    ]
-    parent = os.getppid()
-    with ExitStack() as files:
-        observe = None
-        if truth is not None:
-            observe = _recorder(files.enter_context(truth.open("w", encoding="utf-8")), channels[0].controller)
+    with ExitStack() as opened:
+        channels: list[Channel] = []
+        for i, (name, address) in enumerate(zip(robot, addresses, strict=True)):
+            pusher = hand if i == 0 else Operator.idle()
+            channels.append(_channel(name, address, settings, extension, pusher, faults, [seed, i], note))
+            opened.callback(channels[-1].close)
+        summary, exact = (path and opened.enter_context(path.open("w", encoding="utf-8")) for path in (stats, truth))
+        observe = _recorder(exact, channels[0].controller) if exact else None
         try:
-            reason = run(
-                channels,
-                Pace(lockstep, seconds, patience),
-                alive=lambda: os.getppid() == parent,  # never outlive the program that started us
-                observe=observe,
-            )
+            # never outlive the program that started us
+            reason = run(channels, pace, alive=lambda: os.getppid() == parent, observe=observe)
             code = FAILED if any(channel.controller.dead for channel in channels) else 0
         except KeyboardInterrupt:
             reason, code = "interrupted", INTERRUPTED
-    for name, channel in zip(robot, channels):
-        note(f"{name}: {channel.controller.uptime:.3f} s, {channel.controller.statistics.line()}; {reason}")
-    if stats is not None:
-        summary = {name: channel.controller.statistics.as_dict() for name, channel in zip(robot, channels)}
-        stats.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+        for name, channel in zip(robot, channels):
+            note(f"{name}: {channel.controller.uptime:.3f} s, {channel.controller.statistics.line()}; {reason}")
+        if summary:
+            labels = [f"{name} {i + 1}" if robot.count(name) > 1 else name for i, name in enumerate(robot)]
+            counted = [channel.controller.statistics.as_dict() for channel in channels]
+            summary.write(json.dumps(dict(zip(labels, counted)), indent=2) + "\n")
     return code
 
 
@@ -130,27 +130,32 @@ def read_operator(path: Path) -> Operator:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"Expected an operator file at {path}, but it cannot be read ({error}).") from error
-    lines = csv.reader(text.splitlines())
-    header = tuple(word.strip() for word in next(lines, []))
-    if header != _OPERATOR:
-        raise ConfigError(f"Expected the header {','.join(_OPERATOR)} in line 1 of {path}, got {','.join(header)!r}.")
+    header, *lines = text.splitlines() or [""]
+    if tuple(word.strip() for word in header.split(",")) != _OPERATOR:
+        raise ConfigError(f"Expected the header {','.join(_OPERATOR)} in line 1 of {path}, got {header[:_SHOWN]!r}.")
     rows: list[list[float]] = []
-    for words in lines:
-        if not words:
+    for number, line in enumerate(lines, start=2):
+        if not line.strip():
             continue
-        row = _numbers(words)
+        row = _numbers(line.split(","))
         if len(row) != len(_OPERATOR) or not all(math.isfinite(value) for value in row):
-            raise ConfigError(
-                f"Expected {len(_OPERATOR)} numbers in line {lines.line_num} of {path}, got {','.join(words)!r}."
-            )
+            raise ConfigError(f"Expected {len(_OPERATOR)} numbers in line {number} of {path}, got {line[:_SHOWN]!r}.")
         if rows and row[0] <= rows[-1][0]:
             raise ConfigError(
-                f"Expected times that increase in line {lines.line_num} of {path}, "
-                f"got {row[0]:g} s after {rows[-1][0]:g} s."
+                f"Expected times that increase in line {number} of {path}, got {row[0]:g} s after {rows[-1][0]:g} s."
             )
         rows.append(row)
     table = np.array(rows).reshape(len(rows), len(_OPERATOR))
     return Operator(table[:, 0], table[:, 1:])
+
+
+def _with_abb_defaults(settings: Settings) -> Settings:
+    """Return the settings with ABB's defaults where the user gave nothing."""
+    ours, careless = Settings(), Settings.abb_defaults()
+    names = [field.name for field in fields(Settings)]
+    return replace(
+        settings, **{name: getattr(careless, name) for name in names if getattr(settings, name) == getattr(ours, name)}
+    )
 
 
 def _numbers(words: Iterable[str]) -> list[float]:
