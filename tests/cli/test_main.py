@@ -71,6 +71,17 @@ def test_errors_become_sentences(
     assert ("Traceback" in capsys.readouterr().err) is not isinstance(error, KeyboardInterrupt)
 
 
+def test_an_interrupt_while_a_compiled_module_loads(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(_words: list[str]) -> int:
+        raise ImportError("initialization failed") from KeyboardInterrupt()
+
+    monkeypatch.setattr(cli, "_run", fail)
+    assert cli.main(["sim"]) == cli.INTERRUPTED
+    assert capsys.readouterr().err == "armlab: interrupted.\n"
+
+
 def test_termination_is_an_interrupt(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cli, "_run", lambda _words: signal.raise_signal(signal.SIGTERM))
     before = signal.getsignal(signal.SIGTERM)

@@ -69,6 +69,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             return _run(words)
         except Exception as error:
+            if isinstance(error.__cause__, KeyboardInterrupt):  # so compiled modules report Ctrl-C while they load
+                _say("interrupted.")
+                return INTERRUPTED
             if debug:
                 traceback.print_exc()
             return _report(error)
