@@ -80,6 +80,12 @@ def test_defaults_of_details() -> None:
     np.testing.assert_array_equal(limited.qdd_max, np.array([2.0, 3.0]) / RAMP_TIME)
 
 
+def test_a_misspelt_detail_is_refused() -> None:
+    """Limits that are not taken would be infinite."""
+    with pytest.raises(RobotError, match="got 'q_maxx'"):
+        robots.from_dh("r", 0.0, [1.0, 1.0], 0.0, q_maxx=[1.0, 1.0])  # type: ignore[call-arg]
+
+
 def test_details_name_fields_of_robot() -> None:
     assert set(Details.__annotations__) < set(Robot.__dataclass_fields__)
 

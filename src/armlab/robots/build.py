@@ -60,8 +60,12 @@ def from_links(name: str, links: ArrayLike, prismatic: ArrayLike | None = None, 
 
     Raises
     ------
-    RobotError : when the numbers contradict each other.
+    RobotError : when the numbers contradict each other or a detail has an unknown name.
     """
+    for unknown in details.keys() - Details.__annotations__.keys():
+        raise RobotError(
+            f"Expected details of robot {name!r} among {', '.join(Details.__annotations__)}, got {unknown!r}."
+        )
     links = _floats(links)
     n = max(len(links) - 1, 0)
     unlimited = np.full(n, np.inf)
