@@ -112,6 +112,7 @@ def test_project() -> None:
         (lambda: se3.inv(2 * np.eye(4)), "Expected the rotation of T to be a rotation within 1e-06"),
         (lambda: se3.log(np.diag([1.0, 1, 1, 2])), r"Expected \(0, 0, 0, 1\) as the last row of T, got one off by 1\."),
         (lambda: se3.project(np.diag([1.0, 1, 1, 2])), "as the last row of M"),
+        (lambda: se3.inv(np.diag([1.0, 1, 1, np.nan])), "as the last row of T, got one off by nan"),
         (lambda: se3.adjoint(np.zeros((4, 4))), "Expected the rotation of T_a_b"),
         (lambda: se3.from_rp(np.eye(3), [1, 2]), "Expected p of shape"),
         (lambda: se3.from_rp(-np.eye(3)), "determinant = -1"),
@@ -127,8 +128,9 @@ def test_bad_input_is_a_sentence(call, sentence: str) -> None:
 
 def test_missing_stays_missing() -> None:
     T = se3.exp(random_twists(2))
-    T[1] = np.nan
-    T[1, 3] = 0, 0, 0, 1
-    for result in (se3.log(T), se3.inv(T), se3.adjoint(T), se3.project(T)[0]):
-        assert np.isfinite(result[0]).all()
-        assert np.isnan(result[1]).any()
+    for last_row in ((0, 0, 0, 1), np.nan):
+        T[1] = np.nan
+        T[1, 3] = last_row
+        for result in (se3.log(T), se3.inv(T), se3.adjoint(T), se3.project(T)[0]):
+            assert np.isfinite(result[0]).all()
+            assert np.isnan(result[1]).any()

@@ -175,6 +175,7 @@ def test_left_jacobian_of_a_turn() -> None:
         (lambda: so3.log(2 * np.eye(3)), r"Expected R to be a rotation within 1e-06, got max\|R\^T R - I\| = 3\."),
         (lambda: so3.log([np.eye(3), -np.eye(3)]), r"Expected R\[1\] to be a rotation.*determinant = -1\..*Project"),
         (lambda: so3.angle(np.eye(3), np.zeros((3, 3))), "Expected R_b to be a rotation"),
+        (lambda: so3.log(np.diag([np.inf, 1, 1])), r"Expected R to be a rotation.*max\|R\| = inf"),
         (lambda: so3.project(np.eye(2)), "Expected M of shape"),
     ],
 )

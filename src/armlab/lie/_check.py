@@ -28,6 +28,8 @@ def array(value: ArrayLike, tail: tuple[int, ...], name: str) -> np.ndarray:
 def rotation(R: ArrayLike, name: str = "R") -> np.ndarray:
     """Return rotations (..., 3, 3), refusing matrices that are none."""
     R = array(R, (3, 3), name)
+    largest = np.abs(R).max(axis=(-1, -2))
+    refuse(name, largest == np.inf, largest, "max|R|")
     off, det = orthonormality(R), determinant(R)
     refuse(name, off > ROTATION_TOLERANCE, off, "max|R^T R - I|")
     refuse(name, det < 0, det, "determinant")
@@ -45,8 +47,9 @@ def pose(T: ArrayLike, name: str = "T") -> np.ndarray:
 def last_row(T: np.ndarray, name: str) -> None:
     """Refuse a last row other than (0, 0, 0, 1)."""
     off = np.abs(T[..., 3, :] - (0.0, 0.0, 0.0, 1.0)).max(axis=-1)
-    if (off > 0).any():
-        raise ShapeError(f"Expected (0, 0, 0, 1) as the last row of {name}, got one off by {off[off > 0].max():.3g}.")
+    bad = (off > 0) | (np.isnan(off) & ~np.isnan(T[..., :3, :]).any(axis=(-1, -2)))  # a NaN here alone would vanish
+    if bad.any():
+        raise ShapeError(f"Expected (0, 0, 0, 1) as the last row of {name}, got one off by {off[bad].max():.3g}.")
 
 
 def orthonormality(R: np.ndarray) -> np.ndarray:
