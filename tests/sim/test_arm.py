@@ -87,22 +87,22 @@ def test_energy_is_kept_without_drives_and_friction(robot: Robot, truth: Truth) 
     arm.drive.torque = lambda *args: args[-1].fill(0.0)  # type: ignore[method-assign]
     arm.place(robot.q_home + 0.5)
 
-    def energy(sample: Sample) -> float:
+    def energy(sample: Sample) -> tuple[float, float]:
         q, qd, zero = sample.q, sample.qd, np.zeros(7)
         M_qd = robot.chain.rnea(q, zero, qd, np.zeros(3), free.pi) + free.rotor * qd
         heights = sum(
             pi[0] * T_base_link[2, 3] + T_base_link[2, :3] @ pi[1:4]
             for pi, T_base_link in zip(free.pi, robot.chain.link_transforms(q))
         )
-        return 0.5 * qd @ M_qd + 9.80665 * heights
+        return 0.5 * qd @ M_qd, 9.80665 * heights
 
-    energies, speeds = [], []
+    energies = []
     for _ in range(500):
         arm.step(robot.q_home, np.zeros(7), None)
         energies.append(energy(arm.sample))
-        speeds.append(np.abs(arm.sample.qd).max())
-    assert max(speeds) > 1.0
-    assert np.ptp(energies) < 2e-3 * np.abs(np.ptp(speeds))
+    kinetic, potential = np.array(energies).T
+    assert kinetic.max() > 5.0
+    assert np.ptp(kinetic + potential) < 2e-4 * kinetic.max()
 
 
 def test_tracking_at_sixty_percent_speed(robot: Robot, truth: Truth) -> None:
@@ -132,7 +132,7 @@ def test_holding_against_a_push(robot: Robot, truth: Truth) -> None:
     strong = np.abs(expected) > 0.5
     assert strong.any()
     assert (np.abs(early - expected) > np.abs(late - expected))[strong].all()
-    np.testing.assert_allclose(late[strong], expected[strong], rtol=0.7)
+    np.testing.assert_allclose(late[strong], expected[strong], rtol=0.55)
 
 
 def test_it_comes_to_rest(robot: Robot, truth: Truth) -> None:

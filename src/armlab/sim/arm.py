@@ -33,7 +33,7 @@ LONGEST_STEP = 1.05e-3  # s
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sample:
-    """The exact state at one instant; nothing of it goes over the wire.
+    """The exact state at one instant. Over the wire goes only what drives know of themselves: command, `tau_gravity`.
 
     Attributes
     ----------

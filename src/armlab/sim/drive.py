@@ -6,9 +6,10 @@ Per joint, at every physics step h, with the nominal inertia J of the joint at t
     I  += h e / INTEGRAL_TIME
     tau = J (a_ref + VELOCITY_GAIN (e + I)) + feedforward (C v + G),     |tau| <= tau_max
 
-The integral makes an arm at rest stiff: a push is first carried by static friction and then, within about a second, by
-the drive. It stops growing while the torque is saturated. The feed-forward is deliberately incomplete, as in real
-drives. The drive sees position and velocity without the quantisation and noise of what is reported.
+The integral makes an arm at rest stiff: a push is first carried by static friction and then by the drive, which carries
+too much or too little as long as the bristles of the friction hold the rest. It stops growing while the torque is
+saturated. The feed-forward is deliberately incomplete, as in real drives. The drive sees position and velocity without
+the quantisation and noise of what is reported.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Synthetic truth of the simulated arms: masses, friction, ripple, noise. Assumptions, not measurements.
 
 No manufacturer publishes these numbers. They are invented in believable proportions so that identification and force
-estimation can be judged against something known. They live here only: never in the robot library, never on the wire.
+estimation can be judged against something known. They live here only: never in the robot library, and the wire carries
+no more of them than the drives' own torque command and gravity feed-forward, which no part of armlab reads.
 
 Rule of the set (all robots, with ``tau_max`` by size)::
 
