@@ -274,8 +274,7 @@ def test_closing_twice_and_rows_after_closing(tmp_path: Path, robot: Robot, rows
 
 
 INTERRUPTED = """
-import sys, time
-sys.path.insert(0, {tests!r})
+import time
 import numpy as np
 from armlab import robots
 from armlab.log import Recorder, Tick
@@ -298,7 +297,7 @@ except KeyboardInterrupt:
 
 def test_ctrl_c_leaves_a_complete_file(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    code = INTERRUPTED.format(tests=str(Path(__file__).parent), path=str(path))
+    code = INTERRUPTED.format(path=str(path))
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as child:
         assert child.stdout is not None
         assert child.stdout.readline() == "ready\n"
@@ -307,3 +306,24 @@ def test_ctrl_c_leaves_a_complete_file(tmp_path: Path) -> None:
         assert child.wait(20) == 0
     assert inspect(path).finished
     assert abs(len(read(path)) - rows) <= 1  # the row in progress when the signal came
+
+
+def test_a_recorder_that_nobody_closes_is_closed_at_exit(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    code = INTERRUPTED.format(path=str(path)).replace("while True", "while i < 300")
+    code = code.replace(
+        f"with Recorder({str(path)!r}, robot) as recorder", f"if recorder := Recorder({str(path)!r}, robot)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+    assert inspect(path).finished
+    assert len(read(path)) == 300
+
+
+def test_complaints_that_are_always_new_do_not_fill_the_disk(tmp_path: Path, robot: Robot, rows: Callable) -> None:
+    with Recorder(tmp_path / "run.mcap", robot) as recorder:
+        state, _, tick = rows(0)
+        for i in range(300):
+            assert not recorder.row(state, Command(q=f"up {i}"), tick)  # type: ignore[arg-type]
+    texts = event_texts(recorder.path)
+    assert len([text for text in texts if "row not written" in text]) == 100
+    assert any("300 rows were dropped" in text for text in texts)

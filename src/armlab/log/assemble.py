@@ -50,13 +50,16 @@ def recording_table(
         warnings.warn(f"{notes[-1]}; log.read(..., raw=True) keeps them", stacklevel=2)
     if "q_ext" in values:
         values = {**values, "q_ext": _used_axes(values["q_ext"])}
+    if not keep.all():
+        values = {name: array[keep] for name, array in values.items()}
+        t, stamp_ns = t[keep], stamp_ns[keep]
     present = {name: array for name, array in values.items() if name != "t" and not _absent(array)}
     present = dict(sorted(present.items(), key=lambda item: item[1].ndim == 1))  # q qd tau before the counters
     return Table(
-        t[keep],
-        {name: array[keep] for name, array in present.items()},
+        t,
+        present,
         {name: replace(columns[name], shape=()) for name in present},
-        t0_ns=int(stamp_ns[keep][0]) if keep.any() else 0,
+        t0_ns=int(stamp_ns[0]) if len(stamp_ns) else 0,
         clock=clock,
         notes=tuple(notes),
         source=tuple(source),

@@ -124,11 +124,11 @@ def _cast(name: str, raw: np.ndarray, kind: str) -> np.ndarray:
 
 def frozen(array: np.ndarray) -> np.ndarray:
     """Return the array C-contiguous and read-only, copied if anyone could still write to its memory."""
-    array = np.ascontiguousarray(array) if array.ndim else array
-    if _writable_somewhere(array):
-        array = array.copy()
-    array.flags.writeable = False
-    return array
+    whole = np.ascontiguousarray(array) if array.ndim else array
+    if whole is array and _writable_somewhere(array):
+        whole = array.copy()
+    whole.flags.writeable = False
+    return whole
 
 
 def _writable_somewhere(array: np.ndarray) -> bool:

@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -82,9 +82,7 @@ def read(
         notes.insert(0, torn_sentence(path, found, table))
     if notes:
         warnings.warn("; ".join(notes[:3]), stacklevel=2)
-    return Table(
-        table.t, table.values, table.columns, table.t0_ns, table.clock, (*notes, *table.notes), (source, *table.source)
-    )
+    return replace(table, notes=(*notes, *table.notes), source=(source, *table.source))
 
 
 def torn_sentence(path: Path, found: Contents, table: Table) -> str:

@@ -23,6 +23,7 @@ __all__ = ["Recorder"]
 
 FLUSH_PERIOD = 0.8  # s; the promise is to lose less than 1 s
 QUEUE_ROWS = 2500  # 10 s at 250 Hz
+MOST_COMPLAINTS = 100
 
 
 class Recorder:
@@ -190,7 +191,7 @@ class Recorder:
             self.event(f"{hole[2]} rows were dropped, ticks {hole[0]} to {hole[1]}", stamp_ns)
 
     def _complain(self, text: str, tick: Tick) -> None:
-        """Write an event the first time it comes."""
-        if text not in self._complained:
+        """Write an event the first time it comes; a text that is always new must not fill the disk."""
+        if text not in self._complained and len(self._complained) < MOST_COMPLAINTS:
             self._complained.add(text)
             self.event(text, tick.stamp_ns)
