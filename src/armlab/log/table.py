@@ -123,8 +123,6 @@ class Table:
 
         return table_hash(self)
 
-    # Rows
-
     def rows(self, which: slice | np.ndarray) -> Table:
         """Return the rows of a slice (a view), a mask or an increasing index (copies)."""
         if not isinstance(which, slice):
@@ -164,8 +162,6 @@ class Table:
         from armlab.log.states import iterate
 
         return iterate(self)
-
-    # Columns
 
     def select(self, *names: str) -> Table:
         """Return the named columns only, in this order."""
@@ -234,8 +230,6 @@ class Table:
         parts = [self[name].reshape(len(self), -1) for name in sorted(found, key=natural_key)]
         return frozen(np.concatenate(parts, axis=1))
 
-    # Clocks
-
     def shifted(self, dt: float) -> Table:
         """Return the table with `dt` seconds added to its clock."""
         return self._derived(f"shifted({dt:g})", t=self.t + dt)
@@ -251,8 +245,6 @@ class Table:
         from armlab.log.resample import join
 
         return join(self, other, fill=fill, max_age=max_age)
-
-    # Text
 
     def missing(self) -> dict[str, tuple[int, tuple[int, ...]]]:
         """Return, per column with missing values, the number of rows and the first ten row numbers."""
