@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from armlab.log import Table
-from armlab.log.states import QD_SOURCES, TAU_SOURCES, iterate
+from armlab.log.states import QD_SOURCES, TAU_SOURCES, iterate, periods
 
 
 def test_sources_are_words_again() -> None:
@@ -32,3 +32,10 @@ def test_missing_numbers_keep_the_default_of_the_state() -> None:
 def test_time_of_the_session_is_the_time_of_the_state() -> None:
     table = Table([0.0, 1.0], {"q": np.zeros((2, 3)), "session_t": [7.0, 0.5], "session": [1, 2]})
     assert [state.t for state in iterate(table)] == [7.0, 0.5]
+
+
+def test_periods_of_short_tables() -> None:
+    assert np.isnan(periods(Table([3.0], {}))).all()
+    assert periods(Table([3.0], {"dt": [0.004]})).tolist() == [0.004]
+    assert periods(Table([], {})).size == 0
+    assert periods(Table([0.0, 1.0, 3.0], {"dt": [np.nan, 1.0, np.nan]})).tolist() == [1.5, 1.0, 2.0]

@@ -199,7 +199,14 @@ def test_dt_is_the_recorded_one_or_the_difference() -> None:
     table = example()
     assert table.dt[0] == pytest.approx(0.004)
     assert np.array_equal(table.dt[1:], np.diff(table.t))
-    assert np.all(table.with_column("dt", np.full(50, 0.0041)).dt == 0.0041)
+    recorded = table.with_column("dt", np.full(50, 0.0041))
+    assert np.all(recorded.dt == 0.0041)
+    fewer = recorded.rows(np.array([0, 1, 2, 6, 7]))
+    assert fewer.dt == pytest.approx([0.0041, 0.0041, 0.0041, 0.016, 0.0041])
+    begun = recorded.with_column("session", np.repeat([1, 2], 25)).rows(np.array([0, 1, 2, 30, 31]))
+    assert begun.dt[3] == 0.0041
+    assert "dt" not in recorded.resample(500.0)
+    assert recorded.resample(500.0).dt == pytest.approx(0.002)
     assert np.isnan(table.rows(slice(0, 1)).dt[0])
 
 

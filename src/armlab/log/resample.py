@@ -45,8 +45,10 @@ def resample(table: Table, to: float | np.ndarray, *, max_gap: float | None = No
             "rate folds noise into the signal; use signals.decimate, which filters first."
         )
     values = _at(table, t, "linear", 3.0 * period if max_gap is None else max_gap)
+    values.pop("dt", None)  # the period of the old clock
+    columns = {name: table.columns[name] for name in values}
     operation = f"resample({len(t)} rows, {t[0]:g} to {t[-1]:g} s)"
-    return replace(table, t=t, values=values, source=(*table.source, operation))
+    return replace(table, t=t, values=values, columns=columns, source=(*table.source, operation))
 
 
 def join(table: Table, other: Table, *, fill: str = "hold", max_age: float | None = None) -> Table:

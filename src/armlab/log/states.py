@@ -13,7 +13,7 @@ from armlab.state import State
 if TYPE_CHECKING:
     from armlab.log.table import Table
 
-__all__ = ["QD_SOURCES", "TAU_SOURCES", "iterate"]
+__all__ = ["QD_SOURCES", "TAU_SOURCES", "iterate", "periods"]
 
 # The columns `qd_source` and `tau_source` hold the index of the word.
 QD_SOURCES = ("difference", "measured")
@@ -73,3 +73,21 @@ def _rows(table: Table) -> Iterator[State]:
             q_start=q_start,
             **extra,
         )
+
+
+def periods(table: Table) -> np.ndarray:
+    """Return the time since the previous row (N,) [s], as a controller was told it.
+
+    That is the recorded `dt`, but the difference of `t` where the two are half a period apart: rows are missing
+    there. At the first row of a session they may differ.
+    """
+    steps = np.diff(table.t)
+    usual = np.median(steps) if len(steps) else np.nan
+    differences = np.concatenate(([usual][: len(table)], steps))
+    recorded = table.values.get("dt")
+    if recorded is None or not len(table):
+        return differences
+    begins = np.ones(len(table), dtype=bool)
+    begins[1:] = np.diff(table["session"]) != 0 if "session" in table else False
+    trusted = begins | (np.abs(recorded - differences) < 0.5 * usual)
+    return np.where(trusted & np.isfinite(recorded), recorded, differences)

@@ -108,13 +108,12 @@ class Table:
     def dt(self) -> np.ndarray:
         """Time since the previous row (N,) [s]: the column `dt` where recorded, else differences of `t`.
 
-        The first row has no previous one: it takes the median (NaN when it is the only row).
+        The first row has no previous one: it takes the median (NaN when it is the only row). Where rows in between
+        were taken out, the difference holds.
         """
-        if "dt" in self:
-            return self["dt"]
-        steps = np.diff(self.t)
-        first = np.median(steps) if len(steps) else np.nan
-        return frozen(np.concatenate(([first][: len(self)], steps)))
+        from armlab.log.states import periods
+
+        return frozen(periods(self))
 
     @cached_property
     def sha256(self) -> str:
