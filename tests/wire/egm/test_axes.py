@@ -9,21 +9,13 @@ import numpy as np
 import pytest
 
 from armlab.errors import RobotError
-from armlab.wire.egm import armlab_egm_pb2 as pb
 from armlab.wire.egm.axes import RADIAN, AxisMap, Refused
-
-
-def motion(joints: list[float], external: list[float] = []) -> Any:  # noqa: B006 - never changed
-    message = pb.EgmMotion()
-    message.joints.joints.extend(joints)
-    message.externalJoints.joints.extend(external)
-    return message
 
 
 def test_yumi_order(yumi: Any) -> None:
     """ABB's axis 7 is the third joint: q = (1, 2, 7, 3, 4, 5, 6)."""
     axes = AxisMap(yumi)
-    assert axes.joints(motion([1, 2, 3, 4, 5, 6], [7])) == (1, 2, 7, 3, 4, 5, 6)
+    assert axes.joints([1, 2, 3, 4, 5, 6], [7]) == (1, 2, 7, 3, 4, 5, 6)
     assert axes.wire(np.array([1.0, 2, 7, 3, 4, 5, 6]), np.ones(7)) == (1, 2, 3, 4, 5, 6, 7)
     assert (axes.head, axes.tail) == (6, 1)
     np.testing.assert_array_equal(axes.scale, np.full(7, np.pi / 180))
@@ -33,7 +25,7 @@ def test_yumi_order(yumi: Any) -> None:
 def test_both_signs_of_the_yumi_elbow(yumi: Any, elbow: float) -> None:
     """The start targets of ABB's templates: [0, -130, 30, 0, 40, 0], eax_a = 135 left, -135 right."""
     axes = AxisMap(yumi)
-    q = np.array(axes.joints(motion([0, -130, 30, 0, 40, 0], [elbow]))) * axes.scale
+    q = np.array(axes.joints([0, -130, 30, 0, 40, 0], [elbow])) * axes.scale
     expected = [0.0, -2.268928027592628, np.copysign(2.356194490192345, elbow), 0.5235987755982988, 0.0]
     np.testing.assert_allclose(q[:5], expected, rtol=1e-15)
     assert axes.wire(q, axes.scale) == pytest.approx((0, -130, 30, 0, 40, 0, elbow))
@@ -42,7 +34,7 @@ def test_both_signs_of_the_yumi_elbow(yumi: Any, elbow: float) -> None:
 def test_scara_linear_joint_is_metres_with_the_rotary_factor(scara: Any) -> None:
     """-90 mm arrived as -5.155 (abb_libegm, pull request 142)."""
     axes = AxisMap(scara)
-    q = np.array(axes.joints(motion([10, 20, -5.156620156177409, 30]))) * axes.scale
+    q = np.array(axes.joints([10, 20, -5.156620156177409, 30], [])) * axes.scale
     np.testing.assert_allclose(q, [10 * RADIAN, 20 * RADIAN, -0.09, 30 * RADIAN], rtol=1e-12)
     assert axes.has_linear_head
 
@@ -66,13 +58,13 @@ def test_linear_axis_beyond_the_sixth_is_in_millimetres() -> None:
 )
 def test_wrong_counts_are_refused_by_name(yumi: Any, joints: list[float], external: list[float], reason: str) -> None:
     with pytest.raises(Refused) as refused:
-        AxisMap(yumi).joints(motion(joints, external))
+        AxisMap(yumi).joints(joints, external)
     assert refused.value.drop.reason == reason
 
 
 def test_external_axes_may_follow(six: Any, yumi: Any) -> None:
-    assert AxisMap(six).joints(motion([1, 2, 3, 4, 5, 6], [100, 200])) == (1, 2, 3, 4, 5, 6)
-    assert AxisMap(yumi).joints(motion([1, 2, 3, 4, 5, 6], [7, 100]))[2] == 7
+    assert AxisMap(six).joints([1, 2, 3, 4, 5, 6], [100, 200]) == (1, 2, 3, 4, 5, 6)
+    assert AxisMap(yumi).joints([1, 2, 3, 4, 5, 6], [7, 100])[2] == 7
 
 
 def test_extension_arrays_in_both_orders(yumi: Any) -> None:
@@ -86,7 +78,7 @@ def test_extension_arrays_in_both_orders(yumi: Any) -> None:
 
 def test_one_joint() -> None:
     axes = AxisMap(SimpleNamespace(n=1, prismatic=np.array([False]), abb_axes=(1,)))
-    assert axes.joints(motion([5.0])) == (5.0,)
+    assert axes.joints([5.0], []) == (5.0,)
     assert axes.wire(np.array([5.0]), np.ones(1)) == (5.0,)
 
 

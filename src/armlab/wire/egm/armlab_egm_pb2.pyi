@@ -268,3 +268,63 @@ class EgmSensorPathCorr(_message.Message):
     header: EgmHeader
     pathCorr: EgmPathCorr
     def __init__(self, header: _Optional[_Union[EgmHeader, _Mapping]] = ..., pathCorr: _Optional[_Union[EgmPathCorr, _Mapping]] = ...) -> None: ...
+
+class ReadMotion(_message.Message):
+    __slots__ = ("joints", "cartesian", "externalJoints", "time", "timeStamp")
+    JOINTS_FIELD_NUMBER: _ClassVar[int]
+    CARTESIAN_FIELD_NUMBER: _ClassVar[int]
+    EXTERNALJOINTS_FIELD_NUMBER: _ClassVar[int]
+    TIME_FIELD_NUMBER: _ClassVar[int]
+    TIMESTAMP_FIELD_NUMBER: _ClassVar[int]
+    joints: bytes
+    cartesian: bytes
+    externalJoints: bytes
+    time: EgmClock
+    timeStamp: bytes
+    def __init__(self, joints: _Optional[bytes] = ..., cartesian: _Optional[bytes] = ..., externalJoints: _Optional[bytes] = ..., time: _Optional[_Union[EgmClock, _Mapping]] = ..., timeStamp: _Optional[bytes] = ...) -> None: ...
+
+class ReadResearchState(_message.Message):
+    __slots__ = ("jointVel", "torqueMeas", "tNs", "order", "queueDepth")
+    JOINTVEL_FIELD_NUMBER: _ClassVar[int]
+    TORQUEMEAS_FIELD_NUMBER: _ClassVar[int]
+    TNS_FIELD_NUMBER: _ClassVar[int]
+    ORDER_FIELD_NUMBER: _ClassVar[int]
+    QUEUEDEPTH_FIELD_NUMBER: _ClassVar[int]
+    jointVel: bytes
+    torqueMeas: bytes
+    tNs: int
+    order: int
+    queueDepth: int
+    def __init__(self, jointVel: _Optional[bytes] = ..., torqueMeas: _Optional[bytes] = ..., tNs: _Optional[int] = ..., order: _Optional[int] = ..., queueDepth: _Optional[int] = ...) -> None: ...
+
+class ReadRobot(_message.Message):
+    __slots__ = ("header", "feedBack", "planned", "motorState", "mciState", "mciConvergenceMet", "rapidExecState", "measuredForce", "utilizationRate", "moveIndex", "collisionInfo", "rapidFromRobot", "torqueRef", "researchState")
+    HEADER_FIELD_NUMBER: _ClassVar[int]
+    FEEDBACK_FIELD_NUMBER: _ClassVar[int]
+    PLANNED_FIELD_NUMBER: _ClassVar[int]
+    MOTORSTATE_FIELD_NUMBER: _ClassVar[int]
+    MCISTATE_FIELD_NUMBER: _ClassVar[int]
+    MCICONVERGENCEMET_FIELD_NUMBER: _ClassVar[int]
+    RAPIDEXECSTATE_FIELD_NUMBER: _ClassVar[int]
+    MEASUREDFORCE_FIELD_NUMBER: _ClassVar[int]
+    UTILIZATIONRATE_FIELD_NUMBER: _ClassVar[int]
+    MOVEINDEX_FIELD_NUMBER: _ClassVar[int]
+    COLLISIONINFO_FIELD_NUMBER: _ClassVar[int]
+    RAPIDFROMROBOT_FIELD_NUMBER: _ClassVar[int]
+    TORQUEREF_FIELD_NUMBER: _ClassVar[int]
+    RESEARCHSTATE_FIELD_NUMBER: _ClassVar[int]
+    header: EgmHeader
+    feedBack: ReadMotion
+    planned: ReadMotion
+    motorState: bytes
+    mciState: bytes
+    mciConvergenceMet: bool
+    rapidExecState: bytes
+    measuredForce: bytes
+    utilizationRate: float
+    moveIndex: int
+    collisionInfo: bytes
+    rapidFromRobot: EgmRapidData
+    torqueRef: bytes
+    researchState: ReadResearchState
+    def __init__(self, header: _Optional[_Union[EgmHeader, _Mapping]] = ..., feedBack: _Optional[_Union[ReadMotion, _Mapping]] = ..., planned: _Optional[_Union[ReadMotion, _Mapping]] = ..., motorState: _Optional[bytes] = ..., mciState: _Optional[bytes] = ..., mciConvergenceMet: bool = ..., rapidExecState: _Optional[bytes] = ..., measuredForce: _Optional[bytes] = ..., utilizationRate: _Optional[float] = ..., moveIndex: _Optional[int] = ..., collisionInfo: _Optional[bytes] = ..., rapidFromRobot: _Optional[_Union[EgmRapidData, _Mapping]] = ..., torqueRef: _Optional[bytes] = ..., researchState: _Optional[_Union[ReadResearchState, _Mapping]] = ...) -> None: ...

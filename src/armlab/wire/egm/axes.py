@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from math import pi
 from operator import itemgetter
-from typing import Any
 
 import numpy as np
 
@@ -56,21 +55,17 @@ class AxisMap:
         self.kinematic = _picker(order)
         self.abb = _picker(tuple(order.index(k) for k in range(arm.n)))
 
-    def joints(self, motion: Any) -> tuple[float, ...]:
-        """Return the n joints of an EgmMotion or EgmSpeedRef in kinematic order, in wire units.
+    def joints(self, joints: Sequence[float], external: Sequence[float]) -> tuple[float, ...]:
+        """Return the n joints in kinematic order, in wire units.
 
         Parameters
         ----------
-        motion : a message with joints and externalJoints; further external axes may follow the robot's own.
+        joints, external : as received; further external axes may follow the robot's own.
 
         Raises
         ------
         Refused : no joints, or their number is not that of this robot.
         """
-        joints = motion.joints.joints[:]
-        if len(joints) == self.head and not self.tail:
-            return self.kinematic(joints)
-        external = motion.externalJoints.joints[:]
         if not joints:
             raise Refused("no joints", "the array of joints is absent or empty")
         if len(joints) != self.head or len(external) < self.tail:
@@ -78,7 +73,7 @@ class AxisMap:
                 "joint count",
                 f"expected {self.head} joints and at least {self.tail} external, got {len(joints)} and {len(external)}",
             )
-        return self.kinematic(joints + external)
+        return self.kinematic((*joints, *external) if self.tail else joints)
 
     def array(self, values: Sequence[float], is_kinematic: bool) -> tuple[float, ...] | None:
         """Return the n values of one extension array in kinematic order, None when it is absent.
@@ -95,7 +90,7 @@ class AxisMap:
             return None
         if len(values) != self.n:
             raise Refused("joint count", f"expected {self.n} values in each array of the extension, got {len(values)}")
-        return tuple(values[:]) if is_kinematic else self.kinematic(values[:])
+        return tuple(values) if is_kinematic else self.kinematic(values)
 
     def wire(self, q: np.ndarray, scale: np.ndarray) -> tuple[float, ...]:
         """Return the n wire values in ABB's order: the first `head` are joints, the rest external.

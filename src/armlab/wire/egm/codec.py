@@ -6,6 +6,7 @@ The only place, with its neighbours in this package, where degrees, millimetres 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import isfinite, nan
 from struct import Struct
 from typing import Any
@@ -16,7 +17,8 @@ from google.protobuf.message import DecodeError
 from armlab.wire.egm import armlab_egm_pb2 as pb
 from armlab.wire.egm.axes import RADIAN, AxisMap, Refused
 from armlab.wire.egm.force import decode_force
-from armlab.wire.egm.pose import pose_values
+from armlab.wire.egm.leaves import joint_reader, read_pose, read_state
+from armlab.wire.egm.pose import NO_POSE, pose_values
 from armlab.wire.egm.types import Arm, Drop, Packet, Reference
 
 __all__ = ["EgmCodec"]
@@ -49,6 +51,8 @@ class EgmCodec:
     def __init__(self, arm: Arm, extension: bool = False) -> None:
         self._axes = AxisMap(arm)
         self._absent = (nan,) * arm.n
+        self._read_joints, self._read_external = joint_reader(self._axes.head), joint_reader(self._axes.tail)
+        self._read_array = Struct(f"<{arm.n}d")
         # One array per packet, cut into q, q_planned, qd, tau, pose and force: five times cheaper than six arrays.
         self._pack = Struct(f"={4 * arm.n + 22}d").pack
         scale, one, rest = self._axes.scale, np.ones(arm.n), np.ones(22)
@@ -72,7 +76,7 @@ class EgmCodec:
         data : one datagram.
         """
         try:
-            packet = self._packet(pb.EgmRobot.FromString(data))
+            packet = self._packet(pb.ReadRobot.FromString(data), data)
         except DecodeError:
             return Drop("unparsable", f"{len(data)} bytes are no protobuf message")
         except Refused as refused:
@@ -89,7 +93,7 @@ class EgmCodec:
         """
         return self._without_speed.encode(ref) if ref.qd is None else self._with_speed.encode(ref)
 
-    def _packet(self, message: Any) -> Packet:
+    def _packet(self, message: Any, data: bytes) -> Packet:
         header, feedback = message.header, message.feedBack
         if not header.HasField("seqno"):
             raise Refused("no header", "a message without a header that has a sequence number")
@@ -99,75 +103,76 @@ class EgmCodec:
         robotware = self.robotware or _flavour(message, force_is_rw7)
         in_radians = robotware == "6.06"
         research = message.researchState if message.HasField("researchState") else None
-        data = message.rapidFromRobot if message.HasField("rapidFromRobot") else None
-        qd, tau, tau_source = self._motion(message, research)
-        q, absent, n = self._axes.joints(feedback), self._absent, self._axes.n
+        rapid = message.rapidFromRobot if message.HasField("rapidFromRobot") else None
+        qd, tau, tau_source = self._motion(message, research, data)
+        external = self._read_external(feedback.externalJoints)
+        q = self._axes.joints(self._read_joints(feedback.joints), external)
+        absent, n = self._absent, self._axes.n
         if not isfinite(sum(q) + (sum(qd) if qd else 0.0)):
             raise Refused("not finite", f"joints {q}, velocities {qd}")
-        numbers = self._pack(
-            *q,
-            *self._planned(message.planned),
-            *(qd or absent),
-            *(tau or absent),
-            *pose_values(feedback.cartesian),
-            *force,
-        )
+        pose = read_pose(feedback.cartesian)
+        matrix = NO_POSE if pose is None else pose_values(pose)
+        numbers = self._pack(*q, *self._planned(message.planned), *(qd or absent), *(tau or absent), *matrix, *force)
         values = np.frombuffer(numbers) * (self._scale_of_radians if in_radians else self._scale)
-        values.flags.writeable = False
+        values.setflags(write=False)
+        time = feedback.time
         return Packet(  # in the order of its fields: keywords would cost another half microsecond
             header.seqno,
             header.tm if header.HasField("tm") else None,
-            _nanoseconds(feedback.time),
+            _nanoseconds(time.sec, time.usec),
             values[:n],
             values[n : 2 * n],
-            self._external(feedback, in_radians),
+            self._q_ext(external, in_radians) if len(external) > self._axes.tail else _EMPTY,
             values[2 * n : 3 * n] if qd else None,
             values[3 * n : 4 * n] if tau else None,
             tau_source,
             values[-22:-6].reshape(4, 4),
             values[-6:],
-            message.motorState.state,
-            message.mciState.state,
-            message.rapidExecState.state,
+            read_state(message.motorState),
+            read_state(message.mciState),
+            read_state(message.rapidExecState),
             message.mciConvergenceMet,
             message.utilizationRate if message.HasField("utilizationRate") else nan,
             robotware,
-            np.array(data.dnum[:]) if data else _EMPTY,
-            data.digVal if data else False,
+            np.array(rapid.dnum[:]) if rapid else _EMPTY,
+            rapid.digVal if rapid else False,
             research.tNs if research else 0,
             research.queueDepth if research else -1,
         )
 
     def _planned(self, planned: Any) -> tuple[float, ...]:
         try:
-            return self._axes.joints(planned)
+            return self._axes.joints(self._read_joints(planned.joints), self._read_external(planned.externalJoints))
         except Refused:
             return self._absent
 
-    def _motion(self, message: Any, research: Any) -> tuple[tuple[float, ...] | None, tuple[float, ...] | None, str]:
+    def _motion(
+        self, message: Any, research: Any, data: bytes
+    ) -> tuple[tuple[float, ...] | None, tuple[float, ...] | None, str]:
         """Return qd, tau and the source of tau: the extension, else torqueRef, else none."""
         axes, qd = self._axes, None
         if research:
+            velocities, torques = research.jointVel, research.torqueMeas
+            if len(velocities) == len(torques) == self._read_array.size:
+                qd, tau = self._read_array.unpack(velocities), self._read_array.unpack(torques)
+            else:  # one is absent, or not packed
+                whole = pb.EgmRobot.FromString(data).researchState
+                qd, tau = whole.jointVel[:], whole.torqueMeas[:]
             is_kinematic = research.order == _KINEMATIC
-            qd = axes.array(research.jointVel, is_kinematic)
-            tau = axes.array(research.torqueMeas, is_kinematic)
+            qd, tau = axes.array(qd, is_kinematic), axes.array(tau, is_kinematic)
             if tau is not None:
                 return qd, tau, "measured"
-        torque = message.torqueRef.joints
+        torque = self._read_joints(message.torqueRef) if message.torqueRef else ()
         if len(torque) == axes.head:
             # ABB's message holds six values: the seventh axis has none.
-            return qd, axes.kinematic(torque[:] + [nan] * axes.tail), "reference"
+            return qd, axes.kinematic((*torque, *[nan] * axes.tail)), "reference"
         return qd, None, "none"
 
-    def _external(self, feedback: Any, in_radians: bool) -> np.ndarray:
-        if not feedback.HasField("externalJoints"):
-            return _EMPTY
-        joints = feedback.externalJoints.joints
-        if len(joints) <= self._axes.tail:
-            return _EMPTY
-        q_ext = np.array(joints[self._axes.tail :]) * (1.0 if in_radians else RADIAN)
-        if not isfinite(sum(q_ext.tolist())):
-            raise Refused("not finite", f"external axes {q_ext}")
+    def _q_ext(self, external: Sequence[float], in_radians: bool) -> np.ndarray:
+        if not isfinite(sum(external)):
+            raise Refused("not finite", f"external axes {external}")
+        q_ext = np.array(external[self._axes.tail :]) * (1.0 if in_radians else RADIAN)
+        q_ext.flags.writeable = False
         return q_ext
 
 
@@ -182,38 +187,31 @@ class _Reply:
         self._research = sensor.researchRef if extension else None
         if self._research is not None:
             self._research.order = _KINEMATIC
-        self._planned = self._arrays(sensor.planned)
-        self._speed = self._arrays(sensor.speedRef) if speed else None
+        self._arrays = [self._handles(motion) for motion in (sensor.planned, sensor.speedRef)[: 1 + speed]]
 
-    def _arrays(self, motion: Any) -> tuple[Any, Any]:
+    def _handles(self, motion: Any) -> tuple[Any, Any]:
+        """Return the arrays of joints and of external joints, with their final lengths."""
+        motion.joints.joints.extend([0.0] * self._axes.head)
         if self._axes.tail:
             motion.externalJoints.joints.extend([0.0] * self._axes.tail)
-        motion.joints.joints.extend([0.0] * self._axes.head)
         return motion.joints.joints, motion.externalJoints.joints if self._axes.tail else None
 
     def encode(self, ref: Reference) -> bytes:
-        header, research = self._header, self._research
+        header, research, axes = self._header, self._research, self._axes
         header.seqno, header.tm = ref.seq & _UINT32, ref.tm_ms & _UINT32
-        self._fill(self._planned, ref.q)
-        if self._speed is not None and ref.qd is not None:
-            self._fill(self._speed, ref.qd)
+        for (joints, external), values in zip(self._arrays, ref):  # Reference begins with q, qd
+            wire = axes.abb((values / axes.scale).tolist())
+            joints[:] = wire[: axes.head]
+            for k in range(axes.tail):  # one value, if any: a slice would cost three times as much
+                external[k] = wire[axes.head + k]
         if research is not None:
             research.echoSeqno, research.echoTNs = ref.robot_seq & _UINT32, ref.robot_mono_ns & _UINT64
             research.torqueFF[:] = () if ref.tau is None else ref.tau.tolist()
             research.validMask = 0 if ref.tau is None else 1
         return self._sensor.SerializeToString()
 
-    def _fill(self, arrays: tuple[Any, Any], values: np.ndarray) -> None:
-        axes = self._axes
-        wire = axes.wire(values, axes.scale)
-        joints, external = arrays
-        joints[:] = wire[: axes.head]
-        if external is not None:
-            external[:] = wire[axes.head :]
 
-
-def _nanoseconds(clock: Any) -> int:
-    seconds, microseconds = clock.sec, clock.usec
+def _nanoseconds(seconds: int, microseconds: int) -> int:
     return seconds * 10**9 + microseconds * 1000 if seconds < _MAX_SECONDS and microseconds < 10**9 else 0
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import nan, sqrt
 from typing import Any
 
@@ -13,20 +14,16 @@ NO_POSE = (nan,) * 16
 """The values of a pose that was not sent."""
 
 
-def pose_values(pose: Any) -> tuple[float, ...]:
-    """Return the 16 values, row by row, of the matrix of an EgmPose [m]; `NO_POSE` without position or quaternion.
+def pose_values(pose: Sequence[float]) -> tuple[float, ...]:
+    """Return the 16 values, row by row, of a matrix [m]; `NO_POSE` for a quaternion without a usable norm.
 
-    Plain arithmetic: ten times cheaper than small arrays. The quaternion is normalised. Euler angles are not read.
+    Plain arithmetic: ten times cheaper than small arrays. The quaternion is normalised.
 
     Parameters
     ----------
-    pose : an EgmPose message.
+    pose : x, y, z in mm, quaternion u0 (scalar) to u3.
     """
-    if not (pose.HasField("pos") and pose.HasField("orient")):
-        return NO_POSE
-    pos, orient = pose.pos, pose.orient
-    x, y, z = pos.x, pos.y, pos.z
-    a, b, c, d = orient.u0, orient.u1, orient.u2, orient.u3
+    x, y, z, a, b, c, d = pose
     norm = a * a + b * b + c * c + d * d
     if not 1e-12 < norm < 1e12:  # also NaN
         return NO_POSE

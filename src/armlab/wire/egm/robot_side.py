@@ -12,6 +12,7 @@ from armlab.errors import ConfigError, UnknownName
 from armlab.wire.egm import armlab_egm_pb2 as pb
 from armlab.wire.egm.axes import RADIAN, AxisMap, Refused
 from armlab.wire.egm.force import encode_force
+from armlab.wire.egm.leaves import read_pose
 from armlab.wire.egm.pose import pose_from_matrix, pose_values
 from armlab.wire.egm.types import Arm, Drop, RobotMessage, SensorMessage
 
@@ -206,7 +207,7 @@ class RobotSideCodec:
         header, axes = sensor.header, self._axes
         q = _joints(axes, sensor.planned)
         qd = _joints(axes, sensor.speedRef)
-        has_pose = sensor.planned.HasField("cartesian")
+        pose = read_pose(sensor.planned.cartesian.SerializeToString())
         speed = sensor.speedRef.cartesians.value
         twist_scale = (_MILLIMETRE, _MILLIMETRE, _MILLIMETRE, RADIAN, RADIAN, RADIAN)
         has_data = sensor.HasField("rapidToRobot")
@@ -216,7 +217,7 @@ class RobotSideCodec:
             mtype=header.mtype,
             q=q,
             qd=qd,
-            T_frame_tool=np.reshape(pose_values(sensor.planned.cartesian), (4, 4)) if has_pose else None,
+            T_frame_tool=None if pose is None else np.reshape(pose_values(pose), (4, 4)),
             twist=np.multiply(speed, twist_scale) if len(speed) == 6 else None,
             rapid_data=np.array(sensor.rapidToRobot.dnum) if has_data else None,
             rapid_digital=sensor.rapidToRobot.digVal if has_data else None,
@@ -226,7 +227,7 @@ class RobotSideCodec:
 
 def _joints(axes: AxisMap, motion: Any) -> np.ndarray | None:
     if motion.joints.joints or motion.externalJoints.joints:
-        return np.array(axes.joints(motion)) * axes.scale
+        return np.array(axes.joints(motion.joints.joints[:], motion.externalJoints.joints[:])) * axes.scale
     return None
 
 
@@ -240,7 +241,7 @@ def _research_reference(axes: AxisMap, research: Any) -> dict[str, Any]:
     )
     found: dict[str, Any] = {"echo_mono_ns": research.echoTNs, "echo_seq": research.echoSeqno}
     for bit, (name, values, scale) in enumerate(fields):
-        array = axes.array(values, research.order == _KINEMATIC) if research.validMask >> bit & 1 else None
+        array = axes.array(values[:], research.order == _KINEMATIC) if research.validMask >> bit & 1 else None
         found[name] = None if array is None else np.array(array) * scale
     return found
 
