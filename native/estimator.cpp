@@ -10,7 +10,8 @@
 namespace armlab {
 namespace {
 
-constexpr double rest_time = 0.5;      // s
+constexpr double rest_time = 0.5;  // s
+constexpr double largest = 1e100;  // N m; a torque error beyond it would overflow in the filter and never leave it
 constexpr double unknown = 1.0;    // largest variance of a variable in [-1, 1]
 constexpr double pi = 3.14159265358979323846;
 
@@ -77,34 +78,24 @@ void WrenchEstimator::reset() {
   first_ = true;
 }
 
-double WrenchEstimator::drive_torque(int i, double q, double qd) const {
+double WrenchEstimator::drive_torque(int i, double q, double qd, double z) const {
   const JointFriction &f = p_.friction[i];
   const JointRipple &r = p_.ripple[i];
-  const double z = joints_[i].z, slow = qd / f.stribeck_speed;
+  const double slow = qd / f.stribeck_speed;
   const double coulomb = f.coulomb_pos * std::max(z, 0.0) + f.coulomb_neg * std::min(z, 0.0);
   const double friction = f.viscous * qd + coulomb + f.offset + f.stribeck * z * std::exp(-(slow * slow));
   return friction + r.cosine * std::cos(r.cycles * q) + r.sine * std::sin(r.cycles * q);
 }
 
-void WrenchEstimator::step(const double *q, const double *qd, const double *tau, double dt, double *F, double *P,
-                           double *observability, double *error, double *variance) {
+bool WrenchEstimator::advance(const double *q, const double *qd, const double *tau, double dt, double *raw) {
   const int n = this->n();
-  if (!finite(q, n) || !finite(qd, n) || !finite(tau, n) || !(dt > 0.0) || !std::isfinite(dt)) {
-    const double nan = std::numeric_limits<double>::quiet_NaN();
-    std::fill(F, F + 6, nan);
-    std::fill(P, P + 36, nan);
-    std::fill(observability, observability + 6, nan);
-    std::fill(error, error + n, nan);
-    std::fill(variance, variance + n, nan);
-    return;
-  }
-  const bool first = first_;
-  first_ = false;
+  if (!finite(q, n) || !finite(qd, n) || !finite(tau, n) || !(dt > 0.0) || !std::isfinite(dt)) return false;
   const double relax = 1.0 - std::exp(-dt / rest_time);
-  double qdd[max_joints] = {}, rigid[max_joints], J[6 * max_joints];
+  std::array<Joint, max_joints> next;
+  double qdd[max_joints], rigid[max_joints];
   for (int i = 0; i < n; ++i) {
-    Joint &joint = joints_[i];
-    if (first) {
+    Joint &joint = next[i] = joints_[i];
+    if (first_) {
       joint.play = q[i];
       joint.qd = qd[i];
     }
@@ -117,16 +108,38 @@ void WrenchEstimator::step(const double *q, const double *qd, const double *tau,
     joint.qd = qd[i];
   }
   rnea(p_.chain, q, qd, qdd, p_.gravity.data(), p_.links.data(), rigid);
+  for (int i = 0; i < n; ++i) {
+    raw[i] = rigid[i] + p_.rotor[i] * qdd[i] + drive_torque(i, q[i], qd[i], next[i].z) - tau[i];
+    if (!(std::fabs(raw[i]) < largest)) return false;
+  }
+  std::copy_n(next.begin(), n, joints_.begin());
+  return true;
+}
+
+void WrenchEstimator::step(const double *q, const double *qd, const double *tau, double dt, double *F, double *P,
+                           double *observability, double *error, double *variance) {
+  const int n = this->n();
+  double raw[max_joints], J[6 * max_joints];
+  if (!advance(q, qd, tau, dt, raw)) {
+    const double nan = std::numeric_limits<double>::quiet_NaN();
+    std::fill(F, F + 6, nan);
+    std::fill(P, P + 36, nan);
+    std::fill(observability, observability + 6, nan);
+    std::fill(error, error + n, nan);
+    std::fill(variance, variance + n, nan);
+    return;
+  }
+  const bool first = first_;
+  first_ = false;
   const double g = std::tan(pi * std::min(p_.cutoff * dt, 0.45));
   const double a = 1.0 / (1.0 + g * (g + std::sqrt(2.0)));
   for (int i = 0; i < n; ++i) {
     Joint &joint = joints_[i];
-    const double raw = rigid[i] + p_.rotor[i] * qdd[i] + drive_torque(i, q[i], qd[i]) - tau[i];
     if (first) {  // start in steady state, without a transient from zero
-      joint.low[0][1] = raw;
+      joint.low[0][1] = raw[i];
       joint.low[1][1] = joint.uncertainty;
     }
-    error[i] = first ? raw : lowpass(joint.low[0], raw, g, a);
+    error[i] = first ? raw[i] : lowpass(joint.low[0], raw[i], g, a);
     const double filtered = first ? joint.uncertainty : lowpass(joint.low[1], joint.uncertainty, g, a);
     const JointCovariance &c = p_.covariance[i];
     const double speed = std::fabs(qd[i]);

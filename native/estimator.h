@@ -52,7 +52,10 @@ class WrenchEstimator {
     double play, qd, z, uncertainty, low[2][2];  // low-pass states of torque error and of uncertainty
   };
 
-  double drive_torque(int i, double q, double qd) const;
+  // Moves play, presliding state and velocity by one sample and gives the torque error; false, and nothing moved, when
+  // the sample or its torque error is not finite.
+  bool advance(const double *q, const double *qd, const double *tau, double dt, double *raw);
+  double drive_torque(int i, double q, double qd, double z) const;
   void posterior(const double *J, const double *error, const double *variance, double *F, double *P,
                  double *observability) const;
 

@@ -31,3 +31,4 @@ def test_flags() -> None:
     assert flags_of(np.zeros(6), np.array([1, 1, 1, 1, 1, 0.3])) == WEAK
     assert flags_of(np.zeros(6), np.full(6, 0.9)) == 0
     assert np.isnan(wrench(np.diag(PRIOR), INVALID).cond)
+    assert np.isnan(wrench(np.full((6, 6), np.nan), INVALID).hidden).all()

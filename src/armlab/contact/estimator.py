@@ -22,7 +22,7 @@ from armlab.state import State
 
 __all__ = ["Estimator"]
 
-DEFAULT_PRIOR = (400.0, 400.0, 400.0, 4.0, 4.0, 4.0)  # variances: 20 N, 2 N m
+DEFAULT_PRIOR = (20.0, 20.0, 20.0, 2.0, 2.0, 2.0)  # standard deviations [N, N m]
 
 
 class Estimator:
@@ -50,12 +50,13 @@ class Estimator:
 
     def __init__(self, model: TorqueModel, robot: Robot, prior: np.ndarray | None = None) -> None:
         model.check_robot(robot)
-        variances = np.array(DEFAULT_PRIOR) if prior is None else np.asarray(prior, dtype=float) ** 2
-        if variances.shape != (6,) or not np.all(np.isfinite(variances)) or not np.all(variances > 0):
+        deviations = np.array(DEFAULT_PRIOR) if prior is None else np.asarray(prior, dtype=float)
+        if deviations.shape != (6,) or not np.all(np.isfinite(deviations)) or not np.all(deviations > 0):
             raise ShapeError(
                 f"Expected six positive standard deviations [N, N, N, N m, N m, N m] as prior, got {prior!r}. "
                 "Give the size of the forces and moments that you expect."
             )
+        variances = deviations**2
         variances.flags.writeable = False
         self._n = model.n
         self._prior = variances
@@ -71,7 +72,9 @@ class Estimator:
         self._kernel.reset()
 
     def step(self, state: State) -> Wrench:
-        """Advance by one state and return the wrench; a sample that is not finite gives NaN and changes nothing.
+        """Advance by one state and return the wrench.
+
+        A sample that is not finite, or so large that its torque is not, gives NaN and changes nothing.
 
         Parameters
         ----------

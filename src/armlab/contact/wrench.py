@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["INVALID", "WEAK", "Wrench"]
+__all__ = ["INVALID", "WEAK", "Wrench", "flags_of"]
 
 INVALID = 1  # the sample was not finite; the estimate is NaN
 WEAK = 2  # some axis has observability below 0.5: there the prior speaks louder than the torques
@@ -51,7 +51,9 @@ class Wrench:
 
     @property
     def hidden(self) -> np.ndarray:
-        """Unit direction (6,) in prior-scaled axes that the torques tell least about."""
+        """Unit direction (6,) in prior-scaled axes that the torques tell least about; NaN for an invalid sample."""
+        if self.flags & INVALID:
+            return np.full(6, np.nan)
         scale = np.sqrt(self.prior)
         return np.linalg.eigh(self.cov / np.outer(scale, scale))[1][:, -1]
 

@@ -7,7 +7,7 @@ One step, with ``tau_e = model - measured = J^T F + error``:
    known; then displacement wipes it out: ``p <- p exp(-2 |dy| / delta)``.
 2. qdd = (qd_k - qd_{k-1}) / dt; tau_e = rnea + rotor qdd + friction(qd, z) + ripple(q) - tau.
 3. tau_e passes a second-order Butterworth low-pass (state-variable form, exact for a varying dt up to frequency
-warping).
+   warping).
 4. C_tau = diag(s^2(qd) + static^2 p_filtered), with p low-passed like tau_e so that it stays as long as its error does.
 5. S = J^T C_F J + C_tau, K = C_F J S^-1, F = K tau_e, P = (I - K J^T) C_F (I - K J^T)^T + K C_tau K^T.
 """
@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from armlab.kernels._reference.arrays import read
 from armlab.kernels._reference.chain import Chain
 from armlab.kernels._reference.presliding import slide
 
@@ -23,6 +24,7 @@ __all__ = ["WrenchEstimator"]
 
 REST_TIME = 0.5  # s
 UNKNOWN = 1.0  # largest variance of a variable in [-1, 1]
+LARGEST = 1e100  # N m; a torque error beyond it would overflow in the filter and never leave it
 
 
 class WrenchEstimator:
@@ -52,11 +54,14 @@ class WrenchEstimator:
         prior: np.ndarray,
         cutoff: float,
     ) -> None:
-        self._chain = chain
-        self._gravity, self._links, self._rotor = (np.array(a, dtype=float) for a in (gravity, links, rotor))
-        self._friction, self._ripple = np.array(friction, dtype=float), np.array(ripple, dtype=float)
-        self._covariance = np.array(covariance, dtype=float)
-        self._prior = np.array(prior, dtype=float)
+        self._chain, n = chain, chain.n
+        self._gravity = read(gravity, "gravity", (3,), exact=True).copy()
+        self._links = read(links, "links", (n, 10), exact=True).copy()
+        self._rotor = read(rotor, "rotor", (n,), exact=True).copy()
+        self._friction = read(friction, "friction", (8, n), exact=True).copy()
+        self._ripple = read(ripple, "ripple", (3, n), exact=True).copy()
+        self._covariance = read(covariance, "covariance", (4, n), exact=True).copy()
+        self._prior = read(prior, "prior", (6,), exact=True).copy()
         self._cutoff = float(cutoff)
         self._static = 0.5 * (self._friction[1] + self._friction[2]) + np.maximum(self._friction[4], 0.0)
         self.reset()
@@ -72,20 +77,24 @@ class WrenchEstimator:
     def step(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, dt: float) -> tuple[np.ndarray, ...]:
         """Advance by one sample; return F (6,), P (6, 6), observability (6,), filtered tau_e (n,), its variance (n,).
 
-        A sample that is not finite, or dt <= 0, gives NaN everywhere and leaves the state unchanged.
+        A sample that is not finite, or whose torque error would not be, or dt <= 0, gives NaN everywhere and leaves the
+        state unchanged.
         """
-        q, qd, tau = (np.asarray(a, dtype=float) for a in (q, qd, tau))
         n = len(self._rotor)
+        q, qd, tau = (read(a, name, (n,), exact=True) for a, name in ((q, "q"), (qd, "qd"), (tau, "tau")))
+        first = not self._started
         if not (np.isfinite(q).all() and np.isfinite(qd).all() and np.isfinite(tau).all() and 0.0 < dt < np.inf):
-            return tuple(np.full(shape, np.nan) for shape in ((6,), (6, 6), (6,), (n,), (n,)))
-        first, self._started = not self._started, True
+            return self._invalid()
         if first:
             self._play, self._qd = q.copy(), qd.copy()
-        self._slide(q, dt)
-        qdd = (qd - self._qd) / dt
-        self._qd = qd.copy()
-        rigid = self._chain.rnea(q, qd, qdd, self._gravity, self._links) + self._rotor * qdd
-        raw = rigid + self._drive_torque(q, qd) - tau
+        with np.errstate(over="ignore", invalid="ignore"):
+            qdd = (qd - self._qd) / dt
+            rigid = self._chain.rnea(q, qd, qdd, self._gravity, self._links) + self._rotor * qdd
+            play, z, p = self._slide(q, dt)
+            raw = rigid + self._drive_torque(q, qd, z) - tau
+        if not np.all(np.abs(raw) < LARGEST):
+            return self._invalid()
+        self._play, self._z, self._p, self._qd, self._started = play, z, p, qd.copy(), True
         filtered = self._lowpass(np.concatenate([raw, self._p]), dt, first)
         torque, p = filtered[:n], np.clip(filtered[n:], 0.0, UNKNOWN)
         variance = self._variance(qd) + self._static**2 * p
@@ -93,22 +102,27 @@ class WrenchEstimator:
 
     def run(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, dt: np.ndarray) -> tuple[np.ndarray, ...]:
         """Step along a record (N, n) with steps dt (N,); return the outputs of `step` stacked over N."""
-        rows = [self.step(*row) for row in zip(q, qd, tau, dt)]
         n = len(self._rotor)
+        dt = read(dt, "dt", np.shape(dt)[:1], exact=True)
+        q, qd, tau = (read(a, name, (len(dt), n), exact=True) for a, name in ((q, "q"), (qd, "qd"), (tau, "tau")))
+        rows = [self.step(*row) for row in zip(q, qd, tau, dt)]
         shapes = ((6,), (6, 6), (6,), (n,), (n,))
         return tuple(np.array([row[k] for row in rows]).reshape(len(rows), *shape) for k, shape in enumerate(shapes))
 
-    def _slide(self, q: np.ndarray, dt: float) -> None:
+    def _invalid(self) -> tuple[np.ndarray, ...]:
+        n = len(self._rotor)
+        return tuple(np.full(shape, np.nan) for shape in ((6,), (6, 6), (6,), (n,), (n,)))
+
+    def _slide(self, q: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the next play, presliding state and its variance."""
         delta, resolution = self._friction[6], self._friction[7]
         moved = np.clip(self._play, q - resolution, q + resolution)
         dy = moved - self._play
-        self._z, self._play = slide(self._z, dy, delta), moved
         p = self._p + (UNKNOWN - self._p) * (1.0 - np.exp(-dt / REST_TIME))
-        self._p = p * np.exp(-2.0 * np.abs(dy) / delta)
+        return moved, slide(self._z, dy, delta), p * np.exp(-2.0 * np.abs(dy) / delta)
 
-    def _drive_torque(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+    def _drive_torque(self, q: np.ndarray, qd: np.ndarray, z: np.ndarray) -> np.ndarray:
         viscous, positive, negative, offset, stribeck, speed, _, _ = self._friction
-        z = self._z
         coulomb = positive * np.maximum(z, 0) + negative * np.minimum(z, 0)
         friction = viscous * qd + coulomb + offset + stribeck * z * np.exp(-((qd / speed) ** 2))
         angle = self._ripple[0] * q
