@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from armlab.errors import ShapeError
+from armlab.errors import NotExcited, ShapeError
 from armlab.estimation import BlockSums, accumulate, block_bootstrap, correlation_time, effective_samples
 
 RHO = 0.95
@@ -59,6 +59,13 @@ def test_block_bootstrap_matches_the_scatter_where_the_formal_covariance_does_no
     assert (np.mean(formal) < 1.4) == formal_is_honest
     if not formal_is_honest:
         assert np.mean(formal) > 3.0
+
+
+def test_a_parameter_that_only_one_block_sees_is_not_drawn_again() -> None:
+    _, A, y = problem(np.random.default_rng(1), 1000, coloured=False)
+    A[100:, 0, 1] = 0.0
+    with pytest.raises(NotExcited, match="10 blocks"):
+        block_bootstrap(accumulate(A, y, np.arange(1000) // 100))
 
 
 def test_correlation_time_and_effective_samples_of_known_processes() -> None:

@@ -40,6 +40,16 @@ def test_a_direction_that_two_parameters_share_is_named() -> None:
     assert len(caught.value.directions) == len(caught.value.spread) == 1
 
 
+def test_measuring_does_not_judge() -> None:
+    A = np.random.default_rng(0).standard_normal((100, 3))
+    A[:, 2] = A[:, 0] + 1e-7 * A[:, 1]
+    found = Excitation.of(A.T @ A, NAMES)
+    assert (found.rank, found.expected) == (2, 3)
+    assert found.condition > 1e6
+    assert "mass" in found.weakest
+    assert "viscous" in found.weakest
+
+
 def test_condition_of_a_rank_deficient_matrix_is_infinite() -> None:
     assert Excitation(1, 2, np.array([1.0, 0.0]), "x").condition == float("inf")
     assert "weak" in Excitation(2, 2, np.array([1.0, 1e-3]), "x").text()

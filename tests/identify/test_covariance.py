@@ -39,6 +39,18 @@ def test_errors_match_the_formal_deviation() -> None:
     assert 0.7 < np.mean(nees) < 1.35
 
 
+def test_what_the_data_do_not_tell_is_uncertain_and_never_exact() -> None:
+    """White residuals have no rate of decay; always fast joints have no variance at rest."""
+    rng = np.random.default_rng(0)
+    e, qd = rng.standard_normal((2, 2000, 1))
+    white = fit_velocity_covariance(e, qd)
+    assert white.sd[2] > 0.5
+    assert white.excitation.condition > 1.0
+    fast = fit_velocity_covariance(e, 5 + 0.1 * qd)
+    assert fast.sd[1] > 3.0
+    assert np.all(fit_velocity_covariance(e, qd, "step").sd > 0.01)
+
+
 def test_constant_is_the_mean_square() -> None:
     residuals, qd = sample(0, "exp")
     fit = fit_velocity_covariance(residuals, qd, "const")
@@ -49,6 +61,12 @@ def test_bad_input_is_refused() -> None:
     residuals, qd = sample(0, "exp")
     with pytest.raises(ShapeError, match="one shape"):
         fit_velocity_covariance(residuals, qd[:10])
+    with pytest.raises(ShapeError, match="finite"):
+        fit_velocity_covariance(residuals, np.where(qd == qd[3], np.nan, qd))
+    with pytest.raises(NotExcited, match="zeros for joint 2"):
+        fit_velocity_covariance(residuals * [1.0, 0.0], qd)
+    with pytest.raises(NotExcited, match="one speed"):
+        fit_velocity_covariance(residuals, np.ones_like(qd), "step")
     with pytest.raises(NotExcited, match="at least 100"):
         fit_velocity_covariance(residuals[:10], qd[:10])
     with pytest.raises(UnknownName, match="const, exp, step"):

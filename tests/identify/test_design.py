@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
+from armlab import robots
 from armlab.identify import base_parameters, excitation, prepare
 from armlab.identify.design import DELTAS, STRIBECK_SPEEDS, Design
 
@@ -25,3 +28,18 @@ def test_design_finds_the_shape_of_friction_and_the_parameters_of_a_clean_log(tr
     assert design.matrix().shape == (len(design.t), robot.n, len(design.names)) == (len(design.rows), 7, 99)
     assert design.local().shape == (len(design.t), 7, 7)
     assert len(design.units) == 99
+
+
+def test_without_known_gears_there_is_no_ripple_line(truth, excited) -> None:
+    """Ratio 1 would make cos 2q and sin 2q of it: harmonics of gravity."""
+    robot = truth.robot
+    data = prepare(excited, robot)
+    base = base_parameters(robot)
+    assert robots.load("irb7600").coupling[0, 0] == 1.0
+    silent = Design.build(data, replace(robot, coupling=np.eye(7)), base)
+    assert not silent.geared
+    assert not any("ripple" in name for name in silent.names)
+    assert silent.matrix().shape[2] == len(silent.names) == len(silent.units) == 50 + 5 * 7
+    geared = Design.build(data, robot, base)
+    assert geared.geared
+    np.testing.assert_allclose(geared.cycles, [200, 200, 200, 200, 200, 202, 200], rtol=1e-12)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from armlab import identify
 from armlab.errors import NotExcited
 from armlab.identify import fit_dynamics
+from armlab.identify.validation import assess
 from armlab.log import Table
 
 
@@ -62,6 +65,33 @@ def test_the_fit_reports_every_joint_and_progress(truth, excited) -> None:
     assert "good" in text
     assert np.all(fit.value.quality.rms_cv < 0.05 * fit.value.quality.torque_sd)
     np.testing.assert_allclose(fit.value.quality.coverage, 0.954, atol=0.03)
+
+
+def test_held_out_rows_of_several_logs_are_held_out(truth, excited, monkeypatch) -> None:
+    """Clocks that start again, the second log shorter: each row is held out once, by a model without its block."""
+    seen = {}
+
+    def spy(model, folds, data):
+        seen.update(folds=folds, data=data)
+        return assess(model, folds, data)
+
+    monkeypatch.setattr("armlab.identify.dynamics.assess", spy)
+    other = truth.log(identify.excitation(truth.robot, seconds=12, seed=5), seed=5)
+    fit = fit_dynamics([excited.between(10.0, 30.0), other], truth.robot)
+    masks = np.array([rows for _, rows in seen["folds"]])
+    np.testing.assert_array_equal(masks.sum(axis=0), 1)
+    for a, b in seen["data"].segments:
+        assert np.all(masks[:, a:b].mean(axis=1) > 0.05)
+    assert fit.value.quality.seconds == pytest.approx(32.0, abs=0.02)
+    assert np.all(fit.value.quality.rms_cv > fit.value.quality.rms)
+
+
+def test_a_model_without_known_gears_is_identified(truth, excited) -> None:
+    robot = replace(truth.robot, coupling=np.eye(7))
+    fit = fit_dynamics(excited, robot)
+    assert len(fit.names) == 50 + 5 * 7
+    assert not fit.value.ripple.cosine.any()
+    assert "held-out" in fit.report()
 
 
 def test_same_log_same_bits(truth, excited, model) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,7 @@ from armlab.identify import Trajectory, dither, excitation, sequence
 from armlab.state import Command, State
 
 
-@pytest.mark.parametrize("name", ["yumi_left", "yumi_right", "irb2400"])
+@pytest.mark.parametrize("name", ["yumi_left", "yumi_right", "irb2400", "irb7600"])
 def test_excitation_stays_inside_the_limits(name: str) -> None:
     robot = robots.load(name)
     motion = excitation(robot, seconds=20, seed=3, speed=0.6, acceleration=10.0)
@@ -19,11 +21,20 @@ def test_excitation_stays_inside_the_limits(name: str) -> None:
     q, qd, qdd = motion.sample(t)
     assert np.all(q >= robot.q_min + 0.04)
     assert np.all(q <= robot.q_max - 0.04)
-    assert np.all(np.abs(qd) <= 0.605 * robot.qd_max)
-    assert np.all(np.abs(qdd) <= 10.2)
+    assert np.all(np.abs(qd) <= 0.601 * robot.qd_max)
+    assert np.all(np.abs(qdd) <= 10.01)
     np.testing.assert_allclose(np.gradient(q, t, axis=0)[1:-1], qd[1:-1], atol=1e-3)
     np.testing.assert_allclose(np.gradient(qd, t, axis=0)[1:-1], qdd[1:-1], atol=2e-2)
     np.testing.assert_array_equal(qd[[0, -1]], 0.0)
+
+
+def test_a_joint_with_a_short_stroke_moves_inside_it() -> None:
+    robot = robots.load("yumi_left")
+    low, high, home = robot.q_min.copy(), robot.q_max.copy(), robot.q_home.copy()
+    low[0], high[0], home[0] = 0.0, 0.06, 0.03
+    motion = excitation(replace(robot, q_min=low, q_max=high, q_home=home), seconds=20)
+    q = motion.sample(np.linspace(0, 20, 5001))[0][:, 0]
+    assert 0.005 < q.min() < 0.02 < 0.04 < q.max() < 0.055
 
 
 def test_excitation_is_slow_often_enough_and_reverses() -> None:
@@ -40,6 +51,14 @@ def test_dither_sways_every_joint_about_its_centre() -> None:
     np.testing.assert_allclose(q.mean(axis=0), centre, atol=1e-3)
     np.testing.assert_allclose(np.ptp(q, axis=0), 0.06, rtol=1e-3)
     np.testing.assert_allclose(np.abs(qd).max(axis=0), 0.03 * np.pi, rtol=1e-3)
+
+
+@pytest.mark.parametrize("seconds", [0.7, 2.0, 3.3])
+def test_a_short_sway_has_no_jump_either(seconds: float) -> None:
+    t = np.linspace(0, seconds, 20001)
+    q, qd, qdd = dither(np.zeros(3), seconds, amplitude=1.0).sample(t)
+    np.testing.assert_allclose(np.gradient(q, t, axis=0)[1:-1], qd[1:-1], atol=1e-4)
+    assert np.abs(np.diff(qd, axis=0)).max() < 1.5 * np.abs(qdd).max() * t[1]
 
 
 def test_sequence_walks_between_its_parts_without_a_jump() -> None:
@@ -89,3 +108,17 @@ def test_nonsense_is_refused() -> None:
         excitation(robot, speed=1.5)
     with pytest.raises(ShapeError, match="at least 10 seconds"):
         excitation(robot, seconds=2.0)
+    with pytest.raises(ShapeError, match="at least 10 seconds"):
+        excitation(robot, seconds=float("nan"))
+    for wrong in ({"f0": 0.0}, {"harmonics": 0}, {"acceleration": -1.0}):
+        with pytest.raises(ShapeError, match="at least one harmonic"):
+            excitation(robot, **wrong)
+    for centre in (np.zeros(3), robot.q_max + 1.0, np.full(7, np.nan)):
+        with pytest.raises(ShapeError, match="inside the limits"):
+            excitation(robot, centre=centre)
+    with pytest.raises(ShapeError, match="above 0 s"):
+        dither(np.zeros(2), 0.0)
+    with pytest.raises(ShapeError, match="at least one motion"):
+        sequence([])
+    with pytest.raises(ShapeError, match="walk above 0"):
+        sequence([dither(np.zeros(2), 5.0)], walk=0.0)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -59,6 +61,29 @@ def test_refusals_name_what_is_missing(truth, excited) -> None:
         prepare(excited.between(0.0, 3.0), robot)
     with pytest.raises(ShapeError, match="at least one log"):
         prepare([], robot)
+
+
+def test_gaps_everywhere_and_logs_of_two_rates_are_refused(truth, excited) -> None:
+    often = excited.rows(np.arange(len(excited)) % 60 != 0)
+    with pytest.raises(ShapeError, match=r"without a gap.*59 samples"):
+        prepare(often, truth.robot)
+    with pytest.raises(ShapeError, match=r"250 Hz, 125 Hz"):
+        prepare([excited, excited.rows(slice(None, None, 2))], truth.robot)
+
+
+def test_a_sliding_joint_moves_when_it_moves_by_millimetres(truth) -> None:
+    """5 degrees say nothing about a slide: 30 mm are enough, 10 mm are not, and the message says mm."""
+    robot = replace(truth.robot, prismatic=np.arange(7) == 0)
+    t = np.arange(0, 10, 0.004)
+
+    def log(stroke: float) -> Table:
+        sizes = np.array([stroke, *[1.0] * 6])
+        q, qd = 0.5 * sizes * np.sin(t)[:, None], 0.5 * sizes * np.cos(t)[:, None]
+        return Table(t, {"q": q, "qd": qd, "tau": q + qd})
+
+    assert prepare(log(0.03), robot).seconds == pytest.approx(9.996)
+    with pytest.raises(NotExcited, match=r"10\.0 mm"):
+        prepare(log(0.01), robot)
 
 
 def test_bad_columns_are_refused(truth, excited) -> None:

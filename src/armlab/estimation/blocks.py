@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from armlab.errors import ShapeError
+from armlab.errors import NotExcited, ShapeError
 
 __all__ = ["BlockSums", "accumulate", "block_bootstrap", "correlation_time", "effective_samples"]
 
@@ -33,12 +33,24 @@ class BlockSums:
     def solve(self, weights: np.ndarray | None = None) -> np.ndarray:
         """Return the least-squares solution (d,) with a weight per block (B,); equal weights when left out.
 
-        Columns are scaled to norm 1 before the Cholesky solution, so that units do not spoil its precision.
+        Columns are scaled to norm 1 first, so that units do not spoil the precision.
+
+        Raises
+        ------
+        NotExcited : when the blocks with weight do not determine every parameter.
         """
         w = np.ones(len(self.rows)) if weights is None else np.asarray(weights, dtype=float)
         gram, moment = np.tensordot(w, self.gram, 1), w @ self.moment
-        scale = 1.0 / np.sqrt(np.diag(gram))
-        return scale * np.linalg.solve(gram * np.outer(scale, scale), scale * moment)
+        norms = np.sqrt(np.diag(gram))
+        try:
+            if not np.all(norms > 0):
+                raise np.linalg.LinAlgError
+            return np.linalg.solve(gram / np.outer(norms, norms), moment / norms) / norms
+        except np.linalg.LinAlgError:
+            raise NotExcited(
+                f"Expected parameters that many blocks of time determine, got one that {np.count_nonzero(w)} of "
+                f"{len(w)} blocks do not. Let every joint move for the whole record."
+            ) from None
 
 
 def accumulate(A: np.ndarray, y: np.ndarray, block: np.ndarray) -> BlockSums:

@@ -35,6 +35,19 @@ class Excitation:
     singular_values: np.ndarray
     weakest: str
 
+    @classmethod
+    def of(cls, gram: np.ndarray, names: Sequence[str]) -> Excitation:
+        """Measure the excitation behind a normal matrix of full column norms, without judging it.
+
+        Parameters
+        ----------
+        gram : (d, d) whitened normal matrix A^T A, diagonal positive.
+        names : of the d parameters.
+        """
+        singular, vectors = _spectrum(gram)
+        rank = int(np.count_nonzero(singular * MAX_CONDITION >= singular[0]))
+        return cls(rank, len(names), singular, _in_words(vectors[:, -1], names))
+
     @property
     def condition(self) -> float:
         """Largest over smallest singular value."""
@@ -74,20 +87,26 @@ def check_excitation(gram: np.ndarray, names: Sequence[str], what: str) -> Excit
             dead,
             ["no signal"] * len(dead),
         )
-    eigenvalues, vectors = np.linalg.eigh(gram / np.outer(norms, norms))
-    singular = np.sqrt(np.maximum(eigenvalues, 0.0))[::-1]
-    weak = np.flatnonzero(singular[::-1] * MAX_CONDITION < singular[0])
-    directions = [_in_words(vectors[:, i], names) for i in range(len(names))]
-    if len(weak):
-        spread = [f"{singular[::-1][i] / singular[0]:.1e} of the strongest direction" for i in weak]
+    found = Excitation.of(gram, names)
+    if found.rank < found.expected:
+        singular, vectors = _spectrum(gram)
+        weak = range(found.expected - 1, found.rank - 1, -1)  # the weakest first
+        directions = [_in_words(vectors[:, i], names) for i in weak]
         raise NotExcited(
             f"Expected motion that excites every direction of the {what} (condition below {MAX_CONDITION:.0e}), got "
-            f"{len(weak)} that it does not tell apart: {'; '.join(directions[i] for i in weak)}. "
+            f"{len(directions)} that it does not tell apart: {'; '.join(directions)}. "
             "Record a log that moves these joints together and apart, at several speeds and poses.",
-            [directions[i] for i in weak],
-            spread,
+            directions,
+            [f"{singular[i] / singular[0]:.1e} of the strongest direction" for i in weak],
         )
-    return Excitation(len(names), len(names), singular, directions[0])
+    return found
+
+
+def _spectrum(gram: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return singular values of the column-scaled A, descending, and their directions as columns."""
+    norms = np.sqrt(np.diag(gram))
+    eigenvalues, vectors = np.linalg.eigh(gram / np.outer(norms, norms))
+    return np.sqrt(np.maximum(eigenvalues, 0.0))[::-1], vectors[:, ::-1]
 
 
 def _in_words(vector: np.ndarray, names: Sequence[str]) -> str:

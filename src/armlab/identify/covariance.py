@@ -1,7 +1,9 @@
 """Torque covariance over velocity by maximum likelihood on free-motion residuals.
 
 Minimise ``sum log s^2 + e^2 / s^2`` over C0, Cinf and the decay rate, per joint, in their logarithms. Residuals must
-have passed the same causal filter as the estimator will use. Covariances of the parameters count effective samples.
+have passed the same causal filter as the estimator will use. Covariances of the parameters count effective samples; to
+the information of the ratio and the rate that of a uniform distribution over their bounds is added, so that what the
+data do not tell is uncertain, not exact.
 """
 
 from __future__ import annotations
@@ -16,7 +18,9 @@ __all__ = ["fit_velocity_covariance"]
 
 STARTS = (5.0, 30.0, 150.0)  # s/rad
 RATE_BOUNDS = (1.0, 500.0)
-QUANTILES = 30
+MAX_LOG_RATIO = 15.0
+UNIFORM = 12.0  # information of a uniform distribution, times its width squared
+QUANTILES = np.linspace(0.02, 0.6, 30)
 
 
 def fit_velocity_covariance(residuals: np.ndarray, qd: np.ndarray, kind: str = "exp") -> Fit[VelocityCovariance]:
@@ -34,14 +38,11 @@ def fit_velocity_covariance(residuals: np.ndarray, qd: np.ndarray, kind: str = "
 
     Raises
     ------
-    ShapeError : shapes differ or values are not finite. NotExcited : fewer than 100 samples. UnknownName : another
-    kind.
+    ShapeError : shapes differ or values are not finite. NotExcited : fewer than 100 samples, or a joint whose residuals
+    are all zero. UnknownName : another kind.
     """
     residuals, qd = np.asarray(residuals, dtype=float), np.asarray(qd, dtype=float)
-    if residuals.ndim != 2 or residuals.shape != qd.shape or not np.isfinite(residuals).all():
-        raise ShapeError(f"Expected finite residuals and qd of one shape (N, n), got {residuals.shape} and {qd.shape}.")
-    if len(residuals) < 100:
-        raise NotExcited(f"Expected at least 100 residuals, got {len(residuals)}. Record for longer.", ["everything"])
+    _check(residuals, qd)
     fitters = {"exp": _fit_exponential, "step": _fit_step, "const": _fit_constant}
     if kind not in fitters:
         raise UnknownName.among("covariance kind", kind, fitters)
@@ -52,15 +53,29 @@ def fit_velocity_covariance(residuals: np.ndarray, qd: np.ndarray, kind: str = "
     cov = np.zeros((n * d, n * d))
     for i, (_, information) in enumerate(solved):
         share = len(residuals) / effective_samples(residuals[:, i] ** 2)
-        cov[i * d : (i + 1) * d, i * d : (i + 1) * d] = np.linalg.pinv(information) * share
+        cov[i * d : (i + 1) * d, i * d : (i + 1) * d] = np.linalg.inv(information) * share
     Cinf = np.exp(theta[:, 0])
     C0 = Cinf * np.exp(theta[:, 1]) if d > 1 else Cinf
     value = velocity_covariance(kind, C0, Cinf, np.exp(theta[:, 2]) if d > 2 else None)
     labels = ("log Cinf", "log C0/Cinf", "log shape")[:d]
     names = tuple(f"{label} joint {i + 1}" for i in range(n) for label in labels)
-    excitation = Excitation(n * d, n * d, np.ones(n * d), "none")
+    gram = np.zeros_like(cov)
+    for i, (_, information) in enumerate(solved):
+        gram[i * d : (i + 1) * d, i * d : (i + 1) * d] = information
+    excitation = Excitation.of(gram, names)
     sigma = np.sqrt(np.mean(residuals**2, axis=0))
     return Fit(value, names, ("1",) * len(names), theta.ravel(), cov, sigma, residuals, len(residuals), excitation)
+
+
+def _check(residuals: np.ndarray, qd: np.ndarray) -> None:
+    if residuals.ndim != 2 or residuals.shape != qd.shape or not np.isfinite([residuals, qd]).all():
+        raise ShapeError(f"Expected finite residuals and qd of one shape (N, n), got {residuals.shape} and {qd.shape}.")
+    if len(residuals) < 100:
+        raise NotExcited(f"Expected at least 100 residuals, got {len(residuals)}. Record for longer.", ["everything"])
+    silent = np.flatnonzero(~residuals.any(axis=0))
+    if len(silent):
+        joints = [f"joint {i + 1}" for i in silent]
+        raise NotExcited(f"Expected residuals with noise, got zeros for {', '.join(joints)}.", joints)
 
 
 def _fit_constant(e: np.ndarray, _: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -70,19 +85,26 @@ def _fit_constant(e: np.ndarray, _: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 def _fit_step(e: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Scan the threshold over quantiles of speed; the variances on both sides have closed forms."""
     best: tuple[float, np.ndarray] = (np.inf, np.zeros(3))
-    total = np.mean(e * e)
-    for threshold in np.quantile(speed, np.linspace(0.02, 0.6, QUANTILES)):
+    thresholds = np.unique(np.quantile(speed, QUANTILES))
+    for threshold in thresholds:
         slow = speed < threshold
-        if slow.sum() < 20 or threshold <= 0:
+        if slow.sum() < 20:
             continue
         outside = np.mean(e[~slow] ** 2)
         inside = max(np.mean(e[slow] ** 2), outside)
         cost = slow.sum() * (np.log(inside) + np.mean(e[slow] ** 2) / inside) + (~slow).sum() * (np.log(outside) + 1)
         if cost < best[0]:
             best = (cost, np.array([np.log(outside), np.log(inside / outside), np.log(threshold)]))
-    theta = best[1] if np.isfinite(best[0]) else np.array([np.log(total), 0.0, 0.0])
+    if not np.isfinite(best[0]):
+        raise NotExcited("Expected residuals at several speeds, got one speed. Record slow and fast motion.", ["speed"])
+    theta = best[1]
     count = float(np.sum(speed < np.exp(theta[2])))
-    return theta, np.array([[len(e) / 2, count / 2, 0.0], [count / 2, count / 2, 0.0], [0.0, 0.0, 0.0]])
+    spacing = np.log(thresholds[-1] / thresholds[thresholds > 0][0]) / len(thresholds)  # what the scan can tell apart
+    information = np.array(
+        [[len(e) / 2, count / 2, 0.0], [count / 2, count / 2, 0.0], [0.0, 0.0, UNIFORM / spacing**2]]
+    )
+    information[1, 1] += UNIFORM / MAX_LOG_RATIO**2
+    return theta, information
 
 
 def _fit_exponential(e: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -91,7 +113,7 @@ def _fit_exponential(e: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.n
 
     power = e * e
     start = np.log(np.mean(power))
-    bounds = [(start - 20, start + 10), (0.0, 15.0), tuple(np.log(RATE_BOUNDS))]
+    bounds = [(start - 20, start + 10), (0.0, MAX_LOG_RATIO), tuple(np.log(RATE_BOUNDS))]
 
     def cost(theta: np.ndarray) -> tuple[float, np.ndarray]:
         variance, gradient = _exponential(theta, speed)
@@ -105,7 +127,8 @@ def _fit_exponential(e: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.n
     theta = min(results, key=lambda r: r.fun).x
     variance, gradient = _exponential(theta, speed)
     relative = gradient / variance
-    return theta, 0.5 * relative @ relative.T
+    widths = np.array([MAX_LOG_RATIO, np.log(RATE_BOUNDS[1] / RATE_BOUNDS[0])])
+    return theta, 0.5 * relative @ relative.T + np.diag([0.0, *(UNIFORM / widths**2)])
 
 
 def _exponential(theta: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,8 +1,9 @@
 """The linear regression behind `fit_dynamics`: filtered, thinned regressor columns and the choice of friction shape.
 
-Base-parameter columns are shared by all joints; each joint has its own seven: viscous, Coulomb for both directions,
-offset, Stribeck, and cosine and sine of the ripple line at twice the gear ratio (strain-wave gears press twice per
-input turn).
+Base-parameter columns are shared by all joints; each joint has its own: viscous, Coulomb for both directions, offset,
+Stribeck, and, where the gears are known, cosine and sine of the ripple line at twice the gear ratio (strain-wave gears
+press twice per input turn). A robot file that is silent about the gears has ratio 1: such a line would be a harmonic of
+gravity and is left out.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ LOCAL = (("viscous", "N m s/rad"), ("coulomb+", "N m"), ("coulomb-", "N m"), ("o
 RIPPLE = (("ripple cos", "N m"), ("ripple sin", "N m"))
 REFINEMENTS = (1.5, 1.25, 1.12, 1.06)  # factors tried both ways after the grid
 BLOCK = 1.0  # s, alternating blocks for the choice of shape
+MIN_CYCLES = 20.0  # rad/rad; a slower ripple line is a harmonic of gravity
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,11 +35,11 @@ class Design:
     Attributes
     ----------
     data : the record. rows : (M,) rows of it that are kept. cutoff : of the zero-phase filter [Hz].
-    tau : (M, n) filtered torque. rigid : (M, n, p) filtered base-parameter columns. fixed : (M, n, 4) filtered columns
-    of
-        each joint that have no shape: viscous, offset, ripple cosine and sine.
+    tau : (M, n) filtered torque. rigid : (M, n, p) filtered base-parameter columns.
+    fixed : (M, n, 4) filtered columns of each joint that have no shape: viscous, offset, ripple cosine and sine; the
+        first two alone where the gears are not known.
     delta, speed : (n,) shape of friction. cycles : (n,) ripple line [rad/rad].
-    names, units : of the p + 7 n parameters.
+    names, units : of the p + k n parameters, k = 7 of each joint, 5 where the gears are not known.
     """
 
     data: Prepared
@@ -70,17 +72,20 @@ class Design:
         Y = np.zeros((len(data.t), n, 11 * n))
         Y[:, :, : 10 * n] = robot.chain.rigid_regressor(data.q, data.qd, qdd, robot.gravity)
         Y[:, range(n), range(10 * n, 11 * n)] = qdd
-        cycles = 2.0 * np.abs(1.0 / np.diag(robot.coupling))
+        cycles = 2.0 * np.abs(np.diag(np.linalg.inv(robot.coupling)))
         angle = cycles * data.q
-        fixed = np.stack([data.qd, np.ones_like(data.qd), np.cos(angle), np.sin(angle)], axis=2)
-        joints = [(f"{name} {joint}", unit) for joint in robot.joint_names for name, unit in (*LOCAL, *RIPPLE)]
+        fixed = [data.qd, np.ones_like(data.qd), np.cos(angle), np.sin(angle)]
+        columns = (*LOCAL, *RIPPLE)
+        if np.any(cycles < MIN_CYCLES):
+            fixed, columns = fixed[:2], LOCAL
+        joints = [(f"{name} {joint}", unit) for joint in robot.joint_names for name, unit in columns]
         return cls(
             data=data,
             rows=rows,
             cutoff=cutoff,
             tau=data.filter(data.tau, cutoff)[rows],
             rigid=data.filter(Y[:, :, base.kept], cutoff)[rows],
-            fixed=data.filter(fixed, cutoff)[rows],
+            fixed=data.filter(np.stack(fixed, axis=2), cutoff)[rows],
             delta=np.full(n, 1e-3),
             speed=np.full(n, 0.1),
             cycles=cycles,
@@ -93,24 +98,30 @@ class Design:
         """Time of the kept rows (M,) [s]."""
         return self.data.t[self.rows]
 
+    @property
+    def geared(self) -> bool:
+        """True when the ripple columns are among the columns of each joint."""
+        return self.fixed.shape[2] == 4
+
     def local(self) -> np.ndarray:
-        """Return the seven columns of each joint (M, n, 7) in the order of `names`."""
+        """Return the columns of each joint (M, n, k) in the order of `names`."""
         shaped = self._shaped(self.delta, self.speed)
-        viscous, offset, cosine, sine = np.moveaxis(self.fixed, 2, 0)
-        return np.stack([viscous, shaped[0], shaped[1], offset, shaped[2], cosine, sine], axis=2)
+        viscous, offset, *ripple = np.moveaxis(self.fixed, 2, 0)
+        return np.stack([viscous, shaped[0], shaped[1], offset, shaped[2], *ripple], axis=2)
 
     def matrix(self) -> np.ndarray:
-        """Return the whole regressor (M, n, p + 7 n)."""
+        """Return the whole regressor (M, n, p + k n)."""
         M, n, p = self.rigid.shape
         local = self.local()
-        A = np.zeros((M, n, p + 7 * n))
+        k = local.shape[2]
+        A = np.zeros((M, n, p + k * n))
         A[:, :, :p] = self.rigid
         for i in range(n):
-            A[:, i, p + 7 * i : p + 7 * (i + 1)] = local[:, i]
+            A[:, i, p + k * i : p + k * (i + 1)] = local[:, i]
         return A
 
     def solve(self, weights: np.ndarray) -> np.ndarray:
-        """Return the least-squares parameters (p + 7 n,) with a weight per joint (n,), by QR of the scaled columns."""
+        """Return the least-squares parameters (p + k n,) with a weight per joint (n,), of columns scaled to norm 1."""
         A = (self.matrix() * weights[None, :, None]).reshape(-1, len(self.names))
         scale = np.linalg.norm(A, axis=0)
         scale[scale == 0] = 1.0
@@ -126,7 +137,7 @@ class Design:
 
         Parameters
         ----------
-        theta : (p + 7 n,) parameters whose rigid part is held.
+        theta : (p + k n,) parameters whose rigid part is held.
         """
         p = self.rigid.shape[2]
         target = self.tau - self.rigid @ theta[:p]

@@ -7,8 +7,7 @@
 3. All linear parameters by least squares, joints weighted by 1 / their residual deviation, three rounds.
 4. Covariance by drawing blocks again: residuals are coloured, and the formal covariance is far too small.
 5. Models fitted without a fifth of the blocks give held-out residuals through the estimator's own causal filter; to
-them the
-   torque covariance over velocity is fitted and its scale calibrated to 95.4 % inside 2 sigma.
+   them the torque covariance over velocity is fitted and its scale calibrated to 95.4 % inside 2 sigma.
 """
 
 from __future__ import annotations
@@ -21,7 +20,6 @@ import numpy as np
 from armlab.errors import NotExcited
 from armlab.estimation import (
     BlockSums,
-    Excitation,
     Fit,
     accumulate,
     block_bootstrap,
@@ -59,8 +57,8 @@ def fit_dynamics(
 
     Returns
     -------
-    Fit of `models.TorqueModel`; its parameters are the base parameters, then viscous, coulomb_pos, coulomb_neg, offset,
-    stribeck and two ripple amplitudes of each joint.
+    Fit of `models.TorqueModel`; its parameters are the base parameters, then viscous, coulomb_pos, coulomb_neg, offset
+    and stribeck of each joint, with two ripple amplitudes where the robot's gears are known.
 
     Raises
     ------
@@ -79,11 +77,13 @@ def fit_dynamics(
     design = Design.build(data, robot, base)
     design, theta, weights = _alternate(design, tell)
     tell(3, 5, "covariance from blocks")
-    sums, excitation = _block_sums(design, theta, weights, data)
+    block = _blocks(design, theta, data)
+    sums = accumulate(design.matrix() * weights[None, :, None], design.tau * weights, block[design.rows])
+    excitation = check_excitation(sums.gram.sum(axis=0), _leaders(design), "torque model")
     draws = block_bootstrap(sums, seed=seed)
     tell(4, 5, "held-out residuals")
     model = _model(design, theta, np.cov(draws, rowvar=False), data, robot, base)
-    model = assess(model, _fold_models(model, design, sums, data, robot, base), data, design.residuals(theta))
+    model = assess(model, _fold_models(model, design, sums, block, data, robot, base), data)
     tell(5, 5, "done")
     return Fit(
         value=model,
@@ -117,24 +117,25 @@ def _alternate(design: Design, tell: Progress) -> tuple[Design, np.ndarray, np.n
     return design, theta, weights
 
 
-def _block_sums(design: Design, theta: np.ndarray, weights: np.ndarray, data: Prepared) -> tuple[BlockSums, Excitation]:
-    """Sum whitened rows in blocks longer than the residual remembers, and judge the excitation."""
+def _blocks(design: Design, theta: np.ndarray, data: Prepared) -> np.ndarray:
+    """Return the block number (N,) of each sample: blocks longer than the residual remembers, without holes."""
     residuals = design.residuals(theta)
     step = float(np.median(np.diff(design.t)))
     memory = max(correlation_time(residuals[:, i], step) for i in range(residuals.shape[1]))
-    span = float(data.t[-1] - data.t[0])
-    length = float(np.clip(4.0 * memory, MIN_BLOCK, span / 20.0))
-    block = data.blocks(length)[design.rows]
-    _, block = np.unique(block, return_inverse=True)
+    length = min(max(4.0 * memory, MIN_BLOCK), data.seconds / 20.0)
+    block = data.blocks(length)
     if block[-1] < 7:
         raise NotExcited(
             f"Expected at least 8 blocks of {length:.2g} s for a covariance, got {block[-1] + 1}. Record for longer.",
             ["covariance"],
-            [f"{span:.1f} s"],
+            [f"{data.seconds:.1f} s"],
         )
-    sums = accumulate(design.matrix() * weights[None, :, None], design.tau * weights, block)
-    leaders = [re.split(r" [+-] ", name)[0] for name in design.names]  # a whole combination fills a line
-    return sums, check_excitation(sums.gram.sum(axis=0), leaders, "torque model")
+    return block
+
+
+def _leaders(design: Design) -> list[str]:
+    """Return the leading symbol of each parameter: a whole combination fills a line."""
+    return [re.split(r" [+-] ", name)[0] for name in design.names]
 
 
 def _model(
@@ -144,7 +145,8 @@ def _model(
     n, p = robot.n, len(base.names)
     links, rotor = base.links_and_rotors(theta[:p])
     local = theta[p:].reshape(n, -1)
-    viscous, positive, negative, offset, stribeck, cosine, sine = local.T
+    viscous, positive, negative, offset, stribeck = local[:, :5].T
+    cosine, sine = local[:, 5:].T if design.geared else np.zeros((2, n))
     friction = Friction(viscous, positive, negative, offset, stribeck, design.speed, design.delta, data.resolution)
     tiny = np.full(n, 1e-18)
     return TorqueModel(
@@ -177,20 +179,23 @@ def _quality(data: Prepared) -> Quality:
         q_min=data.q.min(axis=0),
         q_max=data.q.max(axis=0),
         qd_peak=np.abs(data.qd).max(axis=0),
-        seconds=float(sum(data.t[b - 1] - data.t[a] for a, b in data.segments)),
+        seconds=data.seconds,
     )
 
 
 def _fold_models(
-    model: TorqueModel, design: Design, sums: BlockSums, data: Prepared, robot: Robot, base: BaseParameters
+    model: TorqueModel,
+    design: Design,
+    sums: BlockSums,
+    block: np.ndarray,
+    data: Prepared,
+    robot: Robot,
+    base: BaseParameters,
 ) -> list[tuple[TorqueModel, np.ndarray]]:
-    """Return, for each fifth of the blocks, the model fitted without them and the rows (N,) they cover."""
-    count = len(sums.rows)
-    edges = data.t[design.rows][np.searchsorted(np.cumsum(sums.rows // robot.n), np.arange(count), side="right")]
-    number = np.searchsorted(edges, data.t, side="right") - 1
+    """Return, for each fifth of the blocks, the model fitted without them and a mask (N,) of their samples."""
     folds = []
     for k in range(5):
-        left_out = np.arange(count) % 5 == k
-        theta = sums.solve((~left_out).astype(float))
-        folds.append((_model(design, theta, model.base_cov, data, robot, base), left_out[np.maximum(number, 0)]))
+        kept = np.arange(len(sums.rows)) % 5 != k
+        theta = sums.solve(kept.astype(float))
+        folds.append((_model(design, theta, model.base_cov, data, robot, base), ~kept[block]))
     return folds

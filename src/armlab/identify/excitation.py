@@ -2,9 +2,9 @@
 
     q_i(t) = centre_i + sum_k a_ik / (2 pi f0 k) sin(2 pi f0 k t) - b_ik / (2 pi f0 k) cos(2 pi f0 k t)
 
-(Swevers et al. 1997). The record starts and ends at rest: a quintic ramp of the phase blends motion in and out. Among
-seeded candidates, each scaled to the limits, the one with the largest log det of the scaled information of the base
-regressor is kept (D-optimal).
+(Swevers et al. 1997). The record starts and ends at rest: a quintic window blends the motion in and out. Among seeded
+candidates, each scaled to the limits, the one with the largest log det of the information of the base regressor is kept
+(D-optimal; the units of the parameters do not change the order).
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ __all__ = ["Trajectory", "dither", "excitation", "sequence"]
 RAMP = 2.0  # s, blend at each end
 LONGEST_STEP = 0.006  # s that a controller's clock moves at once: 1.5 periods, what the bridge lets a reference move
 CANDIDATES = 60
+MARGIN = 0.05  # rad or m, kept from the position limits; a tenth of the range where that is less
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,36 +97,35 @@ def excitation(
     harmonics : number of them.
     speed : peak speed as a share of the robot's limits, in (0, 1].
     acceleration : peak acceleration [rad/s^2].
-    centre : (n,) centre of the motion; when left out, the robot's home, moved from the limits until every joint has 70
-        degrees to both sides (or half its range, where that is less).
+    centre : (n,) centre of the motion, inside the limits; it is moved 0.1 rad away from them. When left out, the
+        robot's home, moved from the limits until every joint has 70 degrees to both sides (or half its range, where
+        that is less).
     seed : of the candidates.
 
     Returns
     -------
-    Trajectory within 0.05 rad of the position limits and below the other limits.
+    Trajectory that stays 0.05 rad (or a tenth of the range) inside the position limits and below the other limits.
 
     Raises
     ------
-    ShapeError : for a share outside (0, 1] or a record that is too short.
+    ShapeError : for a share outside (0, 1], a record that is too short, no harmonics, a centre outside the limits.
     """
-    if not 0 < speed <= 1 or seconds < 10:
+    if not 0 < speed <= 1 or not 10 <= seconds < np.inf:
         raise ShapeError(
             f"Expected a speed share in (0, 1] and at least 10 seconds, got {speed:g} and {seconds:g} s. "
             "Shorter motions do not excite friction at all speeds."
         )
+    if not 0 < f0 < np.inf or harmonics < 1 or not acceleration > 0:
+        raise ShapeError(
+            f"Expected f0 and acceleration above 0 and at least one harmonic, got {f0:g} Hz, {acceleration:g} and "
+            f"{harmonics}. Leave them out for the defaults."
+        )
     rng = np.random.default_rng(seed)
-    home = _with_room(robot) if centre is None else np.array(centre, dtype=float)
+    middle = _with_room(robot) if centre is None else _inside(robot, centre)
     base = base_parameters(robot)
-    best: tuple[float, Trajectory] | None = None
-    for _ in range(CANDIDATES):
-        a, b = rng.standard_normal((2, harmonics, robot.n)) / np.sqrt(harmonics)
-        trajectory = _scaled(robot, home, a, b, f0, seconds, speed, acceleration)
-        score = _information(robot, base, trajectory, f0)
-        if best is None or score > best[0]:
-            best = (score, trajectory)
-    if best is None:
-        raise ShapeError("Expected at least one candidate motion, got none. This is a fault of the design.")
-    return best[1]
+    draws = rng.standard_normal((CANDIDATES, 2, harmonics, robot.n))
+    candidates = [_scaled(robot, middle, a, b, f0, seconds, speed, acceleration) for a, b in draws]
+    return max(candidates, key=lambda trajectory: _information(robot, base, trajectory, f0))
 
 
 def dither(
@@ -137,8 +137,14 @@ def dither(
 
     Parameters
     ----------
-    centre : (n,) [rad]. seconds : length. amplitude : [rad]. frequency : [Hz].
+    centre : (n,) [rad]. seconds : length, above 0. amplitude : [rad]. frequency : [Hz].
+
+    Raises
+    ------
+    ShapeError : for a length that is not above 0.
     """
+    if not 0 < seconds < np.inf:
+        raise ShapeError(f"Expected a length above 0 s, got {seconds:g} s. Give the seconds of the motion.")
     centre = np.array(centre, dtype=float)
     omega = 2 * np.pi * frequency
     phase = np.arange(len(centre)) * 2 * np.pi / len(centre)
@@ -158,8 +164,14 @@ def sequence(parts: Sequence[Trajectory], walk: float = 2.0) -> Trajectory:
 
     Parameters
     ----------
-    parts : at least one motion. walk : seconds of each walk.
+    parts : at least one motion. walk : seconds of each walk, above 0.
+
+    Raises
+    ------
+    ShapeError : for no parts or no time to walk.
     """
+    if not parts or not walk > 0:
+        raise ShapeError(f"Expected at least one motion and a walk above 0 s, got {len(parts)} and {walk:g} s.")
     starts = np.cumsum([0.0, *(part.seconds + walk for part in parts[:-1])])
     total = float(starts[-1] + parts[-1].seconds)
 
@@ -190,14 +202,30 @@ def _with_room(robot: Robot) -> np.ndarray:
     return np.clip(robot.q_home, robot.q_min + room, robot.q_max - room)
 
 
+def _inside(robot: Robot, centre: np.ndarray) -> np.ndarray:
+    """Return a centre (n,) moved away from the limits by twice the margin; refuse one outside them."""
+    given = np.array(centre, dtype=float)
+    if given.shape != (robot.n,) or not np.all((given >= robot.q_min) & (given <= robot.q_max)):
+        raise ShapeError(
+            f"Expected a centre of shape ({robot.n},) inside the limits of {robot.name!r}, got {given.tolist()}. "
+            "Give one position per joint [rad]."
+        )
+    margin = _margin(robot)
+    return np.clip(given, robot.q_min + 2 * margin, robot.q_max - 2 * margin)
+
+
+def _margin(robot: Robot) -> np.ndarray:
+    return np.minimum(MARGIN, 0.1 * (robot.q_max - robot.q_min))
+
+
 def _scaled(
     robot: Robot, centre: np.ndarray, a: np.ndarray, b: np.ndarray, f0: float, seconds: float, speed: float, peak: float
 ) -> Trajectory:
     """Scale each joint of a candidate as far as speed, acceleration and position limits allow."""
     t = np.linspace(0, seconds, int(seconds * 100))
     q, qd, qdd = _fourier(centre, a, b, f0, seconds)(t)
-    middle = np.clip(centre, robot.q_min + 0.1, robot.q_max - 0.1)
-    room_up, room_down = robot.q_max - 0.05 - middle, middle - robot.q_min - 0.05
+    margin = _margin(robot)
+    room_up, room_down = robot.q_max - margin - centre, centre - robot.q_min - margin
     shares = np.stack(
         [
             speed * robot.qd_max / np.abs(qd).max(axis=0),
@@ -207,7 +235,7 @@ def _scaled(
         ]
     )
     scale = shares.min(axis=0)
-    return Trajectory(seconds, _fourier(middle, a * scale, b * scale, f0, seconds))
+    return Trajectory(seconds, _fourier(centre, a * scale, b * scale, f0, seconds))
 
 
 def _fourier(
@@ -231,17 +259,18 @@ def _fourier(
 
 def _window(t: np.ndarray, seconds: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the quintic window that is 0 at both ends and 1 between the ramps, with two derivatives."""
+    ramp = min(RAMP, seconds / 2)
     rising = t < seconds / 2
-    x = np.clip(np.where(rising, t, seconds - t) / RAMP, 0.0, 1.0)
+    x = np.clip(np.where(rising, t, seconds - t) / ramp, 0.0, 1.0)
     sign = np.where(rising, 1.0, -1.0)
     w = x**3 * (10 - 15 * x + 6 * x * x)
-    wd = 30 * x * x * (1 - x) ** 2 / RAMP * sign
-    wdd = 60 * x * (1 - x) * (1 - 2 * x) / RAMP**2
+    wd = 30 * x * x * (1 - x) ** 2 / ramp * sign
+    wdd = 60 * x * (1 - x) * (1 - 2 * x) / ramp**2
     return w, wd, wdd
 
 
 def _information(robot: Robot, base: BaseParameters, trajectory: Trajectory, f0: float) -> float:
-    """Return log det of the column-scaled information of the base parameters over one period."""
+    """Return log det of the information of the base parameters over one period."""
     t = np.linspace(RAMP, min(RAMP + 1.0 / f0, trajectory.seconds - RAMP), 100)
     q, qd, qdd = trajectory.sample(t)
     n = robot.n

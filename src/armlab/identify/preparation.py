@@ -16,7 +16,7 @@ from armlab.signals import lowpass_offline
 __all__ = ["Prepared", "prepare"]
 
 MIN_SECONDS = 5.0
-MIN_RANGE = np.deg2rad(5.0)
+MIN_TURN, MIN_SLIDE = np.deg2rad(5.0), 0.02  # rad, m: range of a joint that is said to move
 MIN_SEGMENT = 100  # samples; shorter pieces between gaps are left out
 
 
@@ -42,6 +42,11 @@ class Prepared:
     rate: float
     resolution: np.ndarray
     sources: tuple[str, ...]
+
+    @property
+    def seconds(self) -> float:
+        """Length of all segments [s]."""
+        return float(sum(self.t[b - 1] - self.t[a] for a, b in self.segments))
 
     def filter(self, x: np.ndarray, cutoff: float) -> np.ndarray:
         """Filter (N, ...) with zero phase inside each segment; the same filter serves torque and regressor."""
@@ -78,14 +83,15 @@ def prepare(table: Table | Sequence[Table], robot: Robot) -> Prepared:
 
     Raises
     ------
-    ShapeError : wrong joint count, NaN rows by number, velocity that is not the derivative of position.
+    ShapeError : wrong joint count, NaN rows by number, logs of different rates, gaps everywhere, velocity that is not
+        the derivative of position.
     NotExcited : too short, joints at rest by name, constant torque.
     """
     tables = [table] if isinstance(table, Table) else list(table)
     if not tables:
         raise ShapeError("Expected at least one log, got none. Give the file of a recorded excitation.")
     pieces = [_segments(one, robot) for one in tables]
-    rate = 1.0 / float(np.median(np.concatenate([np.diff(t[a:b]) for t, _, segs in pieces for a, b in segs])))
+    rate = _common_rate(tables)
     t = np.concatenate([t[a:b] for t, _, segs in pieces for a, b in segs])
     columns = [np.concatenate([c[k][a:b] for _, c, segs in pieces for a, b in segs]) for k in range(3)]
     lengths = np.cumsum([0, *(b - a for _, _, segs in pieces for a, b in segs)])
@@ -126,7 +132,22 @@ def _segments(table: Table, robot: Robot) -> tuple[np.ndarray, list[np.ndarray],
     step = np.diff(t)
     cuts = np.flatnonzero(step > 1.5 * np.median(step)) + 1
     edges = [0, *cuts.tolist(), len(t)]
-    return t, columns, [(a, b) for a, b in pairwise(edges) if b - a >= MIN_SEGMENT]
+    pieces = [(a, b) for a, b in pairwise(edges) if b - a >= MIN_SEGMENT]
+    if not pieces:
+        raise ShapeError(
+            f"Expected pieces of at least {MIN_SEGMENT} samples without a gap, got {len(cuts)} gaps in {len(t)} rows, "
+            f"the longest piece with {int(np.diff(edges).max())} samples. Record again, or resample the log."
+        )
+    return t, columns, pieces
+
+
+def _common_rate(tables: list[Table]) -> float:
+    """Return the sampling rate [Hz] of all logs; one filter serves them all, so they must agree."""
+    rates = [1.0 / float(np.median(np.diff(one.t))) for one in tables]
+    if max(rates) > 1.1 * min(rates):
+        listed = ", ".join(f"{rate:.4g} Hz" for rate in rates)
+        raise ShapeError(f"Expected logs of one sampling rate, got {listed}. Resample them to the slowest first.")
+    return float(np.median(rates))
 
 
 def _resolution(q: np.ndarray) -> np.ndarray:
@@ -138,13 +159,16 @@ def _resolution(q: np.ndarray) -> np.ndarray:
 
 def _check_motion(data: Prepared, robot: Robot) -> None:
     ranges = np.ptp(data.q, axis=0)
-    still = np.flatnonzero(ranges < MIN_RANGE)
+    still = np.flatnonzero(ranges < np.where(robot.prismatic, MIN_SLIDE, MIN_TURN))
     if len(still):
         names = [robot.joint_names[i] for i in still]
-        spread = [f"{np.rad2deg(ranges[i]):.2f} deg" for i in still]
+        spread = [
+            f"{1e3 * x:.1f} mm" if robot.prismatic[i] else f"{np.rad2deg(x):.2f} deg" for i, x in enumerate(ranges)
+        ]
+        spread = [spread[i] for i in still]
         listed = ", ".join(f"{a} ({b})" for a, b in zip(names, spread))
         raise NotExcited(
-            f"Expected every joint to move by at least 5 deg, got less for {listed}: their inertia, "
+            f"Expected every joint to move by at least 5 deg (20 mm), got less for {listed}: their inertia, "
             "gravity and friction cannot be told apart. Record a motion of all joints, as of identify.excitation.",
             names,
             spread,

@@ -46,15 +46,16 @@ def _causal(model: TorqueModel, data: Prepared) -> tuple[np.ndarray, np.ndarray]
     return torque, variance
 
 
-def assess(
-    model: TorqueModel, folds: list[tuple[TorqueModel, np.ndarray]], data: Prepared, residuals: np.ndarray
-) -> TorqueModel:
+def assess(model: TorqueModel, folds: list[tuple[TorqueModel, np.ndarray]], data: Prepared) -> TorqueModel:
     """Return the model with its torque covariance and quality figures.
+
+    Both residuals of the quality, of the fit and held out, pass the estimator's causal filter and count rows in motion:
+    so they may be compared.
 
     Parameters
     ----------
     model : fitted to all data. folds : models for held-out rows.
-    data : the record. residuals : (M, n) of the fit itself [N m].
+    data : the record.
     """
     errors, moving = held_out(folds, data)
     e, qd = errors[moving], data.qd[moving]
@@ -64,7 +65,7 @@ def assess(
     scaled = VelocityCovariance("exp", covariance.C0, covariance.Cinf, covariance.shape, alpha2)
     quality = replace(
         model.quality,
-        rms=np.sqrt(np.mean(residuals**2, axis=0)),
+        rms=np.sqrt(np.mean(_causal(model, data)[0][moving] ** 2, axis=0)),
         rms_cv=np.sqrt(np.mean(e**2, axis=0)),
         coverage=np.mean(ratio < 4.0 * alpha2, axis=0),
     )
@@ -75,6 +76,7 @@ def predict(model: TorqueModel, table: Table) -> Table:
     """Return the log with tau, tau_model and tau_sigma (N, n) [N m]: measured, modelled, and how surely.
 
     Measured and modelled torque pass a zero-phase low-pass at the model's cut-off: to that band its covariance belongs.
+    Where the arm has rested, tau_sigma holds what static friction may do, as in the estimator.
 
     Parameters
     ----------
@@ -83,11 +85,11 @@ def predict(model: TorqueModel, table: Table) -> Table:
     """
     rate = 1.0 / float(np.median(np.diff(table.t)))
     torque = model.torque(table["q"], table["qd"], central_diff(table["qd"], table.t))
-    sigma = np.sqrt(model.covariance.variance(table["qd"]))
+    variance = model.estimator_kernel(np.ones(6)).run(table["q"], table["qd"], table["tau"], table.dt)[-1]
     return (
         table.with_column("tau", lowpass_offline(table["tau"], rate, model.cutoff))
         .with_column("tau_model", lowpass_offline(torque, rate, model.cutoff), unit="N m")
-        .with_column("tau_sigma", sigma, unit="N m")
+        .with_column("tau_sigma", np.sqrt(variance), unit="N m")
     )
 
 
