@@ -49,6 +49,14 @@ def test_the_file_says_where_it_comes_from(tmp_path, model) -> None:
         ("rotor = [", "motor = [", ConfigError, "motor|rotor"),
         ("[meta]", "[meta", ConfigError, "TOML model file"),
         ("alpha2 = ", 'alpha2 = "x"\nbeta = ', ConfigError, "alpha2|beta"),
+        ("[meta]", "[meat]", ModelMismatchError, "kind, format and sign"),
+        ("gravity = [", "gravity = [nan,", ConfigError, "gravity"),
+        ("qd_peak = [", "peak = [", ConfigError, "peak"),
+        ("rotor = [", "rotor = [0.1,", ConfigError, "joints"),
+        ("prismatic = [", "prismatic = [true,", ConfigError, "prismatic"),
+        ("cutoff = ", "cutoff = -", ConfigError, "cut-off"),
+        ("[friction.joint3]", "[friction.joint9]", ConfigError, "joint3"),
+        ('kind = "exp"', 'kind = "cubic"', ConfigError, "covariance kind"),
     ],
 )
 def test_other_files_are_refused(tmp_path, model, old: str, new: str, error: type[Exception], sentence: str) -> None:

@@ -31,5 +31,7 @@ def test_bad_input_is_refused_with_a_sentence() -> None:
         lowpass_offline(np.zeros(100), 250.0, 200.0)
     with pytest.raises(ShapeError, match="at least 16 samples"):
         lowpass_offline(np.zeros(5), 250.0, 10.0)
+    with pytest.raises(ShapeError, match=r"NaN or Inf in 1 rows, first \[7\]"):
+        lowpass_offline(np.where(np.arange(100)[:, None] == 7, np.nan, np.ones((100, 2))), 250.0, 10.0)
     with pytest.raises(ShapeError, match="strictly increasing"):
         central_diff(np.zeros(4), np.array([0.0, 1.0, 1.0, 2.0]))

@@ -17,7 +17,7 @@ import numpy as np
 import tomli_w
 
 import armlab
-from armlab.errors import ConfigError, ModelMismatchError
+from armlab.errors import ConfigError, ModelMismatchError, UnknownName
 from armlab.models.friction import Friction, Ripple
 from armlab.models.torque import SIGN, Quality, TorqueModel
 from armlab.models.velocity_covariance import VelocityCovariance
@@ -79,6 +79,17 @@ class _Covariance(_Strict):
     cutoff: float
 
 
+class _Validation(_Strict):
+    torque_sd: list[float]
+    rms: list[float]
+    rms_cv: list[float]
+    coverage: list[float]
+    q_min: list[float]
+    q_max: list[float]
+    qd_peak: list[float]
+    seconds: float
+
+
 class _File(_Strict):
     meta: _Meta
     robot: _RobotPart
@@ -86,7 +97,7 @@ class _File(_Strict):
     friction: dict[str, dict[str, float]]
     ripple: dict[str, dict[str, float]]
     ctau: _Covariance
-    validation: dict[str, list[float] | float]
+    validation: _Validation
 
 
 def save(model: TorqueModel, path: str | Path) -> Path:
@@ -176,18 +187,20 @@ def load(path: str | Path) -> TorqueModel:
         raise ConfigError(f"Expected a model file at {path}, got: {error.strerror}. Check the name.") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(f"Expected a TOML model file, got something else in {path}: {error}.") from None
-    meta = raw.get("meta", {})
-    found = (meta.get("kind"), meta.get("format"), meta.get("sign"))
+    meta = raw.get("meta")
+    found = tuple(meta.get(key) for key in ("kind", "format", "sign")) if isinstance(meta, dict) else None
     if found != (KIND, FORMAT, SIGN):
         raise ModelMismatchError(
             f"Expected kind, format and sign {(KIND, FORMAT, SIGN)} in {path}, got {found}. "
             "Identify again with this version of armlab."
         )
     try:
-        file = msgspec.convert(raw, _File)
-    except msgspec.ValidationError as error:
-        raise ConfigError(f"Expected a complete model file at {path}, got: {error}. Identify again.") from None
-    return _model(file, path)
+        return _model(msgspec.convert(raw, _File), path)
+    except ConfigError:
+        raise
+    except (msgspec.ValidationError, UnknownName, ValueError) as error:
+        what = str(error).rstrip(".")
+        raise ConfigError(f"Expected a complete model file at {path}, got: {what}. Identify again.") from None
 
 
 def _model(file: _File, path: Path) -> TorqueModel:
@@ -198,8 +211,7 @@ def _model(file: _File, path: Path) -> TorqueModel:
     cov = np.zeros((p, p))
     cov[np.tril_indices(p)] = d.base_cov_lower
     cov = cov + np.tril(cov, -1).T
-    quality = {name: np.array(file.validation[name], dtype=float) for name in QUALITY}
-    c = file.ctau
+    c, validation = file.ctau, file.validation
     return TorqueModel(
         robot_name=file.meta.robot,
         robot_hash=file.meta.robot_hash,
@@ -215,6 +227,6 @@ def _model(file: _File, path: Path) -> TorqueModel:
         base_names=tuple(d.base_names),
         base_values=np.array(d.base_values),
         base_cov=cov,
-        quality=Quality(**quality, seconds=float(np.asarray(file.validation["seconds"]))),
+        quality=Quality(**{name: np.array(getattr(validation, name)) for name in QUALITY}, seconds=validation.seconds),
         sources=tuple(file.meta.sources),
     )

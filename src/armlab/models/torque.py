@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from armlab.errors import ModelMismatchError
+from armlab.errors import ModelMismatchError, ShapeError
 from armlab.kernels import Chain, WrenchEstimator, presliding
 from armlab.models.friction import Friction, Ripple
 from armlab.models.velocity_covariance import KINDS, VelocityCovariance
@@ -32,7 +32,8 @@ class Quality:
     Attributes
     ----------
     torque_sd : standard deviation of the measured torque [N m].
-    rms : residual in the data it was fitted to [N m]; rms_cv : in held-out blocks [N m].
+    rms : residual in the data it was fitted to [N m]; rms_cv : in held-out blocks [N m]; both in motion, after the
+        causal filter of the estimator.
     coverage : share of held-out causal residuals inside 2 sigma.
     q_min, q_max : range of the training data [rad]; qd_peak : largest speed in it [rad/s].
     seconds : length of the training data.
@@ -79,6 +80,26 @@ class TorqueModel:
     base_cov: np.ndarray
     quality: Quality
     sources: tuple[str, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        """Check shapes and freeze the arrays."""
+        n, p = len(self.rotor), len(self.base_names)
+        shapes = {
+            "frames": (n + 1, 4, 4), "prismatic": (n,), "gravity": (3,), "link_parameters": (n, 10), "rotor": (n,),
+            "base_values": (p,), "base_cov": (p, p),
+        }  # fmt: skip
+        for name, shape in shapes.items():
+            values = np.array(getattr(self, name), dtype=bool if name == "prismatic" else float)
+            if values.shape != shape or not np.all(np.isfinite(values)):
+                raise ShapeError(f"Expected finite {name} of shape {shape} for {n} joints, got shape {values.shape}.")
+            values.flags.writeable = False
+            object.__setattr__(self, name, values)
+        lengths = len(self.friction.delta), len(self.ripple.cycles), len(self.covariance.C0)
+        if lengths != (n, n, n) or not 0 < self.cutoff < np.inf:
+            raise ShapeError(
+                f"Expected friction, ripple and covariance of {n} joints and a cut-off above 0 Hz, got {lengths} "
+                f"joints and {self.cutoff:g} Hz."
+            )
 
     @property
     def n(self) -> int:

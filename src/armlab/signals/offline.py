@@ -25,7 +25,7 @@ def lowpass_offline(x: np.ndarray, rate: float, cutoff: float, order: int = 4) -
 
     Raises
     ------
-    ShapeError : when the record is too short for the filter or the cut-off is outside (0, rate / 2).
+    ShapeError : when the record is too short for the filter, is not finite, or the cut-off is outside (0, rate / 2).
     """
     from scipy.signal import butter, sosfiltfilt
 
@@ -36,6 +36,12 @@ def lowpass_offline(x: np.ndarray, rate: float, cutoff: float, order: int = 4) -
     needed = 6 * sections.shape[0] + 4
     if x.shape[0] < needed:
         raise ShapeError(f"Expected at least {needed} samples to filter, got {x.shape[0]}. Record for longer.")
+    bad = np.flatnonzero(~np.isfinite(x).all(axis=tuple(range(1, x.ndim))))
+    if len(bad):
+        raise ShapeError(
+            f"Expected finite samples, got NaN or Inf in {len(bad)} rows, first {bad[:5].tolist()}: a filter would "
+            "spread them over the whole record. Drop the rows or cut the record there."
+        )
     return sosfiltfilt(sections, x, axis=0)
 
 
