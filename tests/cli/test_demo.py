@@ -35,6 +35,20 @@ def test_the_free_motion_stays_below_half_speed(plan: Plan) -> None:
     assert np.all(np.abs(qd) <= 0.5 * robots.load("yumi_right").qd_max)
 
 
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--robot", "irb2400"], "yumi_left, yumi_right"),
+        (["--seed=-1"], "seed of 0 or more"),
+        ([], "new folder"),
+    ],
+)
+def test_refusals_come_before_the_work(tmp_path, capsys, words: list[str], sentence: str) -> None:
+    assert main(["demo", "--fast", "-o", str(tmp_path), *words]) == 1
+    assert sentence in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.slow
 def test_the_demo_meets_its_bars_and_leaves_its_files(tmp_path, capsys) -> None:
     assert demo(fast=True, output=tmp_path / "demo") == 0

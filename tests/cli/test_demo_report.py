@@ -11,6 +11,7 @@ import pytest
 from armlab import robots
 from armlab.cli.demo import Plan
 from armlab.cli.demo_report import Verdict, figures, judge, latency_line
+from armlab.errors import LogError
 from armlab.log import Table
 
 
@@ -54,6 +55,14 @@ def test_a_good_estimate_passes_and_its_text_says_so(plan: Plan) -> None:
 def test_each_bar_can_be_missed(plan: Plan, error: float, sigma: float, words: str) -> None:
     verdict = judge(pretend(plan, np.array(error), sigma), plan)
     assert any(words in missed for missed in verdict.missed)
+
+
+def test_a_run_that_ended_early_is_refused(plan: Plan) -> None:
+    table = pretend(plan, noise(plan, 0.5))
+    with pytest.raises(LogError, match="with all presses"):
+        judge(table.between(0.0, plan.presses[-1][3]), plan)
+    with pytest.raises(LogError, match="with all presses"):
+        judge(table.rows(slice(0, 0)), plan)
 
 
 def test_an_axis_that_cannot_be_seen_misses_the_bar(plan: Plan) -> None:

@@ -36,6 +36,33 @@ def test_the_press_is_found(pushed: str, tmp_path, capsys) -> None:
     assert figure.exists()
 
 
+def test_nothing_is_overwritten_and_wrong_names_are_refused_before_the_work(pushed: str, tmp_path, capsys) -> None:
+    figure = tmp_path / "mine.png"
+    figure.write_text("mine")
+    words = ["estimate", "yumi_left", "push.mcap", "--model", pushed, "--figure"]
+    assert main([*words, str(figure)]) == 1
+    assert main([*words, str(tmp_path / "fit.xyz")]) == 1
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert "--force" in said.err
+    assert ".svg" in said.err
+    assert figure.read_text() == "mine"
+
+
+def test_rows_without_torque_are_counted_and_none_at_all_is_an_error(pushed: str, truth, monkeypatch, capsys) -> None:
+    table = truth.log(identify.dither(truth.robot.q_home, 4.0), seed=5)
+    rows = np.arange(len(table))[:, None]
+    words = ["estimate", "yumi_left", "push.mcap", "--model", pushed]
+    for broken, code, sentence in (
+        (table.with_column("tau", np.where(rows < 10, np.nan, table["tau"])), 0, "10 of 1000 rows"),
+        (table.with_column("tau", np.where(rows >= 0, np.nan, table["tau"])), 1, "none among 1000"),
+        (table.rows(slice(0, 0)), 1, "none among 0"),
+    ):
+        monkeypatch.setattr("armlab.log.read", lambda path, broken=broken: broken)
+        assert main(words) == code
+        assert sentence in capsys.readouterr().err
+
+
 def test_json(pushed: str, capsys) -> None:
     assert estimate.__doc__
     assert main(["estimate", "yumi_left", "push.mcap", "--model", pushed, "--json"]) == 0

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from armlab.cli.output import aligned, note, print_json, progress, refuse_overwrite, result
+from armlab.cli.output import FIGURES, aligned, check_output, note, print_json, progress, refuse_overwrite, result
 from armlab.errors import ConfigError
 
 
@@ -36,6 +36,18 @@ def test_refuse_overwrite_protects_what_exists(tmp_path) -> None:
     refuse_overwrite(path, force=True)
     with pytest.raises(ConfigError, match="--force"):
         refuse_overwrite(path, force=False)
+
+
+def test_check_output_speaks_before_the_work(tmp_path) -> None:
+    check_output(tmp_path / "fit.PNG", False, FIGURES)
+    with pytest.raises(ConfigError, match=r"\.png or \.svg or \.pdf"):
+        check_output(tmp_path / "fit.xyz", False, FIGURES)
+    with pytest.raises(ConfigError, match="folder that exists"):
+        check_output(tmp_path / "none" / "fit.png", False, FIGURES)
+    (tmp_path / "fit.png").write_text("mine")
+    with pytest.raises(ConfigError, match="--force"):
+        check_output(tmp_path / "fit.png", False, FIGURES)
+    check_output(tmp_path / "fit.png", True, FIGURES)
 
 
 def test_progress_says_each_step_once_where_there_is_no_terminal(capsys) -> None:

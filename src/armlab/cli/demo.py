@@ -16,6 +16,8 @@ from urllib.parse import urlencode
 import numpy as np
 from cyclopts import Parameter
 
+from armlab.errors import ConfigError, UnknownName
+
 if TYPE_CHECKING:
     from armlab.contact import Estimator
     from armlab.identify import Trajectory
@@ -31,6 +33,7 @@ WALK = 2.0  # s between motions
 SETTLE = 1.8  # s of sway before the first press and after the last
 HOLD, RAMP, GAP = 2.0, 0.1, 0.3  # s, one press
 REST = 5.0  # s at rest at the end
+ROBOTS = ("yumi_right", "yumi_left")  # the bars and the presses are made for them
 PRESSES: tuple[tuple[str, int, float], ...] = (
     ("+x", 0, 5.0),
     ("-x", 0, -5.0),
@@ -127,6 +130,10 @@ def demo(
     from armlab.cli.demo_report import figures, judge, latency_line
     from armlab.cli.output import note, result
 
+    if robot not in ROBOTS:
+        raise UnknownName.among("robot of the demo", robot, ROBOTS)
+    if seed < 0:
+        raise ConfigError(f"Expected a seed of 0 or more, got {seed}. Leave it out for 0.")
     folder = output or Path(f"demo-{datetime.now(UTC):%Y%m%d-%H%M%S}")
     outcome = rehearse(robot, seed, folder, fast)
     verdict = judge(outcome["estimate"], outcome["plan"])
@@ -150,6 +157,10 @@ def rehearse(robot_name: str, seed: int, folder: Path, fast: bool) -> dict[str, 
     seed : of motions and noise.
     folder : new folder for the logs and the model.
     fast : lockstep.
+
+    Raises
+    ------
+    ConfigError : when the folder exists.
     """
     from armlab import log, robots
     from armlab.cli.output import progress
@@ -157,6 +168,8 @@ def rehearse(robot_name: str, seed: int, folder: Path, fast: bool) -> dict[str, 
     from armlab.identify import fit_dynamics
 
     robot = robots.load(robot_name)
+    if folder.exists():
+        raise ConfigError(f"Expected a new folder, got {folder}, which exists. Choose another name.")
     plan = Plan.make(robot, seed)
     folder.mkdir(parents=True)
     press_file = folder / "press.csv"

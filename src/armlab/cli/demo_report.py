@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from armlab.cli.output import aligned
+from armlab.errors import LogError
 
 if TYPE_CHECKING:
     from armlab.cli.demo import Plan
@@ -32,7 +33,7 @@ class Verdict:
     ----------
     presses : name, true force, estimated force (x, y, z) [N], 2-sigma along the press [N], error along the press [N].
     rms, free_rms : (3,) error with the operator and in free motion [N], where the axis is seen.
-    coverage : share of force samples inside 2 sigma during the presses.
+    coverage : share of force samples inside 2 sigma while the arm sways and the operator presses.
     rest_inside : share of samples at rest inside 2 sigma. rest_band : their mean 2-sigma (3,) [N].
     missed : bars that are not met, in words.
     """
@@ -69,7 +70,7 @@ class Verdict:
                 aligned(rows, right=(1, 2, 3, 4, 5, 6)),
                 f"force error x y z, RMS while swaying and pressing  {rms} N (bar {MAX_RMS})",
                 f"false force x y z, RMS in free motion              {free} N (bar {MAX_RMS})",
-                f"inside 2 sigma while pressing                      {100 * self.coverage:.1f} % (bar 85 to 99)",
+                f"inside 2 sigma while swaying and pressing          {100 * self.coverage:.1f} % (bar 85 to 99)",
                 f"at rest: inside 2 sigma {100 * self.rest_inside:.1f} %, mean 2-sigma x y z {band} N: "
                 "static friction hides small forces",
             ]
@@ -83,6 +84,10 @@ def judge(table: Table, plan: Plan) -> Verdict:
     ----------
     table : log of the second run, with wrench_hat, wrench_hat_cov, observability and session_t.
     plan : what the operator did.
+
+    Raises
+    ------
+    LogError : when the run ended before the last press.
     """
     t = table["session_t"]
     force, truth = table["wrench_hat"][:, :3], plan.wrench(t)[:, :3]
@@ -97,6 +102,11 @@ def judge(table: Table, plan: Plan) -> Verdict:
         kept = rows[:, None] & seen
         return np.array([np.sqrt(np.mean(error[kept[:, i], i] ** 2)) if kept[:, i].any() else np.nan for i in range(3)])
 
+    if not len(t) or t[-1] < plan.presses[-1][4]:
+        raise LogError(
+            f"Expected a run of {plan.presses[-1][4]:.1f} s, with all presses, got {t[-1] if len(t) else 0.0:.1f} s. "
+            "Run the demo again."
+        )
     sway, rest = window(plan.sway), window(plan.rest)
     presses = []
     for name, axis, true, start, end in plan.presses:
@@ -131,7 +141,7 @@ def _missed(v: Verdict) -> tuple[str, ...]:
         for p in v.presses
         if p["name"].startswith("500 g") and not abs(p["error"]) <= MAX_PRESS_ERROR * abs(p["true"])
     ]
-    if v.rest_inside < 1.0:
+    if not v.rest_inside >= 1.0:
         missed.append(f"truth inside 2 sigma at rest only {100 * v.rest_inside:.1f} %")
     return tuple(missed)
 

@@ -13,7 +13,9 @@ __all__ = ["estimate"]
 AXES = ("f_x", "f_y", "f_z", "m_x", "m_y", "m_z")
 
 
-def estimate(robot: str, log: Path, *, model: Path, figure: Path | None = None, json: bool = False) -> int:
+def estimate(
+    robot: str, log: Path, *, model: Path, figure: Path | None = None, json: bool = False, force: bool = False
+) -> int:
     """Estimate the contact force in a log with a model.
 
     Prints, per axis, the range of the estimate, its mean 2-sigma band and how well the arm could see that axis, then
@@ -31,14 +33,27 @@ def estimate(robot: str, log: Path, *, model: Path, figure: Path | None = None, 
         Also draw the estimate with its 2-sigma band into this PNG, SVG or PDF.
     json : bool
         Print JSON for scripts.
+    force : bool
+        Replace an existing figure.
     """
     from armlab import log as logs
     from armlab import models, robots
-    from armlab.cli.output import note, print_json, result
-    from armlab.contact import Estimator, contacts
+    from armlab.cli.output import FIGURES, check_output, note, print_json, result
+    from armlab.contact import INVALID, Estimator, contacts
+    from armlab.errors import LogError
 
+    if figure is not None:
+        check_output(figure, force, FIGURES)
     estimator = Estimator(models.load(model), robots.load(robot))
     table = estimator.run(logs.read(log))
+    invalid = int((table["wrench_flags"] == INVALID).sum())
+    if invalid == len(table):
+        raise LogError(
+            f"Expected rows with finite q, qd, tau in {log}, got none among {len(table)}. "
+            "Record with the research extension, which sends torques."
+        )
+    if invalid:
+        note(f"{invalid} of {len(table)} rows are not finite and have no estimate")
     found = contacts(table)
     if json:
         print_json({"rows": len(table), "contacts": [vars(contact) for contact in found], "axes": _per_axis(table)})
@@ -49,7 +64,7 @@ def estimate(robot: str, log: Path, *, model: Path, figure: Path | None = None, 
             span = f"{contact.start:7.2f} to {contact.end:7.2f} s"
             result(f"contact {span}   force [N]  {f}   2-sigma {contact.band:.2f}")
         if not found:
-            result("no contact: the force band holds zero throughout")
+            result("no contact: the force band never excludes zero for 0.2 s")
     if figure is not None:
         from armlab import plots
 

@@ -32,17 +32,19 @@ def identify(
     figure : Path
         Also draw measured and modelled torques into this PNG, SVG or PDF.
     force : bool
-        Replace an existing model file.
+        Replace an existing model file or figure.
     """
     from armlab import log, robots
-    from armlab.cli.output import note, progress, refuse_overwrite, result
+    from armlab.cli.output import FIGURES, check_output, note, progress, result
     from armlab.errors import ConfigError
     from armlab.identify import fit_dynamics, predict
 
     arm = robots.load(robot)
     if not logs:
         raise ConfigError("Expected at least one log to identify from, got none. Give the files of recorded motions.")
-    refuse_overwrite(output, force)
+    check_output(output, force, [".toml"])
+    if figure is not None:
+        check_output(figure, force, FIGURES)
     tables = [log.read(path) for path in logs]
     with progress("identify") as tell:
         fit = fit_dynamics(tables, arm, progress=tell)

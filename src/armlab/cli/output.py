@@ -13,7 +13,9 @@ import numpy as np
 
 from armlab.errors import ConfigError
 
-__all__ = ["aligned", "note", "print_json", "progress", "refuse_overwrite", "result"]
+__all__ = ["FIGURES", "aligned", "check_output", "note", "print_json", "progress", "refuse_overwrite", "result"]
+
+FIGURES = (".png", ".svg", ".pdf")
 
 
 def result(text: str) -> None:
@@ -48,6 +50,22 @@ def refuse_overwrite(path: Path, force: bool) -> None:
     """Raise `ConfigError` when `path` exists and `force` is not set."""
     if path.exists() and not force:
         raise ConfigError(f"Expected a new file, got {path}, which exists. Choose another name or add --force.")
+
+
+def check_output(path: Path, force: bool, endings: Sequence[str]) -> None:
+    """Raise `ConfigError` before the work begins when its result could not be written.
+
+    Parameters
+    ----------
+    path : file to be written; must be new unless `force` is set, in a folder that exists.
+    force : the file may exist.
+    endings : that the name may have.
+    """
+    if path.suffix.lower() not in endings:
+        raise ConfigError(f"Expected a file name that ends in {' or '.join(endings)}, got {path}. Change the ending.")
+    if not path.parent.is_dir():
+        raise ConfigError(f"Expected {path} in a folder that exists, got {path.parent}. Make the folder first.")
+    refuse_overwrite(path, force)
 
 
 @contextmanager
