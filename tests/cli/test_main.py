@@ -75,11 +75,33 @@ def test_an_interrupt_while_a_compiled_module_loads(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def fail(_words: list[str]) -> int:
-        raise ImportError("initialization failed") from KeyboardInterrupt()
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        raise ImportError("initialization failed")
 
     monkeypatch.setattr(cli, "_run", fail)
     assert cli.main(["sim"]) == cli.INTERRUPTED
     assert capsys.readouterr().err == "armlab: interrupted.\n"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_interrupts_deferred_act_when_the_block_has_ended(
+    number: signal.Signals, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reached: list[str] = []
+
+    def busy(_words: list[str]) -> int:
+        with cli.interrupts_deferred():
+            signal.raise_signal(number)
+            reached.append("end of the block")
+        reached.append("behind it")
+        return 0
+
+    monkeypatch.setattr(cli, "_run", busy)
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    assert cli.main([]) == cli.INTERRUPTED
+    assert reached == ["end of the block"]
+    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
 
 
 def test_termination_is_an_interrupt(monkeypatch: pytest.MonkeyPatch) -> None:

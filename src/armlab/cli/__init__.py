@@ -10,16 +10,18 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import threading
 import traceback
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from types import FrameType
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from cyclopts import App
 
-__all__ = ["FAILED", "INTERRUPTED", "SKIPPED", "WRONG_USE", "build_app", "main"]
+__all__ = ["FAILED", "INTERRUPTED", "SKIPPED", "WRONG_USE", "build_app", "interrupts_deferred", "main"]
 
 FAILED, WRONG_USE, SKIPPED, INTERRUPTED = 1, 2, 3, 130
 
@@ -65,11 +67,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in words
     words = [word for word in words if word != "--debug"]
-    with _terminated_as_interrupted(), _short_warnings():
+    with _interruptible() as interrupts, _short_warnings():
         try:
             return _run(words)
         except Exception as error:
-            if isinstance(error.__cause__, KeyboardInterrupt):  # so compiled modules report Ctrl-C while they load
+            if interrupts:  # compiled modules that are interrupted while they load raise something else
                 _say("interrupted.")
                 return INTERRUPTED
             if debug:
@@ -123,18 +125,37 @@ def _short_warnings() -> Iterator[None]:
 
 
 @contextmanager
-def _terminated_as_interrupted() -> Iterator[None]:
-    """Treat SIGTERM like Ctrl-C, so that logs are closed and simulators stopped."""
+def interrupts_deferred() -> Iterator[None]:
+    """Let Ctrl-C and SIGTERM act when the block has ended: compiled modules that load may swallow an interrupt."""
+    came: list[int] = []
+    with _handling(lambda number, _frame: came.append(number)):
+        yield
+    for number in came[:1]:
+        signal.raise_signal(number)
 
-    def interrupt(_number: int, _frame: object) -> None:
+
+@contextmanager
+def _interruptible() -> Iterator[list[int]]:
+    """Treat SIGTERM like Ctrl-C, so that logs are closed and simulators stopped. Yields the signals that came."""
+    came: list[int] = []
+
+    def interrupt(number: int, _frame: object) -> None:
+        came.append(number)
         raise KeyboardInterrupt
 
-    try:
-        before = signal.signal(signal.SIGTERM, interrupt)
-    except ValueError:  # not in the main thread: the process's owner handles signals
+    with _handling(interrupt):
+        yield came
+
+
+@contextmanager
+def _handling(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+    """Handle SIGINT and SIGTERM in another way for a while."""
+    if threading.current_thread() is not threading.main_thread():  # the process's owner handles signals
         yield
         return
+    before = {number: signal.signal(number, handler) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, previous in before.items():
+            signal.signal(number, previous)

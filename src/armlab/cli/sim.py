@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, TextIO
 import numpy as np
 from cyclopts import Parameter
 
-from armlab.cli import FAILED, INTERRUPTED
+from armlab.cli import FAILED, INTERRUPTED, interrupts_deferred
 from armlab.errors import ConfigError
 from armlab.sim.faults import FaultRates, Faults
 from armlab.sim.guidance import Settings
@@ -96,7 +96,8 @@ def sim(
         channels: list[Channel] = []
         for i, (name, address) in enumerate(zip(robot, addresses, strict=True)):
             pusher = hand if i == 0 else Operator.idle()
-            channels.append(_channel(name, address, settings, extension, pusher, faults, [seed, i], note))
+            with interrupts_deferred():  # MuJoCo loads here
+                channels.append(_channel(name, address, settings, extension, pusher, faults, [seed, i], note))
             opened.callback(channels[-1].close)
         summary, exact = (path and opened.enter_context(path.open("w", encoding="utf-8")) for path in (stats, truth))
         observe = _recorder(exact, channels[0].controller) if exact else None
