@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -64,9 +63,9 @@ def test_the_demo_meets_its_bars_and_leaves_its_files(tmp_path, capsys) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2])
-def test_other_seeds_meet_the_bars(tmp_path, seed: int) -> None:
-    outcome = rehearse("yumi_left" if seed == 2 else "yumi_right", seed, tmp_path / "demo", fast=True)
+@pytest.mark.parametrize("seed", range(1, 10))
+def test_nine_other_seeds_meet_the_bars(tmp_path, seed: int) -> None:
+    """With seed 0 above: ten seeds, both arms, over EGM in lockstep, causal, at 248 Hz."""
+    outcome = rehearse("yumi_left" if seed % 2 else "yumi_right", seed, tmp_path / "demo", fast=True)
     verdict = judge(outcome["estimate"], outcome["plan"])
     assert verdict.passed, verdict.missed
-    assert replace(verdict, missed=("x",)).passed is False

@@ -45,7 +45,7 @@ def test_motion_at_constant_speed_is_exact_at_any_time(times: list[float]) -> No
     try:
         found = resample(table, t)
     except ShapeError as error:
-        assert "signals.decimate" in str(error)  # noqa: PT017
+        assert "signals.lowpass_offline" in str(error)  # noqa: PT017
         return
     w, v = np.array([0.3, -0.4, 0.5]), np.array([1.0, 2.0, 3.0])
     assert found["q"] == pytest.approx(np.stack([t, -2 * t], axis=1), abs=1e-12)
@@ -69,7 +69,7 @@ def test_rates() -> None:
     table = ramp()
     assert len(table.resample(1000.0)) == 1001
     assert table.resample(1000.0).t[-1] == table.t[-1]
-    with pytest.raises(ShapeError, match=r"at least 100 Hz, got 50 Hz.*signals\.decimate"):
+    with pytest.raises(ShapeError, match=r"at least 100 Hz, got 50 Hz.*signals\.lowpass_offline"):
         table.resample(50.0)
     for rate in (0.0, -1.0, float("nan"), float("inf")):
         with pytest.raises(ShapeError, match="rate above zero"):

@@ -42,7 +42,7 @@ def resample(table: Table, to: float | np.ndarray, *, max_gap: float | None = No
     if len(t) > 1 and np.median(np.diff(t)) > _SLOWER * period:
         raise ShapeError(
             f"Expected a rate of at least {1 / period:.6g} Hz, got {1 / np.median(np.diff(t)):.6g} Hz: going down in "
-            "rate folds noise into the signal; use signals.decimate, which filters first."
+            "rate folds noise into the signal; filter first, with signals.lowpass_offline, then take rows."
         )
     values = _at(table, t, "linear", 3.0 * period if max_gap is None else max_gap)
     values.pop("dt", None)  # the period of the old clock

@@ -44,8 +44,8 @@ def limit_reference(
     Returns
     -------
     (3, n) new `sent`; (n,) uint8 bits (1 position, 2 velocity, 4 acceleration, 8 braking); velocity ratio in (0, 1];
-    0, or i when joint i (from 1) is not finite, or -i when it jumps by more than ``jump + qd_max T``. A refused reference
-    holds instead.
+    0, or i when joint i (from 1) is not finite, or -i when it jumps by more than ``jump + qd_max T``. A refused
+    reference holds instead.
     """
     q, v_last, f_last = sent
     q_min, q_max, qd_max, qdd_max, jump = bounds
