@@ -91,9 +91,7 @@ def test_what_is_planned_does_not_exist_yet() -> None:
 
 
 def test_the_reader_sees_what_it_must_see() -> None:
-    text = (
-        "| original | armlab | state | test |\n|---|---|---|---|\n| a, b | `armlab.x.y`, word | done | `x.py` |\n"
-    )
+    text = "| original | armlab | state | test |\n|---|---|---|---|\n| a, b | `armlab.x.y`, word | done | `x.py` |\n"
     assert rows(text) == [Row("a, b", ("armlab.x.y",), "done", ("x.py",))]
     with pytest.raises((ModuleNotFoundError, AttributeError)):
         resolve("armlab.lie.so3.no_such_name")
