@@ -48,7 +48,10 @@ def run(quick: bool) -> list[Table]:
 
     what = f"Wrench, covariance and observability of {ROBOT} from one state; forces agree to {worst:.1g} N."
     tight = f"{what} Steps back to back, each with its own time."
-    paced = f"{what} One step every {1e3 * PERIOD:g} ms and asleep between, as in a control loop: caches have cooled."
+    paced = (
+        f"{what} One step every {1e3 * PERIOD:g} ms and asleep between, as in a control loop: caches have cooled, "
+        "the more so on a shared machine."
+    )
     return [
         *_tables("Estimator step", tight, contenders(1000, 0.0), 5 if quick else 20),
         *_tables("Estimator step, paced", paced, contenders(250, PERIOD), 2 if quick else 10),

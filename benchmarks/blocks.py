@@ -1,14 +1,16 @@
 """Measuring contenders in alternating blocks of one run, and what is told of it: `Figure` and `Table`.
 
 A shared machine is slow for seconds at a time. Therefore the contenders take turns in short blocks, in a new random
-order each round, and ratios are taken between blocks of one round. The garbage collector runs as it does for a user.
+order each round, and ratios are taken between blocks of one round. `loop` and `once` tell processor time of all
+threads, which leaves out waiting for a core; `each` tells what the clock on the wall does, as latencies need. The
+garbage collector runs as it does for a user.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from time import perf_counter, sleep
+from time import perf_counter, process_time, sleep
 from typing import Any, Literal
 
 import numpy as np
@@ -87,10 +89,10 @@ def loop(function: Callable[[Any], Any], items: Sequence[Any]) -> Block:
     """Block of one call per item; one sample, the mean time of a call with the loop's own ~20 ns."""
 
     def block() -> np.ndarray:
-        start = perf_counter()
+        start = process_time()
         for item in items:
             function(item)
-        return np.array([(perf_counter() - start) / len(items)])
+        return np.array([(process_time() - start) / len(items)])
 
     return block
 
@@ -99,9 +101,9 @@ def once(function: Callable[[], Any], scale: float = 1.0) -> Block:
     """Block of one call, its time multiplied by `scale`. The result is freed after the clock stops."""
 
     def block() -> np.ndarray:
-        start = perf_counter()
+        start = process_time()
         result = function()
-        seconds = perf_counter() - start
+        seconds = process_time() - start
         del result
         return np.array([scale * seconds])
 

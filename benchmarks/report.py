@@ -14,8 +14,9 @@ METHOD = """\
 Contenders run side by side: in short blocks that take turns in random order, in one process, on the same data, after a
 check that they compute the same. A time is the median over the blocks, with the minimum and the quartiles. The ratio is
 that of medians, armlab's time over the contender's: smaller is better. Its range is the quartiles of the ratios of
-blocks of one round. A bar is the largest value that the project allows itself: of that ratio, or of armlab's own time.
-Bold lines are armlab's, lines in italics are limits of the machine.
+blocks of one round. Times of loops and batches are processor time, which leaves out waiting for a core; those of single
+steps and of imports are by the clock on the wall. A bar is the largest value that the project allows itself: of that
+ratio, or of armlab's own time. Bold lines are armlab's, lines in italics are limits of the machine.
 """
 
 
@@ -42,7 +43,7 @@ def render(date: str, machine: Sequence[str], sections: Sequence[Section], quick
     if others > SHARED:
         lines += [
             f"**The machine was shared:** other processes used up to {others:.1f} cores, so that times are longer and "
-            "scatter more than on a quiet one. Each table tells how much it was meanwhile.",
+            "scatter more than on a quiet one, tails above all. Each table tells how much it was meanwhile.",
             "",
         ]
     lines += [METHOD, *_bars(sections)]
