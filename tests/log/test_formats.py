@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -35,3 +36,10 @@ def test_only_mcap_is_read(tmp_path: Path) -> None:
         check_readable(path)
     path.write_bytes(b"\x89MCAP0\r\n")
     check_readable(path)
+
+
+def test_a_pipe_is_refused_not_waited_for(tmp_path: Path) -> None:
+    path = tmp_path / "pipe"
+    os.mkfifo(path)
+    with pytest.raises(LogError, match="got a pipe"):
+        check_readable(path)

@@ -50,3 +50,25 @@ def test_other_bytes_are_refused() -> None:
     with pytest.raises(LogError, match="Expected the header"):
         contents(memoryview(MAGIC + bytes([5]) + (0).to_bytes(8, "little")))
     assert LogError in DAMAGE
+
+
+def test_a_header_of_damaged_length_leaves_the_summary(recording: Callable[..., Path]) -> None:
+    data = bytearray(recording(30).read_bytes())
+    good = contents(memoryview(bytes(data)))
+    data[len(MAGIC) + 5] ^= 1
+    found = contents(memoryview(bytes(data)))
+    assert found.channels == good.channels
+    assert found.chunks == good.chunks
+
+
+@pytest.mark.parametrize("place", [-9, 28, 31])  # kind of the record; length of the name of the compression; that name
+def test_no_chunk_is_left_out_without_a_word(recording: Callable[..., Path], place: int) -> None:
+    data = bytearray(recording(700).read_bytes())
+    chunks = contents(memoryview(bytes(data))).chunks
+    whole, chunk = len(chunks), chunks[1]
+    data[chunk.start + 9 + place] ^= 0x40
+    found = mcap_records._by_walking(memoryview(bytes(data)))
+    ((kind, sentence),) = found.damaged
+    assert str(chunk.start) in sentence
+    assert kind == (6 ^ 0x40 if place == -9 else 6)
+    assert len(found.chunks) == whole - 1

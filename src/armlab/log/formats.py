@@ -37,9 +37,11 @@ def check_readable(path: str | Path) -> None:
 
     Raises
     ------
-    LogError : the file is missing, empty or of another format; says which was expected and which came.
+    LogError : the file is missing, empty, a pipe or of another format; says which was expected and which came.
     """
     try:
+        if Path(path).is_fifo():  # opening it would wait for a writer
+            raise LogError(f"Expected a log at {path}, got a pipe; a log is read in any order, so it must be a file.")
         with Path(path).open("rb") as file:
             first = file.read(64)
     except OSError as error:

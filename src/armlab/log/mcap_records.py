@@ -16,6 +16,7 @@ MAGIC = b"\x89MCAP0\r\n"
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
 ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = range(9, 16)
 _FOOTER_SIZE = 9 + 20
+_PRIVATE = 128  # from here on kinds of records are the writer's own affair
 
 # What reading damaged bytes can raise.
 DAMAGE = (struct.error, UnicodeDecodeError, ValueError, IndexError, KeyError, OverflowError, MemoryError, LogError)
@@ -54,6 +55,7 @@ class Contents:
     profile, library : of the header.
     channels, chunks, attachments, metadata : by channel number; in order; in order; by name.
     loose : places [start, stop) of messages outside chunks.
+    damaged : kind of each record left out because it is damaged, and a sentence.
     """
 
     finished: bool = False
@@ -66,6 +68,7 @@ class Contents:
     attachments: list[Attached] = field(default_factory=list)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     loose: list[tuple[int, int]] = field(default_factory=list)
+    damaged: list[tuple[int, str]] = field(default_factory=list)
     _schemas: dict[int, tuple[str, str, str]] = field(default_factory=dict)
 
 
@@ -119,16 +122,17 @@ def _by_summary(view: memoryview) -> Contents | None:
             _metadata(found, view, at + 9)
         elif kind == STATISTICS:
             (chunk_count,) = struct.unpack_from("<I", view, body + 22)
-    _, body, _ = next(records(view, len(MAGIC), len(view)))
-    found.profile, at = _text(view, body)
-    found.library, _ = _text(view, at)
+    header = next(records(view, len(MAGIC), len(view)), None)
+    if header is not None:  # else its length is damaged, and the summary is all the same whole
+        found.profile, at = _text(view, header[1])
+        found.library, _ = _text(view, at)
     whole = found.channels and found.chunks and chunk_count == len(found.chunks)
     found.indexed = all(chunk.indexes for chunk in found.chunks)
     return found if whole else None
 
 
 def _by_walking(view: memoryview) -> Contents:
-    """Return the contents record by record; what is damaged is left out."""
+    """Return the contents record by record; what is damaged is left out and named."""
     found = Contents()
     at = len(MAGIC)
     for kind, body, stop in records(view, at, len(view)):
@@ -136,7 +140,8 @@ def _by_walking(view: memoryview) -> Contents:
             raise LogError(f"Expected the header of an MCAP file, got a record of kind {kind}.")
         try:
             _take(found, view, kind, body, stop)
-        except DAMAGE:
+        except DAMAGE as error:
+            found.damaged.append((kind, f"record of kind {kind} at byte {body - 9} skipped: {error}"))
             continue
         finally:
             at = stop
@@ -166,6 +171,8 @@ def _take(found: Contents, view: memoryview, kind: int, body: int, stop: int) ->
         _metadata(found, view, body)
     elif kind == MESSAGE:
         found.loose.append((body, stop))
+    elif kind == 0 or DATA_END < kind < _PRIVATE:  # what was it before its first byte changed?
+        raise LogError(f"Expected a kind of record from {HEADER} to {DATA_END}, got {kind}.")
 
 
 def _find_channels(found: Contents, view: memoryview) -> None:

@@ -77,7 +77,7 @@ def read(
         except DAMAGE as error:
             raise LogError(f"Expected a whole recording in {path}, got a damaged one ({error}).") from None
         source = f"{path.name} sha256 {hashed.result()}"
-    notes = list(damage)
+    notes = [sentence for _, sentence in found.damaged] + damage
     if not found.finished:
         notes.insert(0, torn_sentence(path, found, table))
     if notes:

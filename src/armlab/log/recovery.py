@@ -13,13 +13,15 @@ from typing import TYPE_CHECKING, BinaryIO
 from armlab.errors import LogError
 from armlab.log.formats import check_readable
 from armlab.log.mcap_chunk import unpacked
-from armlab.log.mcap_records import MESSAGE, Contents, contents, records
+from armlab.log.mcap_records import CHUNK, MESSAGE, Contents, contents, records
 from armlab.log.reading import opened
 
 if TYPE_CHECKING:
     from mcap.writer import Writer
 
 __all__ = ["Recovery", "recover"]
+
+_EVENTS = "rcl_interfaces/msg/Log"  # on the real clock also where the rows are not, as in lockstep
 
 Progress = Callable[[int, int, str], None]
 
@@ -31,7 +33,8 @@ class Recovery:
     Attributes
     ----------
     path : the whole file. messages : how many it holds. torn : bytes at the end of the original that were lost.
-    lost_chunks : chunks left out because they were damaged. seconds : from the first to the last message.
+    lost_chunks : chunks left out because they were damaged. seconds : from the first to the last
+    message, events apart.
     """
 
     path: Path
@@ -65,7 +68,11 @@ def recover(path: str | Path, to: str | Path | None = None, *, progress: Progres
         if not found.channels:
             raise LogError(f"Expected messages in {path}, got none that can be read in {len(view)} bytes.")
         try:
-            with part.open("wb") as file:
+            file = part.open("xb")  # never over a file, which may be the one that is read
+        except OSError as error:
+            raise LogError(f"Expected to create {part}, got: {error.strerror}.") from None
+        try:
+            with file:
                 messages, lost, seconds = _copy(view, found, file, progress)
                 os.fsync(file.fileno())
             part.rename(target)
@@ -74,11 +81,14 @@ def recover(path: str | Path, to: str | Path | None = None, *, progress: Progres
         finally:
             with contextlib.suppress(OSError):
                 part.unlink()
+    lost += sum(kind == CHUNK for kind, _ in found.damaged)
     return Recovery(target, messages, found.torn, lost, seconds)
 
 
 def _copy(view: memoryview, found: Contents, file: BinaryIO, progress: Progress | None) -> tuple[int, int, float]:
-    """Write all that can be read; return messages, chunks lost, and seconds between first and last message."""
+    """Write all that can be read; return messages, chunks lost, and seconds between first and last message,
+    events apart.
+    """
     from mcap.writer import Writer
 
     writer = Writer(file, chunk_size=1 << 40)
@@ -101,7 +111,8 @@ def _copy(view: memoryview, found: Contents, file: BinaryIO, progress: Progress 
             channel, sequence, log, publish = struct.unpack_from("<HIQQ", data, start)
             if channel in numbers:
                 writer.add_message(numbers[channel], log, data[start + 22 : stop], publish, sequence)
-                times = [min(log, *times), max(log, *times)] if times else [log, log]
+                if found.channels[channel].type != _EVENTS:
+                    times = [min(log, *times), max(log, *times)] if times else [log, log]
                 count += 1
         writer.flush()  # chunk for chunk, as the recorder wrote them
         if progress:
