@@ -53,3 +53,11 @@ def test_what_a_layout_does_not_have_is_nan() -> None:
     assert np.isnan(values["x"][1]).all()
     assert values["y"][1, 0] == 5.0
     assert np.isnan(values["y"][[0, 2]]).all()
+
+
+def test_counts_with_holes_in_one_piece_stay_missing_where_another_piece_has_none() -> None:
+    """A whole piece of integers before one of reals with NaN: NaN must not become an integer."""
+    path = "clamped"
+    whole, holed = np.array([[1], [2]], dtype=np.uint8), np.array([[np.nan], [4.0]])
+    pieces = [(np.array([0, 1]), {((path, 1),): whole}), (np.array([2, 3]), {((path, 1),): holed})]
+    np.testing.assert_array_equal(split(assembled(4, pieces))[path][:, 0], [1.0, 2.0, np.nan, 4.0])

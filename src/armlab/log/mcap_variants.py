@@ -109,7 +109,8 @@ def assembled(count: int, pieces: Sequence[tuple[np.ndarray, Values]]) -> Values
         there = [(rows, array) for rows, found in single for run, array in found.items() if run[0][0] == path]
         width = max(array.shape[1] for _, array in there)
         whole = len(there) == len(pieces) and all(array.shape[1] == width for _, array in there)
-        target = np.empty((count, width), there[0][1].dtype) if whole else np.full((count, width), np.nan)
+        kind = np.result_type(*(array.dtype for _, array in there))  # counts with holes are real numbers already
+        target = np.empty((count, width), kind) if whole else np.full((count, width), np.nan)
         for rows, array in there:
             target[rows, : array.shape[1]] = array
         values[((path, width),)] = target
