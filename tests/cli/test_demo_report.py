@@ -72,6 +72,21 @@ def test_an_axis_that_cannot_be_seen_misses_the_bar(plan: Plan) -> None:
     assert any("force error x nan" in missed for missed in judge(blind, plan).missed)
 
 
+def test_cycles_without_an_estimate_do_not_count_but_too_many_miss_the_bar(plan: Plan) -> None:
+    table = pretend(plan, noise(plan, 0.5))
+
+    def without(every: int) -> Table:
+        holed = np.array(table["wrench_hat"])
+        holed[::every] = np.nan
+        return table.with_column("wrench_hat", holed)
+
+    few = judge(without(200), plan)
+    assert few.holes == pytest.approx(0.005, abs=1e-3)
+    assert all(np.isfinite(press["error"]) for press in few.presses)
+    assert not any("without an estimate" in missed for missed in few.missed)
+    assert any("without an estimate" in missed for missed in judge(without(20), plan).missed)
+
+
 def test_latency_line_takes_the_line_with_percentiles() -> None:
     run = SimpleNamespace(report=lambda: "cycles 100\n  round trip p50 60 us\nnone")
     assert latency_line(run) == "round trip p50 60 us"
