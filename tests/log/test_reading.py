@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from armlab.errors import LogError, UnknownName
-from armlab.log import Recorder, Tick, read
+from armlab.log import Column, Recorder, Tick, messages, read
 from armlab.log.reading import Source, opened, torn_sentence
 from armlab.robots import Robot
 from armlab.state import Command, State
@@ -205,3 +207,32 @@ def test_sources_and_sentences(recording: Callable[..., Path]) -> None:
     path = recording(3)
     assert Source(1, ("position",), read(path).columns["q"], None, "").fields == ("position",)
     assert "0 rows" in torn_sentence(path, Contents(torn=5), read(path).rows(slice(0, 0)))
+
+
+def test_one_value_that_does_not_fit_does_not_cost_the_recording(tmp_path: Path, robot: Robot, rows: Callable) -> None:
+    with Recorder(tmp_path / "run.mcap", robot, extra={"mode": Column(unit="1", kind="count")}) as recorder:
+        for i in range(5):
+            state, _, tick = rows(i)
+            assert state.T_frame_tool is not None
+            T = 2.0 * state.T_frame_tool if i == 3 else state.T_frame_tool  # no rotation
+            mode = 0.5 if i == 2 else 1.0
+            assert recorder.row(replace(state, T_frame_tool=T), Command(state.q, record={"mode": mode}), tick)
+    with pytest.warns(UserWarning, match="1 rows of T_frame_tool are missing"):
+        table = read(recorder.path)
+    assert table["mode"].tolist() == [1.0, 1.0, 0.5, 1.0, 1.0]
+    assert "mode: values that are no count, kept as real" in table.notes
+    assert table.missing()["T_frame_tool"] == (1, (3,))
+
+
+def test_descriptions_that_contradict_the_glossary_are_refused(
+    recording: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, whole = recording(3), messages.Topic.metadata
+    assert len(read(path, ["q"])) == 3
+
+    def other_unit(topic: messages.Topic, slots: Any) -> dict[str, str]:
+        return {key: text.replace('"unit": "rad"', '"unit": "deg"') for key, text in whole(topic, slots).items()}
+
+    monkeypatch.setattr(messages.Topic, "metadata", other_unit)
+    with pytest.raises(LogError, match="Expected columns that armlab knows"):
+        read(recording(3, name="degrees.mcap"))

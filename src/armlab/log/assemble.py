@@ -55,10 +55,15 @@ def recording_table(
         t, stamp_ns = t[keep], stamp_ns[keep]
     present = {name: array for name, array in values.items() if name != "t" and not _absent(array)}
     present = dict(sorted(present.items(), key=lambda item: item[1].ndim == 1))  # q qd tau before the counters
+    described = {name: replace(columns[name], shape=()) for name in present}
+    for name, array in present.items():
+        if not _fits(array, described[name].kind):  # one wrong value of the user's must not cost the recording
+            notes.append(f"{name}: values that are no {described[name].kind}, kept as real")
+            described[name] = replace(described[name], kind="real")
     return Table(
         t,
         present,
-        {name: replace(columns[name], shape=()) for name in present},
+        described,
         t0_ns=int(stamp_ns[0]) if len(stamp_ns) else 0,
         clock=clock,
         notes=tuple(notes),
@@ -105,6 +110,14 @@ def _spread(t: np.ndarray) -> np.ndarray:
     spread = np.where(np.isfinite(t), t, -np.inf)
     steps = np.arange(len(t)) * 1e-9
     return np.maximum.accumulate(spread - steps) + steps
+
+
+def _fits(array: np.ndarray, kind: str | None) -> bool:
+    """Tell whether the values can be kept as their kind; a missing value is the table's affair."""
+    if array.dtype.kind != "f" or kind not in ("count", "flag") or not np.isfinite(array).all():
+        return True
+    with np.errstate(invalid="ignore"):
+        return bool(np.array_equal(array.astype(bool if kind == "flag" else np.int64), array))
 
 
 def _absent(array: np.ndarray) -> bool:

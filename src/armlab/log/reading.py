@@ -27,6 +27,7 @@ from armlab.log.table import Table
 
 __all__ = ["Source", "opened", "read", "torn_sentence"]
 
+_QUATERNION_LENGTH = 1e-3  # difference from one
 _CLOCK_COLUMNS = ("t", "robot_ns", "session_t", "session")
 
 
@@ -127,11 +128,14 @@ def _read_mcap(
     rows = decoded[clock]
     values: dict[str, np.ndarray] = {}
     for name in needed:
-        array = _values(name, sources[name], decoded[sources[name].channel], rows)
+        array = _values(name, sources[name], decoded[sources[name].channel], rows, damage)
         if array is not None:
             values[name] = array
     described = {name: sources[name].column for name in values}
-    table = recording_table(values, described, rows.log_ns, raw=raw)
+    try:
+        table = recording_table(values, described, rows.log_ns, raw=raw)
+    except ArmlabError as error:  # the file's descriptions contradict the glossary or each other
+        raise LogError(f"Expected columns that armlab knows in {path}, got others: {error}") from None
     if columns is None:
         return table, damage
     empty = [name for name in wanted if name not in table]
@@ -184,8 +188,8 @@ def _source(channel: int, topic: str, key: str, text: str) -> Source:
         raise LogError(f"Expected a description of a column in {key} of {topic}, got {text!r} ({error}).") from None
 
 
-def _values(name: str, source: Source, decoded: Decoded, rows: Decoded) -> np.ndarray | None:
-    """Return a column brought to the rows of the table; None when no message holds it."""
+def _values(name: str, source: Source, decoded: Decoded, rows: Decoded, damage: list[str]) -> np.ndarray | None:
+    """Return a column brought to the rows of the table; None when no message holds it. Adds to the damage."""
     parts = [decoded.fields.get(path) for path in source.fields]
     there = [part for part in parts if part is not None]
     if len(there) < len(parts) or not parts:
@@ -193,12 +197,24 @@ def _values(name: str, source: Source, decoded: Decoded, rows: Decoded) -> np.nd
     array = there[0] if len(there) == 1 else np.concatenate(there, axis=1)
     array = with_holes(array, source.missing)
     if source.encoding:
-        array = se3.from_rp(quaternion.to_matrix(array[:, [6, 3, 4, 5]]), array[:, :3]).reshape(len(array), 16)
+        array, lost = _poses(array, name)
+        if lost:
+            damage.append(f"{lost} rows of {name} are missing: their quaternions are not of length 1")
     size = int(np.prod(source.column.shape))
     if array.shape[1] != size:
         raise LogError(f"Expected {size} values in a row of {name}, got {array.shape[1]}.")
     array = array.reshape(len(array), *source.column.shape)
     return _on_rows(array, decoded.sequence, rows.sequence)
+
+
+def _poses(array: np.ndarray, name: str) -> tuple[np.ndarray, int]:
+    """Return positions and quaternions xyzw (k, 7) as matrices (k, 16), and how many are no pose: they are NaN."""
+    if array.shape[1] != 7:
+        raise LogError(f"Expected 7 numbers per pose in {name}, got {array.shape[1]}.")
+    no_pose = np.abs(np.linalg.norm(array[:, 3:], axis=1) - 1.0) > _QUATERNION_LENGTH  # false where missing
+    array = np.where(no_pose[:, None], np.nan, array)
+    matrices = se3.from_rp(quaternion.to_matrix(array[:, [6, 3, 4, 5]]), array[:, :3])
+    return matrices.reshape(len(array), 16), int(no_pose.sum())
 
 
 def _on_rows(array: np.ndarray, sequence: np.ndarray, rows: np.ndarray) -> np.ndarray:
