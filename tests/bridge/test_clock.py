@@ -62,3 +62,17 @@ def test_a_clock_in_milliseconds_gives_the_mean() -> None:
     for k in range(4000):
         period.add(1e-3 * (int(4.032 * (k + 1)) - int(4.032 * k)))
     assert period.seconds == pytest.approx(0.004032, rel=0.02)
+
+
+def test_a_gap_at_the_beginning_of_a_session_does_not_lengthen_the_step() -> None:
+    period = Period()
+    for sample in (0.9, 0.9, 0.9, 0.004):
+        period.add(sample)
+        assert period.seconds <= 1.5 * NOMINAL_PERIOD
+
+
+def test_a_slower_sample_rate_is_believed_after_nine_samples() -> None:
+    period = Period()
+    for _ in range(9):
+        period.add(0.024)
+    assert period.seconds == 0.024

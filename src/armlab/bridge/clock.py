@@ -13,6 +13,7 @@ NOMINAL_PERIOD = 0.004
 
 _LONGEST = 1.0  # s between two packets; a clock that steps further was set
 _SAMPLES = 9  # of the first median; later samples are averaged
+_TRUSTED = 1.5 * NOMINAL_PERIOD  # s, longest before the first median is complete: one gap must not allow a larger step
 _GAIN = 0.02
 _NEAR = 0.4  # of the estimate: wider than one tick of a clock in milliseconds, narrower than one skipped cycle
 _WRAP_MS = 2**32
@@ -20,6 +21,8 @@ _WRAP_MS = 2**32
 
 class Period:
     """The robot's cycle time, robust against gaps: a median first, then a slow average of the samples near it.
+
+    Until nine samples are there it stays below 1.5 times the nominal: a gap among them must not allow a larger step.
 
     Attributes
     ----------
@@ -35,6 +38,8 @@ class Period:
         if len(self._first) < _SAMPLES:
             self._first.append(sample)
             self.seconds = median(self._first)
+            if len(self._first) < _SAMPLES:
+                self.seconds = min(self.seconds, _TRUSTED)
         elif abs(sample - self.seconds) < _NEAR * self.seconds:
             self.seconds += _GAIN * (sample - self.seconds)
 
