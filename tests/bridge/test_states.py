@@ -281,6 +281,14 @@ def test_implausible_feedback_never_moves(bench: Bench) -> None:
     assert "other units" in str(bench.guide.failure)
 
 
+def test_implausible_feedback_of_a_restarted_session_is_not_sent_back(bench: Bench) -> None:
+    """Radians taken for degrees one way only: the feedback sent back would be a jump."""
+    bench.run()
+    assert bench(Command(bench.home), seqno=0, tm_ms=99, q=np.degrees(bench.home) + 100.0) is None
+    assert bench.mode is Mode.ENDED
+    assert isinstance(bench.guide.failure, LinkError)
+
+
 def test_the_overdue_hold_stays_in_its_mode(bench: Bench) -> None:
     bench.run()
     bench.see()

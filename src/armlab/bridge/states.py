@@ -285,8 +285,9 @@ class Guide:
             self.mode = Mode.HOLDING
 
     def _check_plausible(self, packet: Packet) -> None:
-        """A first feedback far outside the joint limits means wrong units or order: never move then."""
+        """A first feedback far outside the joint limits means wrong units or order: send nothing then."""
         problem = implausible(packet.q, self._robot)
         self._plausible = not problem
         if problem and self.mode is not Mode.LISTENING:
             self.stop("the feedback is not plausible", LinkError(problem))
+            self.mode = Mode.ENDED  # not even the feedback goes back: in wrong units it would be a jump
