@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from importlib.util import find_spec
 from types import ModuleType
 
@@ -198,8 +199,20 @@ def test_limits_of_a_robot(robot: Robot) -> None:
     assert limits.jump.tolist() == [0.1] * 7
     with pytest.raises(ConfigError, match="speed"):
         Limits.of(robot, speed=2.0)
-    with pytest.raises(ConfigError, match="margin"):
-        Limits.of(robot, margin=10.0)
+    for margin in (10.0, -0.01, np.nan):
+        with pytest.raises(ConfigError, match="margin"):
+            Limits.of(robot, margin=margin)
+
+
+@pytest.mark.parametrize("name", ["q_min", "q_max", "qd_max", "qdd_max", "jump", "entry"])
+def test_a_limit_that_would_never_act_is_refused(robot: Robot, name: str) -> None:
+    limits = Limits.of(robot)
+    bad = getattr(limits, name).copy()
+    bad[3] = np.nan
+    with pytest.raises(ConfigError, match=r"q_min below q_max|above 0"):
+        replace(limits, **{name: bad})
+    with pytest.raises(ConfigError, match=r"of one shape \(n,\).* \(6,\)"):
+        replace(limits, **{name: bad[:6]})
 
 
 def test_the_limiter_remembers_what_it_sent(robot: Robot) -> None:

@@ -23,6 +23,10 @@ class Limits:
     q_min, q_max : positions [rad or m]. qd_max, qdd_max : speed and acceleration.
     jump : how far a position may be from the last one sent, besides ``qd_max dt``.
     entry : how far the first position may be from where the arm holds.
+
+    Raises
+    ------
+    ConfigError : shapes that differ, NaN, q_min not below q_max, or another limit that is not above 0.
     """
 
     q_min: np.ndarray
@@ -31,6 +35,18 @@ class Limits:
     qdd_max: np.ndarray
     jump: np.ndarray
     entry: np.ndarray
+
+    def __post_init__(self) -> None:
+        shape = np.shape(self.q_min)
+        for name in ("q_min", "q_max", "qd_max", "qdd_max", "jump", "entry"):
+            if len(shape) != 1 or np.shape(getattr(self, name)) != shape:
+                got = f"{name} of shape {np.shape(getattr(self, name))} and q_min of {shape}"
+                raise ConfigError(f"Expected Limits of one shape (n,), got {got}.")
+        if not np.all(self.q_min < self.q_max):  # also NaN, with which a limit would never act
+            raise ConfigError(f"Expected Limits with q_min below q_max, got {self.q_min} and {self.q_max}.")
+        for name in ("qd_max", "qdd_max", "jump", "entry"):
+            if not np.all(getattr(self, name) > 0.0):
+                raise ConfigError(f"Expected Limits with {name} above 0 for each joint, got {getattr(self, name)}.")
 
     @classmethod
     def of(cls, robot: Robot, *, margin: float = 0.01, speed: float = 1.0, entry: float = 0.05) -> Limits:
@@ -44,10 +60,12 @@ class Limits:
 
         Raises
         ------
-        ConfigError : a share outside (0, 1], or a margin that leaves no room.
+        ConfigError : a share outside (0, 1], or a margin that is negative or leaves no room.
         """
-        if not 0.0 < speed <= 1.0 or not entry > 0.0:
-            raise ConfigError(f"Expected speed in (0, 1] and entry above 0, got {speed} and {entry}.")
+        if not 0.0 < speed <= 1.0 or not entry > 0.0 or not margin >= 0.0:
+            raise ConfigError(
+                f"Expected speed in (0, 1], entry above 0 and margin from 0, got {speed}, {entry} and {margin}."
+            )
         q_min, q_max = robot.q_min + margin, robot.q_max - margin
         if not np.all(q_min < q_max):
             raise ConfigError(f"Expected a margin that leaves room between the joint limits, got {margin}.")
