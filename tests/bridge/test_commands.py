@@ -32,6 +32,7 @@ def test_references_pass(robot: Robot) -> None:
         (Command(0.5), r"got \(\)"),  # type: ignore[arg-type]
         (Command(["a"] * 7), "7 numbers in Command.q"),  # type: ignore[arg-type]
         (Command({}), "7 numbers"),  # type: ignore[arg-type]
+        (Command([10**400] * 7), "7 numbers"),  # type: ignore[arg-type]
         (Command(tau=np.zeros(7)), "can carry position, velocity only"),
     ],
 )

@@ -52,6 +52,29 @@ def test_wrong_options(robot: Robot) -> None:
                 link.run(sway, **options)  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize(("answer_stream", "controller"), [(True, None), (False, sway)])
+def test_a_robot_in_lockstep_must_be_answered(robot: Robot, answer_stream: bool, controller: Any) -> None:
+    """It would wait for each reply, seemingly for ever."""
+    what = "controller=None" if controller is None else "answer_stream=False"
+    options: dict[str, Any] = {"answer_stream": answer_stream, "patience": 0.1}
+    with (
+        bridge.connect("sim://yumi_right?lockstep=true", robot, **options) as simulated,
+        bridge.connect("egm://127.0.0.1:0", robot, clock="robot", **options) as listening,
+        bridge.connect("egm://127.0.0.1:0", robot, **options) as in_real_time,
+    ):
+        for link in (simulated, listening):
+            with pytest.raises(ConfigError, match=f"lockstep waits for each reply, got {what}"):
+                link.run(controller)
+        with pytest.raises(NoRobot):
+            in_real_time.run(controller)
+
+
+def test_limits_of_another_robot_are_refused(robot: Robot) -> None:
+    limits = Limits(*np.stack([-np.ones(6), *[np.ones(6)] * 5]))
+    with connect("egm://127.0.0.1:0", robot) as link, pytest.raises(ConfigError, match=r"7 joints .* got 6"):
+        link.run(sway, limits=limits)
+
+
 def test_the_default_port_is_on_this_computer_only(robot: Robot) -> None:
     with connect("egm://127.0.0.1:0", robot) as link:
         assert isinstance(link, Link)

@@ -222,6 +222,31 @@ def test_an_exception_stops_the_arm_and_keeps_the_table(play: Any) -> None:
     assert play.peer.surplus() == 0
 
 
+def test_a_controller_that_exits_stops_the_arm_first(play: Any) -> None:
+    """`sys.exit()` is no Exception: the arm must not go on at its last speed."""
+
+    def controller(state: State) -> Command:
+        if state.seq == 30:
+            raise SystemExit(1)
+        return sway(state)
+
+    with pytest.raises(ControllerFailed, match="SystemExit") as caught:
+        play(lambda peer: peer.rest(), controller)
+    np.testing.assert_array_equal(caught.value.table["qd_sent"][-1], 0.0)
+    assert len(caught.value.table) > 100
+
+
+def test_a_display_of_progress_that_fails_stops_the_arm_first(play: Any) -> None:
+    def progress(done: float, total: float, what: str) -> None:
+        if done > 0.1:
+            raise BrokenPipeError("nobody reads")
+
+    with pytest.raises(ControllerFailed, match="`progress` raised BrokenPipeError: nobody reads") as caught:
+        play(lambda peer: peer.rest(), sway, progress=progress)
+    np.testing.assert_array_equal(caught.value.table["qd_sent"][-1], 0.0)
+    assert len(caught.value.table) > 100
+
+
 def test_a_new_session_starts_over(play: Any) -> None:
     seen: list[tuple[int, float]] = []
 
@@ -246,11 +271,11 @@ def test_a_new_session_starts_over(play: Any) -> None:
 
 def test_listening_writes_nothing(play: Any) -> None:
     def script(peer: Any) -> None:
-        for _ in range(50):
+        while not peer.over.is_set():
             peer.send()
             time.sleep(0.001)
 
-    run = play(script, None, seconds=0.004 * 40)
+    run = play(script, None, play.link(clock="wall"), seconds=0.004 * 40)
     assert play.peer.surplus() == 0
     assert run.statistics["replies"] == 0
     assert len(run.table) >= 40

@@ -45,7 +45,7 @@ def _vector(name: str, values: Any, robot: Robot) -> np.ndarray | None:
         return None
     try:
         array = np.ascontiguousarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except Exception as error:  # what a controller returned may be anything
         raise CommandRefused(
             f"Expected {robot.n} numbers in Command.{name} for {robot.name}, got {values!r} ({error})."
         ) from error

@@ -156,7 +156,8 @@ class Link:
 
         The arm holds until the first command within `Limits.entry` of where it is. The run ends after `seconds`, when
         the controller returns ``Command.stop()``, raises or is late too often, on Ctrl-C, or when the robot is gone;
-        the arm is brought to rest first. Ctrl-C raises KeyboardInterrupt once the arm rests and the log is closed.
+        the arm is brought to rest first. Ctrl-C raises KeyboardInterrupt once the arm rests and the log is closed; a
+        second one raises at once, and the last speed then acts until the time-out of the robot's controller.
 
         Parameters
         ----------
@@ -176,9 +177,10 @@ class Link:
 
         Raises
         ------
+        ConfigError : wrong options, limits for another number of joints, or a robot in lockstep that gets no answers.
         NoRobot, SessionEnded, CommandRefused, ControllerLate, ControllerFailed : with the last ten seconds in `.table`.
         """
-        self._check(controller, wait, reconnect, torque)
+        self._check(controller, wait, reconnect, torque, limits)
         in_lockstep = self._settings.clock == "robot"
         tell = None if progress is None else lambda done: progress(done, seconds or done, "moving")
         settings = replace(self._settings, seconds=seconds, resume=reconnect == "resume", progress=tell)
@@ -218,7 +220,9 @@ class Link:
             guide.reason, {**statistics, "problems": problems}, tuple(recording.events), recording.path, recording
         )
 
-    def _check(self, controller: Controller | None, wait: str, reconnect: str, torque: str) -> None:
+    def _check(
+        self, controller: Controller | None, wait: str, reconnect: str, torque: str, limits: Limits | None
+    ) -> None:
         for name, value, known in (
             ("wait", wait, ("ahead", "block", "spin")),
             ("reconnect", reconnect, ("resume", "stop")),
@@ -230,6 +234,17 @@ class Link:
             raise ConfigError(
                 f"Expected a codec that can send positions to {self.robot.name}, but this one cannot. "
                 "Listen only: pass None as the controller."
+            )
+        if limits is not None and len(limits.q_min) != self.robot.n:
+            raise ConfigError(
+                f"Expected limits for the {self.robot.n} joints of {self.robot.name}, got {len(limits.q_min)}. "
+                "Use Limits.of(robot)."
+            )
+        if self._settings.clock == "robot" and (controller is None or not self._answer_stream):
+            what = "controller=None" if controller is None else "answer_stream=False"
+            raise ConfigError(
+                f"Expected every packet to be answered, since a robot in lockstep waits for each reply, got {what}. "
+                'Leave out lockstep=true and clock="robot", or answer.'
             )
 
 

@@ -168,7 +168,9 @@ class Loop:
         self._calling = True
         try:
             command = controller(turn.state) if controller is not None else None
-        except Exception as error:
+        except BaseException as error:  # also SystemExit: the arm must not go on at its last speed
+            if isinstance(error, KeyboardInterrupt) and self.interrupted:
+                raise  # the second Ctrl-C
             failure = ControllerFailed(f"The controller raised {type(error).__name__}: {error}. The arm was stopped.")
             failure.__cause__ = error
         finally:
@@ -268,7 +270,12 @@ class Loop:
             guide.stop("the time is up")
         if settings.progress is not None and guide.elapsed >= self._next_progress:
             self._next_progress = guide.elapsed + _PROGRESS
-            settings.progress(guide.elapsed)
+            try:
+                settings.progress(guide.elapsed)
+            except Exception as error:
+                failure = ControllerFailed(f"`progress` raised {type(error).__name__}: {error}. The arm was stopped.")
+                failure.__cause__ = error
+                guide.stop("the display of progress failed", failure)
         next_ns = self._waiting.prediction.next_ns
         if self._in_lockstep or next_ns is None or next_ns - time.monotonic_ns() > _SPARE:
             collect_if_due()
