@@ -94,7 +94,7 @@ def judge(table: Table, plan: Plan) -> Verdict:
 
     Cycles without an estimate do not count; more than MAX_HOLES of them miss a bar.
     """
-    estimated = np.isfinite(table["wrench_hat"]).all(axis=1)
+    estimated = np.asarray(np.isfinite(table["wrench_hat"]).all(axis=1))
     cycles = table["session_t"]
     asked = (cycles >= plan.sway[0]) & (cycles < plan.sway[1])
     holes = float(np.mean(~estimated[asked])) if asked.any() else 1.0
