@@ -87,6 +87,37 @@ def test_overtaken_packets_get_no_reply_but_a_row(play: Any) -> None:
     np.testing.assert_allclose(table["dt"], 0.004)
 
 
+@pytest.mark.parametrize(("garbage", "packets"), [(0, 90), (64, 1), (63, 1), (100, 1)])
+def test_after_a_stall_only_the_newest_is_answered_and_none_is_lost(play: Any, garbage: int, packets: int) -> None:
+    started, go = threading.Event(), threading.Event()
+
+    def controller(state: State) -> Command:
+        if state.seq == 10:
+            started.set()
+            go.wait(5.0)
+        return sway(state)
+
+    def script(peer: Any) -> None:
+        peer.cycles(10)
+        peer.send()
+        assert started.wait(5.0)
+        for _ in range(garbage):
+            peer.send(b"garbage")
+        for _ in range(packets):
+            peer.send()
+        go.set()
+        if garbage >= 64:  # the stalled packet is answered before the flood is through
+            peer.answer()
+        assert peer.answer().tm_ms == 10_000 + 4 * (10 + packets)
+        peer.rest()
+
+    run = play(script, controller, seconds=0.6)
+    assert play.peer.surplus() == 0
+    np.testing.assert_array_equal(run.table["seq"], np.arange(len(run.table)))
+    assert run.statistics["overtaken"] == packets - (garbage >= 64)
+    assert sum(run.statistics["drops"].values()) == garbage
+
+
 def test_overtaken_rows_stay_in_order(play: Any) -> None:
     """Packets wait before the controller is called and more come while it computes: rows in the order of arrival."""
     sent, more, go, called = (threading.Event() for _ in range(4))

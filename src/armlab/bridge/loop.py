@@ -32,7 +32,8 @@ __all__ = ["Controller", "Loop"]
 Controller = Callable[[State], Command | None]
 """What decides: called with each state, returns a command or None for hold."""
 
-_DRAINED = 64  # datagrams per wake-up: a flood cannot hold the loop up
+_DROPS = 64  # refused datagrams per wake-up: a flood cannot hold the loop up
+_BACKLOG = 1000  # datagrams per wake-up, more than wait after any stall: all but the newest packet are overtaken
 _LOOK = 0.05  # s between two looks at silence and interrupts
 _DEADLINE = 0.75  # of a period, from arrival to reply
 _GRACE = 0.25  # of a period, that the controller has in any case
@@ -138,13 +139,17 @@ class Loop:
                 self._reply(turn, None, self._guide.hold(self._session.period.seconds), late=True)
 
     def _take(self, arrival: Arrival | None, unanswered: _Turn | None = None) -> _Turn | None:
-        """Drain the port, at most `_DRAINED` datagrams. Return the newest packet that counts, or the unanswered one."""
-        newest = unanswered
-        for _ in range(_DRAINED):
+        """Drain the port as far as a flood allows. Return the newest packet that counts, or the unanswered one."""
+        newest, refused = unanswered, 0
+        for _ in range(_BACKLOG):
             if arrival is None:
                 break
             sample = self._session.accept(arrival)
-            if sample is not None:
+            if sample is None:
+                refused += 1
+                if refused == _DROPS:
+                    break  # before the next is taken from the port: it would be lost
+            else:
                 if newest is not None:
                     self._surpassed.append(newest)
                 newest = self._observe(sample)
