@@ -24,12 +24,23 @@ bool overlap(PyArrayObject *out, const Input &input) {
   return a < b + input.size() * sizeof(double) && b < a + PyArray_NBYTES(out);
 }
 
-}  // namespace
-
-void raise_shape_error(const std::string &sentence) {
-  nb::object type = nb::module_::import_("armlab.errors").attr("ShapeError");
+[[noreturn]] void raise(const char *error, const std::string &sentence) {
+  nb::object type = nb::module_::import_("armlab.errors").attr(error);
   PyErr_SetString(type.ptr(), sentence.c_str());
   throw nb::python_error();
+}
+
+}  // namespace
+
+void raise_shape_error(const std::string &sentence) { raise("ShapeError", sentence); }
+
+int thread_count(nb::handle threads) {
+  const bool counts = PyIndex_Check(threads.ptr()) && !PyBool_Check(threads.ptr());
+  const Py_ssize_t count = counts ? PyNumber_AsSsize_t(threads.ptr(), nullptr) : 0;
+  if (count >= 1 && count <= max_threads) return static_cast<int>(count);
+  PyErr_Clear();
+  raise("ConfigError", "Expected threads to be an integer from 1 to " + std::to_string(max_threads) + ", got " +
+                           nb::cast<std::string>(nb::repr(threads)) + ".");
 }
 
 nb::object fresh_array(int ndim, const npy_intp *shape, const double *data) {

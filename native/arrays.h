@@ -20,12 +20,16 @@
 #include <string>
 
 #include "batch.h"
+#include "threads.h"
 
 namespace nb = nanobind;
 
 namespace armlab {
 
 [[noreturn]] void raise_shape_error(const std::string &sentence);
+
+// The argument `threads`: an integer from 1 to max_threads, otherwise an armlab.errors.ConfigError.
+int thread_count(nb::handle threads);
 
 // A fresh array; with the values of `data` when that is given.
 nb::object fresh_array(int ndim, const npy_intp *shape, const double *data = nullptr);
