@@ -36,7 +36,25 @@ struct alignas(32) Lanes {
 ARMLAB_INLINE Lanes operator+(Lanes a, Lanes b) { return a.v + b.v; }
 ARMLAB_INLINE Lanes operator-(Lanes a, Lanes b) { return a.v - b.v; }
 ARMLAB_INLINE Lanes operator*(Lanes a, Lanes b) { return a.v * b.v; }
+ARMLAB_INLINE Lanes operator/(Lanes a, Lanes b) { return a.v / b.v; }
 ARMLAB_INLINE Lanes operator-(Lanes a) { return -a.v; }
+ARMLAB_INLINE Lanes::Bits operator<(Lanes a, Lanes b) { return a.v < b.v; }
+ARMLAB_INLINE Lanes::Bits operator<=(Lanes a, Lanes b) { return a.v <= b.v; }
+ARMLAB_INLINE Lanes::Bits operator==(Lanes a, Lanes b) { return a.v == b.v; }
+
+// What a condition chooses, lane by lane; a condition is bool for double and Lanes::Bits for Lanes.
+ARMLAB_INLINE double select(bool condition, double yes, double no) { return condition ? yes : no; }
+ARMLAB_INLINE Lanes select(Lanes::Bits condition, Lanes yes, Lanes no) { return condition ? yes.v : no.v; }
+ARMLAB_INLINE bool all(bool condition) { return condition; }
+ARMLAB_INLINE bool all(Lanes::Bits condition) {
+  return (condition[0] & condition[1] & condition[2] & condition[3]) != 0;
+}
+
+ARMLAB_INLINE double square_root(double x) { return std::sqrt(x); }
+ARMLAB_INLINE Lanes square_root(Lanes x) {
+  for (int lane = 0; lane < Lanes::width; ++lane) x.v[lane] = std::sqrt(x.v[lane]);
+  return x;
+}
 
 // Views of the bits, for the sine and cosine below.
 inline std::int64_t to_bits(double x) {
