@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from armlab import robots
 from armlab.errors import RobotError, UnknownName
 from armlab.lie import quaternion, se3
-from armlab.robots import Robot
+from armlab.robots import Mesh, Robot, inertia
 
 MINIMAL = """
 name = "mine"
@@ -93,6 +93,14 @@ rotation = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
 geometry = "CAD"
 limits = "assumption"
 """
+    rows = """
+inertias = [[1, 0, 0, 0.1, 2, 0, 2, 0, 0, 1], [0, 0, 0, 0, 0, 0, 0, 0, 0, 0]]
+mesh = [
+  { link = 0, file = "package://maker/foot.stl" },
+  { link = 2, file = "hand.obj", kind = "collision", position = [0, 0, 1], scale = [0.001, 0.001, 0.001] },
+]
+[mount]"""
+    text = text.replace("\n[mount]", rows).replace("gear_ratio = 50", "gear_ratio = 50, effort = 100")
     robot = robots.load(written(tmp_path, text))
     np.testing.assert_array_equal(robot.prismatic, [True, False])
     np.testing.assert_allclose(robot.q_home, [0.1, np.deg2rad(10)])
@@ -102,6 +110,11 @@ limits = "assumption"
     np.testing.assert_array_equal(robot.T_flange_tool[:3], [[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0.1]])
     np.testing.assert_array_equal(robot.gravity, [0, 9.81, 0])
     assert (robot.abb_axes, robot.side) == ((2, 1), "right")
+    np.testing.assert_array_equal(robot.tau_max, [100, np.inf])
+    np.testing.assert_array_equal(robot.inertias, [[1, 0, 0, 0.1, 2, 0, 2, 0, 0, 1], [0] * 10])
+    foot = Mesh("visual", "package://maker/foot.stl", np.eye(4), np.ones(3))
+    hand = Mesh("collision", "hand.obj", se3.from_rp(np.eye(3), [0, 0, 1]), np.full(3, 0.001))
+    assert robot.meshes == ((foot,), (), (hand,))
     assert robot.source == "geometry: CAD\nlimits: assumption"
 
 
@@ -135,6 +148,12 @@ positive = st.floats(1e-3, 1e3)
 words = st.text(max_size=20)
 
 
+def any_mesh(rng: np.random.Generator, word: str) -> Mesh:
+    scale = rng.standard_normal(3) if rng.random() < 0.5 else np.ones(3)
+    kind = "visual" if rng.random() < 0.5 else "collision"
+    return Mesh(kind, f"package://{word}", se3.exp(rng.standard_normal(6)), scale)
+
+
 @st.composite
 def any_robot(draw: st.DrawFn) -> Robot:
     n = draw(st.integers(1, 4))
@@ -157,6 +176,14 @@ def any_robot(draw: st.DrawFn) -> Robot:
         details["qdd_max"] = draw(st.lists(positive, min_size=n, max_size=n))
     if draw(st.booleans()):
         details |= {"T_base_mount": se3.exp(rng.standard_normal(6)), "T_flange_tool": se3.exp(rng.standard_normal(6))}
+    if draw(st.booleans()):
+        details["tau_max"] = draw(st.lists(positive | st.just(np.inf), min_size=n, max_size=n))
+    if draw(st.booleans()):
+        squares = rng.standard_normal((n, 3, 3))
+        body = rng.uniform(0.1, 9, n), rng.standard_normal((n, 3)), squares @ squares.swapaxes(1, 2)
+        details["inertias"] = inertia.from_body(*body)
+    if draw(st.booleans()):
+        details["meshes"] = [[any_mesh(rng, draw(words)) for _ in range(rng.integers(3))] for _ in range(n + 1)]
     name = draw(words)
     if draw(st.booleans()):
         return robots.from_links(name, se3.exp(rng.standard_normal((n + 1, 6))), prismatic, **details)
@@ -184,7 +211,7 @@ def test_any_robot_survives_a_round_trip(tmp_path: Path, robot: Robot) -> None:
         ("speed_deg = 100", "speed_deg = nan", r"Expected numbers in qd_max of robot 'mine', got NaN at joint 1"),
         ("speed_deg = 100", "speed_deg = -1", "Expected a positive speed limit at joint 1"),
         ("speed_deg = 100", "home_deg = 100", "Expected a home position inside the limits at joint 1"),
-        ("alpha_deg = 90", "alhpa_deg = 90", r"unknown field `alhpa` - at `\$\.joint\[0\]`"),
+        ("alpha_deg = 90", "alhpa_deg = 90", r"unknown field `alhpa_deg` - at `\$\.joint\[0\]`"),
         (
             "alpha_deg = 90",
             "alpha_deg = 90, alpha = 1.5",
@@ -212,6 +239,22 @@ def test_any_robot_survives_a_round_trip(tmp_path: Path, robot: Robot) -> None:
         ('name = "mine"', 'name = "mine"\nmount = { quaternion = [1, 1, 0, 0] }', "pose in mount.* length 1"),
         ('name = "mine"', 'name = "mine"\ntool = { position = [1, 2] }', r"at `\$\.tool\.position`"),
         ('name = "mine"', 'name = "mine"\ntool = { position = [1, 2, nan] }', "Expected numbers in T_flange_tool"),
+        ("alpha_deg = 90", "effort = 0", r"Expected a positive torque limit at joint 1 \(shoulder\)"),
+        ("alpha_deg = 90", "a_deg = 90", r"unknown field `a_deg` - at `\$\.joint\[0\]`"),
+        ('name = "mine"', 'name = "mine"\ninertias = [[1, 2]]', r"at `\$\.inertias\[0\]`"),
+        (
+            'name = "mine"',
+            f'name = "mine"\ninertias = [{[1] + [0] * 9}]',
+            r"inertias .* to have shape \(2, 10\), got \(1",
+        ),
+        ('name = "mine"', f'name = "mine"\ninertias = {[[-1] + [0] * 9] * 2}', "body for link 1 .* mass of -1 kg"),
+        ('name = "mine"', 'name = "mine"\nmesh = [{ link = 3, file = "a" }]', "link of mesh 'a' from 0 .* to 2, got 3"),
+        ('name = "mine"', 'name = "mine"\nmesh = [{ link = 1, file = "" }]', "file name of a mesh, got an empty one"),
+        (
+            'name = "mine"',
+            'name = "mine"\nmesh = [{ link = 1 }]',
+            r"missing required field `file` - at `\$\.mesh\[0\]`",
+        ),
         ("alpha_deg = 90", "gear_ratio = 0", "Expected a gear_ratio other than zero, got 0 in joint 'shoulder'"),
         ("alpha_deg = 90, ", 'kind = "prismatic", ', "Expected metres for prismatic joint 'shoulder', got limits_deg"),
         ("offset_deg = 45", 'kind = "prismatic", acceleration_deg = 9', "'elbow', got acceleration_deg"),
@@ -258,7 +301,7 @@ def test_a_missing_or_binary_file(tmp_path: Path) -> None:
 
 def test_save_refuses_what_load_would_not_find(tmp_path: Path) -> None:
     robot = replace(robots.load("dh_test"))
-    with pytest.raises(RobotError, match=r"Expected a path that ends in \.toml for robot 'dh_test'"):
+    with pytest.raises(RobotError, match=r"Expected a path that ends in \.toml or \.urdf for robot 'dh_test'"):
         robots.save(robot, tmp_path / "robot.txt")
     with pytest.raises(RobotError, match="Expected to write robot 'dh_test' to"):
         robots.save(robot, tmp_path / "absent" / "robot.toml")

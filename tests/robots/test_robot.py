@@ -12,7 +12,7 @@ import pytest
 from armlab import robots
 from armlab.errors import RobotError
 from armlab.lie import euler, se3
-from armlab.robots import POSE_TOLERANCE, Robot
+from armlab.robots import POSE_TOLERANCE, Mesh, Robot, inertia
 
 
 @pytest.fixture(scope="module")
@@ -129,6 +129,41 @@ def test_repr(yumi: Robot) -> None:
     assert repr(yumi) == "Robot('yumi_left', 7 joints)"
 
 
+def test_optional_numbers_count_in_the_hash_where_there_are_any(yumi: Robot) -> None:
+    """Model files are bound to the hash: a robot that says nothing of torques and masses keeps the one it had."""
+    assert yumi.hash == "dabb698bc5f5565c350e713f803600a5ebf2206271f2684ab6e7963726dd1029"
+    assert np.isinf(yumi.tau_max).all()
+    assert yumi.inertias is None
+    assert yumi.meshes == ()
+    mesh = Mesh("visual", "link.stl", np.eye(4), np.ones(3))
+    shaped = replace(yumi, meshes=[[], [mesh], *[[]] * 6])
+    assert shaped.hash == yumi.hash
+    assert shaped != yumi
+    assert shaped.meshes == ((), (mesh,), *[()] * 6)
+    assert replace(yumi, meshes=[[]] * 8) == yumi
+    heavy = replace(yumi, inertias=np.zeros((7, 10)))
+    strong = replace(yumi, tau_max=[np.inf] * 6 + [5.0])
+    assert len({yumi.hash, heavy.hash, strong.hash, replace(heavy, tau_max=strong.tau_max).hash}) == 4
+    assert heavy != yumi
+    assert replace(heavy) == heavy
+    assert pickle.loads(pickle.dumps(shaped)) == shaped
+    with pytest.raises(ValueError, match="read-only"):
+        heavy.inertias[0, 0] = 1.0
+
+
+def test_tool_and_base_keep_names_and_bodies(yumi: Robot) -> None:
+    pi = inertia.from_body(np.arange(1.0, 8.0), np.full((7, 3), 0.1), np.tile(np.eye(3), (7, 1, 1)))
+    mesh = Mesh("visual", "body.stl", np.eye(4), np.ones(3))
+    robot = replace(yumi, inertias=pi, tau_max=np.arange(1.0, 8.0), meshes=[[mesh], *[[]] * 7])
+    moved = robot.with_tool(se3.exp([0, 0, 0.1, 0, 0, 1])).with_base(se3.exp([1, 0, 0, 0, 1, 0]))
+    assert moved.joint_names == yumi.joint_names
+    assert (moved.name, moved.meshes) == (yumi.name, robot.meshes)
+    np.testing.assert_array_equal(moved.inertias, pi)
+    np.testing.assert_array_equal(moved.tau_max, robot.tau_max)
+
+
+BODY = inertia.from_body(1.0, [0.1, 0, 0], np.diag([1.0, 2.0, 2.5]))
+MESH = Mesh("visual", "link.stl", np.eye(4), np.ones(3))
 LIMITS = {"q_min": [-1.0, -1.0], "q_max": [1.0, 1.0], "qd_max": [1.0, 1.0]}
 
 
@@ -147,6 +182,21 @@ LIMITS = {"q_min": [-1.0, -1.0], "q_max": [1.0, 1.0], "qd_max": [1.0, 1.0]}
         ({"q_home": [np.inf, 0], "q_max": [np.inf, 1]}, "Expected a finite home position at joint 1"),
         ({"qd_max": [0, 1]}, "Expected a positive speed limit at joint 1"),
         ({"qdd_max": [1, -1]}, "Expected a positive acceleration limit at joint 2"),
+        ({"tau_max": [1, 0]}, r"Expected a positive torque limit at joint 2 \(joint_2\) of robot 'r', got tau_max 0"),
+        ({"tau_max": [1, np.nan]}, "Expected numbers in tau_max of robot 'r', got NaN at joint 2"),
+        ({"inertias": [BODY]}, r"Expected inertias of robot 'r' \(2 joints\) to have shape \(2, 10\), got \(1, 10\)"),
+        ({"inertias": [BODY, np.full(10, np.nan)]}, "Expected numbers in inertias of robot 'r', got NaN at index"),
+        (
+            {"inertias": [BODY, [np.inf] * 10]},
+            "Expected the inertia of a body for link 2 of robot 'r', got .* not finite",
+        ),
+        ({"inertias": [BODY, -BODY]}, "Expected the inertia of a body for link 2 of robot 'r', got a mass of -1 kg"),
+        ({"inertias": [[0, 1] + [0] * 8, BODY]}, "body for link 1 of robot 'r', got moments without a mass"),
+        (
+            {"inertias": [BODY, inertia.from_body(1.0, [0, 0, 0], np.diag([-1e-3, 1, 1]))]},
+            r"body for link 2 of robot 'r', got principal moments \[-0.001",
+        ),
+        ({"meshes": [[MESH], []]}, "Expected meshes in robot 'r' of the mount and 2 links, got 2 tuples"),
         ({"q_min": [0, 0, 0]}, r"Expected q_min of robot 'r' \(2 joints\) to have shape \(2,\), got \(3,\)\."),
         ({"gravity": [0, 0]}, r"to have shape \(3,\), got \(2,\)"),
         ({"gravity": [0, 0, np.inf]}, "Expected a finite gravity"),
@@ -177,6 +227,13 @@ def test_a_rotation_that_is_off_is_refused() -> None:
         robots.from_links("r", links)
     links[1, 0, 1] = POSE_TOLERANCE / 2
     assert robots.from_links("r", links).n == 1
+
+
+def test_an_inertia_that_no_body_has_but_that_moves_is_accepted() -> None:
+    """Published descriptions break the triangle inequality; every mass matrix is positive all the same."""
+    flat = inertia.from_body(1.0, [0, 0, 0], np.diag([1.0, 1.0, 3.0]))
+    rounded = inertia.from_body(1.0, [0, 0, 0], np.diag([-1e-7, 1.0, 1.0]))
+    assert robots.from_dh("r", [0.0, 0.0], 1.0, 0.0, inertias=[flat, rounded]).inertias is not None
 
 
 def test_no_joints_are_refused() -> None:

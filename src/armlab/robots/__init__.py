@@ -1,8 +1,9 @@
 """Robots: the frozen description of an arm, its builders, files and library."""
 
-from armlab.robots import couplings
+from armlab.robots import couplings, inertia
 from armlab.robots.build import GRAVITY, RAMP_TIME, Details, from_dh, from_links
 from armlab.robots.files import load, names, save
+from armlab.robots.mesh import Mesh
 from armlab.robots.poe import SCREW_TOLERANCE, LocalPoe, from_local_poe, from_poe, normalise_screw, to_local_poe
 from armlab.robots.robot import POSE_TOLERANCE, Robot
 
@@ -13,12 +14,14 @@ __all__ = [
     "SCREW_TOLERANCE",
     "Details",
     "LocalPoe",
+    "Mesh",
     "Robot",
     "couplings",
     "from_dh",
     "from_links",
     "from_local_poe",
     "from_poe",
+    "inertia",
     "load",
     "names",
     "normalise_screw",

@@ -12,11 +12,14 @@ import numpy as np
 from armlab.errors import RobotError, ShapeError
 from armlab.lie import quaternion, se3, so3
 from armlab.robots.build import GRAVITY, RAMP_TIME, Details, from_dh, from_links
+from armlab.robots.mesh import Mesh
 from armlab.robots.robot import POSE_TOLERANCE, Robot
 
 __all__ = ["read_robot"]
 
 Vector = tuple[float, float, float]
+Parameters = tuple[float, float, float, float, float, float, float, float, float, float]
+ANGLES = ("alpha", "offset", "limits", "speed", "acceleration", "home")
 DIGITS_TOLERANCE = 1e-5  # a rotation matrix typed with six decimals is this far from orthonormal
 
 
@@ -43,6 +46,16 @@ class Joint(msgspec.Struct, forbid_unknown_fields=True):
     acceleration: float | None = None
     home: float | None = None
     gear_ratio: float | None = None
+    effort: float = math.inf
+
+
+class LinkMesh(Pose, kw_only=True, forbid_unknown_fields=True):
+    """A mesh of link 1 ... n, or of the mount as link 0."""
+
+    link: int
+    file: str
+    kind: Literal["visual", "collision"] = "visual"
+    scale: Vector = (1.0, 1.0, 1.0)
 
 
 class File(msgspec.Struct, forbid_unknown_fields=True):
@@ -59,6 +72,8 @@ class File(msgspec.Struct, forbid_unknown_fields=True):
     coupling: list[list[float]] | None = None
     mount: Pose = msgspec.field(default_factory=Pose)
     tool: Pose = msgspec.field(default_factory=Pose)
+    inertias: list[Parameters] | None = None
+    mesh: list[LinkMesh] = []
 
 
 def read_robot(text: str, path: str) -> Robot:
@@ -92,7 +107,7 @@ def _in_radians(value: Any) -> Any:
             raise RobotError(f"Expected metres for prismatic joint {value.get('name')!r}, got {key}.")
     result = {}
     for key, item in value.items():
-        name = key.removesuffix("_deg")
+        name = key.removesuffix("_deg") if key.removesuffix("_deg") in ANGLES else key
         if name in result:
             raise RobotError(f"Expected one of {name} and {name}_deg, got both in {value.get('name', 'the file')!r}.")
         result[name] = _in_radians(item) if name == key else _radians(item)
@@ -139,6 +154,9 @@ def _details(file: File) -> Details:
         "coupling": _coupling(file),
         "side": file.side,
         "source": _source(file.source),
+        "tau_max": [joint.effort for joint in joints],
+        "inertias": file.inertias,
+        "meshes": _meshes(file),
     }
     if file.abb_axes is not None:
         details["abb_axes"] = file.abb_axes
@@ -151,6 +169,20 @@ def _source(source: str | dict[str, str]) -> str:
 
 def _clip(value: float, limits: tuple[float, float]) -> float:
     return min(max(value, limits[0]), limits[1])
+
+
+def _meshes(file: File) -> list[list[Mesh]]:
+    if not file.mesh:
+        return []
+    meshes: list[list[Mesh]] = [[] for _ in range(len(file.joint) + 1)]
+    for mesh in file.mesh:
+        if not 0 <= mesh.link < len(meshes):
+            raise RobotError(
+                f"Expected the link of mesh {mesh.file!r} from 0 (the mount) to {len(file.joint)}, got {mesh.link}."
+            )
+        T_link_mesh = _matrix(mesh, f"mesh {mesh.file!r}")
+        meshes[mesh.link].append(Mesh(mesh.kind, mesh.file, T_link_mesh, np.array(mesh.scale)))
+    return meshes
 
 
 def _coupling(file: File) -> np.ndarray:

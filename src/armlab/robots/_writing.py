@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections.abc import Iterable
 
 import numpy as np
 
 from armlab.robots.build import GRAVITY, RAMP_TIME, from_dh
+from armlab.robots.mesh import Mesh
 from armlab.robots.robot import Robot
 
 __all__ = ["write_robot"]
@@ -41,6 +43,8 @@ def write_robot(robot: Robot) -> str:
         if robot.prismatic[i]:
             row["kind"] = '"prismatic"'
         row |= _link(robot, i, dh) | _limits(robot, i)
+        if np.isfinite(robot.tau_max[i]):
+            row["effort"] = _number(robot.tau_max[i])
         if ratios is not None and ratios[i] != 1:
             row["gear_ratio"] = _number(ratios[i])
     return _document(robot, head, rows)
@@ -48,7 +52,13 @@ def write_robot(robot: Robot) -> str:
 
 def _document(robot: Robot, head: Fields, rows: list[Fields]) -> str:
     lines = [f"{key} = {value}" for key, value in head.items()]
-    lines += ["", "joint = [", *(f"  {_inline(row)}," for row in rows), "]"]
+    lines += ["", *_rows("joint", map(_inline, rows))]
+    if robot.inertias is not None:
+        lines += ["", "# m, m cx, m cy, m cz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz of each link about the origin of its frame"]
+        lines += _rows("inertias", map(_list, robot.inertias))
+    meshes = [_mesh(i, mesh) for i, meshes in enumerate(robot.meshes) for mesh in meshes]
+    if meshes:
+        lines += ["", *_rows("mesh", meshes)]
     for key, T in (("mount", robot.T_base_mount), ("tool", robot.T_flange_tool)):
         if not np.array_equal(T, np.eye(4)):
             lines += ["", f"[{key}]", *(f"{name} = {value}" for name, value in _pose_fields(T).items())]
@@ -58,6 +68,17 @@ def _document(robot: Robot, head: Fields, rows: list[Fields]) -> str:
     else:
         lines += ["", "[source]", *(f"{_key(key)} = {_text(value)}" for key, value in table.items())]
     return "\n".join(lines) + "\n"
+
+
+def _rows(name: str, rows: Iterable[str]) -> list[str]:
+    return [f"{name} = [", *(f"  {row}," for row in rows), "]"]
+
+
+def _mesh(i: int, mesh: Mesh) -> str:
+    fields = {"link": str(i), "kind": _text(mesh.kind), "file": _text(mesh.file)} | _pose_fields(mesh.T_link_mesh)
+    if not np.array_equal(mesh.scale, np.ones(3)):
+        fields["scale"] = _list(mesh.scale)
+    return _inline(fields)
 
 
 def _dh_columns(robot: Robot) -> np.ndarray | None:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab.errors import RobotError
+from armlab.robots.mesh import Mesh
 from armlab.robots.robot import Robot
 
 __all__ = ["GRAVITY", "RAMP_TIME", "Details", "from_dh", "from_links"]
@@ -28,7 +29,7 @@ class Details(TypedDict, total=False):
     q_min, q_max, qd_max : infinite. qdd_max : `qd_max` reached in `RAMP_TIME`.
     q_home : zero, moved inside the limits. joint_names : joint_1, joint_2 ...
     T_base_mount, T_flange_tool, coupling : identity. gravity : `GRAVITY`.
-    abb_axes : 1, 2 ... n. side, source : empty.
+    abb_axes : 1, 2 ... n. side, source : empty. tau_max : infinite. inertias : None. meshes : none.
     """
 
     q_min: ArrayLike
@@ -44,6 +45,9 @@ class Details(TypedDict, total=False):
     abb_axes: Sequence[int]
     side: Literal["left", "right", ""]
     source: str
+    tau_max: ArrayLike
+    inertias: ArrayLike | None
+    meshes: Sequence[Sequence[Mesh]]
 
 
 def from_links(name: str, links: ArrayLike, prismatic: ArrayLike | None = None, **details: Unpack[Details]) -> Robot:
@@ -71,6 +75,7 @@ def from_links(name: str, links: ArrayLike, prismatic: ArrayLike | None = None, 
     unlimited = np.full(n, np.inf)
     q_min, q_max = _floats(details.get("q_min", -unlimited)), _floats(details.get("q_max", unlimited))
     qd_max = _floats(details.get("qd_max", unlimited))
+    inertias = details.get("inertias")
     home = np.clip(0.0, q_min, q_max) if q_min.shape == q_max.shape == (n,) else np.zeros(n)
     return Robot(
         name=name,
@@ -89,6 +94,9 @@ def from_links(name: str, links: ArrayLike, prismatic: ArrayLike | None = None, 
         abb_axes=tuple(details.get("abb_axes", range(1, n + 1))),
         side=details.get("side", ""),
         source=details.get("source", ""),
+        tau_max=_floats(details.get("tau_max", unlimited)),
+        inertias=None if inertias is None else _floats(inertias),
+        meshes=tuple(map(tuple, details.get("meshes", ()))),
     )
 
 

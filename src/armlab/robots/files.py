@@ -38,24 +38,30 @@ def load(name: str | Path) -> Robot:
 
 
 def save(robot: Robot, path: str | Path) -> None:
-    """Write a robot to a TOML file that `load` reads back to the same bits.
+    """Write a robot to a TOML file that `load` reads back to the same bits, or to a URDF file for other programs.
+
+    URDF holds geometry, limits, inertias and meshes, to the last digits. Gravity, gears, home and accelerations stand
+    in a comment of it, which no program reads.
 
     Parameters
     ----------
     robot : any robot.
-    path : file to write, ending in ``.toml``; an existing one is replaced.
+    path : file to write, ending in ``.toml`` or ``.urdf``; an existing one is replaced.
 
     Raises
     ------
-    RobotError : when the path does not end in ``.toml`` or cannot be written.
+    RobotError : when the path ends in neither or cannot be written, or a name cannot stand in the file.
     """
+    from armlab.robots._urdf_writing import write_urdf
     from armlab.robots._writing import write_robot
 
     path = Path(path)
-    if path.suffix != ".toml":
-        raise RobotError(f"Expected a path that ends in .toml for robot {robot.name!r}, got {path}.")
+    writers = {".toml": write_robot, ".urdf": write_urdf}
+    if path.suffix not in writers:
+        raise RobotError(f"Expected a path that ends in .toml or .urdf for robot {robot.name!r}, got {path}.")
+    text = writers[path.suffix](robot)
     try:
-        path.write_text(write_robot(robot), encoding="utf-8")
+        path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise RobotError(f"Expected to write robot {robot.name!r} to {path}, got: {error}.") from None
 

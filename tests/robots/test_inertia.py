@@ -1,0 +1,87 @@
+"""Inertial parameters: textbook bodies, round trips, and Pinocchio's inertias."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from armlab.errors import ShapeError
+from armlab.lie import se3
+from armlab.robots.inertia import Body, from_body, principal_moments, to_body, transform
+
+
+def random_bodies(n: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Masses, centres and inertias of n bodies, each a cloud of eight points."""
+    rng = np.random.default_rng(seed)
+    m, x = rng.uniform(0.1, 1, (n, 8, 1, 1)), rng.standard_normal((n, 8, 3))
+    centre = (m[..., 0] * x).sum(axis=1) / m.sum(axis=(1, 3))
+    x = x - centre[:, None]
+    squares = (x * x).sum(axis=-1)[..., None, None] * np.eye(3) - x[..., :, None] * x[..., None, :]
+    return m.sum(axis=(1, 2, 3)), centre, (m * squares).sum(axis=1)
+
+
+def test_a_point_mass() -> None:
+    pi = from_body(2.0, [1, 2, 3], np.zeros((3, 3)))
+    np.testing.assert_array_equal(pi, [2, 2, 4, 6, 2 * (4 + 9), -2 * 1 * 2, 2 * (1 + 9), -2 * 1 * 3, -2 * 2 * 3, 2 * 5])
+    np.testing.assert_allclose(principal_moments(pi), 0, atol=1e-14)
+
+
+def test_there_and_back() -> None:
+    m, c, inertia = random_bodies(50, 0)
+    body = to_body(from_body(m, c, inertia))
+    assert isinstance(body, Body)
+    np.testing.assert_allclose(body.mass, m, rtol=1e-15)
+    np.testing.assert_allclose(body.centre, c, atol=1e-14)
+    np.testing.assert_allclose(body.inertia, inertia, atol=1e-12)
+    nothing = to_body(np.zeros(10))
+    assert not np.any(nothing.centre)
+    assert not np.any(nothing.inertia)
+
+
+def test_transform_agrees_with_pinocchio() -> None:
+    rng = np.random.default_rng(1)
+    for m, c, inertia in zip(*random_bodies(50, 1)):
+        T_a_b = se3.exp(rng.standard_normal(6))
+        moved = pin.SE3(T_a_b).act(pin.Inertia(m, c, inertia))
+        body = to_body(transform(T_a_b, from_body(m, c, inertia)))
+        np.testing.assert_allclose(body.mass, moved.mass, rtol=1e-14)
+        np.testing.assert_allclose(body.centre, moved.lever, atol=1e-13)
+        np.testing.assert_allclose(body.inertia, moved.inertia, atol=1e-12)
+
+
+def test_bodies_joined_add_up() -> None:
+    """The parameters of two bodies in one frame are added; Pinocchio adds the bodies."""
+    m, c, inertia = random_bodies(2, 2)
+    both = pin.Inertia(m[0], c[0], inertia[0]) + pin.Inertia(m[1], c[1], inertia[1])
+    body = to_body(from_body(m, c, inertia).sum(axis=0))
+    np.testing.assert_allclose(body.centre, both.lever, atol=1e-14)
+    np.testing.assert_allclose(body.inertia, both.inertia, atol=1e-13)
+
+
+def test_principal_moments_do_not_depend_on_the_frame() -> None:
+    pi = from_body(3.0, [0, 0, 0], np.diag([1.0, 3.0, 2.0]))
+    T_a_b = se3.exp([5, -3, 1, 0.5, 1, -2])
+    np.testing.assert_allclose(principal_moments(pi), [1, 2, 3], atol=1e-14)
+    np.testing.assert_allclose(principal_moments(transform(T_a_b, pi)), [1, 2, 3], atol=1e-12)
+
+
+def test_leading_axes() -> None:
+    m, c, inertia = random_bodies(6, 3)
+    pi = from_body(m, c, inertia)
+    T_a_b = se3.exp(np.random.default_rng(3).standard_normal((6, 6)))
+    np.testing.assert_array_equal(transform(T_a_b, pi)[4], transform(T_a_b[4], pi[4]))
+    np.testing.assert_array_equal(principal_moments(pi.reshape(2, 3, 10)).reshape(6, 3)[4], principal_moments(pi[4]))
+    assert from_body(1.0, np.zeros((0, 3)), np.zeros((0, 3, 3))).shape == (0, 10)
+
+
+def test_bad_input_is_refused() -> None:
+    with pytest.raises(ShapeError, match=r"Expected a centre of shape \(\.\.\., 3\)"):
+        from_body(1.0, [0, 0], np.eye(3))
+    for function in (to_body, principal_moments):
+        with pytest.raises(ShapeError, match=r"Expected finite inertial parameters of shape \(\.\.\., 10\)"):
+            function(np.zeros(9))
+        with pytest.raises(ShapeError, match="Expected finite inertial parameters"):
+            function(np.full(10, np.nan))
+    with pytest.raises(ShapeError, match="Expected poses T_a_b"):
+        transform(2 * np.eye(4), np.zeros(10))
