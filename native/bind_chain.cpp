@@ -1,10 +1,11 @@
-// Python class Chain: arguments are checked here, the mathematics is in kinematics.h and rigid_body.h.
+// Python class Chain: arguments are checked here, the mathematics is in kinematics.h, differential.h and rigid_body.h.
 #include <algorithm>
 #include <cmath>
 #include <vector>
 
 #include "arrays.h"
 #include "batch.h"
+#include "differential.h"
 #include "kinematics.h"
 #include "rigid_body.h"
 
@@ -108,6 +109,15 @@ nb::object link_transforms(const Chain &self, nb::handle q_, nb::handle out) {
   return T.array();
 }
 
+nb::object jacobian_derivative(const Chain &self, nb::handle q_, nb::handle qd_, bool tool, nb::handle out) {
+  const Samples q(q_, "q", self.n), qd(qd_, "qd", q);
+  const Output Jd(out, "out", {6, self.n}, {&q, &qd});
+  compute<2, 1>(q, {q.samples(), qd.samples()}, {Jd.samples()}, [&](const auto &in, const auto &out) {
+    armlab::jacobian_derivative(self, in[0], in[1], tool, out[0]);
+  });
+  return Jd.array();
+}
+
 nb::object rnea(const Chain &self, nb::handle q_, nb::handle qd_, nb::handle qdd_, nb::handle gravity_, nb::handle pi_,
                 nb::handle out) {
   const Samples q(q_, "q", self.n), qd(qd_, "qd", q), qdd(qdd_, "qdd", q);
@@ -163,6 +173,8 @@ void bind(nb::module_ &m) {
       .def("jacobian", &jacobian, arg("q"), arg("tool") = false, arg("out") = nb::none())
       .def("forward_jacobian", &forward_jacobian, arg("q"), arg("out") = nb::none())
       .def("link_transforms", &link_transforms, arg("q"), arg("out") = nb::none())
+      .def("jacobian_derivative", &jacobian_derivative, arg("q"), arg("qd"), arg("tool") = false,
+           arg("out") = nb::none())
       .def("rnea", &rnea, arg("q"), arg("qd"), arg("qdd"), arg("gravity"), arg("pi"), arg("out") = nb::none())
       .def("rigid_regressor", &rigid_regressor, arg("q"), arg("qd"), arg("qdd"), arg("gravity"),
            arg("out") = nb::none())

@@ -23,6 +23,7 @@ METHODS = {  # name: arguments out of the inputs below
     "jacobian": ("q",),
     "forward_jacobian": ("q",),
     "link_transforms": ("q",),
+    "jacobian_derivative": ("q", "qd"),
     "rnea": ("q", "qd", "qdd", "gravity", "pi"),
     "rigid_regressor": ("q", "qd", "qdd", "gravity"),
     "gravity_regressor": ("q", "gravity"),
@@ -81,6 +82,8 @@ def test_native_is_the_reference(case: tuple[np.ndarray, np.ndarray, dict[str, n
         values = [inputs[a] for a in arguments]
         assert_same(getattr(native, name)(*values), getattr(reference, name)(*values))
     assert_same(native.jacobian(inputs["q"], tool=True), reference.jacobian(inputs["q"], tool=True))
+    motion = inputs["q"], inputs["qd"]
+    assert_same(native.jacobian_derivative(*motion, tool=True), reference.jacobian_derivative(*motion, tool=True))
     assert_same(native.frames, reference.frames)
     assert native.n == reference.n == len(prismatic)
     assert (native.prismatic == reference.prismatic).all()

@@ -1,8 +1,26 @@
-"""Kinematics of a robot: poses, link frames and Jacobians, for one configuration or any batch of them."""
+"""Kinematics of a robot: poses, Jacobians and what follows from them, for one configuration or any batch of them."""
 
 from __future__ import annotations
 
+from armlab.kinematics.derivative import jacobian_derivative
 from armlab.kinematics.forward import forward, link_transforms
 from armlab.kinematics.jacobian import jacobian
+from armlab.kinematics.manipulability import (
+    Ellipsoid,
+    ellipsoid,
+    manipulability,
+    manipulability_gradient,
+    singular_values,
+)
 
-__all__ = ["forward", "jacobian", "link_transforms"]
+__all__ = [
+    "Ellipsoid",
+    "ellipsoid",
+    "forward",
+    "jacobian",
+    "jacobian_derivative",
+    "link_transforms",
+    "manipulability",
+    "manipulability_gradient",
+    "singular_values",
+]

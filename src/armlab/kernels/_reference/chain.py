@@ -84,6 +84,29 @@ class Chain:
         into = _pair(out)
         return result(T, into[0], "out[0]"), result(J, into[1], "out[1]")
 
+    def jacobian_derivative(self, q: Any, qd: Any, tool: bool = False, out: Any = None) -> np.ndarray:
+        """Return Jd (..., 6, n), the derivative of `jacobian` along the motion `q`, `qd` (..., n).
+
+        Base axes: ``dv_i/dq_j = w_first x v_last`` with first = min(i, j), last = max(i, j), and ``dw_i/dq_j = w_j x
+        w_i`` where j < i, else 0. Tool axes: ``d/dt (R^T u) = R^T (ud - w x u)``, w the angular velocity of the tool.
+        """
+        positions, speeds = self._joints(q), read(qd, "qd", (self.n,))
+        same_shape(speeds, "qd", positions, "q")
+        T, J = self._forward_jacobian(positions)
+        v, w = (np.moveaxis(half, -1, 0) for half in (J[..., :3, :], J[..., 3:, :]))  # (n, ..., 3)
+        vd, wd = np.zeros_like(v), np.zeros_like(w)
+        for i, slides in enumerate(self._prismatic):
+            for j in range(self.n):
+                first, last, rate = min(i, j), max(i, j), speeds[..., j, None]
+                vd[i] += np.cross(w[first], v[last]) * rate
+                if j < i and not slides:
+                    wd[i] += np.cross(w[j], w[i]) * rate
+        if tool:
+            R_transposed = np.swapaxes(T[..., :3, :3], -1, -2)
+            turn = np.vecdot(np.moveaxis(w, 0, -1), speeds[..., None, :])
+            vd, wd = (_apply(R_transposed, ud - np.cross(turn, u)) for ud, u in ((vd, v), (wd, w)))
+        return result(np.ascontiguousarray(np.moveaxis(np.concatenate([vd, wd], axis=-1), 0, -1)), out)
+
     def rnea(self, q: Any, qd: Any, qdd: Any, gravity: Any, pi: Any, out: Any = None) -> np.ndarray:
         """Return joint torques tau (..., n) of a motion, by recursive Newton-Euler.
 

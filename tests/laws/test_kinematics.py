@@ -1,0 +1,141 @@
+"""Laws of kinematics: every robot of the library and random ones, every batch shape, every region of joint space."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from armlab import kinematics, robots
+from armlab.lie import se3
+from armlab.robots import Robot
+
+BATCHES = [(), (3,), (2, 3), (0,), (2, 0, 3)]
+Sampler = Callable[[np.random.Generator, tuple[int, ...]], np.ndarray]
+
+
+def uniform(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
+    return rng.uniform(-np.pi, np.pi, shape)
+
+
+def near_zero(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
+    """The zero posture of most robots is singular."""
+    return 10.0 ** rng.uniform(-16, -1, shape) * rng.choice([-1, 1], shape)
+
+
+def right_angles(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
+    return rng.integers(-4, 5, shape) * np.pi / 2
+
+
+def random_robot(rng: np.random.Generator, n: int, **details: np.ndarray) -> Robot:
+    """Random DH table with revolute and prismatic joints, mount and tool."""
+    table = rng.uniform(-np.pi, np.pi, (4, n)) * [[1], [0.3], [0.3], [1]]
+    mount, tool = se3.exp(rng.standard_normal((2, 6)))
+    return robots.from_dh("random", *table, prismatic=rng.random(n) < 0.3, T_base_mount=mount, T_flange_tool=tool)
+
+
+@pytest.fixture(params=[*robots.names(), *range(1, 10)])
+def robot(request: pytest.FixtureRequest) -> Robot:
+    if isinstance(request.param, str):
+        tool = se3.exp(np.random.default_rng(0).uniform(-0.5, 0.5, 6))
+        return robots.load(request.param).with_tool(tool)
+    return random_robot(np.random.default_rng(request.param), request.param)
+
+
+@pytest.fixture(params=BATCHES, ids=str)
+def batch(request: pytest.FixtureRequest) -> tuple[int, ...]:
+    return request.param
+
+
+@pytest.fixture(params=[uniform, near_zero, right_angles], ids=lambda sampler: sampler.__name__)
+def sampler(request: pytest.FixtureRequest) -> Sampler:
+    return request.param
+
+
+def distance(a: np.ndarray, b: np.ndarray) -> float:
+    assert a.shape == b.shape
+    return float(np.abs(a - b).max(initial=0.0))
+
+
+def apply(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    return (matrix @ vector[..., None])[..., 0]
+
+
+def test_dh_poe_and_local_poe_are_one() -> None:
+    """1000 random robots of 2 to 9 joints, revolute and prismatic, with mount and tool."""
+    rng = np.random.default_rng(1)
+    for _ in range(1000):
+        robot = random_robot(rng, int(rng.integers(2, 10)))
+        q = rng.uniform(-3, 3, robot.n)
+        T = kinematics.forward(robot, q)
+        J = kinematics.jacobian(robot, q)
+        for other in (
+            robots.from_poe("poe", robot.screws, robot.T_home),
+            robots.from_local_poe("local", *robots.to_local_poe(robot)),
+        ):
+            assert distance(kinematics.forward(other, q), T) <= 1e-12
+            assert distance(kinematics.jacobian(other, q), J) <= 1e-12
+
+
+def test_base_and_tool_differ_by_the_rotation(robot: Robot, batch: tuple[int, ...], sampler: Sampler) -> None:
+    q = sampler(np.random.default_rng(2), (*batch, robot.n))
+    R = kinematics.forward(robot, q)[..., :3, :3]
+    J, J_tool = kinematics.jacobian(robot, q), kinematics.jacobian(robot, q, frame="tool")
+    for half in (slice(0, 3), slice(3, 6)):
+        scale = max(1.0, np.abs(J[..., half, :]).max(initial=0.0))
+        assert distance(R @ J_tool[..., half, :], J[..., half, :]) <= 1e-14 * scale
+
+
+def test_power_is_that_of_the_joints(robot: Robot, batch: tuple[int, ...], sampler: Sampler) -> None:
+    """twist . wrench = qd . (J^T wrench), in base axes and in tool axes."""
+    rng = np.random.default_rng(3)
+    q, qd = sampler(rng, (*batch, robot.n)), rng.standard_normal((*batch, robot.n))
+    wrench = rng.standard_normal((*batch, 6))
+    R_transposed = np.swapaxes(kinematics.forward(robot, q)[..., :3, :3], -1, -2)
+    wrench_tool = np.concatenate([apply(R_transposed, wrench[..., :3]), apply(R_transposed, wrench[..., 3:])], axis=-1)
+    J, J_tool = kinematics.jacobian(robot, q), kinematics.jacobian(robot, q, frame="tool")
+    power = np.vecdot(apply(J, qd), wrench)
+    assert distance(np.vecdot(qd, apply(np.swapaxes(J, -1, -2), wrench)), power) <= 1e-12
+    assert distance(np.vecdot(qd, apply(np.swapaxes(J_tool, -1, -2), wrench_tool)), power) <= 1e-12
+
+
+@pytest.mark.parametrize("frame", ["base", "tool"])
+def test_jacobian_derivative(robot: Robot, batch: tuple[int, ...], sampler: Sampler, frame) -> None:
+    """It is linear in qd, and the acceleration of a motion is J qdd + Jd qd."""
+    rng, h = np.random.default_rng(4), 2e-4
+    q = sampler(rng, (*batch, robot.n))
+    a, b = rng.standard_normal((2, *batch, robot.n))
+    Jd = kinematics.jacobian_derivative(robot, q, a, frame)
+    sum_of_both = Jd + kinematics.jacobian_derivative(robot, q, b, frame)
+    assert distance(kinematics.jacobian_derivative(robot, q, a + b, frame), sum_of_both) <= 1e-12
+
+    def twist(t: float) -> np.ndarray:  # along q(t) = q + a t + b t^2/2
+        return apply(kinematics.jacobian(robot, q + t * a + t**2 / 2 * b, frame), a + t * b)
+
+    change = 8 * (twist(h) - twist(-h)) - (twist(2 * h) - twist(-2 * h))  # error of fourth order
+    acceleration = apply(kinematics.jacobian(robot, q, frame), b) + apply(Jd, a)
+    assert distance(acceleration, change / (12 * h)) <= 1e-8
+
+
+def test_derivative_of_the_jacobian_is_symmetric(robot: Robot, batch: tuple[int, ...], sampler: Sampler) -> None:
+    """The position is a function: d2p/dq_i dq_j = d2p/dq_j dq_i, so the upper half of dJ_i/dq_j is symmetric."""
+    q = sampler(np.random.default_rng(5), (*batch, robot.n))
+    unit = np.broadcast_to(np.eye(robot.n), (*batch, robot.n, robot.n))
+    dJ = kinematics.jacobian_derivative(robot, np.broadcast_to(q[..., None, :], unit.shape), unit)[..., :3, :]
+    assert distance(dJ, np.swapaxes(dJ, -3, -1)) <= 1e-14 * max(1.0, np.abs(dJ).max(initial=0.0))
+
+
+def test_a_batch_is_a_loop(robot: Robot, batch: tuple[int, ...], sampler: Sampler) -> None:
+    rng = np.random.default_rng(6)
+    q, qd = sampler(rng, (*batch, robot.n)), rng.standard_normal((*batch, robot.n))
+    q.flags.writeable = qd.flags.writeable = False
+    T, J = kinematics.forward(robot, q), kinematics.jacobian(robot, q)
+    Jd, w = kinematics.jacobian_derivative(robot, q, qd), kinematics.manipulability(robot, q)
+    assert (T.shape, J.shape) == ((*batch, 4, 4), (*batch, 6, robot.n))
+    assert (Jd.shape, np.shape(w)) == (J.shape, batch)
+    for i in np.ndindex(batch):
+        assert distance(kinematics.forward(robot, q[i]), T[i]) <= 1e-14
+        assert distance(kinematics.jacobian(robot, q[i]), J[i]) <= 1e-14
+        assert distance(kinematics.jacobian_derivative(robot, q[i], qd[i]), Jd[i]) <= 1e-14
+        assert kinematics.manipulability(robot, q[i]) == w[i]
