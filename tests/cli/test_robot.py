@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import pytest
 
 from armlab import robots
 from armlab.cli.robot import list_robots, robot, show
+from armlab.errors import ConfigError
 
 
 def test_list_names_every_robot_of_the_library(capsys: pytest.CaptureFixture[str]) -> None:
@@ -32,3 +34,14 @@ def test_show_prints_the_joints(capsys: pytest.CaptureFixture[str]) -> None:
     data = json.loads(capsys.readouterr().out)
     assert data["q_max"] == pytest.approx(arm.q_max)
     assert data["hash"] == arm.hash
+
+
+def test_show_draws_the_arm(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    picture = tmp_path / "arm.png"
+    show("irb2400", figure=picture)
+    assert f"figure: {picture}" in capsys.readouterr().err
+    assert picture.stat().st_size > 10_000
+    with pytest.raises(ConfigError, match="--force"):
+        show("irb2400", figure=picture)
+    with pytest.raises(ConfigError, match="ends in"):
+        show("irb2400", figure=tmp_path / "arm.txt")

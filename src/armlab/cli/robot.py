@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from cyclopts import App
 
 __all__ = ["list_robots", "robot", "show"]
@@ -31,22 +33,33 @@ def list_robots(*, json: bool = False) -> None:
 
 
 @robot.command
-def show(name: str, *, json: bool = False) -> None:
-    """Show one robot: joints, limits, gears, home pose.
+def show(name: str, *, figure: Path | None = None, json: bool = False, force: bool = False) -> None:
+    """Show one robot: joints, limits, gears, home pose; draw it if asked.
 
     Parameters
     ----------
     name
         Name in the library, or the path of a description.
+    figure
+        Draw the arm at home into this file; .png, .svg or .pdf.
     json
         Print JSON for scripts.
+    force
+        Replace an existing figure.
     """
     import numpy as np
 
     from armlab import robots
-    from armlab.cli.output import aligned, print_json, result
+    from armlab.cli.output import FIGURES, aligned, check_output, note, print_json, result
 
+    if figure is not None:
+        check_output(figure, force, FIGURES)
     arm = robots.load(name)
+    if figure is not None:
+        from armlab import plots
+
+        plots.robot(arm).figure.savefig(figure, dpi=150)
+        note(f"figure: {figure}")
     if json:
         arrays = (
             "q_min",

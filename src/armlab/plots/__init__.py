@@ -2,10 +2,26 @@
 
 from __future__ import annotations
 
+from armlab.plots.arms import robot
 from armlab.plots.columns import table
 from armlab.plots.covariances import velocity_covariance
+from armlab.plots.ellipsoids import manipulability
 from armlab.plots.latencies import latency
+from armlab.plots.scenes import scene
 from armlab.plots.torques import torque_fit
+from armlab.plots.trajectories import poses
+from armlab.plots.workspaces import workspace
 from armlab.plots.wrenches import wrench
 
-__all__ = ["latency", "table", "torque_fit", "velocity_covariance", "wrench"]
+__all__ = [
+    "latency",
+    "manipulability",
+    "poses",
+    "robot",
+    "scene",
+    "table",
+    "torque_fit",
+    "velocity_covariance",
+    "workspace",
+    "wrench",
+]

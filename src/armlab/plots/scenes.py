@@ -1,0 +1,113 @@
+"""Anything with a place in space: named frames, paths of poses, points."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from armlab.errors import ShapeError
+from armlab.lie import se3
+from armlab.plots import space
+from armlab.plots.style import JOINT_STYLES, look
+
+if TYPE_CHECKING:
+    from mpl_toolkits.mplot3d import Axes3D
+
+__all__ = ["pose_stack", "scene"]
+
+_MOST_FRAMES = 12  # along one path
+_NAMED = 0.15  # length of a named frame over the size of the scene, when none is given
+
+
+def scene(*items: Any, frames: float = 0.0, ax: Any = None) -> Axes3D:
+    """Draw frames, paths and points in one set of axes of equal scale [m].
+
+    Parameters
+    ----------
+    *items : each is a mapping {name: T_a_x (4, 4)} of named frames; or poses (N, 4, 4), drawn as a path from a dot to
+        a square; or points (N, 3), coloured from first to last. All in the same frame a. NaN leaves a gap.
+    frames : length [m] of the frames along paths (at most 12 of each, evenly spaced) and of the named ones. With 0
+        paths have none, and the named ones a length that fits.
+    ax : three-dimensional Axes to draw into, for example those of `robot`; a new figure when None.
+
+    Returns
+    -------
+    The Axes.
+
+    Raises
+    ------
+    ShapeError : an item is none of these, a pose has no rotation, or `ax` is not three-dimensional.
+    """
+    checked = [_checked(item) for item in items]
+    with look():
+        _, panel = space.space(ax)
+        paths = 0
+        for item in checked:
+            if isinstance(item, dict):
+                continue
+            if item.ndim == 3:
+                _path(panel, item, frames, JOINT_STYLES[paths % len(JOINT_STYLES)][0])
+                paths += 1
+            else:
+                shown = item[np.isfinite(item).all(axis=1)]
+                order = np.flatnonzero(np.isfinite(item).all(axis=1))
+                panel.scatter(*shown.T, c=order, cmap="viridis", s=8, depthshade=False, gid="points")
+        named = {name: T for item in checked if isinstance(item, dict) for name, T in item.items()}
+        length = frames or _NAMED * _size(panel, named)
+        for name, T in named.items():
+            space.frame(panel, T, length, name)
+        space.equal_scale(panel)
+    return panel
+
+
+def pose_stack(T: Any, name: str = "T") -> np.ndarray:
+    """Return poses (N, 4, 4) as float64; NaN is a missing pose.
+
+    Raises
+    ------
+    ShapeError : another shape, or a matrix that is no pose.
+    """
+    T = np.asarray(T, dtype=np.float64)
+    if T.ndim != 3 or T.shape[1:] != (4, 4):
+        raise ShapeError(f"Expected poses {name} of shape (N, 4, 4), got {T.shape}.")
+    wrong = np.flatnonzero(~(se3.is_pose(T) | np.isnan(T).any(axis=(1, 2))))
+    if wrong.size:
+        raise ShapeError(
+            f"Expected poses in {name}, got a matrix at row {wrong[0]} whose rotation is none. "
+            "Project it first if it is nearly one (lie.se3.project)."
+        )
+    return T
+
+
+def _checked(item: Any) -> dict[str, np.ndarray] | np.ndarray:
+    """Return named frames, poses (N, 4, 4) or points (N, 3)."""
+    if isinstance(item, Mapping):
+        return {str(name): pose_stack([T], repr(name))[0] for name, T in item.items()}
+    array = np.asarray(item, dtype=np.float64)
+    if array.ndim == 3:
+        return pose_stack(array)
+    if array.ndim == 2 and array.shape[1] == 3:
+        return array
+    hint = " Transpose it." if array.ndim == 2 and array.shape[0] == 3 else ""
+    raise ShapeError(f"Expected {{name: pose}}, poses (N, 4, 4) or points (N, 3) to draw, got {array.shape}.{hint}")
+
+
+def _path(ax: Axes3D, T: np.ndarray, frames: float, color: str) -> None:
+    """Draw a path with its start, its end, and frames along it."""
+    p = T[:, :3, 3]
+    ax.plot(*p.T, color=color, linewidth=1.4, gid="path")
+    there = np.flatnonzero(np.isfinite(T).all(axis=(1, 2)))
+    for mark, k in zip("os", there[[0, -1]] if there.size else (), strict=False):
+        ax.plot(*p[k : k + 1].T, marker=mark, color=color, markersize=5.0, gid="start" if mark == "o" else "end")
+    if frames:
+        for k in there[np.unique(np.linspace(0, there.size - 1, min(_MOST_FRAMES, there.size)).astype(int))]:
+            space.frame(ax, T[k], frames, letters=False)
+
+
+def _size(ax: Axes3D, named: dict[str, np.ndarray]) -> float:
+    """Return the largest side of what is drawn and named [m]; 1 for a single place."""
+    points = np.concatenate([space.extent(ax), *(T[None, :3, 3] for T in named.values())])
+    points = points[np.isfinite(points).all(axis=1)]
+    return float(np.ptp(points, axis=0).max()) or 1.0 if len(points) else 1.0

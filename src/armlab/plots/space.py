@@ -1,0 +1,173 @@
+"""Axes in three dimensions: equal scale, lettered frames, arrows, solids."""
+
+from __future__ import annotations
+
+from functools import cache
+from itertools import product
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armlab.errors import ShapeError
+from armlab.plots.style import AXIS_COLORS, GREY
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from mpl_toolkits.mplot3d import Axes3D
+
+__all__ = ["AHEAD", "AWAY", "arrow", "equal_scale", "extent", "frame", "solid", "space", "word"]
+
+VIEW = {"elev": 20.0, "azim": -55.0}  # x to the right, y away from the eye, z up: right-handed as in a textbook
+AWAY, AHEAD = (-0.3, -0.3, 0.0), (0.0, 0.0, 1.45)
+"""Places of the name of a frame: beside it, away from x and y; or beyond z, where no arm comes from."""
+_SOLID, _ARROW, _WORD = 5, 6, 7  # order of drawing; lines have 2
+_FLATTEST = 0.3  # smallest side of the box over its largest: a planar robot still has a box
+_HALF_SIDE = 0.078  # of the box on paper, in the units of matplotlib, whose axes are 0.0925; the rest is for labels
+
+
+def space(ax: Any = None, *, width: float = 6.4, height: float = 5.4) -> tuple[Figure, Axes3D]:
+    """Return a figure and its three-dimensional axes in metres: new ones, or those the caller gave.
+
+    Parameters
+    ----------
+    ax : three-dimensional Axes; None makes a new figure.
+    width, height : of the figure, in inches.
+
+    Raises
+    ------
+    ShapeError : the given Axes are flat, or several.
+    """
+    if ax is None:
+        import matplotlib.pyplot as plt
+
+        figure = plt.figure(figsize=(width, height))
+        ax = figure.add_subplot(projection="3d", proj_type="ortho", **VIEW)
+    elif getattr(ax, "name", "") != "3d":
+        kind = f"{np.size(ax)} in an array" if np.ndim(ax) else f"{getattr(ax, 'name', type(ax).__name__)} Axes"
+        raise ShapeError(f'Expected one Axes with projection="3d" in ax=, got {kind}.')
+    ax.computed_zorder = False  # matplotlib would put solids above the words on them
+    for axis, letter in zip((ax.xaxis, ax.yaxis, ax.zaxis), "xyz", strict=True):
+        axis.set_pane_color((1.0, 1.0, 1.0, 0.0))
+        axis.line.set_color(GREY)
+        axis.set_label_text(f"{letter} [m]")
+        axis.labelpad = 3.0 if letter == "z" else -1.0
+        axis.set_tick_params(pad=1.0 if letter == "z" else -1.0)
+    return ax.figure, ax
+
+
+def extent(ax: Axes3D) -> np.ndarray:
+    """Return the finite points (N, 3) drawn so far: lines, clouds, arrows, corners of solids."""
+    from mpl_toolkits.mplot3d.art3d import Path3DCollection, Poly3DCollection
+
+    lines: list[Any] = list(ax.lines)
+    arrows: list[Any] = [patch for patch in ax.patches if isinstance(patch, _arrow_class())]
+    clouds = [np.stack(line.get_data_3d(), axis=-1) for line in lines] + [arrow.ends for arrow in arrows]
+    for artist in ax.collections:
+        if isinstance(artist, Path3DCollection):
+            clouds.append(np.stack([np.ma.filled(part, np.nan) for part in artist._offsets3d], axis=-1))
+        elif isinstance(artist, Poly3DCollection):
+            clouds.append(np.asarray(artist._faces).reshape(-1, 3))
+    points = np.concatenate([np.empty((0, 3)), *(np.asarray(cloud, dtype=float) for cloud in clouds)])
+    return points[np.isfinite(points).all(axis=1)]
+
+
+def equal_scale(ax: Axes3D) -> None:
+    """Give the three axes one scale and room for everything drawn so far."""
+    from matplotlib.ticker import MaxNLocator, MultipleLocator
+    from mpl_toolkits.mplot3d.proj3d import proj_transform
+
+    points = extent(ax)
+    if not len(points):
+        return
+    low, high = points.min(axis=0), points.max(axis=0)
+    largest = max(float((high - low).max()), 1e-6)
+    span = np.maximum(high - low, _FLATTEST * largest) + 0.04 * largest
+    middle = (low + high) / 2
+    step = float(np.diff(MaxNLocator(7, steps=[1, 2, 5, 10]).tick_values(0.0, float(span.max())))[0])
+    for letter, centre, side in zip("xyz", middle, span, strict=True):
+        ax.set(**{f"{letter}lim": (centre - side / 2, centre + side / 2)})
+        getattr(ax, f"{letter}axis").set_major_locator(MultipleLocator(step))
+    ax.set_box_aspect(tuple(span))
+    corners = middle + span / 2 * np.array(list(product((-1, 1), repeat=3)))
+    x, y, _ = proj_transform(corners[:, 0], corners[:, 1], corners[:, 2], ax.get_proj())
+    ax.set_box_aspect(tuple(span), zoom=_HALF_SIDE / np.abs([x, y]).max())
+
+
+def frame(
+    ax: Axes3D, T: np.ndarray, length: float, name: str = "", *, letters: bool = True, place: ArrayLike = AWAY
+) -> None:
+    """Draw a frame: x, y and z as arrows in their colours, lettered, and its name.
+
+    Parameters
+    ----------
+    ax : axes to draw into.
+    T : (4, 4) pose of the frame in the axes of the figure.
+    length : of each arrow [m].
+    name : of the frame.
+    letters : write x, y, z at the ends; without, they are plain lines.
+    place : (3,) of the name, in the frame and in lengths of an arrow.
+    """
+    p, R = T[:3, 3], T[:3, :3]
+    for i, color in enumerate(AXIS_COLORS):
+        arrow(ax, p, length * R[:, i], color=color, arrowstyle="-|>" if letters else "-", gid=f"{name}.{'xyz'[i]}")
+        if letters:
+            word(ax, p + 1.17 * length * R[:, i], "xyz"[i], color=color, fontsize=7.5)
+    if name:
+        word(ax, p + length * (R @ np.asarray(place)), name)
+
+
+def arrow(ax: Axes3D, start: np.ndarray, along: np.ndarray, **style: Any) -> None:
+    """Draw an arrow from `start` to `start + along`, both (3,) [m]; its head has one size on paper."""
+    ax.add_patch(_arrow_class()(start, start + along, **style))
+
+
+def word(ax: Axes3D, place: np.ndarray, text: str, **style: Any) -> None:
+    """Write a word centred at a place (3,) with a white rim, readable on top of lines."""
+    from matplotlib.patheffects import withStroke
+
+    rim = [withStroke(linewidth=2.0, foreground="white")]
+    defaults = {"fontsize": 8.5, "ha": "center", "va": "center", "zorder": _WORD, "path_effects": rim}
+    x, y, z = place
+    ax.text(x, y, z, text, **{**defaults, **style})
+
+
+def solid(ax: Axes3D, faces: np.ndarray, color: Any, **style: Any) -> None:
+    """Draw lit faces (N, corners, 3) [m].
+
+    Parameters
+    ----------
+    ax : axes to draw into.
+    faces : (N, corners, 3) corners of each face [m].
+    color : one colour, or one per face.
+    style : passed to ``Poly3DCollection``.
+    """
+    from matplotlib.colors import LightSource, to_rgba_array
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+    colors = np.broadcast_to(to_rgba_array(color), (len(faces), 4))
+    style = {"shade": True, "lightsource": LightSource(azdeg=225, altdeg=45), "zorder": _SOLID, **style}
+    ax.add_collection3d(Poly3DCollection(faces, facecolors=colors, linewidths=0.0, **style))
+
+
+@cache
+def _arrow_class() -> type:
+    """Return the class of arrows in space: matplotlib has flat ones only."""
+    from matplotlib.patches import FancyArrowPatch
+    from mpl_toolkits.mplot3d.proj3d import proj_transform
+
+    class Arrow(FancyArrowPatch):
+        """A flat arrow whose ends follow two points (2, 3) of space."""
+
+        def __init__(self, start: np.ndarray, end: np.ndarray, **style: Any) -> None:
+            look = {"arrowstyle": "-|>", "mutation_scale": 8.0, "linewidth": 1.4, "zorder": _ARROW}
+            super().__init__((0, 0), (1, 1), shrinkA=0.0, shrinkB=0.0, **{**look, **style})
+            self.ends = np.stack([start, end])
+
+        def do_3d_projection(self, renderer: Any = None) -> float:
+            axes: Any = self.axes
+            x, y, depth = proj_transform(self.ends[:, 0], self.ends[:, 1], self.ends[:, 2], axes.M)
+            self.set_positions((x[0], y[0]), (x[1], y[1]))
+            return float(np.min(depth))
+
+    return Arrow

@@ -1,0 +1,159 @@
+"""`plots.robot`: what is drawn is where the kinematics says."""
+
+from __future__ import annotations
+
+import matplotlib as mpl
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+from armlab import kinematics, robots
+from armlab.errors import ShapeError
+from armlab.lie import se3
+from armlab.plots.arms import arm_length, configurations, robot, stick
+from armlab.plots.style import JOINT_STYLES
+from armlab.robots import Robot
+
+TOOL = se3.from_rp(se3.exp([0, 0, 0, 0.3, 0.2, -0.4])[:3, :3], [0.01, -0.02, 0.15])
+
+
+def sliding() -> Robot:
+    """A SCARA-like arm: two revolute joints, one that slides, one that turns."""
+    limits = {"q_min": [-2, -2, 0, -3], "q_max": [2, 2, 0.3, 3]}
+    return robots.from_dh(
+        "scara", [0, np.pi, 0, 0], [0.4, 0.3, 0, 0], [0.5, 0, 0, 0.05], prismatic=[0, 0, 1, 0], **limits
+    )
+
+
+@pytest.fixture(params=[*robots.names(), "with a tool", "sliding"])
+def arm(request: pytest.FixtureRequest) -> Robot:
+    special = {"with a tool": lambda: robots.load("irb2400").with_tool(TOOL), "sliding": sliding}
+    return special.get(request.param, lambda: robots.load(request.param))()
+
+
+def drawn(ax: plt.Axes, gid: str) -> list[np.ndarray]:
+    """Return the points (N, 3) of the lines with a name."""
+    return [np.stack(line.get_data_3d(), axis=-1) for line in ax.lines if line.get_gid() == gid]
+
+
+def contains(points: np.ndarray, p: np.ndarray) -> bool:
+    return bool((np.linalg.norm(points - p, axis=1) < 1e-12).any())
+
+
+def test_the_stick_passes_through_every_frame(arm: Robot) -> None:
+    rng = np.random.default_rng(1)
+    low, high = np.where(np.isinf(arm.q_min), -3, arm.q_min), np.where(np.isinf(arm.q_max), 3, arm.q_max)
+    for q in rng.uniform(low, high, (5, arm.n)):
+        points = stick(arm, q)
+        T_base_tool = kinematics.forward(arm, q)
+        assert np.array_equal(points[0], arm.T_base_mount[:3, 3])
+        assert points[-1] == pytest.approx(T_base_tool[:3, 3], abs=1e-9)
+        for T in kinematics.link_transforms(arm, q):
+            assert contains(points, T[:3, 3])
+        assert contains(points, (T_base_tool @ se3.inv(arm.T_flange_tool))[:3, 3])
+
+
+def test_links_follow_joint_axes_and_common_normals() -> None:
+    """IRB 2400 at zero: up the column, out to the shoulder, up, back along the forearm's axis."""
+    points = stick(robots.load("irb2400"), np.zeros(6))
+    assert points[:3] == pytest.approx(np.array([[0, 0, 0], [0, 0, 0.615], [0.1, 0, 0.615]]), abs=1e-12)
+    steps = np.diff(points, axis=0)
+    assert np.abs(np.sort(np.abs(steps), axis=1)[:, :2]).max() < 1e-12  # each piece along one of the base's axes
+    almost_parallel = robots.from_dh("bent", [1e-4, 0, 0], [0.3, 0.2, 0.1], [0.0, 0.1, 0.0])
+    assert np.abs(stick(almost_parallel, np.ones(3))).max() < 1.0  # no bend at the far end of the world
+
+
+def test_one_configuration_in_full(arm: Robot) -> None:
+    q = arm.q_home + 0.01
+    ax = robot(arm, q)
+    (line,) = drawn(ax, "arm")
+    assert np.array_equal(line, stick(arm, q))
+    for i, T in enumerate(kinematics.link_transforms(arm, q)):
+        (joint,) = [part for part in ax.collections if part.get_gid() == f"joint {i + 1}"]
+        corners = np.asarray(joint._faces).reshape(-1, 3) - T[:3, 3]
+        along, across = corners @ T[:3, 2], np.linalg.norm(np.cross(corners, T[:3, 2]), axis=1)
+        start = -q[i] if arm.prismatic[i] else 0.0  # a box stays where the slide begins
+        assert (along.min() + along.max()) / 2 == pytest.approx(start, abs=1e-9)
+        assert across.max() < np.ptp(along)
+    assert len(np.asarray(joint._faces)) > 12 or arm.prismatic[-1]
+    labels = [text.get_text() for text in ax.figure.legends[0].get_texts()]
+    assert labels == list(arm.joint_names)
+    colors = [handle.get_color() for handle in ax.figure.legends[0].legend_handles]
+    assert colors == [JOINT_STYLES[i][0] for i in range(arm.n)]
+    ax.figure.canvas.draw()
+
+
+def test_a_sliding_joint_is_a_box() -> None:
+    ax = robot(sliding(), [0.1, 0.2, 0.3, 0.4])
+    faces = {part.get_gid(): len(np.asarray(part._faces)) for part in ax.collections}
+    assert faces["joint 3"] == 12
+    assert faces["joint 1"] == faces["joint 4"] > 12
+
+
+def test_frames_of_base_flange_and_tool() -> None:
+    arm = robots.load("irb2400").with_tool(TOOL)
+    T_base_tool = kinematics.forward(arm, arm.q_home)
+    poses = {"base": np.eye(4), "flange": T_base_tool @ se3.inv(TOOL), "tool": T_base_tool}
+    ax = robot(arm)
+    for name, T in poses.items():
+        for i in range(3):
+            (axis,) = [patch for patch in ax.patches if patch.get_gid() == f"{name}.{'xyz'[i]}"]
+            along = np.diff(axis.ends, axis=0)[0]
+            assert axis.ends[0] == pytest.approx(T[:3, 3])
+            assert along / np.linalg.norm(along) == pytest.approx(T[:3, i])
+    words = [text.get_text() for text in robot(robots.load("irb2400")).texts]
+    assert "tool" in words  # without a tool it is the flange
+    assert "flange" not in words
+    assert not robot(arm, frames=False).texts
+
+
+def test_several_configurations_and_the_path_of_the_tool() -> None:
+    arm = robots.load("yumi_left")
+    q = np.linspace(arm.q_home, arm.q_home + 0.5, 30)
+    ax = robot(arm, q, path=True)
+    (path,) = drawn(ax, "path")
+    assert np.array_equal(path, kinematics.forward(arm, q)[:, :3, 3])
+    assert np.array_equal(drawn(ax, "arm")[0], stick(arm, q[-1]))
+    faint = drawn(ax, "faint")
+    assert len(faint) == 8
+    assert np.array_equal(faint[0], stick(arm, q[0]))
+    assert len(drawn(robot(arm, q[:3]), "faint")) == 2
+    assert not drawn(robot(arm, q[:3]), "path")
+    (mount,) = drawn(ax, "mount")
+    assert np.array_equal(mount, [np.zeros(3), arm.T_base_mount[:3, 3]])
+
+
+def test_two_arms_share_axes() -> None:
+    ax = robot(robots.load("yumi_left"))
+    assert robot(robots.load("yumi_right"), ax=ax) is ax
+    assert len(drawn(ax, "arm")) == 2
+    assert len(ax.figure.legends) == 1
+    low, high = ax.get_ylim()
+    assert low < -0.15 < 0.15 < high
+
+
+def test_settings_of_matplotlib_stay() -> None:
+    before = dict(mpl.rcParams)
+    robot(robots.load("irb2400"))
+    assert dict(mpl.rcParams) == before
+
+
+def test_lengths_and_configurations() -> None:
+    assert arm_length(sliding()) == pytest.approx(np.hypot(0.5, 0.4) + 0.3 + 0.3 + 0.05)
+    arm = robots.load("irb2400")
+    assert np.array_equal(configurations(arm, None), arm.q_home[None])
+    assert configurations(arm, np.zeros(6)).shape == (1, 6)
+
+
+@pytest.mark.parametrize("q", [np.zeros(5), np.zeros((2, 7)), np.zeros((1, 2, 6)), np.zeros((0, 6)), 0.0])
+def test_wrong_shapes_are_refused(q: np.ndarray) -> None:
+    with pytest.raises(ShapeError, match=r"Expected q of shape \(6,\) or \(N, 6\) to draw irb2400"):
+        robot(robots.load("irb2400"), q)
+
+
+def test_missing_numbers_and_flat_axes_are_refused() -> None:
+    arm = robots.load("irb2400")
+    with pytest.raises(ShapeError, match="finite q"):
+        robot(arm, [[0, 0, 0, 0, 0, 0], [0, 0, np.nan, 0, 0, 0]])
+    with pytest.raises(ShapeError, match="3d"):
+        robot(arm, ax=plt.figure().add_subplot())

@@ -1,0 +1,71 @@
+"""Axes in space: one scale, frames and arrows where they belong."""
+
+from __future__ import annotations
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from matplotlib.colors import to_hex
+
+from armlab.errors import ShapeError
+from armlab.lie import se3
+from armlab.plots.space import AHEAD, AWAY, arrow, equal_scale, extent, frame, solid, space, word
+from armlab.plots.style import AXIS_COLORS
+
+T = se3.exp([0.3, -0.2, 0.5, 0.4, -0.7, 1.1])
+
+
+def test_axes_are_new_or_the_callers() -> None:
+    figure, ax = space()
+    assert (ax.get_xlabel(), ax.get_ylabel(), ax.get_zlabel()) == ("x [m]", "y [m]", "z [m]")
+    assert space(ax) == (figure, ax)
+    with pytest.raises(ShapeError, match='projection="3d"'):
+        space(plt.figure().add_subplot())
+    with pytest.raises(ShapeError, match="2 in an array"):
+        space([ax, ax])
+
+
+def test_the_scale_is_one_and_all_is_inside() -> None:
+    _, ax = space()
+    equal_scale(ax)  # nothing drawn: nothing happens
+    points = np.array([[0.0, 0, 0], [2.0, 0, 0.1], [1.0, np.nan, 0]])
+    ax.plot(*points.T)
+    arrow(ax, np.zeros(3), np.array([0.0, 0.0, 1.0]), color="black")
+    solid(ax, np.array([[[0.0, 0, 0], [0, -0.5, 0], [0, 0, 0.2]]]), "red")
+    ax.scatter([0.1], [0.2], [0.3])
+    equal_scale(ax)
+    assert extent(ax).min(axis=0) == pytest.approx([0, -0.5, 0])
+    assert extent(ax).max(axis=0) == pytest.approx([2, 0.2, 1])
+    limits = np.array([ax.get_xlim(), ax.get_ylim(), ax.get_zlim()])
+    assert np.all(limits[:, 0] < extent(ax).min(axis=0))
+    assert np.all(limits[:, 1] > extent(ax).max(axis=0))
+    spans = np.ptp(limits, axis=1)
+    metre = np.linalg.norm(ax.get_proj()[:3, :3], axis=0)  # one metre along x, y, z in the space of the projection
+    assert metre / metre[0] == pytest.approx(np.ones(3))
+    assert spans.max() / spans.min() < 4
+    steps = [float(np.diff(axis.get_majorticklocs())[0]) for axis in (ax.xaxis, ax.yaxis, ax.zaxis)]
+    assert steps == pytest.approx([steps[0]] * 3)
+
+
+def test_a_frame_has_three_lettered_arrows_in_their_colours() -> None:
+    _, ax = space()
+    frame(ax, T, 0.2, "cam", place=AHEAD)
+    for i, patch in enumerate(ax.patches):
+        assert np.array_equal(patch.ends, [T[:3, 3], T[:3, 3] + 0.2 * T[:3, i]])
+        assert to_hex(patch.get_edgecolor()).upper() == AXIS_COLORS[i]
+        assert patch.get_gid() == f"cam.{'xyz'[i]}"
+    assert [text.get_text() for text in ax.texts] == ["x", "y", "z", "cam"]
+    assert ax.texts[-1].get_position_3d() == pytest.approx(T[:3, 3] + 0.2 * T[:3, :3] @ AHEAD)
+    frame(ax, T, 0.2, "away")
+    assert ax.texts[-1].get_position_3d() == pytest.approx(T[:3, 3] + 0.2 * T[:3, :3] @ AWAY)
+    frame(ax, T, 0.2, letters=False)
+    assert len(ax.texts) == 8
+    ax.figure.canvas.draw()
+
+
+def test_words_stay_above_solids() -> None:
+    _, ax = space()
+    word(ax, np.zeros(3), "here")
+    solid(ax, np.eye(3)[None], "red")
+    ax.figure.canvas.draw()
+    assert ax.texts[0].zorder > ax.collections[0].zorder
