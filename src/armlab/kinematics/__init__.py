@@ -12,9 +12,11 @@ from armlab.kinematics.manipulability import (
     manipulability_gradient,
     singular_values,
 )
+from armlab.kinematics.null_motion import NullMotion, null_motion
 
 __all__ = [
     "Ellipsoid",
+    "NullMotion",
     "ellipsoid",
     "forward",
     "jacobian",
@@ -22,5 +24,6 @@ __all__ = [
     "link_transforms",
     "manipulability",
     "manipulability_gradient",
+    "null_motion",
     "singular_values",
 ]
