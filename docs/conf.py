@@ -12,7 +12,7 @@ author = "The armlab authors"
 copyright = author
 version = release = armlab.__version__
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "mathml", "plain_docstrings"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "mathml", "plain_docstrings", "library_table"]
 exclude_patterns = ["_build"]
 default_role = "literal"
 myst_enable_extensions = ["dollarmath", "deflist"]

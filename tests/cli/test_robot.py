@@ -22,6 +22,7 @@ def test_list_names_every_robot_of_the_library(capsys: pytest.CaptureFixture[str
     for name in robots.names():
         assert name in text
         assert len([line for line in text.splitlines() if line.startswith(f"{name} ")]) == 1
+    assert max(len(line) for line in text.splitlines()) <= 100
 
 
 def test_show_prints_the_joints(capsys: pytest.CaptureFixture[str]) -> None:

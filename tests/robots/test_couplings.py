@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from armlab import robots
+from armlab import kinematics, robots
 from armlab.errors import ShapeError
 from armlab.robots import Robot, couplings
 
@@ -80,6 +80,18 @@ def test_gears_come_after_the_order(yumi: Robot) -> None:
     abb = np.arange(1.0, 8.0)
     right = couplings.motor_to_joint(yumi, couplings.abb_to_logical(yumi, abb))
     np.testing.assert_allclose(right, [0.01, 0.02, 0.07, -0.03, 0.04, -5 / 101, 0.06], rtol=1e-14)
+
+
+def test_the_parallel_rod_of_the_irb2400() -> None:
+    """ABB's axis 3 is the angle of the upper arm from the horizontal: axis 2 alone leaves its direction alone."""
+    robot = robots.load("irb2400")
+    abb = np.deg2rad([[10, 0, 20, 30, 40, 50], [10, 35, 20, 30, 40, 50]])
+    q = couplings.motor_to_joint(robot, abb)
+    np.testing.assert_allclose(np.rad2deg(q), [[10, 0, 20, 30, 40, 50], [10, 35, -15, 30, 40, 50]], atol=1e-12)
+    T = kinematics.forward(robot, q)
+    np.testing.assert_allclose(T[1, :3, :3], T[0, :3, :3], atol=1e-15)
+    assert np.linalg.norm(T[1, :3, 3] - T[0, :3, 3]) > 0.4
+    np.testing.assert_array_equal(robot.coupling - np.eye(6), -np.eye(6, k=-1) * (np.arange(6) == 2)[:, None])
 
 
 def test_coupling_in_batches(wrist: Robot) -> None:

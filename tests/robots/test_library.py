@@ -211,11 +211,19 @@ def test_irb_limits(name: str, low: tuple, high: tuple, speed: tuple) -> None:
 @pytest.mark.parametrize("name", robots.names())
 def test_every_number_states_its_source(name: str) -> None:
     robot = robots.load(name)
-    stated = {line.split(": ")[0] for line in robot.source.split("\n")}
-    needed = {"geometry", "limits", "gravity"}
+    stated = [line.split(": ")[0] for line in robot.source.split("\n")]
+    needed = {"robot", "geometry", "limits", "gravity"}
     if np.isfinite(robot.qd_max).all():
         needed |= {"speeds", "accelerations", "home", "gears"}
     if not np.array_equal(robot.T_base_mount, np.eye(4)):
         needed |= {"mount"}
-    assert needed <= stated
+    assert needed <= set(stated)
+    assert stated[0] == "robot", "what it is comes first: lists show it"
     assert robot.name == name
+
+
+def test_names_of_the_library() -> None:
+    assert robots.names() == (
+        "dh_test", "fr3", "iiwa14", "irb120", "irb1200", "irb1200_7_70", "irb2400", "irb7600", "irb7600_150_350",
+        "panda", "ur5e", "yumi_left", "yumi_left_urdf", "yumi_right", "yumi_right_urdf",
+    )  # fmt: skip

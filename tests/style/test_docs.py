@@ -113,6 +113,15 @@ def test_every_package_is_in_the_reference(built: Path) -> None:
     assert not missing
 
 
+@pytest.mark.slow
+def test_the_library_is_in_the_reference(built: Path) -> None:
+    page = (built / "reference" / "robots.html").read_text(encoding="utf-8")
+    for name in armlab.robots.names():
+        about = armlab.robots.load(name).source.splitlines()[0].removeprefix("robot: ")
+        assert page.count(f'<span class="pre">{name}</span>') >= 2, f"{name}: one row and its sources"
+        assert about in page
+
+
 @pytest.mark.parametrize(
     ("name", "text", "count"),
     [

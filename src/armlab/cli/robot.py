@@ -27,8 +27,8 @@ def list_robots(*, json: bool = False) -> None:
     if json:
         print_json([{"name": arm.name, "joints": arm.n, "side": arm.side, "hash": arm.hash} for arm in found])
         return
-    rows = [("name", "joints", "side", "source")]
-    rows += [(arm.name, str(arm.n), arm.side or "-", (arm.source.splitlines() or [""])[0]) for arm in found]
+    rows = [("name", "joints", "robot: payload, reach")]
+    rows += [(arm.name, str(arm.n), (arm.source.splitlines() or [""])[0].removeprefix("robot: ")) for arm in found]
     result(aligned(rows, right=(1,)))
 
 

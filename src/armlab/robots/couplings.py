@@ -1,4 +1,13 @@
-"""Between joint orders and between the two sides of the gears: last axis joints, any leading axes."""
+"""Between joint orders and between the two sides of the gears: last axis joints, any leading axes.
+
+A controller counts axes and angles in its own way; armlab counts from base to tool, each joint against the link before:
+
+* order: ABB's axis 7 of a YuMi arm is the third joint (`abb_to_logical`, `logical_to_abb`);
+* gears and rods: ``q = G q_motor`` (`motor_to_joint` and its three relatives). G has entries off the diagonal where a
+  motor moves two joints. On the IRB 2400 a parallel rod drives the upper arm, and ABB's axis 3 is q_2 + q_3.
+
+The order comes first: ``motor_to_joint(robot, abb_to_logical(robot, values))``.
+"""
 
 from __future__ import annotations
 
