@@ -58,12 +58,12 @@ def assert_pinocchio_agrees(robot: Robot, text: str, seed: int) -> None:
         q, qd, qdd = rng.uniform(-1, 1, (3, robot.n))
         pin.framesForwardKinematics(model, data, q)
         T_base_tool = data.oMf[model.getFrameId("tool")].homogeneous
-        np.testing.assert_allclose(robot.chain.forward(q), T_base_tool, atol=1e-12)
+        np.testing.assert_allclose(robot.chain.forward(q), T_base_tool, rtol=0, atol=1e-12)
         T_base_link = [data.oMf[model.getFrameId(f"link_{i + 1}")].homogeneous for i in range(robot.n)]
-        np.testing.assert_allclose(robot.chain.link_transforms(q), T_base_link, atol=1e-12)
+        np.testing.assert_allclose(robot.chain.link_transforms(q), T_base_link, rtol=0, atol=1e-12)
         if robot.inertias is not None:
             tau = robot.chain.rnea(q, qd, qdd, robot.gravity, robot.inertias)
-            np.testing.assert_allclose(tau, pin.rnea(model, data, q, qd, qdd), atol=1e-10 * np.abs(tau).max())
+            np.testing.assert_allclose(tau, pin.rnea(model, data, q, qd, qdd), rtol=0, atol=1e-10 * np.abs(tau).max())
 
 
 @pytest.mark.parametrize("name", robots.names())
@@ -99,7 +99,7 @@ def test_mujoco_reads_it(tmp_path: Path) -> None:
     mujoco.mj_forward(model, data)
     zero = np.zeros(6)
     np.testing.assert_allclose(
-        data.qfrc_bias, robot.chain.rnea(q, zero, zero, robot.gravity, robot.inertias), atol=1e-9
+        data.qfrc_bias, robot.chain.rnea(q, zero, zero, robot.gravity, robot.inertias), rtol=0, atol=1e-9
     )
     np.testing.assert_allclose(model.jnt_range, np.stack([robot.q_min, robot.q_max], axis=1))
 

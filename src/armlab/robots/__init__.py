@@ -1,11 +1,20 @@
 """Robots: the frozen description of an arm, its builders, files and library."""
 
+from __future__ import annotations
+
+from importlib import import_module
+from types import ModuleType
+from typing import TYPE_CHECKING
+
 from armlab.robots import couplings, inertia
 from armlab.robots.build import GRAVITY, RAMP_TIME, Details, from_dh, from_links
 from armlab.robots.files import load, names, save
 from armlab.robots.mesh import Mesh
 from armlab.robots.poe import SCREW_TOLERANCE, LocalPoe, from_local_poe, from_poe, normalise_screw, to_local_poe
 from armlab.robots.robot import POSE_TOLERANCE, Robot
+
+if TYPE_CHECKING:
+    from armlab.robots import urdf
 
 __all__ = [
     "GRAVITY",
@@ -27,4 +36,12 @@ __all__ = [
     "normalise_screw",
     "save",
     "to_local_poe",
+    "urdf",
 ]
+
+
+def __getattr__(name: str) -> ModuleType:
+    """Import the reader of URDF when it is first used: it costs 2 ms, and a library robot does not need it."""
+    if name == "urdf":
+        return import_module("armlab.robots.urdf")
+    raise AttributeError(f"module 'armlab.robots' has no attribute {name!r}")

@@ -1,4 +1,4 @@
-"""Robots as TOML files: the library and the user's own."""
+"""Robots as files: the library, and the user's own TOML and URDF."""
 
 from __future__ import annotations
 
@@ -18,20 +18,32 @@ def names() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in _LIBRARY.glob("*.toml")))
 
 
-def load(name: str | Path) -> Robot:
-    """Return a robot of the library by its name, or the one that a TOML file describes.
+def load(name: str | Path, *, base: str | None = None, tip: str | None = None) -> Robot:
+    """Return a robot of the library by its name, or the one that a TOML or URDF file describes.
 
     Parameters
     ----------
-    name : a name of `names()`, or the path of a file that ends in ``.toml``.
+    name : a name of `names()`, or the path of a file that ends in ``.toml`` or ``.urdf``.
+    base, tip : links of a URDF between which the arm is, see `urdf.Tree.chain`: the root, and the only end that moves,
+        unless said.
 
     Raises
     ------
-    UnknownName : when the library has no such robot; lists those it has.
-    RobotError : when the file is missing or describes no consistent robot; names file, joint and value.
+    UnknownName : when the library has no such robot, or the URDF no such link; lists those it has.
+    RobotError : when the file is missing or describes no consistent robot; names file, joint or line, and value.
+        When several branches of a URDF move and the tip is not said; lists them.
     """
-    if Path(name).suffix == ".toml":
+    suffix = Path(name).suffix
+    if suffix == ".urdf":
+        from armlab.robots import urdf
+
+        return urdf.read(name).chain(base, tip)
+    if base is not None or tip is not None:
+        raise RobotError(f"Expected base and tip with a URDF file only, got them with {name}. Leave them out.")
+    if suffix == ".toml":
         return _from_file(Path(name))
+    if suffix == ".xacro":
+        raise RobotError(f"Expected a URDF, got {name}. Expand it first: xacro {name} > robot.urdf.")
     if name not in names():
         raise UnknownName.among("robot", str(name), names())
     return _from_library(str(name))

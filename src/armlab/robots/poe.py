@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from armlab.errors import RobotError, ShapeError
 from armlab.lie import se3
+from armlab.robots._axes import frames_along
 from armlab.robots.build import Details, from_links
 from armlab.robots.robot import POSE_TOLERANCE, Robot
 
@@ -144,11 +145,6 @@ def _check_screws(name: str, screws: np.ndarray) -> None:
 
 def _axis_frames(screws: np.ndarray) -> np.ndarray:
     """Return frames (n, 4, 4) whose z axis is the axis of the screw."""
-    turns = screws[:, 3:].any(axis=1, keepdims=True)
-    z = np.where(turns, screws[:, 3:], screws[:, :3])
-    z = z / np.linalg.norm(z, axis=1, keepdims=True)
-    x = np.eye(3)[np.argmin(np.abs(z), axis=1)]
-    x = x - (x * z).sum(axis=1, keepdims=True) * z
-    x = x / np.linalg.norm(x, axis=1, keepdims=True)
-    origin = np.cross(screws[:, 3:], screws[:, :3])  # the point of the axis nearest to the origin; 0 when it slides
-    return se3.from_rp(np.stack([x, np.cross(z, x), z], axis=-1), origin)
+    v, w = screws[:, :3], screws[:, 3:]
+    origin = np.cross(w, v)  # the point of the axis nearest to the origin; 0 when it slides
+    return se3.from_rp(frames_along(np.where(w.any(axis=1, keepdims=True), w, v)), origin)

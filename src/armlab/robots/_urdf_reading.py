@@ -1,0 +1,157 @@
+"""From URDF text to `Tree`."""
+
+from __future__ import annotations
+
+import math
+from typing import get_args
+
+import numpy as np
+
+from armlab.lie import euler, se3
+from armlab.robots import inertia
+from armlab.robots._consistency import body_fault
+from armlab.robots._xml import Element, parse_xml
+from armlab.robots.mesh import Mesh
+from armlab.robots.urdf import Follow, Joint, JointKind, Link, Tree
+
+__all__ = ["read_tree"]
+
+SHORTEST_AXIS = 1e-6  # an axis of which no digit is left
+
+
+def read_tree(text: str | bytes, file: str) -> Tree:
+    """Return the tree that a text describes.
+
+    Parameters
+    ----------
+    text : the XML.
+    file : its name, for messages.
+
+    Raises
+    ------
+    RobotError : with file and line.
+    """
+    robot = parse_xml(text, file)
+    if robot.tag != "robot":
+        raise robot.error("<robot> as the outermost element of a URDF", f"<{robot.tag}>")
+    return Tree(
+        name=robot.text("name"),
+        file=file,
+        links=tuple(_link(element) for element in robot.all("link")),
+        joints=tuple(_joint(element) for element in robot.all("joint")),
+    )
+
+
+def _link(element: Element) -> Link:
+    inertial = element.one("inertial")
+    return Link(
+        name=element.text("name"),
+        inertia=None if inertial is None else _inertia(inertial),
+        meshes=tuple(_meshes(element)),
+        line=element.line,
+    )
+
+
+def _inertia(inertial: Element) -> np.ndarray | None:
+    """Return the parameters about the link's origin; None where all are 0, as in links that only name a frame."""
+    mass, moments = inertial.need("mass").number("value"), inertial.need("inertia")
+    xx, xy, xz, yy, yz, zz = (moments.number(f"i{axes}") for axes in ("xx", "xy", "xz", "yy", "yz", "zz"))
+    about_centre = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    if mass == 0 and not about_centre.any():
+        return None
+    fault = "no mass" if mass == 0 else body_fault(inertia.from_body(mass, np.zeros(3), about_centre))
+    if fault:
+        advice = "Correct it, or remove <inertial> where nothing is known."
+        raise inertial.error("the mass and inertia of a body", fault, advice)
+    return inertia.transform(_origin(inertial), inertia.from_body(mass, np.zeros(3), about_centre))
+
+
+def _meshes(link: Element) -> list[Mesh]:
+    meshes = []
+    for kind in ("visual", "collision"):
+        for shape in link.all(kind):
+            geometry = shape.one("geometry")
+            mesh = None if geometry is None else geometry.one("mesh")
+            if mesh is None:
+                continue
+            scale = mesh.numbers("scale", 3, (1.0, 1.0, 1.0))
+            if not scale.all():
+                raise mesh.error("a scale other than 0", scale.tolist())
+            meshes.append(Mesh(kind, mesh.text("filename"), _origin(shape), scale))
+    return meshes
+
+
+def _joint(element: Element) -> Joint:
+    name, kind = element.text("name"), _kind(element)
+    q_min, q_max, qd_max, tau_max = _limits(element, name, kind)
+    return Joint(
+        name=name,
+        kind=kind,
+        parent=element.need("parent").text("link"),
+        child=element.need("child").text("link"),
+        T_parent_child=_origin(element),
+        axis=_axis(element, name, kind),
+        q_min=q_min,
+        q_max=q_max,
+        qd_max=qd_max,
+        tau_max=tau_max,
+        follows=None if kind == "fixed" else _follow(element),
+        line=element.line,
+    )
+
+
+def _follow(element: Element) -> Follow | None:
+    mimic = element.one("mimic")
+    if mimic is None:
+        return None
+    return Follow(mimic.text("joint"), mimic.number("multiplier", 1.0), mimic.number("offset", 0.0))
+
+
+def _kind(element: Element) -> JointKind:
+    kinds: dict[str, JointKind] = {kind: kind for kind in get_args(JointKind)}
+    kind = element.text("type")
+    if kind not in kinds:
+        raise element.error(f"a joint type among {', '.join(kinds)}", repr(kind))
+    return kinds[kind]
+
+
+def _origin(element: Element) -> np.ndarray:
+    """Return the pose ``Rz(yaw) Ry(pitch) Rx(roll)`` at xyz."""
+    origin = element.one("origin")
+    if origin is None:
+        return np.eye(4)
+    zeros = (0.0, 0.0, 0.0)
+    roll, pitch, yaw = origin.numbers("rpy", 3, zeros)
+    return se3.from_rp(euler.rot_z(yaw) @ euler.rot_y(pitch) @ euler.rot_x(roll), origin.numbers("xyz", 3, zeros))
+
+
+def _axis(element: Element, name: str, kind: JointKind) -> np.ndarray:
+    axis = element.one("axis")
+    if axis is None:
+        return np.array([1.0, 0.0, 0.0])
+    xyz = axis.numbers("xyz", 3)
+    length = float(np.linalg.norm(xyz))
+    if length > SHORTEST_AXIS:
+        return xyz / length
+    if kind in ("fixed", "floating"):  # they have no axis, and some programs write zeros
+        return np.array([1.0, 0.0, 0.0])
+    raise axis.error(f"the direction of the axis of joint {name!r}", f"{xyz}", "Write one other than zero.")
+
+
+def _limits(element: Element, name: str, kind: JointKind) -> tuple[float, float, float, float]:
+    """Return q_min, q_max, qd_max, tau_max. Position limits that are not written are 0, says the format."""
+    limit, infinite = element.one("limit"), math.inf
+    if limit is None:
+        if kind in ("revolute", "prismatic"):
+            advice = "Write lower and upper, or make a joint that turns without end `continuous`."
+            raise element.error(f"a <limit> in the {kind} joint {name!r}", "none", advice)
+        return -infinite, infinite, infinite, infinite
+    speed, effort = limit.limit("velocity", infinite), limit.limit("effort", infinite)
+    if speed < 0 or effort < 0:
+        raise limit.error(f"limits of speed and effort of joint {name!r} above 0", f"{speed:g} and {effort:g}")
+    if kind not in ("revolute", "prismatic"):
+        return -infinite, infinite, speed, effort or infinite
+    lower, upper = limit.limit("lower", 0.0), limit.limit("upper", 0.0)
+    if lower > upper:
+        raise limit.error(f"lower below upper in joint {name!r}", f"{lower:g} and {upper:g}", "Exchange them.")
+    return lower, upper, speed, effort or infinite

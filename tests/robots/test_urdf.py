@@ -1,0 +1,320 @@
+"""URDF as written by hand: what a tree holds, which arms are in it, which joints follow others."""
+
+from __future__ import annotations
+
+from dataclasses import FrozenInstanceError, replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from armlab import kinematics, robots
+from armlab.errors import RobotError, ShapeError, UnknownName
+from armlab.lie import euler, se3
+from armlab.robots import GRAVITY, Mesh, inertia, urdf
+from armlab.robots.urdf import Follow, Joint, Link, Mimic, Tree
+
+TWO_ARMS = """<?xml version="1.0"?>
+<robot name="two arms" xmlns:xacro="somewhere">
+  <material name="grey"><color rgba="0.5 0.5 0.5 1"/></material>
+  <link name="body"><visual><geometry>
+    <mesh filename="package://maker/body.stl" scale="0.001 0.001 0.001"/></geometry></visual></link>
+  <joint name="left_mount" type="fixed">
+    <parent link="body"/><child link="left_base"/><origin xyz="0 0.3 1" rpy="-0.5 0 0"/>
+  </joint>
+  <link name="left_base"/>
+  <joint name="left_turn" type="revolute">
+    <parent link="left_base"/><child link="left_1"/>
+    <origin xyz="0 0 0.1"/><axis xyz="0 0 2"/>
+    <limit lower="-2.5" upper="2.5" effort="40" velocity="3"/>
+    <dynamics damping="0.5" friction="1"/>
+  </joint>
+  <link name="left_1">
+    <inertial><mass value="2"/><origin xyz="0 0 0.05"/>
+      <inertia ixx="0.02" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.01"/></inertial>
+    <visual><origin xyz="0 0 0.05"/><geometry><mesh filename="left_1.obj"/></geometry></visual>
+    <visual><geometry><box size="1 1 1"/></geometry></visual>
+    <collision><geometry><mesh filename="left_1.obj"/></geometry></collision>
+  </link>
+  <joint name="left_slide" type="prismatic">
+    <parent link="left_1"/><child link="left_2"/>
+    <origin xyz="0.1 0 0" rpy="0 0 1.2"/><axis xyz="1 1 0"/>
+    <limit lower="0" upper="0.4" effort="100" velocity="0.5"/>
+  </joint>
+  <link name="left_2">
+    <inertial><mass value="1"/><inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial>
+  </link>
+  <joint name="left_cup" type="fixed"><parent link="left_2"/><child link="cup"/><origin xyz="0 0 0.2"/></joint>
+  <link name="cup">
+    <inertial><mass value="0.5"/><origin xyz="0 0 0.1" rpy="0.3 0 0"/>
+      <inertia ixx="0.003" ixy="0" ixz="0" iyy="0.002" iyz="0" izz="0.001"/></inertial>
+  </link>
+  <joint name="right_turn" type="continuous">
+    <parent link="body"/><child link="right_1"/><origin xyz="0 -0.3 1"/><limit effort="0" velocity="2"/>
+  </joint>
+  <link name="right_1"/>
+  <joint name="finger_a" type="prismatic">
+    <parent link="right_1"/><child link="tip_a"/><origin xyz="0 0.01 0"/><axis xyz="0 1 0"/>
+    <limit lower="0" upper="0.03" effort="5" velocity="0.1"/>
+  </joint>
+  <joint name="finger_b" type="prismatic">
+    <parent link="right_1"/><child link="tip_b"/><origin xyz="0 -0.01 0"/><axis xyz="0 -1 0"/>
+    <limit lower="0" upper="0.03" effort="5" velocity="0.1"/>
+    <mimic joint="finger_a" multiplier="1.5" offset="0.002"/>
+  </joint>
+  <link name="tip_a"/>
+  <link name="tip_b"/>
+  <transmission name="t"><joint name="left_turn"/><actuator name="m"/></transmission>
+  <gazebo reference="left_1"><joint name="left_turn"/></gazebo>
+</robot>
+"""
+ONE_ARM = TWO_ARMS.replace('turn" type="continuous"', 'turn" type="fixed"')
+ONE_ARM = ONE_ARM.replace('_a" type="prismatic"', '_a" type="fixed"').replace(
+    '_b" type="prismatic"', '_b" type="fixed"'
+)
+
+
+@pytest.fixture(scope="module")
+def tree() -> Tree:
+    return urdf.parse(TWO_ARMS)
+
+
+def written(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "arm.urdf"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_what_a_tree_holds(tree: Tree) -> None:
+    assert repr(tree) == "Tree('two arms', 8 links, 7 joints)"
+    assert tree.root == "body"
+    assert tree.tips == ("cup", "tip_a", "tip_b")
+    assert tree.tips_below("right_1") == ("tip_a", "tip_b")
+    assert tree.tips_below("left_2") == ()
+    joint = tree.parent_joints["left_2"]
+    assert isinstance(joint, Joint)
+    line = 1 + TWO_ARMS[: TWO_ARMS.index('<joint name="left_slide"')].count("\n")
+    assert (joint.name, joint.kind, joint.parent, joint.line) == ("left_slide", "prismatic", "left_1", line)
+    assert joint.moves
+    np.testing.assert_allclose(joint.axis, np.array([1, 1, 0]) / np.sqrt(2), rtol=0, atol=1e-16)
+    assert [joint.name for joint in tree.child_joints["right_1"]] == ["finger_a", "finger_b"]
+    assert tree.child_joints["tip_b"] == ()
+    link = next(link for link in tree.links if link.name == "left_1")
+    assert isinstance(link, Link)
+    pi = inertia.from_body(2.0, [0, 0, 0.05], np.diag([0.02, 0.02, 0.01]))
+    np.testing.assert_allclose(link.inertia, pi, rtol=0, atol=1e-17)
+    assert [mesh.kind for mesh in link.meshes] == ["visual", "collision"]
+    with pytest.raises(FrozenInstanceError):
+        tree.name = "other"  # type: ignore[misc]
+
+
+def test_a_chain_has_what_its_branch_has(tree: Tree) -> None:
+    robot = tree.chain("body", "cup", name="left")
+    assert (robot.name, robot.joint_names) == ("left", ("left_turn", "left_slide"))
+    np.testing.assert_array_equal(robot.prismatic, [False, True])
+    np.testing.assert_array_equal([robot.q_min, robot.q_max], [[-2.5, 0], [2.5, 0.4]])
+    np.testing.assert_array_equal([robot.qd_max, robot.tau_max], [[3, 0.5], [40, 100]])
+    np.testing.assert_array_equal(robot.gravity, GRAVITY)
+    assert robot.source.splitlines() == [
+        "geometry: the URDF text, from 'body' to 'cup'",
+        "gravity: assumption: z of 'body' points up",
+        "accelerations: assumption: full speed in 0.1 s",
+    ]
+    mount = se3.from_rp(euler.rot_x(-0.5), [0, 0.3, 1]) @ se3.from_rp(np.eye(3), [0, 0, 0.1])
+    np.testing.assert_allclose(robot.links[0], mount, rtol=0, atol=1e-15)
+    z = robot.links[1][:3, 2]  # the slide is along (1, 1, 0) of a frame turned by 1.2 about z
+    np.testing.assert_allclose(z, [np.cos(np.pi / 4 + 1.2), np.sin(np.pi / 4 + 1.2), 0], rtol=0, atol=1e-15)
+
+
+def test_what_is_rigidly_joined_is_one_body(tree: Tree) -> None:
+    """The cup hangs on left_2 by a fixed joint; both are in one link of the arm."""
+    robot = tree.chain("body", "left_2")
+    assert robot.inertias is not None
+    np.testing.assert_array_equal(robot.inertias[:, 0], [2, 1.5])
+    T_link_left = se3.inv(robot.links[1]) @ se3.from_rp(euler.rot_z(1.2), [0.1, 0, 0])
+    R = euler.rot_x(0.3)
+    cup = inertia.from_body(0.5, [0, 0, 0.3], R @ np.diag([0.003, 0.002, 0.001]) @ R.T)
+    own = inertia.from_body(1.0, [0, 0, 0], 0.01 * np.eye(3))
+    np.testing.assert_allclose(robot.inertias[1], inertia.transform(T_link_left, cup + own), rtol=0, atol=1e-15)
+    same = tree.chain("body", "cup").inertias
+    np.testing.assert_array_equal(robot.inertias, same)
+
+
+def test_meshes_move_with_their_links(tree: Tree) -> None:
+    robot = tree.chain("left_base", "cup")
+    foot, first, second = robot.meshes
+    assert foot == (Mesh("visual", "package://maker/body.stl", foot[0].T_link_mesh, np.full(3, 0.001)),)
+    T_base_body = se3.inv(se3.from_rp(euler.rot_x(-0.5), [0, 0.3, 1]))
+    np.testing.assert_allclose(foot[0].T_link_mesh, T_base_body, rtol=0, atol=1e-15)
+    assert [(mesh.kind, mesh.file) for mesh in first] == [("visual", "left_1.obj"), ("collision", "left_1.obj")]
+    np.testing.assert_array_equal(first[0].T_link_mesh[:3, 3], [0, 0, 0.05])
+    assert second == ()
+    assert tree.chain("right_1", "tip_a").meshes == ()
+
+
+def test_gravity_follows_the_base(tree: Tree) -> None:
+    tilted = tree.chain("left_base", "cup")
+    np.testing.assert_allclose(tilted.gravity, euler.rot_x(0.5) @ GRAVITY, rtol=0, atol=1e-15)
+    assert "gravity: assumption: z of 'body' points up\n" in tilted.source
+    hand = tree.chain("right_1", "tip_a")
+    assert "gravity: assumption: z of 'body' points up and right_turn at 0" in hand.source
+
+
+def test_what_is_left_out_is_said(tree: Tree) -> None:
+    robot = tree.chain("body", "tip_b")
+    assert robot.inertias is None
+    assert "left out, behind joints: finger_a" in robot.source.splitlines()
+    assert "follow other joints: finger_b" in robot.source.splitlines()
+    across = tree.chain("cup", "tip_a")
+    assert "no mass known behind: left_turn, right_turn, finger_a" in across.source
+    assert across.joint_names == ("left_slide", "left_turn", "right_turn", "finger_a")
+
+
+def test_an_effort_of_zero_is_none_known(tree: Tree) -> None:
+    robot = tree.chain("body", "right_1")
+    np.testing.assert_array_equal(robot.tau_max, [np.inf])
+    np.testing.assert_array_equal([robot.q_min, robot.q_max, robot.qd_max], [[-np.inf], [np.inf], [2]])
+
+
+@pytest.mark.parametrize("word", ["1e9", "1000000000000", "inf", "+INF", "Infinity"])
+def test_limits_that_are_none(word: str) -> None:
+    robot = urdf.parse(TWO_ARMS.replace('upper="2.5" effort="40" velocity="3"', f'upper="{word}"')).chain(tip="cup")
+    assert [robot.q_max[0], robot.qd_max[0], robot.tau_max[0]] == [np.inf] * 3
+    assert robot.q_min[0] == -2.5
+
+
+def test_joints_that_follow() -> None:
+    """Pinocchio reads the same text with `mimic`: its configuration holds the free joints only."""
+    text = TWO_ARMS.replace("</robot>", """
+  <joint name="thumb" type="revolute"><parent link="tip_b"/><child link="nail"/><axis xyz="0 0 1"/>
+    <limit lower="-1" upper="1" effort="1" velocity="1"/><mimic joint="finger_a" multiplier="-20"/></joint>
+  <link name="nail"/></robot>""")  # fmt: skip
+    tree = urdf.parse(text)
+    robot = tree.chain("right_1", "nail")
+    assert robot.joint_names == ("finger_b", "thumb")
+    mimic = tree.mimic(robot.joint_names)
+    assert isinstance(mimic, Mimic)
+    assert mimic.names == ("finger_a",)
+    np.testing.assert_array_equal(mimic.matrix, [[1.5], [-20]])
+    np.testing.assert_array_equal(mimic.offset, [0.002, 0])
+
+    model = pin.buildModelFromXML(text, mimic=True)
+    data = model.createData()
+    q_free = np.array([[0.01], [0.02], [0.025]])
+    for x in q_free:
+        q = pin.neutral(model)
+        q[model.joints[model.getJointId("finger_a")].idx_q] = x[0]
+        pin.framesForwardKinematics(model, data, q)
+        T_world_base, T_world_tip = (data.oMf[model.getFrameId(name)].homogeneous for name in ("right_1", "nail"))
+        T_base_tip = np.linalg.solve(T_world_base, T_world_tip)
+        np.testing.assert_allclose(kinematics.forward(robot, mimic.positions(x)), T_base_tip, rtol=0, atol=1e-15)
+    assert mimic.positions(q_free).shape == (3, 2)
+    with pytest.raises(ShapeError, match=r"positions of the free joints finger_a, shape \(\.\.\., 1\), got \(2,\)"):
+        mimic.positions([0.0, 1.0])
+
+
+def test_followers_of_followers() -> None:
+    text = TWO_ARMS.replace('<limit effort="0" velocity="2"/>', '<mimic joint="finger_b" multiplier="2" offset="1"/>')
+    tree = urdf.parse(text)
+    assert tree.parent_joints["right_1"].follows == Follow("finger_b", 2.0, 1.0)
+    mimic = tree.mimic(["right_turn", "left_turn", "finger_b", "finger_a"])
+    assert mimic.names == ("finger_a", "left_turn")
+    x, y = 0.01, 0.5
+    b = 1.5 * x + 0.002
+    np.testing.assert_allclose(mimic.positions([x, y]), [2 * b + 1, y, b, x], rtol=0, atol=1e-16)
+    with pytest.raises(UnknownName, match=r"Expected the name of a joint of the URDF text, got 'finger_c'.*'finger_"):
+        tree.mimic(["finger_c"])
+
+
+def test_read_and_load(tmp_path: Path) -> None:
+    path = written(tmp_path, ONE_ARM)
+    assert urdf.read(path).tips == ("cup",)
+    robot = robots.load(path)
+    assert robot == robots.load(str(path), base="body", tip="cup") == urdf.read(path).chain()
+    assert "geometry: arm.urdf, from 'body' to 'cup'" in robot.source
+    assert str(tmp_path) not in robot.source
+    robots.save(robot, tmp_path / "arm.toml")
+    assert robots.load(tmp_path / "arm.toml") == robot
+
+
+def test_there_and_back(tmp_path: Path, tree: Tree) -> None:
+    """A written URDF read back: frames, limits, bodies and meshes; what was mount and tool is in the links now."""
+    robot = (
+        tree.chain("body", "cup").with_tool(se3.exp([0.1, 0.2, 0.3, 1, 2, 1])).with_base(se3.exp([1, 1, 0, 0, 1, 0]))
+    )
+    robots.save(robot, tmp_path / "again.urdf")
+    again = robots.load(tmp_path / "again.urdf")
+    np.testing.assert_allclose(again.frames, robot.frames, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(again.inertias, robot.inertias, rtol=0, atol=1e-15)
+    for field in ("q_min", "q_max", "qd_max", "tau_max", "prismatic"):
+        np.testing.assert_array_equal(getattr(again, field), getattr(robot, field))
+    assert (again.name, again.joint_names) == (robot.name, robot.joint_names)
+    for mesh, other in zip(sum(again.meshes[1:], ()), sum(robot.meshes[1:], ()), strict=True):
+        assert (mesh.kind, mesh.file) == (other.kind, other.file)
+        np.testing.assert_allclose(mesh.T_link_mesh, other.T_link_mesh, rtol=0, atol=1e-15)
+    T_mount_mesh = robot.meshes[0][0].T_link_mesh
+    T_base_mesh = robot.T_base_mount @ T_mount_mesh
+    np.testing.assert_allclose(again.meshes[0][0].T_link_mesh, T_base_mesh, rtol=0, atol=1e-15)
+
+
+def test_axes_along_coordinates_cost_no_digit() -> None:
+    for xyz, R in (("0 0 1", np.eye(3)), ("0 0 -1", np.diag([1, -1, -1])), ("1 0 0", np.eye(3)[:, [1, 2, 0]])):
+        robot = urdf.parse(TWO_ARMS.replace("0 0 2", xyz)).chain("left_base", "left_1")
+        np.testing.assert_array_equal(robot.links[0][:3, :3], R)
+
+
+def test_several_branches_are_listed(tmp_path: Path) -> None:
+    path = written(tmp_path, TWO_ARMS)
+    with pytest.raises(
+        RobotError,
+        match=r"one branch that moves below link 'body' of .*arm\.urdf, got several: cup, tip_a, tip_b\. Say",
+    ):
+        robots.load(path)
+    with pytest.raises(RobotError, match=r"below link 'right_1' .* got several: tip_a, tip_b"):
+        robots.load(path, base="right_1")
+    assert robots.load(path, base="left_base").joint_names == ("left_turn", "left_slide")
+    with pytest.raises(RobotError, match=r"Expected one branch that moves below link 'cup' .* got none"):
+        robots.load(path, base="cup")
+
+
+def test_arms_that_do_not_exist(tree: Tree) -> None:
+    with pytest.raises(
+        UnknownName, match=r"name of a link of the URDF text, got 'cups'\. Known: body, cup.*Did you mean 'cup'"
+    ):
+        tree.chain(tip="cups")
+    with pytest.raises(UnknownName, match="got 'bodi'"):
+        tree.chain("bodi", "cup")
+    for base, tip in (("cup", "left_2"), ("cup", "cup"), ("body", "left_base")):
+        with pytest.raises(
+            RobotError, match=f"Expected a joint that moves between '{base}' and '{tip}' of the URDF text, got none"
+        ):
+            tree.chain(base, tip)
+
+
+def test_base_and_tip_are_for_urdf_only(tmp_path: Path) -> None:
+    robots.save(robots.load("dh_test"), tmp_path / "a.toml")
+    for name in ("yumi_left", tmp_path / "a.toml"):
+        with pytest.raises(RobotError, match="Expected base and tip with a URDF file only, got them with"):
+            robots.load(name, tip="tool")
+
+
+def test_files_that_are_no_urdf(tmp_path: Path) -> None:
+    with pytest.raises(RobotError, match=r"Expected a URDF file at .*absent\.urdf, got: .*No such file"):
+        robots.load(tmp_path / "absent.urdf")
+    with pytest.raises(RobotError, match=r"Expected a URDF, got arm\.urdf\.xacro\. Expand it first: xacro arm"):
+        robots.load("arm.urdf.xacro")
+
+
+def test_a_tree_can_be_made_by_hand(tree: Tree) -> None:
+    """The structure is checked wherever a tree comes from."""
+    with pytest.raises(RobotError, match="the child of joint 'left_mount' among the links"):
+        replace(tree, links=[link for link in tree.links if link.name != "left_base"])
+
+
+def test_an_inertia_of_no_body_is_said(tree: Tree) -> None:
+    odd = urdf.parse(TWO_ARMS.replace('izz="0.01"/></inertial>\n    <visual>', 'izz="0.05"/></inertial>\n    <visual>'))
+    with pytest.warns(UserWarning, match=r"no principal moment exceeds the sum.*'left_1' \(line 16\)\. They are used"):
+        robot = odd.chain("body", "cup")
+    assert robot.inertias is not None
+    odd.chain("body", "right_1")  # what is not on the arm does not matter

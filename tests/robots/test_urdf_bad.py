@@ -1,0 +1,252 @@
+"""URDF that contradicts itself: one sentence with file, line and what to do. Spoiled text: no other exception."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armlab import robots
+from armlab.errors import ArmlabError, RobotError
+from armlab.robots import Robot, urdf
+
+ARM = """<?xml version="1.0" encoding="utf-8"?>
+<robot name="arm">
+  <link name="foot"/>
+  <joint name="turn" type="revolute">
+    <parent link="foot"/>
+    <child link="upper"/>
+    <origin xyz="0 0 0.1" rpy="0 0.5 0"/>
+    <axis xyz="0 0 1"/>
+    <limit lower="-2" upper="2.5" effort="40" velocity="3"/>
+  </joint>
+  <link name="upper">
+    <inertial>
+      <origin xyz="0 0 0.05"/>
+      <mass value="2"/>
+      <inertia ixx="0.02" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.01"/>
+    </inertial>
+    <visual><geometry><mesh filename="upper.stl"/></geometry></visual>
+  </link>
+  <joint name="slide" type="prismatic">
+    <parent link="upper"/>
+    <child link="lower"/>
+    <axis xyz="1 1 0"/>
+    <limit lower="0" upper="0.4" effort="100" velocity="0.5"/>
+    <mimic joint="turn" multiplier="0.1"/>
+  </joint>
+  <link name="lower"/>
+</robot>
+"""
+TURN = '<joint name="turn" type="revolute">'
+LIMIT = '<limit lower="-2" upper="2.5" effort="40" velocity="3"/>'
+MASS = '<mass value="2"/>'
+INERTIA = '<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.01"/>'
+LOOSE = '<joint name="j" type="fixed"><parent link="{}"/><child link="{}"/></joint>'
+END = "</robot>"
+FAULTS = [  # what is replaced by what; the line that must be named; the sentence
+    (END, "", 28, "Expected XML in .*, got: no element found"),
+    ("</link>\n  <joint", "\n  <joint", 27, "Expected XML in .*, got: mismatched tag"),
+    ('"utf-8"', '"utf-77"', 1, "Expected XML in .*, got: unknown encoding"),
+    ('"utf-8"?>', '"utf-8"?><!DOCTYPE robot [<!ENTITY a "b">]>', 1, "XML without a document type .*Remove it"),
+    ("robot", "sdf", 2, "Expected <robot> as the outermost element of a URDF .* got <sdf>"),
+    ('name="arm"', "", 2, "Expected the attribute name of <robot>.*Add it"),
+    ('<link name="foot"/>', "<link/>", 3, "the attribute name of <link> .* got none"),
+    ('<link name="foot"/>', '<link name=" "/>', 3, "the attribute name of <link> .* got none"),
+    ('<link name="foot"/>', '<link name="lower"/>', 26, "every link to have a name .*'lower' again, as in line 3"),
+    ('name="slide"', 'name="turn"', 19, "every joint to have a name of its own .* 'turn' again, as in line 4"),
+    ('<link name="foot"/>', "", 4, "the parent of joint 'turn' among the links .* got 'foot'. Add"),
+    ('child link="upper"', 'child link="uper"', 4, "the child of joint 'turn' among .* Perhaps 'upper' is meant"),
+    (END, LOOSE.format("foot", "lower") + END, 27, "one joint above link 'lower' .* 'j' beside 'slide' of line 19"),
+    (END, LOOSE.format("lower", "foot") + END, 4, "joints that lead away from one root .*a loop through joint 'turn'"),
+    (END, '<link name="a"/>' + LOOSE.format("a", "a") + END, 27, "a loop through joint 'j'"),
+    (END, '<link name="alone"/></robot>', 27, "one link that hangs on no other .*'foot' .line 3., 'alone' .line 27"),
+    ('type="revolute"', 'type="hinge"', 4, "a joint type among revolute, continuous, .* got 'hinge'"),
+    ('type="revolute"', "", 4, "the attribute type of <joint> .* got none"),
+    ('<parent link="foot"/>', "", 4, "a <parent> inside <joint> .* got none. Add it"),
+    ('<child link="upper"/>', "", 4, "a <child> inside <joint> .* got none. Add it"),
+    ('<child link="upper"/>', '<child/>', 6, "the attribute link of <child>"),
+    ('<axis xyz="0 0 1"/>', '<axis xyz="0 0 1"/><axis xyz="0 0 1"/>', 8, "one <axis> inside <joint> .* another"),
+    ('<axis xyz="0 0 1"/>', '<axis xyz="0 0 0"/>', 8, "the direction of the axis of joint 'turn' .* other than zero"),
+    ('<axis xyz="0 0 1"/>', '<axis xyz="0 0"/>', 8, "Expected 3 numbers as xyz of <axis> .* got '0 0'"),
+    ('<axis xyz="0 0 1"/>', '<axis/>', 8, "the attribute xyz of <axis>"),
+    ('xyz="0 0 0.1"', 'xyz="0 0 nan"', 7, "a finite number in xyz of <origin> .* got 'nan'"),
+    ('xyz="0 0 0.1"', 'xyz="0 0 inf"', 7, "a finite number in xyz of <origin> .* got 'inf'"),
+    ('xyz="0 0 0.1"', 'xyz="0 0 1e999"', 7, "numbers below 1e.09 in xyz of <origin> .* got 1e999"),
+    ('xyz="0 0 0.1"', 'xyz="0, 0, 0.1"', 7, "a finite number in xyz of <origin> .* got '0,'"),
+    ('xyz="0 0 0.1"', 'xyz="0 0 1_0"', 7, "a finite number in xyz of <origin> .* got '1_0'"),
+    ('xyz="0 0 0.1"', 'xyz="0 0 ${h}"', 7, "plain text as xyz of <origin> .* xacro expression .* Expand the file"),
+    ('filename="upper.stl"', 'filename="$(find a)/b"', 17, "plain text as filename of <mesh> .* Expand the file"),
+    ('filename="upper.stl"', "", 17, "the attribute filename of <mesh>"),
+    ('filename="upper.stl"', 'filename="a" scale="1 0 1"', 17, "a scale other than 0"),
+    ('filename="upper.stl"', 'filename="a" scale="1"', 17, "3 numbers as scale of <mesh> .* got '1'"),
+    ('<link name="lower"/>', '<xacro:arm name="a"/>', 26, "a URDF .* got the xacro element <xacro:arm>. Expand"),
+    (LIMIT, "", 4, "a <limit> in the revolute joint 'turn' .* `continuous`"),
+    ('lower="-2" upper="2.5"', 'lower="2.5" upper="-2"', 9, "lower below upper in joint 'turn' .* 2.5 and -2"),
+    ('lower="-2"', 'lower="nan"', 9, "a finite number in lower of <limit> .* got 'nan'"),
+    ('lower="-2"', 'lower="deg"', 9, "a finite number in lower of <limit> .* got 'deg'"),
+    ('velocity="3"', 'velocity="-3"', 9, "limits of speed and effort of joint 'turn' above 0 .* got -3 and 40"),
+    ('effort="40"', 'effort="-1"', 9, "limits of speed and effort of joint 'turn' above 0 .* got 3 and -1"),
+    (MASS, "", 12, "a <mass> inside <inertial>"),
+    (MASS, "<mass/>", 14, "the attribute value of <mass>"),
+    (MASS, '<mass value="-2"/>', 12, "the mass and inertia of a body .* got a mass of -2 kg. Correct it"),
+    (MASS, '<mass value="0"/>', 12, "the mass and inertia of a body .* got no mass"),
+    (MASS, '<mass value="nan"/>', 14, "a finite number in value of <mass>"),
+    (INERTIA, "", 12, "a <inertia> inside <inertial>"),
+    ('iyz="0" ', "", 15, "the attribute iyz of <inertia>"),
+    ('iyz="0"', 'iyz="0.1"', 12, r"the mass and inertia of a body .* got principal moments \[-0.08"),
+    ('izz="0.01"', 'izz="-0.01"', 12, r"the mass and inertia of a body .* got principal moments \[-0.01"),
+    ('joint="turn"', 'joint="turm"', 19, "'slide' to follow a joint that turns or slides .*'turm', which does not"),
+    ('joint="turn"', 'joint="slide"', 19, "joints that follow a free one .* got slide -> slide"),
+    (TURN, '<joint name="turn" type="fixed">', 19, "to follow a joint that turns or slides .*'turn', which is fixed"),
+    ('multiplier="0.1"', 'multiplier=""', 24, "the attribute multiplier of <mimic>"),
+    (LIMIT, LIMIT + '<mimic joint="slide"/>', 4, "joints that follow a free one .* turn -> slide -> turn"),
+]  # fmt: skip
+ON_THE_WAY = [  # refused where the joint is part of the arm
+    (TURN, '<joint name="turn" type="floating">', 4, "one degree of freedom .* got floating joint 'turn'. Choose"),
+    ('type="prismatic"', 'type="planar"', 19, "joints of one degree of freedom .* got planar joint 'slide'"),
+    ('lower="-2" upper="2.5"', "", 4, r"lower below upper in joint 'turn' .* 0 for both \(what is not"),
+    ('upper="0.4"', 'upper="0"', 19, "lower below upper in joint 'slide' .* or make it fixed"),
+    ('velocity="3"', 'velocity="0"', 4, "a speed limit of joint 'turn' above 0 .* leave velocity out"),
+]  # fmt: skip
+
+
+def spoiled(old: str, new: str) -> str:
+    assert old in ARM
+    text = ARM.replace(old, new) if old == "robot" else ARM.replace(old, new, 1)
+    return text.replace('<mimic joint="turn" multiplier="0.1"/>', "") if 'type="floating"' in new else text
+
+
+def assert_sentence(error: RobotError, file: str, line: int) -> None:
+    message = str(error)
+    assert file in message
+    assert re.search(rf"\bline {line}\b", message), message
+    assert message.endswith(".")
+    assert "\n" not in message
+
+
+def test_the_arm_itself_is_sound() -> None:
+    assert urdf.parse(ARM).chain().n == 2
+
+
+@pytest.mark.parametrize(("old", "new", "line", "sentence"), FAULTS)
+def test_a_contradiction_is_refused(tmp_path: Path, old: str, new: str, line: int, sentence: str) -> None:
+    path = tmp_path / "arm.urdf"
+    path.write_text(spoiled(old, new), encoding="utf-8")
+    with pytest.raises(RobotError, match=sentence) as caught:
+        urdf.read(path)
+    assert_sentence(caught.value, str(path), line)
+
+
+@pytest.mark.parametrize(("old", "new", "line", "sentence"), ON_THE_WAY)
+def test_what_no_arm_can_have_is_refused_in_the_arm(old: str, new: str, line: int, sentence: str) -> None:
+    tree = urdf.parse(spoiled(old, new), "arm.urdf")
+    with pytest.raises(RobotError, match=sentence) as caught:
+        tree.chain("foot", "lower")
+    assert_sentence(caught.value, "arm.urdf", line)
+    ends = ("upper", "lower") if line == 4 else ("foot", "upper")
+    assert tree.chain(*ends).n == 1
+
+
+def test_nothing_at_all() -> None:
+    for text, sentence in (("", "no element found"), ("arm", "syntax error"), (b"\xff\xfe\x00", "Expected XML")):
+        with pytest.raises(RobotError, match=sentence):
+            urdf.parse(text)
+    with pytest.raises(RobotError, match="Expected at least one link in the URDF text, got none"):
+        urdf.parse('<robot name="a"/>')
+    with pytest.raises(RobotError, match=r"one branch that moves .* got none"):
+        urdf.parse('<robot name="a"><link name="b"/></robot>').chain()
+
+
+def test_entities_cannot_grow_and_files_cannot_be_opened() -> None:
+    bomb = "".join(f'<!ENTITY a{i + 1} "{f"&a{i};" * 10}">' for i in range(20))
+    outside = '<!DOCTYPE robot [<!ENTITY a SYSTEM "file:///etc/hostname">]><robot name="&a;"><link name="b"/></robot>'
+    for text in (f'<!DOCTYPE robot [<!ENTITY a0 "ha">{bomb}]><robot name="&a20;"/>', outside):
+        with pytest.raises(RobotError, match="XML without a document type"):
+            urdf.parse(text)
+
+
+def test_depth_is_bounded() -> None:
+    with pytest.raises(RobotError, match="Expected elements nested at most 64 deep"):
+        urdf.parse('<robot name="a">' + "<a>" * 100_000)
+
+
+def test_long_and_wide_trees() -> None:
+    """Nothing is recursive, nothing quadratic that shows."""
+    n = 3000
+    links = "".join(f'<link name="l{i}"/>' for i in range(n))
+    long = "".join(LOOSE.format(f"l{i}", f"l{i + 1}").replace('"j"', f'"j{i}"') for i in range(n - 2))
+    wide = "".join(LOOSE.format("l0", f"l{i + 1}").replace('"j"', f'"j{i}"') for i in range(n - 2))
+    last = LOOSE.format(f"l{n - 2}", f"l{n - 1}").replace("fixed", "continuous")
+    for joints in (long, wide):
+        robot = urdf.parse(f'<robot name="r">{links}{joints}{last}</robot>').chain()
+        assert robot.n == 1
+
+
+def survives(text: str | bytes) -> None:
+    """A robot, or a sentence of armlab."""
+    sentence = "."
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Expected of every inertia")
+        try:
+            tree = urdf.parse(text)
+            for base in ("foot", "lower", None):
+                robot = tree.chain(base, None if base is None else "upper")
+                assert isinstance(robot, Robot)
+                assert isinstance(robot.hash, str)
+        except ArmlabError as error:
+            sentence = str(error)
+    assert sentence.endswith((".", "?"))
+
+
+DATA = ARM.encode()
+NUMBERS = [match.span() for match in re.finditer(r'(?<=[ "])-?[\d.]+(?=[ "])', ARM)]
+
+
+@settings(deadline=None, max_examples=300)
+@given(st.integers(0, len(DATA)), st.integers(0, len(DATA)), st.binary(max_size=8))
+def test_fuzz_cuts(i: int, j: int, junk: bytes) -> None:
+    i, j = sorted((i, j))
+    survives(DATA[:i] + junk + DATA[j:])
+
+
+@settings(deadline=None, max_examples=300)
+@given(st.lists(st.tuples(st.integers(0, len(DATA) - 1), st.integers(0, 255)), min_size=1, max_size=4))
+def test_fuzz_bytes(changes: list[tuple[int, int]]) -> None:
+    data = bytearray(DATA)
+    for at, byte in changes:
+        data[at] = byte
+    survives(bytes(data))
+
+
+number_like = st.floats().map(repr) | st.integers().map(str) | st.text("0123456789.e+-_naif ", max_size=12)
+
+
+@settings(deadline=None, max_examples=300)
+@given(st.lists(st.tuples(st.sampled_from(NUMBERS), number_like), min_size=1, max_size=4))
+def test_fuzz_numbers(changes: list[tuple[tuple[int, int], str]]) -> None:
+    text = ARM
+    for (begin, end), word in sorted(dict(changes).items(), reverse=True):
+        text = text[:begin] + word + text[end:]
+    survives(text)
+
+
+LINES = ARM.splitlines(keepends=True)
+
+
+@settings(deadline=None, max_examples=300)
+@given(st.lists(st.integers(0, len(LINES) - 1), max_size=2 * len(LINES)))
+def test_fuzz_lines(order: list[int]) -> None:
+    """Lines lost, doubled and in another order, inside the outermost element."""
+    survives("".join(["<robot name='a'>\n", *(LINES[i] for i in order if 2 <= i < len(LINES) - 1), "</robot>"]))
+
+
+def test_a_directory_is_no_urdf(tmp_path: Path) -> None:
+    folder = tmp_path / "folder.urdf"
+    folder.mkdir()
+    with pytest.raises(RobotError, match=r"Expected a URDF file at .*folder\.urdf, got"):
+        robots.load(folder)

@@ -1,0 +1,218 @@
+"""Chains of URDF trees against Pinocchio: random trees and a dual arm, downwards, upwards and across."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from armlab import kinematics
+from armlab.robots import Robot, inertia, urdf
+
+KINDS = ("revolute", "continuous", "prismatic", "fixed")
+
+
+@dataclass
+class Body:
+    """What the generator knows of a link: where it hangs, and its mass in its own frame."""
+
+    parent: int
+    kind: str
+    mass: float
+    centre: np.ndarray
+    inertia: np.ndarray
+
+
+def words(values: object) -> str:
+    return " ".join(repr(float(value)) for value in np.ravel(values))
+
+
+def random_tree(rng: np.random.Generator) -> tuple[str, list[Body]]:
+    """Return a URDF of 3 to 14 links and its bodies. Link k is l<k>, the joint above it j<k>."""
+    bodies, lines = [], ['<robot name="random">']
+    for k in range(int(rng.integers(3, 15))):
+        body = Body(int(rng.integers(max(0, k - 3), k)) if k else -1, str(rng.choice(KINDS)), *random_body(rng))
+        bodies.append(body)
+        lines += link(f"l{k}", body, rng)
+        if k:
+            lines += joint(f"j{k}", f"l{body.parent}", f"l{k}", body.kind, rng)
+    order = rng.permutation(len(lines) - 1) + 1  # the order of the file must not matter
+    return "\n".join([lines[0], *(lines[i] for i in order), "</robot>"]), bodies
+
+
+def random_body(rng: np.random.Generator) -> tuple[float, np.ndarray, np.ndarray]:
+    if rng.random() < 0.2:
+        return 0.0, np.zeros(3), np.zeros((3, 3))
+    square = rng.standard_normal((3, 3))
+    moments = square @ square.T
+    return float(rng.uniform(0.1, 5)), rng.standard_normal(3), np.trace(moments) * np.eye(3) - moments
+
+
+def link(name: str, body: Body, rng: np.random.Generator) -> list[str]:
+    if body.mass == 0:
+        return [f'<link name="{name}"/>']
+    rpy = rng.uniform(-3, 3, 3)
+    R = pin.rpy.rpyToMatrix(*rpy)
+    xx, xy, xz, _, yy, yz, _, _, zz = np.ravel(R.T @ body.inertia @ R)
+    moments = zip(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), (xx, xy, xz, yy, yz, zz))
+    values = " ".join(f'{key}="{float(value)!r}"' for key, value in moments)
+    return [
+        f'<link name="{name}"><inertial><origin xyz="{words(body.centre)}" rpy="{words(rpy)}"/>'
+        f'<mass value="{body.mass!r}"/><inertia {values}/></inertial></link>'
+    ]
+
+
+def joint(name: str, parent: str, child: str, kind: str, rng: np.random.Generator) -> list[str]:
+    axis = rng.standard_normal(3) if rng.random() < 0.5 else np.roll([0, 0, rng.choice([-1, 1])], rng.integers(3))
+    origin = f'<origin xyz="{words(rng.standard_normal(3))}" rpy="{words(rng.uniform(-3, 3, 3))}"/>'
+    limit = '<limit lower="-3" upper="2" effort="7" velocity="4"/>' if kind in ("revolute", "prismatic") else ""
+    axis_line = "" if kind == "fixed" else f'<axis xyz="{words(axis)}"/>'
+    ends = f'<parent link="{parent}"/><child link="{child}"/>'
+    return [
+        f'<joint name="{name}" type="{kind}">{ends}{origin if rng.random() < 0.9 else ""}{axis_line}{limit}</joint>'
+    ]
+
+
+class Peer:
+    """The same text in Pinocchio: poses, Jacobians, torques by names of joints and links."""
+
+    def __init__(self, text: str) -> None:
+        self.model = pin.buildModelFromXML(text)
+        self.data = self.model.createData()
+
+    def configuration(self, positions: dict[str, float]) -> np.ndarray:
+        q = pin.neutral(self.model)
+        for name, value in positions.items():
+            joint = self.model.joints[self.model.getJointId(name)]
+            turns_without_end = joint.nq == 2
+            q[joint.idx_q : joint.idx_q + joint.nq] = [np.cos(value), np.sin(value)] if turns_without_end else value
+        return q
+
+    def columns(self, names: tuple[str, ...]) -> list[int]:
+        return [self.model.joints[self.model.getJointId(name)].idx_v for name in names]
+
+    def pose(self, link: str) -> np.ndarray:
+        return self.data.oMf[self.model.getFrameId(link)].homogeneous
+
+    def move(self, positions: dict[str, float]) -> None:
+        q = self.configuration(positions)
+        pin.computeJointJacobians(self.model, self.data, q)
+        pin.updateFramePlacements(self.model, self.data)
+
+    def jacobian(self, base: str, tip: str, names: tuple[str, ...]) -> np.ndarray:
+        """Velocity [v; w] of the tip seen from the base, in its axes: that of the tip less that of the base there."""
+        at_tip, at_base = (
+            pin.getFrameJacobian(self.model, self.data, self.model.getFrameId(name), pin.LOCAL_WORLD_ALIGNED).reshape(
+                6, -1
+            )
+            for name in (tip, base)
+        )
+        R, arm = self.pose(base)[:3, :3], self.pose(tip)[:3, 3] - self.pose(base)[:3, 3]
+        w = at_tip[3:] - at_base[3:]
+        v = at_tip[:3] - at_base[:3] - np.cross(at_base[3:].T, arm).T
+        return np.vstack([R.T @ v, R.T @ w])[:, self.columns(names)]
+
+
+def assert_same_kinematics(robot: Robot, base: str, tip: str, peer: Peer, rng: np.random.Generator) -> None:
+    q = rng.uniform(-2, 2, robot.n)
+    peer.move(dict(zip(robot.joint_names, q)))
+    T_base_tip = np.linalg.solve(peer.pose(base), peer.pose(tip))
+    size = 1 + np.abs(T_base_tip[:3, 3]).max()
+    np.testing.assert_allclose(robot.chain.forward(q), T_base_tip, rtol=0, atol=1e-12 * size)
+    np.testing.assert_allclose(
+        kinematics.jacobian(robot, q), peer.jacobian(base, tip, robot.joint_names), rtol=0, atol=1e-12 * size
+    )
+
+
+def rigidly_joined(bodies: list[Body], k: int) -> set[int]:
+    """Return the links that fixed joints join to link k, in any direction."""
+    group = {k}
+    while True:
+        more = {
+            i for i, body in enumerate(bodies) if body.kind == "fixed" and i and (i in group) != (body.parent in group)
+        }
+        if not more:
+            return group
+        group |= more | {bodies[i].parent for i in more}
+
+
+def moving_groups(robot: Robot, bodies: list[Body], base: int) -> list[set[int]]:
+    """Return the links that move with each link of the arm."""
+    groups, before = [], rigidly_joined(bodies, base)
+    for name in robot.joint_names:
+        child = int(name[1:])
+        below, above = rigidly_joined(bodies, child), rigidly_joined(bodies, bodies[child].parent)
+        assert before in (below, above)
+        before = above if before == below else below
+        groups.append(before)
+    return groups
+
+
+@pytest.mark.parametrize("seed", range(200))
+def test_every_chain_of_a_random_tree(seed: int) -> None:
+    """From the root to every link, and between some others: up, down and across."""
+    rng = np.random.default_rng(seed)
+    text, bodies = random_tree(rng)
+    tree, peer = urdf.parse(text), Peer(text)
+    n = len(bodies)
+    assert (tree.root, len(tree.links), len(tree.joints)) == ("l0", n, n - 1)
+    pairs = [(0, k) for k in range(1, n)] + [tuple(rng.permutation(n)[:2]) for _ in range(3)]
+    for base, tip in pairs:
+        if tip in rigidly_joined(bodies, base):
+            continue
+        robot = tree.chain(f"l{base}", f"l{tip}")
+        assert_same_kinematics(robot, f"l{base}", f"l{tip}", peer, rng)
+        groups = moving_groups(robot, bodies, base)
+        masses = [sum(bodies[k].mass for k in group) for group in groups]
+        if robot.inertias is None:
+            assert not any(masses)
+            continue
+        np.testing.assert_allclose(robot.inertias[:, 0], masses)
+        # What the links of the arm weigh, gathered in the base: the poses are Pinocchio's, the masses the generator's.
+        q = rng.uniform(-2, 2, robot.n)
+        peer.move(dict(zip(robot.joint_names, q)))
+        expected = np.zeros((robot.n, 10))
+        for pi, group in zip(expected, groups):
+            for k in group:
+                T_base_body = np.linalg.solve(peer.pose(f"l{base}"), peer.pose(f"l{k}"))
+                own = inertia.from_body(bodies[k].mass, bodies[k].centre, bodies[k].inertia)
+                pi += inertia.transform(T_base_body, own)
+        gathered = inertia.transform(robot.chain.link_transforms(q), robot.inertias)
+        np.testing.assert_allclose(gathered, expected, rtol=0, atol=1e-12 * (1 + np.abs(expected).max()))
+
+
+@pytest.mark.parametrize("seed", range(100))
+def test_inverse_dynamics(seed: int) -> None:
+    """Torques and gravity of the arm from the root; what hangs on other moving joints has no mass."""
+    rng = np.random.default_rng(seed)
+    text, bodies = random_tree(rng)
+    tree = urdf.parse(text)
+    if not tree.tips:
+        return
+    tip = rng.choice(tree.tips)
+    robot = tree.chain("l0", tip)
+    heavy = set().union(*moving_groups(robot, bodies, 0))
+    lines = text.splitlines()
+    for i, line in enumerate(lines):
+        if line.startswith("<link") and int(line.split('"')[1][1:]) not in heavy:
+            lines[i] = f'<link name="{line.split(chr(34))[1]}"/>'
+    peer = Peer("\n".join(lines))
+    robot = urdf.parse("\n".join(lines)).chain("l0", tip)
+    if robot.inertias is None:
+        return
+    columns = peer.columns(robot.joint_names)
+    for _ in range(3):
+        q, qd, qdd = rng.uniform(-2, 2, (3, robot.n))
+        full = peer.configuration(dict(zip(robot.joint_names, q)))
+        v, a = np.zeros((2, peer.model.nv))
+        v[columns], a[columns] = qd, qdd
+        # Pinocchio's standard gravity is 9.81; the file says nothing.
+        peer.model.gravity.linear = robot.gravity
+        expected = pin.rnea(peer.model, peer.data, full, v, a)[columns]
+        tau = robot.chain.rnea(q, qd, qdd, robot.gravity, robot.inertias)
+        np.testing.assert_allclose(tau, expected, rtol=0, atol=1e-10 * (1 + np.abs(expected).max()))
+        expected = pin.computeGeneralizedGravity(peer.model, peer.data, full)[columns]
+        tau = robot.chain.rnea(q, 0 * q, 0 * q, robot.gravity, robot.inertias)
+        np.testing.assert_allclose(tau, expected, rtol=0, atol=1e-10 * (1 + np.abs(expected).max()))
