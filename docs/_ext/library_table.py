@@ -23,7 +23,9 @@ def known(robot: robots.Robot) -> str:
     has = {
         "limits": np.isfinite(robot.q_min).all(),
         "speeds": np.isfinite(robot.qd_max).all(),
+        "torques": np.isfinite(robot.tau_max).all(),
         "gears": not np.array_equal(robot.coupling, np.eye(robot.n)),
+        "inertias": robot.inertias is not None,
     }
     return ", ".join(kind for kind, there in has.items() if there)
 

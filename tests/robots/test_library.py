@@ -217,6 +217,10 @@ def test_every_number_states_its_source(name: str) -> None:
         needed |= {"speeds", "accelerations", "home", "gears"}
     if not np.array_equal(robot.T_base_mount, np.eye(4)):
         needed |= {"mount"}
+    if np.isfinite(robot.tau_max).any():
+        needed |= {"efforts"}
+    if robot.inertias is not None:
+        needed |= {"inertias"}
     assert needed <= set(stated)
     assert stated[0] == "robot", "what it is comes first: lists show it"
     assert robot.name == name
