@@ -9,7 +9,7 @@ from matplotlib.colors import to_hex
 
 from armlab.errors import ShapeError
 from armlab.lie import se3
-from armlab.plots.space import AHEAD, AWAY, arrow, equal_scale, extent, frame, solid, space, word
+from armlab.plots.space import AHEAD, AWAY, PROJECTION, arrow, equal_scale, extent, frame, solid, space, word
 from armlab.plots.style import AXIS_COLORS
 
 T = se3.exp([0.3, -0.2, 0.5, 0.4, -0.7, 1.1])
@@ -19,6 +19,7 @@ def test_axes_are_new_or_the_callers() -> None:
     figure, ax = space()
     assert (ax.get_xlabel(), ax.get_ylabel(), ax.get_zlabel()) == ("x [m]", "y [m]", "z [m]")
     assert space(ax) == (figure, ax)
+    assert (ax.elev, ax.azim) == (PROJECTION["elev"], PROJECTION["azim"])
     with pytest.raises(ShapeError, match='projection="3d"'):
         space(plt.figure().add_subplot())
     with pytest.raises(ShapeError, match="2 in an array"):

@@ -16,14 +16,15 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from mpl_toolkits.mplot3d import Axes3D
 
-__all__ = ["AHEAD", "AWAY", "arrow", "equal_scale", "extent", "frame", "solid", "space", "word"]
+__all__ = ["AHEAD", "AWAY", "PROJECTION", "arrow", "equal_scale", "extent", "frame", "solid", "space", "word"]
 
-VIEW = {"elev": 20.0, "azim": -55.0}  # x to the right, y away from the eye, z up: right-handed as in a textbook
+PROJECTION: dict[str, Any] = {"projection": "3d", "proj_type": "ortho", "elev": 20.0, "azim": -55.0}
+"""For ``subplot_kw``: parallel projection, x to the right, y away from the eye, z up, as in a textbook."""
 AWAY, AHEAD = (-0.3, -0.3, 0.0), (0.0, 0.0, 1.45)
 """Places of the name of a frame: beside it, away from x and y; or beyond z, where no arm comes from."""
 _SOLID, _ARROW, _WORD = 5, 6, 7  # order of drawing; lines have 2
 _FLATTEST = 0.3  # smallest side of the box over its largest: a planar robot still has a box
-_HALF_SIDE = 0.078  # of the box on paper, in the units of matplotlib, whose axes are 0.0925; the rest is for labels
+_HALF_SIDE = 0.0925  # of the axes on paper, in the units of matplotlib
 
 
 def space(ax: Any = None, *, width: float = 6.4, height: float = 5.4) -> tuple[Figure, Axes3D]:
@@ -42,7 +43,7 @@ def space(ax: Any = None, *, width: float = 6.4, height: float = 5.4) -> tuple[F
         import matplotlib.pyplot as plt
 
         figure = plt.figure(figsize=(width, height))
-        ax = figure.add_subplot(projection="3d", proj_type="ortho", **VIEW)
+        ax = figure.add_subplot(**PROJECTION)
     elif getattr(ax, "name", "") != "3d":
         kind = f"{np.size(ax)} in an array" if np.ndim(ax) else f"{getattr(ax, 'name', type(ax).__name__)} Axes"
         raise ShapeError(f'Expected one Axes with projection="3d" in ax=, got {kind}.')
@@ -72,8 +73,14 @@ def extent(ax: Axes3D) -> np.ndarray:
     return points[np.isfinite(points).all(axis=1)]
 
 
-def equal_scale(ax: Axes3D) -> None:
-    """Give the three axes one scale and room for everything drawn so far."""
+def equal_scale(ax: Axes3D, part: float = 0.84) -> None:
+    """Give the three axes one scale and room for everything drawn so far.
+
+    Parameters
+    ----------
+    ax : axes with something in them.
+    part : of the panel that the box fills; the rest is for labels.
+    """
     from matplotlib.ticker import MaxNLocator, MultipleLocator
     from mpl_toolkits.mplot3d.proj3d import proj_transform
 
@@ -91,7 +98,7 @@ def equal_scale(ax: Axes3D) -> None:
     ax.set_box_aspect(tuple(span))
     corners = middle + span / 2 * np.array(list(product((-1, 1), repeat=3)))
     x, y, _ = proj_transform(corners[:, 0], corners[:, 1], corners[:, 2], ax.get_proj())
-    ax.set_box_aspect(tuple(span), zoom=_HALF_SIDE / np.abs([x, y]).max())
+    ax.set_box_aspect(tuple(span), zoom=part * _HALF_SIDE / np.abs([x, y]).max())
 
 
 def frame(

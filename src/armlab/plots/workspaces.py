@@ -88,5 +88,5 @@ def _panels(ax: Any) -> tuple[Figure, tuple[Axes, Axes, Any]]:
     figure = plt.figure(figsize=(12.0, 4.2))
     grid = figure.add_gridspec(1, 3, width_ratios=(1, 1, 1.4))
     side, top = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
-    _, solid = space.space(figure.add_subplot(grid[2], projection="3d", proj_type="ortho", **space.VIEW))
+    _, solid = space.space(figure.add_subplot(grid[2], **space.PROJECTION))
     return figure, (side, top, solid)

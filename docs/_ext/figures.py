@@ -1,0 +1,38 @@
+"""Sphinx extension: the pictures of the pages are drawn while the pages are built, so none can be out of date.
+
+Scripts in ``docs/figures``, and examples that the pages show with their pictures, run in ``docs/_figures`` and leave
+their files there.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import runpy
+from pathlib import Path
+
+from sphinx.application import Sphinx
+
+EXAMPLES = ("10_draw_an_arm.py",)
+
+
+def draw(app: Sphinx) -> None:
+    """Run every script that makes pictures."""
+    import matplotlib as mpl
+
+    mpl.use("agg")
+    import matplotlib.pyplot as plt
+
+    docs = Path(app.srcdir)
+    folder = docs / "_figures"
+    folder.mkdir(exist_ok=True)
+    for script in (*sorted((docs / "figures").glob("*.py")), *(docs.parent / "examples" / name for name in EXAMPLES)):
+        with contextlib.chdir(folder), open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere):
+            runpy.run_path(str(script), run_name="__main__")
+        plt.close("all")
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Draw before the pages are read."""
+    app.connect("builder-inited", draw)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
