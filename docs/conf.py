@@ -12,8 +12,8 @@ author = "The armlab authors"
 copyright = author
 version = release = armlab.__version__
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "mathml", "plain_docstrings", "library_table"]
-exclude_patterns = ["_build"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "mathml", "plain_docstrings", "library_table", "figures"]
+exclude_patterns = ["_build", "_figures"]
 default_role = "literal"
 myst_enable_extensions = ["dollarmath", "deflist"]
 myst_heading_anchors = 3

@@ -7,7 +7,7 @@ their files there.
 from __future__ import annotations
 
 import contextlib
-import os
+import io
 import runpy
 from pathlib import Path
 
@@ -27,7 +27,7 @@ def draw(app: Sphinx) -> None:
     folder = docs / "_figures"
     folder.mkdir(exist_ok=True)
     for script in (*sorted((docs / "figures").glob("*.py")), *(docs.parent / "examples" / name for name in EXAMPLES)):
-        with contextlib.chdir(folder), open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere):
+        with contextlib.chdir(folder), contextlib.redirect_stdout(io.StringIO()):
             runpy.run_path(str(script), run_name="__main__")
         plt.close("all")
 

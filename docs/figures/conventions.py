@@ -1,4 +1,4 @@
-"""Pictures of the page Conventions: frames, descriptions of a chain, signs. Writes SVG files into the current folder."""
+"""Pictures of the page Conventions: frames, descriptions of a chain, signs. SVG files in the current folder."""
 
 from __future__ import annotations
 
@@ -88,7 +88,9 @@ def yumi() -> None:
         arm = robots.load(f"yumi_{side}")
         plots.robot(arm, frames=False, ax=ax)
         space.frame(ax, arm.T_base_mount, 0.08)
-        space.word(ax, arm.T_base_mount[:3, 3] + ((0, 0, 0.08) if side == "left" else (0, -0.08, -0.04)), f"mount, {side}")
+        space.word(
+            ax, arm.T_base_mount[:3, 3] + ((0, 0, 0.08) if side == "left" else (0, -0.08, -0.04)), f"mount, {side}"
+        )
         space.frame(ax, kinematics.forward(arm, arm.q_home), 0.08, f"tool, {side}", place=(0, 0, 1.6))
     space.frame(ax, np.eye(4), 0.12, "base: the body", place=(0, 0, -0.25))
     space.equal_scale(ax, 1.0)
@@ -174,13 +176,13 @@ def signs() -> None:
         ax.plot(*p[:, None], "o", color="black", markersize=4)
     twist, contact, load = axes
     space.arrow(twist, p, np.array([0.2, 0, -0.08]), **BOLD)
-    space.word(twist, p + (0.24, 0, -0.1), "v", fontsize=11)
+    space.word(twist, p + np.array([0.24, 0, -0.1]), "v", fontsize=11)
     turning(twist, p, "w")
-    space.arrow(contact, p + (0.25, 0, 0), np.array([-0.23, 0, 0]), **BOLD)
-    space.word(contact, p + (0.13, 0, -0.12), "f: a hand pushes\nalong −x, $f_x$ < 0", fontsize=8.5)
+    space.arrow(contact, p + np.array([0.25, 0, 0]), np.array([-0.23, 0, 0]), **BOLD)
+    space.word(contact, p + np.array([0.13, 0, -0.12]), "f: a hand pushes\nalong −x, $f_x$ < 0", fontsize=8.5)
     turning(contact, p, "m")
     space.arrow(load, p, np.array([0, 0, -0.25]), **BOLD)
-    space.word(load, p + (0.05, 0, -0.32), "$f_z$ = −9.81 N", fontsize=9.5)
+    space.word(load, p + np.array([0.05, 0, -0.32]), "$f_z$ = −9.81 N", fontsize=9.5)
     for ax in axes:
         ax.plot([-0.1, 0.8], [0.0, 0.0], [0.0, 0.75], alpha=0)  # one scale for all
         space.equal_scale(ax, 1.05)
@@ -194,7 +196,7 @@ def turning(ax: Any, centre: np.ndarray, letter: str, radius: float = 0.07) -> N
     ax.plot(*circle[:-3].T, color="black", linewidth=1.6)
     space.arrow(ax, circle[-6], circle[-1] - circle[-6], color="black", linewidth=1.6, mutation_scale=12)
     space.arrow(ax, centre, np.array([0, 0, 0.2]), color="black", linewidth=1.6)
-    space.word(ax, centre + (0, 0, 0.25), letter, fontsize=11)
+    space.word(ax, centre + np.array([0, 0, 0.25]), letter, fontsize=11)
 
 
 def jacobians() -> None:

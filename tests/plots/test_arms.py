@@ -80,7 +80,6 @@ def test_one_configuration_in_full(arm: Robot) -> None:
     assert labels == list(arm.joint_names)
     colors = [handle.get_color() for handle in ax.figure.legends[0].legend_handles]
     assert colors == [JOINT_STYLES[i][0] for i in range(arm.n)]
-    ax.figure.canvas.draw()
 
 
 def test_a_sliding_joint_is_a_box() -> None:
@@ -130,6 +129,7 @@ def test_two_arms_share_axes() -> None:
     assert len(ax.figure.legends) == 1
     low, high = ax.get_ylim()
     assert low < -0.15 < 0.15 < high
+    ax.figure.canvas.draw()
 
 
 def test_settings_of_matplotlib_stay() -> None:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab.errors import UnknownName
-from armlab.kinematics import forward, jacobian
+from armlab import kinematics
+from armlab.kinematics import ellipsoid, forward
 from armlab.plots import space
 from armlab.plots.arms import arm_length, configurations
 from armlab.plots.arms import robot as draw_arm
@@ -30,8 +30,8 @@ def manipulability(
 ) -> Axes3D:
     """Draw the velocity ellipsoid at the tool: all velocities that joint speeds of total size 1 can give it.
 
-    ``{J qd : |qd| = 1}``: half axes are the singular values of that half of the Jacobian, their product is Yoshikawa's
-    manipulability w. A flat ellipsoid is a direction in which the tool cannot move, and can push hard.
+    ``{J qd : |qd| = 1}``, see `kinematics.ellipsoid` and `kinematics.manipulability`. Where it is flat the tool cannot
+    move, and can push hard.
 
     Parameters
     ----------
@@ -48,30 +48,23 @@ def manipulability(
     ------
     UnknownName : another `part`.
     ShapeError : as in `robot`.
-
-    Reference: T. Yoshikawa, Manipulability of robotic mechanisms, IJRR 4(2), 1985.
     """
-    if part not in _UNITS:
-        raise UnknownName.among("part of the velocity", part, _UNITS)
     q = configurations(robot, q)
     q = q[np.unique(np.linspace(0, len(q) - 1, min(_MOST, len(q))).astype(int))]
-    rows = slice(0, 3) if part == "position" else slice(3, 6)
-    U, s, _ = np.linalg.svd(jacobian(robot, q)[:, rows], full_matrices=True)
-    lengths = np.zeros((len(q), 3))
-    lengths[:, : s.shape[1]] = s
-    scale = _SIZE * arm_length(robot) / lengths.max()
+    found = ellipsoid(robot, q, part)
+    scale = _SIZE * arm_length(robot) / (float(found.lengths.max()) or 1.0)
     with look():
         panel = draw_arm(robot, q, frames=False, ax=ax)
-        for centre, axes, half in zip(forward(robot, q)[:, :3, 3], U, lengths, strict=True):
+        for centre, axes, half in zip(forward(robot, q)[:, :3, 3], found.axes, found.lengths, strict=True):
             half_axes = scale * axes * half  # columns
             space.solid(panel, _ball() @ half_axes.T + centre, MODEL, alpha=0.2, zorder=3, gid="ellipsoid")
             for along in half_axes.T:
                 panel.plot(*np.stack([centre - along, centre + along], axis=1), color=MODEL, gid="axis")
         letter, unit = _UNITS[part]
-        numbers = ", ".join(f"{x:.3g}" for x in lengths[-1])
+        numbers = ", ".join(f"{x:.3g}" for x in found.lengths[-1])
         panel.set_title(
             f"{letter} for joint speeds |qd| = 1: half axes {numbers} {unit}\n"
-            f"manipulability {np.prod(lengths[-1]):.3g}; 1 {unit} is drawn {scale:.2g} m long"
+            f"manipulability {kinematics.manipulability(robot, q[-1], part):.3g}; 1 {unit} is drawn {scale:.2g} m long"
         )
         space.equal_scale(panel)
     return panel

@@ -57,7 +57,7 @@ def workspace(robot: Robot, *, points: int = 20_000, seed: int = 0, ax: Any = No
         top.set_title(f"{points} random postures")
         solid.scatter(*p.T, s=0.6, color=_CLOUD, alpha=0.25, depthshade=False, rasterized=True, gid="cloud")
         solid.plot(*arm.T, color="black", linewidth=2.0, gid="arm")
-        space.equal_scale(solid)
+        space.equal_scale(solid, 0.8)
     return figure
 
 
@@ -86,7 +86,7 @@ def _panels(ax: Any) -> tuple[Figure, tuple[Axes, Axes, Any]]:
     import matplotlib.pyplot as plt
 
     figure = plt.figure(figsize=(12.0, 4.2))
-    grid = figure.add_gridspec(1, 3, width_ratios=(1, 1, 1.4))
+    grid = figure.add_gridspec(1, 3, width_ratios=(1, 1, 1.45))
     side, top = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
     _, solid = space.space(figure.add_subplot(grid[2], **space.PROJECTION))
     return figure, (side, top, solid)
