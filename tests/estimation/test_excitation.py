@@ -5,19 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from armlab.errors import NotExcited
-from armlab.estimation import Excitation, check_excitation
+from armlab.errors import NotExcited, ShapeError
+from armlab.estimation import Excitation, Prior, check_excitation
 
 NAMES = ("mass", "offset", "viscous")
 
 
-def gram(scale: np.ndarray | float = 1.0) -> np.ndarray:
-    A = np.random.default_rng(0).standard_normal((100, 3)) * scale
-    return A.T @ A
+def design(scale: np.ndarray | float = 1.0) -> np.ndarray:
+    return np.random.default_rng(0).standard_normal((100, 3)) * scale
 
 
 def test_check_excitation_is_free_of_units() -> None:
-    plain, scaled = check_excitation(gram(), NAMES, "model"), check_excitation(gram([1e6, 1.0, 1e-9]), NAMES, "model")
+    plain, scaled = (
+        check_excitation(design(), NAMES, "model"),
+        check_excitation(design([1e6, 1.0, 1e-9]), NAMES, "model"),
+    )
     assert isinstance(plain, Excitation)
     np.testing.assert_allclose(plain.singular_values, scaled.singular_values, rtol=1e-6)
     assert plain.rank == plain.expected == 3
@@ -26,7 +28,7 @@ def test_check_excitation_is_free_of_units() -> None:
 
 
 def test_a_column_without_signal_is_named() -> None:
-    dead = gram([1.0, 0.0, 1.0])
+    dead = design([1.0, 0.0, 1.0])
     with pytest.raises(NotExcited, match="none at all for: offset") as caught:
         check_excitation(dead, NAMES, "model")
     assert caught.value.directions == ("offset",)
@@ -36,14 +38,14 @@ def test_a_direction_that_two_parameters_share_is_named() -> None:
     A = np.random.default_rng(0).standard_normal((100, 3))
     A[:, 2] = A[:, 0] + 1e-7 * A[:, 1]
     with pytest.raises(NotExcited, match=r"mass and viscous|viscous and mass") as caught:
-        check_excitation(A.T @ A, NAMES, "model")
+        check_excitation(A, NAMES, "model")
     assert len(caught.value.directions) == len(caught.value.spread) == 1
 
 
 def test_measuring_does_not_judge() -> None:
     A = np.random.default_rng(0).standard_normal((100, 3))
     A[:, 2] = A[:, 0] + 1e-7 * A[:, 1]
-    found = Excitation.of(A.T @ A, NAMES)
+    found = Excitation.of(A, NAMES)
     assert (found.rank, found.expected) == (2, 3)
     assert found.condition > 1e6
     assert "mass" in found.weakest
@@ -53,3 +55,34 @@ def test_measuring_does_not_judge() -> None:
 def test_condition_of_a_rank_deficient_matrix_is_infinite() -> None:
     assert Excitation(1, 2, np.array([1.0, 0.0]), "x").condition == float("inf")
     assert "weak" in Excitation(2, 2, np.array([1.0, 1e-3]), "x").text()
+
+
+def test_the_triangle_of_qr_tells_the_same_and_nothing_is_squared() -> None:
+    A = design()
+    A[:, 2] = A[:, 0] + 1e-10 * A[:, 2]  # a normal matrix would call it singular
+    whole, triangle = Excitation.of(A, NAMES), Excitation.of(np.linalg.qr(A, mode="r"), NAMES)
+    np.testing.assert_allclose(whole.singular_values, triangle.singular_values, rtol=1e-4)
+    assert 1e9 < whole.condition < 1e11
+    assert check_excitation(A, NAMES, "model", max_condition=1e12).rank == 3
+
+
+def test_fewer_rows_than_parameters_leave_directions_dark() -> None:
+    found = Excitation.of(design()[:2], NAMES)
+    assert (found.rank, found.singular_values[2]) == (2, 0.0)
+    assert found.vectors.shape == (3, 3)
+
+
+def test_a_prior_holds_what_would_be_refused_and_says_so() -> None:
+    A = design([1.0, 0.0, 1.0])
+    found = check_excitation(A, NAMES, "model", Prior(np.zeros(3), np.ones(3)))
+    assert found.held == ("offset",)
+    assert found.text().endswith("held by the prior: offset")
+    with pytest.raises(ShapeError, match="a prior of 3 finite values with positive deviations"):
+        check_excitation(A, NAMES, "model", Prior(np.zeros(2), np.ones(2)))
+
+
+def test_bad_input_is_refused() -> None:
+    with pytest.raises(ShapeError, match="design matrix with 3 columns"):
+        Excitation.of(np.ones((5, 2)), NAMES)
+    with pytest.raises(ShapeError, match="finite"):
+        Excitation.of(np.full((5, 3), np.nan), NAMES)

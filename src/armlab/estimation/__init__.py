@@ -1,22 +1,38 @@
-"""Estimation for the whole package: `Fit`, block least squares, excitation, block bootstrap, effective sample size."""
+"""Estimation for the whole package: `Fit`, streaming and robust least squares, excitation, block bootstrap."""
 
-from armlab.estimation.blocks import (
-    BlockSums,
-    accumulate,
-    block_bootstrap,
-    correlation_time,
-    effective_samples,
-)
-from armlab.estimation.excitation import Excitation, check_excitation
+from armlab.estimation.blocks import BlockSums, Bootstrap, CrossValidation, block_bootstrap, block_cv
+from armlab.estimation.bounds import within_bounds
+from armlab.estimation.correlation import block_seconds, correlation_time, effective_samples
+from armlab.estimation.excitation import Excitation, Prior, check_excitation
+from armlab.estimation.factors import Factors, Rows, factorise
 from armlab.estimation.fit import Fit
+from armlab.estimation.linear import least_squares
+from armlab.estimation.robust import huber, mad, trimmed
+from armlab.estimation.solution import ActiveBound, LinearSolution, Question, solve
 
 __all__ = [
+    "ActiveBound",
     "BlockSums",
+    "Bootstrap",
+    "CrossValidation",
     "Excitation",
+    "Factors",
     "Fit",
-    "accumulate",
+    "LinearSolution",
+    "Prior",
+    "Question",
+    "Rows",
     "block_bootstrap",
+    "block_cv",
+    "block_seconds",
     "check_excitation",
     "correlation_time",
     "effective_samples",
+    "factorise",
+    "huber",
+    "least_squares",
+    "mad",
+    "solve",
+    "trimmed",
+    "within_bounds",
 ]

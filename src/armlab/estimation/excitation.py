@@ -1,22 +1,31 @@
 """What the data can tell: rank, condition and the weakest directions in words.
 
 The test is on the column-scaled, whitened design matrix A (each column divided by its norm): its singular values are
-free of units, and its condition number c says how many digits of the answer the noise of the data can eat.
+free of units, and its condition number c says how many digits of the answer the noise of the data can eat. They are
+those of the triangle R of ``A = Q R``; the normal matrix, which squares c, is never formed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from armlab.errors import NotExcited
+from armlab.errors import NotExcited, ShapeError
 
-__all__ = ["Excitation", "check_excitation"]
+__all__ = ["Excitation", "Prior", "check_excitation"]
 
 MAX_CONDITION = 1e4  # beyond it a direction is called not excited
 WARN_CONDITION = 300.0
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """What was known before: values (p,) and their standard deviations (p,), independent of each other."""
+
+    values: np.ndarray
+    sd: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,25 +37,50 @@ class Excitation:
     rank, expected : rank found and rank needed.
     singular_values : of the column-scaled, whitened design matrix, descending.
     weakest : the least excited direction in words.
+    scale : (p,) norms of the columns; 1 where a column is zero.
+    vectors : (p, p) right singular vectors of the scaled matrix as columns, strongest first.
+    held : directions that the data do not tell and a prior holds, in words.
     """
 
     rank: int
     expected: int
     singular_values: np.ndarray
     weakest: str
+    scale: np.ndarray = field(default_factory=lambda: np.zeros(0), repr=False)
+    vectors: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
+    held: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Freeze the arrays."""
+        for name in ("singular_values", "scale", "vectors"):
+            values = np.array(getattr(self, name), dtype=float)
+            values.flags.writeable = False
+            object.__setattr__(self, name, values)
 
     @classmethod
-    def of(cls, gram: np.ndarray, names: Sequence[str]) -> Excitation:
-        """Measure the excitation behind a normal matrix of full column norms, without judging it.
+    def of(cls, A: np.ndarray, names: Sequence[str], max_condition: float = MAX_CONDITION) -> Excitation:
+        """Measure the excitation of a design matrix without judging it.
 
         Parameters
         ----------
-        gram : (d, d) whitened normal matrix A^T A, diagonal positive.
-        names : of the d parameters.
+        A : (m, p) whitened design matrix, or its triangle R (p, p).
+        names : of the p parameters.
+        max_condition : a direction weaker than the strongest by more than this does not count in the rank.
         """
-        singular, vectors = _spectrum(gram)
-        rank = int(np.count_nonzero(singular * MAX_CONDITION >= singular[0]))
-        return cls(rank, len(names), singular, _in_words(vectors[:, -1], names))
+        if A.ndim != 2 or A.shape[1] != len(names) or not np.isfinite(A).all():
+            raise ShapeError(
+                f"Expected a finite design matrix with {len(names)} columns, got shape {A.shape}. Name every column."
+            )
+        norms = np.linalg.norm(A, axis=0)
+        scale = np.where(norms > 0, norms, 1.0)
+        scaled = A / scale
+        if len(A) > A.shape[1]:
+            scaled = np.linalg.qr(scaled, mode="r")
+        _, found, rows = np.linalg.svd(scaled, full_matrices=True)
+        singular = np.zeros(len(names))
+        singular[: len(found)] = found
+        rank = int(np.count_nonzero((singular * max_condition >= singular[0]) & (singular > 0)))
+        return cls(rank, len(names), singular, _in_words(rows[-1], names), scale, rows.T)
 
     @property
     def condition(self) -> float:
@@ -55,20 +89,26 @@ class Excitation:
         return float(self.singular_values[0] / smallest) if smallest > 0 else float("inf")
 
     def text(self) -> str:
-        """Return one line for a report."""
+        """Return one line for a report, and one for each direction that a prior holds."""
         verdict = "good" if self.condition < WARN_CONDITION else "weak: log a longer or richer motion"
         found = f"rank {self.rank} of {self.expected}, condition {self.condition:.0f}"
-        return f"excitation {verdict}: {found}; weakest: {self.weakest}"
+        lines = [f"excitation {verdict}: {found}; weakest: {self.weakest}"]
+        return "\n".join([*lines, *(f"held by the prior: {direction}" for direction in self.held)])
 
 
-def check_excitation(gram: np.ndarray, names: Sequence[str], what: str) -> Excitation:
+def check_excitation(
+    A: np.ndarray, names: Sequence[str], what: str, prior: Prior | None = None, max_condition: float = MAX_CONDITION
+) -> Excitation:
     """Judge whether data determine all parameters.
 
     Parameters
     ----------
-    gram : (d, d) whitened normal matrix A^T A.
-    names : of the d parameters.
+    A : (m, p) whitened design matrix, or its triangle R (p, p).
+    names : of the p parameters.
     what : what is fitted, for the message.
+    prior : when given, directions that the data do not tell keep its values, and are listed in `held`; without one they
+        are refused.
+    max_condition : strongest over weakest singular value of the column-scaled A that is accepted.
 
     Returns
     -------
@@ -76,10 +116,17 @@ def check_excitation(gram: np.ndarray, names: Sequence[str], what: str) -> Excit
 
     Raises
     ------
-    NotExcited : when the condition number exceeds 1e4, with every direction beyond it by the names of its parameters.
+    NotExcited : when the condition number exceeds the limit, with every direction beyond it by the names of its
+        parameters.
     """
-    norms = np.sqrt(np.diag(gram))
-    dead = [name for name, norm in zip(names, norms) if not norm > 0]
+    found = Excitation.of(A, names, max_condition)
+    weak = range(found.expected - 1, found.rank - 1, -1)  # the weakest first
+    directions = tuple(_in_words(found.vectors[:, i], names) for i in weak)
+    if prior is not None:
+        _check_prior(prior, len(names))
+        known = (found.scale, found.vectors, directions)
+        return Excitation(found.rank, found.expected, found.singular_values, found.weakest, *known)
+    dead = [name for name, column in zip(names, A.T) if not column.any()]
     if dead:
         raise NotExcited(
             f"Expected motion that excites every parameter of the {what}, got none at all for: {', '.join(dead)}. "
@@ -87,26 +134,25 @@ def check_excitation(gram: np.ndarray, names: Sequence[str], what: str) -> Excit
             dead,
             ["no signal"] * len(dead),
         )
-    found = Excitation.of(gram, names)
-    if found.rank < found.expected:
-        singular, vectors = _spectrum(gram)
-        weak = range(found.expected - 1, found.rank - 1, -1)  # the weakest first
-        directions = [_in_words(vectors[:, i], names) for i in weak]
+    if directions:
+        strongest = found.singular_values[0]
         raise NotExcited(
-            f"Expected motion that excites every direction of the {what} (condition below {MAX_CONDITION:.0e}), got "
+            f"Expected motion that excites every direction of the {what} (condition below {max_condition:.0e}), got "
             f"{len(directions)} that it does not tell apart: {'; '.join(directions)}. "
             "Record a log that moves these joints together and apart, at several speeds and poses.",
             directions,
-            [f"{singular[i] / singular[0]:.1e} of the strongest direction" for i in weak],
+            [f"{found.singular_values[i] / strongest:.1e} of the strongest direction" for i in weak],
         )
     return found
 
 
-def _spectrum(gram: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return singular values of the column-scaled A, descending, and their directions as columns."""
-    norms = np.sqrt(np.diag(gram))
-    eigenvalues, vectors = np.linalg.eigh(gram / np.outer(norms, norms))
-    return np.sqrt(np.maximum(eigenvalues, 0.0))[::-1], vectors[:, ::-1]
+def _check_prior(prior: Prior, size: int) -> None:
+    values, sd = np.asarray(prior.values), np.asarray(prior.sd)
+    if values.shape != (size,) or sd.shape != (size,) or not np.isfinite(values).all() or not np.all(sd > 0):
+        raise ShapeError(
+            f"Expected a prior of {size} finite values with positive deviations, got shapes {values.shape} and "
+            f"{sd.shape}. Give one of each for every parameter."
+        )
 
 
 def _in_words(vector: np.ndarray, names: Sequence[str]) -> str:

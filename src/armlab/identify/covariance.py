@@ -59,10 +59,10 @@ def fit_velocity_covariance(residuals: np.ndarray, qd: np.ndarray, kind: str = "
     value = velocity_covariance(kind, C0, Cinf, np.exp(theta[:, 2]) if d > 2 else None)
     labels = ("log Cinf", "log C0/Cinf", "log shape")[:d]
     names = tuple(f"{label} joint {i + 1}" for i in range(n) for label in labels)
-    gram = np.zeros_like(cov)
+    root = np.zeros_like(cov)
     for i, (_, information) in enumerate(solved):
-        gram[i * d : (i + 1) * d, i * d : (i + 1) * d] = information
-    excitation = Excitation.of(gram, names)
+        root[i * d : (i + 1) * d, i * d : (i + 1) * d] = np.linalg.cholesky(information).T
+    excitation = Excitation.of(root, names)
     sigma = np.sqrt(np.mean(residuals**2, axis=0))
     return Fit(value, names, ("1",) * len(names), theta.ravel(), cov, sigma, residuals, len(residuals), excitation)
 

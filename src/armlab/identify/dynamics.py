@@ -21,10 +21,12 @@ from armlab.errors import NotExcited
 from armlab.estimation import (
     BlockSums,
     Fit,
-    accumulate,
+    Question,
+    Rows,
     block_bootstrap,
-    check_excitation,
-    correlation_time,
+    block_seconds,
+    factorise,
+    solve,
 )
 from armlab.identify.base_parameters import BaseParameters, base_parameters
 from armlab.identify.design import Design
@@ -37,7 +39,6 @@ from armlab.robots import Robot
 __all__ = ["fit_dynamics"]
 
 ROUNDS = 3
-MIN_BLOCK = 0.5  # s
 CUTOFF = 10.0  # Hz, corner of the estimator's causal filter
 
 Progress = Callable[[int, int, str], None]
@@ -78,11 +79,12 @@ def fit_dynamics(
     design, theta, weights = _alternate(design, tell)
     tell(3, 5, "covariance from blocks")
     block = _blocks(design, theta, data)
-    sums = accumulate(design.matrix() * weights[None, :, None], design.tau * weights, block[design.rows])
-    excitation = check_excitation(sums.gram.sum(axis=0), _leaders(design), "torque model")
-    draws = block_bootstrap(sums, seed=seed)
+    factors = factorise(Rows.of(design.matrix(), design.tau, block[design.rows]), len(design.names))
+    solution = solve(Question.of(_leaders(design), "torque model"), factors, weights)
+    theta, sums = solution.x, BlockSums.of(solution)
+    cov = block_bootstrap(sums, seed=seed).cov
     tell(4, 5, "held-out residuals")
-    model = _model(design, theta, np.cov(draws, rowvar=False), data, robot, base)
+    model = _model(design, theta, cov, data, robot, base)
     model = assess(model, _fold_models(model, design, sums, block, data, robot, base), data)
     tell(5, 5, "done")
     return Fit(
@@ -90,11 +92,11 @@ def fit_dynamics(
         names=design.names,
         units=design.units,
         parameters=theta,
-        cov=np.cov(draws, rowvar=False),
+        cov=cov,
         sigma=1.0 / weights,
         residuals=design.residuals(theta),
         n=len(data.t),
-        excitation=excitation,
+        excitation=solution.excitation,
         summary=report,
     )
 
@@ -121,8 +123,7 @@ def _blocks(design: Design, theta: np.ndarray, data: Prepared) -> np.ndarray:
     """Return the block number (N,) of each sample: blocks longer than the residual remembers, without holes."""
     residuals = design.residuals(theta)
     step = float(np.median(np.diff(design.t)))
-    memory = max(correlation_time(residuals[:, i], step) for i in range(residuals.shape[1]))
-    length = min(max(4.0 * memory, MIN_BLOCK), data.seconds / 20.0)
+    length = min(block_seconds(residuals, step), data.seconds / 20.0)
     block = data.blocks(length)
     if block[-1] < 7:
         raise NotExcited(

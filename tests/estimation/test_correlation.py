@@ -1,0 +1,28 @@
+"""How many samples a coloured record is worth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from armlab.estimation import block_seconds, correlation_time, effective_samples
+
+RHO = 0.95  # of the AR(1) records of conftest
+
+
+def test_correlation_time_and_effective_samples_of_known_processes(problems) -> None:
+    x = problems.ar1(np.random.default_rng(0), (200_000, 1))[:, 0]
+    exact = 0.004 * (0.5 + RHO / (1 - RHO))
+    assert correlation_time(x, 0.004) == pytest.approx(exact, rel=0.1)
+    assert effective_samples(x) == pytest.approx(len(x) * 0.002 / exact, rel=0.1)
+    white = np.random.default_rng(0).standard_normal(50_000)
+    assert effective_samples(white) == pytest.approx(50_000, rel=0.05)
+    assert correlation_time(np.zeros(100), 0.01) == 0.005
+
+
+def test_block_seconds_follow_the_longest_memory(problems) -> None:
+    rng = np.random.default_rng(0)
+    white = rng.standard_normal((50_000, 1))
+    slow = problems.ar1(rng, (50_000, 1))
+    assert block_seconds(white, 0.004) == 0.5
+    assert block_seconds(np.hstack([white, slow]), 0.1) == 4.0 * correlation_time(slow[:, 0], 0.1)
