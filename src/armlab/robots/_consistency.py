@@ -19,6 +19,7 @@ POSE_TOLERANCE = 1e-9
 """Largest entry of |RᵀR - I| in a robot's poses: an error that kinematics carries to the tool undetected."""
 
 MOMENT_TOLERANCE = 1e-6  # a principal moment this much below zero, relative to the largest, is rounding of the digits
+SMALLEST_RADIUS = 1e-6  # m; nor is the moment of the whole mass at this radius
 
 
 def check_robot(robot: Robot) -> None:
@@ -128,7 +129,7 @@ def body_fault(pi: np.ndarray) -> str:
     if pi[0] == 0:
         return "moments without a mass" if pi.any() else ""
     moments = inertia.principal_moments(pi)
-    rounding = MOMENT_TOLERANCE * moments[2] + 1e-12 * (pi[4] + pi[6] + pi[9])
+    rounding = MOMENT_TOLERANCE * moments[2] + 1e-12 * (pi[4] + pi[6] + pi[9]) + pi[0] * SMALLEST_RADIUS**2
     return f"principal moments {moments} kg m^2" if moments[0] < -rounding else ""
 
 

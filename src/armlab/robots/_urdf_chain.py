@@ -14,7 +14,8 @@ from armlab.errors import RobotError, UnknownName
 from armlab.lie import se3
 from armlab.robots import inertia
 from armlab.robots._axes import frames_along
-from armlab.robots._urdf_structure import fault
+from armlab.robots._consistency import body_fault
+from armlab.robots._urdf_structure import fault, follow
 from armlab.robots.build import GRAVITY, from_links
 from armlab.robots.mesh import Mesh
 from armlab.robots.robot import Robot
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
 __all__ = ["build_chain"]
 
+SHORTEST_AXIS = 1e-6  # of a shorter one no digit is left
 ROUNDING = 0.01  # a moment may exceed the sum of the others by this part: digits of files, thin plates
 _TURN_OVER = np.diag([1.0, -1.0, -1.0, 1.0])  # half a turn about x: the other direction of the z axis
 
@@ -59,12 +61,13 @@ def build_chain(tree: Tree, base: str | None, tip: str | None, name: str | None)
     base = tree.root if base is None else base
     tip = _only_tip(tree, base) if tip is None else tip
     way = _way(tree, base, tip)
-    steps, T_last_tip = _steps(tree, base, way)
-    if not steps:
+    joints = [joint for joint, _ in way if joint.moves]
+    if not joints:
         raise RobotError(f"Expected a joint that moves between {base!r} and {tip!r} of {tree.file}, got none.")
-    joints = [step.joint for step in steps]
     for joint in joints:
         _check_joint(tree, joint)
+    follow(tree, [joint.name for joint in joints])
+    steps, T_last_tip = _steps(tree, way)
     links = {link.name: link for link in tree.links}
     inertias, massless = _inertias(tree, links, steps)
     gravity, assumed = _gravity(tree, base)
@@ -111,10 +114,9 @@ def _ancestry(tree: Tree, link: str) -> list[Joint]:
     return joints
 
 
-def _steps(tree: Tree, base: str, way: list[tuple[Joint, bool]]) -> tuple[list[Step], np.ndarray]:
+def _steps(tree: Tree, way: list[tuple[Joint, bool]]) -> tuple[list[Step], np.ndarray]:
     """Merge the fixed joints; return the moving ones and the pose of the tip in the frame of the last."""
-    moving = [joint.axis for joint, _ in way if joint.moves]
-    turns = iter(se3.from_rp(frames_along(np.array(moving).reshape(-1, 3))))
+    turns = iter(se3.from_rp(frames_along(np.array([joint.axis for joint, _ in way if joint.moves]))))
     steps, T = [], np.eye(4)
     for joint, upwards in way:
         T_parent_child = joint.T_parent_child
@@ -150,14 +152,16 @@ def _check_joint(tree: Tree, joint: Joint) -> None:
         raise fault(
             tree, joint, "joints of one degree of freedom in an arm", f"{joint.kind} joint {joint.name!r}", advice
         )
-    if joint.q_min == joint.q_max:
-        got = f"{joint.q_min:g} for both (what is not written is 0)"
-        raise fault(
-            tree, joint, f"lower below upper in joint {joint.name!r}", got, "Write its range, or make it fixed."
-        )
-    if joint.qd_max == 0:
-        advice = "Write its speed, or leave velocity out when it is not known."
-        raise fault(tree, joint, f"a speed limit of joint {joint.name!r} above 0", "0", advice)
+    if not np.linalg.norm(joint.axis) > SHORTEST_AXIS:
+        expected = f"the direction of the axis of joint {joint.name!r}"
+        raise fault(tree, joint, expected, joint.axis.tolist(), "Write one other than zero.")
+    if not joint.q_min < joint.q_max:
+        got = f"{joint.q_min:g} and {joint.q_max:g} (what is not written is 0)"
+        advice = "Write its range, or make it `fixed`, or `continuous` if it turns without end."
+        raise fault(tree, joint, f"lower below upper in joint {joint.name!r}", got, advice)
+    if joint.qd_max < 0 or joint.tau_max < 0:
+        got = f"velocity {joint.qd_max:g} and effort {joint.tau_max:g}"
+        raise fault(tree, joint, f"positive limits of speed and effort of joint {joint.name!r}", got)
 
 
 def _inertias(tree: Tree, links: dict[str, Link], steps: list[Step]) -> tuple[np.ndarray | None, list[str]]:
@@ -168,6 +172,10 @@ def _inertias(tree: Tree, links: dict[str, Link], steps: list[Step]) -> tuple[np
             body = links[name].inertia
             if body is None:
                 continue
+            wrong = body_fault(body)
+            if wrong:
+                advice = "Correct it, or remove <inertial> where nothing is known."
+                raise fault(tree, links[name], f"mass and inertia of a body in link {name!r}", wrong, advice)
             pi += inertia.transform(T, body)
             moments = inertia.principal_moments(body)
             if moments[2] > (1 + ROUNDING) * (moments[0] + moments[1]):

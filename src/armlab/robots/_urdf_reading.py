@@ -9,14 +9,11 @@ import numpy as np
 
 from armlab.lie import euler, se3
 from armlab.robots import inertia
-from armlab.robots._consistency import body_fault
 from armlab.robots._xml import Element, parse_xml
 from armlab.robots.mesh import Mesh
 from armlab.robots.urdf import Follow, Joint, JointKind, Link, Tree
 
 __all__ = ["read_tree"]
-
-SHORTEST_AXIS = 1e-6  # an axis of which no digit is left
 
 
 def read_tree(text: str | bytes, file: str) -> Tree:
@@ -59,10 +56,6 @@ def _inertia(inertial: Element) -> np.ndarray | None:
     about_centre = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     if mass == 0 and not about_centre.any():
         return None
-    fault = "no mass" if mass == 0 else body_fault(inertia.from_body(mass, np.zeros(3), about_centre))
-    if fault:
-        advice = "Correct it, or remove <inertial> where nothing is known."
-        raise inertial.error("the mass and inertia of a body", fault, advice)
     return inertia.transform(_origin(inertial), inertia.from_body(mass, np.zeros(3), about_centre))
 
 
@@ -82,15 +75,16 @@ def _meshes(link: Element) -> list[Mesh]:
 
 
 def _joint(element: Element) -> Joint:
-    name, kind = element.text("name"), _kind(element)
-    q_min, q_max, qd_max, tau_max = _limits(element, name, kind)
+    kind = _kind(element)
+    q_min, q_max, qd_max, tau_max = _limits(element, kind)
+    axis = element.one("axis")
     return Joint(
-        name=name,
+        name=element.text("name"),
         kind=kind,
         parent=element.need("parent").text("link"),
         child=element.need("child").text("link"),
         T_parent_child=_origin(element),
-        axis=_axis(element, name, kind),
+        axis=np.array([1.0, 0.0, 0.0]) if axis is None else axis.numbers("xyz", 3),
         q_min=q_min,
         q_max=q_max,
         qd_max=qd_max,
@@ -125,33 +119,16 @@ def _origin(element: Element) -> np.ndarray:
     return se3.from_rp(euler.rot_z(yaw) @ euler.rot_y(pitch) @ euler.rot_x(roll), origin.numbers("xyz", 3, zeros))
 
 
-def _axis(element: Element, name: str, kind: JointKind) -> np.ndarray:
-    axis = element.one("axis")
-    if axis is None:
-        return np.array([1.0, 0.0, 0.0])
-    xyz = axis.numbers("xyz", 3)
-    length = float(np.linalg.norm(xyz))
-    if length > SHORTEST_AXIS:
-        return xyz / length
-    if kind in ("fixed", "floating"):  # they have no axis, and some programs write zeros
-        return np.array([1.0, 0.0, 0.0])
-    raise axis.error(f"the direction of the axis of joint {name!r}", f"{xyz}", "Write one other than zero.")
+def _limits(element: Element, kind: JointKind) -> tuple[float, float, float, float]:
+    """Return q_min, q_max, qd_max, tau_max. The format says that positions which are not written are 0.
 
-
-def _limits(element: Element, name: str, kind: JointKind) -> tuple[float, float, float, float]:
-    """Return q_min, q_max, qd_max, tau_max. Position limits that are not written are 0, says the format."""
-    limit, infinite = element.one("limit"), math.inf
+    A speed or effort of 0 stands for none known, as in the files of many makers and programs.
+    """
+    infinite = math.inf
+    limit = element.one("limit")
     if limit is None:
-        if kind in ("revolute", "prismatic"):
-            advice = "Write lower and upper, or make a joint that turns without end `continuous`."
-            raise element.error(f"a <limit> in the {kind} joint {name!r}", "none", advice)
-        return -infinite, infinite, infinite, infinite
-    speed, effort = limit.limit("velocity", infinite), limit.limit("effort", infinite)
-    if speed < 0 or effort < 0:
-        raise limit.error(f"limits of speed and effort of joint {name!r} above 0", f"{speed:g} and {effort:g}")
-    if kind not in ("revolute", "prismatic"):
-        return -infinite, infinite, speed, effort or infinite
+        limit = Element("limit", {}, element.file, element.line)
     lower, upper = limit.limit("lower", 0.0), limit.limit("upper", 0.0)
-    if lower > upper:
-        raise limit.error(f"lower below upper in joint {name!r}", f"{lower:g} and {upper:g}", "Exchange them.")
-    return lower, upper, speed, effort or infinite
+    if kind not in ("revolute", "prismatic"):
+        lower, upper = -infinite, infinite
+    return lower, upper, limit.limit("velocity", 0.0) or infinite, limit.limit("effort", 0.0) or infinite

@@ -29,7 +29,7 @@ def fault(tree: Tree, part: Link | Joint, expected: str, got: object, advice: st
 
 
 def check_tree(tree: Tree) -> None:
-    """Raise `RobotError` unless links and joints are a tree with one root and nobody follows himself.
+    """Raise `RobotError` unless links and joints are a tree with one root.
 
     Parameters
     ----------
@@ -41,7 +41,6 @@ def check_tree(tree: Tree) -> None:
     _check_names(tree, tree.joints, "joint")
     _check_ends(tree)
     _check_roots(tree)
-    _check_followers(tree)
 
 
 def _check_names(tree: Tree, parts: Sequence[Link | Joint], kind: str) -> None:
@@ -91,27 +90,6 @@ def _check_roots(tree: Tree) -> None:
             raise fault(tree, joint, "joints that lead away from one root", f"a loop through joint {joint.name!r}")
 
 
-def _check_followers(tree: Tree) -> None:
-    joints = {joint.name: joint for joint in tree.joints}
-    for joint in tree.joints:
-        if joint.follows is None:
-            continue
-        leader = joints.get(joint.follows.joint)
-        if leader is None or leader.kind in ("fixed", "floating", "planar"):
-            got = f"{joint.follows.joint!r}, which " + ("does not exist" if leader is None else f"is {leader.kind}")
-            raise fault(tree, joint, f"joint {joint.name!r} to follow a joint that turns or slides", got)
-    settled: set[str] = set()
-    for joint in tree.joints:
-        path: dict[str, None] = {}
-        at = joint
-        while at.name not in settled and at.follows is not None:
-            if at.name in path:
-                raise fault(tree, joint, "joints that follow a free one", f"{' -> '.join([*path, at.name])}")
-            path[at.name] = None
-            at = joints[at.follows.joint]
-        settled |= {*path, at.name}
-
-
 def follow(tree: Tree, joint_names: Iterable[str]) -> Mimic:
     """Return how joints follow the free ones. See `Tree.mimic`.
 
@@ -127,13 +105,25 @@ def follow(tree: Tree, joint_names: Iterable[str]) -> Mimic:
     for name in joint_names:
         if name not in joints:
             raise UnknownName.among(f"joint of {tree.file}", name, joints)
-        multiplier, offset = 1.0, 0.0
-        while (follows := joints[name].follows) is not None:
-            multiplier, offset = multiplier * follows.multiplier, offset + multiplier * follows.offset
-            name = follows.joint
-        rows.append((name, multiplier, offset))
+        rows.append(_leader(tree, joints, joints[name]))
     leaders = tuple(dict.fromkeys(leader for leader, _, _ in rows))
     matrix = np.zeros((len(rows), len(leaders)))
     for i, (leader, multiplier, _) in enumerate(rows):
         matrix[i, leaders.index(leader)] = multiplier
     return Mimic(leaders, matrix, np.array([offset for _, _, offset in rows]))
+
+
+def _leader(tree: Tree, joints: dict[str, Joint], joint: Joint) -> tuple[str, float, float]:
+    """Return the free joint that a joint follows in the end, itself if it is free, with factor and offset."""
+    multiplier, offset, passed = 1.0, 0.0, {joint.name}
+    while joint.follows is not None:
+        follows = joint.follows
+        leader = joints.get(follows.joint)
+        if leader is None or leader.kind in ("fixed", "floating", "planar") or leader.name in passed:
+            why = "does not exist" if leader is None else f"is {leader.kind}"
+            got = f"{follows.joint!r}, which {'follows itself' if leader and leader.name in passed else why}"
+            raise fault(tree, joint, f"joint {joint.name!r} to follow a joint that turns or slides", got)
+        multiplier, offset = multiplier * follows.multiplier, offset + multiplier * follows.offset
+        passed.add(leader.name)
+        joint = leader
+    return joint.name, multiplier, offset

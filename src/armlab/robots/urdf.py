@@ -67,9 +67,9 @@ class Joint:
     kind : "revolute", "continuous", "prismatic", "fixed", "floating" or "planar".
     parent, child : names of the links that it joins.
     T_parent_child : (4, 4) pose of the child, and of the joint, in the parent at q = 0.
-    axis : (3,) unit axis in the child's frame.
-    q_min, q_max : limits of position [rad or m]; infinite where there is none.
-    qd_max, tau_max : limits of speed and of torque or force; infinite where there is none.
+    axis : (3,) direction of the axis in the child's frame, of any length.
+    q_min, q_max : limits of position [rad or m]; infinite where there is none, 0 where the file should say them.
+    qd_max, tau_max : limits of speed and of torque or force; infinite where none is known.
     follows : the joint that it follows, or None.
     line : where it begins in the file.
     """
@@ -206,7 +206,7 @@ class Tree:
         inertias and meshes of all links rigidly joined to a link of the arm; what hangs on other moving joints is left
         out. Gravity is `GRAVITY` in the axes of the root. A joint that is passed from child to parent turns about the
         opposite axis, so that its position stays what the file means by it. A joint that follows another keeps a
-        position of its own: see `mimic`. An effort of 0 stands for none known, and a limit of 1e9 or more for none.
+        position of its own: see `mimic`. A speed or effort of 0 stands for none known, a limit of 1e9 or more for none.
         An inertia whose largest principal moment is above the sum of the others, as in no body, is used with a warning.
         What was assumed or left out stands in `Robot.source`.
 
@@ -219,8 +219,10 @@ class Tree:
         Raises
         ------
         UnknownName : when a link does not exist; lists those that do.
-        RobotError : when the tip is not said and several branches move, when nothing moves between the two, or when a
-            joint between them is floating, planar, or has no range or speed; names file and line.
+        RobotError : when the tip is not said and several branches move, when nothing moves between the two, when a
+            joint between them is floating or planar, has no axis, no range or limits the wrong way round, or follows
+            one that does not exist, and when a link has the inertia of no body; names file and line. What is not part
+            of the arm does not matter.
         """
         from armlab.robots._urdf_chain import build_chain
 
@@ -254,7 +256,7 @@ def read(path: str | Path) -> Tree:
 
     Raises
     ------
-    RobotError : when the file is missing, is no URDF, or contradicts itself; names file and line, and what to do.
+    RobotError : when the file is missing, is no URDF, or is no tree; names file and line, and what to do.
 
     References
     ----------
