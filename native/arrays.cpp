@@ -89,10 +89,56 @@ void Input::require_shape_of(const Input &other) const {
                     other.shape_text() + ", got " + shape_text() + ". Broadcast them first with numpy.broadcast_arrays.");
 }
 
+void Input::require_tail(std::initializer_list<npy_intp> tail) const {
+  const int n = static_cast<int>(tail.size());
+  if (ndim() >= n && std::equal(tail.begin(), tail.end(), shape() + ndim() - n)) return;
+  std::string wanted = "(...";
+  for (npy_intp length : tail) wanted += ", " + std::to_string(length);
+  raise_shape_error(std::string("Expected ") + name_ + " of shape " + wanted + "), got " + shape_text() + ".");
+}
+
+Elements::Elements(nb::handle value, const char *name, std::initializer_list<npy_intp> tail)
+    : Samples(value, name, static_cast<int>(tail.size()),
+              static_cast<int>(std::accumulate(tail.begin(), tail.end(), npy_intp{1}, std::multiplies<>()))) {
+  require_tail(tail);
+}
+
+void Elements::broadcast(std::initializer_list<Elements *> elements) {
+  npy_intp shape[NPY_MAXDIMS + 2];
+  int axes = 0;
+  bool equal = true;
+  for (const Elements *element : elements) {
+    const Elements &first = **elements.begin();
+    equal &= element->batch_axes() == first.batch_axes() &&
+             std::equal(first.shape(), first.shape() + first.batch_axes(), element->shape());
+    axes = std::max(axes, element->batch_axes());
+  }
+  if (equal) return;
+  std::fill(shape, shape + axes, npy_intp{1});
+  for (const Elements *element : elements)
+    for (int i = 1; i <= element->batch_axes(); ++i) {
+      const npy_intp length = element->shape()[element->batch_axes() - i];
+      npy_intp &wanted = shape[axes - i];
+      if (wanted == 1) wanted = length;
+      if (length == 1 || length == wanted) continue;
+      std::string sentence = "Expected leading axes that broadcast, got";
+      for (const Elements *one : elements)
+        sentence += std::string(one == *elements.begin() ? " " : ", ") + one->name() + " of shape " + one->shape_text();
+      raise_shape_error(sentence + ".");
+    }
+  const nb::object broadcast_to = nb::module_::import_("numpy").attr("broadcast_to");
+  for (Elements *element : elements) {
+    nb::list wanted;
+    for (int i = 0; i < axes; ++i) wanted.append(shape[i]);
+    for (int i = element->batch_axes(); i < element->ndim(); ++i) wanted.append(element->shape()[i]);
+    static_cast<Input &>(*element) = Input(broadcast_to(element->array_, nb::tuple(wanted)), element->name_);
+  }
+}
+
 Output::Output(nb::handle out, const char *name, std::initializer_list<npy_intp> tail,
                std::initializer_list<const Samples *> inputs) {
   const Samples &first = **inputs.begin();
-  const int batch = first.ndim() - 1, ndim = batch + static_cast<int>(tail.size());
+  const int batch = first.batch_axes(), ndim = batch + static_cast<int>(tail.size());
   npy_intp shape[NPY_MAXDIMS + 2];
   std::copy(tail.begin(), tail.end(), std::copy(first.shape(), first.shape() + batch, shape));
   width_ = static_cast<int>(std::accumulate(tail.begin(), tail.end(), npy_intp{1}, std::multiplies<>()));

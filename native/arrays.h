@@ -40,18 +40,19 @@ class Input {
   Input(nb::handle value, const char *name);
 
   const char *name() const { return name_; }
+  const nb::object &object() const { return array_; }
   const double *data() const { return static_cast<const double *>(PyArray_DATA(array())); }
   int ndim() const { return PyArray_NDIM(array()); }
   const npy_intp *shape() const { return PyArray_DIMS(array()); }
   npy_intp size() const { return PyArray_SIZE(array()); }
   std::string shape_text() const;
-  Reading samples() const { return {data(), static_cast<int>(shape()[ndim() - 1])}; }
 
   void require_exactly(std::initializer_list<npy_intp> shape) const;
   void require_last_axis(npy_intp n) const;
   void require_shape_of(const Input &other) const;
+  void require_tail(std::initializer_list<npy_intp> tail) const;
 
- private:
+ protected:
   PyArrayObject *array() const { return reinterpret_cast<PyArrayObject *>(array_.ptr()); }
 
   nb::object array_;
@@ -60,8 +61,28 @@ class Input {
 
 // Samples of shape (n,), given as (..., n); the leading axes are the batch, which every output keeps.
 struct Samples : Input {
-  Samples(nb::handle value, const char *name, int n) : Input(value, name) { require_last_axis(n); }
-  Samples(nb::handle value, const char *name, const Samples &same) : Input(value, name) { require_shape_of(same); }
+  Samples(nb::handle value, const char *name, int n) : Samples(value, name, 1, n) { require_last_axis(n); }
+  Samples(nb::handle value, const char *name, const Samples &same) : Samples(value, name, 1, same.width_) {
+    require_shape_of(same);
+  }
+
+  int batch_axes() const { return ndim() - tail_axes_; }
+  Reading samples() const { return {data(), width_}; }
+
+ protected:
+  Samples(nb::handle value, const char *name, int tail_axes, int width)
+      : Input(value, name), tail_axes_(tail_axes), width_(width) {}
+
+  int tail_axes_;
+  int width_;
+};
+
+// Samples of any shape, given as (..., tail).
+struct Elements : Samples {
+  Elements(nb::handle value, const char *name, std::initializer_list<npy_intp> tail);
+
+  // Gives all of them the same leading axes, by the rules of NumPy.
+  static void broadcast(std::initializer_list<Elements *> elements);
 };
 
 // An array of shape batch + tail to write into: `out` when given (float64, C-contiguous, writable, apart from the

@@ -1,8 +1,7 @@
 // Rotations and rigid motions: exponential, logarithm and quaternions over Real (double or Lanes).
 //
-// Specification: armlab/kernels/_reference/lie.py. Nothing here branches on a value, so a batch gives bit for bit what
-// single calls give, and nothing takes an arc cosine. Where both sides of a `select` are computed, the one that is not
-// chosen may be NaN.
+// Specification: armlab/kernels/_reference/lie.py. Both sides of every `select` are computed, and the one that is not
+// chosen may be NaN; so a batch gives bit for bit what single calls give. Nothing takes an arc cosine.
 #pragma once
 
 #include "lanes.h"
@@ -31,7 +30,13 @@ struct Rotation {
   }
   Vec3<Real> turn(const Vec3<Real> &b) const { return b.x * x + b.y * y + b.z * z; }             // R b
   Vec3<Real> turn_back(const Vec3<Real> &a) const { return {dot(x, a), dot(y, a), dot(z, a)}; }  // R^T a
+  Rotation inverse() const { return {{x.x, y.x, z.x}, {x.y, y.y, z.y}, {x.z, y.z, z.z}}; }
 };
+
+template <class Real>
+inline Rotation<Real> operator*(const Rotation<Real> &a, const Rotation<Real> &b) {
+  return {a.turn(b.x), a.turn(b.y), a.turn(b.z)};
+}
 
 template <class Real>
 struct Quaternion {
@@ -39,9 +44,29 @@ struct Quaternion {
   Vec3<Real> v;
 };
 
+// Where a square under- or overflowed, the length from the C library instead.
+inline double exact_norm(const Vec3<double> &a, double) { return std::hypot(a.x, a.y, a.z); }
+inline Lanes exact_norm(const Vec3<Lanes> &a, Lanes length) {
+  for (int i = 0; i < Lanes::width; ++i)
+    if (!(1e-140 <= length.v[i] && length.v[i] <= 1e140)) length.v[i] = std::hypot(a.x.v[i], a.y.v[i], a.z.v[i]);
+  return length;
+}
 template <class Real>
 inline Real norm(const Vec3<Real> &a) {
-  return square_root(dot(a, a));
+  const Real length = square_root(dot(a, a));
+  if (__builtin_expect(all((Real(1e-140) <= length) & (length <= Real(1e140))), 1)) return length;
+  return exact_norm(a, length);
+}
+
+template <class Real>
+inline Real norm(const Quaternion<Real> &q) {
+  return square_root(q.w * q.w + dot(q.v, q.v));
+}
+
+template <class Real>
+inline Quaternion<Real> unit(const Quaternion<Real> &q) {
+  const Real length = norm(q);
+  return {q.w / length, {q.v.x / length, q.v.y / length, q.v.z / length}};
 }
 
 // y / x, and `at_zero` where x is 0.
@@ -98,8 +123,7 @@ inline Quaternion<Real> quaternion_from(const Rotation<Real> &R) {
   prefer(z2, wz, xz, yz, z2);
 
   const Real first = select(q.w == zero, select(q.v.x == zero, select(q.v.y == zero, q.v.z, q.v.y), q.v.x), q.w);
-  const Real length = square_root(q.w * q.w + dot(q.v, q.v));
-  const Real scale = select(first < zero, -one, one) / length;
+  const Real scale = select(first < zero, -one, one) / norm(q);
   return {q.w * scale, scale * q.v};
 }
 
@@ -111,7 +135,9 @@ inline Rotation<Real> rotation_from(const Quaternion<Real> &q) {
   const Real wx = q.w * v.x, wy = q.w * v.y, wz = q.w * v.z;
   const Real xx = q.v.x * v.x, xy = q.v.x * v.y, xz = q.v.x * v.z;
   const Real yy = q.v.y * v.y, yz = q.v.y * v.z, zz = q.v.z * v.z;
-  return {{one - (yy + zz), xy + wz, xz - wy}, {xy - wz, one - (xx + zz), yz + wx}, {xz + wy, yz - wx, one - (xx + yy)}};
+  return {{one - (yy + zz), xy + wz, xz - wy},
+          {xy - wz, one - (xx + zz), yz + wx},
+          {xz + wy, yz - wx, one - (xx + yy)}};
 }
 
 template <class Real>
@@ -132,6 +158,29 @@ inline Vec3<Real> so3_log(const Rotation<Real> &R) {
   return rotation_vector(quaternion_from(R));
 }
 
+// The angle of a rotation, in [0, pi].
+template <class Real>
+inline Real so3_angle(const Rotation<Real> &R) {
+  const Quaternion<Real> q = quaternion_from(R);
+  return Real(2.0) * quadrant_angle(norm(q.v), q.w);
+}
+
+// From a to b along the shorter arc at constant speed, unit quaternions; on the side of a.
+template <class Real>
+inline Quaternion<Real> slerp(const Quaternion<Real> &a, const Quaternion<Real> &b, const Real &s) {
+  const Real one(1.0), zero(0.0);
+  const Real side = select(a.w * b.w + dot(a.v, b.v) < zero, -one, one);
+  const Quaternion<Real> c{side * b.w, side * b.v}, chord{c.w - a.w, c.v - a.v}, sum{c.w + a.w, c.v + a.v};
+  const Real arc = Real(2.0) * quadrant_angle(norm(chord), norm(sum));
+  Real sine, from, to, unused;
+  sincos(arc, sine, unused);
+  sincos((one - s) * arc, from, unused);
+  sincos(s * arc, to, unused);
+  const auto still = arc == zero;
+  const Real from_a = select(still, one - s, from / sine), from_b = select(still, s, to / sine);
+  return unit(Quaternion<Real>{from_a * a.w + from_b * c.w, from_a * a.v + from_b * c.v});
+}
+
 // I + a hat(w) + b hat(w)^2.
 template <class Real>
 inline Rotation<Real> polynomial(const Vec3<Real> &w, const Real &a, const Real &b) {
@@ -150,8 +199,9 @@ struct Angle {
   Real theta, sine, cosine, k;  // sine and cosine of theta / 2; k = sine / theta
 
   explicit Angle(const Vec3<Real> &w) : theta(norm(w)) {
-    sincos(Real(0.5) * theta, sine, cosine);
-    k = ratio(sine, theta, 0.5);
+    const Real half = Real(0.5) * theta;  // may be 0 where theta is not
+    sincos(half, sine, cosine);
+    k = Real(0.5) * ratio(sine, half, 1.0);
   }
   Real sinc() const { return Real(2.0) * k * cosine; }  // sin(theta) / theta
   Real versine() const { return Real(2.0) * k * k; }    // (1 - cos(theta)) / theta^2

@@ -4,6 +4,7 @@
 
 void bind_chain(nb::module_ &m);
 void bind_estimator(nb::module_ &m);
+void bind_lie(nb::module_ &m);
 void bind_limits(nb::module_ &m);
 
 NB_MODULE(_native, m) {
@@ -11,5 +12,6 @@ NB_MODULE(_native, m) {
   m.doc() = "Compiled kernels of armlab; armlab.kernels is their public face.";
   bind_chain(m);
   bind_estimator(m);
+  bind_lie(m);
   bind_limits(m);
 }

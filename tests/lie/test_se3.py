@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from armlab.errors import ShapeError
+from armlab.errors import ShapeError, UnknownName
 from armlab.lie import euler, se3, so3
 
 
@@ -80,6 +80,89 @@ def test_transform_wrench_by_hand() -> None:
     assert se3.transform_wrench(T_a_b, np.zeros((5, 6))).shape == (5, 6)
 
 
+def test_ad_is_the_bracket_and_the_generator_of_the_adjoint() -> None:
+    xi, eta = random_twists(100), random_twists(100, seed=1)
+    bracket = se3.hat(xi) @ se3.hat(eta) - se3.hat(eta) @ se3.hat(xi)
+    np.testing.assert_allclose(se3.hat((se3.ad(xi) @ eta[..., None])[..., 0]), bracket, atol=1e-14)
+    np.testing.assert_allclose(expm(se3.ad(xi[:20])), se3.adjoint(se3.exp(xi[:20])), atol=1e-13)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-300, 1e-9, 1e-3, 0.4999, 0.5001, 2.0, 3.1, np.pi, 5.0, 6.2])
+def test_left_jacobian(angle: float) -> None:
+    """exp(xi + dxi) = exp(J dxi) exp(xi), by central differences; the inverse by the product."""
+    xi = random_twists(20)
+    xi[:, 3:] *= angle / np.linalg.norm(xi[:, 3:], axis=1, keepdims=True)
+    step = 1e-5
+    columns = [se3.log(se3.exp(xi + e) @ se3.inv(se3.exp(xi - e))) / (2 * step) for e in step * np.eye(6)]
+    J = se3.left_jacobian(xi)
+    np.testing.assert_allclose(J, np.stack(columns, axis=-1), atol=1e-8)
+    J_inv = se3.left_jacobian_inv(xi)
+    scale = max(1.0, np.abs(J_inv).max())  # it grows without bound towards 2π
+    np.testing.assert_allclose(J_inv @ J, np.broadcast_to(np.eye(6), J.shape), atol=1e-14 * scale**2)
+    np.testing.assert_allclose(J[:, :3, :3], so3.left_jacobian(xi[:, 3:]), rtol=1e-15)
+
+
+def test_left_jacobian_is_its_power_series() -> None:
+    """Sum of ad(xi)^k / (k + 1)!, in 64 bits of mantissa."""
+    xi = random_twists(50)
+    ad = se3.ad(xi).astype(np.longdouble)
+    term = np.broadcast_to(np.eye(6, dtype=np.longdouble), ad.shape)
+    total = term
+    for k in range(2, 60):
+        term = term @ ad / k
+        total = total + term
+    np.testing.assert_allclose(se3.left_jacobian(xi), total.astype(float), rtol=0, atol=4e-15)
+
+
+def test_left_jacobian_series_meets_the_closed_form() -> None:
+    v, u = np.array([3.0, -1.0, 2.0]), np.array([0.6, 0.0, 0.8])
+    below, above = (np.concatenate([v, u * angle]) for angle in (np.nextafter(0.5, 0), 0.5 + 1e-15))
+    for function in (se3.left_jacobian, se3.left_jacobian_inv):
+        np.testing.assert_allclose(function(below), function(above), atol=5e-15)
+
+
+@pytest.mark.parametrize("path", ["linear", "screw"])
+def test_interpolate_ends_exactly_and_halves(path) -> None:
+    T_a, T_b = se3.exp(random_twists(300)), se3.exp(random_twists(300, seed=1))
+    np.testing.assert_array_equal(se3.interpolate(T_a, T_b, 0.0, path), T_a)
+    np.testing.assert_array_equal(se3.interpolate(T_a, T_b, 1.0, path), T_b)
+    middle = se3.interpolate(T_a, T_b, 0.5, path)
+    R_a, R_b = T_a[:, :3, :3], T_b[:, :3, :3]
+    np.testing.assert_allclose(so3.angle(R_a, middle[:, :3, :3]), so3.angle(R_a, R_b) / 2, atol=2e-15)
+    if path == "linear":
+        np.testing.assert_allclose(middle[:, :3, 3], (T_a + T_b)[:, :3, 3] / 2, atol=1e-15)
+    else:
+        half = se3.log(se3.inv(T_a) @ middle)
+        np.testing.assert_allclose(2 * half, se3.log(se3.inv(T_a) @ T_b), atol=1e-13)
+    assert se3.interpolate(T_a[0], T_b[0], np.linspace(0, 1, 7), path).shape == (7, 4, 4)
+
+
+def test_screw_path_does_not_depend_on_the_point() -> None:
+    """Of another point x of the body, the path is the same path, seen from there."""
+    start, end = se3.exp(random_twists(2))
+    x = se3.exp(random_twists(1, seed=3))[0]
+    moved = se3.interpolate(start @ x, end @ x, 0.3, "screw")
+    np.testing.assert_allclose(moved, se3.interpolate(start, end, 0.3, "screw") @ x, atol=1e-14)
+
+
+def test_mean_of_two_poses() -> None:
+    T = se3.from_rp(so3.exp([[0, 0, 0.3], [0, 0, -0.3]]), [[1.0, 2, 3], [3.0, 2, 1]])
+    np.testing.assert_allclose(se3.mean(T), se3.from_rp(np.eye(3), [2.0, 2, 2]), atol=1e-15)
+
+
+def test_angular_first_libraries() -> None:
+    """The adjoint of Modern Robotics, [[R, 0], [hat(p) R, R]], is ours with both axes turned over."""
+    twist = np.arange(6.0)
+    np.testing.assert_array_equal(se3.from_angular_first(twist), [3, 4, 5, 0, 1, 2])
+    np.testing.assert_array_equal(se3.to_angular_first(se3.from_angular_first(twist)), twist)
+    Ad = se3.adjoint(se3.exp(random_twists(4)))
+    turned = se3.to_angular_first(se3.to_angular_first(Ad), axis=-2)
+    np.testing.assert_array_equal(turned[:, :3, 3:], 0)
+    np.testing.assert_array_equal(turned[:, 3:, :3], Ad[:, :3, 3:])
+    J = np.arange(42.0).reshape(6, 7)
+    np.testing.assert_array_equal(se3.to_angular_first(J, axis=0), np.vstack([J[3:], J[:3]]))
+
+
 def test_is_pose() -> None:
     T = se3.exp([1, 2, 3, 0.1, 0.2, 0.3])
     scaled, last_row, missing = T.copy(), T.copy(), T.copy()
@@ -118,6 +201,12 @@ def test_project() -> None:
         (lambda: se3.from_rp(-np.eye(3)), "determinant = -1"),
         (lambda: se3.vee(np.eye(4)), "Use log for a pose"),
         (lambda: se3.hat([[1, 2]]), "Expected xi of shape"),
+        (lambda: se3.ad([1, 2]), "Expected xi of shape"),
+        (lambda: se3.left_jacobian([1, 2]), "Expected xi of shape"),
+        (lambda: se3.left_jacobian_inv([1, 2]), "Expected xi of shape"),
+        (lambda: se3.interpolate(np.eye(4), np.zeros((4, 4)), 0.5), "Expected the rotation of T_b"),
+        (lambda: se3.from_angular_first(np.zeros((6, 7))), r"length 6 along axis -1, got shape \(6, 7\)"),
+        (lambda: se3.to_angular_first(np.zeros(6), axis=1), "length 6 along axis 1"),
         (lambda: se3.transform_wrench(np.eye(4), [1, 2, 3]), "Expected wrench_b of shape"),
     ],
 )
@@ -126,11 +215,16 @@ def test_bad_input_is_a_sentence(call, sentence: str) -> None:
         call()
 
 
+def test_an_unknown_path_is_refused() -> None:
+    with pytest.raises(UnknownName, match="linear, screw"):
+        se3.interpolate(np.eye(4), np.eye(4), 0.5, "straight")  # type: ignore[arg-type]
+
+
 def test_missing_stays_missing() -> None:
     T = se3.exp(random_twists(2))
     for last_row in ((0, 0, 0, 1), np.nan):
         T[1] = np.nan
         T[1, 3] = last_row
-        for result in (se3.log(T), se3.inv(T), se3.adjoint(T), se3.project(T)[0]):
+        for result in (se3.log(T), se3.inv(T), se3.adjoint(T), se3.project(T)[0], se3.interpolate(T, T, 0.5)):
             assert np.isfinite(result[0]).all()
             assert np.isnan(result[1]).any()

@@ -16,9 +16,54 @@ from typing import TYPE_CHECKING
 from armlab.errors import ConfigError
 
 if TYPE_CHECKING:
-    from armlab.kernels._reference import Chain, WrenchEstimator, limit_reference, presliding
+    from armlab.kernels._reference import (
+        Chain,
+        WrenchEstimator,
+        limit_reference,
+        poses,
+        presliding,
+        quaternion_from_matrix,
+        quaternion_multiply,
+        quaternion_slerp,
+        quaternion_to_matrix,
+        rotations,
+        se3_adjoint,
+        se3_exp,
+        se3_inv,
+        se3_left_jacobian,
+        se3_left_jacobian_inv,
+        se3_log,
+        so3_angle,
+        so3_exp,
+        so3_left_jacobian,
+        so3_left_jacobian_inv,
+        so3_log,
+    )
 
-__all__ = ["Chain", "WrenchEstimator", "backend", "limit_reference", "presliding"]
+__all__ = [
+    "Chain",
+    "WrenchEstimator",
+    "backend",
+    "limit_reference",
+    "poses",
+    "presliding",
+    "quaternion_from_matrix",
+    "quaternion_multiply",
+    "quaternion_slerp",
+    "quaternion_to_matrix",
+    "rotations",
+    "se3_adjoint",
+    "se3_exp",
+    "se3_inv",
+    "se3_left_jacobian",
+    "se3_left_jacobian_inv",
+    "se3_log",
+    "so3_angle",
+    "so3_exp",
+    "so3_left_jacobian",
+    "so3_left_jacobian_inv",
+    "so3_log",
+]
 
 
 def _fall_back(reason: str) -> tuple[str, ModuleType]:
@@ -45,8 +90,4 @@ def _choose() -> tuple[str, ModuleType]:
 
 
 backend, _module = _choose()
-if not TYPE_CHECKING:
-    Chain = _module.Chain
-    WrenchEstimator = _module.WrenchEstimator
-    limit_reference = _module.limit_reference
-    presliding = _module.presliding
+globals().update({name: getattr(_module, name) for name in __all__ if name != "backend"})

@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab import kernels
 from armlab.errors import UnknownName
 from armlab.lie import _check
 
@@ -104,7 +105,7 @@ def to_rpy(R: ArrayLike, convention: Convention) -> np.ndarray:
     UnknownName : when the convention does not exist.
     """
     i, j, last = _axes(convention)
-    R = _check.rotation(R)
+    R = kernels.rotations(R, "R")
     k = 3 - i - j
     e = 1.0 if (j - i) % 3 == 1 else -1.0  # e_i × e_j = e e_k
     if last == i:  # column i of R is what the first two turns make of axis i

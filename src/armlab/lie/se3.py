@@ -8,19 +8,29 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab import kernels
 from armlab.errors import ShapeError
 from armlab.lie import _check, so3
+from armlab.lie._angular_first import from_angular_first, to_angular_first
+from armlab.lie._between import assemble, interpolate, mean
 
 __all__ = [
+    "ad",
     "adjoint",
     "adjoint_inv",
     "exp",
+    "from_angular_first",
     "from_rp",
     "hat",
+    "interpolate",
     "inv",
     "is_pose",
+    "left_jacobian",
+    "left_jacobian_inv",
     "log",
+    "mean",
     "project",
+    "to_angular_first",
     "transform_wrench",
     "vee",
 ]
@@ -42,7 +52,7 @@ def from_rp(R: ArrayLike, p: ArrayLike = (0.0, 0.0, 0.0)) -> np.ndarray:
     ------
     ShapeError : when R is not a rotation within `so3.ROTATION_TOLERANCE`.
     """
-    return _assemble(_check.rotation(R), _check.array(p, (3,), "p"))
+    return assemble(kernels.rotations(R, "R"), _check.array(p, (3,), "p"))
 
 
 def hat(xi: ArrayLike) -> np.ndarray:
@@ -84,28 +94,28 @@ def vee(X: ArrayLike) -> np.ndarray:
     return np.concatenate([X[..., :3, 3], so3.vee(X[..., :3, :3])], axis=-1)
 
 
-def exp(xi: ArrayLike) -> np.ndarray:
+def exp(xi: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
     """Return the pose after one unit of time at a twist: ``[[exp(w), V v], [0, 1]]``, V = so3.left_jacobian(w).
 
     Parameters
     ----------
     xi : (..., 6) twist [v; w]; w = 0 is a pure translation.
+    out : (..., 4, 4) array to write into.
 
     Returns
     -------
     (..., 4, 4).
     """
-    xi = _check.array(xi, (6,), "xi")
-    v, w = xi[..., :3], xi[..., 3:]
-    return _assemble(so3.exp(w), (so3.left_jacobian(w) @ v[..., None])[..., 0])
+    return kernels.se3_exp(xi, out)
 
 
-def log(T: ArrayLike) -> np.ndarray:
+def log(T: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
     """Return the twist of least turn: ``exp(log(T)) = T``, abs(w) ≤ π.
 
     Parameters
     ----------
     T : (..., 4, 4).
+    out : (..., 6) array to write into.
 
     Returns
     -------
@@ -115,18 +125,16 @@ def log(T: ArrayLike) -> np.ndarray:
     ------
     ShapeError : when T is not a pose within `so3.ROTATION_TOLERANCE`.
     """
-    T = _check.pose(T)
-    w = so3.log(T[..., :3, :3])
-    v = (so3.left_jacobian_inv(w) @ T[..., :3, 3:])[..., 0]
-    return np.concatenate([v, w], axis=-1)
+    return kernels.se3_log(T, out)
 
 
-def inv(T: ArrayLike) -> np.ndarray:
+def inv(T: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
     """Return the inverse pose: ``[[Rᵀ, -Rᵀ p], [0, 1]]``.
 
     Parameters
     ----------
     T : (..., 4, 4).
+    out : (..., 4, 4) array to write into.
 
     Returns
     -------
@@ -136,17 +144,37 @@ def inv(T: ArrayLike) -> np.ndarray:
     ------
     ShapeError : when T is not a pose within `so3.ROTATION_TOLERANCE`.
     """
-    T = _check.pose(T)
-    Rt = np.swapaxes(T[..., :3, :3], -1, -2)
-    return _assemble(Rt, -(Rt @ T[..., :3, 3:])[..., 0])
+    return kernels.se3_inv(T, out)
 
 
-def adjoint(T_a_b: ArrayLike) -> np.ndarray:
+def ad(xi: ArrayLike) -> np.ndarray:
+    """Return the matrix of the Lie bracket: ``hat(ad(xi) eta) = hat(xi) hat(eta) - hat(eta) hat(xi)``.
+
+    It is ``[[hat(w), hat(v)], [0, hat(w)]]``, the derivative of `adjoint`: ``expm(ad(xi)) = adjoint(exp(xi))``. Its
+    negative transpose acts on wrenches.
+
+    Parameters
+    ----------
+    xi : (..., 6) twist [v; w].
+
+    Returns
+    -------
+    (..., 6, 6) for twists [v; w].
+    """
+    xi = _check.array(xi, (6,), "xi")
+    result = np.zeros((*xi.shape, 6))
+    result[..., :3, :3] = result[..., 3:, 3:] = so3.hat(xi[..., 3:])
+    result[..., :3, 3:] = so3.hat(xi[..., :3])
+    return result
+
+
+def adjoint(T_a_b: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
     """Return Ad with ``twist_a = Ad twist_b``: ``[[R, hat(p) R], [0, R]]``; ``hat(Ad xi) = T hat(xi) T⁻¹``.
 
     Parameters
     ----------
     T_a_b : (..., 4, 4).
+    out : (..., 6, 6) array to write into.
 
     Returns
     -------
@@ -156,12 +184,7 @@ def adjoint(T_a_b: ArrayLike) -> np.ndarray:
     ------
     ShapeError : when T_a_b is not a pose within `so3.ROTATION_TOLERANCE`.
     """
-    T = _check.pose(T_a_b, "T_a_b")
-    R = T[..., :3, :3]
-    Ad = np.zeros((*T.shape[:-2], 6, 6))
-    Ad[..., :3, :3] = Ad[..., 3:, 3:] = R
-    Ad[..., :3, 3:] = so3.hat(T[..., :3, 3]) @ R
-    return Ad
+    return kernels.se3_adjoint(T_a_b, out)
 
 
 def adjoint_inv(T_a_b: ArrayLike) -> np.ndarray:
@@ -200,7 +223,7 @@ def transform_wrench(T_a_b: ArrayLike, wrench_b: ArrayLike) -> np.ndarray:
     ------
     ShapeError : when T_a_b is not a pose within `so3.ROTATION_TOLERANCE`.
     """
-    T, wrench = _check.pose(T_a_b, "T_a_b"), _check.array(wrench_b, (6,), "wrench_b")
+    T, wrench = kernels.poses(T_a_b, "T_a_b"), _check.array(wrench_b, (6,), "wrench_b")
     R, p = T[..., :3, :3], T[..., :3, 3]
     f = (R @ wrench[..., :3, None])[..., 0]
     m = (R @ wrench[..., 3:, None])[..., 0] + np.cross(p, f)
@@ -243,10 +266,39 @@ def project(M: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     M = _check.array(M, (4, 4), "M")
     _check.last_row(M, "M")
     R, distance = so3.project(M[..., :3, :3])
-    return _assemble(R, M[..., :3, 3]), distance
+    return assemble(R, M[..., :3, 3]), distance
 
 
-def _assemble(R: np.ndarray, p: np.ndarray) -> np.ndarray:
-    T = np.zeros((*np.broadcast_shapes(R.shape[:-2], p.shape[:-1]), 4, 4))
-    T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R, p, 1.0
-    return T
+def left_jacobian(xi: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
+    """Return J with ``exp(xi + dxi) = exp(J dxi) exp(xi)``: ``[[V, Q], [0, V]]``, V = so3.left_jacobian(w).
+
+    Q is the derivative of V in the direction v, so the two are one function of a matrix: ``J = f(ad(xi))`` and
+    ``V = f(hat(w))`` with ``f(X) = I + X/2! + X²/3! + ...``.
+
+    Parameters
+    ----------
+    xi : (..., 6) twist [v; w].
+    out : (..., 6, 6) array to write into.
+
+    Returns
+    -------
+    (..., 6, 6). The right Jacobian is ``left_jacobian(-xi)``.
+
+    Reference: T. D. Barfoot, State estimation for robotics, 2017, eq. 7.83 to 7.86 (angular parts last, as here).
+    """
+    return kernels.se3_left_jacobian(xi, out)
+
+
+def left_jacobian_inv(xi: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
+    """Return the inverse of `left_jacobian`, in closed form: ``[[V⁻¹, -V⁻¹ Q V⁻¹], [0, V⁻¹]]``.
+
+    Parameters
+    ----------
+    xi : (..., 6) twist [v; w] with w shorter than 2π [rad].
+    out : (..., 6, 6) array to write into.
+
+    Returns
+    -------
+    (..., 6, 6).
+    """
+    return kernels.se3_left_jacobian_inv(xi, out)

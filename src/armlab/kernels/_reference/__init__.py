@@ -7,7 +7,47 @@ from __future__ import annotations
 
 from armlab.kernels._reference.chain import Chain
 from armlab.kernels._reference.estimator import WrenchEstimator
+from armlab.kernels._reference.lie import (
+    quaternion_from_matrix,
+    quaternion_multiply,
+    quaternion_slerp,
+    quaternion_to_matrix,
+    se3_adjoint,
+    se3_exp,
+    se3_inv,
+    se3_left_jacobian,
+    se3_left_jacobian_inv,
+    se3_log,
+    so3_angle,
+    so3_exp,
+    so3_left_jacobian,
+    so3_left_jacobian_inv,
+    so3_log,
+)
+from armlab.kernels._reference.lie_arguments import poses, rotations
 from armlab.kernels._reference.limits import limit_reference
 from armlab.kernels._reference.presliding import presliding
 
-__all__ = ["Chain", "WrenchEstimator", "limit_reference", "presliding"]
+__all__ = [
+    "Chain",
+    "WrenchEstimator",
+    "limit_reference",
+    "poses",
+    "presliding",
+    "quaternion_from_matrix",
+    "quaternion_multiply",
+    "quaternion_slerp",
+    "quaternion_to_matrix",
+    "rotations",
+    "se3_adjoint",
+    "se3_exp",
+    "se3_inv",
+    "se3_left_jacobian",
+    "se3_left_jacobian_inv",
+    "se3_log",
+    "so3_angle",
+    "so3_exp",
+    "so3_left_jacobian",
+    "so3_left_jacobian_inv",
+    "so3_log",
+]

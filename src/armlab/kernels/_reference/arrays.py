@@ -8,7 +8,7 @@ import numpy as np
 
 from armlab.errors import ShapeError
 
-__all__ = ["read", "result", "same_shape"]
+__all__ = ["elements", "read", "result", "same_shape"]
 
 
 def read(value: Any, name: str, tail: tuple[int, ...], exact: bool = False) -> np.ndarray:
@@ -26,18 +26,33 @@ def read(value: Any, name: str, tail: tuple[int, ...], exact: bool = False) -> n
     ShapeError
         When it does not convert or has another shape.
     """
-    array = _convertible(value)
-    if array is None:
-        raise ShapeError(
-            f"Expected {name} to be an array of real numbers, got {type(value).__name__} that does not convert to "
-            "float64. Give a NumPy array or nested lists of equal length."
-        )
+    array = _numbers(value, name)
     leading = array.ndim - len(tail)
     if leading < 0 or (exact and leading) or array.shape[leading:] != tail:
         wanted = str(tail) if exact else f"(..., {', '.join(map(str, tail))})"
         advice = "" if exact else " Put the joints on the last axis, batches before it."
         raise ShapeError(f"Expected {name} of shape {wanted}, got {array.shape}.{advice}")
     return array.astype(np.float64, copy=False)
+
+
+def elements(value: Any, name: str, tail: tuple[int, ...]) -> np.ndarray:
+    """Return `value` as a float64 array of elements of shape `tail`, whatever they are.
+
+    Parameters
+    ----------
+    value : array-like of real numbers.
+    name : how error messages call it.
+    tail : the last axes that are required.
+
+    Raises
+    ------
+    ShapeError
+        When it does not convert or has another shape.
+    """
+    array = _numbers(value, name)
+    if array.shape[max(array.ndim - len(tail), 0) :] != tail:
+        raise ShapeError(f"Expected {name} of shape ({', '.join(['...', *map(str, tail)])}), got {array.shape}.")
+    return np.asarray(array, dtype=np.float64, order="C")
 
 
 def same_shape(array: np.ndarray, name: str, other: np.ndarray, other_name: str) -> None:
@@ -76,10 +91,15 @@ def result(value: np.ndarray, out: Any, name: str = "out") -> np.ndarray:
     return out
 
 
-def _convertible(value: Any) -> np.ndarray | None:
-    """Return `value` as an array if it converts to float64 without loss of kind."""
+def _numbers(value: Any, name: str) -> np.ndarray:
+    """Return `value` as an array, refusing what does not convert to float64 without loss of kind."""
     try:
         array = np.asarray(value)
     except (TypeError, ValueError):
-        return None
-    return array if np.can_cast(array.dtype, np.float64, "safe") else None
+        array = None
+    if array is None or not np.can_cast(array.dtype, np.float64, "safe"):
+        raise ShapeError(
+            f"Expected {name} to be an array of real numbers, got {type(value).__name__} that does not convert to "
+            "float64. Give a NumPy array or nested lists of equal length."
+        )
+    return array

@@ -1,0 +1,236 @@
+"""The compiled functions of the Lie groups give what the NumPy reference gives, and refuse what it refuses."""
+
+from __future__ import annotations
+
+import re
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armlab.errors import ShapeError
+from armlab.kernels import _reference
+
+if find_spec("armlab.kernels._native") is None:
+    pytest.skip("the extension is not built", allow_module_level=True)
+
+from armlab.kernels import _native
+
+FUNCTIONS = {  # name: kinds of the arguments
+    "so3_exp": ("w",),
+    "so3_log": ("R",),
+    "so3_angle": ("R", "R2"),
+    "so3_left_jacobian": ("w",),
+    "so3_left_jacobian_inv": ("w",),
+    "se3_exp": ("xi",),
+    "se3_log": ("T",),
+    "se3_inv": ("T",),
+    "se3_adjoint": ("T",),
+    "se3_left_jacobian": ("xi",),
+    "se3_left_jacobian_inv": ("xi",),
+    "quaternion_from_matrix": ("R",),
+    "quaternion_to_matrix": ("q",),
+    "quaternion_multiply": ("q", "q2"),
+    "quaternion_slerp": ("q", "q2", "s"),
+}
+BATCHES = [(), (1,), (3,), (4,), (9,), (2, 3), (0,), (5, 0), (1, 2, 1)]
+TURN = st.one_of(
+    st.sampled_from([0.0, 1e-300, 1e-155, 1e-12, 1e-6, 0.4999, 0.5, np.pi - 1e-9, np.pi]),
+    st.floats(0.0, np.pi),
+)
+MODULES = pytest.mark.parametrize("module", [_native, _reference], ids=["native", "reference"])
+
+
+def inputs(batch: tuple[int, ...], turns: np.ndarray, seed: int) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    u = rng.standard_normal((*batch, 3))
+    w = turns[..., None] * u / np.linalg.norm(u, axis=-1, keepdims=True)
+    xi = np.concatenate([rng.standard_normal((*batch, 3)), w], axis=-1)
+    R, R2 = (_reference.so3_exp(v) for v in (w, rng.standard_normal((*batch, 3))))
+    q, q2 = (_reference.quaternion_from_matrix(M) for M in (R, R2))
+    return {"w": w, "xi": xi, "R": R, "R2": R2, "T": _reference.se3_exp(xi), "q": q, "q2": -q2, "s": turns / 3}
+
+
+@st.composite
+def cases(draw: st.DrawFn) -> dict[str, np.ndarray]:
+    batch = draw(st.sampled_from(BATCHES))
+    count = int(np.prod(batch))
+    turns = np.array(draw(st.lists(TURN, min_size=count, max_size=count)), dtype=float).reshape(batch)
+    return inputs(batch, turns, draw(st.integers(0, 2**32)))
+
+
+@pytest.fixture
+def batch() -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(1)
+    return inputs((2, 35), rng.uniform(0, np.pi, (2, 35)) * rng.integers(0, 2, (2, 35)), 2)
+
+
+@given(cases())
+@settings(max_examples=200, deadline=None)
+def test_native_is_the_reference(case: dict[str, np.ndarray]) -> None:
+    for name, kinds in FUNCTIONS.items():
+        arguments = [case[kind] for kind in kinds]
+        ours, wanted = (getattr(module, name)(*arguments) for module in (_native, _reference))
+        assert ours.shape == wanted.shape
+        assert ours.dtype == wanted.dtype == np.float64
+        if name == "se3_log":
+            continue
+        if name in ("so3_log", "quaternion_from_matrix"):  # at a half turn rounding decides which of two
+            ours = np.where((ours * wanted).sum(axis=-1, keepdims=True) < 0, -ours, ours)
+        np.testing.assert_allclose(ours, wanted, rtol=0.0, atol=1e-12 * max(1.0, np.abs(wanted).max(initial=0.0)))
+
+
+@given(cases())
+@settings(max_examples=50, deadline=None)
+def test_logarithms_of_poses_agree(case: dict[str, np.ndarray]) -> None:
+    """Apart from the sign at a half turn: both lead back to the same pose."""
+    T = case["T"]
+    for log in (_native.se3_log, _reference.se3_log):
+        np.testing.assert_allclose(_reference.se3_exp(log(T)), T, rtol=0.0, atol=1e-13)
+
+
+@MODULES
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_every_kind_of_input_gives_the_same(module: Any, batch: dict[str, np.ndarray], name: str) -> None:
+    """Read-only, non-contiguous, big-endian and lists; and no input is changed."""
+    function, plain = getattr(module, name), [batch[kind] for kind in FUNCTIONS[name]]
+    before = [array.copy() for array in plain]
+    wanted = function(*plain)
+    for array in plain:
+        array.flags.writeable = False
+    strided = [np.repeat(array, 2, axis=-1)[..., ::2] for array in plain]
+    transposed = [np.asfortranarray(array) for array in plain]
+    swapped = [array.astype(">f8") for array in plain]
+    lists = [array.tolist() for array in plain]
+    for arguments in (plain, strided, transposed, swapped, lists):
+        np.testing.assert_array_equal(function(*arguments), wanted)
+    for array, saved in zip(plain, before, strict=True):
+        np.testing.assert_array_equal(array, saved)
+
+
+@MODULES
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_out_is_filled_and_returned(module: Any, batch: dict[str, np.ndarray], name: str) -> None:
+    function, arguments = getattr(module, name), [batch[kind] for kind in FUNCTIONS[name]]
+    wanted = function(*arguments)
+    out = np.full(wanted.shape, np.nan)
+    assert function(*arguments, out=out) is out
+    np.testing.assert_array_equal(out, wanted)
+    with pytest.raises(ShapeError, match="writable C-contiguous float64"):
+        function(*arguments, out=np.empty(wanted.shape, dtype=np.float32))
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_batch_is_a_loop(batch: dict[str, np.ndarray], name: str) -> None:
+    """Bit for bit, for whole groups of four samples and for the rest."""
+    function, arguments = getattr(_native, name), [batch[kind] for kind in FUNCTIONS[name]]
+    whole = function(*arguments)
+    for index in np.ndindex(2, 35):
+        np.testing.assert_array_equal(function(*[array[index] for array in arguments]), whole[index])
+
+
+@MODULES
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_nan_stays_in_its_sample(module: Any, batch: dict[str, np.ndarray], name: str) -> None:
+    function, arguments = getattr(module, name), [batch[kind].copy() for kind in FUNCTIONS[name]]
+    clean = function(*arguments)
+    arguments[0][1, 2] = np.nan
+    dirty = function(*arguments)
+    assert np.isnan(dirty[1, 2]).any()
+    dirty[1, 2] = clean[1, 2]
+    np.testing.assert_array_equal(dirty, clean)
+
+
+@MODULES
+@pytest.mark.parametrize("name", ["so3_angle", "quaternion_multiply", "quaternion_slerp"])
+def test_leading_axes_broadcast(module: Any, batch: dict[str, np.ndarray], name: str) -> None:
+    function, arguments = getattr(module, name), [batch[kind] for kind in FUNCTIONS[name]]
+    arguments[0] = arguments[0][:, :1]
+    arguments[1] = arguments[1][0]
+    tails = [2, 2] if name == "so3_angle" else [1, 1, 0]
+    full = [np.broadcast_to(a, (2, 35, *a.shape[a.ndim - t :])) for a, t in zip(arguments, tails)]
+    np.testing.assert_array_equal(function(*arguments), function(*full))
+    if name == "quaternion_slerp":
+        arguments[2], full[2] = arguments[2][0], arguments[2]
+    arguments[0], full[0] = arguments[0][0, 0], np.broadcast_to(full[0][0, 0], full[0].shape)
+    np.testing.assert_array_equal(function(*arguments), function(*[array[0] for array in full]))
+
+
+@MODULES
+def test_rotations_and_poses_are_returned_as_they_are(module: Any, batch: dict[str, np.ndarray]) -> None:
+    assert module.rotations(batch["R"], "R") is batch["R"]
+    assert module.poses(batch["T"], "T") is batch["T"]
+    assert module.rotations(np.eye(3, dtype=int).tolist(), "R").dtype == np.float64
+
+
+def matrices(*changes: tuple[tuple[int, ...], float]) -> np.ndarray:
+    return poses(*changes)[..., :3, :3]
+
+
+def poses(*changes: tuple[tuple[int, ...], float]) -> np.ndarray:
+    T = np.tile(np.eye(4), (5, 3, 1, 1))
+    for index, value in changes:
+        T[index] = value
+    return T
+
+
+EYES = np.tile(np.eye(3), (3, 1, 1))
+NO_ROTATION = "Expected R{} to be a rotation within 1e-06, got {}. Project it first"
+NOT_UNIT = "Expected {} of length 1 within 0.001 (wxyz), got length {}."
+LAST_ROW = "Expected (0, 0, 0, 1) as the last row of T{}, got one off by {}."
+REFUSED = [
+    ("rotations", (np.zeros((2, 3)), "R_x"), "Expected R_x of shape (..., 3, 3), got (2, 3)."),
+    ("rotations", ("north", "R"), "Expected R to be an array of real numbers, got str"),
+    ("rotations", (1j * np.eye(3), "R"), "Expected R to be an array of real numbers, got "),
+    ("rotations", (2 * np.eye(3), "R"), NO_ROTATION.format("", "max|R^T R - I| = 3")),
+    ("rotations", (-np.eye(3), "R"), NO_ROTATION.format("", "determinant = -1")),
+    ("rotations", (matrices(((3, 1, 0, 0), np.inf)), "R"), NO_ROTATION.format("[3, 1]", "max|R| = inf")),
+    (
+        "rotations",
+        (matrices(((1, 1, 0, 1), np.nan), ((4, 2, 0, 1), 1.1e-6)), "R"),
+        NO_ROTATION.format("[4, 2]", "max|R^T R - I| = 1.1e-06"),
+    ),
+    ("poses", (poses(((4, 0, 1, 1), 1.1)), "T"), "Expected the rotation of T[4, 0] to be a rotation within"),
+    ("poses", (poses(((2, 2, 3, 1), 0.5)), "T"), LAST_ROW.format("[2, 2]", "0.5")),
+    ("poses", (poses(((2, 1, 3, 3), np.nan)), "T"), LAST_ROW.format("[2, 1]", "nan")),
+    ("se3_log", (np.eye(3),), "Expected T of shape (..., 4, 4), got (3, 3)."),
+    ("se3_adjoint", (2 * np.eye(4),), "Expected the rotation of T_a_b to be a rotation"),
+    ("se3_exp", (np.zeros(3),), "Expected xi of shape (..., 6), got (3,)."),
+    ("so3_exp", (1.0,), "Expected w of shape (..., 3), got ()."),
+    ("so3_angle", (np.eye(3), np.zeros((3, 3))), "Expected R_b to be a rotation"),
+    (
+        "so3_angle",
+        (EYES, EYES[:2]),
+        "Expected leading axes that broadcast, got R_a of shape (3, 3, 3), R_b of shape (2, 3, 3).",
+    ),
+    ("quaternion_to_matrix", ([[1, 0, 0, 0], [1, 0.1, 0, 0]],), NOT_UNIT.format("quaternion[1]", "1.00499")),
+    ("quaternion_slerp", ([1, 0, 0, 0], [3, 0, 0, 0], 0.5), NOT_UNIT.format("b", "3")),
+    ("quaternion_multiply", (np.zeros((2, 4)), np.zeros((3, 4))), "Expected leading axes that broadcast, got p of"),
+]
+
+
+@MODULES
+@pytest.mark.parametrize(("name", "arguments", "sentence"), REFUSED)
+def test_refusals(module: Any, name: str, arguments: tuple[Any, ...], sentence: str) -> None:
+    with pytest.raises(ShapeError, match="^.*" + re.escape(sentence)):
+        getattr(module, name)(*arguments)
+
+
+@MODULES
+def test_a_missing_number_passes_and_hides_nothing_else(module: Any) -> None:
+    T = poses(((1, 1, 0, 1), np.nan), ((1, 1, 3, 1), np.nan), ((0, 2, 0, 3), np.nan))
+    assert np.isnan(module.se3_inv(T)[1, 1]).any()
+    assert np.isfinite(module.se3_inv(T)[2:]).all()
+
+
+@pytest.mark.parametrize("name", ["so3_exp", "so3_left_jacobian"])
+def test_far_turns_have_values(name: str) -> None:
+    """Beyond the range of a square, lengths come from the C library."""
+    w = np.array([[1e200, 0, 0], [3e-170, 4e-170, 0], [0, 0, -1e8], [0.1, 0.2, 0.3]])
+    values = getattr(_native, name)(w)
+    assert np.isfinite(values).all()
+    np.testing.assert_allclose(values[1:], getattr(_reference, name)(w[1:]), atol=1e-8)
+    assert np.isnan(_native.so3_exp([np.inf, 0, 0])).any()
