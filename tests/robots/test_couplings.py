@@ -94,6 +94,29 @@ def test_the_parallel_rod_of_the_irb2400() -> None:
     np.testing.assert_array_equal(robot.coupling - np.eye(6), -np.eye(6, k=-1) * (np.arange(6) == 2)[:, None])
 
 
+def test_what_is_missing_of_one_motor_is_not_missing_of_all_joints(yumi: Robot, wrist: Robot) -> None:
+    """A product with the matrix alone would spread NaN over zeros: one broken column of a log, all joints gone."""
+    broken = np.array([np.nan, 2.0, 3, 4, 5, 6, 7])
+    for convert in (
+        couplings.motor_to_joint,
+        couplings.joint_to_motor,
+        couplings.motor_torque_to_joint,
+        couplings.joint_torque_to_motor,
+    ):
+        whole = convert(yumi, np.nan_to_num(broken))
+        np.testing.assert_array_equal(convert(yumi, broken), [np.nan, *whole[1:]])
+    np.testing.assert_array_equal(couplings.motor_to_joint(wrist, [np.nan, 1]), [np.nan, np.nan])
+    np.testing.assert_array_equal(couplings.motor_to_joint(wrist, [[1, np.inf], [1, 1]]), [[0.5, np.nan], [0.5, 0.75]])
+    np.testing.assert_array_equal(couplings.motor_torque_to_joint(wrist, [np.nan, 1]), [np.nan, 2])
+
+
+@pytest.mark.parametrize("values", ["home", ["1"] * 7, np.zeros(7, complex), [None] * 7, [[0] * 7, [0] * 6], None])
+@pytest.mark.parametrize("name", couplings.__all__)
+def test_what_is_no_number_is_refused(yumi: Robot, name: str, values: object) -> None:
+    with pytest.raises(ShapeError, match=r"Expected values for robot 'yumi_left' to be real numbers, got .*\."):
+        getattr(couplings, name)(yumi, values)
+
+
 def test_coupling_in_batches(wrist: Robot) -> None:
     values = np.random.default_rng(2).standard_normal((3, 4, 2))
     for there, back in (

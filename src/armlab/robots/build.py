@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab.errors import RobotError
+from armlab.robots._numbers import numbers
 from armlab.robots.mesh import Mesh
 from armlab.robots.robot import Robot
 
@@ -70,32 +71,38 @@ def from_links(name: str, links: ArrayLike, prismatic: ArrayLike | None = None, 
         raise RobotError(
             f"Expected details of robot {name!r} among {', '.join(Details.__annotations__)}, got {unknown!r}."
         )
-    links = _floats(links)
-    n = max(len(links) - 1, 0)
+
+    def given(field: str, default: ArrayLike) -> np.ndarray:
+        return numbers(details.get(field, default), f"{field} of robot {name!r}")
+
+    links = numbers(links, f"links of robot {name!r}")
+    n = max(len(links) - 1, 0) if links.ndim else 0
     unlimited = np.full(n, np.inf)
-    q_min, q_max = _floats(details.get("q_min", -unlimited)), _floats(details.get("q_max", unlimited))
-    qd_max = _floats(details.get("qd_max", unlimited))
+    q_min, q_max, qd_max = given("q_min", -unlimited), given("q_max", unlimited), given("qd_max", unlimited)
+    slides = np.zeros(n) if prismatic is None else numbers(prismatic, f"prismatic of robot {name!r}")
+    if slides.shape != (n,):
+        raise RobotError(f"Expected prismatic of robot {name!r} ({n} joints) to have shape ({n},), got {slides.shape}.")
     inertias = details.get("inertias")
     home = np.clip(0.0, q_min, q_max) if q_min.shape == q_max.shape == (n,) else np.zeros(n)
     return Robot(
         name=name,
         links=links,
-        prismatic=np.zeros(n, dtype=bool) if prismatic is None else np.asarray(prismatic, dtype=bool),
+        prismatic=slides,
         q_min=q_min,
         q_max=q_max,
         qd_max=qd_max,
-        qdd_max=_floats(details.get("qdd_max", qd_max / RAMP_TIME)),
-        q_home=_floats(details.get("q_home", home)),
+        qdd_max=given("qdd_max", qd_max / RAMP_TIME),
+        q_home=given("q_home", home),
         joint_names=tuple(details.get("joint_names", [f"joint_{i + 1}" for i in range(n)])),
-        T_base_mount=_floats(details.get("T_base_mount", np.eye(4))),
-        T_flange_tool=_floats(details.get("T_flange_tool", np.eye(4))),
-        gravity=_floats(details.get("gravity", GRAVITY)),
-        coupling=_floats(details.get("coupling", np.eye(n))),
+        T_base_mount=given("T_base_mount", np.eye(4)),
+        T_flange_tool=given("T_flange_tool", np.eye(4)),
+        gravity=given("gravity", GRAVITY),
+        coupling=given("coupling", np.eye(n)),
         abb_axes=tuple(details.get("abb_axes", range(1, n + 1))),
         side=details.get("side", ""),
         source=details.get("source", ""),
-        tau_max=_floats(details.get("tau_max", unlimited)),
-        inertias=None if inertias is None else _floats(inertias),
+        tau_max=given("tau_max", unlimited),
+        inertias=None if inertias is None else given("inertias", ()),
         meshes=tuple(map(tuple, details.get("meshes", ()))),
     )
 
@@ -141,14 +148,14 @@ def from_dh(
     return from_links(name, links, prismatic, **details)
 
 
-def _floats(value: ArrayLike) -> np.ndarray:
-    return np.asarray(value, dtype=np.float64)
-
-
 def _columns(name: str, **columns: ArrayLike) -> tuple[np.ndarray, ...]:
     """Return the columns as vectors of one length."""
-    arrays = {key: np.atleast_1d(_floats(column)) for key, column in columns.items()}
+    arrays = {
+        key: np.atleast_1d(numbers(column, f"{key} in the DH table of {name!r}")) for key, column in columns.items()
+    }
     for key, array in arrays.items():
+        if array.ndim > 1:
+            raise RobotError(f"Expected {key} in the DH table of {name!r} as one column (n,), got shape {array.shape}.")
         if not np.isfinite(array).all():
             i = int(np.argmin(np.isfinite(array)))
             raise RobotError(f"Expected finite {key} in the DH table of {name!r}, got {array[i]} at joint {i + 1}.")

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab.errors import ShapeError
+from armlab.robots._numbers import numbers
 from armlab.robots.robot import Robot
 
 __all__ = [
@@ -69,7 +70,7 @@ def motor_to_joint(robot: Robot, values: ArrayLike) -> np.ndarray:
     -------
     (..., n).
     """
-    return _values(robot, values) @ robot.coupling.T
+    return _through(robot.coupling, _values(robot, values))
 
 
 def joint_to_motor(robot: Robot, values: ArrayLike) -> np.ndarray:
@@ -84,7 +85,7 @@ def joint_to_motor(robot: Robot, values: ArrayLike) -> np.ndarray:
     -------
     (..., n).
     """
-    return np.linalg.solve(robot.coupling, _values(robot, values)[..., None])[..., 0]
+    return _through(np.linalg.inv(robot.coupling), _values(robot, values))
 
 
 def motor_torque_to_joint(robot: Robot, tau_motor: ArrayLike) -> np.ndarray:
@@ -99,7 +100,7 @@ def motor_torque_to_joint(robot: Robot, tau_motor: ArrayLike) -> np.ndarray:
     -------
     (..., n).
     """
-    return np.linalg.solve(robot.coupling.T, _values(robot, tau_motor)[..., None])[..., 0]
+    return _through(np.linalg.inv(robot.coupling).T, _values(robot, tau_motor))
 
 
 def joint_torque_to_motor(robot: Robot, tau: ArrayLike) -> np.ndarray:
@@ -114,11 +115,18 @@ def joint_torque_to_motor(robot: Robot, tau: ArrayLike) -> np.ndarray:
     -------
     (..., n).
     """
-    return _values(robot, tau) @ robot.coupling
+    return _through(robot.coupling.T, _values(robot, tau))
+
+
+def _through(matrix: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Multiply; what is missing of one motor is missing of the joints that it moves, not of the others."""
+    known = np.isfinite(values)
+    result = np.where(known, values, 0.0) @ matrix.T
+    return np.where(~known @ (matrix.T != 0), np.nan, result)
 
 
 def _values(robot: Robot, values: ArrayLike) -> np.ndarray:
-    result = np.asarray(values, dtype=np.float64)
+    result = numbers(values, f"values for robot {robot.name!r}", ShapeError)
     if result.shape[-1:] != (robot.n,):
         raise ShapeError(f"Expected values of shape (..., {robot.n}) for robot {robot.name!r}, got {result.shape}.")
     return result

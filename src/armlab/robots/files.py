@@ -33,7 +33,7 @@ def load(name: str | Path, *, base: str | None = None, tip: str | None = None) -
     RobotError : when the file is missing or describes no consistent robot; names file, joint or line, and value.
         When several branches of a URDF move and the tip is not said; lists them.
     """
-    suffix = Path(name).suffix
+    suffix = Path(str(name)).suffix
     if suffix == ".urdf":
         from armlab.robots import urdf
 

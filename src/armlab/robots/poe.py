@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from armlab.errors import RobotError, ShapeError
 from armlab.lie import se3
 from armlab.robots._axes import frames_along
+from armlab.robots._numbers import numbers
 from armlab.robots.build import Details, from_links
 from armlab.robots.robot import POSE_TOLERANCE, Robot
 
@@ -46,10 +47,11 @@ def from_poe(name: str, screws: ArrayLike, T_home: ArrayLike, **details: Unpack[
     ------
     RobotError : when a screw is not a unit axis without pitch, or the numbers contradict each other.
     """
-    if np.shape(T_home) != (4, 4) or not se3.is_pose(T_home, POSE_TOLERANCE):
-        raise RobotError(f"Expected T_home of robot {name!r} to be a pose (4, 4), got {np.asarray(T_home).tolist()}.")
-    screws = np.asarray(screws, dtype=np.float64)
-    poses = np.tile(np.eye(4), (len(screws) + 1, 1, 1))
+    T_home = numbers(T_home, f"T_home of robot {name!r}")
+    if T_home.shape != (4, 4) or not se3.is_pose(T_home, POSE_TOLERANCE):
+        raise RobotError(f"Expected T_home of robot {name!r} to be a pose (4, 4), got {T_home.tolist()}.")
+    screws = numbers(screws, f"screws of robot {name!r}")
+    poses = np.tile(np.eye(4), (len(screws) + 1 if screws.ndim else 1, 1, 1))
     poses[-1] = T_home
     return from_local_poe(name, poses, screws, **details)
 
@@ -68,7 +70,7 @@ def from_local_poe(name: str, poses: ArrayLike, screws: ArrayLike, **details: Un
     ------
     RobotError : when a screw is not a unit axis without pitch, or the numbers contradict each other.
     """
-    poses, screws = np.asarray(poses, dtype=np.float64), np.asarray(screws, dtype=np.float64)
+    poses, screws = numbers(poses, f"poses of robot {name!r}"), numbers(screws, f"screws of robot {name!r}")
     if screws.ndim != 2 or screws.shape[1] != 6 or poses.shape != (len(screws) + 1, 4, 4):
         raise RobotError(
             f"Expected screws of shape (n, 6) and poses of shape (n+1, 4, 4) for robot {name!r}, "
@@ -116,7 +118,7 @@ def normalise_screw(screw: ArrayLike, keep_pitch: bool = False) -> np.ndarray:
     ------
     ShapeError : when a screw is zero or not finite.
     """
-    screw = np.asarray(screw, dtype=np.float64)
+    screw = numbers(screw, "screw", ShapeError)
     if screw.shape[-1:] != (6,):
         raise ShapeError(f"Expected screws of shape (..., 6), got {screw.shape}.")
     turns = screw[..., 3:].any(axis=-1, keepdims=True)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from armlab.robots._consistency import POSE_TOLERANCE, check_robot
+from armlab.robots._numbers import numbers
 from armlab.robots.mesh import Mesh
 
 if TYPE_CHECKING:
@@ -76,11 +77,12 @@ class Robot:
         """Make every array a read-only float64 copy (prismatic: bool) and check the description."""
         for field in fields(self):
             value = getattr(self, field.name)
-            if value is None:
+            if field.name == "inertias" and value is None:
                 continue
             if str(field.type).startswith("np.ndarray"):
-                # + 0.0 turns -0.0 into 0.0: equal robots have equal bytes
-                value = np.array(value, dtype=bool) if field.name == "prismatic" else np.array(value, np.float64) + 0.0
+                value = np.array(numbers(value, f"{field.name} of robot {self.name!r}"))
+                value += 0.0  # -0.0 becomes 0.0: equal robots have equal bytes
+                value = np.array(value, bool) if field.name == "prismatic" else value
                 value.flags.writeable = False
             elif field.name == "meshes":
                 value = tuple(tuple(meshes) for meshes in value) if any(value) else ()
