@@ -50,7 +50,7 @@ def frames() -> None:
     T_world_flange = T_world_tool @ se3.inv(T_flange_tool)
     T_world_cam = T_world_flange @ pose(-0.13, 0, 0.06, (0, 15, 0))
     T_world_sensor = T_world_flange @ T_flange_sensor
-    figure, (cell, wrist) = canvas(("a cell", "its wrist"), 9.5, 4.6)
+    figure, (cell, wrist) = canvas(("a cell", "its wrist"), 9.5, 4.5)
     plots.robot(arm, q, frames=False, ax=cell)
     named = {"world": np.eye(4), "base": T_world_base, "tool": T_world_tool, "marker": T_world_marker}
     plots.scene(named, frames=0.25, ax=cell)
@@ -169,7 +169,7 @@ def signs() -> None:
     arm = small_arm()
     p = kinematics.forward(arm, Q)[:3, 3]
     titles = ("twist of the tool point: [v; w]", "contact wrench, on the robot: [f; m]", "an unknown load of 1 kg")
-    figure, axes = canvas(titles, 9.5, 3.6)
+    figure, axes = canvas(titles, 9.5, 3.2)
     for ax in axes:
         plots.robot(arm, Q, frames=False, ax=ax)
         space.frame(ax, np.eye(4), 0.13, "base")
@@ -204,7 +204,7 @@ def jacobians() -> None:
     arm = small_arm()
     T = kinematics.forward(arm, Q)
     v = np.array([0.16, 0.1, 0.14])
-    figure, axes = canvas(('frame="base"', 'frame="tool"'), 9.0, 4.2)
+    figure, axes = canvas(('frame="base"', 'frame="tool"'), 9.0, 3.8)
     stick = plots.arms.stick(arm, Q)[-2:]
     for ax, R, name in zip(axes, (np.eye(3), T[:3, :3]), ("base axes", "tool"), strict=True):
         ax.plot(*stick.T, **STICK)
@@ -214,7 +214,7 @@ def jacobians() -> None:
             part = (R[:, i] @ v) * R[:, i]
             link(ax, corner, corner + part, color=color, linewidth=2.2, linestyle="-")
             aside = corner + part / 2 - T[:3, 3] - v / 2
-            place = corner + part / 2 + 0.045 * aside / np.linalg.norm(aside)
+            place = corner + part / 2 + 0.058 * aside / np.linalg.norm(aside)
             space.word(ax, place, f"$v_{'xyz'[i]}$ = ${R[:, i] @ v:+.2f}$", color=color, fontsize=9)
             corner = corner + part
         space.arrow(ax, T[:3, 3], v, **BOLD)

@@ -85,7 +85,7 @@ def _panels(ax: Any) -> tuple[Figure, tuple[Axes, Axes, Any]]:
         return figure, (given[0], given[1], solid)
     import matplotlib.pyplot as plt
 
-    figure = plt.figure(figsize=(12.0, 4.2))
+    figure = plt.figure(figsize=(10.5, 3.7))
     grid = figure.add_gridspec(1, 3, width_ratios=(1, 1, 1.45))
     side, top = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
     _, solid = space.space(figure.add_subplot(grid[2], **space.PROJECTION))

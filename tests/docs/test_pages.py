@@ -1,0 +1,74 @@
+"""Every program on a page runs: the blocks of one page in order, in one namespace, in an empty folder."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab import robots
+from armlab.lie import quaternion
+
+DOCS = Path(__file__).parents[2] / "docs"
+BLOCK = re.compile(r"^```python\n(.*?)^```$", flags=re.M | re.S)
+
+
+def programs(page: Path) -> list[str]:
+    """Return the blocks of a page, below empty lines up to their place: tracebacks name the line of the page."""
+    text = page.read_text(encoding="utf-8")
+    return ["\n" * text[: found.start(1)].count("\n") + found[1] for found in BLOCK.finditer(text)]
+
+
+PAGES = [page for page in sorted(DOCS.rglob("*.md")) if "_build" not in page.parts and programs(page)]
+
+
+def peers() -> dict[str, Any]:
+    """Return the arm of the page Conventions as Pinocchio and MuJoCo know it."""
+    import mujoco
+    import pinocchio as pin
+
+    robot = robots.load("yumi_right")
+    robots.save(robot, "arm.urdf")
+    model = pin.buildModelFromUrdf("arm.urdf")
+    spec = mujoco.MjSpec()
+    body = spec.worldbody
+    for T in robot.frames[:-1]:
+        quat = quaternion.from_matrix(T[:3, :3])
+        body = body.add_body(pos=T[:3, 3], quat=quat, mass=1.0, inertia=[1.0, 1.0, 1.0], explicitinertial=True)
+        body.add_joint(axis=[0, 0, 1])
+    quat = quaternion.from_matrix(robot.frames[-1][:3, :3])
+    body.add_site(name="tool", pos=robot.frames[-1][:3, 3], quat=quat)
+    mj_model = spec.compile()
+    return {
+        "pin_model": model,
+        "pin_data": model.createData(),
+        "mj_model": mj_model,
+        "mj_data": mujoco.MjData(mj_model),
+    }
+
+
+NAMES: dict[str, Callable[[], dict[str, Any]]] = {"conventions.md": peers}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_programs_of_a_page_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    namespace = NAMES.get(page.name, dict)()
+    for program in programs(page):
+        exec(compile(program, str(page), "exec"), namespace)
+
+
+def test_a_wrong_line_is_found(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("# A page\n\n```python\nimport numpy as np\n```\n\n```python\nassert np.pi < 3\n```\n")
+    first, second = programs(page)
+    namespace: dict[str, Any] = {}
+    exec(compile(first, str(page), "exec"), namespace)
+    with pytest.raises(AssertionError) as error:
+        exec(compile(second, str(page), "exec"), namespace)
+    assert error.traceback[-1].lineno + 1 == 8
+    assert namespace["np"] is np
