@@ -240,7 +240,9 @@ class _Curve:
 def _vector(robot: Robot, value: object, name: str) -> np.ndarray:
     vector = np.asarray(value, dtype=np.float64)
     if vector.shape != (robot.n,) or not np.isfinite(vector).all():
-        raise ShapeError(f"Expected {name} to be ({robot.n},) finite numbers, got {value!r}.")
+        raise ShapeError(
+            f"Expected {name} to be ({robot.n},) finite numbers, got shape {vector.shape}: {vector.tolist()}."
+        )
     return vector
 
 

@@ -173,8 +173,9 @@ class Chain:
         if self._prismatic[i]:
             Z[..., 2, 3] = q
             return Z
-        Z[..., 0, 0] = Z[..., 1, 1] = np.cos(q)
-        Z[..., 1, 0] = np.sin(q)
+        with np.errstate(invalid="ignore"):  # infinity gives NaN, as in C++
+            Z[..., 0, 0] = Z[..., 1, 1] = np.cos(q)
+            Z[..., 1, 0] = np.sin(q)
         Z[..., 0, 1] = -Z[..., 1, 0]
         return Z
 

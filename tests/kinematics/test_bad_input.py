@@ -1,0 +1,149 @@
+"""Every function of a posture refuses the same wrong postures with a sentence, and keeps NaN where it was given."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab import kinematics, robots
+from armlab.errors import ShapeError, UnknownName
+from armlab.robots import Robot
+
+ROBOT = robots.load("yumi_left")
+HOME = ROBOT.q_home
+
+OF_BATCHES: dict[str, Callable[[Robot, Any], Any]] = {
+    "forward": kinematics.forward,
+    "link_transforms": kinematics.link_transforms,
+    "jacobian": kinematics.jacobian,
+    "jacobian in tool axes": lambda robot, q: kinematics.jacobian(robot, q, frame="tool"),
+    "jacobian_derivative": lambda robot, q: kinematics.jacobian_derivative(robot, q, np.ones_like(q)),
+    "singular_values": kinematics.singular_values,
+    "manipulability": kinematics.manipulability,
+    "manipulability_gradient": kinematics.manipulability_gradient,
+    "axes of ellipsoid": lambda robot, q: kinematics.ellipsoid(robot, q).axes,
+}
+OF_ONE: dict[str, Callable[[Robot, Any], Any]] = {"null_motion": kinematics.null_motion}
+INTO = {  # functions that write into an array, and the shape of one result
+    "forward": (kinematics.forward, (4, 4)),
+    "link_transforms": (kinematics.link_transforms, (7, 4, 4)),
+    "jacobian": (kinematics.jacobian, (6, 7)),
+    "jacobian_derivative": (lambda robot, q, out: kinematics.jacobian_derivative(robot, q, q, out=out), (6, 7)),
+}
+
+
+def named(*tables: dict[str, Any]) -> pytest.MarkDecorator:
+    cases = {name: value for table in tables for name, value in table.items()}
+    return pytest.mark.parametrize("function", cases.values(), ids=cases.keys())
+
+
+@named(OF_BATCHES, OF_ONE)
+@pytest.mark.parametrize("shape", [(6,), (8,), (1,), (0,), (3, 6)])
+def test_wrong_joint_count(function: Callable, shape: tuple[int, ...]) -> None:
+    with pytest.raises(ShapeError, match=r"Expected q .*7.*, got .*\.$"):
+        function(ROBOT, np.zeros(shape))
+
+
+@named(OF_BATCHES, OF_ONE)
+def test_a_number_is_no_posture(function: Callable) -> None:
+    with pytest.raises(ShapeError, match=r"Expected q .*7.*, got .*\.$"):
+        function(ROBOT, 0.0)
+
+
+@named(OF_BATCHES)
+def test_the_transposed_batch_is_refused(function: Callable) -> None:
+    """Time on the last axis is the commonest mistake; for 7 samples of a 7-joint arm nobody can tell."""
+    with pytest.raises(ShapeError, match=r"shape \(\.\.\., 7\), got \(7, 100\)"):
+        function(ROBOT, np.zeros((7, 100)))
+
+
+@pytest.mark.parametrize(
+    "q", ["home", ["a"] * 7, np.zeros(7, complex), [[0] * 7, [0] * 6], {"q": 0}, np.zeros(7, object)]
+)
+@pytest.mark.parametrize("name", ["forward", "link_transforms", "jacobian", "singular_values", "manipulability"])
+def test_what_is_no_number(name: str, q: Any) -> None:
+    with pytest.raises(ShapeError, match=r"Expected q to be an array of real numbers, got .*\.$"):
+        OF_BATCHES[name](ROBOT, q)
+
+
+@named(OF_BATCHES)
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_nan_stays_in_its_sample(function: Callable, bad: float) -> None:
+    """Of a batch with one broken sample the others are what they are without it."""
+    q = np.random.default_rng(0).uniform(ROBOT.q_min, ROBOT.q_max, (9, 7))
+    broken = q.copy()
+    broken[4, 2] = bad
+    whole, holed = function(ROBOT, q), function(ROBOT, broken)
+    others = np.arange(9) != 4
+    np.testing.assert_array_equal(holed[others], whole[others])
+    assert np.isnan(holed[4]).any()
+
+
+@named(OF_ONE)
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_walk_from_nowhere_is_refused(function: Callable, bad: float) -> None:
+    with pytest.raises(ShapeError, match=r"Expected q to be \(7,\) finite numbers"):
+        function(ROBOT, np.where(np.arange(7) == 2, bad, HOME))
+
+
+@named(OF_BATCHES)
+def test_integers_lists_and_single_precision_are_taken(function: Callable) -> None:
+    expected = function(ROBOT, np.ones(7))
+    for q in (np.ones(7, int), [1] * 7, tuple([1.0] * 7), np.ones(7, np.float32), np.ones(7, ">f8"), np.ones(7, bool)):
+        np.testing.assert_array_equal(function(ROBOT, q), expected)
+
+
+@named(OF_BATCHES)
+def test_any_layout_in_memory_is_taken_and_none_is_changed(function: Callable) -> None:
+    q = np.random.default_rng(1).uniform(ROBOT.q_min, ROBOT.q_max, (4, 6, 7))
+    expected = function(ROBOT, q)
+    transposed = np.asfortranarray(q)
+    strided = np.repeat(q, 2, axis=0)[::2]
+    reversed_ = q[::-1].copy()[::-1]
+    frozen = q.copy()
+    frozen.flags.writeable = False
+    for same in (transposed, strided, reversed_, frozen):
+        before = same.copy()
+        np.testing.assert_array_equal(function(ROBOT, same), expected)
+        np.testing.assert_array_equal(same, before)
+
+
+@pytest.mark.parametrize("name", INTO)
+def test_an_array_that_cannot_hold_the_result(name: str) -> None:
+    function, shape = INTO[name]
+    q = np.zeros((5, 7))
+    fits = np.empty((5, *shape))
+    assert function(ROBOT, q, out=fits) is fits
+    frozen = np.empty((5, *shape))
+    frozen.flags.writeable = False
+    wrong = {
+        "one sample": np.empty(shape),
+        "another shape": np.empty((5, *shape[:-1], shape[-1] + 1)),
+        "single precision": np.empty((5, *shape), np.float32),
+        "not contiguous": np.empty((5, *shape[:-1], 2 * shape[-1]))[..., ::2],
+        "column order": np.empty((5, *shape), order="F"),
+        "read-only": frozen,
+        "a list": fits.tolist(),
+    }
+    for out in wrong.values():
+        with pytest.raises(ShapeError, match=r"Expected out .*\.$"):
+            function(ROBOT, q, out=out)
+
+
+@pytest.mark.parametrize("word", ["flange", "", "Base", None, 0])
+def test_unknown_words(word: Any) -> None:
+    with pytest.raises(UnknownName, match="Known: base, tool"):
+        kinematics.jacobian(ROBOT, HOME, frame=word)
+    with pytest.raises(UnknownName, match="Known: base, tool"):
+        kinematics.jacobian_derivative(ROBOT, HOME, HOME, frame=word)
+    with pytest.raises(UnknownName, match="Known: pose, position, rotation"):
+        kinematics.manipulability(ROBOT, HOME, part=word)
+
+
+def test_velocities_of_another_shape() -> None:
+    for qd in (np.zeros(6), np.zeros((2, 7)), 0.0):
+        with pytest.raises(ShapeError, match=r"Expected qd of .*7.*, got"):
+            kinematics.jacobian_derivative(ROBOT, HOME, qd)
