@@ -25,6 +25,14 @@ def test_list_names_every_robot_of_the_library(capsys: pytest.CaptureFixture[str
     assert max(len(line) for line in text.splitlines()) <= 100
 
 
+def test_show_prints_torques_and_what_a_motor_moves_besides(capsys: pytest.CaptureFixture[str]) -> None:
+    show("irb2400")
+    assert capsys.readouterr().out.endswith("the motor of axis_2 also moves axis_3: -1 rad/rad\n")
+    show("ur5e")
+    rows = [line.split() for line in capsys.readouterr().out.splitlines() if "_joint " in line]
+    assert [row[7] for row in rows] == ["150", "150", "150", "28", "28", "28"]
+
+
 def test_show_prints_the_joints(capsys: pytest.CaptureFixture[str]) -> None:
     arm = robots.load("yumi_right")
     show("yumi_right")

@@ -79,12 +79,15 @@ def show(name: str, *, figure: Path | None = None, json: bool = False, force: bo
     result(f"{arm.name}: {arm.n} joints, hash {arm.hash[:16]}\n{arm.source}")
     with np.printoptions(precision=6, suppress=True):
         result(f"gravity {arm.gravity} m/s^2 in base axes\nT_base_tool at q = 0\n{arm.T_home}")
-    rows: list[tuple[str, ...]] = [("joint", "kind", "from", "to", "speed", "home", "unit", "gear", "ABB axis")]
+    rows: list[tuple[str, ...]] = [
+        ("joint", "kind", "from", "to", "speed", "home", "unit", "torque", "gear", "ABB axis")
+    ]
     for i in range(arm.n):
         numbers = [f"{limits[i]:.4g}" for limits in (arm.q_min, arm.q_max, arm.qd_max, arm.q_home)]
         kind, unit = ("slides", "m") if arm.prismatic[i] else ("turns", "rad")
         gear = arm.coupling[i, i]
-        rows.append(
-            (arm.joint_names[i], kind, *numbers, unit, f"{1 / gear:.5g}" if gear else "0", str(arm.abb_axes[i]))
-        )
-    result(aligned(rows, right=(2, 3, 4, 5, 7, 8)))
+        words = (f"{arm.tau_max[i]:.4g}", f"{1 / gear:.5g}" if gear else "0", str(arm.abb_axes[i]))
+        rows.append((arm.joint_names[i], kind, *numbers, unit, *words))
+    result(aligned(rows, right=(2, 3, 4, 5, 7, 8, 9)))
+    for i, k in np.argwhere(arm.coupling * (1 - np.eye(arm.n))):
+        result(f"the motor of {arm.joint_names[k]} also moves {arm.joint_names[i]}: {arm.coupling[i, k]:.5g} rad/rad")
