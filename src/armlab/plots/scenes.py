@@ -110,4 +110,4 @@ def _size(ax: Axes3D, named: dict[str, np.ndarray]) -> float:
     """Return the largest side of what is drawn and named [m]; 1 for a single place."""
     points = np.concatenate([space.extent(ax), *(T[None, :3, 3] for T in named.values())])
     points = points[np.isfinite(points).all(axis=1)]
-    return float(np.ptp(points, axis=0).max()) or 1.0 if len(points) else 1.0
+    return float(np.ptp(points, axis=0).max(initial=0.0)) or 1.0 if len(points) else 1.0

@@ -58,19 +58,10 @@ def space(ax: Any = None, *, width: float = 6.4, height: float = 5.4) -> tuple[F
 
 
 def extent(ax: Axes3D) -> np.ndarray:
-    """Return the finite points (N, 3) drawn so far: lines, clouds, arrows, corners of solids."""
-    from mpl_toolkits.mplot3d.art3d import Path3DCollection, Poly3DCollection
-
-    lines: list[Any] = list(ax.lines)
-    arrows: list[Any] = [patch for patch in ax.patches if isinstance(patch, _arrow_class())]
-    clouds = [np.stack(line.get_data_3d(), axis=-1) for line in lines] + [arrow.ends for arrow in arrows]
-    for artist in ax.collections:
-        if isinstance(artist, Path3DCollection):
-            clouds.append(np.stack([np.ma.filled(part, np.nan) for part in artist._offsets3d], axis=-1))
-        elif isinstance(artist, Poly3DCollection):
-            clouds.append(np.asarray(artist._faces).reshape(-1, 3))
-    points = np.concatenate([np.empty((0, 3)), *(np.asarray(cloud, dtype=float) for cloud in clouds)])
-    return points[np.isfinite(points).all(axis=1)]
+    """Return the lowest and the highest corner (2, 3) of everything drawn so far; NaN while there is nothing."""
+    if not ax.has_data():
+        return np.full((2, 3), np.nan)
+    return np.stack([*ax.xy_dataLim.get_points().T, ax.zz_dataLim.get_points()[:, 0]], axis=-1)
 
 
 def equal_scale(ax: Axes3D, part: float = 0.84) -> None:
@@ -84,10 +75,9 @@ def equal_scale(ax: Axes3D, part: float = 0.84) -> None:
     from matplotlib.ticker import MaxNLocator, MultipleLocator
     from mpl_toolkits.mplot3d.proj3d import proj_transform
 
-    points = extent(ax)
-    if not len(points):
+    low, high = extent(ax)
+    if not np.isfinite([low, high]).all():
         return
-    low, high = points.min(axis=0), points.max(axis=0)
     largest = max(float((high - low).max()), 1e-6)
     span = np.maximum(high - low, _FLATTEST * largest) + 0.04 * largest
     middle = (low + high) / 2
@@ -126,6 +116,7 @@ def frame(
 
 def arrow(ax: Axes3D, start: np.ndarray, along: np.ndarray, **style: Any) -> None:
     """Draw an arrow from `start` to `start + along`, both (3,) [m]; its head has one size on paper."""
+    _include(ax, np.stack([start, start + along]))
     ax.add_patch(_arrow_class()(start, start + along, **style))
 
 
@@ -154,7 +145,13 @@ def solid(ax: Axes3D, faces: np.ndarray, color: Any, **style: Any) -> None:
 
     colors = np.broadcast_to(to_rgba_array(color), (len(faces), 4))
     style = {"shade": True, "lightsource": LightSource(azdeg=225, altdeg=45), "zorder": _SOLID, **style}
+    _include(ax, faces.reshape(-1, 3))
     ax.add_collection3d(Poly3DCollection(faces, facecolors=colors, linewidths=0.0, **style))
+
+
+def _include(ax: Axes3D, points: np.ndarray) -> None:
+    """Count points (N, 3) as drawn, before they are: matplotlib does it for lines and clouds only."""
+    ax.auto_scale_xyz(points[:, 0], points[:, 1], points[:, 2], had_data=ax.has_data())
 
 
 @cache
