@@ -23,6 +23,7 @@ def programs(page: Path) -> list[str]:
     return ["\n" * text[: found.start(1)].count("\n") + found[1] for found in BLOCK.finditer(text)]
 
 
+HOW_TO = [page for page in sorted((DOCS / "how_to").glob("*.md")) if page.stem != "index"]
 PAGES = [page for page in sorted(DOCS.rglob("*.md")) if "_build" not in page.parts and programs(page)]
 
 
@@ -60,6 +61,30 @@ def test_programs_of_a_page_run(page: Path, tmp_path: Path, monkeypatch: pytest.
     namespace = NAMES.get(page.name, dict)()
     for program in programs(page):
         exec(compile(program, str(page), "exec"), namespace)
+
+
+@pytest.mark.parametrize("page", HOW_TO, ids=lambda page: page.stem)
+def test_a_how_to_shows_a_program_that_runs(page: Path) -> None:
+    """A file of examples/, which tests/examples runs, or blocks, which run here; a page says no more than that."""
+    text = page.read_text(encoding="utf-8")
+    shown = re.findall(r"literalinclude\} \.\./\.\./(examples/\w+\.py)", text)
+    assert shown or programs(page)
+    assert all((DOCS.parent / name).exists() for name in shown)
+
+
+def test_commands_on_the_pages_are_those_of_the_program() -> None:
+    """Verbs and options of every indented line that calls armlab; the work itself is tested elsewhere."""
+    from armlab.cli import build_app
+
+    app, lines = build_app(), []
+    for page in DOCS.rglob("*.md"):
+        lines += re.findall(r"^ {4}(?:\.venv/bin/)?armlab (.+)$", page.read_text(encoding="utf-8"), flags=re.M)
+    assert len(lines) > 8
+    for line in lines:
+        words = line.split("#")[0].split()
+        command, _, ignored = app.parse_args(words, exit_on_error=False, print_error=False)
+        assert command.__module__.startswith("armlab.cli"), line
+        assert not ignored, line
 
 
 def test_a_wrong_line_is_found(tmp_path: Path) -> None:
