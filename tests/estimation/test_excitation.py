@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from armlab.errors import NotExcited, ShapeError
-from armlab.estimation import Excitation, Prior, check_excitation
+from armlab.estimation import Excitation, Prior, check_excitation, check_spread
 
 NAMES = ("mass", "offset", "viscous")
 
@@ -86,3 +86,51 @@ def test_bad_input_is_refused() -> None:
         Excitation.of(np.ones((5, 2)), NAMES)
     with pytest.raises(ShapeError, match="finite"):
         Excitation.of(np.full((5, 3), np.nan), NAMES)
+
+
+LIMITS = np.array([0.3, 0.2, 0.05])
+UNITS = ("kg", "rad", "m")
+
+
+def test_check_spread_judges_the_deviation_and_not_the_rank() -> None:
+    J = np.diag([100.0, 100.0, 100.0])
+    good = check_spread(J, NAMES, UNITS, LIMITS, "model")
+    assert (good.rank, good.expected, good.held, good.null_names) == (3, 3, (), ())
+    np.testing.assert_allclose(good.spread, 0.01 / LIMITS)
+    assert good.weakest == "viscous (0.01 m)"
+    assert "good" in good.text()
+    J[2, 2] = 10.0  # full rank, but a deviation of 0.1 m
+    with pytest.raises(NotExcited, match=r"exceeds its limit: viscous \(0.1 m\)") as caught:
+        check_spread(J, NAMES, UNITS, LIMITS, "model")
+    assert caught.value.spread == ("2 times the limit",)
+    held = check_spread(J, NAMES, UNITS, LIMITS, "model", hold=True)
+    assert held.held == ("viscous (0.1 m)",)
+    assert "weak" in held.text()
+
+
+def test_unseen_directions_are_missing_unless_they_are_gauge() -> None:
+    J = np.array([[100.0, 0.0, 0.0], [0.0, 100.0, 100.0]]) / LIMITS
+    with pytest.raises(NotExcited, match=r"offset and viscous|viscous and offset") as caught:
+        check_spread(J, NAMES, UNITS, LIMITS, "model")
+    assert caught.value.spread == ("unseen",)
+    gauge = np.array([[0.0], [1.0], [-1.0]])
+    found = check_spread(J, NAMES, UNITS, LIMITS, "model", gauge=gauge)
+    assert (found.rank, found.expected) == (2, 2)
+    assert found.null_names[0].startswith("gauge: ")
+    np.testing.assert_allclose(J * LIMITS @ found.null_space, 0.0, atol=1e-12)
+    missing = check_spread(J, NAMES, UNITS, LIMITS, "model", hold=True)
+    assert "not seen: " in missing.text()
+    assert missing.null_space.shape == (3, 1)
+
+
+def test_directions_are_put_into_the_words_of_the_caller() -> None:
+    def words(step: np.ndarray) -> str:
+        return f"along tool axis {'xyz'[int(np.argmax(np.abs(step)))]}"
+
+    with pytest.raises(NotExcited, match="along tool axis z"):
+        check_spread(np.diag([1e3, 1e3, 1.0]), NAMES, UNITS, LIMITS, "model", describe=words)
+
+
+def test_check_spread_refuses_what_does_not_fit() -> None:
+    with pytest.raises(ShapeError, match="3 limits above zero"):
+        check_spread(np.eye(3), NAMES, UNITS, np.zeros(3), "model")

@@ -3,10 +3,13 @@
 from armlab.estimation.blocks import BlockSums, Bootstrap, CrossValidation, block_bootstrap, block_cv
 from armlab.estimation.bounds import within_bounds
 from armlab.estimation.correlation import block_seconds, correlation_time, effective_samples
-from armlab.estimation.excitation import Excitation, Prior, check_excitation
+from armlab.estimation.descent import Problem
+from armlab.estimation.excitation import Excitation, Prior, check_excitation, check_spread
 from armlab.estimation.factors import Factors, Rows, factorise
 from armlab.estimation.fit import Fit
 from armlab.estimation.linear import least_squares
+from armlab.estimation.measurements import Measurement
+from armlab.estimation.nonlinear import NonlinearSolution, nonlinear_least_squares
 from armlab.estimation.robust import huber, mad, trimmed
 from armlab.estimation.solution import ActiveBound, LinearSolution, Question, solve
 
@@ -19,19 +22,24 @@ __all__ = [
     "Factors",
     "Fit",
     "LinearSolution",
+    "Measurement",
+    "NonlinearSolution",
     "Prior",
+    "Problem",
     "Question",
     "Rows",
     "block_bootstrap",
     "block_cv",
     "block_seconds",
     "check_excitation",
+    "check_spread",
     "correlation_time",
     "effective_samples",
     "factorise",
     "huber",
     "least_squares",
     "mad",
+    "nonlinear_least_squares",
     "solve",
     "trimmed",
     "within_bounds",

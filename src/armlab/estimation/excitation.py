@@ -3,21 +3,29 @@
 The test is on the column-scaled, whitened design matrix A (each column divided by its norm): its singular values are
 free of units, and its condition number c says how many digits of the answer the noise of the data can eat. They are
 those of the triangle R of ``A = Q R``; the normal matrix, which squares c, is never formed.
+
+Where the unknowns have a natural limit (0.2 rad, 50 mm, 30 % of a mass) the question is another one: does the standard
+deviation along some direction exceed it? `check_spread` scales the columns by the limits, so that a singular value
+below 1 says yes; a rank test alone fails as soon as the data are noisy.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from armlab.errors import NotExcited, ShapeError
 
-__all__ = ["Excitation", "Prior", "check_excitation"]
+__all__ = ["Excitation", "Prior", "check_excitation", "check_spread"]
 
 MAX_CONDITION = 1e4  # beyond it a direction is called not excited
 WARN_CONDITION = 300.0
+NULL = 1e-9  # relative singular value below which a direction is not weak but unseen
+NAMED = 0.3  # share of the largest component above which a component is named
+
+Describe = Callable[[np.ndarray], str]
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +48,10 @@ class Excitation:
     scale : (p,) norms of the columns; 1 where a column is zero.
     vectors : (p, p) right singular vectors of the scaled matrix as columns, strongest first.
     held : directions that the data do not tell and a prior holds, in words.
+    null_space : (p, m) orthonormal directions, in units of the limits, that the data do not see.
+    null_names : of them, in words; those that no data could tell begin with "gauge: ".
+    spread : (p,) standard deviations, in units of the limits, along the directions `vectors`; empty where there are no
+        limits.
     """
 
     rank: int
@@ -49,10 +61,13 @@ class Excitation:
     scale: np.ndarray = field(default_factory=lambda: np.zeros(0), repr=False)
     vectors: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
     held: tuple[str, ...] = ()
+    null_space: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
+    null_names: tuple[str, ...] = ()
+    spread: np.ndarray = field(default_factory=lambda: np.zeros(0), repr=False)
 
     def __post_init__(self) -> None:
         """Freeze the arrays."""
-        for name in ("singular_values", "scale", "vectors"):
+        for name in ("singular_values", "scale", "vectors", "null_space", "spread"):
             values = np.array(getattr(self, name), dtype=float)
             values.flags.writeable = False
             object.__setattr__(self, name, values)
@@ -90,9 +105,11 @@ class Excitation:
 
     def text(self) -> str:
         """Return one line for a report, and one for each direction that a prior holds."""
-        verdict = "good" if self.condition < WARN_CONDITION else "weak: log a longer or richer motion"
+        good = self.spread.max() < 1.0 if self.spread.size else self.condition < WARN_CONDITION
+        verdict = "good" if good else "weak: log a longer or richer motion"
         found = f"rank {self.rank} of {self.expected}, condition {self.condition:.0f}"
         lines = [f"excitation {verdict}: {found}; weakest: {self.weakest}"]
+        lines += [f"not seen: {direction}" for direction in self.null_names]
         return "\n".join([*lines, *(f"held by the prior: {direction}" for direction in self.held)])
 
 
@@ -146,6 +163,79 @@ def check_excitation(
     return found
 
 
+def check_spread(
+    J: np.ndarray,
+    names: Sequence[str],
+    units: Sequence[str],
+    limits: np.ndarray,
+    what: str,
+    gauge: np.ndarray | None = None,
+    describe: Describe | None = None,
+    hold: bool = False,
+) -> Excitation:
+    """Judge whether data determine every direction better than a limit.
+
+    The standard deviation along the direction v (in units of the limits) is ``1 / |J diag(limits) v|``.
+
+    Parameters
+    ----------
+    J : (m, p) whitened Jacobian of the data without priors, or its triangle.
+    names, units : of the p parameters.
+    limits : (p,) standard deviation of each parameter that is the most accepted.
+    what : what is fitted, for the message.
+    gauge : (p, g) directions, in units of the limits, that no data of this kind tell; they are not judged.
+    describe : puts a direction (p,) of the parameters, one standard deviation long, into words; the names of the
+        largest components otherwise.
+    hold : list what exceeds its limit in `held`, because a prior holds it, and do not refuse it.
+
+    Raises
+    ------
+    NotExcited : a direction whose standard deviation exceeds its limit, with the deviation in words.
+    """
+    p, limits = len(names), np.asarray(limits, dtype=float)
+    if J.ndim != 2 or J.shape[1] != p or limits.shape != (p,) or not np.all(limits > 0) or not np.isfinite(J).all():
+        raise ShapeError(
+            f"Expected a finite Jacobian (m, {p}) and {p} limits above zero, got shapes {J.shape} and {limits.shape}."
+            " Give one name, unit and limit per parameter."
+        )
+    fixed = np.zeros((p, 0)) if gauge is None else np.linalg.qr(gauge)[0]
+    rest = np.linalg.svd(np.eye(p) - fixed @ fixed.T)[0][:, : p - fixed.shape[1]]
+    scaled = (J * limits) @ rest
+    _, found, rows = np.linalg.svd(np.linalg.qr(scaled, mode="r") if len(scaled) > p else scaled, full_matrices=True)
+    singular = np.zeros(rest.shape[1])
+    singular[: len(found)] = found
+    vectors = rest @ rows.T
+    unseen = singular <= NULL * singular.max(initial=0.0)
+    spread = np.divide(1.0, singular, out=np.full_like(singular, np.inf), where=~unseen)
+
+    def words(i: int) -> str:
+        reach = limits * vectors[:, i] * (1.0 if unseen[i] else spread[i])
+        if describe is not None:
+            return describe(reach)
+        return f"{_in_words(vectors[:, i], names)}{'' if unseen[i] else ' ' + _largest(reach, vectors[:, i], units)}"
+
+    missing = np.flatnonzero(unseen)
+    null = np.hstack([fixed, vectors[:, missing]])
+    null_names = [f"gauge: {_in_words(v, names)}" for v in fixed.T] + [words(int(i)) for i in missing]
+    weak = [words(int(i)) for i in np.flatnonzero(spread > 1.0)[::-1]]
+    if weak and not hold:
+        raise NotExcited(
+            f"Expected data that determine every direction of the {what}, got {len(weak)} whose standard deviation "
+            f"exceeds its limit: {'; '.join(weak)}. Measure at poses that differ more along these directions.",
+            weak,
+            ["unseen" if not np.isfinite(s) else f"{s:.2g} times the limit" for s in spread[spread > 1.0][::-1]],
+        )
+    rank = int(np.count_nonzero(~unseen))
+    weakest = words(len(singular) - 1) if len(singular) else "none"
+    known = (1.0 / limits, vectors, tuple(weak), null, tuple(null_names), spread)
+    return Excitation(rank, p - fixed.shape[1], singular, weakest, *known)
+
+
+def _largest(reach: np.ndarray, vector: np.ndarray, units: Sequence[str]) -> str:
+    i = int(np.argmax(np.abs(vector)))
+    return f"({abs(reach[i]):.2g} {units[i]})"
+
+
 def _check_prior(prior: Prior, size: int) -> None:
     values, sd = np.asarray(prior.values), np.asarray(prior.sd)
     if values.shape != (size,) or sd.shape != (size,) or not np.isfinite(values).all() or not np.all(sd > 0):
@@ -158,5 +248,5 @@ def _check_prior(prior: Prior, size: int) -> None:
 def _in_words(vector: np.ndarray, names: Sequence[str]) -> str:
     """Name the parameters that carry most of a direction."""
     order = np.argsort(-np.abs(vector))[:3]
-    kept = [i for i in order if abs(vector[i]) > 0.3 * abs(vector[order[0]])]
+    kept = [i for i in order if abs(vector[i]) > NAMED * abs(vector[order[0]])]
     return " and ".join(str(names[int(i)]) for i in kept)

@@ -1,0 +1,158 @@
+"""Descent on a manifold: Gauss-Newton that damps itself when the cost does not fall.
+
+Minimise ``1/2 sum_i r_i^T S_i^-1 r_i`` over a value that lives anywhere: a pose, a set of planes, link frames. The
+caller gives residuals with their Jacobian and a retraction, ``value [+] x``; nothing else is asked of the value. Steps
+come from the triangle R of the whitened Jacobian and its singular values, never from the normal matrix.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from armlab.errors import NotConverged
+from armlab.estimation.factors import stack
+from armlab.estimation.measurements import Measurement, Whitened, cost, whiten
+
+__all__ = ["Descent", "Problem", "descend"]
+
+Value = TypeVar("Value")
+
+ITERATIONS = 100
+STEP = 1e-9  # in deviations of the estimate
+ROUNDING = 1e-13  # relative change of the cost that is rounding
+IDLE = 1e-3  # a step so short that lowers nothing, whatever the damping, is rounding too: exact data
+MAX_DAMPING = 1e15
+NULL = 1e-9  # relative singular value of the scaled Jacobian below which data see nothing
+DAMPING = 1e-3  # first damping, relative to the largest singular value squared
+ROWS_AT_ONCE = 1024
+
+
+@dataclass(frozen=True, eq=False)
+class Problem(Generic[Value]):
+    """A fit on a manifold.
+
+    Attributes
+    ----------
+    evaluate : value -> residuals with their Jacobian at zero step.
+    retract : (value, x (d,)) -> value [+] x.
+    scale : (d,) unit of each component of x, in which the smallest of equal steps is taken; the inverse norm of the
+        columns when None.
+    what : what is fitted, for messages.
+    """
+
+    evaluate: Callable[[Value], Sequence[Measurement]]
+    retract: Callable[[Value, np.ndarray], Value]
+    scale: np.ndarray | None = None
+    what: str = "model"
+
+
+@dataclass(frozen=True, eq=False)
+class Descent(Generic[Value]):
+    """Where a descent ended.
+
+    Attributes
+    ----------
+    value : the minimum. rows : whitened residuals and Jacobian there, weights of samples included.
+    basis : (d, r) directions that the rows tell, ``J @ basis`` orthonormal; ``basis @ basis.T`` is the covariance.
+    null : (d, d - r) orthonormal directions, in units of the scale, that they do not.
+    step : length of the last step in deviations of the estimate.
+    history : cost after each iteration.
+    """
+
+    value: Value
+    rows: Whitened
+    basis: np.ndarray
+    null: np.ndarray
+    step: float
+    history: tuple[float, ...]
+
+
+def descend(
+    problem: Problem[Value],
+    start: Value,
+    sigma: dict[str, float],
+    weight: np.ndarray,
+    iterations: int = ITERATIONS,
+    strict: bool = True,
+) -> Descent[Value]:
+    """Minimise the whitened cost from a start.
+
+    The covariance of the residuals is that at the start of each step: a step is judged by the cost it promised to
+    lower. Converged when the step is below 1e-9 deviations of the estimate, or the cost at its rounding floor.
+
+    Parameters
+    ----------
+    problem : residuals and retraction.
+    start : first value.
+    sigma : deviation of each noise class that is estimated.
+    weight : (N,) weight of each sample, 0 to leave it out.
+    iterations : the most that are taken.
+    strict : raise when that many did not converge; otherwise rows and basis are those before the last step.
+
+    Raises
+    ------
+    NotConverged : after that many iterations, with the best value and the cost after each.
+
+    References
+    ----------
+    Madsen, Nielsen and Tingleff (2004), Methods for non-linear least squares problems, algorithm 3.16.
+    """
+    value, now = start, problem.evaluate(start)
+    damping, growth, here = 0.0, 2.0, None
+    history: list[float] = []
+    for _ in range(iterations):
+        roots = [one.roots(sigma) for one in now]
+        rows = whiten(now, roots).times(weight)
+        height = 0.5 * float(rows.r @ rows.r)
+        history.append(height)
+        basis, singular, null, slope = _directions(problem, rows)
+        promise = 0.5 * float(slope @ slope)
+        here = Descent(value, rows, basis, null, np.sqrt(2.0 * promise), tuple(history))
+        if here.step < STEP:
+            return here
+        while True:
+            shrink = singular**2 / (singular**2 + damping * singular[0] ** 2)
+            x = -basis @ (shrink * slope)
+            trial = problem.retract(value, x)
+            then = problem.evaluate(trial)
+            fall = height - cost(then, roots, weight)
+            if fall > 0:
+                break
+            if promise < ROUNDING * height or (here.step < IDLE and damping > 1.0):
+                return here
+            damping, growth = max(damping * growth, DAMPING), 2.0 * growth
+            if damping > MAX_DAMPING:
+                raise _stuck(problem, value, history)
+        gain = fall / float(slope @ (shrink * (1.0 - 0.5 * shrink) * slope))
+        damping, growth = damping * max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3), 2.0
+        damping = damping if damping > 1e-12 else 0.0
+        value, now = trial, then
+    if strict or here is None:
+        raise _stuck(problem, value, history)
+    return replace(here, value=value)
+
+
+def _stuck(problem: Problem[Any], value: Any, history: list[float]) -> NotConverged:
+    return NotConverged(
+        f"Expected the fit of the {problem.what} to converge, got a cost of {history[-1]:.6g} after {len(history)} "
+        "iterations. Give a better start, or look for wrong samples with robust=True.",
+        best=value,
+        history=history,
+    )
+
+
+def _directions(problem: Problem[Any], rows: Whitened) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return basis (d, r), singular values (r,), null space (d, d - r), and slope (r,) of the cost along the basis."""
+    d = rows.J.shape[1]
+    whole = np.column_stack([rows.J, rows.r])
+    R = stack(whole[a : a + ROWS_AT_ONCE] for a in range(0, len(whole), ROWS_AT_ONCE))
+    norms = np.linalg.norm(R[:, :d], axis=0)
+    scale = problem.scale if problem.scale is not None else 1.0 / np.where(norms > 0, norms, 1.0)
+    U, singular, V = np.linalg.svd(R[:d, :d] * scale)
+    rank = int(np.count_nonzero(singular > NULL * singular[0]))
+    basis = (scale * V[:rank]).T / singular[:rank]
+    return basis, singular[:rank], V[rank:].T, U[:, :rank].T @ R[:d, d]

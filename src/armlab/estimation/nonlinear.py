@@ -1,0 +1,228 @@
+"""Maximum likelihood on manifolds with unknown noise and outliers: what `fit_*` of calibrations call.
+
+Noise that is not given is estimated per class c of measurement, in whitened quantities,
+
+    sigma_c^2 <- sigma_c^2 r_c^T r_c / (n_c - trace(J_c P J_c^T))
+
+until it stays. With `robust` a graduated Geman-McClure loss over whole samples comes first, weight
+``(c^2 / (c^2 + rho^2))^2`` with c shrinking; then samples with rho^2 beyond the 99.9 % quantile are flagged and left
+out, and the rest is fitted by plain maximum likelihood, whose covariance is the one returned.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from armlab.errors import NotExcited
+from armlab.estimation.descent import Descent, Problem, descend
+from armlab.estimation.measurements import Measurement, Whitened, median_norm, whiten
+
+__all__ = ["SCHEDULE", "NonlinearSolution", "nonlinear_least_squares"]
+
+Value = TypeVar("Value")
+
+SCHEDULE = (200.0, 60.0, 20.0, 10.0)
+UNKNOWN_NOISE = (1000.0, 10.0, 5.0, 5.0)
+REWEIGHTED = 20  # iterations per c
+NEXT = 1e-2  # step in deviations below which c shrinks
+SETTLED = 1e-6  # relative change of sigma
+NOISE_ROUNDS = 20
+FLAGGED = 0.999  # quantile of chi^2 beyond which a sample is an outlier
+FLAG_ROUNDS = 3
+RESIDUE = 1e-12  # deviation in SI below which residuals are rounding
+
+
+@dataclass(frozen=True, eq=False)
+class NonlinearSolution(Generic[Value]):
+    """A fitted value with its uncertainty.
+
+    Attributes
+    ----------
+    value : the most likely one. cov : (d, d) covariance of a step away from it, zero along what nothing tells.
+    classes : names of the noise classes. sigma : their deviations found, degrees of freedom subtracted.
+    outliers : (N,) samples that were left out. squares : (N,) whitened squared residual of every sample.
+    rows : whitened rows of the samples kept, at the value.
+    null : (d, m) orthonormal directions, in units of the scale, that neither data nor prior tell.
+    cost : half the whitened sum of squares. freedom : rows minus rank.
+    history : cost after each iteration of the last descent.
+    """
+
+    value: Value
+    cov: np.ndarray
+    classes: tuple[str, ...]
+    sigma: np.ndarray
+    outliers: np.ndarray
+    squares: np.ndarray
+    rows: Whitened
+    null: np.ndarray
+    cost: float
+    freedom: int
+    history: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        """Freeze the arrays."""
+        for name in ("cov", "sigma", "outliers", "squares", "null"):
+            values = np.array(getattr(self, name))
+            values.flags.writeable = False
+            object.__setattr__(self, name, values)
+
+
+def nonlinear_least_squares(
+    problem: Problem[Value], start: Value, *, robust: bool = False, schedule: Sequence[float] = SCHEDULE
+) -> NonlinearSolution[Value]:
+    """Fit a value on a manifold by maximum likelihood.
+
+    Parameters
+    ----------
+    problem : residuals with Jacobian, and retraction. Measurements without covariance have their noise estimated.
+    start : first value.
+    robust : find outliers among the samples; `outliers` marks them.
+    schedule : values of c of the graduated loss, in deviations, for given noise.
+
+    Raises
+    ------
+    NotConverged : the descent did not. NotExcited : fewer numbers than unknowns, outliers left out.
+
+    References
+    ----------
+    Geman and McClure (1987); Yang, Antonante, Tzoumas and Carlone (2020), Graduated non-convexity.
+    """
+    problem = replace(problem, evaluate=_remembering(problem.evaluate))
+    now = problem.evaluate(start)
+    count = 1 + max(int(one.sample.max(initial=-1)) for one in now if not one.prior)
+    sigma = _first_noise(now)
+    weight = np.ones(count)
+    if robust:
+        start, sigma, weight = _graduate(problem, start, sigma, weight, UNKNOWN_NOISE if sigma else schedule)
+    found, sigma = _with_noise(problem, start, sigma, weight)
+    for _ in range(FLAG_ROUNDS if robust else 0):
+        fresh = _fits(problem, found.value, sigma, count)
+        if np.array_equal(fresh, weight):
+            break
+        weight = fresh
+        found, sigma = _with_noise(problem, found.value, sigma, weight)
+    return _solution(problem, found, sigma, weight)
+
+
+def _remembering(evaluate: Callable[[Value], Sequence[Measurement]]) -> Callable[[Value], Sequence[Measurement]]:
+    """Return `evaluate` that does not work twice in a row for the same object."""
+    last: list[tuple[Value, Sequence[Measurement]]] = []
+
+    def remembered(value: Value) -> Sequence[Measurement]:
+        if not last or last[0][0] is not value:
+            last[:] = [(value, evaluate(value))]
+        return last[0][1]
+
+    return remembered
+
+
+def _first_noise(now: Sequence[Measurement]) -> dict[str, float]:
+    """Return the root mean square of each class whose noise is not given."""
+    found: dict[str, list[np.ndarray]] = {}
+    for one in now:
+        for column, name in enumerate(one.classes if one.cov is None else ()):
+            found.setdefault(name, []).append(one.r[:, column])
+    parts = {name: np.concatenate(part) for name, part in found.items()}
+    return {name: max(float(np.sqrt(np.mean(part**2))), RESIDUE) for name, part in parts.items()}
+
+
+def _graduate(
+    problem: Problem[Value], value: Value, sigma: dict[str, float], weight: np.ndarray, schedule: Sequence[float]
+) -> tuple[Value, dict[str, float], np.ndarray]:
+    """Shrink the loss; return value, noise, and which samples (N,) fit at the end, as 0 or 1."""
+    count = len(weight)
+    for c in schedule:
+        for _ in range(REWEIGHTED):
+            rows = _rows(problem, value, sigma)
+            if sigma:
+                sigma = _median_noise(rows, sigma)
+                rows = _rows(problem, value, sigma)
+            weight = (c * c / (c * c + rows.squares(count))) ** 2
+            found = descend(problem, value, sigma, weight, iterations=1, strict=False)
+            value = found.value
+            if found.step < NEXT:
+                break
+    return value, sigma, _fits(problem, value, sigma, count)
+
+
+def _rows(problem: Problem[Value], value: Value, sigma: dict[str, float]) -> Whitened:
+    now = problem.evaluate(value)
+    return whiten(now, [one.roots(sigma) for one in now])
+
+
+def _median_noise(rows: Whitened, sigma: dict[str, float]) -> dict[str, float]:
+    """Return the deviation of each class from the median length of its residual, which outliers do not move."""
+    found = {}
+    for name in sigma:
+        mine = rows.label == rows.names.index(name)
+        numbers = np.bincount(rows.sample[mine])
+        length = np.sqrt(np.bincount(rows.sample[mine], rows.raw[mine] ** 2))[numbers > 0]
+        typical = median_norm(int(np.median(numbers[numbers > 0])))
+        found[name] = max(float(np.median(length)) / typical, RESIDUE)
+    return found
+
+
+def _fits(problem: Problem[Value], value: Value, sigma: dict[str, float], count: int) -> np.ndarray:
+    """Return 1 for samples (N,) whose squared residual is below the 99.9 % quantile, else 0."""
+    from scipy.special import chdtri
+
+    rows = _rows(problem, value, sigma)
+    return (rows.squares(count) <= chdtri(np.maximum(rows.numbers(count), 1), 1.0 - FLAGGED)).astype(float)
+
+
+def _with_noise(
+    problem: Problem[Value], value: Value, sigma: dict[str, float], weight: np.ndarray
+) -> tuple[Descent[Value], dict[str, float]]:
+    """Alternate between the value and the noise of its classes."""
+    found = descend(problem, value, sigma, weight)
+    for _ in range(NOISE_ROUNDS if sigma else 0):
+        before = sigma
+        sizes = _class_sigma(found)
+        sigma = {name: max(sizes[found.rows.names.index(name)], RESIDUE) for name in before}
+        found = descend(problem, found.value, sigma, weight)
+        if all(abs(sigma[name] - before[name]) <= SETTLED * before[name] for name in sigma):
+            break
+    return found, sigma
+
+
+def _class_sigma(found: Descent) -> np.ndarray:
+    """Return the deviation (classes,) of the residuals in SI, each class with the degrees of freedom it has left."""
+    rows = found.rows
+    own = np.sum((rows.J @ found.basis) ** 2, axis=1)
+    sizes = []
+    for label in range(len(rows.names)):
+        mine = rows.label == label
+        left = max(np.count_nonzero(mine) - float(own[mine].sum()), np.finfo(float).eps)
+        sizes.append(np.sqrt(np.sum(rows.raw[mine] ** 2) / left))
+    return np.array(sizes)
+
+
+def _solution(
+    problem: Problem[Value], found: Descent[Value], sigma: dict[str, float], weight: np.ndarray
+) -> NonlinearSolution[Value]:
+    rows, rank = found.rows, found.basis.shape[1]
+    freedom = len(rows.r) - rank
+    if freedom < 0 or (sigma and freedom < 1):
+        raise NotExcited(
+            f"Expected at least {rank + bool(sigma)} numbers to fit the {problem.what}, got {len(rows.r)} "
+            f"({int(np.sum(weight == 0))} samples left out). Measure more samples.",
+            ["everything"],
+            [f"{len(rows.r)} numbers"],
+        )
+    return NonlinearSolution(
+        value=found.value,
+        cov=found.basis @ found.basis.T,
+        classes=rows.names,
+        sigma=_class_sigma(found),
+        outliers=weight == 0,
+        squares=_rows(problem, found.value, sigma).squares(len(weight)),
+        rows=rows,
+        null=found.null,
+        cost=found.history[-1],
+        freedom=freedom,
+        history=found.history,
+    )

@@ -1,0 +1,171 @@
+"""Maximum likelihood on manifolds: certified problems, rotations, unknown noise, outliers, honest covariance."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from armlab.errors import NotExcited
+from armlab.estimation import Measurement, NonlinearSolution, Problem, nonlinear_least_squares
+from armlab.estimation.nonlinear import SCHEDULE
+from armlab.lie import so3
+
+SIGMA = 0.01
+
+
+def curve(x: np.ndarray, y: np.ndarray, model) -> Problem[np.ndarray]:
+    def evaluate(b: np.ndarray) -> list[Measurement]:
+        value, gradient = model(x, b)
+        return [Measurement((value - y)[:, None], gradient[:, None, :], None, ("y",))]
+
+    return Problem(evaluate, lambda b, step: b + step)
+
+
+def misra(x: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    decay = np.exp(-b[1] * x)
+    return b[0] * (1 - decay), np.stack([1 - decay, b[0] * x * decay], axis=1)
+
+
+def kowalik(x: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    up, down = x * x + x * b[1], x * x + x * b[2] + b[3]
+    value = b[0] * up / down
+    return value, np.stack([up / down, b[0] * x / down, -value * x / down, -value / down], axis=1)
+
+
+MISRA = (
+    [77.6, 114.9, 141.1, 190.8, 239.9, 289.0, 332.8, 378.4, 434.8, 477.3, 536.8, 593.1, 689.1, 760.0],
+    [10.07, 14.73, 17.94, 23.93, 29.61, 35.18, 40.02, 44.82, 50.76, 55.05, 61.01, 66.40, 75.47, 81.78],
+)
+KOWALIK = (
+    [4, 2, 1, 0.5, 0.25, 0.167, 0.125, 0.1, 0.0833, 0.0714, 0.0625],
+    [0.1957, 0.1947, 0.1735, 0.16, 0.0844, 0.0627, 0.0456, 0.0342, 0.0323, 0.0235, 0.0246],
+)
+
+
+@pytest.mark.parametrize(
+    ("data", "model", "start", "certified", "sd", "noise"),
+    [
+        (MISRA, misra, [500, 1e-4], [2.3894212918e2, 5.5015643181e-4], [2.7070075241, 7.2668688436e-6], 0.1018787633),
+        (MISRA, misra, [250, 5e-4], [2.3894212918e2, 5.5015643181e-4], [2.7070075241, 7.2668688436e-6], 0.1018787633),
+        (
+            KOWALIK,
+            kowalik,
+            [0.25, 0.39, 0.415, 0.39],
+            [1.9280693458e-1, 1.9128232873e-1, 1.2305650693e-1, 1.3606233068e-1],
+            [1.1435312227e-2, 1.9633220911e-1, 8.0842031232e-2, 9.0025542308e-2],
+            6.6279236551e-3,
+        ),
+    ],
+    ids=["Misra1a, far", "Misra1a, near", "MGH09"],
+)
+def test_certified_values_of_nist(data, model, start, certified, sd, noise) -> None:
+    """NIST Statistical Reference Datasets, nonlinear regression: parameters, deviations, residual deviation."""
+    x, y = (np.array(part, dtype=float) for part in data)
+    found = nonlinear_least_squares(curve(x, y, model), np.array(start, dtype=float))
+    assert isinstance(found, NonlinearSolution)
+    np.testing.assert_allclose(found.value, certified, rtol=1e-7)
+    np.testing.assert_allclose(np.sqrt(np.diag(found.cov)), sd, rtol=1e-5)
+    assert found.sigma[0] == pytest.approx(noise, rel=1e-7)
+    assert found.freedom == len(x) - len(start)
+
+
+def rotations(R: np.ndarray, cov: np.ndarray | None) -> Problem[np.ndarray]:
+    """Mean of rotations: r = Log(X^T R_i), X [+] w = X Exp(w), J = -left_jacobian_inv(r)."""
+
+    def evaluate(X: np.ndarray) -> list[Measurement]:
+        r = so3.log(X.T @ R)
+        return [Measurement(r, -so3.left_jacobian_inv(r), cov, ("R",) * 3)]
+
+    return Problem(evaluate, lambda X, w: X @ so3.exp(w), what="mean rotation")
+
+
+def sampled(seed: int, N: int = 30) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    truth = so3.exp(rng.standard_normal(3))
+    return truth, truth @ so3.exp(SIGMA * rng.standard_normal((N, 3)))
+
+
+@pytest.mark.parametrize("known", [True, False], ids=["noise given", "noise estimated"])
+def test_the_mean_of_rotations_has_an_honest_covariance(known: bool) -> None:
+    nees, sigma = [], []
+    for seed in range(100):
+        truth, R = sampled(seed)
+        found = nonlinear_least_squares(rotations(R, SIGMA**2 * np.eye(3) if known else None), R[0])
+        error = so3.log(found.value.T @ truth)
+        nees.append(error @ np.linalg.solve(found.cov, error) / 3)
+        sigma.append(found.sigma[0])
+    assert np.mean(nees) == pytest.approx(1.0, abs=0.25)  # three standard errors
+    assert np.mean(sigma) == pytest.approx(SIGMA, rel=0.03)
+
+
+@pytest.mark.parametrize("known", [True, False], ids=["noise given", "noise estimated"])
+@pytest.mark.parametrize("bad", [2, 9], ids=["5 %", "30 %"])
+def test_outliers_are_flagged_and_do_not_count(bad: int, known: bool) -> None:
+    for seed in range(5):
+        truth, R = sampled(seed)
+        R[:bad] = R[:bad] @ so3.exp(np.array([0.2, 0.1, 0.0]))
+        cov = SIGMA**2 * np.eye(3) if known else None
+        found = nonlinear_least_squares(rotations(R, cov), R[0], robust=True)
+        assert found.outliers[:bad].all()
+        assert found.outliers.sum() <= bad + 1
+        assert found.squares.shape == (30,)
+        clean = nonlinear_least_squares(rotations(R[~found.outliers], cov), R[-1])
+        np.testing.assert_allclose(found.value, clean.value, atol=1e-7)
+        np.testing.assert_allclose(found.cov, clean.cov, rtol=1e-3)
+        error = so3.log(found.value.T @ truth)
+        assert error @ np.linalg.solve(found.cov, error) < 20
+
+
+def test_without_outliers_few_are_flagged() -> None:
+    flagged = [nonlinear_least_squares(rotations(sampled(s)[1], SIGMA**2 * np.eye(3)), np.eye(3), robust=True).outliers
+               for s in range(20)]  # fmt: skip
+    assert np.mean(flagged) < 0.005
+
+
+def test_two_classes_of_noise_find_their_own_deviation() -> None:
+    """Metres and radians: the ratio of their noise is found, not assumed."""
+    rng = np.random.default_rng(0)
+    A = rng.standard_normal((400, 2, 3))
+    y = A @ [1.0, 2.0, 3.0] + rng.standard_normal((400, 2)) * [1e-3, 0.1]
+    linear = Problem(
+        lambda x: [Measurement(A @ x - y, A, None, ("t", "R"))],
+        lambda x, step: x + step,
+    )
+    found = nonlinear_least_squares(linear, np.zeros(3))
+    assert found.classes == ("t", "R")
+    np.testing.assert_allclose(found.sigma, [1e-3, 0.1], rtol=0.1)
+    weighted = np.linalg.lstsq((A / found.sigma[:, None]).reshape(-1, 3), (y / found.sigma).ravel(), rcond=None)[0]
+    np.testing.assert_allclose(found.value, weighted, rtol=1e-6)
+
+
+def test_priors_hold_what_the_data_do_not_tell_and_are_no_samples() -> None:
+    y = np.array([1.0, 1.1, 0.9])
+    J = np.zeros((3, 1, 2))
+    J[:, 0, 0] = 1.0
+
+    def evaluate(x: np.ndarray) -> list[Measurement]:
+        data = Measurement((x[0] - y)[:, None], J, np.eye(1) * 0.01, ("y",))
+        return [data, Measurement((x - 0.5)[None], np.eye(2)[None], np.diag([4.0, 0.09]), ("p",) * 2, prior=True)]
+
+    found = nonlinear_least_squares(Problem(evaluate, lambda x, step: x + step), np.zeros(2), robust=True)
+    assert found.value[1] == pytest.approx(0.5)
+    assert found.cov[1, 1] == pytest.approx(0.09)
+    assert found.value[0] == pytest.approx((3.0 / 0.01 + 0.5 / 4.0) / (3 / 0.01 + 1 / 4.0))
+    assert found.outliers.shape == (3,)
+    assert found.classes == ("y",)
+
+
+def test_exact_data_and_too_few() -> None:
+    truth, _ = sampled(0)
+    R = np.repeat(truth[None], 5, axis=0)
+    found = nonlinear_least_squares(rotations(R, None), np.eye(3))
+    assert so3.angle(found.value, truth) < 1e-12
+    with pytest.raises(NotExcited, match="at least 4 numbers to fit the mean rotation, got 3"):
+        nonlinear_least_squares(rotations(R[:1], None), np.eye(3))
+
+
+def test_results_are_frozen_and_the_schedule_shrinks() -> None:
+    found = nonlinear_least_squares(rotations(sampled(0)[1], None), np.eye(3))
+    with pytest.raises(ValueError, match="read-only"):
+        found.cov[0, 0] = 1.0
+    assert list(SCHEDULE) == sorted(SCHEDULE, reverse=True)
