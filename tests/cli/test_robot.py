@@ -1,4 +1,4 @@
-"""``armlab robot list`` and ``armlab robot show``."""
+"""``armlab robot list``, ``armlab robot show`` and ``armlab robot convert``."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from armlab import robots
-from armlab.cli.robot import list_robots, robot, show
-from armlab.errors import ConfigError
+from armlab.cli.robot import convert, list_robots, robot, show
+from armlab.errors import ConfigError, RobotError
 
 
 def test_list_names_every_robot_of_the_library(capsys: pytest.CaptureFixture[str]) -> None:
@@ -54,3 +54,65 @@ def test_show_draws_the_arm(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
         show("irb2400", figure=picture)
     with pytest.raises(ConfigError, match="ends in"):
         show("irb2400", figure=tmp_path / "arm.txt")
+
+
+GRIPPER = """<robot name="gripper">
+  <link name="palm"/><link name="finger"/><link name="thumb"/>
+  <joint name="close" type="prismatic"><parent link="palm"/><child link="finger"/><origin xyz="0.01 0 0"/>
+    <limit lower="0" upper="0.04" effort="20" velocity="0.1"/></joint>
+  <joint name="oppose" type="prismatic"><parent link="palm"/><child link="thumb"/>
+    <limit lower="0" upper="0.04" effort="20" velocity="0.1"/><mimic joint="close" multiplier="-1"/></joint>
+</robot>
+"""
+
+
+@pytest.fixture
+def gripper(tmp_path: Path) -> Path:
+    path = tmp_path / "gripper.urdf"
+    path.write_text(GRIPPER, encoding="utf-8")
+    return path
+
+
+def test_show_prints_the_tree_of_a_urdf(gripper: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    show(str(gripper))
+    out, err = capsys.readouterr()
+    assert out.splitlines() == [
+        "gripper: 3 links, 2 joints",
+        "link      joint above  kind       from    to  unit  follows",
+        "palm",
+        "  finger  close        prismatic     0  0.04  m",
+        "  thumb   oppose       prismatic     0  0.04  m     -1 close +0",
+    ]
+    assert "--tip finger or thumb" in err
+    show(str(gripper), json=True)
+    data = json.loads(capsys.readouterr().out)
+    assert (data["root"], data["tips"], data["links"]) == ("palm", ["finger", "thumb"], ["palm", "finger", "thumb"])
+    assert data["joints"][1]["follows"] == {"joint": "close", "multiplier": -1.0, "offset": 0.0}
+
+
+def test_show_prints_one_arm_of_a_urdf(gripper: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    show(str(gripper), tip="thumb")
+    assert "oppose  slides     0  0.04    0.1     0  m         20     -     1" in capsys.readouterr().out
+    with pytest.raises(RobotError, match="Expected base and tip with a URDF file only"):
+        show("yumi_left", base="palm")
+
+
+def test_convert_writes_what_it_read(gripper: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    target = tmp_path / "finger.toml"
+    convert(str(gripper), target, tip="finger")
+    assert f"robot: {target}, joints close" in capsys.readouterr().err
+    assert robots.load(target) == robots.load(gripper, tip="finger")
+    with pytest.raises(ConfigError, match=r"Expected a new file, got .*finger\.toml, which exists"):
+        convert(str(gripper), target, tip="thumb")
+    convert(str(gripper), target, base="finger", tip="thumb", force=True)
+    assert robots.load(target).joint_names == ("close", "oppose")
+    convert("irb2400", tmp_path / "irb2400.urdf")
+    assert robots.load(tmp_path / "irb2400.urdf").n == 6
+
+
+def test_convert_refuses_what_it_cannot_write(gripper: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"ends in \.toml or \.urdf, got .*finger\.json"):
+        convert(str(gripper), tmp_path / "finger.json", tip="finger")
+    with pytest.raises(RobotError, match=r"got several: finger, thumb\. Say which is the tip"):
+        convert(str(gripper), tmp_path / "finger.toml")
+    assert not (tmp_path / "finger.toml").exists()

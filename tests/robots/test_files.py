@@ -249,7 +249,7 @@ def test_any_robot_survives_a_round_trip(tmp_path: Path, robot: Robot) -> None:
         ),
         ('name = "mine"', f'name = "mine"\ninertias = {[[-1] + [0] * 9] * 2}', "body for link 1 .* mass of -1 kg"),
         ('name = "mine"', 'name = "mine"\nmesh = [{ link = 3, file = "a" }]', "link of mesh 'a' from 0 .* to 2, got 3"),
-        ('name = "mine"', 'name = "mine"\nmesh = [{ link = 1, file = "" }]', "file name of a mesh, got an empty one"),
+        ('name = "mine"', 'name = "mine"\nmesh = [{ link = 1, file = "" }]', "file name of a mesh, got ''"),
         (
             'name = "mine"',
             'name = "mine"\nmesh = [{ link = 1 }]',

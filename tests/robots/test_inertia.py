@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from armlab import kinematics, robots
 from armlab.errors import ShapeError
 from armlab.lie import se3
 from armlab.robots.inertia import Body, from_body, principal_moments, to_body, transform
@@ -78,6 +79,8 @@ def test_leading_axes() -> None:
 def test_bad_input_is_refused() -> None:
     with pytest.raises(ShapeError, match=r"Expected a centre of shape \(\.\.\., 3\)"):
         from_body(1.0, [0, 0], np.eye(3))
+    with pytest.raises(ShapeError, match="Expected mass to be real numbers, got 'heavy'"):
+        from_body("heavy", np.zeros(3), np.eye(3))
     for function in (to_body, principal_moments):
         with pytest.raises(ShapeError, match=r"Expected finite inertial parameters of shape \(\.\.\., 10\)"):
             function(np.zeros(9))
@@ -85,3 +88,16 @@ def test_bad_input_is_refused() -> None:
             function(np.full(10, np.nan))
     with pytest.raises(ShapeError, match="Expected poses T_a_b"):
         transform(2 * np.eye(4), np.zeros(10))
+
+
+def test_a_gripper_weighs_on_the_last_link() -> None:
+    """As the page on descriptions says: the torque that holds it is that of its weight at its place."""
+    arm = robots.load("irb120")
+    pi = from_body(1.2, [0, 0.01, 0.05], 0.002 * np.eye(3))
+    inertias = np.zeros((arm.n, 10))
+    inertias[-1] += transform(arm.links[-1], pi)
+    q, still = np.random.default_rng(4).uniform(-1, 1, arm.n), np.zeros(arm.n)
+    tau = arm.chain.rnea(q, still, still, arm.gravity, inertias)
+    at_gripper = arm.with_tool(se3.from_rp(np.eye(3), [0, 0.01, 0.05]))
+    weight = np.concatenate([-1.2 * arm.gravity, np.zeros(3)])
+    np.testing.assert_allclose(tau, kinematics.jacobian(at_gripper, q).T @ weight, rtol=0, atol=1e-12)

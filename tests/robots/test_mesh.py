@@ -35,11 +35,13 @@ def test_equal_by_content_and_read_only() -> None:
     ("wrong", "sentence"),
     [
         ({"kind": "picture"}, 'Expected "visual" or "collision" as kind of mesh .* got \'picture\''),
-        ({"file": ""}, "Expected the file name of a mesh, got an empty one"),
+        ({"file": ""}, "Expected the file name of a mesh, got ''"),
         ({"T_link_mesh": 2 * np.eye(4)}, r"Expected a pose \(4, 4\) of mesh"),
         ({"T_link_mesh": np.eye(3)}, r"Expected a pose \(4, 4\) of mesh"),
         ({"scale": (1, 0, 1)}, "Expected 3 finite factors of mesh .* other than 0"),
         ({"scale": (1, np.nan, 1)}, "Expected 3 finite factors"),
+        ({"scale": "one"}, "Expected scale of mesh .* to be real numbers, got 'one'"),
+        ({"file": 5}, "Expected the file name of a mesh, got 5"),
         ({"scale": (1, 1)}, "Expected 3 finite factors"),
     ],
 )

@@ -196,6 +196,7 @@ LIMITS = {"q_min": [-1.0, -1.0], "q_max": [1.0, 1.0], "qd_max": [1.0, 1.0]}
             {"inertias": [BODY, inertia.from_body(1.0, [0, 0, 0], np.diag([-1e-3, 1, 1]))]},
             r"body for link 2 of robot 'r', got principal moments \[-0.001",
         ),
+        ({"meshes": [["link.stl"], [], []]}, "Expected a robots.Mesh in meshes of robot 'r', got 'link.stl'"),
         ({"meshes": [[MESH], []]}, "Expected meshes in robot 'r' of the mount and 2 links, got 2 tuples"),
         ({"q_min": [0, 0, 0]}, r"Expected q_min of robot 'r' \(2 joints\) to have shape \(2,\), got \(3,\)\."),
         ({"gravity": [0, 0]}, r"to have shape \(3,\), got \(2,\)"),

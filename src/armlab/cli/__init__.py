@@ -31,7 +31,7 @@ _COMMANDS = {
     "identify": ("identify:identify", "Identify gravity, inertia and friction from logs; save the model."),
     "estimate": ("estimate:estimate", "Estimate the contact force in a log with a model."),
     "log": ("log:log", "Show and repair logs."),
-    "robot": ("robot:robot", "List and show robot descriptions."),
+    "robot": ("robot:robot", "List, show and convert robot descriptions."),
 }
 
 

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from cyclopts import App
 
-__all__ = ["list_robots", "robot", "show"]
+if TYPE_CHECKING:
+    from armlab.robots import Robot
+    from armlab.robots.urdf import Tree
 
-robot = App(name="robot", help="List and show robot descriptions.")
+__all__ = ["convert", "list_robots", "robot", "show"]
+
+robot = App(name="robot", help="List, show and convert robot descriptions.")
 
 
 @robot.command(name="list")
@@ -33,13 +39,25 @@ def list_robots(*, json: bool = False) -> None:
 
 
 @robot.command
-def show(name: str, *, figure: Path | None = None, json: bool = False, force: bool = False) -> None:
-    """Show one robot: joints, limits, gears, home pose; draw it if asked.
+def show(
+    name: str,
+    *,
+    base: str | None = None,
+    tip: str | None = None,
+    figure: Path | None = None,
+    json: bool = False,
+    force: bool = False,
+) -> None:
+    """Show one robot: joints, limits, gears, home pose; draw it if asked. Of a URDF, show the tree of links.
 
     Parameters
     ----------
     name
-        Name in the library, or the path of a description.
+        Name in the library, or the path of a description, .toml or .urdf.
+    base
+        Link of a URDF that stands still: show the arm that begins there.
+    tip
+        Link of a URDF that moves last: show the arm that ends there.
     figure
         Draw the arm at home into this file; .png, .svg or .pdf.
     json
@@ -47,47 +65,104 @@ def show(name: str, *, figure: Path | None = None, json: bool = False, force: bo
     force
         Replace an existing figure.
     """
-    import numpy as np
-
     from armlab import robots
-    from armlab.cli.output import FIGURES, aligned, check_output, note, print_json, result
+    from armlab.cli.output import FIGURES, check_output, note
 
     if figure is not None:
         check_output(figure, force, FIGURES)
-    arm = robots.load(name)
+    elif Path(name).suffix == ".urdf" and base is None and tip is None:
+        _show_tree(robots.urdf.read(name), json)
+        return
+    arm = robots.load(name, base=base, tip=tip)
     if figure is not None:
         from armlab import plots
 
-        plots.robot(arm).figure.savefig(figure, dpi=150)
+        drawn = plots.robot(arm).get_figure(root=True)
+        if drawn is not None:
+            drawn.savefig(figure, dpi=150)
         note(f"figure: {figure}")
+    _show_arm(arm, json)
+
+
+@robot.command
+def convert(source: str, target: Path, *, base: str | None = None, tip: str | None = None, force: bool = False) -> None:
+    """Write a robot as TOML, which holds all of it, or as URDF for other programs.
+
+    Parameters
+    ----------
+    source
+        Name in the library, or the path of a description, .toml or .urdf.
+    target
+        File to write, .toml or .urdf.
+    base
+        Link of a URDF that stands still; its root unless said.
+    tip
+        Link of a URDF that moves last; need not be said where only one branch moves.
+    force
+        Replace an existing file.
+    """
+    from armlab import robots
+    from armlab.cli.output import check_output, note
+
+    check_output(target, force, (".toml", ".urdf"))
+    arm = robots.load(source, base=base, tip=tip)
+    robots.save(arm, target)
+    note(f"robot: {target}, joints {', '.join(arm.joint_names)}")
+
+
+def _show_tree(tree: Tree, json: bool) -> None:
+    from armlab.cli.output import aligned, note, print_json, result
+
     if json:
-        arrays = (
-            "q_min",
-            "q_max",
-            "qd_max",
-            "qdd_max",
-            "q_home",
-            "prismatic",
-            "gravity",
-            "coupling",
-            "screws",
-            "T_home",
-        )
+        fields = ("name", "kind", "parent", "child", "q_min", "q_max", "qd_max", "tau_max", "line")
+        joints = [
+            {field: getattr(joint, field) for field in fields}
+            | {"follows": asdict(joint.follows) if joint.follows else None}
+            for joint in tree.joints
+        ]
+        links = [link.name for link in tree.links]
+        print_json({"name": tree.name, "root": tree.root, "tips": tree.tips, "links": links, "joints": joints})
+        return
+    result(f"{tree.name}: {len(tree.links)} links, {len(tree.joints)} joints")
+    rows = [("link", "joint above", "kind", "from", "to", "unit", "follows"), (tree.root, *[""] * 6)]
+    waiting = [(joint, 1) for joint in reversed(tree.child_joints[tree.root])]
+    while waiting:
+        joint, depth = waiting.pop()
+        limited = joint.kind in ("revolute", "prismatic")
+        limits = [f"{limit:.4g}" if limited else "" for limit in (joint.q_min, joint.q_max)]
+        unit = ("m" if joint.kind == "prismatic" else "rad") if limited else ""
+        follows = joint.follows
+        rule = f"{follows.multiplier:.4g} {follows.joint} {follows.offset:+.4g}" if follows else ""
+        rows.append(("  " * depth + joint.child, joint.name, joint.kind, *limits, unit, rule))
+        waiting += [(below, depth + 1) for below in reversed(tree.child_joints[joint.child])]
+    result(aligned(rows, right=(3, 4)))
+    if tree.tips:
+        note(f"One arm of it: --tip {' or '.join(tree.tips)}.")
+
+
+def _show_arm(arm: Robot, json: bool) -> None:
+    import numpy as np
+
+    from armlab.cli.output import aligned, print_json, result
+
+    if json:
         words = ("name", "n", "joint_names", "abb_axes", "side", "source", "hash")
-        print_json({key: getattr(arm, key) for key in words + arrays})
+        limits = ("q_min", "q_max", "qd_max", "qdd_max", "tau_max", "q_home")
+        arrays = ("prismatic", "gravity", "coupling", "inertias", "screws", "T_home")
+        print_json({key: getattr(arm, key) for key in words + limits + arrays})
         return
     result(f"{arm.name}: {arm.n} joints, hash {arm.hash[:16]}\n{arm.source}")
     with np.printoptions(precision=6, suppress=True):
         result(f"gravity {arm.gravity} m/s^2 in base axes\nT_base_tool at q = 0\n{arm.T_home}")
-    rows: list[tuple[str, ...]] = [
-        ("joint", "kind", "from", "to", "speed", "home", "unit", "torque", "gear", "ABB axis")
-    ]
+    titles = ("joint", "kind", "from", "to", "speed", "home", "unit", "torque", "mass", "gear", "ABB axis")
+    rows: list[tuple[str, ...]] = [titles]
     for i in range(arm.n):
         numbers = [f"{limits[i]:.4g}" for limits in (arm.q_min, arm.q_max, arm.qd_max, arm.q_home)]
         kind, unit = ("slides", "m") if arm.prismatic[i] else ("turns", "rad")
-        gear = arm.coupling[i, i]
-        words = (f"{arm.tau_max[i]:.4g}", f"{1 / gear:.5g}" if gear else "0", str(arm.abb_axes[i]))
+        mass = "-" if arm.inertias is None else f"{arm.inertias[i, 0]:.4g}"
+        gear = f"{1 / arm.coupling[i, i]:.5g}" if arm.coupling[i, i] else "0"
+        words = (f"{arm.tau_max[i]:.4g}", mass, gear, str(arm.abb_axes[i]))
         rows.append((arm.joint_names[i], kind, *numbers, unit, *words))
-    result(aligned(rows, right=(2, 3, 4, 5, 7, 8, 9)))
+    result(aligned(rows, right=(2, 3, 4, 5, 7, 8, 9, 10)))
     for i, k in np.argwhere(arm.coupling * (1 - np.eye(arm.n))):
         result(f"the motor of {arm.joint_names[k]} also moves {arm.joint_names[i]}: {arm.coupling[i, k]:.5g} rad/rad")

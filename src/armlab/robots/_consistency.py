@@ -9,6 +9,7 @@ import numpy as np
 from armlab.errors import RobotError
 from armlab.lie import se3
 from armlab.robots import inertia
+from armlab.robots.mesh import Mesh
 
 if TYPE_CHECKING:
     from armlab.robots.robot import Robot
@@ -114,6 +115,9 @@ def _check_bodies(robot: Robot) -> None:
         raise RobotError(
             f"Expected meshes in robot {robot.name!r} of the mount and {robot.n} links, got {len(robot.meshes)} tuples."
         )
+    for mesh in (mesh for meshes in robot.meshes for mesh in meshes):
+        if not isinstance(mesh, Mesh):
+            raise RobotError(f"Expected a robots.Mesh in meshes of robot {robot.name!r}, got {mesh!r}.")
     for i, pi in enumerate([] if robot.inertias is None else robot.inertias):
         fault = body_fault(pi)
         if fault:

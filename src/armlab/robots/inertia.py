@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from armlab.errors import ShapeError
 from armlab.lie import se3
+from armlab.robots._numbers import numbers
 
 __all__ = ["Body", "from_body", "principal_moments", "to_body", "transform"]
 
@@ -49,20 +50,16 @@ def from_body(mass: ArrayLike, centre: ArrayLike, inertia: ArrayLike) -> np.ndar
 
     Raises
     ------
-    ShapeError : when the shapes do not fit.
+    ShapeError : when the shapes do not fit or something is no number.
     """
-    m, c, inertia = (np.asarray(value, dtype=np.float64) for value in (mass, centre, inertia))
+    m, c = numbers(mass, "mass", ShapeError), numbers(centre, "centre", ShapeError)
+    inertia = numbers(inertia, "inertia", ShapeError)
     if c.shape[-1:] != (3,) or inertia.shape[-2:] != (3, 3):
         raise ShapeError(
             f"Expected a centre of shape (..., 3) and an inertia of shape (..., 3, 3), got {c.shape}, {inertia.shape}."
         )
-    squares = (c * c).sum(axis=-1)[..., None, None] * np.eye(3) - c[..., :, None] * c[..., None, :]
-    about = inertia + m[..., None, None] * squares
-    pi = np.empty((*about.shape[:-2], 10))
-    pi[..., 0] = m
-    pi[..., 1:4] = m[..., None] * c
-    pi[..., 4:] = about[..., _ROWS, _COLUMNS]
-    return pi
+    first = m[..., None] * c
+    return _assemble(m, first, inertia + _squares(c, first))
 
 
 def to_body(pi: ArrayLike) -> Body:
@@ -75,14 +72,14 @@ def to_body(pi: ArrayLike) -> Body:
     pi = _parameters(pi)
     mass, first = pi[..., 0], pi[..., 1:4]
     centre = np.divide(first, mass[..., None], out=np.zeros_like(first), where=mass[..., None] != 0)
-    squares = (first * centre).sum(axis=-1)[..., None, None] * np.eye(3) - first[..., :, None] * centre[..., None, :]
-    return Body(mass, centre, _matrix(pi) - squares)
+    return Body(mass, centre, _matrix(pi) - _squares(centre, first))
 
 
 def transform(T_a_b: ArrayLike, pi: ArrayLike) -> np.ndarray:
     """Return the parameters in frame a of a body whose parameters are given in frame b.
 
-    ``P_a = T_a_b P_b T_a_bᵀ`` with the pseudo-inertia ``P = [[S, m c], [m cᵀ, m]]``, ``S = ∫ x xᵀ dm``.
+    With R and p of T_a_b and ``h = R m c``: ``m c_a = h + m p`` and
+    ``I_a = R I_b Rᵀ + (2 p·h + m p·p) 1 - (p hᵀ + h pᵀ + m p pᵀ)``.
 
     Parameters
     ----------
@@ -93,25 +90,17 @@ def transform(T_a_b: ArrayLike, pi: ArrayLike) -> np.ndarray:
     -------
     (..., 10) in frame a.
 
-    References
-    ----------
-    Wensing, Kim, Slotine: Linear matrix inequalities for physically consistent inertial parameter identification,
-    RA-L 3(1), 2018.
+    Raises
+    ------
+    ShapeError : when T_a_b is no pose or pi has no ten finite numbers.
     """
-    pi, T = _parameters(pi), np.asarray(T_a_b, dtype=np.float64)
+    pi, T = _parameters(pi), numbers(T_a_b, "T_a_b", ShapeError)
     if T.shape[-2:] != (4, 4) or not se3.is_pose(T).all():
-        raise ShapeError(f"Expected poses T_a_b of shape (..., 4, 4), got {T.shape} or no rotation.")
-    inertia = _matrix(pi)
-    P = np.empty((*pi.shape[:-1], 4, 4))
-    P[..., :3, :3] = _second_moments(inertia)
-    P[..., :3, 3] = P[..., 3, :3] = pi[..., 1:4]
-    P[..., 3, 3] = pi[..., 0]
-    P = T @ P @ np.swapaxes(T, -1, -2)
-    result = np.empty((*P.shape[:-2], 10))
-    result[..., 0] = P[..., 3, 3]
-    result[..., 1:4] = P[..., :3, 3]
-    result[..., 4:] = _inertia(P[..., :3, :3])[..., _ROWS, _COLUMNS]
-    return result
+        raise ShapeError(f"Expected poses T_a_b of shape (..., 4, 4), got shape {T.shape} or no rotation.")
+    R, p, m = T[..., :3, :3], T[..., :3, 3], pi[..., 0, None]
+    h = (R @ pi[..., 1:4, None])[..., 0]
+    about = R @ _matrix(pi) @ np.swapaxes(R, -1, -2) + _squares(p, 2 * h + m * p)
+    return _assemble(pi[..., 0], h + m * p, about)
 
 
 def principal_moments(pi: ArrayLike) -> np.ndarray:
@@ -131,7 +120,7 @@ def principal_moments(pi: ArrayLike) -> np.ndarray:
 
 
 def _parameters(pi: ArrayLike) -> np.ndarray:
-    pi = np.asarray(pi, dtype=np.float64)
+    pi = numbers(pi, "inertial parameters", ShapeError)
     if pi.shape[-1:] != (10,) or not np.isfinite(pi).all():
         raise ShapeError(f"Expected finite inertial parameters of shape (..., 10), got shape {pi.shape}: {pi}.")
     return pi
@@ -144,11 +133,16 @@ def _matrix(pi: np.ndarray) -> np.ndarray:
     return inertia
 
 
-def _second_moments(inertia: np.ndarray) -> np.ndarray:
-    """Second moments S = tr(I)/2 1 - I."""
-    return np.trace(inertia, axis1=-2, axis2=-1)[..., None, None] / 2 * np.eye(3) - inertia
+def _squares(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """``x·y 1`` less the symmetric part of ``x yᵀ``: the moments of masses at x whose first moments are y."""
+    product = x[..., :, None] * y[..., None, :]
+    return (x * y).sum(axis=-1)[..., None, None] * np.eye(3) - (product + np.swapaxes(product, -1, -2)) / 2
 
 
-def _inertia(moments: np.ndarray) -> np.ndarray:
-    """I = tr(S) 1 - S."""
-    return np.trace(moments, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - moments
+def _assemble(mass: np.ndarray, first: np.ndarray, about: np.ndarray) -> np.ndarray:
+    """Return (..., 10) from mass, first moments and inertia about the origin."""
+    pi = np.empty((*np.broadcast_shapes(mass.shape, first.shape[:-1], about.shape[:-2]), 10))
+    pi[..., 0] = mass
+    pi[..., 1:4] = first
+    pi[..., 4:] = about[..., _ROWS, _COLUMNS]
+    return pi

@@ -9,6 +9,7 @@ import numpy as np
 
 from armlab.errors import RobotError
 from armlab.lie import se3
+from armlab.robots._numbers import numbers
 
 __all__ = ["Mesh"]
 
@@ -37,13 +38,14 @@ class Mesh:
     def __post_init__(self) -> None:
         """Make the arrays read-only float64 copies and check the fields."""
         for name in ("T_link_mesh", "scale"):
-            value = np.array(getattr(self, name), np.float64) + 0.0  # -0.0 becomes 0.0: equal meshes have equal bytes
+            value = numbers(getattr(self, name), f"{name} of mesh {self.file!r}")
+            value = value + 0.0  # a copy, in which -0.0 is 0.0: equal meshes have equal bytes
             value.flags.writeable = False
             object.__setattr__(self, name, value)
         if self.kind not in ("visual", "collision"):
             raise RobotError(f'Expected "visual" or "collision" as kind of mesh {self.file!r}, got {self.kind!r}.')
-        if not self.file:
-            raise RobotError("Expected the file name of a mesh, got an empty one.")
+        if not isinstance(self.file, str) or not self.file:
+            raise RobotError(f"Expected the file name of a mesh, got {self.file!r}.")
         if self.T_link_mesh.shape != (4, 4) or not se3.is_pose(self.T_link_mesh):
             raise RobotError(f"Expected a pose (4, 4) of mesh {self.file!r}, got {self.T_link_mesh.tolist()}.")
         if self.scale.shape != (3,) or not (np.isfinite(self.scale).all() and self.scale.all()):
