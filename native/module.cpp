@@ -4,6 +4,7 @@
 
 void bind_chain(nb::module_ &m);
 void bind_estimator(nb::module_ &m);
+void bind_inverse(nb::module_ &m);
 void bind_lie(nb::module_ &m);
 void bind_limits(nb::module_ &m);
 
@@ -12,6 +13,7 @@ NB_MODULE(_native, m) {
   m.doc() = "Compiled kernels of armlab; armlab.kernels is their public face.";
   bind_chain(m);
   bind_estimator(m);
+  bind_inverse(m);
   bind_lie(m);
   bind_limits(m);
 }

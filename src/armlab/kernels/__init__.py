@@ -18,6 +18,7 @@ from armlab.errors import ConfigError
 if TYPE_CHECKING:
     from armlab.kernels._reference import (
         Chain,
+        InverseSolver,
         WrenchEstimator,
         limit_reference,
         poses,
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Chain",
+    "InverseSolver",
     "WrenchEstimator",
     "backend",
     "limit_reference",

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from armlab.kernels._reference.chain import Chain
 from armlab.kernels._reference.estimator import WrenchEstimator
+from armlab.kernels._reference.inverse import InverseSolver
 from armlab.kernels._reference.lie import (
     quaternion_from_matrix,
     quaternion_multiply,
@@ -30,6 +31,7 @@ from armlab.kernels._reference.presliding import presliding
 
 __all__ = [
     "Chain",
+    "InverseSolver",
     "WrenchEstimator",
     "limit_reference",
     "poses",

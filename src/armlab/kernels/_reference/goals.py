@@ -1,0 +1,109 @@
+"""Arguments of the inverse kinematics: the checks of `native/bind_inverse.cpp`, with the same sentences."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from armlab.errors import ConfigError, ShapeError
+from armlab.kernels._reference.arrays import read
+from armlab.kernels._reference.descent import Search
+
+__all__ = ["check_threads", "read_goals", "read_search", "read_starts", "read_task"]
+
+ROTATION_TOLERANCE = 1e-6  # of a goal: entries of |R^T R - I|
+MAX_THREADS = 256
+
+
+def read_goals(value: Any) -> np.ndarray:
+    """Return goals (..., 4, 4).
+
+    Raises
+    ------
+    ShapeError
+        When one of them is not a finite pose, or the shape is another.
+    """
+    T = read(value, "T_base_tool", ())
+    if T.shape[-2:] != (4, 4):
+        raise ShapeError(f"Expected T_base_tool of shape (..., 4, 4), got {T.shape}.")
+    R = T[..., :3, :3]
+    with np.errstate(invalid="ignore", over="ignore"):
+        off = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max(axis=(-1, -2))
+        right_handed = np.vecdot(np.cross(R[..., 0], R[..., 1]), R[..., 2]) > 0.0
+    good = np.isfinite(T).all(axis=(-1, -2)) & (off <= ROTATION_TOLERANCE) & right_handed
+    good &= (T[..., 3, :] == [0.0, 0.0, 0.0, 1.0]).all(axis=-1)
+    if not good.all():
+        raise ShapeError(
+            "Expected finite poses with a rotation orthonormal to 1e-6 and last row 0 0 0 1, got "
+            f"{_place('T_base_tool', good)} that is not. Project it if it is nearly one (lie.se3.project)."
+        )
+    return T
+
+
+def read_starts(value: Any, goals: np.ndarray, n: int) -> np.ndarray:
+    """Return one start (..., n) per goal.
+
+    Raises
+    ------
+    ShapeError
+        When the shape is neither (n,) nor that, or one is not finite.
+    """
+    q = read(value, "q0", ())
+    batch = goals.shape[:-2]
+    if q.shape not in ((n,), (*batch, n)):
+        raise ShapeError(
+            f"Expected q0 of shape ({n},) or one posture per goal of T_base_tool {goals.shape}, got {q.shape}."
+        )
+    good = np.isfinite(q).all(axis=-1)
+    if not good.all():
+        raise ShapeError(f"Expected finite joint positions, got others in {_place('q0', good)}.")
+    return np.broadcast_to(q, (*batch, n))
+
+
+def read_task(task: int, axis: Any) -> np.ndarray:
+    """Return the direction (3,) of the tool that a task asks for.
+
+    Raises
+    ------
+    ShapeError
+        When there is no task of so many rows, or the direction has no length.
+    """
+    if task not in (6, 5, 3, 2):
+        raise ShapeError(f"Expected a task of 6, 5, 3 or 2 rows, got {task}.")
+    direction = read(axis, "axis", (3,), exact=True)
+    if not (np.isfinite(direction).all() and np.abs(direction).max() > 1e-9):
+        raise ShapeError("Expected axis to be a direction in tool axes, got one that is not finite or has no length.")
+    return direction
+
+
+def read_search(steps: int, starts: int, position: float, rotation: float, damping: float) -> Search:
+    """Return what a search may take.
+
+    Raises
+    ------
+    ShapeError
+        When one of the numbers makes no sense.
+    """
+    if not (steps >= 0 and starts >= 1 and position >= 0.0 and rotation >= 0.0 and damping > 0.0):
+        raise ShapeError("Expected steps >= 0, starts >= 1, tolerances >= 0 and damping > 0, got others.")
+    return Search(steps, starts, position, rotation, damping)
+
+
+def check_threads(threads: Any) -> None:
+    """Refuse a number of threads that is not an integer from 1 to 256.
+
+    Raises
+    ------
+    ConfigError
+        When it is not.
+    """
+    if not isinstance(threads, int | np.integer) or isinstance(threads, bool) or not 1 <= threads <= MAX_THREADS:
+        raise ConfigError(f"Expected threads to be an integer from 1 to {MAX_THREADS}, got {threads!r}.")
+
+
+def _place(name: str, good: np.ndarray) -> str:
+    """Return ``name[i, j]`` for the first sample of the batch that is not good."""
+    if good.ndim == 0:
+        return name
+    return f"{name}[{', '.join(map(str, np.unravel_index(int(np.argmin(good)), good.shape)))}]"

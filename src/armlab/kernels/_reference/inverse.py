@@ -1,0 +1,251 @@
+"""Inverse kinematics of a chain within joint limits (specification; the compiled twin is native/inverse.cpp)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from armlab.errors import ShapeError
+from armlab.kernels._reference.arrays import read
+from armlab.kernels._reference.chain import Chain
+from armlab.kernels._reference.descent import HASTY, PATIENT, Descent, Goal, Search
+from armlab.kernels._reference.goals import check_threads, read_goals, read_search, read_starts, read_task
+
+__all__ = ["InverseSolver"]
+
+SOLVED, OUT_OF_REACH, LIMITS, SINGULAR, ITERATIONS, BOUND = range(6)
+BLOCK, BLOCKS = 128, 16
+POSTURES = BLOCK * BLOCKS
+UNLIMITED_STARTS = 10  # to learn whether it is the limits that are in the way
+
+
+class InverseSolver:
+    """Inverse kinematics of a chain within joint limits, immutable.
+
+    Levenberg-Marquardt from one start after the other (see `descent.Descent`). Starts that stall are given up early; the
+    next is taken from a table of random postures, in each block of it the one whose tool is nearest to the goal. The
+    table depends on the limits and the seed alone: the same seed gives the same answers, in a batch and one by one.
+
+    Tasks are told by their number of rows: 6 pose, 5 position and direction of a tool axis, 3 position, 2 direction.
+    Statuses: 0 solved; 1 out of reach; 2 limits; 3 singular; 4 iterations; 5 bound (`follow` only).
+
+    Parameters
+    ----------
+    chain : the chain.
+    q_min, q_max : (n,) limits, maybe infinite: then starts come from one turn, or twice the arm's length.
+    q_home : (n,) the first posture of the table, within the limits.
+    seed : 0 to 2^64 - 1.
+    """
+
+    def __init__(self, chain: Chain, q_min: Any, q_max: Any, q_home: Any, seed: int = 0) -> None:
+        shape = (chain.n,)
+        low, high = read(q_min, "q_min", shape, exact=True).copy(), read(q_max, "q_max", shape, exact=True).copy()
+        home = read(q_home, "q_home", shape, exact=True)
+        good = (low <= home) & (home <= high) & np.isfinite(home)
+        if not good.all():
+            raise ShapeError(
+                f"Expected q_min <= q_home <= q_max and a finite q_home, got others at joint {np.argmin(good) + 1}."
+            )
+        self._chain, self._limits = chain, (low, high)
+        prismatic = chain.prismatic
+        self._unlimited = np.where(prismatic, low, -np.inf), np.where(prismatic, high, np.inf)
+        slides = np.where(prismatic, np.maximum(np.abs(low), np.abs(high)), 0.0)
+        links = np.linalg.norm(chain.frames[1:, :3, 3], axis=1)
+        lengths = float(np.sum(links + np.where(np.isfinite(slides), slides, 0.0))) or 1.0
+        self._weight = 3.0 / lengths  # of a metre in radians
+        self._wrist_reach = float(np.sum(slides) + np.sum(links[:-1]))
+        self._tool_reach = self._wrist_reach + float(links[-1])
+        # Without an end on one side: a turn, or twice the length of the arm, from the other or about zero.
+        ranges = np.where(prismatic, 2.0 * lengths, 2.0 * np.pi)
+        first = np.where(np.isfinite(low), low, np.where(np.isfinite(high), high - ranges, -0.5 * ranges))
+        last = np.where(np.isfinite(high), high, first + ranges)
+        self._angles = np.clip(first + (last - first) * _uniform(seed, (POSTURES, chain.n)), low, high)
+        self._angles[0] = home
+        self._poses = chain.forward(self._angles)[:, :3]
+
+    def solve(
+        self,
+        T_base_tool: Any,
+        q0: Any = None,
+        task: int = 6,
+        axis: Any = (0.0, 0.0, 1.0),
+        steps: int = 100,
+        starts: int = 100,
+        position_tolerance: float = 1e-9,
+        rotation_tolerance: float = 1e-9,
+        damping: float = 0.1,
+        history: bool = False,
+        threads: int = 1,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
+        """Return q (..., n), errors (..., 2) [m, rad], counts (..., 3) and the history (..., steps + 1, 2) or None.
+
+        Counts are steps of all starts, starts, status. Without a solution `q` is the posture with the least error. It is
+        always within the limits. Errors that the task does not ask for are NaN.
+
+        Parameters
+        ----------
+        T_base_tool : (..., 4, 4) goals.
+        q0 : (n,) or (..., n) the first start; None: all starts come from the table.
+        task : rows of the task.
+        axis : (3,) the direction in tool axes, for tasks of 5 and 2 rows.
+        steps : per start.
+        starts : how many.
+        position_tolerance, rotation_tolerance : errors at which a goal is solved [m], [rad].
+        damping : ``lambda = damping |e|^2``, eight times that after each failure.
+        history : the errors along the start that gave the result, NaN after its end.
+        threads : 1 to 256.
+        """
+        search = read_search(steps, starts, position_tolerance, rotation_tolerance, damping)
+        return self._run(self._solve, T_base_tool, q0, task, axis, search, history, threads)
+
+    def follow(
+        self,
+        T_base_tool: Any,
+        q0: Any,
+        change: float = np.inf,
+        task: int = 6,
+        axis: Any = (0.0, 0.0, 1.0),
+        steps: int = 100,
+        position_tolerance: float = 1e-9,
+        rotation_tolerance: float = 1e-9,
+        damping: float = 0.1,
+        history: bool = False,
+        threads: int = 1,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
+        """Solve from `q0` alone, and move no joint further than `change` from it; parameters and results as in `solve`.
+
+        For paths, where the start is the previous posture: the result is near it or status 5 says that the bound stops
+        it; damping bounds the steps near singular postures. `q` is the posture with the least error within the bound.
+        """
+        if not change >= 0.0:
+            raise ShapeError(f"Expected change >= 0, got {change:f}.")
+
+        def solve(goal: Goal, search: Search, q0: np.ndarray | None, path: np.ndarray | None) -> tuple:
+            return self._follow(goal, search, np.asarray(q0), change, path)
+
+        search = read_search(steps, 1, position_tolerance, rotation_tolerance, damping)
+        return self._run(solve, T_base_tool, np.asarray(q0), task, axis, search, history, threads)
+
+    def _run(
+        self, solve: Any, T: Any, q0: Any, task: int, axis: Any, search: Search, history: bool, threads: int
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
+        goals = read_goals(T)
+        batch, n = goals.shape[:-2], self._chain.n
+        starts = None if q0 is None else read_starts(q0, goals, n)
+        check_threads(threads)
+        direction = read_task(task, axis)
+        q, errors, counts = np.empty((*batch, n)), np.empty((*batch, 2)), np.empty((*batch, 3), dtype=np.int64)
+        path = np.empty((*batch, search.steps + 1, 2)) if history else None
+        for k in np.ndindex(batch):
+            start = None if starts is None else starts[k]
+            goal = Goal(task, goals[k], direction)
+            q[k], errors[k], counts[k] = solve(goal, search, start, None if path is None else path[k])
+        return q, errors, counts, path
+
+    def _solve(self, goal: Goal, search: Search, start: np.ndarray | None, path: np.ndarray | None) -> tuple:
+        descent, ends = Descent(self._chain, goal, search, self._weight), []
+        for number in range(search.starts):
+            if start is not None and number == 0:
+                found = descent.run(start, self._limits, PATIENT, path)
+            else:
+                found = descent.run(self._start(goal, number - (start is not None)), self._limits, HASTY, path)
+            if found:
+                return _outcome(descent, SOLVED, number + 1)
+            ends.append(descent.best)
+        best = min(ends, key=lambda end: end.square)
+        if descent.run(best.q, self._limits, PATIENT, path):  # the best of them to its end
+            return _outcome(descent, SOLVED, search.starts)
+        return self._explain(descent, goal, search, path)
+
+    def _explain(self, descent: Descent, goal: Goal, search: Search, path: np.ndarray | None) -> tuple:
+        """Return the outcome of a search without success, and why."""
+        best = descent.best
+        if self._is_beyond_reach(goal, search.position_tolerance):
+            return _outcome(descent, OUT_OF_REACH, search.starts)
+        stationary, blocked = descent.is_stationary(self._limits), bool(descent.blocked(self._limits).any())
+        without_limits = False
+        for number in range(min(search.starts, UNLIMITED_STARTS)):
+            start = self._start(goal, number - 1) if number else best.q
+            without_limits = descent.run(start, self._unlimited, HASTY if number else PATIENT, None)
+            if without_limits:
+                wrapped = self._wrap(descent.best.q)
+                if wrapped is not None and descent.run(wrapped, self._limits, PATIENT, path):
+                    return _outcome(descent, SOLVED, search.starts)
+                break
+        status = ITERATIONS
+        if without_limits or (stationary and blocked and search.starts == 1):
+            status = LIMITS
+        elif stationary:
+            status = OUT_OF_REACH if search.starts > 1 or self._chain.n < goal.task else SINGULAR
+        descent.best = best
+        return _outcome(descent, status, search.starts)
+
+    def _follow(
+        self, goal: Goal, search: Search, start: np.ndarray, change: float, path: np.ndarray | None
+    ) -> tuple:
+        start = np.clip(start, *self._limits)
+        box = np.maximum(self._limits[0], start - change), np.minimum(self._limits[1], start + change)
+        descent = Descent(self._chain, goal, search, self._weight)
+        if descent.run(start, box, PATIENT, path):
+            return _outcome(descent, SOLVED, 1)
+        status = ITERATIONS
+        if self._is_beyond_reach(goal, search.position_tolerance):
+            status = OUT_OF_REACH
+        elif descent.is_stationary(box):
+            if not descent.blocked(box).any():
+                status = OUT_OF_REACH if self._chain.n < goal.task else SINGULAR
+            else:
+                status = LIMITS if descent.blocked(self._limits).any() else BOUND
+        return _outcome(descent, status, 1)
+
+    def _start(self, goal: Goal, number: int) -> np.ndarray:
+        """Return start `number` of the table.
+
+        Of block `number` mod `BLOCKS`, the posture that is next in the order of ``|e|^2`` with rotations by
+        ``2 (1 - cos)``; then that of the next block.
+        """
+        rows = slice(BLOCK * (number % BLOCKS), BLOCK * (number % BLOCKS + 1))
+        R, p = self._poses[rows, :, :3], self._poses[rows, :, 3]
+        distance = np.zeros(BLOCK)
+        if goal.has_position:
+            distance += self._weight**2 * np.sum((p - goal.T[:3, 3]) ** 2, axis=1)
+        if goal.task == 6:
+            distance -= np.sum(R * goal.T[:3, :3], axis=(1, 2))
+        if goal.has_axis:
+            distance -= 2.0 * (R @ goal.axis) @ (goal.T[:3, :3] @ goal.axis)
+        order = np.argsort(distance, kind="stable")
+        return self._angles[rows][order[number // BLOCKS % BLOCK]]
+
+    def _is_beyond_reach(self, goal: Goal, tolerance: float) -> bool:
+        """Return whether the goal is further from the first joint than the links are long, whatever revolute joints do."""
+        if not goal.has_position:
+            return False
+        frames, p, reach = self._chain.frames, goal.T[:3, 3], self._tool_reach
+        if goal.task == 6:
+            p, reach = p - goal.T[:3, :3] @ frames[-1, :3, :3].T @ frames[-1, :3, 3], self._wrist_reach
+        return bool(np.linalg.norm(p - frames[0, :3, 3]) > (1.0 + 1e-9) * reach + tolerance)
+
+    def _wrap(self, q: np.ndarray) -> np.ndarray | None:
+        """Return `q` with revolute joints moved by whole turns into their limits; None where none fits."""
+        (low, high), turn = self._limits, 2.0 * np.pi
+        up = np.where(q < low, np.ceil((low - q) / turn), 0.0)
+        q = np.where(self._chain.prismatic, q, q + turn * up)
+        down = np.where(q > high, np.ceil((q - high) / turn), 0.0)
+        q = np.where(self._chain.prismatic, q, q - turn * down)
+        return q if np.all((low <= q) & (q <= high)) else None
+
+
+def _outcome(descent: Descent, status: int, starts: int) -> tuple:
+    best = descent.best
+    return best.q, (best.position_error, best.rotation_error), (descent.steps, starts, status)
+
+
+def _uniform(seed: int, shape: tuple[int, int]) -> np.ndarray:
+    """Return the first numbers of the sequence SplitMix64 of `seed`, uniform in [0, 1)."""
+    with np.errstate(over="ignore"):
+        counter = np.arange(1, shape[0] * shape[1] + 1, dtype=np.uint64)
+        z = np.uint64(seed) + counter * np.uint64(0x9E3779B97F4A7C15)
+        z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+        z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return ((z ^ (z >> np.uint64(31))) >> np.uint64(11)).astype(np.float64).reshape(shape) * 2.0**-53
