@@ -40,7 +40,7 @@ int thread_count(nb::handle threads) {
   if (count >= 1 && count <= max_threads) return static_cast<int>(count);
   PyErr_Clear();
   raise("ConfigError", "Expected threads to be an integer from 1 to " + std::to_string(max_threads) + ", got " +
-                           nb::cast<std::string>(nb::repr(threads)) + ".");
+                           nb::repr(threads).c_str() + ".");
 }
 
 nb::object fresh_array(int ndim, const npy_intp *shape, const double *data) {

@@ -10,7 +10,7 @@ namespace {
 
 constexpr double infinity = std::numeric_limits<double>::infinity();
 constexpr double pi = 3.14159265358979323846;
-constexpr int unlimited_starts = 10;        // to learn whether it is the limits that are in the way
+constexpr int few_starts = 10;  // beyond reach, or to learn whether it is the limits that are in the way
 
 // SplitMix64: number `index` of the sequence of `seed`, uniform in [0, 1).
 double uniform(std::uint64_t seed, std::uint64_t index) {
@@ -131,8 +131,10 @@ bool InverseSolver::wrap(double *q) const {
 template <int M>
 Outcome InverseSolver::solve_rows(const Goal &goal, const Search &search, const double *start, double *q) const {
   Descent<M> descent(chain_, goal, search, weight_);
+  const bool beyond = beyond_reach(goal, search.position_tolerance);
+  const int starts = beyond ? std::min(search.starts, few_starts) : search.starts;
   double from[max_joints], least = infinity;
-  for (int number = 0; number < search.starts; ++number) {
+  for (int number = 0; number < starts; ++number) {
     const bool own = start && number == 0;
     if (!own) take_start(goal, number - (start != nullptr), from);
     const bool found = descent.run(own ? start : from, limits_, own ? patient : hasty, search.history);
@@ -142,7 +144,8 @@ Outcome InverseSolver::solve_rows(const Goal &goal, const Search &search, const 
   }
   const bool found = descent.run(q, limits_, patient, search.history);  // the best of them to its end
   std::copy_n(descent.best().q, chain_.n, q);
-  if (found) return descent.outcome(Status::solved, search.starts);
+  if (found) return descent.outcome(Status::solved, starts);
+  if (beyond) return descent.outcome(Status::out_of_reach, starts);
   return explain(descent, goal, search, q);
 }
 
@@ -150,14 +153,10 @@ Outcome InverseSolver::solve_rows(const Goal &goal, const Search &search, const 
 template <int M>
 Outcome InverseSolver::explain(Descent<M> &descent, const Goal &goal, const Search &search, double *q) const {
   Outcome outcome = descent.outcome(Status::iterations, search.starts);
-  if (beyond_reach(goal, search.position_tolerance)) {
-    outcome.status = Status::out_of_reach;
-    return outcome;
-  }
   const bool stationary = descent.is_stationary(limits_), blocked = descent.is_blocked(limits_);
   double from[max_joints];
   bool without_limits = false;
-  for (int number = 0; number < std::min(search.starts, unlimited_starts) && !without_limits; ++number) {
+  for (int number = 0; number < std::min(search.starts, few_starts) && !without_limits; ++number) {
     if (number > 0) take_start(goal, number - 1, from);
     without_limits = descent.run(number > 0 ? from : q, unlimited_, number > 0 ? hasty : patient, nullptr);
   }

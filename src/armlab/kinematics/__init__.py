@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from armlab.kinematics.derivative import jacobian_derivative
 from armlab.kinematics.forward import forward, link_transforms
+from armlab.kinematics.inverse import Inverse, inverse
 from armlab.kinematics.jacobian import jacobian
 from armlab.kinematics.manipulability import (
     Ellipsoid,
@@ -16,9 +17,11 @@ from armlab.kinematics.null_motion import NullMotion, null_motion
 
 __all__ = [
     "Ellipsoid",
+    "Inverse",
     "NullMotion",
     "ellipsoid",
     "forward",
+    "inverse",
     "jacobian",
     "jacobian_derivative",
     "link_transforms",

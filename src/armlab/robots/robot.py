@@ -14,7 +14,7 @@ from armlab.robots._numbers import numbers
 from armlab.robots.mesh import Mesh
 
 if TYPE_CHECKING:
-    from armlab.kernels import Chain
+    from armlab.kernels import Chain, InverseSolver
 
 __all__ = ["POSE_TOLERANCE", "Robot"]
 
@@ -112,6 +112,13 @@ class Robot:
         from armlab.kernels import Chain
 
         return Chain(self.frames, self.prismatic)
+
+    @cached_property
+    def inverse_solver(self) -> InverseSolver:
+        """The compiled inverse kinematics of this robot, within its limits; `kinematics.inverse` calls it."""
+        from armlab.kernels import InverseSolver
+
+        return InverseSolver(self.chain, self.q_min, self.q_max, self.q_home)
 
     @cached_property
     def screws(self) -> np.ndarray:

@@ -41,8 +41,8 @@ class Search(NamedTuple):
 class Goal:
     """What is asked for, by the number of rows of the task.
 
-    6 the pose; 3 the position; 5 the position, and the direction of an axis of the tool as in the goal; 2 that direction
-    alone.
+    6 the pose; 3 the position; 5 the position, and the direction of an axis of the tool as in the goal; 2 that
+    direction alone.
     """
 
     def __init__(self, task: int, T: np.ndarray, axis: np.ndarray) -> None:
@@ -78,9 +78,7 @@ class Descent:
         self.chain, self.goal, self.search, self.weight = chain, goal, search, weight
         self.steps = 0  # of all runs
 
-    def run(
-        self, q: np.ndarray, box: _Box, patience: Patience, history: np.ndarray | None
-    ) -> bool:
+    def run(self, q: np.ndarray, box: _Box, patience: Patience, history: np.ndarray | None) -> bool:
         """Descend from `q` inside the box; True when that gets to the goal. `best` is where it ends.
 
         A step that does not reduce the error may still lead on, as along a curved valley near a singular posture:
@@ -116,24 +114,25 @@ class Descent:
         """Return residual and Jacobian at `q`."""
         goal = self.goal
         T, J = self.chain.forward_jacobian(q)
-        rows, e, errors = [], [], [np.nan, np.nan]
+        rows, e, position_error, rotation_error = [], [], np.nan, np.nan
         if goal.has_position:
             d = goal.T[:3, 3] - T[:3, 3]
-            errors[0] = np.sqrt(d @ d)
+            position_error = np.sqrt(d @ d)
             rows.append(self.weight * J[:3])
             e.append(self.weight * d)
         if goal.task == 6:
             w = _log(goal.T[:3, :3] @ T[:3, :3].T)
-            errors[1] = np.sqrt(w @ w)
+            rotation_error = np.sqrt(w @ w)
             rows.append(J[3:])
             e.append(w)
         if goal.has_axis:
             w, across = _axis_residual(goal, T[:3, :3])
-            errors[1] = np.sqrt(w @ w)
+            rotation_error = np.sqrt(w @ w)
             rows.append(across @ J[3:])
             e.append(w)
         residual = np.concatenate(e)
-        return Iterate(q, np.concatenate(rows), residual, float(residual @ residual), float(errors[0]), float(errors[1]))
+        square = float(residual @ residual)
+        return Iterate(q, np.concatenate(rows), residual, square, float(position_error), float(rotation_error))
 
     def blocked(self, box: _Box) -> np.ndarray:
         """(n,) whether the residual pulls a joint against its end of the box."""
@@ -174,7 +173,7 @@ def step(here: Iterate, box: _Box, damping: float) -> np.ndarray | None:
 
 
 def _axis_residual(goal: Goal, R: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the shortest rotation vector from the tool's axis to the goal's, along two directions across; and those."""
+    """Return the shortest rotation vector from the tool's axis to the goal's, in two directions across; and those."""
     now, wanted, across = R @ goal.axis, goal.T[:3, :3] @ goal.axis, goal.across @ R.T
     turn = np.cross(now, wanted)
     sine, cosine = np.sqrt(turn @ turn), now @ wanted

@@ -55,7 +55,7 @@ def read_starts(value: Any, goals: np.ndarray, n: int) -> np.ndarray:
         raise ShapeError(
             f"Expected q0 of shape ({n},) or one posture per goal of T_base_tool {goals.shape}, got {q.shape}."
         )
-    good = np.isfinite(q).all(axis=-1)
+    good = np.asarray(np.isfinite(q).all(axis=-1))
     if not good.all():
         raise ShapeError(f"Expected finite joint positions, got others in {_place('q0', good)}.")
     return np.broadcast_to(q, (*batch, n))

@@ -17,15 +17,15 @@ __all__ = ["InverseSolver"]
 SOLVED, OUT_OF_REACH, LIMITS, SINGULAR, ITERATIONS, BOUND = range(6)
 BLOCK, BLOCKS = 128, 16
 POSTURES = BLOCK * BLOCKS
-UNLIMITED_STARTS = 10  # to learn whether it is the limits that are in the way
+FEW_STARTS = 10  # beyond reach, or to learn whether it is the limits that are in the way
 
 
 class InverseSolver:
     """Inverse kinematics of a chain within joint limits, immutable.
 
-    Levenberg-Marquardt from one start after the other (see `descent.Descent`). Starts that stall are given up early; the
-    next is taken from a table of random postures, in each block of it the one whose tool is nearest to the goal. The
-    table depends on the limits and the seed alone: the same seed gives the same answers, in a batch and one by one.
+    Levenberg-Marquardt from one start after the other (see `descent.Descent`). Starts that stall are given up early;
+    the next is taken from a table of random postures, in each block of it the one whose tool is nearest to the goal.
+    The table depends on the robot and the seed alone: a goal has the same answer in a batch and alone.
 
     Tasks are told by their number of rows: 6 pose, 5 position and direction of a tool axis, 3 position, 2 direction.
     Statuses: 0 solved; 1 out of reach; 2 limits; 3 singular; 4 iterations; 5 bound (`follow` only).
@@ -80,8 +80,8 @@ class InverseSolver:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
         """Return q (..., n), errors (..., 2) [m, rad], counts (..., 3) and the history (..., steps + 1, 2) or None.
 
-        Counts are steps of all starts, starts, status. Without a solution `q` is the posture with the least error. It is
-        always within the limits. Errors that the task does not ask for are NaN.
+        Counts are steps of all starts, starts, status. Without a solution `q` is the posture with the least error. It
+        is always within the limits. Errors that the task does not ask for are NaN.
 
         Parameters
         ----------
@@ -145,7 +145,9 @@ class InverseSolver:
 
     def _solve(self, goal: Goal, search: Search, start: np.ndarray | None, path: np.ndarray | None) -> tuple:
         descent, ends = Descent(self._chain, goal, search, self._weight), []
-        for number in range(search.starts):
+        beyond = self._is_beyond_reach(goal, search.position_tolerance)
+        starts = min(search.starts, FEW_STARTS) if beyond else search.starts
+        for number in range(starts):
             if start is not None and number == 0:
                 found = descent.run(start, self._limits, PATIENT, path)
             else:
@@ -155,17 +157,17 @@ class InverseSolver:
             ends.append(descent.best)
         best = min(ends, key=lambda end: end.square)
         if descent.run(best.q, self._limits, PATIENT, path):  # the best of them to its end
-            return _outcome(descent, SOLVED, search.starts)
+            return _outcome(descent, SOLVED, starts)
+        if beyond:
+            return _outcome(descent, OUT_OF_REACH, starts)
         return self._explain(descent, goal, search, path)
 
     def _explain(self, descent: Descent, goal: Goal, search: Search, path: np.ndarray | None) -> tuple:
         """Return the outcome of a search without success, and why."""
         best = descent.best
-        if self._is_beyond_reach(goal, search.position_tolerance):
-            return _outcome(descent, OUT_OF_REACH, search.starts)
         stationary, blocked = descent.is_stationary(self._limits), bool(descent.blocked(self._limits).any())
         without_limits = False
-        for number in range(min(search.starts, UNLIMITED_STARTS)):
+        for number in range(min(search.starts, FEW_STARTS)):
             start = self._start(goal, number - 1) if number else best.q
             without_limits = descent.run(start, self._unlimited, HASTY if number else PATIENT, None)
             if without_limits:
@@ -181,9 +183,7 @@ class InverseSolver:
         descent.best = best
         return _outcome(descent, status, search.starts)
 
-    def _follow(
-        self, goal: Goal, search: Search, start: np.ndarray, change: float, path: np.ndarray | None
-    ) -> tuple:
+    def _follow(self, goal: Goal, search: Search, start: np.ndarray, change: float, path: np.ndarray | None) -> tuple:
         start = np.clip(start, *self._limits)
         box = np.maximum(self._limits[0], start - change), np.minimum(self._limits[1], start + change)
         descent = Descent(self._chain, goal, search, self._weight)
@@ -218,7 +218,7 @@ class InverseSolver:
         return self._angles[rows][order[number // BLOCKS % BLOCK]]
 
     def _is_beyond_reach(self, goal: Goal, tolerance: float) -> bool:
-        """Return whether the goal is further from the first joint than the links are long, whatever revolute joints do."""
+        """Return whether the goal is further from the first joint than the links are long, whatever joints turn."""
         if not goal.has_position:
             return False
         frames, p, reach = self._chain.frames, goal.T[:3, 3], self._tool_reach
