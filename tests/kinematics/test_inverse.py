@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 
 from armlab import lie, robots
 from armlab.errors import ConfigError, NotConverged, ShapeError, UnknownName
-from armlab.kinematics import Inverse, forward, inverse
+from armlab.kinematics import Inverse, forward, inverse, jacobian
 from armlab.robots import Robot
 
 ARMS = ["yumi_left", "irb2400", "irb7600", "ur5e"]
@@ -72,6 +74,17 @@ def test_a_batch_is_a_loop() -> None:
             np.testing.assert_array_equal(getattr(batch, name)[k // 4, k % 4], getattr(one, name))
 
 
+@pytest.mark.parametrize("name", ["yumi_left", "yumi_right"])
+def test_the_recipe_for_get_kinematic_functions(name: str) -> None:
+    """One line gives the ancestor's three functions; inverse of forward is the posture it starts from."""
+    fkine, jac, ikine = (partial(f, robots.load(name)) for f in (forward, jacobian, inverse))
+    q = np.array([-0.3, -1.2, 0.7, 0.4, 1.0, 0.5, -0.2])
+    assert jac(q).shape == (6, 7)
+    found = ikine(fkine(q), q)
+    np.testing.assert_array_equal(found.q, q)
+    assert found.iterations == 0
+
+
 def test_no_goals() -> None:
     robot = robots.load("irb2400")
     result = inverse(robot, np.empty((0, 4, 4)))
@@ -81,7 +94,7 @@ def test_no_goals() -> None:
 
 
 def test_unknown_task() -> None:
-    with pytest.raises(UnknownName, match="inverse task, got 'wrist'. Known: axis, direction, pose, position"):
+    with pytest.raises(UnknownName, match=r"inverse task, got 'wrist'. Known: axis, direction, pose, position"):
         inverse(robots.load("irb2400"), np.eye(4), task="wrist")  # type: ignore[arg-type]
 
 
