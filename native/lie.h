@@ -127,17 +127,23 @@ inline Quaternion<Real> quaternion_from(const Rotation<Real> &R) {
   return {q.w * scale, scale * q.v};
 }
 
-// The rotation of a quaternion that is not zero, of any length.
+// The rotation of a quaternion q, with twice the inverse of q.q.
 template <class Real>
-inline Rotation<Real> rotation_from(const Quaternion<Real> &q) {
-  const Real one(1.0), s = Real(2.0) / (q.w * q.w + dot(q.v, q.v));
-  const Vec3<Real> v = s * q.v;
+inline Rotation<Real> rotation_from(const Quaternion<Real> &q, const Real &twice_inverse) {
+  const Real one(1.0);
+  const Vec3<Real> v = twice_inverse * q.v;
   const Real wx = q.w * v.x, wy = q.w * v.y, wz = q.w * v.z;
   const Real xx = q.v.x * v.x, xy = q.v.x * v.y, xz = q.v.x * v.z;
   const Real yy = q.v.y * v.y, yz = q.v.y * v.z, zz = q.v.z * v.z;
   return {{one - (yy + zz), xy + wz, xz - wy},
           {xy - wz, one - (xx + zz), yz + wx},
           {xz + wy, yz - wx, one - (xx + yy)}};
+}
+
+// The rotation of a quaternion that is not zero, of any length.
+template <class Real>
+inline Rotation<Real> rotation_from(const Quaternion<Real> &q) {
+  return rotation_from(q, Real(2.0) / (q.w * q.w + dot(q.v, q.v)));
 }
 
 template <class Real>
@@ -203,15 +209,21 @@ struct Angle {
     sincos(half, sine, cosine);
     k = Real(0.5) * ratio(sine, half, 1.0);
   }
-  Real sinc() const { return Real(2.0) * k * cosine; }  // sin(theta) / theta
-  Real versine() const { return Real(2.0) * k * k; }    // (1 - cos(theta)) / theta^2
+  Real versine() const { return Real(2.0) * k * k; }  // (1 - cos(theta)) / theta^2
 };
 
 // The rotation about w by |w|: I + sin(t)/t hat(w) + (1 - cos(t))/t^2 hat(w)^2.
+// Through the quaternion, whose length is 1 but for rounding; with the first order of that (2 / n = 4 - 2 n near n = 1)
+// the result is as orthonormal as can be.
+template <class Real>
+inline Rotation<Real> rotation_about(const Vec3<Real> &w, const Angle<Real> &t) {
+  const Quaternion<Real> q{t.cosine, t.k * w};
+  return rotation_from(q, Real(4.0) - Real(2.0) * (q.w * q.w + dot(q.v, q.v)));
+}
+
 template <class Real>
 inline Rotation<Real> so3_exp(const Vec3<Real> &w) {
-  const Angle<Real> t(w);
-  return polynomial(w, t.sinc(), t.versine());
+  return rotation_about(w, Angle<Real>(w));
 }
 
 }  // namespace armlab

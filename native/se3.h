@@ -120,7 +120,7 @@ inline void write_blocks(const Rotation<Real> &A, const Rotation<Real> &B, Real 
 template <class Real>
 inline Pose<Real> se3_exp(const Vec3<Real> &v, const Vec3<Real> &w) {
   const Angle<Real> t(w);
-  const Rotation<Real> R = polynomial(w, t.sinc(), t.versine());
+  const Rotation<Real> R = rotation_about(w, t);
   const Vec3<Real> wv = cross(w, v);
   return {R.x, R.y, R.z, v + (t.versine() * wv + cubic(t) * cross(w, wv))};
 }

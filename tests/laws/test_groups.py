@@ -6,6 +6,7 @@ The samplers near the identity and near a half turn find what uniform ones never
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -162,6 +163,41 @@ def test_power_does_not_depend_on_the_frame(batch: tuple[int, ...], sampler) -> 
     assert distance((twist_a * wrench_a).sum(axis=-1), (twist_b * wrench_b).sum(axis=-1)) <= 1e-12
     by_adjoint = np.swapaxes(se3.adjoint_inv(T_a_b), -1, -2) @ wrench_b[..., None]
     assert distance(by_adjoint[..., 0], wrench_a) <= LAW
+
+
+@pytest.mark.parametrize("group", [so3, se3], ids=["so3", "se3"])
+def test_left_jacobians(group, batch: tuple[int, ...], sampler) -> None:
+    """``Ad(exp(x)) J(-x) = J(x)`` (left from right), the inverse, and ``J(x) x = x``."""
+    rng = np.random.default_rng(6)
+    x = sampler(rng, batch) if group is so3 else twists(rng, batch, sampler)
+    J, J_inv = group.left_jacobian(x), group.left_jacobian_inv(x)
+    Ad = so3.exp(x) if group is so3 else se3.adjoint(se3.exp(x))
+    assert distance(Ad @ group.left_jacobian(-x), J) <= LAW
+    assert distance(J_inv @ J, np.broadcast_to(np.eye(x.shape[-1]), J.shape)) <= LAW
+    assert distance((J @ x[..., None])[..., 0], x) <= LAW
+    assert distance((J_inv @ x[..., None])[..., 0], x) <= LAW
+
+
+def test_the_bracket_is_the_adjoint_of_the_algebra(batch: tuple[int, ...], sampler) -> None:
+    """``ad(x) y = -ad(y) x``, ``Ad(T) ad(x) Ad(T)⁻¹ = ad(Ad(T) x)``."""
+    case = se3_case(np.random.default_rng(7), batch, sampler)
+    T, (x, y, _) = case.elements[0], case.vectors
+    assert distance((se3.ad(x) @ y[..., None])[..., 0], -(se3.ad(y) @ x[..., None])[..., 0]) <= LAW
+    moved = (se3.adjoint(T) @ x[..., None])[..., 0]
+    assert distance(se3.adjoint(T) @ se3.ad(x) @ se3.adjoint_inv(T), se3.ad(moved)) <= LAW
+
+
+def test_interpolation_is_a_flow(case: SimpleNamespace) -> None:
+    """The middle of the middle is a quarter of the way."""
+    interpolate = {3: so3.interpolate, 4: partial(se3.interpolate, path="screw")}.get(len(case.identity))
+    if case.identity.ndim == 1:
+        interpolate = quaternion.slerp
+    a, _, _ = case.elements
+    near = case.multiply(a, case.exp(case.vectors[1] / 4))  # less than a quarter turn away: one shortest way
+    middle = interpolate(a, near, 0.5)
+    quarter = interpolate(a, near, 0.25)
+    again = interpolate(a, middle, 0.5)
+    assert distance(again, quarter) <= LAW
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-300, 1e-12, 1e-6, np.pi - 1e-9, np.pi])
