@@ -1,7 +1,11 @@
 // Python class WrenchEstimator and function presliding: arguments are checked here, the mathematics is in estimator.cpp.
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <cstdint>
+#include <initializer_list>
 #include <limits>
+#include <string>
 #include <vector>
 
 #include "arrays.h"
@@ -10,37 +14,99 @@
 namespace armlab {
 namespace {
 
+constexpr int methods = 6;  // of WrenchMethod
+
 void construct(WrenchEstimator *self, const Chain &chain, nb::handle gravity_, nb::handle links_, nb::handle rotor_,
-               nb::handle friction_, nb::handle ripple_, nb::handle covariance_, nb::handle prior_, double cutoff) {
+               nb::handle friction_, nb::handle ripple_, nb::handle covariance_, nb::handle bound_, nb::handle prior_,
+               double cutoff, int method, nb::handle point_) {
   const int n = chain.n;
   const Input gravity(gravity_, "gravity"), links(links_, "links"), rotor(rotor_, "rotor"), friction(friction_, "friction");
-  const Input ripple(ripple_, "ripple"), covariance(covariance_, "covariance"), prior(prior_, "prior");
+  const Input ripple(ripple_, "ripple"), covariance(covariance_, "covariance"), bound(bound_, "bound");
+  const Input prior(prior_, "prior");
   gravity.require_exactly({3});
   links.require_exactly({n, 10});
   rotor.require_exactly({n});
   friction.require_exactly({8, n});
   ripple.require_exactly({3, n});
   covariance.require_exactly({4, n});
+  bound.require_exactly({3, n});
   prior.require_exactly({6});
   WrenchEstimator::Parameters p(chain);
   std::copy_n(gravity.data(), 3, p.gravity.begin());
   std::copy_n(links.data(), 10 * n, p.links.begin());
   std::copy_n(rotor.data(), n, p.rotor.begin());
   std::copy_n(prior.data(), 6, p.prior.begin());
-  const double *f = friction.data(), *r = ripple.data(), *c = covariance.data();
+  const double *f = friction.data(), *r = ripple.data(), *c = covariance.data(), *b = bound.data();
   for (int i = 0; i < n; ++i) {
     p.friction[i] = {f[i], f[n + i], f[2 * n + i], f[3 * n + i], f[4 * n + i], f[5 * n + i], f[6 * n + i], f[7 * n + i]};
     p.ripple[i] = {r[i], r[n + i], r[2 * n + i]};
     p.covariance[i] = {c[i], c[n + i], c[2 * n + i], c[3 * n + i]};
+    p.bound[i] = {b[i], b[n + i], b[2 * n + i]};
   }
   p.cutoff = cutoff;
+  if (method < 0 || method >= methods)
+    raise_shape_error("Expected method from 0 to " + std::to_string(methods - 1) + ", got " + std::to_string(method) + ".");
+  p.method = static_cast<WrenchMethod>(method);
+  p.at_point = !point_.is_none();
+  if (p.at_point) {
+    const Input point(point_, "point");
+    point.require_exactly({3});
+    std::copy_n(point.data(), 3, p.point.begin());
+  }
   new (self) WrenchEstimator(p);
 }
 
-nb::object vector_of(int n, const double *values) {
-  const npy_intp shape[1] = {n};
-  return fresh_array(1, shape, values);
-}
+// One estimate, or N of them, as fresh arrays: F, P, observability, torque error, its variance, flags, active joints,
+// interval; the last is None where the method has none.
+class Estimates {
+ public:
+  Estimates(const WrenchEstimator &estimator, npy_intp N, bool stacked) : n_(estimator.n()), interval_(nullptr) {
+    const auto shaped = [&](std::initializer_list<npy_intp> tail, int type) {
+      std::vector<npy_intp> shape(tail);
+      if (stacked) shape.insert(shape.begin(), N);
+      nb::object array = nb::steal(PyArray_SimpleNew(static_cast<int>(shape.size()), shape.data(), type));
+      if (!array) throw nb::python_error();
+      return array;
+    };
+    const auto data = [](const nb::object &array) { return PyArray_DATA(reinterpret_cast<PyArrayObject *>(array.ptr())); };
+    arrays_ = {shaped({6}, NPY_DOUBLE),  shaped({6, 6}, NPY_DOUBLE), shaped({6}, NPY_DOUBLE), shaped({n_}, NPY_DOUBLE),
+               shaped({n_}, NPY_DOUBLE), shaped({n_}, NPY_BOOL),     nb::none(),              nb::none()};
+    for (int k = 0; k < 5; ++k) values_[k] = static_cast<double *>(data(arrays_[k]));
+    active_ = static_cast<npy_bool *>(data(arrays_[5]));
+    if (estimator.has_interval()) {
+      arrays_[6] = shaped({6, 2}, NPY_DOUBLE);
+      interval_ = static_cast<double *>(data(arrays_[6]));
+    }
+    flags_ = &flag_;
+    if (stacked) {
+      arrays_[7] = shaped({}, NPY_INT64);
+      flags_ = static_cast<std::int64_t *>(data(arrays_[7]));
+    }
+  }
+
+  void put(npy_intp row, const WrenchEstimate &e) {
+    const double *from[5] = {e.F, e.P, e.observability, e.error, e.variance};
+    const int width[5] = {6, 36, 6, n_, n_};
+    for (int k = 0; k < 5; ++k) std::copy_n(from[k], width[k], values_[k] + width[k] * row);
+    std::copy_n(e.active, n_, active_ + n_ * row);
+    if (interval_) std::copy_n(e.interval, 12, interval_ + 12 * row);
+    flags_[row] = e.flags;
+  }
+
+  nb::object tuple() {
+    if (arrays_[7].is_none()) arrays_[7] = nb::int_(flag_);
+    return nb::steal(PyTuple_Pack(8, arrays_[0].ptr(), arrays_[1].ptr(), arrays_[2].ptr(), arrays_[3].ptr(), arrays_[4].ptr(),
+                                  arrays_[7].ptr(), arrays_[5].ptr(), arrays_[6].ptr()));
+  }
+
+ private:
+  int n_;
+  std::array<nb::object, 8> arrays_;
+  std::array<double *, 5> values_;
+  npy_bool *active_;
+  double *interval_;
+  std::int64_t *flags_, flag_ = 0;
+};
 
 nb::object step(WrenchEstimator &self, nb::handle q_, nb::handle qd_, nb::handle tau_, double dt) {
   const int n = self.n();
@@ -48,19 +114,11 @@ nb::object step(WrenchEstimator &self, nb::handle q_, nb::handle qd_, nb::handle
   q.require_exactly({n});
   qd.require_exactly({n});
   tau.require_exactly({n});
-  double F[6], P[36], observability[6], error[max_joints], variance[max_joints];
-  self.step(q.data(), qd.data(), tau.data(), dt, F, P, observability, error, variance);
-  const npy_intp square[2] = {6, 6};
-  return nb::steal(PyTuple_Pack(5, vector_of(6, F).ptr(), fresh_array(2, square, P).ptr(), vector_of(6, observability).ptr(),
-                                vector_of(n, error).ptr(), vector_of(n, variance).ptr()));
-}
-
-// A fresh array of shape (N, tail) and a pointer to its numbers.
-nb::object fresh(std::vector<npy_intp> shape, double *&data) {
-  nb::object array = nb::steal(PyArray_SimpleNew(static_cast<int>(shape.size()), shape.data(), NPY_DOUBLE));
-  if (!array) throw nb::python_error();
-  data = static_cast<double *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(array.ptr())));
-  return array;
+  WrenchEstimate estimate;
+  self.step(q.data(), qd.data(), tau.data(), dt, estimate);
+  Estimates out(self, 1, false);
+  out.put(0, estimate);
+  return out.tuple();
 }
 
 nb::object run(WrenchEstimator &self, nb::handle q_, nb::handle qd_, nb::handle tau_, nb::handle dt_) {
@@ -71,16 +129,24 @@ nb::object run(WrenchEstimator &self, nb::handle q_, nb::handle qd_, nb::handle 
   q.require_exactly({N, n});
   qd.require_exactly({N, n});
   tau.require_exactly({N, n});
-  double *F, *P, *observability, *error, *variance;
-  const nb::object arrays[5] = {fresh({N, 6}, F), fresh({N, 6, 6}, P), fresh({N, 6}, observability), fresh({N, n}, error),
-                                fresh({N, n}, variance)};
+  Estimates out(self, N, true);
   {
     nb::gil_scoped_release released;
-    for (npy_intp k = 0; k < N; ++k)
-      self.step(q.data() + n * k, qd.data() + n * k, tau.data() + n * k, dt.data()[k], F + 6 * k, P + 36 * k,
-                observability + 6 * k, error + n * k, variance + n * k);
+    WrenchEstimate estimate;
+    for (npy_intp k = 0; k < N; ++k) {
+      self.step(q.data() + n * k, qd.data() + n * k, tau.data() + n * k, dt.data()[k], estimate);
+      out.put(k, estimate);
+    }
   }
-  return nb::steal(PyTuple_Pack(5, arrays[0].ptr(), arrays[1].ptr(), arrays[2].ptr(), arrays[3].ptr(), arrays[4].ptr()));
+  return out.tuple();
+}
+
+// A fresh array of shape (N, n) and a pointer to its numbers.
+nb::object fresh(std::vector<npy_intp> shape, double *&data) {
+  nb::object array = nb::steal(PyArray_SimpleNew(static_cast<int>(shape.size()), shape.data(), NPY_DOUBLE));
+  if (!array) throw nb::python_error();
+  data = static_cast<double *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(array.ptr())));
+  return array;
 }
 
 nb::object presliding(nb::handle q_, nb::handle delta_, nb::handle resolution_) {
@@ -116,10 +182,11 @@ void bind_estimator(nb::module_ &m) {
   nb::class_<WrenchEstimator>(m, "WrenchEstimator",
                               "Contact wrench from joint motion and torque; see armlab/kernels/_reference/estimator.py.")
       .def("__init__", &construct, nb::arg("chain"), nb::arg("gravity"), nb::arg("links"), nb::arg("rotor"),
-           nb::arg("friction"), nb::arg("ripple"), nb::arg("covariance"), nb::arg("prior"), nb::arg("cutoff"))
+           nb::arg("friction"), nb::arg("ripple"), nb::arg("covariance"), nb::arg("bound"), nb::arg("prior"),
+           nb::arg("cutoff"), nb::arg("method") = 0, nb::arg("point") = nb::none())
       .def("reset", &WrenchEstimator::reset, "Forget everything but the parameters.")
       .def("step", &step, nb::arg("q"), nb::arg("qd"), nb::arg("tau"), nb::arg("dt"),
-           "Advance by one sample; return F, P, observability, filtered torque error and its variance.")
+           "Advance by one sample; return F, P, observability, torque error, its variance, flags, active, interval.")
       .def("run", &run, nb::arg("q"), nb::arg("qd"), nb::arg("tau"), nb::arg("dt"),
            "Step along a record (N, n); return the outputs of step stacked over N.");
   m.def("presliding", &presliding, nb::arg("q"), nb::arg("delta"), nb::arg("resolution"),

@@ -13,6 +13,8 @@ namespace {
 constexpr double rest_time = 0.5;  // s
 constexpr double largest = 1e100;  // N m; a torque error beyond it would overflow in the filter and never leave it
 constexpr double unknown = 1.0;    // largest variance of a variable in [-1, 1]
+constexpr double weak_below = 0.5;
+constexpr double spread_sigmas = 3.0, box_sigmas = 10.0;  // of the interval
 constexpr double pi = 3.14159265358979323846;
 
 bool finite(const double *values, int n) {
@@ -26,28 +28,6 @@ double lowpass(double *state, double x, double g, double a) {
   state[0] = 2.0 * v1 - state[0];
   state[1] = 2.0 * v2 - state[1];
   return v2;
-}
-
-// Lower Cholesky factor of S (n, n) in place. S is positive definite: C_tau has a positive diagonal.
-void cholesky(double *S, int n) {
-  for (int j = 0; j < n; ++j) {
-    for (int k = 0; k < j; ++k)
-      for (int i = j; i < n; ++i) S[n * i + j] -= S[n * i + k] * S[n * j + k];
-    const double root = std::sqrt(S[n * j + j]);
-    for (int i = j; i < n; ++i) S[n * i + j] /= root;
-  }
-}
-
-// x <- S^-1 x for the factor L of S.
-void cholesky_solve(const double *L, int n, double *x) {
-  for (int i = 0; i < n; ++i) {
-    for (int k = 0; k < i; ++k) x[i] -= L[n * i + k] * x[k];
-    x[i] /= L[n * i + i];
-  }
-  for (int i = n - 1; i >= 0; --i) {
-    for (int k = i + 1; k < n; ++k) x[i] -= L[n * k + i] * x[k];
-    x[i] /= L[n * i + i];
-  }
 }
 
 }  // namespace
@@ -83,8 +63,14 @@ double WrenchEstimator::drive_torque(int i, double q, double qd, double z) const
   const JointRipple &r = p_.ripple[i];
   const double slow = qd / f.stribeck_speed;
   const double coulomb = f.coulomb_pos * std::max(z, 0.0) + f.coulomb_neg * std::min(z, 0.0);
-  const double friction = f.viscous * qd + coulomb + f.offset + f.stribeck * z * std::exp(-(slow * slow));
-  return friction + r.cosine * std::cos(r.cycles * q) + r.sine * std::sin(r.cycles * q);
+  double dry = coulomb + f.stribeck * z * std::exp(-(slow * slow));
+  if (has_band()) dry *= 1.0 - slowness(i, qd);  // near rest it is anything within the bound, around zero
+  return f.viscous * qd + dry + f.offset + r.cosine * std::cos(r.cycles * q) + r.sine * std::sin(r.cycles * q);
+}
+
+double WrenchEstimator::slowness(int i, double qd) const {
+  const double ratio = qd / p_.bound[i].speed;
+  return std::exp(-(ratio * ratio));
 }
 
 bool WrenchEstimator::advance(const double *q, const double *qd, const double *tau, double dt, double *raw) {
@@ -116,73 +102,113 @@ bool WrenchEstimator::advance(const double *q, const double *qd, const double *t
   return true;
 }
 
-void WrenchEstimator::step(const double *q, const double *qd, const double *tau, double dt, double *F, double *P,
-                           double *observability, double *error, double *variance) {
+void WrenchEstimator::step(const double *q, const double *qd, const double *tau, double dt, WrenchEstimate &e) {
   const int n = this->n();
-  double raw[max_joints], J[6 * max_joints];
+  double raw[max_joints];
   if (!advance(q, qd, tau, dt, raw)) {
     const double nan = std::numeric_limits<double>::quiet_NaN();
-    std::fill(F, F + 6, nan);
-    std::fill(P, P + 36, nan);
-    std::fill(observability, observability + 6, nan);
-    std::fill(error, error + n, nan);
-    std::fill(variance, variance + n, nan);
+    for (double *values : {e.F, e.observability}) std::fill(values, values + 6, nan);
+    for (double *values : {e.error, e.variance, e.bound}) std::fill(values, values + n, nan);
+    std::fill(e.P, e.P + 36, nan);
+    std::fill(e.interval, e.interval + 12, nan);
+    std::fill(e.active, e.active + n, false);
+    e.flags = 1;
     return;
   }
-  const bool first = first_;
+  const bool first = first_, band = has_band();
   first_ = false;
   const double g = std::tan(pi * std::min(p_.cutoff * dt, 0.45));
   const double a = 1.0 / (1.0 + g * (g + std::sqrt(2.0)));
   for (int i = 0; i < n; ++i) {
     Joint &joint = joints_[i];
+    const JointCovariance &c = p_.covariance[i];
+    const double unsure = band ? slowness(i, qd[i]) : joint.uncertainty;
     if (first) {  // start in steady state, without a transient from zero
       joint.low[0][1] = raw[i];
-      joint.low[1][1] = joint.uncertainty;
+      joint.low[1][1] = unsure;
     }
-    error[i] = first ? raw[i] : lowpass(joint.low[0], raw[i], g, a);
-    const double filtered = first ? joint.uncertainty : lowpass(joint.low[1], joint.uncertainty, g, a);
-    const JointCovariance &c = p_.covariance[i];
+    e.error[i] = first ? raw[i] : lowpass(joint.low[0], raw[i], g, a);
+    const double filtered = std::min(std::max(first ? unsure : lowpass(joint.low[1], unsure, g, a), 0.0), unknown);
+    if (band) {  // the bound holds what velocity does to the error near rest
+      e.variance[i] = c.at_speed;
+      e.bound[i] = p_.bound[i].torque * filtered + p_.bound[i].floor;
+      continue;
+    }
     const double speed = std::fabs(qd[i]);
     const double weight = c.kind == 0.0 ? std::exp(-c.shape * speed) : (c.kind == 1.0 && speed < c.shape ? 1.0 : 0.0);
-    const double stuck = std::min(std::max(filtered, 0.0), unknown);
-    variance[i] = (c.at_rest - c.at_speed) * weight + c.at_speed + static_[i] * static_[i] * stuck;
+    e.variance[i] = (c.at_rest - c.at_speed) * weight + c.at_speed + static_[i] * static_[i] * filtered;
+    e.bound[i] = 0.0;
   }
-  jacobian(p_.chain, q, false, J);
-  posterior(J, error, variance, F, P, observability);
+  solve(q, e);
 }
 
-void WrenchEstimator::posterior(const double *J, const double *error, const double *variance, double *F, double *P,
-                                double *observability) const {
-  const int n = this->n();
-  double L[max_joints * max_joints], K[6 * max_joints], A[36];
-  for (int i = 0; i < n; ++i)
-    for (int j = 0; j <= i; ++j) {
-      double sum = i == j ? variance[i] : 0.0;
-      for (int k = 0; k < 6; ++k) sum += J[n * k + i] * p_.prior[k] * J[n * k + j];
-      L[n * i + j] = sum;
+void WrenchEstimator::solve(const double *q, WrenchEstimate &e) const {
+  const int n = this->n(), k = p_.at_point ? 3 : 6;
+  double J[6 * max_joints], S[18], C[6];
+  const Pose<double> T = jacobian(p_.chain, q, false, J);
+  std::copy_n(p_.prior.begin(), 6, C);
+  if (p_.at_point) {  // F = S f with S = [1; hat(r)], r from the tool point to the contact: A = S^T J
+    const Vec3<double> r = p_.point[0] * T.x + p_.point[1] * T.y + p_.point[2] * T.z;
+    const double hat[18] = {1, 0, 0, 0, 1, 0, 0, 0, 1, 0, -r.z, r.y, r.z, 0, -r.x, -r.y, r.x, 0};
+    std::copy_n(hat, 18, S);
+    for (int i = 0; i < n; ++i)
+      for (int a = 0; a < 3; ++a)
+        for (int m = 3; m < 6; ++m) J[n * a + i] += S[3 * m + a] * J[n * m + i];
+    for (int m = 3; m < 6; ++m) {
+      C[m] = 0.0;
+      for (int a = 0; a < 3; ++a) C[m] += S[3 * m + a] * S[3 * m + a] * p_.prior[a];
     }
-  cholesky(L, n);
-  for (int k = 0; k < 6; ++k) {  // rows of K = C_F J S^-1
-    double *row = K + n * k;
-    for (int i = 0; i < n; ++i) row[i] = p_.prior[k] * J[n * k + i];
-    cholesky_solve(L, n, row);
-    F[k] = 0.0;
-    for (int i = 0; i < n; ++i) F[k] += row[i] * error[i];
   }
-  for (int k = 0; k < 6; ++k)  // A = I - K J^T
-    for (int l = 0; l < 6; ++l) {
-      double sum = k == l ? 1.0 : 0.0;
-      for (int i = 0; i < n; ++i) sum -= K[n * k + i] * J[n * l + i];
-      A[6 * k + l] = sum;
+  WrenchSolution x;
+  solve_wrench({n, k, J, e.error, e.variance, e.bound, p_.prior.data()}, p_.method, x);
+  std::copy_n(x.active, n, e.active);
+  e.flags = x.singular ? 16 : 0;
+  if (has_band() && std::none_of(x.active, x.active + n, [](bool active) { return active; })) e.flags |= 4;
+  if (p_.at_point) {
+    for (int m = 0; m < 6; ++m) {
+      e.F[m] = 0.0;
+      for (int a = 0; a < 3; ++a) e.F[m] += S[3 * m + a] * x.x[a];
+      for (int l = 0; l < 6; ++l) {
+        double sum = 0.0;
+        for (int a = 0; a < 3; ++a)
+          for (int b = 0; b < 3; ++b) sum += S[3 * m + a] * x.P[3 * a + b] * S[3 * l + b];
+        e.P[6 * m + l] = sum;
+      }
     }
-  for (int k = 0; k < 6; ++k)
-    for (int l = 0; l <= k; ++l) {
-      double sum = 0.0;
-      for (int m = 0; m < 6; ++m) sum += A[6 * k + m] * p_.prior[m] * A[6 * l + m];
-      for (int i = 0; i < n; ++i) sum += K[n * k + i] * variance[i] * K[n * l + i];
-      P[6 * k + l] = P[6 * l + k] = sum;
+  } else {
+    std::copy_n(x.x, 6, e.F);
+    std::copy_n(x.P, 36, e.P);
+  }
+  for (int m = 0; m < 6; ++m) {
+    // A moment that cannot be has nothing to hide; without a prior (ls) an axis may be worse known than it would leave it.
+    e.observability[m] = C[m] > 0.0 ? std::max(1.0 - e.P[7 * m] / C[m], 0.0) : 1.0;
+    if (e.observability[m] < weak_below) e.flags |= 2;
+  }
+  if (has_interval()) intervals(J, p_.at_point ? S : nullptr, k, e);
+}
+
+void WrenchEstimator::intervals(const double *A, const double *S, int k, WrenchEstimate &e) const {
+  const int n = this->n();
+  double spread[max_joints], box[6], ends[12];
+  bool violated[max_joints];
+  for (int i = 0; i < n; ++i) spread[i] = e.bound[i] + spread_sigmas * std::sqrt(e.variance[i]);
+  for (int a = 0; a < k; ++a) box[a] = box_sigmas * std::sqrt(p_.prior[a]);
+  if (!wrench_interval(n, k, A, e.error, spread, box, ends, violated)) {
+    e.flags |= 8;
+    std::fill(e.interval, e.interval + 12, std::numeric_limits<double>::quiet_NaN());
+    std::copy_n(violated, n, e.active);
+    return;
+  }
+  for (int m = 0; m < 6; ++m)
+    for (int end = 0; end < 2; ++end) {
+      if (!S) {
+        e.interval[2 * m + end] = ends[2 * m + end];
+        continue;
+      }
+      double sum = 0.0;  // the moments of the box that holds the force
+      for (int a = 0; a < 3; ++a) sum += S[3 * m + a] * ends[2 * a + ((S[3 * m + a] > 0.0) == (end == 1))];
+      e.interval[2 * m + end] = sum;
     }
-  for (int k = 0; k < 6; ++k) observability[k] = 1.0 - P[7 * k] / p_.prior[k];
 }
 
 }  // namespace armlab

@@ -7,6 +7,7 @@ void bind_estimator(nb::module_ &m);
 void bind_inverse(nb::module_ &m);
 void bind_lie(nb::module_ &m);
 void bind_limits(nb::module_ &m);
+void bind_wrench(nb::module_ &m);
 
 NB_MODULE(_native, m) {
   if (PyArray_ImportNumPyAPI() < 0) throw nb::python_error();
@@ -16,4 +17,5 @@ NB_MODULE(_native, m) {
   bind_inverse(m);
   bind_lie(m);
   bind_limits(m);
+  bind_wrench(m);
 }

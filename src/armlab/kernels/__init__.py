@@ -39,6 +39,8 @@ if TYPE_CHECKING:
         so3_left_jacobian,
         so3_left_jacobian_inv,
         so3_log,
+        solve_wrench,
+        wrench_interval,
     )
 
 __all__ = [
@@ -65,6 +67,8 @@ __all__ = [
     "so3_left_jacobian",
     "so3_left_jacobian_inv",
     "so3_log",
+    "solve_wrench",
+    "wrench_interval",
 ]
 
 

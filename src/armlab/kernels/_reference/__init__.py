@@ -28,6 +28,7 @@ from armlab.kernels._reference.lie import (
 from armlab.kernels._reference.lie_arguments import poses, rotations
 from armlab.kernels._reference.limits import limit_reference
 from armlab.kernels._reference.presliding import presliding
+from armlab.kernels._reference.wrench import solve_wrench, wrench_interval
 
 __all__ = [
     "Chain",
@@ -52,4 +53,6 @@ __all__ = [
     "so3_left_jacobian",
     "so3_left_jacobian_inv",
     "so3_log",
+    "solve_wrench",
+    "wrench_interval",
 ]

@@ -1,4 +1,4 @@
-"""Static MAP contact wrench with presliding friction (specification; the compiled twin is native/estimator.cpp).
+"""Contact wrench with presliding friction, sample by sample (specification; the twin is native/estimator.cpp).
 
 One step, with ``tau_e = model - measured = J^T F + error``:
 
@@ -9,22 +9,35 @@ One step, with ``tau_e = model - measured = J^T F + error``:
 3. tau_e passes a second-order Butterworth low-pass (state-variable form, exact for a varying dt up to frequency
    warping).
 4. C_tau = diag(s^2(qd) + static^2 p_filtered), with p low-passed like tau_e so that it stays as long as its error does.
-5. S = J^T C_F J + C_tau, K = C_F J S^-1, F = K tau_e, P = (I - K J^T) C_F (I - K J^T)^T + K C_tau K^T.
+5. The wrench from tau_e and C_tau, by one of the methods of `wrench.py`.
+
+Methods with a bound (bounded, clip, interval) treat friction near rest as bounded instead of random. With the slowness
+w = exp(-(qd / speed)^2), the Coulomb and Stribeck terms of the model count by 1 - w, the bound is ``torque w + floor``
+with w low-passed, and C_tau = diag(Cinf).
+
+With a contact at a known point, F = S f for a force f, S = [1; hat(r)], and the solver works on A = S^T J.
 """
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
+from armlab.errors import ShapeError
 from armlab.kernels._reference.arrays import read
 from armlab.kernels._reference.chain import Chain
 from armlab.kernels._reference.presliding import slide
+from armlab.kernels._reference.wrench import METHODS, solve_wrench, wrench_interval
 
 __all__ = ["WrenchEstimator"]
 
 REST_TIME = 0.5  # s
 UNKNOWN = 1.0  # largest variance of a variable in [-1, 1]
 LARGEST = 1e100  # N m; a torque error beyond it would overflow in the filter and never leave it
+WEAK_BELOW = 0.5
+SPREAD_SIGMAS, BOX_SIGMAS = 3.0, 10.0  # of the interval
+INVALID, WEAK, STUCK, INFEASIBLE, SINGULAR = 1, 2, 4, 8, 16  # bits of the flags
 
 
 class WrenchEstimator:
@@ -38,8 +51,11 @@ class WrenchEstimator:
     friction : (8, n) rows viscous, coulomb_pos, coulomb_neg, offset, stribeck, stribeck_speed, delta, resolution.
     ripple : (3, n) rows cycles, cosine, sine.
     covariance : (4, n) rows C0, Cinf, shape, kind (0 exp, 1 step, 2 const); C0 and Cinf already scaled.
+    bound : (3, n) rows torque, speed, floor of the bound on low-speed friction.
     prior : (6,) prior variances of the wrench.
     cutoff : corner of the low-pass [Hz].
+    method : index into `wrench.METHODS`.
+    point : (3,) the contact in tool axes, or None when the whole wrench is unknown.
     """
 
     def __init__(
@@ -51,8 +67,11 @@ class WrenchEstimator:
         friction: np.ndarray,
         ripple: np.ndarray,
         covariance: np.ndarray,
+        bound: np.ndarray,
         prior: np.ndarray,
         cutoff: float,
+        method: int = 0,
+        point: np.ndarray | None = None,
     ) -> None:
         self._chain, n = chain, chain.n
         self._gravity = read(gravity, "gravity", (3,), exact=True).copy()
@@ -61,8 +80,13 @@ class WrenchEstimator:
         self._friction = read(friction, "friction", (8, n), exact=True).copy()
         self._ripple = read(ripple, "ripple", (3, n), exact=True).copy()
         self._covariance = read(covariance, "covariance", (4, n), exact=True).copy()
+        self._bound = read(bound, "bound", (3, n), exact=True).copy()
         self._prior = read(prior, "prior", (6,), exact=True).copy()
         self._cutoff = float(cutoff)
+        if not 0 <= method < len(METHODS):
+            raise ShapeError(f"Expected method from 0 to {len(METHODS) - 1}, got {method}.")
+        self._method, self._band = method, METHODS[method] in ("bounded", "clip", "interval")
+        self._point = None if point is None else read(point, "point", (3,), exact=True).copy()
         self._static = 0.5 * (self._friction[1] + self._friction[2]) + np.maximum(self._friction[4], 0.0)
         self.reset()
 
@@ -74,11 +98,12 @@ class WrenchEstimator:
         self._z, self._p = np.zeros(n), np.full(n, UNKNOWN)
         self._low = np.zeros((2, 2 * n))
 
-    def step(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, dt: float) -> tuple[np.ndarray, ...]:
-        """Advance by one sample; return F (6,), P (6, 6), observability (6,), filtered tau_e (n,), its variance (n,).
+    def step(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, dt: float) -> tuple[Any, ...]:
+        """Advance by one sample.
 
-        A sample that is not finite, or whose torque error would not be, or dt <= 0, gives NaN everywhere and leaves the
-        state unchanged.
+        Returns F (6,), P (6, 6), observability (6,), filtered tau_e (n,), its variance (n,), flags, active joints (n,)
+        and, for the method "interval", the interval (6, 2), else None. A sample that is not finite, or whose torque
+        error would not be, or dt <= 0, gives NaN everywhere and leaves the state unchanged.
         """
         n = len(self._rotor)
         q, qd, tau = (read(a, name, (n,), exact=True) for a, name in ((q, "q"), (qd, "qd"), (tau, "tau")))
@@ -95,23 +120,32 @@ class WrenchEstimator:
         if not np.all(np.abs(raw) < LARGEST):
             return self._invalid()
         self._play, self._z, self._p, self._qd, self._started = play, z, p, qd.copy(), True
-        filtered = self._lowpass(np.concatenate([raw, self._p]), dt, first)
-        torque, p = filtered[:n], np.clip(filtered[n:], 0.0, UNKNOWN)
-        variance = self._variance(qd) + self._static**2 * p
-        return (*self._posterior(self._chain.jacobian(q), torque, variance), torque, variance)
+        filtered = self._lowpass(np.concatenate([raw, self._slowness(qd) if self._band else p]), dt, first)
+        torque, unsure = filtered[:n], np.clip(filtered[n:], 0.0, UNKNOWN)
+        if self._band:
+            return self._solve(q, torque, self._covariance[1], self._bound[0] * unsure + self._bound[2])
+        return self._solve(q, torque, self._variance(qd) + self._static**2 * unsure, np.zeros(n))
 
-    def run(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, dt: np.ndarray) -> tuple[np.ndarray, ...]:
+    def run(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, dt: np.ndarray) -> tuple[Any, ...]:
         """Step along a record (N, n) with steps dt (N,); return the outputs of `step` stacked over N."""
         n = len(self._rotor)
         dt = read(dt, "dt", np.shape(dt)[:1], exact=True)
         q, qd, tau = (read(a, name, (len(dt), n), exact=True) for a, name in ((q, "q"), (qd, "qd"), (tau, "tau")))
         rows = [self.step(*row) for row in zip(q, qd, tau, dt)]
-        shapes = ((6,), (6, 6), (6,), (n,), (n,))
-        return tuple(np.array([row[k] for row in rows]).reshape(len(rows), *shape) for k, shape in enumerate(shapes))
+        shapes = ((6,), (6, 6), (6,), (n,), (n,), (), (n,), (6, 2))
+        kinds = (*[np.float64] * 5, np.int64, np.bool_, np.float64)
+        stacked = [
+            np.array([row[k] for row in rows], dtype=kind).reshape(len(rows), *shape)
+            for k, (shape, kind) in enumerate(zip(shapes, kinds))
+            if k < 7 or METHODS[self._method] == "interval"
+        ]
+        return tuple(stacked) if len(stacked) == 8 else (*stacked, None)
 
-    def _invalid(self) -> tuple[np.ndarray, ...]:
+    def _invalid(self) -> tuple[Any, ...]:
         n = len(self._rotor)
-        return tuple(np.full(shape, np.nan) for shape in ((6,), (6, 6), (6,), (n,), (n,)))
+        missing = tuple(np.full(shape, np.nan) for shape in ((6,), (6, 6), (6,), (n,), (n,)))
+        interval = np.full((6, 2), np.nan) if METHODS[self._method] == "interval" else None
+        return *missing, INVALID, np.zeros(n, dtype=bool), interval
 
     def _slide(self, q: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the next play, presliding state and its variance."""
@@ -124,7 +158,10 @@ class WrenchEstimator:
     def _drive_torque(self, q: np.ndarray, qd: np.ndarray, z: np.ndarray) -> np.ndarray:
         viscous, positive, negative, offset, stribeck, speed, _, _ = self._friction
         coulomb = positive * np.maximum(z, 0) + negative * np.minimum(z, 0)
-        friction = viscous * qd + coulomb + offset + stribeck * z * np.exp(-((qd / speed) ** 2))
+        dry = coulomb + stribeck * z * np.exp(-((qd / speed) ** 2))
+        if self._band:  # near rest it is anything within the bound, around zero
+            dry = dry * (1.0 - self._slowness(qd))
+        friction = viscous * qd + dry + offset
         angle = self._ripple[0] * q
         return friction + self._ripple[1] * np.cos(angle) + self._ripple[2] * np.sin(angle)
 
@@ -146,12 +183,31 @@ class WrenchEstimator:
         weight = np.where(kind == 0, np.exp(-shape * speed), np.where(kind == 1, speed < shape, 0.0))
         return (at_rest - at_speed) * weight + at_speed
 
-    def _posterior(self, J: np.ndarray, torque: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, ...]:
-        prior = self._prior
-        weighted = prior[:, None] * J
-        S = J.T @ weighted + np.diag(variance)
-        K = np.linalg.solve(S, weighted.T).T
-        A = np.eye(6) - K @ J.T
-        P = (A * prior) @ A.T + (K * variance) @ K.T
-        P = 0.5 * (P + P.T)
-        return K @ torque, P, 1.0 - np.diag(P) / prior
+    def _slowness(self, qd: np.ndarray) -> np.ndarray:
+        return np.exp(-((qd / self._bound[1]) ** 2))
+
+    def _solve(self, q: np.ndarray, torque: np.ndarray, variance: np.ndarray, bound: np.ndarray) -> tuple[Any, ...]:
+        A, S = self._chain.jacobian(q), np.eye(6)
+        if self._point is not None:
+            x, y, z = self._chain.forward(q)[:3, :3] @ self._point
+            S = np.vstack([np.eye(3), [[0, -z, y], [z, 0, -x], [-y, x, 0]]])
+            A = S.T @ A
+        prior = self._prior[: S.shape[1]]
+        x, P, active, _, _, singular = solve_wrench(A, torque, variance, bound, prior, self._method)
+        C = np.diag((S * prior) @ S.T)
+        F, P = S @ x, S @ P @ S.T
+        ratio = np.divide(np.diag(P), C, out=np.zeros(6), where=C > 0)
+        observability = np.fmax(1.0 - ratio, 0.0)
+        flags = (SINGULAR if singular else 0) | (WEAK if np.any(observability < WEAK_BELOW) else 0)
+        if self._band and not active.any():
+            flags |= STUCK
+        interval = None
+        if METHODS[self._method] == "interval":
+            spread, box = bound + SPREAD_SIGMAS * np.sqrt(variance), BOX_SIGMAS * np.sqrt(prior)
+            ends, violated = wrench_interval(A, torque, spread, box)
+            if ends is None:
+                interval, active, flags = np.full((6, 2), np.nan), violated, flags | INFEASIBLE
+            else:
+                low, high = np.maximum(S, 0.0), np.minimum(S, 0.0)
+                interval = np.stack([low @ ends[:, 0] + high @ ends[:, 1], low @ ends[:, 1] + high @ ends[:, 0]], axis=1)
+        return F, P, observability, torque, variance, flags, active, interval
