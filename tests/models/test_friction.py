@@ -7,7 +7,7 @@ import pytest
 
 from armlab.errors import ShapeError
 from armlab.kernels import presliding
-from armlab.models import Friction, Ripple
+from armlab.models import Friction, FrictionBound, Ripple
 
 
 def friction(**change: object) -> Friction:
@@ -45,6 +45,17 @@ def test_the_last_digit_of_an_encoder_does_not_wear_the_state_down() -> None:
 def test_ripple_torque() -> None:
     r = Ripple(cycles=[200.0], cosine=[0.3], sine=[0.4])
     assert r.torque([np.pi / 400])[0] == pytest.approx(0.4)
+
+
+def test_the_bound_near_rest_is_static_friction_and_fades_with_speed() -> None:
+    bound = FrictionBound.of(friction(), floor=np.array([0.1]))
+    assert bound.torque_at([0.0])[0] == pytest.approx(4.5 + 0.1)
+    assert bound.torque_at([[0.02], [-0.02]])[:, 0] == pytest.approx(4.5 * np.exp(-1) + 0.1)
+    assert bound.torque_at([1.0])[0] == pytest.approx(0.1)
+    assert FrictionBound.of(friction()).floor[0] == 0.0
+    for wrong in ({"torque": [-1.0]}, {"speed": [0.0]}, {"floor": [-0.1]}):
+        with pytest.raises(ShapeError, match="friction bound"):
+            FrictionBound(**{"torque": [1.0], "speed": [0.02], "floor": [0.0], **wrong})
 
 
 def test_bad_fields_are_refused() -> None:

@@ -46,7 +46,7 @@ def estimate(
         check_output(figure, force, FIGURES)
     estimator = Estimator(models.load(model), robots.load(robot))
     table = estimator.run(logs.read(log))
-    invalid = int((table["wrench_flags"] == INVALID).sum())
+    invalid = int((table["wrench_flags"] & INVALID).astype(bool).sum())
     if invalid == len(table):
         raise LogError(
             f"Expected rows with finite q, qd, tau in {log}, got none among {len(table)}. "

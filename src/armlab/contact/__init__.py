@@ -2,6 +2,16 @@
 
 from armlab.contact.estimator import Estimator
 from armlab.contact.intervals import Contact, contacts
-from armlab.contact.wrench import INVALID, WEAK, Wrench
+from armlab.contact.wrench import INFEASIBLE, INVALID, SINGULAR, STUCK, WEAK, Wrench
 
-__all__ = ["INVALID", "WEAK", "Contact", "Estimator", "Wrench", "contacts"]
+__all__ = [
+    "INFEASIBLE",
+    "INVALID",
+    "SINGULAR",
+    "STUCK",
+    "WEAK",
+    "Contact",
+    "Estimator",
+    "Wrench",
+    "contacts",
+]

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import isfinite
 
 import numpy as np
 
-__all__ = ["INVALID", "WEAK", "Wrench", "flags_of"]
+__all__ = ["INFEASIBLE", "INVALID", "SINGULAR", "STUCK", "WEAK", "Wrench"]
 
 INVALID = 1  # the sample was not finite; the estimate is NaN
 WEAK = 2  # some axis has observability below 0.5: there the prior speaks louder than the torques
-WEAK_BELOW = 0.5
+STUCK = 4  # every joint is inside its friction bound: nothing is known but the interval
+INFEASIBLE = 8  # no wrench explains the torques inside their bounds: another contact, or a wrong model
+SINGULAR = 16  # without a prior this pose does not determine the wrench; the estimate is NaN
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,8 +24,11 @@ class Wrench:
     F : (6,) [N, N m]. cov : (6, 6) posterior covariance.
     observability : (6,) 1 - posterior variance / prior variance, in [0, 1].
     torque_error : (n,) filtered model minus measured torque [N m]. torque_variance : (n,) its variance.
-    prior : (6,) prior variances.
-    flags : bits INVALID and WEAK.
+    prior : (6,) prior variances of the unknowns: the wrench, or a force at a known point (then the last three idle).
+    flags : bits INVALID, WEAK, STUCK, INFEASIBLE, SINGULAR.
+    active : (n,) joints that tell something; when INFEASIBLE, those that contradict each other.
+    interval : (6, 2) guaranteed smallest and largest value per axis, of the method "interval".
+    at_point : the contact is at a known point: three unknowns instead of six.
     """
 
     F: np.ndarray
@@ -34,6 +38,9 @@ class Wrench:
     torque_variance: np.ndarray
     prior: np.ndarray
     flags: int
+    active: np.ndarray
+    interval: np.ndarray | None = None
+    at_point: bool = False
 
     @property
     def sigma(self) -> np.ndarray:
@@ -43,25 +50,31 @@ class Wrench:
     @property
     def cond(self) -> float:
         """Condition of C_tau^-1/2 J^T C_F^1/2: how unevenly this pose sees the wrench; inf when singular."""
-        if self.flags & INVALID:
+        shares = self._spectrum()[0]
+        if not np.isfinite(shares).all():
             return float("nan")
-        scale = np.sqrt(self.prior)
-        shares = np.clip(np.linalg.eigvalsh(self.cov / np.outer(scale, scale)), 1e-300, 1.0)
-        gains = np.maximum(1.0 / shares - 1.0, 0.0)  # squared singular values
+        gains = np.maximum(1.0 / np.clip(shares, 1e-300, 1.0) - 1.0, 0.0)  # squared singular values
         return float(np.sqrt(gains.max() / gains.min())) if gains.min() > 0 else float("inf")
 
     @property
+    def directions(self) -> tuple[np.ndarray, np.ndarray]:
+        """Observability (k,) of k orthogonal directions, worst first, and the directions as columns (k, k).
+
+        Directions are in prior-scaled axes, the eigenvectors of ``C_F^-1/2 P C_F^-1/2``; k is 6, or 3 at a known point.
+        """
+        shares, vectors = self._spectrum()
+        return np.maximum(1.0 - shares[::-1], 0.0), vectors[:, ::-1]
+
+    @property
     def hidden(self) -> np.ndarray:
-        """Unit direction (6,) in prior-scaled axes that the torques tell least about; NaN for an invalid sample."""
-        if self.flags & INVALID:
-            return np.full(6, np.nan)
-        scale = np.sqrt(self.prior)
-        return np.linalg.eigh(self.cov / np.outer(scale, scale))[1][:, -1]
+        """Unit direction (k,) in prior-scaled axes that the torques tell least about; NaN for an invalid sample."""
+        return self._spectrum()[1][:, -1]
 
-
-def flags_of(F: np.ndarray, observability: np.ndarray) -> int:
-    """Return the flags of one estimate: F (6,), observability (6,)."""
-    if not isfinite(F[0]):
-        return INVALID
-    # Plain Python on six numbers: NumPy's reductions cost more here than the whole estimate, above all in cold caches.
-    return WEAK if min(observability.tolist()) < WEAK_BELOW else 0
+    def _spectrum(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return posterior over prior variance (k,), ascending, and its directions as columns."""
+        k = 3 if self.at_point else 6
+        cov, scale = self.cov[:k, :k], np.sqrt(self.prior[:k])
+        if not np.isfinite(cov).all():
+            return np.full(k, np.nan), np.full((k, k), np.nan)
+        shares, vectors = np.linalg.eigh(cov / np.outer(scale, scale))
+        return shares, vectors

@@ -33,7 +33,7 @@ from armlab.identify.design import Design
 from armlab.identify.preparation import Prepared, prepare
 from armlab.identify.validation import assess, report
 from armlab.log import Table
-from armlab.models import Friction, Quality, Ripple, TorqueModel, velocity_covariance
+from armlab.models import Friction, FrictionBound, Quality, Ripple, TorqueModel, velocity_covariance
 from armlab.robots import Robot
 
 __all__ = ["fit_dynamics"]
@@ -161,6 +161,7 @@ def _model(
         friction=friction,
         ripple=Ripple(design.cycles, cosine, sine),
         covariance=velocity_covariance("const", tiny, tiny),
+        bound=FrictionBound.of(friction),
         cutoff=CUTOFF,
         base_names=base.names,
         base_values=theta[:p],

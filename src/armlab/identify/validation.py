@@ -10,13 +10,14 @@ from armlab.estimation import Fit
 from armlab.identify.covariance import fit_velocity_covariance
 from armlab.identify.preparation import Prepared
 from armlab.log import Table
-from armlab.models import TorqueModel, VelocityCovariance
+from armlab.models import FrictionBound, TorqueModel, VelocityCovariance
 from armlab.signals import central_diff, lowpass_offline
 
 __all__ = ["assess", "held_out", "predict", "report"]
 
 SETTLED = 0.01  # variance of the presliding state below which friction is known from motion
 ALPHA2_BOUNDS = (0.25, 25.0)
+FAST = 0.1  # rad/s: above it the bound on friction holds the model's error in motion
 
 
 def held_out(folds: list[tuple[TorqueModel, np.ndarray]], data: Prepared) -> tuple[np.ndarray, np.ndarray]:
@@ -42,7 +43,8 @@ def _causal(model: TorqueModel, data: Prepared) -> tuple[np.ndarray, np.ndarray]
     torque, variance = np.empty_like(data.q), np.empty_like(data.q)
     for a, b in data.segments:
         kernel.reset()
-        _, _, _, torque[a:b], variance[a:b] = kernel.run(data.q[a:b], data.qd[a:b], data.tau[a:b], data.dt[a:b])
+        found = kernel.run(data.q[a:b], data.qd[a:b], data.tau[a:b], data.dt[a:b])
+        torque[a:b], variance[a:b] = found[3], found[4]
     return torque, variance
 
 
@@ -69,7 +71,16 @@ def assess(model: TorqueModel, folds: list[tuple[TorqueModel, np.ndarray]], data
         rms_cv=np.sqrt(np.mean(e**2, axis=0)),
         coverage=np.mean(ratio < 4.0 * alpha2, axis=0),
     )
-    return replace(model, covariance=scaled, quality=quality)
+    return replace(model, covariance=scaled, bound=_bound(model, scaled, e, qd), quality=quality)
+
+
+def _bound(model: TorqueModel, covariance: VelocityCovariance, e: np.ndarray, qd: np.ndarray) -> FrictionBound:
+    """Return the bound on friction near rest; its floor is what 99 % of the errors in motion have beyond 2 sigma."""
+    moving = np.where(np.abs(qd) > FAST, np.abs(e), np.nan)
+    sigma = np.sqrt(covariance.alpha2 * covariance.Cinf)
+    known = np.isfinite(moving).any(axis=0)
+    largest = np.where(known, np.nanquantile(np.where(known, moving, 0.0), 0.99, axis=0), 0.0)
+    return FrictionBound.of(model.friction, np.maximum(largest - 2.0 * sigma, 0.0))
 
 
 def predict(model: TorqueModel, table: Table) -> Table:
@@ -85,7 +96,7 @@ def predict(model: TorqueModel, table: Table) -> Table:
     """
     rate = 1.0 / float(np.median(np.diff(table.t)))
     torque = model.torque(table["q"], table["qd"], central_diff(table["qd"], table.t))
-    variance = model.estimator_kernel(np.ones(6)).run(table["q"], table["qd"], table["tau"], table.dt)[-1]
+    variance = model.estimator_kernel(np.ones(6)).run(table["q"], table["qd"], table["tau"], table.dt)[4]
     return (
         table.with_column("tau", lowpass_offline(table["tau"], rate, model.cutoff))
         .with_column("tau_model", lowpass_offline(torque, rate, model.cutoff), unit="N m")

@@ -1,12 +1,13 @@
 """What is identified, saved, and later run: friction, ripple, torque covariance, the torque model and its file."""
 
 from armlab.models.files import load, save
-from armlab.models.friction import Friction, Ripple
+from armlab.models.friction import Friction, FrictionBound, Ripple
 from armlab.models.torque import Quality, TorqueModel
 from armlab.models.velocity_covariance import VelocityCovariance, velocity_covariance
 
 __all__ = [
     "Friction",
+    "FrictionBound",
     "Quality",
     "Ripple",
     "TorqueModel",

@@ -18,16 +18,17 @@ import tomli_w
 
 import armlab
 from armlab.errors import ConfigError, ModelMismatchError, UnknownName
-from armlab.models.friction import Friction, Ripple
+from armlab.models.friction import Friction, FrictionBound, Ripple
 from armlab.models.torque import SIGN, Quality, TorqueModel
 from armlab.models.velocity_covariance import VelocityCovariance
 
 __all__ = ["load", "save"]
 
 KIND = "torque_model"
-FORMAT = 1
+FORMAT = 2
 FRICTION = ("viscous", "coulomb_pos", "coulomb_neg", "offset", "stribeck", "stribeck_speed", "delta", "resolution")
 RIPPLE = ("cycles", "cosine", "sine")
+BOUND = ("torque", "speed", "floor")
 QUALITY = ("torque_sd", "rms", "rms_cv", "coverage", "q_min", "q_max", "qd_peak")
 UNITS = {
     "link_parameters": "kg, kg m, kg m^2; order m, m c (3), Ixx, Ixy, Iyy, Ixz, Iyz, Izz; link frames",
@@ -35,6 +36,7 @@ UNITS = {
     "friction": "N m, rad, s",
     "ripple": "N m; cycles in rad/rad",
     "ctau": "(N m)^2, s/rad",
+    "bound": "N m, rad/s",
     "validation": "N m, rad, s",
 }
 
@@ -97,6 +99,7 @@ class _File(_Strict):
     friction: dict[str, dict[str, float]]
     ripple: dict[str, dict[str, float]]
     ctau: _Covariance
+    bound: dict[str, dict[str, float]]
     validation: _Validation
 
 
@@ -148,6 +151,7 @@ def save(model: TorqueModel, path: str | Path) -> Path:
             "alpha2": c.alpha2,
             "cutoff": model.cutoff,
         },
+        "bound": _by_joint(model.bound, BOUND),
         "validation": {**{name: getattr(q, name).tolist() for name in QUALITY}, "seconds": q.seconds},
     }
     temporary = path.with_name(path.name + ".part")
@@ -156,7 +160,7 @@ def save(model: TorqueModel, path: str | Path) -> Path:
     return path
 
 
-def _by_joint(part: Friction | Ripple, names: tuple[str, ...]) -> dict[str, dict[str, float]]:
+def _by_joint(part: Friction | FrictionBound | Ripple, names: tuple[str, ...]) -> dict[str, dict[str, float]]:
     count = len(getattr(part, names[0]))
     return {f"joint{i + 1}": {name: float(getattr(part, name)[i]) for name in names} for i in range(count)}
 
@@ -223,6 +227,7 @@ def _model(file: _File, path: Path) -> TorqueModel:
         friction=Friction(**_joined(file.friction, FRICTION, path)),
         ripple=Ripple(**_joined(file.ripple, RIPPLE, path)),
         covariance=VelocityCovariance(c.kind, np.array(c.C0), np.array(c.Cinf), np.array(c.shape), c.alpha2),
+        bound=FrictionBound(**_joined(file.bound, BOUND, path)),
         cutoff=c.cutoff,
         base_names=tuple(d.base_names),
         base_values=np.array(d.base_values),

@@ -20,10 +20,12 @@ import numpy as np
 
 from armlab.errors import ShapeError
 
-__all__ = ["Friction", "Ripple"]
+__all__ = ["Friction", "FrictionBound", "Ripple"]
+
+SLOW = 0.02  # rad/s, m/s: below it friction is known only to lie inside a bound
 
 
-def _freeze(instance: Friction | Ripple) -> None:
+def _freeze(instance: Friction | FrictionBound | Ripple) -> None:
     """Make every field a read-only float64 vector of one length."""
     shape = None
     for entry in fields(instance):
@@ -78,6 +80,42 @@ class Friction:
     def static(self) -> np.ndarray:
         """Largest friction at rest (n,) [N m]: mean Coulomb plus Stribeck torque."""
         return 0.5 * (self.coulomb_pos + self.coulomb_neg) + np.maximum(self.stribeck, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class FrictionBound:
+    """How far friction may lie from the model near rest: ``|d| <= torque exp(-(qd / speed)^2) + floor``.
+
+    Near zero speed friction is not random but unknown inside bounds, constant for as long as the joint rests
+    (Linderoth, Stolt, Robertsson and Johansson, IROS 2013). Every field has shape (n,).
+
+    Attributes
+    ----------
+    torque : largest friction at rest [N m]. speed : [rad/s].
+    floor : what is left of the model's error in motion [N m].
+    """
+
+    torque: np.ndarray
+    speed: np.ndarray
+    floor: np.ndarray
+
+    def __post_init__(self) -> None:
+        """Check shapes and freeze."""
+        _freeze(self)
+        if np.any(self.torque < 0) or np.any(self.floor < 0) or np.any(self.speed <= 0):
+            raise ShapeError(
+                "Expected torque >= 0, floor >= 0 and speed > 0 of a friction bound, got others. Correct it."
+            )
+
+    @classmethod
+    def of(cls, friction: Friction, floor: np.ndarray | None = None) -> FrictionBound:
+        """Return the bound by the static friction of `friction`, with a floor (n,) [N m] or none."""
+        n = len(friction.viscous)
+        return cls(friction.static, np.full(n, SLOW), np.zeros(n) if floor is None else floor)
+
+    def torque_at(self, qd: np.ndarray) -> np.ndarray:
+        """Return the bound (..., n) [N m] at `qd` (..., n) [rad/s]."""
+        return self.torque * np.exp(-((np.asarray(qd, dtype=float) / self.speed) ** 2)) + self.floor
 
 
 @dataclass(frozen=True, eq=False)

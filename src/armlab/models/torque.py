@@ -16,7 +16,7 @@ import numpy as np
 
 from armlab.errors import ModelMismatchError, ShapeError
 from armlab.kernels import Chain, WrenchEstimator, presliding
-from armlab.models.friction import Friction, Ripple
+from armlab.models.friction import Friction, FrictionBound, Ripple
 from armlab.models.velocity_covariance import KINDS, VelocityCovariance
 from armlab.robots import Robot
 
@@ -59,6 +59,7 @@ class TorqueModel:
     frames, prismatic, gravity : its kinematics (n + 1, 4, 4), (n,), and gravity (3,) [m/s^2] in base axes.
     link_parameters : (n, 10) in link frames, order m, m c (3), Ixx, Ixy, Iyy, Ixz, Iyz, Izz.
     rotor : (n,) rotor inertia [kg m^2]. friction, ripple, covariance : the other terms.
+    bound : of friction near rest, for the estimators that take it as bounded.
     cutoff : corner [Hz] of the causal filter on the torque residual that `covariance` belongs to.
     base_names, base_values, base_cov : the identified base parameters with their covariance.
     quality : how well it fits. sources : SHA-256 and name of each log.
@@ -74,6 +75,7 @@ class TorqueModel:
     friction: Friction
     ripple: Ripple
     covariance: VelocityCovariance
+    bound: FrictionBound
     cutoff: float
     base_names: tuple[str, ...]
     base_values: np.ndarray
@@ -94,11 +96,11 @@ class TorqueModel:
                 raise ShapeError(f"Expected finite {name} of shape {shape} for {n} joints, got shape {values.shape}.")
             values.flags.writeable = False
             object.__setattr__(self, name, values)
-        lengths = len(self.friction.delta), len(self.ripple.cycles), len(self.covariance.C0)
-        if lengths != (n, n, n) or not 0 < self.cutoff < np.inf:
+        lengths = len(self.friction.delta), len(self.ripple.cycles), len(self.covariance.C0), len(self.bound.speed)
+        if lengths != (n,) * 4 or not 0 < self.cutoff < np.inf:
             raise ShapeError(
-                f"Expected friction, ripple and covariance of {n} joints and a cut-off above 0 Hz, got {lengths} "
-                f"joints and {self.cutoff:g} Hz."
+                f"Expected friction, ripple, covariance and bound of {n} joints and a cut-off above 0 Hz, got "
+                f"{lengths} joints and {self.cutoff:g} Hz."
             )
 
     @property
@@ -138,14 +140,16 @@ class TorqueModel:
         z = presliding(q, self.friction.delta, self.friction.resolution)
         return self.rigid_torque(q, qd, qdd) + self.friction.torque(qd, z) + self.ripple.torque(q)
 
-    def estimator_kernel(self, prior: np.ndarray) -> WrenchEstimator:
+    def estimator_kernel(self, prior: np.ndarray, method: int = 0, point: np.ndarray | None = None) -> WrenchEstimator:
         """Return a fresh estimator kernel with this model's numbers.
 
         Parameters
         ----------
         prior : (6,) prior variances of the wrench [N^2, (N m)^2].
+        method : index into ``armlab.kernels._reference.wrench.METHODS``.
+        point : (3,) known contact in tool axes [m], or None.
         """
-        f, r, c = self.friction, self.ripple, self.covariance
+        f, r, c, b = self.friction, self.ripple, self.covariance, self.bound
         kind = float(KINDS.index(c.kind))
         return WrenchEstimator(
             self.chain,
@@ -157,6 +161,9 @@ class TorqueModel:
             ),
             np.stack([r.cycles, r.cosine, r.sine]),
             np.stack([c.alpha2 * c.C0, c.alpha2 * c.Cinf, c.shape, np.full(self.n, kind)]),
+            np.stack([b.torque, b.speed, b.floor]),
             np.asarray(prior, dtype=float),
             self.cutoff,
+            method,
+            point,
         )

@@ -208,6 +208,6 @@ class WrenchEstimator:
             if ends is None:
                 interval, active, flags = np.full((6, 2), np.nan), violated, flags | INFEASIBLE
             else:
-                low, high = np.maximum(S, 0.0), np.minimum(S, 0.0)
-                interval = np.stack([low @ ends[:, 0] + high @ ends[:, 1], low @ ends[:, 1] + high @ ends[:, 0]], axis=1)
+                up, down = np.maximum(S, 0.0), np.minimum(S, 0.0)
+                interval = up @ ends + down @ ends[:, ::-1]
         return F, P, observability, torque, variance, flags, active, interval
