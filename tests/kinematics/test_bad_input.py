@@ -147,3 +147,44 @@ def test_velocities_of_another_shape() -> None:
     for qd in (np.zeros(6), np.zeros((2, 7)), 0.0):
         with pytest.raises(ShapeError, match=r"Expected qd of .*7.*, got"):
             kinematics.jacobian_derivative(ROBOT, HOME, qd)
+
+
+def goal(**changes: float) -> np.ndarray:
+    """The tool's pose at home with entries changed: goal(a03=2) has 2 in row 0, column 3."""
+    T = kinematics.forward(ROBOT, HOME).copy()
+    for key, value in changes.items():
+        T[int(key[1]), int(key[2])] = value
+    return T
+
+
+@pytest.mark.parametrize(
+    "T",
+    [
+        1.001 * goal(a33=1 / 1.001),
+        goal() @ np.diag([1.0, 1, -1, 1]),
+        goal(a30=0.1),
+        goal(a33=0),
+        goal(a03=np.nan),
+        goal(a12=np.nan),
+        goal(a23=np.inf),
+        np.zeros((4, 4)),
+    ],
+    ids=["scaled", "mirror", "projection", "no 1", "NaN in p", "NaN in R", "infinite", "zero"],
+)
+def test_goals_that_are_no_poses(T: np.ndarray) -> None:
+    with pytest.raises(ShapeError, match=r"Expected finite poses .* got T_base_tool that is not\. Project it"):
+        kinematics.inverse(ROBOT, T)
+    with pytest.raises(ShapeError, match=r"got T_base_tool\[2\] that is not"):
+        kinematics.inverse(ROBOT, np.stack([goal(), goal(), T]))
+
+
+@pytest.mark.parametrize("shape", [(3, 3), (3, 4), (4,), (16,), (4, 4, 1), (5, 3, 4)])
+def test_goals_of_another_shape(shape: tuple[int, ...]) -> None:
+    with pytest.raises(ShapeError, match=r"Expected T_base_tool of shape \(\.\.\., 4, 4\), got"):
+        kinematics.inverse(ROBOT, np.zeros(shape))
+
+
+@pytest.mark.parametrize("q0", [np.zeros(6), np.zeros((3, 7)), np.full(7, np.nan), np.full(7, np.inf), "home", 0.0])
+def test_starts_that_are_no_postures(q0: Any) -> None:
+    with pytest.raises(ShapeError, match=r"Expected .*q0.*\."):
+        kinematics.inverse(ROBOT, goal(), q0)
