@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
@@ -132,10 +137,21 @@ def test_two_arms_share_axes() -> None:
     ax.figure.canvas.draw()
 
 
-def test_settings_of_matplotlib_stay() -> None:
+def test_settings_of_matplotlib_stay_and_given_axes_are_enough() -> None:
     before = dict(mpl.rcParams)
-    robot(robots.load("irb2400"))
+    ax = robot(robots.load("irb2400"))
     assert dict(mpl.rcParams) == before
+    assert robot(robots.load("irb120"), ax=ax) is ax
+    assert len(plt.get_fignums()) == 1
+
+
+def test_no_screen_is_needed(tmp_path: Path) -> None:
+    code = "from armlab import plots, robots; plots.robot(robots.load('ur5e')).figure.savefig('arm.png')"
+    hidden = ("DISPLAY", "WAYLAND_DISPLAY", "MPLBACKEND")
+    environment = {name: value for name, value in os.environ.items() if name not in hidden}
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "arm.png").stat().st_size > 5000
 
 
 def test_lengths_and_configurations() -> None:
