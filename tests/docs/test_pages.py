@@ -63,6 +63,23 @@ def test_programs_of_a_page_run(page: Path, tmp_path: Path, monkeypatch: pytest.
         exec(compile(program, str(page), "exec"), namespace)
 
 
+@pytest.mark.parametrize("name", ["yumi_left", "yumi_right"])
+def test_the_functions_of_robotlib_agree_with_each_other(name: str) -> None:
+    """What the original promises: there ikine of a YuMi fails, and ikine(fkine(q)) misses by 1 rad elsewhere."""
+    (recipe,) = programs(DOCS / "how_to" / "kinematics.md")
+    found: dict[str, Any] = {}
+    exec(recipe.replace("yumi_left", name), found)
+    robot = robots.load(name)
+    rng = np.random.default_rng(1)
+    T = found["fkine"](rng.uniform(robot.q_min, robot.q_max, (50, robot.n)))
+    q = found["ikine"](T)
+    assert q.success.all()
+    assert np.abs(found["fkine"](q.q) - T).max() < 2e-9
+    step = 1e-6 * rng.standard_normal(robot.n)
+    ahead, behind = found["fkine"](q.q[0] + step), found["fkine"](q.q[0] - step)
+    assert (ahead - behind)[:3, 3] == pytest.approx(2 * found["jacobian"](q.q[0])[:3] @ step, abs=1e-13)
+
+
 @pytest.mark.parametrize("page", HOW_TO, ids=lambda page: page.stem)
 def test_a_how_to_shows_a_program_that_runs(page: Path) -> None:
     """A file of examples/, which tests/examples runs, or blocks, which run here; a page says no more than that."""
