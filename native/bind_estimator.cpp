@@ -62,9 +62,9 @@ class Estimates {
  public:
   Estimates(const WrenchEstimator &estimator, npy_intp N, bool stacked) : n_(estimator.n()), interval_(nullptr) {
     const auto shaped = [&](std::initializer_list<npy_intp> tail, int type) {
-      std::vector<npy_intp> shape(tail);
-      if (stacked) shape.insert(shape.begin(), N);
-      nb::object array = nb::steal(PyArray_SimpleNew(static_cast<int>(shape.size()), shape.data(), type));
+      npy_intp shape[3] = {N};
+      npy_intp *end = std::copy(tail.begin(), tail.end(), stacked ? shape + 1 : shape);
+      nb::object array = nb::steal(PyArray_SimpleNew(static_cast<int>(end - shape), shape, type));
       if (!array) throw nb::python_error();
       return array;
     };
