@@ -1,34 +1,97 @@
-"""Fit: a value with its covariance, frozen, with a report."""
+"""Fit: a value with its covariance, frozen, with a report and a file."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from armlab.errors import ConfigError, ShapeError
+from armlab import models
+from armlab.errors import ConfigError, ModelMismatchError, ShapeError
 from armlab.estimation import Excitation, Fit
 
 
-def fit(cov: np.ndarray) -> Fit[float]:
-    excitation = Excitation(2, 2, np.array([2.0, 1.0]), "b")
-    return Fit(3.0, ("a", "b"), ("m", "N"), np.array([1.0, 2.0]), cov, np.ones(1), np.zeros((5, 1)), 5, excitation)
+@dataclass(frozen=True, eq=False)
+class Pair:
+    values: np.ndarray
+
+
+models.register("test_pair", Pair)
+
+
+def fit(cov: np.ndarray, outliers: np.ndarray | None = None) -> Fit[Pair]:
+    excitation = Excitation(2, 2, np.array([2.0, 1.0]), "b", held=("c",))
+    return Fit(
+        value=Pair(np.array([1.0, 2.0])),
+        names=("a", "b"),
+        units=("m", "N"),
+        parameters=np.array([1.0, 2.0]),
+        cov=cov,
+        sigma=np.array([0.5]),
+        residuals=np.zeros((5, 1)),
+        n=5,
+        excitation=excitation,
+        outliers=np.zeros(0) if outliers is None else outliers,
+        classes=("position [m]",),
+    )
 
 
 def test_fit_is_frozen_and_reports_value_deviation_and_unit() -> None:
-    result = fit(np.diag([0.04, 0.09]))
+    result = fit(np.diag([0.04, 0.09]), np.array([False, True, False, True, False]))
     np.testing.assert_allclose(result.sd, [0.2, 0.3])
-    assert "+- 0.2 m" in result.report()
-    assert "5 samples" in result.report()
+    for part in ("+- 0.2 m", "+- 0.3 N", "5 samples", "noise of position [m]: 0.5", "2 outliers left out: 1, 3"):
+        assert part in result.report()
     with pytest.raises(ValueError, match="read-only"):
         result.cov[0, 0] = 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        result.outliers[0] = True
 
 
-def test_fit_refuses_a_covariance_of_another_size() -> None:
+def test_many_outliers_are_not_all_listed() -> None:
+    assert "19 and 10 more" in fit(np.eye(2), np.ones(30, dtype=bool)).table()
+
+
+def test_rank_of_a_covariance_with_a_direction_that_nothing_tells() -> None:
+    assert fit(np.diag([1e-12, 1e6])).rank == 2
+    assert fit(np.array([[1.0, -2.0], [-2.0, 4.0]])).rank == 1
+    assert fit(np.zeros((2, 2))).rank == 0
+
+
+def test_fit_refuses_a_covariance_of_another_size_or_none() -> None:
     with pytest.raises(ShapeError, match=r"cov of shape \(2, 2\)"):
         fit(np.eye(3))
+    with pytest.raises(ShapeError, match="finite covariance"):
+        fit(np.diag([1.0, np.nan]))
+    with pytest.raises(ShapeError, match="not negative"):
+        fit(np.diag([1.0, -1.0]))
 
 
-def test_a_value_without_a_file_format_is_not_saved(tmp_path) -> None:
+def test_a_saved_fit_comes_back_bit_equal(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    root = rng.standard_normal((2, 2))
+    before = fit(root @ root.T, np.array([True, False, False, False, False]))
+    after = Fit.load(before.save(tmp_path / "pair.toml"), kind="test_pair")
+    for name in ("parameters", "cov", "sigma", "outliers"):
+        assert getattr(after, name).tobytes() == getattr(before, name).tobytes(), name
+    assert after.value.values.tobytes() == before.value.values.tobytes()
+    assert (after.names, after.units, after.classes, after.n) == (before.names, before.units, before.classes, before.n)
+    assert after.excitation.text() == before.excitation.text()
+    assert after.residuals.size == 0
+
+
+def test_another_kind_or_a_bare_value_is_refused(tmp_path: Path) -> None:
+    path = fit(np.eye(2)).save(tmp_path / "pair.toml")
+    with pytest.raises(ModelMismatchError, match="kind 'hand_eye'"):
+        Fit.load(path, kind="hand_eye")
+    with pytest.raises(ConfigError, match="saved without"):
+        Fit.load(models.save(Pair(np.zeros(2)), tmp_path / "bare.toml"))
+
+
+def test_a_value_without_a_file_format_is_not_saved(tmp_path: Path) -> None:
+    excitation = Excitation(1, 1, np.ones(1), "a")
+    bare = Fit(1.0, ("a",), ("m",), np.ones(1), np.eye(1), np.ones(1), np.zeros(3), 3, excitation)
     with pytest.raises(ConfigError, match="float"):
-        fit(np.eye(2)).save(tmp_path / "x.toml")
+        bare.save(tmp_path / "x.toml")
     assert not list(tmp_path.iterdir())

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from armlab.errors import ConfigError, ModelMismatchError
-from armlab.models import load, save
+from armlab.models import load, load_statistics, save
 
 
 def test_save_and_load_give_the_same_numbers(tmp_path, model) -> None:
@@ -50,7 +50,7 @@ def test_the_file_says_where_it_comes_from(tmp_path, model) -> None:
         ("rotor = [", "motor = [", ConfigError, "motor|rotor"),
         ("[meta]", "[meta", ConfigError, "TOML model file"),
         ("alpha2 = ", 'alpha2 = "x"\nbeta = ', ConfigError, "alpha2|beta"),
-        ("[meta]", "[meat]", ModelMismatchError, "kind, format and sign"),
+        ("[meta]", "[meat]", ModelMismatchError, "and a kind of"),
         ("gravity = [", "gravity = [nan,", ConfigError, "gravity"),
         ("qd_peak = [", "peak = [", ConfigError, "peak"),
         ("rotor = [", "rotor = [0.1,", ConfigError, "joints"),
@@ -75,3 +75,13 @@ def test_missing_and_misnamed_files(tmp_path, model) -> None:
     (tmp_path / "bytes.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ConfigError, match="TOML model file"):
         load(tmp_path / "bytes.toml")
+
+
+def test_what_a_fit_knew_is_kept_beside_the_value(tmp_path, model) -> None:
+    cov = np.random.default_rng(0).standard_normal((3, 3))
+    path = save(model, tmp_path / "model.toml", {"cov": cov, "names": ("a", "b"), "n": 3})
+    known = load_statistics(path)
+    assert known["cov"].tobytes() == cov.tobytes()
+    assert (known["names"], known["n"]) == (("a", "b"), 3)
+    assert np.array_equal(load(path, kind="torque_model").rotor, model.rotor)
+    assert load_statistics(save(model, tmp_path / "bare.toml")) == {}

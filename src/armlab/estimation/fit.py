@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -17,6 +17,10 @@ __all__ = ["Fit"]
 
 Value = TypeVar("Value")
 
+READ_ONLY = ("parameters", "cov", "sigma", "residuals", "outliers")
+SAVED = ("names", "units", "parameters", "cov", "classes", "sigma", "outliers", "n", "rank")
+EXCITATION = ("expected", "singular_values", "weakest", "held", "null_names")
+
 
 @dataclass(frozen=True, eq=False)
 class Fit(Generic[Value]):
@@ -26,12 +30,15 @@ class Fit(Generic[Value]):
     ----------
     value : what was fitted; what a robot loads.
     names, units : of the d parameters.
-    parameters : (d,) their values. cov : (d, d) their covariance.
+    parameters : (d,) their values. cov : (d, d) their covariance, of rank `rank`: zero along directions that no data
+        could tell.
     sigma : noise found per class of measurement, in its unit.
-    residuals : (N, ...) in SI, unwhitened.
+    residuals : (N, ...) in SI, unwhitened; empty when the fit was read from a file.
     n : number of samples used.
     excitation : what the data could tell.
     summary : makes the text of `report`.
+    outliers : (N,) samples that were left out; empty for fits that look for none.
+    classes : names of the classes of measurement, with their units: "position [m]".
     """
 
     value: Value
@@ -44,6 +51,8 @@ class Fit(Generic[Value]):
     n: int
     excitation: Excitation
     summary: Callable[[Fit[Value]], str] | None = field(default=None, repr=False)
+    outliers: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    classes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Check shapes and freeze the arrays."""
@@ -53,29 +62,76 @@ class Fit(Generic[Value]):
                 f"Expected {d} units, parameters of shape ({d},) and cov of shape ({d}, {d}) for {d} names, got "
                 f"{len(self.units)}, {np.shape(self.parameters)} and {np.shape(self.cov)}. This is a fault of the fit."
             )
-        for name in ("parameters", "cov", "sigma", "residuals"):
-            values = np.array(getattr(self, name), dtype=float)
+        object.__setattr__(self, "names", tuple(self.names))
+        object.__setattr__(self, "units", tuple(self.units))
+        for name in READ_ONLY:
+            values = np.array(getattr(self, name), dtype=bool if name == "outliers" else float)
             values.flags.writeable = False
             object.__setattr__(self, name, values)
+        if not np.isfinite(self.cov).all() or np.any(np.diag(self.cov) < 0):
+            raise ShapeError(
+                "Expected a finite covariance with a diagonal that is not negative, got another one. "
+                "This is a fault of the fit."
+            )
 
     @property
     def sd(self) -> np.ndarray:
         """Standard deviation of each parameter (d,)."""
         return np.sqrt(np.diag(self.cov))
 
+    @property
+    def rank(self) -> int:
+        """Rank of the covariance scaled to a unit diagonal: how many directions are told."""
+        sd = np.where(self.sd > 0, self.sd, 1.0)
+        return int(np.linalg.matrix_rank(self.cov / np.outer(sd, sd), tol=1e-9, hermitian=True)) if len(sd) else 0
+
     def report(self) -> str:
         """Return the fit in words and tables."""
-        if self.summary is not None:
-            return self.summary(self)
+        return self.table() if self.summary is None else self.summary(self)
+
+    def table(self) -> str:
+        """Return one line per parameter with unit and deviation, then noise, outliers and excitation."""
         columns = zip(self.names, self.parameters, self.sd, self.units)
-        rows = [f"{name:32s} {value: .6g} +- {sd:.2g} {unit}" for name, value, sd, unit in columns]
-        return "\n".join([*rows, f"{self.n} samples", self.excitation.text()])
+        lines = [f"{name:32s} {value: .6g} +- {sd:.2g} {unit}" for name, value, sd, unit in columns]
+        labels = self.classes or [f"class {i + 1}" for i in range(self.sigma.size)]
+        lines += [f"noise of {label}: {sigma:.3g}" for label, sigma in zip(labels, self.sigma.ravel())]
+        left_out = np.flatnonzero(self.outliers)
+        if len(left_out):
+            lines.append(f"{len(left_out)} outliers left out: {_listed(left_out.tolist())}")
+        return "\n".join([*lines, f"{self.n} samples", self.excitation.text()])
 
     def save(self, path: str | Path) -> Path:
-        """Write the value to a model file and return its path; see `armlab.models.save`."""
-        if not isinstance(self.value, models.TorqueModel):
-            raise ConfigError(
-                f"Expected a fit whose value has a file format, got {type(self.value).__name__}. "
-                "Save its numbers yourself."
+        """Write value, covariance, noise and flags to a model file and return its path; see `armlab.models.save`."""
+        statistics = {name: getattr(self, name) for name in SAVED}
+        statistics |= {f"excitation_{name}": getattr(self.excitation, name) for name in EXCITATION}
+        return models.save(self.value, path, {**statistics, "excitation_rank": self.excitation.rank})
+
+    @classmethod
+    def load(cls, path: str | Path, kind: str | None = None) -> Fit[Any]:
+        """Read what `save` wrote: everything but the residuals.
+
+        Parameters
+        ----------
+        path : of a model file. kind : refuse files of another kind.
+
+        Raises
+        ------
+        ConfigError : the file is damaged, or holds a value without its fit.
+        ModelMismatchError : another kind.
+        """
+        value, known = models.load(path, kind), models.load_statistics(path)
+        try:
+            excitation = Excitation(
+                known["excitation_rank"], **{name: known[f"excitation_{name}"] for name in EXCITATION}
             )
-        return models.save(self.value, path)
+            parts = {name: known[name] for name in SAVED if name != "rank"}
+        except KeyError as error:
+            raise ConfigError(
+                f"Expected the fit of a value in {path}, got no {error}. It was saved without: use armlab.models.load."
+            ) from None
+        return cls(value=value, residuals=np.zeros(0), excitation=excitation, **parts)
+
+
+def _listed(numbers: Sequence[int]) -> str:
+    shown = ", ".join(str(i) for i in numbers[:20])
+    return shown if len(numbers) <= 20 else f"{shown} and {len(numbers) - 20} more"

@@ -1,7 +1,8 @@
 """What is identified, saved, and later run: friction, ripple, torque covariance, the torque model and its file."""
 
-from armlab.models.files import load, save
+from armlab.models.files import load, load_statistics, save
 from armlab.models.friction import Friction, FrictionBound, Ripple
+from armlab.models.registry import register
 from armlab.models.torque import Quality, TorqueModel
 from armlab.models.velocity_covariance import VelocityCovariance, velocity_covariance
 
@@ -13,6 +14,10 @@ __all__ = [
     "TorqueModel",
     "VelocityCovariance",
     "load",
+    "load_statistics",
+    "register",
     "save",
     "velocity_covariance",
 ]
+
+register("velocity_covariance", VelocityCovariance)

@@ -1,14 +1,14 @@
 """Model files: TOML with provenance, exact to the last digit, bound to one robot.
 
 A file begins with ``[meta]``: kind, format, armlab version, command line, UTC time, sources with their SHA-256, robot
-name and hash, and the sign convention of the wrench. A loader refuses another kind, format or sign.
+name and hash, and the sign convention of the wrench. A loader refuses another kind, format or sign. The torque model
+has tables that are made to be read by people; other values are written by `armlab.models.registry`.
 """
 
 from __future__ import annotations
 
-import sys
 import tomllib
-from datetime import UTC, datetime
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +16,13 @@ import msgspec
 import numpy as np
 import tomli_w
 
-import armlab
 from armlab.errors import ConfigError, ModelMismatchError, UnknownName
 from armlab.models.friction import Friction, FrictionBound, Ripple
+from armlab.models.registry import decode, encode, provenance, read_value, value_file
 from armlab.models.torque import SIGN, Quality, TorqueModel
 from armlab.models.velocity_covariance import VelocityCovariance
 
-__all__ = ["load", "save"]
+__all__ = ["load", "load_statistics", "save"]
 
 KIND = "torque_model"
 FORMAT = 2
@@ -101,34 +101,40 @@ class _File(_Strict):
     ctau: _Covariance
     bound: dict[str, dict[str, float]]
     validation: _Validation
+    fit: dict[str, Any] | None = None
 
 
-def save(model: TorqueModel, path: str | Path) -> Path:
+def save(value: Any, path: str | Path, statistics: Mapping[str, Any] | None = None) -> Path:
     """Write a model file and return its path; an existing file is replaced in one step or not at all.
 
     Parameters
     ----------
-    model : what to save.
+    value : a `TorqueModel`, or an instance of a class that `registry.register` knows.
     path : ends in ``.toml``.
+    statistics : what a fit knew of the value, kept in the table [fit].
+
+    Raises
+    ------
+    ConfigError : another ending, or a value whose class has no file format.
     """
     path = Path(path)
     if path.suffix != ".toml":
         raise ConfigError(f"Expected a model file name that ends in .toml, got {path}. Add the ending.")
+    content = _torque_file(value) if isinstance(value, TorqueModel) else value_file(value)
+    if statistics is not None:
+        content["fit"] = {name: encode(part) for name, part in statistics.items()}
+    temporary = path.with_name(path.name + ".part")
+    temporary.write_text(tomli_w.dumps(content), encoding="utf-8")
+    temporary.replace(path)
+    return path
+
+
+def _torque_file(model: TorqueModel) -> dict[str, Any]:
+    """Return the tables of a torque model."""
     lower = np.tril_indices(len(model.base_names))
     c, q = model.covariance, model.quality
-    content = {
-        "meta": {
-            "kind": KIND,
-            "format": FORMAT,
-            "armlab": armlab.__version__,
-            "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
-            "created": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
-            "sources": list(model.sources),
-            "robot": model.robot_name,
-            "robot_hash": model.robot_hash,
-            "sign": SIGN,
-            "units": UNITS,
-        },
+    return {
+        "meta": {**provenance(KIND, model), "format": FORMAT, "sign": SIGN, "units": UNITS},
         "robot": {
             "frames": model.frames.tolist(),
             "prismatic": [bool(p) for p in model.prismatic],
@@ -154,10 +160,6 @@ def save(model: TorqueModel, path: str | Path) -> Path:
         "bound": _by_joint(model.bound, BOUND),
         "validation": {**{name: getattr(q, name).tolist() for name in QUALITY}, "seconds": q.seconds},
     }
-    temporary = path.with_name(path.name + ".part")
-    temporary.write_text(tomli_w.dumps(content), encoding="utf-8")
-    temporary.replace(path)
-    return path
 
 
 def _by_joint(part: Friction | FrictionBound | Ripple, names: tuple[str, ...]) -> dict[str, dict[str, float]]:
@@ -172,12 +174,13 @@ def _joined(tables: dict[str, dict[str, float]], names: tuple[str, ...], path: P
         raise ConfigError(f"Expected {error} for every joint in {path}, got none. Identify again.") from None
 
 
-def load(path: str | Path) -> TorqueModel:
-    """Read a model file.
+def load(path: str | Path, kind: str | None = None) -> Any:
+    """Read the value of a model file: a `TorqueModel`, or whatever was saved.
 
     Parameters
     ----------
     path : file written by `save`.
+    kind : refuse files of another kind, for example "torque_model".
 
     Raises
     ------
@@ -185,14 +188,15 @@ def load(path: str | Path) -> TorqueModel:
     ModelMismatchError : when it is of another kind, format or sign convention.
     """
     path = Path(path)
-    try:
-        raw: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"Expected a model file at {path}, got: {error.strerror}. Check the name.") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"Expected a TOML model file, got something else in {path}: {error}.") from None
-    meta = raw.get("meta")
-    found = tuple(meta.get(key) for key in ("kind", "format", "sign")) if isinstance(meta, dict) else None
+    raw = _tables(path)
+    meta = raw["meta"]
+    if kind is not None and meta.get("kind") != kind:
+        raise ModelMismatchError(
+            f"Expected a file of kind {kind!r} at {path}, got {meta.get('kind')!r}. Name the right file."
+        )
+    if meta.get("kind") != KIND:
+        return read_value(raw, path)
+    found = tuple(meta.get(key) for key in ("kind", "format", "sign"))
     if found != (KIND, FORMAT, SIGN):
         raise ModelMismatchError(
             f"Expected kind, format and sign {(KIND, FORMAT, SIGN)} in {path}, got {found}. "
@@ -205,6 +209,31 @@ def load(path: str | Path) -> TorqueModel:
     except (msgspec.ValidationError, UnknownName, ValueError) as error:
         what = str(error).rstrip(".")
         raise ConfigError(f"Expected a complete model file at {path}, got: {what}. Identify again.") from None
+
+
+def load_statistics(path: str | Path) -> dict[str, Any]:
+    """Read the table [fit] of a model file; empty where the value was saved without its fit.
+
+    Parameters
+    ----------
+    path : file written by `save`.
+    """
+    return {name: decode(part) for name, part in _tables(Path(path)).get("fit", {}).items()}
+
+
+def _tables(path: Path) -> dict[str, Any]:
+    """Read a TOML file that begins with [meta]."""
+    try:
+        raw: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"Expected a model file at {path}, got: {error.strerror}. Check the name.") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"Expected a TOML model file, got something else in {path}: {error}.") from None
+    if not isinstance(raw.get("meta"), dict):
+        raise ModelMismatchError(
+            f"Expected a model file with kind, format and sign in [meta] at {path}, got none. Identify again."
+        )
+    return raw
 
 
 def _model(file: _File, path: Path) -> TorqueModel:

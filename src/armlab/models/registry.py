@@ -1,0 +1,153 @@
+"""Values that have a file format: any frozen dataclass of numbers, texts and arrays, once it is registered.
+
+    [meta]   kind, format, armlab version, command line, UTC time, sources, robot name and hash
+    [value]  the fields of the value
+    [fit]    what the fit knew of them: names, units, covariance, noise, outliers
+
+Numbers are written with 17 digits and arrays row by row, so that what is read is bit-equal to what was written. A class
+anywhere in the package registers itself by `register`; `models.save` and `models.load` do the rest.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import armlab
+from armlab.errors import ConfigError, ModelMismatchError
+
+__all__ = ["decode", "encode", "kind_of", "provenance", "read_value", "register", "value_file"]
+
+FORMAT = 1
+
+_CLASSES: dict[str, type] = {}
+
+
+def register(kind: str, cls: type) -> None:
+    """Give a frozen dataclass a file format.
+
+    Parameters
+    ----------
+    kind : name of the format, written into the file; for example "hand_eye".
+    cls : its fields are numbers, texts, arrays, tuples and dicts of these, None, or other registered values. Its
+        constructor must take what its fields hold.
+    """
+    if not is_dataclass(cls) or _CLASSES.setdefault(kind, cls) is not cls:
+        raise ConfigError(f"Expected a dataclass and a kind of its own, got {cls.__name__} and {kind!r}.")
+
+
+def kind_of(value: object) -> str:
+    """Return the kind of a registered value.
+
+    Raises
+    ------
+    ConfigError : its class has no file format.
+    """
+    for kind, cls in _CLASSES.items():
+        if type(value) is cls:
+            return kind
+    raise ConfigError(
+        f"Expected a value with a file format, got {type(value).__name__}. "
+        f"These have one: {', '.join(sorted(c.__name__ for c in _CLASSES.values())) or 'none'} and TorqueModel."
+    )
+
+
+def provenance(kind: str, value: object) -> dict[str, Any]:
+    """Return the table [meta] of a file that is written now.
+
+    Parameters
+    ----------
+    kind : of the value. value : sources, robot name and hash are taken from it where it has them.
+    """
+    return {
+        "kind": kind,
+        "format": FORMAT,
+        "armlab": armlab.__version__,
+        "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "created": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        "sources": list(getattr(value, "sources", ())),
+        "robot": getattr(value, "robot_name", ""),
+        "robot_hash": getattr(value, "robot_hash", ""),
+    }
+
+
+def value_file(value: object) -> dict[str, Any]:
+    """Return the tables [meta] and [value] of a registered value."""
+    kind = kind_of(value)
+    return {"meta": provenance(kind, value), "value": encode(value)["fields"]}
+
+
+def read_value(raw: Mapping[str, Any], path: Path) -> Any:
+    """Return the value of a file's tables.
+
+    Parameters
+    ----------
+    raw : the tables, with a [meta] of some kind. path : for messages.
+
+    Raises
+    ------
+    ModelMismatchError : a kind or format that this version does not know. ConfigError : fields are missing or wrong.
+    """
+    meta = raw["meta"]
+    kind, version = meta.get("kind"), meta.get("format")
+    if kind not in _CLASSES or version != FORMAT:
+        raise ModelMismatchError(
+            f"Expected a file of format {FORMAT} and a kind of {sorted({*_CLASSES, 'torque_model'})} at {path}, got "
+            f"{kind!r} in format {version}. Import the package that made it, or make it again."
+        )
+    try:
+        return decode({"kind": kind, "fields": raw["value"]})
+    except ConfigError:
+        raise
+    except (KeyError, TypeError, ValueError) as error:
+        what = str(error).rstrip(".")
+        raise ConfigError(f"Expected the fields of a {kind} at {path}, got: {what}. Make the file again.") from None
+
+
+def encode(item: Any) -> Any:
+    """Return numbers, texts, lists and tables that TOML can hold; None becomes an empty table.
+
+    Parameters
+    ----------
+    item : a field of a registered value.
+    """
+    if isinstance(item, np.ndarray):
+        return {"shape": list(item.shape), "array": item.tolist()} if not item.size else {"array": item.tolist()}
+    if item is None:
+        return {}
+    if isinstance(item, (bool, int, float, str)):
+        return item
+    if isinstance(item, np.generic):
+        return item.item()
+    if isinstance(item, (tuple, list)):
+        return {"tuple": [encode(part) for part in item]}
+    if isinstance(item, Mapping):
+        return {"table": {str(key): encode(part) for key, part in item.items()}}
+    return {"kind": kind_of(item), "fields": {f.name: encode(getattr(item, f.name)) for f in fields(item)}}
+
+
+def decode(item: Any) -> Any:
+    """Return the field that `encode` has turned into tables.
+
+    Parameters
+    ----------
+    item : from a TOML file.
+    """
+    if not isinstance(item, dict):
+        return item
+    if "array" in item:
+        values = np.array(item["array"])
+        return values.reshape(item["shape"]).astype(float) if "shape" in item else values
+    if "tuple" in item:
+        return tuple(decode(part) for part in item["tuple"])
+    if "table" in item:
+        return {key: decode(part) for key, part in item["table"].items()}
+    if "kind" in item:
+        return _CLASSES[item["kind"]](**{name: decode(part) for name, part in item["fields"].items()})
+    return None
