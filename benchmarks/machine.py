@@ -13,7 +13,7 @@ from time import process_time
 
 import numpy as np
 
-PACKAGES = ("armlab", "numpy", "scipy", "protobuf", "pin", "roboticstoolbox-python", "ABBRobotEGM")
+PACKAGES = ("armlab", "numpy", "scipy", "protobuf", "pin", "roboticstoolbox-python", "ABBRobotEGM", "pytransform3d")
 
 
 def describe() -> list[str]:
