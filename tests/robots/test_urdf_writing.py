@@ -147,6 +147,8 @@ def test_meshes_and_awkward_names(tmp_path: Path) -> None:
     assert (model.name, model.names[1]) == (robot.name, "base_to_mount")
     assert text.count('filename=\'package://a"&amp;&lt;b&gt;.stl\' scale="0.001 0.001 0.001"') == 2
     assert text.count("<collision>") == 2
+    again = robots.load(tmp_path / "robot.urdf")  # a stricter reader: "--" ends a comment too early
+    assert (again.name, again.joint_names, again.meshes[1][0].file) == (robot.name, robot.joint_names, mesh.file)
 
 
 def test_names_that_xml_cannot_hold_are_refused(tmp_path: Path) -> None:
