@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from armlab.errors import ConfigError, ShapeError
-from armlab.robots import Robot
+from armlab.robots import Robot, inertia
 from armlab.sim.drive import Drive
 from armlab.sim.friction import Friction
 from armlab.sim.truth import Truth
@@ -256,18 +256,11 @@ def build_model(robot: Robot, truth: Truth) -> Any:
         body = body.add_body(name=f"link_{i + 1}", **pose(robot.frames[i]))
         kind = mujoco.mjtJoint.mjJNT_SLIDE if robot.prismatic[i] else mujoco.mjtJoint.mjJNT_HINGE
         body.add_joint(name=robot.joint_names[i], type=kind, axis=[0, 0, 1], armature=truth.rotor[i])
-        mass, centre, inertia = _about_centre(truth.pi[i])
-        body.mass, body.ipos, body.fullinertia, body.explicitinertial = mass, centre, inertia, True
+        mass, centre, about = inertia.to_body(truth.pi[i])
+        body.mass, body.ipos, body.explicitinertial = mass, centre, True
+        body.fullinertia = about[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]  # xx yy zz xy xz yz
     body.add_site(name="tool", **pose(robot.frames[-1]))
     return spec.compile()
-
-
-def _about_centre(pi: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """Return mass, centre of mass and inertia about it as (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) from (10,) parameters."""
-    mass, centre = pi[0], pi[1:4] / pi[0]
-    about = np.array([[pi[4], pi[5], pi[7]], [pi[5], pi[6], pi[8]], [pi[7], pi[8], pi[9]]])
-    about -= mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
-    return mass, centre, about[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
 
 
 def _quantise(value: np.ndarray, step: np.ndarray) -> np.ndarray:

@@ -21,7 +21,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from armlab.errors import ConfigError, ShapeError, UnknownName
-from armlab.robots import Robot
+from armlab.robots import Robot, inertia
 
 __all__ = ["Truth", "cylinder", "synthetic_truth", "truth_names"]
 
@@ -114,7 +114,7 @@ class Truth:
         if mass < 0:
             raise ConfigError(f"Expected a payload of at least 0 kg, got {mass} kg.")
         pi = self.pi.copy()
-        pi[-1] += _parameters(mass, np.asarray(centre, dtype=float), np.zeros((3, 3)))
+        pi[-1] += inertia.from_body(mass, centre, np.zeros((3, 3)))
         return replace(self, pi=pi)
 
 
@@ -221,12 +221,4 @@ def cylinder(mass: float, p: np.ndarray, radius: float, shortest: float) -> np.n
     axis = p / length if length > 0 else np.array([0.0, 0.0, 1.0])
     length = max(length, shortest)
     across, axial = mass * (3 * radius**2 + length**2) / 12, mass * radius**2 / 2
-    return _parameters(mass, p / 2, across * np.eye(3) + (axial - across) * np.outer(axis, axis))
-
-
-def _parameters(mass: float, centre: np.ndarray, inertia: np.ndarray) -> np.ndarray:
-    """Return (10,) parameters about the origin from an inertia (3, 3) about the centre of mass."""
-    about = inertia + mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
-    return np.array(
-        [mass, *(mass * centre), about[0, 0], about[0, 1], about[1, 1], about[0, 2], about[1, 2], about[2, 2]]
-    )
+    return inertia.from_body(mass, p / 2, across * np.eye(3) + (axial - across) * np.outer(axis, axis))
