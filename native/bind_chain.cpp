@@ -1,12 +1,15 @@
 // Python class Chain: arguments are checked here, the mathematics is in kinematics.h, differential.h and rigid_body.h.
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <string>
 #include <vector>
 
 #include "arrays.h"
 #include "batch.h"
 #include "differential.h"
 #include "kinematics.h"
+#include "momentum.h"
 #include "rigid_body.h"
 
 namespace armlab::python {
@@ -86,14 +89,17 @@ nb::object jacobian(const Chain &self, nb::handle q_, bool tool, nb::handle out)
   return J.array();
 }
 
+// The two arrays of `out`, or None twice.
+std::array<nb::handle, 2> pair_of(nb::handle out, const char *names) {
+  if (out.is_none()) return {out, out};
+  if (!PyTuple_Check(out.ptr()) || PyTuple_GET_SIZE(out.ptr()) != 2)
+    raise_shape_error("Expected out to be a pair of arrays " + std::string(names) +
+                      ", got something else. Give a tuple of two arrays.");
+  return {PyTuple_GET_ITEM(out.ptr(), 0), PyTuple_GET_ITEM(out.ptr(), 1)};
+}
+
 nb::object forward_jacobian(const Chain &self, nb::handle q_, nb::handle out) {
-  nb::handle out_T = nb::handle(Py_None), out_J = nb::handle(Py_None);
-  if (!out.is_none()) {
-    if (!PyTuple_Check(out.ptr()) || PyTuple_GET_SIZE(out.ptr()) != 2)
-      raise_shape_error("Expected out to be a pair of arrays (T, J), got something else. Give a tuple of two arrays.");
-    out_T = PyTuple_GET_ITEM(out.ptr(), 0);
-    out_J = PyTuple_GET_ITEM(out.ptr(), 1);
-  }
+  const auto [out_T, out_J] = pair_of(out, "(T, J)");
   const Samples q(q_, "q", self.n);
   const Output T(out_T, "out[0]", {4, 4}, {&q}), J(out_J, "out[1]", {6, self.n}, {&q});
   compute<1, 2>(q, {q.samples()}, {T.samples(), J.samples()},
@@ -143,6 +149,28 @@ nb::object rigid_regressor(const Chain &self, nb::handle q_, nb::handle qd_, nb:
   return Y.array();
 }
 
+nb::object mass_matrix(const Chain &self, nb::handle q_, nb::handle pi_, nb::handle out) {
+  const Samples q(q_, "q", self.n);
+  const Input pi(pi_, "pi");
+  pi.require_exactly({self.n, 10});
+  const Output M(out, "out", {self.n, self.n}, {&q});
+  compute<1, 1>(q, {q.samples()}, {M.samples()},
+                [&](const auto &in, const auto &out) { armlab::mass_matrix(self, in[0], pi.data(), out[0]); });
+  return M.array();
+}
+
+nb::object momentum(const Chain &self, nb::handle q_, nb::handle qd_, nb::handle pi_, nb::handle out) {
+  const auto [out_p, out_beta] = pair_of(out, "(p, beta)");
+  const Samples q(q_, "q", self.n), qd(qd_, "qd", q);
+  const Input pi(pi_, "pi");
+  pi.require_exactly({self.n, 10});
+  const Output p(out_p, "out[0]", {self.n}, {&q, &qd}), beta(out_beta, "out[1]", {self.n}, {&q, &qd});
+  compute<2, 2>(q, {q.samples(), qd.samples()}, {p.samples(), beta.samples()}, [&](const auto &in, const auto &out) {
+    armlab::momentum(self, in[0], in[1], pi.data(), out[0], out[1]);
+  });
+  return nb::steal(PyTuple_Pack(2, p.array().ptr(), beta.array().ptr()));
+}
+
 nb::object gravity_regressor(const Chain &self, nb::handle q_, nb::handle gravity_, nb::handle out) {
   const Samples q(q_, "q", self.n);
   const Input gravity(gravity_, "gravity");
@@ -178,6 +206,8 @@ void bind(nb::module_ &m) {
       .def("rnea", &rnea, arg("q"), arg("qd"), arg("qdd"), arg("gravity"), arg("pi"), arg("out") = nb::none())
       .def("rigid_regressor", &rigid_regressor, arg("q"), arg("qd"), arg("qdd"), arg("gravity"),
            arg("out") = nb::none())
+      .def("mass_matrix", &mass_matrix, arg("q"), arg("pi"), arg("out") = nb::none())
+      .def("momentum", &momentum, arg("q"), arg("qd"), arg("pi"), arg("out") = nb::none())
       .def("gravity_regressor", &gravity_regressor, arg("q"), arg("gravity"), arg("out") = nb::none());
 }
 

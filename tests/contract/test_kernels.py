@@ -27,6 +27,8 @@ METHODS = {  # name: arguments out of the inputs below
     "rnea": ("q", "qd", "qdd", "gravity", "pi"),
     "rigid_regressor": ("q", "qd", "qdd", "gravity"),
     "gravity_regressor": ("q", "gravity"),
+    "mass_matrix": ("q", "pi"),
+    "momentum": ("q", "qd", "pi"),
 }
 BATCHES = [(), (1,), (3,), (4,), (9,), (2, 3), (0,), (5, 0), (1, 2, 1)]
 

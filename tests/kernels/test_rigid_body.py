@@ -65,6 +65,25 @@ def test_mass_matrix_is_symmetric_positive_and_the_kinetic_energy(chain: Chain, 
     assert 0.5 * qd @ M @ qd == pytest.approx(kinetic(chain, q, qd, solids), rel=1e-12)
 
 
+def test_mass_matrix_and_momentum_are_those_of_newton_euler(chain: Chain, solids: np.ndarray) -> None:
+    """M by unit accelerations, p = M qd, and rnea without gravity is dp/dt - beta, dp/dt by central differences."""
+    rng = np.random.default_rng(5)
+    q, qd, qdd = rng.uniform(-2, 2, (3, chain.n))
+    M = chain.mass_matrix(q, solids)
+    scale = max(1.0, np.abs(M).max())
+    np.testing.assert_allclose(M, mass_matrix(chain, q, solids), atol=1e-12 * scale)
+    p, beta = chain.momentum(q, qd, solids)
+    np.testing.assert_allclose(p, M @ qd, atol=1e-11 * scale)
+    h = 1e-5
+
+    def at(s: float) -> np.ndarray:
+        return chain.momentum(q + s * qd + 0.5 * s * s * qdd, qd + s * qdd, solids)[0]
+
+    rate = (at(h) - at(-h)) / (2 * h)
+    tau = chain.rnea(q, qd, qdd, np.zeros(3), solids)
+    np.testing.assert_allclose(rate - beta, tau, atol=1e-6 * max(1.0, np.abs(tau).max()))
+
+
 def test_power_is_the_rate_of_energy(chain: Chain, solids: np.ndarray) -> None:
     """qd . tau = d(kinetic + potential)/dt: Coriolis terms do no work of their own."""
     rng = np.random.default_rng(3)

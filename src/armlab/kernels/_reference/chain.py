@@ -141,6 +141,42 @@ class Chain:
                 F = np.swapaxes(steps[i], -1, -2) @ F
         return result(Y, out)
 
+    def mass_matrix(self, q: Any, pi: Any, out: Any = None) -> np.ndarray:
+        """Return M (..., n, n): column j is the torque of a unit acceleration of joint j, without gravity and velocity.
+
+        Parameters
+        ----------
+        q : (..., n). pi : (n, 10) as in `rnea`. out : (..., n, n) array to write into, or None.
+        """
+        positions = self._joints(q)
+        M = np.empty((*positions.shape, self.n))
+        zero = np.zeros_like(positions)
+        for j in range(self.n):
+            M[..., j] = self.rnea(positions, zero, zero + np.eye(self.n)[j], np.zeros(3), pi)
+        return result(M, out)
+
+    def momentum(self, q: Any, qd: Any, pi: Any, out: _Pair | None = None) -> _Pair:
+        """Return p = M qd and beta = C^T qd (..., n): rnea without gravity is dp/dt - beta; `out` is such a pair.
+
+        With l_i the momentum of links i ... n and V_i the twist of link i: ``p_i = S_i . l_i, beta_i = l_i . (V_i x
+        S_i)``.
+
+        Parameters
+        ----------
+        q, qd : (..., n). pi : (n, 10) as in `rnea`.
+        """
+        steps, V, _ = self._motion(q, qd, np.zeros_like(np.asarray(q, dtype=float)), np.zeros(3))
+        inertia = np.einsum("ik,kab->iab", read(pi, "pi", (self.n, 10), exact=True), _UNIT_INERTIAS)
+        p, beta = np.empty((*V[0].shape[:-1], self.n)), np.empty((*V[0].shape[:-1], self.n))
+        total = np.zeros_like(V[0])
+        for i in reversed(range(self.n)):
+            total = total + _apply(inertia[i], V[i])
+            p[..., i] = total @ self._axis(i)
+            beta[..., i] = np.einsum("...a,...a->...", total, _apply(_twist_cross(V[i]), self._axis(i)))
+            total = _apply(np.swapaxes(steps[i], -1, -2), total)
+        into = _pair(out)
+        return result(p, into[0], "out[0]"), result(beta, into[1], "out[1]")
+
     def gravity_regressor(self, q: Any, gravity: Any, out: Any = None) -> np.ndarray:
         """Return Y_g (..., n, 4 n) of the gravity torques ``G = dU/dq = Y_g [m, m cx, m cy, m cz]`` per link.
 
