@@ -2,6 +2,7 @@
 
 from armlab.estimation.blocks import BlockSums, Bootstrap, CrossValidation, block_bootstrap, block_cv
 from armlab.estimation.bounds import within_bounds
+from armlab.estimation.contract import Contract, Experiment, Gauge, Limits, Property, check_estimator, difference
 from armlab.estimation.correlation import block_seconds, correlation_time, effective_samples
 from armlab.estimation.descent import Problem
 from armlab.estimation.excitation import Excitation, Prior, check_excitation, check_spread
@@ -17,23 +18,30 @@ __all__ = [
     "ActiveBound",
     "BlockSums",
     "Bootstrap",
+    "Contract",
     "CrossValidation",
     "Excitation",
+    "Experiment",
     "Factors",
     "Fit",
+    "Gauge",
+    "Limits",
     "LinearSolution",
     "Measurement",
     "NonlinearSolution",
     "Prior",
     "Problem",
+    "Property",
     "Question",
     "Rows",
     "block_bootstrap",
     "block_cv",
     "block_seconds",
+    "check_estimator",
     "check_excitation",
     "check_spread",
     "correlation_time",
+    "difference",
     "effective_samples",
     "factorise",
     "huber",
