@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
 
-from armlab import kinematics
+from armlab import kinematics, robots
 from armlab.robots import Robot, inertia, urdf
 
 KINDS = ("revolute", "continuous", "prismatic", "fixed")
@@ -216,3 +217,27 @@ def test_inverse_dynamics(seed: int) -> None:
         expected = pin.computeGeneralizedGravity(peer.model, peer.data, full)[columns]
         tau = robot.chain.rnea(q, 0 * q, 0 * q, robot.gravity, robot.inertias)
         np.testing.assert_allclose(tau, expected, rtol=0, atol=1e-10 * (1 + np.abs(expected).max()))
+
+
+PUBLISHED = Path(__file__).parents[3] / "shared/data/ident/staubli_tx40/tx40_mdh_modified.urdf"
+
+
+@pytest.mark.skipif(not PUBLISHED.exists(), reason="needs ../shared: a published URDF of the Staubli TX40")
+def test_a_published_arm(tmp_path: Path) -> None:
+    """Read, and written and read again: kinematics, torques, limits and meshes are those that Pinocchio sees."""
+    robot, rng = robots.load(PUBLISHED), np.random.default_rng(0)
+    robots.save(robot, tmp_path / "tx40.urdf")
+    assert [mesh.file.rsplit("/", 1)[1] for group in robot.meshes for mesh in group if mesh.kind == "visual"] == [
+        "base_link.stl",
+        *(f"link_{i + 1}.stl" for i in range(6)),
+    ]
+    for path, tip in ((PUBLISHED, "tool0"), (tmp_path / "tx40.urdf", "tool")):
+        peer = Peer(path.read_text(encoding="utf-8"))
+        peer.model.gravity.linear = robot.gravity
+        np.testing.assert_array_equal(peer.model.effortLimit, robot.tau_max)
+        np.testing.assert_array_equal(peer.model.velocityLimit, robot.qd_max)
+        np.testing.assert_array_equal(peer.model.upperPositionLimit, robot.q_max)
+        assert_same_kinematics(robot, peer.model.frames[1].name, tip, peer, rng)
+        q, qd, qdd = rng.uniform(-2, 2, (3, 6))
+        tau = robot.chain.rnea(q, qd, qdd, robot.gravity, robot.inertias)
+        np.testing.assert_allclose(tau, pin.rnea(peer.model, peer.data, q, qd, qdd), rtol=0, atol=1e-12)
