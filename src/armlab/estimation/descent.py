@@ -24,7 +24,7 @@ Value = TypeVar("Value")
 ITERATIONS = 100
 STEP = 1e-9  # in deviations of the estimate
 ROUNDING = 1e-13  # relative change of the cost that is rounding
-IDLE = 1e-3  # a step so short that lowers nothing, whatever the damping, is rounding too: exact data
+IDLE, PATIENCE = 1e-3, 5  # steps so short that get no shorter, or lower nothing, are rounding too: exact data
 MAX_DAMPING = 1e15
 NULL = 1e-9  # relative singular value of the scaled Jacobian below which data see nothing
 DAMPING = 1e-3  # first damping, relative to the largest singular value squared
@@ -103,6 +103,7 @@ def descend(
     """
     value, now = start, problem.evaluate(start)
     damping, growth, here = 0.0, 2.0, None
+    shortest, waited = np.inf, 0
     history: list[float] = []
     for _ in range(iterations):
         roots = [one.roots(sigma) for one in now]
@@ -112,7 +113,9 @@ def descend(
         basis, singular, null, slope = _directions(problem, rows)
         promise = 0.5 * float(slope @ slope)
         here = Descent(value, rows, basis, null, np.sqrt(2.0 * promise), tuple(history))
-        if here.step < STEP:
+        waited = waited + 1 if here.step > 0.5 * shortest else 0
+        shortest = min(shortest, here.step)
+        if here.step < STEP or (here.step < IDLE and waited > PATIENCE):
             return here
         while True:
             shrink = singular**2 / (singular**2 + damping * singular[0] ** 2)
