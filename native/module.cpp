@@ -7,6 +7,7 @@ void bind_estimator(nb::module_ &m);
 void bind_inverse(nb::module_ &m);
 void bind_lie(nb::module_ &m);
 void bind_limits(nb::module_ &m);
+void bind_momentum(nb::module_ &m);
 void bind_wrench(nb::module_ &m);
 
 NB_MODULE(_native, m) {
@@ -17,5 +18,6 @@ NB_MODULE(_native, m) {
   bind_inverse(m);
   bind_lie(m);
   bind_limits(m);
+  bind_momentum(m);
   bind_wrench(m);
 }

@@ -27,6 +27,7 @@ from armlab.kernels._reference.lie import (
 )
 from armlab.kernels._reference.lie_arguments import poses, rotations
 from armlab.kernels._reference.limits import limit_reference
+from armlab.kernels._reference.momentum import momentum_step
 from armlab.kernels._reference.presliding import presliding
 from armlab.kernels._reference.wrench import solve_wrench, wrench_interval
 
@@ -35,6 +36,7 @@ __all__ = [
     "InverseSolver",
     "WrenchEstimator",
     "limit_reference",
+    "momentum_step",
     "poses",
     "presliding",
     "quaternion_from_matrix",

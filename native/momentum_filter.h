@@ -1,0 +1,22 @@
+// One step of the momentum filter; armlab/kernels/_reference/momentum.py states the mathematics.
+#pragma once
+
+#include "chain.h"
+
+namespace armlab {
+
+constexpr int max_inputs = max_joints + 6;
+constexpr int max_states = max_joints + max_inputs;
+
+struct MomentumInputs {
+  int n, m;
+  const double *G;           // (n, m)
+  const double *Qp, *q, *a;  // (n), (m), (m)
+};
+
+// x (n + m) and P (n + m, n + m), row by row, in place; u, y (n), R (n, n). `work` holds 4 (n + m)^2 numbers.
+// False when the innovation has no positive covariance; then x and P are as they came.
+bool momentum_step(const MomentumInputs &inputs, const double *u, const double *y, const double *R, double h, double *x,
+                   double *P, double *work);
+
+}  // namespace armlab
