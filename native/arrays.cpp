@@ -1,6 +1,7 @@
 #include "arrays.h"
 
 #include <algorithm>
+#include <cstdint>
 #include <functional>
 #include <numeric>
 
@@ -19,9 +20,9 @@ bool is_plain(PyObject *value, int flags) {
   return PyArray_TYPE(array) == NPY_DOUBLE && PyArray_CHKFLAGS(array, flags) && PyArray_ISNOTSWAPPED(array);
 }
 
-bool overlap(PyArrayObject *out, const Input &input) {
-  const char *a = PyArray_BYTES(out), *b = reinterpret_cast<const char *>(input.data());
-  return a < b + input.size() * sizeof(double) && b < a + PyArray_NBYTES(out);
+bool overlap(PyArrayObject *out, const double *data, npy_intp size) {
+  const double *a = static_cast<const double *>(PyArray_DATA(out));
+  return a < data + size && data < a + PyArray_SIZE(out);
 }
 
 [[noreturn]] void raise(const char *error, const std::string &sentence) {
@@ -136,7 +137,8 @@ void Elements::broadcast(std::initializer_list<Elements *> elements) {
 }
 
 Output::Output(nb::handle out, const char *name, std::initializer_list<npy_intp> tail,
-               std::initializer_list<const Samples *> inputs) {
+               std::initializer_list<const Samples *> inputs)
+    : name_(name) {
   const Samples &first = **inputs.begin();
   const int batch = first.batch_axes(), ndim = batch + static_cast<int>(tail.size());
   npy_intp shape[NPY_MAXDIMS + 2];
@@ -155,7 +157,17 @@ Output::Output(nb::handle out, const char *name, std::initializer_list<npy_intp>
   if (PyArray_NDIM(pointer()) != ndim || !std::equal(shape, shape + ndim, PyArray_DIMS(pointer())))
     refuse("shape " + shape_text(PyArray_DIMS(pointer()), PyArray_NDIM(pointer())));
   for (const Samples *input : inputs)
-    if (overlap(pointer(), *input)) refuse(std::string("one that shares memory with ") + input->name());
+    if (overlap(pointer(), input->data(), input->size())) refuse(std::string("one that shares memory with ") + input->name());
+  // Memory that the caches cannot hold is written past them: half the time for a million Jacobians. Not fresh memory,
+  // of which the system leaves every page in a cache when it has cleared it.
+  const auto address = reinterpret_cast<std::uintptr_t>(PyArray_DATA(pointer()));
+  streams_ = PyArray_NBYTES(pointer()) >= 16'000'000 && width_ % 2 == 0 && address % 16 == 0;
+}
+
+void Output::require_apart_from(const Output &other) const {
+  if (overlap(pointer(), static_cast<const double *>(PyArray_DATA(other.pointer())), PyArray_SIZE(other.pointer())))
+    raise_shape_error(std::string("Expected ") + name_ + " and " + other.name_ +
+                      " to be apart, got arrays that share memory. Make each with numpy.empty, or leave them out.");
 }
 
 }  // namespace armlab

@@ -14,6 +14,7 @@
 #include <nanobind/nanobind.h>
 #include <numpy/arrayobject.h>
 
+#include <algorithm>
 #include <array>
 #include <cstddef>
 #include <initializer_list>
@@ -92,24 +93,37 @@ class Output {
   Output(nb::handle out, const char *name, std::initializer_list<npy_intp> tail,
          std::initializer_list<const Samples *> inputs);
 
+  void require_apart_from(const Output &other) const;
+
   const nb::object &array() const { return array_; }
-  Writing samples() const { return {static_cast<double *>(PyArray_DATA(pointer())), width_}; }
+  Writing samples() const { return {static_cast<double *>(PyArray_DATA(pointer())), width_, streams_}; }
 
  private:
   PyArrayObject *pointer() const { return reinterpret_cast<PyArrayObject *>(array_.ptr()); }
 
   nb::object array_;
+  const char *name_;
   int width_;
+  bool streams_ = false;
 };
 
-// Runs a kernel over all samples of `first`, without the GIL when there are enough of them to pay for handing it over.
+// Runs a kernel over all samples of `first`, without the GIL when there are enough of them to pay for handing it over,
+// in `threads` threads when each gets enough to pay for its start. The parts are several per thread, for when one is
+// held up, but large, for threads that write into the same page of fresh memory both have to clear it.
 template <std::size_t Ins, std::size_t Outs, class Kernel>
 void compute(const Samples &first, const std::array<Reading, Ins> &ins, const std::array<Writing, Outs> &outs,
-             Kernel kernel) {
-  const npy_intp count = first.size() / first.samples().width;
+             Kernel kernel, int threads = 1) {
+  const std::ptrdiff_t count = first.size() / first.samples().width;
   if (count < 32) return run_batch(count, ins, outs, kernel);
   nb::gil_scoped_release released;
-  run_batch(count, ins, outs, kernel);
+  const std::ptrdiff_t grain = std::max<std::ptrdiff_t>(4096, count / (8 * threads));
+  const auto from = [](auto views, std::ptrdiff_t begin) {
+    for (auto &view : views) view.data += begin * view.width;
+    return views;
+  };
+  run_parallel(count, grain, threads, [&](std::ptrdiff_t begin, std::ptrdiff_t end) {
+    run_batch(end - begin, from(ins, begin), from(outs, begin), kernel);
+  });
 }
 
 }  // namespace armlab

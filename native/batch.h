@@ -1,9 +1,13 @@
-// Runs a kernel over the samples of a batch: four samples side by side, the last few one by one.
+// Runs a kernel over the samples of a batch, four samples side by side.
 #pragma once
 
 #include <array>
 #include <cstddef>
 #include <vector>
+
+#ifdef __SSE2__
+#include <emmintrin.h>
+#endif
 
 #include "lanes.h"
 
@@ -17,14 +21,74 @@ struct Reading {
 struct Writing {
   double *data;
   int width;
+  bool streams = false;  // past the caches, for which the width is even and the data aligned to 16 bytes
 };
 
-// kernel(in, out) with in[k] and out[k] pointing to the values of one sample: `const Real *` and `Real *`.
+#ifdef ARMLAB_LANES
+// Four samples between rows in memory and `values`, whose values[i] holds element i of each. Blocks of four by four are
+// transposed in registers; where the width is no multiple of four the last block overlaps the one before.
+typedef double Row __attribute__((vector_size(32), aligned(8)));
+
+ARMLAB_INLINE void transpose(Lanes (&row)[4]) {
+  const Lanes::Bits lows{0, 1, 4, 5}, highs{2, 3, 6, 7}, evens{0, 4, 2, 6}, odds{1, 5, 3, 7};
+  const Lanes::Doubles low02 = __builtin_shuffle(row[0].v, row[2].v, lows);
+  const Lanes::Doubles low13 = __builtin_shuffle(row[1].v, row[3].v, lows);
+  const Lanes::Doubles high02 = __builtin_shuffle(row[0].v, row[2].v, highs);
+  const Lanes::Doubles high13 = __builtin_shuffle(row[1].v, row[3].v, highs);
+  row[0] = __builtin_shuffle(low02, low13, evens);
+  row[1] = __builtin_shuffle(low02, low13, odds);
+  row[2] = __builtin_shuffle(high02, high13, evens);
+  row[3] = __builtin_shuffle(high02, high13, odds);
+}
+
+ARMLAB_INLINE void read_rows(const double *rows, int width, Lanes *values) {
+  const auto block = [&](int i) {
+    Lanes row[4];
+    for (int k = 0; k < 4; ++k) row[k] = *reinterpret_cast<const Row *>(rows + k * width + i);
+    transpose(row);
+    for (int k = 0; k < 4; ++k) values[i + k] = row[k];
+  };
+  int i = 0;
+  for (; i + 4 <= width; i += 4) block(i);
+  if (i < width && width > 4) return block(width - 4);
+  for (; i < width; ++i)
+    for (int lane = 0; lane < 4; ++lane) values[i].v[lane] = rows[lane * width + i];
+}
+
+template <class Store>
+ARMLAB_INLINE void write_rows(const Lanes *values, int width, double *rows, Store store) {
+  const auto block = [&](int i, int from) {
+    Lanes row[4] = {values[i], values[i + 1], values[i + 2], values[i + 3]};
+    transpose(row);
+    for (int k = 0; k < 4; ++k) store(rows + k * width + i, row[k].v, from);
+  };
+  int i = 0;
+  for (; i + 4 <= width; i += 4) block(i, 0);
+  if (i < width && width > 4) return block(width - 4, 4 - (width - i));
+  for (; i < width; ++i)
+    for (int lane = 0; lane < 4; ++lane) rows[lane * width + i] = values[i].v[lane];
+}
+
+ARMLAB_INLINE void write_rows(const Lanes *values, const Writing &out, std::ptrdiff_t sample) {
+  double *rows = out.data + sample * out.width;
+#ifdef __SSE2__
+  if (out.streams)
+    return write_rows(values, out.width, rows, [](double *to, Lanes::Doubles row, int from) {
+      if (from == 0) _mm_stream_pd(to, __m128d{row[0], row[1]});  // what is already on its way is not written again
+      _mm_stream_pd(to + 2, __m128d{row[2], row[3]});
+    });
+#endif
+  write_rows(values, out.width, rows, [](double *to, Lanes::Doubles row, int) { *reinterpret_cast<Row *>(to) = row; });
+}
+#endif
+
+// kernel(in, out) with in[k] and out[k] pointing to the values of one sample: `const Real *` and `Real *`. It may be
+// called for a sample twice.
 template <std::size_t Ins, std::size_t Outs, class Kernel>
 ARMLAB_VECTORISED void run_batch(std::ptrdiff_t count, const std::array<Reading, Ins> &ins,
                                  const std::array<Writing, Outs> &outs, Kernel kernel) {
+#ifdef ARMLAB_LANES
   constexpr int width = Lanes::width;
-  std::ptrdiff_t sample = 0;
   if (count >= width) {
     std::size_t total = 0;
     for (const Reading &in : ins) total += in.width;
@@ -36,19 +100,20 @@ ARMLAB_VECTORISED void run_batch(std::ptrdiff_t count, const std::array<Reading,
     for (std::size_t k = 0; k < Ins; ++k, next += ins[k - 1].width) in[k] = next;
     for (std::size_t k = 0; k < Outs; ++k, next += outs[k - 1].width) out[k] = next;
 
-    for (; sample + width <= count; sample += width) {
-      for (std::size_t k = 0; k < Ins; ++k)
-        for (int i = 0; i < ins[k].width; ++i)
-          for (int lane = 0; lane < width; ++lane) in[k][i].v[lane] = ins[k].data[(sample + lane) * ins[k].width + i];
+    for (std::ptrdiff_t sample = 0; sample < count; sample += width) {
+      if (sample > count - width) sample = count - width;  // the last four, some of them again
+      for (std::size_t k = 0; k < Ins; ++k) read_rows(ins[k].data + sample * ins[k].width, ins[k].width, in[k]);
       kernel(in, out);
-      for (std::size_t k = 0; k < Outs; ++k)
-        for (int lane = 0; lane < width; ++lane) {
-          double *row = outs[k].data + (sample + lane) * outs[k].width;
-          for (int i = 0; i < outs[k].width; ++i) row[i] = out[k][i].v[lane];
-        }
+      for (std::size_t k = 0; k < Outs; ++k) write_rows(out[k], outs[k], sample);
     }
+#ifdef __SSE2__
+    for (const Writing &out : outs)
+      if (out.streams) _mm_sfence();
+#endif
+    return;
   }
-  for (; sample < count; ++sample) {
+#endif
+  for (std::ptrdiff_t sample = 0; sample < count; ++sample) {
     std::array<const double *, Ins> in;
     std::array<double *, Outs> out;
     for (std::size_t k = 0; k < Ins; ++k) in[k] = ins[k].data + sample * ins[k].width;

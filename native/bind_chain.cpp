@@ -73,19 +73,23 @@ nb::object prismatic(const Chain &self) {
   return array;
 }
 
-nb::object forward(const Chain &self, nb::handle q_, nb::handle out) {
+nb::object forward(const Chain &self, nb::handle q_, nb::handle out, nb::handle threads_) {
+  const int threads = thread_count(threads_);
   const Samples q(q_, "q", self.n);
   const Output T(out, "out", {4, 4}, {&q});
-  compute<1, 1>(q, {q.samples()}, {T.samples()},
-                [&](const auto &in, const auto &out) { armlab::forward(self, in[0], out[0]); });
+  compute<1, 1>(
+      q, {q.samples()}, {T.samples()}, [&](const auto &in, const auto &out) { armlab::forward(self, in[0], out[0]); },
+      threads);
   return T.array();
 }
 
-nb::object jacobian(const Chain &self, nb::handle q_, bool tool, nb::handle out) {
+nb::object jacobian(const Chain &self, nb::handle q_, bool tool, nb::handle out, nb::handle threads_) {
+  const int threads = thread_count(threads_);
   const Samples q(q_, "q", self.n);
   const Output J(out, "out", {6, self.n}, {&q});
-  compute<1, 1>(q, {q.samples()}, {J.samples()},
-                [&](const auto &in, const auto &out) { armlab::jacobian(self, in[0], tool, out[0]); });
+  compute<1, 1>(
+      q, {q.samples()}, {J.samples()},
+      [&](const auto &in, const auto &out) { armlab::jacobian(self, in[0], tool, out[0]); }, threads);
   return J.array();
 }
 
@@ -98,12 +102,15 @@ std::array<nb::handle, 2> pair_of(nb::handle out, const char *names) {
   return {PyTuple_GET_ITEM(out.ptr(), 0), PyTuple_GET_ITEM(out.ptr(), 1)};
 }
 
-nb::object forward_jacobian(const Chain &self, nb::handle q_, nb::handle out) {
+nb::object forward_jacobian(const Chain &self, nb::handle q_, bool tool, nb::handle out, nb::handle threads_) {
+  const int threads = thread_count(threads_);
   const auto [out_T, out_J] = pair_of(out, "(T, J)");
   const Samples q(q_, "q", self.n);
   const Output T(out_T, "out[0]", {4, 4}, {&q}), J(out_J, "out[1]", {6, self.n}, {&q});
-  compute<1, 2>(q, {q.samples()}, {T.samples(), J.samples()},
-                [&](const auto &in, const auto &out) { armlab::jacobian(self, in[0], false, out[1]).write(out[0]); });
+  J.require_apart_from(T);
+  compute<1, 2>(
+      q, {q.samples()}, {T.samples(), J.samples()},
+      [&](const auto &in, const auto &out) { armlab::jacobian(self, in[0], tool, out[1]).write(out[0]); }, threads);
   return nb::steal(PyTuple_Pack(2, T.array().ptr(), J.array().ptr()));
 }
 
@@ -197,9 +204,10 @@ void bind(nb::module_ &m) {
       .def_prop_ro("frames", &frames)
       .def_prop_ro("prismatic", &prismatic)
       .def("__reduce__", &reduce)
-      .def("forward", &forward, arg("q"), arg("out") = nb::none())
-      .def("jacobian", &jacobian, arg("q"), arg("tool") = false, arg("out") = nb::none())
-      .def("forward_jacobian", &forward_jacobian, arg("q"), arg("out") = nb::none())
+      .def("forward", &forward, arg("q"), arg("out") = nb::none(), arg("threads") = 1)
+      .def("jacobian", &jacobian, arg("q"), arg("tool") = false, arg("out") = nb::none(), arg("threads") = 1)
+      .def("forward_jacobian", &forward_jacobian, arg("q"), arg("tool") = false, arg("out") = nb::none(),
+           arg("threads") = 1)
       .def("link_transforms", &link_transforms, arg("q"), arg("out") = nb::none())
       .def("jacobian_derivative", &jacobian_derivative, arg("q"), arg("qd"), arg("tool") = false,
            arg("out") = nb::none())

@@ -24,6 +24,15 @@ Angles zxz(const double *E) {
   return {beta, alpha, gamma};
 }
 
+// Zero for what rounding leaves of it: the entries of a rotation, and lengths in metres, are not known to 1e-15.
+double without_rounding(double x) { return std::fabs(x) < 1e-15 ? 0.0 : x; }
+
+Chain::Twist twist(const Chain::Step &step) {
+  if (step.cos_alpha == 0.0) return step.sin_alpha > 0.0 ? Chain::Twist::quarter : Chain::Twist::minus_quarter;
+  if (step.sin_alpha == 0.0 && step.cos_alpha > 0.0) return Chain::Twist::none;
+  return Chain::Twist::other;
+}
+
 }  // namespace
 
 Chain::Chain(int n, const double *frames_, const bool *prismatic) : n(n), frames{}, steps{} {
@@ -36,16 +45,19 @@ Chain::Chain(int n, const double *frames_, const bool *prismatic) : n(n), frames
     Step &step = steps[i];
     step.offset = std::remainder(gamma_before + angles.beta, 2 * pi);
     step.slides = prismatic[i];
-    step.turns = prismatic[i] ? 0.0 : 1.0;
-    step.px = c * E[3] + s * E[7];
-    step.py = c * E[7] - s * E[3];
+    step.px = without_rounding(c * E[3] + s * E[7]);
+    step.py = without_rounding(c * E[7] - s * E[3]);
     step.pz = E[11];
-    step.cos_alpha = std::cos(angles.alpha);
-    step.sin_alpha = std::sin(angles.alpha);
+    step.has_x = step.px != 0.0;
+    step.has_y = step.py != 0.0;
+    step.has_z = step.pz != 0.0;
+    step.cos_alpha = without_rounding(std::cos(angles.alpha));
+    step.sin_alpha = without_rounding(std::sin(angles.alpha));
+    step.twist = twist(step);
     gamma_before = angles.gamma;
   }
   cos_last = std::cos(gamma_before);
-  sin_last = std::sin(gamma_before);
+  sin_last = without_rounding(std::sin(gamma_before));
 }
 
 }  // namespace armlab

@@ -11,13 +11,14 @@ constexpr int max_joints = 32;
 
 struct Chain {
   // One joint and what follows it, with every E_i = Rz(beta_i) [p_i; Rx(alpha_i)] Rz(gamma_i). Rotations about z merge
-  // with those of the neighbouring joints, so a step is Rz(turns q + offset), Tz(slides q), a translation by p, and
-  // Rx(alpha): 54 multiplications and additions instead of 81, for any E_i.
+  // with those of the neighbouring joints, so a step is Rz(q + offset), Tz(q) of a prismatic joint, a translation by p,
+  // and Rx(alpha): at most 54 multiplications and additions instead of 81, for any E_i. What is zero is left out.
+  enum class Twist { none, quarter, minus_quarter, other };  // Rx by 0, 90, -90 degrees: nearly all arms have no other
   struct Step {
     double offset;  // gamma_{i-1} + beta_i
-    double turns;   // 1 revolute, 0 prismatic
-    bool slides;
+    bool slides, has_x, has_y, has_z;  // prismatic; px, py, pz are not zero
     double px, py, pz;  // p_i in axes turned by beta_i
+    Twist twist;
     double cos_alpha, sin_alpha;
   };
 

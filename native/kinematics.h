@@ -5,23 +5,43 @@
 
 namespace armlab {
 
-// Sine and cosine of every joint's angle.
-inline void joint_sincos(const Chain &chain, const Lanes *q, Lanes *sine, Lanes *cosine) {
-  for (int i = 0; i < chain.n; ++i)
-    sincos(Lanes(chain.steps[i].turns) * q[i] + Lanes(chain.steps[i].offset), sine[i], cosine[i]);
-}
-inline void joint_sincos(const Chain &chain, const double *q, double *sine, double *cosine) {
-  for (int i = 0; i < chain.n; i += Lanes::width) {  // joints side by side: the same numbers, sooner
-    Lanes angle(0.0), s, c;
-    const int last = i + Lanes::width < chain.n ? i + Lanes::width : chain.n;
-    for (int k = i; k < last; ++k) angle.v[k - i] = chain.steps[k].turns * q[k] + chain.steps[k].offset;
-    sincos(angle, s, c);
-    for (int k = i; k < last; ++k) {
-      sine[k] = s.v[k - i];
-      cosine[k] = c.v[k - i];
-    }
+// Sine and cosine of `count` angles, angle(i).
+template <class Real, class Angle>
+inline void sincos_of(int count, Angle angle, Real *sine, Real *cosine) {
+  Real quadrant[max_joints], farthest(0.0);
+  for (int i = 0; i < count; ++i) {
+    const Real x = angle(i);
+    reduce_angle(x, quadrant[i], sine[i]);
+    note_distance(x, farthest);
   }
+  for (int i = 0; i < count; ++i) sincos_of_remainder(Real(sine[i]), sine[i], cosine[i]);
+  for (int i = 0; i < count; ++i) turn_to_quadrant(quadrant[i], sine[i], cosine[i]);
+  if (all(farthest <= Real(far_angle))) return;
+  for (int i = 0; i < count; ++i) replace_far(angle(i), sine[i], cosine[i]);
 }
+
+// Sine and cosine of the angle of every joint.
+template <class Real>
+inline Real joint_angle(const Chain::Step &step, const Real &q) {
+  return step.slides ? Real(step.offset) : q + Real(step.offset);
+}
+template <class Real>
+inline void joint_sincos(const Chain &chain, const Real *q, Real *sine, Real *cosine) {
+  sincos_of(chain.n, [&](int i) { return joint_angle(chain.steps[i], q[i]); }, sine, cosine);
+}
+#ifdef ARMLAB_LANES
+inline void joint_sincos(const Chain &chain, const double *q, double *sine, double *cosine) {
+  constexpr int most = max_joints / Lanes::width;
+  Lanes angles[most], sines[most], cosines[most];  // joints side by side: the same numbers, sooner
+  const int groups = (chain.n + Lanes::width - 1) / Lanes::width;
+  double *angle = reinterpret_cast<double *>(angles);
+  for (int i = 0; i < chain.n; ++i) angle[i] = joint_angle(chain.steps[i], q[i]);
+  for (int i = chain.n; i < groups * Lanes::width; ++i) angle[i] = 0.0;
+  sincos_of(groups, [&](int i) { return angles[i]; }, sines, cosines);
+  std::memcpy(sine, sines, chain.n * sizeof(double));
+  std::memcpy(cosine, cosines, chain.n * sizeof(double));
+}
+#endif
 
 // Walks from base to tool; visit(i, z, p) sees the axis and a point of joint i + 1 in base axes. Returns T_base_tool.
 template <class Real, class Visit>
@@ -32,13 +52,30 @@ inline Pose<Real> walk(const Chain &chain, const Real *q, Visit visit) {
   for (int i = 0; i < chain.n; ++i) {
     const Chain::Step &step = chain.steps[i];
     visit(i, T.z, T.p);
-    const Vec3<Real> x = cosine[i] * T.x + sine[i] * T.y, y = cosine[i] * T.y - sine[i] * T.x;
-    const Real dz = step.slides ? q[i] + Real(step.pz) : Real(step.pz);
-    T.p = T.p + Real(step.px) * x + Real(step.py) * y + dz * T.z;
+    const Vec3<Real> x = cosine[i] * T.x + sine[i] * T.y, y = cosine[i] * T.y - sine[i] * T.x, z = T.z;
+    if (step.slides) T.p = T.p + q[i] * z;
+    if (step.has_x) T.p = T.p + Real(step.px) * x;
+    if (step.has_y) T.p = T.p + Real(step.py) * y;
+    if (step.has_z) T.p = T.p + Real(step.pz) * z;
     T.x = x;
-    T.y = Real(step.cos_alpha) * y + Real(step.sin_alpha) * T.z;
-    T.z = Real(step.cos_alpha) * T.z - Real(step.sin_alpha) * y;
+    switch (step.twist) {
+      case Chain::Twist::none:
+        T.y = y;
+        break;
+      case Chain::Twist::quarter:
+        T.y = z;
+        T.z = -y;
+        break;
+      case Chain::Twist::minus_quarter:
+        T.y = -z;
+        T.z = y;
+        break;
+      case Chain::Twist::other:
+        T.y = Real(step.cos_alpha) * y + Real(step.sin_alpha) * z;
+        T.z = Real(step.cos_alpha) * z - Real(step.sin_alpha) * y;
+    }
   }
+  if (chain.sin_last == 0.0 && chain.cos_last == 1.0) return T;
   const Vec3<Real> x = Real(chain.cos_last) * T.x + Real(chain.sin_last) * T.y;
   T.y = Real(chain.cos_last) * T.y - Real(chain.sin_last) * T.x;
   T.x = x;
@@ -54,28 +91,29 @@ inline void forward(const Chain &chain, const Real *q, Real *T_out) {
 // J (6, n): rows [v; w], at the tool point, in base axes or in tool axes. Returns T_base_tool.
 template <class Real>
 inline Pose<Real> jacobian(const Chain &chain, const Real *q, bool tool, Real *J) {
-  Vec3<Real> axis[max_joints], point[max_joints];
-  const Pose<Real> T = walk(chain, q, [&](int i, const Vec3<Real> &z, const Vec3<Real> &p) {
-    axis[i] = z;
-    point[i] = p;
-  });
   const int n = chain.n;
+  const auto read = [&](int row, int i) { return Vec3<Real>{J[row * n + i], J[(row + 1) * n + i], J[(row + 2) * n + i]}; };
+  const auto write = [&](int row, int i, const Vec3<Real> &a) {
+    J[row * n + i] = a.x;
+    J[(row + 1) * n + i] = a.y;
+    J[(row + 2) * n + i] = a.z;
+  };
+  const Pose<Real> T = walk(chain, q, [&](int i, const Vec3<Real> &z, const Vec3<Real> &p) {
+    write(0, i, p);  // until the tool point is known
+    write(3, i, z);
+  });
   for (int i = 0; i < n; ++i) {
-    Vec3<Real> v = axis[i], w{Real(0.0), Real(0.0), Real(0.0)};
-    if (!chain.steps[i].slides) {
-      w = v;
-      v = cross(w, T.p - point[i]);
+    Vec3<Real> w = read(3, i), v = cross(w, T.p - read(0, i));
+    if (chain.steps[i].slides) {
+      v = w;
+      w = {Real(0.0), Real(0.0), Real(0.0)};
+      write(3, i, w);
     }
     if (tool) {
       v = T.turn_back(v);
-      w = T.turn_back(w);
+      write(3, i, T.turn_back(w));
     }
-    J[i] = v.x;
-    J[n + i] = v.y;
-    J[2 * n + i] = v.z;
-    J[3 * n + i] = w.x;
-    J[4 * n + i] = w.y;
-    J[5 * n + i] = w.z;
+    write(0, i, v);
   }
   return T;
 }

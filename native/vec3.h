@@ -2,6 +2,7 @@
 #pragma once
 
 #include "lanes.h"
+#include "sincos.h"
 
 namespace armlab {
 
@@ -17,6 +18,10 @@ inline Vec3<Real> operator+(const Vec3<Real> &a, const Vec3<Real> &b) {
 template <class Real>
 inline Vec3<Real> operator-(const Vec3<Real> &a, const Vec3<Real> &b) {
   return {a.x - b.x, a.y - b.y, a.z - b.z};
+}
+template <class Real>
+inline Vec3<Real> operator-(const Vec3<Real> &a) {
+  return {-a.x, -a.y, -a.z};
 }
 template <class Real>
 inline Vec3<Real> operator*(const Real &s, const Vec3<Real> &a) {

@@ -35,7 +35,8 @@ def goals(name: str, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
 def assert_same(native: tuple, reference: tuple) -> None:
     np.testing.assert_array_equal(native[2], reference[2])
     there = native[2][..., 2] == 0
-    np.testing.assert_allclose(native[0][there], reference[0][there], rtol=0.0, atol=1e-12)
+    # Near singular poses the last bits of a sine move a joint by ten thousand times as much.
+    np.testing.assert_allclose(native[0][there], reference[0][there], rtol=0.0, atol=1e-11)
     np.testing.assert_allclose(native[1], reference[1], rtol=1e-6, atol=1e-12)
     assert (native[3] is None) == (reference[3] is None)
     if native[3] is not None:

@@ -6,9 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from armlab.errors import ShapeError
+from armlab.errors import ConfigError, ShapeError
 
-__all__ = ["elements", "read", "result", "same_shape"]
+__all__ = ["check_threads", "elements", "read", "result", "results", "same_shape"]
+
+MAX_THREADS = 256
 
 
 def read(value: Any, name: str, tail: tuple[int, ...], exact: bool = False) -> np.ndarray:
@@ -89,6 +91,44 @@ def result(value: np.ndarray, out: Any, name: str = "out") -> np.ndarray:
         )
     out[...] = value
     return out
+
+
+def results(values: tuple[np.ndarray, np.ndarray], out: Any, names: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return two `values`, written into the pair `out` when that is given.
+
+    Parameters
+    ----------
+    names : how the error message calls the two, like ``(T, J)``.
+
+    Raises
+    ------
+    ShapeError
+        When `out` is not a pair of arrays that `result` accepts, apart from each other.
+    """
+    if out is None:
+        return values
+    if not isinstance(out, tuple) or len(out) != 2:
+        raise ShapeError(
+            f"Expected out to be a pair of arrays {names}, got something else. Give a tuple of two arrays."
+        )
+    if all(isinstance(into, np.ndarray) for into in out) and np.may_share_memory(*out):
+        raise ShapeError(
+            "Expected out[1] and out[0] to be apart, got arrays that share memory. Make each with numpy.empty, or "
+            "leave them out."
+        )
+    return result(values[0], out[0], "out[0]"), result(values[1], out[1], "out[1]")
+
+
+def check_threads(threads: Any) -> None:
+    """Refuse a number of threads that is not an integer from 1 to 256.
+
+    Raises
+    ------
+    ConfigError
+        When it is not.
+    """
+    if not isinstance(threads, int | np.integer) or isinstance(threads, bool) or not 1 <= threads <= MAX_THREADS:
+        raise ConfigError(f"Expected threads to be an integer from 1 to {MAX_THREADS}, got {threads!r}.")
 
 
 def _numbers(value: Any, name: str) -> np.ndarray:

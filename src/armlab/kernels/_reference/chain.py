@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from armlab.errors import ShapeError
-from armlab.kernels._reference.arrays import read, result, same_shape
+from armlab.kernels._reference.arrays import check_threads, read, result, results, same_shape
+from armlab.kernels._reference.spatial import UNIT_INERTIAS, apply, twist_cross, twist_transform, wrench_cross
 
 __all__ = ["Chain"]
 
@@ -59,30 +60,27 @@ class Chain:
         """Pickle by the constructor's arguments."""
         return type(self), (self.frames, self.prismatic)
 
-    def forward(self, q: Any, out: Any = None) -> np.ndarray:
+    def forward(self, q: Any, out: Any = None, threads: int = 1) -> np.ndarray:
         """Return T_base_tool (..., 4, 4) for joint positions `q` (..., n)."""
+        check_threads(threads)
         return result(self._links(self._joints(q))[..., -1, :, :] @ self._frames[-1], out)
 
     def link_transforms(self, q: Any, out: Any = None) -> np.ndarray:
         """Return T_base_i (..., n, 4, 4) of link frames 1 ... n."""
         return result(self._links(self._joints(q)), out)
 
-    def jacobian(self, q: Any, tool: bool = False, out: Any = None) -> np.ndarray:
+    def jacobian(self, q: Any, tool: bool = False, out: Any = None, threads: int = 1) -> np.ndarray:
         """Return J (..., 6, n), rows [v; w], at the tool point in base axes, or in tool axes when `tool`.
 
         Column i is ``[z_i x (p - p_i); z_i]`` (revolute) or ``[z_i; 0]`` (prismatic).
         """
-        T, J = self._forward_jacobian(self._joints(q))
-        if tool:
-            R_transposed = np.swapaxes(T[..., :3, :3], -1, -2)
-            J = np.concatenate([R_transposed @ J[..., :3, :], R_transposed @ J[..., 3:, :]], axis=-2)
-        return result(J, out)
+        check_threads(threads)
+        return result(self._forward_jacobian(self._joints(q), tool)[1], out)
 
-    def forward_jacobian(self, q: Any, out: _Pair | None = None) -> _Pair:
-        """Return T_base_tool (..., 4, 4) and J (..., 6, n) at the tool point in base axes; `out` is such a pair."""
-        T, J = self._forward_jacobian(self._joints(q))
-        into = _pair(out)
-        return result(T, into[0], "out[0]"), result(J, into[1], "out[1]")
+    def forward_jacobian(self, q: Any, tool: bool = False, out: _Pair | None = None, threads: int = 1) -> _Pair:
+        """Return `forward`, T_base_tool (..., 4, 4), and `jacobian`, J (..., 6, n); `out` is such a pair."""
+        check_threads(threads)
+        return results(self._forward_jacobian(self._joints(q), tool), out, "(T, J)")
 
     def jacobian_derivative(self, q: Any, qd: Any, tool: bool = False, out: Any = None) -> np.ndarray:
         """Return Jd (..., 6, n), the derivative of `jacobian` along the motion `q`, `qd` (..., n).
@@ -104,7 +102,7 @@ class Chain:
         if tool:
             R_transposed = np.swapaxes(T[..., :3, :3], -1, -2)
             turn = np.vecdot(np.moveaxis(w, 0, -1), speeds[..., None, :])
-            vd, wd = (_apply(R_transposed, ud - np.cross(turn, u)) for ud, u in ((vd, v), (wd, w)))
+            vd, wd = (apply(R_transposed, ud - np.cross(turn, u)) for ud, u in ((vd, v), (wd, w)))
         return result(np.ascontiguousarray(np.moveaxis(np.concatenate([vd, wd], axis=-1), 0, -1)), out)
 
     def rnea(self, q: Any, qd: Any, qdd: Any, gravity: Any, pi: Any, out: Any = None) -> np.ndarray:
@@ -120,13 +118,13 @@ class Chain:
         out : (..., n) array to write into, or None.
         """
         steps, V, A = self._motion(q, qd, qdd, gravity)
-        inertia = np.einsum("ik,kab->iab", read(pi, "pi", (self.n, 10), exact=True), _UNIT_INERTIAS)
+        inertia = np.einsum("ik,kab->iab", read(pi, "pi", (self.n, 10), exact=True), UNIT_INERTIAS)
         tau = np.empty((*V[0].shape[:-1], self.n))
         F = np.zeros_like(V[0])
         for i in reversed(range(self.n)):
-            F = F + _apply(inertia[i], A[i]) + _apply(_wrench_cross(V[i]), _apply(inertia[i], V[i]))
+            F = F + apply(inertia[i], A[i]) + apply(wrench_cross(V[i]), apply(inertia[i], V[i]))
             tau[..., i] = F @ self._axis(i)
-            F = _apply(np.swapaxes(steps[i], -1, -2), F)
+            F = apply(np.swapaxes(steps[i], -1, -2), F)
         return result(tau, out)
 
     def rigid_regressor(self, q: Any, qd: Any, qdd: Any, gravity: Any, out: Any = None) -> np.ndarray:
@@ -134,8 +132,8 @@ class Chain:
         steps, V, A = self._motion(q, qd, qdd, gravity)
         Y = np.zeros((*V[0].shape[:-1], self.n, 10 * self.n))
         for k in range(self.n):
-            momenta = np.einsum("kab,...b->...ak", _UNIT_INERTIAS, V[k])
-            F = np.einsum("kab,...b->...ak", _UNIT_INERTIAS, A[k]) + _wrench_cross(V[k]) @ momenta
+            momenta = np.einsum("kab,...b->...ak", UNIT_INERTIAS, V[k])
+            F = np.einsum("kab,...b->...ak", UNIT_INERTIAS, A[k]) + wrench_cross(V[k]) @ momenta
             for i in reversed(range(k + 1)):
                 Y[..., i, 10 * k : 10 * k + 10] = self._axis(i) @ F
                 F = np.swapaxes(steps[i], -1, -2) @ F
@@ -166,16 +164,15 @@ class Chain:
         q, qd : (..., n). pi : (n, 10) as in `rnea`.
         """
         steps, V, _ = self._motion(q, qd, np.zeros_like(np.asarray(q, dtype=float)), np.zeros(3))
-        inertia = np.einsum("ik,kab->iab", read(pi, "pi", (self.n, 10), exact=True), _UNIT_INERTIAS)
+        inertia = np.einsum("ik,kab->iab", read(pi, "pi", (self.n, 10), exact=True), UNIT_INERTIAS)
         p, beta = np.empty((*V[0].shape[:-1], self.n)), np.empty((*V[0].shape[:-1], self.n))
         total = np.zeros_like(V[0])
         for i in reversed(range(self.n)):
-            total = total + _apply(inertia[i], V[i])
+            total = total + apply(inertia[i], V[i])
             p[..., i] = total @ self._axis(i)
-            beta[..., i] = np.einsum("...a,...a->...", total, _apply(_twist_cross(V[i]), self._axis(i)))
-            total = _apply(np.swapaxes(steps[i], -1, -2), total)
-        into = _pair(out)
-        return result(p, into[0], "out[0]"), result(beta, into[1], "out[1]")
+            beta[..., i] = np.einsum("...a,...a->...", total, apply(twist_cross(V[i]), self._axis(i)))
+            total = apply(np.swapaxes(steps[i], -1, -2), total)
+        return results((p, beta), out, "(p, beta)")
 
     def gravity_regressor(self, q: Any, gravity: Any, out: Any = None) -> np.ndarray:
         """Return Y_g (..., n, 4 n) of the gravity torques ``G = dU/dq = Y_g [m, m cx, m cy, m cz]`` per link.
@@ -192,7 +189,7 @@ class Chain:
                 Y[..., i, 4 * k] = -lever @ g
                 if not self._prismatic[i]:
                     turn = np.cross(z[..., i, :], g)
-                    Y[..., i, 4 * k + 1 : 4 * k + 4] = _apply(np.swapaxes(T[..., k, :3, :3], -1, -2), turn)
+                    Y[..., i, 4 * k + 1 : 4 * k + 4] = apply(np.swapaxes(T[..., k, :3, :3], -1, -2), turn)
         return result(Y, out)
 
     def _joints(self, q: Any) -> np.ndarray:
@@ -222,16 +219,16 @@ class Chain:
             T[..., i, :, :] = before @ self._joint_transform(i, q[..., i])
         return T
 
-    def _forward_jacobian(self, q: np.ndarray) -> _Pair:
+    def _forward_jacobian(self, q: np.ndarray, tool: bool = False) -> _Pair:
         links = self._links(q)
         T = links[..., -1, :, :] @ self._frames[-1]
         z = links[..., :3, 2]
         lever = T[..., None, :3, 3] - links[..., :3, 3]
         prismatic = self.prismatic[:, None]
-        columns = np.concatenate(
-            [np.where(prismatic, z, np.cross(z, lever)), np.where(prismatic, np.zeros(3), z)], axis=-1
-        )
-        return T, np.ascontiguousarray(np.swapaxes(columns, -1, -2))
+        v, w = np.where(prismatic, z, np.cross(z, lever)), np.where(prismatic, np.zeros(3), z)
+        if tool:
+            v, w = v @ T[..., :3, :3], w @ T[..., :3, :3]
+        return T, np.ascontiguousarray(np.swapaxes(np.concatenate([v, w], axis=-1), -1, -2))
 
     def _motion(
         self, q: Any, qd: Any, qdd: Any, gravity: Any
@@ -246,10 +243,10 @@ class Chain:
         a = v - np.concatenate([g, np.zeros(3)])
         steps, V, A = [], [], []
         for i in range(self.n):
-            X = _twist_transform(self._frames[i] @ self._joint_transform(i, positions[..., i]))
+            X = twist_transform(self._frames[i] @ self._joint_transform(i, positions[..., i]))
             own = self._axis(i) * speeds[..., i, None]
-            v = _apply(X, v) + own
-            a = _apply(X, a) + self._axis(i) * accelerations[..., i, None] + _apply(_twist_cross(v), own)
+            v = apply(X, v) + own
+            a = apply(X, a) + self._axis(i) * accelerations[..., i, None] + apply(twist_cross(v), own)
             steps.append(X)
             V.append(v)
             A.append(a)
@@ -278,59 +275,3 @@ def _rigid(frames: np.ndarray) -> np.ndarray:
         rough = off > 1e-14
         frames[rough, :3, :3] = R[rough] @ (3.0 * np.eye(3) - gram[rough]) / 2.0
     return frames
-
-
-def _pair(out: Any) -> tuple[Any, Any]:
-    if out is None:
-        return None, None
-    if not isinstance(out, tuple) or len(out) != 2:
-        raise ShapeError("Expected out to be a pair of arrays (T, J), got something else. Give a tuple of two arrays.")
-    return out
-
-
-def _apply(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    return (matrix @ vector[..., None])[..., 0]
-
-
-def _hat(p: np.ndarray) -> np.ndarray:
-    """(..., 3, 3) with ``hat(p) x = p x x``."""
-    x, y, z = np.moveaxis(p, -1, 0)
-    zero = np.zeros_like(x)
-    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape((*p.shape, 3))
-
-
-def _twist_transform(T: np.ndarray) -> np.ndarray:
-    """(..., 6, 6) Ad(T^-1): the twist of a body, told in frame b instead of a, for T = T_a_b."""
-    R_transposed = np.swapaxes(T[..., :3, :3], -1, -2)
-    X = np.zeros((*T.shape[:-2], 6, 6))
-    X[..., :3, :3] = X[..., 3:, 3:] = R_transposed
-    X[..., :3, 3:] = -R_transposed @ _hat(T[..., :3, 3])
-    return X
-
-
-def _twist_cross(V: np.ndarray) -> np.ndarray:
-    """(..., 6, 6) V x: rate of change of a twist that is fixed in a body moving with V."""
-    X = np.zeros((*V.shape, 6))
-    X[..., :3, :3] = X[..., 3:, 3:] = _hat(V[..., 3:])
-    X[..., :3, 3:] = _hat(V[..., :3])
-    return X
-
-
-def _wrench_cross(V: np.ndarray) -> np.ndarray:
-    """(..., 6, 6) V x*: the same for a wrench, -(V x)^T."""
-    return -np.swapaxes(_twist_cross(V), -1, -2)
-
-
-def _unit_inertias() -> np.ndarray:
-    """(10, 6, 6) spatial inertia [[m 1, -hat(h)], [hat(h), I]] of each unit parameter, in the order of `pi`."""
-    units = np.zeros((10, 6, 6))
-    units[0, :3, :3] = np.eye(3)
-    for k in range(3):
-        h = _hat(np.eye(3)[k])
-        units[1 + k, :3, 3:], units[1 + k, 3:, :3] = -h, h
-    for k, (row, column) in enumerate([(0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)]):
-        units[4 + k, 3 + row, 3 + column] = units[4 + k, 3 + column, 3 + row] = 1.0
-    return units
-
-
-_UNIT_INERTIAS = _unit_inertias()

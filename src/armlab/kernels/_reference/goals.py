@@ -6,14 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from armlab.errors import ConfigError, ShapeError
+from armlab.errors import ShapeError
 from armlab.kernels._reference.arrays import read
 from armlab.kernels._reference.descent import Search
 
-__all__ = ["check_threads", "read_goals", "read_search", "read_starts", "read_task"]
+__all__ = ["read_goals", "read_search", "read_starts", "read_task"]
 
 ROTATION_TOLERANCE = 1e-6  # of a goal: entries of |R^T R - I|
-MAX_THREADS = 256
 
 
 def read_goals(value: Any) -> np.ndarray:
@@ -88,18 +87,6 @@ def read_search(steps: int, starts: int, position: float, rotation: float, dampi
     if not (steps >= 0 and starts >= 1 and position >= 0.0 and rotation >= 0.0 and damping > 0.0):
         raise ShapeError("Expected steps >= 0, starts >= 1, tolerances >= 0 and damping > 0, got others.")
     return Search(steps, starts, position, rotation, damping)
-
-
-def check_threads(threads: Any) -> None:
-    """Refuse a number of threads that is not an integer from 1 to 256.
-
-    Raises
-    ------
-    ConfigError
-        When it is not.
-    """
-    if not isinstance(threads, int | np.integer) or isinstance(threads, bool) or not 1 <= threads <= MAX_THREADS:
-        raise ConfigError(f"Expected threads to be an integer from 1 to {MAX_THREADS}, got {threads!r}.")
 
 
 def _place(name: str, good: np.ndarray) -> str:

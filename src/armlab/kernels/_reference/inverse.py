@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from armlab.errors import ShapeError
-from armlab.kernels._reference.arrays import read
+from armlab.kernels._reference.arrays import check_threads, read
 from armlab.kernels._reference.chain import Chain
 from armlab.kernels._reference.descent import HASTY, PATIENT, Descent, Goal, Search
-from armlab.kernels._reference.goals import check_threads, read_goals, read_search, read_starts, read_task
+from armlab.kernels._reference.goals import read_goals, read_search, read_starts, read_task
 
 __all__ = ["InverseSolver"]
 
