@@ -1,5 +1,6 @@
 // Python functions of the Lie groups: arguments are checked in lie_arguments, the mathematics is in lie.h and se3.h.
 #include "arrays.h"
+#include "euler.h"
 #include "lie.h"
 #include "lie_arguments.h"
 #include "se3.h"
@@ -96,6 +97,23 @@ nb::object so3_angle(nb::handle R_a_, nb::handle R_b_, nb::handle out_) {
   return out.array();
 }
 
+nb::object so3_interpolate(nb::handle R_a_, nb::handle R_b_, nb::handle s_, nb::handle out_) {
+  Elements R_a(R_a_, "R_a", {3, 3}), R_b(R_b_, "R_b", {3, 3}), s(s_, "s", {});
+  Elements::broadcast({&R_a, &R_b, &s});
+  const Output out(out_, "out", {3, 3}, {&R_a, &R_b, &s});
+  const auto ins = std::array{R_a.samples(), R_b.samples(), s.samples()};
+  const bool right = looks_right<3>(R_a, ins, out, [](const auto &in, auto *R) {
+    const auto a = rotation_at(in[0], 3), b = rotation_at(in[1], 3);
+    armlab::so3_interpolate(a, b, *in[2]).write(R, 3);
+    return looks_orthonormal(a) & looks_orthonormal(b);
+  });
+  if (!right) {
+    refuse_no_rotation(R_a, "R_a");
+    refuse_no_rotation(R_b, "R_b");
+  }
+  return out.array();
+}
+
 nb::object so3_left_jacobian(nb::handle w, nb::handle out) {
   return of_vectors(w, "w", 3, out, {3, 3}, [](auto *numbers, auto *J) {
     const auto w = vector_at(numbers);
@@ -135,6 +153,37 @@ nb::object se3_adjoint(nb::handle T, nb::handle out) {
     const auto p = T.p;
     write_blocks({T.x, T.y, T.z}, {cross(p, T.x), cross(p, T.y), cross(p, T.z)}, Ad);
   });
+}
+
+nb::object se3_transform_wrench(nb::handle T_, nb::handle wrench_, nb::handle out_) {
+  Elements T(T_, "T_a_b", {4, 4}), wrench(wrench_, "wrench_b", {6});
+  Elements::broadcast({&T, &wrench});
+  const Output out(out_, "out", {6}, {&T, &wrench});
+  const bool right = looks_right<2>(T, {T.samples(), wrench.samples()}, out, [](const auto &in, auto *wrench_a) {
+    const auto T = pose_at(in[0]);
+    const auto f = T.turn(vector_at(in[1]));
+    write(f, wrench_a);
+    write(T.turn(vector_at(in[1] + 3)) + cross(T.p, f), wrench_a + 3);
+    return looks_rigid(in[0]);
+  });
+  if (!right) refuse_no_pose(T, "T_a_b");
+  return out.array();
+}
+
+nb::object se3_interpolate(nb::handle T_a_, nb::handle T_b_, nb::handle s_, bool screw, nb::handle out_) {
+  Elements T_a(T_a_, "T_a", {4, 4}), T_b(T_b_, "T_b", {4, 4}), s(s_, "s", {});
+  Elements::broadcast({&T_a, &T_b, &s});
+  const Output out(out_, "out", {4, 4}, {&T_a, &T_b, &s});
+  const auto ins = std::array{T_a.samples(), T_b.samples(), s.samples()};
+  const bool right = looks_right<3>(T_a, ins, out, [screw](const auto &in, auto *T) {
+    armlab::se3_interpolate(pose_at(in[0]), pose_at(in[1]), *in[2], screw).write(T);
+    return looks_rigid(in[0]) & looks_rigid(in[1]);
+  });
+  if (!right) {
+    refuse_no_pose(T_a, "T_a");
+    refuse_no_pose(T_b, "T_b");
+  }
+  return out.array();
 }
 
 nb::object se3_left_jacobian(nb::handle xi, nb::handle out) {
@@ -195,6 +244,23 @@ nb::object quaternion_slerp(nb::handle a_, nb::handle b_, nb::handle s_, nb::han
   return out.array();
 }
 
+nb::object euler_from_rpy(nb::handle rpy, int first, int middle, int last, nb::handle out) {
+  const Axes axes{first, middle, last};
+  return of_vectors(rpy, "rpy", 3, out, {3, 3}, [axes](auto *rpy, auto *R) { matrix_from_angles(rpy, axes, R); });
+}
+
+nb::object euler_to_rpy(nb::handle R_, int first, int middle, int last, nb::handle out_) {
+  const Axes axes{first, middle, last};
+  const Elements R(R_, "R", {3, 3});
+  const Output out(out_, "out", {3}, {&R});
+  const bool right = looks_right<1>(R, {R.samples()}, out, [axes](const auto &in, auto *rpy) {
+    angles_from_matrix(in[0], axes, rpy);
+    return looks_orthonormal(rotation_at(in[0], 3));
+  });
+  if (!right) refuse_no_rotation(R, "R");
+  return out.array();
+}
+
 }  // namespace
 
 void bind_lie_functions(nb::module_ &m) {
@@ -218,6 +284,13 @@ void bind_lie_functions(nb::module_ &m) {
   m.def("rotations", &rotations, arg("R"), arg("name"));
   m.def("poses", &poses, arg("T"), arg("name"));
   m.def("so3_angle", &so3_angle, arg("R_a"), arg("R_b"), arg("out") = nb::none());
+  m.def("so3_interpolate", &so3_interpolate, arg("R_a"), arg("R_b"), arg("s"), arg("out") = nb::none());
+  m.def("se3_transform_wrench", &se3_transform_wrench, arg("T_a_b"), arg("wrench_b"), arg("out") = nb::none());
+  m.def("se3_interpolate", &se3_interpolate, arg("T_a"), arg("T_b"), arg("s"), arg("screw") = false,
+        arg("out") = nb::none());
+  m.def("euler_from_rpy", &euler_from_rpy, arg("rpy"), arg("first"), arg("middle"), arg("last"),
+        arg("out") = nb::none());
+  m.def("euler_to_rpy", &euler_to_rpy, arg("R"), arg("first"), arg("middle"), arg("last"), arg("out") = nb::none());
   m.def("quaternion_multiply", &quaternion_multiply, arg("p"), arg("q"), arg("out") = nb::none());
   m.def("quaternion_slerp", &quaternion_slerp, arg("a"), arg("b"), arg("s"), arg("out") = nb::none());
 }

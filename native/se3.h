@@ -141,4 +141,35 @@ inline Pose<Real> pose_inverse(const Pose<Real> &T) {
   return {R.x, R.y, R.z, Real(-1.0) * T.turn_back(T.p)};
 }
 
+// What a condition chooses, number by number.
+template <class Condition, class Real>
+inline Vec3<Real> select(const Condition &condition, const Vec3<Real> &yes, const Vec3<Real> &no) {
+  return {select(condition, yes.x, no.x), select(condition, yes.y, no.y), select(condition, yes.z, no.z)};
+}
+
+// R_a exp(s log(R_a^T R_b)), from the nearer end, which is exact that way.
+template <class Real>
+inline Rotation<Real> so3_interpolate(const Rotation<Real> &a, const Rotation<Real> &b, const Real &s) {
+  const Vec3<Real> w = so3_log(a.inverse() * b);
+  const auto late = Real(0.5) < s;
+  const Rotation<Real> nearer{select(late, b.x, a.x), select(late, b.y, a.y), select(late, b.z, a.z)};
+  return nearer * so3_exp(select(late, s - Real(1.0), s) * w);
+}
+
+// The same of poses, along a screw; otherwise the position along a line and the rotation as above.
+template <class Real>
+inline Pose<Real> se3_interpolate(const Pose<Real> &a, const Pose<Real> &b, const Real &s, bool screw) {
+  const auto late = Real(0.5) < s;
+  const Real rest = select(late, s - Real(1.0), s);
+  if (screw) {
+    const Pose<Real> nearer{select(late, b.x, a.x), select(late, b.y, a.y), select(late, b.z, a.z),
+                            select(late, b.p, a.p)};
+    Vec3<Real> v, w;
+    se3_log(pose_inverse(a) * b, v, w);
+    return nearer * se3_exp(rest * v, rest * w);
+  }
+  const Rotation<Real> R = so3_interpolate(Rotation<Real>{a.x, a.y, a.z}, Rotation<Real>{b.x, b.y, b.z}, s);
+  return {R.x, R.y, R.z, select(late, b.p, a.p) + rest * (b.p - a.p)};
+}
+
 }  // namespace armlab

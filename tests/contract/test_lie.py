@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
+from functools import partial
 from importlib.util import find_spec
 from typing import Any
 
@@ -19,7 +21,7 @@ if find_spec("armlab.kernels._native") is None:
 
 from armlab.kernels import _native
 
-FUNCTIONS = {  # name: kinds of the arguments
+FUNCTIONS = {  # name, with what is chosen beside the arrays: kinds of the arguments
     "so3_exp": ("w",),
     "so3_log": ("R",),
     "so3_angle": ("R", "R2"),
@@ -31,11 +33,22 @@ FUNCTIONS = {  # name: kinds of the arguments
     "se3_adjoint": ("T",),
     "se3_left_jacobian": ("xi",),
     "se3_left_jacobian_inv": ("xi",),
+    "so3_interpolate": ("R", "R2", "s"),
+    "se3_interpolate": ("T", "T2", "s"),
+    "se3_interpolate screw": ("T", "T2", "s"),
+    "se3_transform_wrench": ("T", "xi"),
+    "euler_from_rpy zyx": ("w",),
+    "euler_from_rpy zyz": ("w",),
+    "euler_to_rpy zyx": ("R",),
+    "euler_to_rpy xyz": ("R",),
+    "euler_to_rpy zyz": ("R",),
     "quaternion_from_matrix": ("R",),
     "quaternion_to_matrix": ("q",),
     "quaternion_multiply": ("q", "q2"),
     "quaternion_slerp": ("q", "q2", "s"),
 }
+BROADCAST = [name for name, kinds in FUNCTIONS.items() if len(kinds) > 1]
+TAILS = {"R": 2, "R2": 2, "T": 2, "T2": 2, "s": 0, "q": 1, "q2": 1, "xi": 1}
 BATCHES = [(), (1,), (3,), (4,), (9,), (2, 3), (0,), (5, 0), (1, 2, 1)]
 TURN = st.one_of(
     st.sampled_from([0.0, 1e-300, 1e-155, 1e-12, 1e-6, 0.4999, 0.5, np.pi - 1e-9, np.pi]),
@@ -51,7 +64,21 @@ def inputs(batch: tuple[int, ...], turns: np.ndarray, seed: int) -> dict[str, np
     xi = np.concatenate([rng.standard_normal((*batch, 3)), w], axis=-1)
     R, R2 = (_reference.so3_exp(v) for v in (w, rng.standard_normal((*batch, 3))))
     q, q2 = (_reference.quaternion_from_matrix(M) for M in (R, R2))
-    return {"w": w, "xi": xi, "R": R, "R2": R2, "T": _reference.se3_exp(xi), "q": q, "q2": -q2, "s": turns / 3}
+    T = _reference.se3_exp(xi)
+    T2 = T.copy()
+    T2[..., :3, :3], T2[..., :3, 3] = R2, w
+    return {"w": w, "xi": xi, "R": R, "R2": R2, "T": T, "T2": T2, "q": q, "q2": -q2, "s": turns / 3}
+
+
+def function(module: Any, name: str) -> Callable[..., np.ndarray]:
+    """The function of a name in `FUNCTIONS`."""
+    name, _, chosen = name.partition(" ")
+    if chosen == "screw":
+        return partial(getattr(module, name), screw=True)
+    if chosen:
+        first, middle, last = ("xyz".index(letter) for letter in chosen)
+        return partial(getattr(module, name), first=first, middle=middle, last=last)
+    return getattr(module, name)
 
 
 @st.composite
@@ -73,7 +100,7 @@ def batch() -> dict[str, np.ndarray]:
 def test_native_is_the_reference(case: dict[str, np.ndarray]) -> None:
     for name, kinds in FUNCTIONS.items():
         arguments = [case[kind] for kind in kinds]
-        ours, wanted = (getattr(module, name)(*arguments) for module in (_native, _reference))
+        ours, wanted = (function(module, name)(*arguments) for module in (_native, _reference))
         assert ours.shape == wanted.shape
         assert ours.dtype == wanted.dtype == np.float64
         if name == "se3_log":
@@ -96,9 +123,9 @@ def test_logarithms_of_poses_agree(case: dict[str, np.ndarray]) -> None:
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_every_kind_of_input_gives_the_same(module: Any, batch: dict[str, np.ndarray], name: str) -> None:
     """Read-only, non-contiguous, big-endian and lists; and no input is changed."""
-    function, plain = getattr(module, name), [batch[kind] for kind in FUNCTIONS[name]]
+    call, plain = function(module, name), [batch[kind] for kind in FUNCTIONS[name]]
     before = [array.copy() for array in plain]
-    wanted = function(*plain)
+    wanted = call(*plain)
     for array in plain:
         array.flags.writeable = False
     strided = [np.repeat(array, 2, axis=-1)[..., ::2] for array in plain]
@@ -106,7 +133,7 @@ def test_every_kind_of_input_gives_the_same(module: Any, batch: dict[str, np.nda
     swapped = [array.astype(">f8") for array in plain]
     lists = [array.tolist() for array in plain]
     for arguments in (plain, strided, transposed, swapped, lists):
-        np.testing.assert_array_equal(function(*arguments), wanted)
+        np.testing.assert_array_equal(call(*arguments), wanted)
     for array, saved in zip(plain, before, strict=True):
         np.testing.assert_array_equal(array, saved)
 
@@ -114,49 +141,49 @@ def test_every_kind_of_input_gives_the_same(module: Any, batch: dict[str, np.nda
 @MODULES
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_out_is_filled_and_returned(module: Any, batch: dict[str, np.ndarray], name: str) -> None:
-    function, arguments = getattr(module, name), [batch[kind] for kind in FUNCTIONS[name]]
-    wanted = function(*arguments)
+    call, arguments = function(module, name), [batch[kind] for kind in FUNCTIONS[name]]
+    wanted = call(*arguments)
     out = np.full(wanted.shape, np.nan)
-    assert function(*arguments, out=out) is out
+    assert call(*arguments, out=out) is out
     np.testing.assert_array_equal(out, wanted)
     with pytest.raises(ShapeError, match="writable C-contiguous float64"):
-        function(*arguments, out=np.empty(wanted.shape, dtype=np.float32))
+        call(*arguments, out=np.empty(wanted.shape, dtype=np.float32))
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_batch_is_a_loop(batch: dict[str, np.ndarray], name: str) -> None:
     """Bit for bit, for whole groups of four samples and for the rest."""
-    function, arguments = getattr(_native, name), [batch[kind] for kind in FUNCTIONS[name]]
-    whole = function(*arguments)
+    call, arguments = function(_native, name), [batch[kind] for kind in FUNCTIONS[name]]
+    whole = call(*arguments)
     for index in np.ndindex(2, 35):
-        np.testing.assert_array_equal(function(*[array[index] for array in arguments]), whole[index])
+        np.testing.assert_array_equal(call(*[array[index] for array in arguments]), whole[index])
 
 
 @MODULES
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_nan_stays_in_its_sample(module: Any, batch: dict[str, np.ndarray], name: str) -> None:
-    function, arguments = getattr(module, name), [batch[kind].copy() for kind in FUNCTIONS[name]]
-    clean = function(*arguments)
+    call, arguments = function(module, name), [batch[kind].copy() for kind in FUNCTIONS[name]]
+    clean = call(*arguments)
     arguments[0][1, 2] = np.nan
-    dirty = function(*arguments)
+    dirty = call(*arguments)
     assert np.isnan(dirty[1, 2]).any()
     dirty[1, 2] = clean[1, 2]
     np.testing.assert_array_equal(dirty, clean)
 
 
 @MODULES
-@pytest.mark.parametrize("name", ["so3_angle", "quaternion_multiply", "quaternion_slerp"])
+@pytest.mark.parametrize("name", BROADCAST)
 def test_leading_axes_broadcast(module: Any, batch: dict[str, np.ndarray], name: str) -> None:
-    function, arguments = getattr(module, name), [batch[kind] for kind in FUNCTIONS[name]]
+    call, arguments = function(module, name), [batch[kind] for kind in FUNCTIONS[name]]
     arguments[0] = arguments[0][:, :1]
     arguments[1] = arguments[1][0]
-    tails = [2, 2] if name == "so3_angle" else [1, 1, 0]
+    tails = [TAILS[kind] for kind in FUNCTIONS[name]]
     full = [np.broadcast_to(a, (2, 35, *a.shape[a.ndim - t :])) for a, t in zip(arguments, tails)]
-    np.testing.assert_array_equal(function(*arguments), function(*full))
-    if name == "quaternion_slerp":
+    np.testing.assert_array_equal(call(*arguments), call(*full))
+    if len(arguments) == 3:
         arguments[2], full[2] = arguments[2][0], arguments[2]
     arguments[0], full[0] = arguments[0][0, 0], np.broadcast_to(full[0][0, 0], full[0].shape)
-    np.testing.assert_array_equal(function(*arguments), function(*[array[0] for array in full]))
+    np.testing.assert_array_equal(call(*arguments), call(*[array[0] for array in full]))
 
 
 @MODULES

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from armlab import kernels
 from armlab.errors import UnknownName
-from armlab.lie import _check, so3
+from armlab.lie import so3
 from armlab.lie._mean import shares
 
 PATHS = ("linear", "screw")
@@ -23,7 +23,11 @@ def assemble(R: np.ndarray, p: np.ndarray) -> np.ndarray:
 
 
 def interpolate(
-    T_a: ArrayLike, T_b: ArrayLike, s: ArrayLike, path: Literal["linear", "screw"] = "linear"
+    T_a: ArrayLike,
+    T_b: ArrayLike,
+    s: ArrayLike,
+    path: Literal["linear", "screw"] = "linear",
+    out: np.ndarray | None = None,
 ) -> np.ndarray:
     """Move from a to b: the position along a line, the rotation about one axis, both at constant speed.
 
@@ -35,6 +39,7 @@ def interpolate(
     T_a, T_b : (..., 4, 4) poses in one frame, leading axes broadcast with those of s.
     s : (...) 0 at a, 1 at b.
     path : "linear" or "screw".
+    out : (..., 4, 4) array to write into.
 
     Returns
     -------
@@ -47,14 +52,7 @@ def interpolate(
     """
     if path not in PATHS:
         raise UnknownName.among("path between poses", path, PATHS)
-    T_a, T_b = kernels.poses(T_a, "T_a"), kernels.poses(T_b, "T_b")
-    s = _check.array(s, (), "s")
-    late = s > 0.5  # from the nearer end, which is exact that way
-    rest, nearer = np.where(late, s - 1, s)[..., None], np.where(late[..., None, None], T_b, T_a)
-    if path == "screw":
-        return nearer @ kernels.se3_exp(rest * kernels.se3_log(kernels.se3_inv(T_a) @ T_b))
-    p = nearer[..., :3, 3] + rest * (T_b[..., :3, 3] - T_a[..., :3, 3])
-    return assemble(so3.interpolate(T_a[..., :3, :3], T_b[..., :3, :3], s), p)
+    return kernels.se3_interpolate(T_a, T_b, s, path == "screw", out)
 
 
 def mean(

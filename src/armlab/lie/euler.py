@@ -18,7 +18,6 @@ __all__ = ["CONVENTIONS", "Convention", "from_rpy", "rot_x", "rot_y", "rot_z", "
 
 Convention = Literal["zyx", "xyz", "zyz"]
 CONVENTIONS = ("zyx", "xyz", "zyz")
-LOCK = 1e-13  # below, the first and the last axis are parallel to the last digit
 
 
 def rot_x(angle: ArrayLike) -> np.ndarray:
@@ -63,13 +62,14 @@ def rot_z(angle: ArrayLike) -> np.ndarray:
     return _turn(angle, 2)
 
 
-def from_rpy(rpy: ArrayLike, convention: Convention) -> np.ndarray:
+def from_rpy(rpy: ArrayLike, convention: Convention, out: np.ndarray | None = None) -> np.ndarray:
     """Return the rotation ``R_1(r) R_2(p) R_3(y)`` about the axes that the convention names.
 
     Parameters
     ----------
     rpy : (..., 3) angles in the order of the product [rad].
     convention : "zyx", "xyz" or "zyz".
+    out : (..., 3, 3) array to write into.
 
     Returns
     -------
@@ -79,12 +79,10 @@ def from_rpy(rpy: ArrayLike, convention: Convention) -> np.ndarray:
     ------
     UnknownName : when the convention does not exist.
     """
-    rpy = _check.array(rpy, (3,), "rpy")
-    first, middle, last = (_turn(rpy[..., k], axis) for k, axis in enumerate(_axes(convention)))
-    return first @ middle @ last
+    return kernels.euler_from_rpy(rpy, *_axes(convention), out)
 
 
-def to_rpy(R: ArrayLike, convention: Convention) -> np.ndarray:
+def to_rpy(R: ArrayLike, convention: Convention, out: np.ndarray | None = None) -> np.ndarray:
     """Return the angles with ``from_rpy(to_rpy(R, c), c) = R``.
 
     The middle angle is in [-π/2, π/2] for zyx and xyz, in [0, π] for zyz. Where the first and the last axis are
@@ -94,6 +92,7 @@ def to_rpy(R: ArrayLike, convention: Convention) -> np.ndarray:
     ----------
     R : (..., 3, 3).
     convention : "zyx", "xyz" or "zyz".
+    out : (..., 3) array to write into.
 
     Returns
     -------
@@ -104,21 +103,7 @@ def to_rpy(R: ArrayLike, convention: Convention) -> np.ndarray:
     ShapeError : when R is not a rotation within `so3.ROTATION_TOLERANCE`.
     UnknownName : when the convention does not exist.
     """
-    i, j, last = _axes(convention)
-    R = kernels.rotations(R, "R")
-    k = 3 - i - j
-    e = 1.0 if (j - i) % 3 == 1 else -1.0  # e_i × e_j = e e_k
-    if last == i:  # column i of R is what the first two turns make of axis i
-        sine, cosine = R[..., j, i], -e * R[..., k, i]
-        middle = np.arctan2(np.hypot(sine, cosine), R[..., i, i])
-    else:
-        sine, cosine = -e * R[..., j, k], R[..., k, k]
-        middle = np.arctan2(e * R[..., i, k], np.hypot(sine, cosine))
-    first = np.where(np.hypot(sine, cosine) < LOCK, 0.0, np.arctan2(sine, cosine))
-    # Row j after the first turn is undone holds the last turn alone, so lock does not touch it.
-    row = np.cos(first)[..., None] * R[..., j, :] + e * np.sin(first)[..., None] * R[..., k, :]
-    about = e * row[..., i] if last != i else -e * row[..., k]
-    return np.stack([first, middle, np.arctan2(about, row[..., j])], axis=-1)
+    return kernels.euler_to_rpy(R, *_axes(convention), out)
 
 
 def _axes(convention: str) -> tuple[int, int, int]:
@@ -129,10 +114,7 @@ def _axes(convention: str) -> tuple[int, int, int]:
 
 
 def _turn(angle: ArrayLike, axis: int) -> np.ndarray:
-    angle = np.asarray(angle, dtype=np.float64)
-    c, s = np.cos(angle), np.sin(angle)
-    R = np.zeros((*angle.shape, 3, 3))
-    j, k = (axis + 1) % 3, (axis + 2) % 3
-    R[..., axis, axis] = 1.0
-    R[..., j, j], R[..., k, k], R[..., j, k], R[..., k, j] = c, c, -s, s
-    return R
+    angle = _check.array(angle, (), "angle")
+    angles = np.zeros((*angle.shape, 3))
+    angles[..., 0] = angle
+    return kernels.euler_from_rpy(angles, axis, (axis + 1) % 3, axis)

@@ -205,7 +205,7 @@ def adjoint_inv(T_a_b: ArrayLike) -> np.ndarray:
     return adjoint(inv(T_a_b))
 
 
-def transform_wrench(T_a_b: ArrayLike, wrench_b: ArrayLike) -> np.ndarray:
+def transform_wrench(T_a_b: ArrayLike, wrench_b: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
     """Return a wrench in another frame, power kept: ``f_a = R f_b``, ``m_a = R m_b + p × f_a``.
 
     Axes and moment point change together: the moment of `wrench_b` is about b's origin, the result's about a's.
@@ -214,6 +214,7 @@ def transform_wrench(T_a_b: ArrayLike, wrench_b: ArrayLike) -> np.ndarray:
     ----------
     T_a_b : (..., 4, 4), leading axes broadcast.
     wrench_b : (..., 6) [f; m] in b.
+    out : (..., 6) array to write into.
 
     Returns
     -------
@@ -223,11 +224,7 @@ def transform_wrench(T_a_b: ArrayLike, wrench_b: ArrayLike) -> np.ndarray:
     ------
     ShapeError : when T_a_b is not a pose within `so3.ROTATION_TOLERANCE`.
     """
-    T, wrench = kernels.poses(T_a_b, "T_a_b"), _check.array(wrench_b, (6,), "wrench_b")
-    R, p = T[..., :3, :3], T[..., :3, 3]
-    f = (R @ wrench[..., :3, None])[..., 0]
-    m = (R @ wrench[..., 3:, None])[..., 0] + np.cross(p, f)
-    return np.concatenate([f, m], axis=-1)
+    return kernels.se3_transform_wrench(T_a_b, wrench_b, out)
 
 
 def is_pose(T: ArrayLike, tolerance: float = so3.ROTATION_TOLERANCE) -> np.ndarray:

@@ -210,7 +210,7 @@ def left_jacobian_inv(w: ArrayLike, out: np.ndarray | None = None) -> np.ndarray
     return kernels.so3_left_jacobian_inv(w, out)
 
 
-def interpolate(R_a: ArrayLike, R_b: ArrayLike, s: ArrayLike) -> np.ndarray:
+def interpolate(R_a: ArrayLike, R_b: ArrayLike, s: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
     """Turn from a to b about one axis at constant speed: ``R_a exp(s log(R_aᵀ R_b))``.
 
     Both ends are exact. Between them it is `quaternion.slerp`; beyond them the turn goes on.
@@ -219,6 +219,7 @@ def interpolate(R_a: ArrayLike, R_b: ArrayLike, s: ArrayLike) -> np.ndarray:
     ----------
     R_a, R_b : (..., 3, 3), leading axes broadcast with those of s.
     s : (...) 0 at a, 1 at b.
+    out : (..., 3, 3) array to write into.
 
     Returns
     -------
@@ -228,8 +229,4 @@ def interpolate(R_a: ArrayLike, R_b: ArrayLike, s: ArrayLike) -> np.ndarray:
     ------
     ShapeError : when one is not a rotation within `ROTATION_TOLERANCE`.
     """
-    R_a, R_b = kernels.rotations(R_a, "R_a"), kernels.rotations(R_b, "R_b")
-    s = _check.array(s, (), "s")
-    w = kernels.so3_log(np.swapaxes(R_a, -1, -2) @ R_b)
-    late = s > 0.5  # the nearer end, which is exact that way
-    return np.where(late[..., None, None], R_b, R_a) @ kernels.so3_exp(np.where(late, s - 1, s)[..., None] * w)
+    return kernels.so3_interpolate(R_a, R_b, s, out)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from armlab.kernels._reference.chain import Chain
 from armlab.kernels._reference.estimator import WrenchEstimator
+from armlab.kernels._reference.euler import euler_from_rpy, euler_to_rpy
 from armlab.kernels._reference.inverse import InverseSolver
 from armlab.kernels._reference.lie import (
     quaternion_from_matrix,
@@ -15,12 +16,15 @@ from armlab.kernels._reference.lie import (
     quaternion_to_matrix,
     se3_adjoint,
     se3_exp,
+    se3_interpolate,
     se3_inv,
     se3_left_jacobian,
     se3_left_jacobian_inv,
     se3_log,
+    se3_transform_wrench,
     so3_angle,
     so3_exp,
+    so3_interpolate,
     so3_left_jacobian,
     so3_left_jacobian_inv,
     so3_log,
@@ -35,6 +39,8 @@ __all__ = [
     "Chain",
     "InverseSolver",
     "WrenchEstimator",
+    "euler_from_rpy",
+    "euler_to_rpy",
     "limit_reference",
     "momentum_step",
     "poses",
@@ -46,12 +52,15 @@ __all__ = [
     "rotations",
     "se3_adjoint",
     "se3_exp",
+    "se3_interpolate",
     "se3_inv",
     "se3_left_jacobian",
     "se3_left_jacobian_inv",
     "se3_log",
+    "se3_transform_wrench",
     "so3_angle",
     "so3_exp",
+    "so3_interpolate",
     "so3_left_jacobian",
     "so3_left_jacobian_inv",
     "so3_log",

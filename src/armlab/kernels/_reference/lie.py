@@ -21,12 +21,15 @@ __all__ = [
     "quaternion_to_matrix",
     "se3_adjoint",
     "se3_exp",
+    "se3_interpolate",
     "se3_inv",
     "se3_left_jacobian",
     "se3_left_jacobian_inv",
     "se3_log",
+    "se3_transform_wrench",
     "so3_angle",
     "so3_exp",
+    "so3_interpolate",
     "so3_left_jacobian",
     "so3_left_jacobian_inv",
     "so3_log",
@@ -63,6 +66,15 @@ def so3_angle(R_a: Any, R_b: Any, out: Any = None) -> np.ndarray:
     broadcast(R_a=(R_a, 2), R_b=(R_b, 2))
     q = _from_matrix(np.swapaxes(rotations(R_a, "R_a"), -1, -2) @ rotations(R_b, "R_b"))
     return result(np.asarray(2 * np.arctan2(_norm(q[..., 1:]), q[..., 0])), out)
+
+
+def so3_interpolate(R_a: Any, R_b: Any, s: Any, out: Any = None) -> np.ndarray:
+    """``R_a exp(s log(R_aᵀ R_b))``, from the nearer end, which is exact that way."""
+    R_a, R_b, s = elements(R_a, "R_a", (3, 3)), elements(R_b, "R_b", (3, 3)), elements(s, "s", ())
+    broadcast(R_a=(R_a, 2), R_b=(R_b, 2), s=(s, 0))
+    w = so3_log(np.swapaxes(rotations(R_a, "R_a"), -1, -2) @ rotations(R_b, "R_b"))
+    nearer, rest = _nearer(R_a, R_b, s)
+    return result(nearer @ so3_exp(rest * w), out)
 
 
 def so3_left_jacobian(w: Any, out: Any = None) -> np.ndarray:
@@ -106,6 +118,27 @@ def se3_adjoint(T_a_b: Any, out: Any = None) -> np.ndarray:
     T = poses(T_a_b, "T_a_b")
     R = T[..., :3, :3]
     return result(_blocks(R, _hat(T[..., :3, 3]) @ R), out)
+
+
+def se3_transform_wrench(T_a_b: Any, wrench_b: Any, out: Any = None) -> np.ndarray:
+    """``f_a = R f_b``, ``m_a = R m_b + p × f_a``."""
+    T, wrench = elements(T_a_b, "T_a_b", (4, 4)), elements(wrench_b, "wrench_b", (6,))
+    broadcast(T_a_b=(T, 2), wrench_b=(wrench, 1))
+    R, p = poses(T, "T_a_b")[..., :3, :3], T[..., :3, 3]
+    f = _apply(R, wrench[..., :3])
+    return result(np.concatenate([f, _apply(R, wrench[..., 3:]) + np.cross(p, f)], axis=-1), out)
+
+
+def se3_interpolate(T_a: Any, T_b: Any, s: Any, screw: bool = False, out: Any = None) -> np.ndarray:
+    """``T_a exp(s log(T_a⁻¹ T_b))`` when `screw`, otherwise the position along a line and the rotation as above."""
+    T_a, T_b, s = elements(T_a, "T_a", (4, 4)), elements(T_b, "T_b", (4, 4)), elements(s, "s", ())
+    broadcast(T_a=(T_a, 2), T_b=(T_b, 2), s=(s, 0))
+    poses(T_a, "T_a"), poses(T_b, "T_b")
+    nearer, rest = _nearer(T_a, T_b, s)
+    if screw:
+        return result(nearer @ se3_exp(rest * se3_log(se3_inv(T_a) @ T_b)), out)
+    p = nearer[..., :3, 3] + rest * (T_b[..., :3, 3] - T_a[..., :3, 3])
+    return result(_pose(so3_interpolate(T_a[..., :3, :3], T_b[..., :3, :3], s), p), out)
 
 
 def se3_left_jacobian(xi: Any, out: Any = None) -> np.ndarray:
@@ -170,6 +203,12 @@ def _from_matrix(R: np.ndarray) -> np.ndarray:
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
     first = np.argmax(q != 0, axis=-1)
     return np.where(np.take_along_axis(q, first[..., None], axis=-1) < 0, -q, q)
+
+
+def _nearer(a: np.ndarray, b: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The end that is nearer, and (..., 1) how far it is to go from there."""
+    late = s > 0.5
+    return np.where(late[..., None, None], b, a), np.where(late, s - 1, s)[..., None]
 
 
 def _left_jacobian(theta: np.ndarray) -> _Coefficients:
