@@ -73,6 +73,7 @@ def _in_numpy(torque_model: TorqueModel, robot: Robot) -> Estimator:
     torque = "armlab.models.torque"
     with (
         patch(f"{torque}.Chain", _reference.Chain),
+        patch(f"{torque}.Drive", _reference.Drive),
         patch(f"{torque}.WrenchEstimator", _reference.WrenchEstimator),
     ):
         return Estimator(replace(torque_model), robot)

@@ -1,12 +1,9 @@
-// Python class WrenchEstimator and function presliding: arguments are checked here, the mathematics is in estimator.cpp.
+// Python class WrenchEstimator: arguments are checked here, the mathematics is in estimator.cpp.
 #include <algorithm>
 #include <array>
-#include <cmath>
 #include <cstdint>
 #include <initializer_list>
-#include <limits>
 #include <string>
-#include <vector>
 
 #include "arrays.h"
 #include "estimator.h"
@@ -17,17 +14,17 @@ namespace {
 constexpr int methods = 6;  // of WrenchMethod
 
 void construct(WrenchEstimator *self, const Chain &chain, nb::handle gravity_, nb::handle links_, nb::handle rotor_,
-               nb::handle friction_, nb::handle ripple_, nb::handle covariance_, nb::handle bound_, nb::handle prior_,
+               const Drive &drive, nb::handle covariance_, nb::handle bound_, nb::handle prior_,
                double cutoff, int method, nb::handle point_) {
   const int n = chain.n;
-  const Input gravity(gravity_, "gravity"), links(links_, "links"), rotor(rotor_, "rotor"), friction(friction_, "friction");
-  const Input ripple(ripple_, "ripple"), covariance(covariance_, "covariance"), bound(bound_, "bound");
+  const Input gravity(gravity_, "gravity"), links(links_, "links"), rotor(rotor_, "rotor");
+  const Input covariance(covariance_, "covariance"), bound(bound_, "bound");
   const Input prior(prior_, "prior");
   gravity.require_exactly({3});
   links.require_exactly({n, 10});
   rotor.require_exactly({n});
-  friction.require_exactly({8, n});
-  ripple.require_exactly({3, n});
+  if (drive.n != n)
+    raise_shape_error("Expected a drive of " + std::to_string(n) + " joints like the chain, got " + std::to_string(drive.n) + ".");
   covariance.require_exactly({4, n});
   bound.require_exactly({3, n});
   prior.require_exactly({6});
@@ -36,10 +33,9 @@ void construct(WrenchEstimator *self, const Chain &chain, nb::handle gravity_, n
   std::copy_n(links.data(), 10 * n, p.links.begin());
   std::copy_n(rotor.data(), n, p.rotor.begin());
   std::copy_n(prior.data(), 6, p.prior.begin());
-  const double *f = friction.data(), *r = ripple.data(), *c = covariance.data(), *b = bound.data();
+  p.drive = drive;
+  const double *c = covariance.data(), *b = bound.data();
   for (int i = 0; i < n; ++i) {
-    p.friction[i] = {f[i], f[n + i], f[2 * n + i], f[3 * n + i], f[4 * n + i], f[5 * n + i], f[6 * n + i], f[7 * n + i]};
-    p.ripple[i] = {r[i], r[n + i], r[2 * n + i]};
     p.covariance[i] = {c[i], c[n + i], c[2 * n + i], c[3 * n + i]};
     p.bound[i] = {b[i], b[n + i], b[2 * n + i]};
   }
@@ -141,39 +137,6 @@ nb::object run(WrenchEstimator &self, nb::handle q_, nb::handle qd_, nb::handle 
   return out.tuple();
 }
 
-// A fresh array of shape (N, n) and a pointer to its numbers.
-nb::object fresh(std::vector<npy_intp> shape, double *&data) {
-  nb::object array = nb::steal(PyArray_SimpleNew(static_cast<int>(shape.size()), shape.data(), NPY_DOUBLE));
-  if (!array) throw nb::python_error();
-  data = static_cast<double *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(array.ptr())));
-  return array;
-}
-
-nb::object presliding(nb::handle q_, nb::handle delta_, nb::handle resolution_) {
-  const Input q(q_, "q"), delta(delta_, "delta"), resolution(resolution_, "resolution");
-  const npy_intp n = delta.size(), N = n ? q.size() / n : 0;
-  q.require_exactly({N, n});
-  delta.require_exactly({n});
-  resolution.require_exactly({n});
-  double *z;
-  nb::object array = fresh({N, n}, z);
-  nb::gil_scoped_release released;
-  std::vector<double> state(n, 0.0), play;
-  for (npy_intp k = 0; k < N; ++k, z += n) {
-    const double *row = q.data() + n * k;
-    if (!std::all_of(row, row + n, [](double x) { return std::isfinite(x); })) {
-      std::fill(z, z + n, std::numeric_limits<double>::quiet_NaN());
-      continue;
-    }
-    if (play.empty()) play.assign(row, row + n);
-    for (npy_intp i = 0; i < n; ++i) {
-      const double dy = follow(play[i], row[i], resolution.data()[i]);
-      z[i] = state[i] = slide(state[i], dy, delta.data()[i]);
-    }
-  }
-  return array;
-}
-
 }  // namespace
 }  // namespace armlab
 
@@ -182,13 +145,11 @@ void bind_estimator(nb::module_ &m) {
   nb::class_<WrenchEstimator>(m, "WrenchEstimator",
                               "Contact wrench from joint motion and torque; see armlab/kernels/_reference/estimator.py.")
       .def("__init__", &construct, nb::arg("chain"), nb::arg("gravity"), nb::arg("links"), nb::arg("rotor"),
-           nb::arg("friction"), nb::arg("ripple"), nb::arg("covariance"), nb::arg("bound"), nb::arg("prior"),
+           nb::arg("drive"), nb::arg("covariance"), nb::arg("bound"), nb::arg("prior"),
            nb::arg("cutoff"), nb::arg("method") = 0, nb::arg("point") = nb::none())
       .def("reset", &WrenchEstimator::reset, "Forget everything but the parameters.")
       .def("step", &step, nb::arg("q"), nb::arg("qd"), nb::arg("tau"), nb::arg("dt"),
            "Advance by one sample; return F, P, observability, torque error, its variance, flags, active, interval.")
       .def("run", &run, nb::arg("q"), nb::arg("qd"), nb::arg("tau"), nb::arg("dt"),
            "Step along a record (N, n); return the outputs of step stacked over N.");
-  m.def("presliding", &presliding, nb::arg("q"), nb::arg("delta"), nb::arg("resolution"),
-        "Presliding friction state z (N, n) along positions q (N, n); see armlab/kernels/_reference/presliding.py.");
 }

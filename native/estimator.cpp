@@ -32,40 +32,14 @@ double lowpass(double *state, double x, double g, double a) {
 
 }  // namespace
 
-double slide(double z, double dy, double delta) {
-  if (dy == 0.0) return z;
-  const double sign = dy > 0.0 ? 1.0 : -1.0;
-  return sign + (z - sign) * std::exp(-std::fabs(dy) / delta);
-}
-
-double follow(double &y, double q, double resolution) {
-  const double moved = std::min(std::max(y, q - resolution), q + resolution);
-  const double dy = moved - y;
-  y = moved;
-  return dy;
-}
-
 WrenchEstimator::WrenchEstimator(const Parameters &parameters) : p_(parameters) {
-  for (int i = 0; i < n(); ++i) {
-    const JointFriction &f = p_.friction[i];
-    static_[i] = 0.5 * (f.coulomb_pos + f.coulomb_neg) + std::max(f.stribeck, 0.0);
-  }
+  for (int i = 0; i < n(); ++i) static_[i] = p_.drive.at_rest(i);
   reset();
 }
 
 void WrenchEstimator::reset() {
-  joints_.fill(Joint{0.0, 0.0, 0.0, unknown, {{0.0, 0.0}, {0.0, 0.0}}});
+  joints_.fill(Joint{DriveState(), 0.0, unknown, {{0.0, 0.0}, {0.0, 0.0}}});
   first_ = true;
-}
-
-double WrenchEstimator::drive_torque(int i, double q, double qd, double z) const {
-  const JointFriction &f = p_.friction[i];
-  const JointRipple &r = p_.ripple[i];
-  const double slow = qd / f.stribeck_speed;
-  const double coulomb = f.coulomb_pos * std::max(z, 0.0) + f.coulomb_neg * std::min(z, 0.0);
-  double dry = coulomb + f.stribeck * z * std::exp(-(slow * slow));
-  if (has_band()) dry *= 1.0 - slowness(i, qd);  // near rest it is anything within the bound, around zero
-  return f.viscous * qd + dry + f.offset + r.cosine * std::cos(r.cycles * q) + r.sine * std::sin(r.cycles * q);
 }
 
 double WrenchEstimator::slowness(int i, double qd) const {
@@ -82,20 +56,19 @@ bool WrenchEstimator::advance(const double *q, const double *qd, const double *t
   for (int i = 0; i < n; ++i) {
     Joint &joint = next[i] = joints_[i];
     if (first_) {
-      joint.play = q[i];
+      joint.drive.start(q[i]);
       joint.qd = qd[i];
     }
-    const JointFriction &f = p_.friction[i];
-    const double dy = follow(joint.play, q[i], f.resolution);
-    joint.z = slide(joint.z, dy, f.delta);
+    const double dy = p_.drive.move(i, q[i], joint.drive);
     joint.uncertainty += (unknown - joint.uncertainty) * relax;
-    joint.uncertainty *= std::exp(-2.0 * std::fabs(dy) / f.delta);
+    joint.uncertainty *= std::exp(-2.0 * std::fabs(dy) / p_.drive.friction[i].delta);
     qdd[i] = (qd[i] - joint.qd) / dt;
     joint.qd = qd[i];
   }
   rnea(p_.chain, q, qd, qdd, p_.gravity.data(), p_.links.data(), rigid);
   for (int i = 0; i < n; ++i) {
-    raw[i] = rigid[i] + p_.rotor[i] * qdd[i] + drive_torque(i, q[i], qd[i], next[i].z) - tau[i];
+    const double dry_share = has_band() ? 1.0 - slowness(i, qd[i]) : 1.0;  // near rest it is anything within the bound
+    raw[i] = rigid[i] + p_.rotor[i] * qdd[i] + p_.drive.torque(i, q[i], qd[i], next[i].drive, dry_share) - tau[i];
     if (!(std::fabs(raw[i]) < largest)) return false;
   }
   std::copy_n(next.begin(), n, joints_.begin());

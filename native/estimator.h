@@ -4,22 +4,11 @@
 #include <array>
 
 #include "chain.h"
+#include "drive.h"
 #include "wrench.h"
 
 namespace armlab {
 
-// z <- s + (z - s) exp(-|dy| / delta), s = sign(dy).
-double slide(double z, double dy, double delta);
-
-// y follows q with a play of +-resolution; returns dy and moves y.
-double follow(double &y, double q, double resolution);
-
-struct JointFriction {
-  double viscous, coulomb_pos, coulomb_neg, offset, stribeck, stribeck_speed, delta, resolution;
-};
-struct JointRipple {
-  double cycles, cosine, sine;
-};
 struct JointCovariance {
   double at_rest, at_speed, shape, kind;  // kind: 0 exponential, 1 step, 2 constant
 };
@@ -43,8 +32,7 @@ class WrenchEstimator {
     std::array<double, 3> gravity;
     std::array<double, 10 * max_joints> links;
     std::array<double, max_joints> rotor;
-    std::array<JointFriction, max_joints> friction;
-    std::array<JointRipple, max_joints> ripple;
+    Drive drive;
     std::array<JointCovariance, max_joints> covariance;
     std::array<JointBound, max_joints> bound;
     std::array<double, 6> prior;
@@ -68,13 +56,13 @@ class WrenchEstimator {
 
  private:
   struct Joint {
-    double play, qd, z, uncertainty, low[2][2];  // low-pass states of torque error and of uncertainty (or of the bound)
+    DriveState drive;
+    double qd, uncertainty, low[2][2];  // low-pass states of torque error and of uncertainty (or of the bound)
   };
 
   // Moves play, presliding state and velocity by one sample and gives the torque error; false, and nothing moved, when
   // the sample or its torque error is not finite.
   bool advance(const double *q, const double *qd, const double *tau, double dt, double *raw);
-  double drive_torque(int i, double q, double qd, double z) const;
   double slowness(int i, double qd) const;
   void solve(const double *q, WrenchEstimate &estimate) const;
   void intervals(const double *A, const double *S, int k, WrenchEstimate &estimate) const;

@@ -3,6 +3,7 @@
 #include "arrays.h"
 
 void bind_chain(nb::module_ &m);
+void bind_drive(nb::module_ &m);
 void bind_estimator(nb::module_ &m);
 void bind_inverse(nb::module_ &m);
 void bind_lie(nb::module_ &m);
@@ -14,6 +15,7 @@ NB_MODULE(_native, m) {
   if (PyArray_ImportNumPyAPI() < 0) throw nb::python_error();
   m.doc() = "Compiled kernels of armlab; armlab.kernels is their public face.";
   bind_chain(m);
+  bind_drive(m);
   bind_estimator(m);
   bind_inverse(m);
   bind_lie(m);

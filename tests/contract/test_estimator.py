@@ -1,4 +1,4 @@
-"""The compiled estimator and presliding state are held to their NumPy specification."""
+"""The compiled estimator is held to their NumPy specification."""
 
 from __future__ import annotations
 
@@ -21,17 +21,15 @@ def twins(model: TorqueModel, method: int = 0, point: np.ndarray | None = None) 
     """The same estimator in both backends."""
     made = []
     for module in (native, _reference):
-        f, r, c = model.friction, model.ripple, model.covariance
+        c = model.covariance
         chain = module.Chain(model.frames, model.prismatic)
-        rows = [f.viscous, f.coulomb_pos, f.coulomb_neg, f.offset, f.stribeck, f.stribeck_speed, f.delta, f.resolution]
         made.append(
             module.WrenchEstimator(
                 chain,
                 model.gravity,
                 model.link_parameters,
                 model.rotor,
-                np.stack(rows),
-                np.stack([r.cycles, r.cosine, r.sine]),
+                module.Drive(model.friction.rows, model.ripple.rows),
                 np.stack([c.C0, c.Cinf, c.shape, np.arange(7) % 3]),
                 np.stack([model.bound.torque, model.bound.speed, model.bound.floor]),
                 np.array([400.0, 400, 400, 4, 4, 4]),
@@ -94,21 +92,6 @@ def test_reset_forgets_everything(model: TorqueModel, excited: Table) -> None:
             assert np.array_equal(a, b)
 
 
-def test_presliding_agrees() -> None:
-    rng = np.random.default_rng(0)
-    q = np.cumsum(rng.standard_normal((2000, 3)) * [1e-6, 1e-4, 1e-2], axis=0)
-    q[500, 1] = np.nan
-    delta, resolution = np.array([1e-4, 1e-3, 1e-2]), np.array([0.0, 1e-5, 1e-3])
-    np.testing.assert_allclose(
-        native.presliding(q, delta, resolution), _reference.presliding(q, delta, resolution), atol=1e-14
-    )
-
-
-@pytest.mark.parametrize("module", [native, _reference])
-def test_presliding_of_nothing_is_nothing(module: object) -> None:
-    assert module.presliding(np.zeros((0, 3)), np.ones(3), np.zeros(3)).shape == (0, 3)
-
-
 def test_both_refuse_wrong_shapes(model: TorqueModel) -> None:
     errors = import_module("armlab.errors")
     for estimator in twins(model):
@@ -120,8 +103,8 @@ def test_both_refuse_wrong_shapes(model: TorqueModel) -> None:
             estimator.run(np.zeros((5, 7)), np.zeros((5, 7)), np.zeros((4, 7)), np.zeros(5))
     for module in (native, _reference):
         chain = module.Chain(model.frames, model.prismatic)
-        with pytest.raises(errors.ShapeError, match="friction"):
+        with pytest.raises(errors.ShapeError, match="drive of 7 joints"):
             module.WrenchEstimator(
-                chain, model.gravity, model.link_parameters, model.rotor, np.ones((7, 7)), np.ones((3, 7)),
-                np.ones((4, 7)), np.ones((3, 7)), np.ones(6), 10.0,
+                chain, model.gravity, model.link_parameters, model.rotor,
+                module.Drive(np.ones((10, 6)), np.ones((3, 6))), np.ones((4, 7)), np.ones((3, 7)), np.ones(6), 10.0,
             )  # fmt: skip

@@ -26,6 +26,24 @@ def test_friction_torque_is_the_formula() -> None:
     assert f.static[0] == pytest.approx(4.5)
 
 
+def test_the_root_term_grows_with_the_root_of_speed() -> None:
+    f, plain = friction(root=[0.7]), friction()
+    assert f.torque([4.0], [1.0])[0] - plain.torque([4.0], [1.0])[0] == pytest.approx(1.4)
+    assert f.torque([-4.0], [-1.0])[0] - plain.torque([-4.0], [-1.0])[0] == pytest.approx(-1.4)
+    assert f.torque([0.0], [1.0])[0] == plain.torque([0.0], [1.0])[0]
+    assert np.array_equal(plain.root, [0.0])
+    assert np.array_equal(plain.smooth_speed, [0.0])
+    assert f.rows.shape == (10, 1)
+    assert f.rows[8, 0] == 0.7
+
+
+def test_a_smooth_sign_takes_the_place_of_presliding() -> None:
+    f = friction(smooth_speed=[0.05], stribeck=[0.0])
+    for z in (-1.0, 0.0, 1.0):
+        assert f.torque([0.05], [z])[0] == pytest.approx(2 * 0.05 + 3 * np.tanh(1.0) + 0.5)
+        assert f.torque([-0.05], [z])[0] == pytest.approx(-2 * 0.05 - 4 * np.tanh(1.0) + 0.5)
+
+
 def test_presliding_is_exact_for_constant_direction_and_holds_at_rest() -> None:
     q = np.concatenate([np.linspace(0, 2e-3, 50), np.full(20, 2e-3), np.linspace(2e-3, 1e-3, 7)])[:, None]
     z = presliding(q, np.array([1e-3]), np.array([0.0]))[:, 0]
@@ -63,5 +81,7 @@ def test_bad_fields_are_refused() -> None:
         friction(viscous=[np.nan])
     with pytest.raises(ShapeError, match="delta > 0"):
         friction(delta=[0.0])
+    with pytest.raises(ShapeError, match="smooth_speed >= 0"):
+        friction(smooth_speed=[-0.1])
     with pytest.raises(ShapeError, match="like the other fields"):
         friction(offset=[1.0, 2.0])

@@ -16,9 +16,29 @@ def test_torque_is_rigid_plus_friction_plus_ripple(model: TorqueModel) -> None:
     q, qd, qdd = identify.dither(np.zeros(7), 2.0).sample(t)
     z = presliding(q, model.friction.delta, model.friction.resolution)
     expected = model.rigid_torque(q, qd, qdd) + model.friction.torque(qd, z) + model.ripple.torque(q)
-    np.testing.assert_array_equal(model.torque(q, qd, qdd), expected)
+    np.testing.assert_allclose(model.torque(q, qd, qdd), expected, rtol=0, atol=1e-12)
+    slow = model.rigid_torque(q, qd, 0 * q) + model.friction.torque(qd, z) + model.ripple.torque(q)
+    np.testing.assert_allclose(model.torque(q, qd), slow, rtol=0, atol=1e-12)
     assert model.n == 7
     assert isinstance(model.quality, Quality)
+
+
+def test_a_row_with_nan_gives_nan_and_leaves_the_state(model: TorqueModel) -> None:
+    q, qd, qdd = identify.dither(np.zeros(7), 2.0).sample(np.arange(0, 2, 0.004))
+    broken = qd.copy()
+    broken[100, 3] = np.nan
+    kept = np.arange(len(q)) != 100
+    torque = model.torque(q, broken, qdd)
+    assert np.isnan(torque[100]).all()
+    np.testing.assert_array_equal(torque[kept], model.torque(q[kept], qd[kept], qdd[kept]))
+
+
+def test_the_drive_of_a_model_is_friction_and_ripple(model: TorqueModel) -> None:
+    rng = np.random.default_rng(0)
+    q, qd, z = rng.standard_normal((3, 20, 7))
+    np.testing.assert_allclose(
+        model.drive.torque(q, qd, z), model.friction.torque(qd, z) + model.ripple.torque(q), rtol=0, atol=1e-12
+    )
 
 
 def test_gravity_alone_is_the_torque_at_rest(model: TorqueModel, truth) -> None:

@@ -18,11 +18,13 @@ from armlab.errors import ConfigError
 if TYPE_CHECKING:
     from armlab.kernels._reference import (
         Chain,
+        Drive,
         InverseSolver,
         WrenchEstimator,
         euler_from_rpy,
         euler_to_rpy,
         limit_reference,
+        model_torque,
         momentum_step,
         poses,
         presliding,
@@ -51,12 +53,14 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Chain",
+    "Drive",
     "InverseSolver",
     "WrenchEstimator",
     "backend",
     "euler_from_rpy",
     "euler_to_rpy",
     "limit_reference",
+    "model_torque",
     "momentum_step",
     "poses",
     "presliding",

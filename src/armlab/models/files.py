@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +26,8 @@ from armlab.models.velocity_covariance import VelocityCovariance
 __all__ = ["load", "load_statistics", "save"]
 
 KIND = "torque_model"
-FORMAT = 2
-FRICTION = ("viscous", "coulomb_pos", "coulomb_neg", "offset", "stribeck", "stribeck_speed", "delta", "resolution")
+FORMAT = 3
+FRICTION = tuple(entry.name for entry in fields(Friction))
 RIPPLE = ("cycles", "cosine", "sine")
 BOUND = ("torque", "speed", "floor")
 QUALITY = ("torque_sd", "rms", "rms_cv", "coverage", "q_min", "q_max", "qd_peak")

@@ -2,7 +2,10 @@
 
 Friction of joint i (specification of the torque model, per joint)::
 
-    F_f = viscous qd + coulomb_pos max(z, 0) + coulomb_neg min(z, 0) + offset + stribeck z exp(-(qd / stribeck_speed)^2)
+    F_f = viscous qd + coulomb_pos max(s, 0) + coulomb_neg min(s, 0) + offset
+          + stribeck s exp(-(qd / stribeck_speed)^2) + root s sqrt(|qd|)
+
+with s the presliding state z, or s = tanh(qd / smooth_speed) where smooth_speed > 0.
 
 The presliding state z in [-1, 1] is driven by measured displacement dq (Dahl 1968), exact for constant direction in a
 step::
@@ -14,15 +17,21 @@ It keeps its value at rest, where a sign function would be 0.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 
 from armlab.errors import ShapeError
+from armlab.kernels import Drive
 
 __all__ = ["Friction", "FrictionBound", "Ripple"]
 
 SLOW = 0.02  # rad/s, m/s: below it friction is known only to lie inside a bound
+
+
+def _zeros() -> np.ndarray:
+    """Stand for zeros of all joints."""
+    return np.zeros(0)
 
 
 def _freeze(instance: Friction | FrictionBound | Ripple) -> None:
@@ -30,6 +39,8 @@ def _freeze(instance: Friction | FrictionBound | Ripple) -> None:
     shape = None
     for entry in fields(instance):
         values = np.array(getattr(instance, entry.name), dtype=float)
+        if entry.default_factory is _zeros and values.shape == (0,) and shape is not None:
+            values = np.zeros(shape)
         shape = values.shape if shape is None else shape
         if values.ndim != 1 or values.shape != shape or not np.all(np.isfinite(values)):
             raise ShapeError(
@@ -52,6 +63,8 @@ class Friction:
     stribeck : extra torque near zero speed [N m]. stribeck_speed : its width [rad/s].
     delta : presliding distance [rad].
     resolution : displacement that the encoder can tell from noise [rad]; smaller changes leave the state alone.
+    root : torque that grows with the root of speed [N m/sqrt(rad/s)]; zero when left out.
+    smooth_speed : v_t [rad/s] of tanh(qd / v_t) in place of the presliding state; 0, or left out: presliding.
     """
 
     viscous: np.ndarray
@@ -62,19 +75,26 @@ class Friction:
     stribeck_speed: np.ndarray
     delta: np.ndarray
     resolution: np.ndarray
+    root: np.ndarray = field(default_factory=_zeros)
+    smooth_speed: np.ndarray = field(default_factory=_zeros)
 
     def __post_init__(self) -> None:
         """Check shapes and freeze."""
         _freeze(self)
         if np.any(self.stribeck_speed <= 0) or np.any(self.delta <= 0):
             raise ShapeError("Expected stribeck_speed > 0 and delta > 0, got a value that is not. Make it positive.")
+        if np.any(self.smooth_speed < 0) or np.any(self.resolution < 0):
+            raise ShapeError("Expected smooth_speed >= 0 and resolution >= 0, got a negative value. Make it positive.")
+
+    @property
+    def rows(self) -> np.ndarray:
+        """All fields in their order, one row each (10, n), as `kernels.Drive` takes them."""
+        return np.stack([getattr(self, entry.name) for entry in fields(self)])
 
     def torque(self, qd: np.ndarray, z: np.ndarray) -> np.ndarray:
         """Return the friction torque (..., n) [N m] at velocity `qd` (..., n) and presliding state `z` (..., n)."""
-        qd, z = np.asarray(qd, dtype=float), np.asarray(z, dtype=float)
-        coulomb = self.coulomb_pos * np.maximum(z, 0) + self.coulomb_neg * np.minimum(z, 0)
-        bump = self.stribeck * z * np.exp(-((qd / self.stribeck_speed) ** 2))
-        return self.viscous * qd + coulomb + self.offset + bump
+        qd = np.asarray(qd, dtype=float)
+        return Drive(self.rows, np.zeros((3, len(self.delta)))).torque(np.zeros(qd.shape), qd, z)
 
     @property
     def static(self) -> np.ndarray:
@@ -138,5 +158,12 @@ class Ripple:
 
     def torque(self, q: np.ndarray) -> np.ndarray:
         """Return the ripple torque (..., n) [N m] at `q` (..., n)."""
-        angle = self.cycles * np.asarray(q, dtype=float)
-        return self.cosine * np.cos(angle) + self.sine * np.sin(angle)
+        zero = np.zeros(np.shape(q))
+        friction = np.zeros((10, len(self.cycles)))
+        friction[5:7] = 1.0  # widths of terms that are zero
+        return Drive(friction, self.rows).torque(q, zero, zero)
+
+    @property
+    def rows(self) -> np.ndarray:
+        """cycles, cosine, sine, one row each (3, n), as `kernels.Drive` takes them."""
+        return np.stack([self.cycles, self.cosine, self.sine])

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from armlab.errors import ModelMismatchError, ShapeError
-from armlab.kernels import Chain, WrenchEstimator, presliding
+from armlab.kernels import Chain, Drive, WrenchEstimator, model_torque
 from armlab.models.friction import Friction, FrictionBound, Ripple
 from armlab.models.velocity_covariance import KINDS, VelocityCovariance
 from armlab.robots import Robot
@@ -113,6 +113,11 @@ class TorqueModel:
         """Kinematics and dynamics kernel of the robot."""
         return Chain(self.frames, self.prismatic)
 
+    @property
+    def drive(self) -> Drive:
+        """Kernel of friction and ripple: the one place that evaluates them."""
+        return Drive(self.friction.rows, self.ripple.rows)
+
     def check_robot(self, robot: Robot) -> None:
         """Raise `ModelMismatchError` unless `robot` is the one this model was identified on."""
         if robot.hash != self.robot_hash:
@@ -128,7 +133,8 @@ class TorqueModel:
     def torque(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray | None = None) -> np.ndarray:
         """Return the model torque (N, n) [N m] without contact along a record.
 
-        The presliding state runs through the rows in order, from 0 at the first.
+        The presliding state runs through the rows in order, from 0 at the first. A row with a NaN gives NaN and leaves
+        the state alone.
 
         Parameters
         ----------
@@ -137,8 +143,7 @@ class TorqueModel:
         """
         q, qd = np.atleast_2d(q), np.atleast_2d(qd)
         qdd = np.zeros_like(q) if qdd is None else np.atleast_2d(qdd)
-        z = presliding(q, self.friction.delta, self.friction.resolution)
-        return self.rigid_torque(q, qd, qdd) + self.friction.torque(qd, z) + self.ripple.torque(q)
+        return model_torque(self.chain, self.gravity, self.link_parameters, self.rotor, self.drive, q, qd, qdd)
 
     def estimator_kernel(self, prior: np.ndarray, method: int = 0, point: np.ndarray | None = None) -> WrenchEstimator:
         """Return a fresh estimator kernel with this model's numbers.
@@ -149,17 +154,14 @@ class TorqueModel:
         method : index into ``armlab.kernels._reference.wrench.METHODS``.
         point : (3,) known contact in tool axes [m], or None.
         """
-        f, r, c, b = self.friction, self.ripple, self.covariance, self.bound
+        c, b = self.covariance, self.bound
         kind = float(KINDS.index(c.kind))
         return WrenchEstimator(
             self.chain,
             self.gravity,
             self.link_parameters,
             self.rotor,
-            np.stack(
-                [f.viscous, f.coulomb_pos, f.coulomb_neg, f.offset, f.stribeck, f.stribeck_speed, f.delta, f.resolution]
-            ),
-            np.stack([r.cycles, r.cosine, r.sine]),
+            self.drive,
             np.stack([c.alpha2 * c.C0, c.alpha2 * c.Cinf, c.shape, np.full(self.n, kind)]),
             np.stack([b.torque, b.speed, b.floor]),
             np.asarray(prior, dtype=float),

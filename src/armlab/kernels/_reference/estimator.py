@@ -27,7 +27,7 @@ import numpy as np
 from armlab.errors import ShapeError
 from armlab.kernels._reference.arrays import read
 from armlab.kernels._reference.chain import Chain
-from armlab.kernels._reference.presliding import slide
+from armlab.kernels._reference.drive import Drive, drive_torque, move, start
 from armlab.kernels._reference.wrench import METHODS, solve_wrench, wrench_interval
 
 __all__ = ["WrenchEstimator"]
@@ -48,8 +48,7 @@ class WrenchEstimator:
     chain : kinematics and dynamics kernel.
     gravity : (3,) [m/s^2], base axes.
     links : (n, 10) link parameters. rotor : (n,) rotor inertia.
-    friction : (8, n) rows viscous, coulomb_pos, coulomb_neg, offset, stribeck, stribeck_speed, delta, resolution.
-    ripple : (3, n) rows cycles, cosine, sine.
+    drive : friction and ripple of as many joints.
     covariance : (4, n) rows C0, Cinf, shape, kind (0 exp, 1 step, 2 const); C0 and Cinf already scaled.
     bound : (3, n) rows torque, speed, floor of the bound on low-speed friction.
     prior : (6,) prior variances of the wrench.
@@ -64,8 +63,7 @@ class WrenchEstimator:
         gravity: np.ndarray,
         links: np.ndarray,
         rotor: np.ndarray,
-        friction: np.ndarray,
-        ripple: np.ndarray,
+        drive: Drive,
         covariance: np.ndarray,
         bound: np.ndarray,
         prior: np.ndarray,
@@ -77,8 +75,9 @@ class WrenchEstimator:
         self._gravity = read(gravity, "gravity", (3,), exact=True).copy()
         self._links = read(links, "links", (n, 10), exact=True).copy()
         self._rotor = read(rotor, "rotor", (n,), exact=True).copy()
-        self._friction = read(friction, "friction", (8, n), exact=True).copy()
-        self._ripple = read(ripple, "ripple", (3, n), exact=True).copy()
+        if drive.n != n:
+            raise ShapeError(f"Expected a drive of {n} joints like the chain, got {drive.n}.")
+        self._drive = drive
         self._covariance = read(covariance, "covariance", (4, n), exact=True).copy()
         self._bound = read(bound, "bound", (3, n), exact=True).copy()
         self._prior = read(prior, "prior", (6,), exact=True).copy()
@@ -87,15 +86,14 @@ class WrenchEstimator:
             raise ShapeError(f"Expected method from 0 to {len(METHODS) - 1}, got {method}.")
         self._method, self._band = method, METHODS[method] in ("bounded", "clip", "interval")
         self._point = None if point is None else read(point, "point", (3,), exact=True).copy()
-        self._static = 0.5 * (self._friction[1] + self._friction[2]) + np.maximum(self._friction[4], 0.0)
+        self._static = 0.5 * (drive.friction[1] + drive.friction[2]) + np.maximum(drive.friction[4], 0.0)
         self.reset()
 
     def reset(self) -> None:
         """Forget everything but the parameters."""
         n = len(self._rotor)
-        self._play, self._started = np.zeros(n), False
-        self._qd = np.zeros(n)
-        self._z, self._p = np.zeros(n), np.full(n, UNKNOWN)
+        self._state, self._started = start(self._drive, np.zeros(n)), False
+        self._qd, self._p = np.zeros(n), np.full(n, UNKNOWN)
         self._low = np.zeros((2, 2 * n))
 
     def step(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, dt: float) -> tuple[Any, ...]:
@@ -111,15 +109,18 @@ class WrenchEstimator:
         if not (np.isfinite(q).all() and np.isfinite(qd).all() and np.isfinite(tau).all() and 0.0 < dt < np.inf):
             return self._invalid()
         if first:
-            self._play, self._qd = q.copy(), qd.copy()
+            self._state, self._qd = start(self._drive, q), qd.copy()
         with np.errstate(over="ignore", invalid="ignore"):
             qdd = (qd - self._qd) / dt
             rigid = self._chain.rnea(q, qd, qdd, self._gravity, self._links) + self._rotor * qdd
-            play, z, p = self._slide(q, dt)
-            raw = rigid + self._drive_torque(q, qd, z) - tau
+            state, dy = move(self._drive, q, self._state)
+            p = self._p + (UNKNOWN - self._p) * (1.0 - np.exp(-dt / REST_TIME))
+            p = p * np.exp(-2.0 * np.abs(dy) / self._drive.friction[6])
+            dry_share = 1.0 - self._slowness(qd) if self._band else 1.0  # near rest it is anything within the bound
+            raw = rigid + drive_torque(self._drive, q, qd, state.z, dry_share) - tau
         if not np.all(np.abs(raw) < LARGEST):
             return self._invalid()
-        self._play, self._z, self._p, self._qd, self._started = play, z, p, qd.copy(), True
+        self._state, self._p, self._qd, self._started = state, p, qd.copy(), True
         filtered = self._lowpass(np.concatenate([raw, self._slowness(qd) if self._band else p]), dt, first)
         torque, unsure = filtered[:n], np.clip(filtered[n:], 0.0, UNKNOWN)
         if self._band:
@@ -146,24 +147,6 @@ class WrenchEstimator:
         missing = tuple(np.full(shape, np.nan) for shape in ((6,), (6, 6), (6,), (n,), (n,)))
         interval = np.full((6, 2), np.nan) if METHODS[self._method] == "interval" else None
         return *missing, INVALID, np.zeros(n, dtype=bool), interval
-
-    def _slide(self, q: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the next play, presliding state and its variance."""
-        delta, resolution = self._friction[6], self._friction[7]
-        moved = np.clip(self._play, q - resolution, q + resolution)
-        dy = moved - self._play
-        p = self._p + (UNKNOWN - self._p) * (1.0 - np.exp(-dt / REST_TIME))
-        return moved, slide(self._z, dy, delta), p * np.exp(-2.0 * np.abs(dy) / delta)
-
-    def _drive_torque(self, q: np.ndarray, qd: np.ndarray, z: np.ndarray) -> np.ndarray:
-        viscous, positive, negative, offset, stribeck, speed, _, _ = self._friction
-        coulomb = positive * np.maximum(z, 0) + negative * np.minimum(z, 0)
-        dry = coulomb + stribeck * z * np.exp(-((qd / speed) ** 2))
-        if self._band:  # near rest it is anything within the bound, around zero
-            dry = dry * (1.0 - self._slowness(qd))
-        friction = viscous * qd + dry + offset
-        angle = self._ripple[0] * q
-        return friction + self._ripple[1] * np.cos(angle) + self._ripple[2] * np.sin(angle)
 
     def _lowpass(self, x: np.ndarray, dt: float, first: bool) -> np.ndarray:
         if first:  # start in steady state, without a transient from zero

@@ -1,0 +1,87 @@
+"""The compiled torque of the drives is held to its NumPy specification."""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+import numpy as np
+import pytest
+
+from armlab.kernels import _reference
+from armlab.models import TorqueModel
+
+native = pytest.importorskip("armlab.kernels._native", reason="the extension is not built here", exc_type=ImportError)
+
+
+def rows(n: int = 3) -> tuple[np.ndarray, np.ndarray]:
+    """Friction and ripple with every term in use."""
+    rng = np.random.default_rng(1)
+    friction = rng.uniform(0.1, 2.0, (10, n))
+    friction[6], friction[7] = np.geomspace(1e-4, 1e-2, n), 1e-5
+    friction[9] = np.where(np.arange(n) % 2, 0.05, 0.0)
+    return friction, rng.uniform(0.1, 2.0, (3, n))
+
+
+def record(n: int, N: int = 600) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(2)
+    q = np.cumsum(rng.standard_normal((N, n)) * 1e-3, axis=0)
+    q[100:140] = q[100]
+    return q, rng.standard_normal((N, n)), rng.standard_normal((N, n))
+
+
+@pytest.mark.parametrize("batch", [(), (1,), (5,), (2, 3), (0,)])
+def test_torque_agrees(batch: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(0)
+    q, qd = rng.standard_normal((2, *batch, 3))
+    z = rng.uniform(-1, 1, (*batch, 3))
+    a, b = (module.Drive(*rows()).torque(q, qd, z) for module in (native, _reference))
+    assert a.shape == (*batch, 3)
+    np.testing.assert_allclose(a, b, rtol=0, atol=1e-13)
+    out = np.empty_like(a)
+    assert native.Drive(*rows()).torque(q, qd, z, out=out) is out
+    assert np.array_equal(out, a)
+
+
+def test_model_torque_agrees(model: TorqueModel) -> None:
+    q, qd, qdd = record(7)
+    qd[50, 2] = np.nan
+    qdd[0, 0] = np.inf
+    found = []
+    for module in (native, _reference):
+        chain, drive = module.Chain(model.frames, model.prismatic), module.Drive(*rows(7))
+        arguments = chain, model.gravity, model.link_parameters, model.rotor, drive, q, qd, qdd
+        found.append(module.model_torque(*arguments))
+        out = np.empty_like(q)
+        assert module.model_torque(*arguments, out=out) is out
+    np.testing.assert_allclose(found[0], found[1], rtol=0, atol=1e-12 * np.nanmax(np.abs(found[1])))
+    assert np.array_equal(np.flatnonzero(np.isnan(found[0]).any(axis=1)), [0, 50])
+
+
+def test_presliding_agrees() -> None:
+    q = np.cumsum(np.random.default_rng(0).standard_normal((2000, 3)) * [1e-6, 1e-4, 1e-2], axis=0)
+    q[500, 1] = np.nan
+    delta, resolution = np.array([1e-4, 1e-3, 1e-2]), np.array([0.0, 1e-5, 1e-3])
+    np.testing.assert_allclose(
+        native.presliding(q, delta, resolution), _reference.presliding(q, delta, resolution), atol=1e-14
+    )
+
+
+@pytest.mark.parametrize("module", [native, _reference])
+def test_presliding_of_nothing_is_nothing(module: object) -> None:
+    assert module.presliding(np.zeros((0, 3)), np.ones(3), np.zeros(3)).shape == (0, 3)
+
+
+@pytest.mark.parametrize("module", [native, _reference])
+def test_wrong_shapes_are_refused(module: object, model: TorqueModel) -> None:
+    errors = import_module("armlab.errors")
+    friction, ripple = rows()
+    with pytest.raises(errors.ShapeError, match="friction"):
+        module.Drive(friction[:8], ripple)
+    with pytest.raises(errors.ShapeError, match="ripple"):
+        module.Drive(friction, ripple[:, :2])
+    drive = module.Drive(friction, ripple)
+    with pytest.raises(errors.ShapeError, match="qd"):
+        drive.torque(np.zeros(3), np.zeros(2), np.zeros(3))
+    chain, zero = module.Chain(model.frames, model.prismatic), np.zeros((4, 7))
+    with pytest.raises(errors.ShapeError, match="drive of 7 joints"):
+        module.model_torque(chain, model.gravity, model.link_parameters, model.rotor, drive, zero, zero, zero)
