@@ -5,7 +5,7 @@ from __future__ import annotations
 from armlab.kinematics.derivative import jacobian_derivative
 from armlab.kinematics.forward import forward, link_transforms
 from armlab.kinematics.inverse import Inverse, inverse
-from armlab.kinematics.jacobian import jacobian
+from armlab.kinematics.jacobian import forward_jacobian, jacobian
 from armlab.kinematics.manipulability import (
     Ellipsoid,
     ellipsoid,
@@ -21,6 +21,7 @@ __all__ = [
     "NullMotion",
     "ellipsoid",
     "forward",
+    "forward_jacobian",
     "inverse",
     "jacobian",
     "jacobian_derivative",
