@@ -6,7 +6,7 @@ Every name here exists in `armlab.kernels._native` with the same signature and t
 from __future__ import annotations
 
 from armlab.kernels._reference.chain import Chain
-from armlab.kernels._reference.drive import Drive, model_torque, presliding
+from armlab.kernels._reference.drive import Drive, basis_weights, model_torque, presliding
 from armlab.kernels._reference.estimator import WrenchEstimator
 from armlab.kernels._reference.euler import euler_from_rpy, euler_to_rpy
 from armlab.kernels._reference.inverse import InverseSolver
@@ -42,6 +42,7 @@ __all__ = [
     "WrenchEstimator",
     "euler_from_rpy",
     "euler_to_rpy",
+    "basis_weights",
     "limit_reference",
     "model_torque",
     "momentum_step",
