@@ -121,8 +121,14 @@ def test_wrong_shapes_are_refused(module: object, model: TorqueModel) -> None:
     with pytest.raises(errors.ShapeError, match="ripple"):
         module.Drive(friction, ripple[:, :2])
     lines, table, warm_up = parts()
-    for wrong in ({"lines": lines[:3]}, {"lines": (lines[0][::-1].copy(), *lines[1:])}, {"map": (*table[:4], table[4][:2])},
-                  {"warm_up": warm_up[:4]}, {"map": (np.zeros((3, 65)), *table[1:])}):  # fmt: skip
+    backwards = (lines[0][::-1].copy(), *lines[1:])
+    for wrong in (
+        {"lines": lines[:3]},
+        {"lines": backwards},
+        {"map": (*table[:4], table[4][:2])},
+        {"map": (np.zeros((3, 65)), *table[1:])},
+        {"warm_up": warm_up[:4]},
+    ):
         with pytest.raises(errors.ShapeError):
             module.Drive(friction, ripple, **wrong)
     with pytest.raises(errors.ShapeError, match="centres"):

@@ -76,8 +76,12 @@ def test_estimators_agree(model: TorqueModel, excited: Table, method: str, point
 
 @pytest.mark.parametrize("method", ["map", "bounded"])
 def test_estimators_agree_on_every_part_of_the_drives(model: TorqueModel, excited: Table, method: str) -> None:
-    log = excited.between(0.0, 0.6)
-    compiled, plain = twins(model, METHODS.index(method), extra=parts(7))
+    log, rng = excited.between(0.0, 0.6), np.random.default_rng(0)
+    speeds, widths = np.tile(np.linspace(0.1, 2.0, 8), (7, 1)), np.full((7, 8), 0.3)
+    positions = np.tile(np.linspace(-2, 2, 5), (7, 1))
+    lines = np.arange(7.0), rng.uniform(50, 200, 7), speeds, widths, rng.standard_normal((7, 2, 8, 2))
+    table = positions, 0.5 + 0 * positions, speeds, widths, rng.standard_normal((7, 2, 5, 8))
+    compiled, plain = twins(model, METHODS.index(method), extra=(lines, table, rng.uniform(0.1, 0.5, (5, 7))))
     a, b = (estimator.run(log["q"], log["qd"], log["tau"], log.dt) for estimator in (compiled, plain))
     np.testing.assert_allclose(a[3], b[3], rtol=0.0, atol=1e-11)
     np.testing.assert_allclose(a[4], b[4], rtol=1e-11)

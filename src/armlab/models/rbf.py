@@ -1,13 +1,13 @@
 """Friction over position and speed by normalised radial basis functions, one set for each direction.
 
-After Bagge Carlson, Robertsson and Johansson, Modeling and identification of position and temperature dependent friction
-phenomena without temperature sensing, IROS 2015::
+After Bagge Carlson, Robertsson and Johansson, "Modeling and identification of position and temperature dependent
+friction phenomena without temperature sensing", IROS 2015::
 
     F = (1 + s)/2 phi(q, |qd|)^T k_pos + (1 - s)/2 phi(q, |qd|)^T k_neg
     phi_ab = exp(-((q - p_a) / w_a)^2 - ((|qd| - v_b) / u_b)^2), divided by their sum over a and b
 
-s is the sign that friction goes by: the presliding state, which blends both sides at rest. Outside its hull phi keeps the
-value of the nearest edge.
+s is the sign that friction goes by: the presliding state, which blends both sides at rest. Outside its hull phi keeps
+the value of the nearest edge.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
     tau_i = sum_c psi(qd)^T (a_c cos(c q) + b_c sin(c q))
 
-c counts cycles per revolution, equal to rad/rad; psi are normalised Gaussians in speed. With two directions each line has
-amplitudes of its own for positive and negative motion, so that amplitude and phase may jump at reversal::
+c counts cycles per revolution, equal to rad/rad; psi are normalised Gaussians in speed. With two directions each line
+has amplitudes of its own for positive and negative motion, so that amplitude and phase may jump at reversal::
 
     psi = [(1 + s)/2 psi(|qd|), (1 - s)/2 psi(|qd|)],   s: the sign that friction goes by, the presliding state
 

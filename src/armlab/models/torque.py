@@ -109,7 +109,7 @@ class TorqueModel:
                 f"Expected friction, ripple, covariance and bound of {n} joints and a cut-off above 0 Hz, got "
                 f"{lengths} joints and {self.cutoff:g} Hz."
             )
-        self.drive  # refuses parts of another number of joints
+        _ = self.drive  # refuses parts of another number of joints
 
     @property
     def n(self) -> int:
