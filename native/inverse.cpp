@@ -4,6 +4,7 @@
 
 #include "batch.h"
 #include "descent.h"
+#include "self_motion.h"
 
 namespace armlab {
 namespace {
@@ -138,15 +139,32 @@ Outcome InverseSolver::solve_rows(const Goal &goal, const Search &search, const 
     const bool own = start && number == 0;
     if (!own) take_start(goal, number - (start != nullptr), from);
     const bool found = descent.run(own ? start : from, limits_, own ? patient : hasty, search.history);
-    if (found || number == 0 || descent.best().square < least) std::copy_n(descent.best().q, chain_.n, q);
-    if (found) return descent.outcome(Status::solved, number + 1);
+    if (found) return finish(descent, goal, search, limits_, number + 1, q);
+    if (number == 0 || descent.best().square < least) std::copy_n(descent.best().q, chain_.n, q);
     least = std::min(least, descent.best().square);
   }
   const bool found = descent.run(q, limits_, patient, search.history);  // the best of them to its end
+  if (found) return finish(descent, goal, search, limits_, starts, q);
   std::copy_n(descent.best().q, chain_.n, q);
-  if (found) return descent.outcome(Status::solved, starts);
   if (beyond) return descent.outcome(Status::out_of_reach, starts);
   return explain(descent, goal, search, q);
+}
+
+// The solution, moved along the self-motion where there is an objective.
+template <int M>
+Outcome InverseSolver::finish(const Descent<M> &descent, const Goal &goal, const Search &search, const Box &box,
+                              int starts, double *q) const {
+  Outcome outcome = descent.outcome(Status::solved, starts);
+  std::copy_n(descent.best().q, chain_.n, q);
+  if (search.objective.kind == Objective::Kind::none) return outcome;
+  Iterate<M> at = descent.best();
+  SelfMotion<M> motion(chain_, goal, search, weight_, box);
+  outcome.slope = motion.descend(at);
+  outcome.steps += motion.steps();
+  outcome.position_error = at.position_error;
+  outcome.rotation_error = at.rotation_error;
+  std::copy_n(at.q, chain_.n, q);
+  return outcome;
 }
 
 // Why the descent ends where it does; q is replaced if a solution is found on the way.
@@ -162,10 +180,8 @@ Outcome InverseSolver::explain(Descent<M> &descent, const Goal &goal, const Sear
   }
   if (without_limits) {
     std::copy_n(descent.best().q, chain_.n, from);
-    if (wrap(from) && descent.run(from, limits_, patient, search.history)) {
-      std::copy_n(descent.best().q, chain_.n, q);
-      return descent.outcome(Status::solved, search.starts);
-    }
+    if (wrap(from) && descent.run(from, limits_, patient, search.history))
+      return finish(descent, goal, search, limits_, search.starts, q);
   }
   outcome.steps = descent.steps();
   if (without_limits || (stationary && blocked && search.starts == 1))
@@ -185,9 +201,8 @@ Outcome InverseSolver::follow_rows(const Goal &goal, const Search &search, const
     box.high[i] = std::min(limits_.high[i], from + change);
   }
   Descent<M> descent(chain_, goal, search, weight_);
-  const bool found = descent.run(start, box, patient, search.history);
+  if (descent.run(start, box, patient, search.history)) return finish(descent, goal, search, box, 1, q);
   std::copy_n(descent.best().q, chain_.n, q);
-  if (found) return descent.outcome(Status::solved, 1);
   Status status = Status::iterations;
   if (beyond_reach(goal, search.position_tolerance))
     status = Status::out_of_reach;

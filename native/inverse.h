@@ -23,11 +23,19 @@ struct Goal {
   Goal(Task task, const double *T, const double *axis);
 };
 
+// What is made least with the joints that the task leaves free; see objective.h.
+struct Objective {
+  enum class Kind { none = 0, posture = 1, limits = 2, manipulability = 3 };
+  Kind kind;
+  const double *reference, *scale;  // (n), of posture and limits
+};
+
 struct Search {
   int steps;   // per start, those that failed included
   int starts;
   double position_tolerance, rotation_tolerance;
   double damping;             // lambda = damping |e|^2, eight times that after every step that failed
+  Objective objective;
   double *history = nullptr;  // (steps + 1, 2): errors along the start that gave the result, NaN after its end
 };
 
@@ -37,6 +45,7 @@ enum class Status { solved = 0, out_of_reach = 1, limits = 2, singular = 3, iter
 struct Outcome {
   Status status;
   double position_error, rotation_error;  // NaN where the task does not ask for it
+  double slope;                           // of the objective, that is left along the self-motion; NaN without one
   int steps, starts;                      // of all starts together
 };
 
@@ -72,6 +81,9 @@ class InverseSolver {
   Outcome solve_rows(const Goal &goal, const Search &search, const double *start, double *q) const;
   template <int M>
   Outcome follow_rows(const Goal &goal, const Search &search, const double *start, double change, double *q) const;
+  template <int M>
+  Outcome finish(const Descent<M> &descent, const Goal &goal, const Search &search, const Box &box, int starts,
+                 double *q) const;
   template <int M>
   Outcome explain(Descent<M> &descent, const Goal &goal, const Search &search, double *q) const;
 

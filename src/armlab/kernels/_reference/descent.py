@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from armlab.kernels._reference.objective import Objective
+
 if TYPE_CHECKING:
     from armlab.kernels._reference.chain import Chain
 
@@ -29,13 +31,14 @@ HASTY, PATIENT = Patience(4, 0.5), Patience(8, 1.0 - 1e-6)
 
 
 class Search(NamedTuple):
-    """What a search may take: steps per start, starts, tolerances [m], [rad], damping."""
+    """What a search may take: steps per start, starts, tolerances [m], [rad], damping; and an objective."""
 
     steps: int
     starts: int
     position_tolerance: float
     rotation_tolerance: float
     damping: float
+    objective: Objective
 
 
 class Goal:
@@ -91,7 +94,7 @@ class Descent:
         for k in range(self.search.steps + 1):
             if history is not None:
                 history[k] = self.best.position_error, self.best.rotation_error
-            if self._is_there():
+            if self.is_there(self.best):
                 return True
             long_ago = squares[k - patience.window] if k >= patience.window else np.inf
             if k == self.search.steps or not self.best.square <= patience.rate * long_ago:
@@ -145,9 +148,10 @@ class Descent:
         slope = J.T @ self.best.e
         return bool(slope @ slope <= STATIONARY_COSINE**2 * np.sum(J * J) * self.best.square)
 
-    def _is_there(self) -> bool:
-        position = not self.goal.has_position or self.best.position_error <= self.search.position_tolerance
-        return position and (self.goal.task == 3 or self.best.rotation_error <= self.search.rotation_tolerance)
+    def is_there(self, here: Iterate) -> bool:
+        """Return whether the errors are within the tolerances."""
+        position = not self.goal.has_position or here.position_error <= self.search.position_tolerance
+        return position and (self.goal.task == 3 or here.rotation_error <= self.search.rotation_tolerance)
 
 
 def step(here: Iterate, box: _Box, damping: float) -> np.ndarray | None:
