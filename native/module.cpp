@@ -9,6 +9,7 @@ void bind_inverse(nb::module_ &m);
 void bind_lie(nb::module_ &m);
 void bind_limits(nb::module_ &m);
 void bind_momentum(nb::module_ &m);
+void bind_path(nb::module_ &m);
 void bind_wrench(nb::module_ &m);
 
 NB_MODULE(_native, m) {
@@ -21,5 +22,6 @@ NB_MODULE(_native, m) {
   bind_lie(m);
   bind_limits(m);
   bind_momentum(m);
+  bind_path(m);
   bind_wrench(m);
 }
