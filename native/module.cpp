@@ -10,6 +10,7 @@ void bind_lie(nb::module_ &m);
 void bind_limits(nb::module_ &m);
 void bind_momentum(nb::module_ &m);
 void bind_path(nb::module_ &m);
+void bind_signals(nb::module_ &m);
 void bind_wrench(nb::module_ &m);
 
 NB_MODULE(_native, m) {
@@ -23,5 +24,6 @@ NB_MODULE(_native, m) {
   bind_limits(m);
   bind_momentum(m);
   bind_path(m);
+  bind_signals(m);
   bind_wrench(m);
 }

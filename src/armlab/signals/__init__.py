@@ -1,5 +1,19 @@
-"""Signals: zero-phase offline filters and derivatives with true time stamps."""
+"""Signals: streaming operators for the control loop, zero-phase filters and derivatives for records."""
 
-from armlab.signals.offline import central_diff, lowpass_offline
+from armlab.signals.offline import central_diff, decimate, filtfilt, lowpass_offline, smooth_diff
+from armlab.signals.streaming import CausalDiff, Differentiator, ExpFilter, Integrator, LowPass2, Notch, Operator
 
-__all__ = ["central_diff", "lowpass_offline"]
+__all__ = [
+    "CausalDiff",
+    "Differentiator",
+    "ExpFilter",
+    "Integrator",
+    "LowPass2",
+    "Notch",
+    "Operator",
+    "central_diff",
+    "decimate",
+    "filtfilt",
+    "lowpass_offline",
+    "smooth_diff",
+]

@@ -1,12 +1,18 @@
-"""Offline, zero-phase operators: they use the future and therefore have no `step`."""
+"""Offline, zero-phase operators: they use the future and therefore are functions, without `step`."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from armlab.errors import ShapeError
+from armlab.errors import ConfigError, ShapeError
+from armlab.signals.streaming import Operator
 
-__all__ = ["central_diff", "lowpass_offline"]
+__all__ = ["central_diff", "decimate", "filtfilt", "lowpass_offline", "smooth_diff"]
+
+UNEVEN = 0.1  # relative deviation of a step beyond which samples are not even
+PASSED = 0.8  # share of the new half rate that decimation keeps
+ORDER = 3  # of the polynomials of smooth_diff
+WINDOW, WIDEST = 1.25, 0.3  # bandwidth times window, and the most of the rate: with five samples
 
 
 def lowpass_offline(x: np.ndarray, rate: float, cutoff: float, order: int = 4) -> np.ndarray:
@@ -36,12 +42,7 @@ def lowpass_offline(x: np.ndarray, rate: float, cutoff: float, order: int = 4) -
     needed = 6 * sections.shape[0] + 4
     if x.shape[0] < needed:
         raise ShapeError(f"Expected at least {needed} samples to filter, got {x.shape[0]}. Record for longer.")
-    bad = np.flatnonzero(~np.isfinite(x).all(axis=tuple(range(1, x.ndim))))
-    if len(bad):
-        raise ShapeError(
-            f"Expected finite samples, got NaN or Inf in {len(bad)} rows, first {bad[:5].tolist()}: a filter would "
-            "spread them over the whole record. Drop the rows or cut the record there."
-        )
+    _check_finite(x)
     return sosfiltfilt(sections, x, axis=0)
 
 
@@ -57,10 +58,154 @@ def central_diff(x: np.ndarray, t: np.ndarray) -> np.ndarray:
     -------
     (N, ...) derivative [unit of x per second].
     """
-    t = np.asarray(t, dtype=float)
-    if t.ndim != 1 or len(t) != len(x) or len(t) < 3 or not np.all(np.diff(t) > 0):
-        raise ShapeError(
-            f"Expected at least 3 strictly increasing times for {len(x)} samples, got an array of shape {t.shape}. "
-            "Drop repeated and backward stamps first."
-        )
+    t = _check_times(t, len(x), 3)
     return np.gradient(np.asarray(x, dtype=float), t, axis=0, edge_order=2)
+
+
+def filtfilt(operator: Operator, x: np.ndarray, t: np.ndarray | None = None) -> np.ndarray:
+    """Run a streaming filter forward and backward along axis 0: its zero-phase twin, with the square of its gain.
+
+    The record is continued at both ends by its point reflection until the filter has settled. The memory of the
+    operator is cleared.
+
+    Parameters
+    ----------
+    operator : ExpFilter, LowPass2 or Notch.
+    x : (N, ...) samples, finite.
+    t : (N,) times [s], strictly increasing, for operators without dt or uneven samples.
+
+    Returns
+    -------
+    (N, ...) filtered samples.
+
+    Raises
+    ------
+    ConfigError : the operator is no filter. ShapeError : values are not finite, times do not increase.
+
+    References
+    ----------
+    Gustafsson (1996), Determining the initial states in forward-backward filtering.
+    """
+    if not operator.settling:
+        raise ConfigError(
+            f"Expected a filter to run forward and backward, got {type(operator).__name__}. "
+            "Use central_diff or smooth_diff for derivatives."
+        )
+    x = np.asarray(x, dtype=float)
+    if x.ndim < 1 or len(x) < 2:
+        raise ShapeError(f"Expected at least 2 samples along axis 0, got shape {x.shape}. Record for longer.")
+    _check_finite(x)
+    times = None if t is None else _check_times(t, len(x), 2)
+    step = operator.dt if times is None else float(np.median(np.diff(times)))
+    pad = len(x) - 1 if np.isnan(step) else min(len(x) - 1, int(np.ceil(operator.settling / step)))
+    longer = _reflected(x, pad)
+    times = None if times is None else _reflected(times, pad)
+    for _ in range(2):
+        operator.reset()
+        longer = operator.run(longer, times)[::-1]
+        times = None if times is None else -times[::-1]
+    operator.reset()
+    return np.array(longer[pad : pad + len(x)])
+
+
+def decimate(x: np.ndarray, rate: float, factor: int) -> np.ndarray:
+    """Keep every `factor`-th sample along axis 0 after a zero-phase low-pass at 0.8 of the new half rate.
+
+    Parameters
+    ----------
+    x : (N, ...) samples, finite. rate : of them [Hz]. factor : at least 1; the new rate is ``rate / factor``.
+
+    Returns
+    -------
+    (ceil(N / factor), ...) samples, the first at the same time as before.
+    """
+    if factor < 1:
+        raise ConfigError(f"Expected a factor of at least 1, got {factor}.")
+    x = np.asarray(x, dtype=float)
+    return x.copy() if factor == 1 else lowpass_offline(x, rate, PASSED * 0.5 * rate / factor)[::factor]
+
+
+def smooth_diff(x: np.ndarray, t: np.ndarray, bandwidth: float) -> np.ndarray:
+    """Differentiate along axis 0 by cubic polynomials fitted to a sliding window (Savitzky-Golay): smooth, no phase.
+
+    The window has the odd number of samples whose gain over the ideal derivative is nearest to 3 dB of loss at
+    `bandwidth`; slower motion passes, faster noise does not.
+
+    Parameters
+    ----------
+    x : (N, ...) samples, finite. t : (N,) even times [s].
+    bandwidth : frequency [Hz] at which the derivative has lost 3 dB.
+
+    Returns
+    -------
+    (N, ...) derivative [unit of x per second].
+
+    Raises
+    ------
+    ShapeError : uneven times, a bandwidth that these samples cannot have, a record shorter than the window.
+
+    References
+    ----------
+    Savitzky and Golay (1964); Schafer (2011), What is a Savitzky-Golay filter?
+    """
+    from scipy.signal import savgol_filter
+
+    x = np.asarray(x, dtype=float)
+    _check_finite(x)
+    steps = np.diff(_check_times(t, len(x), 5))
+    dt = float(np.mean(steps))
+    if np.max(np.abs(steps - dt)) > UNEVEN * dt:
+        raise ShapeError(
+            f"Expected even times, got steps from {steps.min():.4g} s to {steps.max():.4g} s. Resample the record "
+            "first, or use central_diff."
+        )
+    window = _window(bandwidth * dt)
+    if window > len(x):
+        raise ShapeError(
+            f"Expected at least {window} samples for a bandwidth of {bandwidth:g} Hz, got {len(x)}. Record for longer."
+        )
+    return np.asarray(savgol_filter(x, window, ORDER, deriv=1, delta=dt, axis=0, mode="interp"))
+
+
+def _window(bandwidth: float) -> int:
+    """Return the odd window whose derivative loses 3 dB nearest to `bandwidth` [cycles per sample]."""
+    from scipy.signal import savgol_coeffs
+
+    if not 0.0 < bandwidth < WIDEST:
+        raise ShapeError(
+            f"Expected a bandwidth between 0 and {WIDEST:g} of the sampling rate, got {bandwidth:.3g} of it. Use "
+            "central_diff for more."
+        )
+
+    def loss(window: int) -> float:
+        offsets = np.arange(window) - window // 2
+        taps = savgol_coeffs(window, ORDER, deriv=1, use="dot")
+        gain = np.sum(taps * np.sin(2 * np.pi * bandwidth * offsets)) / (2 * np.pi * bandwidth)
+        return float(abs(gain - np.sqrt(0.5)))
+
+    middle = 2 * int(WINDOW / bandwidth / 2) + 1
+    return min((window for window in range(middle - 4, middle + 5, 2) if window >= ORDER + 2), key=loss)
+
+
+def _reflected(x: np.ndarray, pad: int) -> np.ndarray:
+    """Continue (N, ...) by its point reflection at both ends."""
+    return np.concatenate([2 * x[:1] - x[pad:0:-1], x, 2 * x[-1:] - x[-2 : -pad - 2 : -1]])
+
+
+def _check_times(t: np.ndarray, count: int, least: int) -> np.ndarray:
+    t = np.asarray(t, dtype=float)
+    if t.ndim != 1 or len(t) != count or count < least or not np.all(np.diff(t) > 0):
+        raise ShapeError(
+            f"Expected at least {least} strictly increasing times for {count} samples, got an array of shape "
+            f"{t.shape}. Drop repeated and backward stamps first."
+        )
+    return t
+
+
+def _check_finite(x: np.ndarray) -> None:
+    bad = np.flatnonzero(~np.isfinite(x).all(axis=tuple(range(1, x.ndim))))
+    if len(bad):
+        raise ShapeError(
+            f"Expected finite samples, got NaN or Inf in {len(bad)} rows, first {bad[:5].tolist()}: a filter would "
+            "spread them over the whole record. Drop the rows or cut the record there."
+        )

@@ -1,0 +1,65 @@
+"""Streaming least squares of a million samples of a 7-joint arm, beside normal equations and LAPACK on whole blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from blocks import Contender, Table, agree, once, table
+
+from armlab.estimation import Rows, factorise, least_squares
+
+JOINTS, SHARED, OWN = 7, 45, 7  # base parameters that joints share, and friction of each
+SIZE = SHARED + JOINTS * OWN
+PIECE, BLOCK = 4096, 1000  # samples made at once; samples in a block of time
+BAR = 3.0  # s; the regressor and the filters have 2 s more
+
+
+def run(quick: bool) -> list[Table]:
+    """Measure the factors of all rows: one pass, weights and robust fits come after."""
+    samples = 50_000 if quick else 1_000_000
+    names = [f"p{i}" for i in range(SIZE)]
+    few = list(_rows(20_000))
+    found = least_squares(few, names, method="ols")
+    worst = agree("solution", found.x, _normal_equations(few), 1e-9)
+    scale = 1_000_000 / samples
+    contenders = [
+        Contender("armlab estimation.factorise", once(lambda: factorise(_rows(samples), SIZE), scale), "armlab", BAR),
+        Contender("numpy.linalg.qr of each joint and block", once(lambda: _blocked(samples), scale), note="the same R"),
+        Contender("normal equations", once(lambda: _normal_equations(_rows(samples)), scale), "limit",
+                  note="squares the condition number"),
+    ]  # fmt: skip
+    text = (
+        f"1e6 samples of {JOINTS} joints, {SHARED} shared and {OWN} own columns per joint, {SIZE} in all, as 1000 "
+        f"blocks of time; rows are made on the fly from one piece of {PIECE} samples. Solutions agree to {worst:.1g}."
+    )
+    return [table("Least squares", text, "s", contenders, 2 if quick else 5)]
+
+
+_RNG = np.random.default_rng(0)
+_A, _Y = _RNG.standard_normal((PIECE, SHARED + OWN)), _RNG.standard_normal((PIECE, JOINTS))
+_COLUMNS = [np.r_[0:SHARED, SHARED + OWN * i : SHARED + OWN * (i + 1)] for i in range(JOINTS)]
+
+
+def _rows(samples: int) -> Iterator[Rows]:
+    for start in range(0, samples, PIECE):
+        m = min(PIECE, samples - start)
+        block = np.arange(start, start + m) // BLOCK
+        for i in range(JOINTS):
+            yield Rows(_A[:m], _Y[:m, i], block, i, _COLUMNS[i])
+
+
+def _blocked(samples: int) -> list[np.ndarray]:
+    return [
+        np.linalg.qr(np.column_stack([rows.A[a : a + BLOCK], rows.y[a : a + BLOCK]]), mode="r")
+        for rows in _rows(samples)
+        for a in range(0, len(rows.y), BLOCK)
+    ]
+
+
+def _normal_equations(pieces) -> np.ndarray:
+    gram, moment = np.zeros((SIZE, SIZE)), np.zeros(SIZE)
+    for rows in pieces:
+        gram[np.ix_(rows.columns, rows.columns)] += rows.A.T @ rows.A
+        moment[rows.columns] += rows.A.T @ rows.y
+    return np.linalg.solve(gram, moment)
