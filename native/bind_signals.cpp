@@ -46,19 +46,22 @@ void check_shape(PySignalOperator &self, int ndim, const npy_intp *shape, npy_in
 }
 
 void check_status(SignalStatus status, npy_intp row) {
-  const std::string where = row < 0 ? "" : " in row " + std::to_string(row);
+  const char *sentence = nullptr;
   switch (status) {
     case SignalStatus::ok: return;
     case SignalStatus::time_backward:
-      raise_shape_error("Expected a time stamp after the last one, got one that is not" + where +
-                        ". Drop repeated samples, or reset the operator for a new record.");
+      sentence = "Expected a time stamp after the last one, got one that is not. Drop repeated samples, or reset the "
+                 "operator for a new record";
+      break;
     case SignalStatus::time_missing:
-      raise_shape_error("Expected a time stamp with every sample, got none" + where +
-                        ". Give t, as with the first sample, or dt when the operator is made.");
+      sentence = "Expected a time stamp with every sample, got none. Give t, as with the first sample, or dt when the "
+                 "operator is made";
+      break;
     case SignalStatus::time_unexpected:
-      raise_shape_error("Expected no time stamps after a first sample without one, got one" + where +
-                        ". Give t with every sample or with none.");
+      sentence = "Expected no time stamps after a first sample without one, got one. Give t with every sample or with "
+                 "none";
   }
+  raise_shape_error(sentence + (row < 0 ? std::string() : ", in row " + std::to_string(row)) + ".");
 }
 
 nb::object step(PySignalOperator &self, nb::handle x_, nb::handle t_) {

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from armlab.errors import ShapeError
+from armlab.kernels._reference.arrays import read
 
 __all__ = ["SignalOperator"]
 
@@ -62,7 +63,7 @@ class SignalOperator:
 
     def step(self, x: np.ndarray | float, t: float | None = None) -> np.ndarray | float:
         """Advance by one sample and return the output."""
-        x = np.array(x, dtype=float)
+        x = read(x, "x", ()).copy()
         shape = self._x.shape if self._started else x.shape
         if x.shape != shape or (not self._started and self._init.size > 1 and self._init.size != x.size):
             raise ShapeError(
@@ -74,7 +75,7 @@ class SignalOperator:
 
     def run(self, x: np.ndarray, t: np.ndarray | None = None) -> np.ndarray:
         """Step along samples (N, ...) and return the outputs stacked over N."""
-        x = np.asarray(x, dtype=float)
+        x = read(x, "x", ())
         if x.ndim < 1:
             raise ShapeError("Expected samples (N, ...) along axis 0, got a number. Use step for one sample.")
         stamps = None if t is None else np.asarray(t, dtype=float)
@@ -82,7 +83,10 @@ class SignalOperator:
             raise ShapeError(f"Expected t of shape ({len(x)},), got {stamps.shape}.")
         out = np.empty_like(x)
         for k in range(len(x)):
-            out[k] = self.step(x[k], None if stamps is None else float(stamps[k]))
+            try:
+                out[k] = self.step(x[k], None if stamps is None else float(stamps[k]))
+            except ShapeError as error:
+                raise ShapeError(f"{str(error).removesuffix('.')}, in row {k}.") from None
         return out
 
     def _step(self, x: np.ndarray, t: float | None) -> np.ndarray:
