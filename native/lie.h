@@ -5,6 +5,7 @@
 #pragma once
 
 #include "lanes.h"
+#include "sincos.h"
 #include "vec3.h"
 
 namespace armlab {

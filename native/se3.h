@@ -74,7 +74,7 @@ inline Real h_cot_h(const Angle<Real> &t) {
 template <class Real>
 inline Polynomial<Real> left_jacobian_polynomial(const Angle<Real> &t) {
   constexpr Coefficients near_a = series(2, true), near_b = series(3, true);
-  const Real one(1.0), two(2.0), x = t.theta * t.theta;
+  const Real two(2.0), x = t.theta * t.theta;
   const Real sine = two * t.sine * t.cosine, versine = two * t.sine * t.sine;
   const auto small = t.theta < Real(series_below);
   const Real a1 = (t.theta * sine - two * versine) / (x * x);

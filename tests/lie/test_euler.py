@@ -89,6 +89,8 @@ def test_an_unknown_convention_is_refused() -> None:
         euler.to_rpy(np.eye(3), "zxz")  # type: ignore[arg-type]
     with pytest.raises(UnknownName, match="rotation convention"):
         euler.from_rpy((0, 0, 0), "")  # type: ignore[arg-type]
+    with pytest.raises(UnknownName, match="xyz, zyx, zyz"):
+        euler.from_rpy((0, 0, 0), [0, 1, 2])  # type: ignore[arg-type]
 
 
 def test_bad_input_is_a_sentence() -> None:

@@ -173,7 +173,7 @@ def test_slerp_and_interpolate(w: np.ndarray) -> None:
 def test_euler(convention) -> None:
     """Half of them 1e-17 to 0.1 rad from gimbal lock, and at it.
 
-    from_rpy: ours 3e-16, SciPy 8e-16. Rotation reproduced by to_rpy: ours 2e-13 (the width of the lock), 5e-16 away
+    from_rpy: ours 4e-16, SciPy 8e-16. Rotation reproduced by to_rpy: ours 2e-13 (the width of the lock), 5e-16 away
     from it; SciPy 2e-7, 1.5e-15 away from it.
     """
     rng = np.random.default_rng(0)

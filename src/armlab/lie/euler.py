@@ -18,6 +18,7 @@ __all__ = ["CONVENTIONS", "Convention", "from_rpy", "rot_x", "rot_y", "rot_z", "
 
 Convention = Literal["zyx", "xyz", "zyz"]
 CONVENTIONS = ("zyx", "xyz", "zyz")
+AXES = {"zyx": (2, 1, 0), "xyz": (0, 1, 2), "zyz": (2, 1, 2)}
 
 
 def rot_x(angle: ArrayLike) -> np.ndarray:
@@ -107,10 +108,10 @@ def to_rpy(R: ArrayLike, convention: Convention, out: np.ndarray | None = None) 
 
 
 def _axes(convention: str) -> tuple[int, int, int]:
-    if convention not in CONVENTIONS:
-        raise UnknownName.among("rotation convention", convention, CONVENTIONS)
-    first, middle, last = ("xyz".index(letter) for letter in convention)
-    return first, middle, last
+    try:
+        return AXES[convention]
+    except (KeyError, TypeError):
+        raise UnknownName.among("rotation convention", convention, CONVENTIONS) from None
 
 
 def _turn(angle: ArrayLike, axis: int) -> np.ndarray:
