@@ -29,16 +29,21 @@ struct Writing {
 // transposed in registers; where the width is no multiple of four the last block overlaps the one before.
 typedef double Row __attribute__((vector_size(32), aligned(8)));
 
+#ifdef __clang__
+#define ARMLAB_SHUFFLE(a, b, ...) __builtin_shufflevector(a, b, __VA_ARGS__)
+#else
+#define ARMLAB_SHUFFLE(a, b, ...) __builtin_shuffle(a, b, Lanes::Bits{__VA_ARGS__})
+#endif
+
 ARMLAB_INLINE void transpose(Lanes (&row)[4]) {
-  const Lanes::Bits lows{0, 1, 4, 5}, highs{2, 3, 6, 7}, evens{0, 4, 2, 6}, odds{1, 5, 3, 7};
-  const Lanes::Doubles low02 = __builtin_shuffle(row[0].v, row[2].v, lows);
-  const Lanes::Doubles low13 = __builtin_shuffle(row[1].v, row[3].v, lows);
-  const Lanes::Doubles high02 = __builtin_shuffle(row[0].v, row[2].v, highs);
-  const Lanes::Doubles high13 = __builtin_shuffle(row[1].v, row[3].v, highs);
-  row[0] = __builtin_shuffle(low02, low13, evens);
-  row[1] = __builtin_shuffle(low02, low13, odds);
-  row[2] = __builtin_shuffle(high02, high13, evens);
-  row[3] = __builtin_shuffle(high02, high13, odds);
+  const Lanes::Doubles low02 = ARMLAB_SHUFFLE(row[0].v, row[2].v, 0, 1, 4, 5);
+  const Lanes::Doubles low13 = ARMLAB_SHUFFLE(row[1].v, row[3].v, 0, 1, 4, 5);
+  const Lanes::Doubles high02 = ARMLAB_SHUFFLE(row[0].v, row[2].v, 2, 3, 6, 7);
+  const Lanes::Doubles high13 = ARMLAB_SHUFFLE(row[1].v, row[3].v, 2, 3, 6, 7);
+  row[0] = ARMLAB_SHUFFLE(low02, low13, 0, 4, 2, 6);
+  row[1] = ARMLAB_SHUFFLE(low02, low13, 1, 5, 3, 7);
+  row[2] = ARMLAB_SHUFFLE(high02, high13, 0, 4, 2, 6);
+  row[3] = ARMLAB_SHUFFLE(high02, high13, 1, 5, 3, 7);
 }
 
 ARMLAB_INLINE void read_rows(const double *rows, int width, Lanes *values) {

@@ -204,11 +204,11 @@ void bind(nb::module_ &m) {
       .def_prop_ro("frames", &frames)
       .def_prop_ro("prismatic", &prismatic)
       .def("__reduce__", &reduce)
-      .def("forward", &forward, arg("q"), arg("out") = nb::none(), arg("threads") = 1)
-      .def("jacobian", &jacobian, arg("q"), arg("tool") = false, arg("out") = nb::none(), arg("threads") = 1)
-      .def("forward_jacobian", &forward_jacobian, arg("q"), arg("tool") = false, arg("out") = nb::none(),
-           arg("threads") = 1)
-      .def("link_transforms", &link_transforms, arg("q"), arg("out") = nb::none())
+      .def("forward", &forward, arg("q").none(), arg("out") = nb::none(), arg("threads").none() = 1)
+      .def("jacobian", &jacobian, arg("q").none(), arg("tool") = false, arg("out") = nb::none(), arg("threads").none() = 1)
+      .def("forward_jacobian", &forward_jacobian, arg("q").none(), arg("tool") = false, arg("out") = nb::none(),
+           arg("threads").none() = 1)
+      .def("link_transforms", &link_transforms, arg("q").none(), arg("out") = nb::none())
       .def("jacobian_derivative", &jacobian_derivative, arg("q"), arg("qd"), arg("tool") = false,
            arg("out") = nb::none())
       .def("rnea", &rnea, arg("q"), arg("qd"), arg("qdd"), arg("gravity"), arg("pi"), arg("out") = nb::none())

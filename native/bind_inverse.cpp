@@ -1,10 +1,16 @@
 // Python class InverseSolver: arguments are checked here, the mathematics is in inverse.cpp.
+#include <algorithm>
+#include <cmath>
 #include <limits>
+#include <vector>
 
-#include "goals.h"
+#include "arrays.h"
+#include "inverse.h"
 
 namespace armlab::python {
 namespace {
+
+constexpr double rotation_tolerance = 1e-6;  // of a goal: entries of |R^T R - I|
 
 void construct(InverseSolver *self, const Chain &chain, nb::handle low_, nb::handle high_, nb::handle home_,
                std::uint64_t seed) {
@@ -17,19 +23,68 @@ void construct(InverseSolver *self, const Chain &chain, nb::handle low_, nb::han
   new (self) InverseSolver(chain, low.data(), high.data(), home.data(), seed);
 }
 
-// Starts: one posture for all goals, or one per goal, finite.
-struct Starts {
-  Starts(nb::handle value, const Goals &goals, int n) : q(value, "q0") {
+bool is_pose(const double *m) {
+  const Pose<double> T(m);
+  for (int k = 0; k < 16; ++k)
+    if (!std::isfinite(m[k])) return false;
+  if (m[12] != 0.0 || m[13] != 0.0 || m[14] != 0.0 || m[15] != 1.0) return false;
+  for (double error : {dot(T.x, T.x) - 1.0, dot(T.y, T.y) - 1.0, dot(T.z, T.z) - 1.0, dot(T.x, T.y), dot(T.x, T.z),
+                       dot(T.y, T.z)})
+    if (!(std::fabs(error) <= rotation_tolerance)) return false;
+  return dot(cross(T.x, T.y), T.z) > 0.0;
+}
+
+// name[i, j]: where sample `number` is in the batch.
+std::string place(const char *name, npy_intp number, const npy_intp *shape, int axes) {
+  if (axes == 0) return name;
+  std::string text;
+  for (int k = axes - 1; k >= 0; number /= shape[k--])
+    text = std::to_string(number % shape[k]) + (text.empty() ? "" : ", ") + text;
+  return std::string(name) + "[" + text + "]";
+}
+
+// The goals of a call, one per sample.
+struct Goals {
+  explicit Goals(nb::handle value) : T(value, "T_base_tool"), axes(T.ndim() - 2) {
+    if (axes < 0 || T.shape()[axes] != 4 || T.shape()[axes + 1] != 4)
+      raise_shape_error("Expected T_base_tool of shape (..., 4, 4), got " + T.shape_text() + ".");
+    count = T.size() / 16;
+    for (npy_intp k = 0; k < count; ++k)
+      if (!is_pose(T.data() + 16 * k))
+        raise_shape_error("Expected finite poses with a rotation orthonormal to 1e-6 and last row 0 0 0 1, got " +
+                          place("T_base_tool", k, T.shape(), axes) +
+                          " that is not. Project it if it is nearly one (lie.se3.project).");
+  }
+
+  // A fresh array of shape batch + tail.
+  template <class Number>
+  nb::object fresh(int type, std::initializer_list<npy_intp> tail, Number **data) const {
+    npy_intp shape[NPY_MAXDIMS + 2];
+    std::copy(tail.begin(), tail.end(), std::copy(T.shape(), T.shape() + axes, shape));
+    nb::object array = nb::steal(PyArray_SimpleNew(axes + static_cast<int>(tail.size()), shape, type));
+    if (!array.is_valid()) throw nb::python_error();
+    *data = static_cast<Number *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(array.ptr())));
+    return array;
+  }
+
+  const Input T;
+  const int axes;
+  npy_intp count;
+};
+
+// Joint vectors: one for all goals, or one per goal, finite.
+struct Vectors {
+  Vectors(nb::handle value, const char *name, const Goals &goals, int n) : q(value, name) {
     const bool one = q.ndim() == 1 && q.shape()[0] == n;
     const bool each = q.ndim() == goals.axes + 1 && std::equal(q.shape(), q.shape() + goals.axes, goals.T.shape()) &&
                       q.shape()[goals.axes] == n;
     if (!one && !each)
-      raise_shape_error("Expected q0 of shape (" + std::to_string(n) + ",) or one posture per goal of T_base_tool " +
+      raise_shape_error(std::string("Expected ") + name + " of shape (" + std::to_string(n) + ",) or one posture per goal of T_base_tool " +
                         goals.T.shape_text() + ", got " + q.shape_text() + ".");
     for (npy_intp k = 0; k < q.size(); ++k)
       if (!std::isfinite(q.data()[k]))
         raise_shape_error("Expected finite joint positions, got others in " +
-                          place("q0", k / n, q.shape(), q.ndim() - 1) + ".");
+                          place(name, k / n, q.shape(), q.ndim() - 1) + ".");
     stride = one ? 0 : n;
   }
   const double *of(npy_intp k) const { return q.data() + k * stride; }
@@ -38,26 +93,75 @@ struct Starts {
   npy_intp stride;
 };
 
+Task task_of(int rows) {
+  if (rows != 6 && rows != 3 && rows != 5 && rows != 2)
+    raise_shape_error("Expected a task of 6, 5, 3 or 2 rows, got " + std::to_string(rows) + ".");
+  return static_cast<Task>(rows);
+}
+
+Search search_of(int steps, int starts, double position, double rotation, double damping, int objective) {
+  if (objective < 0 || objective > 3)
+    raise_shape_error("Expected an objective from 0 to 3, got " + std::to_string(objective) + ".");
+  if (steps < 0 || starts < 1 || !(position >= 0.0) || !(rotation >= 0.0) || !(damping > 0.0))
+    raise_shape_error("Expected steps >= 0, starts >= 1, tolerances >= 0 and damping > 0, got others.");
+  return {steps, starts, position, rotation, damping, {static_cast<Objective::Kind>(objective), nullptr, nullptr}};
+}
+
+// What a call asks for besides the goals: the arguments that `solve` and `follow` have in common.
+struct Request {
+  Request(nb::handle T, int n, int task, nb::handle axis_, const Search &search, nb::handle reference_, nb::handle scale_,
+          bool history, nb::handle threads)
+      : goals(T), task(task_of(task)), axis(axis_, "axis"), search(search),
+        reference(reference_.is_none() ? zeros(n) : nb::borrow(reference_), "reference", goals, n),
+        scale(scale_.is_none() ? zeros(n) : nb::borrow(scale_), "scale"), history(history),
+        threads(thread_count(threads)) {
+    axis.require_exactly({3});
+    const double *a = axis.data(), longest = std::max({std::fabs(a[0]), std::fabs(a[1]), std::fabs(a[2])});
+    if (!(std::isfinite(a[0] + a[1] + a[2]) && longest > 1e-9))
+      raise_shape_error("Expected axis to be a direction in tool axes, got one that is not finite or has no length.");
+    scale.require_exactly({n});
+  }
+
+  const Goals goals;
+  const Task task;
+  const Input axis;
+  const Search search;
+  const Vectors reference;
+  const Input scale;
+  const bool history;
+  const int threads;
+
+ private:
+  static nb::object zeros(int n) {
+    const npy_intp shape[1] = {n};
+    const double values[max_joints] = {};
+    return fresh_array(1, shape, values);
+  }
+};
+
 // Runs solve(goal, search, k, q) -> Outcome over the goals.
 template <class Solve>
-nb::object run(const InverseSolver &self, const Goals &goals, Task task, nb::handle axis_, const Search &search,
-               bool history, int threads, Solve solve) {
-  const Direction axis(axis_);
+nb::object run(int n, const Request &request, Solve solve) {
+  const Goals &goals = request.goals;
   double *q, *errors, *path = nullptr;
   std::int64_t *counts;
-  const int n = self.chain().n, length = search.steps + 1;
-  const nb::object q_array = goals.fresh(NPY_DOUBLE, {n}, &q), error_array = goals.fresh(NPY_DOUBLE, {2}, &errors);
+  const npy_intp length = 2 * (request.search.steps + 1);
+  const nb::object q_array = goals.fresh(NPY_DOUBLE, {n}, &q), error_array = goals.fresh(NPY_DOUBLE, {3}, &errors);
   const nb::object count_array = goals.fresh(NPY_INT64, {3}, &counts);
   nb::object history_array = nb::none();
-  if (history) history_array = goals.fresh(NPY_DOUBLE, {length, 2}, &path);
+  if (request.history) history_array = goals.fresh(NPY_DOUBLE, {length / 2, 2}, &path);
 
   const auto work = [&](npy_intp begin, npy_intp end) {
     for (npy_intp k = begin; k < end; ++k) {
-      Search own = search;
-      if (path) own.history = path + 2 * length * k;
-      const Outcome outcome = solve(Goal(task, goals.T.data() + 16 * k, axis.data()), own, k, q + n * k);
-      errors[2 * k] = outcome.position_error;
-      errors[2 * k + 1] = outcome.rotation_error;
+      Search search = request.search;
+      search.objective.reference = request.reference.of(k);
+      search.objective.scale = request.scale.data();
+      if (path) search.history = path + length * k;
+      const Goal goal(request.task, goals.T.data() + 16 * k, request.axis.data());
+      const Outcome outcome = solve(goal, search, k, q + n * k);
+      errors[3 * k] = outcome.position_error;
+      errors[3 * k + 1] = outcome.rotation_error;
+      errors[3 * k + 2] = outcome.slope;
       counts[3 * k] = outcome.steps;
       counts[3 * k + 1] = outcome.starts;
       counts[3 * k + 2] = static_cast<std::int64_t>(outcome.status);
@@ -67,36 +171,38 @@ nb::object run(const InverseSolver &self, const Goals &goals, Task task, nb::han
     work(0, goals.count);
   } else {
     nb::gil_scoped_release released;
-    run_parallel(goals.count, 16, threads, work);
+    run_parallel(goals.count, 16, request.threads, work);
   }
   return nb::make_tuple(q_array, error_array, count_array, history_array);
 }
 
 nb::object solve(const InverseSolver &self, nb::handle T, nb::handle q0, int task, nb::handle axis, int steps,
-                 int starts, double position_tolerance, double rotation_tolerance, double damping, bool history,
-                 nb::handle threads) {
-  const Goals goals(T);
-  const Search search = search_of(steps, starts, position_tolerance, rotation_tolerance, damping);
-  const int count = thread_count(threads);
+                 int starts, double position_tolerance, double rotation_tolerance, double damping, int objective,
+                 nb::handle reference, nb::handle scale, bool history, nb::handle threads) {
+  const int n = self.chain().n;
+  const Search search = search_of(steps, starts, position_tolerance, rotation_tolerance, damping, objective);
+  const Request request(T, n, task, axis, search, reference, scale, history, threads);
   if (q0.is_none())
-    return run(self, goals, task_of(task), axis, search, history, count,
-               [&](const Goal &goal, const Search &own, npy_intp, double *q) { return self.solve(goal, own, nullptr, q); });
-  const Starts from(q0, goals, self.chain().n);
-  return run(self, goals, task_of(task), axis, search, history, count,
-             [&](const Goal &goal, const Search &own, npy_intp k, double *q) { return self.solve(goal, own, from.of(k), q); });
+    return run(n, request, [&](const Goal &goal, const Search &own, npy_intp, double *q) {
+      return self.solve(goal, own, nullptr, q);
+    });
+  const Vectors from(q0, "q0", request.goals, n);
+  return run(n, request, [&](const Goal &goal, const Search &own, npy_intp k, double *q) {
+    return self.solve(goal, own, from.of(k), q);
+  });
 }
 
 nb::object follow(const InverseSolver &self, nb::handle T, nb::handle q0, double change, int task, nb::handle axis,
-                  int steps, double position_tolerance, double rotation_tolerance, double damping, bool history,
-                  nb::handle threads) {
-  const Goals goals(T);
-  const Starts from(q0, goals, self.chain().n);
+                  int steps, double position_tolerance, double rotation_tolerance, double damping, int objective,
+                  nb::handle reference, nb::handle scale, bool history, nb::handle threads) {
+  const int n = self.chain().n;
   if (!(change >= 0.0)) raise_shape_error("Expected change >= 0, got " + std::to_string(change) + ".");
-  const Search search = search_of(steps, 1, position_tolerance, rotation_tolerance, damping);
-  return run(self, goals, task_of(task), axis, search, history, thread_count(threads),
-             [&](const Goal &goal, const Search &own, npy_intp k, double *q) {
-               return self.follow(goal, own, from.of(k), self.around(from.of(k), change), q);
-             });
+  const Search search = search_of(steps, 1, position_tolerance, rotation_tolerance, damping, objective);
+  const Request request(T, n, task, axis, search, reference, scale, history, threads);
+  const Vectors from(q0, "q0", request.goals, n);
+  return run(n, request, [&](const Goal &goal, const Search &own, npy_intp k, double *q) {
+    return self.follow(goal, own, from.of(k), change, q);
+  });
 }
 
 }  // namespace
@@ -109,11 +215,12 @@ void bind_inverse_solver(nb::module_ &m) {
       .def("solve", &solve, arg("T_base_tool"), arg("q0") = nb::none(), arg("task") = 6,
            arg("axis") = nb::make_tuple(0.0, 0.0, 1.0), arg("steps") = 100, arg("starts") = 100,
            arg("position_tolerance") = 1e-9, arg("rotation_tolerance") = 1e-9, arg("damping") = 0.1,
-           arg("history") = false, arg("threads") = 1)
+           arg("objective") = 0, arg("reference") = nb::none(), arg("scale") = nb::none(), arg("history") = false, arg("threads") = 1)
       .def("follow", &follow, arg("T_base_tool"), arg("q0"),
            arg("change") = std::numeric_limits<double>::infinity(), arg("task") = 6,
            arg("axis") = nb::make_tuple(0.0, 0.0, 1.0), arg("steps") = 100, arg("position_tolerance") = 1e-9,
-           arg("rotation_tolerance") = 1e-9, arg("damping") = 0.1, arg("history") = false, arg("threads") = 1);
+           arg("rotation_tolerance") = 1e-9, arg("damping") = 0.1, arg("objective") = 0, arg("reference") = nb::none(),
+           arg("scale") = nb::none(), arg("history") = false, arg("threads") = 1);
 }
 
 }  // namespace armlab::python

@@ -88,7 +88,8 @@ class Descent {
 
   int steps() const { return steps_; }  // of all runs
   Outcome outcome(Status status, int starts) const {
-    return {status, best_->position_error, best_->rotation_error, steps_, starts};
+    constexpr double nan = std::numeric_limits<double>::quiet_NaN();
+    return {status, best_->position_error, best_->rotation_error, nan, steps_, starts};
   }
 
  private:

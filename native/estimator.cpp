@@ -56,7 +56,7 @@ bool WrenchEstimator::advance(const double *q, const double *qd, const double *t
   for (int i = 0; i < n; ++i) {
     Joint &joint = next[i] = joints_[i];
     if (first_) {
-      joint.drive.start(q[i]);
+      joint.drive = p_.drive.start(i, q[i]);
       joint.qd = qd[i];
     }
     const double dy = p_.drive.move(i, q[i], joint.drive);
@@ -70,6 +70,7 @@ bool WrenchEstimator::advance(const double *q, const double *qd, const double *t
     const double dry_share = has_band() ? 1.0 - slowness(i, qd[i]) : 1.0;  // near rest it is anything within the bound
     raw[i] = rigid[i] + p_.rotor[i] * qdd[i] + p_.drive.torque(i, q[i], qd[i], next[i].drive, dry_share) - tau[i];
     if (!(std::fabs(raw[i]) < largest)) return false;
+    p_.drive.heat(i, qd[i], dt, next[i].drive);
   }
   std::copy_n(next.begin(), n, joints_.begin());
   return true;

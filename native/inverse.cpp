@@ -4,7 +4,7 @@
 
 #include "batch.h"
 #include "descent.h"
-#include "random.h"
+#include "self_motion.h"
 
 namespace armlab {
 namespace {
@@ -12,6 +12,14 @@ namespace {
 constexpr double infinity = std::numeric_limits<double>::infinity();
 constexpr double pi = 3.14159265358979323846;
 constexpr int few_starts = 10;  // beyond reach, or to learn whether it is the limits that are in the way
+
+// SplitMix64: number `index` of the sequence of `seed`, uniform in [0, 1).
+double uniform(std::uint64_t seed, std::uint64_t index) {
+  std::uint64_t z = seed + (index + 1) * 0x9e3779b97f4a7c15u;
+  z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9u;
+  z = (z ^ (z >> 27)) * 0x94d049bb133111ebu;
+  return static_cast<double>((z ^ (z >> 31)) >> 11) * 0x1p-53;
+}
 
 Vec3<double> direction_across(const Vec3<double> &axis) {
   const double x = std::fabs(axis.x), y = std::fabs(axis.y), z = std::fabs(axis.z);
@@ -131,15 +139,32 @@ Outcome InverseSolver::solve_rows(const Goal &goal, const Search &search, const 
     const bool own = start && number == 0;
     if (!own) take_start(goal, number - (start != nullptr), from);
     const bool found = descent.run(own ? start : from, limits_, own ? patient : hasty, search.history);
-    if (found || number == 0 || descent.best().square < least) std::copy_n(descent.best().q, chain_.n, q);
-    if (found) return descent.outcome(Status::solved, number + 1);
+    if (found) return finish(descent, goal, search, limits_, number + 1, q);
+    if (number == 0 || descent.best().square < least) std::copy_n(descent.best().q, chain_.n, q);
     least = std::min(least, descent.best().square);
   }
   const bool found = descent.run(q, limits_, patient, search.history);  // the best of them to its end
+  if (found) return finish(descent, goal, search, limits_, starts, q);
   std::copy_n(descent.best().q, chain_.n, q);
-  if (found) return descent.outcome(Status::solved, starts);
   if (beyond) return descent.outcome(Status::out_of_reach, starts);
   return explain(descent, goal, search, q);
+}
+
+// The solution, moved along the self-motion where there is an objective.
+template <int M>
+Outcome InverseSolver::finish(const Descent<M> &descent, const Goal &goal, const Search &search, const Box &box,
+                              int starts, double *q) const {
+  Outcome outcome = descent.outcome(Status::solved, starts);
+  std::copy_n(descent.best().q, chain_.n, q);
+  if (search.objective.kind == Objective::Kind::none) return outcome;
+  Iterate<M> at = descent.best();
+  SelfMotion<M> motion(chain_, goal, search, weight_, box);
+  outcome.slope = motion.descend(at);
+  outcome.steps += motion.steps();
+  outcome.position_error = at.position_error;
+  outcome.rotation_error = at.rotation_error;
+  std::copy_n(at.q, chain_.n, q);
+  return outcome;
 }
 
 // Why the descent ends where it does; q is replaced if a solution is found on the way.
@@ -155,10 +180,8 @@ Outcome InverseSolver::explain(Descent<M> &descent, const Goal &goal, const Sear
   }
   if (without_limits) {
     std::copy_n(descent.best().q, chain_.n, from);
-    if (wrap(from) && descent.run(from, limits_, patient, search.history)) {
-      std::copy_n(descent.best().q, chain_.n, q);
-      return descent.outcome(Status::solved, search.starts);
-    }
+    if (wrap(from) && descent.run(from, limits_, patient, search.history))
+      return finish(descent, goal, search, limits_, search.starts, q);
   }
   outcome.steps = descent.steps();
   if (without_limits || (stationary && blocked && search.starts == 1))
@@ -169,21 +192,23 @@ Outcome InverseSolver::explain(Descent<M> &descent, const Goal &goal, const Sear
 }
 
 template <int M>
-Outcome InverseSolver::follow_rows(const Goal &goal, const Search &search, const double *start, const Box &box,
+Outcome InverseSolver::follow_rows(const Goal &goal, const Search &search, const double *start, double change,
                                    double *q) const {
+  Box box = limits_;
+  for (int i = 0; i < chain_.n; ++i) {
+    const double from = clamp(start[i], limits_.low[i], limits_.high[i]);
+    box.low[i] = std::max(limits_.low[i], from - change);
+    box.high[i] = std::min(limits_.high[i], from + change);
+  }
   Descent<M> descent(chain_, goal, search, weight_);
-  const bool found = descent.run(start, box, patient, search.history);
+  if (descent.run(start, box, patient, search.history)) return finish(descent, goal, search, box, 1, q);
   std::copy_n(descent.best().q, chain_.n, q);
-  if (found) return descent.outcome(Status::solved, 1);
   Status status = Status::iterations;
   if (beyond_reach(goal, search.position_tolerance))
     status = Status::out_of_reach;
-  else if (descent.is_blocked(limits_))
-    status = Status::limits;
-  else if (descent.is_blocked(box))
-    status = Status::bound;
   else if (descent.is_stationary(box))
-    status = chain_.n < M ? Status::out_of_reach : Status::singular;
+    status = !descent.is_blocked(box) ? (chain_.n < M ? Status::out_of_reach : Status::singular)
+             : descent.is_blocked(limits_) ? Status::limits : Status::bound;
   return descent.outcome(status, 1);
 }
 
@@ -202,19 +227,9 @@ Outcome InverseSolver::solve(const Goal &goal, const Search &search, const doubl
   return with_rows(goal.task, [&](auto rows) { return solve_rows<rows>(goal, search, start, q); });
 }
 
-Outcome InverseSolver::follow(const Goal &goal, const Search &search, const double *start, const Box &bound,
+Outcome InverseSolver::follow(const Goal &goal, const Search &search, const double *start, double change,
                               double *q) const {
-  return with_rows(goal.task, [&](auto rows) { return follow_rows<rows>(goal, search, start, bound, q); });
-}
-
-Box InverseSolver::around(const double *q, double change) const {
-  Box box;
-  for (int i = 0; i < chain_.n; ++i) {
-    const double from = clamp(q[i], limits_.low[i], limits_.high[i]);
-    box.low[i] = std::max(limits_.low[i], from - change);
-    box.high[i] = std::min(limits_.high[i], from + change);
-  }
-  return box;
+  return with_rows(goal.task, [&](auto rows) { return follow_rows<rows>(goal, search, start, change, q); });
 }
 
 }  // namespace armlab

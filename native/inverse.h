@@ -23,11 +23,19 @@ struct Goal {
   Goal(Task task, const double *T, const double *axis);
 };
 
+// What is made least with the joints that the task leaves free; see objective.h.
+struct Objective {
+  enum class Kind { none = 0, posture = 1, limits = 2, manipulability = 3 };
+  Kind kind;
+  const double *reference, *scale;  // (n), of posture and limits
+};
+
 struct Search {
   int steps;   // per start, those that failed included
   int starts;
   double position_tolerance, rotation_tolerance;
   double damping;             // lambda = damping |e|^2, eight times that after every step that failed
+  Objective objective;
   double *history = nullptr;  // (steps + 1, 2): errors along the start that gave the result, NaN after its end
 };
 
@@ -37,6 +45,7 @@ enum class Status { solved = 0, out_of_reach = 1, limits = 2, singular = 3, iter
 struct Outcome {
   Status status;
   double position_error, rotation_error;  // NaN where the task does not ask for it
+  double slope;                           // of the objective, that is left along the self-motion; NaN without one
   int steps, starts;                      // of all starts together
 };
 
@@ -57,24 +66,24 @@ class InverseSolver {
 
   const Chain &chain() const { return chain_; }
   const Box &limits() const { return limits_; }
-  double weight() const { return weight_; }  // of a metre in radians
 
   // Solves from `start` (n) unless null, then from the table. `q` (n): the posture with the least error, which is always
   // within the limits; a start outside them is moved to them.
   Outcome solve(const Goal &goal, const Search &search, const double *start, double *q) const;
 
-  // Solves from `start` alone, and no joint leaves `bound`, a part of the limits. For paths, where the start is the
-  // previous posture: damping bounds the steps near singular postures, and the branch is kept. `q`: the posture with the
-  // least error within the bound, whether it is a solution or not.
-  Outcome follow(const Goal &goal, const Search &search, const double *start, const Box &bound, double *q) const;
-  // The part of the limits that is no further than `change` from `q`, which is moved to them first.
-  Box around(const double *q, double change) const;
+  // Solves from `start` alone, and no joint moves further than `change` from it (infinity: no bound). For paths, where
+  // the start is the previous posture: every step reduces the error, its damping bounds it near singular postures, and
+  // the branch is kept. `q`: the posture with the least error within the bound, whether it is a solution or not.
+  Outcome follow(const Goal &goal, const Search &search, const double *start, double change, double *q) const;
 
  private:
   template <int M>
   Outcome solve_rows(const Goal &goal, const Search &search, const double *start, double *q) const;
   template <int M>
-  Outcome follow_rows(const Goal &goal, const Search &search, const double *start, const Box &bound, double *q) const;
+  Outcome follow_rows(const Goal &goal, const Search &search, const double *start, double change, double *q) const;
+  template <int M>
+  Outcome finish(const Descent<M> &descent, const Goal &goal, const Search &search, const Box &box, int starts,
+                 double *q) const;
   template <int M>
   Outcome explain(Descent<M> &descent, const Goal &goal, const Search &search, double *q) const;
 
@@ -85,7 +94,7 @@ class InverseSolver {
   Chain chain_;
   Box limits_, unlimited_;
   double wrist_reach_, tool_reach_;  // at most from the first joint to the last, and to the tool
-  double weight_;
+  double weight_;                    // of a metre in radians
   std::vector<double> angles_;       // (postures, n)
   std::vector<double> poses_;        // (12, postures): rotation row by row, position
 };

@@ -110,10 +110,10 @@ inline void evaluate(const Chain &chain, const Goal &goal, double weight, Iterat
   }
 }
 
-// Solves A x = b in place for a symmetric positive definite A (lower half) by L D L^T; false when it is not.
+// A = L D L^T of a symmetric positive definite matrix: L below the diagonal of A, and 1 / D. False when it is not.
 template <int M>
-inline bool solve_positive(double (&A)[M][M], double (&b)[M]) {
-  double D[M], inverse[M], scaled[M];
+inline bool factor(double (&A)[M][M], double (&inverse)[M]) {
+  double D[M], scaled[M];
   for (int j = 0; j < M; ++j) {
     D[j] = A[j][j];
     for (int k = 0; k < j; ++k) {
@@ -127,12 +127,30 @@ inline bool solve_positive(double (&A)[M][M], double (&b)[M]) {
       A[i][j] *= inverse[j];
     }
   }
+  return true;
+}
+
+// Solves A x = b in place, with A from `factor`.
+template <int M>
+inline void substitute(const double (&A)[M][M], const double (&inverse)[M], double (&b)[M]) {
   for (int i = 1; i < M; ++i)
     for (int k = 0; k < i; ++k) b[i] -= A[i][k] * b[k];
   for (int i = 0; i < M; ++i) b[i] *= inverse[i];
   for (int i = M - 2; i >= 0; --i)
     for (int k = i + 1; k < M; ++k) b[i] -= A[k][i] * b[k];
-  return true;
+}
+
+// A = J J^T + lambda I, with the columns of J that `uses` tells.
+template <int M>
+inline void normal_matrix(int n, const double (*J)[M], const bool *uses, double lambda, double (&A)[M][M]) {
+  for (int a = 0; a < M; ++a) {
+    for (int b = 0; b < M; ++b) A[a][b] = 0.0;
+    A[a][a] = lambda;
+  }
+  for (int i = 0; i < n; ++i)
+    if (uses[i])
+      for (int a = 0; a < M; ++a)
+        for (int b = 0; b < M; ++b) A[a][b] += J[i][a] * J[i][b];
 }
 
 // next.q = q + dq with dq = J^T (J J^T + lambda I)^-1 e inside the box: a joint that would leave it goes to its end, the
@@ -144,17 +162,11 @@ inline bool step(int n, const Iterate<M> &at, const Box &box, double lambda, Ite
   std::fill_n(moves, n, true);
   std::copy_n(at.e, M, e);
   for (bool again = true; again;) {
-    double A[M][M], y[M];
-    for (int a = 0; a < M; ++a) {
-      for (int b = 0; b < M; ++b) A[a][b] = 0.0;
-      A[a][a] = lambda;
-      y[a] = e[a];
-    }
-    for (int i = 0; i < n; ++i)
-      if (moves[i])
-        for (int a = 0; a < M; ++a)
-          for (int b = 0; b < M; ++b) A[a][b] += at.J[i][a] * at.J[i][b];
-    if (!solve_positive(A, y)) return false;
+    double A[M][M], inverse[M], y[M];
+    normal_matrix(n, at.J, moves, lambda, A);
+    if (!factor(A, inverse)) return false;
+    std::copy_n(e, M, y);
+    substitute(A, inverse, y);
     again = false;
     for (int i = 0; i < n; ++i) {
       if (!moves[i]) continue;

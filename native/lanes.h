@@ -18,7 +18,8 @@
 // A function marked so is compiled for several instruction sets, with all that it calls; the loader chooses. Of AVX-512
 // only the 32 registers serve, which save the Jacobian a tenth of its time. (Eight lanes would save another 7 % there,
 // but cost 10 % with the 16 registers of AVX2.)
-#if defined(ARMLAB_LANES) && defined(__x86_64__) && defined(__GLIBC__) && !defined(__clang__)
+#ifdef ARMLAB_VECTORISED
+#elif defined(ARMLAB_LANES) && defined(__x86_64__) && defined(__GLIBC__) && !defined(__clang__)
 #if __GNUC__ >= 12
 #define ARMLAB_VECTORISED __attribute__((target_clones("arch=x86-64-v4", "avx2", "default"), flatten))
 #else

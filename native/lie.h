@@ -47,15 +47,17 @@ struct Quaternion {
 
 // Where a square under- or overflowed, the length from the C library instead.
 inline double exact_norm(const Vec3<double> &a, double) { return std::hypot(a.x, a.y, a.z); }
+#ifdef ARMLAB_LANES
 inline Lanes exact_norm(const Vec3<Lanes> &a, Lanes length) {
   for (int i = 0; i < Lanes::width; ++i)
     if (!(1e-140 <= length.v[i] && length.v[i] <= 1e140)) length.v[i] = std::hypot(a.x.v[i], a.y.v[i], a.z.v[i]);
   return length;
 }
+#endif
 template <class Real>
 inline Real norm(const Vec3<Real> &a) {
   const Real length = square_root(dot(a, a));
-  if (__builtin_expect(all((Real(1e-140) <= length) & (length <= Real(1e140))), 1)) return length;
+  if (all((Real(1e-140) <= length) & (length <= Real(1e140)))) return length;
   return exact_norm(a, length);
 }
 

@@ -17,7 +17,9 @@ NAMES = ("F", "P", "observability", "error", "variance", "flags", "active", "int
 native = pytest.importorskip("armlab.kernels._native", reason="the extension is not built here", exc_type=ImportError)
 
 
-def twins(model: TorqueModel, method: int = 0, point: np.ndarray | None = None) -> tuple[object, object]:
+def twins(
+    model: TorqueModel, method: int = 0, point: np.ndarray | None = None, extra: tuple[object, ...] = ()
+) -> tuple[object, object]:
     """The same estimator in both backends."""
     made = []
     for module in (native, _reference):
@@ -29,7 +31,7 @@ def twins(model: TorqueModel, method: int = 0, point: np.ndarray | None = None) 
                 model.gravity,
                 model.link_parameters,
                 model.rotor,
-                module.Drive(model.friction.rows, model.ripple.rows),
+                module.Drive(model.friction.rows, model.ripple.rows, *extra),
                 np.stack([c.C0, c.Cinf, c.shape, np.arange(7) % 3]),
                 np.stack([model.bound.torque, model.bound.speed, model.bound.floor]),
                 np.array([400.0, 400, 400, 4, 4, 4]),
@@ -70,6 +72,19 @@ def test_estimators_agree(model: TorqueModel, excited: Table, method: str, point
         np.testing.assert_allclose(a, b, rtol=0.0, atol=accuracy * max(np.nanmax(np.abs(b)), 1e-3), err_msg=name)
         assert np.isnan(a[[70, 90]]).all()
         assert np.isfinite(a[91]).all()
+
+
+@pytest.mark.parametrize("method", ["map", "bounded"])
+def test_estimators_agree_on_every_part_of_the_drives(model: TorqueModel, excited: Table, method: str) -> None:
+    log, rng = excited.between(0.0, 0.6), np.random.default_rng(0)
+    speeds, widths = np.tile(np.linspace(0.1, 2.0, 8), (7, 1)), np.full((7, 8), 0.3)
+    positions = np.tile(np.linspace(-2, 2, 5), (7, 1))
+    lines = np.arange(7.0), rng.uniform(50, 200, 7), speeds, widths, rng.standard_normal((7, 2, 8, 2))
+    table = positions, 0.5 + 0 * positions, speeds, widths, rng.standard_normal((7, 2, 5, 8))
+    compiled, plain = twins(model, METHODS.index(method), extra=(lines, table, rng.uniform(0.1, 0.5, (5, 7))))
+    a, b = (estimator.run(log["q"], log["qd"], log["tau"], log.dt) for estimator in (compiled, plain))
+    np.testing.assert_allclose(a[3], b[3], rtol=0.0, atol=1e-11)
+    np.testing.assert_allclose(a[4], b[4], rtol=1e-11)
 
 
 @pytest.mark.parametrize("method", sorted(ACCURACY))

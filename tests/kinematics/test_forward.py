@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from armlab import kinematics, lie, robots
-from armlab.errors import ShapeError
+from armlab.errors import ConfigError, ShapeError
 from armlab.kinematics.forward import forward, link_transforms
 
 RAMP = np.arange(1, 8) / 10
@@ -88,3 +88,11 @@ def test_link_transforms_lead_to_the_tool() -> None:
     assert T_base_link.shape == (7, 4, 4)
     np.testing.assert_allclose(T_base_link[-1] @ robot.frames[-1], forward(robot, RAMP), atol=1e-15)
     np.testing.assert_allclose(T_base_link[0, :3, 3], robot.frames[0][:3, 3], atol=1e-15)
+
+
+def test_threads_change_no_bit() -> None:
+    robot = robots.load("ur5e")
+    q = np.random.default_rng(1).uniform(robot.q_min, robot.q_max, (9000, 6))
+    np.testing.assert_array_equal(forward(robot, q, threads=2), forward(robot, q))
+    with pytest.raises(ConfigError, match=r"Expected threads to be an integer from 1 to 256, got 0\."):
+        forward(robot, q, threads=0)

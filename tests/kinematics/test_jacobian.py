@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import pytest
 
 from armlab import lie, robots
-from armlab.errors import UnknownName
-from armlab.kinematics import forward, jacobian
+from armlab.errors import ConfigError, ShapeError, UnknownName
+from armlab.kinematics import forward, forward_jacobian, jacobian
 
 RAMP = np.arange(1, 8) / 10
 
@@ -80,3 +82,31 @@ def test_out_is_filled() -> None:
     robot, out = robots.load("irb2400"), np.empty((2, 6, 6))
     assert jacobian(robot, np.ones((2, 6)), out=out) is out
     np.testing.assert_array_equal(out[1], jacobian(robot, np.ones(6)))
+
+
+@pytest.mark.parametrize("frame", ["base", "tool"])
+def test_pose_and_jacobian_in_one_call(frame: Literal["base", "tool"]) -> None:
+    robot = robots.load("yumi_right")
+    q = np.random.default_rng(3).uniform(robot.q_min, robot.q_max, (9000, 7))
+    T, J = forward_jacobian(robot, q, frame=frame)
+    np.testing.assert_array_equal(T, forward(robot, q))
+    np.testing.assert_array_equal(J, jacobian(robot, q, frame=frame))
+    out = np.empty_like(T), np.empty_like(J)
+    shared = forward_jacobian(robot, q, frame, out, threads=2)
+    assert shared[0] is out[0]
+    assert shared[1] is out[1]
+    np.testing.assert_array_equal(out[0], T)
+    np.testing.assert_array_equal(out[1], J)
+    np.testing.assert_array_equal(jacobian(robot, q, frame, threads=2), J)
+
+
+def test_pose_and_jacobian_refuse() -> None:
+    robot, q = robots.load("irb2400"), np.zeros((2, 6))
+    with pytest.raises(UnknownName, match=r"Jacobian frame, got 'world'. Known: base, tool"):
+        forward_jacobian(robot, q, frame="world")  # type: ignore[arg-type]
+    with pytest.raises(ShapeError, match=r"out to be a pair of arrays \(T, J\)"):
+        forward_jacobian(robot, q, out=np.empty((2, 4, 4)))  # type: ignore[arg-type]
+    with pytest.raises(ShapeError, match=r"q of shape \(\.\.\., 6\), got \(7,\)"):
+        forward_jacobian(robot, np.zeros(7))
+    with pytest.raises(ConfigError, match=r"Expected threads to be an integer from 1 to 256, got 2\.5\."):
+        jacobian(robot, q, threads=2.5)  # type: ignore[arg-type]

@@ -95,7 +95,7 @@ def predict(model: TorqueModel, table: Table) -> Table:
     table : log with columns q, qd, tau (N, n), without gaps.
     """
     rate = 1.0 / float(np.median(np.diff(table.t)))
-    torque = model.torque(table["q"], table["qd"], central_diff(table["qd"], table.t))
+    torque = model.torque(table["q"], table["qd"], central_diff(table["qd"], table.t), table.dt)
     variance = model.estimator_kernel(np.ones(6)).run(table["q"], table["qd"], table["tau"], table.dt)[4]
     return (
         table.with_column("tau", lowpass_offline(table["tau"], rate, model.cutoff))

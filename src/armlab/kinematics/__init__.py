@@ -5,7 +5,7 @@ from __future__ import annotations
 from armlab.kinematics.derivative import jacobian_derivative
 from armlab.kinematics.forward import forward, link_transforms
 from armlab.kinematics.inverse import Inverse, inverse
-from armlab.kinematics.jacobian import jacobian
+from armlab.kinematics.jacobian import forward_jacobian, jacobian
 from armlab.kinematics.manipulability import (
     Ellipsoid,
     ellipsoid,
@@ -14,17 +14,15 @@ from armlab.kinematics.manipulability import (
     singular_values,
 )
 from armlab.kinematics.null_motion import NullMotion, null_motion
-from armlab.kinematics.path import Path, inverse_path
 
 __all__ = [
     "Ellipsoid",
     "Inverse",
     "NullMotion",
-    "Path",
     "ellipsoid",
     "forward",
+    "forward_jacobian",
     "inverse",
-    "inverse_path",
     "jacobian",
     "jacobian_derivative",
     "link_transforms",

@@ -37,6 +37,8 @@ class Inverse:
         "limits" a posture outside the limits gets there, none was found inside;
         "singular" the only start ended at a singular posture, where no joint reduces the error;
         "iterations" the error was still falling when the steps ended.
+    slope : (...) length of the gradient of the objective that is left along the self-motion of the joints that are not
+        at a limit; NaN without an objective or a solution.
     history : (..., maxiter + 1, 2) least errors so far [m, rad] after each step of the start that gave `q`, NaN after
         its end; None unless asked for.
     """
@@ -48,6 +50,7 @@ class Inverse:
     iterations: np.ndarray
     starts: np.ndarray
     reason: np.ndarray | str
+    slope: np.ndarray
     history: np.ndarray | None
 
     def report(self) -> str:
@@ -82,17 +85,19 @@ def freeze(q: np.ndarray, errors: np.ndarray, counts: np.ndarray, history: np.nd
 
     Parameters
     ----------
-    q : (..., n). errors : (..., 2) [m, rad]. counts : (..., 3) steps, starts, status. history : or None.
+    q : (..., n). errors : (..., 3) [m], [rad], slope. counts : (..., 3) steps, starts, status. history : or None.
     """
     for array in (q, errors, counts, history):
         if array is not None:
             array.flags.writeable = False
     if counts.ndim == 1:
         steps, starts, status = counts
-        return Inverse(q, status == 0, errors[0], errors[1], steps, starts, REASONS[status], history)
+        return Inverse(q, status == 0, errors[0], errors[1], steps, starts, REASONS[status], errors[2], history)
     success, reason = counts[..., 2] == 0, _TEXTS[counts[..., 2]]
     success.flags.writeable = reason.flags.writeable = False
-    return Inverse(q, success, errors[..., 0], errors[..., 1], counts[..., 0], counts[..., 1], reason, history)
+    return Inverse(
+        q, success, errors[..., 0], errors[..., 1], counts[..., 0], counts[..., 1], reason, errors[..., 2], history
+    )
 
 
 def _errors(position: np.ndarray, rotation: np.ndarray) -> str:

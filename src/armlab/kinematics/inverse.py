@@ -14,7 +14,9 @@ from armlab.robots import Robot
 __all__ = ["Inverse", "inverse"]
 
 Task = Literal["pose", "position", "axis", "direction"]
-ROWS = dict(zip(get_args(Task), (6, 3, 5, 2)))
+Objective = Literal["posture", "mid_range", "limits", "manipulability"]
+_ROWS = dict(zip(get_args(Task), (6, 3, 5, 2)))
+_KINDS = dict(zip(get_args(Objective), (1, 1, 2, 3)))
 
 
 def inverse(
@@ -24,6 +26,8 @@ def inverse(
     *,
     task: Task = "pose",
     axis: ArrayLike = (0.0, 0.0, 1.0),
+    objective: Objective | None = None,
+    posture: ArrayLike | None = None,
     tol: float | tuple[float, float] = 1e-9,
     maxiter: int = 100,
     starts: int = 100,
@@ -49,6 +53,14 @@ def inverse(
     task : what is asked for: the "pose"; the "position" of the tool point; the position and the direction of an "axis"
         of the tool; or the "direction" of that axis alone.
     axis : (3,) that axis, in tool axes.
+    objective : what is made least, from the solution on along its self-motion, with the joints that the task leaves
+        free. With r half the range of a joint about its middle m:
+        "posture" ``sum of (q - posture)^2 / 2``;
+        "mid_range" ``sum of ((q - m) / r)^2 / 2``;
+        "limits" the largest ``|q - m| / r``, made smooth: ``log(sum of exp(s x) + exp(-s x)) / s`` with s = 1000, and a
+        thousandth of "mid_range";
+        "manipulability" ``-log(det(J J^T)) / 2`` of the rows of the task.
+    posture : (n,) or (..., n) that posture; None: `q0`, or the home posture.
     tol : largest errors of a solution: of position [m] and of rotation [rad], one number for both or a pair.
     maxiter : most steps from one start.
     starts : most starts; 1 keeps to `q0`.
@@ -65,9 +77,9 @@ def inverse(
     Raises
     ------
     ShapeError
-        When a goal is not a pose or not finite (its index is told), or `q0` or `axis` does not fit.
+        When a goal is not a pose or not finite (its index is told), or `q0`, `axis` or `posture` does not fit.
     UnknownName
-        When there is no such task.
+        When there is no such task or objective.
     ConfigError
         When a number is out of its range.
     NotConverged
@@ -78,8 +90,10 @@ def inverse(
     Levenberg 1944; Marquardt 1963; Sugihara, Solvability-unconcerned inverse kinematics by the Levenberg-Marquardt
     method, IEEE Transactions on Robotics 27(5), 2011.
     """
-    if task not in ROWS:
-        raise UnknownName.among("inverse task", task, ROWS)
+    if task not in _ROWS:
+        raise UnknownName.among("inverse task", task, _ROWS)
+    if objective is not None and objective not in _KINDS:
+        raise UnknownName.among("inverse objective", objective, _KINDS)
     position_tolerance, rotation_tolerance = tol if isinstance(tol, tuple) else (tol, tol)
     solver = robot.inverse_solver
     if seed:
@@ -90,13 +104,14 @@ def inverse(
         *solver.solve(
             T_base_tool,
             q0,
-            ROWS[task],
+            _ROWS[task],
             axis,
             maxiter,
             starts,
             position_tolerance,
             rotation_tolerance,
             damping,
+            *_objective(robot, objective, posture if posture is not None else q0),
             history,
             threads,
         )
@@ -104,6 +119,19 @@ def inverse(
     if strict and not np.all(result.success):
         raise NotConverged(result.report(), best=result)
     return result
+
+
+def _objective(
+    robot: Robot, name: Objective | None, posture: ArrayLike | None
+) -> tuple[int, ArrayLike | None, np.ndarray | None]:
+    """Return the kernel's objective, reference and scale."""
+    if name is None or name == "manipulability":
+        return _KINDS.get(name or "", 0), None, None
+    if name == "posture":
+        return _KINDS[name], robot.q_home if posture is None else posture, np.ones(robot.n)
+    ranges = (robot.q_max - robot.q_min) / 2.0
+    limited = np.isfinite(ranges)  # a joint without limits may be anywhere
+    return _KINDS[name], np.where(limited, robot.q_max - ranges, 0.0), np.where(limited, 1.0 / ranges, 0.0)
 
 
 def _checked(seed: int) -> int:

@@ -1,4 +1,4 @@
-"""The geometric Jacobian."""
+"""The geometric Jacobian, alone and with the pose."""
 
 from __future__ import annotations
 
@@ -10,11 +10,13 @@ from numpy.typing import ArrayLike
 from armlab.errors import UnknownName
 from armlab.robots import Robot
 
-__all__ = ["jacobian"]
+__all__ = ["forward_jacobian", "jacobian"]
+
+Frame = Literal["base", "tool"]
 
 
 def jacobian(
-    robot: Robot, q: ArrayLike, frame: Literal["base", "tool"] = "base", out: np.ndarray | None = None
+    robot: Robot, q: ArrayLike, frame: Frame = "base", out: np.ndarray | None = None, threads: int = 1
 ) -> np.ndarray:
     """Return the Jacobian of the tool point: ``[v; w] = J(q) qd``.
 
@@ -27,6 +29,7 @@ def jacobian(
     q : (..., n) joint positions [rad or m].
     frame : axes in which v and w are told, "base" or "tool"; the point is the tool's origin in both.
     out : (..., 6, n) array to write into, or None for a new one.
+    threads : how many share the poses, 1 to 256; the result is the same to the last bit.
 
     Returns
     -------
@@ -38,7 +41,50 @@ def jacobian(
         When `frame` is neither "base" nor "tool".
     ShapeError
         When the last axis of `q` is not n long, or `out` does not fit.
+    ConfigError
+        When `threads` is not an integer from 1 to 256.
     """
+    return robot.chain.jacobian(q, _in_tool_axes(frame), out, threads)
+
+
+def forward_jacobian(
+    robot: Robot,
+    q: ArrayLike,
+    frame: Frame = "base",
+    out: tuple[np.ndarray, np.ndarray] | None = None,
+    threads: int = 1,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pose of the tool and its Jacobian, ``T_base_tool(q)`` and ``J(q)``, in one walk along the arm.
+
+    The numbers are those of `forward` and `jacobian` to the last bit, in little more than the time of one of them.
+
+    Parameters
+    ----------
+    robot : the arm.
+    q : (..., n) joint positions [rad or m].
+    frame : axes of the Jacobian, "base" or "tool"; the pose is in the base in both.
+    out : pair of arrays (..., 4, 4) and (..., 6, n) to write into, or None for new ones. Large ones that are used again
+        save half of the time, which the system takes to give new memory.
+    threads : how many share the poses, 1 to 256; the result is the same to the last bit.
+
+    Returns
+    -------
+    T_base_tool : (..., 4, 4).
+    J : (..., 6, n), rows [v; w].
+
+    Raises
+    ------
+    UnknownName
+        When `frame` is neither "base" nor "tool".
+    ShapeError
+        When the last axis of `q` is not n long, or `out` is no pair of arrays that fit and share no memory.
+    ConfigError
+        When `threads` is not an integer from 1 to 256.
+    """
+    return robot.chain.forward_jacobian(q, _in_tool_axes(frame), out, threads)
+
+
+def _in_tool_axes(frame: Frame) -> bool:
     if frame not in ("base", "tool"):
         raise UnknownName.among("Jacobian frame", frame, ("base", "tool"))
-    return robot.chain.jacobian(q, frame == "tool", out)
+    return frame == "tool"

@@ -2,22 +2,34 @@
 
 from armlab.models.files import load, load_statistics, save
 from armlab.models.friction import Friction, FrictionBound, Ripple
+from armlab.models.rbf import FrictionMap, RadialBasis
 from armlab.models.registry import register
+from armlab.models.ripple import RippleLines, speed_basis
 from armlab.models.torque import Quality, TorqueModel
 from armlab.models.velocity_covariance import VelocityCovariance, velocity_covariance
+from armlab.models.warm_up import WarmUp
 
 __all__ = [
     "Friction",
     "FrictionBound",
+    "FrictionMap",
     "Quality",
+    "RadialBasis",
     "Ripple",
+    "RippleLines",
     "TorqueModel",
     "VelocityCovariance",
+    "WarmUp",
     "load",
     "load_statistics",
     "register",
     "save",
+    "speed_basis",
     "velocity_covariance",
 ]
 
 register("velocity_covariance", VelocityCovariance)
+register("ripple_lines", RippleLines)
+register("radial_basis", RadialBasis)
+register("friction_map", FrictionMap)
+register("warm_up", WarmUp)

@@ -30,12 +30,16 @@ FORMAT = 3
 FRICTION = tuple(entry.name for entry in fields(Friction))
 RIPPLE = ("cycles", "cosine", "sine")
 BOUND = ("torque", "speed", "floor")
+PARTS = ("lines", "friction_map", "warm_up")  # of the drives, where there are any
 QUALITY = ("torque_sd", "rms", "rms_cv", "coverage", "q_min", "q_max", "qd_peak")
 UNITS = {
     "link_parameters": "kg, kg m, kg m^2; order m, m c (3), Ixx, Ixy, Iyy, Ixz, Iyz, Izz; link frames",
     "rotor": "kg m^2",
     "friction": "N m, rad, s",
     "ripple": "N m; cycles in rad/rad",
+    "lines": "N m; cycles per revolution; speeds in rad/s",
+    "friction_map": "N m, rad, rad/s",
+    "warm_up": "s, W",
     "ctau": "(N m)^2, s/rad",
     "bound": "N m, rad/s",
     "validation": "N m, rad, s",
@@ -102,6 +106,9 @@ class _File(_Strict):
     ctau: _Covariance
     bound: dict[str, dict[str, float]]
     validation: _Validation
+    lines: dict[str, Any] | None = None
+    friction_map: dict[str, Any] | None = None
+    warm_up: dict[str, Any] | None = None
     fit: dict[str, Any] | None = None
 
 
@@ -160,6 +167,7 @@ def _torque_file(model: TorqueModel) -> dict[str, Any]:
         },
         "bound": _by_joint(model.bound, BOUND),
         "validation": {**{name: getattr(q, name).tolist() for name in QUALITY}, "seconds": q.seconds},
+        **{name: encode(part) for name in PARTS if (part := getattr(model, name)) is not None},
     }
 
 
@@ -207,7 +215,7 @@ def load(path: str | Path, kind: str | None = None) -> Any:
         return _model(msgspec.convert(raw, _File), path)
     except ConfigError:
         raise
-    except (msgspec.ValidationError, UnknownName, ValueError) as error:
+    except (msgspec.ValidationError, UnknownName, KeyError, TypeError, ValueError) as error:
         what = str(error).rstrip(".")
         raise ConfigError(f"Expected a complete model file at {path}, got: {what}. Identify again.") from None
 
@@ -264,4 +272,5 @@ def _model(file: _File, path: Path) -> TorqueModel:
         base_cov=cov,
         quality=Quality(**{name: np.array(getattr(validation, name)) for name in QUALITY}, seconds=validation.seconds),
         sources=tuple(file.meta.sources),
+        **{name: decode(part) for name in PARTS if (part := getattr(file, name)) is not None},
     )

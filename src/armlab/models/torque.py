@@ -17,7 +17,10 @@ import numpy as np
 from armlab.errors import ModelMismatchError, ShapeError
 from armlab.kernels import Chain, Drive, WrenchEstimator, model_torque
 from armlab.models.friction import Friction, FrictionBound, Ripple
+from armlab.models.rbf import FrictionMap
+from armlab.models.ripple import RippleLines
 from armlab.models.velocity_covariance import KINDS, VelocityCovariance
+from armlab.models.warm_up import WarmUp
 from armlab.robots import Robot
 
 __all__ = ["Quality", "TorqueModel"]
@@ -63,6 +66,7 @@ class TorqueModel:
     cutoff : corner [Hz] of the causal filter on the torque residual that `covariance` belongs to.
     base_names, base_values, base_cov : the identified base parameters with their covariance.
     quality : how well it fits. sources : SHA-256 and name of each log.
+    lines, friction_map, warm_up : parts of the drives that `identify.fit_friction` adds where they win, or None.
     """
 
     robot_name: str
@@ -82,6 +86,9 @@ class TorqueModel:
     base_cov: np.ndarray
     quality: Quality
     sources: tuple[str, ...] = field(default=())
+    lines: RippleLines | None = None
+    friction_map: FrictionMap | None = None
+    warm_up: WarmUp | None = None
 
     def __post_init__(self) -> None:
         """Check shapes and freeze the arrays."""
@@ -102,6 +109,7 @@ class TorqueModel:
                 f"Expected friction, ripple, covariance and bound of {n} joints and a cut-off above 0 Hz, got "
                 f"{lengths} joints and {self.cutoff:g} Hz."
             )
+        _ = self.drive  # refuses parts of another number of joints
 
     @property
     def n(self) -> int:
@@ -115,8 +123,14 @@ class TorqueModel:
 
     @property
     def drive(self) -> Drive:
-        """Kernel of friction and ripple: the one place that evaluates them."""
-        return Drive(self.friction.rows, self.ripple.rows)
+        """Kernel of friction, ripple and warm-up: the one place that evaluates them."""
+        return Drive(
+            self.friction.rows,
+            self.ripple.rows,
+            None if self.lines is None else self.lines.kernel_rows(),
+            None if self.friction_map is None else self.friction_map.kernel_rows(),
+            None if self.warm_up is None else self.warm_up.kernel_rows(),
+        )
 
     def check_robot(self, robot: Robot) -> None:
         """Raise `ModelMismatchError` unless `robot` is the one this model was identified on."""
@@ -130,7 +144,9 @@ class TorqueModel:
         """Return gravity, inertial and rotor torque (..., n) [N m]; all inputs (..., n)."""
         return self.chain.rnea(q, qd, qdd, self.gravity, self.link_parameters) + self.rotor * qdd
 
-    def torque(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray | None = None) -> np.ndarray:
+    def torque(
+        self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray | None = None, dt: np.ndarray | None = None
+    ) -> np.ndarray:
         """Return the model torque (N, n) [N m] without contact along a record.
 
         The presliding state runs through the rows in order, from 0 at the first. A row with a NaN gives NaN and leaves
@@ -140,10 +156,11 @@ class TorqueModel:
         ----------
         q, qd : (N, n) positions [rad] and velocities [rad/s] in time order.
         qdd : (N, n) accelerations [rad/s^2]; zero when left out.
+        dt : (N,) steps [s] over which the drives warm up; they stay as warm as at the start when left out.
         """
         q, qd = np.atleast_2d(q), np.atleast_2d(qd)
         qdd = np.zeros_like(q) if qdd is None else np.atleast_2d(qdd)
-        return model_torque(self.chain, self.gravity, self.link_parameters, self.rotor, self.drive, q, qd, qdd)
+        return model_torque(self.chain, self.gravity, self.link_parameters, self.rotor, self.drive, q, qd, qdd, dt)
 
     def estimator_kernel(self, prior: np.ndarray, method: int = 0, point: np.ndarray | None = None) -> WrenchEstimator:
         """Return a fresh estimator kernel with this model's numbers.

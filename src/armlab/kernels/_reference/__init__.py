@@ -6,7 +6,7 @@ Every name here exists in `armlab.kernels._native` with the same signature and t
 from __future__ import annotations
 
 from armlab.kernels._reference.chain import Chain
-from armlab.kernels._reference.drive import Drive, model_torque, presliding
+from armlab.kernels._reference.drive import Drive, basis_weights, model_torque, presliding
 from armlab.kernels._reference.estimator import WrenchEstimator
 from armlab.kernels._reference.euler import euler_from_rpy, euler_to_rpy
 from armlab.kernels._reference.inverse import InverseSolver
@@ -33,7 +33,6 @@ from armlab.kernels._reference.lie import (
 from armlab.kernels._reference.lie_arguments import poses, rotations
 from armlab.kernels._reference.limits import limit_reference
 from armlab.kernels._reference.momentum import momentum_step
-from armlab.kernels._reference.path import follow_path
 from armlab.kernels._reference.signals import SignalOperator
 from armlab.kernels._reference.wrench import solve_wrench, wrench_interval
 
@@ -45,7 +44,7 @@ __all__ = [
     "WrenchEstimator",
     "euler_from_rpy",
     "euler_to_rpy",
-    "follow_path",
+    "basis_weights",
     "limit_reference",
     "model_torque",
     "momentum_step",

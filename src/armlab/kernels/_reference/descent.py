@@ -7,15 +7,17 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from armlab.kernels._reference.objective import Objective
+
 if TYPE_CHECKING:
     from armlab.kernels._reference.chain import Chain
 
-__all__ = ["HASTY", "PATIENT", "Box", "Descent", "Goal", "Iterate", "Search"]
+__all__ = ["HASTY", "PATIENT", "Descent", "Goal", "Iterate", "Search"]
 
 LEAST_DAMPING = 1e-12
 GRACE = 3  # steps in a row that may fail to be the best before they are taken back
 STATIONARY_COSINE = 1e-2  # between the residual and what free joints can do about it
-Box = tuple[np.ndarray, np.ndarray]
+_Box = tuple[np.ndarray, np.ndarray]
 
 
 class Patience(NamedTuple):
@@ -29,13 +31,14 @@ HASTY, PATIENT = Patience(4, 0.5), Patience(8, 1.0 - 1e-6)
 
 
 class Search(NamedTuple):
-    """What a search may take: steps per start, starts, tolerances [m], [rad], damping."""
+    """What a search may take: steps per start, starts, tolerances [m], [rad], damping; and an objective."""
 
     steps: int
     starts: int
     position_tolerance: float
     rotation_tolerance: float
     damping: float
+    objective: Objective
 
 
 class Goal:
@@ -78,7 +81,7 @@ class Descent:
         self.chain, self.goal, self.search, self.weight = chain, goal, search, weight
         self.steps = 0  # of all runs
 
-    def run(self, q: np.ndarray, box: Box, patience: Patience, history: np.ndarray | None) -> bool:
+    def run(self, q: np.ndarray, box: _Box, patience: Patience, history: np.ndarray | None) -> bool:
         """Descend from `q` inside the box; True when that gets to the goal. `best` is where it ends.
 
         A step that does not reduce the error may still lead on, as along a curved valley near a singular posture:
@@ -91,7 +94,7 @@ class Descent:
         for k in range(self.search.steps + 1):
             if history is not None:
                 history[k] = self.best.position_error, self.best.rotation_error
-            if self._is_there():
+            if self.is_there(self.best):
                 return True
             long_ago = squares[k - patience.window] if k >= patience.window else np.inf
             if k == self.search.steps or not self.best.square <= patience.rate * long_ago:
@@ -134,23 +137,24 @@ class Descent:
         square = float(residual @ residual)
         return Iterate(q, np.concatenate(rows), residual, square, float(position_error), float(rotation_error))
 
-    def blocked(self, box: Box) -> np.ndarray:
+    def blocked(self, box: _Box) -> np.ndarray:
         """(n,) whether the residual pulls a joint against its end of the box."""
         slope = self.best.J.T @ self.best.e
         return ((self.best.q >= box[1]) & (slope > 0.0)) | ((self.best.q <= box[0]) & (slope < 0.0))
 
-    def is_stationary(self, box: Box) -> bool:
+    def is_stationary(self, box: _Box) -> bool:
         """Whether no joint that is free to move reduces the error: ``|J^T e|`` is small against ``|J| |e|``."""
         J = self.best.J[:, ~self.blocked(box)]
         slope = J.T @ self.best.e
         return bool(slope @ slope <= STATIONARY_COSINE**2 * np.sum(J * J) * self.best.square)
 
-    def _is_there(self) -> bool:
-        position = not self.goal.has_position or self.best.position_error <= self.search.position_tolerance
-        return position and (self.goal.task == 3 or self.best.rotation_error <= self.search.rotation_tolerance)
+    def is_there(self, here: Iterate) -> bool:
+        """Return whether the errors are within the tolerances."""
+        position = not self.goal.has_position or here.position_error <= self.search.position_tolerance
+        return position and (self.goal.task == 3 or here.rotation_error <= self.search.rotation_tolerance)
 
 
-def step(here: Iterate, box: Box, damping: float) -> np.ndarray | None:
+def step(here: Iterate, box: _Box, damping: float) -> np.ndarray | None:
     """Return ``q + J^T (J J^T + lambda I)^-1 e`` inside the box, or None when the equations cannot be solved.
 
     A joint that would leave the box goes to its end; the others make up for what it does not do.

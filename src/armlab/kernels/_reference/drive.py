@@ -1,12 +1,18 @@
-"""Torque of the drives: friction with its presliding state, and torque ripple (specification; the compiled twin is
-native/drive.h).
+"""Torque of the drives: friction with presliding state and warmth, friction over position, ripple (native/drive.h).
 
 With s = z, or s = tanh(qd / smooth_speed) where smooth_speed > 0, joint by joint::
 
-    dry = coulomb_pos max(s, 0) + coulomb_neg min(s, 0) + stribeck s exp(-(qd / stribeck_speed)^2) + root s sqrt(|qd|)
-    tau = viscous qd + dry_share dry + offset + cosine cos(cycles q) + sine sin(cycles q)
+    coulomb = (coulomb_pos max(s, 0) + coulomb_neg min(s, 0)) (1 + of_coulomb x)
+    dry = coulomb + stribeck s exp(-(qd / stribeck_speed)^2) + root s sqrt(|qd|)
+    rubbing = viscous (1 + of_viscous x) qd + dry_share dry
+    tau = rubbing + offset + cosine cos(cycles q) + sine sin(cycles q) + dry_share map(q, qd, s) + lines(q, qd, s)
 
-dry_share is 1, less for an estimator that takes dry friction near rest as bounded instead of known.
+dry_share is 1, less for an estimator that takes dry friction near rest as bounded instead of known. Warmth x goes by
+its own heat: ``dx/dt = (|rubbing qd| / reference - x) / time``, exact for constant power in a step.
+
+With normalised Gaussians psi (`basis_weights`), the map has coefficients over position and speed for both directions,
+``(1 + s)/2 psi(q)^T k_pos psi(|qd|) + (1 - s)/2 psi(q)^T k_neg psi(|qd|)``; a line of ripple has amplitudes over speed,
+``a(qd) cos(cycles q) + b(qd) sin(cycles q)``, a = psi(qd)^T k, or one for each direction as in the map.
 """
 
 from __future__ import annotations
@@ -19,14 +25,28 @@ from armlab.errors import ShapeError
 from armlab.kernels._reference.arrays import read, result, same_shape
 from armlab.kernels._reference.chain import Chain
 
-__all__ = ["Drive", "DriveState", "drive_torque", "model_torque", "move", "presliding", "slide", "start"]
+__all__ = [
+    "Drive",
+    "DriveState",
+    "basis_weights",
+    "drive_torque",
+    "heat",
+    "model_torque",
+    "move",
+    "presliding",
+    "slide",
+    "start",
+]
+
+
+MAX_CENTRES = 64
 
 
 class DriveState:
-    """What the drives remember: the position y that follows with a play, and the presliding state z, both (n,)."""
+    """What the drives remember, each (n,): position y that follows with a play, presliding state z, warmth x."""
 
-    def __init__(self, play: np.ndarray, z: np.ndarray) -> None:
-        self.play, self.z = play, z
+    def __init__(self, play: np.ndarray, z: np.ndarray, warmth: np.ndarray) -> None:
+        self.play, self.z, self.warmth = play, z, warmth
 
 
 class Drive:
@@ -37,25 +57,93 @@ class Drive:
     friction : (10, n) rows viscous, coulomb_pos, coulomb_neg, offset, stribeck, stribeck_speed, delta, resolution,
         root, smooth_speed.
     ripple : (3, n) rows cycles, cosine, sine.
+    lines : joints (L,) in order, cycles (L,), speeds and widths (n, S), coefficients (L, 1 or 2 directions, S, 2); or
+        None.
+    map : positions and widths (n, P), speeds and widths (n, S), coefficients (n, 2, P, S); or None.
+    warm_up : (5, n) rows of_coulomb, of_viscous, time, reference, start; or None. time 0: no warming up.
     """
 
-    def __init__(self, friction: np.ndarray, ripple: np.ndarray) -> None:
+    def __init__(
+        self,
+        friction: np.ndarray,
+        ripple: np.ndarray,
+        lines: tuple[np.ndarray, ...] | None = None,
+        map: tuple[np.ndarray, ...] | None = None,
+        warm_up: np.ndarray | None = None,
+    ) -> None:
         friction = read(friction, "friction", np.shape(friction)[-1:])
         self.n = friction.shape[-1]
         self.friction = read(friction, "friction", (10, self.n), exact=True).copy()
         self.ripple = read(ripple, "ripple", (3, self.n), exact=True).copy()
+        self.lines = None if lines is None else _read_lines(lines, self.n)
+        self.map = None if map is None else _read_map(map, self.n)
+        heated = np.zeros((5, self.n)) if warm_up is None else warm_up
+        self.warm_up = read(heated, "warm_up", (5, self.n), exact=True).copy()
 
     def torque(self, q: np.ndarray, qd: np.ndarray, z: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
         """Return the torque (..., n) at positions, velocities and presliding states (..., n)."""
         q, qd, z = (read(a, name, (self.n,)) for a, name in ((q, "q"), (qd, "qd"), (z, "z")))
         same_shape(qd, "qd", q, "q")
         same_shape(z, "z", q, "q")
-        return result(drive_torque(self, q, qd, z), out)
+        return result(drive_torque(self, q, qd, DriveState(q, z, self.warm_up[4])), out)
+
+
+def _parts(values: Any, count: int) -> tuple[Any, ...]:
+    if not isinstance(values, tuple) or len(values) != count:
+        raise ShapeError(f"Expected a part of the drive as a tuple of {count} arrays, got something else.")
+    return values
+
+
+def _centres(values: Any, name: str, n: int) -> np.ndarray:
+    centres = np.asarray(values, dtype=float)
+    if centres.ndim != 2 or centres.shape[0] != n or not 1 <= centres.shape[1] <= MAX_CENTRES:
+        raise ShapeError(f"Expected {name} of shape ({n}, m) with m from 1 to {MAX_CENTRES}, got {centres.shape}.")
+    return centres
+
+
+def _read_lines(lines: tuple[np.ndarray, ...], n: int) -> tuple[np.ndarray, ...]:
+    joints, cycles, speeds, widths, coefficients = _parts(lines, 5)
+    speeds = _centres(speeds, "line speeds", n)
+    L, S = np.size(joints), speeds.shape[1]
+    joints, cycles = (read(a, f"line {name}", (L,), exact=True) for a, name in ((joints, "joints"), (cycles, "cycles")))
+    widths = read(widths, "line widths", (n, S), exact=True)
+    sides = 2 if np.ndim(coefficients) == 4 and np.shape(coefficients)[1] == 2 else 1
+    coefficients = read(coefficients, "line coefficients", (L, sides, S, 2), exact=True)
+    if not np.all((joints >= np.append(0.0, joints[:-1])) & (joints < n)):
+        raise ShapeError("Expected the lines of torque ripple joint by joint from 0, got another order.")
+    return joints, cycles, speeds, widths, coefficients
+
+
+def _read_map(values: tuple[np.ndarray, ...], n: int) -> tuple[np.ndarray, ...]:
+    positions, position_widths, speeds, speed_widths, coefficients = _parts(values, 5)
+    positions, speeds = _centres(positions, "map positions", n), _centres(speeds, "map speeds", n)
+    position_widths = read(position_widths, "map position widths", positions.shape, exact=True)
+    speed_widths = read(speed_widths, "map speed widths", speeds.shape, exact=True)
+    shape = (n, 2, positions.shape[1], speeds.shape[1])
+    return positions, position_widths, speeds, speed_widths, read(coefficients, "map coefficients", shape, exact=True)
+
+
+def basis_weights(x: np.ndarray, centres: np.ndarray, widths: np.ndarray) -> np.ndarray:
+    """Return Gaussians ``exp(-((x - c) / w)^2)`` divided by their sum, (N, m); x outside the centres counts as the end.
+
+    Parameters
+    ----------
+    x : (N,).
+    centres, widths : (m,) ascending; positive.
+    """
+    if not 1 <= np.size(centres) <= MAX_CENTRES:
+        raise ShapeError(f"Expected from 1 to {MAX_CENTRES} centres, got {np.size(centres)}.")
+    centres = read(centres, "centres", (np.size(centres),), exact=True)
+    widths = read(widths, "widths", centres.shape, exact=True)
+    x = read(x, "x", (np.size(x),), exact=True)
+    power = -(((np.clip(x, centres[0], centres[-1])[:, None] - centres) / widths) ** 2)
+    weights = np.exp(power - power.max(axis=1, keepdims=True, initial=-1e300))
+    return weights / weights.sum(axis=1, keepdims=True)
 
 
 def start(drive: Drive, q: np.ndarray) -> DriveState:
     """Return the state at the first position (n,) of a record."""
-    return DriveState(q.copy(), np.zeros(drive.n))
+    return DriveState(q.copy(), np.zeros(drive.n), drive.warm_up[4])
 
 
 def move(drive: Drive, q: np.ndarray, state: DriveState) -> tuple[DriveState, np.ndarray]:
@@ -63,17 +151,72 @@ def move(drive: Drive, q: np.ndarray, state: DriveState) -> tuple[DriveState, np
     delta, resolution = drive.friction[6], drive.friction[7]
     play = np.clip(state.play, q - resolution, q + resolution)
     dy = play - state.play
-    return DriveState(play, slide(state.z, dy, delta)), dy
+    return DriveState(play, slide(state.z, dy, delta), state.warmth), dy
 
 
-def drive_torque(drive: Drive, q: np.ndarray, qd: np.ndarray, z: np.ndarray, dry_share: Any = 1.0) -> np.ndarray:
+def heat(drive: Drive, qd: np.ndarray, dt: float, state: DriveState) -> DriveState:
+    """Return the state after rubbing for a time dt [s]."""
+    _, _, time, reference, _ = drive.warm_up
+    heats = time > 0
+    power = np.abs(_rubbing(drive, qd, _sign(drive, qd, state), state.warmth, 1.0) * qd)
+    power = power / np.where(heats, reference, 1.0)
+    warmth = power + (state.warmth - power) * np.exp(-dt / np.where(heats, time, 1.0))
+    return DriveState(state.play, state.z, np.where(heats, warmth, state.warmth))
+
+
+def drive_torque(drive: Drive, q: np.ndarray, qd: np.ndarray, state: DriveState, dry_share: Any = 1.0) -> np.ndarray:
     """Return the torque (..., n), of which dry friction counts by `dry_share`."""
-    viscous, positive, negative, offset, stribeck, speed, _, _, root, smooth = drive.friction
     cycles, cosine, sine = drive.ripple
-    s = np.where(smooth > 0, np.tanh(qd / np.where(smooth > 0, smooth, 1.0)), z)
-    dry = positive * np.maximum(s, 0) + negative * np.minimum(s, 0)
+    s = _sign(drive, qd, state)
+    tau = _rubbing(drive, qd, s, state.warmth, dry_share) + drive.friction[3]
+    tau = tau + cosine * np.cos(cycles * q) + sine * np.sin(cycles * q)
+    if drive.map is not None:
+        tau = tau + dry_share * _mapped(drive.map, q, qd, s)
+    return tau if drive.lines is None else tau + _rippled(drive.lines, q, qd, s)
+
+
+def _sign(drive: Drive, qd: np.ndarray, state: DriveState) -> np.ndarray:
+    smooth = drive.friction[9]
+    return np.where(smooth > 0, np.tanh(qd / np.where(smooth > 0, smooth, 1.0)), state.z)
+
+
+def _rubbing(drive: Drive, qd: np.ndarray, s: np.ndarray, warmth: np.ndarray, dry_share: Any) -> np.ndarray:
+    """Return what turns into heat."""
+    viscous, positive, negative, _, stribeck, speed, _, _, root, _ = drive.friction
+    of_coulomb, of_viscous = drive.warm_up[:2]
+    dry = (positive * np.maximum(s, 0) + negative * np.minimum(s, 0)) * (1.0 + of_coulomb * warmth)
     dry = dry + stribeck * s * np.exp(-((qd / speed) ** 2)) + root * s * np.sqrt(np.abs(qd))
-    return viscous * qd + dry_share * dry + offset + cosine * np.cos(cycles * q) + sine * np.sin(cycles * q)
+    return viscous * (1.0 + of_viscous * warmth) * qd + dry_share * dry
+
+
+def _sides(s: np.ndarray) -> np.ndarray:
+    """Return how much each direction counts (N, 2), positive first."""
+    return np.stack([0.5 * (1.0 + s), 0.5 * (1.0 - s)], axis=-1)
+
+
+def _mapped(part: tuple[np.ndarray, ...], q: np.ndarray, qd: np.ndarray, s: np.ndarray) -> np.ndarray:
+    positions, position_widths, speeds, speed_widths, coefficients = part
+    n = len(positions)
+    q, qd, s, shape = q.reshape(-1, n), qd.reshape(-1, n), s.reshape(-1, n), q.shape
+    tau = np.empty(q.shape)
+    for i in range(n):
+        at = basis_weights(q[:, i], positions[i], position_widths[i])
+        along = basis_weights(np.abs(qd[:, i]), speeds[i], speed_widths[i])
+        tau[:, i] = np.einsum("ka,kb,kd,dab->k", at, along, _sides(s[:, i]), coefficients[i])
+    return tau.reshape(shape)
+
+
+def _rippled(part: tuple[np.ndarray, ...], q: np.ndarray, qd: np.ndarray, s: np.ndarray) -> np.ndarray:
+    joints, cycles, speeds, widths, coefficients = part
+    n, sides = len(speeds), coefficients.shape[1]
+    q, qd, s, shape = q.reshape(-1, n), qd.reshape(-1, n), s.reshape(-1, n), q.shape
+    tau = np.zeros(q.shape)
+    for i, c, k in zip(joints.astype(int), cycles, coefficients):
+        along = basis_weights(np.abs(qd[:, i]) if sides == 2 else qd[:, i], speeds[i], widths[i])
+        direction = _sides(s[:, i]) if sides == 2 else np.ones((len(q), 1))
+        a, b = np.einsum("ks,kd,dsc->ck", along, direction, k)
+        tau[:, i] += a * np.cos(c * q[:, i]) + b * np.sin(c * q[:, i])
+    return tau.reshape(shape)
 
 
 def model_torque(
@@ -85,6 +228,7 @@ def model_torque(
     q: np.ndarray,
     qd: np.ndarray,
     qdd: np.ndarray,
+    dt: np.ndarray | None = None,
     out: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return ``rnea + rotor qdd + drives`` (N, n) along a record, with z from 0 at the first row.
@@ -96,6 +240,7 @@ def model_torque(
     chain, gravity, links, rotor : of the rigid body, see `Chain.rnea`; rotor (n,).
     drive : of as many joints.
     q, qd, qdd : (N, n) in time order.
+    dt : (N,) step of each row [s]; without it the drives do not warm up.
     out : (N, n) to write into.
     """
     n = chain.n
@@ -106,11 +251,16 @@ def model_torque(
     qd, qdd = read(qd, "qd", q.shape, exact=True), read(qdd, "qdd", q.shape, exact=True)
     tau = np.full(q.shape, np.nan)
     good = np.isfinite(q).all(axis=1) & np.isfinite(qd).all(axis=1) & np.isfinite(qdd).all(axis=1)
+    if dt is not None:
+        dt = read(dt, "dt", (len(q),), exact=True)
+        good &= np.isfinite(dt)
     tau[good] = chain.rnea(q[good], qd[good], qdd[good], gravity, links) + rotor * qdd[good]
     state = None
     for k in np.flatnonzero(good):
         state, _ = move(drive, q[k], start(drive, q[k]) if state is None else state)
-        tau[k] += drive_torque(drive, q[k], qd[k], state.z)
+        tau[k] += drive_torque(drive, q[k], qd[k], state)
+        if dt is not None:
+            state = heat(drive, qd[k], dt[k], state)
     return result(tau, out)
 
 

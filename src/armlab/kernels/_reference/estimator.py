@@ -27,7 +27,7 @@ import numpy as np
 from armlab.errors import ShapeError
 from armlab.kernels._reference.arrays import read
 from armlab.kernels._reference.chain import Chain
-from armlab.kernels._reference.drive import Drive, drive_torque, move, start
+from armlab.kernels._reference.drive import Drive, drive_torque, heat, move, start
 from armlab.kernels._reference.wrench import METHODS, solve_wrench, wrench_interval
 
 __all__ = ["WrenchEstimator"]
@@ -117,10 +117,11 @@ class WrenchEstimator:
             p = self._p + (UNKNOWN - self._p) * (1.0 - np.exp(-dt / REST_TIME))
             p = p * np.exp(-2.0 * np.abs(dy) / self._drive.friction[6])
             dry_share = 1.0 - self._slowness(qd) if self._band else 1.0  # near rest it is anything within the bound
-            raw = rigid + drive_torque(self._drive, q, qd, state.z, dry_share) - tau
+            raw = rigid + drive_torque(self._drive, q, qd, state, dry_share) - tau
         if not np.all(np.abs(raw) < LARGEST):
             return self._invalid()
-        self._state, self._p, self._qd, self._started = state, p, qd.copy(), True
+        self._state, self._p = heat(self._drive, qd, dt, state), p
+        self._qd, self._started = qd.copy(), True
         filtered = self._lowpass(np.concatenate([raw, self._slowness(qd) if self._band else p]), dt, first)
         torque, unsure = filtered[:n], np.clip(filtered[n:], 0.0, UNKNOWN)
         if self._band:

@@ -9,8 +9,9 @@ import numpy as np
 from armlab.errors import ShapeError
 from armlab.kernels._reference.arrays import read
 from armlab.kernels._reference.descent import Search
+from armlab.kernels._reference.objective import Objective
 
-__all__ = ["read_goals", "read_search", "read_starts", "read_task"]
+__all__ = ["read_goals", "read_search", "read_task", "read_vectors"]
 
 ROTATION_TOLERANCE = 1e-6  # of a goal: entries of |R^T R - I|
 
@@ -40,23 +41,23 @@ def read_goals(value: Any) -> np.ndarray:
     return T
 
 
-def read_starts(value: Any, goals: np.ndarray, n: int) -> np.ndarray:
-    """Return one start (..., n) per goal.
+def read_vectors(value: Any, name: str, goals: np.ndarray, n: int) -> np.ndarray:
+    """Return one joint vector (..., n) per goal.
 
     Raises
     ------
     ShapeError
         When the shape is neither (n,) nor that, or one is not finite.
     """
-    q = read(value, "q0", ())
+    q = read(value, name, ())
     batch = goals.shape[:-2]
     if q.shape not in ((n,), (*batch, n)):
         raise ShapeError(
-            f"Expected q0 of shape ({n},) or one posture per goal of T_base_tool {goals.shape}, got {q.shape}."
+            f"Expected {name} of shape ({n},) or one posture per goal of T_base_tool {goals.shape}, got {q.shape}."
         )
     good = np.asarray(np.isfinite(q).all(axis=-1))
     if not good.all():
-        raise ShapeError(f"Expected finite joint positions, got others in {_place('q0', good)}.")
+        raise ShapeError(f"Expected finite joint positions, got others in {_place(name, good)}.")
     return np.broadcast_to(q, (*batch, n))
 
 
@@ -76,7 +77,7 @@ def read_task(task: int, axis: Any) -> np.ndarray:
     return direction
 
 
-def read_search(steps: int, starts: int, position: float, rotation: float, damping: float) -> Search:
+def read_search(steps: int, starts: int, position: float, rotation: float, damping: float, objective: int) -> Search:
     """Return what a search may take.
 
     Raises
@@ -84,9 +85,11 @@ def read_search(steps: int, starts: int, position: float, rotation: float, dampi
     ShapeError
         When one of the numbers makes no sense.
     """
+    if objective not in range(4):
+        raise ShapeError(f"Expected an objective from 0 to 3, got {objective}.")
     if not (steps >= 0 and starts >= 1 and position >= 0.0 and rotation >= 0.0 and damping > 0.0):
         raise ShapeError("Expected steps >= 0, starts >= 1, tolerances >= 0 and damping > 0, got others.")
-    return Search(steps, starts, position, rotation, damping)
+    return Search(steps, starts, position, rotation, damping, Objective(objective, np.zeros(0), np.zeros(0)))
 
 
 def _place(name: str, good: np.ndarray) -> str:

@@ -9,10 +9,11 @@ import numpy as np
 from armlab.errors import ShapeError
 from armlab.kernels._reference.arrays import check_threads, read
 from armlab.kernels._reference.chain import Chain
-from armlab.kernels._reference.descent import HASTY, PATIENT, Box, Descent, Goal, Search
-from armlab.kernels._reference.goals import read_goals, read_search, read_starts, read_task
+from armlab.kernels._reference.descent import HASTY, PATIENT, Descent, Goal, Search
+from armlab.kernels._reference.goals import read_goals, read_search, read_task, read_vectors
+from armlab.kernels._reference.self_motion import SelfMotion
 
-__all__ = ["InverseSolver", "uniform"]
+__all__ = ["InverseSolver"]
 
 SOLVED, OUT_OF_REACH, LIMITS, SINGULAR, ITERATIONS, BOUND = range(6)
 BLOCK, BLOCKS = 128, 16
@@ -60,7 +61,7 @@ class InverseSolver:
         ranges = np.where(prismatic, 2.0 * lengths, 2.0 * np.pi)
         first = np.where(np.isfinite(low), low, np.where(np.isfinite(high), high - ranges, -0.5 * ranges))
         last = np.where(np.isfinite(high), high, first + ranges)
-        self._angles = np.clip(first + (last - first) * uniform(seed, (POSTURES, chain.n)), low, high)
+        self._angles = np.clip(first + (last - first) * _uniform(seed, (POSTURES, chain.n)), low, high)
         self._angles[0] = home
         self._poses = chain.forward(self._angles)[:, :3]
 
@@ -75,13 +76,17 @@ class InverseSolver:
         position_tolerance: float = 1e-9,
         rotation_tolerance: float = 1e-9,
         damping: float = 0.1,
+        objective: int = 0,
+        reference: Any = None,
+        scale: Any = None,
         history: bool = False,
         threads: int = 1,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
-        """Return q (..., n), errors (..., 2) [m, rad], counts (..., 3) and the history (..., steps + 1, 2) or None.
+        """Return q (..., n), errors (..., 3), counts (..., 3) and the history (..., steps + 1, 2) or None.
 
         Counts are steps of all starts, starts, status. Without a solution `q` is the posture with the least error. It
-        is always within the limits. Errors that the task does not ask for are NaN.
+        is always within the limits. Errors are those of position [m] and rotation [rad], NaN where the task does not
+        ask for them, and the slope of the objective that is left, NaN without one.
 
         Parameters
         ----------
@@ -93,11 +98,13 @@ class InverseSolver:
         starts : how many.
         position_tolerance, rotation_tolerance : errors at which a goal is solved [m], [rad].
         damping : ``lambda = damping |e|^2``, eight times that after each failure.
+        objective : of the joints that the task leaves free, see `objective.Objective`.
+        reference : (n,) or (..., n), and scale : (n,), of the objectives 1 and 2; None: zeros.
         history : the errors along the start that gave the result, NaN after its end.
         threads : 1 to 256.
         """
-        search = read_search(steps, starts, position_tolerance, rotation_tolerance, damping)
-        return self._run(self._solve, T_base_tool, q0, task, axis, search, history, threads)
+        search = read_search(steps, starts, position_tolerance, rotation_tolerance, damping, objective)
+        return self._run(self._solve, T_base_tool, q0, task, axis, search, (reference, scale), history, threads)
 
     def follow(
         self,
@@ -110,6 +117,9 @@ class InverseSolver:
         position_tolerance: float = 1e-9,
         rotation_tolerance: float = 1e-9,
         damping: float = 0.1,
+        objective: int = 0,
+        reference: Any = None,
+        scale: Any = None,
         history: bool = False,
         threads: int = 1,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
@@ -122,26 +132,37 @@ class InverseSolver:
             raise ShapeError(f"Expected change >= 0, got {change:f}.")
 
         def solve(goal: Goal, search: Search, q0: np.ndarray | None, path: np.ndarray | None) -> tuple:
-            start = np.asarray(q0)
-            return self._follow(goal, search, start, self._around(start, change), path)
+            return self._follow(goal, search, np.asarray(q0), change, path)
 
-        search = read_search(steps, 1, position_tolerance, rotation_tolerance, damping)
-        return self._run(solve, T_base_tool, np.asarray(q0), task, axis, search, history, threads)
+        search = read_search(steps, 1, position_tolerance, rotation_tolerance, damping, objective)
+        return self._run(solve, T_base_tool, np.asarray(q0), task, axis, search, (reference, scale), history, threads)
 
     def _run(
-        self, solve: Any, T: Any, q0: Any, task: int, axis: Any, search: Search, history: bool, threads: int
+        self,
+        solve: Any,
+        T: Any,
+        q0: Any,
+        task: int,
+        axis: Any,
+        search: Search,
+        wanted: tuple[Any, Any],
+        history: bool,
+        threads: int,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
         goals = read_goals(T)
         batch, n = goals.shape[:-2], self._chain.n
-        starts = None if q0 is None else read_starts(q0, goals, n)
+        starts = None if q0 is None else read_vectors(q0, "q0", goals, n)
+        reference, scale = (np.zeros(n) if vector is None else vector for vector in wanted)
+        references, scales = read_vectors(reference, "reference", goals, n), read(scale, "scale", (n,), exact=True)
         check_threads(threads)
         direction = read_task(task, axis)
-        q, errors, counts = np.empty((*batch, n)), np.empty((*batch, 2)), np.empty((*batch, 3), dtype=np.int64)
+        q, errors, counts = np.empty((*batch, n)), np.empty((*batch, 3)), np.empty((*batch, 3), dtype=np.int64)
         path = np.empty((*batch, search.steps + 1, 2)) if history else None
         for k in np.ndindex(batch):
             start = None if starts is None else starts[k]
             goal = Goal(task, goals[k], direction)
-            q[k], errors[k], counts[k] = solve(goal, search, start, None if path is None else path[k])
+            own = search._replace(objective=search.objective._replace(reference=references[k], scale=scales))
+            q[k], errors[k], counts[k] = solve(goal, own, start, None if path is None else path[k])
         return q, errors, counts, path
 
     def _solve(self, goal: Goal, search: Search, start: np.ndarray | None, path: np.ndarray | None) -> tuple:
@@ -154,14 +175,23 @@ class InverseSolver:
             else:
                 found = descent.run(self._start(goal, number - (start is not None)), self._limits, HASTY, path)
             if found:
-                return _outcome(descent, SOLVED, number + 1)
+                return self._finish(descent, self._limits, number + 1)
             ends.append(descent.best)
         best = min(ends, key=lambda end: end.square)
         if descent.run(best.q, self._limits, PATIENT, path):  # the best of them to its end
-            return _outcome(descent, SOLVED, starts)
+            return self._finish(descent, self._limits, starts)
         if beyond:
             return _outcome(descent, OUT_OF_REACH, starts)
         return self._explain(descent, goal, search, path)
+
+    def _finish(self, descent: Descent, box: tuple[np.ndarray, np.ndarray], starts: int) -> tuple:
+        """Return the solution, moved along the self-motion where there is an objective."""
+        if descent.search.objective.kind == 0:
+            return _outcome(descent, SOLVED, starts)
+        motion = SelfMotion(descent, box)
+        descent.best, slope = motion.descend(descent.best)
+        descent.steps += motion.steps
+        return _outcome(descent, SOLVED, starts, slope)
 
     def _explain(self, descent: Descent, goal: Goal, search: Search, path: np.ndarray | None) -> tuple:
         """Return the outcome of a search without success, and why."""
@@ -174,7 +204,7 @@ class InverseSolver:
             if without_limits:
                 wrapped = self._wrap(descent.best.q)
                 if wrapped is not None and descent.run(wrapped, self._limits, PATIENT, path):
-                    return _outcome(descent, SOLVED, search.starts)
+                    return self._finish(descent, self._limits, search.starts)
                 break
         status = ITERATIONS
         if without_limits or (stationary and blocked and search.starts == 1):
@@ -184,24 +214,20 @@ class InverseSolver:
         descent.best = best
         return _outcome(descent, status, search.starts)
 
-    def _around(self, q: np.ndarray, change: float) -> Box:
-        """Return the part of the limits that is no further than `change` from `q`, which is moved to them first."""
-        (low, high), q = self._limits, np.clip(q, *self._limits)
-        return np.maximum(low, q - change), np.minimum(high, q + change)
-
-    def _follow(self, goal: Goal, search: Search, start: np.ndarray, box: Box, path: np.ndarray | None = None) -> tuple:
+    def _follow(self, goal: Goal, search: Search, start: np.ndarray, change: float, path: np.ndarray | None) -> tuple:
+        start = np.clip(start, *self._limits)
+        box = np.maximum(self._limits[0], start - change), np.minimum(self._limits[1], start + change)
         descent = Descent(self._chain, goal, search, self._weight)
         if descent.run(start, box, PATIENT, path):
-            return _outcome(descent, SOLVED, 1)
+            return self._finish(descent, box, 1)
         status = ITERATIONS
         if self._is_beyond_reach(goal, search.position_tolerance):
             status = OUT_OF_REACH
-        elif descent.blocked(self._limits).any():
-            status = LIMITS
-        elif descent.blocked(box).any():
-            status = BOUND
         elif descent.is_stationary(box):
-            status = OUT_OF_REACH if self._chain.n < goal.task else SINGULAR
+            if not descent.blocked(box).any():
+                status = OUT_OF_REACH if self._chain.n < goal.task else SINGULAR
+            else:
+                status = LIMITS if descent.blocked(self._limits).any() else BOUND
         return _outcome(descent, status, 1)
 
     def _start(self, goal: Goal, number: int) -> np.ndarray:
@@ -241,12 +267,12 @@ class InverseSolver:
         return q if np.all((low <= q) & (q <= high)) else None
 
 
-def _outcome(descent: Descent, status: int, starts: int) -> tuple:
+def _outcome(descent: Descent, status: int, starts: int, slope: float = np.nan) -> tuple:
     best = descent.best
-    return best.q, (best.position_error, best.rotation_error), (descent.steps, starts, status)
+    return best.q, (best.position_error, best.rotation_error, slope), (descent.steps, starts, status)
 
 
-def uniform(seed: int, shape: tuple[int, int]) -> np.ndarray:
+def _uniform(seed: int, shape: tuple[int, int]) -> np.ndarray:
     """Return the first numbers of the sequence SplitMix64 of `seed`, uniform in [0, 1)."""
     with np.errstate(over="ignore"):
         counter = np.arange(1, shape[0] * shape[1] + 1, dtype=np.uint64)
