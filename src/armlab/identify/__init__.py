@@ -4,11 +4,15 @@ from armlab.identify.base_parameters import BaseParameters, base_parameters
 from armlab.identify.covariance import fit_velocity_covariance
 from armlab.identify.dynamics import fit_dynamics
 from armlab.identify.excitation import Trajectory, dither, excitation, sequence
+from armlab.identify.group_lasso import GroupLasso, group_lasso, select_groups
 from armlab.identify.preparation import Prepared, prepare
+from armlab.identify.rbf import rbf_centres, rbf_regressor
+from armlab.identify.ripple import ripple_lines, ripple_regressor
 from armlab.identify.validation import predict
 
 __all__ = [
     "BaseParameters",
+    "GroupLasso",
     "Prepared",
     "Trajectory",
     "base_parameters",
@@ -16,7 +20,13 @@ __all__ = [
     "excitation",
     "fit_dynamics",
     "fit_velocity_covariance",
+    "group_lasso",
     "predict",
     "prepare",
+    "rbf_centres",
+    "rbf_regressor",
+    "ripple_lines",
+    "ripple_regressor",
+    "select_groups",
     "sequence",
 ]

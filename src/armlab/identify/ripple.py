@@ -1,0 +1,200 @@
+"""Search and fit of torque ripple lines on the residuals of one joint (models.RippleLines has the law).
+
+1. Least-squares periodogram over position: for each c the share of the residual that cos(c q) and sin(c q) explain. A
+   peak counts when noise with the local median would give one like it anywhere with p < 1e-3; the strongest is taken,
+   refined and removed, and the search goes on.
+2. Group lasso over the lines found, all amplitudes of a line in one group.
+3. A line stays when without it the error on held-out blocks grows by more than 2 %.
+
+A line passes with the frequency c |qd| / (2 pi): only samples below a quarter of the sampling rate are used, and a line
+that loses more than half of the samples is refused.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from armlab.errors import ShapeError
+from armlab.estimation import mad
+from armlab.identify.group_lasso import select_groups
+from armlab.kernels import basis_weights
+
+__all__ = ["held_out_error", "refit", "ripple_lines", "ripple_regressor", "select_lines"]
+
+P_VALUE = 1e-3
+NEIGHBOURS = 50  # grid points on either side that make the local median
+MAX_LINES = 10
+RIDGE = 1e-6  # relative
+GAIN = 0.02  # share of the held-out variance that a part must remove
+SLOW_SHARE = 0.25  # of the sampling rate
+CHUNK = 2**22  # numbers held at once
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """Rows of one joint that may be used for a line: those on which it passes slowly enough."""
+
+    q: np.ndarray
+    speed: np.ndarray
+    y: np.ndarray
+    rate: float
+
+    def slow(self, c: float) -> np.ndarray:
+        return c * self.speed < 2 * np.pi * SLOW_SHARE * self.rate
+
+
+def ripple_lines(q: np.ndarray, qd: np.ndarray, y: np.ndarray, rate: float, highest: float) -> np.ndarray:
+    """Return the lines (L,) [cycles per revolution] in the residual of one joint, ascending.
+
+    Parameters
+    ----------
+    q, qd, y : (N,) position [rad], velocity [rad/s], residual torque [N m].
+    rate : of sampling [Hz].
+    highest : largest c that is searched, 2.5 times the gear ratio.
+
+    Raises
+    ------
+    ShapeError : shapes, NaN.
+    """
+    q, qd, y = (np.asarray(x, dtype=float) for x in (q, qd, y))
+    if q.ndim != 1 or q.shape != qd.shape or q.shape != y.shape or not np.isfinite([q, qd, y]).all():
+        raise ShapeError(f"Expected finite q, qd and y of one shape (N,), got {q.shape}, {qd.shape} and {y.shape}.")
+    turns = np.ptp(q) / (2 * np.pi)
+    if not highest > 1.0 or turns * (highest - 1.0) < 4.0:
+        return np.zeros(0)
+    search = _Search(q, np.abs(qd), y - np.mean(y), rate)
+    grid = np.arange(1.0, highest, 0.25 / turns)
+    grid = grid[[np.mean(search.slow(c)) >= 0.5 for c in grid]]
+    found: list[float] = []
+    while len(found) < MAX_LINES and len(grid):
+        residual = _without(search, found)
+        power = _periodogram(_Search(q, search.speed, residual, rate), grid)
+        floor = np.array([np.median(power[max(k - NEIGHBOURS, 0) : k + NEIGHBOURS + 1]) for k in range(len(grid))])
+        ratio = power / np.maximum(floor, 1e-300)
+        k = int(np.argmax(ratio))
+        if len(grid) * 2.0 ** -ratio[k] > P_VALUE:  # powers of noise are exponential: the median is at one half
+            break
+        line = _refined(_Search(q, search.speed, residual, rate), grid[k], 0.25 / turns)
+        if any(abs(line - c) < 0.5 / turns for c in found):
+            grid = np.delete(grid, k)
+            continue
+        found.append(line)
+    return np.sort(found)
+
+
+def _without(search: _Search, lines: list[float]) -> np.ndarray:
+    """Return the residual with lines of constant amplitude removed."""
+    if not lines:
+        return search.y
+    angle = np.outer(search.q, lines)
+    A = np.hstack([np.cos(angle), np.sin(angle)])
+    return search.y - A @ np.linalg.lstsq(A, search.y, rcond=None)[0]
+
+
+def _periodogram(search: _Search, grid: np.ndarray) -> np.ndarray:
+    """Return the sum of squares per sample (len(grid),) that each line explains."""
+    power = np.empty(len(grid))
+    step = max(1, CHUNK // len(search.q))
+    for a in range(0, len(grid), step):
+        part = grid[a : a + step]
+        angle = np.outer(part, search.q)
+        slow = part[:, None] * search.speed < 2 * np.pi * SLOW_SHARE * search.rate
+        C, S = np.cos(angle) * slow, np.sin(angle) * slow
+        cc, cs, ss = np.sum(C * C, 1), np.sum(C * S, 1), np.sum(S * S, 1)
+        cy, sy = C @ search.y, S @ search.y
+        det = np.maximum(cc * ss - cs**2, 1e-12 * len(search.q) ** 2)
+        power[a : a + step] = (ss * cy**2 - 2 * cs * cy * sy + cc * sy**2) / det
+    return power
+
+
+def _refined(search: _Search, c: float, width: float) -> float:
+    from scipy.optimize import minimize_scalar
+
+    best = minimize_scalar(
+        lambda x: -_periodogram(search, np.array([x]))[0],
+        bounds=(max(c - width, 1.0), c + width),
+        method="bounded",
+        options={"xatol": 0.05 * width},
+    )
+    return float(best.x)
+
+
+def ripple_regressor(
+    q: np.ndarray, qd: np.ndarray, z: np.ndarray, cycles: np.ndarray, speeds: np.ndarray, widths: np.ndarray
+) -> np.ndarray:
+    """Return the columns (N, L 2 S 2) of lines with amplitudes for both directions, in the order of the coefficients.
+
+    Parameters
+    ----------
+    q, qd, z : (N,) position [rad], velocity [rad/s], presliding state.
+    cycles : (L,) lines. speeds, widths : (S,) of the Gaussians [rad/s].
+    """
+    along = basis_weights(np.abs(qd), speeds, widths)
+    sides = np.stack([0.5 * (1 + np.asarray(z)), 0.5 * (1 - np.asarray(z))], axis=1)
+    amplitude = (sides[:, :, None] * along[:, None, :]).reshape(len(along), -1)
+    wave = np.stack([np.cos(np.outer(q, cycles)), np.sin(np.outer(q, cycles))], axis=2)
+    return np.einsum("nk,nlw->nlkw", amplitude, wave).reshape(len(along), -1)
+
+
+def refit(A: np.ndarray, y: np.ndarray, block: np.ndarray, ridge: float = RIDGE) -> tuple[np.ndarray, np.ndarray]:
+    """Return ridge coefficients (p,) and their covariance (p, p) from the scatter of whole blocks.
+
+    ``H = A^T A + ridge mean(diag) 1``, ``cov = H^-1 (sum_b g_b g_b^T) H^-1`` with the moments g_b of the residuals in a
+    block: residuals that remember make it larger than the formal one.
+
+    Parameters
+    ----------
+    A : (N, p). y : (N,). block : (N,) numbers. ridge : relative to the mean diagonal of A^T A.
+    """
+    x, H = _ridge(A, y, ridge)
+    moments = np.zeros((int(np.max(block)) + 1, A.shape[1]))
+    np.add.at(moments, block, A * (y - A @ x)[:, None])
+    half = np.linalg.solve(H, moments.T)
+    return x, half @ half.T
+
+
+def _ridge(A: np.ndarray, y: np.ndarray, ridge: float) -> tuple[np.ndarray, np.ndarray]:
+    H = A.T @ A
+    H[np.diag_indices_from(H)] += ridge * np.trace(H) / max(len(H), 1)
+    return np.linalg.solve(H, A.T @ y), H
+
+
+def held_out_error(A: np.ndarray, y: np.ndarray, block: np.ndarray, ridge: float = RIDGE, folds: int = 5) -> float:
+    """Return the mean square of y - A x on blocks that x was not fitted to.
+
+    Parameters
+    ----------
+    A : (N, p); without columns the mean square of y. y : (N,). block : (N,) numbers. ridge : relative. folds : number.
+    """
+    total, fold = 0.0, np.asarray(block) % folds
+    for k in range(folds):
+        out = fold == k
+        x = _ridge(A[~out], y[~out], ridge)[0]
+        total += float(np.sum((y[out] - A[out] @ x) ** 2))
+    return total / len(y)
+
+
+def select_lines(A: np.ndarray, y: np.ndarray, size: int, block: np.ndarray, ridge: float = RIDGE) -> np.ndarray:
+    """Return which groups of columns (G,) stay: chosen by the group lasso, and worth 2 % of the held-out error each.
+
+    Parameters
+    ----------
+    A : (N, G size). y : (N,). size : columns of a line. block : (N,) numbers of whole blocks. ridge : relative.
+    """
+    scale = mad(y) or 1.0
+    kept = select_groups(A / np.sqrt(np.mean(A**2)), y / scale, size, block)
+    while kept.any():
+        with_all = held_out_error(A[:, np.repeat(kept, size)], y, block, ridge)
+        worth = np.full(len(kept), np.inf)
+        for g in np.flatnonzero(kept):
+            without = kept.copy()
+            without[g] = False
+            error = held_out_error(A[:, np.repeat(without, size)], y, block, ridge)
+            worth[g] = 1.0 - with_all / error if error > 0 else 0.0
+        weakest = int(np.argmin(worth))
+        if worth[weakest] > GAIN:
+            break
+        kept[weakest] = False
+    return kept

@@ -1,0 +1,96 @@
+"""Lines of torque ripple: found where they are, and only there."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from armlab.errors import ShapeError
+from armlab.identify import ripple_lines, ripple_regressor
+from armlab.identify.ripple import held_out_error, refit, select_lines
+from armlab.models import RippleLines, speed_basis
+
+RATE = 250.0
+
+
+def motion(seconds: float = 30.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Slow motion over 0.6 turns; time, position, velocity."""
+    t = np.arange(0, seconds, 1 / RATE)
+    return t, 1.9 * np.sin(0.3 * t) + 0.1 * np.sin(1.7 * t), 0.57 * np.cos(0.3 * t) + 0.17 * np.cos(1.7 * t)
+
+
+def test_lines_are_found_to_a_twentieth_of_their_width() -> None:
+    _, q, qd = motion()
+    rng = np.random.default_rng(0)
+    y = 0.2 * np.cos(100.0 * q + 0.4) + 0.1 * np.cos(202.0 * q) * (0.5 + np.abs(qd)) + 0.1 * rng.standard_normal(len(q))
+    found = ripple_lines(q, qd, y, RATE, 250.0)
+    width = 2 * np.pi / np.ptp(q)
+    assert len(found) == 2
+    np.testing.assert_allclose(found, [100.0, 202.0], rtol=0, atol=0.05 * width)
+
+
+@pytest.mark.slow  # 5 s
+def test_noise_has_no_lines() -> None:
+    _, q, qd = motion(12.0)
+    rng = np.random.default_rng(1)
+    false = sum(len(ripple_lines(q, qd, rng.standard_normal(len(q)), RATE, 100.0)) > 0 for _ in range(100))
+    assert false <= 5
+
+
+def test_lines_that_pass_too_fast_are_refused() -> None:
+    """At a quarter of the sampling rate the line is at 62.5 Hz; four times the speed hides it from half the samples."""
+    q = motion()[1]
+    y = 0.2 * np.cos(100.0 * q)
+    fast = np.full(len(q), 5.0)
+    assert not np.any(np.abs(ripple_lines(q, fast, y, RATE, 250.0) - 100.0) < 5.0)
+
+
+def test_a_short_range_or_no_gear_has_no_lines() -> None:
+    _, q, qd = motion()
+    assert len(ripple_lines(1e-3 * q, 1e-3 * qd, np.cos(100 * q), RATE, 250.0)) == 0
+    assert len(ripple_lines(q, qd, np.cos(100 * q), RATE, 1.0)) == 0
+
+
+def test_the_regressor_is_linear_in_the_coefficients_of_the_model() -> None:
+    _, q, qd = motion(4.0)
+    z, rng = np.sin(3 * q), np.random.default_rng(0)
+    speeds, widths = speed_basis(0.0, np.abs(qd).max())
+    k = rng.standard_normal((2, 2, 8, 2))
+    torque = RippleLines([0, 0], [100.0, 202.0], speeds[None], widths[None], k).torque(
+        q[:, None], qd[:, None], z[:, None]
+    )
+    A = ripple_regressor(q, qd, z, np.array([100.0, 202.0]), speeds, widths)
+    np.testing.assert_allclose(A @ k.ravel(), torque[:, 0], rtol=0, atol=1e-12)
+
+
+def test_only_lines_that_pay_on_held_out_blocks_stay() -> None:
+    t, q, qd = motion()
+    rng = np.random.default_rng(2)
+    speeds, widths = speed_basis(0.0, np.abs(qd).max())
+    A = ripple_regressor(q, qd, np.sign(qd), np.array([60.0, 100.0, 140.0]), speeds, widths)
+    y = 0.2 * np.cos(100.0 * q) + 0.2 * rng.standard_normal(len(q))
+    block = (t / 0.5).astype(int)
+    assert select_lines(A, y, 32, block).tolist() == [False, True, False]
+    assert not select_lines(A, rng.standard_normal(len(q)), 32, block).any()
+
+
+def test_the_covariance_of_a_refit_is_true() -> None:
+    """Scatter of 200 refits of one problem with residuals that remember."""
+    rng = np.random.default_rng(3)
+    A, truth, block = rng.standard_normal((2000, 3)), np.array([1.0, -2.0, 0.5]), np.arange(2000) // 20
+    found = []
+    for _ in range(200):
+        e = np.repeat(rng.standard_normal(200), 10) + 0.1 * rng.standard_normal(2000)
+        found.append(refit(A, A @ truth + e, block))
+    errors = np.array([x - truth for x, _ in found])
+    nees = np.mean([e @ np.linalg.solve(cov, e) for e, (_, cov) in zip(errors, found)]) / 3
+    assert 0.8 < nees < 1.25
+    assert held_out_error(A, A @ truth, block) < 1e-6
+
+
+def test_wrong_shapes_are_refused() -> None:
+    _, q, qd = motion(1.0)
+    with pytest.raises(ShapeError, match="one shape"):
+        ripple_lines(q, qd, q[:-1], RATE, 250.0)
+    with pytest.raises(ShapeError, match="finite"):
+        ripple_lines(q, qd, np.full(len(q), np.nan), RATE, 250.0)
