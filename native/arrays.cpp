@@ -57,10 +57,15 @@ Input::Input(nb::handle value, const char *name) : name_(name) {
     array_ = nb::borrow(value);
     return;
   }
-  PyObject *converted = PyArray_FromAny(value.ptr(), PyArray_DescrFromType(NPY_DOUBLE), 0, 0,
-                                        NPY_ARRAY_CARRAY_RO | NPY_ARRAY_NOTSWAPPED, nullptr);
+  // First as the type it has: NumPy would read None as NaN and texts of digits as numbers.
+  nb::object any = nb::steal(PyArray_FromAny(value.ptr(), nullptr, 0, 0, 0, nullptr));
+  PyObject *converted = nullptr;
+  if (any && PyArray_CanCastSafely(PyArray_TYPE(reinterpret_cast<PyArrayObject *>(any.ptr())), NPY_DOUBLE))
+    converted = PyArray_FromAny(any.ptr(), PyArray_DescrFromType(NPY_DOUBLE), 0, 0,
+                                NPY_ARRAY_CARRAY_RO | NPY_ARRAY_NOTSWAPPED, nullptr);
   if (!converted) {
-    if (!PyErr_ExceptionMatches(PyExc_TypeError) && !PyErr_ExceptionMatches(PyExc_ValueError)) throw nb::python_error();
+    if (PyErr_Occurred() && !PyErr_ExceptionMatches(PyExc_TypeError) && !PyErr_ExceptionMatches(PyExc_ValueError))
+      throw nb::python_error();
     PyErr_Clear();
     raise_shape_error(std::string("Expected ") + name + " to be an array of real numbers, got " +
                       Py_TYPE(value.ptr())->tp_name + " that does not convert to float64. Give a NumPy array or nested "

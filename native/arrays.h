@@ -32,6 +32,9 @@ namespace armlab {
 // The argument `threads`: an integer from 1 to max_threads, otherwise an armlab.errors.ConfigError.
 int thread_count(nb::handle threads);
 
+// An argument that is an array. None gets in too, so that it is refused in the words of `Input`, not of nanobind.
+inline auto array(const char *name) { return nb::arg(name).none(); }
+
 // A fresh array; with the values of `data` when that is given.
 nb::object fresh_array(int ndim, const npy_intp *shape, const double *data = nullptr);
 

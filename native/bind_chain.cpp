@@ -199,24 +199,24 @@ nb::object reduce(nb::handle self) {
 void bind(nb::module_ &m) {
   using nb::arg;
   nb::class_<Chain>(m, "Chain", "A serial chain, immutable; armlab.kernels._reference.Chain documents it.")
-      .def("__init__", &construct, arg("frames"), arg("prismatic"))
+      .def("__init__", &construct, array("frames"), array("prismatic"))
       .def_ro("n", &Chain::n)
       .def_prop_ro("frames", &frames)
       .def_prop_ro("prismatic", &prismatic)
       .def("__reduce__", &reduce)
-      .def("forward", &forward, arg("q").none(), arg("out") = nb::none(), arg("threads").none() = 1)
-      .def("jacobian", &jacobian, arg("q").none(), arg("tool") = false, arg("out") = nb::none(), arg("threads").none() = 1)
-      .def("forward_jacobian", &forward_jacobian, arg("q").none(), arg("tool") = false, arg("out") = nb::none(),
+      .def("forward", &forward, array("q"), arg("out") = nb::none(), arg("threads").none() = 1)
+      .def("jacobian", &jacobian, array("q"), arg("tool") = false, arg("out") = nb::none(), arg("threads").none() = 1)
+      .def("forward_jacobian", &forward_jacobian, array("q"), arg("tool") = false, arg("out") = nb::none(),
            arg("threads").none() = 1)
-      .def("link_transforms", &link_transforms, arg("q").none(), arg("out") = nb::none())
-      .def("jacobian_derivative", &jacobian_derivative, arg("q"), arg("qd"), arg("tool") = false,
+      .def("link_transforms", &link_transforms, array("q"), arg("out") = nb::none())
+      .def("jacobian_derivative", &jacobian_derivative, array("q"), array("qd"), arg("tool") = false,
            arg("out") = nb::none())
-      .def("rnea", &rnea, arg("q"), arg("qd"), arg("qdd"), arg("gravity"), arg("pi"), arg("out") = nb::none())
-      .def("rigid_regressor", &rigid_regressor, arg("q"), arg("qd"), arg("qdd"), arg("gravity"),
+      .def("rnea", &rnea, array("q"), array("qd"), array("qdd"), array("gravity"), array("pi"), arg("out") = nb::none())
+      .def("rigid_regressor", &rigid_regressor, array("q"), array("qd"), array("qdd"), array("gravity"),
            arg("out") = nb::none())
-      .def("mass_matrix", &mass_matrix, arg("q"), arg("pi"), arg("out") = nb::none())
-      .def("momentum", &momentum, arg("q"), arg("qd"), arg("pi"), arg("out") = nb::none())
-      .def("gravity_regressor", &gravity_regressor, arg("q"), arg("gravity"), arg("out") = nb::none());
+      .def("mass_matrix", &mass_matrix, array("q"), array("pi"), arg("out") = nb::none())
+      .def("momentum", &momentum, array("q"), array("qd"), array("pi"), arg("out") = nb::none())
+      .def("gravity_regressor", &gravity_regressor, array("q"), array("gravity"), arg("out") = nb::none());
 }
 
 }  // namespace armlab::python

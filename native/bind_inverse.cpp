@@ -211,12 +211,12 @@ void bind_inverse_solver(nb::module_ &m) {
   using nb::arg;
   nb::class_<InverseSolver>(m, "InverseSolver",
                             "Inverse kinematics, immutable; armlab.kernels._reference.InverseSolver documents it.")
-      .def("__init__", &construct, arg("chain"), arg("q_min"), arg("q_max"), arg("q_home"), arg("seed") = 0)
-      .def("solve", &solve, arg("T_base_tool"), arg("q0") = nb::none(), arg("task") = 6,
+      .def("__init__", &construct, arg("chain"), array("q_min"), array("q_max"), array("q_home"), arg("seed") = 0)
+      .def("solve", &solve, array("T_base_tool"), arg("q0") = nb::none(), arg("task") = 6,
            arg("axis") = nb::make_tuple(0.0, 0.0, 1.0), arg("steps") = 100, arg("starts") = 100,
            arg("position_tolerance") = 1e-9, arg("rotation_tolerance") = 1e-9, arg("damping") = 0.1,
            arg("objective") = 0, arg("reference") = nb::none(), arg("scale") = nb::none(), arg("history") = false, arg("threads") = 1)
-      .def("follow", &follow, arg("T_base_tool"), arg("q0"),
+      .def("follow", &follow, array("T_base_tool"), array("q0"),
            arg("change") = std::numeric_limits<double>::infinity(), arg("task") = 6,
            arg("axis") = nb::make_tuple(0.0, 0.0, 1.0), arg("steps") = 100, arg("position_tolerance") = 1e-9,
            arg("rotation_tolerance") = 1e-9, arg("damping") = 0.1, arg("objective") = 0, arg("reference") = nb::none(),

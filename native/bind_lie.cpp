@@ -265,7 +265,7 @@ nb::object euler_to_rpy(nb::handle R_, int first, int middle, int last, nb::hand
 
 void bind_lie_functions(nb::module_ &m) {
   const auto def = [&m](const char *name, auto function, const char *argument) {
-    m.def(name, function, nb::arg(argument), nb::arg("out") = nb::none());
+    m.def(name, function, array(argument), nb::arg("out") = nb::none());
   };
   def("so3_exp", &so3_exp, "w");
   def("so3_log", &so3_log, "R");
@@ -281,18 +281,18 @@ void bind_lie_functions(nb::module_ &m) {
   def("quaternion_to_matrix", &quaternion_to_matrix, "quaternion");
 
   using nb::arg;
-  m.def("rotations", &rotations, arg("R"), arg("name"));
-  m.def("poses", &poses, arg("T"), arg("name"));
-  m.def("so3_angle", &so3_angle, arg("R_a"), arg("R_b"), arg("out") = nb::none());
-  m.def("so3_interpolate", &so3_interpolate, arg("R_a"), arg("R_b"), arg("s"), arg("out") = nb::none());
-  m.def("se3_transform_wrench", &se3_transform_wrench, arg("T_a_b"), arg("wrench_b"), arg("out") = nb::none());
-  m.def("se3_interpolate", &se3_interpolate, arg("T_a"), arg("T_b"), arg("s"), arg("screw") = false,
+  m.def("rotations", &rotations, array("R"), arg("name"));
+  m.def("poses", &poses, array("T"), arg("name"));
+  m.def("so3_angle", &so3_angle, array("R_a"), array("R_b"), arg("out") = nb::none());
+  m.def("so3_interpolate", &so3_interpolate, array("R_a"), array("R_b"), array("s"), arg("out") = nb::none());
+  m.def("se3_transform_wrench", &se3_transform_wrench, array("T_a_b"), array("wrench_b"), arg("out") = nb::none());
+  m.def("se3_interpolate", &se3_interpolate, array("T_a"), array("T_b"), array("s"), arg("screw") = false,
         arg("out") = nb::none());
-  m.def("euler_from_rpy", &euler_from_rpy, arg("rpy"), arg("first"), arg("middle"), arg("last"),
+  m.def("euler_from_rpy", &euler_from_rpy, array("rpy"), arg("first"), arg("middle"), arg("last"),
         arg("out") = nb::none());
-  m.def("euler_to_rpy", &euler_to_rpy, arg("R"), arg("first"), arg("middle"), arg("last"), arg("out") = nb::none());
-  m.def("quaternion_multiply", &quaternion_multiply, arg("p"), arg("q"), arg("out") = nb::none());
-  m.def("quaternion_slerp", &quaternion_slerp, arg("a"), arg("b"), arg("s"), arg("out") = nb::none());
+  m.def("euler_to_rpy", &euler_to_rpy, array("R"), arg("first"), arg("middle"), arg("last"), arg("out") = nb::none());
+  m.def("quaternion_multiply", &quaternion_multiply, array("p"), array("q"), arg("out") = nb::none());
+  m.def("quaternion_slerp", &quaternion_slerp, array("a"), array("b"), array("s"), arg("out") = nb::none());
 }
 
 }  // namespace armlab::python
