@@ -35,7 +35,18 @@ def test_reference_when_the_extension_is_missing() -> None:
     """A missing extension is survived with a warning, unless it was asked for."""
     hide = "import sys; sys.modules['armlab.kernels._native'] = None\n"
     assert "the extension cannot be imported" in run(hide + PROGRAM, "").stdout
-    assert "import of armlab.kernels._native halted" in run(hide + PROGRAM, "native").stderr
+    refused = run(hide + PROGRAM, "native").stderr
+    assert "Expected the compiled kernels, as ARMLAB_KERNELS=native asks, got none: " in refused
+    assert "import of armlab.kernels._native halted" in refused
+
+
+def test_reference_when_the_extension_is_older_than_the_sources() -> None:
+    """Sources that were updated without building: the extension lacks what the facade wants."""
+    old = "import sys, types; sys.modules['armlab.kernels._native'] = types.ModuleType('old')\n"
+    result = run(old + PROGRAM, "")
+    assert result.stdout.startswith("reference ")
+    assert "the extension is older than the sources; build it again: make setup" in result.stdout
+    assert "older than the sources" in run(old + PROGRAM, "native").stderr
 
 
 def test_unknown_backend() -> None:

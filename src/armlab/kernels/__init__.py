@@ -108,11 +108,16 @@ def _choose() -> tuple[str, ModuleType]:
     if wanted == "reference":
         return _fall_back("ARMLAB_KERNELS=reference asks for them")
     try:
-        return "native", import_module("armlab.kernels._native")
+        native = import_module("armlab.kernels._native")
     except ImportError as error:
-        if wanted == "native":
-            raise
-        return _fall_back(f"the extension cannot be imported ({error})")
+        fault = f"the extension cannot be imported ({error})"
+    else:
+        if not set(__all__) - {"backend"} - vars(native).keys():
+            return "native", native
+        fault = "the extension is older than the sources; build it again: make setup, or pip install ."
+    if wanted == "native":
+        raise ConfigError(f"Expected the compiled kernels, as ARMLAB_KERNELS=native asks, got none: {fault}.")
+    return _fall_back(fault)
 
 
 backend, _module = _choose()
