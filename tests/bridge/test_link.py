@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab import bridge, log
+from armlab import bridge, log, robots
 from armlab.bridge import Limits
 from armlab.bridge.link import Link, connect
-from armlab.errors import ConfigError, LinkError, NoRobot, UnknownName
+from armlab.errors import ConfigError, LinkError, NoRobot, RobotError, UnknownName
 from armlab.robots import Robot
 from armlab.state import Command, State
 
@@ -277,3 +277,11 @@ def test_ctrl_c_in_real_time(tmp_path: Path) -> None:
     np.testing.assert_array_equal(table["qd_sent"][-1], 0.0)
     assert np.nanmax(table["qd_sent"]) == pytest.approx(0.1)
     assert not any("recovered" in note for note in table.notes)
+
+
+def test_robots_that_egm_cannot_describe() -> None:
+    """On the IRB 2400 ABB's axis 3 is not the third joint: refused before any socket opens."""
+    with pytest.raises(RobotError, match="Expected a robot over EGM whose axes each move one joint"):
+        bridge.connect("egm://127.0.0.1:0", robots.load("irb2400"))
+    with pytest.raises(RobotError, match=r"Expected a Robot, got 'yumi_left'\. Load it first"):
+        bridge.connect("egm://127.0.0.1:0", "yumi_left")  # type: ignore[arg-type]

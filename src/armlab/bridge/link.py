@@ -26,7 +26,7 @@ from armlab.bridge.states import Guide
 from armlab.bridge.supervision import Settings
 from armlab.bridge.waiting import Wait, Waiting
 from armlab.bridge.watchdog import Guard
-from armlab.errors import ConfigError, UnknownName
+from armlab.errors import ConfigError, RobotError, UnknownName
 from armlab.log import Column
 from armlab.robots import Robot
 from armlab.wire.egm import Codec, EgmCodec
@@ -62,7 +62,8 @@ def connect(
 
     Raises
     ------
-    ConfigError, UnknownName : wrong url, codec or clock. LinkError : the port cannot be bound.
+    ConfigError, UnknownName : wrong url, codec or clock. RobotError : no robot, or one whose axes EGM does not give.
+    LinkError : the port cannot be bound.
     """
     parts = urlsplit(url)
     if parts.scheme not in ("egm", "sim") or not parts.netloc:
@@ -94,6 +95,8 @@ def _codecs(codec: str | Codec, robot: Robot, extension: bool) -> tuple[Codec, C
         return codec, None
     if codec != "egm":
         raise UnknownName.among("codec", codec, ["egm"])
+    if not isinstance(robot, Robot):
+        raise RobotError.no_robot(robot)
     return EgmCodec(robot, extension), EgmCodec(robot, extension)
 
 

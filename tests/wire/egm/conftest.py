@@ -18,6 +18,10 @@ class MadeArm:
     prismatic: np.ndarray
     abb_axes: tuple[int, ...]
 
+    @property
+    def coupling(self) -> np.ndarray:
+        return np.eye(self.n)
+
 
 @pytest.fixture(scope="session")
 def six() -> MadeArm:

@@ -40,7 +40,9 @@ def test_scara_linear_joint_is_metres_with_the_rotary_factor(scara: Any) -> None
 
 
 def test_linear_axis_beyond_the_sixth_is_in_millimetres() -> None:
-    arm = SimpleNamespace(n=7, prismatic=np.array([False] * 6 + [True]), abb_axes=(1, 2, 3, 4, 5, 6, 7))
+    arm = SimpleNamespace(
+        n=7, prismatic=np.array([False] * 6 + [True]), abb_axes=(1, 2, 3, 4, 5, 6, 7), coupling=np.eye(7)
+    )
     axes = AxisMap(arm)
     assert axes.scale[6] == 1e-3
     assert not axes.has_linear_head
@@ -77,11 +79,20 @@ def test_extension_arrays_in_both_orders(yumi: Any) -> None:
 
 
 def test_one_joint() -> None:
-    axes = AxisMap(SimpleNamespace(n=1, prismatic=np.array([False]), abb_axes=(1,)))
+    axes = AxisMap(SimpleNamespace(n=1, prismatic=np.array([False]), abb_axes=(1,), coupling=np.eye(1)))
     assert axes.joints([5.0], []) == (5.0,)
     assert axes.wire(np.array([5.0]), np.ones(1)) == (5.0,)
 
 
 def test_axes_that_are_no_permutation() -> None:
     with pytest.raises(RobotError, match="each of 1 to 2 once"):
-        AxisMap(SimpleNamespace(n=2, prismatic=np.zeros(2, bool), abb_axes=(1, 3)))
+        AxisMap(SimpleNamespace(n=2, prismatic=np.zeros(2, bool), abb_axes=(1, 3), coupling=np.eye(2)))
+
+
+def test_axes_that_move_two_joints_are_refused() -> None:
+    """On the IRB 2400 ABB's axis 3 is q_2 + q_3. The gears of a YuMi are none of EGM's business."""
+    rod = np.eye(3)
+    rod[2, 1] = -1.0
+    with pytest.raises(RobotError, match=r"Expected a robot over EGM .* motor 2 also moves joint 3, .*\.$"):
+        AxisMap(SimpleNamespace(n=3, prismatic=np.zeros(3, bool), abb_axes=(1, 2, 3), coupling=rod))
+    AxisMap(SimpleNamespace(n=3, prismatic=np.zeros(3, bool), abb_axes=(1, 2, 3), coupling=np.diag([0.01, -0.01, 1])))

@@ -46,6 +46,11 @@ class Arm(Protocol):
         """ABB's axis number of each joint in kinematic order; YuMi (1, 2, 7, 3, 4, 5, 6)."""
         ...
 
+    @property
+    def coupling(self) -> np.ndarray:
+        """(n, n) gears between motors and joints; diagonal, or ABB's axes are not the joints."""
+        ...
+
 
 class Packet(NamedTuple):
     """One decoded EgmRobot.
