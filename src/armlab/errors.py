@@ -7,7 +7,7 @@ Each class is an `ArmlabError` and, where one fits, also the builtin that caller
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from difflib import get_close_matches
+from reprlib import repr as shortened
 from typing import Any
 
 __all__ = [
@@ -58,6 +58,8 @@ class UnknownName(ArmlabError, KeyError):
         name : what came.
         known : the names that exist.
         """
+        from difflib import get_close_matches  # 1 ms that a program without mistakes need not pay
+
         names = sorted(known)
         close = get_close_matches(str(name), names, n=1)
         hint = f" Did you mean {close[0]!r}?" if close else ""
@@ -65,7 +67,18 @@ class UnknownName(ArmlabError, KeyError):
 
 
 class RobotError(ArmlabError, ValueError):
-    """A robot description is inconsistent."""
+    """A robot description is inconsistent, or something else came in place of a robot."""
+
+    @classmethod
+    def no_robot(cls, value: object) -> RobotError:
+        """Build the error for `value` where a `Robot` was expected.
+
+        Parameters
+        ----------
+        value : what came: often the name of a robot that was not loaded.
+        """
+        advice = f"Load it first: robots.load({value!r})" if isinstance(value, str) else "robots.load gives one"
+        return cls(f"Expected a Robot, got {shortened(value)}. {advice}.")
 
 
 class ConfigError(ArmlabError, ValueError):

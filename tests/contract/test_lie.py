@@ -259,5 +259,5 @@ def test_far_turns_have_values(name: str) -> None:
     w = np.array([[1e200, 0, 0], [3e-170, 4e-170, 0], [0, 0, -1e8], [0.1, 0.2, 0.3]])
     values = getattr(_native, name)(w)
     assert np.isfinite(values).all()
-    np.testing.assert_allclose(values[1:], getattr(_reference, name)(w[1:]), atol=1e-8)
+    np.testing.assert_allclose(values[1:], getattr(_reference, name)(w[1:]), rtol=0, atol=1e-8)
     assert np.isnan(_native.so3_exp([np.inf, 0, 0])).any()

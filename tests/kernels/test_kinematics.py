@@ -30,17 +30,17 @@ def product_of_exponentials(chain: Chain, q: np.ndarray) -> np.ndarray:
 def test_forward_is_the_product_of_exponentials(chain: Chain) -> None:
     q = np.random.default_rng(0).uniform(-6, 6, (20, chain.n))
     wanted = np.stack([product_of_exponentials(chain, row) for row in q])
-    np.testing.assert_allclose(chain.forward(q), wanted, atol=2e-14)
+    np.testing.assert_allclose(chain.forward(q), wanted, rtol=0, atol=2e-14)
 
 
 def test_link_transforms_end_in_forward(chain: Chain) -> None:
     q = np.random.default_rng(1).uniform(-3, 3, (5, chain.n))
     links = chain.link_transforms(q)
     assert links.shape == (5, chain.n, 4, 4)
-    np.testing.assert_allclose(links[:, -1] @ chain.frames[-1], chain.forward(q), atol=1e-13)
+    np.testing.assert_allclose(links[:, -1] @ chain.frames[-1], chain.forward(q), rtol=0, atol=1e-13)
     for i in range(chain.n):  # link i does not feel the joints after it
         cut = Chain(chain.frames[: i + 2], chain.prismatic[: i + 1])
-        np.testing.assert_allclose(links[:, i] @ chain.frames[i + 1], cut.forward(q[:, : i + 1]), atol=1e-13)
+        np.testing.assert_allclose(links[:, i] @ chain.frames[i + 1], cut.forward(q[:, : i + 1]), rtol=0, atol=1e-13)
 
 
 def test_jacobian_is_the_derivative_of_forward(chain: Chain) -> None:
@@ -51,7 +51,7 @@ def test_jacobian_is_the_derivative_of_forward(chain: Chain) -> None:
     v = (plus[:, :3, 3] - minus[:, :3, 3]) / (2 * h)
     turn = Rotation.from_matrix(plus[:, :3, :3]) * Rotation.from_matrix(minus[:, :3, :3]).inv()
     numerical = np.concatenate([v, turn.as_rotvec() / (2 * h)], axis=1).T
-    np.testing.assert_allclose(chain.jacobian(q), numerical, atol=1e-8)
+    np.testing.assert_allclose(chain.jacobian(q), numerical, rtol=0, atol=1e-8)
 
 
 def test_tool_jacobian_is_the_base_jacobian_turned(chain: Chain) -> None:
@@ -59,7 +59,7 @@ def test_tool_jacobian_is_the_base_jacobian_turned(chain: Chain) -> None:
     T, J = chain.forward_jacobian(q)
     R = T[:, :3, :3]
     turned = np.concatenate([R @ half for half in np.split(chain.jacobian(q, tool=True), 2, axis=1)], axis=1)
-    np.testing.assert_allclose(turned, J, atol=1e-14 * max(1.0, np.abs(J).max()))
+    np.testing.assert_allclose(turned, J, rtol=0, atol=1e-14 * max(1.0, np.abs(J).max()))
     np.testing.assert_array_equal(J, chain.jacobian(q))
     np.testing.assert_array_equal(T, chain.forward(q))
 
@@ -83,7 +83,7 @@ def test_nearly_parallel_axes(from_dh: Callable[..., Chain]) -> None:
         frames[:, 1, 3] += 0.05  # not a DH frame any more
         chain = Chain(frames, [False] * 4)
         q = np.array([0.4, -1.0, 2.0, 3.0])
-        np.testing.assert_allclose(chain.forward(q), product_of_exponentials(chain, q), atol=1e-14)
+        np.testing.assert_allclose(chain.forward(q), product_of_exponentials(chain, q), rtol=0, atol=1e-14)
 
 
 def test_chain_is_immutable_and_pickles(chain: Chain) -> None:

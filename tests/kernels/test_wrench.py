@@ -64,16 +64,16 @@ def test_without_a_bound_it_is_the_most_probable_wrench() -> None:
     for A, _, _, variance, _, error in problems(200, 0):
         free = solve_wrench(A, error, variance, np.zeros(7), PRIOR, BOUNDED)
         plain = solve_wrench(A, error, variance, np.zeros(7), PRIOR, MAP)
-        np.testing.assert_allclose(free[0] / np.sqrt(PRIOR), plain[0] / np.sqrt(PRIOR), atol=1e-10)
-        np.testing.assert_allclose(free[1], plain[1], atol=1e-8)
+        np.testing.assert_allclose(free[0] / np.sqrt(PRIOR), plain[0] / np.sqrt(PRIOR), rtol=0, atol=1e-10)
+        np.testing.assert_allclose(free[1], plain[1], rtol=0, atol=1e-8)
 
 
 def test_both_forms_of_the_most_probable_wrench_agree() -> None:
     for A, _, _, variance, bound, error in problems(200, 1):
         x, P, *_ = solve_wrench(A, error, variance, bound, PRIOR, MAP)
         information = np.linalg.inv((A / variance) @ A.T + np.diag(1 / PRIOR))
-        np.testing.assert_allclose(P, information, atol=1e-8)
-        np.testing.assert_allclose(x, information @ (A / variance) @ error, atol=1e-9)
+        np.testing.assert_allclose(P, information, rtol=0, atol=1e-8)
+        np.testing.assert_allclose(x, information @ (A / variance) @ error, rtol=0, atol=1e-9)
 
 
 def test_newton_finds_the_minimum_that_a_quadratic_programme_finds() -> None:
@@ -86,7 +86,7 @@ def test_newton_finds_the_minimum_that_a_quadratic_programme_finds() -> None:
         iterations.append(rounds)
         if k < 100:
             for other in by_others(A, error, variance, bound):
-                np.testing.assert_allclose(x, other, atol=1e-3)
+                np.testing.assert_allclose(x, other, rtol=0, atol=1e-3)
     assert np.median(iterations) <= 6
     assert max(iterations) <= 30
 
@@ -102,7 +102,7 @@ def test_the_clip_iteration_creeps_to_the_same_minimum() -> None:
         rounds.append(count)
         if kkt < 1e-9:
             arrived += 1
-            np.testing.assert_allclose(x, best, atol=1e-3)
+            np.testing.assert_allclose(x, best, rtol=0, atol=1e-3)
     assert arrived >= 30
     assert np.median(rounds) > 50
 
@@ -216,8 +216,8 @@ def test_the_interval_is_that_of_all_corners() -> None:
                 if np.all((normals @ corner >= low - 1e-9) & (normals @ corner <= high + 1e-9)):
                     corners.append(corner)
         ends, _ = wrench_interval(A, error, spread, box)
-        np.testing.assert_allclose(ends[:, 0], np.min(corners, axis=0), atol=1e-7)
-        np.testing.assert_allclose(ends[:, 1], np.max(corners, axis=0), atol=1e-7)
+        np.testing.assert_allclose(ends[:, 0], np.min(corners, axis=0), rtol=0, atol=1e-7)
+        np.testing.assert_allclose(ends[:, 1], np.max(corners, axis=0), rtol=0, atol=1e-7)
 
 
 def test_torques_that_no_wrench_explains_are_named() -> None:
@@ -236,4 +236,4 @@ def test_thousands_of_units_are_the_same_wrench(method: int) -> None:
         variance = variance * 25.0
         x = solve_wrench(A, error, variance, bound, PRIOR, method)[0]
         y = solve_wrench(A * unit[:, None], error, variance, bound, PRIOR / unit**2, method)[0]
-        np.testing.assert_allclose(y * unit, x, atol=1e-9 * np.max(np.abs(x)) + (1e-6 if method == CLIP else 0))
+        np.testing.assert_allclose(y * unit, x, rtol=0, atol=1e-9 * np.max(np.abs(x)) + (1e-6 if method == CLIP else 0))

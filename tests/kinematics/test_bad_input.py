@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from armlab import kinematics, robots
-from armlab.errors import ShapeError, UnknownName
+from armlab.errors import RobotError, ShapeError, UnknownName
 from armlab.robots import Robot
 
 ROBOT = robots.load("yumi_left")
@@ -133,7 +133,7 @@ def test_an_array_that_cannot_hold_the_result(name: str) -> None:
             function(ROBOT, q, out=out)
 
 
-@pytest.mark.parametrize("word", ["flange", "", "Base", None, 0])
+@pytest.mark.parametrize("word", ["flange", "", "Base", None, 0, ["pose"]])
 def test_unknown_words(word: Any) -> None:
     with pytest.raises(UnknownName, match="Known: base, tool"):
         kinematics.jacobian(ROBOT, HOME, frame=word)
@@ -188,3 +188,25 @@ def test_goals_of_another_shape(shape: tuple[int, ...]) -> None:
 def test_starts_that_are_no_postures(q0: Any) -> None:
     with pytest.raises(ShapeError, match=r"Expected .*q0.*\."):
         kinematics.inverse(ROBOT, goal(), q0)
+
+
+@named(
+    OF_BATCHES,
+    OF_ONE,
+    {
+        "inverse": kinematics.inverse,
+        "jacobian_derivative": lambda robot, q: kinematics.jacobian_derivative(robot, q, HOME),
+    },
+)
+def test_nothing_or_words_for_numbers(function: Callable) -> None:
+    for value in (None, "home", ["a"] * 7, [None] * 7, 1j * HOME, [[1, 2], [3]], {}, object()):
+        with pytest.raises(ShapeError, match=r"^Expected (q|T_base_tool) [^\n]*\.$"):
+            function(ROBOT, value)
+
+
+@named(OF_BATCHES, OF_ONE, {"inverse": kinematics.inverse})
+def test_a_name_is_no_robot(function: Callable) -> None:
+    with pytest.raises(RobotError, match=r"^Expected a Robot, got 'yumi_left'\. Load it first: robots\.load"):
+        function("yumi_left", HOME)
+    with pytest.raises(RobotError, match=r"^Expected a Robot, got None\."):
+        function(None, HOME)

@@ -29,7 +29,7 @@ def test_it_is_the_derivative_of_the_jacobian(robot: Robot, frame: Any) -> None:
     rng, h = np.random.default_rng(1), 2e-5
     q, qd = rng.uniform(-2, 2, (2, 5, robot.n))
     change = jacobian(robot, q + h * qd, frame) - jacobian(robot, q - h * qd, frame)
-    np.testing.assert_allclose(jacobian_derivative(robot, q, qd, frame), change / (2 * h), atol=1e-8)
+    np.testing.assert_allclose(jacobian_derivative(robot, q, qd, frame), change / (2 * h), rtol=0, atol=1e-8)
 
 
 @pytest.mark.parametrize("frame", ["base", "tool"])
@@ -47,7 +47,7 @@ def test_pinocchio_agrees(robot: Robot, frame: str) -> None:
     pin.updateFramePlacements(model, data)
     axes = pin.LOCAL_WORLD_ALIGNED if frame == "base" else pin.LOCAL
     theirs = pin.getFrameJacobianTimeVariation(model, data, tool, axes)
-    np.testing.assert_allclose(jacobian_derivative(robot, q, qd, frame), theirs, atol=1e-13)  # type: ignore[arg-type]
+    np.testing.assert_allclose(jacobian_derivative(robot, q, qd, frame), theirs, rtol=0, atol=1e-13)  # type: ignore[arg-type]
 
 
 def test_a_point_on_a_circle() -> None:
@@ -55,8 +55,10 @@ def test_a_point_on_a_circle() -> None:
     robot = robots.from_dh("wheel", 0.0, [0.5], 0.0)
     q, qd = np.array([0.3]), np.array([2.0])
     radial = forward(robot, q)[:3, 0]
-    np.testing.assert_allclose(jacobian_derivative(robot, q, qd) @ qd, [*(-0.5 * 4.0 * radial), 0, 0, 0], atol=1e-15)
-    np.testing.assert_allclose(jacobian_derivative(robot, q, qd, frame="tool"), 0.0, atol=1e-15)
+    np.testing.assert_allclose(
+        jacobian_derivative(robot, q, qd) @ qd, [*(-0.5 * 4.0 * radial), 0, 0, 0], rtol=0, atol=1e-15
+    )
+    np.testing.assert_allclose(jacobian_derivative(robot, q, qd, frame="tool"), 0.0, rtol=0, atol=1e-15)
 
 
 def test_tool_and_base_accelerations(robot: Robot) -> None:
@@ -66,8 +68,8 @@ def test_tool_and_base_accelerations(robot: Robot) -> None:
     vd, wd = np.split(jacobian_derivative(robot, q, qd) @ qd, 2)
     vd_tool, wd_tool = np.split(jacobian_derivative(robot, q, qd, frame="tool") @ qd, 2)
     v_tool, w_tool = np.split(jacobian(robot, q, frame="tool") @ qd, 2)
-    np.testing.assert_allclose(R @ (vd_tool + np.cross(w_tool, v_tool)), vd, atol=1e-12)
-    np.testing.assert_allclose(R @ wd_tool, wd, atol=1e-12)
+    np.testing.assert_allclose(R @ (vd_tool + np.cross(w_tool, v_tool)), vd, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(R @ wd_tool, wd, rtol=0, atol=1e-12)
 
 
 def test_batches_out_and_refusals() -> None:

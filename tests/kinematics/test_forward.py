@@ -60,15 +60,17 @@ REFERENCE = [
 def test_forward_gives_the_reference_numbers(name: str, q: np.ndarray, p: tuple, quaternion: tuple) -> None:
     robot = robots.load(name).with_base(np.eye(4)).with_tool(np.eye(4))
     T_base_tool = forward(robot, q)
-    np.testing.assert_allclose(T_base_tool[:3, 3], p, atol=1e-12)
+    np.testing.assert_allclose(T_base_tool[:3, 3], p, rtol=0, atol=1e-12)
     wxyz = lie.quaternion.from_matrix(T_base_tool[:3, :3])
-    np.testing.assert_allclose(wxyz * np.sign(wxyz @ quaternion), quaternion, atol=1e-11)
+    np.testing.assert_allclose(wxyz * np.sign(wxyz @ quaternion), quaternion, rtol=0, atol=1e-11)
 
 
 @pytest.mark.parametrize(("name", "sign"), [("yumi_left", 1.0), ("yumi_right", -1.0)])
 def test_forward_includes_the_mount(name: str, sign: float) -> None:
     T_base_tool = forward(robots.load(name), np.zeros(7))
-    np.testing.assert_allclose(T_base_tool[:3, 3], [0.574481437601, sign * 0.001500332069, 0.422465683052], atol=1e-12)
+    np.testing.assert_allclose(
+        T_base_tool[:3, 3], [0.574481437601, sign * 0.001500332069, 0.422465683052], rtol=0, atol=1e-12
+    )
 
 
 def test_forward_keeps_leading_axes_and_fills_out() -> None:
@@ -86,8 +88,8 @@ def test_link_transforms_lead_to_the_tool() -> None:
     robot = robots.load("yumi_right")
     T_base_link = link_transforms(robot, RAMP)
     assert T_base_link.shape == (7, 4, 4)
-    np.testing.assert_allclose(T_base_link[-1] @ robot.frames[-1], forward(robot, RAMP), atol=1e-15)
-    np.testing.assert_allclose(T_base_link[0, :3, 3], robot.frames[0][:3, 3], atol=1e-15)
+    np.testing.assert_allclose(T_base_link[-1] @ robot.frames[-1], forward(robot, RAMP), rtol=0, atol=1e-15)
+    np.testing.assert_allclose(T_base_link[0, :3, 3], robot.frames[0][:3, 3], rtol=0, atol=1e-15)
 
 
 def test_threads_change_no_bit() -> None:

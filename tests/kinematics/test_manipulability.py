@@ -37,7 +37,7 @@ def test_two_links_have_the_textbook_value(planar: Robot) -> None:
     """w = l1 l2 |sin q2| (Yoshikawa 1985), though J J^T of two joints is singular in every posture."""
     q = np.random.default_rng(0).uniform(-3, 3, (50, 2))
     wanted = 0.5 * 0.4 * np.abs(np.sin(q[:, 1]))
-    np.testing.assert_allclose(manipulability(planar, q, "position"), wanted, atol=1e-16)
+    np.testing.assert_allclose(manipulability(planar, q, "position"), wanted, rtol=0, atol=1e-16)
 
 
 @pytest.mark.parametrize("bend", [1e-3, 1e-6, 1e-9, 1e-12])
@@ -70,12 +70,14 @@ def test_gradient_equals_central_differences(name: str, part: Any, planar: Robot
     q = np.random.default_rng(2).uniform(-1.5, 1.5, (4, robot.n))
     steps = h * np.eye(robot.n)
     plus, minus = (manipulability(robot, q[:, None] + side * steps, part) for side in (1, -1))
-    np.testing.assert_allclose(manipulability_gradient(robot, q, part), (plus - minus) / (2 * h), atol=1e-8)
+    np.testing.assert_allclose(manipulability_gradient(robot, q, part), (plus - minus) / (2 * h), rtol=0, atol=1e-8)
 
 
 def test_gradient_needs_no_division(planar: Robot) -> None:
     """At the kink it is one of the slopes, l1 l2."""
-    np.testing.assert_allclose(np.abs(manipulability_gradient(planar, [0.3, 0.0], "position")), [0, 0.2], atol=1e-15)
+    np.testing.assert_allclose(
+        np.abs(manipulability_gradient(planar, [0.3, 0.0], "position")), [0, 0.2], rtol=0, atol=1e-15
+    )
 
 
 @pytest.mark.parametrize("part", ["position", "rotation"])
@@ -85,8 +87,8 @@ def test_velocities_lie_inside_and_on_the_ellipsoid(robot: Robot, part: Any) -> 
     J = jacobian(robot, q)[ROWS[part]]
     body = ellipsoid(robot, q, part)
     assert isinstance(body, Ellipsoid)
-    np.testing.assert_allclose(body.axes.T @ body.axes, np.eye(3), atol=1e-14)
-    np.testing.assert_allclose(np.cross(body.axes[:, 0], body.axes[:, 1]), body.axes[:, 2], atol=1e-14)
+    np.testing.assert_allclose(body.axes.T @ body.axes, np.eye(3), rtol=0, atol=1e-14)
+    np.testing.assert_allclose(np.cross(body.axes[:, 0], body.axes[:, 1]), body.axes[:, 2], rtol=0, atol=1e-14)
     assert (np.diff(body.lengths) <= 0).all()
     inside = qd / np.linalg.norm(qd, axis=1, keepdims=True)
     along = inside @ J.T @ body.axes
@@ -94,7 +96,7 @@ def test_velocities_lie_inside_and_on_the_ellipsoid(robot: Robot, part: Any) -> 
     assert (along[:, ~thick] < 1e-12).all()
     assert ((along[:, thick] / body.lengths[thick]) ** 2).sum(axis=1).max() <= 1 + 1e-12
     reached = J @ (np.linalg.pinv(J) @ body.axes[:, 0]) * body.lengths[0]
-    np.testing.assert_allclose(reached, body.axes[:, 0] * body.lengths[0], atol=1e-14)
+    np.testing.assert_allclose(reached, body.axes[:, 0] * body.lengths[0], rtol=0, atol=1e-14)
 
 
 def test_force_ellipsoid_is_reciprocal(robot: Robot, planar: Robot) -> None:
@@ -103,7 +105,7 @@ def test_force_ellipsoid_is_reciprocal(robot: Robot, planar: Robot) -> None:
     np.testing.assert_array_equal(fast.axes, strong.axes)
     ends = strong.axes[:, fast.lengths > 1e-9] * strong.lengths[fast.lengths > 1e-9]
     torques = jacobian(robot, q)[:3].T @ ends  # each needs joint torques of length one
-    np.testing.assert_allclose(np.linalg.norm(torques, axis=0), 1.0, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(torques, axis=0), 1.0, rtol=0, atol=1e-12)
     assert np.isinf(ellipsoid(planar, [0.1, 0.2], kind="force").lengths[2])
 
 

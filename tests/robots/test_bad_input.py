@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -103,6 +104,35 @@ BAD: dict[str, tuple[Callable[[], object], type[ArmlabError], str]] = {
     "nine inertial numbers": (lambda: two(inertias=np.zeros((2, 9))), RobotError, r"shape \(2, 10\), got \(2, 9\)"),
     "inertias of one link": (lambda: two(inertias=np.zeros((1, 10))), RobotError, r"shape \(2, 10\), got \(1, 10\)"),
     "torque limits of none": (lambda: replace(two(), tau_max=None), RobotError, "Expected tau_max of robot 'r'"),
+    "a text for names": (lambda: two(joint_names="ab"), RobotError, "Expected joint_names of .* as a list or tuple"),
+    "no names": (lambda: two(joint_names=None), RobotError, "Expected joint_names of robot 'r' as a list or tuple"),
+    "no axes": (lambda: two(abb_axes=None), RobotError, "Expected abb_axes of robot 'r' as a list or tuple"),
+    "axes that are no counts": (lambda: two(abb_axes=[1.0, 2.0]), RobotError, r"as whole numbers, got \[1\.0, 2\.0\]"),
+    "axes of two kinds": (lambda: two(abb_axes=["1", 2]), RobotError, "as whole numbers, got"),
+    "no meshes": (lambda: two(meshes=None), RobotError, "Expected meshes of robot 'r' as a list or tuple"),
+    "meshes not by link": (lambda: two(meshes=[1, 2, 3]), RobotError, "Expected meshes of one link of robot 'r'"),
+    "half a flag": (lambda: robots.from_links("r", LINKS, [1, 0.5]), RobotError, "Expected prismatic .* as True and"),
+    "NaN for a flag": (lambda: robots.from_links("r", LINKS, [1, np.nan]), RobotError, "Expected prismatic .* as True"),
+    "a convention by name": (
+        lambda: robots.from_dh("r", 0, [1, 2], 0, modified="standard"), RobotError,  # type: ignore[arg-type]
+        "Expected modified of robot 'r' to be True or False, got 'standard'",
+    ),
+    "33 joints": (lambda: robots.from_dh("r", 0, np.ones(33), 0), RobotError, "Expected at most 32 joints for robot"),
+    "one scale": (
+        lambda: robots.Mesh("visual", "a.stl", ONE, 2.0), RobotError,  # type: ignore[arg-type]
+        "Expected 3 finite factors of mesh 'a.stl'",
+    ),
+    "a name for a robot": (
+        lambda: robots.to_local_poe("irb120"), RobotError,  # type: ignore[arg-type]
+        r"Expected a Robot, got 'irb120'\. Load it first: robots\.load\('irb120'\)\.",
+    ),
+    "nothing to save": (lambda: robots.save(None, "r.toml"), RobotError, "Expected a Robot, got None"),  # type: ignore[arg-type]
+    "nowhere to save": (lambda: robots.save(two(), None), RobotError, "Expected the path of a file"),  # type: ignore[arg-type]
+    "no path at all": (lambda: robots.urdf.read(None), RobotError, "Expected a URDF file at None"),  # type: ignore[arg-type]
+    "a path for a text": (
+        lambda: robots.urdf.parse(Path("a.urdf")), RobotError,  # type: ignore[arg-type]
+        "Expected the text of a URDF, got .*Of a file: urdf.read",
+    ),
     "no robot": (lambda: robots.load("irb121"), UnknownName, "Did you mean"),
     "a number for a name": (lambda: robots.load(3), UnknownName, "got '3'. Known: dh_test"),  # type: ignore[arg-type]
     "no file": (lambda: robots.load("absent.toml"), RobotError, "Expected a robot file at absent.toml"),

@@ -56,7 +56,7 @@ def test_link_frames_are_dh_frames_before_the_shift() -> None:
     for i in range(5):
         alpha, a, d, _ = table[:, i]
         expected = product(dh_matrix, table[:, : i + 1], np.zeros(5, bool), q[: i + 1])
-        np.testing.assert_allclose(links[i] @ dh_matrix(0.0, d, a, alpha), expected, atol=1e-14)
+        np.testing.assert_allclose(links[i] @ dh_matrix(0.0, d, a, alpha), expected, rtol=0, atol=1e-14)
 
 
 def test_a_number_stands_for_all_rows() -> None:
@@ -97,7 +97,7 @@ def test_from_links() -> None:
     links[:, :3, :3] = quaternion.to_matrix(q / np.linalg.norm(q, axis=1, keepdims=True))
     robot = robots.from_links("r", links, [False, True])
     np.testing.assert_array_equal(robot.frames, links)
-    np.testing.assert_allclose(robot.T_home, links[0] @ links[1] @ links[2], atol=1e-15)
+    np.testing.assert_allclose(robot.T_home, links[0] @ links[1] @ links[2], rtol=0, atol=1e-15)
 
 
 @pytest.mark.parametrize(

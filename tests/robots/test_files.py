@@ -106,7 +106,7 @@ mesh = [
     np.testing.assert_allclose(robot.q_home, [0.1, np.deg2rad(10)])
     np.testing.assert_allclose(robot.qdd_max, [1, np.pi])
     np.testing.assert_allclose(robot.coupling, np.diag([1 / 50, 1]))
-    np.testing.assert_allclose(robot.T_base_mount[:3, :3], [[1, 0, 0], [0, 0, -1], [0, 1, 0]], atol=1e-15)
+    np.testing.assert_allclose(robot.T_base_mount[:3, :3], [[1, 0, 0], [0, 0, -1], [0, 1, 0]], rtol=0, atol=1e-15)
     np.testing.assert_array_equal(robot.T_flange_tool[:3], [[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0.1]])
     np.testing.assert_array_equal(robot.gravity, [0, 9.81, 0])
     assert (robot.abb_axes, robot.side) == ((2, 1), "right")
@@ -122,7 +122,7 @@ def test_a_typed_rotation_gets_its_missing_digits_back(tmp_path: Path) -> None:
     R = np.round(quaternion.to_matrix([0.8, 0.36, 0.48, 0.0]) @ quaternion.to_matrix([0.28, 0.96, 0, 0]), 6)
     robot = robots.load(written(tmp_path, MINIMAL + f"[tool]\nrotation = {R.tolist()}\n"))
     assert se3.is_pose(robot.T_flange_tool, 1e-15)
-    np.testing.assert_allclose(robot.T_flange_tool[:3, :3], R, atol=1e-6)
+    np.testing.assert_allclose(robot.T_flange_tool[:3, :3], R, rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize("name", robots.names())
@@ -305,3 +305,36 @@ def test_save_refuses_what_load_would_not_find(tmp_path: Path) -> None:
         robots.save(robot, tmp_path / "robot.txt")
     with pytest.raises(RobotError, match="Expected to write robot 'dh_test' to"):
         robots.save(robot, tmp_path / "absent" / "robot.toml")
+
+
+def test_files_of_windows(tmp_path: Path) -> None:
+    """A mark before the text, carriage returns, an ending in capitals."""
+    robot = robots.load("irb120")
+    robots.save(robot, tmp_path / "plain.toml")
+    text = (tmp_path / "plain.toml").read_text(encoding="utf-8").replace("\n", "\r\n")
+    (tmp_path / "ARM.TOML").write_bytes(text.encode("utf-8-sig"))
+    assert robots.load(tmp_path / "ARM.TOML") == robot
+
+
+def test_axis_numbers_of_numpy_are_written_as_numbers(tmp_path: Path) -> None:
+    robot = replace(robots.load("yumi_left"), abb_axes=tuple(np.array([1, 2, 7, 3, 4, 5, 6])))
+    robots.save(robot, tmp_path / "arm.toml")
+    assert robots.load(tmp_path / "arm.toml") == robot
+
+
+@pytest.mark.parametrize("number", ["1" + 400 * "0", "1" + 5000 * "0", 3000 * "[" + 3000 * "]"])
+def test_numbers_that_no_computer_holds(tmp_path: Path, number: str) -> None:
+    path = tmp_path / "arm.toml"
+    path.write_text(
+        f'name = "arm"\nsource = "test"\njoint = [{{ name = "a", home_deg = {number} }}]\n', encoding="utf-8"
+    )
+    with pytest.raises(RobotError, match=r"Expected a robot file in .*arm\.toml, got one that cannot be read: "):
+        robots.load(path)
+
+
+def test_paths_and_names_that_cannot_be(tmp_path: Path) -> None:
+    with pytest.raises(RobotError, match="Expected a robot file"):
+        robots.load("a\0b.toml")
+    with pytest.raises(RobotError, match="Expected to write robot"):
+        robots.save(replace(robots.load("irb120"), source="\ud800"), tmp_path / "arm.toml")
+    assert not list(tmp_path.iterdir())

@@ -101,3 +101,10 @@ def test_a_gripper_weighs_on_the_last_link() -> None:
     at_gripper = arm.with_tool(se3.from_rp(np.eye(3), [0, 0.01, 0.05]))
     weight = np.concatenate([-1.2 * arm.gravity, np.zeros(3)])
     np.testing.assert_allclose(tau, kinematics.jacobian(at_gripper, q).T @ weight, rtol=0, atol=1e-12)
+
+
+def test_batches_that_do_not_fit() -> None:
+    with pytest.raises(ShapeError, match=r"Expected leading axes that broadcast, got mass \(2,\), centre \(3,\)"):
+        from_body([1, 2], np.zeros((3, 3)), np.eye(3))
+    with pytest.raises(ShapeError, match=r"got T_a_b \(2,\), pi \(3,\)"):
+        transform(np.tile(np.eye(4), (2, 1, 1)), np.ones((3, 10)))

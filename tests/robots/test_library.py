@@ -158,29 +158,29 @@ def test_reference_numbers(name: str, word: str, p: tuple, wxyz: tuple, J_ones: 
     robot = robots.load("yumi_right" if name == "yumi" else name).with_base(np.eye(4))
     q = configuration(word, robot.n)
     T = kinematics.forward(robot, q)
-    np.testing.assert_allclose(T[:3, 3], p, atol=1e-12)
+    np.testing.assert_allclose(T[:3, 3], p, rtol=0, atol=1e-12)
     assert so3.angle(T[:3, :3], quaternion.to_matrix(wxyz)) < 5e-12
     if J_ones is not None:
-        np.testing.assert_allclose(kinematics.jacobian(robot, q) @ np.ones(robot.n), J_ones, atol=2e-12)
+        np.testing.assert_allclose(kinematics.jacobian(robot, q) @ np.ones(robot.n), J_ones, rtol=0, atol=2e-12)
 
 
 @pytest.mark.parametrize(("name", "side"), [("yumi_left", 1), ("yumi_right", -1)])
 def test_yumi_in_its_body(name: str, side: int) -> None:
     robot = robots.load(name)
     zero = kinematics.forward(robot, np.zeros(7))
-    np.testing.assert_allclose(zero[:3, 3], (0.574481437601, 0.001500332069 * side, 0.422465683052), atol=1e-12)
+    np.testing.assert_allclose(zero[:3, 3], (0.574481437601, 0.001500332069 * side, 0.422465683052), rtol=0, atol=1e-12)
 
 
 def test_yumi_at_home() -> None:
     """The golden flange of the force specification; the right arm mirrors the left."""
     left, right = (robots.load(name) for name in ("yumi_left", "yumi_right"))
     T_base_flange = kinematics.forward(left, left.q_home)
-    np.testing.assert_allclose(T_base_flange[:3, 3], (-0.018163, 0.186292, 0.195626), atol=5e-7)
+    np.testing.assert_allclose(T_base_flange[:3, 3], (-0.018163, 0.186292, 0.195626), rtol=0, atol=5e-7)
     wxyz = quaternion.from_matrix(T_base_flange[:3, :3])
-    np.testing.assert_allclose(wxyz, (0.066013, 0.842423, -0.111212, 0.523065), atol=5e-7)
+    np.testing.assert_allclose(wxyz, (0.066013, 0.842423, -0.111212, 0.523065), rtol=0, atol=5e-7)
     mirrored = kinematics.forward(right, right.q_home)[:3, 3] * (1, -1, 1)
-    np.testing.assert_allclose(mirrored, T_base_flange[:3, 3], atol=1e-12)
-    np.testing.assert_allclose(np.rad2deg(left.q_home), (0, -130, 135, 30, 0, 40, 0), atol=1e-12)
+    np.testing.assert_allclose(mirrored, T_base_flange[:3, 3], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(np.rad2deg(left.q_home), (0, -130, 135, 30, 0, 40, 0), rtol=0, atol=1e-12)
 
 
 def test_yumi_limits_gears_and_order() -> None:

@@ -187,7 +187,9 @@ def test_franka_in_the_convention_of_its_vendor() -> None:
     vendor = robots.from_dh("vendor", alpha, a, [0.333, 0, 0.316, 0, 0.384, 0, 0.107], modified=True)
     for name in ("panda", "fr3"):
         q = inside(robots.load(name), 100)
-        np.testing.assert_allclose(kinematics.forward(robots.load(name), q), kinematics.forward(vendor, q), atol=1e-14)
+        np.testing.assert_allclose(
+            kinematics.forward(robots.load(name), q), kinematics.forward(vendor, q), rtol=0, atol=1e-14
+        )
 
 
 LIMITS = {  # degrees; rounded as a URDF in rad prints them
@@ -226,7 +228,7 @@ LIMITS = {  # degrees; rounded as a URDF in rad prints them
 def test_limits_and_speeds(name: str) -> None:
     robot = robots.load(name)
     for field, degrees in zip((robot.q_min, robot.q_max, robot.qd_max), LIMITS[name], strict=True):
-        np.testing.assert_allclose(np.rad2deg(field), degrees, atol=0.06)
+        np.testing.assert_allclose(np.rad2deg(field), degrees, rtol=0, atol=0.06)
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
@@ -244,7 +246,7 @@ def test_the_two_yumis(side: str) -> None:
     assert 0.004 < apart.min() < apart.max() < 0.0235
     half_turn = np.diag([-1.0, -1.0, 1.0])
     turned = so3.angle(T_a[:, :3, :3], T_b[:, :3, :3] @ half_turn)
-    np.testing.assert_allclose(np.rad2deg(turned), {"left": 0.163, "right": 0.067}[side], atol=1e-3)
+    np.testing.assert_allclose(np.rad2deg(turned), {"left": 0.163, "right": 0.067}[side], rtol=0, atol=1e-3)
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
@@ -284,7 +286,7 @@ def test_reach_is_that_of_the_type_name(name: str) -> None:
 @pytest.mark.parametrize("name", ["iiwa14", "ur5e"])
 def test_home_points_the_tool_down(name: str) -> None:
     robot = robots.load(name)
-    np.testing.assert_allclose(kinematics.forward(robot, robot.q_home)[:3, 2], [0, 0, -1], atol=1e-15)
+    np.testing.assert_allclose(kinematics.forward(robot, robot.q_home)[:3, 2], [0, 0, -1], rtol=0, atol=1e-15)
 
 
 @pytest.mark.parametrize("name", BODIES)
@@ -329,7 +331,7 @@ def test_centres_of_the_ur5e_in_the_frames_of_its_vendor() -> None:
     assert robot.inertias is not None
     centre = inertia.to_body(robot.inertias).centre
     for i in range(6):
-        np.testing.assert_allclose(se3.inv(robot.links[i + 1])[:3] @ [*centre[i], 1], centres[i], atol=1e-9)
+        np.testing.assert_allclose(se3.inv(robot.links[i + 1])[:3] @ [*centre[i], 1], centres[i], rtol=0, atol=1e-9)
 
 
 EFFORTS = {"ur5e": [150] * 3 + [28] * 3, "panda": [87] * 4 + [12] * 3, "fr3": [87] * 4 + [12] * 3}

@@ -319,3 +319,15 @@ def test_an_inertia_of_no_body_is_said(tree: Tree) -> None:
         robot = odd.chain("body", "cup")
     assert robot.inertias is not None
     odd.chain("body", "right_1")  # what is not on the arm does not matter
+
+
+def test_a_rotation_may_be_a_quaternion() -> None:
+    """URDF 1.2 has quat_xyzw beside rpy."""
+    text = """<robot name="r"><link name="a"/><link name="b"/>
+      <joint name="j" type="continuous"><parent link="a"/><child link="b"/><origin {}/></joint></robot>"""
+    quarter = urdf.parse(text.format('quat_xyzw="0 0 0.7071067811865476 0.7071067811865476"')).joints[0]
+    np.testing.assert_allclose(quarter.T_parent_child[:3, :2], [[0, -1], [1, 0], [0, 0]], rtol=0, atol=1e-15)
+    with pytest.raises(RobotError, match=r"Expected quat_xyzw of length 1 .*line 2, got 1 1 1 1\. Correct it"):
+        urdf.parse(text.format('quat_xyzw="1 1 1 1"'))
+    with pytest.raises(RobotError, match=r"Expected rpy or quat_xyzw of <origin> .*line 2, got both"):
+        urdf.parse(text.format('rpy="0 0 0" quat_xyzw="0 0 0 1"'))

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armlab import robots
-from armlab.errors import ArmlabError, RobotError
+from armlab.errors import ArmlabError, RobotError, ShapeError, UnknownName
 from armlab.robots import Robot, urdf
 
 ARM = """<?xml version="1.0" encoding="utf-8"?>
@@ -253,3 +253,20 @@ def test_a_directory_is_no_urdf(tmp_path: Path) -> None:
     folder.mkdir()
     with pytest.raises(RobotError, match=r"Expected a URDF file at .*folder\.urdf, got"):
         robots.load(folder)
+
+
+@pytest.mark.parametrize("text", ["<robot name='r'><xacro:macro/></robot>", "<!DOCTYPE r><robot name='r'/>"])
+def test_one_sentence_is_not_put_into_another(text: str) -> None:
+    with pytest.raises(RobotError) as caught:
+        urdf.parse(text)
+    assert str(caught.value).count("Expected") == 1
+
+
+def test_questions_about_what_is_not_there() -> None:
+    tree = urdf.parse(ARM)
+    with pytest.raises(UnknownName, match="link of the URDF text, got 'hand'"):
+        tree.tips_below("hand")
+    with pytest.raises(RobotError, match="Expected names of joints of the URDF text as a list or tuple, got 'turn'"):
+        tree.mimic("turn")
+    with pytest.raises(ShapeError, match="Expected positions of the free joints to be real numbers, got 'x'"):
+        tree.mimic(["turn"]).positions("x")

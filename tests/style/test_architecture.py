@@ -69,6 +69,11 @@ def file_param(paths: list[Path]) -> pytest.MarkDecorator:
     return pytest.mark.parametrize("path", paths, ids=relative)
 
 
+def calls(module: ast.Module, *names: str) -> list[ast.Call]:
+    found = [n for n in ast.walk(module) if isinstance(n, ast.Call)]
+    return [n for n in found if getattr(n.func, "attr", getattr(n.func, "id", None)) in names]
+
+
 def functions(module: ast.Module) -> list[ast.FunctionDef | ast.AsyncFunctionDef]:
     return [n for n in ast.walk(module) if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)]
 
@@ -298,3 +303,11 @@ def test_the_rules_can_fail() -> None:
     assert documented_parameters(
         "x\n\nParameters\n----------\nq, qd : (n,) a\n    more : no\n\nReturns\n-------\nz : b"
     ) == ["q", "qd"]
+
+
+@file_param([p for p in TESTS if p.parent.name in ("robots", "kinematics", "kernels", "_reference", "contract")])
+def test_an_absolute_tolerance_is_the_whole_tolerance(path: Path) -> None:
+    """`assert_allclose(a, b, atol=1e-12)` keeps rtol=1e-7, which is 1e5 times wider for numbers near 1."""
+    for call in calls(tree(path), "assert_allclose"):
+        said = {keyword.arg for keyword in call.keywords}
+        assert "atol" not in said or "rtol" in said, f"{relative(path)}:{call.lineno}: say rtol beside atol"

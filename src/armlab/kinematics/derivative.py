@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab.errors import UnknownName
+from armlab.errors import RobotError, UnknownName
 from armlab.robots import Robot
 
 __all__ = ["jacobian_derivative"]
@@ -45,7 +45,13 @@ def jacobian_derivative(
         When `frame` is neither "base" nor "tool".
     ShapeError
         When the last axis of `q` is not n long, `qd` has another shape, or `out` does not fit.
+    RobotError
+        When something else comes in place of a robot, such as its name.
     """
     if frame not in ("base", "tool"):
         raise UnknownName.among("Jacobian frame", frame, ("base", "tool"))
-    return robot.chain.jacobian_derivative(q, qd, frame == "tool", out)
+    try:
+        chain = robot.chain
+    except AttributeError:
+        raise RobotError.no_robot(robot) from None
+    return chain.jacobian_derivative(q, qd, frame == "tool", out)

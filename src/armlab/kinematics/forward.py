@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab.errors import RobotError
 from armlab.robots import Robot
 
 __all__ = ["forward", "link_transforms"]
@@ -31,10 +32,16 @@ def forward(robot: Robot, q: ArrayLike, out: np.ndarray | None = None, threads: 
     ------
     ShapeError
         When the last axis of `q` is not n long, or `out` does not fit.
+    RobotError
+        When something else comes in place of a robot, such as its name.
     ConfigError
         When `threads` is not an integer from 1 to 256.
     """
-    return robot.chain.forward(q, out, threads)
+    try:
+        chain = robot.chain
+    except AttributeError:
+        raise RobotError.no_robot(robot) from None
+    return chain.forward(q, out, threads)
 
 
 def link_transforms(robot: Robot, q: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
@@ -56,5 +63,11 @@ def link_transforms(robot: Robot, q: ArrayLike, out: np.ndarray | None = None) -
     ------
     ShapeError
         When the last axis of `q` is not n long, or `out` does not fit.
+    RobotError
+        When something else comes in place of a robot, such as its name.
     """
-    return robot.chain.link_transforms(q, out)
+    try:
+        chain = robot.chain
+    except AttributeError:
+        raise RobotError.no_robot(robot) from None
+    return chain.link_transforms(q, out)

@@ -7,7 +7,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab.errors import ConfigError, NotConverged, UnknownName
+from armlab.errors import ConfigError, NotConverged, RobotError, UnknownName
 from armlab.kinematics._inverse_result import Inverse, freeze
 from armlab.robots import Robot
 
@@ -80,6 +80,8 @@ def inverse(
         When a goal is not a pose or not finite (its index is told), or `q0`, `axis` or `posture` does not fit.
     UnknownName
         When there is no such task or objective.
+    RobotError
+        When something else comes in place of a robot, such as its name.
     ConfigError
         When a number is out of its range.
     NotConverged
@@ -92,6 +94,8 @@ def inverse(
     """
     if task not in _ROWS:
         raise UnknownName.among("inverse task", task, _ROWS)
+    if not isinstance(robot, Robot):
+        raise RobotError.no_robot(robot)
     if objective is not None and objective not in _KINDS:
         raise UnknownName.among("inverse objective", objective, _KINDS)
     position_tolerance, rotation_tolerance = tol if isinstance(tol, tuple) else (tol, tol)

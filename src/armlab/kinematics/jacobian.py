@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab.errors import UnknownName
+from armlab.errors import RobotError, UnknownName
 from armlab.robots import Robot
 
 __all__ = ["forward_jacobian", "jacobian"]
@@ -41,10 +41,16 @@ def jacobian(
         When `frame` is neither "base" nor "tool".
     ShapeError
         When the last axis of `q` is not n long, or `out` does not fit.
+    RobotError
+        When something else comes in place of a robot, such as its name.
     ConfigError
         When `threads` is not an integer from 1 to 256.
     """
-    return robot.chain.jacobian(q, _in_tool_axes(frame), out, threads)
+    try:
+        chain = robot.chain
+    except AttributeError:
+        raise RobotError.no_robot(robot) from None
+    return chain.jacobian(q, _in_tool_axes(frame), out, threads)
 
 
 def forward_jacobian(
@@ -78,10 +84,16 @@ def forward_jacobian(
         When `frame` is neither "base" nor "tool".
     ShapeError
         When the last axis of `q` is not n long, or `out` is no pair of arrays that fit and share no memory.
+    RobotError
+        When something else comes in place of a robot, such as its name.
     ConfigError
         When `threads` is not an integer from 1 to 256.
     """
-    return robot.chain.forward_jacobian(q, _in_tool_axes(frame), out, threads)
+    try:
+        chain = robot.chain
+    except AttributeError:
+        raise RobotError.no_robot(robot) from None
+    return chain.forward_jacobian(q, _in_tool_axes(frame), out, threads)
 
 
 def _in_tool_axes(frame: Frame) -> bool:

@@ -62,6 +62,8 @@ def singular_values(robot: Robot, q: ArrayLike, part: Part = "pose") -> np.ndarr
         When there is no such part.
     ShapeError
         When the last axis of `q` is not n long.
+    RobotError
+        When something else comes in place of a robot, such as its name.
     """
     return _svd(_rows(robot, q, part))[1]
 
@@ -90,6 +92,8 @@ def manipulability(robot: Robot, q: ArrayLike, part: Part = "pose") -> np.ndarra
         When there is no such part.
     ShapeError
         When the last axis of `q` is not n long.
+    RobotError
+        When something else comes in place of a robot, such as its name.
 
     References
     ----------
@@ -123,6 +127,8 @@ def manipulability_gradient(robot: Robot, q: ArrayLike, part: Part = "pose") -> 
         When there is no such part.
     ShapeError
         When the last axis of `q` is not n long.
+    RobotError
+        When something else comes in place of a robot, such as its name.
     """
     U, s, Vt = _svd(_rows(robot, q, part))
     positions = np.asarray(q, dtype=np.float64)[..., None, :]
@@ -162,6 +168,8 @@ def ellipsoid(
         When there is no such part or kind.
     ShapeError
         When the last axis of `q` is not n long.
+    RobotError
+        When something else comes in place of a robot, such as its name.
     """
     if part not in ("position", "rotation"):
         raise UnknownName.among("part of a twist with an ellipsoid", part, ("position", "rotation"))
@@ -178,7 +186,7 @@ def ellipsoid(
 
 
 def _rows(robot: Robot, q: ArrayLike, part: Part) -> np.ndarray:
-    if part not in _ROWS:
+    if part not in tuple(_ROWS):  # what has no hash is unknown too
         raise UnknownName.among("part of a twist", part, _ROWS)
     return jacobian(robot, q)[..., _ROWS[part], :]
 

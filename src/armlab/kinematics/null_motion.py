@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from reprlib import repr as shortened
 from typing import Literal
 
 import numpy as np
@@ -87,7 +88,7 @@ def null_motion(
     Raises
     ------
     RobotError
-        When the robot has no joint to spare for the task.
+        When the robot has no joint to spare for the task, or is none.
     SingularPoseError
         When `q` is singular, or `direction` is a sign where there are several directions, or leads nowhere.
     ShapeError
@@ -238,7 +239,10 @@ class _Curve:
 
 
 def _vector(robot: Robot, value: object, name: str) -> np.ndarray:
-    vector = np.asarray(value, dtype=np.float64)
+    try:
+        vector = np.asarray(value).astype(np.float64, casting="safe", copy=False)
+    except (TypeError, ValueError):  # text, complex, None, rows of different length
+        raise ShapeError(f"Expected {name} to be ({robot.n},) finite numbers, got {shortened(value)}.") from None
     if vector.shape != (robot.n,) or not np.isfinite(vector).all():
         raise ShapeError(
             f"Expected {name} to be ({robot.n},) finite numbers, got shape {vector.shape}: {vector.tolist()}."
@@ -249,6 +253,8 @@ def _vector(robot: Robot, value: object, name: str) -> np.ndarray:
 def _checked(robot: Robot, q: ArrayLike, length: float, points: int, task: str) -> np.ndarray:
     if task not in _ROWS:
         raise UnknownName.among("task", task, _ROWS)
+    if not isinstance(robot, Robot):
+        raise RobotError.no_robot(robot)
     start = _vector(robot, q, "q").copy()
     outside = (start < robot.q_min) | (start > robot.q_max)
     if outside.any():

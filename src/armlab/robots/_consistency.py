@@ -19,6 +19,7 @@ __all__ = ["POSE_TOLERANCE", "body_fault", "check_robot"]
 POSE_TOLERANCE = 1e-9
 """Largest entry of |RᵀR - I| in a robot's poses: an error that kinematics carries to the tool undetected."""
 
+MOST_JOINTS = 32  # what the compiled kernels hold
 MOMENT_TOLERANCE = 1e-6  # a principal moment this much below zero, relative to the largest, is rounding of the digits
 SMALLEST_RADIUS = 1e-6  # m; nor is the moment of the whole mass at this radius
 
@@ -37,6 +38,8 @@ def _check_shapes(robot: Robot) -> None:
     n = robot.prismatic.size
     if robot.prismatic.ndim != 1 or n == 0:
         raise RobotError(f"Expected at least one joint for robot {robot.name!r}, got shape {robot.prismatic.shape}.")
+    if n > MOST_JOINTS:
+        raise RobotError(f"Expected at most {MOST_JOINTS} joints for robot {robot.name!r}, got {n}.")
     vectors = dict.fromkeys(("q_min", "q_max", "qd_max", "qdd_max", "q_home", "tau_max"), (n,))
     matrices = {"links": (n + 1, 4, 4), "T_base_mount": (4, 4), "T_flange_tool": (4, 4), "coupling": (n, n)}
     if robot.inertias is not None:

@@ -1,15 +1,17 @@
-"""From what a user gives to an array of real numbers, or one sentence."""
+"""From what a user gives to an array of real numbers or a tuple, or one sentence."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from reprlib import repr as shortened
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab.errors import ArmlabError, RobotError
 
-__all__ = ["numbers"]
+__all__ = ["frozen", "members", "numbers"]
 
 
 def numbers(value: ArrayLike, what: str, error: type[ArmlabError] = RobotError) -> np.ndarray:
@@ -34,3 +36,38 @@ def numbers(value: ArrayLike, what: str, error: type[ArmlabError] = RobotError) 
     if array.dtype.kind not in "biuf":
         raise error(f"Expected {what} to be real numbers, got {shortened(value)}.")
     return array.astype(np.float64, copy=False)
+
+
+def members(value: Any, what: str) -> tuple[Any, ...]:
+    """Return the members of a list or tuple; a text is none, though Python would take its letters.
+
+    Parameters
+    ----------
+    value : anything.
+    what : its name, for the message.
+
+    Raises
+    ------
+    RobotError : when it has no members or is a text.
+    """
+    if isinstance(value, str | bytes) or not isinstance(value, Iterable):
+        raise RobotError(f"Expected {what} as a list or tuple, got {shortened(value)}.")
+    return tuple(value)
+
+
+def frozen(value: ArrayLike, what: str) -> np.ndarray:
+    """Return real numbers as a read-only copy in which -0.0 is 0.0: what is equal has equal bytes.
+
+    Parameters
+    ----------
+    value : numbers, of any shape.
+    what : their name, for the message.
+
+    Raises
+    ------
+    RobotError : when they are no real numbers.
+    """
+    array = np.array(numbers(value, what))
+    array += 0.0
+    array.flags.writeable = False
+    return array

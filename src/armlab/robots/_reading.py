@@ -90,10 +90,13 @@ def read_robot(text: str, path: str) -> Robot:
     """
     try:
         return _build(msgspec.convert(_in_radians(tomllib.loads(text)), File))
-    except (tomllib.TOMLDecodeError, msgspec.ValidationError) as error:
-        raise RobotError(f"Expected a robot file in {path}, got one that cannot be read: {error}.") from None
     except RobotError as error:
         raise RobotError(f"The robot file {path} describes no robot. {error}") from None
+    except (ValueError, ArithmeticError, RecursionError) as error:  # no TOML, wrong fields, numbers beyond a float
+        raise RobotError(
+            f"Expected a robot file in {path}, got one that cannot be read: {error}. "
+            "The page Robot files of the documentation lists the fields."
+        ) from None
 
 
 def _in_radians(value: Any) -> Any:

@@ -7,7 +7,8 @@ from typing import get_args
 
 import numpy as np
 
-from armlab.lie import euler, se3
+from armlab.errors import ShapeError
+from armlab.lie import euler, quaternion, se3
 from armlab.robots import inertia
 from armlab.robots._xml import Element, parse_xml
 from armlab.robots.mesh import Mesh
@@ -115,8 +116,22 @@ def _origin(element: Element) -> np.ndarray:
     if origin is None:
         return np.eye(4)
     zeros = (0.0, 0.0, 0.0)
+    position = origin.numbers("xyz", 3, zeros)
+    if "quat_xyzw" in origin.attributes:
+        return se3.from_rp(_rotation(origin), position)
     roll, pitch, yaw = origin.numbers("rpy", 3, zeros)
-    return se3.from_rp(euler.rot_z(yaw) @ euler.rot_y(pitch) @ euler.rot_x(roll), origin.numbers("xyz", 3, zeros))
+    return se3.from_rp(euler.rot_z(yaw) @ euler.rot_y(pitch) @ euler.rot_x(roll), position)
+
+
+def _rotation(origin: Element) -> np.ndarray:
+    """Return the rotation of ``quat_xyzw``, which URDF 1.2 has beside rpy."""
+    if "rpy" in origin.attributes:
+        raise origin.error("rpy or quat_xyzw of <origin>", "both", "Remove one.")
+    x, y, z, w = origin.numbers("quat_xyzw", 4)
+    try:
+        return quaternion.to_matrix([w, x, y, z])
+    except ShapeError:
+        raise origin.error("quat_xyzw of length 1", f"{x:g} {y:g} {z:g} {w:g}", "Correct it.") from None
 
 
 def _limits(element: Element, kind: JointKind) -> tuple[float, float, float, float]:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from armlab.errors import RobotError, UnknownName
+from armlab.robots._numbers import members
 
 if TYPE_CHECKING:
     from armlab.robots.urdf import Joint, Link, Mimic, Tree
@@ -63,6 +63,8 @@ def _check_ends(tree: Tree) -> None:
     for joint in tree.joints:
         for end, name in (("parent", joint.parent), ("child", joint.child)):
             if name not in names:
+                from difflib import get_close_matches
+
                 close = get_close_matches(name, names, n=1)
                 advice = f"Perhaps {close[0]!r} is meant." if close else "Add the link or correct the name."
                 raise fault(tree, joint, f"the {end} of joint {joint.name!r} among the links", repr(name), advice)
@@ -102,7 +104,7 @@ def follow(tree: Tree, joint_names: Iterable[str]) -> Mimic:
 
     joints = {joint.name: joint for joint in tree.joints}
     rows: list[tuple[str, float, float]] = []  # leader, multiplier, offset
-    for name in joint_names:
+    for name in members(joint_names, f"names of joints of {tree.file}"):
         if name not in joints:
             raise UnknownName.among(f"joint of {tree.file}", name, joints)
         rows.append(_leader(tree, joints, joints[name]))

@@ -126,6 +126,8 @@ def parse_xml(data: str | bytes, file: str) -> Element:
     parser.StartDoctypeDeclHandler = document_type
     try:
         parser.Parse(data, True)
+    except RobotError:  # a ValueError too, and a sentence already
+        raise
     except expat.ExpatError as error:
         reason = expat.ErrorString(error.code)
         raise RobotError(f"Expected XML in {file}, line {error.lineno}, got: {reason}.") from None

@@ -93,17 +93,17 @@ def from_links(name: str, links: ArrayLike, prismatic: ArrayLike | None = None, 
         qd_max=qd_max,
         qdd_max=given("qdd_max", qd_max / RAMP_TIME),
         q_home=given("q_home", home),
-        joint_names=tuple(details.get("joint_names", [f"joint_{i + 1}" for i in range(n)])),
+        joint_names=details.get("joint_names", [f"joint_{i + 1}" for i in range(n)]),
         T_base_mount=given("T_base_mount", np.eye(4)),
         T_flange_tool=given("T_flange_tool", np.eye(4)),
         gravity=given("gravity", GRAVITY),
         coupling=given("coupling", np.eye(n)),
-        abb_axes=tuple(details.get("abb_axes", range(1, n + 1))),
+        abb_axes=details.get("abb_axes", range(1, n + 1)),
         side=details.get("side", ""),
         source=details.get("source", ""),
         tau_max=given("tau_max", unlimited),
         inertias=None if inertias is None else given("inertias", ()),
-        meshes=tuple(map(tuple, details.get("meshes", ()))),
+        meshes=details.get("meshes", ()),
     )
 
 
@@ -137,6 +137,8 @@ def from_dh(
     ------
     RobotError : when the columns have different lengths, hold NaN, or the numbers contradict each other.
     """
+    if not isinstance(modified, bool | np.bool_):  # "standard" would count as True
+        raise RobotError(f"Expected modified of robot {name!r} to be True or False, got {modified!r}.")
     alpha, a, d, offset = _columns(name, alpha=alpha, a=a, d=d, offset=offset)
     along_x = _screw_x(alpha, a)
     links = np.tile(np.eye(4), (len(a) + 1, 1, 1))

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab.errors import ShapeError
+from armlab.errors import RobotError, ShapeError
 from armlab.robots._numbers import numbers
 from armlab.robots.robot import Robot
 
@@ -70,7 +70,8 @@ def motor_to_joint(robot: Robot, values: ArrayLike) -> np.ndarray:
     -------
     (..., n).
     """
-    return _through(robot.coupling, _values(robot, values))
+    values = _values(robot, values)
+    return _through(robot.coupling, values)
 
 
 def joint_to_motor(robot: Robot, values: ArrayLike) -> np.ndarray:
@@ -85,7 +86,8 @@ def joint_to_motor(robot: Robot, values: ArrayLike) -> np.ndarray:
     -------
     (..., n).
     """
-    return _through(np.linalg.inv(robot.coupling), _values(robot, values))
+    values = _values(robot, values)
+    return _through(np.linalg.inv(robot.coupling), values)
 
 
 def motor_torque_to_joint(robot: Robot, tau_motor: ArrayLike) -> np.ndarray:
@@ -100,7 +102,8 @@ def motor_torque_to_joint(robot: Robot, tau_motor: ArrayLike) -> np.ndarray:
     -------
     (..., n).
     """
-    return _through(np.linalg.inv(robot.coupling).T, _values(robot, tau_motor))
+    tau_motor = _values(robot, tau_motor)
+    return _through(np.linalg.inv(robot.coupling).T, tau_motor)
 
 
 def joint_torque_to_motor(robot: Robot, tau: ArrayLike) -> np.ndarray:
@@ -115,7 +118,8 @@ def joint_torque_to_motor(robot: Robot, tau: ArrayLike) -> np.ndarray:
     -------
     (..., n).
     """
-    return _through(robot.coupling.T, _values(robot, tau))
+    tau = _values(robot, tau)
+    return _through(robot.coupling.T, tau)
 
 
 def _through(matrix: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -126,6 +130,8 @@ def _through(matrix: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def _values(robot: Robot, values: ArrayLike) -> np.ndarray:
+    if not isinstance(robot, Robot):
+        raise RobotError.no_robot(robot)
     result = numbers(values, f"values for robot {robot.name!r}", ShapeError)
     if result.shape[-1:] != (robot.n,):
         raise ShapeError(f"Expected values of shape (..., {robot.n}) for robot {robot.name!r}, got {result.shape}.")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from os import PathLike
 from pathlib import Path
 
 from armlab.errors import RobotError, UnknownName
@@ -33,7 +34,7 @@ def load(name: str | Path, *, base: str | None = None, tip: str | None = None) -
     RobotError : when the file is missing or describes no consistent robot; names file, joint or line, and value.
         When several branches of a URDF move and the tip is not said; lists them.
     """
-    suffix = Path(str(name)).suffix
+    suffix = Path(str(name)).suffix.lower()
     if suffix == ".urdf":
         from armlab.robots import urdf
 
@@ -64,17 +65,21 @@ def save(robot: Robot, path: str | Path) -> None:
     ------
     RobotError : when the path ends in neither or cannot be written, or a name cannot stand in the file.
     """
+    if not isinstance(robot, Robot):
+        raise RobotError.no_robot(robot)
+    if not isinstance(path, str | PathLike):
+        raise RobotError(f"Expected the path of a file for robot {robot.name!r}, got {path!r}.")
     from armlab.robots._urdf_writing import write_urdf
     from armlab.robots._writing import write_robot
 
     path = Path(path)
     writers = {".toml": write_robot, ".urdf": write_urdf}
-    if path.suffix not in writers:
+    if path.suffix.lower() not in writers:
         raise RobotError(f"Expected a path that ends in .toml or .urdf for robot {robot.name!r}, got {path}.")
-    text = writers[path.suffix](robot)
+    text = writers[path.suffix.lower()](robot)
     try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
+        path.write_bytes(text.encode("utf-8"))
+    except (OSError, ValueError) as error:  # ValueError: a character that no file or path can hold
         raise RobotError(f"Expected to write robot {robot.name!r} to {path}, got: {error}.") from None
 
 
@@ -87,7 +92,7 @@ def _from_file(path: Path) -> Robot:
     from armlab.robots._reading import read_robot  # it brings msgspec, which kinematics alone does not need
 
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        text = path.read_text(encoding="utf-8-sig")  # editors on Windows put a mark before the text
+    except (OSError, ValueError) as error:
         raise RobotError(f"Expected a robot file at {path}, got: {error}.") from None
     return read_robot(text, str(path))

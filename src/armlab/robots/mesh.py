@@ -9,7 +9,7 @@ import numpy as np
 
 from armlab.errors import RobotError
 from armlab.lie import se3
-from armlab.robots._numbers import numbers
+from armlab.robots._numbers import frozen
 
 __all__ = ["Mesh"]
 
@@ -38,10 +38,7 @@ class Mesh:
     def __post_init__(self) -> None:
         """Make the arrays read-only float64 copies and check the fields."""
         for name in ("T_link_mesh", "scale"):
-            value = numbers(getattr(self, name), f"{name} of mesh {self.file!r}")
-            value = value + 0.0  # a copy, in which -0.0 is 0.0: equal meshes have equal bytes
-            value.flags.writeable = False
-            object.__setattr__(self, name, value)
+            object.__setattr__(self, name, frozen(getattr(self, name), f"{name} of mesh {self.file!r}"))
         if self.kind not in ("visual", "collision"):
             raise RobotError(f'Expected "visual" or "collision" as kind of mesh {self.file!r}, got {self.kind!r}.')
         if not isinstance(self.file, str) or not self.file:

@@ -92,7 +92,13 @@ def to_local_poe(robot: Robot) -> LocalPoe:
     Parameters
     ----------
     robot : any robot.
+
+    Raises
+    ------
+    RobotError : when it is something else, such as a name.
     """
+    if not isinstance(robot, Robot):
+        raise RobotError.no_robot(robot)
     poses = np.concatenate([[robot.frames[0] @ robot.frames[1]], robot.frames[2:], [np.eye(4)]])
     z_axes = np.zeros((robot.n, 6))
     z_axes[np.arange(robot.n), np.where(robot.prismatic, 2, 5)] = 1.0

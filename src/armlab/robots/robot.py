@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from operator import index
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from armlab.errors import RobotError
 from armlab.robots._consistency import POSE_TOLERANCE, check_robot
-from armlab.robots._numbers import numbers
+from armlab.robots._numbers import frozen, members
 from armlab.robots.mesh import Mesh
 
 if TYPE_CHECKING:
@@ -76,19 +77,16 @@ class Robot:
     def __post_init__(self) -> None:
         """Make every array a read-only float64 copy (prismatic: bool) and check the description."""
         for field in fields(self):
-            value = getattr(self, field.name)
-            if field.name == "inertias" and value is None:
-                continue
+            what, value = f"{field.name} of robot {self.name!r}", getattr(self, field.name)
             if str(field.type).startswith("np.ndarray"):
-                value = np.array(numbers(value, f"{field.name} of robot {self.name!r}"))
-                value += 0.0  # -0.0 becomes 0.0: equal robots have equal bytes
-                value = np.array(value, bool) if field.name == "prismatic" else value
-                value.flags.writeable = False
-            elif field.name == "meshes":
-                value = tuple(tuple(meshes) for meshes in value) if any(value) else ()
+                value = None if field.name == "inertias" and value is None else frozen(value, what)
             elif str(field.type).startswith("tuple"):
-                value = tuple(value)
+                value = members(value, what)
             object.__setattr__(self, field.name, value)
+        object.__setattr__(self, "prismatic", _flags(self.prismatic, self.name))
+        object.__setattr__(self, "abb_axes", _axis_numbers(self.abb_axes, self.name))
+        meshes = tuple(members(link, f"meshes of one link of robot {self.name!r}") for link in self.meshes)
+        object.__setattr__(self, "meshes", meshes if any(meshes) else ())
         check_robot(self)
 
     @property
@@ -149,6 +147,8 @@ class Robot:
         Numbers are rounded to 12 decimals, so that machines whose sine differs in the last digit agree. Torque limits
         and inertias count where there are any, meshes never.
         """
+        import hashlib  # OpenSSL costs 2 ms
+
         digest = hashlib.sha256()
         for field in fields(self):
             value = getattr(self, field.name)
@@ -196,3 +196,19 @@ class Robot:
     def __reduce__(self) -> tuple:
         """Pickle the fields only: caches are rebuilt, arrays are read-only again."""
         return Robot, tuple(getattr(self, field.name) for field in fields(self))
+
+
+def _flags(value: np.ndarray, name: str) -> np.ndarray:
+    if not np.isin(value, (0.0, 1.0)).all():
+        raise RobotError(f"Expected prismatic of robot {name!r} as True and False, got {value.tolist()}.")
+    flags = value.astype(bool)
+    flags.flags.writeable = False
+    return flags
+
+
+def _axis_numbers(value: tuple, name: str) -> tuple[int, ...]:
+    """Return plain integers: those of NumPy would not be written as TOML."""
+    try:
+        return tuple(map(index, value))
+    except TypeError:
+        raise RobotError(f"Expected abb_axes of robot {name!r} as whole numbers, got {list(value)}.") from None

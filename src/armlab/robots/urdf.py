@@ -15,7 +15,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab.errors import RobotError, ShapeError
+from armlab.errors import RobotError, ShapeError, UnknownName
+from armlab.robots._numbers import numbers
 from armlab.robots.mesh import Mesh
 from armlab.robots.robot import Robot
 
@@ -123,9 +124,9 @@ class Mimic:
 
         Raises
         ------
-        ShapeError : when the last axis is not m long.
+        ShapeError : when they are no numbers or the last axis is not m long.
         """
-        q_free = np.asarray(q_free, dtype=np.float64)
+        q_free = numbers(q_free, "positions of the free joints", ShapeError)
         if q_free.shape[-1:] != (len(self.names),):
             raise ShapeError(
                 f"Expected positions of the free joints {', '.join(self.names)}, shape (..., {len(self.names)}), "
@@ -189,7 +190,13 @@ class Tree:
         Parameters
         ----------
         base : name of the link.
+
+        Raises
+        ------
+        UnknownName : when there is no such link.
         """
+        if base not in self.child_joints:
+            raise UnknownName.among(f"link of {self.file}", base, self.child_joints)
         tips, waiting = [], [(base, False)]
         while waiting:
             name, moves = waiting.pop()
@@ -238,6 +245,7 @@ class Tree:
         Raises
         ------
         UnknownName : when the file has no such joint.
+        RobotError : when the names are no list.
         """
         from armlab.robots._urdf_structure import follow
 
@@ -264,7 +272,7 @@ def read(path: str | Path) -> Tree:
     """
     try:
         data = Path(path).read_bytes()
-    except OSError as error:
+    except (OSError, TypeError, ValueError) as error:  # not there; no path at all
         raise RobotError(f"Expected a URDF file at {path}, got: {error}.") from None
     return parse(data, str(path))
 
@@ -287,4 +295,6 @@ def parse(text: str | bytes, file: str = "the URDF text") -> Tree:
     """
     from armlab.robots._urdf_reading import read_tree
 
+    if not isinstance(text, str | bytes):
+        raise RobotError(f"Expected the text of a URDF, got {text!r}. Of a file: urdf.read.")
     return read_tree(text, file)
