@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal, TypedDict, Unpack
+from typing import Any, Literal, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab.errors import RobotError
-from armlab.robots._numbers import numbers
+from armlab.robots._numbers import members, numbers
 from armlab.robots.mesh import Mesh
 from armlab.robots.robot import Robot
 
@@ -75,6 +75,9 @@ def from_links(name: str, links: ArrayLike, prismatic: ArrayLike | None = None, 
     def given(field: str, default: ArrayLike) -> np.ndarray:
         return numbers(details.get(field, default), f"{field} of robot {name!r}")
 
+    def listed(field: str, default: Sequence[Any]) -> tuple[Any, ...]:
+        return members(details.get(field, default), f"{field} of robot {name!r}")
+
     links = numbers(links, f"links of robot {name!r}")
     n = max(len(links) - 1, 0) if links.ndim else 0
     unlimited = np.full(n, np.inf)
@@ -93,17 +96,17 @@ def from_links(name: str, links: ArrayLike, prismatic: ArrayLike | None = None, 
         qd_max=qd_max,
         qdd_max=given("qdd_max", qd_max / RAMP_TIME),
         q_home=given("q_home", home),
-        joint_names=details.get("joint_names", [f"joint_{i + 1}" for i in range(n)]),
+        joint_names=listed("joint_names", [f"joint_{i + 1}" for i in range(n)]),
         T_base_mount=given("T_base_mount", np.eye(4)),
         T_flange_tool=given("T_flange_tool", np.eye(4)),
         gravity=given("gravity", GRAVITY),
         coupling=given("coupling", np.eye(n)),
-        abb_axes=details.get("abb_axes", range(1, n + 1)),
+        abb_axes=listed("abb_axes", range(1, n + 1)),
         side=details.get("side", ""),
         source=details.get("source", ""),
         tau_max=given("tau_max", unlimited),
         inertias=None if inertias is None else given("inertias", ()),
-        meshes=details.get("meshes", ()),
+        meshes=listed("meshes", ()),
     )
 
 
