@@ -19,6 +19,7 @@ OF_BATCHES: dict[str, Callable[[Robot, Any], Any]] = {
     "forward": kinematics.forward,
     "link_transforms": kinematics.link_transforms,
     "jacobian": kinematics.jacobian,
+    "pose of forward_jacobian": lambda robot, q: kinematics.forward_jacobian(robot, q)[0],
     "jacobian in tool axes": lambda robot, q: kinematics.jacobian(robot, q, frame="tool"),
     "jacobian_derivative": lambda robot, q: kinematics.jacobian_derivative(robot, q, np.ones_like(q)),
     "singular_values": kinematics.singular_values,
