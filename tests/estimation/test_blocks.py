@@ -47,6 +47,7 @@ def test_block_bootstrap_matches_the_scatter_where_the_formal_covariance_does_no
         drawn = block_bootstrap(sums(A, y, problems.names, 120), 200, seed, length=4)
         assert isinstance(drawn, Bootstrap)
         assert drawn.draws.shape == (200, 3)
+        assert 0.0 < drawn.shrinkage <= 1.0
         solution = least_squares(Rows.of(A, y, np.zeros(6000, dtype=int)), problems.names)
         error = solution.x - problems.theta
         nees.append(error @ np.linalg.solve(drawn.cov, error) / 3)
@@ -58,6 +59,22 @@ def test_block_bootstrap_matches_the_scatter_where_the_formal_covariance_does_no
     assert (np.mean(formal) < 1.4) == formal_is_honest
     if not formal_is_honest:
         assert np.mean(formal) > 3.0
+
+
+def test_many_parameters_and_few_blocks_have_an_honest_covariance(problems) -> None:
+    """Twenty parameters, 30 stretches of coloured data: without shrinkage NEES would be above 2."""
+    nees, raw = [], []
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        A = problems.ar1(rng, (6000, 20))[:, None]
+        truth = np.arange(20.0)
+        found = sums(A, A @ truth + problems.ar1(rng, (6000, 1)), [f"p{i}" for i in range(20)], 120)
+        drawn = block_bootstrap(found, seed=seed, length=4)
+        error = found.solution.x - truth
+        nees.append(error @ np.linalg.solve(drawn.cov, error) / 20)
+        raw.append(error @ np.linalg.solve(np.cov(drawn.draws, rowvar=False), error) / 20)
+    assert 0.7 < np.mean(nees) < 1.4
+    assert np.mean(raw) > 2.0
 
 
 def test_block_bootstrap_of_huber_is_as_wide_as_its_scatter(problems) -> None:

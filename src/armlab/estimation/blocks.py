@@ -110,11 +110,14 @@ class Bootstrap:
 
     Attributes
     ----------
-    draws : (D, p) solutions. cov : (p, p) their covariance, which is that of the estimate.
+    draws : (D, p) solutions.
+    cov : (p, p) their covariance, which is that of the estimate, shrunk towards a multiple of the formal one.
+    shrinkage : how far, from 0 to 1; near 1 where there are few blocks for many parameters.
     """
 
     draws: np.ndarray
     cov: np.ndarray
+    shrinkage: float
 
     def interval(self, level: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
         """Return the percentile interval, lower and upper ends (p,).
@@ -131,10 +134,14 @@ class Bootstrap:
 def block_bootstrap(sums: BlockSums, draws: int | None = None, seed: int = 0, length: int = 1) -> Bootstrap:
     """Draw circular stretches of whole blocks with replacement and solve again.
 
+    The covariance S of the draws has the right size, but hardly more directions than there are stretches: its inverse
+    would be far too large. In coordinates in which the formal covariance is 1 it is therefore shrunk,
+    ``(1 - d) S + d trace(S) / p``, with d from the scatter of the stretches (Ledoit and Wolf).
+
     Parameters
     ----------
     sums : at least 8 stretches of blocks.
-    draws : their number; the larger of 200 and 10 p when left out, so that the covariance can be inverted.
+    draws : their number; the larger of 200 and 4 p when left out.
     seed : of the random generator.
     length : blocks in a stretch; a stretch is to last max(0.5 s, 4 correlation times), see `block_seconds`.
 
@@ -145,7 +152,8 @@ def block_bootstrap(sums: BlockSums, draws: int | None = None, seed: int = 0, le
     References
     ----------
     Politis and Romano (1992), A circular block-resampling procedure; Kunsch (1989). Robust weights are held, and the
-    deviations stretched: Salibian-Barrera and Zamar (2002), Bootstrapping robust estimates of regression.
+    deviations stretched: Salibian-Barrera and Zamar (2002), Bootstrapping robust estimates of regression. Ledoit and
+    Wolf (2004), A well-conditioned estimator for large-dimensional covariance matrices.
     """
     blocks = np.flatnonzero(sums.rows)
     count = len(blocks)
@@ -155,13 +163,27 @@ def block_bootstrap(sums: BlockSums, draws: int | None = None, seed: int = 0, le
             "Record a longer log."
         )
     found = sums.solution
-    number = max(200, 10 * len(found.x)) if draws is None else draws
+    number = max(200, 4 * len(found.x)) if draws is None else draws
     starts = np.random.default_rng(seed).integers(count, size=(number, -(-count // length)))
     chosen = (starts[:, :, None] + np.arange(length)).reshape(number, -1)[:, :count] % count
     weights = np.zeros((number, len(sums.rows)))
     np.add.at(weights, (np.arange(number)[:, None], blocks[chosen]), 1.0)
     solved = found.x + found.stretch * (sums.solve(weights) - found.x)
-    return Bootstrap(solved, np.atleast_2d(np.cov(solved, rowvar=False)) + found.held_cov)
+    told = (solved - solved.mean(axis=0)) @ np.linalg.pinv(found.basis).T  # coordinates of basis
+    shrinkage, S = _shrinkage(sums, blocks, length), told.T @ told / (number - 1)
+    S = (1.0 - shrinkage) * S + shrinkage * np.trace(S) / len(S) * np.eye(len(S))
+    return Bootstrap(solved, found.basis @ S @ found.basis.T + found.held_cov, shrinkage)
+
+
+def _shrinkage(sums: BlockSums, blocks: np.ndarray, length: int) -> float:
+    """Return how much of the scatter of a covariance of so many stretches is chance (Ledoit and Wolf, lemma 3.2)."""
+    count = len(blocks) // length
+    scores = np.add.reduceat(sums.moment[blocks[: count * length]], np.arange(0, count * length, length), axis=0)
+    S = scores.T @ scores
+    away = S - np.trace(S) / len(S) * np.eye(len(S))
+    spread = float(np.sum(away * away))
+    fourth = float(np.sum(np.sum(scores * scores, axis=1) ** 2)) - float(np.sum(S * S)) / count
+    return min(1.0, fourth / spread) if spread > 0 else 1.0
 
 
 @dataclass(frozen=True, eq=False)
