@@ -86,6 +86,27 @@ class Descent {
     return slopes <= stationary_cosine * stationary_cosine * sizes * best_->square;
   }
 
+  // Whether joints could do more elsewhere than at the best posture. Where there are joints enough for the task, a
+  // stationary residual says so; otherwise, that columns of J depend on those before them.
+  bool is_singular() const {
+    if (chain_.n >= M) return true;
+    double Q[M][M];  // orthogonal to each other, by Gram and Schmidt
+    for (int i = 0; i < chain_.n; ++i) {
+      double before = 0.0, after = 0.0;
+      std::copy_n(best_->J[i], M, Q[i]);
+      for (int a = 0; a < M; ++a) before += Q[i][a] * Q[i][a];
+      for (int j = 0; j < i; ++j) {
+        double along = 0.0;
+        for (int a = 0; a < M; ++a) along += Q[i][a] * Q[j][a];
+        for (int a = 0; a < M; ++a) Q[i][a] -= along * Q[j][a];
+      }
+      for (int a = 0; a < M; ++a) after += Q[i][a] * Q[i][a];
+      if (after <= stationary_cosine * stationary_cosine * before) return true;
+      for (int a = 0; a < M; ++a) Q[i][a] /= std::sqrt(after);
+    }
+    return false;
+  }
+
   int steps() const { return steps_; }  // of all runs
   Outcome outcome(Status status, int starts) const {
     constexpr double nan = std::numeric_limits<double>::quiet_NaN();

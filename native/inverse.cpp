@@ -172,6 +172,7 @@ template <int M>
 Outcome InverseSolver::explain(Descent<M> &descent, const Goal &goal, const Search &search, double *q) const {
   Outcome outcome = descent.outcome(Status::iterations, search.starts);
   const bool stationary = descent.is_stationary(limits_), blocked = descent.is_blocked(limits_);
+  const bool singular = descent.is_singular();
   double from[max_joints];
   bool without_limits = false;
   for (int number = 0; number < std::min(search.starts, few_starts) && !without_limits; ++number) {
@@ -187,7 +188,7 @@ Outcome InverseSolver::explain(Descent<M> &descent, const Goal &goal, const Sear
   if (without_limits || (stationary && blocked && search.starts == 1))
     outcome.status = Status::limits;
   else if (stationary)
-    outcome.status = search.starts > 1 || chain_.n < M ? Status::out_of_reach : Status::singular;
+    outcome.status = search.starts > 1 || !singular ? Status::out_of_reach : Status::singular;
   return outcome;
 }
 
@@ -207,7 +208,7 @@ Outcome InverseSolver::follow_rows(const Goal &goal, const Search &search, const
   if (beyond_reach(goal, search.position_tolerance))
     status = Status::out_of_reach;
   else if (descent.is_stationary(box))
-    status = !descent.is_blocked(box) ? (chain_.n < M ? Status::out_of_reach : Status::singular)
+    status = !descent.is_blocked(box) ? (descent.is_singular() ? Status::singular : Status::out_of_reach)
              : descent.is_blocked(limits_) ? Status::limits : Status::bound;
   return descent.outcome(status, 1);
 }

@@ -14,6 +14,7 @@ void bind_wrench(nb::module_ &m);
 
 NB_MODULE(_native, m) {
   if (PyArray_ImportNumPyAPI() < 0) throw nb::python_error();
+  nb::set_leak_warnings(false);  // a robot that a module keeps until the interpreter ends is no leak, and nothing prints
   m.doc() = "Compiled kernels of armlab; armlab.kernels is their public face.";
   bind_chain(m);
   bind_drive(m);

@@ -148,6 +148,18 @@ class Descent:
         slope = J.T @ self.best.e
         return bool(slope @ slope <= STATIONARY_COSINE**2 * np.sum(J * J) * self.best.square)
 
+    def is_singular(self) -> bool:
+        """Whether joints could do more elsewhere than at the best posture.
+
+        Where there are joints enough for the task, a stationary residual says so; otherwise, that columns of J depend
+        on those before them.
+        """
+        J = self.best.J
+        if J.shape[1] >= J.shape[0]:
+            return True
+        before = np.linalg.norm(J, axis=0)
+        return bool(np.any(np.abs(np.diag(np.linalg.qr(J, mode="r"))) <= STATIONARY_COSINE * before))
+
     def is_there(self, here: Iterate) -> bool:
         """Return whether the errors are within the tolerances."""
         position = not self.goal.has_position or here.position_error <= self.search.position_tolerance

@@ -197,6 +197,7 @@ class InverseSolver:
         """Return the outcome of a search without success, and why."""
         best = descent.best
         stationary, blocked = descent.is_stationary(self._limits), bool(descent.blocked(self._limits).any())
+        singular = descent.is_singular()
         without_limits = False
         for number in range(min(search.starts, FEW_STARTS)):
             start = self._start(goal, number - 1) if number else best.q
@@ -210,7 +211,7 @@ class InverseSolver:
         if without_limits or (stationary and blocked and search.starts == 1):
             status = LIMITS
         elif stationary:
-            status = OUT_OF_REACH if search.starts > 1 or self._chain.n < goal.task else SINGULAR
+            status = OUT_OF_REACH if search.starts > 1 or not singular else SINGULAR
         descent.best = best
         return _outcome(descent, status, search.starts)
 
@@ -225,7 +226,7 @@ class InverseSolver:
             status = OUT_OF_REACH
         elif descent.is_stationary(box):
             if not descent.blocked(box).any():
-                status = OUT_OF_REACH if self._chain.n < goal.task else SINGULAR
+                status = SINGULAR if descent.is_singular() else OUT_OF_REACH
             else:
                 status = LIMITS if descent.blocked(self._limits).any() else BOUND
         return _outcome(descent, status, 1)
