@@ -89,7 +89,7 @@ def test_convergence_is_quadratic(name: str) -> None:
     away = rng.normal(size=q.shape)
     start = np.clip(q + 0.1 * away / np.linalg.norm(away, axis=1, keepdims=True), robot.q_min, robot.q_max)
     regular = singular_values(robot, q)[:, -1] > 0.03
-    assert regular.mean() > 0.7
+    assert regular.mean() > 0.5
     result = inverse(robot, T[regular], start[regular], tol=1e-11, starts=1, history=True)
     assert result.success.all()
     assert result.iterations.max() <= 6
