@@ -90,7 +90,7 @@ def test_same_reasons() -> None:
     for change in (0.0, 0.5, 2.0):
         both = [s.follow(T, home, change) for s in (native, reference)]
         np.testing.assert_array_equal(both[0][2], both[1][2])
-            assert max(np.abs(q - home).max() for q, *_ in both) <= change + 1e-15
+        assert max(np.abs(q - home).max() for q, *_ in both) <= change + 1e-15
         seen |= set(both[0][2][:, 2])
     assert seen >= {0, 1, 2, 4, 5}
 
