@@ -4,6 +4,7 @@
 
 #include "batch.h"
 #include "descent.h"
+#include "random.h"
 #include "self_motion.h"
 
 namespace armlab {
@@ -12,14 +13,6 @@ namespace {
 constexpr double infinity = std::numeric_limits<double>::infinity();
 constexpr double pi = 3.14159265358979323846;
 constexpr int few_starts = 10;  // beyond reach, or to learn whether it is the limits that are in the way
-
-// SplitMix64: number `index` of the sequence of `seed`, uniform in [0, 1).
-double uniform(std::uint64_t seed, std::uint64_t index) {
-  std::uint64_t z = seed + (index + 1) * 0x9e3779b97f4a7c15u;
-  z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9u;
-  z = (z ^ (z >> 27)) * 0x94d049bb133111ebu;
-  return static_cast<double>((z ^ (z >> 31)) >> 11) * 0x1p-53;
-}
 
 Vec3<double> direction_across(const Vec3<double> &axis) {
   const double x = std::fabs(axis.x), y = std::fabs(axis.y), z = std::fabs(axis.z);
@@ -193,23 +186,20 @@ Outcome InverseSolver::explain(Descent<M> &descent, const Goal &goal, const Sear
 }
 
 template <int M>
-Outcome InverseSolver::follow_rows(const Goal &goal, const Search &search, const double *start, double change,
+Outcome InverseSolver::follow_rows(const Goal &goal, const Search &search, const double *start, const Box &box,
                                    double *q) const {
-  Box box = limits_;
-  for (int i = 0; i < chain_.n; ++i) {
-    const double from = clamp(start[i], limits_.low[i], limits_.high[i]);
-    box.low[i] = std::max(limits_.low[i], from - change);
-    box.high[i] = std::min(limits_.high[i], from + change);
-  }
   Descent<M> descent(chain_, goal, search, weight_);
   if (descent.run(start, box, patient, search.history)) return finish(descent, goal, search, box, 1, q);
   std::copy_n(descent.best().q, chain_.n, q);
   Status status = Status::iterations;
   if (beyond_reach(goal, search.position_tolerance))
     status = Status::out_of_reach;
+  else if (descent.is_blocked(limits_))
+    status = Status::limits;
+  else if (descent.is_blocked(box))
+    status = Status::bound;
   else if (descent.is_stationary(box))
-    status = !descent.is_blocked(box) ? (descent.is_singular() ? Status::singular : Status::out_of_reach)
-             : descent.is_blocked(limits_) ? Status::limits : Status::bound;
+    status = descent.is_singular() ? Status::singular : Status::out_of_reach;
   return descent.outcome(status, 1);
 }
 
@@ -228,9 +218,19 @@ Outcome InverseSolver::solve(const Goal &goal, const Search &search, const doubl
   return with_rows(goal.task, [&](auto rows) { return solve_rows<rows>(goal, search, start, q); });
 }
 
-Outcome InverseSolver::follow(const Goal &goal, const Search &search, const double *start, double change,
+Outcome InverseSolver::follow(const Goal &goal, const Search &search, const double *start, const Box &bound,
                               double *q) const {
-  return with_rows(goal.task, [&](auto rows) { return follow_rows<rows>(goal, search, start, change, q); });
+  return with_rows(goal.task, [&](auto rows) { return follow_rows<rows>(goal, search, start, bound, q); });
+}
+
+Box InverseSolver::around(const double *q, double change) const {
+  Box box;
+  for (int i = 0; i < chain_.n; ++i) {
+    const double from = clamp(q[i], limits_.low[i], limits_.high[i]);
+    box.low[i] = std::max(limits_.low[i], from - change);
+    box.high[i] = std::min(limits_.high[i], from + change);
+  }
+  return box;
 }
 
 }  // namespace armlab

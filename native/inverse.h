@@ -66,21 +66,24 @@ class InverseSolver {
 
   const Chain &chain() const { return chain_; }
   const Box &limits() const { return limits_; }
+  double weight() const { return weight_; }  // of a metre in radians
 
   // Solves from `start` (n) unless null, then from the table. `q` (n): the posture with the least error, which is always
   // within the limits; a start outside them is moved to them.
   Outcome solve(const Goal &goal, const Search &search, const double *start, double *q) const;
 
-  // Solves from `start` alone, and no joint moves further than `change` from it (infinity: no bound). For paths, where
-  // the start is the previous posture: every step reduces the error, its damping bounds it near singular postures, and
-  // the branch is kept. `q`: the posture with the least error within the bound, whether it is a solution or not.
-  Outcome follow(const Goal &goal, const Search &search, const double *start, double change, double *q) const;
+  // Solves from `start` alone, and no joint leaves `bound`, a part of the limits. For paths, where the start is the
+  // previous posture: damping bounds the steps near singular postures, and the branch is kept. `q`: the posture with the
+  // least error within the bound, whether it is a solution or not.
+  Outcome follow(const Goal &goal, const Search &search, const double *start, const Box &bound, double *q) const;
+  // The part of the limits that is no further than `change` from `q`, which is moved to them first.
+  Box around(const double *q, double change) const;
 
  private:
   template <int M>
   Outcome solve_rows(const Goal &goal, const Search &search, const double *start, double *q) const;
   template <int M>
-  Outcome follow_rows(const Goal &goal, const Search &search, const double *start, double change, double *q) const;
+  Outcome follow_rows(const Goal &goal, const Search &search, const double *start, const Box &bound, double *q) const;
   template <int M>
   Outcome finish(const Descent<M> &descent, const Goal &goal, const Search &search, const Box &box, int starts,
                  double *q) const;
@@ -94,7 +97,7 @@ class InverseSolver {
   Chain chain_;
   Box limits_, unlimited_;
   double wrist_reach_, tool_reach_;  // at most from the first joint to the last, and to the tool
-  double weight_;                    // of a metre in radians
+  double weight_;
   std::vector<double> angles_;       // (postures, n)
   std::vector<double> poses_;        // (12, postures): rotation row by row, position
 };

@@ -9,6 +9,7 @@ void bind_inverse(nb::module_ &m);
 void bind_lie(nb::module_ &m);
 void bind_limits(nb::module_ &m);
 void bind_momentum(nb::module_ &m);
+void bind_path(nb::module_ &m);
 void bind_signals(nb::module_ &m);
 void bind_wrench(nb::module_ &m);
 
@@ -23,6 +24,7 @@ NB_MODULE(_native, m) {
   bind_lie(m);
   bind_limits(m);
   bind_momentum(m);
+  bind_path(m);
   bind_signals(m);
   bind_wrench(m);
 }

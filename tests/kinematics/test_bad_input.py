@@ -196,6 +196,7 @@ def test_starts_that_are_no_postures(q0: Any) -> None:
     OF_ONE,
     {
         "inverse": kinematics.inverse,
+        "inverse_path": kinematics.inverse_path,
         "jacobian_derivative": lambda robot, q: kinematics.jacobian_derivative(robot, q, HOME),
     },
 )
@@ -205,7 +206,7 @@ def test_nothing_or_words_for_numbers(function: Callable) -> None:
             function(ROBOT, value)
 
 
-@named(OF_BATCHES, OF_ONE, {"inverse": kinematics.inverse})
+@named(OF_BATCHES, OF_ONE, {"inverse": kinematics.inverse, "inverse_path": kinematics.inverse_path})
 def test_a_name_is_no_robot(function: Callable) -> None:
     with pytest.raises(RobotError, match=r"^Expected a Robot, got 'yumi_left'\. Load it first: robots\.load"):
         function("yumi_left", HOME)

@@ -14,15 +14,18 @@ from armlab.kinematics.manipulability import (
     singular_values,
 )
 from armlab.kinematics.null_motion import NullMotion, null_motion
+from armlab.kinematics.path import Path, inverse_path
 
 __all__ = [
     "Ellipsoid",
     "Inverse",
     "NullMotion",
+    "Path",
     "ellipsoid",
     "forward",
     "forward_jacobian",
     "inverse",
+    "inverse_path",
     "jacobian",
     "jacobian_derivative",
     "link_transforms",

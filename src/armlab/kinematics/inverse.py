@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Literal, get_args
-
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab.errors import ConfigError, NotConverged, RobotError, UnknownName
+from armlab.errors import ConfigError, NotConverged
 from armlab.kinematics._inverse_result import Inverse, freeze
+from armlab.kinematics._tasks import ROWS, Objective, Task, check, kernel_objective
 from armlab.robots import Robot
 
 __all__ = ["Inverse", "inverse"]
-
-Task = Literal["pose", "position", "axis", "direction"]
-Objective = Literal["posture", "mid_range", "limits", "manipulability"]
-_ROWS = dict(zip(get_args(Task), (6, 3, 5, 2)))
-_KINDS = dict(zip(get_args(Objective), (1, 1, 2, 3)))
 
 
 def inverse(
@@ -92,12 +86,7 @@ def inverse(
     Levenberg 1944; Marquardt 1963; Sugihara, Solvability-unconcerned inverse kinematics by the Levenberg-Marquardt
     method, IEEE Transactions on Robotics 27(5), 2011.
     """
-    if task not in _ROWS:
-        raise UnknownName.among("inverse task", task, _ROWS)
-    if not isinstance(robot, Robot):
-        raise RobotError.no_robot(robot)
-    if objective is not None and objective not in _KINDS:
-        raise UnknownName.among("inverse objective", objective, _KINDS)
+    check(robot, task, objective)
     position_tolerance, rotation_tolerance = tol if isinstance(tol, tuple) else (tol, tol)
     solver = robot.inverse_solver
     if seed:
@@ -108,14 +97,14 @@ def inverse(
         *solver.solve(
             T_base_tool,
             q0,
-            _ROWS[task],
+            ROWS[task],
             axis,
             maxiter,
             starts,
             position_tolerance,
             rotation_tolerance,
             damping,
-            *_objective(robot, objective, posture if posture is not None else q0),
+            *kernel_objective(robot, objective, posture if posture is not None else q0),
             history,
             threads,
         )
@@ -123,19 +112,6 @@ def inverse(
     if strict and not np.all(result.success):
         raise NotConverged(result.report(), best=result)
     return result
-
-
-def _objective(
-    robot: Robot, name: Objective | None, posture: ArrayLike | None
-) -> tuple[int, ArrayLike | None, np.ndarray | None]:
-    """Return the kernel's objective, reference and scale."""
-    if name is None or name == "manipulability":
-        return _KINDS.get(name or "", 0), None, None
-    if name == "posture":
-        return _KINDS[name], robot.q_home if posture is None else posture, np.ones(robot.n)
-    ranges = (robot.q_max - robot.q_min) / 2.0
-    limited = np.isfinite(ranges)  # a joint without limits may be anywhere
-    return _KINDS[name], np.where(limited, robot.q_max - ranges, 0.0), np.where(limited, 1.0 / ranges, 0.0)
 
 
 def _checked(seed: int) -> int:

@@ -33,6 +33,7 @@ from armlab.kernels._reference.lie import (
 from armlab.kernels._reference.lie_arguments import poses, rotations
 from armlab.kernels._reference.limits import limit_reference
 from armlab.kernels._reference.momentum import momentum_step
+from armlab.kernels._reference.path import follow_path
 from armlab.kernels._reference.signals import SignalOperator
 from armlab.kernels._reference.wrench import solve_wrench, wrench_interval
 
@@ -45,6 +46,7 @@ __all__ = [
     "euler_from_rpy",
     "euler_to_rpy",
     "basis_weights",
+    "follow_path",
     "limit_reference",
     "model_torque",
     "momentum_step",

@@ -12,12 +12,12 @@ from armlab.kernels._reference.objective import Objective
 if TYPE_CHECKING:
     from armlab.kernels._reference.chain import Chain
 
-__all__ = ["HASTY", "PATIENT", "Descent", "Goal", "Iterate", "Search"]
+__all__ = ["HASTY", "PATIENT", "Box", "Descent", "Goal", "Iterate", "Search"]
 
 LEAST_DAMPING = 1e-12
 GRACE = 3  # steps in a row that may fail to be the best before they are taken back
 STATIONARY_COSINE = 1e-2  # between the residual and what free joints can do about it
-_Box = tuple[np.ndarray, np.ndarray]
+Box = tuple[np.ndarray, np.ndarray]
 
 
 class Patience(NamedTuple):
@@ -81,7 +81,7 @@ class Descent:
         self.chain, self.goal, self.search, self.weight = chain, goal, search, weight
         self.steps = 0  # of all runs
 
-    def run(self, q: np.ndarray, box: _Box, patience: Patience, history: np.ndarray | None) -> bool:
+    def run(self, q: np.ndarray, box: Box, patience: Patience, history: np.ndarray | None) -> bool:
         """Descend from `q` inside the box; True when that gets to the goal. `best` is where it ends.
 
         A step that does not reduce the error may still lead on, as along a curved valley near a singular posture:
@@ -137,12 +137,12 @@ class Descent:
         square = float(residual @ residual)
         return Iterate(q, np.concatenate(rows), residual, square, float(position_error), float(rotation_error))
 
-    def blocked(self, box: _Box) -> np.ndarray:
+    def blocked(self, box: Box) -> np.ndarray:
         """(n,) whether the residual pulls a joint against its end of the box."""
         slope = self.best.J.T @ self.best.e
         return ((self.best.q >= box[1]) & (slope > 0.0)) | ((self.best.q <= box[0]) & (slope < 0.0))
 
-    def is_stationary(self, box: _Box) -> bool:
+    def is_stationary(self, box: Box) -> bool:
         """Whether no joint that is free to move reduces the error: ``|J^T e|`` is small against ``|J| |e|``."""
         J = self.best.J[:, ~self.blocked(box)]
         slope = J.T @ self.best.e
@@ -166,7 +166,7 @@ class Descent:
         return position and (self.goal.task == 3 or here.rotation_error <= self.search.rotation_tolerance)
 
 
-def step(here: Iterate, box: _Box, damping: float) -> np.ndarray | None:
+def step(here: Iterate, box: Box, damping: float) -> np.ndarray | None:
     """Return ``q + J^T (J J^T + lambda I)^-1 e`` inside the box, or None when the equations cannot be solved.
 
     A joint that would leave the box goes to its end; the others make up for what it does not do.

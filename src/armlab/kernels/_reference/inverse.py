@@ -9,11 +9,11 @@ import numpy as np
 from armlab.errors import ShapeError
 from armlab.kernels._reference.arrays import check_threads, read
 from armlab.kernels._reference.chain import Chain
-from armlab.kernels._reference.descent import HASTY, PATIENT, Descent, Goal, Search
+from armlab.kernels._reference.descent import HASTY, PATIENT, Box, Descent, Goal, Search
 from armlab.kernels._reference.goals import read_goals, read_search, read_task, read_vectors
 from armlab.kernels._reference.self_motion import SelfMotion
 
-__all__ = ["InverseSolver"]
+__all__ = ["InverseSolver", "uniform"]
 
 SOLVED, OUT_OF_REACH, LIMITS, SINGULAR, ITERATIONS, BOUND = range(6)
 BLOCK, BLOCKS = 128, 16
@@ -61,7 +61,7 @@ class InverseSolver:
         ranges = np.where(prismatic, 2.0 * lengths, 2.0 * np.pi)
         first = np.where(np.isfinite(low), low, np.where(np.isfinite(high), high - ranges, -0.5 * ranges))
         last = np.where(np.isfinite(high), high, first + ranges)
-        self._angles = np.clip(first + (last - first) * _uniform(seed, (POSTURES, chain.n)), low, high)
+        self._angles = np.clip(first + (last - first) * uniform(seed, (POSTURES, chain.n)), low, high)
         self._angles[0] = home
         self._poses = chain.forward(self._angles)[:, :3]
 
@@ -132,7 +132,8 @@ class InverseSolver:
             raise ShapeError(f"Expected change >= 0, got {change:f}.")
 
         def solve(goal: Goal, search: Search, q0: np.ndarray | None, path: np.ndarray | None) -> tuple:
-            return self._follow(goal, search, np.asarray(q0), change, path)
+            start = np.asarray(q0)
+            return self._follow(goal, search, start, self._around(start, change), path)
 
         search = read_search(steps, 1, position_tolerance, rotation_tolerance, damping, objective)
         return self._run(solve, T_base_tool, np.asarray(q0), task, axis, search, (reference, scale), history, threads)
@@ -184,7 +185,7 @@ class InverseSolver:
             return _outcome(descent, OUT_OF_REACH, starts)
         return self._explain(descent, goal, search, path)
 
-    def _finish(self, descent: Descent, box: tuple[np.ndarray, np.ndarray], starts: int) -> tuple:
+    def _finish(self, descent: Descent, box: Box, starts: int) -> tuple:
         """Return the solution, moved along the self-motion where there is an objective."""
         if descent.search.objective.kind == 0:
             return _outcome(descent, SOLVED, starts)
@@ -215,20 +216,24 @@ class InverseSolver:
         descent.best = best
         return _outcome(descent, status, search.starts)
 
-    def _follow(self, goal: Goal, search: Search, start: np.ndarray, change: float, path: np.ndarray | None) -> tuple:
-        start = np.clip(start, *self._limits)
-        box = np.maximum(self._limits[0], start - change), np.minimum(self._limits[1], start + change)
+    def _around(self, q: np.ndarray, change: float) -> Box:
+        """Return the part of the limits that is no further than `change` from `q`, which is moved to them first."""
+        (low, high), q = self._limits, np.clip(q, *self._limits)
+        return np.maximum(low, q - change), np.minimum(high, q + change)
+
+    def _follow(self, goal: Goal, search: Search, start: np.ndarray, box: Box, path: np.ndarray | None = None) -> tuple:
         descent = Descent(self._chain, goal, search, self._weight)
         if descent.run(start, box, PATIENT, path):
             return self._finish(descent, box, 1)
         status = ITERATIONS
         if self._is_beyond_reach(goal, search.position_tolerance):
             status = OUT_OF_REACH
+        elif descent.blocked(self._limits).any():
+            status = LIMITS
+        elif descent.blocked(box).any():
+            status = BOUND
         elif descent.is_stationary(box):
-            if not descent.blocked(box).any():
-                status = SINGULAR if descent.is_singular() else OUT_OF_REACH
-            else:
-                status = LIMITS if descent.blocked(self._limits).any() else BOUND
+            status = SINGULAR if descent.is_singular() else OUT_OF_REACH
         return _outcome(descent, status, 1)
 
     def _start(self, goal: Goal, number: int) -> np.ndarray:
@@ -273,7 +278,7 @@ def _outcome(descent: Descent, status: int, starts: int, slope: float = np.nan) 
     return best.q, (best.position_error, best.rotation_error, slope), (descent.steps, starts, status)
 
 
-def _uniform(seed: int, shape: tuple[int, int]) -> np.ndarray:
+def uniform(seed: int, shape: tuple[int, int]) -> np.ndarray:
     """Return the first numbers of the sequence SplitMix64 of `seed`, uniform in [0, 1)."""
     with np.errstate(over="ignore"):
         counter = np.arange(1, shape[0] * shape[1] + 1, dtype=np.uint64)

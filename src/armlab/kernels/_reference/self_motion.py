@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from armlab.kernels._reference.descent import Descent, Iterate, step
+from armlab.kernels._reference.descent import Box, Descent, Iterate, step
 from armlab.kernels._reference.objective import LIMITS, value_and_gradient
 
 __all__ = ["SelfMotion"]
@@ -17,7 +17,6 @@ NO_SLOPE = 1e-6  # along a direction without curvature, of the slope
 LONGEST_STEP = 0.3  # of a joint
 DIFFERENCE = 1e-6  # of joints, for second derivatives
 SHARPNESSES = (30.0, 300.0, 1000.0)  # of the objective LIMITS, one after the other
-_Box = tuple[np.ndarray, np.ndarray]
 
 
 class NullSpace(NamedTuple):
@@ -40,7 +39,7 @@ class SelfMotion:
     step would press against it stay there. After each step the tool is brought back to the goal.
     """
 
-    def __init__(self, descent: Descent, box: _Box) -> None:
+    def __init__(self, descent: Descent, box: Box) -> None:
         self._descent, self._box = descent, box
         self._sharpness = SHARPNESSES[0]
         self.steps = 0
@@ -148,7 +147,7 @@ class SelfMotion:
             part *= 0.5
         return None
 
-    def _restore(self, q: np.ndarray, box: _Box) -> Iterate | None:
+    def _restore(self, q: np.ndarray, box: Box) -> Iterate | None:
         """Return `q` brought back to the goal, or None where that fails."""
         here = self._descent.evaluate(q)
         for _ in range(8):

@@ -1,0 +1,176 @@
+"""Inverse kinematics along a path: joint positions that lead the tool through poses on one branch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from reprlib import repr as shortened
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armlab.errors import NotConverged, ShapeError
+from armlab.kinematics._detours import Rows, with_detours
+from armlab.kinematics._inverse_result import REASONS
+from armlab.kinematics._tasks import ROWS, Objective, Task, check, kernel_objective
+from armlab.robots import Robot
+
+__all__ = ["Path", "inverse_path"]
+
+_TEXTS = np.array(["jump" if reason == "bound" else reason for reason in REASONS])
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """Joint positions along a path of N poses; arrays are read-only.
+
+    Attributes
+    ----------
+    q : (N, n) joint positions, always within the limits.
+    success : (N,) whether the pose is reached, by a step from the row before that the joints may take. A path with
+        success in all rows can be driven.
+    position_error : (N,) distance from tool point to goal [m]; NaN when the task is a direction.
+    rotation_error : (N,) angle to the goal, of the tool or of its axis [rad]; NaN when the task is a position.
+    reason : (N,) "solved", or why the path breaks at this row. When the errors are within the tolerance all the same,
+        `q` is where it can go on; otherwise it is the posture with the least error.
+        "out of reach" further from the first joint than the links are long;
+        "limits" a joint is at its limit;
+        "singular" no joint reduces the error;
+        "jump" on this branch, but further from the row before than a joint may move;
+        "iterations" the error was still falling when the steps ended.
+    branch_changes : (k,) indices of the rows that go on from another branch. Each breaks the path.
+    iterations : (N,) steps of the descent.
+    """
+
+    q: np.ndarray
+    success: np.ndarray
+    position_error: np.ndarray
+    rotation_error: np.ndarray
+    reason: np.ndarray
+    branch_changes: np.ndarray
+    iterations: np.ndarray
+
+    def __post_init__(self) -> None:
+        """Freeze the arrays."""
+        for array in vars(self).values():
+            array.flags.writeable = False
+
+    def report(self) -> str:
+        """Return one sentence: how far the path goes, and what is in the way where it breaks."""
+        count, breaks = len(self.q), np.flatnonzero(~self.success)
+        if not len(breaks):
+            return f"All {count} poses reached on one branch."
+        names, numbers = np.unique(self.reason[breaks], return_counts=True)
+        causes = ", ".join(f"{number} {name}" for name, number in zip(names, numbers))
+        text = f"{count - len(breaks)} of {count} poses reached; the path breaks at index {breaks[0]} "
+        text += f"({self.reason[breaks[0]]}; in all: {causes})"
+        if len(self.branch_changes):
+            text += f"; it goes on from another branch at index {', '.join(map(str, self.branch_changes[:10]))}"
+            text += " and later" if len(self.branch_changes) > 10 else ""
+        return text + "."
+
+    def __repr__(self) -> str:
+        return f"Path({self.report()})"
+
+
+def inverse_path(
+    robot: Robot,
+    T_base_tool: ArrayLike,
+    q0: ArrayLike | None = None,
+    *,
+    max_step: float | ArrayLike | None = None,
+    task: Task = "pose",
+    axis: ArrayLike = (0.0, 0.0, 1.0),
+    objective: Objective | None = None,
+    posture: ArrayLike | None = None,
+    tol: float | tuple[float, float] = 1e-9,
+    maxiter: int = 100,
+    starts: int = 100,
+    damping: float = 0.1,
+    strict: bool = False,
+) -> Path:
+    """Return joint positions that lead the tool through poses, on one branch.
+
+    Every pose is solved as by `inverse`, from the row before and its last step: joints stay on their branch, and go
+    through a singular posture as they came into it. Near one, damping and the largest step bound what they do, and
+    random starts about the row before find what the descent does not. Where a path breaks, the row says why, and the
+    path goes on: on the same branch further away, or else on another one, whose index is reported.
+
+    Parameters
+    ----------
+    robot : the arm.
+    T_base_tool : (N, 4, 4) poses of the tool in the base, one after the other.
+    q0 : (n,) the first row is the solution next to this posture [rad or m]. None: next to the home posture or to a
+        random one.
+    max_step : how far a joint may move from row to row [rad or m], one number or (n,), for example the fastest speed
+        times the period. None: 0.05 rad and five times the length of the pose step (in rad; metres count three over the
+        length of the arm).
+    objective, posture : as in `inverse`, for every row. None: least motion from row to row, after which a closed path
+        may end in another posture than it began with. With an objective rows depend on their pose alone, as long as its
+        minimum does not jump, and a closed path closes in the joints.
+    task, axis, tol, maxiter, starts, damping : as in `inverse`; the starts are those of a search for another branch.
+    strict : raise at a path that breaks.
+
+    Returns
+    -------
+    Path, with `success` per row.
+
+    Raises
+    ------
+    ShapeError
+        When the poses are not (N, 4, 4), one is not a pose or not finite, or another argument does not fit.
+    UnknownName
+        When there is no such task or objective.
+    RobotError
+        When something else comes in place of a robot, such as its name.
+    NotConverged
+        With `strict`, when the path breaks; `best` is the `Path`.
+    """
+    from armlab.kernels import follow_path
+
+    check(robot, task, objective)
+    position_tolerance, rotation_tolerance = tol if isinstance(tol, tuple) else (tol, tol)
+    settings: dict[str, Any] = {
+        "task": ROWS[task],
+        "axis": axis,
+        "steps": maxiter,
+        "position_tolerance": position_tolerance,
+        "rotation_tolerance": rotation_tolerance,
+        "damping": damping,
+    }
+    solver, change = robot.inverse_solver, _change(robot, max_step)
+    kind, reference, scale = kernel_objective(robot, objective, posture if posture is not None else q0)
+
+    def follow(T: ArrayLike, start: ArrayLike | None, kind: int, reference: ArrayLike | None, scale: Any) -> Rows:
+        wanted = {"objective": kind, "reference": reference, "scale": scale}
+        return Rows(*follow_path(solver, T, start, change, starts=starts, **wanted, **settings))
+
+    def solve(T: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        found, _, counts, _ = solver.solve(np.broadcast_to(T, (len(q), 4, 4)), q, starts=1, **settings)
+        return found, counts[:, 2] == 0
+
+    rows = follow(T_base_tool, q0, kind, reference, scale)
+    if objective is None and robot.n > ROWS[task]:
+        rows = with_detours(robot, np.asarray(T_base_tool, dtype=np.float64), rows, follow, solve)
+    q, errors, counts = rows
+    steps, status, other_branch = counts.T.copy()
+    path = Path(q, status == 0, errors[:, 0], errors[:, 1], _TEXTS[status], np.flatnonzero(other_branch), steps)
+    if strict and not path.success.all():
+        raise NotConverged(path.report(), best=path)
+    return path
+
+
+def _change(robot: Robot, max_step: float | ArrayLike | None) -> np.ndarray | None:
+    """Return the largest steps (n,)."""
+    if max_step is None:
+        return None
+    try:
+        change = np.asarray(max_step).astype(np.float64, casting="safe", copy=False)
+    except (TypeError, ValueError):  # text, complex, rows of different length
+        change = np.full(1, np.nan)
+    if change.shape not in ((robot.n,), ()) or not (change >= 0.0).all():
+        raise ShapeError(
+            f"Expected max_step to be a number of at least 0 or {robot.n} of them, one per joint, got "
+            f"{shortened(max_step)}."
+        )
+    return np.broadcast_to(change, robot.n)

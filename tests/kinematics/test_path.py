@@ -1,0 +1,332 @@
+"""Paths: accuracy, branches, singular passages, closed paths, and what is said where a path breaks."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from threading import Thread
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab import kernels, lie, robots
+from armlab.errors import NotConverged, ShapeError, UnknownName
+from armlab.kinematics import (
+    Path,
+    forward,
+    inverse,
+    inverse_path,
+    jacobian,
+    jacobian_derivative,
+    link_transforms,
+    singular_values,
+)
+from armlab.robots import Robot
+
+ROWS = 500 if kernels.backend == "native" else 100
+YUMI, IRB = robots.load("yumi_left"), robots.load("irb2400")
+
+
+def wave(robot: Robot, count: int, seed: int, reach: float = 0.3) -> np.ndarray:
+    """A smooth joint path inside the limits."""
+    rng = np.random.default_rng(seed)
+    middle, ranges = (robot.q_min + robot.q_max) / 2, np.minimum(robot.q_max - robot.q_min, np.pi)
+    s = np.linspace(0, 1, count)[:, None]
+    return middle + ranges * reach * np.sin(2 * np.pi * (rng.uniform(0.2, 0.6, robot.n) * s + rng.random(robot.n)))
+
+
+def circle(robot: Robot, q: np.ndarray, radius: float, count: int) -> np.ndarray:
+    """Poses twice around a circle through that of a posture, with a swaying rotation; the last is the first."""
+    angle = np.linspace(0, 4 * np.pi, count)
+    T = np.tile(forward(robot, q), (count, 1, 1))
+    T[:, 1, 3] += radius * np.sin(angle)
+    T[:, 2, 3] += radius * (np.cos(angle) - 1)
+    T[:, :3, :3] = T[:, :3, :3] @ lie.so3.exp(0.3 * np.sin(angle)[:, None] * [1.0, 0.5, 0.0])
+    T[-1] = T[0]
+    return T
+
+
+def errors(robot: Robot, q: np.ndarray, T: np.ndarray) -> tuple[float, float]:
+    """Largest errors of position and rotation, without the code under test."""
+    there = forward(robot, q)
+    turn = lie.so3.log(np.swapaxes(there[:, :3, :3], 1, 2) @ T[:, :3, :3])
+    return np.linalg.norm(there[:, :3, 3] - T[:, :3, 3], axis=1).max(), np.linalg.norm(turn, axis=1).max()
+
+
+def test_an_arm_of_six_joints_finds_its_own_path() -> None:
+    for seed in range(5):
+        q = wave(IRB, ROWS, seed)
+        path = inverse_path(IRB, forward(IRB, q), q[0])
+        assert isinstance(path, Path)
+        assert path.success.all()
+        np.testing.assert_allclose(path.q, q, rtol=0, atol=1e-5)  # 1e-9 m over the smallest singular value
+
+
+@pytest.mark.parametrize("objective", [None, "posture", "mid_range"])
+@pytest.mark.parametrize("seed", [3, 4, 5])
+def test_poses_are_reached_inside_the_limits(objective: Any, seed: int) -> None:
+    q = wave(YUMI, ROWS, seed)
+    T = forward(YUMI, q)
+    path = inverse_path(YUMI, T, q[0], objective=objective)
+    assert path.success.all()
+    assert (path.reason == "solved").all()
+    assert path.branch_changes.shape == (0,)
+    assert max(errors(YUMI, path.q, T)) <= 1e-9
+    assert max(path.position_error.max(), path.rotation_error.max()) <= 1e-9
+    assert (YUMI.q_min <= path.q).all()
+    assert (path.q <= YUMI.q_max).all()
+    assert np.abs(np.diff(path.q, axis=0)).max() < 50 / ROWS
+    assert path.report() == f"All {ROWS} poses reached on one branch."
+
+
+@pytest.mark.skipif(kernels.backend == "reference", reason="minutes in NumPy; the contract test holds the kernels")
+def test_detours_lead_on_where_the_least_motion_ends() -> None:
+    """Of large motions of seven joints the least motion breaks one in five; of these most are mended."""
+    broken, mended = 0, 0
+    for seed in range(40):
+        q = wave(YUMI, 500, seed)
+        T = forward(YUMI, q)
+        counts = kernels.follow_path(YUMI.inverse_solver, T, q[0])[2]
+        if not counts[:, 1].any():
+            continue
+        broken += 1
+        path = inverse_path(YUMI, T, q[0])
+        mended += bool(path.success.all())
+        assert (~path.success).sum() <= np.count_nonzero(counts[:, 1])
+        assert np.abs(np.diff(path.q[path.success], axis=0)).max() < 0.2 or not path.success.all()
+        assert max(errors(YUMI, path.q[path.success], T[path.success])) <= 1e-9
+        assert ((YUMI.q_min <= path.q) & (path.q <= YUMI.q_max)).all()
+    assert broken >= 5
+    assert mended >= broken / 2
+
+
+def singular_elbow(seed: int) -> np.ndarray:
+    """A posture of the stretched arm where a force along it needs no torque: J^T u = 0, by Newton steps in q and u."""
+    rng = np.random.default_rng(seed)
+    q = rng.uniform(0.6 * YUMI.q_min, 0.6 * YUMI.q_max)
+    q[3] = -1.15
+    u = np.linalg.svd(jacobian(YUMI, q))[0][:, 5]
+    for _ in range(100):
+        J = jacobian(YUMI, q)
+        dJ = jacobian_derivative(YUMI, np.tile(q, (7, 1)), np.eye(7))
+        residual = np.concatenate([J.T @ u, [(u @ u - 1) / 2]])
+        if np.linalg.norm(residual) < 1e-14:
+            break
+        slopes = np.block([[(np.swapaxes(dJ, 1, 2) @ u).T, J.T], [np.zeros(7), u]])
+        step = -np.linalg.lstsq(slopes, residual)[0]
+        step *= min(1.0, 0.1 / np.abs(step).max())
+        q, u = q + step[:7], u + step[7:]
+    return q
+
+
+def is_elbow(q: np.ndarray) -> bool:
+    """Whether the arm is stretched: the tool cannot be pushed along the line from shoulder to wrist."""
+    force = np.linalg.svd(jacobian(YUMI, q))[0][:3, 5]
+    p = link_transforms(YUMI, q)[:, :3, 3]
+    arm = p[5] - p[1]
+    return bool(abs(force @ arm) > 0.99 * np.linalg.norm(arm) * np.linalg.norm(force))
+
+
+@pytest.mark.skipif(kernels.backend == "reference", reason="minutes in NumPy; the contract test holds the kernels")
+def test_through_singular_elbows_without_a_jump() -> None:
+    """4 ms steps of a joint motion at about 1 rad/s that passes exactly through a singular posture."""
+    passages, s = 0, np.linspace(-0.6, 0.6, 301)[:, None]
+    for seed in range(40):
+        q_singular = singular_elbow(seed)
+        q = q_singular + s * np.random.default_rng(seed + 100).uniform(-1, 1, 7)
+        inside = ((YUMI.q_min + 0.1 < q) & (q < YUMI.q_max - 0.1)).all()
+        if not inside or singular_values(YUMI, q_singular)[-1] > 1e-9 or not is_elbow(q_singular):
+            continue
+        T = forward(YUMI, q)
+        path = inverse_path(YUMI, T, q[0], max_step=0.05)
+        passages += 1
+        assert path.success.all(), f"seed {seed}: {path.report()}"
+        assert np.abs(np.diff(path.q, axis=0)).max() <= 0.05 + 1e-12
+        assert max(errors(YUMI, path.q, T)) <= 1e-9
+    assert passages >= 25
+
+
+def test_through_a_singular_wrist() -> None:
+    """Joint 5 of the IRB 2400 passes zero, where axes 4 and 6 are one: as they came in they go out."""
+    s = np.linspace(-0.4, 0.4, 201)[:, None]
+    q = np.array([0.1, 0.2, -0.3, 0.4, 0.0, 0.5]) + s * [0.3, -0.2, 0.4, 0.5, 1.0, -0.6]
+    path = inverse_path(IRB, forward(IRB, q), q[0], max_step=0.05)
+    assert path.success.all()
+    np.testing.assert_allclose(path.q, q, rtol=0, atol=1e-3)  # at the singular row itself only q4 + q6 is determined
+    np.testing.assert_allclose(np.delete(path.q, 100, axis=0), np.delete(q, 100, axis=0), rtol=0, atol=1e-6)
+
+
+def test_a_closed_path_closes_in_the_joints() -> None:
+    q = np.array([0.1, 0.2, -0.3, 0.4, 0.8, 0.2])
+    path = inverse_path(IRB, circle(IRB, q, 0.2, 201), q)
+    assert path.success.all()
+    np.testing.assert_allclose(path.q[-1], path.q[0], rtol=0, atol=1e-8)
+    q = np.array([-0.8, -1.2, 0.9, 0.3, 0.4, 0.6, 0.2])
+    T = circle(YUMI, q, 0.06, 201)
+    wishes: list[dict[str, Any]] = [
+        {"objective": "posture"},
+        {"objective": "mid_range"},
+        {"objective": "posture", "posture": q + 0.2},
+    ]
+    for wish in wishes:
+        path = inverse_path(YUMI, T, q, **wish)
+        assert path.success.all()
+        np.testing.assert_allclose(path.q[-1], path.q[0], rtol=0, atol=1e-6)
+        np.testing.assert_allclose(path.q[100], path.q[0], rtol=0, atol=1e-6)
+    drift = inverse_path(YUMI, T, q)
+    assert np.abs(drift.q[-1] - drift.q[0]).max() > 1e-3  # why objectives exist
+
+
+def test_an_objective_is_at_its_minimum() -> None:
+    """The distance to the posture has no slope left along the self-motion."""
+    q = wave(YUMI, 200, seed=3)
+    posture = q.mean(axis=0)
+    path = inverse_path(YUMI, forward(YUMI, q), q[0], objective="posture", posture=posture)
+    for row in path.q[::20]:
+        free = (YUMI.q_min + 1e-9 < row) & (row < YUMI.q_max - 1e-9)
+        if free.all():
+            along = np.linalg.svd(jacobian(YUMI, row))[2][6:]
+            assert np.abs(along @ (row - posture)).max() <= 1e-6
+
+
+def test_out_of_reach_is_said_and_left_behind() -> None:
+    q = wave(IRB, 100, seed=1)
+    T = forward(IRB, q)
+    T[40:50, 0, 3] += 5.0
+    path = inverse_path(IRB, T, q[0], max_step=1.0)
+    assert (path.reason[40:50] == "out of reach").all()
+    assert (path.success[:40]).all()
+    assert path.position_error[40] > 1.0
+    assert path.reason[50] == "jump"  # from the posture with the least error
+    assert path.success[51:].all()
+    assert (
+        "89 of 100 poses reached; the path breaks at index 40 (out of reach; in all: 1 jump, 10 out of reach"
+        in path.report()
+    )
+
+
+def test_limits_end_a_branch_and_another_goes_on() -> None:
+    """Joint 1 would have to go on beyond its limit: after the break it has turned back by almost a turn."""
+    robot = replace(
+        IRB, q_min=np.where(np.arange(6) == 0, -2.0, IRB.q_min), q_max=np.where(np.arange(6) == 0, 2.0, IRB.q_max)
+    )
+    q = np.array([1.5, 0.2, -0.3, 0.4, 0.8, 0.2]) + np.linspace(0, 0.8, 81)[:, None] * [1.0, 0, 0, 0, 0, 0]
+    path = inverse_path(robot, forward(robot, q), q[0])
+    first = int(np.argmax(~path.success))
+    assert first == 51
+    assert path.reason[first] == "limits"
+    assert (path.q <= robot.q_max).all()
+    for change in path.branch_changes:
+        assert not path.success[change]
+        assert max(path.position_error[change], path.rotation_error[change]) <= 1e-9
+
+
+def test_a_jump_is_said() -> None:
+    q = wave(IRB, 100, seed=1)
+    gap = np.concatenate([q[:50], q[60:]])
+    path = inverse_path(IRB, forward(IRB, gap), q[0], max_step=0.05)
+    assert path.reason[50] == "jump"
+    assert path.success.sum() == 89
+    assert len(path.branch_changes) == 0
+    np.testing.assert_allclose(path.q, gap, rtol=0, atol=1e-6)
+    per_joint = inverse_path(IRB, forward(IRB, gap), q[0], max_step=np.full(6, 1.0))
+    assert per_joint.success.all()
+
+
+def test_without_a_start_the_first_row_is_any_solution() -> None:
+    q = wave(YUMI, 50, seed=3)
+    T = forward(YUMI, q)
+    for objective in (None, "posture", "mid_range"):
+        path = inverse_path(YUMI, T, objective=objective)  # type: ignore[arg-type]
+        assert path.success[0]
+        again = inverse_path(YUMI, T, objective=objective)  # type: ignore[arg-type]
+        np.testing.assert_array_equal(path.q, again.q)
+
+
+@pytest.mark.parametrize("task", ["position", "axis", "direction"])
+def test_smaller_tasks(task: Any) -> None:
+    q = wave(YUMI, 100, seed=3)
+    T, axis = forward(YUMI, q), np.array([0.0, 1.0, 1.0])
+    path = inverse_path(YUMI, T, q[0], task=task, axis=axis)
+    assert path.success.all()
+    there = forward(YUMI, path.q)
+    if task != "direction":
+        assert np.abs(there[:, :3, 3] - T[:, :3, 3]).max() <= 1e-9
+    if task != "position":
+        assert np.abs((there - T)[:, :3, :3] @ axis).max() <= 1e-8
+
+
+def test_strict_raises_with_the_path() -> None:
+    q = wave(IRB, 20, seed=1)
+    T = forward(IRB, q)
+    assert inverse_path(IRB, T, q[0], strict=True).success.all()
+    T[7, 0, 3] += 9.0
+    with pytest.raises(NotConverged, match="breaks at index 7") as caught:
+        inverse_path(IRB, T, q[0], strict=True)
+    assert isinstance(caught.value.best, Path)
+
+
+def test_empty_path_and_one_pose() -> None:
+    path = inverse_path(YUMI, np.zeros((0, 4, 4)))
+    assert path.q.shape == (0, 7)
+    assert path.report() == "All 0 poses reached on one branch."
+    T = forward(YUMI, YUMI.q_home)
+    one = inverse_path(YUMI, T[None], YUMI.q_home)
+    np.testing.assert_allclose(one.q[0], inverse(YUMI, T, YUMI.q_home).q, rtol=0, atol=1e-9)
+
+
+def test_inputs_stay_and_results_are_frozen() -> None:
+    q = wave(YUMI, 30, seed=3)
+    T = forward(YUMI, q)
+    T.flags.writeable = q.flags.writeable = False
+    path = inverse_path(YUMI, T, q[0])
+    for array in (path.q, path.success, path.reason, path.branch_changes):
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0
+
+
+def test_refusals() -> None:
+    T, unknown = np.tile(np.eye(4), (3, 1, 1)), "speed"
+    with pytest.raises(UnknownName, match=r"inverse task, got 'speed'"):
+        inverse_path(IRB, T, task=unknown)  # type: ignore[arg-type]
+    with pytest.raises(UnknownName, match=r"inverse objective, got 'speed'. Known: limits, manipulability, mid_range"):
+        inverse_path(IRB, T, objective=unknown)  # type: ignore[arg-type]
+    with pytest.raises(ShapeError, match=r"reference of shape \(6,\)"):
+        inverse_path(IRB, T, objective="posture", posture=np.zeros(7))
+    for step in ([1.0, 2.0], -1.0, np.nan):
+        with pytest.raises(ShapeError, match=r"Expected max_step to be a number of at least 0 or 6 of them"):
+            inverse_path(IRB, T, max_step=step)
+    for poses in (np.eye(4), np.tile(np.eye(4), (2, 3, 1, 1)), np.zeros((2, 3, 3))):
+        with pytest.raises(ShapeError, match="Expected T_base_tool of shape"):
+            inverse_path(IRB, poses)
+    with pytest.raises(ShapeError, match=r"T_base_tool\[2\] that is not"):
+        inverse_path(IRB, np.concatenate([T[:2], 2 * T[2:]]))
+    with pytest.raises(ShapeError, match=r"q0 of shape \(6,\)"):
+        inverse_path(IRB, T, np.zeros(7))
+
+
+@pytest.fixture
+def patient_threads() -> Iterator[None]:
+    """No thread asks another for the interpreter: it runs on until it lets go by itself."""
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(100.0)
+    yield
+    sys.setswitchinterval(interval)
+
+
+@pytest.mark.skipif(kernels.backend == "reference", reason="NumPy decides for itself when it lets go")
+@pytest.mark.usefixtures("patient_threads")
+def test_long_paths_let_other_threads_run() -> None:
+    T, done = np.tile(forward(IRB, IRB.q_home), (100_000, 1, 1)), []
+
+    def work() -> None:
+        inverse_path(IRB, T, IRB.q_home)
+        done.append(True)
+
+    thread = Thread(target=work)
+    thread.start()  # returns when the worker lets go of the interpreter
+    assert not done
+    thread.join()
+    assert done
