@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pinocchio as pin
 import roboticstoolbox as rtb
@@ -61,9 +63,38 @@ class Pinocchio:
 def elementary_transforms(robot: Robot) -> rtb.ETS:
     """Return the robotics toolbox's compiled sequence with the fewest elements: one constant and one joint per link."""
     sequence = []
-    for frame, slides in zip(robot.frames, robot.prismatic):
-        sequence += [rtb.ET.SE3(frame), rtb.ET.tz() if slides else rtb.ET.Rz()]
+    for frame, slides, *limits in zip(robot.frames, robot.prismatic, robot.q_min, robot.q_max):
+        joint = rtb.ET.tz if slides else rtb.ET.Rz
+        sequence += [rtb.ET.SE3(frame), joint(qlim=np.array(limits))]
     return rtb.ETS([*sequence, rtb.ET.SE3(robot.frames[-1])])
+
+
+def closed_loop_inverse(robot: Robot, tolerance: float, starts: int) -> Callable[[np.ndarray], np.ndarray]:
+    """Return inverse kinematics as users of Pinocchio write it: a loop in Python about its Jacobian.
+
+    As in Pinocchio's example, with the error as log6 of the pose between and its derivative Jlog6, but full Newton
+    steps with damping by the squared error, postures clipped to the limits, and a new random start after 30 steps.
+    """
+    peer, rng = Pinocchio(robot), np.random.default_rng(0)
+    model, data, tool = peer.model, peer.data, peer.tool
+    identity = np.eye(6)
+
+    def solve(T_base_tool: np.ndarray) -> np.ndarray:
+        goal, q = pin.SE3(T_base_tool), np.array(robot.q_home)
+        for _ in range(starts):
+            for _ in range(30):
+                pin.forwardKinematics(model, data, q)
+                between = pin.updateFramePlacement(model, data, tool).actInv(goal)
+                error = pin.log6(between).vector
+                if np.linalg.norm(error[:3]) <= tolerance and np.linalg.norm(error[3:]) <= tolerance:
+                    return q
+                J = pin.Jlog6(between.inverse()) @ pin.computeFrameJacobian(model, data, q, tool, pin.LOCAL)
+                damped = J @ J.T + 0.1 * (error @ error) * identity + 1e-12 * identity
+                q = np.clip(q + J.T @ np.linalg.solve(damped, error), robot.q_min, robot.q_max)
+            q = rng.uniform(robot.q_min, robot.q_max)
+        return q
+
+    return solve
 
 
 class BlockedNumpy:
