@@ -1,15 +1,17 @@
-"""A million poses in one call, with and without Jacobians, and what the machine allows."""
+"""A million poses in one call, with and without Jacobians, into new and into used memory; what the machine allows."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import partial
+from time import perf_counter
 from typing import Any
 
 import numpy as np
 from blocks import Contender, Table, agree, loop, once, table
 from machine import arithmetic, writer
-from peers import BlockedNumpy, Pinocchio, elementary_transforms
+from peers import FastNumpy, Pinocchio, PlainNumpy, elementary_transforms
 
 from armlab import kinematics, robots
 from armlab.kernels import _reference
@@ -19,58 +21,129 @@ ROBOT = "yumi_right"
 IN_CACHE = 500  # poses whose results, Jacobians too, stay in the second-level cache
 REFERENCE_BLOCK = 1000  # where the reference kernel is fastest
 
+USED = """\
+Results go into memory in use. The bar counts the faster of two ways to write it in NumPy: quantities side by side in
+blocks that stay in cache, not the stacks of 4×4 matrices that one writes first.
+"""
+NEW = """\
+Results are new arrays. The system clears every page of them before it gives it away, which takes as long as to compute
+them, here and in NumPy; who needs so many poses again and again gives `out=`. The bar counts NumPy as one writes it.
+"""
+WALL = "by the clock on the wall, and longer when others use the machine"
+
+
+@dataclass(frozen=True)
+class Job:
+    """What is computed of `q`, by each contender; `out` is memory in use for it."""
+
+    robot: Robot
+    q: np.ndarray
+    armlab: Callable[..., Any]
+    kernel: Callable[..., Any]
+    call: str
+    plain: Callable[..., Any]
+    fast: Callable[..., Any]
+    reference: Callable[..., Any]
+    out: Any
+    peers: tuple[Contender, ...]
+    bar: float
+    operations: int
+
+    @property
+    def bytes(self) -> int:
+        """Size of the results."""
+        return sum(array.nbytes for array in (self.out if isinstance(self.out, tuple) else (self.out,)))
+
 
 def run(quick: bool) -> list[Table]:
-    """Measure batches of `kinematics.forward` and `Chain.forward_jacobian`."""
+    """Measure batches of `kinematics.forward` and `kinematics.forward_jacobian`."""
     robot = robots.load(ROBOT)
-    count = 100_000 if quick else 1_000_000
+    count, rounds = (100_000, 5) if quick else (1_000_000, 25)
     q = np.random.default_rng(2).uniform(robot.q_min, robot.q_max, (count, robot.n))
-    return [_poses(robot, q, 5 if quick else 25), _poses_and_jacobians(robot, q, 5 if quick else 25)]
+    poses, both = _poses(robot, q), _poses_and_jacobians(robot, q)
+    few = replace(both, q=q[:10_000], out=(both.out[0][:10_000], both.out[1][:10_000]), peers=())
+    return [
+        *_tables(poses, f"{count:,} poses", rounds),
+        *_tables(both, f"{count:,} poses with Jacobians", rounds),
+        _few(few, rounds),
+    ]
 
 
-def _poses(robot: Robot, q: np.ndarray, rounds: int) -> Table:
-    pinocchio, ets, numpy = Pinocchio(robot), elementary_transforms(robot), BlockedNumpy(robot)
-    reference = _reference.Chain(robot.frames, robot.prismatic)
+def _poses(robot: Robot, q: np.ndarray) -> Job:
+    pinocchio, ets, plain, fast = Pinocchio(robot), elementary_transforms(robot), PlainNumpy(robot), FastNumpy(robot)
+    reference = _reference.Chain(robot.frames, robot.prismatic).forward
     few = q[:3000]
-    T = kinematics.forward(robot, few)
-    ways = (numpy.forward(few), reference.forward(few), pinocchio.forward_batch(few), ets.eval(few))
-    worst = max(agree("poses", way, T) for way in ways)
-    out = np.ones((len(q), 4, 4))
-    in_cache = np.empty((IN_CACHE, 4, 4))
-    contenders = [
-        Contender("armlab kinematics.forward(robot, q)", once(partial(kinematics.forward, robot, q)), "armlab"),
-        Contender("armlab with out=", once(partial(kinematics.forward, robot, q, out)), "armlab"),
-        Contender("NumPy, blocked", once(partial(numpy.forward, q)), bar=1 / 15, note="written for speed"),
-        _tenth("armlab's reference kernel, blocked", partial(_by_blocks, reference.forward), q),
+    for way in (plain.forward, fast.forward, reference, pinocchio.forward_batch, ets.eval):
+        agree("poses", way(few), kinematics.forward(robot, few))
+    peers = (
         Contender("robotics-toolbox", once(partial(ets.eval, q)), note="compiled ETS: eval of all rows"),
         _tenth("Pinocchio", pinocchio.forward_batch, q, note="a Python loop: it has no batch; "),
-        *_limits(q, out.nbytes, _operations(robot.n, False), robot.chain.forward, in_cache),
-    ]
-    text = f"{len(q):,} poses of {robot.name} in one call. All agree to {worst:.1g}."
-    return table(f"{len(q):,} poses", text, "ms", contenders, rounds)
+    )
+    out, call = np.ones((len(q), 4, 4)), "kinematics.forward(robot, q"
+    ways = kinematics.forward, robot.chain.forward, call, plain.forward, fast.forward, reference
+    return Job(robot, q, *ways, out, peers, 1 / 15, _operations(robot.n, False))
 
 
-def _poses_and_jacobians(robot: Robot, q: np.ndarray, rounds: int) -> Table:
-    pinocchio, numpy = Pinocchio(robot), BlockedNumpy(robot)
-    reference = _reference.Chain(robot.frames, robot.prismatic)
+def _poses_and_jacobians(robot: Robot, q: np.ndarray) -> Job:
+    pinocchio, plain, fast = Pinocchio(robot), PlainNumpy(robot), FastNumpy(robot)
+    reference = _reference.Chain(robot.frames, robot.prismatic).forward_jacobian
     few = q[:3000]
-    T, J = robot.chain.forward_jacobian(few)
-    ways = (numpy.forward_jacobian(few), reference.forward_jacobian(few), pinocchio.forward_jacobian_batch(few))
-    worst = max(max(agree("poses", way[0], T), agree("Jacobians", way[1], J)) for way in ways)
-    out = np.ones((len(q), 4, 4)), np.ones((len(q), 6, robot.n))
-    in_cache = np.empty((IN_CACHE, 4, 4)), np.empty((IN_CACHE, 6, robot.n))
-    size, operations = out[0].nbytes + out[1].nbytes, _operations(robot.n, True)
-    both = robot.chain.forward_jacobian
-    contenders = [
-        Contender("armlab robot.chain.forward_jacobian(q)", once(partial(both, q)), "armlab"),
-        Contender("armlab with out=", once(partial(both, q, out)), "armlab"),
-        Contender("NumPy, blocked", once(partial(numpy.forward_jacobian, q)), bar=1 / 12, note="written for speed"),
-        _tenth("armlab's reference kernel, blocked", partial(_by_blocks, reference.forward_jacobian), q),
-        _tenth("Pinocchio", pinocchio.forward_jacobian_batch, q, note="a Python loop; "),
-        *_limits(q, size, operations, both, in_cache),
+    T, J = kinematics.forward_jacobian(robot, few)
+    for way in (plain.forward_jacobian, fast.forward_jacobian, reference, pinocchio.forward_jacobian_batch):
+        poses, jacobians = way(few)
+        agree("poses", poses, T)
+        agree("Jacobians", jacobians, J)
+    peers = (_tenth("Pinocchio", pinocchio.forward_jacobian_batch, q, note="a Python loop; "),)
+    out, call = (np.ones((len(q), 4, 4)), np.ones((len(q), 6, robot.n))), "kinematics.forward_jacobian(robot, q"
+    kernel = partial(_into, robot.chain.forward_jacobian)
+    ways = kinematics.forward_jacobian, kernel, call, plain.forward_jacobian, fast.forward_jacobian, reference
+    return Job(robot, q, *ways, out, peers, 1 / 12, _operations(robot.n, True))
+
+
+def _tables(job: Job, title: str, rounds: int) -> list[Table]:
+    """Return the table of results in memory in use, which the bar counts, and that of new results."""
+    text = f"{job.robot.name}, {job.robot.n} joints, one call; all agree to 1e-9. "
+    return [
+        table(title, text + _line(USED), "ms", _used(job), rounds),
+        table(f"{title}, new arrays", text + _line(NEW), "ms", _new(job), rounds),
     ]
-    text = f"{len(q):,} poses and Jacobians of {robot.name} in one call. All agree to {worst:.1g}."
-    return table(f"{len(q):,} poses with Jacobians", text, "ms", contenders, rounds)
+
+
+def _used(job: Job) -> list[Contender]:
+    used = partial(job.armlab, job.robot, job.q, out=job.out)
+    return [
+        Contender(f"armlab {job.call}, out=out)", once(used), "armlab"),
+        Contender("armlab with two threads", once(partial(used, threads=2), clock=perf_counter), "armlab", note=WALL),
+        Contender("NumPy, side by side", once(partial(job.fast, job.q, job.out)), bar=job.bar, note="the faster"),
+        Contender("NumPy, stacked matrices", once(partial(job.plain, job.q, job.out)), note="as one writes it"),
+        Contender("write: memory in use", once(writer(job.bytes, fresh=False)), "limit", note=_size(job)),
+        *_compute(job),
+    ]
+
+
+def _new(job: Job) -> list[Contender]:
+    new = partial(job.armlab, job.robot, job.q)
+    return [
+        Contender(f"armlab {job.call})", once(new), "armlab"),
+        Contender("armlab with two threads", once(partial(new, threads=2), clock=perf_counter), "armlab", note=WALL),
+        Contender("NumPy, side by side", once(partial(job.fast, job.q)), note="the faster"),
+        Contender("NumPy, stacked matrices", once(partial(job.plain, job.q)), bar=job.bar, note="as one writes it"),
+        _tenth("armlab's reference kernel, blocked", partial(_by_blocks, job.reference), job.q),
+        *job.peers,
+        Contender("write: new memory", once(writer(job.bytes, fresh=True)), "limit", note=_size(job)),
+        *_compute(job),
+    ]
+
+
+def _few(job: Job, rounds: int) -> Table:
+    """Return the table of ten thousand poses, which a planner asks for at once."""
+    new = once(partial(job.armlab, job.robot, job.q))
+    contenders = [
+        Contender(f"armlab {job.call})", new, "armlab", bar=5e-3),
+        Contender("NumPy, side by side", once(partial(job.fast, job.q))),
+        Contender("NumPy, stacked matrices", once(partial(job.plain, job.q))),
+    ]
+    return table("10,000 poses with Jacobians", f"{job.robot.name}, new arrays.", "ms", contenders, 4 * rounds)
 
 
 def _tenth(name: str, function: Callable[[np.ndarray], Any], q: np.ndarray, note: str = "") -> Contender:
@@ -82,28 +155,40 @@ def _by_blocks(kernel: Callable[..., Any], q: np.ndarray) -> list[Any]:
     return [kernel(q[start : start + REFERENCE_BLOCK]) for start in range(0, len(q), REFERENCE_BLOCK)]
 
 
-def _limits(q: np.ndarray, size: int, operations: int, kernel: Callable[..., Any], out: Any) -> list[Contender]:
-    """Return the limits: writing the bytes of the result, the kernel without memory, the arithmetic alone."""
-    calls = len(q) // IN_CACHE
-    block = loop(lambda rows: kernel(rows, out), list(q[: calls * IN_CACHE].reshape(calls, IN_CACHE, -1)))
+def _into(kernel: Callable[..., Any], q: np.ndarray, out: Any) -> Any:
+    return kernel(q, out=out)
+
+
+def _line(text: str) -> str:
+    return " ".join(text.split())
+
+
+def _size(job: Job) -> str:
+    return f"{job.bytes / 1e6:.0f} MB"
+
+
+def _compute(job: Job) -> list[Contender]:
+    """Return the limits of computing: the kernel without memory, and the arithmetic alone."""
+    calls = len(job.q) // IN_CACHE
+    rows = list(job.q[: calls * IN_CACHE].reshape(calls, IN_CACHE, -1))
+    out = tuple(array[:IN_CACHE] for array in job.out) if isinstance(job.out, tuple) else job.out[:IN_CACHE]
+    block = loop(lambda block: job.kernel(block, out), rows)
     operation = arithmetic()
     return [
-        Contender("write: new memory", once(writer(size, fresh=True)), "limit", note=f"{size / 1e6:.0f} MB"),
-        Contender("write: memory in use", once(writer(size, fresh=False)), "limit", note=f"{size / 1e6:.0f} MB"),
         Contender("compute: the kernel in cache", lambda: block() * calls, "limit", note=f"{IN_CACHE} poses at a time"),
         Contender(
             "compute: the arithmetic alone",
-            lambda: np.array([operations * len(q) * operation()]),
+            lambda: np.array([job.operations * len(job.q) * operation()]),
             "limit",
-            note=f"{operations} operations per pose at the rate of a product of matrices",
+            note=f"{job.operations} operations per pose at the rate of a product of matrices",
         ),
     ]
 
 
 def _operations(n: int, with_jacobian: bool) -> int:
-    """Count additions and multiplications of one pose of an arm with general constant poses.
+    """Count additions and multiplications of one pose of an arm with right angles between its axes.
 
-    Per joint: sine and cosine 40 (a reduction and two polynomials), turning two columns 18, the next constant pose 63;
+    Per joint: sine and cosine 37 (the angle, its reduction, two polynomials), turning two columns 18, two lengths 12;
     the Jacobian takes a difference and a cross product, 12.
     """
-    return n * (40 + 18 + 63 + (12 if with_jacobian else 0))
+    return n * (37 + 18 + 12 + (12 if with_jacobian else 0))

@@ -97,13 +97,13 @@ def loop(function: Callable[[Any], Any], items: Sequence[Any]) -> Block:
     return block
 
 
-def once(function: Callable[[], Any], scale: float = 1.0) -> Block:
-    """Block of one call, its time multiplied by `scale`. The result is freed after the clock stops."""
+def once(function: Callable[[], Any], scale: float = 1.0, clock: Callable[[], float] = process_time) -> Block:
+    """Block of one call, its time by `clock` multiplied by `scale`. The result is freed after the clock stops."""
 
     def block() -> np.ndarray:
-        start = process_time()
+        start = clock()
         result = function()
-        seconds = process_time() - start
+        seconds = clock() - start
         del result
         return np.array([scale * seconds])
 

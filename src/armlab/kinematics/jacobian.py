@@ -50,7 +50,11 @@ def jacobian(
         chain = robot.chain
     except AttributeError:
         raise RobotError.no_robot(robot) from None
-    return chain.jacobian(q, _in_tool_axes(frame), out, threads)
+    if frame == "base":
+        return chain.jacobian(q, False, out, threads)
+    if frame == "tool":
+        return chain.jacobian(q, True, out, threads)
+    raise _unknown(frame)
 
 
 def forward_jacobian(
@@ -93,10 +97,12 @@ def forward_jacobian(
         chain = robot.chain
     except AttributeError:
         raise RobotError.no_robot(robot) from None
-    return chain.forward_jacobian(q, _in_tool_axes(frame), out, threads)
+    if frame == "base":
+        return chain.forward_jacobian(q, False, out, threads)
+    if frame == "tool":
+        return chain.forward_jacobian(q, True, out, threads)
+    raise _unknown(frame)
 
 
-def _in_tool_axes(frame: Frame) -> bool:
-    if frame not in ("base", "tool"):
-        raise UnknownName.among("Jacobian frame", frame, ("base", "tool"))
-    return frame == "tool"
+def _unknown(frame: object) -> UnknownName:
+    return UnknownName.among("Jacobian frame", frame, ("base", "tool"))
