@@ -17,10 +17,10 @@ from armlab.robots import Robot
 
 __all__ = ["Rows", "with_detours"]
 
-ATTEMPTS = 20  # breaks of a path that detours are looked for
+ATTEMPTS = 10  # breaks of a path that detours are looked for
 CANDIDATES = 32  # starts of solutions at a break: one half near the row before, the other anywhere
 SPREAD = 0.6  # rad: standard deviation of those near the row before
-LOOK_BACK, LOOK_AHEAD = 2000, 2000  # rows
+LOOK_BACK, LOOK_AHEAD = 1000, 1000  # rows
 NEAR = 1  # the objective of the kernel: near a posture
 TOGETHER = 1e-6  # rad: postures that are one
 
@@ -40,7 +40,7 @@ Solve = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 def with_detours(robot: Robot, T: np.ndarray, rows: Rows, follow: Follow, solve: Solve) -> Rows:
-    """Return `rows` with detours around the breaks for which there are some.
+    """Return `rows` with detours around the breaks for which there are some, if fewer rows break then.
 
     Parameters
     ----------
@@ -51,6 +51,7 @@ def with_detours(robot: Robot, T: np.ndarray, rows: Rows, follow: Follow, solve:
     """
     rng = np.random.default_rng(0)
     given_up = 0  # breaks up to this row stay
+    best = rows
     for _ in range(ATTEMPTS):
         broken = rows.counts[:, 1] != 0
         first = np.flatnonzero(broken[1:] & ~broken[:-1]) + 1
@@ -65,7 +66,8 @@ def with_detours(robot: Robot, T: np.ndarray, rows: Rows, follow: Follow, solve:
         detour = _best(T, rows, k, follow, solve(T[k], np.clip(np.concatenate([near, anywhere]), low, high)))
         if detour is not None:
             rows = _replaced(rows, k, detour, follow(T[k:], detour.q[-1], 0, None, None))
-    return rows
+            best = min(best, rows, key=lambda found: np.count_nonzero(found.counts[:, 1]))
+    return best
 
 
 def _best(T: np.ndarray, rows: Rows, k: int, follow: Follow, solutions: tuple[np.ndarray, np.ndarray]) -> Rows | None:
