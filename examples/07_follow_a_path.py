@@ -1,0 +1,41 @@
+"""Lead the tool along a path: joint positions on one branch, how well they can move, the free elbow."""
+
+import numpy as np
+
+from armlab import kinematics, robots
+from armlab.lie import so3
+
+PERIOD = 0.004  # s, from row to row
+
+
+def main() -> None:
+    np.set_printoptions(precision=3, suppress=True)
+    robot = robots.load("yumi_right")
+    angle = np.linspace(0, 2 * np.pi, 1001)  # a circle of 8 cm in 4 s, the tool swaying along
+    T_base_tool = np.tile(kinematics.forward(robot, robot.q_home), (len(angle), 1, 1))
+    T_base_tool[:, 1, 3] += 0.08 * np.sin(angle)
+    T_base_tool[:, 2, 3] += 0.08 * (1 - np.cos(angle))
+    T_base_tool[:, :3, :3] @= so3.exp(0.2 * np.sin(angle)[:, None] * [1, 0, 0])
+    T_base_tool[-1] = T_base_tool[0]
+
+    path = kinematics.inverse_path(robot, T_base_tool, robot.q_home, max_step=PERIOD * robot.qd_max)
+    print(path.report())
+    print("least motion: the joints end", np.rad2deg(path.q[-1] - path.q[0]), "deg from where they began")
+    closed = kinematics.inverse_path(robot, T_base_tool, robot.q_home, objective="posture")
+    print("near the home posture: ", np.rad2deg(closed.q[-1] - closed.q[0]).round(6) + 0.0, "deg")
+
+    qd = np.gradient(closed.q, PERIOD, axis=0)
+    w = kinematics.manipulability(robot, closed.q)
+    print(f"fastest joint {np.abs(qd).max():.2f} rad/s, manipulability {w.min():.4f} to {w.max():.4f}")
+    Jd = kinematics.jacobian_derivative(robot, closed.q, qd)
+    v_dot = (Jd @ qd[..., None])[:, :3, 0]  # what remains of the tool's acceleration when no joint accelerates
+    print(f"velocities alone accelerate the tool by up to {np.linalg.norm(v_dot, axis=1).max():.3f} m/s^2")
+
+    walk = kinematics.null_motion(robot, robot.q_home, direction=1, length=3.0)
+    print(
+        f"the elbow turns {walk.s[-1]:.2f} rad, until {walk.end}; the tool is off by {walk.position_error.max():.1g} m"
+    )
+
+
+if __name__ == "__main__":
+    main()
