@@ -28,13 +28,11 @@ def main() -> None:
     w = kinematics.manipulability(robot, closed.q)
     print(f"fastest joint {np.abs(qd).max():.2f} rad/s, manipulability {w.min():.4f} to {w.max():.4f}")
     Jd = kinematics.jacobian_derivative(robot, closed.q, qd)
-    v_dot = (Jd @ qd[..., None])[:, :3, 0]  # what remains of the tool's acceleration when no joint accelerates
+    v_dot = (Jd @ qd[..., None])[:, :3, 0]  # the tool's acceleration when no joint accelerates
     print(f"velocities alone accelerate the tool by up to {np.linalg.norm(v_dot, axis=1).max():.3f} m/s^2")
 
     walk = kinematics.null_motion(robot, robot.q_home, direction=1, length=3.0)
-    print(
-        f"the elbow turns {walk.s[-1]:.2f} rad, until {walk.end}; the tool is off by {walk.position_error.max():.1g} m"
-    )
+    print(f"the elbow turns {walk.s[-1]:.2f} rad, until {walk.end}; tool off by {walk.position_error.max():.1g} m")
 
 
 if __name__ == "__main__":
