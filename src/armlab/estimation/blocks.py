@@ -172,7 +172,8 @@ def block_bootstrap(sums: BlockSums, draws: int | None = None, seed: int = 0, le
     told = (solved - solved.mean(axis=0)) @ np.linalg.pinv(found.basis).T  # coordinates of basis
     shrinkage, S = _shrinkage(sums, blocks, length), told.T @ told / (number - 1)
     S = (1.0 - shrinkage) * S + shrinkage * np.trace(S) / len(S) * np.eye(len(S))
-    return Bootstrap(solved, found.basis @ S @ found.basis.T + found.held_cov, shrinkage)
+    cov = found.basis @ S @ found.basis.T + found.held_cov
+    return Bootstrap(solved, 0.5 * (cov + cov.T), shrinkage)  # symmetric to the last bit, as files keep it
 
 
 def _shrinkage(sums: BlockSums, blocks: np.ndarray, length: int) -> float:
