@@ -10,6 +10,7 @@ import pytest
 from armlab import identify, robots
 from armlab.contact import INFEASIBLE, INVALID, SINGULAR, STUCK, WEAK, Estimator
 from armlab.errors import ModelMismatchError, ShapeError, UnknownName
+from armlab.kernels import backend
 from armlab.log import Table
 from armlab.models import TorqueModel, velocity_covariance
 from armlab.state import State
@@ -37,7 +38,7 @@ def press(direction: np.ndarray):
 
 @pytest.mark.parametrize("method", ["map", "bounded", "interval", "ls", "lund"])
 def test_run_equals_step_bit_for_bit(truth, model, excited, method) -> None:
-    log = excited.between(0.0, 2.0)
+    log = excited.between(0.0, 0.3 if method == "interval" else 2.0)
     estimator = Estimator(model, truth.robot, method)
     assert estimator.method == method
     table = estimator.run(log)
@@ -212,6 +213,9 @@ def at_rest(truth, force: np.ndarray, seed: int, seconds: float = 2.0) -> Table:
     return Table(t, {"q": q, "qd": zero, "tau": tau + truth.noise * rng.standard_normal(q.shape)})
 
 
+@pytest.mark.skipif(
+    backend == "reference", reason="HiGHS takes minutes for 10000 samples; the contract test holds one to the other"
+)
 def test_at_rest_the_interval_holds_the_truth_and_no_contact_is_claimed_without_one(truth, model) -> None:
     """500 g along -z and x: inside the interval in 100 %, half width 2 to 60 N; without a force STUCK and exactly 0."""
     for axis, size in ((2, -4.905), (0, 4.905)):
