@@ -16,7 +16,7 @@ struct Patience {
   int window;
   double rate;
 };
-constexpr int most_window = 8;
+constexpr int most_window = 24;
 constexpr Patience hasty{4, 0.5}, patient{most_window, 1.0 - 1e-6};
 
 // Steps towards one goal, from one start after the other.

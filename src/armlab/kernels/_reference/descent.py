@@ -27,7 +27,7 @@ class Patience(NamedTuple):
     rate: float
 
 
-HASTY, PATIENT = Patience(4, 0.5), Patience(8, 1.0 - 1e-6)
+HASTY, PATIENT = Patience(4, 0.5), Patience(24, 1.0 - 1e-6)
 
 
 class Search(NamedTuple):
