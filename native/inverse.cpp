@@ -12,6 +12,7 @@ namespace {
 
 constexpr double infinity = std::numeric_limits<double>::infinity();
 constexpr double pi = 3.14159265358979323846;
+constexpr double over_limits = 0.5;  // how far postures of the second half reach over them, in ranges, to be moved back
 constexpr int few_starts = 10;  // beyond reach, or to learn whether it is the limits that are in the way
 
 Vec3<double> direction_across(const Vec3<double> &axis) {
@@ -52,13 +53,15 @@ InverseSolver::InverseSolver(const Chain &chain, const double *low, const double
 
   for (int k = 0; k < postures; ++k) {
     double *q = &angles_[k * n];
+    const double over = k < postures / 2 ? 0.0 : over_limits;
     for (int i = 0; i < n; ++i) {
       // Without an end on one side: a turn, or twice the length of the arm, from the other or about zero.
       const double range = chain.steps[i].slides ? 2.0 * lengths : 2.0 * pi;
       const bool below = std::isfinite(low[i]), above = std::isfinite(high[i]);
       const double first = below ? low[i] : above ? high[i] - range : -0.5 * range;
       const double last = above ? high[i] : first + range;
-      q[i] = clamp(first + (last - first) * uniform(seed, std::uint64_t(k) * n + i), low[i], high[i]);
+      const double part = (1.0 + 2.0 * over) * uniform(seed, std::uint64_t(k) * n + i) - over;
+      q[i] = clamp(first + (last - first) * part, low[i], high[i]);
     }
   }
   std::copy_n(home, n, angles_.begin());

@@ -50,12 +50,10 @@ def test_poses_with_a_straight_wrist(name: str) -> None:
 
 @pytest.mark.parametrize("name", ARMS)
 def test_every_joint_at_a_limit(name: str) -> None:
-    """2^n corners of the box of limits; of those of a YuMi 92 % were found within 100 starts, of all others all."""
+    """2^n corners of the box of limits; within 100 starts all were found, but 1 of 128 on the YuMi of the URDF."""
     robot = robots.load(name)
     corners = np.array(list(itertools.product(*zip(robot.q_min, robot.q_max))))
-    assert solved(robot, corners[:: 1 if kernels.backend == "native" else 16]).mean() >= (
-        0.85 if "yumi" in name else 0.98
-    )
+    assert solved(robot, corners[:: 1 if kernels.backend == "native" else 16]).mean() >= 0.98
 
 
 @pytest.mark.parametrize("name", ARMS)

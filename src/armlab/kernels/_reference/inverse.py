@@ -18,6 +18,7 @@ __all__ = ["InverseSolver", "uniform"]
 SOLVED, OUT_OF_REACH, LIMITS, SINGULAR, ITERATIONS, BOUND = range(6)
 BLOCK, BLOCKS = 128, 16
 POSTURES = BLOCK * BLOCKS
+OVER_LIMITS = 0.5  # how far postures of the second half reach over them, in ranges, to be moved back
 FEW_STARTS = 10  # beyond reach, or to learn whether it is the limits that are in the way
 
 
@@ -25,7 +26,8 @@ class InverseSolver:
     """Inverse kinematics of a chain within joint limits, immutable.
 
     Levenberg-Marquardt from one start after the other (see `descent.Descent`). Starts that stall are given up early;
-    the next is taken from a table of random postures, in each block of it the one whose tool is nearest to the goal.
+    the next is taken from a table of random postures, in each block of it the one whose tool is nearest to the goal. In
+    the second half of the table every other joint is at a limit, for the poses that are reached only so.
     The table depends on the robot and the seed alone: a goal has the same answer in a batch and alone.
 
     Tasks are told by their number of rows: 6 pose, 5 position and direction of a tool axis, 3 position, 2 direction.
@@ -61,7 +63,9 @@ class InverseSolver:
         ranges = np.where(prismatic, 2.0 * lengths, 2.0 * np.pi)
         first = np.where(np.isfinite(low), low, np.where(np.isfinite(high), high - ranges, -0.5 * ranges))
         last = np.where(np.isfinite(high), high, first + ranges)
-        self._angles = np.clip(first + (last - first) * uniform(seed, (POSTURES, chain.n)), low, high)
+        over = np.where(np.arange(POSTURES) < POSTURES // 2, 0.0, OVER_LIMITS)[:, None]
+        parts = (1.0 + 2.0 * over) * uniform(seed, (POSTURES, chain.n)) - over
+        self._angles = np.clip(first + (last - first) * parts, low, high)
         self._angles[0] = home
         self._poses = chain.forward(self._angles)[:, :3]
 
