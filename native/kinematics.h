@@ -44,42 +44,42 @@ inline void joint_sincos(const Chain &chain, const double *q, double *sine, doub
 #endif
 
 // Walks from base to tool; visit(i, z, p) sees the axis and a point of joint i + 1 in base axes. Returns T_base_tool.
+// (The columns are variables here, for of a pose that is returned the compiler would keep them in memory.)
 template <class Real, class Visit>
 inline Pose<Real> walk(const Chain &chain, const Real *q, Visit visit) {
   Real sine[max_joints], cosine[max_joints];
   joint_sincos(chain, q, sine, cosine);
-  Pose<Real> T(chain.frame(0));
+  const Pose<Real> base(chain.frame(0));
+  Vec3<Real> x = base.x, y = base.y, z = base.z, p = base.p;
   for (int i = 0; i < chain.n; ++i) {
     const Chain::Step &step = chain.steps[i];
-    visit(i, T.z, T.p);
-    const Vec3<Real> x = cosine[i] * T.x + sine[i] * T.y, y = cosine[i] * T.y - sine[i] * T.x, z = T.z;
-    if (step.slides) T.p = T.p + q[i] * z;
-    if (step.has_x) T.p = T.p + Real(step.px) * x;
-    if (step.has_y) T.p = T.p + Real(step.py) * y;
-    if (step.has_z) T.p = T.p + Real(step.pz) * z;
-    T.x = x;
+    visit(i, z, p);
+    const Vec3<Real> turned = cosine[i] * y - sine[i] * x;
+    x = cosine[i] * x + sine[i] * y;
+    if (step.slides) p = p + q[i] * z;
+    if (step.has_x) p = p + Real(step.px) * x;
+    if (step.has_y) p = p + Real(step.py) * turned;
+    if (step.has_z) p = p + Real(step.pz) * z;
     switch (step.twist) {
       case Chain::Twist::none:
-        T.y = y;
+        y = turned;
         break;
       case Chain::Twist::quarter:
-        T.y = z;
-        T.z = -y;
+        y = z;
+        z = -turned;
         break;
       case Chain::Twist::minus_quarter:
-        T.y = -z;
-        T.z = y;
+        y = -z;
+        z = turned;
         break;
       case Chain::Twist::other:
-        T.y = Real(step.cos_alpha) * y + Real(step.sin_alpha) * z;
-        T.z = Real(step.cos_alpha) * z - Real(step.sin_alpha) * y;
+        y = Real(step.cos_alpha) * turned + Real(step.sin_alpha) * z;
+        z = Real(step.cos_alpha) * z - Real(step.sin_alpha) * turned;
     }
   }
-  if (chain.sin_last == 0.0 && chain.cos_last == 1.0) return T;
-  const Vec3<Real> x = Real(chain.cos_last) * T.x + Real(chain.sin_last) * T.y;
-  T.y = Real(chain.cos_last) * T.y - Real(chain.sin_last) * T.x;
-  T.x = x;
-  return T;
+  if (chain.sin_last == 0.0 && chain.cos_last == 1.0) return {x, y, z, p};
+  const Real c(chain.cos_last), s(chain.sin_last);
+  return {c * x + s * y, c * y - s * x, z, p};
 }
 
 // T_out (16): T_base_tool, row by row.
