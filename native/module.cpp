@@ -7,6 +7,7 @@ void bind_drive(nb::module_ &m);
 void bind_estimator(nb::module_ &m);
 void bind_inverse(nb::module_ &m);
 void bind_lie(nb::module_ &m);
+void bind_nearest(nb::module_ &m);
 void bind_limits(nb::module_ &m);
 void bind_momentum(nb::module_ &m);
 void bind_path(nb::module_ &m);
@@ -22,6 +23,7 @@ NB_MODULE(_native, m) {
   bind_estimator(m);
   bind_inverse(m);
   bind_lie(m);
+  bind_nearest(m);
   bind_limits(m);
   bind_momentum(m);
   bind_path(m);

@@ -50,6 +50,7 @@ if TYPE_CHECKING:
         so3_left_jacobian,
         so3_left_jacobian_inv,
         so3_log,
+        so3_nearest,
         solve_wrench,
         wrench_interval,
     )
@@ -89,6 +90,7 @@ __all__ = [
     "so3_left_jacobian",
     "so3_left_jacobian_inv",
     "so3_log",
+    "so3_nearest",
     "solve_wrench",
     "wrench_interval",
 ]

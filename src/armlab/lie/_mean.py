@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 from armlab import kernels
 from armlab.errors import NotConverged, ShapeError, UnknownName
 from armlab.lie import _check
-from armlab.lie._nearest import nearest_rotation, refine
 
 METHODS = ("chordal", "geodesic")
 AGREEMENT = 0.1  # of the weights; below, rotations point everywhere
@@ -50,14 +49,14 @@ def mean(
         raise UnknownName.among("mean of rotations", method, METHODS)
     R = kernels.rotations(R, "R")
     share = shares(weights, R.shape[:-2])
-    M = (share[..., None, None] * R).sum(axis=0)
-    start, _, agreement = nearest_rotation(M)
+    start, sigma = kernels.so3_nearest((share[..., None, None] * R).sum(axis=0))
+    agreement = sigma[..., 1] + sigma[..., 2]
     if (agreement < AGREEMENT).any():
         raise ShapeError(
             f"Expected rotations that agree on a mean, got ones that point everywhere ({agreement.min():.2g} of "
             f"the weights agree, {AGREEMENT:g} are needed). Cluster them first."
         )
-    return refine(start, M) if method == "chordal" else _geodesic(R, share, start)
+    return start if method == "chordal" else _geodesic(R, share, start)
 
 
 def shares(weights: ArrayLike | None, batch: tuple[int, ...]) -> np.ndarray:

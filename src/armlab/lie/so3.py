@@ -13,7 +13,6 @@ from armlab.errors import ShapeError
 from armlab.lie import _check
 from armlab.lie._angles import angle, angle_about, from_axis_angle, to_axis_angle, xy_angle
 from armlab.lie._mean import mean
-from armlab.lie._nearest import determinant, nearest_rotation, refine
 
 __all__ = [
     "ROTATION_TOLERANCE",
@@ -152,7 +151,8 @@ def is_rotation(R: ArrayLike, tolerance: float = ROTATION_TOLERANCE) -> np.ndarr
     R = _check.array(R, (3, 3), "R")
     R = np.where(np.isfinite(R).all(axis=(-1, -2), keepdims=True), R, 0.0)
     off = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max(axis=(-1, -2))
-    return (off <= tolerance) & (determinant(R) > 0)
+    determinant = (np.cross(R[..., 0, :], R[..., 1, :]) * R[..., 2, :]).sum(axis=-1)
+    return (off <= tolerance) & (determinant > 0)
 
 
 def project(M: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
@@ -172,11 +172,12 @@ def project(M: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     ShapeError : when no rotation is nearest (rank below 2 or a reflection of equal axes).
     """
     M = _check.array(M, (3, 3), "M")
-    R, S, determined = nearest_rotation(M)
-    ambiguous = determined <= ONE_NEAREST * S[..., 0]
+    R, sigma = kernels.so3_nearest(M)
+    ambiguous = sigma[..., 1] + sigma[..., 2] <= ONE_NEAREST * sigma[..., 0]
     if ambiguous.any():
-        raise ShapeError(f"Expected matrices with one nearest rotation, got singular values {S[ambiguous][0]}.")
-    R = refine(R, M)
+        raise ShapeError(
+            f"Expected matrices with one nearest rotation, got singular values {abs(sigma[ambiguous][0])}."
+        )
     return R, np.linalg.norm(R - M, axis=(-1, -2))
 
 
