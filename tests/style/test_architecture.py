@@ -305,7 +305,9 @@ def test_the_rules_can_fail() -> None:
     ) == ["q", "qd"]
 
 
-@file_param([p for p in TESTS if p.parent.name in ("robots", "kinematics", "kernels", "_reference", "contract")])
+@file_param(
+    [p for p in TESTS if p.parent.name in ("robots", "kinematics", "kernels", "_reference", "contract", "lie", "laws")]
+)
 def test_an_absolute_tolerance_is_the_whole_tolerance(path: Path) -> None:
     """`assert_allclose(a, b, atol=1e-12)` keeps rtol=1e-7, which is 1e5 times wider for numbers near 1."""
     for call in calls(tree(path), "assert_allclose"):
