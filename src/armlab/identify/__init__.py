@@ -4,11 +4,13 @@ from armlab.identify.base_parameters import BaseParameters, base_parameters
 from armlab.identify.covariance import fit_velocity_covariance
 from armlab.identify.dynamics import fit_dynamics
 from armlab.identify.excitation import Trajectory, dither, excitation, sequence
+from armlab.identify.friction import fit_friction
 from armlab.identify.group_lasso import GroupLasso, group_lasso, select_groups
 from armlab.identify.preparation import Prepared, prepare
 from armlab.identify.rbf import rbf_centres, rbf_regressor
 from armlab.identify.ripple import ripple_lines, ripple_regressor
 from armlab.identify.validation import predict
+from armlab.identify.warm_up import fit_warm_up
 
 __all__ = [
     "BaseParameters",
@@ -19,7 +21,9 @@ __all__ = [
     "dither",
     "excitation",
     "fit_dynamics",
+    "fit_friction",
     "fit_velocity_covariance",
+    "fit_warm_up",
     "group_lasso",
     "predict",
     "prepare",

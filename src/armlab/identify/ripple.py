@@ -37,15 +37,21 @@ class _Search:
     """Rows of one joint that may be used for a line: those on which it passes slowly enough."""
 
     q: np.ndarray
-    speed: np.ndarray
+    qd: np.ndarray
     y: np.ndarray
     rate: float
+
+    @property
+    def speed(self) -> np.ndarray:
+        return np.abs(self.qd)
 
     def slow(self, c: float) -> np.ndarray:
         return c * self.speed < 2 * np.pi * SLOW_SHARE * self.rate
 
 
-def ripple_lines(q: np.ndarray, qd: np.ndarray, y: np.ndarray, rate: float, highest: float) -> np.ndarray:
+def ripple_lines(
+    q: np.ndarray, qd: np.ndarray, y: np.ndarray, rate: float, highest: float, lowest: float = 1.0
+) -> np.ndarray:
     """Return the lines (L,) [cycles per revolution] in the residual of one joint, ascending.
 
     Parameters
@@ -53,6 +59,7 @@ def ripple_lines(q: np.ndarray, qd: np.ndarray, y: np.ndarray, rate: float, high
     q, qd, y : (N,) position [rad], velocity [rad/s], residual torque [N m].
     rate : of sampling [Hz].
     highest : largest c that is searched, 2.5 times the gear ratio.
+    lowest : smallest.
 
     Raises
     ------
@@ -62,21 +69,21 @@ def ripple_lines(q: np.ndarray, qd: np.ndarray, y: np.ndarray, rate: float, high
     if q.ndim != 1 or q.shape != qd.shape or q.shape != y.shape or not np.isfinite([q, qd, y]).all():
         raise ShapeError(f"Expected finite q, qd and y of one shape (N,), got {q.shape}, {qd.shape} and {y.shape}.")
     turns = np.ptp(q) / (2 * np.pi)
-    if not highest > 1.0 or turns * (highest - 1.0) < 4.0:
+    if not highest > lowest or turns * (highest - lowest) < 4.0:
         return np.zeros(0)
-    search = _Search(q, np.abs(qd), y - np.mean(y), rate)
-    grid = np.arange(1.0, highest, 0.25 / turns)
+    search = _Search(q, qd, y - np.mean(y), rate)
+    grid = np.arange(lowest, highest, 0.25 / turns)
     grid = grid[[np.mean(search.slow(c)) >= 0.5 for c in grid]]
     found: list[float] = []
     while len(found) < MAX_LINES and len(grid):
-        residual = _without(search, found)
-        power = _periodogram(_Search(q, search.speed, residual, rate), grid)
+        rest = _Search(q, qd, _left(search, found), rate)
+        power = _periodogram(rest, grid)
         floor = np.array([np.median(power[max(k - NEIGHBOURS, 0) : k + NEIGHBOURS + 1]) for k in range(len(grid))])
         ratio = power / np.maximum(floor, 1e-300)
         k = int(np.argmax(ratio))
         if len(grid) * 2.0 ** -ratio[k] > P_VALUE:  # powers of noise are exponential: the median is at one half
             break
-        line = _refined(_Search(q, search.speed, residual, rate), grid[k], 0.25 / turns)
+        line = _refined(rest, grid[k], 0.25 / turns)
         if any(abs(line - c) < 0.5 / turns for c in found):
             grid = np.delete(grid, k)
             continue
@@ -84,12 +91,13 @@ def ripple_lines(q: np.ndarray, qd: np.ndarray, y: np.ndarray, rate: float, high
     return np.sort(found)
 
 
-def _without(search: _Search, lines: list[float]) -> np.ndarray:
-    """Return the residual with lines of constant amplitude removed."""
+def _left(search: _Search, lines: list[float]) -> np.ndarray:
+    """Return the residual without lines whose amplitude and phase are constant in either direction."""
     if not lines:
         return search.y
     angle = np.outer(search.q, lines)
-    A = np.hstack([np.cos(angle), np.sin(angle)])
+    waves, forward = np.hstack([np.cos(angle), np.sin(angle)]), search.qd[:, None] > 0
+    A = np.hstack([waves * forward, waves * ~forward])
     return search.y - A @ np.linalg.lstsq(A, search.y, rcond=None)[0]
 
 
@@ -110,10 +118,13 @@ def _periodogram(search: _Search, grid: np.ndarray) -> np.ndarray:
 
 
 def _refined(search: _Search, c: float, width: float) -> float:
+    """Return the line near c that leaves least: phases of the two directions may differ."""
     from scipy.optimize import minimize_scalar
 
+    slow = search.slow(c)
+    rows = _Search(search.q[slow], search.qd[slow], search.y[slow], search.rate)
     best = minimize_scalar(
-        lambda x: -_periodogram(search, np.array([x]))[0],
+        lambda x: np.sum(_left(rows, [x]) ** 2),
         bounds=(max(c - width, 1.0), c + width),
         method="bounded",
         options={"xatol": 0.05 * width},

@@ -1,0 +1,172 @@
+"""Parts of the drives beyond the friction of `fit_dynamics`, fitted to its residuals and kept where they win.
+
+1. Warm-up, when one log lasts 20 minutes or more (`fit_warm_up`).
+2. Torque ripple: lines found by a periodogram over position, chosen by a group lasso, with amplitudes over speed for
+   each direction; a line stays when it removes 2 % of the error on held-out blocks.
+   What is slower over position than the centres of (3) resolve is left to them.
+3. Friction over position and speed, by radial basis functions pulled towards nothing; it stays by the same rule.
+
+Each is joint by joint, on the unfiltered residual that the ones before leave.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from armlab.estimation import Excitation, Fit, block_seconds
+from armlab.identify.rbf import rbf_centres
+from armlab.identify.residuals import Residuals, model_residuals
+from armlab.identify.ripple import GAIN, held_out_error, refit, ripple_lines, ripple_regressor, select_lines
+from armlab.identify.warm_up import MIN_SECONDS, fit_warm_up
+from armlab.log import Table
+from armlab.models import FrictionMap, RippleLines, TorqueModel, speed_basis
+
+__all__ = ["fit_friction"]
+
+RIDGE = 1e-3  # of the friction map, relative to the mean diagonal
+ROWS = 20000  # that a joint is fitted to: more are thinned
+SPEEDS = 8
+HIGHEST = 1.25  # times the ripple line of the model, which is at twice the gear ratio
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """Coefficients of one joint with their covariance."""
+
+    k: np.ndarray
+    cov: np.ndarray
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Thinned rows of one joint."""
+
+    q: np.ndarray
+    qd: np.ndarray
+    s: np.ndarray
+    block: np.ndarray
+    rate: float
+
+
+def fit_friction(table: Table | Sequence[Table], model: TorqueModel) -> Fit[TorqueModel]:
+    """Fit warm-up, torque ripple and friction over position to what a model leaves of a log, and keep what wins.
+
+    Parameters
+    ----------
+    table : one log or several of free motion with columns q, qd, tau (N, n); 20 minutes in one for warm-up.
+    model : identified torque model of the arm that was logged.
+
+    Returns
+    -------
+    Fit of `models.TorqueModel`: the model with the parts that won, the same model when none did. Its torque covariance
+    and quality are still those of the model given. Parameters are the coefficients of the parts, in N m, with a
+    covariance from the scatter of whole blocks; parameters of warm-up stay with `fit_warm_up`.
+
+    Raises
+    ------
+    ShapeError : NaN rows, wrong joint count, velocity that is not the derivative of position.
+    NotExcited : too short, joints at rest.
+
+    References
+    ----------
+    Bagge Carlson, Robertsson and Johansson (IROS 2015; ACC 2017, LPV spectral estimation).
+    """
+    found = model_residuals(table, model)
+    data = found.data
+    if len(data.segments) == 1 and data.seconds >= MIN_SECONDS:
+        model = fit_warm_up(table, model).value
+        found = model_residuals(table, model)
+    block = data.blocks(min(block_seconds(found.y, 1.0 / data.rate), data.seconds / 20.0))
+    basis = rbf_centres(data.q, data.qd)
+    spread = [speed_basis(0.0, float(peak), SPEEDS) for peak in np.abs(data.qd).max(axis=0)]
+    lines, maps = {}, {}
+    every = max(1, len(data.t) // ROWS)
+    for i in range(model.n):
+        q, qd, s, y = (np.ascontiguousarray(x[::every, i]) for x in (data.q, data.qd, found.s, found.y))
+        rows = _Rows(q, qd, s, block[::every], data.rate)
+        highest = HIGHEST * float(model.ripple.cycles[i])
+        lowest = np.pi / float(basis.position_widths[i, 0])
+        cycles, part = _ripple(rows, y, (lowest, highest), *spread[i])
+        if len(cycles):
+            lines[i] = cycles, _named(part, f"ripple joint {i + 1}")
+            y = y - ripple_regressor(q, qd, s, cycles, *spread[i]) @ part.k
+        A = basis.functions(i, q, qd, s)
+        if held_out_error(A, y, rows.block, RIDGE) < (1.0 - GAIN) * held_out_error(A[:, :0], y, rows.block):
+            maps[i] = _named(_Part(*refit(A, y, rows.block, RIDGE), ()), f"map joint {i + 1}")
+    coefficients = np.zeros((model.n, 2, basis.positions.shape[1], basis.speeds.shape[1]))
+    for i, part in maps.items():
+        coefficients[i] = part.k.reshape(coefficients[i].shape)
+    extended = replace(
+        model,
+        lines=_lines(lines, spread) if lines else model.lines,
+        friction_map=FrictionMap(basis, coefficients) if maps else model.friction_map,
+    )
+    return _fit(table, extended, [part for _, part in lines.values()] + list(maps.values()), found)
+
+
+def _ripple(
+    rows: _Rows, y: np.ndarray, ends: tuple[float, float], speeds: np.ndarray, widths: np.ndarray
+) -> tuple[np.ndarray, _Part]:
+    """Return the lines of one joint that stay and their coefficients, from the rows on which all of them are slow."""
+    nothing = _Part(np.zeros(0), np.zeros((0, 0)), ())
+    cycles = ripple_lines(rows.q, rows.qd, y, rows.rate, ends[1], max(ends[0], 1.0))
+    if not len(cycles):
+        return cycles, nothing
+    slow = cycles.max() * np.abs(rows.qd) < 0.5 * np.pi * rows.rate
+    A = ripple_regressor(rows.q, rows.qd, rows.s, cycles, speeds, widths)[slow]
+    size = 4 * len(speeds)
+    kept = select_lines(A, y[slow], size, rows.block[slow])
+    if not kept.any():
+        return cycles[:0], nothing
+    return cycles[kept], _Part(*refit(A[:, np.repeat(kept, size)], y[slow], rows.block[slow]), ())
+
+
+def _named(part: _Part, name: str) -> _Part:
+    return replace(part, names=tuple(f"{name} [{k}]" for k in range(len(part.k))))
+
+
+def _lines(lines: dict[int, tuple[np.ndarray, _Part]], spread: Sequence[tuple[np.ndarray, np.ndarray]]) -> RippleLines:
+    return RippleLines(
+        joint=np.concatenate([np.full(len(cycles), i) for i, (cycles, _) in lines.items()]),
+        cycles=np.concatenate([cycles for cycles, _ in lines.values()]),
+        speeds=np.stack([speeds for speeds, _ in spread]),
+        widths=np.stack([widths for _, widths in spread]),
+        coefficients=np.concatenate([part.k.reshape(-1, 2, SPEEDS, 2) for _, part in lines.values()]),
+    )
+
+
+def _fit(table: Table | Sequence[Table], model: TorqueModel, parts: list[_Part], before: Residuals) -> Fit[TorqueModel]:
+    names = tuple(name for part in parts for name in part.names)
+    cov, at = np.zeros((len(names), len(names))), 0
+    for part in parts:
+        cov[at : at + len(part.k), at : at + len(part.k)] = part.cov
+        at += len(part.k)
+    residuals = model_residuals(table, model).y
+    started = np.std(before.y, axis=0)
+
+    def report(fit: Fit[TorqueModel]) -> str:
+        lines, part = fit.value.lines, fit.value.friction_map
+        rows = ["joint  residual before  after [N m]  ripple lines [cycles/rev]  over position"]
+        for i in range(fit.value.n):
+            cycles = [] if lines is None else [f"{c:.1f}" for c in lines.cycles[lines.joint == i]]
+            over = "yes" if part is not None and part.coefficients[i].any() else "-"
+            after = np.std(fit.residuals[:, i])
+            rows.append(f"{i + 1:5}  {started[i]:15.4f}  {after:11.4f}  {', '.join(cycles) or '-':>25}  {over:>13}")
+        return "\n".join(rows)
+
+    return Fit(
+        value=model,
+        names=names,
+        units=("N m",) * len(names),
+        parameters=np.concatenate([np.zeros(0), *(part.k for part in parts)]),
+        cov=cov,
+        sigma=np.std(residuals, axis=0),
+        residuals=residuals,
+        n=len(residuals),
+        excitation=Excitation(len(names), len(names), np.zeros(0), "speeds that the log has little of"),
+        summary=report,
+    )

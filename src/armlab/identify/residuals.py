@@ -1,0 +1,65 @@
+"""What an identified torque model leaves of a log: the ground that further parts of the drives are fitted on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, cast
+
+import numpy as np
+
+from armlab.identify.preparation import Prepared, prepare
+from armlab.kernels import presliding
+from armlab.log import Table
+from armlab.models import TorqueModel
+from armlab.robots import Robot
+
+__all__ = ["Residuals", "model_residuals"]
+
+
+class _Arm(NamedTuple):
+    """What the checks of a log need to know of the robot: a model file has that much."""
+
+    name: str
+    n: int
+    prismatic: np.ndarray
+    joint_names: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """Residuals of a model along logs.
+
+    Attributes
+    ----------
+    data : the record. y : (N, n) measured minus modelled torque [N m], unfiltered.
+    s : (N, n) the sign that friction goes by: presliding state, or the smooth sign.
+    """
+
+    data: Prepared
+    y: np.ndarray
+    s: np.ndarray
+
+
+def model_residuals(table: Table | Sequence[Table], model: TorqueModel) -> Residuals:
+    """Return measured minus modelled torque of every row; the acceleration is low-passed at a tenth of the rate.
+
+    Parameters
+    ----------
+    table : one log or several, of free motion, with columns q, qd, tau.
+    model : of the arm that was logged.
+
+    Raises
+    ------
+    ShapeError, NotExcited : logs that `prepare` refuses.
+    """
+    arm = _Arm(model.robot_name, model.n, model.prismatic, tuple(f"joint {i + 1}" for i in range(model.n)))
+    data = prepare(table, cast(Robot, arm))
+    qdd = data.filter(data.differentiate(data.qd), data.rate / 10.0)
+    y, s = np.empty_like(data.q), np.empty_like(data.q)
+    smooth = model.friction.smooth_speed
+    for a, b in data.segments:
+        y[a:b] = data.tau[a:b] - model.torque(data.q[a:b], data.qd[a:b], qdd[a:b], data.dt[a:b])
+        s[a:b] = presliding(data.q[a:b], model.friction.delta, model.friction.resolution)
+    s = np.where(smooth > 0, np.tanh(data.qd / np.where(smooth > 0, smooth, 1.0)), s)
+    return Residuals(data, y, s)

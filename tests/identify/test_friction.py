@@ -1,0 +1,84 @@
+"""Parts of the drives that win on held-out blocks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from armlab import identify
+from armlab.errors import NotExcited, ShapeError
+from armlab.identify import fit_friction
+from armlab.log import Table
+from armlab.models import FrictionMap, RippleLines, TorqueModel, load, save, speed_basis
+
+
+def log(model: TorqueModel, seconds: float, seed: int, noise: float = 0.05) -> Table:
+    """Slow free motion of all joints, torque from the model itself."""
+    t = np.arange(0, seconds, 0.004)
+    rng = np.random.default_rng(seed)
+    f = rng.uniform(0.25, 0.45, 7)
+    q = 0.9 * np.sin(f * t[:, None]) + 0.05 * np.sin(3.1 * f * t[:, None] + 1.0)
+    qd = np.gradient(q, t, axis=0)
+    tau = model.torque(q, qd, np.gradient(qd, t, axis=0))
+    return Table(t, {"q": q, "qd": qd, "tau": tau + noise * rng.standard_normal(q.shape)})
+
+
+@pytest.fixture(scope="module")
+def rippled(model: TorqueModel) -> TorqueModel:
+    """Joint 2 has a line of ripple at 100 cycles/rev, joint 4 friction over position."""
+    speeds, widths = speed_basis(0.0, 0.5)
+    k = np.zeros((1, 2, 8, 2))
+    k[0, 0, :, 0], k[0, 1, :, 1] = 0.3, 0.2  # another phase in the other direction
+    lines = RippleLines([1], [100.0], np.tile(speeds, (7, 1)), np.tile(widths, (7, 1)), k)
+    q = np.tile(np.linspace(-0.9, 0.9, 200)[:, None], (1, 7))
+    basis = identify.rbf_centres(q, np.full(q.shape, 0.3))
+    table = np.zeros((7, 2, 8, 5))
+    table[3, 0], table[3, 1] = 0.4 * np.sin(3 * basis.positions[3])[:, None], -0.2
+    return replace(model, lines=lines, friction_map=FrictionMap(basis, table))
+
+
+@pytest.mark.slow  # 15 s
+def test_what_is_there_is_found_and_nothing_else(tmp_path, model: TorqueModel, rippled: TorqueModel) -> None:
+    fit = fit_friction(log(rippled, 40, seed=0), model)
+    lines, part = fit.value.lines, fit.value.friction_map
+    assert lines is not None
+    assert part is not None
+    assert lines.joint.tolist() == [1]
+    assert lines.cycles[0] == pytest.approx(100.0, abs=0.2)
+    assert np.flatnonzero(part.coefficients.any(axis=(1, 2, 3))).tolist() == [3]
+    assert fit.value.warm_up is None
+    held_out = log(rippled, 30, seed=0, noise=0.0)
+    qdd = np.gradient(held_out["qd"], held_out.t, axis=0)
+    exact, before, after = (m.torque(held_out["q"], held_out["qd"], qdd) for m in (rippled, model, fit.value))
+    error = np.sqrt(np.mean((after - exact) ** 2, axis=0)) / np.maximum(
+        np.sqrt(np.mean((before - exact) ** 2, 0)), 1e-9
+    )
+    assert error[1] < 0.25
+    assert error[3] < 0.25
+    assert len(fit.names) == 32 + 80
+    assert "100." in fit.report()
+    again = load(save(fit.value, tmp_path / "model.toml"))
+    assert np.array_equal(again.torque(held_out["q"], held_out["qd"]), fit.value.torque(held_out["q"], held_out["qd"]))
+
+
+@pytest.mark.slow  # 8 s
+def test_noise_adds_nothing(model: TorqueModel) -> None:
+    fit = fit_friction(log(model, 20, seed=3), model)
+    assert fit.value.lines is None
+    assert fit.value.friction_map is None
+    assert fit.names == ()
+    np.testing.assert_allclose(fit.sigma, 0.05, rtol=0.05)
+
+
+def test_bad_logs_are_refused(model: TorqueModel) -> None:
+    table = log(model, 10, seed=1)
+    with pytest.raises(NotExcited, match="5 s"):
+        fit_friction(table.between(0.0, 3.0), model)
+    with pytest.raises(ShapeError, match="derivative of q"):
+        fit_friction(table.with_column("qd", -table["qd"]), model)
+    tau = np.array(table["tau"])
+    tau[7] = np.nan
+    with pytest.raises(ShapeError, match="first"):
+        fit_friction(table.with_column("tau", tau), model)
