@@ -33,8 +33,8 @@ from armlab.kernels._reference.lie import (
 from armlab.kernels._reference.lie_arguments import poses, rotations
 from armlab.kernels._reference.limits import limit_reference
 from armlab.kernels._reference.momentum import momentum_step
-from armlab.kernels._reference.path import follow_path
 from armlab.kernels._reference.nearest import so3_nearest
+from armlab.kernels._reference.path import follow_path
 from armlab.kernels._reference.signals import SignalOperator
 from armlab.kernels._reference.wrench import solve_wrench, wrench_interval
 
