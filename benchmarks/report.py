@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from blocks import Figure, Table
 
-SCALE = {"µs": 1e6, "ms": 1e3}
+SCALE = {"µs": 1e6, "ms": 1e3, "s": 1.0}
 SHARED = 0.1  # cores; above it the report warns
 
 METHOD = """\
