@@ -100,7 +100,7 @@ struct Request {
   Request(nb::handle T, int n, int task, nb::handle axis_, const Search &search, nb::handle reference_, nb::handle scale_,
           bool history, nb::handle threads)
       : goals(T), task(task_of(task)), axis(axis_, "axis"), search(search),
-        reference(reference_.is_none() ? zeros(n) : nb::borrow(reference_), "reference", goals, n),
+        reference(reference_.is_none() ? zeros(n) : nb::borrow(reference_), "posture", goals, n),
         scale(scale_.is_none() ? zeros(n) : nb::borrow(scale_), "scale"), history(history),
         threads(thread_count(threads)) {
     axis.require_exactly({3});

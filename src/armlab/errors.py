@@ -63,7 +63,8 @@ class UnknownName(ArmlabError, KeyError):
         names = sorted(known)
         close = get_close_matches(str(name), names, n=1)
         hint = f" Did you mean {close[0]!r}?" if close else ""
-        return cls(f"Expected the name of a {kind}, got {name!r}. Known: {', '.join(names) or 'none'}.{hint}")
+        article = "an" if kind[:1] in "aeiou" else "a"
+        return cls(f"Expected the name of {article} {kind}, got {name!r}. Known: {', '.join(names) or 'none'}.{hint}")
 
 
 class RobotError(ArmlabError, ValueError):

@@ -119,7 +119,7 @@ BOTH = pytest.mark.parametrize("module", [_native, _reference], ids=["native", "
         ({"task": 4}, "task of 6, 5, 3 or 2 rows, got 4"),
         ({"objective": 4}, "objective from 0 to 3, got 4"),
         ({"scale": np.zeros(3)}, r"scale of shape \(7,\), got \(3,\)"),
-        ({"reference": np.zeros((2, 7))}, r"reference of shape \(7,\) or one posture per goal"),
+        ({"reference": np.zeros((2, 7))}, r"Expected posture of shape \(7,\) or one posture per goal"),
         ({"q0": np.zeros(6)}, r"q0 of shape \(7,\) or one posture per goal of T_base_tool \(4, 4\), got \(6,\)"),
         ({"starts": 0}, "starts >= 1"),
         ({"axis": (0.0, 0.0, 0.0)}, "no length"),

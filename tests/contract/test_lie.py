@@ -110,6 +110,17 @@ def test_native_is_the_reference(case: dict[str, np.ndarray]) -> None:
         np.testing.assert_allclose(ours, wanted, rtol=0.0, atol=1e-12 * max(1.0, np.abs(wanted).max(initial=0.0)))
 
 
+@pytest.mark.parametrize("name", ["euler_to_rpy zyx", "euler_to_rpy xyz", "euler_to_rpy zyz"])
+def test_angles_of_half_turns_agree(name: str) -> None:
+    """Whatever the signs of zeros: a half turn is +π."""
+    signs = np.array([(-1.0, -1, 1), (-1, 1, -1), (1, -1, -1), (1, 1, 1)])
+    R = np.eye(3) * signs[:, None, None, :]
+    R = np.concatenate([R, np.where(R == 0, -0.0, R), np.where(R == 0, 0.0, R)]).reshape(-1, 3, 3)
+    ours, wanted = (function(module, name)(R) for module in (_native, _reference))
+    np.testing.assert_array_equal(ours, wanted)
+    assert (ours > -np.pi).all()
+
+
 @given(cases())
 @settings(max_examples=50, deadline=None)
 def test_logarithms_of_poses_agree(case: dict[str, np.ndarray]) -> None:

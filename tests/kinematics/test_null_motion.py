@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -131,6 +131,8 @@ def test_refusals() -> None:
         null_motion(robots.from_dh("planar", 0.0, [0.5, 0.4, 0.3], 0.0), np.ones(3) / 5)
     with pytest.raises(UnknownName, match=r"task, got 'speed'. Known: axis, pose, position"):
         null_motion(YUMI, q, task=unknown)
+    with pytest.raises(UnknownName, match=r"task, got \['pose'\]"):
+        null_motion(YUMI, q, task=cast(Any, ["pose"]))
     with pytest.raises(ShapeError, match=r"Expected q inside the limits of 'yumi_left', got 3 for joint 1"):
         null_motion(YUMI, [3.0, 0, 0, 0, 0, 0, 0])
     for bad in (np.zeros(6), np.zeros((2, 7)), np.full(7, np.nan)):
@@ -140,9 +142,9 @@ def test_refusals() -> None:
         null_motion(YUMI, q, direction=[1.0, 2.0])
     with pytest.raises(ShapeError, match="Expected the gradient that direction"):
         null_motion(YUMI, q, direction=lambda _: np.zeros(3))
-    for length, points in ((0.0, 5), (np.nan, 5), (1.0, 1)):
+    for length, points in ((0.0, 5), (np.nan, 5), (1.0, 1), (1.0, 2.5), ("1", 5), (1.0, "5")):
         with pytest.raises(ShapeError, match="positive length and at least 2 points"):
-            null_motion(YUMI, q, length=length, points=points)
+            null_motion(YUMI, q, length=cast(Any, length), points=cast(Any, points))
     with pytest.raises(SingularPoseError, match="a direction with a part along the self-motion"):
         null_motion(YUMI, q, direction=jacobian(YUMI, q)[0])
     stretched = robots.from_dh("planar", 0.0, [0.5, 0.4, 0.3, 0.2], 0.0)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from armlab import kernels, lie, robots
-from armlab.errors import NotConverged, ShapeError, UnknownName
+from armlab.errors import ConfigError, NotConverged, ShapeError, UnknownName
 from armlab.kinematics import (
     Path,
     forward,
@@ -289,11 +289,11 @@ def test_inputs_stay_and_results_are_frozen() -> None:
 
 def test_refusals() -> None:
     T, unknown = np.tile(np.eye(4), (3, 1, 1)), "speed"
-    with pytest.raises(UnknownName, match=r"inverse task, got 'speed'"):
+    with pytest.raises(UnknownName, match=r"task of inverse kinematics, got 'speed'"):
         inverse_path(IRB, T, task=unknown)  # type: ignore[arg-type]
-    with pytest.raises(UnknownName, match=r"inverse objective, got 'speed'. Known: limits, manipulability, mid_range"):
+    with pytest.raises(UnknownName, match=r"objective of inverse kinematics, got 'speed'. Known: limits, manipul"):
         inverse_path(IRB, T, objective=unknown)  # type: ignore[arg-type]
-    with pytest.raises(ShapeError, match=r"reference of shape \(6,\)"):
+    with pytest.raises(ShapeError, match=r"Expected posture of shape \(6,\)"):
         inverse_path(IRB, T, objective="posture", posture=np.zeros(7))
     for step in ([1.0, 2.0], -1.0, np.nan):
         with pytest.raises(ShapeError, match=r"Expected max_step to be a number of at least 0 or 6 of them"):
@@ -305,6 +305,9 @@ def test_refusals() -> None:
         inverse_path(IRB, np.concatenate([T[:2], 2 * T[2:]]))
     with pytest.raises(ShapeError, match=r"q0 of shape \(6,\)"):
         inverse_path(IRB, T, np.zeros(7))
+    for wrong in ({"tol": (1e-9,)}, {"maxiter": 1.5}, {"starts": 0}, {"damping": -1.0}):
+        with pytest.raises(ConfigError, match=f"Expected {next(iter(wrong))} to be"):
+            inverse_path(IRB, T, **wrong)
 
 
 @pytest.fixture

@@ -204,6 +204,10 @@ def test_project() -> None:
         (lambda: se3.adjoint(np.zeros((4, 4))), "Expected the rotation of T_a_b"),
         (lambda: se3.from_rp(np.eye(3), [1, 2]), "Expected p of shape"),
         (lambda: se3.from_rp(-np.eye(3)), "determinant = -1"),
+        (
+            lambda: se3.from_rp(np.tile(np.eye(3), (2, 1, 1)), np.ones((5, 3))),
+            r"leading axes that broadcast, got R of shape \(2, 3, 3\), p of shape \(5, 3\)\.",
+        ),
         (lambda: se3.vee(np.eye(4)), "Use log for a pose"),
         (lambda: se3.hat([[1, 2]]), "Expected xi of shape"),
         (lambda: se3.ad([1, 2]), "Expected xi of shape"),

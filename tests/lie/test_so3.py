@@ -261,6 +261,19 @@ def test_mean_of_a_symmetric_pair(method) -> None:
         (lambda: so3.xy_angle(np.eye(4), np.eye(3)), "Expected R_a of shape"),
         (lambda: so3.angle_about(np.eye(3), np.eye(3), np.zeros(3)), r"Expected an axis with a direction, got \[0\."),
         (lambda: so3.from_axis_angle([[1, 0, 0], [0, 0, 0]], 1.0), "Expected an axis with a direction"),
+        (
+            lambda: so3.from_axis_angle(np.ones((3, 3)), np.ones(4)),
+            r"leading axes that broadcast, got axis of shape \(3, 3\), angle of shape \(4,\)\.",
+        ),
+        (
+            lambda: so3.xy_angle(np.tile(np.eye(3), (2, 1, 1)), np.tile(np.eye(3), (5, 1, 1))),
+            r"leading axes that broadcast, got R_a of shape \(2, 3, 3\), R_b of shape \(5, 3, 3\)\.",
+        ),
+        (
+            lambda: so3.angle_about(np.eye(3), np.tile(np.eye(3), (2, 1, 1)), np.ones((5, 3))),
+            r"leading axes that broadcast, got R_a of shape \(3, 3\), R_b of .*, axis of shape \(5, 3\)\.",
+        ),
+        (lambda: so3.project(np.diag([np.inf, 1, 1])), "one nearest rotation, got one with an infinite entry"),
         (lambda: so3.to_axis_angle(np.zeros((3, 3))), "Expected R to be a rotation"),
         (lambda: so3.log(np.eye(4)), r"Expected R of shape \(\.\.\., 3, 3\), got \(4, 4\)\."),
         (lambda: so3.log(2 * np.eye(3)), r"Expected R to be a rotation within 1e-06, got max\|R\^T R - I\| = 3\."),

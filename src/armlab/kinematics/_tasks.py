@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab.errors import RobotError, UnknownName
+from armlab.errors import ConfigError, RobotError, UnknownName
 from armlab.robots import Robot
 
-__all__ = ["ROWS", "Objective", "Task", "check", "kernel_objective"]
+__all__ = ["ROWS", "Objective", "Task", "check", "check_search", "kernel_objective"]
 
 Task = Literal["pose", "position", "axis", "direction"]
 Objective = Literal["posture", "mid_range", "limits", "manipulability"]
 ROWS = dict(zip(get_args(Task), (6, 3, 5, 2)))
 _KINDS = dict(zip(get_args(Objective), (1, 1, 2, 3)))
+_INTEGER, _NUMBER = (int, np.integer), (int, float, np.integer, np.floating)
 
 
 def check(robot: object, task: str, objective: str | None) -> None:
@@ -29,11 +30,30 @@ def check(robot: object, task: str, objective: str | None) -> None:
         When something else comes in place of a robot.
     """
     if task not in tuple(ROWS):  # what has no hash is unknown too
-        raise UnknownName.among("inverse task", task, ROWS)
+        raise UnknownName.among("task of inverse kinematics", task, ROWS)
     if objective is not None and objective not in tuple(_KINDS):
-        raise UnknownName.among("inverse objective", objective, _KINDS)
+        raise UnknownName.among("objective of inverse kinematics", objective, _KINDS)
     if not isinstance(robot, Robot):
         raise RobotError.no_robot(robot)
+
+
+def check_search(tol: Any, maxiter: Any, starts: Any, damping: Any) -> tuple[float, float]:
+    """Return the tolerances of position and rotation; refuse numbers that make no sense.
+
+    Raises
+    ------
+    ConfigError
+        When one is of another kind or out of its range.
+    """
+    for name, value, least in (("maxiter", maxiter, 0), ("starts", starts, 1)):
+        if not isinstance(value, _INTEGER) or not least <= value < 2**31:
+            raise ConfigError(f"Expected {name} to be an integer of at least {least}, got {value!r}.")
+    if not isinstance(damping, _NUMBER) or not damping > 0:
+        raise ConfigError(f"Expected damping to be a number above 0, got {damping!r}.")
+    pair = tol if isinstance(tol, tuple) else (tol, tol)
+    if len(pair) != 2 or not all(isinstance(value, _NUMBER) and value >= 0 for value in pair):
+        raise ConfigError(f"Expected tol to be a number of at least 0, or (position, rotation), got {tol!r}.")
+    return pair
 
 
 def kernel_objective(

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from armlab.errors import ConfigError, NotConverged
 from armlab.kinematics._inverse_result import Inverse, freeze
-from armlab.kinematics._tasks import ROWS, Objective, Task, check, kernel_objective
+from armlab.kinematics._tasks import ROWS, Objective, Task, check, check_search, kernel_objective
 from armlab.robots import Robot
 
 __all__ = ["Inverse", "inverse"]
@@ -77,7 +77,7 @@ def inverse(
     RobotError
         When something else comes in place of a robot, such as its name.
     ConfigError
-        When a number is out of its range.
+        When `tol`, `maxiter`, `starts`, `damping`, `seed` or `threads` is out of its range.
     NotConverged
         With `strict`, when a goal is not solved; `best` is the `Inverse`.
 
@@ -87,7 +87,7 @@ def inverse(
     method, IEEE Transactions on Robotics 27(5), 2011.
     """
     check(robot, task, objective)
-    position_tolerance, rotation_tolerance = tol if isinstance(tol, tuple) else (tol, tol)
+    position_tolerance, rotation_tolerance = check_search(tol, maxiter, starts, damping)
     solver = robot.inverse_solver
     if seed:
         from armlab.kernels import InverseSolver
@@ -105,7 +105,7 @@ def inverse(
             rotation_tolerance,
             damping,
             *kernel_objective(robot, objective, posture if posture is not None else q0),
-            history,
+            bool(history),
             threads,
         )
     )

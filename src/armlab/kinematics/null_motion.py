@@ -251,7 +251,7 @@ def _vector(robot: Robot, value: object, name: str) -> np.ndarray:
 
 
 def _checked(robot: Robot, q: ArrayLike, length: float, points: int, task: str) -> np.ndarray:
-    if task not in _ROWS:
+    if task not in tuple(_ROWS):  # what has no hash is unknown too
         raise UnknownName.among("task", task, _ROWS)
     if not isinstance(robot, Robot):
         raise RobotError.no_robot(robot)
@@ -264,6 +264,7 @@ def _checked(robot: Robot, q: ArrayLike, length: float, points: int, task: str) 
             f"({robot.joint_names[k]}), limits {robot.q_min[k]:.6g} to {robot.q_max[k]:.6g}. Start from a posture that "
             "the robot can have."
         )
-    if not (0 < length < np.inf and points >= 2):
-        raise ShapeError(f"Expected a positive length and at least 2 points, got {length} and {points}.")
+    lengths, counts = (int, float, np.integer, np.floating), (int, np.integer)
+    if not (isinstance(length, lengths) and 0 < length < np.inf and isinstance(points, counts) and points >= 2):
+        raise ShapeError(f"Expected a positive length and at least 2 points, got {length!r} and {points!r}.")
     return start

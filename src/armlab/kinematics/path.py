@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from armlab.errors import NotConverged, ShapeError
 from armlab.kinematics._detours import Rows, with_detours
 from armlab.kinematics._inverse_result import REASONS
-from armlab.kinematics._tasks import ROWS, Objective, Task, check, kernel_objective
+from armlab.kinematics._tasks import ROWS, Objective, Task, check, check_search, kernel_objective
 from armlab.robots import Robot
 
 __all__ = ["Path", "inverse_path"]
@@ -123,13 +123,15 @@ def inverse_path(
         When there is no such task or objective.
     RobotError
         When something else comes in place of a robot, such as its name.
+    ConfigError
+        When `tol`, `maxiter`, `starts` or `damping` is out of its range.
     NotConverged
         With `strict`, when the path breaks; `best` is the `Path`.
     """
     from armlab.kernels import follow_path
 
     check(robot, task, objective)
-    position_tolerance, rotation_tolerance = tol if isinstance(tol, tuple) else (tol, tol)
+    position_tolerance, rotation_tolerance = check_search(tol, maxiter, starts, damping)
     settings: dict[str, Any] = {
         "task": ROWS[task],
         "axis": axis,

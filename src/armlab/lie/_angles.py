@@ -46,6 +46,7 @@ def xy_angle(R_a: ArrayLike, R_b: ArrayLike) -> np.ndarray:
     ShapeError : when one is not a rotation within `ROTATION_TOLERANCE`.
     """
     R_a, R_b = kernels.rotations(R_a, "R_a"), kernels.rotations(R_b, "R_b")
+    _check.broadcasts(R_a=(R_a, 2), R_b=(R_b, 2))
     x = (np.swapaxes(R_a, -1, -2) @ R_b[..., :1])[..., 0]
     return _turn(x[..., 1], x[..., 0])
 
@@ -69,9 +70,10 @@ def angle_about(R_a: ArrayLike, R_b: ArrayLike, axis: ArrayLike) -> np.ndarray:
     ------
     ShapeError : when one is not a rotation within `ROTATION_TOLERANCE`, or the axis has length 0.
     """
-    R_a, R_b = kernels.rotations(R_a, "R_a"), kernels.rotations(R_b, "R_b")
+    R_a, R_b, axis = kernels.rotations(R_a, "R_a"), kernels.rotations(R_b, "R_b"), _direction(axis)
+    _check.broadcasts(R_a=(R_a, 2), R_b=(R_b, 2), axis=(axis, 1))
     q = kernels.quaternion_from_matrix(np.swapaxes(R_a, -1, -2) @ R_b)
-    half = _turn((q[..., 1:] * _direction(axis)).sum(axis=-1), q[..., 0])
+    half = _turn((q[..., 1:] * axis).sum(axis=-1), q[..., 0])
     turn = 2 * half
     return np.where(turn <= -np.pi, np.pi, turn)[()]
 
@@ -90,9 +92,11 @@ def from_axis_angle(axis: ArrayLike, angle: ArrayLike) -> np.ndarray:
 
     Raises
     ------
-    ShapeError : when the axis has length 0.
+    ShapeError : when the axis has length 0, or leading axes do not broadcast.
     """
-    return kernels.so3_exp(_direction(axis) * _check.array(angle, (), "angle")[..., None])
+    axis, angle = _direction(axis), _check.array(angle, (), "angle")
+    _check.broadcasts(axis=(axis, 1), angle=(angle, 0))
+    return kernels.so3_exp(axis * angle[..., None])
 
 
 def to_axis_angle(R: ArrayLike) -> tuple[np.ndarray, np.ndarray]:

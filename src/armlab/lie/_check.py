@@ -26,6 +26,15 @@ def array(value: ArrayLike, tail: tuple[int, ...], name: str) -> np.ndarray:
     return result.astype(np.float64, copy=False)
 
 
+def broadcasts(**arguments: tuple[np.ndarray, int]) -> None:
+    """Refuse arguments, told with the number of axes of one element, whose leading axes do not broadcast."""
+    try:
+        np.broadcast_shapes(*(value.shape[: value.ndim - axes] for value, axes in arguments.values()))
+    except ValueError:
+        got = ", ".join(f"{name} of shape {value.shape}" for name, (value, _) in arguments.items())
+        raise ShapeError(f"Expected leading axes that broadcast, got {got}.") from None
+
+
 def last_row(T: np.ndarray, name: str) -> None:
     """Refuse a last row other than (0, 0, 0, 1)."""
     off = np.abs(T[..., 3, :] - (0.0, 0.0, 0.0, 1.0)).max(axis=-1)

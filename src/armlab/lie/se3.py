@@ -50,9 +50,11 @@ def from_rp(R: ArrayLike, p: ArrayLike = (0.0, 0.0, 0.0)) -> np.ndarray:
 
     Raises
     ------
-    ShapeError : when R is not a rotation within `so3.ROTATION_TOLERANCE`.
+    ShapeError : when R is not a rotation within `so3.ROTATION_TOLERANCE`, or leading axes do not broadcast.
     """
-    return assemble(kernels.rotations(R, "R"), _check.array(p, (3,), "p"))
+    R, p = kernels.rotations(R, "R"), _check.array(p, (3,), "p")
+    _check.broadcasts(R=(R, 2), p=(p, 1))
+    return assemble(R, p)
 
 
 def hat(xi: ArrayLike) -> np.ndarray:

@@ -169,7 +169,7 @@ def project(M: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
 
     Raises
     ------
-    ShapeError : when no rotation is nearest (rank below 2 or a reflection of equal axes).
+    ShapeError : when no rotation is nearest (rank below 2, a reflection of equal axes, an infinite entry).
     """
     M = _check.array(M, (3, 3), "M")
     R, sigma = kernels.so3_nearest(M)
@@ -178,6 +178,8 @@ def project(M: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         raise ShapeError(
             f"Expected matrices with one nearest rotation, got singular values {abs(sigma[ambiguous][0])}."
         )
+    if (np.isinf(M).any(axis=(-1, -2)) & ~np.isnan(M).any(axis=(-1, -2))).any():
+        raise ShapeError("Expected matrices with one nearest rotation, got one with an infinite entry.")
     return R, np.linalg.norm(R - M, axis=(-1, -2))
 
 

@@ -32,11 +32,16 @@ def euler_to_rpy(R: Any, first: int, middle: int, last: int, out: Any = None) ->
     proper = last == i
     sine, cosine = (R[..., j, i], -e * R[..., k, i]) if proper else (-e * R[..., j, k], R[..., k, k])
     length = np.hypot(sine, cosine)
-    r = np.where(length < LOCK, 0.0, np.arctan2(sine, cosine))
-    p = np.arctan2(length, R[..., i, i]) if proper else np.arctan2(e * R[..., i, k], length)
+    r = np.where(length < LOCK, 0.0, _angle(sine, cosine))
+    p = _angle(length, R[..., i, i]) if proper else _angle(e * R[..., i, k], length)
     row = np.cos(r)[..., None] * R[..., j, :] + e * np.sin(r)[..., None] * R[..., k, :]  # lock does not touch it
-    y = np.arctan2(-e * row[..., k] if proper else e * row[..., i], row[..., j])
+    y = _angle(-e * row[..., k] if proper else e * row[..., i], row[..., j])
     return result(np.stack([r, p, y], axis=-1), out)
+
+
+def _angle(y: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """atan2, whatever the signs of zeros: a half turn is +π, and (0, 0) has the angle 0."""
+    return np.arctan2(y + 0.0, x + 0.0)
 
 
 def _turn(angle: np.ndarray, axis: int) -> np.ndarray:

@@ -158,7 +158,7 @@ class InverseSolver:
         batch, n = goals.shape[:-2], self._chain.n
         starts = None if q0 is None else read_vectors(q0, "q0", goals, n)
         reference, scale = (np.zeros(n) if vector is None else vector for vector in wanted)
-        references, scales = read_vectors(reference, "reference", goals, n), read(scale, "scale", (n,), exact=True)
+        references, scales = read_vectors(reference, "posture", goals, n), read(scale, "scale", (n,), exact=True)
         check_threads(threads)
         direction = read_task(task, axis)
         q, errors, counts = np.empty((*batch, n)), np.empty((*batch, 3)), np.empty((*batch, 3), dtype=np.int64)

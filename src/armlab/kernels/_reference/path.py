@@ -58,7 +58,7 @@ def follow_path(
     goals = read_goals(T_base_tool)
     n = solver._chain.n
     reference, scale = (np.zeros(n) if vector is None else vector for vector in (reference, scale))
-    references, scales = read_vectors(reference, "reference", goals, n), read(scale, "scale", (n,), exact=True)
+    references, scales = read_vectors(reference, "posture", goals, n), read(scale, "scale", (n,), exact=True)
     direction = read_task(task, axis)
     if goals.ndim != 3:
         raise ShapeError(f"Expected T_base_tool of shape (N, 4, 4), one pose after the other, got {goals.shape}.")
