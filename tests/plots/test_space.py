@@ -65,6 +65,36 @@ def test_a_frame_has_three_lettered_arrows_in_their_colours() -> None:
     ax.figure.canvas.draw()
 
 
+@pytest.mark.parametrize("sides", [(1.0, 1, 1), (1.0, 0, 0), (0.0, 0, 1), (1.0, 1, 0)])
+def test_names_of_axes_stay_clear_of_their_numbers(sides: tuple[float, float, float]) -> None:
+    """Of a flat or a tall box too."""
+    figure, ax = space()
+    ax.plot(*np.stack([np.zeros(3), sides], axis=1))
+    equal_scale(ax)
+    figure.canvas.draw()
+    for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
+        name = axis.label.get_window_extent()
+        assert figure.bbox.contains(name.x0, name.y0)
+        assert figure.bbox.contains(name.x1, name.y1)
+        for tick in axis.get_major_ticks():
+            low, high = axis.get_view_interval()
+            if low <= tick.get_loc() <= high:
+                number = tick.label1.get_window_extent()
+                assert not name.contains((number.x0 + number.x1) / 2, (number.y0 + number.y1) / 2)
+
+
+def test_a_name_is_inside_the_axes() -> None:
+    """Alone in the scene, a frame has its name beside it, not beyond the edge of the paper."""
+    figure, ax = space()
+    frame(ax, np.eye(4), 0.15, "alone")
+    assert extent(ax)[0] == pytest.approx([-0.045, -0.045, 0])
+    equal_scale(ax)
+    figure.canvas.draw()
+    place = ax.texts[-1].get_window_extent()
+    assert figure.bbox.contains(place.x0, place.y0)
+    assert figure.bbox.contains(place.x1, place.y1)
+
+
 def test_words_stay_above_solids() -> None:
     _, ax = space()
     word(ax, np.zeros(3), "here")

@@ -29,12 +29,25 @@ def test_a_planar_arm_reaches_its_ring() -> None:
     assert np.array_equal(top, solid[:, :2])
     assert np.array_equal(side, solid[:, [0, 2]])
     assert np.abs(solid[:, 2]).max() < 1e-15
-    assert (
-        figure.axes[0].get_title(loc="left") == f"planar: tool {reach.min():.2f} to {reach.max():.2f} m from the mount"
-    )
+    title = figure.axes[0].get_title(loc="left")
+    assert title == f"planar\ntool {reach.min():.2f} to {reach.max():.2f} m from the mount"
     assert figure.axes[1].get_title(loc="left") == "4000 random postures"
     assert [ax.get_xlabel() + ax.get_ylabel() for ax in figure.axes] == ["x [m]z [m]", "x [m]y [m]", "x [m]y [m]"]
     assert np.array_equal(figure.axes[1].lines[1].get_xydata(), stick(arm, arm.q_home)[:, :2])
+
+
+@pytest.mark.parametrize("name", ["yumi_right", "irb7600_150_350", "dh_test"])
+def test_nothing_is_cut_off(name: str) -> None:
+    figure = workspace(robots.load(name), points=200)
+    figure.canvas.draw()
+    side, top, solid = figure.axes
+    assert side.bbox.height == pytest.approx(top.bbox.height)
+    labels = [axis.label for axis in (solid.xaxis, solid.yaxis, solid.zaxis)]
+    for text in [*labels, side.title, side._left_title, top._left_title]:
+        box = text.get_window_extent()
+        assert figure.bbox.contains(box.x0, box.y0)
+        assert figure.bbox.contains(box.x1, box.y1)
+    assert side._left_title.get_window_extent().x1 < top._left_title.get_window_extent().x0
 
 
 def test_a_seed_gives_one_cloud() -> None:

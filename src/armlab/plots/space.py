@@ -25,6 +25,8 @@ AWAY, AHEAD = (-0.3, -0.3, 0.0), (0.0, 0.0, 1.45)
 _SOLID, _ARROW, _WORD = 5, 6, 7  # order of drawing; lines have 2
 _FLATTEST = 0.3  # smallest side of the box over its largest: a planar robot still has a box
 _HALF_SIDE = 0.0925  # of the axes on paper, in the units of matplotlib
+_LABELS, _OFFSET = (20.0, 20.0, 24.0), 21.0  # distances of the names of axes in a cube; matplotlib's own
+_ACROSS = ((0.0, 0.3, 0.7), (0.4, 0.0, 0.6), (0.6, 0.4, 0.0))  # parts of the sides in them, as `PROJECTION` sees them
 
 
 def space(ax: Any = None, *, width: float = 6.4, height: float = 5.4) -> tuple[Figure, Axes3D]:
@@ -52,7 +54,6 @@ def space(ax: Any = None, *, width: float = 6.4, height: float = 5.4) -> tuple[F
         axis.set_pane_color((1.0, 1.0, 1.0, 0.0))
         axis.line.set_color(GREY)
         axis.set_label_text(f"{letter} [m]")
-        axis.labelpad = 3.0 if letter == "z" else -1.0
         axis.set_tick_params(pad=1.0 if letter == "z" else -1.0)
     return ax.figure, ax
 
@@ -64,13 +65,14 @@ def extent(ax: Axes3D) -> np.ndarray:
     return np.stack([*ax.xy_dataLim.get_points().T, ax.zz_dataLim.get_points()[:, 0]], axis=-1)
 
 
-def equal_scale(ax: Axes3D, part: float = 0.84) -> None:
+def equal_scale(ax: Axes3D, part: float = 0.84, ticks: int = 7) -> None:
     """Give the three axes one scale and room for everything drawn so far.
 
     Parameters
     ----------
     ax : axes with something in them.
     part : of the panel that the box fills; the rest is for labels.
+    ticks : most intervals along the longest side.
     """
     from matplotlib.ticker import MaxNLocator, MultipleLocator
     from mpl_toolkits.mplot3d.proj3d import proj_transform
@@ -81,10 +83,12 @@ def equal_scale(ax: Axes3D, part: float = 0.84) -> None:
     largest = max(float((high - low).max()), 1e-6)
     span = np.maximum(high - low, _FLATTEST * largest) + 0.04 * largest
     middle = (low + high) / 2
-    step = float(np.diff(MaxNLocator(7, steps=[1, 2, 5, 10]).tick_values(0.0, float(span.max())))[0])
-    for letter, centre, side in zip("xyz", middle, span, strict=True):
-        ax.set(**{f"{letter}lim": (centre - side / 2, centre + side / 2)})
-        getattr(ax, f"{letter}axis").set_major_locator(MultipleLocator(step))
+    step = float(np.diff(MaxNLocator(ticks, steps=[1, 2, 5, 10]).tick_values(0.0, float(span.max())))[0])
+    for i, letter in enumerate("xyz"):
+        axis: Any = getattr(ax, f"{letter}axis")
+        ax.set(**{f"{letter}lim": (middle[i] - span[i] / 2, middle[i] + span[i] / 2)})
+        axis.set_major_locator(MultipleLocator(step))
+        axis.labelpad = _LABELS[i] / (np.dot(_ACROSS[i], span) / span.max()) - _OFFSET
     ax.set_box_aspect(tuple(span))
     corners = middle + span / 2 * np.array(list(product((-1, 1), repeat=3)))
     x, y, _ = proj_transform(corners[:, 0], corners[:, 1], corners[:, 2], ax.get_proj())
@@ -127,6 +131,7 @@ def word(ax: Axes3D, place: np.ndarray, text: str, **style: Any) -> None:
     rim = [withStroke(linewidth=2.0, foreground="white")]
     defaults = {"fontsize": 8.5, "ha": "center", "va": "center", "zorder": _WORD, "path_effects": rim}
     x, y, z = place
+    _include(ax, np.asarray(place, dtype=float)[None])
     ax.text(x, y, z, text, **{**defaults, **style})
 
 

@@ -37,7 +37,7 @@ def workspace(robot: Robot, *, points: int = 20_000, seed: int = 0, ax: Any = No
 
     Returns
     -------
-    The Figure; its first title holds the smallest and the largest distance of the tool from the mount.
+    The Figure; its first title holds the name, and the smallest and largest distance of the tool from the mount.
 
     Raises
     ------
@@ -52,12 +52,13 @@ def workspace(robot: Robot, *, points: int = 20_000, seed: int = 0, ax: Any = No
         for panel, (i, j) in ((side, (0, 2)), (top, (0, 1))):
             panel.plot(p[:, i], p[:, j], ".", markersize=0.8, color=_CLOUD, alpha=0.35, rasterized=True, gid="cloud")
             panel.plot(arm[:, i], arm[:, j], color="black", linewidth=2.0, solid_joinstyle="round", gid="arm")
-            panel.set(xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]", aspect="equal")
-        side.set_title(f"{robot.name}: tool {reach.min():.2f} to {reach.max():.2f} m from the mount")
+            panel.set(xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]")
+            panel.set_aspect("equal", adjustable="datalim")  # panels of one height
+        side.set_title(f"{robot.name}\ntool {reach.min():.2f} to {reach.max():.2f} m from the mount")
         top.set_title(f"{points} random postures")
         solid.scatter(*p.T, s=0.6, color=_CLOUD, alpha=0.25, depthshade=False, rasterized=True, gid="cloud")
         solid.plot(*arm.T, color="black", linewidth=2.0, gid="arm")
-        space.equal_scale(solid, 0.8)
+        space.equal_scale(solid, ticks=4)
     return figure
 
 
@@ -85,8 +86,9 @@ def _panels(ax: Any) -> tuple[Figure, tuple[Axes, Axes, Any]]:
         return figure, (given[0], given[1], solid)
     import matplotlib.pyplot as plt
 
-    figure = plt.figure(figsize=(10.5, 3.7))
-    grid = figure.add_gridspec(1, 3, width_ratios=(1, 1, 1.45))
+    figure = plt.figure(figsize=(11.0, 4.0))
+    grid = figure.add_gridspec(1, 3, width_ratios=(1, 1, 1.5))
     side, top = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
     _, solid = space.space(figure.add_subplot(grid[2], **space.PROJECTION))
+    solid.set_anchor("W")  # it is square in a wide panel: room for the label of z at the right
     return figure, (side, top, solid)
