@@ -311,7 +311,7 @@ def spoilt(entry: tuple[int, ...], value: float) -> np.ndarray:
         (
             {"objective": "speed"},
             UnknownName,
-            r"objective of inverse kinematics, got 'speed'\. Known: limits, manipulability, mid_range",
+            r"an objective of inverse kinematics, got 'speed'\. Known: limits, manipulability, mid_range",
         ),
     ],
 )

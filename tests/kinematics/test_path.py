@@ -291,7 +291,7 @@ def test_refusals() -> None:
     T, unknown = np.tile(np.eye(4), (3, 1, 1)), "speed"
     with pytest.raises(UnknownName, match=r"task of inverse kinematics, got 'speed'"):
         inverse_path(IRB, T, task=unknown)  # type: ignore[arg-type]
-    with pytest.raises(UnknownName, match=r"objective of inverse kinematics, got 'speed'. Known: limits, manipul"):
+    with pytest.raises(UnknownName, match=r"an objective of inverse kinematics, got 'speed'. Known: limits"):
         inverse_path(IRB, T, objective=unknown)  # type: ignore[arg-type]
     with pytest.raises(ShapeError, match=r"Expected posture of shape \(6,\)"):
         inverse_path(IRB, T, objective="posture", posture=np.zeros(7))
