@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from armlab import kinematics, robots
-from armlab.errors import ShapeError
+from armlab.errors import RobotError, ShapeError
 from armlab.lie import se3
 from armlab.plots.arms import arm_length, configurations, robot, stick
 from armlab.plots.style import JOINT_STYLES
@@ -173,3 +173,7 @@ def test_missing_numbers_and_flat_axes_are_refused() -> None:
         robot(arm, [[0, 0, 0, 0, 0, 0], [0, 0, np.nan, 0, 0, 0]])
     with pytest.raises(ShapeError, match="3d"):
         robot(arm, ax=plt.figure().add_subplot())
+    with pytest.raises(ShapeError, match="q to be real numbers, got 'home'"):
+        robot(arm, "home")  # type: ignore[arg-type]
+    with pytest.raises(RobotError, match=r"Load it first: robots.load\('irb2400'\)"):
+        robot("irb2400")  # type: ignore[arg-type]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from armlab import kinematics, robots
-from armlab.errors import ShapeError, UnknownName
+from armlab.errors import RobotError, ShapeError, UnknownName
 from armlab.plots.ellipsoids import manipulability
 
 
@@ -56,3 +56,5 @@ def test_bad_input() -> None:
         manipulability(arm, part="force")  # type: ignore[arg-type]
     with pytest.raises(ShapeError, match="Expected q"):
         manipulability(arm, np.zeros(7))
+    with pytest.raises(RobotError, match="Load it first"):
+        manipulability("irb2400")  # type: ignore[arg-type]

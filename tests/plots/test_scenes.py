@@ -67,7 +67,10 @@ def test_together_with_an_arm() -> None:
         (np.zeros((5, 4, 4)), "row 0 whose rotation"),
         (np.zeros((5, 3, 3)), r"\(N, 4, 4\)"),
         ({"cam": 2 * np.eye(4)}, "poses in 'cam'"),
-        ({"cam": np.eye(3)}, "'cam'"),
+        ({"cam": np.eye(3)}, r"the pose of 'cam' of shape \(4, 4\), got \(3, 3\)"),
+        ({"cam": "here"}, "the pose of 'cam' to be real numbers, got 'here'"),
+        ("path", "what is drawn to be real numbers, got 'path'"),
+        ([[1, 2, 3], [1, 2]], "what is drawn to be real numbers"),
     ],
 )
 def test_what_cannot_be_drawn_is_refused(item, words: str) -> None:

@@ -62,5 +62,7 @@ def test_bad_input() -> None:
         poses(T, t[:-1])
     with pytest.raises(ShapeError, match="finite time"):
         poses(T, np.where(t == t[3], np.nan, t))
+    with pytest.raises(ShapeError, match="t to be real numbers"):
+        poses(T, ["now"] * len(T))
     with pytest.raises(ShapeError, match="Expected 2 Axes"):
         poses(T, t, ax=plt.figure().add_subplot())

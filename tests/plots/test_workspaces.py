@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.errors import RobotError, ShapeError
+from armlab.errors import ConfigError, RobotError, ShapeError
 from armlab.plots.arms import stick
 from armlab.plots.workspaces import workspace
 
@@ -73,5 +73,10 @@ def test_axes_and_points_are_checked() -> None:
         workspace(arm, points=5, ax=axes[0])
     with pytest.raises(ShapeError, match="3d"):
         workspace(arm, points=5, ax=axes[::-1])
-    with pytest.raises(ShapeError, match="points=0"):
-        workspace(arm, points=0)
+    for points in (0, 1.5):
+        with pytest.raises(ShapeError, match=f"points={points}"):
+            workspace(arm, points=points)  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match="seed to be an integer of at least 0, got -1"):
+        workspace(arm, points=5, seed=-1)
+    with pytest.raises(RobotError, match="Load it first"):
+        workspace("irb2400", points=5)  # type: ignore[arg-type]

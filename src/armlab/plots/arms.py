@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from armlab.errors import ShapeError
 from armlab.kinematics import forward, link_transforms
-from armlab.plots import space
+from armlab.plots import _check, space
 from armlab.plots.style import GREY, JOINT_STYLES, legend, look
 from armlab.robots import Robot
 
@@ -50,6 +50,7 @@ def robot(
     ------
     ShapeError : q does not have n numbers per configuration, has none, or one is not finite; `ax` is not
         three-dimensional.
+    RobotError : something else came in place of a robot, such as its name.
     """
     q = configurations(robot, q)
     with look():
@@ -73,8 +74,10 @@ def configurations(robot: Robot, q: ArrayLike | None) -> np.ndarray:
     Raises
     ------
     ShapeError : the shape is neither (n,) nor (N, n), or a number is not finite.
+    RobotError : something else came in place of a robot, such as its name.
     """
-    q = np.array(robot.q_home if q is None else q, dtype=np.float64)
+    robot = _check.arm(robot)
+    q = robot.q_home if q is None else _check.numbers(q, "q")
     if q.ndim not in (1, 2) or q.shape[-1] != robot.n or not q.size:
         raise ShapeError(f"Expected q of shape ({robot.n},) or (N, {robot.n}) to draw {robot.name}, got {q.shape}.")
     q = np.atleast_2d(q)

@@ -47,7 +47,7 @@ def manipulability(
     Raises
     ------
     UnknownName : another `part`.
-    ShapeError : as in `robot`.
+    ShapeError, RobotError : as in `robot`.
     """
     q = configurations(robot, q)
     q = q[np.unique(np.linspace(0, len(q) - 1, min(_MOST, len(q))).astype(int))]

@@ -9,7 +9,7 @@ import numpy as np
 
 from armlab.errors import ShapeError
 from armlab.lie import se3
-from armlab.plots import space
+from armlab.plots import _check, space
 from armlab.plots.style import JOINT_STYLES, look
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ def pose_stack(T: Any, name: str = "T") -> np.ndarray:
     ------
     ShapeError : another shape, or a matrix that is no pose.
     """
-    T = np.asarray(T, dtype=np.float64)
+    T = _check.numbers(T, f"poses {name}")
     if T.ndim != 3 or T.shape[1:] != (4, 4):
         raise ShapeError(f"Expected poses {name} of shape (N, 4, 4), got {T.shape}.")
     wrong = np.flatnonzero(~(se3.is_pose(T) | np.isnan(T).any(axis=(1, 2))))
@@ -84,14 +84,21 @@ def pose_stack(T: Any, name: str = "T") -> np.ndarray:
 def _checked(item: Any) -> dict[str, np.ndarray] | np.ndarray:
     """Return named frames, poses (N, 4, 4) or points (N, 3)."""
     if isinstance(item, Mapping):
-        return {str(name): pose_stack([T], repr(name))[0] for name, T in item.items()}
-    array = np.asarray(item, dtype=np.float64)
+        return {str(name): _named(T, name) for name, T in item.items()}
+    array = _check.numbers(item, "what is drawn")
     if array.ndim == 3:
         return pose_stack(array)
     if array.ndim == 2 and array.shape[1] == 3:
         return array
     hint = " Transpose it." if array.ndim == 2 and array.shape[0] == 3 else ""
     raise ShapeError(f"Expected {{name: pose}}, poses (N, 4, 4) or points (N, 3) to draw, got {array.shape}.{hint}")
+
+
+def _named(T: Any, name: Any) -> np.ndarray:
+    T = _check.numbers(T, f"the pose of {name!r}")
+    if T.shape != (4, 4):
+        raise ShapeError(f"Expected the pose of {name!r} of shape (4, 4), got {T.shape}.")
+    return pose_stack(T[None], repr(name))[0]
 
 
 def _path(ax: Axes3D, T: np.ndarray, frames: float, color: str) -> None:

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from armlab.errors import RobotError, ShapeError
+from armlab.errors import ConfigError, RobotError, ShapeError
 from armlab.kinematics import forward
-from armlab.plots import space
+from armlab.plots import _check, space
 from armlab.plots.arms import stick
 from armlab.plots.style import JOINT_STYLES, look
 from armlab.robots import Robot
@@ -41,9 +41,11 @@ def workspace(robot: Robot, *, points: int = 20_000, seed: int = 0, ax: Any = No
 
     Raises
     ------
-    RobotError : a prismatic joint has no limits.
-    ShapeError : `points` is below 1, or `ax` are not three Axes.
+    RobotError : a prismatic joint has no limits, or something else came in place of a robot, such as its name.
+    ShapeError : `points` is no integer of at least 1, or `ax` are not three Axes.
+    ConfigError : `seed` is no integer of at least 0.
     """
+    robot = _check.arm(robot)
     p = _sample(robot, points, seed)
     reach = np.linalg.norm(p - robot.T_base_mount[:3, 3], axis=1)
     arm = stick(robot, robot.q_home)
@@ -64,8 +66,10 @@ def workspace(robot: Robot, *, points: int = 20_000, seed: int = 0, ax: Any = No
 
 def _sample(robot: Robot, points: int, seed: int) -> np.ndarray:
     """Return places (points, 3) of the tool, base axes [m], for random postures inside the limits."""
-    if points < 1:
-        raise ShapeError(f"Expected at least one posture for the workspace of {robot.name}, got points={points}.")
+    if not isinstance(points, int | np.integer) or points < 1:
+        raise ShapeError(f"Expected at least one posture for the workspace of {robot.name}, got points={points!r}.")
+    if not isinstance(seed, int | np.integer) or seed < 0:
+        raise ConfigError(f"Expected seed to be an integer of at least 0, got {seed!r}.")
     low = np.where(np.isinf(robot.q_min), -np.pi, robot.q_min)
     high = np.where(np.isinf(robot.q_max), np.pi, robot.q_max)
     endless = robot.prismatic & (np.isinf(robot.q_min) | np.isinf(robot.q_max))
