@@ -20,8 +20,8 @@ def jacobian(
 ) -> np.ndarray:
     """Return the Jacobian of the tool point: ``[v; w] = J(q) qd``.
 
-    Column i is ``[z_i x (p - p_i); z_i]`` (revolute) or ``[z_i; 0]`` (prismatic). A wrench on the tool at the tool
-    point, in the same axes, needs joint torques ``tau = J^T wrench`` to be balanced or gives them, by its sign.
+    Column i is ``[z_i x (p - p_i); z_i]`` (revolute) or ``[z_i; 0]`` (prismatic). A wrench that acts on the
+    tool at the tool point, in the same axes, acts on the joints with the torques ``tau = J^T wrench``.
 
     Parameters
     ----------
