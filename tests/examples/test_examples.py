@@ -72,6 +72,13 @@ def test_the_program_of_the_readme_runs(folder: Path) -> None:
     assert "the time is up" in run_file(path, folder)
 
 
+def test_the_kinematics_of_the_readme_run(folder: Path) -> None:
+    _, program = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+    path = folder / "kinematics.py"
+    path.write_text(program, encoding="utf-8")
+    assert run_file(path, folder).startswith("Solved to ")
+
+
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_example_is_short_and_says_what_it_does(name: str) -> None:
     text = EXAMPLES[name].read_text(encoding="utf-8")
