@@ -109,6 +109,7 @@ def test_abb_defaults_do_not_replace_what_was_given(holding_peer: int, monkeypat
         (["sim", "--to", "127.0.0.1:6511"], "got 0 and 1"),
         (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--period", "9"], "period"),
         (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--loss", "2"], "loss"),
+        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--mismatch.mass", "2"], "mismatch mass"),
         (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--seed", "-1"], "seed"),
         (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--seconds", "nan"], "seconds"),
         (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--patience", "-1"], "patience"),

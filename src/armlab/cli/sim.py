@@ -18,6 +18,7 @@ from armlab.cli import FAILED, INTERRUPTED, interrupts_deferred
 from armlab.errors import ConfigError
 from armlab.sim.faults import FaultRates, Faults
 from armlab.sim.guidance import Settings
+from armlab.sim.mismatch import Mismatch
 from armlab.sim.operator import Operator
 
 if TYPE_CHECKING:
@@ -45,6 +46,7 @@ def sim(
     abb_defaults: bool = False,
     settings: Annotated[Settings, _flat] = Settings(),  # noqa: B008 - frozen
     faults: Annotated[FaultRates, _flat] = FaultRates(),  # noqa: B008 - frozen
+    mismatch: Mismatch = Mismatch(),  # noqa: B008 - frozen
 ) -> int:
     """Simulate arms and their EGM controller. Masses, friction and noise are invented; see the documentation.
 
@@ -78,6 +80,8 @@ def sim(
         Of the controller.
     faults : FaultRates
         In both directions.
+    mismatch : Mismatch
+        How the arms differ from what is believed of them, for example --mismatch.torque-constant 0.05.
     """
     from armlab.cli.output import note
     from armlab.sim.loop import Pace, run
@@ -97,7 +101,7 @@ def sim(
         for i, (name, address) in enumerate(zip(robot, addresses, strict=True)):
             pusher = hand if i == 0 else Operator.idle()
             with interrupts_deferred():  # MuJoCo loads here
-                channels.append(_channel(name, address, settings, extension, pusher, faults, [seed, i], note))
+                channels.append(_channel(name, address, settings, extension, pusher, faults, mismatch, [seed, i], note))
             opened.callback(channels[-1].close)
         summary, exact = (path and opened.enter_context(path.open("w", encoding="utf-8")) for path in (stats, truth))
         observe = _recorder(exact, channels[0].controller) if exact else None
@@ -187,6 +191,7 @@ def _channel(
     extension: bool,
     operator: Operator,
     faults: FaultRates,
+    mismatch: Mismatch,
     seed: list[int],
     note: Callable[[str], None],
 ) -> Channel:
@@ -199,7 +204,7 @@ def _channel(
     from armlab.wire.egm import RobotSideCodec
 
     robot = robots.load(name)
-    arm = Arm(robot, synthetic_truth(robot), period=settings.period, seed=seed)
+    arm = Arm(robot, synthetic_truth(robot), period=settings.period, seed=seed, mismatch=mismatch)
     controller = Controller(arm, RobotSideCodec(robot, extension=extension), settings, operator, note)
     directions = [Faults(faults, [*seed, stream]) if faults.any else None for stream in (1, 2)]
     return Channel(controller, *address, outgoing=directions[0], incoming=directions[1])

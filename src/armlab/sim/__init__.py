@@ -1,12 +1,15 @@
 """The simulated arm and its EGM controller: the only place that knows a truth. All else sees what the wire carries."""
 
-from armlab.sim.arm import Arm, Measurement, Sample
+from armlab.sim.arm import Arm, Sample
 from armlab.sim.channel import Channel
 from armlab.sim.controller import Controller
 from armlab.sim.faults import FaultRates, Faults
 from armlab.sim.guidance import Guidance, Settings
 from armlab.sim.loop import Pace, run
+from armlab.sim.mismatch import Mismatch
 from armlab.sim.operator import Operator
+from armlab.sim.recording import record
+from armlab.sim.sensors import Measurement
 from armlab.sim.truth import Truth, synthetic_truth, truth_names
 
 __all__ = [
@@ -17,11 +20,13 @@ __all__ = [
     "Faults",
     "Guidance",
     "Measurement",
+    "Mismatch",
     "Operator",
     "Pace",
     "Sample",
     "Settings",
     "Truth",
+    "record",
     "run",
     "synthetic_truth",
     "truth_names",

@@ -7,7 +7,9 @@ half a step apart), so that the stiff friction springs stay stable and lose no e
     q_{k+1} = q_k + v_{k+1/2} h
 
 What a packet reports is one instant: the beginning of the last step of the period. There position, velocity,
-acceleration and torque satisfy the equation of motion exactly; only then noise and quantisation are added.
+acceleration and torque satisfy the equation of motion exactly; only then noise and quantisation are added. With a
+`Mismatch` the arm that moves is another one than the robot's description says; its joint positions are counted as the
+description counts them.
 """
 
 from __future__ import annotations
@@ -24,9 +26,12 @@ from armlab.errors import ConfigError, ShapeError
 from armlab.robots import Robot, inertia
 from armlab.sim.drive import Drive
 from armlab.sim.friction import Friction
+from armlab.sim.mismatch import Mismatch
+from armlab.sim.sensors import Measurement, Sensors
 from armlab.sim.truth import Truth
+from armlab.sim.worn_friction import WornFriction
 
-__all__ = ["Arm", "Measurement", "Sample", "build_model"]
+__all__ = ["Arm", "Sample", "build_model"]
 
 LONGEST_STEP = 1.05e-3  # s
 
@@ -55,20 +60,6 @@ class Sample:
     T_base_tool: np.ndarray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Measurement:
-    """What the sensors report of one instant: noise and quantisation included.
-
-    Attributes
-    ----------
-    q, qd, tau : (n,) position, velocity, torque.
-    """
-
-    q: np.ndarray
-    qd: np.ndarray
-    tau: np.ndarray
-
-
 class Arm:
     """One simulated arm.
 
@@ -79,6 +70,12 @@ class Arm:
     period : time between two packets [s].
     q : (n,) posture to start from; the robot's home by default.
     seed : of the measurement noise.
+    mismatch : how the arm differs from description and truth; not at all by default.
+
+    Attributes
+    ----------
+    robot : the description. built : the arm that moves. truth : its parameters, mismatch included.
+    sample : the exact state at the last instant.
 
     Raises
     ------
@@ -94,16 +91,19 @@ class Arm:
         period: float = 0.004032,
         q: np.ndarray | None = None,
         seed: int | Sequence[int] = 0,
+        mismatch: Mismatch | None = None,
     ) -> None:
         if not 1e-4 <= period <= 1.0:
             raise ConfigError(f"Expected a period between 0.0001 s and 1 s, got {period} s.")
         if len(truth.pi) != robot.n:
             raise ShapeError(f"Expected a truth for {robot.n} joints of robot {robot.name!r}, got {len(truth.pi)}.")
-        self.robot, self.truth, self.period = robot, truth, period
+        self.mismatch = mismatch = mismatch or Mismatch()
+        self.robot, self.built, self.period = robot, mismatch.robot(robot), period
+        self.truth = truth = mismatch.truth(truth, self.built)
         self.steps = math.ceil(period / LONGEST_STEP - 1e-9)
         self.step_time = period / self.steps
         mujoco = self._mj = _mujoco()
-        self._model = build_model(robot, truth)
+        self._model = build_model(self.built, truth)
         self._data = mujoco.MjData(self._model)
         data = self._data  # the next five are views: no copies between the physics and us
         self._q, self._qd, self._bias = data.qpos, data.qvel, data.qfrc_bias
@@ -112,8 +112,9 @@ class Arm:
         self._half = np.zeros(robot.n)  # velocity half a step ago
         self._qdd = np.zeros(robot.n)
         self._dq, self._tau, self._tau_friction = np.zeros((3, robot.n))
-        self._noise = np.random.default_rng(seed)
-        self.friction = Friction(truth)
+        self._sensors = Sensors(truth, mismatch, period, seed)
+        worn = mismatch.warm_up or mismatch.load_friction or mismatch.ripple_jump
+        self.friction = WornFriction(truth, mismatch, self.step_time, self._tau) if worn else Friction(truth)
         self.drive = Drive(self.inertia(robot.q_home), truth.tau_max, truth.feedforward, self.step_time)
         self.sample: Sample
         self.place(robot.q_home if q is None else q)
@@ -138,6 +139,7 @@ class Arm:
         holding = self.friction.torque(self._q, self._qd, np.empty_like(q)) + self._data.qfrc_bias
         self.drive.reset(holding, self._data.qfrc_bias)
         self._q_ref, self._qd_ref = q, np.zeros_like(q)
+        self._sensors.reset()
         self.step(q, self._qd_ref, None)
 
     def inertia(self, q: np.ndarray) -> np.ndarray:
@@ -175,18 +177,13 @@ class Arm:
             qd += dqd
         self._advance(q, qd, qdd, wrench)
         self.sample = self._report(q, wrench)
+        self._sensors.see(self.sample)
         self._move()
         self._q_ref, self._qd_ref = q_ref.copy(), qd_ref.copy()
 
     def measure(self) -> Measurement:
         """Return what the sensors report of the sampled instant, with fresh noise."""
-        sample, truth = self.sample, self.truth
-        noise = self._noise.standard_normal((2, self.robot.n))
-        return Measurement(
-            q=_quantise(sample.q, truth.q_step),
-            qd=sample.qd + truth.qd_noise * noise[0],
-            tau=_quantise(sample.tau + truth.tau_noise * noise[1], truth.tau_step),
-        )
+        return self._sensors.measure()
 
     def _advance(self, q_ref: np.ndarray, qd_ref: np.ndarray, qdd_ref: np.ndarray, wrench: np.ndarray | None) -> None:
         """Evaluate torques and accelerations at this instant."""
@@ -261,10 +258,3 @@ def build_model(robot: Robot, truth: Truth) -> Any:
         body.fullinertia = about[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]  # xx yy zz xy xz yz
     body.add_site(name="tool", **pose(robot.frames[-1]))
     return spec.compile()
-
-
-def _quantise(value: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """Round to multiples of `step`; a step of zero leaves the value."""
-    if not step.all():
-        return np.where(step > 0, np.rint(value / np.where(step > 0, step, 1.0)) * step, value)
-    return np.rint(value / step) * step

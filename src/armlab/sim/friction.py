@@ -39,6 +39,7 @@ class Friction:
         self._speed_scale = 1.0 / truth.stribeck_speed
         self._mean = 0.5 * (truth.coulomb_pos + truth.coulomb_neg)
         self._skew = 0.5 * (truth.coulomb_pos - truth.coulomb_neg)
+        self._viscous, self._phase = truth.viscous, truth.ripple_phase
         self._work = np.empty((4, n))
 
     def reset(self) -> None:
@@ -83,10 +84,10 @@ class Friction:
         """
         truth, angle = self._truth, self._work[0]
         np.multiply(q, truth.ripple_cycles, out=angle)
-        angle += truth.ripple_phase
+        angle += self._phase
         np.sin(angle, out=angle)
         angle *= truth.ripple
-        np.multiply(qd, truth.viscous, out=out)
+        np.multiply(qd, self._viscous, out=out)
         out += self.bristle
         out += truth.offset
         out += angle
