@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from armlab.errors import NotExcited, ShapeError
-from armlab.identify import Prepared, prepare
+from armlab.identify import Prepared, prepare, with_velocity
 from armlab.log import Table
 
 
@@ -99,3 +99,15 @@ def test_bad_columns_are_refused(truth, excited) -> None:
     six = Table(excited.t, {name: excited[name][:, :6] for name in ("q", "qd", "tau")})
     with pytest.raises(ShapeError, match="Name the robot that was logged"):
         prepare(six, robot)
+
+
+def test_velocity_is_computed_where_the_log_has_none(truth, excited) -> None:
+    """Ten times the motion's band: the derivative of the position is as good as a velocity that was measured."""
+    bare = Table(excited.t, {"q": excited["q"], "tau": excited["tau"]})
+    found, given = prepare(bare, truth.robot), prepare(excited, truth.robot)
+    assert np.std(found.qd - given.qd) < 2e-3
+    assert with_velocity(excited) is excited
+    holed = bare.rows(np.abs(np.arange(len(bare)) - 3000) > 20)
+    assert np.abs(prepare(holed, truth.robot).qd).max() < 1.05 * np.abs(given.qd).max()
+    alone = bare.rows(np.r_[0:50, 200:7500])
+    assert np.isnan(with_velocity(alone)["qd"][:50]).all()

@@ -6,7 +6,7 @@ from armlab.identify.dynamics import fit_dynamics
 from armlab.identify.excitation import Trajectory, dither, excitation, sequence
 from armlab.identify.friction import fit_friction
 from armlab.identify.group_lasso import GroupLasso, group_lasso, select_groups
-from armlab.identify.preparation import Prepared, prepare
+from armlab.identify.preparation import Prepared, prepare, with_velocity
 from armlab.identify.rbf import rbf_centres, rbf_regressor
 from armlab.identify.ripple import ripple_lines, ripple_regressor
 from armlab.identify.validation import predict
@@ -33,4 +33,5 @@ __all__ = [
     "ripple_regressor",
     "select_groups",
     "sequence",
+    "with_velocity",
 ]

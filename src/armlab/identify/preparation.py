@@ -9,15 +9,18 @@ from itertools import pairwise
 import numpy as np
 
 from armlab.errors import NotExcited, ShapeError
+from armlab.identify.plausibility import check_position, check_rate, check_torque, check_velocity
 from armlab.log import Table
 from armlab.robots import Robot
-from armlab.signals import lowpass_offline
+from armlab.signals import central_diff, lowpass_offline
 
-__all__ = ["Prepared", "prepare"]
+__all__ = ["Prepared", "prepare", "with_velocity"]
 
 MIN_SECONDS = 5.0
 MIN_TURN, MIN_SLIDE = np.deg2rad(5.0), 0.02  # rad, m: range of a joint that is said to move
 MIN_SEGMENT = 100  # samples; shorter pieces between gaps are left out
+BAND = 5.0  # Hz, in which velocity is compared with the slope of position
+KEPT, MARGIN = 0.99, 10.0  # share of the power of motion, and how far above its frequency a velocity is kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,13 +81,13 @@ def prepare(table: Table | Sequence[Table], robot: Robot) -> Prepared:
 
     Parameters
     ----------
-    table : one log or several, each with columns q, qd, tau of `robot`.
+    table : one log or several, each with columns q, tau of `robot`; qd, where it is left out, is the slope of q.
     robot : the arm that was logged.
 
     Raises
     ------
-    ShapeError : wrong joint count, NaN rows by number, logs of different rates, gaps everywhere, velocity that is not
-        the derivative of position.
+    ShapeError : wrong joint count, NaN rows by number, logs of different rates or below 40 Hz, gaps everywhere,
+        positions in degrees or of the motors, velocity that is not the derivative of position, torque of the motors.
     NotExcited : too short, joints at rest by name, constant torque.
     """
     tables = [table] if isinstance(table, Table) else list(table)
@@ -101,15 +104,55 @@ def prepare(table: Table | Sequence[Table], robot: Robot) -> Prepared:
     q, qd, tau = columns
     sources = tuple(f"{one.source or 'table'} sha256:{one.sha256}" for one in tables)
     prepared = Prepared(t, dt, q, qd, tau, segments, rate, _resolution(q), sources)
+    check_position(q, robot)
     _check_motion(prepared, robot)
-    _check_velocity(prepared, robot)
+    slope = prepared.filter(prepared.differentiate(q), BAND)
+    check_velocity(slope, prepared.filter(qd, BAND), robot)
+    check_torque(q, tau, np.ones(robot.n, dtype=bool), robot)
     return prepared
+
+
+def with_velocity(table: Table) -> Table:
+    """Return the log with qd: its own, or else the slope of q behind a zero-phase low-pass.
+
+    The corner is ten times the frequency below which 99 % of the power of motion lies, a tenth of the rate at most.
+    Pieces between gaps are filtered each by itself; in pieces of fewer than 100 rows qd is missing (NaN).
+
+    Parameters
+    ----------
+    table : log with q (N, n), finite.
+    """
+    if "qd" in table:
+        return table
+    q, t = table["q"], table.t
+    qd = np.full(q.shape, np.nan)
+    for a, b in _pieces(t):
+        rate = 1.0 / float(np.median(np.diff(t[a:b])))
+        qd[a:b] = central_diff(lowpass_offline(q[a:b], rate, _corner(q[a:b], rate)), t[a:b])
+    return table.with_column("qd", qd)
+
+
+def _corner(q: np.ndarray, rate: float) -> float:
+    """Return the corner [Hz] of the low-pass before a derivative."""
+    speed = np.diff(q, axis=0) * np.hanning(len(q) - 1)[:, None]
+    power = np.abs(np.fft.rfft(speed, axis=0)) ** 2
+    share = np.cumsum(power, axis=0) / np.maximum(power.sum(axis=0), 1e-300)
+    highest = float(np.argmax(share >= KEPT, axis=0).max()) * rate / (len(q) - 1)
+    return min(max(MARGIN * highest, 0.01 * rate), 0.1 * rate)
+
+
+def _pieces(t: np.ndarray) -> list[tuple[int, int]]:
+    """Return (start, stop) of the stretches without a gap that have at least `MIN_SEGMENT` rows."""
+    step = np.diff(t)
+    cuts = np.flatnonzero(step > 1.5 * np.median(step)) + 1
+    return [(a, b) for a, b in pairwise([0, *cuts.tolist(), len(t)]) if b - a >= MIN_SEGMENT]
 
 
 def _segments(table: Table, robot: Robot) -> tuple[np.ndarray, list[np.ndarray], list[tuple[int, int]]]:
     """Return time, [q, qd, tau] and the pieces of one log that have no gap."""
-    columns = [np.asarray(table[name], dtype=float) for name in ("q", "qd", "tau")]
-    for name, values in zip(("q", "qd", "tau"), columns):
+    names = [name for name in ("q", "qd", "tau") if name != "qd" or "qd" in table]
+    columns = [np.asarray(table[name], dtype=float) for name in names]
+    for name, values in zip(names, columns):
         if values.shape != (len(table), robot.n):
             raise ShapeError(
                 f"Expected {name} of shape ({len(table)}, {robot.n}) for robot {robot.name!r}, got {values.shape}. "
@@ -129,15 +172,18 @@ def _segments(table: Table, robot: Robot) -> tuple[np.ndarray, list[np.ndarray],
             ["everything"],
             ["too short"],
         )
-    step = np.diff(t)
-    cuts = np.flatnonzero(step > 1.5 * np.median(step)) + 1
-    edges = [0, *cuts.tolist(), len(t)]
-    pieces = [(a, b) for a, b in pairwise(edges) if b - a >= MIN_SEGMENT]
+    check_rate(t)
+    pieces = _pieces(t)
     if not pieces:
+        step = np.diff(t)
+        cuts = np.flatnonzero(step > 1.5 * np.median(step)) + 1
+        longest = int(np.diff([0, *cuts.tolist(), len(t)]).max())
         raise ShapeError(
             f"Expected pieces of at least {MIN_SEGMENT} samples without a gap, got {len(cuts)} gaps in {len(t)} rows, "
-            f"the longest piece with {int(np.diff(edges).max())} samples. Record again, or resample the log."
+            f"the longest piece with {longest} samples. Record again, or resample the log."
         )
+    if "qd" not in table:
+        columns.insert(1, with_velocity(table)["qd"])
     return t, columns, pieces
 
 
@@ -172,27 +218,4 @@ def _check_motion(data: Prepared, robot: Robot) -> None:
             "gravity and friction cannot be told apart. Record a motion of all joints, as of identify.excitation.",
             names,
             spread,
-        )
-    flat = np.flatnonzero(np.ptp(data.tau, axis=0) == 0)
-    if len(flat):
-        names = [robot.joint_names[i] for i in flat]
-        raise NotExcited(
-            f"Expected measured torques, got a constant for {', '.join(names)}. Check that the robot sends torque.",
-            names,
-            ["constant torque"] * len(names),
-        )
-
-
-def _check_velocity(data: Prepared, robot: Robot) -> None:
-    """Refuse a velocity that is not the derivative of the position: wrong sign, unit or joint order."""
-    slope = data.filter(data.differentiate(data.q), 5.0)
-    qd = data.filter(data.qd, 5.0)
-    gain = np.sum(slope * qd, axis=0) / np.sum(slope * slope, axis=0)
-    correlation = np.sum(slope * qd, axis=0) / np.sqrt(np.sum(slope**2, axis=0) * np.sum(qd**2, axis=0) + 1e-300)
-    wrong = np.flatnonzero((np.abs(gain - 1) > 0.1) | (correlation < 0.98))
-    if len(wrong):
-        listed = ", ".join(f"{robot.joint_names[i]} ({gain[i]:.3g} times)" for i in wrong)
-        raise ShapeError(
-            f"Expected qd to be the derivative of q, got other values for {listed}. "
-            "Check sign, unit (rad/s) and joint order of the velocity."
         )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, cast
 
 import numpy as np
 
@@ -12,18 +11,9 @@ from armlab.identify.preparation import Prepared, prepare
 from armlab.kernels import presliding
 from armlab.log import Table
 from armlab.models import TorqueModel
-from armlab.robots import Robot
+from armlab.robots import from_links
 
 __all__ = ["Residuals", "model_residuals"]
-
-
-class _Arm(NamedTuple):
-    """What the checks of a log need to know of the robot: a model file has that much."""
-
-    name: str
-    n: int
-    prismatic: np.ndarray
-    joint_names: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +43,9 @@ def model_residuals(table: Table | Sequence[Table], model: TorqueModel) -> Resid
     ------
     ShapeError, NotExcited : logs that `prepare` refuses.
     """
-    arm = _Arm(model.robot_name, model.n, model.prismatic, tuple(f"joint {i + 1}" for i in range(model.n)))
-    data = prepare(table, cast(Robot, arm))
+    names = [f"joint {i + 1}" for i in range(model.n)]
+    arm = from_links(model.robot_name, model.frames, model.prismatic, gravity=model.gravity, joint_names=names)
+    data = prepare(table, arm)
     qdd = data.filter(data.differentiate(data.qd), data.rate / 10.0)
     y, s = np.empty_like(data.q), np.empty_like(data.q)
     smooth = model.friction.smooth_speed

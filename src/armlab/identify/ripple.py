@@ -19,6 +19,7 @@ import numpy as np
 from armlab.errors import ShapeError
 from armlab.estimation import mad
 from armlab.identify.group_lasso import select_groups
+from armlab.identify.plausibility import SLOW_SHARE, slow_enough
 from armlab.kernels import basis_weights
 
 __all__ = ["held_out_error", "refit", "ripple_lines", "ripple_regressor", "select_lines"]
@@ -28,7 +29,6 @@ NEIGHBOURS = 50  # grid points on either side that make the local median
 MAX_LINES = 10
 RIDGE = 1e-6  # relative
 GAIN = 0.02  # share of the held-out variance that a part must remove
-SLOW_SHARE = 0.25  # of the sampling rate
 CHUNK = 2**22  # numbers held at once
 
 
@@ -46,7 +46,7 @@ class _Search:
         return np.abs(self.qd)
 
     def slow(self, c: float) -> np.ndarray:
-        return c * self.speed < 2 * np.pi * SLOW_SHARE * self.rate
+        return slow_enough(self.qd, self.rate, np.array(c))
 
 
 def ripple_lines(

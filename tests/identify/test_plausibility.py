@@ -1,0 +1,138 @@
+"""Logs with a wrong unit, side, order or sampling are refused, and the sentence names the joint and the factor."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from armlab import robots
+from armlab.errors import NotExcited, ShapeError
+from armlab.identify import dither, prepare
+from armlab.identify.plausibility import (
+    MIN_RATE,
+    SLOW_SHARE,
+    check_position,
+    check_rate,
+    check_torque,
+    check_velocity,
+    slow_enough,
+)
+from armlab.log import Table
+from armlab.robots.couplings import joint_to_motor, joint_torque_to_motor
+
+
+def changed(table: Table, **columns: np.ndarray) -> Table:
+    return Table(table.t, {name: columns.get(name, table[name]) for name in ("q", "qd", "tau")})
+
+
+def test_slow_sampling_is_refused(truth, excited) -> None:
+    check_rate(np.arange(0, 1, 1 / MIN_RATE))
+    with pytest.raises(ShapeError, match=r"at least 40 Hz, got 10 Hz.*Record faster"):
+        check_rate(np.arange(0, 60, 0.1))
+    with pytest.raises(ShapeError, match=r"got 0\.25 Hz.*If t is in milliseconds, divide it by 1000"):
+        prepare(Table(1000 * excited.t, dict(excited.values)), truth.robot)
+    with pytest.raises(ShapeError, match=r"at least 40 Hz, got 10 Hz"):
+        prepare(excited.rows(slice(None, None, 25)), truth.robot)
+
+
+def test_time_that_runs_backwards_is_no_table(excited) -> None:
+    t = excited.t.copy()
+    t[4000] = t[3990]
+    with pytest.raises(ShapeError, match=r"strictly increasing times, got 15\.96 s in row 4000 after 15\.996 s"):
+        Table(t, dict(excited.values))
+    t[4000] = t[3999]
+    with pytest.raises(ShapeError, match=r"in row 4000 after.*drop these rows or sort by time"):
+        Table(t, dict(excited.values))
+
+
+def test_velocity_of_another_sign_unit_or_order(truth, excited) -> None:
+    robot, qd = truth.robot, excited["qd"]
+    for wrong, words in [
+        (-qd, r"axis_1 \(-1 times: sign\)"),
+        (np.rad2deg(qd), r"axis_1 \(57\.3 times: degrees per second\)"),
+        (-np.rad2deg(qd), r"\(-57\.3 times: degrees per second and sign\)"),
+        (joint_to_motor(robot, qd), r"axis_1 \(100 times: motor side, gear ratio 100\).*\(-101 times"),
+        (1e-3 * qd, r"0\.001 times: thousandths"),
+        (2.0 * qd, r"2 times: unit"),
+        (qd[:, [1, 0, *range(2, 7)]], r"axis_1 \(\S+ times: the column of axis_2 fits; joint order\)"),
+        (np.roll(qd, 100, axis=0), r"time stamps that are not those of q"),
+    ]:
+        with pytest.raises(ShapeError, match="derivative of q.*" + words + ".*Correct the column, or leave qd out"):
+            prepare(changed(excited, qd=wrong), robot)
+
+
+def test_velocity_check_alone(truth) -> None:
+    rng = np.random.default_rng(0)
+    slope = rng.standard_normal((100, 7))
+    check_velocity(slope, 1.05 * slope, truth.robot)
+    with pytest.raises(ShapeError, match=r"1\.2 times"):
+        check_velocity(slope, 1.2 * slope, truth.robot)
+
+
+def test_positions_in_degrees_or_of_the_motors(truth, excited) -> None:
+    robot, q = truth.robot, excited["q"]
+    check_position(q, robot)
+    with pytest.raises(ShapeError, match=r"joint side.*axis_1 \(\S+, limit 2\.941: degrees or the motor's"):
+        check_position(np.rad2deg(q), robot)
+    with pytest.raises(ShapeError, match=r"gear ratio 100, see robots\.couplings\.motor_to_joint"):
+        prepare(changed(excited, q=joint_to_motor(robot, q)), robot)
+    slide = replace(robot, prismatic=np.arange(7) == 0)
+    with pytest.raises(ShapeError, match="millimetres, divide by 1000"):
+        check_position(q * np.array([1e3, 1, 1, 1, 1, 1, 1]), slide)
+    with pytest.raises(ShapeError, match="no known unit"):
+        check_position(1e6 * q, robot)
+
+
+def test_torque_of_the_motors_without_masses_in_the_robot_file(truth, excited) -> None:
+    """The arm is judged by its reach: at the motors of a gear of 100 it would hold itself up with a finger's force."""
+    robot = truth.robot
+    assert robot.inertias is None
+    with pytest.raises(ShapeError, match=r"motors' for .*axis_1 \(gear ratio 100\).*reach.*motor_torque_to_joint"):
+        prepare(changed(excited, tau=joint_torque_to_motor(robot, excited["tau"])), robot)
+    silent = replace(robot, coupling=np.eye(7))
+    with pytest.raises(ShapeError, match="Multiply it by the gear ratio, and give the robot its coupling"):
+        prepare(changed(excited, tau=excited["tau"] / 100), silent)
+
+
+@pytest.mark.parametrize("gear", [30.0, 100.0])
+def test_torque_of_the_motors_with_masses_in_the_robot_file(gear: float) -> None:
+    """Masses of a CAD drawing, wrong by a third and without friction, still tell a motor from a joint."""
+    robot = replace(robots.load("ur5e"), coupling=np.eye(6) / gear)
+    q, qd, qdd = dither(robot.q_home, 10.0, amplitude=0.6, frequency=0.2).sample(np.arange(0, 10, 0.008))
+    tau = robot.chain.rnea(q, qd, qdd, robot.gravity, 1.3 * robot.inertias) + 5.0 * np.sign(qd)
+    used = np.ones(6, dtype=bool)
+    check_torque(q, tau, used, robot)
+    check_torque(q, 0.4 * tau, used, robot)
+    with pytest.raises(ShapeError, match=rf"gear ratio {gear:g}\).*times what the weight of the links takes"):
+        check_torque(q, joint_torque_to_motor(robot, tau), used, robot)
+
+
+def test_an_arm_that_lifts_nothing_is_not_judged_by_its_weight(truth, excited) -> None:
+    """All axes upright: torque may be as small as it likes."""
+    links = np.tile(np.eye(4), (3, 1, 1))
+    links[1:, 0, 3] = 0.3
+    scara = robots.from_links("scara", links)
+    rng = np.random.default_rng(1)
+    q = rng.standard_normal((100, 2))
+    check_torque(q, 1e-6 * q, np.ones(2, dtype=bool), scara)
+
+
+def test_a_torque_that_hardly_ever_changes(truth, excited) -> None:
+    """Quantised to nothing: one value in most rows. A joint whose torque is not fitted may do so."""
+    tau = excited["tau"].copy()
+    tau[:, 6] = np.round(tau[:, 6] / 1.0)
+    tau[np.arange(len(tau)) % 10 != 0, 6] = 0.0
+    with pytest.raises(NotExcited, match=r"constant for axis_6 \(one torque in 9\d % of the rows\)") as caught:
+        prepare(changed(excited, tau=tau), truth.robot)
+    assert caught.value.directions == (truth.robot.joint_names[6],)
+    check_torque(excited["q"], tau, np.arange(7) < 6, truth.robot)
+
+
+def test_ripple_that_folds_back_is_not_used() -> None:
+    """A line of 200 rad/rad at 250 Hz folds from 125 Hz on; a quarter of the rate is 62.5 Hz, 1.96 rad/s."""
+    assert SLOW_SHARE == 0.25
+    speed = np.array([[0.0, 0.0], [1.9, 1.9], [-2.0, -2.0]])
+    expected = [[True, True], [True, True], [False, True]]
+    np.testing.assert_array_equal(slow_enough(speed, 250.0, np.array([200.0, 100.0])), expected)
