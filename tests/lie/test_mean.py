@@ -67,6 +67,19 @@ def test_a_missing_rotation_leaves_its_mean_missing() -> None:
         assert np.isnan(mean[1]).all()
 
 
+@pytest.mark.parametrize("method", ["chordal", "geodesic"])
+def test_a_weight_of_zero_leaves_out_what_is_missing(method) -> None:
+    T = se3.exp(0.3 * np.random.default_rng(2).standard_normal((6, 2, 6)))
+    holed, weights = T.copy(), np.ones((6, 2))
+    holed[1, 0] = np.nan
+    weights[1, 0] = 0.0
+    mean = se3.mean(holed, weights, method)
+    np.testing.assert_array_equal(mean, se3.mean(T, weights, method))
+    np.testing.assert_array_equal(mean[:, :3, :3], so3.mean(holed[..., :3, :3], weights, method))
+    np.testing.assert_allclose(mean[0], se3.mean(np.delete(T[:, 0], 1, axis=0), method=method), rtol=0, atol=1e-15)
+    assert np.isnan(se3.mean(holed, method=method)[0]).any()
+
+
 def test_mean_of_poses() -> None:
     rng = np.random.default_rng(0)
     T = se3.exp(np.concatenate([rng.standard_normal((50, 3)), 0.3 * rng.standard_normal((50, 3))], axis=1))
@@ -88,7 +101,7 @@ EVERYWHERE = so3.exp(np.pi / 2 * np.array([[0, 0, 0], [0, 0, 2], [2, 0, 0], [0, 
         (lambda: so3.mean(np.zeros((0, 3, 3))), ShapeError, "at least one element along axis 0"),
         (lambda: so3.mean(np.eye(3)), ShapeError, "at least one element along axis 0"),
         (lambda: so3.mean(np.zeros((2, 3, 3))), ShapeError, r"Expected R\[0\] to be a rotation"),
-        (lambda: so3.mean(EVERYWHERE, [1, 2]), ShapeError, r"Expected weights of shape \(4,\) or \(4,\), got \(2,\)"),
+        (lambda: so3.mean(EVERYWHERE, [1, 2]), ShapeError, r"Expected weights of shape \(4,\), got \(2,\)"),
         (lambda: so3.mean(EVERYWHERE, [1, 2, 3, -1]), ShapeError, "none negative"),
         (lambda: so3.mean(EVERYWHERE, np.zeros(4)), ShapeError, "sum above 0"),
         (lambda: so3.mean(EVERYWHERE, [1, np.nan, 0, 0]), ShapeError, "Expected finite weights"),

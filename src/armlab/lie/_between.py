@@ -65,7 +65,7 @@ def mean(
     Parameters
     ----------
     T : (N, ..., 4, 4), N ≥ 1.
-    weights : (N,) or (N, ...), not negative; equal when None.
+    weights : (N,) or (N, ...), not negative; equal when None. 0 leaves a pose out, also one that is missing.
     method : "chordal" or "geodesic", of the rotations.
 
     Returns
@@ -78,4 +78,5 @@ def mean(
     """
     T = kernels.poses(T, "T")
     R = so3.mean(T[..., :3, :3], weights, method)
-    return assemble(R, (shares(weights, T.shape[:-2])[..., None] * T[..., :3, 3]).sum(axis=0))
+    share = shares(weights, T.shape[:-2])[..., None]
+    return assemble(R, (share * np.where(share > 0, T[..., :3, 3], 0.0)).sum(axis=0))

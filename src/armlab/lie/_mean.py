@@ -29,12 +29,12 @@ def mean(
     Parameters
     ----------
     R : (N, ..., 3, 3), N ≥ 1.
-    weights : (N,) or (N, ...), not negative; equal when None.
+    weights : (N,) or (N, ...), not negative; equal when None. 0 leaves a rotation out, also one that is missing.
     method : "chordal" or "geodesic".
 
     Returns
     -------
-    (..., 3, 3); NaN where a rotation is missing.
+    (..., 3, 3); NaN where a rotation that counts is missing.
 
     Raises
     ------
@@ -49,6 +49,7 @@ def mean(
         raise UnknownName.among("mean of rotations", method, METHODS)
     R = kernels.rotations(R, "R")
     share = shares(weights, R.shape[:-2])
+    R = np.where(share[..., None, None] > 0, R, np.eye(3))
     start, sigma = kernels.so3_nearest((share[..., None, None] * R).sum(axis=0))
     agreement = sigma[..., 1] + sigma[..., 2]
     if (agreement < AGREEMENT).any():
@@ -67,7 +68,8 @@ def shares(weights: ArrayLike | None, batch: tuple[int, ...]) -> np.ndarray:
         return np.full((batch[0], *[1] * (len(batch) - 1)), 1 / batch[0])
     weights = _check.array(weights, (), "weights")
     if weights.shape not in (batch[:1], batch):
-        raise ShapeError(f"Expected weights of shape {batch[:1]} or {batch}, got {weights.shape}.")
+        shapes = " or ".join(map(str, dict.fromkeys((batch[:1], batch))))
+        raise ShapeError(f"Expected weights of shape {shapes}, got {weights.shape}.")
     weights = weights.reshape(weights.shape + (1,) * (len(batch) - weights.ndim))
     total = weights.sum(axis=0)
     if (weights < 0).any() or not ((total > 0) & (total < np.inf)).all():
