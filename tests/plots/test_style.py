@@ -96,3 +96,16 @@ def test_one_legend_for_all() -> None:
     ax.plot([0, 1], label="same")
     legend(mine, ax)
     assert ax.get_legend() is not None
+
+
+@pytest.mark.parametrize(("name", "rows"), [("axis_{}", 1), ("shoulder_pan_joint_{}", 3), ("{}" + 300 * "x", 7)])
+def test_a_legend_is_as_wide_as_the_figure_at_most(name: str, rows: int) -> None:
+    with look():
+        figure, axes = panels(1, 1, width=6.4)
+        for i in range(7):
+            axes[0, 0].plot([0, 1], label=name.format(i))
+        legend(figure, axes[0, 0])
+        figure.canvas.draw()
+    box = figure.legends[0].get_window_extent()
+    assert len({round(text.get_window_extent().y0) for text in figure.legends[0].get_texts()}) == rows
+    assert rows == 7 or figure.bbox.x0 <= box.x0 < box.x1 <= figure.bbox.x1

@@ -145,4 +145,14 @@ def legend(figure: Figure, *axes: Axes) -> None:
     if figure.get_layout_engine() is None:
         axes[0].legend(handles, labels)
     else:
-        figure.legend(handles, labels, loc="outside upper right", ncols=min(len(labels), 7))
+        figure.legend(handles, labels, loc="outside upper right", ncols=_legend_columns(figure, labels))
+
+
+def _legend_columns(figure: Figure, labels: list[str]) -> int:
+    """Return how many columns of a legend fit side by side, at most seven; matplotlib would cut off the rest."""
+    from matplotlib.textpath import TextPath
+
+    size = _RC["legend.fontsize"]  # of which the line, its distance from the text and that of the columns make 4.8
+    widest = max((TextPath((0.0, 0.0), label, size=size).get_extents().width for label in labels), default=0.0)
+    room = 72.0 * figure.bbox.width / figure.dpi + 2.0 * size
+    return max(1, min(len(labels), 7, int(room / (widest + 4.8 * size))))
