@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from armlab import identify, robots
+from armlab.estimation import Fit
 from armlab.kernels import presliding
 from armlab.log import Table
 from armlab.models import Friction, TorqueModel
@@ -88,6 +89,12 @@ def excited(truth: Truth) -> Table:
 
 
 @pytest.fixture(scope="session")
-def model(truth: Truth, excited: Table) -> TorqueModel:
-    """The model identified from that log."""
-    return identify.fit_dynamics(excited, truth.robot).value
+def fitted(truth: Truth, excited: Table) -> Fit[TorqueModel]:
+    """The torque model identified from that log, with its covariance."""
+    return identify.fit_dynamics(excited, truth.robot)
+
+
+@pytest.fixture(scope="session")
+def model(fitted: Fit[TorqueModel]) -> TorqueModel:
+    """The value of that fit."""
+    return fitted.value

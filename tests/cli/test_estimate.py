@@ -9,7 +9,8 @@ import pytest
 
 from armlab import identify, models
 from armlab.cli import main
-from armlab.cli.estimate import estimate
+from armlab.cli.estimate import Prior, estimate
+from armlab.log.reading import read
 
 
 @pytest.fixture
@@ -75,3 +76,50 @@ def test_json(pushed: str, capsys) -> None:
 def test_the_model_of_another_arm_is_refused(pushed: str, capsys) -> None:
     assert main(["estimate", "yumi_right", "push.mcap", "--model", pushed]) == 1
     assert "yumi_left" in capsys.readouterr().err
+
+
+def test_the_estimate_of_every_row_goes_to_a_file(pushed: str, tmp_path, capsys) -> None:
+    words = ["estimate", "yumi_left", "push.mcap", "--model", pushed]
+    for name in ("est.mcap", "est.csv"):
+        assert main([*words, "-o", str(tmp_path / name)]) == 0
+    written = read(tmp_path / "est.mcap")
+    columns = ("wrench_hat", "wrench_hat_cov", "observability", "wrench_flags", "wrench_active")
+    assert sorted(written.names) == sorted((*columns, "tick", "session"))
+    middle = (written.t > 3.2) & (written.t < 3.9)
+    assert written["wrench_hat"][middle, 0].mean() == pytest.approx(8.0, abs=1.0)
+    assert np.all(np.linalg.eigvalsh(written["wrench_hat_cov"]) > 0)
+    header = (tmp_path / "est.csv").read_text(encoding="utf-8").splitlines()[0]
+    assert header.startswith("t [s],wrench_hat1 [N],")
+    assert main([*words, "-o", str(tmp_path / "est.csv")]) == 1
+    assert "--force" in capsys.readouterr().err
+
+
+def test_the_page_has_the_contact_and_its_figures(pushed: str, tmp_path) -> None:
+    report = tmp_path / "est.html"
+    assert main(["estimate", "yumi_left", "push.mcap", "--model", pushed, "--report", str(report)]) == 0
+    page = report.read_text(encoding="utf-8")
+    assert "Contact wrench" in page
+    assert "1 contact; the strongest from" in page
+    assert page.count("data:image/png;base64,") == 3
+    assert "method map" in page
+
+
+@pytest.mark.parametrize("method", ["bounded", "interval", "ls", "lund"])
+def test_every_method_answers(pushed: str, tmp_path, capsys, method: str) -> None:
+    words = ["estimate", "yumi_left", "push.mcap", "--model", pushed, "--method", method, "--json"]
+    assert main([*words, "-o", str(tmp_path / "est.mcap")]) == 0
+    assert json.loads(capsys.readouterr().out)["method"] == method
+    assert ("wrench_interval" in read(tmp_path / "est.mcap")) == (method == "interval")
+
+
+def test_prior_and_point_reach_the_estimator(pushed: str, capsys) -> None:
+    words = ["estimate", "yumi_left", "push.mcap", "--model", pushed, "--json"]
+    assert main([*words, "--prior-force", "0.1"]) == 0
+    assert json.loads(capsys.readouterr().out)["contacts"][0]["force"][0] < 1.0
+    assert main([*words, "--point", "0", "0", "0"]) == 0
+    known = json.loads(capsys.readouterr().out)
+    assert known["axes"][3]["two_sigma"] == pytest.approx(0.0, abs=1e-9)
+    assert main([*words, "--prior-force=-1"]) == 1
+    assert "six positive" in capsys.readouterr().err
+    assert main([*words, "--method", "kalman"]) == 2
+    assert Prior(prior_force=5.0).deviations == [5.0] * 3 + [2.0] * 3

@@ -2,39 +2,103 @@
 
 from __future__ import annotations
 
+import json
+from typing import NamedTuple
+
 import pytest
 
+from armlab import identify as identification
 from armlab import models
 from armlab.cli import main
 from armlab.cli.identify import identify
 from armlab.log import Table
 
 
+class Outcome(NamedTuple):
+    """What one run of the command left: files, and what it said."""
+
+    folder: object
+    out: str
+    err: str
+
+
+@pytest.fixture(scope="module")
+def logs(excited: Table, truth) -> dict[str, Table]:
+    free = truth.log(identification.excitation(truth.robot, seconds=12, seed=4, speed=0.4), seed=4)
+    return {"run.mcap": excited, "short.mcap": excited.between(0, 2), "free.mcap": free}
+
+
 @pytest.fixture
-def reading(monkeypatch, excited: Table):
-    """`log.read` gives the synthetic log, short when the name says so."""
-    tables = {"run.mcap": excited, "short.mcap": excited.between(0, 2)}
-    monkeypatch.setattr("armlab.log.read", lambda path: tables[path.name])
+def reading(monkeypatch, logs: dict[str, Table]) -> None:
+    """`log.read` gives the synthetic logs by name."""
+    monkeypatch.setattr("armlab.log.read", lambda path: logs[path.name])
 
 
-def test_it_prints_a_table_per_joint_and_saves_the_model(reading, tmp_path, capsys) -> None:
-    output, figure = tmp_path / "model.toml", tmp_path / "fit.png"
-    assert main(["identify", "yumi_left", "run.mcap", "-o", str(output), "--figure", str(figure)]) == 0
-    said = capsys.readouterr()
-    assert "held-out" in said.out
-    assert "excitation good" in said.out
-    assert "identify: checking the log" in said.err
-    assert models.load(output).robot_name == "yumi_left"
-    assert figure.read_bytes().startswith(b"\x89PNG")
+@pytest.fixture(scope="module")
+def outcome(logs: dict[str, Table], tmp_path_factory) -> Outcome:
+    """Everything that the command can leave, in one run."""
+    from contextlib import redirect_stderr, redirect_stdout
+    from io import StringIO
+
+    folder, out, err = tmp_path_factory.mktemp("identify"), StringIO(), StringIO()
+    words = ["-o", str(folder / "model.toml"), "--report", str(folder / "id.html"), "--figure", str(folder / "fit.png")]
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
+        patch.setattr("armlab.log.read", lambda path: logs[path.name])
+        assert main(["identify", "yumi_left", "run.mcap", *words, "--test", "free.mcap"]) == 0
+    return Outcome(folder, out.getvalue(), err.getvalue())
+
+
+def test_it_prints_a_table_per_joint_and_a_verdict_and_saves_the_model(outcome: Outcome) -> None:
+    assert "held-out" in outcome.out
+    assert "excitation good" in outcome.out
+    assert "good: The motion tells all parameters apart" in outcome.out
+    assert "next: " in outcome.out
+    assert "identify: checking the log" in outcome.err
+    assert "report: drawing friction" in outcome.err
+    assert models.load(outcome.folder / "model.toml").robot_name == "yumi_left"
+    assert (outcome.folder / "fit.png").read_bytes().startswith(b"\x89PNG")
+    assert sorted(entry.name for entry in outcome.folder.iterdir()) == ["fit.png", "id.html", "model.toml"]
+
+
+def test_the_page_has_a_row_per_joint_the_verdict_and_all_figures(outcome: Outcome) -> None:
+    page = (outcome.folder / "id.html").read_text(encoding="utf-8")
+    assert "Torque model of yumi_left" in page
+    assert "run.mcap" in page
+    assert page.count("<tr>") == 8
+    for title in (
+        "Measured and modelled torque",
+        "Residual over speed",
+        "Friction",
+        "Excitation",
+        "Force without contact",
+    ):
+        assert f"<h2>{title}</h2>" in page
+    assert page.count("data:image/png;base64,") == 8
+    assert "In the test log" in page
+    assert len(page) < 4_000_000
+
+
+def test_json_has_the_numbers_and_the_verdict(reading, fitted, monkeypatch, tmp_path, capsys) -> None:
+    monkeypatch.setattr("armlab.identify.fit_dynamics", lambda *_, **__: fitted)
+    assert main(["identify", "yumi_left", "run.mcap", "-o", str(tmp_path / "model.toml"), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert len(said["joints"]) == 7
+    assert said["joints"][0]["share_held_out"] < 0.1
+    assert said["joints"][0]["share_test"] is None
+    assert said["verdict"]["good"]
+    assert said["condition"] > 1
 
 
 def test_nothing_is_overwritten_without_force(reading, tmp_path, capsys) -> None:
-    output = tmp_path / "model.toml"
+    output, report = tmp_path / "model.toml", tmp_path / "id.html"
     output.write_text("mine")
-    assert main(["identify", "yumi_left", "run.mcap", "-o", str(output)]) == 1
-    assert "--force" in capsys.readouterr().err
-    assert output.read_text() == "mine"
-    assert main(["identify", "yumi_left", "run.mcap", "-o", str(output), "--force"]) == 0
+    words = ["identify", "yumi_left", "run.mcap", "-o"]
+    assert main([*words, str(output)]) == 1
+    report.write_text("mine")
+    assert main([*words, str(tmp_path / "new.toml"), "--report", str(report)]) == 1
+    assert capsys.readouterr().err.count("--force") == 2
+    assert output.read_text() == report.read_text() == "mine"
+    assert len(list(tmp_path.iterdir())) == 2
 
 
 @pytest.mark.parametrize(
@@ -50,7 +114,7 @@ def test_refusals_are_one_sentence_and_leave_no_file(
     reading, tmp_path, capsys, words: list[str], sentence: str
 ) -> None:
     output = tmp_path / "model.toml"
-    assert main(["identify", *words, "-o", str(output)]) == 1
+    assert main(["identify", *words, "-o", str(output), "--report", str(tmp_path / "id.html")]) == 1
     said = capsys.readouterr().err
     assert sentence in said
     assert "Traceback" not in said

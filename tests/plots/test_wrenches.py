@@ -10,7 +10,7 @@ from armlab.contact import contacts
 from armlab.errors import ShapeError, UnknownName
 from armlab.log import Table
 from armlab.plots.style import AXIS_COLORS
-from armlab.plots.wrenches import wrench
+from armlab.plots.wrenches import wrench, wrenches
 
 N = 1000
 
@@ -75,3 +75,32 @@ def test_a_wide_band_does_not_hide_the_forces(estimate: Table) -> None:
     cov[800:] *= 1e4
     figure = wrench(estimate.with_column("wrench_hat_cov", cov))
     assert figure.axes[0].get_ylim()[1] < 10.0
+
+
+def test_guaranteed_limits_are_drawn_where_there_are_any(estimate: Table) -> None:
+    limits = np.stack([estimate["wrench_hat"] - 3.0, estimate["wrench_hat"] + 3.0], axis=2)
+    figure = wrench(estimate.with_column("wrench_interval", limits))
+    for place, ax in enumerate(figure.axes):
+        i = place // 2 + 3 * (place % 2)
+        low, high, *_ = ax.lines
+        assert np.array_equal(low.get_ydata(), limits[:, i, 0], equal_nan=True)
+        assert np.array_equal(high.get_ydata(), limits[:, i, 1], equal_nan=True)
+    assert "limits" in [text.get_text() for text in figure.legends[0].get_texts()]
+
+
+def test_arms_side_by_side_on_one_scale(estimate: Table) -> None:
+    large = estimate.with_column("wrench_hat", 3.0 * estimate["wrench_hat"])
+    figure = wrenches({"left arm": estimate, "right arm": large})
+    axes = np.array(figure.axes).reshape(3, 2)
+    assert [ax.get_title(loc="left") for ax in axes[0]] == ["left arm", "right arm"]
+    for i in range(3):
+        for ax, table in zip(axes[i], (estimate, large), strict=True):
+            assert np.array_equal(ax.lines[0].get_ydata(), table["wrench_hat"][:, i], equal_nan=True)
+            assert ax.get_ylabel() == f"f_{'xyz'[i]} [N]"
+    assert len({ax.get_ylim() for ax in axes.ravel()}) == 1
+    assert len(figure.legends) == 1
+    assert axes[2, 0].get_xlabel() == "t [s]"
+    with pytest.raises(ShapeError, match="at least one table"):
+        wrenches({})
+    with pytest.raises(ShapeError, match="Expected 6 Axes"):
+        wrenches({"a": estimate, "b": estimate}, ax=axes[0])

@@ -28,6 +28,7 @@ FAILED, WRONG_USE, SKIPPED, INTERRUPTED = 1, 2, 3, 130
 _COMMANDS = {
     "demo": ("demo:demo", "Simulated YuMi, from excitation to the estimated force of a hand. No robot needed."),
     "sim": ("sim:sim", "Simulated arms and a simulated controller that speaks EGM."),
+    "excite": ("excite:excite", "Design a motion that tells all parameters apart; run it and record a log."),
     "identify": ("identify:identify", "Identify gravity, inertia and friction from logs; save the model."),
     "estimate": ("estimate:estimate", "Estimate the contact force in a log with a model."),
     "log": ("log:log", "Show and repair logs."),

@@ -2,24 +2,60 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+from cyclopts import Parameter
 
 if TYPE_CHECKING:
     from armlab.log import Table
 
-__all__ = ["estimate"]
+__all__ = ["Prior", "estimate"]
 
-AXES = ("f_x", "f_y", "f_z", "m_x", "m_y", "m_z")
+COLUMNS = ("wrench_hat", "wrench_hat_cov", "observability", "wrench_flags", "wrench_active", "wrench_interval")
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Prior:
+    """What was known of the contact before.
+
+    Attributes
+    ----------
+    prior_force : standard deviation of the force in each axis [N]. prior_moment : of the moment [N m].
+    point : where the contact is, in tool axes [m], when that is known.
+    """
+
+    prior_force: float = 20.0
+    prior_moment: float = 2.0
+    point: tuple[float, float, float] | None = None
+
+    @property
+    def deviations(self) -> list[float]:
+        """Standard deviations (6,) [N, N m]."""
+        return [self.prior_force] * 3 + [self.prior_moment] * 3
 
 
 def estimate(
-    robot: str, log: Path, *, model: Path, figure: Path | None = None, json: bool = False, force: bool = False
+    robot: str,
+    log: Path,
+    *,
+    model: Path,
+    method: Literal["map", "bounded", "clip", "interval", "ls", "lund"] = "map",
+    output: Annotated[Path | None, Parameter(alias="-o")] = None,
+    report: Path | None = None,
+    figure: Path | None = None,
+    prior: Prior = Prior(),
+    json: bool = False,
+    force: bool = False,
 ) -> int:
     """Estimate the contact force in a log with a model.
 
     Prints, per axis, the range of the estimate, its mean 2-sigma band and how well the arm could see that axis, then
-    each interval of contact with its mean force.
+    each interval of contact with its mean force, then what can be relied on and what cannot. The force is that of the
+    environment on the robot, in base axes, at the tool point.
 
     Parameters
     ----------
@@ -29,24 +65,76 @@ def estimate(
         Recording with positions, velocities and torques.
     model : Path
         Model file of `armlab identify`.
+    method : str
+        map: most probable force, for motion. bounded: no contact unless proven, for an arm that also rests. interval:
+        bounded, with limits that hold. ls, lund, clip: to compare.
+    output : Path
+        Also write the estimate of every row, ends in .mcap or .csv.
+    report : Path
+        Also write a page with tables and figures, ends in .html; everything is inside, it asks nobody for anything.
     figure : Path
         Also draw the estimate with its 2-sigma band into this PNG, SVG or PDF.
+    prior : Prior
+        Of the contact.
     json : bool
         Print JSON for scripts.
     force : bool
-        Replace an existing figure.
+        Replace existing files.
     """
     from armlab import log as logs
     from armlab import models, robots
-    from armlab.cli.output import FIGURES, check_output, note, print_json, result
-    from armlab.contact import INVALID, Estimator, contacts
+    from armlab.cli import estimate_report as reporting
+    from armlab.cli.output import FIGURES, aligned, check_output, note, print_json, progress, result
+    from armlab.contact import Estimator, contacts
+
+    for path, endings in ((output, (".mcap", ".csv")), (report, (".html",)), (figure, FIGURES)):
+        if path is not None:
+            check_output(path, force, endings)
+    arm = robots.load(robot)
+    known = models.load(model)
+    estimator = Estimator(known, arm, method, prior.deviations, prior.point)
+    with progress("estimate") as tell:
+        tell(0, 1, "reading the log")
+        read = logs.read(log)
+        tell(0, 1, f"{method} of {len(read)} rows")
+        table = estimator.run(read)
+        tell(1, 1, "done")
+    _check(table, log)
+    found = contacts(table)
+    verdict = reporting.judge(table, known, estimator.prior, found)
+    if json:
+        said: dict[str, Any] = {"rows": len(table), "method": method, "contacts": [vars(contact) for contact in found]}
+        print_json({**said, "axes": reporting.axes(table), "verdict": vars(verdict)})
+    else:
+        result(aligned(reporting.rows(table), right=(1, 2, 3, 4, 5)))
+        for contact in found:
+            f = "  ".join(f"{value:+.2f}" for value in contact.force)
+            span = f"{contact.start:7.2f} to {contact.end:7.2f} s"
+            result(f"contact {span}   force [N]  {f}   2-sigma {contact.band:.2f}")
+        result(verdict.text())
+    if output is not None:
+        note(f"writing {output}")
+        logs.write(table.select(*(name for name in COLUMNS if name in table)), output, arm)
+    if figure is not None:
+        from armlab import plots
+
+        plots.wrench(table).savefig(figure, dpi=150)
+        note(f"figure: {figure}")
+    if report is not None:
+        about = f"{log.name} of {arm.name}, model {model.name}, method {method}."
+        with progress("report") as tell:
+            reporting.write(report, table, verdict, found, about, tell)
+        note(f"report: {report}")
+    return 0
+
+
+def _check(table: Table, log: Path) -> None:
+    """Refuse a log without a row that could be estimated; say how many could not."""
+    from armlab.cli.output import note
+    from armlab.contact import INVALID
     from armlab.errors import LogError
 
-    if figure is not None:
-        check_output(figure, force, FIGURES)
-    estimator = Estimator(models.load(model), robots.load(robot))
-    table = estimator.run(logs.read(log))
-    invalid = int((table["wrench_flags"] & INVALID).astype(bool).sum())
+    invalid = int(np.count_nonzero(table["wrench_flags"] & INVALID))
     if invalid == len(table):
         raise LogError(
             f"Expected rows with finite q, qd, tau in {log}, got none among {len(table)}. "
@@ -54,49 +142,3 @@ def estimate(
         )
     if invalid:
         note(f"{invalid} of {len(table)} rows are not finite and have no estimate")
-    found = contacts(table)
-    if json:
-        print_json({"rows": len(table), "contacts": [vars(contact) for contact in found], "axes": _per_axis(table)})
-    else:
-        result(_text(table))
-        for contact in found:
-            f = "  ".join(f"{value:+.2f}" for value in contact.force)
-            span = f"{contact.start:7.2f} to {contact.end:7.2f} s"
-            result(f"contact {span}   force [N]  {f}   2-sigma {contact.band:.2f}")
-        if not found:
-            result("no contact: the force band never excludes zero for 0.2 s")
-    if figure is not None:
-        from armlab import plots
-
-        plots.wrench(table).savefig(figure, dpi=150)
-        note(f"figure: {figure}")
-    return 0
-
-
-def _per_axis(table: Table) -> list[dict[str, float | str]]:
-    import numpy as np
-
-    F, observability = table["wrench_hat"], table["observability"]
-    sigma = np.sqrt(np.einsum("kii->ki", table["wrench_hat_cov"]))
-    return [
-        {
-            "axis": AXES[i],
-            "min": float(np.nanmin(F[:, i])),
-            "max": float(np.nanmax(F[:, i])),
-            "rms": float(np.sqrt(np.nanmean(F[:, i] ** 2))),
-            "two_sigma": float(2 * np.nanmean(sigma[:, i])),
-            "observability": float(np.nanmean(observability[:, i])),
-        }
-        for i in range(6)
-    ]
-
-
-def _text(table: Table) -> str:
-    from armlab.cli.output import aligned
-
-    rows = [("axis", "min", "max", "rms", "2-sigma", "observability")]
-    rows += [
-        (str(a["axis"]), *(f"{a[key]:.2f}" for key in ("min", "max", "rms", "two_sigma", "observability")))
-        for a in _per_axis(table)
-    ]
-    return aligned(rows, right=(1, 2, 3, 4, 5))

@@ -14,46 +14,68 @@ def identify(
     robot: str,
     *logs: Path,
     output: Annotated[Path, Parameter(alias="-o")],
+    report: Path | None = None,
+    test: Path | None = None,
     figure: Path | None = None,
+    json: bool = False,
     force: bool = False,
 ) -> int:
     """Identify gravity, inertia and friction from logs; save the model.
 
-    Prints a table per joint. Writes nothing when the logs do not determine the model.
+    Prints a table per joint and a verdict: what is good, what is not, what to log next. Writes nothing, and ends with
+    status 1, when the logs do not determine the model.
 
     Parameters
     ----------
     robot : str
         Name in the library, or a robot file.
     logs : Path
-        Recordings of free motion, without contact.
+        Recordings of free motion without contact, with positions, velocities and torques; armlab excite makes one.
     output : Path
         Model file to write, ends in .toml.
+    report : Path
+        Also write a page with tables and figures, ends in .html; everything is inside, it asks nobody for anything.
+    test : Path
+        Another recording without contact: how good the model is where it was not fitted.
     figure : Path
         Also draw measured and modelled torques into this PNG, SVG or PDF.
+    json : bool
+        Print JSON for scripts.
     force : bool
-        Replace an existing model file or figure.
+        Replace existing files.
     """
     from armlab import log, robots
-    from armlab.cli.output import FIGURES, check_output, note, progress, result
+    from armlab.cli import identify_report as reporting
+    from armlab.cli.output import FIGURES, check_output, note, print_json, progress, result
     from armlab.errors import ConfigError
-    from armlab.identify import fit_dynamics, predict
+    from armlab.identify import fit_dynamics
 
     arm = robots.load(robot)
     if not logs:
         raise ConfigError("Expected at least one log to identify from, got none. Give the files of recorded motions.")
-    check_output(output, force, [".toml"])
-    if figure is not None:
-        check_output(figure, force, FIGURES)
+    for path, endings in ((output, [".toml"]), (report, [".html"]), (figure, FIGURES)):
+        if path is not None:
+            check_output(path, force, endings)
     tables = [log.read(path) for path in logs]
+    unseen = None if test is None else log.read(test)
     with progress("identify") as tell:
         fit = fit_dynamics(tables, arm, progress=tell)
-    result(fit.report())
+    trial = reporting.try_out(fit.value, arm, tables[0] if unseen is None else unseen, unseen is not None)
+    verdict = reporting.judge(fit, arm, tables, trial)
+    if json:
+        print_json({"model": str(output), **reporting.numbers(fit, trial), "verdict": vars(verdict)})
+    else:
+        result(f"{fit.report()}\n\n{verdict.text()}")
     fit.save(output)
     note(f"model: {output}")
     if figure is not None:
         from armlab import plots
 
-        plots.torque_fit(predict(fit.value, tables[0])).savefig(figure, dpi=150)
+        plots.torque_fit(trial.predicted).savefig(figure, dpi=150)
         note(f"figure: {figure}")
+    if report is not None:
+        about = f"Identified from {', '.join(path.name for path in logs)}: {fit.value.quality.seconds:.0f} s of motion."
+        with progress("report") as tell:
+            reporting.write(report, fit, verdict, trial, about, tell)
+        note(f"report: {report}")
     return 0

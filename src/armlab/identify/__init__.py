@@ -4,6 +4,7 @@ from armlab.identify.base_parameters import BaseParameters, base_parameters
 from armlab.identify.covariance import fit_velocity_covariance
 from armlab.identify.dynamics import fit_dynamics
 from armlab.identify.excitation import Trajectory, dither, excitation, sequence
+from armlab.identify.expectation import Expectation, expectation
 from armlab.identify.friction import fit_friction
 from armlab.identify.group_lasso import GroupLasso, group_lasso, select_groups
 from armlab.identify.preparation import Prepared, prepare, with_velocity
@@ -14,12 +15,14 @@ from armlab.identify.warm_up import fit_warm_up
 
 __all__ = [
     "BaseParameters",
+    "Expectation",
     "GroupLasso",
     "Prepared",
     "Trajectory",
     "base_parameters",
     "dither",
     "excitation",
+    "expectation",
     "fit_dynamics",
     "fit_friction",
     "fit_velocity_covariance",

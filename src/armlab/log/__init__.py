@@ -11,5 +11,6 @@ from armlab.log.recovery import recover
 from armlab.log.resample import concat
 from armlab.log.rows import Tick
 from armlab.log.table import Table
+from armlab.log.writing import write
 
-__all__ = ["Column", "Log", "Recorder", "Table", "Tail", "Tick", "concat", "inspect", "read", "recover"]
+__all__ = ["Column", "Log", "Recorder", "Table", "Tail", "Tick", "concat", "inspect", "read", "recover", "write"]

@@ -5,18 +5,30 @@ from __future__ import annotations
 from armlab.plots.arms import robot
 from armlab.plots.columns import table
 from armlab.plots.covariances import velocity_covariance
+from armlab.plots.coverages import coverage, observability
 from armlab.plots.ellipsoids import manipulability
+from armlab.plots.excitations import excitation
+from armlab.plots.frictions import friction
 from armlab.plots.latencies import latency
+from armlab.plots.pictures import png
+from armlab.plots.residuals import autocorrelation, residual_speed
 from armlab.plots.scenes import scene
 from armlab.plots.torques import torque_fit
 from armlab.plots.trajectories import poses
 from armlab.plots.workspaces import workspace
-from armlab.plots.wrenches import wrench
+from armlab.plots.wrenches import wrench, wrenches
 
 __all__ = [
+    "autocorrelation",
+    "coverage",
+    "excitation",
+    "friction",
     "latency",
     "manipulability",
+    "observability",
+    "png",
     "poses",
+    "residual_speed",
     "robot",
     "scene",
     "table",
@@ -24,4 +36,5 @@ __all__ = [
     "velocity_covariance",
     "workspace",
     "wrench",
+    "wrenches",
 ]

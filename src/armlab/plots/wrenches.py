@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from armlab.contact import contacts
-from armlab.errors import UnknownName
+from armlab.errors import ShapeError, UnknownName
 from armlab.plots.style import AXIS_COLORS, GREY, band, legend, line, look, panels, shade
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
     from armlab.log import Table
 
-__all__ = ["wrench"]
+__all__ = ["wrench", "wrenches"]
 
 _QUANTITIES = (("f", "N"), ("m", "N m"))
 _SHADE = "#B3B3B3"
@@ -25,8 +26,9 @@ _SHADE = "#B3B3B3"
 def wrench(table: Table, ax: Any = None) -> Figure:
     """Draw the estimated wrench, one panel per axis, with two-sigma bands; contact is shaded.
 
-    The true wrench (`wrench_true`) and that of a force sensor (`wrench`) are drawn where the table has them. Forces
-    share one scale and moments another, chosen by the estimates: a band that is wider is cut off.
+    The true wrench (`wrench_true`), that of a force sensor (`wrench`) and guaranteed limits (`wrench_interval`) are
+    drawn where the table has them. Forces share one scale and moments another, chosen by the estimates: a band that is
+    wider is cut off.
 
     Parameters
     ----------
@@ -58,12 +60,43 @@ def wrench(table: Table, ax: Any = None) -> Figure:
     return figure
 
 
+def wrenches(tables: Mapping[str, Table], ax: Any = None) -> Figure:
+    """Draw the estimated forces of several arms side by side, one column each, on one scale.
+
+    Parameters
+    ----------
+    tables : name of the arm -> table as of `wrench`.
+    ax : (3, k) Axes for k arms; a new figure when None.
+
+    Raises
+    ------
+    UnknownName : a table has no wrench_hat. ShapeError : no table, or `ax` has another number of Axes.
+    """
+    if not tables:
+        raise ShapeError("Expected at least one table of estimated wrenches to draw, got none.")
+    with look():
+        figure, axes = panels(3, len(tables), ax, width=max(6.0, 4.5 * len(tables)), height=1.9, sharex="col")
+        for column, (name, table) in enumerate(tables.items()):
+            wrench(table, ax=axes[:, column])
+            axes[0, column].set_title(name, fontweight="bold")
+    limit = max(panel.get_ylim()[1] for panel in axes.ravel())
+    for panel in axes.ravel():
+        panel.set_ylim(-limit, limit)
+    for extra in figure.legends[1:]:  # one for all
+        extra.remove()
+    return figure
+
+
 def _panel(ax: Axes, table: Table, sigma: np.ndarray | None, i: int, touched: np.ndarray) -> None:
     letter, unit = _QUANTITIES[i // 3]
     color, t = AXIS_COLORS[i % 3], table.t
     shade(ax, t, touched, color=_SHADE, alpha=0.35, label="contact")
     if sigma is not None:
         band(ax, t, table["wrench_hat"][:, i], 2 * sigma[:, i], color=color, alpha=0.22, label="± 2 sigma")
+    if "wrench_interval" in table:
+        for side, label in enumerate(("limits", "_")):
+            limit = table["wrench_interval"][:, i, side]
+            line(ax, t, limit, color=color, linewidth=0.8, linestyle=":", label=label)
     if "wrench" in table:
         line(ax, t, table["wrench"][:, i], color=GREY, linewidth=0.9, label="sensor")
     line(ax, t, table["wrench_hat"][:, i], color=color, linewidth=1.0, label="estimate")

@@ -1,0 +1,236 @@
+"""What `armlab estimate` says of a log: a verdict in words, tables, and the page with the figures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from armlab.cli.page import Page, Verdict
+
+if TYPE_CHECKING:
+    from armlab.contact import Contact
+    from armlab.log import Table
+    from armlab.models import TorqueModel
+
+__all__ = ["axes", "judge", "rows", "write"]
+
+AXES = ("f_x", "f_y", "f_z", "m_x", "m_y", "m_z")
+SEEN, WEAK = 0.9, 0.5  # observability
+OFTEN = 0.05  # share of the rows that is worth a sentence
+HONEST = 0.90  # share inside 2 sigma
+
+Tell = Callable[[float, float, str], None]
+
+
+def axes(table: Table) -> list[dict[str, float | str]]:
+    """Return range, RMS, mean 2-sigma and observability of each axis of the wrench.
+
+    Parameters
+    ----------
+    table : of `contact.Estimator.run`.
+    """
+    F, observability = table["wrench_hat"], table["observability"]
+    sigma = np.sqrt(np.einsum("kii->ki", table["wrench_hat_cov"]))
+    return [
+        {
+            "axis": AXES[i],
+            "min": float(np.nanmin(F[:, i])),
+            "max": float(np.nanmax(F[:, i])),
+            "rms": float(np.sqrt(np.nanmean(F[:, i] ** 2))),
+            "two_sigma": float(2 * np.nanmean(sigma[:, i])),
+            "observability": float(np.nanmean(observability[:, i])),
+        }
+        for i in range(6)
+    ]
+
+
+def rows(table: Table) -> list[tuple[str, ...]]:
+    """Return the table per axis as words, its head first.
+
+    Parameters
+    ----------
+    table : of `contact.Estimator.run`.
+    """
+    keys = ("min", "max", "rms", "two_sigma", "observability")
+    head = ("axis", "min", "max", "rms", "2-sigma", "observability")
+    return [head, *((str(axis["axis"]), *(f"{axis[key]:.2f}" for key in keys)) for axis in axes(table))]
+
+
+def judge(table: Table, model: TorqueModel, prior: np.ndarray, contacts: Sequence[Contact]) -> Verdict:
+    """Return what of the estimate can be relied on, what cannot, and what to do next.
+
+    Parameters
+    ----------
+    table : of `contact.Estimator.run`. model : that it used. prior : (6,) prior variances. contacts : found in it.
+    """
+    good: list[str] = []
+    bad: list[str] = []
+    ahead: list[str] = []
+    if contacts:
+        largest = max(contacts, key=lambda contact: float(np.linalg.norm(contact.force)))
+        size = float(np.linalg.norm(largest.force))
+        good.append(
+            f"{len(contacts)} contact{'s' if len(contacts) > 1 else ''}; the strongest from {largest.start:.2f} to "
+            f"{largest.end:.2f} s with {size:.2f} N, 2 sigma {largest.band:.2f} N."
+        )
+    else:
+        good.append("No contact: the force band never excludes zero for 0.2 s.")
+    for part in (_seen(table), _flags(table), _reach(table, model, prior), _truth(table)):
+        good += part.good
+        bad += part.bad
+        ahead += part.ahead
+    return Verdict(tuple(good), tuple(bad), tuple(ahead))
+
+
+def _seen(table: Table) -> Verdict:
+    """Say which axes the torques show."""
+    observability = table["observability"]
+    known = np.isfinite(observability).all(axis=1)
+    mean = observability[known].mean(axis=0)
+    weak = (observability[known] < WEAK).mean(axis=0)
+    good, bad, ahead = [], [], []
+    seen = [AXES[i] for i in range(6) if mean[i] >= SEEN]
+    if seen:
+        good.append(f"Well seen: {', '.join(seen)} (mean observability {mean[mean >= SEEN].min():.2f} or more).")
+    hidden = [f"{AXES[i]} ({100 * weak[i]:.0f} % of the time)" for i in range(6) if weak[i] > OFTEN]
+    if hidden:
+        bad.append(f"Hardly seen, so that the prior speaks: {', '.join(hidden)}.")
+        ahead.append("Use a pose away from singular ones, or --point when it is known where the contact is.")
+    return Verdict(tuple(good), tuple(bad), tuple(ahead))
+
+
+def _flags(table: Table) -> Verdict:
+    from armlab.contact import INFEASIBLE, INVALID, SINGULAR, STUCK
+
+    flags = table["wrench_flags"]
+    share = {flag: float(np.mean((flags & flag) != 0)) for flag in (INVALID, STUCK, INFEASIBLE, SINGULAR)}
+    bad, ahead = [], []
+    if share[INVALID]:
+        bad.append(f"{100 * share[INVALID]:.1f} % of the rows are not finite and have no estimate.")
+    if share[SINGULAR]:
+        bad.append(f"{100 * share[SINGULAR]:.1f} % of the rows are at singular poses and have no estimate.")
+        ahead.append("Choose a method with a prior (map, bounded) for such poses.")
+    if share[STUCK] > OFTEN:
+        bad.append(
+            f"In {100 * share[STUCK]:.0f} % of the rows every joint is inside its friction bound: a force may be "
+            "hidden there."
+        )
+        ahead.append("Sway the joints a little (identify.dither), or read the limits of --method interval.")
+    if share[INFEASIBLE]:
+        bad.append(
+            f"In {100 * share[INFEASIBLE]:.1f} % of the rows no wrench at the tool explains the torques: contact on "
+            "another link, or a model that is wrong there."
+        )
+    return Verdict((), tuple(bad), tuple(ahead))
+
+
+def _reach(table: Table, model: TorqueModel, prior: np.ndarray) -> Verdict:
+    """Say where the log leaves what the model was fitted to, and where the prior shrinks."""
+    bad, ahead = [], []
+    quality = model.quality
+    margin = 0.02 * (quality.q_max - quality.q_min)
+    outside = np.mean((table["q"] < quality.q_min - margin) | (table["q"] > quality.q_max + margin), axis=0)
+    fast = np.mean(np.abs(table["qd"]) > 1.1 * quality.qd_peak, axis=0)
+    for what, share in (("outside the positions", outside), ("faster than the motion", fast)):
+        joints = [f"joint {i + 1} ({100 * share[i]:.0f} %)" for i in np.flatnonzero(share > OFTEN)]
+        if joints:
+            bad.append(f"Often {what} that the model was identified in: {', '.join(joints)}.")
+    if bad:
+        ahead.append("Identify again with motions that go there, or trust these stretches less.")
+    largest = np.nanmax(np.abs(table["wrench_hat"]) / np.sqrt(prior), axis=0)
+    beyond = [AXES[i] for i in range(6) if largest[i] > 2]
+    if beyond:
+        bad.append(f"Larger than twice the prior: {', '.join(beyond)}. The estimate is too small there.")
+        ahead.append("Give a larger --prior-force or --prior-moment.")
+    return Verdict((), tuple(bad), tuple(ahead))
+
+
+def _truth(table: Table) -> Verdict:
+    """Compare with a force sensor or a simulated operator, where the log has one."""
+    name = next((name for name in ("wrench_true", "wrench") if name in table), None)
+    if name is None:
+        return Verdict()
+    error = table["wrench_hat"][:, :3] - table[name][:, :3]
+    known = np.isfinite(error).all(axis=1)
+    if not known.any():
+        return Verdict()
+    sigma = np.sqrt(np.einsum("kii->ki", table["wrench_hat_cov"]))[known, :3]
+    rms = " ".join(f"{value:.2f}" for value in np.sqrt(np.mean(error[known] ** 2, axis=0)))
+    inside = float(np.mean(np.abs(error[known]) <= 2 * sigma))
+    what = "the true force" if name == "wrench_true" else "the force sensor"
+    sentence = f"Against {what}: {rms} N RMS in x y z; {100 * inside:.0f} % of it inside 2 sigma."
+    return Verdict((sentence,)) if inside >= HONEST else Verdict(bad=(sentence,))
+
+
+def write(
+    path: Path, table: Table, verdict: Verdict, contacts: Sequence[Contact], about: str, tell: Tell | None = None
+) -> None:
+    """Write the page.
+
+    Parameters
+    ----------
+    path : HTML file. table : of `contact.Estimator.run`. verdict : of `judge`. contacts : found in the table.
+    about : which robot, log, model and method, for the line below the title.
+    tell : called with (done, total, what).
+    """
+    page = Page("Contact wrench", about)
+    page.verdict(verdict)
+    page.section(
+        "Per axis",
+        "By the environment on the robot, base axes, at the tool point, in N and N m. Observability: 1 the torques "
+        "determine the axis, 0 only the prior speaks.",
+    )
+    page.table(rows(table))
+    page.section("Contacts", "" if contacts else "None: the force band never excludes zero for 0.2 s.")
+    if contacts:
+        head = ("from [s]", "to [s]", "f_x [N]", "f_y [N]", "f_z [N]", "2-sigma [N]")
+        page.table(
+            [
+                head,
+                *(
+                    (f"{c.start:.2f}", f"{c.end:.2f}", *(f"{f:+.2f}" for f in c.force), f"{c.band:.2f}")
+                    for c in contacts
+                ),
+            ]
+        )
+    drawings = _drawings(table)
+    for k, (title, caption, draw) in enumerate(drawings):
+        if tell is not None:
+            tell(k, len(drawings), f"drawing {title.lower()}")
+        page.section(title)
+        page.figure(draw(), title, caption)
+    page.write(path)
+
+
+def _drawings(table: Table) -> list[tuple[str, str, Any]]:
+    """Return title, how to read it, and what draws it, of each figure."""
+    from armlab import plots
+
+    shown = [
+        (
+            "Wrench over time",
+            "Line: estimate. Band: two sigma. Shaded: contact, where zero lies outside the 95 % ellipsoid.",
+            lambda: plots.png(plots.wrench(table)),
+        ),
+        (
+            "Observability over time",
+            "What the pose and the friction of the joints let through. Shaded: some axis below 0.5.",
+            lambda: plots.png(plots.observability(table)),
+        ),
+        (
+            "Motion",
+            "Positions, velocities and torques of the log.",
+            lambda: plots.png(plots.table(table, "q", "qd", "tau")),
+        ),
+    ]
+    if "wrench_true" in table or "wrench" in table:
+        coverage = (
+            "Coverage by speed",
+            "Share of the axis's errors inside two sigma; a true uncertainty holds 95.4 % at every speed.",
+            lambda: plots.png(plots.coverage(table)),
+        )
+        shown.insert(2, coverage)
+    return shown

@@ -1,0 +1,147 @@
+"""``armlab excite``: design a motion that tells the parameters apart, and run it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from cyclopts import Parameter
+
+if TYPE_CHECKING:
+    from armlab.identify import Expectation, Trajectory
+    from armlab.log import Table
+    from armlab.robots import Robot
+
+__all__ = ["Motion", "excite"]
+
+RATE = 250.0  # Hz
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Motion:
+    """What the motion shall be like.
+
+    Attributes
+    ----------
+    seconds : length, at least 10 [s].
+    f0 : base frequency [Hz]. harmonics : number of them.
+    speed : peak speed as a share of the robot's limits, in (0, 1].
+    acceleration : peak acceleration [rad/s^2].
+    seed : another motion for each.
+    """
+
+    seconds: float = 60.0
+    f0: float = 0.1
+    harmonics: int = 8
+    speed: float = 0.6
+    acceleration: float = 15.0
+    seed: int = 0
+
+
+def excite(
+    robot: str,
+    *,
+    output: Annotated[Path | None, Parameter(alias="-o")] = None,
+    motion: Motion = Motion(),
+    noise: float = 0.1,
+    figure: Path | None = None,
+    run: str | None = None,
+    log: Path = Path("excite.mcap"),
+    approach: float = 4.0,
+    json: bool = False,
+    force: bool = False,
+) -> int:
+    """Design a motion that tells all parameters of a robot apart; run it and record a log if asked.
+
+    Prints how well the motion will tell each group of parameters. The motion stays within the limits of position,
+    speed and acceleration of the robot file; it knows nothing of obstacles: look at it before you run it.
+
+    Parameters
+    ----------
+    robot : str
+        Name in the library, or a robot file.
+    output : Path
+        Write the motion to this CSV file: t, q, qd, qdd at 250 Hz.
+    motion : Motion
+        What it shall be like.
+    noise : float
+        Standard deviation of the robot's torque signal [N m]; the printed deviations are in proportion to it.
+    figure : Path
+        Draw the motion into this PNG, SVG or PDF.
+    run : str
+        Link to run it on: egm://HOST:PORT for a robot, sim://yumi_left for a simulated one.
+    log : Path
+        Recording of the run; -2, -3 is added to a name that exists.
+    approach : float
+        Seconds of the walk from where the arm stands to the start.
+    json : bool
+        Print JSON for scripts.
+    force : bool
+        Replace existing files.
+    """
+    from armlab import log as logs
+    from armlab import robots
+    from armlab.cli.output import FIGURES, aligned, check_output, note, print_json, progress, result
+    from armlab.errors import ConfigError
+    from armlab.identify import excitation, expectation
+
+    if output is None and run is None:
+        raise ConfigError("Expected a file for the motion (-o motion.csv) or a link to run it on (--run), got neither.")
+    for path, endings in ((output, [".csv"]), (figure, FIGURES)):
+        if path is not None:
+            check_output(path, force, endings)
+    arm = robots.load(robot)
+    with progress("design") as tell:
+        tell(0, 2, "choosing among candidates")
+        trajectory = excitation(
+            arm, motion.seconds, motion.f0, motion.harmonics, motion.speed, motion.acceleration, seed=motion.seed
+        )
+        tell(1, 2, "what it will tell")
+        expected = expectation(trajectory, arm, noise)
+    if json:
+        print_json({"robot": arm.name, **vars(motion), **_plain(expected)})
+    else:
+        result(aligned(expected.rows(), right=(2, 3, 4)))
+        result(expected.excitation.text())
+    table = _table(trajectory)
+    if output is not None:
+        note(f"motion: {logs.write(table, output)}")
+    if figure is not None:
+        from armlab import plots
+
+        drawn: Any = plots.table(table, "q", "qd", "qdd")
+        drawn.savefig(figure, dpi=150)
+        note(f"figure: {figure}")
+    if run is not None:
+        _run(arm, trajectory, run, log, approach)
+    return 0
+
+
+def _table(trajectory: Trajectory) -> Table:
+    """Return the motion at 250 Hz."""
+    from armlab.log import Table
+
+    t = np.arange(round(trajectory.seconds * RATE) + 1) / RATE
+    q, qd, qdd = trajectory.sample(t)
+    return Table(t, {"q": q, "qd": qd, "qdd": qdd})
+
+
+def _plain(expected: Expectation) -> dict[str, Any]:
+    parameters = zip(expected.names, expected.units, expected.groups, expected.sd, strict=True)
+    keys = ("name", "unit", "group", "sd")
+    found = {"condition": expected.excitation.condition, "weakest": expected.excitation.weakest}
+    return {**found, "parameters": [dict(zip(keys, values, strict=True)) for values in parameters]}
+
+
+def _run(robot: Robot, trajectory: Trajectory, url: str, log: Path, approach: float) -> None:
+    """Run the motion over a link and record it."""
+    from armlab import bridge
+    from armlab.cli.output import note, progress
+
+    with progress("excite") as tell, bridge.connect(url, robot) as link:
+        done = link.run(trajectory.controller(approach), approach + trajectory.seconds, record=log, progress=tell)
+    note(done.report())
+    note(f"log: {done.path}; next: armlab identify {robot.name} {done.path} -o model.toml --report model.html")

@@ -1,0 +1,31 @@
+"""Figures as bytes, for pages that carry everything inside."""
+
+from __future__ import annotations
+
+from io import BytesIO
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["png"]
+
+
+def png(drawn: Figure | Axes, dpi: int = 110) -> bytes:
+    """Return what was drawn as a PNG file, and close its figure.
+
+    Parameters
+    ----------
+    drawn : Figure or Axes of a function of this package.
+    dpi : dots per inch.
+    """
+    import matplotlib.pyplot as plt
+    from matplotlib.figure import Figure
+
+    figure = drawn if isinstance(drawn, Figure) else drawn.get_figure(root=True)
+    memory = BytesIO()
+    if figure is not None:
+        figure.savefig(memory, format="png", dpi=dpi)
+        plt.close(figure)
+    return memory.getvalue()

@@ -1,0 +1,88 @@
+"""armlab excite: a motion within the limits, what it will tell, and a log of it."""
+
+from __future__ import annotations
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from armlab import log, robots
+from armlab.cli import main
+from armlab.cli.excite import Motion, excite
+
+
+def columns(path) -> dict[str, np.ndarray]:
+    with path.open(newline="", encoding="utf-8") as file:
+        head, *rows = csv.reader(file)
+    return dict(zip(head, np.array(rows, dtype=float).T, strict=True))
+
+
+def test_the_motion_is_written_and_what_it_tells_is_printed(tmp_path, capsys) -> None:
+    path, figure = tmp_path / "motion.csv", tmp_path / "motion.png"
+    words = ["excite", "yumi_left", "-o", str(path), "--seconds", "20", "--seed", "3", "--figure", str(figure)]
+    assert main(words) == 0
+    said = capsys.readouterr()
+    assert "first moments" in said.out
+    assert "Coulomb" in said.out
+    assert "excitation " in said.out
+    assert "design: " in said.err
+    found = columns(path)
+    robot = robots.load("yumi_left")
+    assert found["t [s]"][:2].tolist() == [0.0, 0.004]
+    assert found["t [s]"][-1] == 20.0
+    for i in range(7):
+        q, qd, qdd = (
+            found[f"{name}{i + 1} [{unit}]"] for name, unit in (("q", "rad"), ("qd", "rad/s"), ("qdd", "rad/s^2"))
+        )
+        assert robot.q_min[i] <= q.min() < q.max() <= robot.q_max[i]
+        assert np.abs(qd).max() <= 0.6 * robot.qd_max[i] * 1.001
+        assert (qd[0], qd[-1]) == (0.0, 0.0)
+        assert np.gradient(q, 0.004)[5:-5] == pytest.approx(qd[5:-5], abs=2e-3)
+        assert np.gradient(qd, 0.004)[5:-5] == pytest.approx(qdd[5:-5], abs=0.1)
+    assert figure.read_bytes().startswith(b"\x89PNG")
+
+
+def test_json_has_a_deviation_per_parameter(tmp_path, capsys) -> None:
+    assert main(["excite", "yumi_left", "-o", str(tmp_path / "m.csv"), "--seconds", "12", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["seconds"] == 12
+    assert all(parameter["sd"] > 0 for parameter in said["parameters"])
+    assert Motion().seconds == 60.0
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        ([], "got neither"),
+        (["-o", "motion.txt"], ".csv"),
+        (["-o", "motion.csv", "--seconds", "3"], "at least 10 seconds"),
+        (["-o", "motion.csv", "--speed", "2"], "speed share"),
+        (["-o", "motion.csv", "--noise", "0"], "noise above 0"),
+        (["--run", "yumi_left"], "Expected a link"),
+    ],
+)
+def test_refusals_are_one_sentence_and_leave_no_file(tmp_path, monkeypatch, capsys, words, sentence: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["excite", "yumi_left", *words]) == 1
+    said = capsys.readouterr().err
+    assert sentence in said
+    assert "Traceback" not in said
+    assert not list(tmp_path.iterdir())
+    assert excite.__doc__
+
+
+@pytest.mark.slow
+def test_it_runs_on_the_simulated_controller_and_the_log_can_be_identified(tmp_path, monkeypatch, capsys) -> None:
+    """About 15 s: 20 s of motion in lockstep, then the identification from its log."""
+    monkeypatch.chdir(tmp_path)
+    words = ["--seconds", "20", "--run", "sim://yumi_left?lockstep=true&seed=1", "--log", "excite.mcap"]
+    assert main(["excite", "yumi_left", *words, "--approach", "2"]) == 0
+    said = capsys.readouterr().err
+    assert "excite: moving" in said
+    assert "armlab identify yumi_left" in said
+    table = log.read("excite.mcap")
+    assert np.ptp(table["session_t"]) == pytest.approx(22.0, abs=0.1)
+    assert np.isfinite(table["tau"]).all()
+    assert main(["identify", "yumi_left", "excite.mcap", "-o", "model.toml"]) == 0

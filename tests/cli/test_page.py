@@ -1,0 +1,65 @@
+"""The page of a report: everything inside, nothing asked from outside, words are never markup."""
+
+from __future__ import annotations
+
+import base64
+import re
+
+import pytest
+
+from armlab.cli.page import Page, Verdict
+
+PIXEL = b"\x89PNG\r\n\x1a\n not really"
+
+
+@pytest.fixture
+def page() -> Page:
+    page = Page("Arm <1> & more", "a log & a model")
+    page.verdict(Verdict(good=("It <fits>.",), bad=("Joint 7.",)))
+    page.section("Per joint", "How to read it.")
+    page.table([("joint", "RMS"), ("1", "0.5 & up")])
+    page.figure(PIXEL, 'the "residual"', "A caption.")
+    page.verbatim("a < b")
+    return page
+
+
+def test_the_words_are_there_and_none_of_them_is_markup(page: Page) -> None:
+    html = page.html()
+    for words in (
+        "Arm &lt;1&gt; &amp; more",
+        "It &lt;fits&gt;.",
+        "0.5 &amp; up",
+        "the &quot;residual&quot;",
+        "a &lt; b",
+    ):
+        assert words in html
+    assert "<fits>" not in html
+    assert html.startswith("<!doctype html>")
+    assert html.rstrip().endswith("</html>")
+    assert '<meta charset="utf-8">' in html
+
+
+def test_figures_are_inside_and_nothing_is_asked_from_outside(page: Page) -> None:
+    html = page.html()
+    (data,) = re.findall(r'src="data:image/png;base64,([^"]+)"', html)
+    assert base64.b64decode(data) == PIXEL
+    assert not re.findall(r"https?:|//\w|<script|<link|@import|url\(", html)
+    assert "default-src 'none'; img-src data:" in html
+
+
+def test_a_verdict_has_only_the_parts_that_there_are() -> None:
+    verdict = Verdict(good=("One.", "Two."), ahead=("Log more.",))
+    assert verdict.text().splitlines() == ["good: One.", "good: Two.", "next: Log more."]
+    assert [title for title, _ in verdict.parts] == ["Good", "Next"]
+    page = Page("t", "a")
+    page.verdict(verdict)
+    assert "care" not in page.pieces[0]
+    assert Verdict().text() == ""
+
+
+def test_writing_replaces_in_one_step(page: Page, tmp_path) -> None:
+    path = tmp_path / "report.html"
+    path.write_text("old")
+    page.write(path)
+    assert path.read_text(encoding="utf-8") == page.html()
+    assert [entry.name for entry in tmp_path.iterdir()] == ["report.html"]

@@ -1,0 +1,77 @@
+"""`log.write`: what was written reads back the same."""
+
+from __future__ import annotations
+
+import csv
+
+import numpy as np
+import pytest
+
+from armlab import log, robots
+from armlab.errors import ConfigError, LogError
+from armlab.log import Column, Table
+from armlab.log.writing import write
+
+N = 600
+
+
+@pytest.fixture
+def table() -> Table:
+    rng = np.random.default_rng(1)
+    q, hat = rng.normal(size=(N, 7)), rng.normal(size=(N, 6))
+    hat[10:20] = np.nan
+    q[3, 2] = np.nan
+    values = {"q": q, "wrench_hat": hat, "wrench_hat_cov": rng.normal(size=(N, 6, 6)), "flags": np.arange(N) % 5}
+    columns = {"flags": Column(unit="1", kind="count"), "q": Column(labels=tuple("abcdefg"))}
+    return Table(np.cumsum(rng.uniform(0.003, 0.005, N)), values, columns, t0_ns=1_700_000_000_000_000_000)
+
+
+def test_mcap_reads_back_equal(table: Table, tmp_path) -> None:
+    robot = robots.load("yumi_left")
+    path = write(table, tmp_path / "est.mcap", robot)
+    read = log.read(path)
+    assert np.array_equal(read.t, table.t)
+    for name in table.names:
+        assert np.array_equal(read[name], table[name], equal_nan=True), name
+        assert read.units[name] == table.units[name]
+        assert read.columns[name].kind == table.columns[name].kind
+    assert read.columns["q"].labels == robot.joint_names
+    assert abs(read.t0_ns - table.t0_ns - round(table.t[0] * 1e9)) <= 1
+    assert [entry.name for entry in tmp_path.iterdir()] == ["est.mcap"]
+
+
+def test_csv_has_units_in_its_header_and_digits_that_read_back_equal(table: Table, tmp_path) -> None:
+    path = write(table, tmp_path / "est.csv")
+    with path.open(newline="", encoding="utf-8") as file:
+        header, *rows = csv.reader(file)
+    assert header[:3] == ["t [s]", "q1 [rad]", "q2 [rad]"]
+    assert {"wrench_hat3 [N]", "wrench_hat4 [N m]", "flags"} <= set(header)
+    units = ["wrench_hat_cov1_1 [N^2]", "wrench_hat_cov1_4 [N^2 m]", "wrench_hat_cov6_5 [N^2 m^2]"]
+    assert set(units) <= set(header)
+    assert len(rows) == N
+    cells = np.array([[float(cell) if cell else np.nan for cell in row] for row in rows])
+    assert np.array_equal(cells[:, 0], table.t)
+    assert np.array_equal(cells[:, 1:8], table["q"], equal_nan=True)
+    assert np.array_equal(cells[:, header.index(units[1])], table["wrench_hat_cov"][:, 0, 3])
+    assert rows[3][3] == ""
+    assert rows[7][header.index("flags")] == "2"
+
+
+def test_an_existing_file_is_replaced_in_one_step_and_kept_when_writing_fails(table: Table, tmp_path) -> None:
+    path = tmp_path / "est.csv"
+    path.write_text("old")
+    write(table.select("q"), path)
+    assert path.read_text(encoding="utf-8").startswith("t [s],q1")
+    mine = tmp_path / "est.mcap"
+    mine.write_text("old")
+    with pytest.raises(ConfigError, match="robot"):
+        write(table, mine)
+    assert mine.read_text() == "old"
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["est.csv", "est.mcap"]
+
+
+def test_other_endings_and_folders_that_do_not_exist_are_refused(table: Table, tmp_path) -> None:
+    with pytest.raises(ConfigError, match=r"\.mcap or \.csv"):
+        write(table, tmp_path / "est.xlsx")
+    with pytest.raises(LogError, match="create"):
+        write(table, tmp_path / "none" / "est.csv")

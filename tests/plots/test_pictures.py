@@ -1,0 +1,17 @@
+"""`plots.png`: a figure as bytes, and closed."""
+
+from __future__ import annotations
+
+import struct
+
+import matplotlib.pyplot as plt
+
+from armlab.plots.pictures import png
+
+
+def test_a_figure_and_its_axes_give_a_picture_of_the_size_asked_for_and_are_closed() -> None:
+    for drawn in (plt.figure(figsize=(2, 1)), plt.figure(figsize=(2, 1)).add_subplot()):
+        picture = png(drawn, dpi=50)
+        assert picture.startswith(b"\x89PNG\r\n\x1a\n")
+        assert struct.unpack(">II", picture[16:24]) == (100, 50)
+    assert not plt.get_fignums()
