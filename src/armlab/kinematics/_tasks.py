@@ -45,15 +45,16 @@ def check_search(tol: Any, maxiter: Any, starts: Any, damping: Any) -> tuple[flo
     ConfigError
         When one is of another kind or out of its range.
     """
-    for name, value, least in (("maxiter", maxiter, 0), ("starts", starts, 1)):
-        if not isinstance(value, _INTEGER) or not least <= value < 2**31:
-            raise ConfigError(f"Expected {name} to be an integer of at least {least}, got {value!r}.")
-    if not isinstance(damping, _NUMBER) or not damping > 0:
+    if not (isinstance(maxiter, _INTEGER) and 0 <= maxiter < 2**31):
+        raise ConfigError(f"Expected maxiter to be an integer of at least 0, got {maxiter!r}.")
+    if not (isinstance(starts, _INTEGER) and 1 <= starts < 2**31):
+        raise ConfigError(f"Expected starts to be an integer of at least 1, got {starts!r}.")
+    if not (isinstance(damping, _NUMBER) and damping > 0):
         raise ConfigError(f"Expected damping to be a number above 0, got {damping!r}.")
-    pair = tol if isinstance(tol, tuple) else (tol, tol)
-    if len(pair) != 2 or not all(isinstance(value, _NUMBER) and value >= 0 for value in pair):
+    position, rotation = tol if isinstance(tol, tuple) and len(tol) == 2 else (tol, tol)
+    if not (isinstance(position, _NUMBER) and isinstance(rotation, _NUMBER) and position >= 0 and rotation >= 0):
         raise ConfigError(f"Expected tol to be a number of at least 0, or (position, rotation), got {tol!r}.")
-    return pair
+    return float(position), float(rotation)
 
 
 def kernel_objective(
