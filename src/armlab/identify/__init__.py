@@ -5,6 +5,7 @@ from armlab.identify.covariance import fit_velocity_covariance
 from armlab.identify.dynamics import fit_dynamics
 from armlab.identify.excitation import Trajectory, dither, excitation, sequence
 from armlab.identify.expectation import Expectation, expectation
+from armlab.identify.extrapolation import Extrapolation, extrapolation
 from armlab.identify.friction import fit_friction
 from armlab.identify.group_lasso import GroupLasso, group_lasso, select_groups
 from armlab.identify.preparation import Prepared, prepare, with_velocity
@@ -16,6 +17,7 @@ from armlab.identify.warm_up import fit_warm_up
 __all__ = [
     "BaseParameters",
     "Expectation",
+    "Extrapolation",
     "GroupLasso",
     "Prepared",
     "Trajectory",
@@ -23,6 +25,7 @@ __all__ = [
     "dither",
     "excitation",
     "expectation",
+    "extrapolation",
     "fit_dynamics",
     "fit_friction",
     "fit_velocity_covariance",

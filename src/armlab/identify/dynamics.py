@@ -30,6 +30,7 @@ from armlab.estimation import (
 )
 from armlab.identify.base_parameters import BaseParameters, base_parameters
 from armlab.identify.design import Design
+from armlab.identify.extrapolation import training
 from armlab.identify.preparation import Prepared, prepare
 from armlab.identify.validation import assess, report
 from armlab.log import Table
@@ -167,6 +168,7 @@ def _model(
         base_values=theta[:p],
         base_cov=cov[:p, :p],
         quality=_quality(data),
+        training=training(data.t, data.q, data.qd, data.segments),
         sources=data.sources,
     )
 
@@ -178,9 +180,6 @@ def _quality(data: Prepared) -> Quality:
         rms=unknown,
         rms_cv=unknown,
         coverage=unknown,
-        q_min=data.q.min(axis=0),
-        q_max=data.q.max(axis=0),
-        qd_peak=np.abs(data.qd).max(axis=0),
         seconds=data.seconds,
     )
 

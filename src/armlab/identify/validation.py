@@ -8,7 +8,8 @@ import numpy as np
 
 from armlab.estimation import Fit
 from armlab.identify.covariance import fit_velocity_covariance
-from armlab.identify.preparation import Prepared
+from armlab.identify.extrapolation import extrapolation
+from armlab.identify.preparation import Prepared, with_velocity
 from armlab.log import Table
 from armlab.models import FrictionBound, TorqueModel, VelocityCovariance
 from armlab.signals import central_diff, lowpass_offline
@@ -87,18 +88,22 @@ def predict(model: TorqueModel, table: Table) -> Table:
     """Return the log with tau, tau_model and tau_sigma (N, n) [N m]: measured, modelled, and how surely.
 
     Measured and modelled torque pass a zero-phase low-pass at the model's cut-off: to that band its covariance belongs.
-    Where the arm has rested, tau_sigma holds what static friction may do, as in the estimator.
+    Where the arm has rested, tau_sigma holds what static friction may do, as in the estimator. The notes of the result
+    say where the log leaves the training data.
 
     Parameters
     ----------
     model : identified torque model.
-    table : log with columns q, qd, tau (N, n), without gaps.
+    table : log with columns q, tau (N, n), and qd where it was measured, without gaps.
     """
+    table = with_velocity(table)
     rate = 1.0 / float(np.median(np.diff(table.t)))
     torque = model.torque(table["q"], table["qd"], central_diff(table["qd"], table.t), table.dt)
     variance = model.estimator_kernel(np.ones(6)).run(table["q"], table["qd"], table["tau"], table.dt)[4]
+    warned = extrapolation(model, table).warnings
     return (
-        table.with_column("tau", lowpass_offline(table["tau"], rate, model.cutoff))
+        replace(table, notes=(*table.notes, *warned))
+        .with_column("tau", lowpass_offline(table["tau"], rate, model.cutoff))
         .with_column("tau_model", lowpass_offline(torque, rate, model.cutoff), unit="N m")
         .with_column("tau_sigma", np.sqrt(variance), unit="N m")
     )

@@ -6,10 +6,12 @@ from armlab.models.rbf import FrictionMap, RadialBasis
 from armlab.models.registry import register
 from armlab.models.ripple import RippleLines, speed_basis
 from armlab.models.torque import Quality, TorqueModel
+from armlab.models.training import SPEED_EDGES, Training
 from armlab.models.velocity_covariance import VelocityCovariance, velocity_covariance
 from armlab.models.warm_up import WarmUp
 
 __all__ = [
+    "SPEED_EDGES",
     "Friction",
     "FrictionBound",
     "FrictionMap",
@@ -18,6 +20,7 @@ __all__ = [
     "Ripple",
     "RippleLines",
     "TorqueModel",
+    "Training",
     "VelocityCovariance",
     "WarmUp",
     "load",

@@ -21,17 +21,19 @@ from armlab.errors import ConfigError, ModelMismatchError, UnknownName
 from armlab.models.friction import Friction, FrictionBound, Ripple
 from armlab.models.registry import decode, encode, provenance, read_value, value_file
 from armlab.models.torque import SIGN, Quality, TorqueModel
+from armlab.models.training import Training
 from armlab.models.velocity_covariance import VelocityCovariance
 
 __all__ = ["load", "load_statistics", "save"]
 
 KIND = "torque_model"
-FORMAT = 3
+FORMAT = 4
 FRICTION = tuple(entry.name for entry in fields(Friction))
 RIPPLE = ("cycles", "cosine", "sine")
 BOUND = ("torque", "speed", "floor")
 PARTS = ("lines", "friction_map", "warm_up")  # of the drives, where there are any
-QUALITY = ("torque_sd", "rms", "rms_cv", "coverage", "q_min", "q_max", "qd_peak")
+QUALITY = ("torque_sd", "rms", "rms_cv", "coverage")
+LIMITS = ("q_min", "q_max", "qd_peak", "speed_share")  # of the training
 UNITS = {
     "link_parameters": "kg, kg m, kg m^2; order m, m c (3), Ixx, Ixy, Iyy, Ixz, Iyz, Izz; link frames",
     "rotor": "kg m^2",
@@ -42,7 +44,8 @@ UNITS = {
     "warm_up": "s, W",
     "ctau": "(N m)^2, s/rad",
     "bound": "N m, rad/s",
-    "validation": "N m, rad, s",
+    "limits": "rad, rad/s, s; ranges of the training data",
+    "validation": "N m, s",
 }
 
 
@@ -91,10 +94,16 @@ class _Validation(_Strict):
     rms: list[float]
     rms_cv: list[float]
     coverage: list[float]
+    seconds: float
+
+
+class _Limits(_Strict):
     q_min: list[float]
     q_max: list[float]
     qd_peak: list[float]
-    seconds: float
+    speed_share: list[list[float]]
+    rest_share: float
+    longest_rest: float
 
 
 class _File(_Strict):
@@ -105,6 +114,7 @@ class _File(_Strict):
     ripple: dict[str, dict[str, float]]
     ctau: _Covariance
     bound: dict[str, dict[str, float]]
+    limits: _Limits
     validation: _Validation
     lines: dict[str, Any] | None = None
     friction_map: dict[str, Any] | None = None
@@ -166,6 +176,11 @@ def _torque_file(model: TorqueModel) -> dict[str, Any]:
             "cutoff": model.cutoff,
         },
         "bound": _by_joint(model.bound, BOUND),
+        "limits": {
+            **{name: getattr(model.training, name).tolist() for name in LIMITS},
+            "rest_share": model.training.rest_share,
+            "longest_rest": model.training.longest_rest,
+        },
         "validation": {**{name: getattr(q, name).tolist() for name in QUALITY}, "seconds": q.seconds},
         **{name: encode(part) for name in PARTS if (part := getattr(model, name)) is not None},
     }
@@ -271,6 +286,11 @@ def _model(file: _File, path: Path) -> TorqueModel:
         base_values=np.array(d.base_values),
         base_cov=cov,
         quality=Quality(**{name: np.array(getattr(validation, name)) for name in QUALITY}, seconds=validation.seconds),
+        training=Training(
+            **{name: np.array(getattr(file.limits, name)) for name in LIMITS},
+            rest_share=file.limits.rest_share,
+            longest_rest=file.limits.longest_rest,
+        ),
         sources=tuple(file.meta.sources),
         **{name: decode(part) for name in PARTS if (part := getattr(file, name)) is not None},
     )

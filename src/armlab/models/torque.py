@@ -19,6 +19,7 @@ from armlab.kernels import Chain, Drive, WrenchEstimator, model_torque
 from armlab.models.friction import Friction, FrictionBound, Ripple
 from armlab.models.rbf import FrictionMap
 from armlab.models.ripple import RippleLines
+from armlab.models.training import Training
 from armlab.models.velocity_covariance import KINDS, VelocityCovariance
 from armlab.models.warm_up import WarmUp
 from armlab.robots import Robot
@@ -38,7 +39,6 @@ class Quality:
     rms : residual in the data it was fitted to [N m]; rms_cv : in held-out blocks [N m]; both in motion, after the
         causal filter of the estimator.
     coverage : share of held-out causal residuals inside 2 sigma.
-    q_min, q_max : range of the training data [rad]; qd_peak : largest speed in it [rad/s].
     seconds : length of the training data.
     """
 
@@ -46,9 +46,6 @@ class Quality:
     rms: np.ndarray
     rms_cv: np.ndarray
     coverage: np.ndarray
-    q_min: np.ndarray
-    q_max: np.ndarray
-    qd_peak: np.ndarray
     seconds: float
 
 
@@ -65,7 +62,8 @@ class TorqueModel:
     bound : of friction near rest, for the estimators that take it as bounded.
     cutoff : corner [Hz] of the causal filter on the torque residual that `covariance` belongs to.
     base_names, base_values, base_cov : the identified base parameters with their covariance.
-    quality : how well it fits. sources : SHA-256 and name of each log.
+    quality : how well it fits. training : the ranges of the data behind it.
+    sources : SHA-256 and name of each log.
     lines, friction_map, warm_up : parts of the drives that `identify.fit_friction` adds where they win, or None.
     """
 
@@ -85,6 +83,7 @@ class TorqueModel:
     base_values: np.ndarray
     base_cov: np.ndarray
     quality: Quality
+    training: Training
     sources: tuple[str, ...] = field(default=())
     lines: RippleLines | None = None
     friction_map: FrictionMap | None = None
@@ -104,10 +103,11 @@ class TorqueModel:
             values.flags.writeable = False
             object.__setattr__(self, name, values)
         lengths = len(self.friction.delta), len(self.ripple.cycles), len(self.covariance.C0), len(self.bound.speed)
-        if lengths != (n,) * 4 or not 0 < self.cutoff < np.inf:
+        lengths = (*lengths, len(self.training.q_min))
+        if lengths != (n,) * 5 or not 0 < self.cutoff < np.inf:
             raise ShapeError(
-                f"Expected friction, ripple, covariance and bound of {n} joints and a cut-off above 0 Hz, got "
-                f"{lengths} joints and {self.cutoff:g} Hz."
+                f"Expected friction, ripple, covariance, bound and training of {n} joints and a cut-off above 0 Hz, "
+                f"got {lengths} joints and {self.cutoff:g} Hz."
             )
         _ = self.drive  # refuses parts of another number of joints
 
