@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 
 from docutils import nodes
-from docutils.utils.math import latex2mathml
+from docutils.utils.math import MathError, latex2mathml
 from sphinx.application import Sphinx
 from sphinx.util import logging
 from sphinx.writers.html5 import HTML5Translator
@@ -25,7 +25,7 @@ def mathml(node: nodes.Node, block: bool) -> str:
     """
     try:
         result = latex2mathml.tex2mathml(node.astext(), as_block=block)
-    except SyntaxError as error:
+    except MathError as error:
         logger.warning("equation cannot be written as MathML: %s", error, location=node)
         return ""
     if BELOW_ACCENT.search(result):
