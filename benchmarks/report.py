@@ -14,8 +14,8 @@ METHOD = """\
 Contenders run side by side: in short blocks that take turns in random order, in one process, on the same data, after a
 check that they compute the same. A time is the median over the blocks, with the minimum and the quartiles. The ratio is
 that of medians, armlab's time over the contender's: smaller is better. Its range is the quartiles of the ratios of
-blocks of one round. Times of loops and batches are processor time, which leaves out waiting for a core; those of single
-steps and of imports are by the clock on the wall. A bar is the largest value that the project allows itself: of that
+blocks of one round. Times of loops, batches and imports are processor time, which leaves out waiting for a core; those
+of single steps are by the clock on the wall. A bar is the largest value that the project allows itself: of that
 ratio, or of armlab's own time. Bold lines are armlab's, lines in italics are limits of the machine.
 """
 

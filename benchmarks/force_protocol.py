@@ -1,0 +1,177 @@
+"""How true a contact force is: identify on one simulated log, estimate on another, compare with what was applied.
+
+One seed of the protocol: 60 s of excitation (8 harmonics of 0.1 Hz, up to 60 % speed, 15 rad/s^2), a model from it;
+60 s of test motion (6 harmonics of 0.07 Hz, up to 40 % speed, another seed) with pushes of 5 N in random directions,
+1 s each with ramps of 0.1 s, one every 3 s; 500 g in +x and -z at the home posture while it sways by 2 degrees at
+0.5 Hz, and the same with the arm at rest. The estimator sees logs only. With `gains`, every torque sensor is wrong by
+an unknown factor in all logs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from armlab import contact, identify, log, models, robots, sim
+
+__all__ = ["Logs", "Score", "judge", "record"]
+
+PUSH, EVERY, RAMP = 5.0, 3.0, 0.1  # N, s, s
+WEIGHT = 4.905  # N, 500 g
+SEEN = 0.9  # observability from which an axis counts
+EDGE = 0.2  # s after the beginning of a ramp that "edges excluded" leaves out
+
+
+@dataclass(frozen=True, eq=False)
+class Logs:
+    """The logs of one seed, and the model of the first.
+
+    Attributes
+    ----------
+    model : identified from the excitation. moving : the test motion with pushes. edges : times of ramps in it [s].
+    swaying, resting : axis and sign of a press of 500 g, and its log.
+    """
+
+    robot: robots.Robot
+    model: models.TorqueModel
+    moving: log.Table
+    edges: np.ndarray
+    swaying: dict[str, log.Table]
+    resting: dict[str, log.Table]
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """How far the estimate is from the truth; arrays are per axis x, y, z.
+
+    Attributes
+    ----------
+    rms : during pushes where the axis is seen [N]. free : false force in motion below half speed, nobody pushing [N].
+    inside : share of forces inside 2 sigma, edges left out; with_edges : all rows.
+    press : error of the mean over 2 s of each press of 500 g while swaying, as a share.
+    rest_inside : share of rows at rest whose interval (or 2 sigma) holds the truth. stuck : share flagged STUCK.
+    """
+
+    rms: np.ndarray
+    free: np.ndarray
+    inside: np.ndarray
+    with_edges: np.ndarray
+    press: dict[str, float]
+    rest_inside: float
+    stuck: float
+
+
+def record(name: str, seed: int, gains: float = 0.0) -> Logs:
+    """Record the logs of one seed and identify the model.
+
+    Parameters
+    ----------
+    name : yumi_left or yumi_right. seed : of motions, pushes and noise.
+    gains : standard deviation of the unknown factors of the torque sensors around 1.
+    """
+    robot = robots.load(name)
+    rng = np.random.default_rng([seed, 11])
+    factor = 1.0 + gains * rng.choice([-1.0, 1.0], robot.n)
+    centre = robot.q_home.copy()
+    centre[1] = np.deg2rad(-60.0)
+    excitation = identify.excitation(
+        robot, 60.0, f0=0.1, harmonics=8, speed=0.6, acceleration=15.0, centre=centre, seed=seed
+    )
+    model = identify.fit_dynamics(_scaled(sim.record(robot, excitation, seed=seed), factor), robot).value
+    test = identify.excitation(robot, 60.0, f0=0.07, harmonics=6, speed=0.4, centre=centre, seed=1000 + seed)
+    operator, edges = _pushes(test.seconds, rng)
+    moving = sim.record(robot, test, operator=operator, seed=5000 + seed)
+    sway, rest = identify.dither(robot.q_home, 6.0), identify.dither(robot.q_home, 4.0, amplitude=0.0)
+    presses = {"+x": (0, WEIGHT), "-z": (2, -WEIGHT)}
+    swaying, resting = {}, {}
+    for k, (label, (axis, force)) in enumerate(presses.items()):
+        swaying[label] = sim.record(robot, sway, operator=_press(axis, force, 2.0, 4.5), seed=6000 + 10 * seed + k)
+        resting[label] = sim.record(robot, rest, operator=_press(axis, force, 1.0, 3.0), seed=7000 + 10 * seed + k)
+    return Logs(
+        robot,
+        model,
+        _scaled(moving, factor),
+        edges,
+        {label: _scaled(table, factor) for label, table in swaying.items()},
+        {label: _scaled(table, factor) for label, table in resting.items()},
+    )
+
+
+def judge(logs: Logs, method: str) -> Score:
+    """Estimate all logs with one method and compare with what the operator did.
+
+    Parameters
+    ----------
+    logs : of one seed. method : of `contact.Estimator`.
+    """
+    estimator = contact.Estimator(logs.model, logs.robot, method=method)
+    table = estimator.run(logs.moving)
+    error, sigma, seen = _errors(table)
+    t, pushed = table.t, np.abs(table["wrench_true"]).sum(axis=1) > 0
+    slow = (np.abs(table["qd"]) < 0.5 * logs.robot.qd_max).all(axis=1) & ~_near(t, logs.edges, 0.5)
+    calm, ready = ~_near(t, logs.edges, EDGE), t > 1.0
+    press = {}
+    for label, one in logs.swaying.items():
+        found = estimator.run(one).between(2.5, 4.5)
+        axis, force = "xyz".index(label[1]), float(found["wrench_true"][-1, "xyz".index(label[1])])
+        press[label] = float(found["wrench_hat"][:, axis].mean() / force - 1.0)
+    rest = [estimator.run(one) for one in logs.resting.values()]
+    return Score(
+        rms=_rms(error, seen & (pushed & ready)[:, None]),
+        free=_rms(error, seen & (slow & ~pushed & ready)[:, None]),
+        inside=np.mean(np.abs(error[calm & ready]) < 2 * sigma[calm & ready], axis=0),
+        with_edges=np.mean(np.abs(error[ready]) < 2 * sigma[ready], axis=0),
+        press=press,
+        rest_inside=float(np.mean([_rest_inside(one) for one in rest])),
+        stuck=float(np.mean([((one["wrench_flags"] & contact.STUCK) > 0)[250:].mean() for one in rest])),
+    )
+
+
+def _pushes(seconds: float, rng: np.random.Generator) -> tuple[sim.Operator, np.ndarray]:
+    """Return an operator who pushes in random directions, and the beginnings of all ramps."""
+    starts = np.arange(1.5, seconds - 2.0, EVERY)
+    directions = rng.standard_normal((len(starts), 3))
+    force = PUSH * directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    corners = np.array([0.0, RAMP, 1.0 - RAMP, 1.0])
+    wrench = np.zeros((len(starts), 4, 6))
+    wrench[:, 1:3, :3] = force[:, None]
+    edges = np.concatenate([starts, starts + 1.0 - RAMP])
+    return sim.Operator((starts[:, None] + corners).ravel(), wrench.reshape(-1, 6)), edges
+
+
+def _press(axis: int, force: float, start: float, end: float) -> sim.Operator:
+    wrench = np.zeros((4, 6))
+    wrench[1:3, axis] = force
+    return sim.Operator(np.array([start - RAMP, start, end, end + RAMP]), wrench)
+
+
+def _scaled(table: log.Table, factor: np.ndarray) -> log.Table:
+    return table.with_column("tau", table["tau"] * factor)
+
+
+def _errors(table: log.Table) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return error, sigma (N, 3) and where an axis is seen."""
+    sigma = np.sqrt(np.einsum("kii->ki", table["wrench_hat_cov"])[:, :3])
+    return table["wrench_hat"][:, :3] - table["wrench_true"][:, :3], sigma, table["observability"][:, :3] >= SEEN
+
+
+def _near(t: np.ndarray, edges: np.ndarray, after: float) -> np.ndarray:
+    """Return which times lie within `after` seconds behind the beginning of a ramp (its length included)."""
+    lag = t[:, None] - edges
+    return ((lag >= 0) & (lag < RAMP + after)).any(axis=1)
+
+
+def _rms(error: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    return np.array([np.sqrt(np.mean(error[rows[:, i], i] ** 2)) if rows[:, i].any() else np.nan for i in range(3)])
+
+
+def _rest_inside(table: log.Table) -> float:
+    """Return the share of rows at rest whose band holds the true force in all axes; the first second settles."""
+    table = table.between(1.0, table.t[-1])
+    truth = table["wrench_true"][:, :3]
+    if "wrench_interval" in table:
+        interval = table["wrench_interval"][:, :3]
+        return float(((truth >= interval[..., 0]) & (truth <= interval[..., 1])).all(axis=1).mean())
+    error, sigma, _ = _errors(table)
+    return float((np.abs(error) < 2 * sigma).all(axis=1).mean())
