@@ -1,0 +1,32 @@
+"""From log to force on the simulated YuMi, as `benchmarks/accuracy.py` measures over twenty seeds: here one of them."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+import force_protocol as protocol
+
+pytestmark = pytest.mark.slow  # 30 s each: two logs of a minute, an identification
+
+
+def test_one_seed_meets_the_bars() -> None:
+    logs = protocol.record("yumi_left", seed=0)
+    score = protocol.judge(logs, "map")
+    assert (score.rms <= 1.0).all()
+    assert (score.free <= 1.0).all()
+    assert ((score.inside >= 0.90) & (score.inside <= 0.97 + 0.01)).all()
+    assert (score.with_edges >= 0.88).all()
+    assert np.abs(list(score.press.values())).max() <= 0.10
+    assert score.rest_inside == 1.0
+    assert protocol.judge(logs, "interval").rest_inside == 1.0
+
+
+def test_unknown_gains_of_the_torque_sensors() -> None:
+    score = protocol.judge(protocol.record("yumi_right", seed=1, gains=0.05), "map")
+    assert (score.rms <= 1.5).all()
+    assert (score.inside >= 0.85).all()
