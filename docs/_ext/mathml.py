@@ -15,6 +15,7 @@ from sphinx.writers.html5 import HTML5Translator
 
 logger = logging.getLogger(__name__)
 
+NO_BRACES = re.compile(r"\\[dt]?frac\s*\d\d")  # TeX takes one digit, docutils the whole number
 BELOW_ACCENT = re.compile(r'<munderover>(?:(?!</munderover>).)*<mo stretchy="false">', re.DOTALL)
 
 
@@ -28,6 +29,8 @@ def mathml(node: nodes.Node, block: bool) -> str:
     except MathError as error:
         logger.warning("equation cannot be written as MathML: %s", error, location=node)
         return ""
+    if NO_BRACES.search(node.astext()):
+        logger.warning("a fraction without braces gets other numbers: %s", node.astext(), location=node)
     if BELOW_ACCENT.search(result):
         logger.warning("a subscript after an accent lands below the letter: %s", node.astext(), location=node)
     return result.replace('accent="true"', 'class="accent"')
