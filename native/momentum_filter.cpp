@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "cholesky.h"
+
 namespace armlab {
 namespace {
 
@@ -29,28 +31,6 @@ void multiply(int rows, int inner, int columns, const double *A, int sa, const d
       const double *b = B + sb * k;
       for (int j = 0; j < columns; ++j) c[j] += f * b[j];
     }
-  }
-}
-
-bool cholesky(double *S, int n) {
-  for (int j = 0; j < n; ++j) {
-    for (int k = 0; k < j; ++k)
-      for (int i = j; i < n; ++i) S[n * i + j] -= S[n * i + k] * S[n * j + k];
-    if (!(S[n * j + j] > 0.0)) return false;
-    const double root = std::sqrt(S[n * j + j]);
-    for (int i = j; i < n; ++i) S[n * i + j] /= root;
-  }
-  return true;
-}
-
-void solve(const double *L, int n, double *x) {
-  for (int i = 0; i < n; ++i) {
-    for (int k = 0; k < i; ++k) x[i] -= L[n * i + k] * x[k];
-    x[i] /= L[n * i + i];
-  }
-  for (int i = n - 1; i >= 0; --i) {
-    for (int k = i + 1; k < n; ++k) x[i] -= L[n * k + i] * x[k];
-    x[i] /= L[n * i + i];
   }
 }
 
@@ -104,7 +84,7 @@ bool momentum_step(const MomentumInputs &in, const double *u, const double *y, c
   if (!cholesky(S, n)) return false;
   for (int i = 0; i < N; ++i) {  // rows of K = P[:, :n] S^-1
     std::copy_n(P + N * i, n, K + n * i);
-    solve(S, n, K + n * i);
+    cholesky_solve(S, n, K + n * i);
     for (int k = 0; k < n; ++k) x[i] += K[n * i + k] * innovation[k];
   }
   // Joseph: A P A^T + K R K^T with A = I - K [I 0]; first T = A P, then P = T A^T.

@@ -4,6 +4,8 @@
 #include <cmath>
 #include <limits>
 
+#include "cholesky.h"
+
 namespace armlab {
 namespace {
 
@@ -12,36 +14,12 @@ constexpr int clip_limit = 20000;   // the clip iteration needs thousands
 constexpr double kkt_goal = 1e-10;  // clip stops here
 constexpr double weakest = 1e-12;   // ls: smallest pivot of the scaled information
 
-// Lower Cholesky factor of S (n, n) in place; false when a pivot is not above `least`.
-bool factor(double *S, int n, double least = 0.0) {
-  for (int j = 0; j < n; ++j) {
-    for (int k = 0; k < j; ++k)
-      for (int i = j; i < n; ++i) S[n * i + j] -= S[n * i + k] * S[n * j + k];
-    if (!(S[n * j + j] > least)) return false;
-    const double root = std::sqrt(S[n * j + j]);
-    for (int i = j; i < n; ++i) S[n * i + j] /= root;
-  }
-  return true;
-}
-
-// x <- S^-1 x for the factor L of S.
-void solve(const double *L, int n, double *x) {
-  for (int i = 0; i < n; ++i) {
-    for (int k = 0; k < i; ++k) x[i] -= L[n * i + k] * x[k];
-    x[i] /= L[n * i + i];
-  }
-  for (int i = n - 1; i >= 0; --i) {
-    for (int k = i + 1; k < n; ++k) x[i] -= L[n * k + i] * x[k];
-    x[i] /= L[n * i + i];
-  }
-}
-
 // P = scale S^-1 scale for the factor L of S (k, k).
 void inverse(const double *L, int k, const double *scale, double *P) {
   for (int j = 0; j < k; ++j) {
     double column[6] = {};
     column[j] = 1.0;
-    solve(L, k, column);
+    cholesky_solve(L, k, column);
     for (int i = 0; i < k; ++i) P[k * i + j] = scale[i] * scale[j] * column[i];
   }
   for (int i = 0; i < k; ++i)
@@ -80,11 +58,11 @@ void map_gain(const WrenchProblem &p, double *K) {
       for (int a = 0; a < k; ++a) sum += p.A[n * a + i] * p.prior[a] * p.A[n * a + j];
       S[n * i + j] = sum;
     }
-  factor(S, n);
+  cholesky(S, n);
   for (int a = 0; a < k; ++a) {
     double *row = K + n * a;
     for (int i = 0; i < n; ++i) row[i] = p.prior[a] * p.A[n * a + i];
-    solve(S, n, row);
+    cholesky_solve(S, n, row);
   }
 }
 
@@ -98,11 +76,11 @@ void printed_gain(const WrenchProblem &p, double *K) {
       for (int i = 0; i < n; ++i) sum += p.A[n * a + i] * p.variance[i] * p.A[n * b + i];
       H[k * a + b] = sum;
     }
-  factor(H, k);
+  cholesky(H, k);
   for (int i = 0; i < n; ++i) {
     double column[6];
     for (int a = 0; a < k; ++a) column[a] = p.A[n * a + i] * p.variance[i];
-    solve(H, k, column);
+    cholesky_solve(H, k, column);
     for (int a = 0; a < k; ++a) K[n * a + i] = column[a];
   }
 }
@@ -125,13 +103,13 @@ void least_squares(const WrenchProblem &p, WrenchSolution &s) {
       H[k * a + b] = scale[a] * scale[b] * sum;
     }
   }
-  s.singular = !factor(H, k, weakest);
+  s.singular = !cholesky(H, k, weakest);
   if (s.singular) {
     std::fill_n(s.x, k, std::numeric_limits<double>::quiet_NaN());
     std::fill_n(s.P, k * k, std::numeric_limits<double>::quiet_NaN());
     return;
   }
-  solve(H, k, rhs);
+  cholesky_solve(H, k, rhs);
   for (int a = 0; a < k; ++a) s.x[a] = scale[a] * rhs[a];
   inverse(H, k, scale, s.P);
 }
@@ -176,7 +154,7 @@ struct BandCost {
           if (beyond[i] != 0.0) sum += scale[a] * scale[b] * p.A[p.n * a + i] * p.A[p.n * b + i] / p.variance[i];
         H[p.k * a + b] = sum;
       }
-    factor(H, p.k);
+    cholesky(H, p.k);
   }
 };
 
@@ -200,7 +178,7 @@ void newton(const WrenchProblem &p, WrenchSolution &s) {
     if (cost.gradient(y, g) == 0.0) break;
     cost.hessian(H);
     std::copy_n(g, k, step);
-    solve(H, k, step);
+    cholesky_solve(H, k, step);
     double slope = 0.0, size = 0.0, length = 1.0, next = value;
     for (int a = 0; a < k; ++a) {
       slope -= 2.0 * g[a] * step[a];
