@@ -169,6 +169,12 @@ Output::Output(nb::handle out, const char *name, std::initializer_list<npy_intp>
   streams_ = PyArray_NBYTES(pointer()) >= 16'000'000 && width_ % 2 == 0 && address % 16 == 0;
 }
 
+void Output::require_apart_from(const Input &input) const {
+  if (overlap(pointer(), input.data(), input.size()))
+    raise_shape_error(std::string("Expected ") + name_ + " to be apart from " + input.name() +
+                      ", got arrays that share memory. Make it with numpy.empty, or leave it out.");
+}
+
 void Output::require_apart_from(const Output &other) const {
   if (overlap(pointer(), static_cast<const double *>(PyArray_DATA(other.pointer())), PyArray_SIZE(other.pointer())))
     raise_shape_error(std::string("Expected ") + name_ + " and " + other.name_ +

@@ -96,6 +96,8 @@ class Output {
   Output(nb::handle out, const char *name, std::initializer_list<npy_intp> tail,
          std::initializer_list<const Samples *> inputs);
 
+  // The inputs that are no samples, and the other outputs.
+  void require_apart_from(const Input &input) const;
   void require_apart_from(const Output &other) const;
 
   const nb::object &array() const { return array_; }

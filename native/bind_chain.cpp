@@ -138,6 +138,8 @@ nb::object rnea(const Chain &self, nb::handle q_, nb::handle qd_, nb::handle qdd
   gravity.require_exactly({3});
   pi.require_exactly({self.n, 10});
   const Output tau(out, "out", {self.n}, {&q, &qd, &qdd});
+  tau.require_apart_from(gravity);
+  tau.require_apart_from(pi);
   compute<3, 1>(q, {q.samples(), qd.samples(), qdd.samples()}, {tau.samples()}, [&](const auto &in, const auto &out) {
     armlab::rnea(self, in[0], in[1], in[2], gravity.data(), pi.data(), out[0]);
   });
@@ -150,6 +152,7 @@ nb::object rigid_regressor(const Chain &self, nb::handle q_, nb::handle qd_, nb:
   const Input gravity(gravity_, "gravity");
   gravity.require_exactly({3});
   const Output Y(out, "out", {self.n, 10 * self.n}, {&q, &qd, &qdd});
+  Y.require_apart_from(gravity);
   compute<3, 1>(q, {q.samples(), qd.samples(), qdd.samples()}, {Y.samples()}, [&](const auto &in, const auto &out) {
     armlab::rigid_regressor(self, in[0], in[1], in[2], gravity.data(), out[0]);
   });
@@ -161,6 +164,7 @@ nb::object mass_matrix(const Chain &self, nb::handle q_, nb::handle pi_, nb::han
   const Input pi(pi_, "pi");
   pi.require_exactly({self.n, 10});
   const Output M(out, "out", {self.n, self.n}, {&q});
+  M.require_apart_from(pi);
   compute<1, 1>(q, {q.samples()}, {M.samples()},
                 [&](const auto &in, const auto &out) { armlab::mass_matrix(self, in[0], pi.data(), out[0]); });
   return M.array();
@@ -172,6 +176,8 @@ nb::object momentum(const Chain &self, nb::handle q_, nb::handle qd_, nb::handle
   const Input pi(pi_, "pi");
   pi.require_exactly({self.n, 10});
   const Output p(out_p, "out[0]", {self.n}, {&q, &qd}), beta(out_beta, "out[1]", {self.n}, {&q, &qd});
+  for (const Output *output : {&p, &beta}) output->require_apart_from(pi);
+  beta.require_apart_from(p);
   compute<2, 2>(q, {q.samples(), qd.samples()}, {p.samples(), beta.samples()}, [&](const auto &in, const auto &out) {
     armlab::momentum(self, in[0], in[1], pi.data(), out[0], out[1]);
   });
@@ -183,6 +189,7 @@ nb::object gravity_regressor(const Chain &self, nb::handle q_, nb::handle gravit
   const Input gravity(gravity_, "gravity");
   gravity.require_exactly({3});
   const Output Y(out, "out", {self.n, 4 * self.n}, {&q});
+  Y.require_apart_from(gravity);
   compute<1, 1>(q, {q.samples()}, {Y.samples()}, [&](const auto &in, const auto &out) {
     armlab::gravity_regressor(self, in[0], gravity.data(), out[0]);
   });

@@ -144,12 +144,12 @@ void bind_estimator(nb::module_ &m) {
   using namespace armlab;
   nb::class_<WrenchEstimator>(m, "WrenchEstimator",
                               "Contact wrench from joint motion and torque; see armlab/kernels/_reference/estimator.py.")
-      .def("__init__", &construct, nb::arg("chain"), nb::arg("gravity"), nb::arg("links"), nb::arg("rotor"),
-           nb::arg("drive"), nb::arg("covariance"), nb::arg("bound"), nb::arg("prior"),
+      .def("__init__", &construct, nb::arg("chain"), array("gravity"), array("links"), array("rotor"),
+           nb::arg("drive"), array("covariance"), array("bound"), array("prior"),
            nb::arg("cutoff"), nb::arg("method") = 0, nb::arg("point") = nb::none())
       .def("reset", &WrenchEstimator::reset, "Forget everything but the parameters.")
-      .def("step", &step, nb::arg("q"), nb::arg("qd"), nb::arg("tau"), nb::arg("dt"),
+      .def("step", &step, array("q"), array("qd"), array("tau"), nb::arg("dt"),
            "Advance by one sample; return F, P, observability, torque error, its variance, flags, active, interval.")
-      .def("run", &run, nb::arg("q"), nb::arg("qd"), nb::arg("tau"), nb::arg("dt"),
+      .def("run", &run, array("q"), array("qd"), array("tau"), array("dt"),
            "Step along a record (N, n); return the outputs of step stacked over N.");
 }

@@ -26,7 +26,7 @@ nb::object run(int n, const Request &request, Solve solve) {
   const Goals &goals = request.goals;
   double *q, *errors, *path = nullptr;
   std::int64_t *counts;
-  const npy_intp length = 2 * (request.search.steps + 1);
+  const npy_intp length = 2 * (npy_intp{request.search.steps} + 1);
   const nb::object q_array = goals.fresh(NPY_DOUBLE, {n}, &q), error_array = goals.fresh(NPY_DOUBLE, {3}, &errors);
   const nb::object count_array = goals.fresh(NPY_INT64, {3}, &counts);
   nb::object history_array = nb::none();
@@ -91,14 +91,15 @@ void bind_inverse_solver(nb::module_ &m) {
                             "Inverse kinematics, immutable; armlab.kernels._reference.InverseSolver documents it.")
       .def("__init__", &construct, arg("chain"), array("q_min"), array("q_max"), array("q_home"), arg("seed") = 0)
       .def("solve", &solve, array("T_base_tool"), arg("q0") = nb::none(), arg("task") = 6,
-           arg("axis") = nb::make_tuple(0.0, 0.0, 1.0), arg("steps") = 100, arg("starts") = 100,
+           array("axis") = nb::make_tuple(0.0, 0.0, 1.0), arg("steps") = 100, arg("starts") = 100,
            arg("position_tolerance") = 1e-9, arg("rotation_tolerance") = 1e-9, arg("damping") = 0.1,
-           arg("objective") = 0, arg("reference") = nb::none(), arg("scale") = nb::none(), arg("history") = false, arg("threads") = 1)
+           arg("objective") = 0, arg("reference") = nb::none(), arg("scale") = nb::none(), arg("history") = false,
+           arg("threads").none() = 1)
       .def("follow", &follow, array("T_base_tool"), array("q0"),
            arg("change") = std::numeric_limits<double>::infinity(), arg("task") = 6,
-           arg("axis") = nb::make_tuple(0.0, 0.0, 1.0), arg("steps") = 100, arg("position_tolerance") = 1e-9,
+           array("axis") = nb::make_tuple(0.0, 0.0, 1.0), arg("steps") = 100, arg("position_tolerance") = 1e-9,
            arg("rotation_tolerance") = 1e-9, arg("damping") = 0.1, arg("objective") = 0, arg("reference") = nb::none(),
-           arg("scale") = nb::none(), arg("history") = false, arg("threads") = 1);
+           arg("scale") = nb::none(), arg("history") = false, arg("threads").none() = 1);
 }
 
 }  // namespace armlab::python

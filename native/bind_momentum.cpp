@@ -38,7 +38,8 @@ nb::object step(nb::handle x_, nb::handle P_, nb::handle G_, nb::handle u_, nb::
 }  // namespace armlab
 
 void bind_momentum(nb::module_ &m) {
+  using armlab::array;
   using nb::arg;
-  m.def("momentum_step", &armlab::step, arg("x"), arg("P"), arg("G"), arg("u"), arg("y"), arg("R"), arg("h"), arg("Qp"),
-        arg("q"), arg("a"), "One step of the momentum filter; see armlab/kernels/_reference/momentum.py.");
+  m.def("momentum_step", &armlab::step, array("x"), array("P"), array("G"), array("u"), array("y"), array("R"),
+        arg("h"), array("Qp"), array("q"), array("a"), "One step of the momentum filter; see armlab/kernels/_reference/momentum.py.");
 }

@@ -28,5 +28,5 @@ nb::object so3_nearest(nb::handle M_, nb::handle out) {
 }  // namespace armlab::python
 
 void bind_nearest(nb::module_ &m) {
-  m.def("so3_nearest", &armlab::python::so3_nearest, nb::arg("M"), nb::arg("out") = nb::none());
+  m.def("so3_nearest", &armlab::python::so3_nearest, armlab::array("M"), nb::arg("out") = nb::none());
 }

@@ -79,9 +79,10 @@ nb::object follow_path(const InverseSolver &self, nb::handle T, nb::handle q0_, 
 }  // namespace armlab::python
 
 void bind_path(nb::module_ &m) {
+  using armlab::array;
   using nb::arg;
-  m.def("follow_path", &armlab::python::follow_path, arg("solver"), armlab::array("T_base_tool"), arg("q0") = nb::none(),
-        arg("change") = nb::none(), arg("task") = 6, arg("axis") = nb::make_tuple(0.0, 0.0, 1.0), arg("steps") = 100,
+  m.def("follow_path", &armlab::python::follow_path, arg("solver"), array("T_base_tool"), arg("q0") = nb::none(),
+        arg("change") = nb::none(), arg("task") = 6, array("axis") = nb::make_tuple(0.0, 0.0, 1.0), arg("steps") = 100,
         arg("starts") = 100, arg("position_tolerance") = 1e-9, arg("rotation_tolerance") = 1e-9, arg("damping") = 0.1,
         arg("objective") = 0, arg("reference") = nb::none(), arg("scale") = nb::none(),
         "Return postures, errors and counts along a path; see armlab/kernels/_reference/path.py.");

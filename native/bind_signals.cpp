@@ -121,8 +121,8 @@ void bind_signals(nb::module_ &m) {
                                "Streaming operator on a signal; see armlab/kernels/_reference/signals.py.")
       .def("__init__", &construct, nb::arg("kind"), nb::arg("a"), nb::arg("b"), nb::arg("dt"),
            nb::arg("init").none() = nb::none())
-      .def("step", &step, nb::arg("x"), nb::arg("t").none() = nb::none(), "Advance by one sample and return the output.")
-      .def("run", &run, nb::arg("x"), nb::arg("t").none() = nb::none(),
+      .def("step", &step, array("x"), nb::arg("t").none() = nb::none(), "Advance by one sample and return the output.")
+      .def("run", &run, array("x"), nb::arg("t").none() = nb::none(),
            "Step along samples (N, ...) and return the outputs stacked over N.")
       .def("reset", &reset, nb::arg("init").none() = nb::none(), "Forget all samples; start again from init.")
       .def_prop_ro("gaps", [](const PySignalOperator &self) { return self.kernel.gaps; }, "Steps longer than 1.5 dt.")

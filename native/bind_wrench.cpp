@@ -59,8 +59,8 @@ nb::object interval(nb::handle A_, nb::handle error_, nb::handle spread_, nb::ha
 
 void bind_wrench(nb::module_ &m) {
   using namespace armlab;
-  m.def("solve_wrench", &solve, nb::arg("A"), nb::arg("error"), nb::arg("variance"), nb::arg("bound"), nb::arg("prior"),
+  m.def("solve_wrench", &solve, array("A"), array("error"), array("variance"), array("bound"), array("prior"),
         nb::arg("method"), "Wrench of one instant; see armlab/kernels/_reference/wrench.py.");
-  m.def("wrench_interval", &interval, nb::arg("A"), nb::arg("error"), nb::arg("spread"), nb::arg("box"),
+  m.def("wrench_interval", &interval, array("A"), array("error"), array("spread"), array("box"),
         "Guaranteed interval of each unknown; see armlab/kernels/_reference/wrench.py.");
 }

@@ -1,6 +1,7 @@
 // Descent of the inverse kinematics from one start after the other; see inverse.h.
 #pragma once
 
+#include <cstddef>
 #include <utility>
 
 #include "inverse_step.h"
@@ -31,14 +32,14 @@ class Descent {
   bool run(const double *q, const Box &box, Patience patience, double *history) {
     for (int i = 0; i < chain_.n; ++i) best_->q[i] = clamp(q[i], box.low[i], box.high[i]);
     evaluate(chain_, goal_, weight_, *best_);
-    if (history) std::fill_n(history, 2 * (search_.steps + 1), std::numeric_limits<double>::quiet_NaN());
+    if (history) std::fill_n(history, 2 * (std::ptrdiff_t{search_.steps} + 1), std::numeric_limits<double>::quiet_NaN());
     const Iterate<M> *from = best_;
     double squares[most_window], damping = search_.damping;
     int left = grace;
     for (int k = 0;; ++k) {
       if (history) {
-        history[2 * k] = best_->position_error;
-        history[2 * k + 1] = best_->rotation_error;
+        *history++ = best_->position_error;
+        *history++ = best_->rotation_error;
       }
       if (best_->within(search_)) return true;
       double &before = squares[k % patience.window];

@@ -29,12 +29,13 @@ inline void jacobian_derivative(const Chain &chain, const Real *q, const Real *q
     point[i] = p;
     if (i > 0) advance(i);
   });
-  point[n] = T.p;
+  const Vec3<Real> missing = missing_in(T);
+  point[n] = T.p + missing;
   advance(n);
   for (int i = 0; i < n; ++i) {
-    const Vec3<Real> turning = cross(w[i], axis[i]), lever = T.p - point[i];
+    const Vec3<Real> turning = cross(w[i], axis[i]), lever = point[n] - point[i];
     const bool slides = chain.steps[i].slides;
-    Vec3<Real> vd = turning, wd = zero;
+    Vec3<Real> vd = turning + missing, wd = zero;
     if (!slides) {
       vd = cross(turning, lever) + cross(axis[i], pd[n] - pd[i]);
       wd = turning;

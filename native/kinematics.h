@@ -88,6 +88,12 @@ inline void forward(const Chain &chain, const Real *q, Real *T_out) {
   walk(chain, q, [](int, const Vec3<Real> &, const Vec3<Real> &) {}).write(T_out);
 }
 
+// Zero, or NaN where a joint is NaN: for what does not depend on that joint, but must show that it is missing.
+template <class Real>
+inline Vec3<Real> missing_in(const Pose<Real> &T) {
+  return Real(0.0) * (T.x + T.p);
+}
+
 // J (6, n): rows [v; w], at the tool point, in base axes or in tool axes. Returns T_base_tool.
 template <class Real>
 inline Pose<Real> jacobian(const Chain &chain, const Real *q, bool tool, Real *J) {
@@ -102,10 +108,11 @@ inline Pose<Real> jacobian(const Chain &chain, const Real *q, bool tool, Real *J
     write(0, i, p);  // until the tool point is known
     write(3, i, z);
   });
+  const Vec3<Real> missing = missing_in(T), tip = T.p + missing;
   for (int i = 0; i < n; ++i) {
-    Vec3<Real> w = read(3, i), v = cross(w, T.p - read(0, i));
+    Vec3<Real> w = read(3, i), v = cross(w, tip - read(0, i));
     if (chain.steps[i].slides) {
-      v = w;
+      v = w + missing;
       w = {Real(0.0), Real(0.0), Real(0.0)};
       write(3, i, w);
     }

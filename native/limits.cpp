@@ -140,7 +140,7 @@ nb::object limit_reference(nb::handle sent_, nb::handle bounds_, double T, nb::h
 }  // namespace armlab
 
 void bind_limits(nb::module_ &m) {
-  m.def("limit_reference", &armlab::limit_reference, nb::arg("sent"), nb::arg("bounds"), nb::arg("period"),
+  m.def("limit_reference", &armlab::limit_reference, armlab::array("sent"), armlab::array("bounds"), nb::arg("period"),
         nb::arg("q_ref").none() = nb::none(), nb::arg("q_last").none() = nb::none(), nb::arg("qd_ref").none() = nb::none(),
         "Return the reference to send next, clamp bits, velocity ratio and refusal; see "
         "armlab/kernels/_reference/limits.py.");

@@ -114,6 +114,9 @@ def test_both_refuse_wrong_shapes(model: TorqueModel) -> None:
             estimator.step(np.zeros(7), np.zeros(6), np.zeros(7), 0.004)
         with pytest.raises(errors.ShapeError, match="tau"):
             estimator.step(np.zeros(7), np.zeros(7), 0.0, 0.004)
+        for name in ("q", "qd", "tau"):
+            with pytest.raises(errors.ShapeError, match=f"^Expected {name} to be an array of real numbers, got None"):
+                estimator.step(**{"q": np.zeros(7), "qd": np.zeros(7), "tau": np.zeros(7), "dt": 0.004, name: None})
         with pytest.raises(errors.ShapeError, match="tau"):
             estimator.run(np.zeros((5, 7)), np.zeros((5, 7)), np.zeros((4, 7)), np.zeros(5))
     for module in (native, _reference):

@@ -202,6 +202,46 @@ def test_out_apart_from_the_inputs() -> None:
         chain.forward(memory[:4], out=memory[2:18].reshape(4, 4))
 
 
+@pytest.mark.parametrize(
+    ("name", "size"),
+    [("rnea", (4,)), ("mass_matrix", (4, 4)), ("rigid_regressor", (4, 40)), ("gravity_regressor", (4, 16))],
+)
+def test_out_apart_from_the_parameters(name: str, size: tuple[int, ...]) -> None:
+    """Native only, as above: the next sample would be computed with other parameters."""
+    chain, memory = _native.Chain(np.tile(np.eye(4), (5, 1, 1)), np.zeros(4)), np.zeros(200)
+    parameters = {"gravity": memory[:3], "pi": memory[:40].reshape(4, 10)}
+    arguments = [parameters.get(argument, np.zeros(4)) for argument in METHODS[name]]
+    with pytest.raises(ShapeError, match=r"Expected out to be apart from (gravity|pi), got arrays that share memory"):
+        getattr(chain, name)(*arguments, out=memory[2 : 2 + np.prod(size)].reshape(size))
+
+
+def test_momentum_into_arrays_apart(chain: Any, inputs: dict[str, np.ndarray]) -> None:
+    both = np.zeros((2, 35, 4))
+    with pytest.raises(ShapeError, match=r"out\[1\] and out\[0\] to be apart, got arrays that share memory"):
+        chain.momentum(inputs["q"], inputs["qd"], inputs["pi"], out=(both, both))
+
+
+@pytest.mark.parametrize("prismatic", [False, True])
+@pytest.mark.parametrize("joint", [0, 1, 2])
+@pytest.mark.parametrize("name", ["forward", "jacobian", "jacobian_derivative"])
+def test_a_joint_that_is_missing_shows(name: str, joint: int, prismatic: bool) -> None:
+    """Also where the result depends on no joint: all axes are one, with the tool on it."""
+    q = np.where(np.arange(3) == joint, np.nan, 0.5)
+    for module in (_native, _reference):
+        chain = module.Chain(np.tile(np.eye(4), (4, 1, 1)), [prismatic] * 3)
+        arguments = (q, np.ones(3)) if name == "jacobian_derivative" else (q,)
+        assert np.isnan(getattr(chain, name)(*arguments)).any()
+        batch = getattr(chain, name)(*(np.tile(argument, (9, 1)) for argument in arguments))
+        assert np.isnan(batch).any(axis=(1, 2)).all()
+
+
+@pytest.mark.parametrize("module", [_native, _reference], ids=["native", "reference"])
+@pytest.mark.parametrize("prismatic", [None, ["a", "b"], [[True], [False, True]]])
+def test_kinds_of_joints_that_are_none(module: Any, prismatic: Any) -> None:
+    with pytest.raises(ShapeError, match=r"^Expected prismatic to be an array of real numbers, got .*\.$"):
+        module.Chain(np.tile(np.eye(4), (3, 1, 1)), prismatic)
+
+
 @pytest.mark.parametrize("module", [_native, _reference], ids=["native", "reference"])
 @pytest.mark.parametrize(
     ("frames", "prismatic", "sentence"),

@@ -46,6 +46,8 @@ def test_both_give_the_same(kind, x, steps, init, timed) -> None:
     [
         lambda op: op("lowpass", 1.0, 0.7, np.nan).step(1.0),
         lambda op: op("lowpass", 1.0, 0.7, DT).run(1.0),
+        lambda op: op("lowpass", 1.0, 0.7, DT).step(None),
+        lambda op: op("lowpass", 1.0, 0.7, DT).run(None),
         lambda op: op("lowpass", 1.0, 0.7, DT).run(np.zeros(3), np.zeros(2)),
         lambda op: op("euler", 0.0, 0.0, DT, [1.0, 2.0]).step(np.zeros(3)),
         lambda op: op("euler", 0.0, 0.0, DT, np.nan),

@@ -115,3 +115,5 @@ def test_wrong_shapes_and_no_noise_are_refused() -> None:
     for name in ("x", "P", "u", "y", "R", "Qp", "q", "a"):
         with pytest.raises(ShapeError, match=name):
             momentum_step(**{**good, name: np.zeros(9)})
+        with pytest.raises(ShapeError, match=f"^Expected {name} to be an array of real numbers, got NoneType"):
+            momentum_step(**{**good, name: None})

@@ -11,6 +11,7 @@ from scipy import sparse
 from scipy.optimize import lsq_linear
 
 from armlab import robots
+from armlab.errors import ShapeError
 from armlab.kernels import solve_wrench, wrench_interval
 from armlab.kernels._reference.wrench import METHODS
 
@@ -237,3 +238,13 @@ def test_thousands_of_units_are_the_same_wrench(method: int) -> None:
         x = solve_wrench(A, error, variance, bound, PRIOR, method)[0]
         y = solve_wrench(A * unit[:, None], error, variance, bound, PRIOR / unit**2, method)[0]
         np.testing.assert_allclose(y * unit, x, rtol=0, atol=1e-9 * np.max(np.abs(x)) + (1e-6 if method == CLIP else 0))
+
+
+def test_nothing_in_place_of_an_array_is_refused() -> None:
+    A, _, _, variance, bound, error = next(problems(1, seed=0))
+    wrench = {"A": A, "error": error, "variance": variance, "bound": bound, "prior": PRIOR}
+    interval = {"A": A, "error": error, "spread": bound, "box": PRIOR}
+    for function, good in (((lambda **given: solve_wrench(**given, method=MAP)), wrench), (wrench_interval, interval)):
+        for name in good:
+            with pytest.raises(ShapeError, match=f"^Expected {name} to be an array of real numbers, got NoneType"):
+                function(**{**good, name: None})

@@ -33,7 +33,7 @@ class Chain:
     """
 
     def __init__(self, frames: Any, prismatic: Any) -> None:
-        kinds = np.asarray(prismatic)
+        kinds = read(prismatic, "prismatic", ())
         if kinds.ndim != 1 or not 1 <= kinds.size <= MAX_JOINTS:
             raise ShapeError(
                 f"Expected prismatic of shape (n,) with n from 1 to {MAX_JOINTS} joints, got {kinds.shape}."
@@ -163,7 +163,7 @@ class Chain:
         ----------
         q, qd : (..., n). pi : (n, 10) as in `rnea`.
         """
-        steps, V, _ = self._motion(q, qd, np.zeros_like(np.asarray(q, dtype=float)), np.zeros(3))
+        steps, V, _ = self._motion(q, qd, np.zeros_like(self._joints(q)), np.zeros(3))
         inertia = np.einsum("ik,kab->iab", read(pi, "pi", (self.n, 10), exact=True), UNIT_INERTIAS)
         p, beta = np.empty((*V[0].shape[:-1], self.n)), np.empty((*V[0].shape[:-1], self.n))
         total = np.zeros_like(V[0])
@@ -225,7 +225,8 @@ class Chain:
         z = links[..., :3, 2]
         lever = T[..., None, :3, 3] - links[..., :3, 3]
         prismatic = self.prismatic[:, None]
-        v, w = np.where(prismatic, z, np.cross(z, lever)), np.where(prismatic, np.zeros(3), z)
+        missing = 0.0 * T[..., None, :3, 3]  # NaN where a joint is, also for columns that do not depend on it
+        v, w = np.where(prismatic, z, np.cross(z, lever)) + missing, np.where(prismatic, np.zeros(3), z)
         if tool:
             v, w = v @ T[..., :3, :3], w @ T[..., :3, :3]
         return T, np.ascontiguousarray(np.swapaxes(np.concatenate([v, w], axis=-1), -1, -2))

@@ -51,6 +51,7 @@ class Goal:
     def __init__(self, task: int, T: np.ndarray, axis: np.ndarray) -> None:
         self.task, self.T = task, T
         self.has_position, self.has_axis = task != 2, task in (5, 2)
+        axis = axis / np.abs(axis).max()  # its square may overflow
         self.axis = axis / np.sqrt(axis @ axis)
         far = np.eye(3)[np.argmin(np.abs(self.axis))]
         across = np.cross(self.axis, far)
