@@ -21,7 +21,7 @@ def main() -> None:
     print("a batch:", kinematics.inverse(robot, goals, threads=2).report())
 
     for objective in ("posture", "mid_range", "limits", "manipulability"):  # seven joints, six numbers of a pose
-        free = kinematics.inverse(robot, T_base_tool, objective=objective, posture=robot.q_home)
+        free = kinematics.inverse(robot, T_base_tool, objective=objective)
         room = np.min(1 - np.abs(2 * free.q - robot.q_max - robot.q_min) / (robot.q_max - robot.q_min))
         w = kinematics.manipulability(robot, free.q)
         print(f"{objective:15} nearest limit {room:.3f} of half the range away, manipulability {w:.4f}")

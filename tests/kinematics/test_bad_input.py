@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from armlab import kinematics, robots
-from armlab.errors import RobotError, ShapeError, UnknownName
+from armlab.errors import ConfigError, RobotError, ShapeError, UnknownName
 from armlab.robots import Robot
 
 ROBOT = robots.load("yumi_left")
@@ -83,6 +83,26 @@ def test_nan_stays_in_its_sample(function: Callable, bad: float) -> None:
     assert np.isnan(holed[4]).any()
 
 
+@named(OF_BATCHES)
+@pytest.mark.parametrize("joint", range(7))
+def test_no_joint_may_be_missing(function: Callable, joint: int) -> None:
+    """Also the last: the Jacobian in base axes does not depend on it, for the tool lies on its axis."""
+    assert np.isnan(function(ROBOT, np.where(np.arange(7) == joint, np.nan, HOME))).any()
+
+
+@pytest.mark.parametrize("part", ["pose", "position", "rotation"])
+@pytest.mark.parametrize("prismatic", [False, True])
+def test_nothing_is_known_of_a_posture_that_is_not(part: Any, prismatic: bool) -> None:
+    """Of one joint the Jacobian is the same everywhere; where that joint is NaN it is NaN all the same."""
+    robot = robots.from_dh("one", 0.0, [0.0], 0.0, prismatic=[prismatic], q_min=[-1.0], q_max=[1.0])
+    q = np.array([[0.5], [np.nan]])
+    values = [kinematics.manipulability(robot, q, part), kinematics.singular_values(robot, q, part)]
+    values += [kinematics.manipulability_gradient(robot, q, part), kinematics.jacobian(robot, q)]
+    for value in values:
+        assert np.isfinite(value[0]).all()
+        assert np.isnan(value[1]).any()
+
+
 @named(OF_ONE)
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_a_walk_from_nowhere_is_refused(function: Callable, bad: float) -> None:
@@ -134,7 +154,9 @@ def test_an_array_that_cannot_hold_the_result(name: str) -> None:
             function(ROBOT, q, out=out)
 
 
-@pytest.mark.parametrize("word", ["flange", "", "Base", None, 0, ["pose"]])
+@pytest.mark.parametrize(
+    "word", ["flange", "", "Base", None, 0, ["pose"], np.zeros((6, 7)), np.array(["base", "pose"])]
+)
 def test_unknown_words(word: Any) -> None:
     with pytest.raises(UnknownName, match="Known: base, tool"):
         kinematics.jacobian(ROBOT, HOME, frame=word)
@@ -142,6 +164,49 @@ def test_unknown_words(word: Any) -> None:
         kinematics.jacobian_derivative(ROBOT, HOME, HOME, frame=word)
     with pytest.raises(UnknownName, match="Known: pose, position, rotation"):
         kinematics.manipulability(ROBOT, HOME, part=word)
+    with pytest.raises(UnknownName, match="Known: position, rotation"):
+        kinematics.ellipsoid(ROBOT, HOME, part=word)
+    with pytest.raises(UnknownName, match="Known: force, velocity"):
+        kinematics.ellipsoid(ROBOT, HOME, kind=word)
+    with pytest.raises(UnknownName, match="Known: axis, pose, position"):
+        kinematics.null_motion(ROBOT, HOME, task=word)
+    for function, T in ((kinematics.inverse, goal()), (kinematics.inverse_path, goal()[None])):
+        with pytest.raises(UnknownName, match="Known: axis, direction, pose, position"):
+            function(ROBOT, T, task=word)
+        if word is not None:
+            with pytest.raises(UnknownName, match="Known: limits, manipulability, mid_range, posture"):
+                function(ROBOT, T, objective=word)
+
+
+NO_SEARCH = {
+    "maxiter": [-1, 1.5, "x", None, 10**6 + 1, 2**31 - 1, 10**30, np.ones(2)],
+    "starts": [0, -1, 1.5, "x", None, 2**31, [1]],
+    "damping": [0.0, -1, np.nan, np.inf, "x", None, 1j, [1.0], np.ones(2)],
+    "tol": [-1e-9, np.nan, "x", None, 1j, (1, 2, 3), (1e-9, np.nan), ("x", 1), [], np.ones(2)],
+}
+
+
+@pytest.mark.parametrize("name", NO_SEARCH)
+def test_numbers_of_a_search_that_are_none(name: str) -> None:
+    for value in NO_SEARCH[name]:
+        for function, T in ((kinematics.inverse, goal()), (kinematics.inverse_path, goal()[None])):
+            with pytest.raises(ConfigError, match=rf"^Expected {name} to be an? (integer|number) .*, got .*\.$"):
+                function(ROBOT, T, **{name: value})
+
+
+def test_a_posture_without_its_objective() -> None:
+    """It would do nothing."""
+    objectives: tuple[Any, ...] = (None, "limits", "mid_range", "manipulability")
+    for objective in objectives:
+        for function, T in ((kinematics.inverse, goal()), (kinematics.inverse_path, goal()[None])):
+            with pytest.raises(ConfigError, match=r'^Expected objective="posture" with a posture, got objective='):
+                function(ROBOT, T, objective=objective, posture=HOME)
+
+
+@pytest.mark.parametrize("threads", [None, 0, 1.5, "two"])
+def test_threads_of_the_inverse(threads: Any) -> None:
+    with pytest.raises(ConfigError, match="threads to be an integer from 1 to 256"):
+        kinematics.inverse(ROBOT, goal(), threads=threads)
 
 
 def test_velocities_of_another_shape() -> None:

@@ -159,6 +159,16 @@ def test_tolerances_of_position_and_rotation() -> None:
     assert 1e-3 < result.rotation_error.max() <= 0.02
 
 
+def test_an_axis_of_any_length_is_a_direction() -> None:
+    """Of 1e200 the square is infinite."""
+    robot = robots.load("irb2400")
+    _, T = reachable(robot, 5, seed=9)
+    wanted = inverse(robot, T, task="axis", axis=(0.6, 0.0, -0.8)).q
+    for length in (1e200, 1e-8):
+        axis = np.array([0.6, 0.0, -0.8]) * length
+        np.testing.assert_allclose(inverse(robot, T, task="axis", axis=axis).q, wanted, rtol=0, atol=1e-9)
+
+
 def test_a_batch_is_a_loop() -> None:
     robot = robots.load("yumi_right")
     q, T = reachable(robot, 12, seed=2)
@@ -290,7 +300,7 @@ def spoilt(entry: tuple[int, ...], value: float) -> np.ndarray:
         ({"task": "axis", "axis": (0, 0, 0)}, ShapeError, "axis to be a direction"),
         ({"task": "axis", "axis": (0, np.nan, 1)}, ShapeError, "axis to be a direction"),
         ({"axis": (0, 0)}, ShapeError, r"axis of shape \(3,\), got \(2,\)"),
-        ({"maxiter": -1}, ConfigError, r"maxiter to be an integer of at least 0, got -1\."),
+        ({"maxiter": -1}, ConfigError, r"maxiter to be an integer from 0 to 1000000, got -1\."),
         ({"maxiter": 1.5}, ConfigError, "maxiter to be an integer"),
         ({"starts": 0}, ConfigError, "starts to be an integer of at least 1, got 0"),
         ({"starts": 2**40}, ConfigError, "starts to be an integer"),
@@ -300,6 +310,9 @@ def spoilt(entry: tuple[int, ...], value: float) -> np.ndarray:
         ({"tol": "small"}, ConfigError, "tol to be a number"),
         ({"damping": 0.0}, ConfigError, r"damping to be a number above 0, got 0\.0"),
         ({"damping": None}, ConfigError, "damping to be a number"),
+        ({"axis": None}, ShapeError, "axis to be an array of real numbers, got NoneType"),
+        ({"seed": None}, ConfigError, "seed to be an integer"),
+        ({"seed": ""}, ConfigError, "seed to be an integer"),
         ({"seed": -1}, ConfigError, r"seed to be an integer from 0 to 2\^64 - 1, got -1"),
         ({"seed": 1.5}, ConfigError, "seed to be an integer"),
         ({"threads": 0}, ConfigError, "threads to be an integer from 1 to 256, got 0"),

@@ -109,6 +109,13 @@ def test_planar_arms_have_what_their_rank_leaves() -> None:
     assert max(pose_errors(planar, walk.q)) <= 1e-9
 
 
+def test_a_tool_on_the_only_axis_does_not_move_at_all() -> None:
+    """No row of the task then depends on the joint: the whole joint space is self-motion."""
+    walk = null_motion(robots.from_dh("one", 0.0, [0.0], 0.3), [0.0], task="position", length=0.5, points=3)
+    np.testing.assert_array_equal(walk.q, [[0.0], [0.25], [0.5]])
+    assert walk.end == "length"
+
+
 def test_prismatic_joints() -> None:
     robot = replace(YUMI, prismatic=np.arange(7) == 0)
     walk = null_motion(robot, posture(3), length=0.5, points=6)
@@ -142,8 +149,17 @@ def test_refusals() -> None:
         null_motion(YUMI, q, direction=[1.0, 2.0])
     with pytest.raises(ShapeError, match="Expected the gradient that direction"):
         null_motion(YUMI, q, direction=lambda _: np.zeros(3))
-    for length, points in ((0.0, 5), (np.nan, 5), (1.0, 1), (1.0, 2.5), ("1", 5), (1.0, "5")):
-        with pytest.raises(ShapeError, match="positive length and at least 2 points"):
+    for length, points in (
+        (0.0, 5),
+        (np.nan, 5),
+        (1.0, 1),
+        (1.0, 10**30),
+        (1.0, 2.5),
+        (np.ones(2), 5),
+        ("1", 5),
+        (1.0, "5"),
+    ):
+        with pytest.raises(ShapeError, match="positive length and from 2 to 1000000 points"):
             null_motion(YUMI, q, length=cast(Any, length), points=cast(Any, points))
     with pytest.raises(SingularPoseError, match="a direction with a part along the self-motion"):
         null_motion(YUMI, q, direction=jacobian(YUMI, q)[0])

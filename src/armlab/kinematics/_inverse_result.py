@@ -39,8 +39,8 @@ class Inverse:
         "iterations" the error was still falling when the steps ended.
     slope : (...) length of the gradient of the objective that is left along the self-motion of the joints that are not
         at a limit; NaN without an objective or a solution.
-    history : (..., maxiter + 1, 2) least errors so far [m, rad] after each step of the start that gave `q`, NaN after
-        its end; None unless asked for.
+    history : (..., maxiter + 1, 2) least errors so far [m, rad] after each step of the descent that gave `q` (of the
+        best start going on, where all have failed), NaN after its end; None unless asked for.
     """
 
     q: np.ndarray

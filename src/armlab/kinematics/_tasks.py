@@ -15,6 +15,7 @@ __all__ = ["ROWS", "Objective", "Task", "check", "check_search", "kernel_objecti
 Task = Literal["pose", "position", "axis", "direction"]
 Objective = Literal["posture", "mid_range", "limits", "manipulability"]
 ROWS = dict(zip(get_args(Task), (6, 3, 5, 2)))
+MOST_STEPS = 10**6  # from one start; a history of them takes 16 MB per goal
 _KINDS = dict(zip(get_args(Objective), (1, 1, 2, 3)))
 _INTEGER, _NUMBER = (int, np.integer), (int, float, np.integer, np.floating)
 
@@ -29,9 +30,9 @@ def check(robot: object, task: str, objective: str | None) -> None:
     RobotError
         When something else comes in place of a robot.
     """
-    if task not in tuple(ROWS):  # what has no hash is unknown too
+    if not isinstance(task, str) or task not in ROWS:
         raise UnknownName.among("task of inverse kinematics", task, ROWS)
-    if objective is not None and objective not in tuple(_KINDS):
+    if objective is not None and (not isinstance(objective, str) or objective not in _KINDS):
         raise UnknownName.among("objective of inverse kinematics", objective, _KINDS)
     if not isinstance(robot, Robot):
         raise RobotError.no_robot(robot)
@@ -45,11 +46,11 @@ def check_search(tol: Any, maxiter: Any, starts: Any, damping: Any) -> tuple[flo
     ConfigError
         When one is of another kind or out of its range.
     """
-    if not (isinstance(maxiter, _INTEGER) and 0 <= maxiter < 2**31):
-        raise ConfigError(f"Expected maxiter to be an integer of at least 0, got {maxiter!r}.")
+    if not (isinstance(maxiter, _INTEGER) and 0 <= maxiter <= MOST_STEPS):
+        raise ConfigError(f"Expected maxiter to be an integer from 0 to {MOST_STEPS}, got {maxiter!r}.")
     if not (isinstance(starts, _INTEGER) and 1 <= starts < 2**31):
         raise ConfigError(f"Expected starts to be an integer of at least 1, got {starts!r}.")
-    if not (isinstance(damping, _NUMBER) and damping > 0):
+    if not (isinstance(damping, _NUMBER) and 0 < damping < np.inf):
         raise ConfigError(f"Expected damping to be a number above 0, got {damping!r}.")
     position, rotation = tol if isinstance(tol, tuple) and len(tol) == 2 else (tol, tol)
     if not (isinstance(position, _NUMBER) and isinstance(rotation, _NUMBER) and position >= 0 and rotation >= 0):
@@ -58,13 +59,22 @@ def check_search(tol: Any, maxiter: Any, starts: Any, damping: Any) -> tuple[flo
 
 
 def kernel_objective(
-    robot: Robot, name: Objective | None, posture: ArrayLike | None
+    robot: Robot, name: Objective | None, posture: ArrayLike | None, q0: ArrayLike | None
 ) -> tuple[int, ArrayLike | None, np.ndarray | None]:
-    """Return the kernel's objective, reference and scale."""
+    """Return the kernel's objective, reference and scale.
+
+    Raises
+    ------
+    ConfigError
+        When a posture comes without the objective that it is for.
+    """
+    if posture is not None and name != "posture":
+        raise ConfigError(f'Expected objective="posture" with a posture, got objective={name!r}. Leave one out.')
     if name is None or name == "manipulability":
         return _KINDS.get(name or "", 0), None, None
     if name == "posture":
-        return _KINDS[name], robot.q_home if posture is None else posture, np.ones(robot.n)
+        wanted = next((given for given in (posture, q0) if given is not None), robot.q_home)
+        return _KINDS[name], wanted, np.ones(robot.n)
     ranges = (robot.q_max - robot.q_min) / 2.0
     limited = np.isfinite(ranges)  # a joint without limits may be anywhere
     return _KINDS[name], np.where(limited, robot.q_max - ranges, 0.0), np.where(limited, 1.0 / ranges, 0.0)

@@ -48,7 +48,7 @@ def jacobian_derivative(
     RobotError
         When something else comes in place of a robot, such as its name.
     """
-    if frame not in ("base", "tool"):
+    if not isinstance(frame, str) or frame not in ("base", "tool"):
         raise UnknownName.among("Jacobian frame", frame, ("base", "tool"))
     try:
         chain = robot.chain

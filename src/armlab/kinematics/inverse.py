@@ -54,14 +54,14 @@ def inverse(
         "limits" the largest ``|q - m| / r``, made smooth: ``log(sum of exp(s x) + exp(-s x)) / s`` with s = 1000, and a
         thousandth of "mid_range";
         "manipulability" ``-log(det(J J^T)) / 2`` of the rows of the task.
-    posture : (n,) or (..., n) that posture; None: `q0`, or the home posture.
+    posture : (n,) or (..., n) that posture, with the objective "posture" only; None: `q0`, or the home posture.
     tol : largest errors of a solution: of position [m] and of rotation [rad], one number for both or a pair.
-    maxiter : most steps from one start.
+    maxiter : most steps from one start, 0 to 1 000 000; where all starts fail, the best goes on for as many again.
     starts : most starts; 1 keeps to `q0`.
     damping : lambda over the squared error (ikinePOE's lambda); it grows by 8 when steps fail.
     seed : of the random postures; the same seed gives the same answers, in a batch and one by one.
     threads : 1 to 256, over the goals; any number gives the same result.
-    history : keep the errors along the start that gave the result.
+    history : keep the errors along the descent that gave the result.
     strict : raise instead of returning a result that is not a solution.
 
     Returns
@@ -77,7 +77,8 @@ def inverse(
     RobotError
         When something else comes in place of a robot, such as its name.
     ConfigError
-        When `tol`, `maxiter`, `starts`, `damping`, `seed` or `threads` is out of its range.
+        When `tol`, `maxiter`, `starts`, `damping`, `seed` or `threads` is out of its range, or a
+        posture comes without its objective.
     NotConverged
         With `strict`, when a goal is not solved; `best` is the `Inverse`.
 
@@ -89,10 +90,10 @@ def inverse(
     check(robot, task, objective)
     position_tolerance, rotation_tolerance = check_search(tol, maxiter, starts, damping)
     solver = robot.inverse_solver
-    if seed:
+    if _checked(seed):
         from armlab.kernels import InverseSolver
 
-        solver = InverseSolver(robot.chain, robot.q_min, robot.q_max, robot.q_home, _checked(seed))
+        solver = InverseSolver(robot.chain, robot.q_min, robot.q_max, robot.q_home, int(seed))
     result = freeze(
         *solver.solve(
             T_base_tool,
@@ -104,7 +105,7 @@ def inverse(
             position_tolerance,
             rotation_tolerance,
             damping,
-            *kernel_objective(robot, objective, posture if posture is not None else q0),
+            *kernel_objective(robot, objective, posture, q0),
             bool(history),
             threads,
         )
@@ -115,6 +116,6 @@ def inverse(
 
 
 def _checked(seed: int) -> int:
-    if not isinstance(seed, int | np.integer) or not 0 <= seed < 2**64:
+    if not isinstance(seed, int | np.integer) or isinstance(seed, bool) or not 0 <= seed < 2**64:
         raise ConfigError(f"Expected seed to be an integer from 0 to 2^64 - 1, got {seed!r}.")
     return int(seed)

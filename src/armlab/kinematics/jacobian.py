@@ -13,6 +13,7 @@ from armlab.robots import Robot
 __all__ = ["forward_jacobian", "jacobian"]
 
 Frame = Literal["base", "tool"]
+_TOOL_AXES = {"base": False, "tool": True}
 
 
 def jacobian(
@@ -47,14 +48,12 @@ def jacobian(
         When `threads` is not an integer from 1 to 256.
     """
     try:
-        chain = robot.chain
+        chain, tool = robot.chain, _TOOL_AXES[frame]
     except AttributeError:
         raise RobotError.no_robot(robot) from None
-    if frame == "base":
-        return chain.jacobian(q, False, out, threads)
-    if frame == "tool":
-        return chain.jacobian(q, True, out, threads)
-    raise _unknown(frame)
+    except (KeyError, TypeError):  # TypeError: arrays and lists have no hash
+        raise _unknown(frame) from None
+    return chain.jacobian(q, tool, out, threads)
 
 
 def forward_jacobian(
@@ -94,15 +93,13 @@ def forward_jacobian(
         When `threads` is not an integer from 1 to 256.
     """
     try:
-        chain = robot.chain
+        chain, tool = robot.chain, _TOOL_AXES[frame]
     except AttributeError:
         raise RobotError.no_robot(robot) from None
-    if frame == "base":
-        return chain.forward_jacobian(q, False, out, threads)
-    if frame == "tool":
-        return chain.forward_jacobian(q, True, out, threads)
-    raise _unknown(frame)
+    except (KeyError, TypeError):
+        raise _unknown(frame) from None
+    return chain.forward_jacobian(q, tool, out, threads)
 
 
 def _unknown(frame: object) -> UnknownName:
-    return UnknownName.among("Jacobian frame", frame, ("base", "tool"))
+    return UnknownName.among("Jacobian frame", frame, _TOOL_AXES)

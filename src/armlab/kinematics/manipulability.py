@@ -171,9 +171,9 @@ def ellipsoid(
     RobotError
         When something else comes in place of a robot, such as its name.
     """
-    if part not in ("position", "rotation"):
+    if not isinstance(part, str) or part not in ("position", "rotation"):
         raise UnknownName.among("part of a twist with an ellipsoid", part, ("position", "rotation"))
-    if kind not in ("velocity", "force"):
+    if not isinstance(kind, str) or kind not in ("velocity", "force"):
         raise UnknownName.among("kind of ellipsoid", kind, ("velocity", "force"))
     axes, s, _ = _svd(_rows(robot, q, part))
     axes[..., 2] = np.cross(axes[..., 0], axes[..., 1])
@@ -186,9 +186,11 @@ def ellipsoid(
 
 
 def _rows(robot: Robot, q: ArrayLike, part: Part) -> np.ndarray:
-    if part not in tuple(_ROWS):  # what has no hash is unknown too
+    if not isinstance(part, str) or part not in _ROWS:
         raise UnknownName.among("part of a twist", part, _ROWS)
-    return jacobian(robot, q)[..., _ROWS[part], :]
+    J = jacobian(robot, q)
+    J[~np.isfinite(q).all(axis=-1)] = np.nan  # also the rows that do not depend on the joint that is missing
+    return J[..., _ROWS[part], :]
 
 
 def _svd(J: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

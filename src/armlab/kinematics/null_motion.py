@@ -25,6 +25,7 @@ _STEP = 0.02  # rad: the longest step of the integration
 _SHORTEST = 1e-7  # rad: where a curve needs shorter steps, it ends
 _EXACT = 1e-12  # m and rad: what the correction leaves, and by how much rounding may cross a limit
 _DRIFT = 1e-4  # the largest correction of a step, as a part of its length
+_MOST = 10**6  # points
 _SINGULAR = 1e-9  # of the largest singular value
 
 
@@ -76,7 +77,7 @@ def null_motion(
         Or (n,) joint velocities: where their part in the null space leads. Or a function of the joint positions that
         returns the gradient (n,) of an objective, for example of the manipulability: uphill, until its optimum.
     length : arc length to walk in joint space, at most [rad; m for prismatic joints].
-    points : how many points the whole length would have, evenly spaced, start and end included.
+    points : how many points the whole length would have, 2 to 1 000 000, evenly spaced, start and end included.
     task : what stays: "pose", "position" of the tool point, or "axis": the position and the direction of the tool's z
         axis.
 
@@ -134,7 +135,7 @@ class _Curve:
         """Return the first point and tangent."""
         q, dimension = self.start, self.robot.n - self.rank
         s, Vt = np.linalg.svd(self.error(q)[1])[1:]
-        if s[self.rank - 1] <= _SINGULAR * s[0]:
+        if self.rank and s[self.rank - 1] <= _SINGULAR * s[0]:
             raise SingularPoseError(
                 f"Expected a regular posture to walk from, got a singular one, {q.tolist()}: the self-motion has no "
                 "single tangent there. Start a little beside it."
@@ -251,7 +252,7 @@ def _vector(robot: Robot, value: object, name: str) -> np.ndarray:
 
 
 def _checked(robot: Robot, q: ArrayLike, length: float, points: int, task: str) -> np.ndarray:
-    if task not in tuple(_ROWS):  # what has no hash is unknown too
+    if not isinstance(task, str) or task not in _ROWS:
         raise UnknownName.among("task", task, _ROWS)
     if not isinstance(robot, Robot):
         raise RobotError.no_robot(robot)
@@ -265,6 +266,8 @@ def _checked(robot: Robot, q: ArrayLike, length: float, points: int, task: str) 
             "the robot can have."
         )
     lengths, counts = (int, float, np.integer, np.floating), (int, np.integer)
-    if not (isinstance(length, lengths) and 0 < length < np.inf and isinstance(points, counts) and points >= 2):
-        raise ShapeError(f"Expected a positive length and at least 2 points, got {length!r} and {points!r}.")
+    if not (
+        isinstance(length, lengths) and 0 < length < np.inf and isinstance(points, counts) and 2 <= points <= _MOST
+    ):
+        raise ShapeError(f"Expected a positive length and from 2 to {_MOST} points, got {length!r} and {points!r}.")
     return start

@@ -124,7 +124,7 @@ def inverse_path(
     RobotError
         When something else comes in place of a robot, such as its name.
     ConfigError
-        When `tol`, `maxiter`, `starts` or `damping` is out of its range.
+        When `tol`, `maxiter`, `starts` or `damping` is out of its range, or a posture comes without its objective.
     NotConverged
         With `strict`, when the path breaks; `best` is the `Path`.
     """
@@ -141,7 +141,7 @@ def inverse_path(
         "damping": damping,
     }
     solver, change = robot.inverse_solver, _change(robot, max_step)
-    kind, reference, scale = kernel_objective(robot, objective, posture if posture is not None else q0)
+    kind, reference, scale = kernel_objective(robot, objective, posture, q0)
 
     def follow(T: ArrayLike, start: ArrayLike | None, kind: int, reference: ArrayLike | None, scale: Any) -> Rows:
         wanted = {"objective": kind, "reference": reference, "scale": scale}
