@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from armlab.errors import LogError
-from armlab.log.formats import check_readable, format_of
+from armlab.log.formats import check_readable, format_of, is_text
 
 
 @pytest.mark.parametrize(
@@ -43,3 +43,11 @@ def test_a_pipe_is_refused_not_waited_for(tmp_path: Path) -> None:
     os.mkfifo(path)
     with pytest.raises(LogError, match="got a pipe"):
         check_readable(path)
+
+
+def test_text_is_told_from_recordings(tmp_path: Path) -> None:
+    path = tmp_path / "log"
+    assert not is_text(path)
+    for first, expected in ((b"t,q1\n", True), (b"\x1f\x8b\x08", True), (b"\x89MCAP0\r\n", False), (b"", False)):
+        path.write_bytes(first)
+        assert is_text(path) is expected

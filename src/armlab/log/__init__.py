@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from armlab.log.column import Column
+from armlab.log.delimited import read_csv
 from armlab.log.growing import Log, Tail
 from armlab.log.inspection import inspect
 from armlab.log.reading import read
@@ -13,4 +14,17 @@ from armlab.log.rows import Tick
 from armlab.log.table import Table
 from armlab.log.writing import write
 
-__all__ = ["Column", "Log", "Recorder", "Table", "Tail", "Tick", "concat", "inspect", "read", "recover", "write"]
+__all__ = [
+    "Column",
+    "Log",
+    "Recorder",
+    "Table",
+    "Tail",
+    "Tick",
+    "concat",
+    "inspect",
+    "read",
+    "read_csv",
+    "recover",
+    "write",
+]

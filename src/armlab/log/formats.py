@@ -6,7 +6,7 @@ from pathlib import Path
 
 from armlab.errors import LogError
 
-__all__ = ["check_readable", "format_of"]
+__all__ = ["check_readable", "format_of", "is_text"]
 
 _FIRST_BYTES = {
     b"\x89MCAP0\r\n": "MCAP",
@@ -32,8 +32,20 @@ def format_of(first: bytes) -> str:
     return "text" if text else "unknown"
 
 
+def is_text(path: str | Path) -> bool:
+    """Tell whether a file is there and begins as text or gzip, which `log.read_csv` reads."""
+    path = Path(path)
+    if not path.is_file():
+        return False
+    try:
+        with path.open("rb") as file:
+            return format_of(file.read(64)) in ("text", "gzip")
+    except OSError:
+        return False
+
+
 def check_readable(path: str | Path) -> None:
-    """Check that a file is there and is of a format that `log.read` reads.
+    """Check that a file is there and is a recording in MCAP.
 
     Raises
     ------

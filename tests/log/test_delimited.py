@@ -1,0 +1,133 @@
+"""Delimited text becomes a Table with units, and bad files get a sentence with the line or the column."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from armlab.errors import LogError
+from armlab.log import Column, Table, read, read_csv, write
+
+ROWS = "t [ms],q1 [deg],q2 [deg],tau_1,tau_2,grip [N]\n0,180,0,1,2,0.5\n4,90,-90,1.5,,0.5\n8,0,0,2,4,0.5\n"
+
+
+def written(folder: Path, text: str, name: str = "log.csv") -> Path:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_units_are_converted_and_joints_put_together(tmp_path: Path) -> None:
+    table = read_csv(written(tmp_path, ROWS))
+    np.testing.assert_allclose(table.t, [0, 0.004, 0.008])
+    np.testing.assert_allclose(table["q"], [[np.pi, 0], [np.pi / 2, -np.pi / 2], [0, 0]])
+    np.testing.assert_array_equal(table["tau"], [[1, 2], [1.5, np.nan], [2, 4]])
+    assert dict(table.units) == {"q": "rad", "tau": "N m", "grip": "N"}
+    assert table.source[0].startswith("log.csv sha256 ")
+
+
+def test_read_tells_text_from_recordings(tmp_path: Path) -> None:
+    path = written(tmp_path, ROWS)
+    assert read(path).sha256 == read_csv(path).sha256
+    assert read(path, ["grip"]).names == ("grip",)
+    packed = tmp_path / "log.csv.gz"
+    packed.write_bytes(gzip.compress(ROWS.encode()))
+    assert read(packed).sha256 == read_csv(path).sha256
+
+
+def test_files_without_a_clock_need_a_rate(tmp_path: Path) -> None:
+    path = written(tmp_path, "Joint_1,Joint_2\n1,2\n3,4\n5,6\n")
+    with pytest.raises(LogError, match=r"Expected a column t \[s\].*got Joint_1, Joint_2\. Give rate="):
+        read_csv(path)
+    table = read_csv(path, rate=5000.0)
+    np.testing.assert_allclose(table.t, [0, 2e-4, 4e-4])
+    np.testing.assert_array_equal(table.matching("Joint_"), [[1, 2], [3, 4], [5, 6]])
+    assert len(read_csv(path, rate=5000.0, every=2)) == 2
+
+
+def test_labels_of_other_tools(tmp_path: Path) -> None:
+    """ROS exports, orca logs, semicolons, a byte-order mark, Windows line ends, blank lines, lines before."""
+    ros = read_csv(written(tmp_path, "t,- arm_1_joint_effort,- arm_2_joint_effort\n0,1,2\n0.01,3,4\n"))
+    np.testing.assert_array_equal(ros.matching("arm_1_joint"), [[1], [3]])
+    text = "\ufeffmade by a logger\r\nt;robot[0].joint[0].posRawAbs\r\n0;1\r\n1;2\r\n\r\n"
+    orca = read_csv(written(tmp_path, text), skip=1, separator=";")
+    np.testing.assert_array_equal(orca.matching("robot_0.*posRawAbs"), [[1], [2]])
+
+
+def test_words_make_a_text_column_with_a_note(tmp_path: Path) -> None:
+    table = read_csv(written(tmp_path, "t,mode,x\n0,auto,1\n1,,2\n2,manual,nan\n"))
+    assert table["mode"].tolist() == ["auto", "", "manual"]
+    assert np.isnan(table["x"][2])
+    assert any("mode: text, because of 'auto'" in note for note in table.notes)
+
+
+def test_a_time_that_comes_again_is_dropped_one_that_runs_backwards_refused(tmp_path: Path) -> None:
+    table = read_csv(written(tmp_path, "t,x\n0,1\n1,2\n1,3\n2,4\n"))
+    assert table["x"].tolist() == [1, 2, 4]
+    assert "1 rows that repeat a time are dropped" in table.notes
+    with pytest.raises(LogError, match=r"backwards in .*got 0\.5 s in line 4 after 1 s \(1 such rows\)"):
+        read_csv(written(tmp_path, "t,x\n0,1\n1,2\n0.5,3\n2,4\n"))
+    with pytest.raises(LogError, match=r"a time in every row.*none in line 3"):
+        read_csv(written(tmp_path, "t,x\n0,1\n,2\n"))
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("t,x\n0,1\n1,2,3\n", r"Expected 2 fields separated by ',' in line 3 .*got 3"),
+        ("t;x\n0;1,5\n1;2,5\n", r"decimal point in the column 'x' .*'1,5' in line 2"),
+        ("t,x,x\n0,1,2\n", r"names that come once .*'x' twice"),
+        ("t,x,\n0,1,2\n", r"a column without a name"),
+        ("t,x [furlong]\n0,1\n", r"unit that armlab knows for 'x' .*'furlong'.*Known: s, ms"),
+        ("t [m],x\n0,1\n", r"times in s, ms, us or ns in the column 't'.*got m"),
+        ("now,x\n0,1\n", r"Expected a column t \[s\]"),
+        ("t,x\n", r"a header and rows of numbers .*got 1 lines"),
+        ("t,q1 [N]\n0,1\n", r"columns that fit the glossary"),
+        ("t,q1 [deg],q2 [m]\n0,1,2\n", r"one unit for the components of q, got m, rad"),
+    ],
+)
+def test_bad_files_get_a_sentence(tmp_path: Path, text: str, sentence: str) -> None:
+    separator = ";" if text.startswith("t;") else ","
+    with pytest.raises(LogError, match=sentence):
+        read_csv(written(tmp_path, text), separator=separator)
+
+
+def test_files_that_are_no_text(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match="No such file"):
+        read_csv(tmp_path / "none.csv")
+    path = tmp_path / "log.csv"
+    path.write_bytes(b"PAR1\0\0\0\0")
+    with pytest.raises(LogError, match="got a file of format Parquet"):
+        read_csv(path)
+    path.write_bytes(gzip.compress(ROWS.encode())[:-12])
+    with pytest.raises(LogError, match="delimited text in UTF-8"):
+        read_csv(path)
+    path.write_bytes(b"t,\xff\n0,1\n")
+    with pytest.raises(LogError, match="delimited text in UTF-8"):
+        read_csv(path)
+    with pytest.raises(LogError, match="one character as separator"):
+        read_csv(path, separator="tab")
+
+
+@settings(max_examples=20, deadline=None)
+@given(values=arrays(float, (5, 3), elements=st.floats(allow_infinity=False)), scalar=arrays(float, 5))
+def test_what_is_written_reads_back_to_the_last_bit(tmp_path_factory, values, scalar) -> None:
+    """Per joint, wrench with two units, covariance with three,and a column that the glossary does not know."""
+    table = Table(
+        np.arange(5) / 3,
+        {
+            "q": values,
+            "wrench_hat": np.tile(values, 2),
+            "wrench_hat_cov": np.tile(values[:, :1, None], (1, 6, 6)),
+            "grip": np.nan_to_num(scalar),
+        },
+        {"grip": Column(unit="N")},
+    )
+    again = read_csv(write(table, tmp_path_factory.mktemp("csv") / "log.csv"))
+    assert again.sha256 == table.sha256
