@@ -21,7 +21,7 @@ def test_curve_band_and_points(fitted: Fit[TorqueModel], excited: Table, truth) 
     for i, ax in enumerate(figure.axes):
         points, curve = ax.lines
         qd = np.asarray(curve.get_xdata())
-        assert np.abs(qd).max() == pytest.approx(model.quality.qd_peak[i])
+        assert np.abs(qd).max() == pytest.approx(model.training.qd_peak[i])
         grid = np.repeat(qd[:, None], 7, axis=1)
         torque = model.friction.torque(grid, np.sign(grid))[:, i]
         assert np.asarray(curve.get_ydata()) == pytest.approx(torque)
@@ -42,7 +42,7 @@ def test_the_dark_band_is_the_covariance_of_the_parameters(fitted: Fit[TorqueMod
     ax = friction(fitted).axes[2]
     curve = np.asarray(ax.lines[0].get_ydata())
     vertices = ax.collections[1].get_paths()[0].vertices
-    peak = fitted.value.quality.qd_peak[2]
+    peak = fitted.value.training.qd_peak[2]
     top = vertices[np.isclose(vertices[:, 0], peak), 1].max()
     name = truth.robot.joint_names[2]
     bump = np.exp(-((peak / fitted.value.friction.stribeck_speed[2]) ** 2))

@@ -129,17 +129,10 @@ def _flags(table: Table) -> Verdict:
 
 def _reach(table: Table, model: TorqueModel, prior: np.ndarray) -> Verdict:
     """Say where the log leaves what the model was fitted to, and where the prior shrinks."""
-    bad, ahead = [], []
-    quality = model.quality
-    margin = 0.02 * (quality.q_max - quality.q_min)
-    outside = np.mean((table["q"] < quality.q_min - margin) | (table["q"] > quality.q_max + margin), axis=0)
-    fast = np.mean(np.abs(table["qd"]) > 1.1 * quality.qd_peak, axis=0)
-    for what, share in (("outside the positions", outside), ("faster than the motion", fast)):
-        joints = [f"joint {i + 1} ({100 * share[i]:.0f} %)" for i in np.flatnonzero(share > OFTEN)]
-        if joints:
-            bad.append(f"Often {what} that the model was identified in: {', '.join(joints)}.")
-    if bad:
-        ahead.append("Identify again with motions that go there, or trust these stretches less.")
+    from armlab.identify import extrapolation
+
+    bad = list(extrapolation(model, table.dropna("q", "qd")).warnings)
+    ahead = ["Identify again with motions that go there, or trust these stretches less."] if bad else []
     largest = np.nanmax(np.abs(table["wrench_hat"]) / np.sqrt(prior), axis=0)
     beyond = [AXES[i] for i in range(6) if largest[i] > 2]
     if beyond:

@@ -196,14 +196,14 @@ def _judge_honesty(found: _Sentences, model: TorqueModel, trial: Trial) -> None:
 
 
 def _judge_motion(found: _Sentences, fit: Fit[TorqueModel], robot: Robot, tables: Sequence[Table]) -> None:
-    excitation, quality = fit.excitation, fit.value.quality
+    excitation, training = fit.excitation, fit.value.training
     told = excitation.text().splitlines()[0]
     if told.startswith("excitation good"):
         found.good.append(f"The motion tells all parameters apart (condition {excitation.condition:.0f}).")
     else:
         found.bad.append(f"The motion tells some parameters badly (condition {excitation.condition:.0f}).")
         found.ahead.append(f"Log a longer or richer motion, as of armlab excite; told least: {excitation.weakest}.")
-    used = (quality.q_max - quality.q_min) / (robot.q_max - robot.q_min)
+    used = (training.q_max - training.q_min) / (robot.q_max - robot.q_min)
     narrow = used < NARROW
     if narrow.any():
         found.ahead.append(

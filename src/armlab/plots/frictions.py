@@ -46,7 +46,7 @@ def friction(fit: Fit[TorqueModel], table: Table | None = None, ax: Any = None) 
         for panel in axes.ravel()[n:]:
             panel.remove()
         for i, panel in enumerate(axes.ravel()[:n]):
-            qd = _speeds(model.quality.qd_peak[i])
+            qd = _speeds(model.training.qd_peak[i])
             if table is not None:
                 _points(panel, model, table, i)
             grid = np.repeat(qd[:, None], n, axis=1)
