@@ -7,6 +7,7 @@ from armlab.identify.excitation import Trajectory, dither, excitation, sequence
 from armlab.identify.expectation import Expectation, expectation
 from armlab.identify.extrapolation import Extrapolation, extrapolation
 from armlab.identify.friction import fit_friction
+from armlab.identify.friction_run import friction_run
 from armlab.identify.group_lasso import GroupLasso, group_lasso, select_groups
 from armlab.identify.preparation import Prepared, prepare, with_velocity
 from armlab.identify.rbf import rbf_centres, rbf_regressor
@@ -30,6 +31,7 @@ __all__ = [
     "fit_friction",
     "fit_velocity_covariance",
     "fit_warm_up",
+    "friction_run",
     "group_lasso",
     "predict",
     "prepare",
