@@ -28,7 +28,7 @@ def test_a_good_estimate_is_called_good(table: Table, model: TorqueModel) -> Non
     verdict = judge(table, model, PRIOR, contacts(table))
     assert any("1 contact; the strongest from" in said for said in verdict.good)
     assert any("Well seen: " in said for said in verdict.good)
-    assert any("Against the true force" in said for said in verdict.good)
+    assert any("against the true wrench" in said for said in verdict.good)
 
 
 def test_without_contact_it_says_so(table: Table, model: TorqueModel) -> None:
@@ -69,11 +69,11 @@ def test_axes_that_are_hardly_seen_and_logs_that_go_elsewhere_are_named(table: T
 def test_a_force_beyond_the_prior_and_a_truth_that_is_missed_are_bad(table: Table, model: TorqueModel) -> None:
     assert any("twice the prior" in said for said in judge(table, model, PRIOR / 100.0, []).bad)
     wrong = table.with_column("wrench_true", table["wrench_true"] + 20.0)
-    assert any("Against the true force" in said for said in judge(wrong, model, PRIOR, []).bad)
+    assert any("against the true wrench" in said for said in judge(wrong, model, PRIOR, []).bad)
     sensor = table.without("wrench_true").with_column("wrench", table["wrench_true"])
-    assert any("Against the force sensor" in said for said in judge(sensor, model, PRIOR, []).good)
+    assert any("against the force sensor" in said for said in judge(sensor, model, PRIOR, []).good)
     silent = sensor.with_column("wrench", np.full((len(table), 6), np.nan))
-    assert not any("Against" in said for said in judge(silent, model, PRIOR, []).good)
+    assert not any("against" in said for said in judge(silent, model, PRIOR, []).good)
 
 
 def test_the_table_per_axis(table: Table) -> None:

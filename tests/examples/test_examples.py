@@ -17,7 +17,7 @@ NEEDS = {  # example -> the one whose files it reads, and one of these files
     "04_contact_force.py": ("03_identify.py", "model.toml"),
     "05_look_at_a_log.py": ("02_move_a_simulated_arm.py", "sine.mcap"),
 }
-LONG = ("03_identify.py", "04_contact_force.py")
+LONG = ("03_identify.py", "04_contact_force.py", "12_source_report.py")
 LONGEST = 120  # s, generous for a busy machine; each takes less than 30 s on a quiet one
 MAX_LINES = 40
 

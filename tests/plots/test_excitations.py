@@ -23,6 +23,7 @@ def test_the_points_are_the_singular_values_relative_to_the_strongest() -> None:
     assert np.asarray(refused.get_ydata())[0] == pytest.approx(1e-4)
     assert ax.get_yscale() == "log"
     assert ax.get_xlabel() == "direction"
+    assert [text.get_text() for text in ax.texts] == ["weak below", "refused below"]
     assert found.weakest in ax.get_title(loc="left")
 
 

@@ -19,7 +19,7 @@ def test_curve_band_and_points(fitted: Fit[TorqueModel], excited: Table, truth) 
     figure = friction(fitted, estimate)
     assert len(figure.axes) == 7
     for i, ax in enumerate(figure.axes):
-        points, curve = ax.lines
+        points, _, curve = ax.lines
         qd = np.asarray(curve.get_xdata())
         assert np.abs(qd).max() == pytest.approx(model.training.qd_peak[i])
         grid = np.repeat(qd[:, None], 7, axis=1)

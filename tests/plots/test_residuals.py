@@ -35,7 +35,7 @@ def test_points_are_measured_minus_model_and_curves_two_sigma(table: Table) -> N
     figure = residual_speed(table, models)
     assert len(figure.axes) == 3
     for i, ax in enumerate(figure.axes):
-        points, *curves = ax.lines
+        points, _, *curves = ax.lines
         assert np.array_equal(points.get_xdata(), table["qd"][:, i])
         assert np.array_equal(points.get_ydata(), -table["tau_error"][:, i], equal_nan=True)
         assert len(curves) == 4

@@ -16,6 +16,7 @@ from armlab.plots.style import (
     JOINT_STYLES,
     MODEL,
     band,
+    cloud,
     envelope,
     legend,
     line,
@@ -109,3 +110,12 @@ def test_a_legend_is_as_wide_as_the_figure_at_most(name: str, rows: int) -> None
     box = figure.legends[0].get_window_extent()
     assert len({round(text.get_window_extent().y0) for text in figure.legends[0].get_texts()}) == rows
     assert rows == 7 or figure.bbox.x0 <= box.x0 < box.x1 <= figure.bbox.x1
+
+
+def test_a_cloud_is_small_points_and_one_mark_that_can_be_seen() -> None:
+    ax = plt.figure().add_subplot()
+    cloud(ax, np.arange(3.0), np.array([1.0, np.nan, 2.0]), "residual")
+    points, mark = ax.lines
+    assert np.array_equal(points.get_ydata(), [1.0, np.nan, 2.0], equal_nan=True)
+    assert points.get_markersize() < mark.get_markersize()
+    assert ax.get_legend_handles_labels()[1] == ["residual"]

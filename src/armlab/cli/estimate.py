@@ -86,6 +86,7 @@ def estimate(
     from armlab.cli import estimate_report as reporting
     from armlab.cli.output import FIGURES, aligned, check_output, note, print_json, progress, result
     from armlab.contact import Estimator, contacts
+    from armlab.identify import with_velocity
 
     for path, endings in ((output, (".mcap", ".csv")), (report, (".html",)), (figure, FIGURES)):
         if path is not None:
@@ -97,7 +98,7 @@ def estimate(
         tell(0, 1, "reading the log")
         read = logs.read(log)
         tell(0, 1, f"{method} of {len(read)} rows")
-        table = estimator.run(read)
+        table = estimator.run(with_velocity(read))
         tell(1, 1, "done")
     _check(table, log)
     found = contacts(table)

@@ -143,19 +143,16 @@ def _reach(table: Table, model: TorqueModel, prior: np.ndarray) -> Verdict:
 
 def _truth(table: Table) -> Verdict:
     """Compare with a force sensor or a simulated operator, where the log has one."""
-    name = next((name for name in ("wrench_true", "wrench") if name in table), None)
-    if name is None:
+    from armlab.contact import compare
+    from armlab.errors import UnknownName
+
+    try:
+        found = compare(table)
+    except UnknownName:
         return Verdict()
-    error = table["wrench_hat"][:, :3] - table[name][:, :3]
-    known = np.isfinite(error).all(axis=1)
-    if not known.any():
-        return Verdict()
-    sigma = np.sqrt(np.einsum("kii->ki", table["wrench_hat_cov"]))[known, :3]
-    rms = " ".join(f"{value:.2f}" for value in np.sqrt(np.mean(error[known] ** 2, axis=0)))
-    inside = float(np.mean(np.abs(error[known]) <= 2 * sigma))
-    what = "the true force" if name == "wrench_true" else "the force sensor"
-    sentence = f"Against {what}: {rms} N RMS in x y z; {100 * inside:.0f} % of it inside 2 sigma."
-    return Verdict((sentence,)) if inside >= HONEST else Verdict(bad=(sentence,))
+    text = found.text()
+    sentence = f"{text[0].upper()}{text[1:]}."
+    return Verdict((sentence,)) if np.mean(found.inside[:3]) >= HONEST else Verdict(bad=(sentence,))
 
 
 def write(

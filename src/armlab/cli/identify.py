@@ -48,7 +48,7 @@ def identify(
     from armlab.cli import identify_report as reporting
     from armlab.cli.output import FIGURES, check_output, note, print_json, progress, result
     from armlab.errors import ConfigError
-    from armlab.identify import fit_dynamics
+    from armlab.identify import fit_dynamics, with_velocity
 
     arm = robots.load(robot)
     if not logs:
@@ -56,8 +56,8 @@ def identify(
     for path, endings in ((output, [".toml"]), (report, [".html"]), (figure, FIGURES)):
         if path is not None:
             check_output(path, force, endings)
-    tables = [log.read(path) for path in logs]
-    unseen = None if test is None else log.read(test)
+    tables = [with_velocity(log.read(path)) for path in logs]
+    unseen = None if test is None else with_velocity(log.read(test))
     with progress("identify") as tell:
         fit = fit_dynamics(tables, arm, progress=tell)
     trial = reporting.try_out(fit.value, arm, tables[0] if unseen is None else unseen, unseen is not None)

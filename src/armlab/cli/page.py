@@ -21,12 +21,13 @@ _HEAD = """<!doctype html>
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <title>{title}</title>
 <style>
-body {{ font: 15px/1.5 system-ui, sans-serif; color: #1a1a1a; max-width: 68rem; margin: 2rem auto; padding: 0 1rem; }}
+body {{ font: 15px/1.5 system-ui, sans-serif; color: #1a1a1a; max-width: 76rem; margin: 2rem auto; padding: 0 1rem; }}
 h1 {{ font-size: 1.6rem; margin-bottom: .2rem; }}
 h2 {{ font-size: 1.15rem; margin: 2.2rem 0 .4rem; border-bottom: 1px solid #ddd; }}
 .about {{ color: #555; margin-top: 0; }}
-table {{ border-collapse: collapse; font-variant-numeric: tabular-nums; display: block; overflow-x: auto; }}
-th, td {{ padding: .18rem .7rem; text-align: right; border-bottom: 1px solid #eee; white-space: nowrap; }}
+table {{ border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: 13px; }}
+table {{ display: block; overflow-x: auto; }}
+th, td {{ padding: .18rem .55rem; text-align: right; border-bottom: 1px solid #eee; white-space: nowrap; }}
 th:first-child, td:first-child {{ text-align: left; }}
 th {{ border-bottom: 1px solid #999; font-weight: 600; }}
 figure {{ margin: .8rem 0; }}

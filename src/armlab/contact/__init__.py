@@ -1,5 +1,6 @@
 """Contact: the wrench of the environment on the robot, estimated from joint torques."""
 
+from armlab.contact.comparison import Comparison, compare
 from armlab.contact.estimator import Estimator
 from armlab.contact.intervals import Contact, contacts
 from armlab.contact.wrench import INFEASIBLE, INVALID, SINGULAR, STUCK, WEAK, Wrench
@@ -10,8 +11,10 @@ __all__ = [
     "SINGULAR",
     "STUCK",
     "WEAK",
+    "Comparison",
     "Contact",
     "Estimator",
     "Wrench",
+    "compare",
     "contacts",
 ]

@@ -41,10 +41,10 @@ def excitation(found: Excitation, ax: Any = None) -> Axes:
         _, axes = panels(1, 1, ax, width=7.5, height=3.2)
         panel: Axes = axes[0, 0]
         panel.semilogy(np.arange(1, len(values) + 1), relative, "o-", color=JOINT_STYLES[0][0], markersize=3.5)
-        panel.axhline(1 / _WEAK, color=GREY, linestyle="--", label="weak below")
-        panel.axhline(1 / _REFUSED, color=MODEL, linestyle="--", label="refused below")
+        for condition, color, words in ((_WEAK, GREY, "weak below"), (_REFUSED, MODEL, "refused below")):
+            panel.axhline(1 / condition, color=color, linestyle="--")
+            panel.text(1, 1.1 / condition, words, color=color, fontsize=8.0, va="bottom")
         panel.set_xlabel("direction")
         panel.set_ylabel("singular value, relative")
         panel.set_title(f"condition {found.condition:.0f}; weakest: {found.weakest}", wrap=True)
-        panel.legend(loc="lower left")
     return panel

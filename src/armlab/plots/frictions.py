@@ -8,7 +8,7 @@ import numpy as np
 
 from armlab.glossary import lookup
 from armlab.models import TorqueModel
-from armlab.plots.style import GREY, MODEL, band, legend, look, panels
+from armlab.plots.style import MODEL, band, cloud, legend, look, panels
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -82,7 +82,7 @@ def _points(panel: Any, model: TorqueModel, table: Table, i: int) -> None:
     every = max(1, len(table) // _POINTS)
     qd, missed = table["qd"][::every], -table["tau_error"][::every]
     shown = _curve(model, qd)[:, i] + missed[:, i]
-    panel.plot(qd[:, i], shown, ".", color=GREY, markersize=1.5, alpha=0.3, label="measured")
+    cloud(panel, qd[:, i], shown, "measured")
 
 
 def _parameter_variance(fit: Fit[TorqueModel], i: int, qd: np.ndarray) -> np.ndarray:

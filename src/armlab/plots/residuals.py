@@ -11,7 +11,7 @@ from armlab.errors import ShapeError, UnknownName
 from armlab.estimation import correlation_time
 from armlab.glossary import lookup
 from armlab.models import VelocityCovariance
-from armlab.plots.style import GREY, JOINT_STYLES, MODEL, legend, look, panels
+from armlab.plots.style import GREY, JOINT_STYLES, MODEL, cloud, legend, look, panels
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -53,9 +53,7 @@ def residual_speed(
     with look():
         figure, axes = _grid(len(shown), ax)
         for panel, i in zip(axes, shown, strict=True):
-            panel.plot(
-                qd[::every, i], residuals[::every, i], ".", color=GREY, markersize=1.5, alpha=0.35, label="residual"
-            )
+            cloud(panel, qd[::every, i], residuals[::every, i], "residual")
             speeds = _signed(peak[i])
             grid = np.repeat(speeds[:, None], residuals.shape[1], axis=1)
             for (name, covariance), color in zip((covariances or {}).items(), _MODELS, strict=False):

@@ -20,6 +20,7 @@ __all__ = [
     "JOINT_STYLES",
     "MODEL",
     "band",
+    "cloud",
     "envelope",
     "legend",
     "line",
@@ -101,6 +102,12 @@ def panels(
 def line(ax: Axes, t: np.ndarray, values: np.ndarray, **style: Any) -> None:
     """Draw values (N,) over t; NaN leaves a gap, and beyond 20 000 points the extremes of each stretch are drawn."""
     ax.plot(*envelope(t, values), **style)
+
+
+def cloud(ax: Axes, x: np.ndarray, y: np.ndarray, label: str) -> None:
+    """Draw many small points y (N,) over x (N,), grey, with a mark in the legend that can be seen."""
+    ax.plot(x, y, ".", color=GREY, markersize=1.5, alpha=0.35, label="_")
+    ax.plot([], [], ".", color=GREY, markersize=5.0, label=label)
 
 
 def envelope(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
