@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.errors import ShapeError
-from armlab.identify import Trajectory, dither, excitation, sequence
-from armlab.state import Command, State
+from armlab.errors import NotConverged, ShapeError
+from armlab.identify import dither, excitation
 
 
 @pytest.mark.parametrize("name", ["yumi_left", "yumi_right", "irb2400", "irb7600"])
@@ -61,47 +60,6 @@ def test_a_short_sway_has_no_jump_either(seconds: float) -> None:
     assert np.abs(np.diff(qd, axis=0)).max() < 1.5 * np.abs(qdd).max() * t[1]
 
 
-def test_sequence_walks_between_its_parts_without_a_jump() -> None:
-    a, b = dither(np.zeros(2), 5.0), dither(np.array([0.5, -0.5]), 5.0)
-    motion = sequence([a, b], walk=2.0)
-    assert isinstance(motion, Trajectory)
-    assert motion.seconds == pytest.approx(12.0)
-    t = np.linspace(0, 12, 12001)
-    q, qd, qdd = motion.sample(t)
-    np.testing.assert_allclose(np.gradient(q, t, axis=0)[1:-1], qd[1:-1], atol=2e-3)
-    assert np.abs(qdd).max() < 2.0
-    np.testing.assert_allclose(q[-1], [0.5, -0.5], atol=1e-9)
-
-
-def states(times: np.ndarray, session: int = 1) -> list[State]:
-    rest = np.zeros(2)
-    steps = np.diff(times, prepend=times[0] - 0.004)
-    return [State(t=t, dt=dt, q=rest, qd=rest, tau=rest, q_start=rest, session=session) for t, dt in zip(times, steps)]
-
-
-def test_the_controller_walks_to_the_start_and_follows_the_motion() -> None:
-    motion = dither(np.array([0.3, 0.3]), 10.0)
-    controller = motion.controller(approach=2.0)
-    times = np.arange(0, 8, 0.004)
-    commands = [controller(state) for state in states(times)]
-    assert isinstance(commands[0], Command)
-    np.testing.assert_array_equal(commands[0].q, 0.0)
-    np.testing.assert_allclose(commands[500].q, motion.q_first, atol=1e-6)
-    expected = motion.sample(times[500:] - 2.0)
-    np.testing.assert_allclose([c.q for c in commands[500:]], expected[0], atol=1e-9)
-    np.testing.assert_allclose([c.qd for c in commands[500:]], expected[1], atol=1e-9)
-
-
-def test_after_lost_packets_the_motion_goes_on_without_a_jump_and_a_new_session_starts_over() -> None:
-    motion = dither(np.zeros(2), 20.0, amplitude=0.5, frequency=1.0)
-    controller = motion.controller(approach=1.0)
-    times = np.concatenate([np.arange(0, 5, 0.004), np.arange(5.5, 8, 0.004)])
-    commands = np.array([controller(state).q for state in states(times)])
-    assert np.abs(np.diff(commands, axis=0)).max() < 0.5 * 2 * np.pi * 0.0061
-    (first,) = [controller(state).q for state in states(np.array([0.0]), session=2)]
-    np.testing.assert_array_equal(first, 0.0)
-
-
 def test_nonsense_is_refused() -> None:
     robot = robots.load("yumi_left")
     with pytest.raises(ShapeError, match="speed share"):
@@ -118,7 +76,39 @@ def test_nonsense_is_refused() -> None:
             excitation(robot, centre=centre)
     with pytest.raises(ShapeError, match="above 0 s"):
         dither(np.zeros(2), 0.0)
-    with pytest.raises(ShapeError, match="at least one motion"):
-        sequence([])
-    with pytest.raises(ShapeError, match="walk above 0"):
-        sequence([dither(np.zeros(2), 5.0)], walk=0.0)
+
+
+def test_motions_that_collide_are_not_chosen() -> None:
+    """The second joint stays above its centre, whatever the candidates; a world without room is refused."""
+    robot = robots.load("yumi_left")
+    free = excitation(robot, seconds=20, speed=0.2)
+    bound = np.quantile(free.sample(np.arange(0, 20, 0.1))[0][:, 1], 0.02)
+    careful = excitation(robot, seconds=20, speed=0.2, collides=lambda q: q[1] < bound)
+    assert careful.sample(np.arange(0, 20, 0.1))[0][:, 1].min() >= bound
+    with pytest.raises(NotConverged, match="none among 60 candidates"):
+        excitation(robot, seconds=20, collides=lambda q: True)
+
+
+def test_motions_beyond_the_torque_limits_are_not_chosen() -> None:
+    robot = robots.load("ur5e")
+    t = np.arange(0, 20, 0.1)
+
+    def peak(motion) -> np.ndarray:
+        return np.abs(robot.chain.rnea(*motion.sample(t), robot.gravity, robot.inertias)).max(axis=0)
+
+    weak = replace(robot, tau_max=0.97 * peak(excitation(robot, seconds=20)))
+    assert np.all(peak(excitation(weak, seconds=20)) <= weak.tau_max)
+    with pytest.raises(NotConverged, match=r"torque limits of 'ur5e'.*lower speed and acceleration"):
+        excitation(replace(robot, tau_max=np.full(6, 0.1)), seconds=20)
+
+
+def test_noise_weighs_the_joints() -> None:
+    """A joint whose torque is noise tells nothing: another motion is the best."""
+    robot = robots.load("ur5e")
+    t = np.arange(0, 20, 0.5)
+    plain = excitation(robot, seconds=20).sample(t)[0]
+    np.testing.assert_array_equal(excitation(robot, seconds=20, sigma=np.full(6, 3.0)).sample(t)[0], plain)
+    noisy = excitation(robot, seconds=20, sigma=np.array([1e4, 1e4, 1.0, 1e-4, 1e-4, 1e-4])).sample(t)[0]
+    assert np.abs(noisy - plain).max() > 0.1
+    with pytest.raises(ShapeError, match=r"sigma of shape \(6,\) above 0"):
+        excitation(robot, sigma=np.zeros(6))

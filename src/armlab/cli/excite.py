@@ -6,17 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 from cyclopts import Parameter
 
 if TYPE_CHECKING:
     from armlab.identify import Expectation, Trajectory
-    from armlab.log import Table
     from armlab.robots import Robot
 
 __all__ = ["Motion", "excite"]
-
-RATE = 250.0  # Hz
 
 
 @Parameter(name="*")
@@ -106,7 +102,7 @@ def excite(
     else:
         result(aligned(expected.rows(), right=(2, 3, 4)))
         result(expected.excitation.text())
-    table = _table(trajectory)
+    table = trajectory.table()
     if output is not None:
         note(f"motion: {logs.write(table, output)}")
     if figure is not None:
@@ -118,15 +114,6 @@ def excite(
     if run is not None:
         _run(arm, trajectory, run, log, approach)
     return 0
-
-
-def _table(trajectory: Trajectory) -> Table:
-    """Return the motion at 250 Hz."""
-    from armlab.log import Table
-
-    t = np.arange(round(trajectory.seconds * RATE) + 1) / RATE
-    q, qd, qdd = trajectory.sample(t)
-    return Table(t, {"q": q, "qd": qd, "qdd": qdd})
 
 
 def _plain(expected: Expectation) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from armlab.identify.base_parameters import BaseParameters, base_parameters
 from armlab.identify.covariance import fit_velocity_covariance
 from armlab.identify.dynamics import fit_dynamics
-from armlab.identify.excitation import Trajectory, dither, excitation, sequence
+from armlab.identify.excitation import dither, excitation
 from armlab.identify.expectation import Expectation, expectation
 from armlab.identify.extrapolation import Extrapolation, extrapolation
 from armlab.identify.friction import fit_friction
@@ -12,6 +12,7 @@ from armlab.identify.group_lasso import GroupLasso, group_lasso, select_groups
 from armlab.identify.preparation import Prepared, prepare, with_velocity
 from armlab.identify.rbf import rbf_centres, rbf_regressor
 from armlab.identify.ripple import ripple_lines, ripple_regressor
+from armlab.identify.trajectory import Trajectory, sequence
 from armlab.identify.validation import predict
 from armlab.identify.warm_up import fit_warm_up
 

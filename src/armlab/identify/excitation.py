@@ -4,77 +4,28 @@
 
 (Swevers et al. 1997). The record starts and ends at rest: a quintic window blends the motion in and out. Among seeded
 candidates, each scaled to the limits, the one with the largest log det of the information of the base regressor is kept
-(D-optimal; the units of the parameters do not change the order).
+(D-optimal; the units of the parameters do not change the order). Candidates that collide or that the motors cannot
+drive are left out; those that are slow too seldom, or turn round too seldom for friction, come last.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 
 import numpy as np
 
-from armlab.errors import ShapeError
+from armlab.errors import NotConverged, ShapeError
 from armlab.identify.base_parameters import BaseParameters, base_parameters
+from armlab.identify.trajectory import Trajectory
 from armlab.robots import Robot
-from armlab.state import Command, State
 
-__all__ = ["Trajectory", "dither", "excitation", "sequence"]
+__all__ = ["dither", "excitation"]
 
 RAMP = 2.0  # s, blend at each end
-LONGEST_STEP = 0.006  # s that a controller's clock moves at once: 1.5 periods, what the bridge lets a reference move
 CANDIDATES = 60
+SLOW, SLOW_SHARE = 0.1, 0.15  # of the speed limit, and the least share of samples below it
+TURNS_PER_SECOND = 10.0 / 60.0
 MARGIN = 0.05  # rad or m, kept from the position limits; a tenth of the range where that is less
-
-
-@dataclass(frozen=True, eq=False)
-class Trajectory:
-    """A joint motion that can be sampled at any time.
-
-    Attributes
-    ----------
-    seconds : length.
-    sample : gives q, qd, qdd (..., n) at times (...,); constant outside [0, seconds].
-    """
-
-    seconds: float
-    sample: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
-
-    @property
-    def q_first(self) -> np.ndarray:
-        """Position (n,) at the start."""
-        return self.sample(np.array(0.0))[0]
-
-    def controller(self, approach: float = 4.0) -> Callable[[State], Command]:
-        """Return a controller that walks from where the arm stands to the start, then runs the motion.
-
-        Its clock follows the robot's, but never by more than 6 ms at once: after lost packets the motion goes on
-        where it was, without a jump. It starts again in each session.
-
-        Parameters
-        ----------
-        approach : seconds of the walk (quintic, at rest at both ends).
-        """
-        clock, session = 0.0, 0
-
-        def step(state: State) -> Command:
-            nonlocal clock, session
-            clock = clock + min(state.dt, LONGEST_STEP) if state.session == session else 0.0
-            session = state.session
-            if clock < approach:
-                s, ds, _ = _quintic(clock / approach)
-                way = self.q_first - state.q_start
-                return Command(q=state.q_start + s * way, qd=ds / approach * way)
-            q, qd, _ = self.sample(np.array(clock - approach))
-            return Command(q=q, qd=qd)
-
-        return step
-
-
-def _quintic(x: float) -> tuple[float, float, float]:
-    """Return the smooth step of x in [0, 1] and its two derivatives."""
-    x = min(max(x, 0.0), 1.0)
-    return x**3 * (10 - 15 * x + 6 * x * x), 30 * x * x * (1 - x) ** 2, 60 * x * (1 - x) * (1 - 2 * x)
 
 
 def excitation(
@@ -86,8 +37,13 @@ def excitation(
     acceleration: float = 15.0,
     centre: np.ndarray | None = None,
     seed: int = 0,
+    sigma: np.ndarray | None = None,
+    collides: Callable[[np.ndarray], bool] | None = None,
 ) -> Trajectory:
     """Design an excitation motion.
+
+    Every joint is slower than a tenth of its limit in at least 15 % of the samples, and turns round at least ten times
+    a minute, wherever a candidate does. With torque limits and masses in the robot file the motion stays within them.
 
     Parameters
     ----------
@@ -101,6 +57,8 @@ def excitation(
         robot's home, moved from the limits until every joint has 70 degrees to both sides (or half its range, where
         that is less).
     seed : of the candidates.
+    sigma : (n,) deviation of the torque noise [N m], that weighs the joints; all alike when left out.
+    collides : tells whether a pose (n,) must be avoided; asked ten times a second along each candidate.
 
     Returns
     -------
@@ -108,7 +66,9 @@ def excitation(
 
     Raises
     ------
-    ShapeError : for a share outside (0, 1], a record that is too short, no harmonics, a centre outside the limits.
+    ShapeError : for a share outside (0, 1], a record that is too short, no harmonics, a centre outside the limits,
+        noise that is not above 0.
+    NotConverged : when every candidate collides or is beyond the torque limits.
     """
     if not 0 < speed <= 1 or not 10 <= seconds < np.inf:
         raise ShapeError(
@@ -124,8 +84,15 @@ def excitation(
     middle = _with_room(robot) if centre is None else _inside(robot, centre)
     base = base_parameters(robot)
     draws = rng.standard_normal((CANDIDATES, 2, harmonics, robot.n))
+    weights = 1.0 / _deviation(robot, np.ones(robot.n) if sigma is None else sigma)
     candidates = [_scaled(robot, middle, a, b, f0, seconds, speed, acceleration) for a, b in draws]
-    return max(candidates, key=lambda trajectory: _information(robot, base, trajectory, f0))
+    possible = [motion for motion in candidates if _possible(robot, motion, collides)]
+    if not possible:
+        raise NotConverged(
+            f"Expected a motion without collision and within the torque limits of {robot.name!r}, got none among "
+            f"{CANDIDATES} candidates. Move the centre, or lower speed and acceleration."
+        )
+    return max(possible, key=lambda motion: (_varied(robot, motion), _information(robot, base, motion, f0, weights)))
 
 
 def dither(
@@ -157,43 +124,6 @@ def dither(
         return centre + w * x, w * xd + wd * x, -w * omega**2 * x + 2 * wd * xd + wdd * x
 
     return Trajectory(seconds, sample)
-
-
-def sequence(parts: Sequence[Trajectory], walk: float = 2.0) -> Trajectory:
-    """Join motions that start and end at rest, with a quintic walk of `walk` seconds between them.
-
-    Parameters
-    ----------
-    parts : at least one motion. walk : seconds of each walk, above 0.
-
-    Raises
-    ------
-    ShapeError : for no parts or no time to walk.
-    """
-    if not parts or not walk > 0:
-        raise ShapeError(f"Expected at least one motion and a walk above 0 s, got {len(parts)} and {walk:g} s.")
-    starts = np.cumsum([0.0, *(part.seconds + walk for part in parts[:-1])])
-    total = float(starts[-1] + parts[-1].seconds)
-
-    def one(t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        k = int(np.searchsorted(starts, t, side="right")) - 1
-        local = t - starts[k]
-        if local <= parts[k].seconds or k == len(parts) - 1:
-            return parts[k].sample(np.array(local))
-        here, there = parts[k].sample(np.array(parts[k].seconds))[0], parts[k + 1].q_first
-        x = (local - parts[k].seconds) / walk
-        s, ds, dds = _quintic(x)
-        return here + s * (there - here), ds / walk * (there - here), dds / walk**2 * (there - here)
-
-    def sample(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        t = np.clip(np.asarray(t, dtype=float), 0.0, total)
-        if t.ndim == 0:
-            return one(float(t))
-        rows = [one(float(x)) for x in t.ravel()]
-        q, qd, qdd = (np.array([row[k] for row in rows]).reshape(*t.shape, -1) for k in range(3))
-        return q, qd, qdd
-
-    return Trajectory(total, sample)
 
 
 def _with_room(robot: Robot) -> np.ndarray:
@@ -269,14 +199,45 @@ def _window(t: np.ndarray, seconds: float) -> tuple[np.ndarray, np.ndarray, np.n
     return w, wd, wdd
 
 
-def _information(robot: Robot, base: BaseParameters, trajectory: Trajectory, f0: float) -> float:
+def _information(robot: Robot, base: BaseParameters, trajectory: Trajectory, f0: float, weights: np.ndarray) -> float:
     """Return log det of the information of the base parameters over one period."""
     t = np.linspace(RAMP, min(RAMP + 1.0 / f0, trajectory.seconds - RAMP), 100)
-    q, qd, qdd = trajectory.sample(t)
-    n = robot.n
-    rotor = np.zeros((len(t), n, n))
-    rotor[:, range(n), range(n)] = qdd
-    Y = np.concatenate([robot.chain.rigid_regressor(q, qd, qdd, robot.gravity), rotor], axis=2)
-    A = Y[:, :, base.kept].reshape(-1, len(base.kept))
+    A = _regressor(robot, base, *trajectory.sample(t)) * weights[:, None]
+    A = A.reshape(-1, A.shape[2])
     sign, logdet = np.linalg.slogdet(A.T @ A)
     return float(logdet) if sign > 0 else -np.inf
+
+
+def _regressor(robot: Robot, base: BaseParameters, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+    """Return the columns (N, n, p) of the base parameters."""
+    n = robot.n
+    rotor = np.zeros((len(q), n, n))
+    rotor[:, range(n), range(n)] = qdd
+    return np.concatenate([robot.chain.rigid_regressor(q, qd, qdd, robot.gravity), rotor], axis=2)[:, :, base.kept]
+
+
+def _possible(robot: Robot, motion: Trajectory, collides: Callable[[np.ndarray], bool] | None) -> bool:
+    """Tell whether the motors can drive a motion and it meets nothing."""
+    q, qd, qdd = motion.sample(np.arange(0.0, motion.seconds, 0.1))
+    if collides is not None and any(collides(pose) for pose in q):
+        return False
+    if robot.inertias is None or np.isinf(robot.tau_max).all():
+        return True
+    return bool(np.all(np.abs(robot.chain.rnea(q, qd, qdd, robot.gravity, robot.inertias)) <= robot.tau_max))
+
+
+def _varied(robot: Robot, motion: Trajectory) -> bool:
+    """Tell whether every joint is slow, and turns round, as often as friction needs."""
+    qd = motion.sample(np.arange(0.0, motion.seconds, 0.01))[1]
+    slow = np.mean(np.abs(qd) < SLOW * robot.qd_max, axis=0)
+    turns = np.sum(np.diff(np.sign(qd[1:-1]), axis=0) != 0, axis=0)
+    return bool(np.all(slow >= SLOW_SHARE) and np.all(turns >= TURNS_PER_SECOND * motion.seconds))
+
+
+def _deviation(robot: Robot, sigma: np.ndarray) -> np.ndarray:
+    values = np.asarray(sigma, dtype=float)
+    if values.shape != (robot.n,) or not np.all((values > 0) & np.isfinite(values)):
+        raise ShapeError(
+            f"Expected sigma of shape ({robot.n},) above 0 N m, got {values.tolist()}. Give one per joint."
+        )
+    return values

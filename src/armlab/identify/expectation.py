@@ -9,7 +9,7 @@ import numpy as np
 from armlab.errors import ShapeError
 from armlab.estimation import Excitation
 from armlab.identify.base_parameters import base_parameters
-from armlab.identify.excitation import Trajectory
+from armlab.identify.trajectory import Trajectory
 from armlab.robots import Robot
 
 __all__ = ["Expectation", "expectation"]

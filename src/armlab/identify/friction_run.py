@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from armlab.errors import ShapeError, UnknownName
-from armlab.identify.excitation import Trajectory
+from armlab.identify.trajectory import Trajectory
 from armlab.robots import Robot
 
 __all__ = ["friction_run"]
