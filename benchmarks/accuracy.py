@@ -23,8 +23,8 @@ WHAT = f"""\
 
 {{count}} seeds of the protocol on the simulated YuMi ({{robot}}), by `python benchmarks/accuracy.py`. Per seed: a model
 is identified from 60 s of excitation; 60 s of other motion with pushes of 5 N in random directions, two presses of
-500 g while the arm sways, the same two at rest. Motions, noise and pushes differ from seed to seed. The estimator sees logs
-only. *Gains*: every torque sensor is off by an unknown factor of up to {100 * GAINS:.0f} %.
+500 g while the arm sways, the same two at rest. Motions, noise and pushes differ from seed to seed. The estimator sees
+logs only. *Gains*: every torque sensor is off by an unknown factor of up to {100 * GAINS:.0f} %.
 
 A figure is the median over seeds with the least and the largest, of the worst axis for errors, of all axes for shares.
 Edges are the {protocol.EDGE:g} s after the beginning of each ramp.

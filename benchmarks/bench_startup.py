@@ -28,7 +28,7 @@ def run(quick: bool) -> list[Table]:
         Contender("pinocchio", _importing("pinocchio")),
         Contender("roboticstoolbox", _importing("roboticstoolbox")),
     ]
-    text = "Processor time of the import in a fresh interpreter that has NumPy already; files are compiled and in the disk cache."
+    text = "Processor time of the import in a fresh interpreter that has NumPy already; files are compiled and cached."
     return [table("Import", text, "ms", contenders, 3 if quick else 10)]
 
 
