@@ -10,7 +10,7 @@ from armlab.errors import ShapeError
 from armlab.estimation import Fit
 from armlab.log import Table
 from armlab.models import TorqueModel
-from armlab.plots.frictions import friction
+from armlab.plots.frictions import friction, own_parameters
 
 
 def test_curve_band_and_points(fitted: Fit[TorqueModel], excited: Table, truth) -> None:
@@ -31,25 +31,23 @@ def test_curve_band_and_points(fitted: Fit[TorqueModel], excited: Table, truth) 
         assert np.asarray(points.get_ydata()) == pytest.approx(shown)
         light, dark = (area.get_paths()[0].vertices for area in ax.collections)
         assert np.ptp(light[:, 1]) > np.ptp(dark[:, 1])
-        viscous = fitted.names.index(f"viscous {truth.robot.joint_names[i]}")
         assert dark[:, 1].max() > torque.max()
-        assert fitted.sd[viscous] > 0
         assert (ax.get_xlabel(), ax.get_ylabel()) == ("qd [rad/s]", "friction [N m]")
 
 
-def test_the_dark_band_is_the_covariance_of_the_parameters(fitted: Fit[TorqueModel], truth) -> None:
+def test_the_dark_band_is_the_covariance_of_the_parameters(fitted: Fit[TorqueModel]) -> None:
     """At the largest speed: viscous, Coulomb and offset of joint 3 move together."""
     ax = friction(fitted).axes[2]
     curve = np.asarray(ax.lines[0].get_ydata())
     vertices = ax.collections[1].get_paths()[0].vertices
     peak = fitted.value.training.qd_peak[2]
     top = vertices[np.isclose(vertices[:, 0], peak), 1].max()
-    name = truth.robot.joint_names[2]
     bump = np.exp(-((peak / fitted.value.friction.stribeck_speed[2]) ** 2))
-    slopes = {"viscous": peak, "coulomb+": 1.0, "coulomb-": 0.0, "offset": 1.0, "stribeck": bump}
+    slopes = {"viscous": peak, "coulomb": 1.0, "coulomb+": 1.0, "coulomb-": 0.0, "offset": 1.0, "stribeck": bump}
+    slopes["root"] = np.sqrt(peak)
     g = np.zeros(len(fitted.names))
-    for kind, slope in slopes.items():
-        g[fitted.names.index(f"{kind} {name}")] = slope
+    for kind, place in own_parameters(fitted)[2].items():
+        g[place] = slopes.get(kind, 0.0)
     assert top - curve[-1] == pytest.approx(2 * np.sqrt(g @ fitted.cov @ g), rel=1e-6)
 
 
@@ -60,3 +58,12 @@ def test_as_many_axes_as_joints(fitted: Fit[TorqueModel]) -> None:
     assert friction(fitted, ax=axes) is axes[0].figure
     with pytest.raises(ShapeError, match="Expected 7 Axes"):
         friction(fitted, ax=axes[:3])
+
+
+def test_the_parameters_of_each_joint_are_found_by_kind(fitted: Fit[TorqueModel], truth) -> None:
+    found = own_parameters(fitted)
+    assert len(found) == 7
+    for own, joint in zip(found, truth.robot.joint_names, strict=True):
+        assert fitted.names[own["viscous"]] == f"viscous {joint}"
+        assert {"viscous", "offset"} < own.keys()
+        assert {"coulomb"} < own.keys() or {"coulomb+", "coulomb-"} < own.keys()

@@ -140,12 +140,13 @@ class _Sentences:
 def _judge_fit(found: _Sentences, fit: Fit[TorqueModel], trial: Trial) -> None:
     quality = fit.value.quality
     held_out = quality.rms_cv / quality.torque_sd
-    fine, poor = held_out <= FINE, held_out > POOR
-    worst = int(np.argmax(held_out))
+    judged = np.isfinite(held_out)  # joints that did not move have no figures
+    fine, poor = (held_out <= FINE) | ~judged, judged & (held_out > POOR)
+    worst = int(np.nanargmax(held_out)) if judged.any() else 0
     if fine.all():
         found.good.append(
-            f"The model leaves {100 * held_out.min():.1f} to {100 * held_out.max():.1f} % of the torque's deviation "
-            "in motion that it has not seen."
+            f"The model leaves {100 * np.nanmin(held_out):.1f} to {100 * np.nanmax(held_out):.1f} % of the torque's "
+            "deviation in motion that it has not seen."
         )
     elif fine.any():
         found.good.append(f"{_joints(fine)}: at most {100 * FINE:.0f} % of the torque's deviation is left unexplained.")
@@ -173,13 +174,13 @@ def _judge_fit(found: _Sentences, fit: Fit[TorqueModel], trial: Trial) -> None:
 
 def _judge_honesty(found: _Sentences, model: TorqueModel, trial: Trial) -> None:
     coverage, alpha = model.quality.coverage, float(np.sqrt(model.covariance.alpha2))
-    honest = (coverage >= HONEST[0]) & (coverage <= HONEST[1])
+    honest = ~((coverage < HONEST[0]) | (coverage > HONEST[1]))
     where = "test log" if trial.unseen else "log"
     force = " ".join(f"{value:.2f}" for value in trial.force_rms)
     if honest.all():
         found.good.append(
-            f"The stated uncertainty is true: {100 * coverage.min():.0f} to {100 * coverage.max():.0f} % of the "
-            "held-out torques lie inside 2 sigma."
+            f"The stated uncertainty is true: {100 * np.nanmin(coverage):.0f} to {100 * np.nanmax(coverage):.0f} % of "
+            "the held-out torques lie inside 2 sigma."
         )
     else:
         shares = ", ".join(f"{100 * value:.0f} %" for value in coverage[~honest])
@@ -256,26 +257,29 @@ def write(
 
 
 def _rows(fit: Fit[TorqueModel], trial: Trial) -> list[list[str]]:
+    from armlab.plots.frictions import own_parameters
+
     head = ["joint", "torque sd [N m]", "RMS [N m]", "fit [%]", "held-out [%]", "test [%]", "in 2 sigma [%]"]
     head += ["viscous [N m s/rad]", "Coulomb + [N m]", "Coulomb - [N m]", "sigma rest / motion [N m]"]
     head += ["gamma [s/rad]", "ripple [N m]"]
-    rows = [head]
+    rows, own = [head], own_parameters(fit)
     for joint in numbers(fit, trial)["joints"]:
         i = joint["joint"] - 1
         shares = [joint[name] for name in ("share_fit", "share_held_out", "share_test", "coverage")]
         row = [str(i + 1), f"{joint['torque_sd']:.3f}", f"{joint['rms']:.3f}"]
         row += [f"{100 * share:.1f}" if np.isfinite(share) else "-" for share in shares]
-        for name, column in (("viscous", "viscous"), ("coulomb+", "coulomb_pos"), ("coulomb-", "coulomb_neg")):
-            row.append(f"{joint[column]:.3f}{_deviation(fit, name, i)}")
+        row.append(f"{joint['viscous']:.3f}{_deviation(fit, own[i], 'viscous')}")
+        for name, column in (("coulomb+", "coulomb_pos"), ("coulomb-", "coulomb_neg")):
+            row.append(f"{joint[column]:.3f}{_deviation(fit, own[i], name, 'coulomb')}")
         row += [f"{joint['sigma_rest']:.3f} / {joint['sigma_motion']:.3f}", f"{joint['gamma']:.0f}"]
         rows.append([*row, f"{joint['ripple']:.3f}" if joint["ripple"] else "-"])
     return rows
 
 
-def _deviation(fit: Fit[TorqueModel], kind: str, joint: int) -> str:
+def _deviation(fit: Fit[TorqueModel], own: dict[str, int], *kinds: str) -> str:
     """Return the deviation of one friction parameter with its sign; nothing when the fit does not have it."""
-    places = [k for k, name in enumerate(fit.names) if name.startswith(f"{kind} ")]
-    return f" ± {fit.sd[places[joint]]:.3f}" if len(places) == fit.value.n else ""
+    place = next((own[kind] for kind in kinds if kind in own), None)
+    return "" if place is None else f" ± {fit.sd[place]:.3f}"
 
 
 def _drawings(fit: Fit[TorqueModel], trial: Trial) -> list[tuple[str, str, str, Callable[[], bytes]]]:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from armlab.estimation import Fit
     from armlab.log import Table
 
-__all__ = ["friction"]
+__all__ = ["friction", "own_parameters"]
 
 _COLUMNS = 4
 _POINTS = 3_000
@@ -91,14 +91,34 @@ def _parameter_variance(fit: Fit[TorqueModel], i: int, qd: np.ndarray) -> np.nda
     s = _sign(fit.value, np.repeat(qd[:, None], fit.value.n, axis=1))[:, i]
     slopes = {
         "viscous": qd,
+        "coulomb": s,
         "coulomb+": np.maximum(s, 0.0),
         "coulomb-": np.minimum(s, 0.0),
         "offset": np.ones_like(qd),
         "stribeck": s * np.exp(-((qd / friction.stribeck_speed[i]) ** 2)),
         "root": s * np.sqrt(np.abs(qd)),
     }
-    joint = [name.removeprefix("viscous ") for name in fit.names if name.startswith("viscous ")][i]
-    found = [(fit.names.index(f"{kind} {joint}"), g) for kind, g in slopes.items() if f"{kind} {joint}" in fit.names]
+    own = own_parameters(fit)[i]
+    found = [(own[kind], slope) for kind, slope in slopes.items() if kind in own]
+    if not found:
+        return np.zeros_like(qd)
     columns = [k for k, _ in found]
     G = np.stack([g for _, g in found], axis=1)
     return np.einsum("ka,ab,kb->k", G, fit.cov[np.ix_(columns, columns)], G)
+
+
+def own_parameters(fit: Fit[TorqueModel]) -> list[dict[str, int]]:
+    """Return, for each joint, the place of each friction parameter in the fit: {"viscous": 45, "coulomb+": 46, ...}.
+
+    Parameters
+    ----------
+    fit : of `identify.fit_dynamics`: after the base parameters, those of each joint begin with viscous.
+    """
+    joints: list[dict[str, int]] = []
+    for place in range(len(fit.value.base_names), len(fit.names)):
+        kind = fit.names[place].split()[0]
+        if kind == "viscous":
+            joints.append({})
+        if joints:
+            joints[-1].setdefault(kind, place)
+    return (joints + [{} for _ in range(fit.value.n)])[: fit.value.n]
