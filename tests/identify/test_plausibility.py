@@ -128,6 +128,7 @@ def test_a_torque_that_hardly_ever_changes(truth, excited) -> None:
         prepare(changed(excited, tau=tau), truth.robot)
     assert caught.value.directions == (truth.robot.joint_names[6],)
     check_torque(excited["q"], tau, np.arange(7) < 6, truth.robot)
+    prepare(changed(excited, tau=tau), truth.robot, joints=range(6))
 
 
 def test_ripple_that_folds_back_is_not_used() -> None:

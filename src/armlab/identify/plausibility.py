@@ -16,7 +16,7 @@ FLAT = 0.8  # share of rows with one and the same torque
 LIGHT = (
     0.1  # kg/m^3, torque as weight at the reach, per cubed reach: real arms have 1 to 60, motors of geared ones < 0.05
 )
-HEAVY = 20.0  # times lighter than their links: not an error of masses
+HEAVY, DYNAMIC = 12.0, 3.0  # times lighter than the links, which is no error of masses; share for what is not weight
 GEARED = 10.0
 SLOW_SHARE = 0.25  # of the sampling rate: a faster ripple line folds back
 
@@ -191,7 +191,8 @@ def _against_links(q: np.ndarray, tau: np.ndarray, used: np.ndarray, robot: Robo
         return None
     scale = np.where(lifts, np.sum(gravity * varied, axis=0) / np.maximum(np.sum(gravity**2, axis=0), 1e-300), 1.0)
     gear = np.where(_gears(robot) >= GEARED, _gears(robot), np.inf)
-    small = lifts & (varied.std(axis=0) < size / np.minimum(HEAVY, np.sqrt(gear)))
+    least = 1.0 / np.minimum(HEAVY, np.sqrt(gear))
+    small = lifts & (np.abs(scale) < least) & (varied.std(axis=0) < DYNAMIC * least * size)
     if np.count_nonzero(small) * 2 < np.count_nonzero(lifts):
         return None
     joints = np.flatnonzero(small)

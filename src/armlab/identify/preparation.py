@@ -76,13 +76,15 @@ class Prepared:
         return number
 
 
-def prepare(table: Table | Sequence[Table], robot: Robot) -> Prepared:
+def prepare(table: Table | Sequence[Table], robot: Robot, joints: Sequence[int] | None = None) -> Prepared:
     """Check logs and cut them into segments without gaps.
 
     Parameters
     ----------
     table : one log or several, each with columns q, tau of `robot`; qd, where it is left out, is the slope of q.
     robot : the arm that was logged.
+    joints : numbers, from 0, of those whose torque will be fitted; only these must move and must have a torque that
+        is one. All when left out.
 
     Raises
     ------
@@ -104,11 +106,12 @@ def prepare(table: Table | Sequence[Table], robot: Robot) -> Prepared:
     q, qd, tau = columns
     sources = tuple(f"{one.source or 'table'} sha256:{one.sha256}" for one in tables)
     prepared = Prepared(t, dt, q, qd, tau, segments, rate, _resolution(q), sources)
+    used = np.ones(robot.n, dtype=bool) if joints is None else np.isin(np.arange(robot.n), joints)
     check_position(q, robot)
-    _check_motion(prepared, robot)
+    _check_motion(prepared, robot, used)
     slope = prepared.filter(prepared.differentiate(q), BAND)
     check_velocity(slope, prepared.filter(qd, BAND), robot)
-    check_torque(q, tau, np.ones(robot.n, dtype=bool), robot)
+    check_torque(q, tau, used, robot)
     return prepared
 
 
@@ -203,9 +206,9 @@ def _resolution(q: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(smallest), 0.5 * smallest, 0.0)
 
 
-def _check_motion(data: Prepared, robot: Robot) -> None:
+def _check_motion(data: Prepared, robot: Robot, used: np.ndarray) -> None:
     ranges = np.ptp(data.q, axis=0)
-    still = np.flatnonzero(ranges < np.where(robot.prismatic, MIN_SLIDE, MIN_TURN))
+    still = np.flatnonzero(used & (ranges < np.where(robot.prismatic, MIN_SLIDE, MIN_TURN)))
     if len(still):
         names = [robot.joint_names[i] for i in still]
         spread = [
