@@ -1,140 +1,27 @@
 // Python class WrenchEstimator: arguments are checked here, the mathematics is in estimator.cpp.
-#include <algorithm>
-#include <array>
-#include <cstdint>
-#include <initializer_list>
 #include <string>
 
-#include "arrays.h"
-#include "estimator.h"
+#include "estimates.h"
 
 namespace armlab {
 namespace {
 
 constexpr int methods = 6;  // of WrenchMethod
 
-void construct(WrenchEstimator *self, const Chain &chain, nb::handle gravity_, nb::handle links_, nb::handle rotor_,
-               const Drive &drive, nb::handle covariance_, nb::handle bound_, nb::handle prior_,
-               double cutoff, int method, nb::handle point_) {
+void construct(WrenchEstimator *self, const Chain &chain, nb::handle gravity, nb::handle links, nb::handle rotor,
+               const Drive &drive, nb::handle covariance, nb::handle bound_, nb::handle prior, double cutoff, int method,
+               nb::handle point) {
   const int n = chain.n;
-  const Input gravity(gravity_, "gravity"), links(links_, "links"), rotor(rotor_, "rotor");
-  const Input covariance(covariance_, "covariance"), bound(bound_, "bound");
-  const Input prior(prior_, "prior");
-  gravity.require_exactly({3});
-  links.require_exactly({n, 10});
-  rotor.require_exactly({n});
-  if (drive.n != n)
-    raise_shape_error("Expected a drive of " + std::to_string(n) + " joints like the chain, got " + std::to_string(drive.n) + ".");
-  covariance.require_exactly({4, n});
+  auto p = read_arm<WrenchEstimator::Parameters>(chain, gravity, links, rotor, drive, covariance, prior, point);
+  const Input bound(bound_, "bound");
   bound.require_exactly({3, n});
-  prior.require_exactly({6});
-  WrenchEstimator::Parameters p(chain);
-  std::copy_n(gravity.data(), 3, p.gravity.begin());
-  std::copy_n(links.data(), 10 * n, p.links.begin());
-  std::copy_n(rotor.data(), n, p.rotor.begin());
-  std::copy_n(prior.data(), 6, p.prior.begin());
-  p.drive = drive;
-  const double *c = covariance.data(), *b = bound.data();
-  for (int i = 0; i < n; ++i) {
-    p.covariance[i] = {c[i], c[n + i], c[2 * n + i], c[3 * n + i]};
-    p.bound[i] = {b[i], b[n + i], b[2 * n + i]};
-  }
+  const double *b = bound.data();
+  for (int i = 0; i < n; ++i) p.bound[i] = {b[i], b[n + i], b[2 * n + i]};
   p.cutoff = cutoff;
   if (method < 0 || method >= methods)
     raise_shape_error("Expected method from 0 to " + std::to_string(methods - 1) + ", got " + std::to_string(method) + ".");
   p.method = static_cast<WrenchMethod>(method);
-  p.at_point = !point_.is_none();
-  if (p.at_point) {
-    const Input point(point_, "point");
-    point.require_exactly({3});
-    std::copy_n(point.data(), 3, p.point.begin());
-  }
   new (self) WrenchEstimator(p);
-}
-
-// One estimate, or N of them, as fresh arrays: F, P, observability, torque error, its variance, flags, active joints,
-// interval; the last is None where the method has none.
-class Estimates {
- public:
-  Estimates(const WrenchEstimator &estimator, npy_intp N, bool stacked) : n_(estimator.n()), interval_(nullptr) {
-    const auto shaped = [&](std::initializer_list<npy_intp> tail, int type) {
-      npy_intp shape[3] = {N};
-      npy_intp *end = std::copy(tail.begin(), tail.end(), stacked ? shape + 1 : shape);
-      nb::object array = nb::steal(PyArray_SimpleNew(static_cast<int>(end - shape), shape, type));
-      if (!array) throw nb::python_error();
-      return array;
-    };
-    const auto data = [](const nb::object &array) { return PyArray_DATA(reinterpret_cast<PyArrayObject *>(array.ptr())); };
-    arrays_ = {shaped({6}, NPY_DOUBLE),  shaped({6, 6}, NPY_DOUBLE), shaped({6}, NPY_DOUBLE), shaped({n_}, NPY_DOUBLE),
-               shaped({n_}, NPY_DOUBLE), shaped({n_}, NPY_BOOL),     nb::none(),              nb::none()};
-    for (int k = 0; k < 5; ++k) values_[k] = static_cast<double *>(data(arrays_[k]));
-    active_ = static_cast<npy_bool *>(data(arrays_[5]));
-    if (estimator.has_interval()) {
-      arrays_[6] = shaped({6, 2}, NPY_DOUBLE);
-      interval_ = static_cast<double *>(data(arrays_[6]));
-    }
-    flags_ = &flag_;
-    if (stacked) {
-      arrays_[7] = shaped({}, NPY_INT64);
-      flags_ = static_cast<std::int64_t *>(data(arrays_[7]));
-    }
-  }
-
-  void put(npy_intp row, const WrenchEstimate &e) {
-    const double *from[5] = {e.F, e.P, e.observability, e.error, e.variance};
-    const int width[5] = {6, 36, 6, n_, n_};
-    for (int k = 0; k < 5; ++k) std::copy_n(from[k], width[k], values_[k] + width[k] * row);
-    std::copy_n(e.active, n_, active_ + n_ * row);
-    if (interval_) std::copy_n(e.interval, 12, interval_ + 12 * row);
-    flags_[row] = e.flags;
-  }
-
-  nb::object tuple() {
-    if (arrays_[7].is_none()) arrays_[7] = nb::int_(flag_);
-    return nb::steal(PyTuple_Pack(8, arrays_[0].ptr(), arrays_[1].ptr(), arrays_[2].ptr(), arrays_[3].ptr(), arrays_[4].ptr(),
-                                  arrays_[7].ptr(), arrays_[5].ptr(), arrays_[6].ptr()));
-  }
-
- private:
-  int n_;
-  std::array<nb::object, 8> arrays_;
-  std::array<double *, 5> values_;
-  npy_bool *active_;
-  double *interval_;
-  std::int64_t *flags_, flag_ = 0;
-};
-
-nb::object step(WrenchEstimator &self, nb::handle q_, nb::handle qd_, nb::handle tau_, double dt) {
-  const int n = self.n();
-  const Input q(q_, "q"), qd(qd_, "qd"), tau(tau_, "tau");
-  q.require_exactly({n});
-  qd.require_exactly({n});
-  tau.require_exactly({n});
-  WrenchEstimate estimate;
-  self.step(q.data(), qd.data(), tau.data(), dt, estimate);
-  Estimates out(self, 1, false);
-  out.put(0, estimate);
-  return out.tuple();
-}
-
-nb::object run(WrenchEstimator &self, nb::handle q_, nb::handle qd_, nb::handle tau_, nb::handle dt_) {
-  const int n = self.n();
-  const Input q(q_, "q"), qd(qd_, "qd"), tau(tau_, "tau"), dt(dt_, "dt");
-  const npy_intp N = dt.size();
-  dt.require_exactly({N});
-  q.require_exactly({N, n});
-  qd.require_exactly({N, n});
-  tau.require_exactly({N, n});
-  Estimates out(self, N, true);
-  {
-    nb::gil_scoped_release released;
-    WrenchEstimate estimate;
-    for (npy_intp k = 0; k < N; ++k) {
-      self.step(q.data() + n * k, qd.data() + n * k, tau.data() + n * k, dt.data()[k], estimate);
-      out.put(k, estimate);
-    }
-  }
-  return out.tuple();
 }
 
 }  // namespace
@@ -148,8 +35,8 @@ void bind_estimator(nb::module_ &m) {
            nb::arg("drive"), array("covariance"), array("bound"), array("prior"),
            nb::arg("cutoff"), nb::arg("method") = 0, nb::arg("point") = nb::none())
       .def("reset", &WrenchEstimator::reset, "Forget everything but the parameters.")
-      .def("step", &step, array("q"), array("qd"), array("tau"), nb::arg("dt"),
+      .def("step", &step<WrenchEstimator>, array("q"), array("qd"), array("tau"), nb::arg("dt"),
            "Advance by one sample; return F, P, observability, torque error, its variance, flags, active, interval.")
-      .def("run", &run, array("q"), array("qd"), array("tau"), array("dt"),
+      .def("run", &run<WrenchEstimator>, array("q"), array("qd"), array("tau"), array("dt"),
            "Step along a record (N, n); return the outputs of step stacked over N.");
 }

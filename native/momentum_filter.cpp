@@ -6,13 +6,8 @@
 #include "cholesky.h"
 
 namespace armlab {
-namespace {
 
-struct Leak {
-  double decay, phi, zz, pz, pp;
-};
-
-Leak integrals(double a, double h) {
+Leak leak_integrals(double a, double h) {
   const double x = a * h;
   if (!(x > 0.0)) return {1.0, h, h, 0.5 * h * h, h * h * h / 3.0};
   const double phi = -std::expm1(-x) / a, zz = -std::expm1(-2.0 * x) / (2.0 * a);
@@ -20,6 +15,8 @@ Leak integrals(double a, double h) {
   const double pp = x > 0.02 ? (h - 2.0 * phi + zz) / (a * a) : h * h * h * series;
   return {std::exp(-x), phi, zz, 0.5 * phi * phi, pp};
 }
+
+namespace {
 
 // C (rows, columns) = A (rows, inner) B (inner, columns); strides are lengths of rows.
 void multiply(int rows, int inner, int columns, const double *A, int sa, const double *B, int sb, double *C, int sc) {
@@ -38,7 +35,7 @@ void multiply(int rows, int inner, int columns, const double *A, int sa, const d
 void predict(const MomentumInputs &in, double h, double *x, double *P, double *W, double *T) {
   const int n = in.n, m = in.m, N = n + m;
   Leak leak[max_inputs];
-  for (int j = 0; j < m; ++j) leak[j] = integrals(in.a[j], h);
+  for (int j = 0; j < m; ++j) leak[j] = leak_integrals(in.a[j], h);
   for (int i = 0; i < n; ++i)
     for (int j = 0; j < m; ++j) W[m * i + j] = in.G[m * i + j] * leak[j].phi;
   for (int i = 0; i < n; ++i)

@@ -8,6 +8,13 @@ namespace armlab {
 constexpr int max_inputs = max_joints + 6;
 constexpr int max_states = max_joints + max_inputs;
 
+// Of a leak a over a step h, phi(s) = (1 - e^(-a s)) / a: e^(-a h), phi(h), and the integrals over the step of
+// e^(-2 a s), phi e^(-a s), phi^2.
+struct Leak {
+  double decay, phi, zz, pz, pp;
+};
+Leak leak_integrals(double a, double h);
+
 struct MomentumInputs {
   int n, m;
   const double *G;           // (n, m)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -65,6 +66,18 @@ def test_other_files_are_refused(tmp_path, model, old: str, new: str, error: typ
     path.write_text(path.read_text().replace(old, new, 1))
     with pytest.raises(error, match=sentence):
         load(path)
+
+
+def test_the_noise_of_the_momentum_estimators_is_kept_and_format_3_had_none(tmp_path, model) -> None:
+    path = save(model, tmp_path / "model.toml")
+    again = load(path)
+    for name, value in vars(model.momentum).items():
+        assert np.array_equal(getattr(again.momentum, name), value), name
+    old = save(replace(model, momentum=None), tmp_path / "old.toml")
+    old.write_text(old.read_text().replace("format = 4", "format = 3", 1))
+    older = load(old)
+    assert older.momentum is None
+    assert np.array_equal(older.base_cov, model.base_cov)
 
 
 def test_missing_and_misnamed_files(tmp_path, model) -> None:

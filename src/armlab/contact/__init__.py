@@ -3,13 +3,14 @@
 from armlab.contact.comparison import Comparison, compare
 from armlab.contact.estimator import Estimator
 from armlab.contact.intervals import Contact, contacts
-from armlab.contact.wrench import INFEASIBLE, INVALID, SINGULAR, STUCK, WEAK, Wrench
+from armlab.contact.wrench import INFEASIBLE, INVALID, SINGULAR, STUCK, TARED, WEAK, Wrench
 
 __all__ = [
     "INFEASIBLE",
     "INVALID",
     "SINGULAR",
     "STUCK",
+    "TARED",
     "WEAK",
     "Comparison",
     "Contact",

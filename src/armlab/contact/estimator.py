@@ -1,6 +1,6 @@
 """Contact wrench from joint motion and torque, causal, at the rate of the loop.
 
-All methods take ``tau_e = model - measured = J^T F + error``, low-passed at the model's cut-off, and its covariance
+Static methods take ``tau_e = model - measured = J^T F + error``, low-passed at the model's cut-off, and its covariance
 C_tau(qd) over velocity.
 
 "map"       most probable F for F ~ N(0, C_F): ``S = J^T C_F J + C_tau, K = C_F J S^-1, F = K tau_e``. It needs no
@@ -17,6 +17,13 @@ C_tau(qd) over velocity.
             in place of a weight the noisiest joint speaks loudest. Our sign; the report's F_ext is -F.
 
 For ``x = K tau_e`` with any gain the covariance is ``(I - K J^T) C_F (I - K J^T)^T + K C_tau K^T``.
+
+Momentum methods need no acceleration: ``p = M qd``, ``dp/dt = u + J^T F``, ``u = tau + C^T qd - G - friction``.
+
+"observer"  ``r <- r + (1 - e^(-K h)) (dp/h - u - r)`` is J^T F through a low-pass; then F as by "map" (De Luca and
+            Mattone 2003).
+"kf"        Kalman filter of momentum and wrench; the wrench is a random walk with leak (Wahrburg et al. 2015, 2018). With
+            ``bias`` the friction that is unknown after a rest is a state too, and `tare` can tell it from a contact.
 """
 
 from __future__ import annotations
@@ -26,41 +33,50 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab.contact.wrench import Wrench
-from armlab.errors import ShapeError, UnknownName
+from armlab.contact.wrench import INVALID, TARED, Wrench
+from armlab.errors import ConfigError, NotExcited, ShapeError, UnknownName
 from armlab.log import Table
-from armlab.models import TorqueModel
+from armlab.models import FORCE_RATES, PRIOR, TorqueModel
 from armlab.robots import Robot
 from armlab.state import State
 
 __all__ = ["Estimator"]
 
-Method = Literal["map", "bounded", "clip", "interval", "ls", "lund"]
-METHODS = ("map", "bounded", "clip", "interval", "ls", "lund")  # the kernel knows them by number
-DEFAULT_PRIOR = (20.0, 20.0, 20.0, 2.0, 2.0, 2.0)  # standard deviations [N, N m]
+Method = Literal["map", "bounded", "clip", "interval", "ls", "lund", "observer", "kf"]
+STATIC = ("map", "bounded", "clip", "interval", "ls", "lund")  # the kernel knows them by number
+METHODS = (*STATIC, "observer", "kf")
+GAIN = 30.0  # 1/s, of the observer
 
 
 class Estimator:
     """Contact wrench, sample by sample or for a whole log.
 
-    `step` and `run` call the same kernel: for the same rows their results are equal bit for bit. Causal: a residual
-    filter of second order at the model's cut-off (10 Hz: 22 ms delay).
+    `step` and `run` call the same kernel: for the same rows their results are equal bit for bit. Causal: static methods
+    have a residual filter of second order at the model's cut-off (10 Hz: 22 ms delay), the observer one of first order
+    (33 ms), the Kalman filter the one that the covariances ask for.
 
     Parameters
     ----------
     model : identified torque model.
     robot : the arm; must be the one the model belongs to.
-    method : see the module; "map" is for motion, "bounded" and "interval" for an arm that may rest.
+    method : see the module; "map" and "kf" are for motion, "bounded" and "interval" for an arm that may rest.
     prior : (6,) standard deviations of the wrench before any measurement [N, N m]; 20 N and 2 N m when left out. At a
         known point the first three are those of the force.
     point : (3,) where the contact is, in tool axes [m], when that is known: three unknowns instead of six, about half
         the error, and a wrong point about doubles it.
+    force_rate : of "kf": how fast the wrench wanders, (6,) [N/sqrt(s), N m/sqrt(s)], or "smooth" (2 and 0.2), "normal" (5
+        and 0.5; when left out) or "fast" (20 and 2).
+    leak : of "kf": rate at which a wrench is forgotten [1/s], a number or (6,); when left out the
+        one by which what the torques do not show stays as uncertain as the prior says. 0: a random walk.
+    gain : of "observer" [1/s]; 30 when left out.
+    bias : of "kf": a friction error per joint as a state, which keeps what it is while the joint rests.
 
     Raises
     ------
-    ModelMismatchError : when the model belongs to another robot.
-    UnknownName : for another method.
-    ShapeError : when the prior is not six positive numbers, or the point not three finite ones.
+    ModelMismatchError : when the model belongs to another robot, or lacks what a momentum method needs.
+    UnknownName : for another method or name of a rate.
+    ShapeError : when prior, rate, leak or gain is not of positive numbers, or the point not three finite ones.
+    ConfigError : for an option of another method.
 
     Examples
     --------
@@ -75,27 +91,33 @@ class Estimator:
         method: Method = "map",
         prior: ArrayLike | None = None,
         point: ArrayLike | None = None,
+        *,
+        force_rate: ArrayLike | Literal["smooth", "normal", "fast"] | None = None,
+        leak: ArrayLike | None = None,
+        gain: float | None = None,
+        bias: bool = False,
     ) -> None:
         model.check_robot(robot)
         if method not in METHODS:
             raise UnknownName.among("estimation method", method, METHODS)
-        deviations = np.array(DEFAULT_PRIOR) if prior is None else np.asarray(prior, dtype=float)
-        if deviations.shape != (6,) or not np.all(np.isfinite(deviations)) or not np.all(deviations > 0):
-            raise ShapeError(
-                f"Expected six positive standard deviations [N, N, N, N m, N m, N m] as prior, got {prior!r}. "
-                "Give the size of the forces and moments that you expect."
-            )
+        options = {"kf": {"force_rate": force_rate, "leak": leak, "bias": bias or None}, "observer": {"gain": gain}}
+        _refuse_idle(method, options)
+        deviations = _positive(PRIOR if prior is None else prior, "standard deviations [N, N, N, N m, N m, N m] as prior")
         if point is not None:
             point = np.array(point, dtype=float)
             if point.shape != (3,) or not np.all(np.isfinite(point)):
                 raise ShapeError(f"Expected the contact point as three finite numbers [m], tool axes, got {point!r}.")
         variances = deviations**2
         variances.flags.writeable = False
-        self._n = model.n
-        self._prior = variances
-        self._at_point = point is not None
-        self._method = method
-        self._kernel = model.estimator_kernel(variances, METHODS.index(method), point)
+        self._n, self._prior, self._at_point = model.n, variances, point is not None
+        self._method, self._tares = method, bias
+        if method in STATIC:
+            self._kernel = model.estimator_kernel(variances, STATIC.index(method), point)
+        else:
+            rate, leaks = _walk(force_rate, leak)
+            gain = float(_positive(GAIN if gain is None else gain, "gain [1/s] of the observer", ()))
+            self._kernel = model.momentum_kernel(variances, rate, leaks, gain, method == "kf", bias, point)
+        self._forget_clock()
 
     @property
     def prior(self) -> np.ndarray:
@@ -108,22 +130,54 @@ class Estimator:
         return self._method
 
     def reset(self) -> None:
-        """Forget the past: filter, presliding state and how well it is known."""
+        """Forget the past: filter, presliding state and how well it is known, and a tare."""
         self._kernel.reset()
+        self._forget_clock()
 
     def step(self, state: State) -> Wrench:
         """Advance by one state and return the wrench.
 
-        A sample that is not finite, or so large that its torque is not, gives NaN and changes nothing.
+        A sample that is not finite, or so large that its torque is not, gives NaN and changes nothing; the next one that
+        is has its time from the last that was.
 
         Parameters
         ----------
-        state : with q, qd, tau (n,) and dt.
+        state : with t, dt and q, qd, tau (n,).
         """
+        dt = state.t - self._t if self._missed else state.dt
         F, cov, observability, error, variance, flags, active, interval = self._kernel.step(
-            state.q, state.qd, state.tau, state.dt
+            state.q, state.qd, state.tau, dt if dt > 0 else state.dt
         )
-        return Wrench(F, cov, observability, error, variance, self._prior, flags, active, interval, self._at_point)
+        self._missed = bool(flags & INVALID)
+        if not self._missed:
+            self._t = state.t
+        tared_at = self._tared_at if flags & TARED else None
+        return Wrench(
+            F, cov, observability, error, variance, self._prior, flags, active, interval, self._at_point, tared_at
+        )
+
+    def tare(self) -> None:
+        """Say that there is no contact now: what the torques show is friction.
+
+        The state is conditioned on a wrench of zero. It holds while every joint stays where it is: after more than its
+        presliding distance a joint's friction is another, the friction error is forgotten and the flag TARED is gone.
+
+        Raises
+        ------
+        ConfigError : when the estimator is not ``method="kf"`` with ``bias=True``. NotExcited : when a joint moves or
+        rests for less than 0.4 s.
+        """
+        if not self._tares:
+            raise ConfigError(
+                f"Expected an estimator with method='kf' and bias=True to tare, got method={self._method!r} without a "
+                "friction error to set. Make one with these options."
+            )
+        if not self._kernel.tare():
+            raise NotExcited(
+                "Expected every joint at rest for 0.4 s to tare, got motion or no sample yet. Stop the arm, wait, tare.",
+                ["friction at rest"],
+            )
+        self._tared_at = self._t
 
     def run(self, table: Table) -> Table:
         """Return the table with the estimate of every row.
@@ -146,9 +200,12 @@ class Estimator:
                 "Give the log of the robot that the model belongs to."
             )
         self.reset()
-        F, cov, observability, error, variance, flags, active, interval = self._kernel.run(
-            q, qd, tau, np.ascontiguousarray(table.dt)
-        )
+        found = self._kernel.run(q, qd, tau, np.ascontiguousarray(table.dt))
+        missed = (found[5] & INVALID) > 0
+        if missed.any():  # the row after takes its time from the last that counted, as in `step`
+            self.reset()
+            found = self._kernel.run(q, qd, tau, _bridged(table, missed))
+        F, cov, observability, error, variance, flags, active, interval = found
         table = (
             table.with_column("wrench_hat", F)
             .with_column("wrench_hat_cov", cov)
@@ -159,3 +216,50 @@ class Estimator:
             .with_column("wrench_active", active.astype(np.int64), unit="1", kind="count")
         )
         return table if interval is None else table.with_column("wrench_interval", interval)
+
+    def _forget_clock(self) -> None:
+        self._t, self._missed, self._tared_at = float("nan"), False, None
+
+
+def _refuse_idle(method: str, options: dict[str, dict[str, object]]) -> None:
+    """Refuse options of another method: they would do nothing."""
+    for owner, values in options.items():
+        given = [name for name, value in values.items() if value is not None]
+        if given and method != owner:
+            raise ConfigError(
+                f"Expected {', '.join(given)} with method={owner!r} only, got method={method!r}. Leave out what does "
+                "nothing, or choose that method."
+            )
+
+
+def _positive(values: ArrayLike, what: str, shape: tuple[int, ...] = (6,)) -> np.ndarray:
+    numbers = np.asarray(values, dtype=float)
+    if numbers.shape != shape or not np.all(np.isfinite(numbers)) or not np.all(numbers > 0):
+        count = "six positive" if shape else "a positive"
+        raise ShapeError(f"Expected {count} {what}, got {values!r}. Give the size that you expect.")
+    return numbers
+
+
+def _walk(force_rate: ArrayLike | str | None, leak: ArrayLike | None) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return intensity [N^2/s, (N m)^2/s] and leak [1/s] of the wrench's random walk, each (6,)."""
+    if force_rate is None or isinstance(force_rate, str):
+        name = force_rate or "normal"
+        if name not in FORCE_RATES:
+            raise UnknownName.among("force rate", name, FORCE_RATES)
+        force_rate = FORCE_RATES[name]
+    rate = _positive(force_rate, "rates [N/sqrt(s) and N m/sqrt(s)] as force_rate") ** 2
+    if leak is None:
+        return rate, None
+    leaks = np.asarray(leak, dtype=float)
+    if leaks.shape not in ((), (6,)) or not np.all(np.isfinite(leaks)) or not np.all(leaks >= 0):
+        raise ShapeError(f"Expected a leak of one number or six [1/s], none below zero, got {leak!r}. Correct it.")
+    return rate, np.array(np.broadcast_to(leaks, 6))
+
+
+def _bridged(table: Table, missed: np.ndarray) -> np.ndarray:
+    """Return the time (N,) of each row since the last one that was not missed."""
+    rows, dt = np.arange(len(table)), np.array(table.dt)
+    last = np.concatenate([[-1], np.maximum.accumulate(np.where(missed, -1, rows))[:-1]])
+    after = ~missed & (last >= 0) & (last < rows - 1)
+    dt[after] = table.t[after] - table.t[last[after]]
+    return dt

@@ -6,13 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["INFEASIBLE", "INVALID", "SINGULAR", "STUCK", "WEAK", "Wrench"]
+__all__ = ["INFEASIBLE", "INVALID", "SINGULAR", "STUCK", "TARED", "WEAK", "Wrench"]
 
 INVALID = 1  # the sample was not finite; the estimate is NaN
 WEAK = 2  # some axis has observability below 0.5: there the prior speaks louder than the torques
 STUCK = 4  # every joint is inside its friction bound: nothing is known but the interval
 INFEASIBLE = 8  # no wrench explains the torques inside their bounds: another contact, or a wrong model
 SINGULAR = 16  # without a prior this pose does not determine the wrench; the estimate is NaN
+TARED = 32  # friction was told apart from contact by `Estimator.tare`, and no joint has moved away since
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,12 +24,13 @@ class Wrench:
     ----------
     F : (6,) [N, N m]. cov : (6, 6) posterior covariance.
     observability : (6,) 1 - posterior variance / prior variance, in [0, 1].
-    torque_error : (n,) filtered model minus measured torque [N m]. torque_variance : (n,) its variance.
+    torque_error : (n,) filtered model minus measured torque [N m]; of "kf", what of it the estimate explains. torque_variance : (n,) its variance.
     prior : (6,) prior variances of the unknowns: the wrench, or a force at a known point (then the last three idle).
-    flags : bits INVALID, WEAK, STUCK, INFEASIBLE, SINGULAR.
+    flags : bits INVALID, WEAK, STUCK, INFEASIBLE, SINGULAR, TARED.
     active : (n,) joints that tell something; when INFEASIBLE, those that contradict each other.
     interval : (6, 2) guaranteed smallest and largest value per axis, of the method "interval".
     at_point : the contact is at a known point: three unknowns instead of six.
+    tared_at : time of the tare that holds [s], or None.
     """
 
     F: np.ndarray
@@ -41,6 +43,7 @@ class Wrench:
     active: np.ndarray
     interval: np.ndarray | None = None
     at_point: bool = False
+    tared_at: float | None = None
 
     @property
     def sigma(self) -> np.ndarray:

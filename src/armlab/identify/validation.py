@@ -9,6 +9,7 @@ import numpy as np
 from armlab.estimation import Fit
 from armlab.identify.covariance import fit_velocity_covariance
 from armlab.identify.extrapolation import extrapolation
+from armlab.identify.momentum import momentum_noise
 from armlab.identify.preparation import Prepared, with_velocity
 from armlab.log import Table
 from armlab.models import FrictionBound, TorqueModel, VelocityCovariance
@@ -72,7 +73,8 @@ def assess(model: TorqueModel, folds: list[tuple[TorqueModel, np.ndarray]], data
         rms_cv=np.sqrt(np.mean(e**2, axis=0)),
         coverage=np.mean(ratio < 4.0 * alpha2, axis=0),
     )
-    return replace(model, covariance=scaled, bound=_bound(model, scaled, e, qd), quality=quality)
+    judged = replace(model, covariance=scaled, bound=_bound(model, scaled, e, qd), quality=quality)
+    return replace(judged, momentum=momentum_noise(judged, folds, np.where(moving[:, None], errors, np.nan), data))
 
 
 def _bound(model: TorqueModel, covariance: VelocityCovariance, e: np.ndarray, qd: np.ndarray) -> FrictionBound:

@@ -2,6 +2,7 @@
 
 from armlab.models.files import load, load_statistics, save
 from armlab.models.friction import Friction, FrictionBound, Ripple
+from armlab.models.momentum import FORCE_RATES, PRIOR, MomentumNoise
 from armlab.models.rbf import FrictionMap, RadialBasis
 from armlab.models.registry import register
 from armlab.models.ripple import RippleLines, speed_basis
@@ -11,10 +12,13 @@ from armlab.models.velocity_covariance import VelocityCovariance, velocity_covar
 from armlab.models.warm_up import WarmUp
 
 __all__ = [
+    "FORCE_RATES",
+    "PRIOR",
     "SPEED_EDGES",
     "Friction",
     "FrictionBound",
     "FrictionMap",
+    "MomentumNoise",
     "Quality",
     "RadialBasis",
     "Ripple",
@@ -36,3 +40,4 @@ register("ripple_lines", RippleLines)
 register("radial_basis", RadialBasis)
 register("friction_map", FrictionMap)
 register("warm_up", WarmUp)
+register("momentum_noise", MomentumNoise)

@@ -31,7 +31,7 @@ FORMAT = 4
 FRICTION = tuple(entry.name for entry in fields(Friction))
 RIPPLE = ("cycles", "cosine", "sine")
 BOUND = ("torque", "speed", "floor")
-PARTS = ("lines", "friction_map", "warm_up")  # of the drives, where there are any
+PARTS = ("lines", "friction_map", "warm_up", "momentum")  # where there are any
 QUALITY = ("torque_sd", "rms", "rms_cv", "coverage")
 LIMITS = ("q_min", "q_max", "qd_peak", "speed_share")  # of the training
 UNITS = {
@@ -42,6 +42,7 @@ UNITS = {
     "lines": "N m; cycles per revolution; speeds in rad/s",
     "friction_map": "N m, rad, rad/s",
     "warm_up": "s, W",
+    "momentum": "s, rad/s",
     "ctau": "(N m)^2, s/rad",
     "bound": "N m, rad/s",
     "limits": "rad, rad/s, s; ranges of the training data",
@@ -119,6 +120,7 @@ class _File(_Strict):
     lines: dict[str, Any] | None = None
     friction_map: dict[str, Any] | None = None
     warm_up: dict[str, Any] | None = None
+    momentum: dict[str, Any] | None = None
     fit: dict[str, Any] | None = None
 
 

@@ -15,8 +15,9 @@ from functools import cached_property
 import numpy as np
 
 from armlab.errors import ModelMismatchError, ShapeError
-from armlab.kernels import Chain, Drive, WrenchEstimator, model_torque
+from armlab.kernels import Chain, Drive, MomentumEstimator, WrenchEstimator, model_torque
 from armlab.models.friction import Friction, FrictionBound, Ripple
+from armlab.models.momentum import MomentumNoise
 from armlab.models.rbf import FrictionMap
 from armlab.models.ripple import RippleLines
 from armlab.models.training import Training
@@ -65,6 +66,7 @@ class TorqueModel:
     quality : how well it fits. training : the ranges of the data behind it.
     sources : SHA-256 and name of each log.
     lines, friction_map, warm_up : parts of the drives that `identify.fit_friction` adds where they win, or None.
+    momentum : noise of torque and velocity for the momentum estimators, or None: then there is none.
     """
 
     robot_name: str
@@ -88,6 +90,7 @@ class TorqueModel:
     lines: RippleLines | None = None
     friction_map: FrictionMap | None = None
     warm_up: WarmUp | None = None
+    momentum: MomentumNoise | None = None
 
     def __post_init__(self) -> None:
         """Check shapes and freeze the arrays."""
@@ -102,6 +105,8 @@ class TorqueModel:
                 raise ShapeError(f"Expected finite {name} of shape {shape} for {n} joints, got shape {values.shape}.")
             values.flags.writeable = False
             object.__setattr__(self, name, values)
+        if self.momentum is not None and len(self.momentum.memory) != n:
+            raise ShapeError(f"Expected momentum noise of {n} joints, got {len(self.momentum.memory)}.")
         lengths = len(self.friction.delta), len(self.ripple.cycles), len(self.covariance.C0), len(self.bound.speed)
         lengths = (*lengths, len(self.training.q_min))
         if lengths != (n,) * 5 or not 0 < self.cutoff < np.inf:
@@ -171,18 +176,76 @@ class TorqueModel:
         method : index into ``armlab.kernels._reference.wrench.METHODS``.
         point : (3,) known contact in tool axes [m], or None.
         """
-        c, b = self.covariance, self.bound
-        kind = float(KINDS.index(c.kind))
+        b = self.bound
         return WrenchEstimator(
             self.chain,
             self.gravity,
             self.link_parameters,
             self.rotor,
             self.drive,
-            np.stack([c.alpha2 * c.C0, c.alpha2 * c.Cinf, c.shape, np.full(self.n, kind)]),
+            self._covariance_rows(self.covariance.alpha2),
             np.stack([b.torque, b.speed, b.floor]),
             np.asarray(prior, dtype=float),
             self.cutoff,
             method,
             point,
         )
+
+    def momentum_kernel(
+        self,
+        prior: np.ndarray,
+        rate: np.ndarray,
+        leak: np.ndarray | None = None,
+        gain: float = 30.0,
+        filters: bool = True,
+        biased: bool = False,
+        point: np.ndarray | None = None,
+    ) -> MomentumEstimator:
+        """Return a fresh momentum estimator kernel with this model's numbers.
+
+        The factor alpha^2 of the filter is on everything that is random in it, so that it changes the covariance and not
+        the estimate; what the torques do not show keeps its prior.
+
+        Parameters
+        ----------
+        prior : (6,) prior variances of the wrench [N^2, (N m)^2].
+        rate : (6,) intensity of its random walk [N^2/s, (N m)^2/s]. leak : (6,) [1/s], or None for the one that keeps the
+            prior: ``alpha^2 rate / (2 prior)``.
+        gain : of the observer [1/s].
+        filters : Kalman filter, else the observer. biased : with a friction error per joint.
+        point : (3,) known contact in tool axes [m], or None.
+
+        Raises
+        ------
+        ModelMismatchError : when the model has no momentum noise.
+        """
+        noise = self.momentum
+        if noise is None:
+            raise ModelMismatchError(
+                "Expected a model with the noise of torque and velocity that momentum estimators need, got one without "
+                "(of an older file?). Identify again, or take a static method."
+            )
+        alpha2 = noise.alpha2_kf if filters else noise.alpha2_observer
+        prior, rate = np.asarray(prior, dtype=float), alpha2 * np.asarray(rate, dtype=float)
+        return MomentumEstimator(
+            self.chain,
+            self.gravity,
+            self.link_parameters,
+            self.rotor,
+            self.drive,
+            self._covariance_rows(alpha2),
+            prior,
+            noise.memory,
+            np.sqrt(alpha2) * noise.qd_noise,
+            rate,
+            rate / (2.0 * prior) if leak is None else leak,
+            gain,
+            filters,
+            biased,
+            point,
+        )
+
+    def _covariance_rows(self, alpha2: float) -> np.ndarray:
+        c = self.covariance
+        kind = float(KINDS.index(c.kind))
+        return np.stack([alpha2 * c.C0, alpha2 * c.Cinf, c.shape, np.full(self.n, kind)])

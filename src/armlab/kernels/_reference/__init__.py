@@ -33,6 +33,7 @@ from armlab.kernels._reference.lie import (
 from armlab.kernels._reference.lie_arguments import poses, rotations
 from armlab.kernels._reference.limits import limit_reference
 from armlab.kernels._reference.momentum import momentum_step
+from armlab.kernels._reference.momentum_estimator import MomentumEstimator
 from armlab.kernels._reference.nearest import so3_nearest
 from armlab.kernels._reference.path import follow_path
 from armlab.kernels._reference.signals import SignalOperator
@@ -42,6 +43,7 @@ __all__ = [
     "Chain",
     "Drive",
     "InverseSolver",
+    "MomentumEstimator",
     "SignalOperator",
     "WrenchEstimator",
     "euler_from_rpy",

@@ -30,14 +30,30 @@ from armlab.kernels._reference.chain import Chain
 from armlab.kernels._reference.drive import Drive, drive_torque, heat, move, start
 from armlab.kernels._reference.wrench import METHODS, solve_wrench, wrench_interval
 
-__all__ = ["WrenchEstimator"]
+__all__ = ["WrenchEstimator", "contact_map", "speed_variance"]
 
 REST_TIME = 0.5  # s
 UNKNOWN = 1.0  # largest variance of a variable in [-1, 1]
 LARGEST = 1e100  # N m; a torque error beyond it would overflow in the filter and never leave it
 WEAK_BELOW = 0.5
 SPREAD_SIGMAS, BOX_SIGMAS = 3.0, 10.0  # of the interval
-INVALID, WEAK, STUCK, INFEASIBLE, SINGULAR = 1, 2, 4, 8, 16  # bits of the flags
+INVALID, WEAK, STUCK, INFEASIBLE, SINGULAR, TARED = 1, 2, 4, 8, 16, 32  # bits of the flags
+
+
+def speed_variance(covariance: np.ndarray, qd: np.ndarray) -> np.ndarray:
+    """Return s^2 (n,) at velocities (n,) for covariance (4, n), rows C0, Cinf, shape, kind."""
+    at_rest, at_speed, shape, kind = covariance
+    speed = np.abs(qd)
+    weight = np.where(kind == 0, np.exp(-shape * speed), np.where(kind == 1, speed < shape, 0.0))
+    return (at_rest - at_speed) * weight + at_speed
+
+
+def contact_map(chain: Chain, q: np.ndarray, point: np.ndarray | None) -> np.ndarray:
+    """Return S (6, k) of F = S x: the identity, or [1; hat(r)] (6, 3) for a force at a known point (3,) in tool axes."""
+    if point is None:
+        return np.eye(6)
+    x, y, z = chain.forward(q)[:3, :3] @ point
+    return np.vstack([np.eye(3), [[0, -z, y], [z, 0, -x], [-y, x, 0]]])
 
 
 class WrenchEstimator:
@@ -126,7 +142,7 @@ class WrenchEstimator:
         torque, unsure = filtered[:n], np.clip(filtered[n:], 0.0, UNKNOWN)
         if self._band:
             return self._solve(q, torque, self._covariance[1], self._bound[0] * unsure + self._bound[2])
-        return self._solve(q, torque, self._variance(qd) + self._static**2 * unsure, np.zeros(n))
+        return self._solve(q, torque, speed_variance(self._covariance, qd) + self._static**2 * unsure, np.zeros(n))
 
     def run(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, dt: np.ndarray) -> tuple[Any, ...]:
         """Step along a record (N, n) with steps dt (N,); return the outputs of `step` stacked over N."""
@@ -161,21 +177,12 @@ class WrenchEstimator:
         self._low = np.stack([2.0 * v1 - self._low[0], 2.0 * v2 - self._low[1]])
         return v2
 
-    def _variance(self, qd: np.ndarray) -> np.ndarray:
-        at_rest, at_speed, shape, kind = self._covariance
-        speed = np.abs(qd)
-        weight = np.where(kind == 0, np.exp(-shape * speed), np.where(kind == 1, speed < shape, 0.0))
-        return (at_rest - at_speed) * weight + at_speed
-
     def _slowness(self, qd: np.ndarray) -> np.ndarray:
         return np.exp(-((qd / self._bound[1]) ** 2))
 
     def _solve(self, q: np.ndarray, torque: np.ndarray, variance: np.ndarray, bound: np.ndarray) -> tuple[Any, ...]:
-        A, S = self._chain.jacobian(q), np.eye(6)
-        if self._point is not None:
-            x, y, z = self._chain.forward(q)[:3, :3] @ self._point
-            S = np.vstack([np.eye(3), [[0, -z, y], [z, 0, -x], [-y, x, 0]]])
-            A = S.T @ A
+        S = contact_map(self._chain, q, self._point)
+        A = S.T @ self._chain.jacobian(q)
         prior = self._prior[: S.shape[1]]
         x, P, active, _, _, singular = solve_wrench(A, torque, variance, bound, prior, self._method)
         C = np.diag((S * prior) @ S.T)

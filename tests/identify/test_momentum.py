@@ -1,0 +1,35 @@
+"""What the momentum estimators need: memory, velocity noise, factors that make their 2 sigma hold."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from armlab.identify import prepare
+from armlab.identify.momentum import momentum_noise, velocity_noise
+from armlab.identify.validation import held_out
+from armlab.models import FORCE_RATES, PRIOR
+
+
+def test_velocity_noise_is_found_under_the_motion(truth, excited) -> None:
+    noise = velocity_noise(prepare(excited, truth.robot))
+    np.testing.assert_allclose(noise, 1e-3, rtol=0.05)
+
+
+def test_momentum_noise_makes_two_sigma_hold(truth, excited, model) -> None:
+    """On the rows that it is set on 95.4 % of the axes that can be seen, unless a factor met its bound."""
+    data = prepare(excited, truth.robot)
+    rows = np.arange(len(data.t)) < len(data.t) // 2
+    folds = [(model, rows), (model, ~rows)]
+    errors, moving = held_out(folds, data)
+    errors = np.where(moving[:, None], errors, np.nan)
+    noise = momentum_noise(model, folds, errors, data)
+    assert np.all((noise.memory > 0.004) & (noise.memory < 1.0))
+    assert 0.25 <= noise.alpha2_kf < 1.0  # a walk that never walks is followed too fast
+    rate, prior = np.square(FORCE_RATES["normal"]), np.square(PRIOR)
+    for filters, factor in ((True, noise.alpha2_kf), (False, noise.alpha2_observer)):
+        kernel = model.momentum_kernel(prior, rate, filters=filters)
+        F, P, seen, error, variance, *_ = kernel.run(data.q, data.qd, data.tau, data.dt)
+        ratio, known = (F**2 / np.einsum("kii->ki", P), seen > 0.9) if filters else (error**2 / variance, True)
+        share = np.mean(ratio[moving[:, None] & known] < 4.0)
+        assert share == pytest.approx(0.954, abs=0.02) or factor == 0.25
