@@ -36,7 +36,7 @@ void MomentumEstimator::reset() {
   joints_.fill(Joint{JointDrive(), 0.0, 0.0, 0.0, 0.0, 1.0, 0.0});
   seen_ = nominal_ = 0.0;
   first_ = true;
-  tared_ = false;
+  fresh_ = tared_ = false;
 }
 
 bool MomentumEstimator::prepare(const double *q, const double *qd, const double *tau, double dt, Sample &s) const {
@@ -52,10 +52,14 @@ bool MomentumEstimator::prepare(const double *q, const double *qd, const double 
     if (first_) joint.drive.state = p_.drive.start(i, q[i]);
     s.rise[i] = (1.0 - joint.drive.unsure) * relax;
     s.moved[i] = joint.drive.move(p_.drive, i, q[i], relax);
+    if (s.apart) {  // the way that it went is not known, so neither is its friction
+      joint.drive.unsure = 1.0;
+      joint.since_tare = still + 1.0;
+    }
     p[i] += p_.rotor[i] * qd[i];
     const double u = tau[i] + beta[i] - gravity[i] - p_.drive.torque(i, q[i], qd[i], joint.drive.state, 1.0);
     if (!(std::fabs(u) < largest_torque) || !(std::fabs(p[i]) < largest_torque)) return false;
-    s.known[i] = s.apart ? u : 0.5 * (u + joint.known);
+    s.known[i] = s.apart || fresh_ ? u : 0.5 * (u + joint.known);
     s.middle[i] = s.apart ? q[i] : 0.5 * (q[i] + joint.q);
     s.change[i] = p[i] - joint.momentum;
     p_.drive.heat(i, qd[i], dt, joint.drive.state);
@@ -78,6 +82,7 @@ void MomentumEstimator::step(const double *q, const double *qd, const double *ta
   std::copy_n(s.joints.begin(), n, joints_.begin());
   if (first_) nominal_ = dt;
   first_ = false;
+  fresh_ = s.apart;
   std::fill_n(e.active, n, true);
   tared_ = tared_ && std::all_of(joints_.begin(), joints_.begin() + n, [](const Joint &j) { return j.since_tare <= still; });
   if (tared_) e.flags |= 32;
@@ -137,14 +142,14 @@ void MomentumEstimator::hidden(const Sample &s, const double *A, double dt, Wren
   }
 }
 
-// The momentum is known as well as it is measured. The hidden inputs are as before the gap and have wandered since, or
-// as their priors say.
+// The momentum is known as well as it is measured, friction as its prior says. The wrench is as before the gap and has
+// wandered since, or as its prior says.
 void MomentumEstimator::restart(const Sample &s, double dt) {
   const int n = this->n(), k = unknowns(), m = inputs(), N = n + m;
   for (int j = 0; j < m; ++j) {
     const int row = n + j;
-    if (first_) {
-      std::fill_n(P_.begin() + N * row, N, 0.0);
+    if (first_ || j >= k) {
+      for (int l = 0; l < N; ++l) P_[N * row + l] = P_[N * l + row] = 0.0;
       x_[row] = 0.0;
       P_[(N + 1) * row] = j < k ? 1.0 : static_[j - k] * static_[j - k];
       continue;

@@ -64,7 +64,7 @@ class MomentumEstimator {
   std::vector<double> x_, P_, work_;                // of the filter: [p; z; friction error]
   std::vector<double> M_, R_, G_, Qp_, q_, a_;      // of a step, kept so that nothing is allocated in one
   double seen_, nominal_;  // share of the wrench that has reached the observer; step of the first sample
-  bool first_, tared_;
+  bool first_, fresh_, tared_;  // fresh: at the last sample nothing was known of friction yet
 };
 
 }  // namespace armlab

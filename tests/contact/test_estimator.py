@@ -36,7 +36,7 @@ def press(direction: np.ndarray):
     return lambda t: np.outer(np.clip(t / 0.5, 0, 1), direction)
 
 
-@pytest.mark.parametrize("method", ["map", "bounded", "interval", "ls", "lund"])
+@pytest.mark.parametrize("method", ["map", "bounded", "interval", "ls", "lund", "observer", "kf"])
 def test_run_equals_step_bit_for_bit(truth, model, excited, method) -> None:
     log = excited.between(0.0, 0.3 if method == "interval" else 2.0)
     estimator = Estimator(model, truth.robot, method)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armlab.contact import INFEASIBLE, INVALID, SINGULAR, STUCK, WEAK, Wrench
+from armlab.contact import INFEASIBLE, INVALID, SINGULAR, STUCK, TARED, WEAK, Wrench
 
 PRIOR = np.array([400.0, 400, 400, 4, 4, 4])
 
@@ -39,7 +39,7 @@ def test_at_a_known_point_three_directions_count() -> None:
 
 
 def test_an_estimate_that_is_missing_has_no_direction() -> None:
-    for flags in (INVALID, SINGULAR, INVALID | STUCK | INFEASIBLE):
+    for flags in (INVALID, SINGULAR, INVALID | STUCK | INFEASIBLE | TARED):
         missing = wrench(np.full((6, 6), np.nan), flags)
         assert np.isnan(missing.cond)
         assert np.isnan(missing.hidden).all()

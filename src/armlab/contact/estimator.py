@@ -102,7 +102,9 @@ class Estimator:
             raise UnknownName.among("estimation method", method, METHODS)
         options = {"kf": {"force_rate": force_rate, "leak": leak, "bias": bias or None}, "observer": {"gain": gain}}
         _refuse_idle(method, options)
-        deviations = _positive(PRIOR if prior is None else prior, "standard deviations [N, N, N, N m, N m, N m] as prior")
+        deviations = _positive(
+            PRIOR if prior is None else prior, "standard deviations [N, N, N, N m, N m, N m] as prior"
+        )
         if point is not None:
             point = np.array(point, dtype=float)
             if point.shape != (3,) or not np.all(np.isfinite(point)):
@@ -144,9 +146,11 @@ class Estimator:
         ----------
         state : with t, dt and q, qd, tau (n,).
         """
-        dt = state.t - self._t if self._missed else state.dt
+        dt = state.dt
+        if self._missed and dt > 0 and state.t > self._t:
+            dt = state.t - self._t
         F, cov, observability, error, variance, flags, active, interval = self._kernel.step(
-            state.q, state.qd, state.tau, dt if dt > 0 else state.dt
+            state.q, state.qd, state.tau, dt
         )
         self._missed = bool(flags & INVALID)
         if not self._missed:
@@ -260,6 +264,6 @@ def _bridged(table: Table, missed: np.ndarray) -> np.ndarray:
     """Return the time (N,) of each row since the last one that was not missed."""
     rows, dt = np.arange(len(table)), np.array(table.dt)
     last = np.concatenate([[-1], np.maximum.accumulate(np.where(missed, -1, rows))[:-1]])
-    after = ~missed & (last >= 0) & (last < rows - 1)
+    after = ~missed & (last >= 0) & (last < rows - 1) & (dt > 0)
     dt[after] = table.t[after] - table.t[last[after]]
     return dt

@@ -2,7 +2,8 @@
 
 With p = M qd and beta = C^T qd the arm obeys ``dp/dt = u + J^T F``, ``u = tau + beta - G - F_f``: no acceleration is
 needed (De Luca and Mattone 2003; Wahrburg et al., IEEE T-ASE 15(2), 2018). u is the mean of its values at the ends of a
-step. A step longer than GAP_STEPS first steps is a gap: nothing is known of u in it, and momentum begins anew after it.
+step (at the first, its end: at the beginning nothing is known of friction). A step longer than GAP_STEPS first steps is a gap: nothing is known of u and of the way in it, so momentum and friction
+begin anew after it.
 
 Observer: ``r <- r + (1 - e^(-K h)) ((p - p_before) / h - u - r)`` is J^T F through a low-pass, stable for any step; then
 the most probable wrench, as in `estimator.py`, with C_tau = diag(s^2(qd) + static^2 p_filtered). Of a wrench that was
@@ -107,7 +108,7 @@ class MomentumEstimator:
         self._unsure, self._q, self._known, self._p = np.ones(n), np.zeros(n), np.zeros(n), np.zeros(n)
         self._r, self._low, self._seen = np.zeros(n), np.ones(n), 0.0
         self._since_tare, self._tared = np.zeros(n), False
-        self._nominal, self._started = 0.0, False
+        self._nominal, self._started, self._fresh = 0.0, False, False
 
     def step(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, dt: float) -> tuple[Any, ...]:
         """Advance by one sample; returns what `WrenchEstimator.step` does, without an interval.
@@ -131,16 +132,18 @@ class MomentumEstimator:
         if not (np.all(np.abs(u) < LARGEST) and np.all(np.abs(p) < LARGEST)):
             return self._invalid()
         moved = np.abs(dy) / self._drive.friction[6]
-        known, middle = (u, q) if apart else (0.5 * (u + self._known), 0.5 * (q + self._q))
+        known = u if apart or self._fresh else 0.5 * (u + self._known)
+        middle = q if apart else 0.5 * (q + self._q)
         change, self._p = p - self._p, p
         self._state, self._q, self._known = heat(self._drive, qd, dt, state), q.copy(), u
-        self._unsure = (self._unsure + rise) * np.exp(-2.0 * moved)
+        self._unsure = np.ones(n) if apart else (self._unsure + rise) * np.exp(-2.0 * moved)
         if self._filters:
             found = self._filter(first, apart, q, qd, middle, known, dt, moved, rise)
         else:
             found = self._observe(apart, q, qd, change / dt - known, dt)
         self._nominal, self._started = dt if first else self._nominal, True
-        self._since_tare = self._since_tare + moved
+        self._fresh = apart
+        self._since_tare = np.full(n, np.inf) if apart else self._since_tare + moved
         self._tared = self._tared and bool(np.all(self._since_tare <= STILL))
         return self._tell(q, *found)
 
@@ -222,19 +225,21 @@ class MomentumEstimator:
             memory = np.where(follows, friction / np.where(follows, speed, 1.0), LONGEST)
             Qp, variance = Qp + friction * self._unsure * memory, variance + friction * self._unsure
         if first:
-            hidden = np.concatenate([np.ones(k), friction if self._biased else []])
-            self._x, self._P = np.zeros(n + len(hidden)), np.diag(np.concatenate([np.zeros(n), hidden]))
+            self._x, self._P = np.zeros(n + k), np.diag(np.concatenate([np.zeros(n), np.ones(k)]))
         if apart:
-            self._restart(R, rate, leak, 0.0 if first else dt)
+            self._restart(R, rate[:k], leak[:k], 0.0 if first else dt, friction if self._biased else np.zeros(0))
         else:
             self._x, self._P = momentum_step(self._x, self._P, G, known, self._p, R, dt, Qp, rate, leak)
         x, P = scale * self._x[n : n + k], np.outer(scale, scale) * self._P[n : n + k, n : n + k]
         return x, P, G @ self._x[n:], variance
 
-    def _restart(self, R: np.ndarray, rate: np.ndarray, leak: np.ndarray, dt: float) -> None:
-        """Let the hidden inputs wander for a time dt; the momentum is known as well as it is measured."""
-        n = self._chain.n
+    def _restart(self, R: np.ndarray, rate: np.ndarray, leak: np.ndarray, dt: float, friction: np.ndarray) -> None:
+        """Let the wrench wander for a time dt; the momentum is known as it is measured, friction as its prior says."""
+        n, z = self._chain.n, slice(self._chain.n, self._chain.n + self._k)
         decay, _, wandered, _, _ = leak_integrals(leak, dt)
-        hidden = np.outer(decay, decay) * self._P[n:, n:] + np.diag(rate * wandered)
-        self._x = np.concatenate([self._p, decay * self._x[n:]])
-        self._P = np.block([[R, np.zeros((n, len(decay)))], [np.zeros((len(decay), n)), hidden]])
+        wrench = np.outer(decay, decay) * self._P[z, z] + np.diag(rate * wandered)
+        self._x = np.concatenate([self._p, decay * self._x[z], np.zeros(len(friction))])
+        P = np.zeros((len(self._x),) * 2)
+        P[:n, :n], P[z, z] = R, wrench
+        P[z.stop :, z.stop :] = np.diag(friction)
+        self._P = P

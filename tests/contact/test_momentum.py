@@ -1,0 +1,245 @@
+"""The momentum methods: sign, gaps, tare, known point, options, coverage."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab import identify
+from armlab.contact import INVALID, TARED, WEAK, Estimator
+from armlab.errors import ConfigError, ModelMismatchError, NotExcited, ShapeError, UnknownName
+from armlab.log import Table
+from armlab.state import State
+
+WAYS: dict[str, dict[str, Any]] = {
+    "observer": {"method": "observer"},
+    "kf": {"method": "kf"},
+    "kf with bias": {"method": "kf", "bias": True},
+}
+
+
+@pytest.fixture(params=sorted(WAYS))
+def way(request: pytest.FixtureRequest) -> dict[str, Any]:
+    return WAYS[request.param]
+
+
+def resting(truth, force: np.ndarray, seconds: float = 3.0, seed: int = 0) -> Table:
+    """The arm rests at home with friction somewhere inside its limits, and `force` comes in the last half."""
+    robot, rng = truth.robot, np.random.default_rng(seed)
+    t = np.arange(0, seconds, 0.004)
+    q, zero = np.tile(robot.q_home, (len(t), 1)), np.zeros((len(t), 7))
+    z = np.tile(rng.uniform(-1, 1, 7), (len(t), 1))
+    pressed = np.outer(t > 0.5 * seconds, force)
+    tau = truth.torque(q, zero, zero, z) - pressed @ robot.chain.jacobian(robot.q_home)
+    return Table(t, {"q": q, "qd": zero, "tau": tau + truth.noise * rng.standard_normal(q.shape)})
+
+
+def pushed(truth, seconds: float, seed: int) -> tuple[Table, np.ndarray]:
+    """Motion with a push of 5 N for 1 s every 3 s, ramps of 0.1 s; the log and the force (N, 3)."""
+    motion = identify.excitation(truth.robot, seconds=seconds, f0=0.07, harmonics=6, speed=0.4, seed=77)
+    rng = np.random.default_rng(seed)
+
+    starts = np.arange(2.0, seconds - 2.0, 3.0)
+    directions = rng.standard_normal((len(starts), 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+
+    def wrench(t: np.ndarray) -> np.ndarray:
+        shares = np.clip(np.minimum(t - starts[:, None], starts[:, None] + 1.0 - t) / 0.1, 0, 1)
+        return np.hstack([5.0 * shares.T @ directions, np.zeros((len(t), 3))])
+
+    log = truth.log(motion, seed=seed, wrench=wrench)
+    return log, wrench(log.t)[:, :3]
+
+
+def test_pushes_in_motion_are_found_and_two_sigma_holds(truth, model, way) -> None:
+    """The bars of the simulated arm: 1 N RMS in pushes and in free motion, 90 to 97 % away from edges, 88 % with them."""
+    log, force = pushed(truth, 30.0, 8)
+    table = Estimator(model, truth.robot, **way).run(log)
+    sigma = np.sqrt(np.einsum("kii->ki", table["wrench_hat_cov"]))[:, :3]
+    error = table["wrench_hat"][:, :3] - force
+    seen = (table["observability"][:, :3] > 0.9) & ((log.t > 1.0) & (log.t < 29.0))[:, None]
+    touched = np.any(force != 0.0, axis=1)
+    window = np.ones(50)
+    ramp = np.convolve(np.any(np.abs(np.diff(force, axis=0, prepend=0)) > 1e-9, axis=1), window)[: len(log)] > 0.5
+    assert np.sqrt(np.mean(error[seen & touched[:, None]] ** 2)) < 1.0
+    assert np.sqrt(np.mean(error[seen & ~touched[:, None]] ** 2)) < 1.0
+    inside = np.abs(error) < 2.0 * sigma
+    assert 0.90 < np.mean(inside[seen & ~ramp[:, None]]) < 0.97
+    assert np.mean(inside[seen]) > 0.88
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_a_press_along_an_axis_appears_with_its_sign(truth, model, way, axis: int) -> None:
+    force = np.where(np.arange(6) == axis, 5.0, 0.0)
+    motion = identify.dither(truth.robot.q_home, seconds=4.0)
+    log = truth.log(motion, noise=0.1, wrench=lambda t: np.outer(np.clip(t / 0.5, 0, 1), force))
+    table = Estimator(model, truth.robot, **way).run(log)
+    found = table["wrench_hat"][500:].mean(axis=0)
+    np.testing.assert_allclose(found[:3], force[:3], atol=1.0)
+
+
+def test_friction_as_a_state_steps_as_it_runs(truth, model, excited) -> None:
+    log, estimator = excited.between(0.0, 1.0), Estimator(model, truth.robot, "kf", bias=True, force_rate="fast")
+    table = estimator.run(log)
+    estimator.reset()
+    for k, state in enumerate(log.states()):
+        wrench = estimator.step(state)
+        assert np.array_equal(wrench.F, table["wrench_hat"][k])
+        assert np.array_equal(wrench.cov, table["wrench_hat_cov"][k])
+
+
+def test_a_broken_sample_gives_nan_and_leaves_the_state_alone(truth, model, excited, way) -> None:
+    log = excited.between(0.0, 1.0)
+    good, disturbed = Estimator(model, truth.robot, **way), Estimator(model, truth.robot, **way)
+    for k, state in enumerate(log.states()):
+        if k == 100:
+            for bad in (
+                replace(state, tau=np.full(7, np.nan)), replace(state, dt=0.0), replace(state, qd=np.full(7, 1e200)),
+            ):  # fmt: skip
+                wrench = disturbed.step(bad)
+                assert wrench.flags == INVALID
+                assert np.isnan(wrench.F).all()
+                assert np.isnan(wrench.cov).all()
+        assert np.array_equal(good.step(state).F, disturbed.step(state).F)
+
+
+def test_rows_that_are_missing_take_their_time_with_them(truth, model, excited, way) -> None:
+    """Five rows without torque, and the log without these rows, give one estimate; so do `step` and `run`."""
+    log = excited.between(0.0, 2.0)
+    missing = (np.arange(len(log)) % 100 >= 60) & (np.arange(len(log)) % 100 < 64)
+    holed = log.with_column("tau", np.where(missing[:, None], np.nan, log["tau"]))
+    estimator = Estimator(model, truth.robot, **way)
+    table = estimator.run(holed)
+    short = estimator.run(log.rows(~missing))
+    assert np.array_equal(table["wrench_hat"][~missing], short["wrench_hat"])
+    estimator.reset()
+    for k, state in enumerate(holed.states()):
+        assert np.array_equal(estimator.step(state).F, table["wrench_hat"][k], equal_nan=True)
+
+
+def test_over_a_gap_nothing_is_made_up(truth, model, way) -> None:
+    """Half a second is missing in fast motion: the error after it is that of everywhere else."""
+    motion = identify.excitation(truth.robot, seconds=12, speed=0.6, seed=5)
+    log = truth.log(motion, seed=5)
+    kept = np.ones(len(log), dtype=bool)
+    for start in range(500, 2600, 300):
+        kept[start : start + 125] = False
+    table = Estimator(model, truth.robot, **way).run(log.rows(kept))
+    F, sigma = table["wrench_hat"], np.sqrt(np.einsum("kii->ki", table["wrench_hat_cov"]))
+    after = np.flatnonzero(np.diff(table.t, prepend=0) > 0.1)[:, None] + np.arange(40)
+    assert np.mean(np.abs(F[after]) < 2.0 * sigma[after]) > 0.9
+    assert np.abs(F[after][:, :, :3]).max() < 6.0
+
+
+def test_a_tare_at_rest_tells_friction_from_contact(truth, model) -> None:
+    """Before it a press is lost in friction and the band says so; after it the press is there, with a narrow band."""
+    force = np.array([3.0, -2.0, 4.0, 0.0, 0.0, 0.0])
+    estimator = Estimator(model, truth.robot, "kf", bias=True)
+    states = list(resting(truth, force, seconds=4.0).states())
+    half = len(states) // 2
+    before = [estimator.step(state) for state in states[:half]][-1]
+    assert before.tared_at is None
+    assert before.sigma[:3].min() > 3.0
+    estimator.tare()
+    wrench = estimator.step(states[half])
+    assert wrench.flags & TARED
+    assert wrench.tared_at == states[half - 1].t
+    np.testing.assert_allclose(wrench.F[:3], 0.0, atol=0.2)
+    last = [estimator.step(state) for state in states[half + 1 :]][-1]
+    assert np.all(last.sigma[:3] < 1.0)
+    np.testing.assert_allclose(last.F[:3], force[:3], atol=1.5)
+    assert np.all(np.abs(last.F - force) < 3.0 * last.sigma)
+
+
+def test_a_tare_ends_when_a_joint_has_moved_its_presliding_distance(truth, model) -> None:
+    estimator = Estimator(model, truth.robot, "kf", bias=True)
+    states = list(resting(truth, np.zeros(6)).states())
+    for state in states:
+        estimator.step(state)
+    estimator.tare()
+    delta, resolution = model.friction.delta[3], model.friction.resolution[3]
+    state = states[-1]
+    for share, flagged in ((0.5, True), (0.9, True), (1.2, False), (0.0, False)):
+        q = np.array(state.q)
+        q[3] += share * delta + (resolution if share else 0.0)
+        wrench = estimator.step(replace(state, t=state.t + 0.004, q=q))
+        assert bool(wrench.flags & TARED) == flagged
+        assert (wrench.tared_at is None) == (not flagged)
+    estimator.reset()
+    assert estimator.step(state).flags & TARED == 0
+
+
+def test_a_tare_is_refused_in_motion_and_where_there_is_nothing_to_set(truth, model, excited) -> None:
+    for estimator in (Estimator(model, truth.robot), Estimator(model, truth.robot, "kf")):
+        with pytest.raises(ConfigError, match="bias=True"):
+            estimator.tare()
+    estimator = Estimator(model, truth.robot, "kf", bias=True)
+    with pytest.raises(NotExcited, match="rest"):
+        estimator.tare()
+    for state in excited.between(5.0, 5.2).states():
+        estimator.step(state)
+    with pytest.raises(NotExcited, match="rest"):
+        estimator.tare()
+
+
+@pytest.mark.parametrize("bias", [False, True])
+def test_at_rest_the_band_holds_whatever_friction_does(truth, model, bias: bool) -> None:
+    inside = []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        force = np.r_[4.9 * rng.standard_normal(3) / np.sqrt(3), 0, 0, 0]
+        table = Estimator(model, truth.robot, "kf", bias=bias).run(resting(truth, force, 2.0, seed))
+        sigma = np.sqrt(np.diag(table["wrench_hat_cov"][-1]))
+        inside.append(np.abs(table["wrench_hat"][-1] - force) < 2.0 * sigma)
+    assert np.mean(inside) > 0.95
+
+
+def test_what_a_pose_hides_stays_as_the_prior_has_it(truth, model, way) -> None:
+    """Seven axes on one line for a minute: five directions keep their prior, and no force is made up."""
+    axes = np.tile(np.eye(4), (8, 1, 1))
+    axes[:, 2, 3] = 0.1
+    estimator = Estimator(replace(model, frames=axes, gravity=np.zeros(3)), truth.robot, **way)
+    state = State(t=0.0, dt=0.02, q=np.zeros(7), qd=np.zeros(7), tau=0.3 * np.ones(7))
+    for _ in range(3000):
+        wrench = estimator.step(state)
+    np.testing.assert_allclose(wrench.F[:5], 0.0, atol=1e-6)
+    np.testing.assert_allclose(wrench.observability[:5], 0.0, atol=1e-6)
+    assert wrench.flags == WEAK
+    assert np.all(wrench.sigma[:5] < 1.0001 * np.sqrt(estimator.prior[:5]))
+
+
+def test_a_contact_at_a_known_point_has_the_moment_of_its_force(truth, model, excited, way) -> None:
+    point = np.array([0.02, 0.05, 0.1])
+    wide = Estimator(model, truth.robot, **way)
+    estimator = Estimator(model, truth.robot, point=point, **way)
+    for state in excited.between(3.0, 3.5).states():
+        known, free = estimator.step(state), wide.step(state)
+        r = truth.robot.chain.forward(state.q)[:3, :3] @ point
+        np.testing.assert_allclose(known.F[3:], np.cross(r, known.F[:3]), atol=1e-12)
+    assert known.at_point
+    assert np.all(known.sigma[:3] < free.sigma[:3])
+
+
+def test_wrong_options_are_refused(truth, model) -> None:
+    robot = truth.robot
+    with pytest.raises(ConfigError, match=r"force_rate, bias with method='kf' only, got method='map'"):
+        Estimator(model, robot, force_rate="fast", bias=True)
+    with pytest.raises(ConfigError, match="gain with method='observer' only"):
+        Estimator(model, robot, "kf", gain=10.0)
+    with pytest.raises(UnknownName, match="fast, normal, smooth"):
+        Estimator(model, robot, "kf", force_rate="quick")
+    for rate in (5.0, [1, 1, 1, 1, 1, 0], [1, 1, 1, 1, 1, np.nan]):
+        with pytest.raises(ShapeError, match="six positive rates"):
+            Estimator(model, robot, "kf", force_rate=rate)
+    for leak in (-1.0, [0.1, 0.2], np.inf):
+        with pytest.raises(ShapeError, match="leak"):
+            Estimator(model, robot, "kf", leak=leak)
+    for gain in (0.0, np.nan, [1.0, 2.0]):
+        with pytest.raises(ShapeError, match="gain"):
+            Estimator(model, robot, "observer", gain=gain)
+    with pytest.raises(ModelMismatchError, match="Identify again"):
+        Estimator(replace(model, momentum=None), robot, "kf")
+    assert Estimator(model, robot, "kf", force_rate=np.ones(6), leak=0.0).method == "kf"
