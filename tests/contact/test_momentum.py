@@ -55,7 +55,7 @@ def pushed(truth, seconds: float, seed: int) -> tuple[Table, np.ndarray]:
 
 
 def test_pushes_in_motion_are_found_and_two_sigma_holds(truth, model, way) -> None:
-    """The bars of the simulated arm: 1 N RMS in pushes and in free motion, 90 to 97 % away from edges, 88 % with them."""
+    """The bars of the simulated arm: 1 N RMS, in pushes and without; 90 to 97 % away from edges, 88 % with them."""
     log, force = pushed(truth, 30.0, 8)
     table = Estimator(model, truth.robot, **way).run(log)
     sigma = np.sqrt(np.einsum("kii->ki", table["wrench_hat_cov"]))[:, :3]

@@ -42,7 +42,7 @@ def twins(model: TorqueModel, way: str, point: np.ndarray | None = None) -> tupl
                 30.0,
                 *WAYS[way],
                 point,
-            )  # fmt: skip
+            )
         )
     return made[0], made[1]
 

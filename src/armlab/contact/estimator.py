@@ -22,8 +22,8 @@ Momentum methods need no acceleration: ``p = M qd``, ``dp/dt = u + J^T F``, ``u 
 
 "observer"  ``r <- r + (1 - e^(-K h)) (dp/h - u - r)`` is J^T F through a low-pass; then F as by "map" (De Luca and
             Mattone 2003).
-"kf"        Kalman filter of momentum and wrench; the wrench is a random walk with leak (Wahrburg et al. 2015, 2018). With
-            ``bias`` the friction that is unknown after a rest is a state too, and `tare` can tell it from a contact.
+"kf"        Kalman filter of momentum and wrench; the wrench is a random walk with leak (Wahrburg et al. 2015, 2018).
+            With ``bias`` the friction that is unknown after a rest is a state too, and `tare` can tell it from contact.
 """
 
 from __future__ import annotations
@@ -64,8 +64,8 @@ class Estimator:
         known point the first three are those of the force.
     point : (3,) where the contact is, in tool axes [m], when that is known: three unknowns instead of six, about half
         the error, and a wrong point about doubles it.
-    force_rate : of "kf": how fast the wrench wanders, (6,) [N/sqrt(s), N m/sqrt(s)], or "smooth" (2 and 0.2), "normal" (5
-        and 0.5; when left out) or "fast" (20 and 2).
+    force_rate : of "kf": how fast the wrench wanders, (6,) [N/sqrt(s), N m/sqrt(s)], or "smooth" (2 and 0.2), "normal"
+        (5 and 0.5; when left out) or "fast" (20 and 2).
     leak : of "kf": rate at which a wrench is forgotten [1/s], a number or (6,); when left out the
         one by which what the torques do not show stays as uncertain as the prior says. 0: a random walk.
     gain : of "observer" [1/s]; 30 when left out.
@@ -112,13 +112,14 @@ class Estimator:
         variances = deviations**2
         variances.flags.writeable = False
         self._n, self._prior, self._at_point = model.n, variances, point is not None
-        self._method, self._tares = method, bias
+        self._method, self._tare = method, None
         if method in STATIC:
             self._kernel = model.estimator_kernel(variances, STATIC.index(method), point)
         else:
             rate, leaks = _walk(force_rate, leak)
             gain = float(_positive(GAIN if gain is None else gain, "gain [1/s] of the observer", ()))
-            self._kernel = model.momentum_kernel(variances, rate, leaks, gain, method == "kf", bias, point)
+            kernel = model.momentum_kernel(variances, rate, leaks, gain, method == "kf", bias, point)
+            self._kernel, self._tare = kernel, kernel.tare if bias else None
         self._forget_clock()
 
     @property
@@ -139,8 +140,8 @@ class Estimator:
     def step(self, state: State) -> Wrench:
         """Advance by one state and return the wrench.
 
-        A sample that is not finite, or so large that its torque is not, gives NaN and changes nothing; the next one that
-        is has its time from the last that was.
+        A sample that is not finite, or so large that its torque is not, gives NaN and changes nothing; the next one
+        counts its time from the last that was.
 
         Parameters
         ----------
@@ -171,14 +172,14 @@ class Estimator:
         ConfigError : when the estimator is not ``method="kf"`` with ``bias=True``. NotExcited : when a joint moves or
         rests for less than 0.4 s.
         """
-        if not self._tares:
+        if self._tare is None:
             raise ConfigError(
                 f"Expected an estimator with method='kf' and bias=True to tare, got method={self._method!r} without a "
                 "friction error to set. Make one with these options."
             )
-        if not self._kernel.tare():
+        if not self._tare():
             raise NotExcited(
-                "Expected every joint at rest for 0.4 s to tare, got motion or no sample yet. Stop the arm, wait, tare.",
+                "Expected every joint at rest for 0.4 s to tare, got motion or no sample. Stop the arm, wait, tare.",
                 ["friction at rest"],
             )
         self._tared_at = self._t

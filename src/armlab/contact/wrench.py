@@ -24,7 +24,8 @@ class Wrench:
     ----------
     F : (6,) [N, N m]. cov : (6, 6) posterior covariance.
     observability : (6,) 1 - posterior variance / prior variance, in [0, 1].
-    torque_error : (n,) filtered model minus measured torque [N m]; of "kf", what of it the estimate explains. torque_variance : (n,) its variance.
+    torque_error : (n,) filtered model minus measured torque [N m]; of "kf", what of it the
+        estimate explains. torque_variance : (n,) its variance.
     prior : (6,) prior variances of the unknowns: the wrench, or a force at a known point (then the last three idle).
     flags : bits INVALID, WEAK, STUCK, INFEASIBLE, SINGULAR, TARED.
     active : (n,) joints that tell something; when INFEASIBLE, those that contradict each other.

@@ -203,14 +203,14 @@ class TorqueModel:
     ) -> MomentumEstimator:
         """Return a fresh momentum estimator kernel with this model's numbers.
 
-        The factor alpha^2 of the filter is on everything that is random in it, so that it changes the covariance and not
-        the estimate; what the torques do not show keeps its prior.
+        The factor alpha^2 of the filter is on everything that is random in it, so that it changes the covariance and
+        not the estimate; what the torques do not show keeps its prior.
 
         Parameters
         ----------
         prior : (6,) prior variances of the wrench [N^2, (N m)^2].
-        rate : (6,) intensity of its random walk [N^2/s, (N m)^2/s]. leak : (6,) [1/s], or None for the one that keeps the
-            prior: ``alpha^2 rate / (2 prior)``.
+        rate : (6,) intensity of its random walk [N^2/s, (N m)^2/s]. leak : (6,) [1/s], or None for the one that
+            keeps the prior: ``alpha^2 rate / (2 prior)``.
         gain : of the observer [1/s].
         filters : Kalman filter, else the observer. biased : with a friction error per joint.
         point : (3,) known contact in tool axes [m], or None.

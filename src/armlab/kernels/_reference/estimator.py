@@ -49,7 +49,7 @@ def speed_variance(covariance: np.ndarray, qd: np.ndarray) -> np.ndarray:
 
 
 def contact_map(chain: Chain, q: np.ndarray, point: np.ndarray | None) -> np.ndarray:
-    """Return S (6, k) of F = S x: the identity, or [1; hat(r)] (6, 3) for a force at a known point (3,) in tool axes."""
+    """Return S (6, k) of F = S x: the identity, or [1; hat(r)] of a force at a known point (3,) in tool axes."""
     if point is None:
         return np.eye(6)
     x, y, z = chain.forward(q)[:3, :3] @ point

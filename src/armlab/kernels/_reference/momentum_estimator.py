@@ -1,21 +1,21 @@
 """Contact wrench by the generalised momentum (specification; the compiled twin is native/momentum_estimator.cpp).
 
 With p = M qd and beta = C^T qd the arm obeys ``dp/dt = u + J^T F``, ``u = tau + beta - G - F_f``: no acceleration is
-needed (De Luca and Mattone 2003; Wahrburg et al., IEEE T-ASE 15(2), 2018). u is the mean of its values at the ends of a
-step (at the first, its end: at the beginning nothing is known of friction). A step longer than GAP_STEPS first steps is a gap: nothing is known of u and of the way in it, so momentum and friction
-begin anew after it.
+needed (De Luca and Mattone 2003; Wahrburg et al., IEEE T-ASE 15(2), 2018). u is the mean of its values at the ends of
+a step (at the first, its end: at the beginning nothing is known of friction). A step longer than GAP_STEPS first
+steps is a gap: nothing is known of u and of the way in it, so momentum and friction begin anew after it.
 
-Observer: ``r <- r + (1 - e^(-K h)) ((p - p_before) / h - u - r)`` is J^T F through a low-pass, stable for any step; then
-the most probable wrench, as in `estimator.py`, with C_tau = diag(s^2(qd) + static^2 p_filtered). Of a wrench that was
-there at the start it has seen the share ``1 - e^(-K t)``, so r is that share of J^T F.
+Observer: ``r <- r + (1 - e^(-K h)) ((p - p_before) / h - u - r)`` is J^T F through a low-pass, stable for any step;
+then the most probable wrench, as in `estimator.py`, with C_tau = diag(s^2(qd) + static^2 p_filtered). Of a wrench
+that was there at the start it has seen the share ``1 - e^(-K t)``, so r is that share of J^T F.
 
 Kalman filter: state [p; z; b], z the wrench in units of its prior, a random walk with leak; measured is p = M qd with
 the noise of the velocity, R = M diag(qd_noise^2) M^T; J is taken in the middle of the step. The torque error has the
-intensity ``Qp = 2 s^2(qd) memory``. Friction that is unknown after a rest has the variance c p, with c = static^2 and p
-as in `estimator.py`. It stays and must not be averaged away: as noise of intensity ``c p c / (J^T rate J)_ii`` it leaves
-the wrench the doubt c. When biased it is a state b instead, which enters with -1: its variance rises at rest as p does,
-up to c, and displacement makes it forget as it makes the presliding state forget, ``db = -b |dq| / delta``; at rest it
-stays, but for a CREEP.
+intensity ``Qp = 2 s^2(qd) memory``. Friction that is unknown after a rest has the variance c p, with c = static^2 and
+p as in `estimator.py`. It stays and must not be averaged away: as noise of intensity ``c p c / (J^T rate J)_ii`` it
+leaves the wrench the doubt c. When biased it is a state b instead, which enters with -1: its variance rises at rest
+as p does, up to c, and displacement makes it forget as it makes the presliding state forget, ``db = -b |dq| /
+delta``; at rest it stays, but for a CREEP.
 """
 
 from __future__ import annotations
