@@ -1,5 +1,6 @@
 """What is identified, saved, and later run: friction, ripple, torque covariance, the torque model and its file."""
 
+from armlab.models.coupled import CoupledMotors
 from armlab.models.files import load, load_statistics, save
 from armlab.models.friction import Friction, FrictionBound, Ripple
 from armlab.models.momentum import FORCE_RATES, PRIOR, MomentumNoise
@@ -15,6 +16,7 @@ __all__ = [
     "FORCE_RATES",
     "PRIOR",
     "SPEED_EDGES",
+    "CoupledMotors",
     "Friction",
     "FrictionBound",
     "FrictionMap",
@@ -41,3 +43,4 @@ register("radial_basis", RadialBasis)
 register("friction_map", FrictionMap)
 register("warm_up", WarmUp)
 register("momentum_noise", MomentumNoise)
+register("coupled_motors", CoupledMotors)

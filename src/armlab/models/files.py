@@ -31,7 +31,7 @@ FORMAT = 4
 FRICTION = tuple(entry.name for entry in fields(Friction))
 RIPPLE = ("cycles", "cosine", "sine")
 BOUND = ("torque", "speed", "floor")
-PARTS = ("lines", "friction_map", "warm_up", "momentum")  # where there are any
+PARTS = ("lines", "friction_map", "warm_up", "momentum", "coupled")  # where there are any
 QUALITY = ("torque_sd", "rms", "rms_cv", "coverage")
 LIMITS = ("q_min", "q_max", "qd_peak", "speed_share")  # of the training
 UNITS = {
@@ -43,6 +43,7 @@ UNITS = {
     "friction_map": "N m, rad, rad/s",
     "warm_up": "s, W",
     "momentum": "s, rad/s",
+    "coupled": "kg m^2, N m, rad, s",
     "ctau": "(N m)^2, s/rad",
     "bound": "N m, rad/s",
     "limits": "rad, rad/s, s; ranges of the training data",
@@ -121,6 +122,7 @@ class _File(_Strict):
     friction_map: dict[str, Any] | None = None
     warm_up: dict[str, Any] | None = None
     momentum: dict[str, Any] | None = None
+    coupled: dict[str, Any] | None = None
     fit: dict[str, Any] | None = None
 
 

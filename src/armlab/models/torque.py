@@ -16,6 +16,7 @@ import numpy as np
 
 from armlab.errors import ModelMismatchError, ShapeError
 from armlab.kernels import Chain, Drive, MomentumEstimator, WrenchEstimator, model_torque
+from armlab.models.coupled import CoupledKernel, CoupledMotors
 from armlab.models.friction import Friction, FrictionBound, Ripple
 from armlab.models.momentum import MomentumNoise
 from armlab.models.rbf import FrictionMap
@@ -67,6 +68,7 @@ class TorqueModel:
     sources : SHA-256 and name of each log.
     lines, friction_map, warm_up : parts of the drives that `identify.fit_friction` adds where they win, or None.
     momentum : noise of torque and velocity for the momentum estimators, or None: then there is none.
+    coupled : motors that move several joints, or None.
     """
 
     robot_name: str
@@ -91,6 +93,7 @@ class TorqueModel:
     friction_map: FrictionMap | None = None
     warm_up: WarmUp | None = None
     momentum: MomentumNoise | None = None
+    coupled: CoupledMotors | None = None
 
     def __post_init__(self) -> None:
         """Check shapes and freeze the arrays."""
@@ -107,6 +110,8 @@ class TorqueModel:
             object.__setattr__(self, name, values)
         if self.momentum is not None and len(self.momentum.memory) != n:
             raise ShapeError(f"Expected momentum noise of {n} joints, got {len(self.momentum.memory)}.")
+        if self.coupled is not None and self.coupled.ratios.shape[1] != n:
+            raise ShapeError(f"Expected coupled motors of {n} joints, got ratios {self.coupled.ratios.shape}.")
         lengths = len(self.friction.delta), len(self.ripple.cycles), len(self.covariance.C0), len(self.bound.speed)
         lengths = (*lengths, len(self.training.q_min))
         if lengths != (n,) * 5 or not 0 < self.cutoff < np.inf:
@@ -147,7 +152,8 @@ class TorqueModel:
 
     def rigid_torque(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
         """Return gravity, inertial and rotor torque (..., n) [N m]; all inputs (..., n)."""
-        return self.chain.rnea(q, qd, qdd, self.gravity, self.link_parameters) + self.rotor * qdd
+        torque = self.chain.rnea(q, qd, qdd, self.gravity, self.link_parameters) + self.rotor * qdd
+        return torque if self.coupled is None else torque + self.coupled.inertial(qdd)
 
     def torque(
         self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray | None = None, dt: np.ndarray | None = None
@@ -165,9 +171,12 @@ class TorqueModel:
         """
         q, qd = np.atleast_2d(q), np.atleast_2d(qd)
         qdd = np.zeros_like(q) if qdd is None else np.atleast_2d(qdd)
-        return model_torque(self.chain, self.gravity, self.link_parameters, self.rotor, self.drive, q, qd, qdd, dt)
+        torque = model_torque(self.chain, self.gravity, self.link_parameters, self.rotor, self.drive, q, qd, qdd, dt)
+        return torque if self.coupled is None else torque + self.coupled.torque(qd, qdd)
 
-    def estimator_kernel(self, prior: np.ndarray, method: int = 0, point: np.ndarray | None = None) -> WrenchEstimator:
+    def estimator_kernel(
+        self, prior: np.ndarray, method: int = 0, point: np.ndarray | None = None
+    ) -> WrenchEstimator | CoupledKernel:
         """Return a fresh estimator kernel with this model's numbers.
 
         Parameters
@@ -177,7 +186,7 @@ class TorqueModel:
         point : (3,) known contact in tool axes [m], or None.
         """
         b = self.bound
-        return WrenchEstimator(
+        kernel = WrenchEstimator(
             self.chain,
             self.gravity,
             self.link_parameters,
@@ -190,6 +199,7 @@ class TorqueModel:
             method,
             point,
         )
+        return kernel if self.coupled is None else CoupledKernel(kernel, self.coupled)
 
     def momentum_kernel(
         self,
@@ -200,7 +210,7 @@ class TorqueModel:
         filters: bool = True,
         biased: bool = False,
         point: np.ndarray | None = None,
-    ) -> MomentumEstimator:
+    ) -> MomentumEstimator | CoupledKernel:
         """Return a fresh momentum estimator kernel with this model's numbers.
 
         The factor alpha^2 of the filter is on everything that is random in it, so that it changes the covariance and
@@ -227,7 +237,7 @@ class TorqueModel:
             )
         alpha2 = noise.alpha2_kf if filters else noise.alpha2_observer
         prior, rate = np.asarray(prior, dtype=float), alpha2 * np.asarray(rate, dtype=float)
-        return MomentumEstimator(
+        kernel = MomentumEstimator(
             self.chain,
             self.gravity,
             self.link_parameters,
@@ -244,6 +254,7 @@ class TorqueModel:
             biased,
             point,
         )
+        return kernel if self.coupled is None else CoupledKernel(kernel, self.coupled)
 
     def _covariance_rows(self, alpha2: float) -> np.ndarray:
         c = self.covariance
