@@ -150,6 +150,7 @@ def test_refusals() -> None:
     with pytest.raises(ShapeError, match="Expected the gradient that direction"):
         null_motion(YUMI, q, direction=lambda _: np.zeros(3))
     for length, points in (
+        (1001.0, 5),
         (0.0, 5),
         (np.nan, 5),
         (1.0, 1),
@@ -159,7 +160,7 @@ def test_refusals() -> None:
         ("1", 5),
         (1.0, "5"),
     ):
-        with pytest.raises(ShapeError, match="positive length and from 2 to 1000000 points"):
+        with pytest.raises(ShapeError, match="length above 0 and up to 1000, and from 2 to 1000000 points"):
             null_motion(YUMI, q, length=cast(Any, length), points=cast(Any, points))
     with pytest.raises(SingularPoseError, match="a direction with a part along the self-motion"):
         null_motion(YUMI, q, direction=jacobian(YUMI, q)[0])

@@ -26,6 +26,7 @@ _SHORTEST = 1e-7  # rad: where a curve needs shorter steps, it ends
 _EXACT = 1e-12  # m and rad: what the correction leaves, and by how much rounding may cross a limit
 _DRIFT = 1e-4  # the largest correction of a step, as a part of its length
 _MOST = 10**6  # points
+_FARTHEST = 1e3  # rad or m: a closed self-motion would be walked round and round
 _SINGULAR = 1e-9  # of the largest singular value
 
 
@@ -76,7 +77,7 @@ def null_motion(
     direction : 1 or -1, for a self-motion of one dimension: 1 is where the joint that moves most moves forward.
         Or (n,) joint velocities: where their part in the null space leads. Or a function of the joint positions that
         returns the gradient (n,) of an objective, for example of the manipulability: uphill, until its optimum.
-    length : arc length to walk in joint space, at most [rad; m for prismatic joints].
+    length : arc length to walk in joint space, at most [rad; m for prismatic joints]; up to 1000.
     points : how many points the whole length would have, 2 to 1 000 000, evenly spaced, start and end included.
     task : what stays: "pose", "position" of the tool point, or "axis": the position and the direction of the tool's z
         axis.
@@ -267,7 +268,9 @@ def _checked(robot: Robot, q: ArrayLike, length: float, points: int, task: str) 
         )
     lengths, counts = (int, float, np.integer, np.floating), (int, np.integer)
     if not (
-        isinstance(length, lengths) and 0 < length < np.inf and isinstance(points, counts) and 2 <= points <= _MOST
+        isinstance(length, lengths) and 0 < length <= _FARTHEST and isinstance(points, counts) and 2 <= points <= _MOST
     ):
-        raise ShapeError(f"Expected a positive length and from 2 to {_MOST} points, got {length!r} and {points!r}.")
+        raise ShapeError(
+            f"Expected a length above 0 and up to {_FARTHEST:g}, and from 2 to {_MOST} points, got {length!r} and {points!r}."
+        )
     return start
