@@ -271,6 +271,7 @@ def _checked(robot: Robot, q: ArrayLike, length: float, points: int, task: str) 
         isinstance(length, lengths) and 0 < length <= _FARTHEST and isinstance(points, counts) and 2 <= points <= _MOST
     ):
         raise ShapeError(
-            f"Expected a length above 0 and up to {_FARTHEST:g}, and from 2 to {_MOST} points, got {length!r} and {points!r}."
+            f"Expected a length above 0 and up to {_FARTHEST:g}, and from 2 to {_MOST} points, got {length!r} "
+            f"and {points!r}."
         )
     return start
