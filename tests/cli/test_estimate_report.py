@@ -57,6 +57,8 @@ def test_axes_that_are_hardly_seen_and_logs_that_go_elsewhere_are_named(table: T
     verdict = judge(table.with_column("observability", seen), model, PRIOR, [])
     assert any("f_z (50 % of the time)" in said for said in verdict.bad)
     assert any("--point" in said for said in verdict.ahead)
+    resting = table.with_column("observability", seen).with_column("qd", 0.0 * table["qd"])
+    assert any("Sway" in said for said in judge(resting, model, PRIOR, []).ahead)
     far = table.with_column("q", table["q"] + np.where(np.arange(7) == 3, 9.0, 0.0))
     assert any(
         "outside the trained positions" in said and "joint 4 (100 %)" in said

@@ -64,7 +64,7 @@ def test_the_page_has_a_row_per_joint_the_verdict_and_all_figures(outcome: Outco
     page = (outcome.folder / "id.html").read_text(encoding="utf-8")
     assert "Torque model of yumi_left" in page
     assert "run.mcap" in page
-    assert page.count("<tr>") == 8
+    assert page.count("<tr>") == 16
     for title in (
         "Measured and modelled torque",
         "Residual over speed",

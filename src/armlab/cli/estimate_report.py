@@ -19,6 +19,7 @@ __all__ = ["axes", "judge", "rows", "write"]
 
 AXES = ("f_x", "f_y", "f_z", "m_x", "m_y", "m_z")
 SEEN, WEAK = 0.9, 0.5  # observability
+SLOW = 0.01  # rad/s: an arm below it in all joints rests
 OFTEN = 0.05  # share of the rows that is worth a sentence
 HONEST = 0.90  # share inside 2 sigma
 
@@ -98,7 +99,12 @@ def _seen(table: Table) -> Verdict:
     hidden = [f"{AXES[i]} ({100 * weak[i]:.0f} % of the time)" for i in range(6) if weak[i] > OFTEN]
     if hidden:
         bad.append(f"Hardly seen, so that the prior speaks: {', '.join(hidden)}.")
-        ahead.append("Use a pose away from singular ones, or --point when it is known where the contact is.")
+        still = (np.abs(table["qd"][known]) < SLOW).all(axis=1)
+        hard = (observability[known] < WEAK).any(axis=1)
+        if np.mean(still[hard]) > 0.5:
+            ahead.append("Sway the joints a little (identify.dither): at rest static friction hides the force.")
+        else:
+            ahead.append("Use a pose away from singular ones, or --point when it is known where the contact is.")
     return Verdict(tuple(good), tuple(bad), tuple(ahead))
 
 
@@ -118,7 +124,7 @@ def _flags(table: Table) -> Verdict:
             f"In {100 * share[STUCK]:.0f} % of the rows every joint is inside its friction bound: a force may be "
             "hidden there."
         )
-        ahead.append("Sway the joints a little (identify.dither), or read the limits of --method interval.")
+        ahead.append("Read the limits of --method interval there.")
     if share[INFEASIBLE]:
         bad.append(
             f"In {100 * share[INFEASIBLE]:.1f} % of the rows no wrench at the tool explains the torques: contact on "

@@ -46,6 +46,7 @@ def identify(
     """
     from armlab import log, robots
     from armlab.cli import identify_report as reporting
+    from armlab.cli import identify_verdict as judging
     from armlab.cli.output import FIGURES, check_output, note, print_json, progress, result
     from armlab.errors import ConfigError
     from armlab.identify import fit_dynamics, with_velocity
@@ -60,8 +61,8 @@ def identify(
     unseen = None if test is None else with_velocity(log.read(test))
     with progress("identify") as tell:
         fit = fit_dynamics(tables, arm, progress=tell)
-    trial = reporting.try_out(fit.value, arm, tables[0] if unseen is None else unseen, unseen is not None)
-    verdict = reporting.judge(fit, arm, tables, trial)
+    trial = judging.try_out(fit.value, arm, tables[0] if unseen is None else unseen, unseen is not None)
+    verdict = judging.judge(fit, arm, tables, trial)
     if json:
         print_json({"model": str(output), **reporting.numbers(fit, trial), "verdict": vars(verdict)})
     else:

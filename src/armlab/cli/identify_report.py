@@ -1,79 +1,23 @@
-"""What `armlab identify` says of a model: a verdict in words, a table per joint, and the page with the figures."""
+"""What `armlab identify` reports of a model: figures for scripts, and the page with tables and pictures."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from armlab.cli.identify_verdict import Trial
 from armlab.cli.page import Page, Verdict
 
 if TYPE_CHECKING:
     from armlab.estimation import Fit
-    from armlab.log import Table
     from armlab.models import TorqueModel
-    from armlab.robots import Robot
 
-__all__ = ["Trial", "judge", "numbers", "try_out", "write"]
-
-FINE, POOR = 0.10, 0.25  # residual over the torque's deviation
-HONEST = (0.92, 0.985)  # share inside 2 sigma
-WORSE = 1.5  # unseen over seen residual
-STRETCHED = 3.0  # alpha
-SLOW, SLOW_SHARE = 0.1, 0.15  # of the speed limit, and of the samples that shall be below it
-NARROW = 0.25  # of a joint's range
-MOVING = 0.01  # of the peak speed
+__all__ = ["numbers", "write"]
 
 Tell = Callable[[float, float, str], None]
-
-
-@dataclass(frozen=True, eq=False)
-class Trial:
-    """The model on a log of free motion, where the true wrench is zero.
-
-    Attributes
-    ----------
-    unseen : the log was not part of the fit.
-    estimate : columns of `contact.Estimator.run`, and wrench_true, all zeros.
-    predicted : columns of `identify.predict`.
-    share : (n,) RMS of the torque error in motion over the torque's deviation.
-    force_rms : (3,) false force in motion [N]. coverage : share of the forces inside 2 sigma.
-    """
-
-    unseen: bool
-    estimate: Table
-    predicted: Table
-    share: np.ndarray
-    force_rms: np.ndarray
-    coverage: float
-
-
-def try_out(model: TorqueModel, robot: Robot, table: Table, unseen: bool) -> Trial:
-    """Run the model over a log of free motion.
-
-    Parameters
-    ----------
-    model : identified. robot : its arm. table : the log. unseen : it was not part of the fit.
-    """
-    from armlab.contact import Estimator
-    from armlab.identify import predict
-
-    estimate = Estimator(model, robot).run(table).with_column("wrench_true", np.zeros((len(table), 6)))
-    qd, error = table["qd"], estimate["tau_error"]
-    moving = (np.abs(qd) > MOVING * np.abs(qd).max(axis=0)).any(axis=1) & np.isfinite(error).all(axis=1)
-    force = estimate["wrench_hat"][moving, :3]
-    sigma = np.sqrt(np.einsum("kii->ki", estimate["wrench_hat_cov"]))[moving, :3]
-    return Trial(
-        unseen=unseen,
-        estimate=estimate,
-        predicted=predict(model, table),
-        share=np.sqrt(np.mean(error[moving] ** 2, axis=0)) / np.std(table["tau"], axis=0),
-        force_rms=np.sqrt(np.mean(force**2, axis=0)),
-        coverage=float(np.mean(np.abs(force) <= 2 * sigma)),
-    )
 
 
 def numbers(fit: Fit[TorqueModel], trial: Trial) -> dict[str, Any]:
@@ -116,115 +60,6 @@ def numbers(fit: Fit[TorqueModel], trial: Trial) -> dict[str, Any]:
     }
 
 
-def judge(fit: Fit[TorqueModel], robot: Robot, tables: Sequence[Table], trial: Trial) -> Verdict:
-    """Return what of the model can be relied on, what cannot, and what to log next.
-
-    Parameters
-    ----------
-    fit : of `identify.fit_dynamics`. robot : its arm. tables : the logs it was fitted to. trial : on one log.
-    """
-    found = _Sentences()
-    _judge_fit(found, fit, trial)
-    _judge_honesty(found, fit.value, trial)
-    _judge_motion(found, fit, robot, tables)
-    return Verdict(tuple(found.good), tuple(found.bad), tuple(found.ahead))
-
-
-class _Sentences:
-    def __init__(self) -> None:
-        self.good: list[str] = []
-        self.bad: list[str] = []
-        self.ahead: list[str] = []
-
-
-def _judge_fit(found: _Sentences, fit: Fit[TorqueModel], trial: Trial) -> None:
-    quality = fit.value.quality
-    held_out = quality.rms_cv / quality.torque_sd
-    judged = np.isfinite(held_out)  # joints that did not move have no figures
-    fine, poor = (held_out <= FINE) | ~judged, judged & (held_out > POOR)
-    worst = int(np.nanargmax(held_out)) if judged.any() else 0
-    if fine.all():
-        found.good.append(
-            f"The model leaves {100 * np.nanmin(held_out):.1f} to {100 * np.nanmax(held_out):.1f} % of the torque's "
-            "deviation in motion that it has not seen."
-        )
-    elif fine.any():
-        found.good.append(f"{_joints(fine)}: at most {100 * FINE:.0f} % of the torque's deviation is left unexplained.")
-    if poor.any():
-        found.bad.append(
-            f"{_joints(poor)}: up to {100 * held_out[worst]:.0f} % of the torque's deviation is left unexplained."
-        )
-        found.ahead.append(
-            f"Look at the residuals of {_joints(poor)}: over speed they show friction, over position ripple or a load "
-            "that moves."
-        )
-    worse = quality.rms_cv > WORSE * quality.rms
-    if worse.any():
-        found.bad.append(f"{_joints(worse)}: much worse in motion that the model has not seen. Too little was logged.")
-        found.ahead.append("Log for longer, or several motions: the model has more parameters than these logs tell.")
-    if trial.unseen:
-        worse = trial.share > WORSE * held_out
-        said = f"{100 * trial.share.min():.1f} to {100 * trial.share.max():.1f} % of the torque's deviation"
-        if worse.any():
-            found.bad.append(f"{_joints(worse)}: worse in the test log ({said} left) than in held-out blocks.")
-            found.ahead.append("Log motions like those of the test log: its speeds, poses or load were not identified.")
-        else:
-            found.good.append(f"In the test log {said} is left, as in held-out blocks.")
-
-
-def _judge_honesty(found: _Sentences, model: TorqueModel, trial: Trial) -> None:
-    coverage, alpha = model.quality.coverage, float(np.sqrt(model.covariance.alpha2))
-    honest = ~((coverage < HONEST[0]) | (coverage > HONEST[1]))
-    where = "test log" if trial.unseen else "log"
-    force = " ".join(f"{value:.2f}" for value in trial.force_rms)
-    if honest.all():
-        found.good.append(
-            f"The stated uncertainty is true: {100 * np.nanmin(coverage):.0f} to {100 * np.nanmax(coverage):.0f} % of "
-            "the held-out torques lie inside 2 sigma."
-        )
-    else:
-        shares = ", ".join(f"{100 * value:.0f} %" for value in coverage[~honest])
-        found.bad.append(f"{_joints(~honest)}: {shares} of the held-out torques lie inside 2 sigma, where 95 % should.")
-    if alpha > STRETCHED:
-        found.bad.append(f"The torque covariance had to be stretched {alpha:.1f} times to be true: its shape is wrong.")
-    sentence = f"Without contact the {where} gives a force of {force} N RMS in x y z, where the truth is zero"
-    inside = f"{100 * trial.coverage:.0f} % inside 2 sigma"
-    (found.good if trial.coverage >= HONEST[0] else found.bad).append(f"{sentence}; {inside}.")
-    friction = model.friction
-    wrong = (friction.viscous < 0) | (friction.coulomb_pos < 0) | (friction.coulomb_neg < 0) | (model.rotor < 0)
-    if wrong.any():
-        found.bad.append(f"{_joints(wrong)}: negative friction or rotor inertia, which no drive has.")
-
-
-def _judge_motion(found: _Sentences, fit: Fit[TorqueModel], robot: Robot, tables: Sequence[Table]) -> None:
-    excitation, training = fit.excitation, fit.value.training
-    told = excitation.text().splitlines()[0]
-    if told.startswith("excitation good"):
-        found.good.append(f"The motion tells all parameters apart (condition {excitation.condition:.0f}).")
-    else:
-        found.bad.append(f"The motion tells some parameters badly (condition {excitation.condition:.0f}).")
-        found.ahead.append(f"Log a longer or richer motion, as of armlab excite; told least: {excitation.weakest}.")
-    used = (training.q_max - training.q_min) / (robot.q_max - robot.q_min)
-    narrow = used < NARROW
-    if narrow.any():
-        found.ahead.append(
-            f"{_joints(narrow)} moved over less than {100 * NARROW:.0f} % of the range: outside of it the model is "
-            "extrapolated. Log there before you work there."
-        )
-    qd = np.concatenate([np.abs(table["qd"]) for table in tables])
-    hasty = np.mean(qd < SLOW * robot.qd_max, axis=0) < SLOW_SHARE
-    if hasty.any():
-        found.ahead.append(f"{_joints(hasty)}: hardly any slow motion. Log some, friction is known worst there.")
-    if not found.ahead:
-        found.ahead.append("Nothing: estimate forces with it, and identify again when tool, load or mounting change.")
-
-
-def _joints(which: np.ndarray) -> str:
-    """Name joints by number: "joint 2", "joints 1, 3"."""
-    numbered = [str(i + 1) for i in np.flatnonzero(which)]
-    return f"joint{'s' if len(numbered) > 1 else ''} {', '.join(numbered)}"
-
-
 def write(
     path: Path, fit: Fit[TorqueModel], verdict: Verdict, trial: Trial, about: str, tell: Tell | None = None
 ) -> None:
@@ -239,12 +74,14 @@ def write(
     page = Page(f"Torque model of {fit.value.robot_name}", about)
     page.verdict(verdict)
     page.section(
-        "Per joint",
-        "Residuals are those of the estimator's causal filter, in motion, as % of the standard deviation (sd) of the "
-        "measured torque: in the data of the fit, in held-out blocks, and in the test log. Deviations of friction come "
-        "from drawing blocks again.",
+        "Residuals per joint",
+        "Of the estimator's causal filter, in motion, as % of the standard deviation (sd) of the measured torque: in "
+        "the data of the fit, in held-out blocks, and in the test log. Sigma is what the model states for the torque "
+        "error; gamma is how fast it falls with speed.",
     )
-    page.table(_rows(fit, trial))
+    page.table(_residual_rows(fit, trial))
+    page.section("Friction per joint", "With standard deviations from drawing blocks of time again.")
+    page.table(_friction_rows(fit, trial))
     drawings = _drawings(fit, trial)
     for k, (title, alt, caption, draw) in enumerate(drawings):
         if tell is not None:
@@ -256,27 +93,38 @@ def write(
     page.write(path)
 
 
-def _rows(fit: Fit[TorqueModel], trial: Trial) -> list[list[str]]:
-    from armlab.plots.frictions import own_parameters
-
-    head = ["joint", "torque sd [N m]", "RMS [N m]", "fit [%]", "held-out [%]", "test [%]", "in 2 sigma [%]"]
-    head += ["viscous [N m s/rad]", "Coulomb + [N m]", "Coulomb - [N m]", "sigma rest / motion [N m]"]
-    head += ["gamma [s/rad]", "ripple [N m]"]
-    rows, own = [head], own_parameters(fit)
+def _residual_rows(fit: Fit[TorqueModel], trial: Trial) -> list[list[str]]:
+    rows = [["joint", "torque sd [N m]", "RMS [N m]", "fit [%]", "held-out [%]", "test [%]", "in 2 sigma [%]"]]
+    rows[0] += ["sigma at rest [N m]", "in motion [N m]", "gamma [s/rad]"]
     for joint in numbers(fit, trial)["joints"]:
-        i = joint["joint"] - 1
         shares = [joint[name] for name in ("share_fit", "share_held_out", "share_test", "coverage")]
-        row = [str(i + 1), f"{joint['torque_sd']:.3f}", f"{joint['rms']:.3f}"]
+        row = [str(joint["joint"]), f"{joint['torque_sd']:.3f}", f"{joint['rms']:.3f}"]
         row += [f"{100 * share:.1f}" if np.isfinite(share) else "-" for share in shares]
-        row.append(f"{joint['viscous']:.3f}{_deviation(fit, own[i], 'viscous')}")
-        for name, column in (("coulomb+", "coulomb_pos"), ("coulomb-", "coulomb_neg")):
-            row.append(f"{joint[column]:.3f}{_deviation(fit, own[i], name, 'coulomb')}")
-        row += [f"{joint['sigma_rest']:.3f} / {joint['sigma_motion']:.3f}", f"{joint['gamma']:.0f}"]
-        rows.append([*row, f"{joint['ripple']:.3f}" if joint["ripple"] else "-"])
+        row += [f"{joint['sigma_rest']:.3f}", f"{joint['sigma_motion']:.3f}", f"{joint['gamma']:.0f}"]
+        rows.append(row)
     return rows
 
 
-def _deviation(fit: Fit[TorqueModel], own: dict[str, int], *kinds: str) -> str:
+def _friction_rows(fit: Fit[TorqueModel], trial: Trial) -> list[list[str]]:
+    from armlab.plots.frictions import own_parameters
+
+    columns = {
+        "viscous": ("viscous",),
+        "coulomb_pos": ("coulomb+", "coulomb"),
+        "coulomb_neg": ("coulomb-", "coulomb"),
+        "offset": ("offset",),
+        "stribeck": ("stribeck",),
+    }
+    rows = [["joint", "viscous [N m s/rad]", "Coulomb + [N m]", "Coulomb - [N m]", "offset [N m]", "Stribeck [N m]"]]
+    rows[0] += ["ripple [N m]", "presliding [rad]"]
+    for own, joint in zip(own_parameters(fit), numbers(fit, trial)["joints"], strict=True):
+        row = [str(joint["joint"])]
+        row += [f"{joint[name]:.3f}{_deviation(fit, own, kinds)}" for name, kinds in columns.items()]
+        rows.append([*row, f"{joint['ripple']:.3f}" if joint["ripple"] else "-", f"{joint['delta']:.1e}"])
+    return rows
+
+
+def _deviation(fit: Fit[TorqueModel], own: dict[str, int], kinds: tuple[str, ...]) -> str:
     """Return the deviation of one friction parameter with its sign; nothing when the fit does not have it."""
     place = next((own[kind] for kind in kinds if kind in own), None)
     return "" if place is None else f" ± {fit.sd[place]:.3f}"
