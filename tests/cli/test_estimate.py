@@ -104,7 +104,7 @@ def test_the_page_has_the_contact_and_its_figures(pushed: str, tmp_path) -> None
     assert "method map" in page
 
 
-@pytest.mark.parametrize("method", ["bounded", "interval", "ls", "lund"])
+@pytest.mark.parametrize("method", ["bounded", "interval", "observer", "kf", "ls", "lund"])
 def test_every_method_answers(pushed: str, tmp_path, capsys, method: str) -> None:
     words = ["estimate", "yumi_left", "push.mcap", "--model", pushed, "--method", method, "--json"]
     assert main([*words, "-o", str(tmp_path / "est.mcap")]) == 0
@@ -122,4 +122,7 @@ def test_prior_and_point_reach_the_estimator(pushed: str, capsys) -> None:
     assert main([*words, "--prior-force=-1"]) == 1
     assert "six positive" in capsys.readouterr().err
     assert main([*words, "--method", "kalman"]) == 2
+    assert main([*words, "--bias"]) == 1
+    assert "method='kf' only" in capsys.readouterr().err
+    assert main([*words, "--method", "kf", "--bias", "--force-rate", "smooth"]) == 0
     assert Prior(prior_force=5.0).deviations == [5.0] * 3 + [2.0] * 3

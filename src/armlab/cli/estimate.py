@@ -10,6 +10,8 @@ import numpy as np
 from cyclopts import Parameter
 
 if TYPE_CHECKING:
+    from armlab.cli.page import Verdict
+    from armlab.contact import Contact
     from armlab.log import Table
 
 __all__ = ["Prior", "estimate"]
@@ -43,7 +45,9 @@ def estimate(
     log: Path,
     *,
     model: Path,
-    method: Literal["map", "bounded", "clip", "interval", "ls", "lund"] = "map",
+    method: Literal["map", "bounded", "interval", "observer", "kf", "clip", "ls", "lund"] = "map",
+    force_rate: Literal["smooth", "normal", "fast"] | None = None,
+    bias: bool = False,
     output: Annotated[Path | None, Parameter(alias="-o")] = None,
     report: Path | None = None,
     figure: Path | None = None,
@@ -67,7 +71,11 @@ def estimate(
         Model file of `armlab identify`.
     method : str
         map: most probable force, for motion. bounded: no contact unless proven, for an arm that also rests. interval:
-        bounded, with limits that hold. ls, lund, clip: to compare.
+        bounded, with limits that hold. kf, observer: momentum, which needs no acceleration. ls, lund, clip: to compare.
+    force_rate : str
+        Of the method kf: how fast the force may change.
+    bias : bool
+        Of the method kf: friction that is unknown after a rest is a state of its own.
     output : Path
         Also write the estimate of every row, ends in .mcap or .csv.
     report : Path
@@ -84,7 +92,7 @@ def estimate(
     from armlab import log as logs
     from armlab import models, robots
     from armlab.cli import estimate_report as reporting
-    from armlab.cli.output import FIGURES, aligned, check_output, note, print_json, progress, result
+    from armlab.cli.output import FIGURES, check_output, note, progress
     from armlab.contact import Estimator, contacts
     from armlab.identify import with_velocity
 
@@ -93,7 +101,8 @@ def estimate(
             check_output(path, force, endings)
     arm = robots.load(robot)
     known = models.load(model)
-    estimator = Estimator(known, arm, method, prior.deviations, prior.point)
+    options = {"force_rate": force_rate, "bias": bias}
+    estimator = Estimator(known, arm, method, prior.deviations, prior.point, **options)
     with progress("estimate") as tell:
         tell(0, 1, "reading the log")
         read = logs.read(log)
@@ -103,16 +112,7 @@ def estimate(
     _check(table, log)
     found = contacts(table)
     verdict = reporting.judge(table, known, estimator.prior, found)
-    if json:
-        said: dict[str, Any] = {"rows": len(table), "method": method, "contacts": [vars(contact) for contact in found]}
-        print_json({**said, "axes": reporting.axes(table), "verdict": vars(verdict)})
-    else:
-        result(aligned(reporting.rows(table), right=(1, 2, 3, 4, 5)))
-        for contact in found:
-            f = "  ".join(f"{value:+.2f}" for value in contact.force)
-            span = f"{contact.start:7.2f} to {contact.end:7.2f} s"
-            result(f"contact {span}   force [N]  {f}   2-sigma {contact.band:.2f}")
-        result(verdict.text())
+    _say(table, method, found, verdict, json)
     if output is not None:
         note(f"writing {output}")
         logs.write(table.select(*(name for name in COLUMNS if name in table)), output, arm)
@@ -127,6 +127,23 @@ def estimate(
             reporting.write(report, table, verdict, found, about, tell)
         note(f"report: {report}")
     return 0
+
+
+def _say(table: Table, method: str, found: list[Contact], verdict: Verdict, json: bool) -> None:
+    """Print the table per axis, the contacts and the verdict, or all of it as JSON."""
+    from armlab.cli.estimate_report import axes, rows
+    from armlab.cli.output import aligned, print_json, result
+
+    if json:
+        said: dict[str, Any] = {"rows": len(table), "method": method, "contacts": [vars(contact) for contact in found]}
+        print_json({**said, "axes": axes(table), "verdict": vars(verdict)})
+        return
+    result(aligned(rows(table), right=(1, 2, 3, 4, 5)))
+    for contact in found:
+        f = "  ".join(f"{value:+.2f}" for value in contact.force)
+        span = f"{contact.start:7.2f} to {contact.end:7.2f} s"
+        result(f"contact {span}   force [N]  {f}   2-sigma {contact.band:.2f}")
+    result(verdict.text())
 
 
 def _check(table: Table, log: Path) -> None:
