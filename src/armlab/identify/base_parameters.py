@@ -4,13 +4,16 @@ The regressor of an arm, ``Y pi`` with 10 parameters per link and one rotor iner
 pivoted QR in a fixed physical order (Gautier 1991) keeps the first independent columns and expresses the others by
 them:
 
-    Y pi = Y[:, kept] B pi,      B = [I, K] in the order of the columns
+    Y pi = Y[:, kept] B pi + D pi,      B = [I, K] in the order of the columns
 
-so ``B pi`` are the base parameters, and ``lift @ base`` is the smallest pi with the same torque.
+so ``B pi`` are the base parameters, and ``lift @ base`` is the smallest pi with the same torque. D pi is the constant
+torque of each joint that no motion tells from the offset of its sensor: the weight of what a vertical slide carries,
+and nothing for arms that turn.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +23,7 @@ from armlab.robots import Robot
 __all__ = ["BaseParameters", "base_parameters"]
 
 LINK_SYMBOLS = ("m", "m c_x", "m c_y", "m c_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
+POSITIVE = (0, 4, 6, 9)  # masses and moments of inertia
 TOLERANCE = 1e-8
 SEED = 20170101
 
@@ -33,7 +37,10 @@ class BaseParameters:
     names : of the p base parameters, with the combination they stand for.
     units : kg, kg m or kg m^2 each.
     kept : (p,) columns of the regressor [links (10 n), rotors (n)] that carry them.
-    B : (p, 11 n) base = B @ pi. lift : (11 n, p) the smallest pi for given base parameters.
+    B : (p, 11 n) base = B @ pi. lift : (11 n, p) the smallest pi for given base parameters, with D pi = 0.
+    D : (n, 11 n) constant torque of each joint that counts as its offset.
+    offset_names : (n,) of the offsets, with the masses that count there.
+    seen : (n, p) which base parameters act on which joint. quasi_static : of gravity alone.
     """
 
     names: tuple[str, ...]
@@ -41,6 +48,10 @@ class BaseParameters:
     kept: np.ndarray
     B: np.ndarray
     lift: np.ndarray
+    D: np.ndarray
+    offset_names: tuple[str, ...]
+    seen: np.ndarray
+    quasi_static: bool
 
     def links_and_rotors(self, base: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return link parameters (n, 10) and rotor inertias (n,) that evaluate the base parameters (p,) exactly."""
@@ -48,37 +59,74 @@ class BaseParameters:
         n = len(pi) // 11
         return pi[: 10 * n].reshape(n, 10), pi[10 * n :]
 
+    @property
+    def lower(self) -> np.ndarray:
+        """Lower bounds (p,): 0 for sums of masses, moments of inertia and rotors, -inf for the others."""
+        n = self.B.shape[1] // 11
+        positive = np.array([c >= 10 * n or c % 10 in POSITIVE for c in range(11 * n)])
+        sums = np.all((self.B == 0) | ((self.B > 0) & positive), axis=1)
+        return np.where(sums, 0.0, -np.inf)
 
-def base_parameters(robot: Robot) -> BaseParameters:
+
+def base_parameters(robot: Robot, *, quasi_static: bool = False, joints: Sequence[int] | None = None) -> BaseParameters:
     """Return the base parameters of `robot`, rotor inertias included.
 
     The regressor is evaluated at 50 n random states (fixed seed); columns are scaled to norm 1. A column counts as
-    independent when its part outside the span of the columns before it exceeds 1e-8. First moments and inertias come
-    first, from base to tip, then rotors, then masses: so a name reads ``m c_x2 + 0.2465 m3``, as in the literature.
+    independent when its part outside the span of the columns before it exceeds 1e-8. Offsets come first, then first
+    moments and inertias from base to tip, rotors, and masses last: so a name reads ``m c_x2 + 0.2465 m3``, as in the
+    literature.
 
     Parameters
     ----------
     robot : frozen description; its gravity counts.
+    quasi_static : of gravity alone, as slow motion shows it: masses and first moments.
+    joints : whose torque is measured; all when left out.
 
     References
     ----------
     Gautier, M. (1991), Numerical calculation of the base inertial parameters of robots.
     """
     n = robot.n
+    measured = list(range(n)) if joints is None else list(joints)
+    A = _random_regressor(robot, quasi_static)
+    norms = np.abs(A[:, :, : 11 * n]).max()
+    A = A[:, measured]
+    order = [11 * n + joint for joint in measured]
+    order += [10 * link + j for link in range(n) for j in range(1, 10)]
+    order += [10 * n + joint for joint in range(n)] + [10 * link for link in range(n)]
+    kept, B = _independent(A.reshape(-1, 12 * n), np.array(order))
+    own = kept < 11 * n
+    D = np.zeros((n, 11 * n))
+    D[kept[~own] - 11 * n] = B[~own, : 11 * n]
+    B, kept = B[own, : 11 * n], kept[own]
+    names = _column_names(robot)
+    offsets = [f"offset {joint}" for joint in robot.joint_names]
+    seen = np.zeros((n, len(kept)), dtype=bool)
+    seen[measured] = np.abs(A[:, :, kept]).max(axis=0) > TOLERANCE * norms
+    held = D[np.any(D != 0, axis=1)]
+    return BaseParameters(
+        names=tuple(_combination(B[row], names, names[leader], leader) for row, leader in enumerate(kept)),
+        units=tuple(_unit(column, n) for column in kept),
+        kept=kept,
+        B=B,
+        lift=np.linalg.pinv(np.vstack([B, held]))[:, : len(kept)],
+        D=D,
+        offset_names=tuple(_combination(D[i], names, offsets[i]) for i in range(n)),
+        seen=seen,
+        quasi_static=quasi_static,
+    )
+
+
+def _random_regressor(robot: Robot, quasi_static: bool) -> np.ndarray:
+    """Return the columns (50 n, n, 12 n) of links, rotors and offsets at random states."""
+    n = robot.n
     rng = np.random.default_rng(SEED)
     q = rng.uniform(-np.pi, np.pi, (50 * n, n))
-    qd, qdd = rng.uniform(-2, 2, (2, 50 * n, n))
-    Y = robot.chain.rigid_regressor(q, qd, qdd, robot.gravity)
-    rotor = np.zeros((50 * n, n, n))
-    rotor[:, range(n), range(n)] = qdd
-    A = np.concatenate([Y, rotor], axis=2).reshape(-1, 11 * n)
-    order = [10 * link + j for link in range(n) for j in range(1, 10)]
-    order += [10 * n + joint for joint in range(n)] + [10 * link for link in range(n)]
-    kept, B = _independent(A, np.array(order))
-    names = _column_names(robot)
-    texts = tuple(_combination(B[row], kept[row], names) for row in range(len(kept)))
-    units = tuple(("kg", *["kg m"] * 3, *["kg m^2"] * 6)[c % 10] if c < 10 * n else "kg m^2" for c in kept)
-    return BaseParameters(texts, units, kept, B, np.linalg.pinv(B))
+    qd, qdd = rng.uniform(-2, 2, (2, 50 * n, n)) * (0.0 if quasi_static else 1.0)
+    own = np.zeros((2, 50 * n, n, n))
+    own[0][:, range(n), range(n)] = qdd
+    own[1][:, range(n), range(n)] = 1.0
+    return np.concatenate([robot.chain.rigid_regressor(q, qd, qdd, robot.gravity), *own], axis=2)
 
 
 def _independent(A: np.ndarray, order: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -108,8 +156,12 @@ def _column_names(robot: Robot) -> list[str]:
     return links + [f"rotor{joint + 1}" for joint in range(robot.n)]
 
 
-def _combination(row: np.ndarray, leader: int, names: list[str]) -> str:
-    """Write a base parameter as its leading symbol and what moves with it, coefficients rounded to six digits."""
-    others = [c for c in np.flatnonzero(row) if c != leader]
+def _unit(column: int, n: int) -> str:
+    return ("kg", *["kg m"] * 3, *["kg m^2"] * 6)[column % 10] if column < 10 * n else "kg m^2"
+
+
+def _combination(row: np.ndarray, names: list[str], leader: str, own: int = -1) -> str:
+    """Write a parameter as its leading symbol and what moves with it, coefficients rounded to six digits."""
+    others = [c for c in np.flatnonzero(row) if c != own]
     terms = [f"{'-' if row[c] < 0 else '+'} {abs(row[c]):.6g} {names[c]}" for c in others]
-    return " ".join([names[leader], *terms]).replace(" 1 ", " ")
+    return " ".join([leader, *terms]).replace(" 1 ", " ")

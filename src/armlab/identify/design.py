@@ -1,178 +1,318 @@
-"""The linear regression behind `fit_dynamics`: filtered, thinned regressor columns and the choice of friction shape.
+"""The linear regression behind `fit_dynamics`: filtered, thinned columns of each joint, made in blocks.
 
-Base-parameter columns are shared by all joints; each joint has its own: viscous, Coulomb for both directions, offset,
-Stribeck, and, where the gears are known, cosine and sine of the ripple line at twice the gear ratio (strain-wave gears
-press twice per input turn). A robot file that is silent about the gears has ratio 1: such a line would be a harmonic of
-gravity and is left out.
+Base-parameter columns are shared by all joints; each joint has its own: viscous, Coulomb, offset, Stribeck and root
+where they win (`armlab.identify.shapes`), and, where the gears are known, cosine and sine of the ripple line at twice
+the gear ratio (strain-wave gears press twice per input turn). A robot file that is silent about the gears has ratio 1:
+such a line would be a harmonic of gravity and is left out.
+
+A motor that moves several joints, as in wrists, brings three shared columns: its angle is ``theta = c q``, and its
+inertia, viscous and Coulomb friction act on all of them, ``tau = c^T f(theta)``.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from armlab.estimation import Rows
 from armlab.identify.base_parameters import BaseParameters
 from armlab.identify.preparation import Prepared
+from armlab.identify.shapes import COLUMNS, Shapes, choose, mixing, term_names
+from armlab.identify.thinning import Thinning
 from armlab.kernels import presliding
+from armlab.models import Friction, Ripple
 from armlab.robots import Robot
 
-__all__ = ["DELTAS", "STRIBECK_SPEEDS", "Design"]
+__all__ = ["Design"]
 
-DELTAS = np.geomspace(1e-4, 1e-2, 7)  # rad
-STRIBECK_SPEEDS = np.array([0.02, 0.05, 0.1, 0.3])  # rad/s
-LOCAL = (("viscous", "N m s/rad"), ("coulomb+", "N m"), ("coulomb-", "N m"), ("offset", "N m"), ("stribeck", "N m"))
-RIPPLE = (("ripple cos", "N m"), ("ripple sin", "N m"))
-REFINEMENTS = (1.5, 1.25, 1.12, 1.06)  # factors tried both ways after the grid
+CUTOFF = 25.0  # Hz, the most; a tenth of the rate where that is less
 BLOCK = 1.0  # s, alternating blocks for the choice of shape
 MIN_CYCLES = 20.0  # rad/rad; a slower ripple line is a harmonic of gravity
+AT_ONCE = 8192  # rows handed to the solver
+BOUNDED = ("viscous", "coulomb", "coulomb+", "coulomb-", "rotor")  # not negative
+SMOOTH = 0.02  # rad/s, of the sign of coupled motors
+COUPLED = ("rotor", "viscous", "coulomb")  # of a motor that moves several joints
 
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """Filtered and thinned regression problem.
+    """Filtered and thinned regression problem of J joints.
 
     Attributes
     ----------
-    data : the record. rows : (M,) rows of it that are kept. cutoff : of the zero-phase filter [Hz].
-    tau : (M, n) filtered torque. rigid : (M, n, p) filtered base-parameter columns.
-    fixed : (M, n, 4) filtered columns of each joint that have no shape: viscous, offset, ripple cosine and sine; the
-        first two alone where the gears are not known.
-    delta, speed : (n,) shape of friction. cycles : (n,) ripple line [rad/rad].
-    names, units : of the p + k n parameters, k = 7 of each joint, 5 where the gears are not known.
+    data : the record. thinning : its filter, with the (M,) rows that are kept.
+    robot, base : the arm and its base parameters. joints : (J,) those whose torque counts.
+    motors : (K, n) angles theta = c q of motors that move several joints. owners : (K,) the joint each belongs to.
+    tau : (M, J) filtered torque. rigid : of each joint (M, w), columns of the base parameters that it sees.
+    fixed : (M, J, 2 or 4) columns without shape: viscous, offset, and ripple where the gears are known.
+    inertial : (M, K, 2) filtered acceleration and velocity of the coupled motors.
+    cycles : (J,) ripple line [rad/rad].
+    shapes : of friction. local : of each joint (M, k) columns of its own, then of the motors that move it.
     """
 
     data: Prepared
-    rows: np.ndarray
-    cutoff: float
+    thinning: Thinning
+    robot: Robot
+    base: BaseParameters
+    joints: np.ndarray
+    motors: np.ndarray
+    owners: np.ndarray
     tau: np.ndarray
-    rigid: np.ndarray
+    rigid: tuple[np.ndarray, ...]
     fixed: np.ndarray
-    delta: np.ndarray
-    speed: np.ndarray
+    inertial: np.ndarray
     cycles: np.ndarray
-    names: tuple[str, ...]
-    units: tuple[str, ...]
+    shapes: Shapes
+    local: tuple[np.ndarray, ...] = ()
 
     @classmethod
-    def build(cls, data: Prepared, robot: Robot, base: BaseParameters) -> Design:
-        """Filter and thin all columns that have no shape; friction starts with delta 1e-3 rad and speed 0.1 rad/s.
+    def build(
+        cls,
+        data: Prepared,
+        robot: Robot,
+        base: BaseParameters,
+        *,
+        cutoff: float | None = None,
+        every: int | None = None,
+        joints: Sequence[int] | None = None,
+    ) -> Design:
+        """Filter and thin all columns; friction starts with presliding over 1e-3 rad.
 
         Parameters
         ----------
         data : the record.
         robot : kinematics, gravity and gears.
-        base : base parameters of the robot.
+        base : base parameters of the robot, for the same joints.
+        cutoff : of the zero-phase filter [Hz]; a tenth of the rate, at most 25 Hz, when left out; infinite for none.
+        every : rows from one kept row to the next; 2.5 kept rows per period of the cut-off when left out.
+        joints : whose torque counts; all when left out.
         """
-        n = robot.n
-        cutoff = data.rate / 10.0
-        every = max(1, int(data.rate / (2.5 * cutoff)))
-        rows = np.concatenate([np.arange(a, b, every) for a, b in data.segments])
+        corner = min(data.rate / 10.0, CUTOFF) if cutoff is None else cutoff
+        step = max(1, int(data.rate / (2.5 * corner))) if every is None else every
+        thinning = Thinning.of(data, corner, step)
+        measured = np.arange(robot.n) if joints is None else np.asarray(joints)
         qdd = data.differentiate(data.qd)
-        Y = np.zeros((len(data.t), n, 11 * n))
-        Y[:, :, : 10 * n] = robot.chain.rigid_regressor(data.q, data.qd, qdd, robot.gravity)
-        Y[:, range(n), range(10 * n, 11 * n)] = qdd
-        cycles = 2.0 * np.abs(np.diag(np.linalg.inv(robot.coupling)))
-        angle = cycles * data.q
-        fixed = [data.qd, np.ones_like(data.qd), np.cos(angle), np.sin(angle)]
-        columns = (*LOCAL, *RIPPLE)
-        if np.any(cycles < MIN_CYCLES):
-            fixed, columns = fixed[:2], LOCAL
-        joints = [(f"{name} {joint}", unit) for joint in robot.joint_names for name, unit in columns]
-        return cls(
+        ratios = np.linalg.inv(robot.coupling)
+        cycles = 2.0 * np.abs(np.diag(ratios))[measured]
+        turning = ratios / np.diag(ratios)[:, None]
+        owners = np.flatnonzero(np.count_nonzero(turning, axis=1) > 1)
+        motors = turning[owners]
+        fixed = [data.qd[:, measured], np.ones((len(data.t), len(measured)))]
+        if not np.any(cycles < MIN_CYCLES):
+            fixed += [np.cos(cycles * data.q[:, measured]), np.sin(cycles * data.q[:, measured])]
+        columns = np.concatenate([data.tau[:, measured], *fixed, qdd @ motors.T, data.qd @ motors.T], axis=1)
+        thin = thinning.run(lambda a, b: columns[a:b], columns.shape[1])
+        J, K = len(measured), len(motors)
+        parts = np.split(thin, [J, J * (len(fixed) + 1)], axis=1)
+        design = cls(
             data=data,
-            rows=rows,
-            cutoff=cutoff,
-            tau=data.filter(data.tau, cutoff)[rows],
-            rigid=data.filter(Y[:, :, base.kept], cutoff)[rows],
-            fixed=data.filter(np.stack(fixed, axis=2), cutoff)[rows],
-            delta=np.full(n, 1e-3),
-            speed=np.full(n, 0.1),
+            thinning=thinning,
+            robot=robot,
+            base=base,
+            joints=measured,
+            motors=motors,
+            owners=owners,
+            tau=parts[0],
+            rigid=_rigid(data, qdd, robot, base, measured, thinning),
+            fixed=np.moveaxis(parts[1].reshape(len(thin), len(fixed), J), 1, 2),
+            inertial=np.moveaxis(parts[2].reshape(len(thin), 2, K), 1, 2),
             cycles=cycles,
-            names=(*base.names, *(name for name, _ in joints)),
-            units=(*base.units, *(unit for _, unit in joints)),
+            shapes=Shapes.start(J),
         )
+        return design.with_shapes(design.shapes)
 
     @property
-    def t(self) -> np.ndarray:
-        """Time of the kept rows (M,) [s]."""
-        return self.data.t[self.rows]
+    def rows(self) -> np.ndarray:
+        """Rows of the record that are kept (M,)."""
+        return self.thinning.rows
 
     @property
     def geared(self) -> bool:
         """True when the ripple columns are among the columns of each joint."""
         return self.fixed.shape[2] == 4
 
-    def local(self) -> np.ndarray:
-        """Return the columns of each joint (M, n, k) in the order of `names`."""
-        shaped = self._shaped(self.delta, self.speed)
-        viscous, offset, *ripple = np.moveaxis(self.fixed, 2, 0)
-        return np.stack([viscous, shaped[0], shaped[1], offset, shaped[2], *ripple], axis=2)
+    @property
+    def terms(self) -> list[tuple[str, ...]]:
+        """Names of the columns of each joint's own."""
+        return [term_names(terms, self.geared) for terms in self.shapes.terms]
 
-    def matrix(self) -> np.ndarray:
-        """Return the whole regressor (M, n, p + k n)."""
-        M, n, p = self.rigid.shape
-        local = self.local()
-        k = local.shape[2]
-        A = np.zeros((M, n, p + k * n))
-        A[:, :, :p] = self.rigid
-        for i in range(n):
-            A[:, i, p + k * i : p + k * (i + 1)] = local[:, i]
-        return A
+    @property
+    def columns(self) -> list[np.ndarray]:
+        """Which parameters the columns of each joint belong to: base, own, coupled motors."""
+        counts = [len(terms) for terms in self.terms]
+        first = len(self.base.names) + np.concatenate([[0], np.cumsum(counts)])
+        out = []
+        for i, joint in enumerate(self.joints):
+            moved = np.flatnonzero(self.motors[:, joint])
+            coupled = first[-1] + (3 * moved[:, None] + np.arange(3)).ravel()
+            out.append(np.concatenate([np.flatnonzero(self.base.seen[joint]), np.arange(*first[i : i + 2]), coupled]))
+        return out
 
-    def solve(self, weights: np.ndarray) -> np.ndarray:
-        """Return the least-squares parameters (p + k n,) with a weight per joint (n,), of columns scaled to norm 1."""
-        A = (self.matrix() * weights[None, :, None]).reshape(-1, len(self.names))
-        scale = np.linalg.norm(A, axis=0)
-        scale[scale == 0] = 1.0
-        solution = np.linalg.lstsq(A / scale, (self.tau * weights).ravel(), rcond=None)[0]
-        return solution / scale
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all parameters: base, own of each joint, coupled motors."""
+        own = []
+        for i, terms in zip(self.joints, self.terms):
+            plain = {"offset": self.base.offset_names[i]}
+            own += [plain.get(term, f"{term} {self.robot.joint_names[i]}") for term in terms]
+        motors = [f"{term} of motor {self.robot.joint_names[i]}" for i in self.owners for term in COUPLED]
+        return (*self.base.names, *own, *motors)
 
-    def residuals(self, theta: np.ndarray) -> np.ndarray:
-        """Return measured minus modelled filtered torque (M, n) [N m]."""
-        return self.tau - self.matrix() @ theta
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units of all parameters."""
+        own = []
+        for i, terms in zip(self.joints, self.terms):
+            force, length = ("N", "m") if self.robot.prismatic[i] else ("N m", "rad")
+            special = {"viscous": f"{force} s/{length}", "root": f"{force} sqrt(s/{length})"}
+            own += [special.get(term, force) for term in terms]
+        return (*self.base.units, *own, *("kg m^2", "N m s/rad", "N m") * len(self.motors))
 
-    def choose_shapes(self, theta: np.ndarray) -> Design:
-        """Choose presliding distance and Stribeck speed of each joint on held-out alternating blocks.
+    @property
+    def lower(self) -> np.ndarray:
+        """Lower bounds of all parameters: 0 for inertia, viscous and Coulomb friction, else -inf."""
+        own = [term for terms in self.terms for term in terms] + list(COUPLED) * len(self.motors)
+        return np.concatenate([self.base.lower, [0.0 if term in BOUNDED else -np.inf for term in own]])
+
+    def with_shapes(self, shapes: Shapes) -> Design:
+        """Return it with the columns of other shapes of friction."""
+        shaped = self.shaped(shapes.delta, shapes.smooth, shapes.speed[None])
+        coupled = self._coupled(shapes)
+        local = []
+        for i, joint in enumerate(self.joints):
+            own = [self.fixed[:, i, :1], shaped[:, i, :2], self.fixed[:, i, 1:2], shaped[:, i, [3, 2]]]
+            own = np.concatenate([*own, self.fixed[:, i, 2:]], axis=1)
+            moved = np.flatnonzero(self.motors[:, joint])
+            theirs = self.motors[moved, joint][:, None] * coupled[:, moved]
+            local.append(np.hstack([own @ mixing(shapes.terms[i], own.shape[1]), theirs.reshape(len(own), -1)]))
+        return replace(self, shapes=shapes, local=tuple(local))
+
+    def stream(self, block: np.ndarray, trust: np.ndarray | None = None) -> Iterable[Rows]:
+        """Return the rows of the problem, made again whenever they are read.
 
         Parameters
         ----------
-        theta : (p + k n,) parameters whose rigid part is held.
+        block : (M,) number of the block of time of each kept row.
+        trust : (M, J) weights to multiply the rows by; 1 when left out.
         """
-        p = self.rigid.shape[2]
-        target = self.tau - self.rigid @ theta[:p]
+        return _Stream(self, block, trust)
+
+    def model(self, theta: np.ndarray) -> np.ndarray:
+        """Return the filtered torque (M, J) [N m] of parameters theta (p,)."""
+        parts = zip(self.rigid, self.local, self.columns)
+        return np.stack([np.hstack([A, L]) @ theta[c] for A, L, c in parts], axis=1)
+
+    def residuals(self, theta: np.ndarray) -> np.ndarray:
+        """Return measured minus modelled filtered torque (M, J) [N m]."""
+        return self.tau - self.model(theta)
+
+    def drives(self, theta: np.ndarray) -> tuple[Friction, Ripple]:
+        """Return friction and ripple of all joints of parameters theta (p,); zero for joints that do not count."""
+        values = np.zeros((len(COLUMNS), self.robot.n))
+        for i, columns in enumerate(self.columns):
+            first = self.rigid[i].shape[1]
+            own = theta[columns[first : first + len(self.terms[i])]]
+            values[: self._width, self.joints[i]] = mixing(self.shapes.terms[i], self._width) @ own
+        shapes = np.tile([[1e-3], [0.0], [0.1], [2.0]], self.robot.n)
+        shapes[:, self.joints] = self.shapes.delta, self.shapes.smooth, self.shapes.speed, self.cycles
+        viscous, positive, negative, offset, stribeck, root, cosine, sine = values
+        delta, smooth, speed, cycles = shapes
+        state = speed, delta, self.data.resolution
+        friction = Friction(viscous, positive, negative, offset, stribeck, *state, root, smooth)
+        return friction, Ripple(cycles, cosine, sine)
+
+    @property
+    def _width(self) -> int:
+        return len(COLUMNS) if self.geared else len(COLUMNS) - 2
+
+    def choose_shapes(self, theta: np.ndarray, trust: np.ndarray | None = None) -> Design:
+        """Choose the shape of friction of each joint on held-out alternating blocks of 1 s.
+
+        Parameters
+        ----------
+        theta : (p,) parameters, of which all but those of the joints' own friction are held.
+        trust : (M, J) weights of the rows; 0 leaves one out.
+        """
+        own = [len(terms) for terms in self.terms]
+        target = self.tau.copy()
+        for i, (A, L, c) in enumerate(zip(self.rigid, self.local, self.columns)):
+            w = A.shape[1]
+            target[:, i] -= A @ theta[c[:w]] + L[:, own[i] :] @ theta[c[w + own[i] :]]
         odd = self.data.blocks(BLOCK)[self.rows] % 2 == 1
-        n = self.tau.shape[1]
-        best, delta, speed = np.full(n, np.inf), self.delta.copy(), self.speed.copy()
+        weights = np.ones_like(target) if trust is None else np.asarray(trust, dtype=float)
+        return self.with_shapes(choose(self.shaped, self.fixed, target, odd, weights))
 
-        def attempt(trial_delta: np.ndarray, trial_speed: np.ndarray) -> None:
-            trial = replace(self, delta=trial_delta, speed=trial_speed).local()
-            score = np.array([_held_out(trial[:, i], target[:, i], odd) for i in range(n)])
-            better = score < best
-            best[better], delta[better], speed[better] = score[better], trial_delta[better], trial_speed[better]
+    def shaped(self, delta: np.ndarray, smooth: np.ndarray, speeds: np.ndarray) -> np.ndarray:
+        """Return the filtered columns (M, J, 3 + S) that depend on the shape: s+, s-, root, Stribeck of each speed.
 
-        for candidate in DELTAS:
-            for width in STRIBECK_SPEEDS:
-                attempt(np.full(n, candidate), np.full(n, width))
-        for step in REFINEMENTS:
-            for factor in (step, 1.0 / step):
-                attempt(delta * factor, speed.copy())
-                attempt(delta.copy(), speed * factor)
-        return replace(self, delta=delta, speed=speed)
+        Parameters
+        ----------
+        delta, smooth : (J,) shape of the sign. speeds : (S, J) of Stribeck's term.
+        """
+        sign, J = self._sign(self.data.q[:, self.joints], self.data.qd[:, self.joints], delta, smooth), len(self.joints)
 
-    def _shaped(self, delta: np.ndarray, speed: np.ndarray) -> np.ndarray:
-        """Return filtered, thinned columns (3, M, n) that depend on the shape: Coulomb +, Coulomb -, Stribeck."""
-        data = self.data
-        z = np.concatenate([presliding(data.q[a:b], delta, data.resolution) for a, b in data.segments])
-        bump = z * np.exp(-((data.qd / speed) ** 2))
-        columns = np.stack([np.maximum(z, 0.0), np.minimum(z, 0.0), bump], axis=2)
-        return np.moveaxis(data.filter(columns, self.cutoff)[self.rows], 2, 0)
+        def columns(a: int, b: int) -> np.ndarray:
+            s, qd = sign[a:b], self.data.qd[a:b, self.joints]
+            bumps = [s * np.exp(-((qd / speed) ** 2)) for speed in speeds]
+            return np.concatenate([np.maximum(s, 0.0), np.minimum(s, 0.0), s * np.sqrt(np.abs(qd)), *bumps], axis=1)
+
+        count = 3 + len(speeds)
+        return np.moveaxis(self.thinning.run(columns, J * count).reshape(-1, count, J), 1, 2)
+
+    def _sign(self, q: np.ndarray, qd: np.ndarray, delta: np.ndarray, smooth: np.ndarray) -> np.ndarray:
+        """Return s (N, k) along the record: presliding state, or smooth sign."""
+        resolution = self.data.resolution[self.joints] if len(delta) == len(self.joints) else np.zeros(len(delta))
+        z = np.concatenate([presliding(np.ascontiguousarray(q[a:b]), delta, resolution) for a, b in self.data.segments])
+        soft = smooth > 0
+        z[:, soft] = np.tanh(qd[:, soft] / smooth[soft])
+        return z
+
+    def _coupled(self, shapes: Shapes) -> np.ndarray:
+        """Return filtered acceleration, velocity and sign (M, K, 3) of the coupled motors."""
+        sign = np.tanh(self.data.qd @ self.motors.T / SMOOTH)
+        s = self.thinning.run(lambda a, b: sign[a:b], len(self.motors))
+        return np.concatenate([self.inertial, s[:, :, None]], axis=2)
 
 
-def _held_out(A: np.ndarray, y: np.ndarray, odd: np.ndarray) -> float:
-    """Return the squared error on blocks that the parameters were not fitted to, both ways."""
-    total = 0.0
-    for train in (odd, ~odd):
-        solution = np.linalg.lstsq(A[train], y[train], rcond=None)[0]
-        total += float(np.sum((y[~train] - A[~train] @ solution) ** 2))
-    return total
+@dataclass(frozen=True, eq=False)
+class _Stream:
+    """Rows of a design; reading it again makes them again."""
+
+    design: Design
+    block: np.ndarray
+    trust: np.ndarray | None
+
+    def __iter__(self) -> Iterator[Rows]:
+        d = self.design
+        for i, columns in enumerate(d.columns):
+            for a in range(0, len(self.block), AT_ONCE):
+                part = slice(a, a + AT_ONCE)
+                A, y = np.hstack([d.rigid[i][part], d.local[i][part]]), d.tau[part, i]
+                if self.trust is not None:
+                    A, y = A * self.trust[part, i, None], y * self.trust[part, i]
+                yield Rows(A, y, self.block[part], i, columns)
+
+
+def _rigid(
+    data: Prepared, qdd: np.ndarray, robot: Robot, base: BaseParameters, joints: np.ndarray, thinning: Thinning
+) -> tuple[np.ndarray, ...]:
+    """Return the filtered columns of the base parameters that each joint sees."""
+    n = robot.n
+    seen = [base.kept[base.seen[i]] for i in joints]
+    edges = np.cumsum([0, *(len(kept) for kept in seen)])
+    flat = np.concatenate([np.where(kept < 10 * n, 10 * n * i + kept, 0) for i, kept in zip(joints, seen)])
+    rotors = [(edges[i] + k, column - 10 * n) for i, kept in enumerate(seen) for k, column in enumerate(kept)]
+    rotors = [(position, joint) for position, joint in rotors if joint >= 0]
+
+    def columns(a: int, b: int) -> np.ndarray:
+        motion = (data.qd[a:b], qdd[a:b]) if not base.quasi_static else (np.zeros((b - a, n)),) * 2
+        Y = robot.chain.rigid_regressor(data.q[a:b], *motion, robot.gravity)
+        X = Y.reshape(b - a, -1)[:, flat]
+        for position, joint in rotors:
+            X[:, position] = qdd[a:b, joint]
+        return X
+
+    thin = thinning.run(columns, int(edges[-1]))
+    return tuple(thin[:, edges[i] : edges[i + 1]] for i in range(len(joints)))

@@ -1,10 +1,11 @@
-"""Rigid-body base parameters, friction and ripple of all joints from a log, by weighted least squares with covariance.
+"""Rigid-body base parameters, friction and ripple of all joints from a log, by robust least squares with covariance.
 
-    tau_i = Y_i(q, qd, qdd) base + F_f,i(qd_i, z_i) + ripple_i(q_i) + e_i
+    tau_i = Y_i(q, qd, qdd) base + F_f,i(qd_i, s_i) + ripple_i(q_i) + e_i
 
 1. The same zero-phase filter runs over torque and every regressor column; then every few samples are kept.
-2. Per joint, presliding distance and Stribeck speed are chosen on held-out blocks, with the rigid part held.
-3. All linear parameters by least squares, joints weighted by 1 / their residual deviation, three rounds.
+2. Per joint, kind and width of the sign, Stribeck speed and the terms of friction are chosen on held-out blocks, with
+   the rigid part held.
+3. All linear parameters by least squares, joints weighted by 1 / their residual deviation, within physical bounds.
 4. Covariance by drawing blocks again: residuals are coloured, and the formal covariance is far too small.
 5. Models fitted without a fifth of the blocks give held-out residuals through the estimator's own causal filter; to
    them the torque covariance over velocity is fitted and its scale calibrated to 95.4 % inside 2 sigma.
@@ -14,39 +15,123 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from armlab.errors import NotExcited
-from armlab.estimation import (
-    BlockSums,
-    Fit,
-    Question,
-    Rows,
-    block_bootstrap,
-    block_seconds,
-    factorise,
-    solve,
-)
+from armlab.errors import NotExcited, UnknownName
+from armlab.estimation import BlockSums, Fit, LinearSolution, Prior, block_bootstrap, block_seconds, least_squares
 from armlab.identify.base_parameters import BaseParameters, base_parameters
 from armlab.identify.design import Design
 from armlab.identify.extrapolation import training
 from armlab.identify.preparation import Prepared, prepare
 from armlab.identify.validation import assess, report
 from armlab.log import Table
-from armlab.models import Friction, FrictionBound, Quality, Ripple, TorqueModel, velocity_covariance
+from armlab.models import FrictionBound, Quality, TorqueModel, velocity_covariance
 from armlab.robots import Robot
 
-__all__ = ["fit_dynamics"]
+__all__ = ["fit_dynamics", "fit_model", "settle"]
 
-ROUNDS = 3
+ROUNDS = 4
 CUTOFF = 10.0  # Hz, corner of the estimator's causal filter
+TRIMMED = 0.25  # s, blocks of which the method "lts" leaves some out
+SPIKE, WINDOW = 6.0, 9  # robust deviations from the median of so many samples
+NORMAL_MAD = 0.6744897501960817  # median of |x| for x ~ N(0, 1)
+MOST_BLOCKS = 1000.0  # of them: a triangle is kept for each
+HUBER = 1.345
+UNKNOWN = 1e3  # deviation of what a prior does not know
+METHODS = ("irls", "lts", "wls", "ols")
+ROBUST = ("irls", "lts")
 
 Progress = Callable[[int, int, str], None]
 
 
+@dataclass(frozen=True, eq=False)
+class Job:
+    """How to fit.
+
+    Attributes
+    ----------
+    what : is fitted, for messages. method : of `estimation.least_squares`. seed : of random starts and bootstrap.
+    tell : called with (done, total, what). prior : an earlier fit.
+    """
+
+    what: str
+    method: str
+    seed: int
+    tell: Progress
+    prior: Fit[TorqueModel] | None = None
+
+    def solve(self, design: Design, block: np.ndarray) -> LinearSolution:
+        """Solve for the linear parameters; `block` (M,) is the block of time of each kept row."""
+        names = [re.split(r" [+-] ", name)[0] for name in design.names]  # a whole combination fills a line
+        rows, prior = design.stream(block), self._prior(design)
+        limits = {"lower": design.lower, "prior": prior, "seed": self.seed}
+        return least_squares(rows, names, what=self.what, method=self.method, **limits)
+
+    def _prior(self, design: Design) -> Prior | None:
+        if self.prior is None:
+            return None
+        known = dict(zip(self.prior.names, zip(self.prior.parameters, self.prior.sd)))
+        values = [known.get(name, (0.0, UNKNOWN)) for name in design.names]
+        return Prior(np.array([v for v, _ in values]), np.array([max(sd, 1e-12) for _, sd in values]))
+
+
+def settle(design: Design, method: str, seed: int = 0, use: np.ndarray | None = None) -> tuple[Design, np.ndarray]:
+    """Alternate between the linear parameters and the shape of friction until the shape stays; return both.
+
+    Directions that the log does not tell are no fault here: the last fit judges.
+
+    Parameters
+    ----------
+    design : with any shapes. method : of `fit_dynamics`. seed : of "lts".
+    use : (M,) kept rows to fit to; all when left out.
+    """
+    use = np.ones(len(design.rows), dtype=bool) if use is None else use
+    trust = np.repeat(use[:, None].astype(float), len(design.joints), axis=1)
+    block = design.data.blocks(_short(design.data))[design.rows]
+    theta = _loose(design, block, trust, method)
+    for _ in range(ROUNDS):
+        if method in ROBUST:
+            trust = _trust(design, theta, block, method, seed) * use[:, None]
+        shaped = design.choose_shapes(theta, trust)
+        settled = shaped.shapes.same(design.shapes)
+        design, theta = shaped, _loose(shaped, block, trust, method)
+        if settled:
+            break
+    return design, theta
+
+
+def _short(data: Prepared) -> float:
+    """Return the length of the blocks that "lts" leaves out [s]."""
+    return max(TRIMMED, data.seconds / MOST_BLOCKS)
+
+
+def _loose(design: Design, block: np.ndarray, trust: np.ndarray, method: str) -> np.ndarray:
+    """Return the parameters (p,) of weighted rows, the smallest where the log does not tell them."""
+    rows = design.stream(np.zeros_like(block), trust)
+    plain = "ols" if method == "ols" else "wls"
+    return least_squares(rows, design.names, method=plain, lower=design.lower, max_condition=np.inf).x
+
+
+def _trust(design: Design, theta: np.ndarray, block: np.ndarray, method: str, seed: int) -> np.ndarray:
+    """Return factors (M, J) of the rows that keep outliers from the choice of shape."""
+    if method == "lts":
+        found = least_squares(design.stream(block), design.names, method="lts", seed=seed, max_condition=np.inf)
+        return np.repeat(found.kept[block][:, None].astype(float), len(design.joints), axis=1)
+    e = np.abs(design.residuals(theta))
+    limit = HUBER / NORMAL_MAD * np.median(e, axis=0)
+    return np.sqrt(np.divide(limit, e, out=np.ones_like(e), where=e > limit))
+
+
 def fit_dynamics(
-    table: Table | Sequence[Table], robot: Robot, seed: int = 0, progress: Progress | None = None
+    table: Table | Sequence[Table],
+    robot: Robot,
+    *,
+    method: str = "irls",
+    seed: int = 0,
+    progress: Progress | None = None,
+    prior: Fit[TorqueModel] | None = None,
 ) -> Fit[TorqueModel]:
     """Identify the torque model of an arm from one or several logs of free motion.
 
@@ -54,102 +139,118 @@ def fit_dynamics(
     ----------
     table : logs with columns q, qd, tau (N, n) over the robot's clock, without contact.
     robot : the arm that was logged.
-    seed : of the block bootstrap.
+    method : "irls": joints weighted by 1 / their deviation, rows by Huber's loss, single spikes of torque replaced.
+        "lts": the same with weights of 1 for the blocks of a quarter of a second that agree, 0 for the others. "wls",
+        "ols": every sample as it is; with weights per joint, or without.
+    seed : of the block bootstrap and of the random starts of "lts".
     progress : called with (done, total, what).
+    prior : an earlier fit of the same robot; where the log does not tell a direction of the parameters, its values
+        stay, and the report lists the direction. Without it such a log is refused.
 
     Returns
     -------
-    Fit of `models.TorqueModel`; its parameters are the base parameters, then viscous, coulomb_pos, coulomb_neg, offset
-    and stribeck of each joint, with two ripple amplitudes where the robot's gears are known.
+    Fit of `models.TorqueModel`; its parameters are the base parameters, then of each joint viscous and Coulomb friction
+    (one number, or one for each direction), offset, and stribeck, root and two ripple amplitudes where the joint has
+    them. No inertia of a rotor, viscous or Coulomb friction is negative.
 
     Raises
     ------
     ShapeError : NaN rows, wrong joint count, velocity that is not the derivative of position.
-    NotExcited : joints or directions that the log does not determine, by name.
+    NotExcited : joints or directions that the log does not determine, by name. UnknownName : another method.
 
     References
     ----------
-    Gautier (1991) for base parameters, Dahl (1968) for presliding, Kunsch (1989) for the block bootstrap.
+    Gautier (1991) for base parameters, Huber (1964), Rousseeuw (1984), Dahl (1968) for presliding, Kunsch (1989) for
+    the block bootstrap.
     """
-    tell = progress or (lambda done, total, what: None)
-    tell(0, 5, "checking the log")
+    job = Job("torque model", method, seed, progress or (lambda done, total, what: None), prior)
+    return fit_model(table, robot, base_parameters(robot), job)
+
+
+def fit_model(table: Table | Sequence[Table], robot: Robot, base: BaseParameters, job: Job) -> Fit[TorqueModel]:
+    """Fit base parameters, friction and offset; see `fit_dynamics` and `fit_gravity`.
+
+    Parameters
+    ----------
+    table, robot : as there. base : which base parameters. job : how to fit.
+    """
+    if job.method not in METHODS:
+        raise UnknownName.among("method of identification", job.method, METHODS)
+    job.tell(0, 5, "checking the log")
     data = prepare(table, robot)
-    base = base_parameters(robot)
-    tell(1, 5, "building the regressor")
+    if job.method in ROBUST:
+        data = replace(data, tau=_without_spikes(data))
+    job.tell(1, 5, "building the regressor")
     design = Design.build(data, robot, base)
-    design, theta, weights = _alternate(design, tell)
-    tell(3, 5, "covariance from blocks")
-    block = _blocks(design, theta, data)
-    factors = factorise(Rows.of(design.matrix(), design.tau, block[design.rows]), len(design.names))
-    solution = solve(Question.of(_leaders(design), "torque model"), factors, weights)
-    theta, sums = solution.x, BlockSums.of(solution)
-    cov = block_bootstrap(sums, seed=seed).cov
-    tell(4, 5, "held-out residuals")
-    model = _model(design, theta, cov, data, robot, base)
-    model = assess(model, _fold_models(model, design, sums, block, data, robot, base), data)
-    tell(5, 5, "done")
+    job.tell(2, 5, "choosing the shape of friction")
+    design, theta = settle(design, job.method, job.seed)
+    job.tell(3, 5, "covariance from blocks")
+    block, length = _blocks(design, theta, job.method)
+    solution = job.solve(design, block[design.rows])
+    sums = BlockSums.of(solution)
+    cov = block_bootstrap(sums, seed=job.seed, length=length).cov
+    job.tell(4, 5, "held-out residuals")
+    model = _model(design, solution.x, cov)
+    model = assess(model, _fold_models(model, design, sums, block, length), data)
+    job.tell(5, 5, "done")
     return Fit(
         value=model,
         names=design.names,
         units=design.units,
-        parameters=theta,
+        parameters=solution.x,
         cov=cov,
-        sigma=1.0 / weights,
-        residuals=design.residuals(theta),
+        sigma=solution.sigma,
+        residuals=design.residuals(solution.x),
         n=len(data.t),
         excitation=solution.excitation,
-        summary=report,
+        summary=lambda fit: report(fit, solution),
     )
 
 
-def _alternate(design: Design, tell: Progress) -> tuple[Design, np.ndarray, np.ndarray]:
-    """Alternate between the linear parameters and the shape of friction until the shape stays."""
-    weights = 1.0 / np.std(design.tau, axis=0)
-    theta = design.solve(weights)
-    for _ in range(ROUNDS):
-        tell(2, 5, "choosing the shape of friction")
-        shaped = design.choose_shapes(theta)
-        before, after = np.stack([design.delta, design.speed]), np.stack([shaped.delta, shaped.speed])
-        settled = np.allclose(before, after, rtol=0.1)
-        design = shaped
-        for _ in range(ROUNDS):
-            theta = design.solve(weights)
-            weights = 1.0 / np.sqrt(np.mean(design.residuals(theta) ** 2, axis=0))
-        if settled:
-            break
-    return design, theta, weights
+def _without_spikes(data: Prepared) -> np.ndarray:
+    """Return the torque (N, n) with single samples far from their neighbours replaced by the median of these.
+
+    A filter would spread a spike over its neighbours, where no loss function finds it again.
+    """
+    from scipy.ndimage import median_filter
+
+    tau = np.empty_like(data.tau)
+    for a, b in data.segments:
+        x = data.tau[a:b]
+        middle = median_filter(x, size=(WINDOW, 1), mode="nearest")
+        away = np.abs(x - middle)
+        scale = np.median(away, axis=0) / NORMAL_MAD
+        tau[a:b] = np.where((away > SPIKE * scale) & (scale > 0), middle, x)
+    return tau
 
 
-def _blocks(design: Design, theta: np.ndarray, data: Prepared) -> np.ndarray:
-    """Return the block number (N,) of each sample: blocks longer than the residual remembers, without holes."""
-    residuals = design.residuals(theta)
-    step = float(np.median(np.diff(design.t)))
-    length = min(block_seconds(residuals, step), data.seconds / 20.0)
-    block = data.blocks(length)
-    if block[-1] < 7:
+def _blocks(design: Design, theta: np.ndarray, method: str) -> tuple[np.ndarray, int]:
+    """Return the block number (N,) of each sample and how many blocks make a stretch that stands for itself.
+
+    Stretches are longer than the residual remembers; of blocks that may be left out there are several in a stretch.
+    """
+    data = design.data
+    step = float(np.median(np.diff(data.t[design.rows])))
+    seconds = min(block_seconds(design.residuals(theta), step), data.seconds / 20.0)
+    block = data.blocks(_short(data) if method == "lts" else seconds)
+    count = int(block[-1]) + 1
+    length = max(1, round(seconds * count / data.seconds))
+    if count < 8 * length:
         raise NotExcited(
-            f"Expected at least 8 blocks of {length:.2g} s for a covariance, got {block[-1] + 1}. Record for longer.",
+            f"Expected at least 8 blocks of {seconds:.2g} s for a covariance, got {count // length}. "
+            "Record for longer.",
             ["covariance"],
             [f"{data.seconds:.1f} s"],
         )
-    return block
+    return block, length
 
 
-def _leaders(design: Design) -> list[str]:
-    """Return the leading symbol of each parameter: a whole combination fills a line."""
-    return [re.split(r" [+-] ", name)[0] for name in design.names]
-
-
-def _model(
-    design: Design, theta: np.ndarray, cov: np.ndarray, data: Prepared, robot: Robot, base: BaseParameters
-) -> TorqueModel:
+def _model(design: Design, theta: np.ndarray, cov: np.ndarray) -> TorqueModel:
     """Turn linear parameters and friction shapes into a model; covariance and quality are provisional."""
+    data, robot, base = design.data, design.robot, design.base
     n, p = robot.n, len(base.names)
     links, rotor = base.links_and_rotors(theta[:p])
-    local = theta[p:].reshape(n, -1)
-    viscous, positive, negative, offset, stribeck = local[:, :5].T
-    cosine, sine = local[:, 5:].T if design.geared else np.zeros((2, n))
-    friction = Friction(viscous, positive, negative, offset, stribeck, design.speed, design.delta, data.resolution)
+    friction, ripple = design.drives(theta)
     tiny = np.full(n, 1e-18)
     return TorqueModel(
         robot_name=robot.name,
@@ -160,7 +261,7 @@ def _model(
         link_parameters=links,
         rotor=rotor,
         friction=friction,
-        ripple=Ripple(design.cycles, cosine, sine),
+        ripple=ripple,
         covariance=velocity_covariance("const", tiny, tiny),
         bound=FrictionBound.of(friction),
         cutoff=CUTOFF,
@@ -185,18 +286,12 @@ def _quality(data: Prepared) -> Quality:
 
 
 def _fold_models(
-    model: TorqueModel,
-    design: Design,
-    sums: BlockSums,
-    block: np.ndarray,
-    data: Prepared,
-    robot: Robot,
-    base: BaseParameters,
+    model: TorqueModel, design: Design, sums: BlockSums, block: np.ndarray, length: int
 ) -> list[tuple[TorqueModel, np.ndarray]]:
-    """Return, for each fifth of the blocks, the model fitted without them and a mask (N,) of their samples."""
+    """Return, for each fifth of the stretches, the model fitted without them and a mask (N,) of their samples."""
     folds = []
     for k in range(5):
-        kept = np.arange(len(sums.rows)) % 5 != k
+        kept = np.arange(len(sums.rows)) // length % 5 != k
         theta = sums.solve(kept.astype(float))
-        folds.append((_model(design, theta, model.base_cov, data, robot, base), ~kept[block]))
+        folds.append((replace(_model(design, theta, sums.solution.cov), base_cov=model.base_cov), ~kept[block]))
     return folds

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from armlab.estimation import Fit
+from armlab.estimation import Fit, LinearSolution
 from armlab.identify.covariance import fit_velocity_covariance
 from armlab.identify.extrapolation import extrapolation
 from armlab.identify.momentum import momentum_noise
@@ -19,11 +19,14 @@ __all__ = ["assess", "held_out", "predict", "report"]
 
 SETTLED = 0.01  # variance of the presliding state below which friction is known from motion
 ALPHA2_BOUNDS = (0.25, 25.0)
+HALF = 1.0  # s, stretches of the two halves on which the coverage is judged
 FAST = 0.1  # rad/s: above it the bound on friction holds the model's error in motion
 
 
 def held_out(folds: list[tuple[TorqueModel, np.ndarray]], data: Prepared) -> tuple[np.ndarray, np.ndarray]:
-    """Return causal residuals (N, n) of models that did not see the row, and a mask (N,) of rows in motion.
+    """Return causal residuals (N, n) of models that did not see the row, and a mask (N, n) of joints in motion.
+
+    A joint is in motion when it has slid far enough since its last reversal or rest that its friction is known.
 
     Parameters
     ----------
@@ -31,12 +34,12 @@ def held_out(folds: list[tuple[TorqueModel, np.ndarray]], data: Prepared) -> tup
     data : the record.
     """
     residuals = np.full(data.q.shape, np.nan)
-    moving = np.zeros(len(data.t), dtype=bool)
+    moving = np.zeros(data.q.shape, dtype=bool)
     for model, rows in folds:
         torque, variance = _causal(model, data)
         residuals[rows] = torque[rows]
-        moving[rows] = (variance[rows] < SETTLED * model.friction.static**2).all(axis=1)
-    return residuals, moving & np.isfinite(residuals).all(axis=1)
+        moving[rows] = variance[rows] <= SETTLED * model.friction.static**2
+    return residuals, moving & np.isfinite(residuals)
 
 
 def _causal(model: TorqueModel, data: Prepared) -> tuple[np.ndarray, np.ndarray]:
@@ -53,8 +56,9 @@ def _causal(model: TorqueModel, data: Prepared) -> tuple[np.ndarray, np.ndarray]
 def assess(model: TorqueModel, folds: list[tuple[TorqueModel, np.ndarray]], data: Prepared) -> TorqueModel:
     """Return the model with its torque covariance and quality figures.
 
-    Both residuals of the quality, of the fit and held out, pass the estimator's causal filter and count rows in motion:
-    so they may be compared.
+    Both residuals of the quality, of the fit and held out, pass the estimator's causal filter and count each joint
+    while it moves: so they may be compared. The coverage is honest: covariance and scale are fitted to one half of the
+    stretches of time and judged on the other, both ways; the model gets those of all.
 
     Parameters
     ----------
@@ -62,27 +66,44 @@ def assess(model: TorqueModel, folds: list[tuple[TorqueModel, np.ndarray]], data
     data : the record.
     """
     errors, moving = held_out(folds, data)
-    e, qd = errors[moving], data.qd[moving]
-    covariance = fit_velocity_covariance(e, qd, "exp").value
-    ratio = e**2 / covariance.variance(qd)
-    alpha2 = float(np.clip(np.quantile(ratio, 0.954) / 4.0, *ALPHA2_BOUNDS))
-    scaled = VelocityCovariance("exp", covariance.C0, covariance.Cinf, covariance.shape, alpha2)
+    covariance = _covariance(errors, data.qd, moving)
+    odd = (data.blocks(HALF) % 2 == 1)[:, None]
+    inside = np.zeros(model.n)
+    for half in (moving & odd, moving & ~odd):
+        other = _covariance(errors, data.qd, moving & ~half)
+        inside += np.sum(half & (errors**2 < 4.0 * other.variance(data.qd)), axis=0)
+    count = moving.sum(axis=0)
     quality = replace(
         model.quality,
-        rms=np.sqrt(np.mean(_causal(model, data)[0][moving] ** 2, axis=0)),
-        rms_cv=np.sqrt(np.mean(e**2, axis=0)),
-        coverage=np.mean(ratio < 4.0 * alpha2, axis=0),
+        rms=np.sqrt(np.sum(_causal(model, data)[0] ** 2, axis=0, where=moving) / count),
+        rms_cv=np.sqrt(np.sum(errors**2, axis=0, where=moving) / count),
+        coverage=inside / count,
     )
-    judged = replace(model, covariance=scaled, bound=_bound(model, scaled, e, qd), quality=quality)
-    return replace(judged, momentum=momentum_noise(judged, folds, np.where(moving[:, None], errors, np.nan), data))
+    bound = _bound(model, covariance, errors, data.qd, moving)
+    judged = replace(model, covariance=covariance, bound=bound, quality=quality)
+    return replace(judged, momentum=momentum_noise(judged, folds, np.where(moving, errors, np.nan), data))
 
 
-def _bound(model: TorqueModel, covariance: VelocityCovariance, e: np.ndarray, qd: np.ndarray) -> FrictionBound:
+def _covariance(errors: np.ndarray, qd: np.ndarray, moving: np.ndarray) -> VelocityCovariance:
+    """Return the covariance over velocity of each joint from its rows in motion, scaled so that 2 sigma hold 95.4 %."""
+    parts = [
+        fit_velocity_covariance(errors[rows, i : i + 1], qd[rows, i : i + 1], "exp").value
+        for i, rows in enumerate(moving.T)
+    ]
+    C0, Cinf, shape = (np.concatenate([getattr(part, name) for part in parts]) for name in ("C0", "Cinf", "shape"))
+    plain = VelocityCovariance("exp", C0, Cinf, shape)
+    ratio = (errors**2 / plain.variance(qd))[moving]
+    return replace(plain, alpha2=float(np.clip(np.quantile(ratio, 0.954) / 4.0, *ALPHA2_BOUNDS)))
+
+
+def _bound(
+    model: TorqueModel, covariance: VelocityCovariance, e: np.ndarray, qd: np.ndarray, moving: np.ndarray
+) -> FrictionBound:
     """Return the bound on friction near rest; its floor is what 99 % of the errors in motion have beyond 2 sigma."""
-    moving = np.where(np.abs(qd) > FAST, np.abs(e), np.nan)
+    fast = np.where(moving & (np.abs(qd) > FAST), np.abs(e), np.nan)
     sigma = np.sqrt(covariance.alpha2 * covariance.Cinf)
-    known = np.isfinite(moving).any(axis=0)
-    largest = np.where(known, np.nanquantile(np.where(known, moving, 0.0), 0.99, axis=0), 0.0)
+    known = np.isfinite(fast).any(axis=0)
+    largest = np.where(known, np.nanquantile(np.where(known, fast, 0.0), 0.99, axis=0), 0.0)
     return FrictionBound.of(model.friction, np.maximum(largest - 2.0 * sigma, 0.0))
 
 
@@ -111,38 +132,58 @@ def predict(model: TorqueModel, table: Table) -> Table:
     )
 
 
-def report(fit: Fit[TorqueModel]) -> str:
-    """Return a table per joint: torque, residuals in % of the torque's deviation, friction with deviations."""
-    model, q, f = fit.value, fit.value.quality, fit.value.friction
-    sd = fit.sd[len(model.base_names) :].reshape(model.n, -1)
-    header = (
-        "joint",
-        "torque sd",
-        "rms",
-        "fit",
-        "held-out",
-        "viscous",
-        "coulomb +",
-        "coulomb -",
-        "delta",
-        "in 2 sigma",
-    )
-    units = ("", "N m", "N m", "% of sd", "% of sd", "N m s/rad", "N m", "N m", "rad", "%")
-    rows = [
-        (
-            f"{i + 1}",
-            f"{q.torque_sd[i]:.3f}",
-            f"{q.rms[i]:.3f}",
-            f"{100 * q.rms[i] / q.torque_sd[i]:.2f}",
-            f"{100 * q.rms_cv[i] / q.torque_sd[i]:.2f}",
-            f"{f.viscous[i]:.3f} +- {sd[i, 0]:.3f}",
-            f"{f.coulomb_pos[i]:.3f} +- {sd[i, 1]:.3f}",
-            f"{f.coulomb_neg[i]:.3f} +- {sd[i, 2]:.3f}",
-            f"{f.delta[i]:.1e}",
-            f"{100 * q.coverage[i]:.1f}",
+def report(fit: Fit[TorqueModel], solution: LinearSolution | None = None) -> str:
+    """Return a table per joint: torque, residuals in % of the torque's deviation, friction with deviations.
+
+    Parameters
+    ----------
+    fit : of a torque model.
+    solution : behind the fit: bounds that hold a parameter are listed, with what they cost.
+    """
+    model, q = fit.value, fit.value.quality
+    header = ("joint", "torque sd", "rms", "fit", "held-out", "viscous", "coulomb +", "coulomb -", "sign", "in 2 sigma")
+    units = ("", "", "", "% of sd", "% of sd", "", "", "", "", "%")
+    rows, deviations = [], _deviations(fit)
+    for i, own in enumerate(deviations):
+        both = own.get("coulomb", 0.0)
+        rows.append(
+            (
+                f"{i + 1}",
+                f"{q.torque_sd[i]:.3f}",
+                f"{q.rms[i]:.3f}",
+                f"{100 * q.rms[i] / q.torque_sd[i]:.2f}",
+                f"{100 * q.rms_cv[i] / q.torque_sd[i]:.2f}",
+                f"{model.friction.viscous[i]:.3f} +- {own.get('viscous', 0.0):.3f}",
+                f"{model.friction.coulomb_pos[i]:.3f} +- {own.get('coulomb+', both):.3f}",
+                f"{model.friction.coulomb_neg[i]:.3f} +- {own.get('coulomb-', both):.3f}",
+                _sign(model, i),
+                f"{100 * q.coverage[i]:.1f}",
+            )
         )
-        for i in range(model.n)
-    ]
     widths = [max(map(len, column)) for column in zip(header, units, *rows)]
     lines = ["  ".join(f"{cell:>{width}}" for cell, width in zip(row, widths)) for row in (header, units, *rows)]
+    lines += ["torque in N m, friction in N m and N m s/rad (joints that slide: N and m); sign: its distance or speed"]
+    if solution is not None and solution.active:
+        lines += [bound.text() for bound in solution.active]
+        lines += [f"bounds let the residual grow by {100 * solution.growth:.2g} %"]
     return "\n".join([*lines, f"{fit.n} samples, {q.seconds:.1f} s", fit.excitation.text()])
+
+
+def _deviations(fit: Fit[TorqueModel]) -> list[dict[str, float]]:
+    """Return the deviations of each joint's own parameters by their kind; those of a joint begin with viscous."""
+    joints: list[dict[str, float]] = []
+    first = len(fit.value.base_names)
+    for name, sd in zip(fit.names[first:], fit.sd[first:]):
+        kind = name.split()[0]
+        if kind == "viscous":
+            joints.append({})
+        joints[-1].setdefault(kind, float(sd))
+    return joints[: fit.value.n]
+
+
+def _sign(model: TorqueModel, i: int) -> str:
+    """Return the shape of a joint's friction in words."""
+    f = model.friction
+    words = f"tanh {f.smooth_speed[i]:.2g}" if f.smooth_speed[i] > 0 else f"presliding {f.delta[i]:.1e}"
+    words += f", stribeck {f.stribeck_speed[i]:.2g}" if f.stribeck[i] else ""
+    return words + (", root" if f.root[i] else "")

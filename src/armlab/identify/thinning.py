@@ -1,0 +1,136 @@
+"""Zero-phase low-pass and decimation of a long record in one pass, block by block.
+
+    y_m = sum_j h_j x_{m every + j},   |j| <= L
+
+with h the impulse response of a Butterworth filter run forward and backward, cut where it has decayed. Torque and every
+column of the regressor pass the same h, so linear relations survive it exactly. Only the rows that are kept are
+computed, as products with a narrow matrix, and never more than a few thousand rows of the regressor exist at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from armlab.identify.preparation import Prepared
+
+__all__ = ["Piece", "Thinning"]
+
+ORDER = 4
+DECAYED = 1e-6  # of the largest tap
+AT_ONCE = 4096  # rows of the record
+BAND = 32  # kept rows of one product
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Rows `start` to `stop` of a record give the kept rows `first` to `last`, continued by `before` and `after`."""
+
+    start: int
+    stop: int
+    before: int
+    after: int
+    first: int
+    last: int
+
+
+@dataclass(frozen=True, eq=False)
+class Thinning:
+    """A zero-phase filter that keeps every few rows of each segment.
+
+    Attributes
+    ----------
+    segments : (start, stop) of each piece of the record without a gap.
+    every : rows from one kept row to the next.
+    taps : (2 L + 1,) impulse response h; one tap, 1, filters nothing.
+    rows : (M,) rows that are kept.
+    """
+
+    segments: tuple[tuple[int, int], ...]
+    every: int
+    taps: np.ndarray
+    rows: np.ndarray
+
+    @classmethod
+    def of(cls, data: Prepared, cutoff: float, every: int) -> Thinning:
+        """Return the filter for a record.
+
+        Parameters
+        ----------
+        data : the record.
+        cutoff : corner of one pass [Hz]; infinite for none.
+        every : rows from one kept row to the next.
+        """
+        taps = np.ones(1) if np.isinf(cutoff) else _taps(cutoff / data.rate)
+        rows = np.concatenate([np.arange(a, b, every) for a, b in data.segments])
+        return cls(data.segments, every, taps, rows)
+
+    def run(self, columns: Callable[[int, int], np.ndarray], width: int) -> np.ndarray:
+        """Return the kept rows (M, width) of columns that are made on the fly.
+
+        Parameters
+        ----------
+        columns : (start, stop) -> rows (stop - start, width) of the record.
+        width : number of columns.
+        """
+        out = np.empty((len(self.rows), width))
+        for piece in self.pieces():
+            out[piece.first : piece.last] = self.thin(piece, columns(piece.start, piece.stop))
+        return out
+
+    def pieces(self) -> Iterator[Piece]:
+        """Yield what rows of the record are needed for what kept rows."""
+        reach, count = len(self.taps) // 2, max(BAND, AT_ONCE // self.every)
+        first = 0
+        for a, b in self.segments:
+            kept = -(-(b - a) // self.every)
+            for k in range(0, kept, count):
+                last = min(k + count, kept)
+                start, stop = a + self.every * k - reach, a + self.every * (last - 1) + reach + 1
+                inside = max(start, a), min(stop, b)
+                yield Piece(*inside, inside[0] - start, stop - inside[1], first + k, first + last)
+            first += kept
+
+    def thin(self, piece: Piece, x: np.ndarray) -> np.ndarray:
+        """Return the kept rows (last - first, C) of one piece; ends of a segment are continued by point reflection.
+
+        Parameters
+        ----------
+        piece : from `pieces`. x : (stop - start, C) its rows.
+        """
+        if piece.before or piece.after:
+            x = np.pad(x, ((piece.before, piece.after), (0, 0)), mode="reflect", reflect_type="odd")
+        if len(self.taps) == 1:
+            return x[:: self.every]
+        kept = piece.last - piece.first
+        out = np.empty((kept, x.shape[1]))
+        T = self._band(min(BAND, kept))
+        for k in range(0, kept, BAND):
+            m = min(BAND, kept - k)
+            width = self.every * (m - 1) + len(self.taps)
+            out[k : k + m] = T[:m, :width] @ x[self.every * k : self.every * k + width]
+        return out
+
+    def _band(self, count: int) -> np.ndarray:
+        """Return the matrix of `count` kept rows: the taps, moved by `every` from row to row."""
+        T = np.zeros((count, self.every * (count - 1) + len(self.taps)))
+        for k in range(count):
+            T[k, self.every * k : self.every * k + len(self.taps)] = self.taps
+        return T
+
+
+def _taps(corner: float) -> np.ndarray:
+    """Return the impulse response of the filter, forward and backward, at `corner` cycles per sample."""
+    from scipy.signal import butter, sosfilt
+
+    sections = np.asarray(butter(ORDER, 2.0 * corner, output="sos"))
+    impulse = np.zeros(int(np.ceil(12.0 / corner)))
+    impulse[0] = 1.0
+    response = np.asarray(sosfilt(sections, impulse))
+    size = 2 ** int(np.ceil(np.log2(2 * len(response))))
+    h = np.fft.irfft(np.abs(np.fft.rfft(response, size)) ** 2, size)[: len(response)]
+    reach = int(np.flatnonzero(np.abs(h) > DECAYED * h[0])[-1])
+    taps = np.concatenate([h[reach:0:-1], h[: reach + 1]])
+    return taps / taps.sum()

@@ -1,0 +1,104 @@
+"""Shapes of friction and their choice."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from armlab.identify.shapes import (
+    COLUMNS,
+    DELTAS,
+    SMOOTH_SPEEDS,
+    STRIBECK_SPEEDS,
+    TERMS,
+    Shapes,
+    choose,
+    mixing,
+    term_names,
+)
+from armlab.kernels import presliding
+
+
+def record(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """A joint that goes to and fro at many speeds: q and qd (N, 1), 100 Hz."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(6000) * 0.01
+    f, phase = rng.uniform(0.1, 0.8, 8), rng.uniform(0, 6, 8)
+    wave = 2 * np.pi * f * t[:, None] + phase
+    return (0.05 * np.sin(wave)).sum(axis=1)[:, None], (0.05 * 2 * np.pi * f * np.cos(wave)).sum(axis=1)[:, None]
+
+
+def columns(q: np.ndarray, qd: np.ndarray, delta, smooth, speeds) -> np.ndarray:
+    s = np.tanh(qd / smooth) if smooth[0] > 0 else presliding(q, delta, np.zeros(1))
+    bumps = [s * np.exp(-((qd / speed) ** 2)) for speed in speeds]
+    return np.stack([np.maximum(s, 0), np.minimum(s, 0), s * np.sqrt(np.abs(qd)), *bumps], axis=2)
+
+
+def chosen(torque, noise: float = 0.02) -> Shapes:
+    q, qd = record()
+    y = torque(q, qd) + noise * np.random.default_rng(1).standard_normal(q.shape)
+    odd = np.arange(len(q)) // 100 % 2 == 1
+    fixed = np.stack([qd, np.ones_like(qd)], axis=2)
+    return choose(lambda *shape: columns(q, qd, *shape), fixed, y, odd, np.ones_like(q))
+
+
+def test_presliding_friction_is_told_from_a_smooth_sign_and_refined() -> None:
+    delta = 1.3 * DELTAS[4]
+    found = chosen(lambda q, qd: presliding(q, np.array([delta]), np.zeros(1)) + 0.3 * qd)
+    assert found.smooth[0] == 0
+    assert found.delta[0] == pytest.approx(delta, rel=0.1)
+    assert not found.terms.any()
+
+
+def test_a_smooth_sign_with_root_and_asymmetry_is_found() -> None:
+    v = 0.7 * SMOOTH_SPEEDS[3]
+
+    def torque(q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+        s = np.tanh(qd / v)
+        return 1.3 * np.maximum(s, 0) + 0.7 * np.minimum(s, 0) + s * np.sqrt(np.abs(qd))
+
+    found = chosen(torque)
+    assert found.smooth[0] == pytest.approx(v, rel=0.15)
+    np.testing.assert_array_equal(found.terms[0], [True, False, True])
+
+
+def test_stribeck_is_found_with_its_speed() -> None:
+    speed = 1.2 * STRIBECK_SPEEDS[1]
+
+    def torque(q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+        z = presliding(q, np.array([1e-3]), np.zeros(1))
+        return z * (1.0 + 0.5 * np.exp(-((qd / speed) ** 2)))
+
+    found = chosen(torque)
+    assert found.terms[0, 1]
+    assert found.speed[0] == pytest.approx(speed, rel=0.15)
+
+
+def test_rows_without_trust_do_not_count() -> None:
+    q, qd = record()
+    y = presliding(q, np.array([1e-3]), np.zeros(1))
+    bad = np.arange(len(q)) % 20 == 0
+    y = np.where(bad[:, None], 50.0, y)
+    odd = np.arange(len(q)) // 100 % 2 == 1
+    fixed = np.stack([qd, np.ones_like(qd)], axis=2)
+    found = choose(lambda *shape: columns(q, qd, *shape), fixed, y, odd, 1.0 - bad[:, None])
+    assert found.delta[0] == pytest.approx(1e-3, rel=0.1)
+
+
+@pytest.mark.parametrize("terms", TERMS)
+def test_mixing_gives_the_columns_that_have_names(terms: np.ndarray) -> None:
+    width = len(COLUMNS)
+    names, T = term_names(terms, ripple=True), mixing(terms, width)
+    assert T.shape == (width, len(names)) == (width, 5 + terms.sum())
+    assert ("coulomb" in names) != terms[0]
+    assert ("stribeck" in names, "root" in names) == tuple(terms[1:])
+    np.testing.assert_array_equal(T.sum(axis=0) > 1, [name == "coulomb" for name in names])
+    assert term_names(terms, ripple=False) == names[:-2]
+
+
+def test_same_shapes_agree_to_ten_per_cent() -> None:
+    one = Shapes.start(3)
+    assert one.same(Shapes(one.delta * 1.05, one.smooth, one.speed, one.terms))
+    assert not one.same(Shapes(one.delta * 1.3, one.smooth, one.speed, one.terms))
+    assert not one.same(Shapes(one.delta, one.smooth + 0.02, one.speed, one.terms))
+    assert not one.same(Shapes(one.delta, one.smooth, one.speed, ~one.terms))
