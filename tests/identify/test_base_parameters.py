@@ -45,3 +45,50 @@ def test_names_say_what_moves_with_what() -> None:
     assert "m c_y1 + m c_z2" in names
     assert "rotor7" in names
     assert any(name.startswith("I_zz1") and name.endswith("rotor1") for name in names)
+
+
+def lift() -> robots.Robot:
+    """A vertical slide that carries a turning link."""
+    turned = np.eye(4)
+    turned[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
+    return robots.from_links("lift", [np.eye(4), turned, np.eye(4)], prismatic=[True, False])
+
+
+def test_weight_on_a_vertical_slide_counts_as_its_offset() -> None:
+    """Gravity of all that a lift carries is constant: only its inertia is a base parameter."""
+    robot = lift()
+    base = base_parameters(robot)
+    assert base.offset_names[0].startswith("offset")
+    assert "9.80665 m1 + 9.80665 m2" in base.offset_names[0]
+    assert base.offset_names[1] == f"offset {robot.joint_names[1]}"
+    assert not any(name.startswith("m1") for name in base.names)
+    rng = np.random.default_rng(2)
+    pi = rng.uniform(0.5, 1.0, 22)
+    links, rotor = base.links_and_rotors(base.B @ pi)
+    q, qd, qdd = rng.uniform(-1, 1, (3, 40, 2))
+    expected = robot.chain.rnea(q, qd, qdd, robot.gravity, pi[:20].reshape(2, 10)) + pi[20:] * qdd
+    found = robot.chain.rnea(q, qd, qdd, robot.gravity, links) + rotor * qdd
+    np.testing.assert_allclose(found + base.D @ pi, expected, atol=1e-10)
+
+
+def test_sums_of_masses_inertias_and_rotors_are_not_negative() -> None:
+    base = base_parameters(robots.load("yumi_left"))
+    bounded = [name for name, low in zip(base.names, base.lower) if low == 0]
+    assert "rotor7" in bounded
+    assert any("rotor1" in name for name in bounded)
+    assert not any(name.startswith("m c_") or " - " in name for name in bounded)
+
+
+def test_gravity_alone_has_masses_and_first_moments() -> None:
+    base = base_parameters(robots.load("yumi_left"), quasi_static=True)
+    assert base.quasi_static
+    assert len(base.names) == 14
+    assert set(base.units) <= {"kg", "kg m"}
+
+
+def test_joints_without_measured_torque_show_fewer_combinations() -> None:
+    robot = robots.load("yumi_left")
+    some = base_parameters(robot, joints=[4, 5, 6])
+    assert len(some.names) < 50
+    assert not some.seen[:4].any()
+    assert some.seen[4:].any(axis=1).all()

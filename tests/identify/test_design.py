@@ -44,3 +44,36 @@ def test_without_known_gears_there_is_no_ripple_line(truth, excited) -> None:
     geared = Design.build(data, robot, base)
     assert geared.geared
     np.testing.assert_allclose(geared.cycles, [200, 200, 200, 200, 200, 202, 200], rtol=1e-12)
+
+
+def test_a_motor_that_moves_two_joints_brings_shared_columns(truth, excited) -> None:
+    """Motor 7 turns with q6 + q7: its inertia and friction act on both rows, and come out."""
+    robot = truth.robot
+    gears = np.linalg.inv(robot.coupling)
+    gears[6, 5] = gears[6, 6]
+    robot = replace(robot, coupling=np.linalg.inv(gears))
+    data = prepare(excited, robot)
+    base = base_parameters(robot)
+    design = Design.build(data, robot, base)
+    assert design.names[-3:] == tuple(f"{term} of motor axis_6" for term in ("rotor", "viscous", "coulomb"))
+    np.testing.assert_array_equal(design.motors, [[0, 0, 0, 0, 0, 1, 1]])
+    theta = np.zeros(len(design.names))
+    theta[-3:] = 0.02, 0.3, 0.5
+    speed = data.qd[:, 5] + data.qd[:, 6]
+    torque = 0.02 * data.differentiate(speed) + 0.3 * speed + 0.5 * np.tanh(speed / 0.02)
+    expected = np.zeros_like(design.tau)
+    expected[:, 5:] = design.thinning.run(lambda a, b: torque[a:b, None], 1)
+    np.testing.assert_allclose(design.model(theta), expected, atol=1e-9)
+
+
+def test_joints_whose_torque_is_not_measured_are_left_out(truth, excited) -> None:
+    robot, measured = truth.robot, [1, 3, 4]
+    base = base_parameters(robot, joints=measured)
+    design = Design.build(prepare(excited, robot), robot, base, joints=measured, cutoff=np.inf, every=10)
+    assert design.tau.shape == (750, 3)
+    assert len(base.names) < 50
+    np.testing.assert_array_equal(design.tau, excited["tau"][::10][:, measured])
+    friction, ripple = design.drives(np.arange(1.0, len(design.names) + 1))
+    assert np.all(friction.viscous[measured] > 0)
+    assert not friction.viscous[[0, 2, 5, 6]].any()
+    assert not ripple.cosine[[0, 2, 5, 6]].any()

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from armlab import identify
-from armlab.errors import NotExcited
-from armlab.identify import fit_dynamics
+from armlab.errors import NotExcited, UnknownName
+from armlab.identify import base_parameters, fit_dynamics, prepare
+from armlab.identify.design import Design
+from armlab.identify.dynamics import Job, fit_model, settle
 from armlab.identify.validation import assess
 from armlab.log import Table
 
@@ -124,3 +126,23 @@ def test_a_small_sway_of_all_joints_is_refused_by_direction(truth) -> None:
     with pytest.raises(NotExcited, match="does not tell apart") as caught:
         fit_dynamics(table, robot)
     assert any("m c" in direction or "I_" in direction for direction in caught.value.directions)
+
+
+def test_settle_uses_the_rows_it_is_told_and_spares_outliers(truth, excited) -> None:
+    """Half of the blocks spoilt: used, they ruin the fit; left out, the other half gives it."""
+    robot = truth.robot
+    data = prepare(excited, robot)
+    half = data.blocks(1.0) % 2 == 1
+    spoilt = replace(data, tau=data.tau + np.where(half[:, None], 5.0, 0.0))
+    design = Design.build(spoilt, robot, base_parameters(robot))
+    use = ~half[design.rows]
+    found, theta = settle(design, "wls", use=use)
+    inner = use & np.roll(use, 8) & np.roll(use, -8)  # the filter carries the step over the edge of a block
+    error = found.residuals(theta)[inner]
+    assert np.all(np.std(error, axis=0) < 0.05 * np.std(data.tau, axis=0))
+
+
+def test_an_unknown_method_is_refused_before_the_log_is_read(truth) -> None:
+    job = Job("torque model", "median", 0, lambda done, total, what: None)
+    with pytest.raises(UnknownName, match="method of identification"):
+        fit_model([], truth.robot, base_parameters(truth.robot), job)

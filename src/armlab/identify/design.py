@@ -307,8 +307,8 @@ def _rigid(
     rotors = [(position, joint) for position, joint in rotors if joint >= 0]
 
     def columns(a: int, b: int) -> np.ndarray:
-        motion = (data.qd[a:b], qdd[a:b]) if not base.quasi_static else (np.zeros((b - a, n)),) * 2
-        Y = robot.chain.rigid_regressor(data.q[a:b], *motion, robot.gravity)
+        moves = 0.0 if base.quasi_static else 1.0
+        Y = robot.chain.rigid_regressor(data.q[a:b], moves * data.qd[a:b], moves * qdd[a:b], robot.gravity)
         X = Y.reshape(b - a, -1)[:, flat]
         for position, joint in rotors:
             X[:, position] = qdd[a:b, joint]

@@ -30,7 +30,7 @@ from armlab.log import Table
 from armlab.models import FrictionBound, Quality, TorqueModel, velocity_covariance
 from armlab.robots import Robot
 
-__all__ = ["fit_dynamics", "fit_model", "settle"]
+__all__ = ["Job", "fit_dynamics", "fit_model", "settle"]
 
 ROUNDS = 4
 CUTOFF = 10.0  # Hz, corner of the estimator's causal filter
