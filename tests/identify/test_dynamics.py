@@ -136,9 +136,9 @@ def test_settle_uses_the_rows_it_is_told_and_spares_outliers(truth, excited) -> 
     spoilt = replace(data, tau=data.tau + np.where(half[:, None], 5.0, 0.0))
     design = Design.build(spoilt, robot, base_parameters(robot))
     use = ~half[design.rows]
+    use = np.all([np.roll(use, k) for k in range(-16, 17)], axis=0)  # the filter carries steps over the edge of a block
     found, theta = settle(design, "wls", use=use)
-    inner = use & np.roll(use, 8) & np.roll(use, -8)  # the filter carries the step over the edge of a block
-    error = found.residuals(theta)[inner]
+    error = found.residuals(theta)[use]
     assert np.all(np.std(error, axis=0) < 0.05 * np.std(data.tau, axis=0))
 
 

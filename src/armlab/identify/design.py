@@ -240,8 +240,9 @@ class Design:
         for i, (A, L, c) in enumerate(zip(self.rigid, self.local, self.columns)):
             w = A.shape[1]
             target[:, i] -= A @ theta[c[:w]] + L[:, own[i] :] @ theta[c[w + own[i] :]]
-        odd = self.data.blocks(BLOCK)[self.rows] % 2 == 1
         weights = np.ones_like(target) if trust is None else np.asarray(trust, dtype=float)
+        used = np.cumsum(weights.any(axis=1))  # blocks of what is used: both halves have as much
+        odd = used // max(1, round(BLOCK * self.data.rate / self.thinning.every)) % 2 == 1
         return self.with_shapes(choose(self.shaped, self.fixed, target, odd, weights))
 
     def shaped(self, delta: np.ndarray, smooth: np.ndarray, speeds: np.ndarray) -> np.ndarray:
