@@ -83,6 +83,6 @@ def test_it_runs_on_the_simulated_controller_and_the_log_can_be_identified(tmp_p
     assert "excite: moving" in said
     assert "armlab identify yumi_left" in said
     table = log.read("excite.mcap")
-    assert np.ptp(table["session_t"]) == pytest.approx(22.0, abs=0.1)
+    assert 22.0 <= np.ptp(table["session_t"]) < 23.0
     assert np.isfinite(table["tau"]).all()
     assert main(["identify", "yumi_left", "excite.mcap", "-o", "model.toml"]) == 0

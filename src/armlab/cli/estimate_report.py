@@ -99,7 +99,7 @@ def _seen(table: Table) -> Verdict:
     hidden = [f"{AXES[i]} ({100 * weak[i]:.0f} % of the time)" for i in range(6) if weak[i] > OFTEN]
     if hidden:
         bad.append(f"Hardly seen, so that the prior speaks: {', '.join(hidden)}.")
-        still = (np.abs(table["qd"][known]) < SLOW).all(axis=1)
+        still = np.asarray((np.abs(table["qd"][known]) < SLOW).all(axis=1))
         hard = (observability[known] < WEAK).any(axis=1)
         if np.mean(still[hard]) > 0.5:
             ahead.append("Sway the joints a little (identify.dither): at rest static friction hides the force.")

@@ -123,7 +123,7 @@ def observability(table: Table, ax: Any = None) -> Figure:
         figure, axes = panels(2, 1, ax, width=10.0, height=1.8, sharex=True, sharey=True)
         for row, panel in enumerate(axes[:, 0]):
             part = values[:, 3 * row : 3 * row + 3]
-            shade(panel, table.t, (part < _WEAK).any(axis=1), label="weak")
+            shade(panel, table.t, np.any(part < _WEAK, axis=1), label="weak")
             for i in range(3):
                 line(panel, table.t, part[:, i], color=AXIS_COLORS[i], label=_AXES[3 * row + i][-1])
             panel.axhline(_WEAK, color=GREY, linestyle="--", linewidth=0.8)
