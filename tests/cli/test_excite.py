@@ -42,6 +42,11 @@ def test_the_motion_is_written_and_what_it_tells_is_printed(tmp_path, capsys) ->
         assert np.gradient(q, 0.004)[5:-5] == pytest.approx(qd[5:-5], abs=2e-3)
         assert np.gradient(qd, 0.004)[5:-5] == pytest.approx(qdd[5:-5], abs=0.1)
     assert figure.read_bytes().startswith(b"\x89PNG")
+    again = tmp_path / "again.csv"
+    assert main(["excite", "yumi_left", "--saved", str(path), "-o", str(again)]) == 0
+    assert capsys.readouterr().out == said.out
+    for name, values in columns(again).items():
+        assert values == pytest.approx(found[name], abs=1e-3 if "s^2" in name else 1e-6), name
 
 
 def test_json_has_a_deviation_per_parameter(tmp_path, capsys) -> None:
@@ -61,6 +66,7 @@ def test_json_has_a_deviation_per_parameter(tmp_path, capsys) -> None:
         (["-o", "motion.csv", "--speed", "2"], "speed share"),
         (["-o", "motion.csv", "--noise", "0"], "noise above 0"),
         (["--run", "yumi_left"], "Expected a link"),
+        (["--saved", "none.csv", "--run", "sim://yumi_left"], "none.csv"),
     ],
 )
 def test_refusals_are_one_sentence_and_leave_no_file(tmp_path, monkeypatch, capsys, words, sentence: str) -> None:

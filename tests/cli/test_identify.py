@@ -63,7 +63,7 @@ def test_it_prints_a_table_per_joint_and_a_verdict_and_saves_the_model(outcome: 
 def test_the_page_has_a_row_per_joint_the_verdict_and_all_figures(outcome: Outcome) -> None:
     page = (outcome.folder / "id.html").read_text(encoding="utf-8")
     assert "Torque model of yumi_left" in page
-    assert "run.mcap" in page
+    assert "From run.mcap, 30 s of motion, method irls." in page
     assert page.count("<tr>") == 16
     for title in (
         "Measured and modelled torque",
@@ -79,8 +79,11 @@ def test_the_page_has_a_row_per_joint_the_verdict_and_all_figures(outcome: Outco
 
 
 def test_json_has_the_numbers_and_the_verdict(reading, fitted, monkeypatch, tmp_path, capsys) -> None:
-    monkeypatch.setattr("armlab.identify.fit_dynamics", lambda *_, **__: fitted)
-    assert main(["identify", "yumi_left", "run.mcap", "-o", str(tmp_path / "model.toml"), "--json"]) == 0
+    asked: dict[str, object] = {}
+    monkeypatch.setattr("armlab.identify.fit_dynamics", lambda *_, **options: asked.update(options) or fitted)
+    words = ["identify", "yumi_left", "run.mcap", "-o", str(tmp_path / "model.toml"), "--json", "--method", "lts"]
+    assert main(words) == 0
+    assert asked["method"] == "lts"
     said = json.loads(capsys.readouterr().out)
     assert len(said["joints"]) == 7
     assert said["joints"][0]["share_held_out"] < 0.1

@@ -42,6 +42,7 @@ def excite(
     *,
     output: Annotated[Path | None, Parameter(alias="-o")] = None,
     motion: Motion = Motion(),
+    saved: Path | None = None,
     noise: float = 0.1,
     figure: Path | None = None,
     run: str | None = None,
@@ -63,6 +64,8 @@ def excite(
         Write the motion to this CSV file: t, q, qd, qdd at 250 Hz.
     motion : Motion
         What it shall be like.
+    saved : Path
+        Take the motion of this file, as -o writes it, instead of designing one.
     noise : float
         Standard deviation of the robot's torque signal [N m]; the printed deviations are in proportion to it.
     figure : Path
@@ -82,7 +85,7 @@ def excite(
     from armlab import robots
     from armlab.cli.output import FIGURES, aligned, check_output, note, print_json, progress, result
     from armlab.errors import ConfigError
-    from armlab.identify import excitation, expectation
+    from armlab.identify import Trajectory, expectation
 
     if output is None and run is None:
         raise ConfigError("Expected a file for the motion (-o motion.csv) or a link to run it on (--run), got neither.")
@@ -91,14 +94,12 @@ def excite(
             check_output(path, force, endings)
     arm = robots.load(robot)
     with progress("design") as tell:
-        tell(0, 2, "choosing among candidates")
-        trajectory = excitation(
-            arm, motion.seconds, motion.f0, motion.harmonics, motion.speed, motion.acceleration, seed=motion.seed
-        )
+        tell(0, 2, "choosing among candidates" if saved is None else f"reading {saved.name}")
+        trajectory = _design(arm, motion) if saved is None else Trajectory.from_table(logs.read(saved))
         tell(1, 2, "what it will tell")
         expected = expectation(trajectory, arm, noise)
     if json:
-        print_json({"robot": arm.name, **vars(motion), **_plain(expected)})
+        print_json({"robot": arm.name, **(vars(motion) if saved is None else {}), **_plain(expected)})
     else:
         result(aligned(expected.rows(), right=(2, 3, 4)))
         result(expected.excitation.text())
@@ -114,6 +115,14 @@ def excite(
     if run is not None:
         _run(arm, trajectory, run, log, approach)
     return 0
+
+
+def _design(robot: Robot, motion: Motion) -> Trajectory:
+    from armlab.identify import excitation
+
+    return excitation(
+        robot, motion.seconds, motion.f0, motion.harmonics, motion.speed, motion.acceleration, seed=motion.seed
+    )
 
 
 def _plain(expected: Expectation) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -14,6 +14,7 @@ def identify(
     robot: str,
     *logs: Path,
     output: Annotated[Path, Parameter(alias="-o")],
+    method: Literal["irls", "wls", "ols", "lts"] = "irls",
     report: Path | None = None,
     test: Path | None = None,
     figure: Path | None = None,
@@ -33,6 +34,9 @@ def identify(
         Recordings of free motion without contact, with positions, velocities and torques; armlab excite makes one.
     output : Path
         Model file to write, ends in .toml.
+    method : str
+        irls: outliers count less. lts: a quarter of the stretches of time, those that fit worst, is left out. wls, ols:
+        every sample as it is, with or without a weight per joint.
     report : Path
         Also write a page with tables and figures, ends in .html; everything is inside, it asks nobody for anything.
     test : Path
@@ -60,7 +64,7 @@ def identify(
     tables = [with_velocity(log.read(path)) for path in logs]
     unseen = None if test is None else with_velocity(log.read(test))
     with progress("identify") as tell:
-        fit = fit_dynamics(tables, arm, progress=tell)
+        fit = fit_dynamics(tables, arm, method=method, progress=tell)
     trial = judging.try_out(fit.value, arm, tables[0] if unseen is None else unseen, unseen is not None)
     verdict = judging.judge(fit, arm, tables, trial)
     if json:
@@ -75,7 +79,8 @@ def identify(
         plots.torque_fit(trial.predicted).savefig(figure, dpi=150)
         note(f"figure: {figure}")
     if report is not None:
-        about = f"Identified from {', '.join(path.name for path in logs)}: {fit.value.quality.seconds:.0f} s of motion."
+        seconds = fit.value.quality.seconds
+        about = f"From {', '.join(path.name for path in logs)}, {seconds:.0f} s of motion, method {method}."
         with progress("report") as tell:
             reporting.write(report, fit, verdict, trial, about, tell)
         note(f"report: {report}")
