@@ -9,6 +9,7 @@ from armlab.identify.extrapolation import Extrapolation, extrapolation
 from armlab.identify.friction import fit_friction
 from armlab.identify.friction_run import friction_run
 from armlab.identify.group_lasso import GroupLasso, group_lasso, select_groups
+from armlab.identify.payload import fit_payload
 from armlab.identify.preparation import Prepared, prepare, with_velocity
 from armlab.identify.rbf import rbf_centres, rbf_regressor
 from armlab.identify.ripple import ripple_lines, ripple_regressor
@@ -30,6 +31,7 @@ __all__ = [
     "extrapolation",
     "fit_dynamics",
     "fit_friction",
+    "fit_payload",
     "fit_velocity_covariance",
     "fit_warm_up",
     "friction_run",

@@ -4,6 +4,7 @@ from armlab.models.coupled import CoupledMotors
 from armlab.models.files import load, load_statistics, save
 from armlab.models.friction import Friction, FrictionBound, Ripple
 from armlab.models.momentum import FORCE_RATES, PRIOR, MomentumNoise
+from armlab.models.payload import Payload
 from armlab.models.rbf import FrictionMap, RadialBasis
 from armlab.models.registry import register
 from armlab.models.ripple import RippleLines, speed_basis
@@ -21,6 +22,7 @@ __all__ = [
     "FrictionBound",
     "FrictionMap",
     "MomentumNoise",
+    "Payload",
     "Quality",
     "RadialBasis",
     "Ripple",
@@ -44,3 +46,4 @@ register("friction_map", FrictionMap)
 register("warm_up", WarmUp)
 register("momentum_noise", MomentumNoise)
 register("coupled_motors", CoupledMotors)
+register("payload", Payload)

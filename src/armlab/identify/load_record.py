@@ -1,0 +1,127 @@
+"""What a load adds to the torques of a log, as a linear regression: filtered, thinned, and less a log without it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from armlab.errors import ShapeError
+from armlab.identify.base_parameters import base_parameters
+from armlab.identify.preparation import MIN_SECONDS, Prepared
+from armlab.identify.residuals import model_residuals
+from armlab.log import Table
+from armlab.models import TorqueModel
+from armlab.robots import Robot, inertia
+
+__all__ = ["LoadRecord"]
+
+CHUNK = 4096  # rows whose whole regressor is held at once
+EVERY = 4  # rows apart that are kept; the filter's corner is at a tenth of the rate
+APART = 0.02  # rad or m, RMS; records further apart are not of one motion
+
+
+@dataclass(frozen=True, eq=False)
+class LoadRecord:
+    """Regression ``y = A pi + e`` of the torque that a load adds.
+
+    Attributes
+    ----------
+    data : the record with the load. rows : (M,) rows of it that are kept.
+    A : (M, n, 10) filtered columns of the load, at the flange. y : (M, n) filtered residual of the model [N m].
+    against : (n, 10, p) sums of A_i^T Y_i per joint, Y the columns of the model's p base parameters: how the load takes
+        up what is wrong with them. p is 0 for a model of other base parameters than those of `base_parameters`.
+    sources : name and SHA-256 of each log.
+    """
+
+    data: Prepared
+    rows: np.ndarray
+    A: np.ndarray
+    y: np.ndarray
+    against: np.ndarray
+    sources: tuple[str, ...]
+
+    @classmethod
+    def of(
+        cls, table: Table | Sequence[Table], model: TorqueModel, robot: Robot, without: Table | None = None
+    ) -> LoadRecord:
+        """Build the regression from logs.
+
+        Parameters
+        ----------
+        table : log or logs with the load. model : of the arm alone. robot : the arm.
+        without : log of the same motion without the load; its residual is subtracted.
+
+        Raises
+        ------
+        ShapeError, NotExcited : logs that `prepare` refuses. ShapeError : two motions that are not the same.
+        """
+        found = model_residuals(table, model)
+        data, cutoff = found.data, found.data.rate / 10.0
+        rows = np.concatenate([np.arange(a, b, EVERY) for a, b in data.segments])
+        y, sources = data.filter(found.y, cutoff), data.sources
+        if without is None:
+            A = data.filter(_at_flange(data, robot), cutoff)[rows]
+            return cls(data, rows, A, y[rows], _against(A, data, rows, model, robot), sources)
+        other = model_residuals(without, model)
+        shift = _shift(data, other.data)
+        rows = rows[(rows >= shift) & (rows - shift < len(other.data.t))]
+        A = data.filter(_at_flange(data, robot), cutoff)[rows]
+        y = y[rows] - other.data.filter(other.y, cutoff)[rows - shift]
+        shared = _against(A, data, rows, model, robot) - _against(A, other.data, rows - shift, model, robot)
+        return cls(data, rows, A, y, shared, (*sources, *other.data.sources))
+
+    def blocks(self, seconds: float) -> np.ndarray:
+        """Return the block number (M,) of each row, from 0, for blocks of about `seconds`."""
+        return np.unique(self.data.blocks(seconds)[self.rows], return_inverse=True)[1]
+
+
+def _at_flange(data: Prepared, robot: Robot) -> np.ndarray:
+    """Return the torque columns (N, n, 10) of a load at the flange, unfiltered."""
+    moved = inertia.transform(robot.links[-1], np.eye(10)).T
+    qdd = data.differentiate(data.qd)
+    parts = [slice(a, a + CHUNK) for a in range(0, len(data.t), CHUNK)]
+    regressor = robot.chain.rigid_regressor
+    return np.concatenate(
+        [regressor(data.q[p], data.qd[p], qdd[p], robot.gravity)[:, :, -10:] @ moved for p in parts]
+    )
+
+
+def _against(A: np.ndarray, data: Prepared, rows: np.ndarray, model: TorqueModel, robot: Robot) -> np.ndarray:
+    """Return the sums (n, 10, p) of columns of the load times columns of the base parameters."""
+    base, n = base_parameters(robot), robot.n
+    if tuple(model.base_names) != base.names:
+        return np.zeros((n, 10, 0))
+    qdd = data.filter(data.differentiate(data.qd), data.rate / 10.0)
+    total = np.zeros((n, 10, len(base.names)))
+    for a in range(0, len(rows), CHUNK):
+        part = rows[a : a + CHUNK]
+        Y = robot.chain.rigid_regressor(data.q[part], data.qd[part], qdd[part], robot.gravity) @ base.lift[: 10 * n]
+        Y += qdd[part][:, :, None] * base.lift[10 * n :]
+        total += A[a : a + CHUNK].transpose(1, 2, 0) @ Y.transpose(1, 0, 2)
+    return total
+
+
+def _shift(data: Prepared, other: Prepared) -> int:
+    """Return by how many rows the record with the load began earlier in the motion; refuse two different motions."""
+    if len(data.segments) > 1 or len(other.segments) > 1 or abs(data.rate / other.rate - 1.0) > 1e-3:
+        raise ShapeError(
+            f"Expected one log with and one without the load, of one rate and without gaps, got "
+            f"{len(data.segments)} and {len(other.segments)} pieces at {data.rate:.4g} and {other.rate:.4g} Hz. "
+            "Record both again, or leave the log without the load out."
+        )
+    size = len(data.t) + len(other.t)
+    one, two = (np.fft.rfft(x.qd / np.std(data.qd, axis=0), size, axis=0) for x in (data, other))
+    alike = np.fft.irfft((one * np.conj(two)).sum(axis=1), size)
+    shift = int(np.argmax(alike))
+    shift = shift - size if shift >= len(data.t) else shift
+    first, last = max(shift, 0), min(len(data.t), len(other.t) + shift)
+    apart = np.sqrt(np.mean((data.q[first:last] - other.q[first - shift : last - shift]) ** 2, axis=0))
+    if (last - first) / data.rate < MIN_SECONDS or apart.max() > APART:
+        raise ShapeError(
+            f"Expected the same motion with and without the load for at least {MIN_SECONDS:g} s, got "
+            f"{(last - first) / data.rate:.1f} s in which joint {int(apart.argmax()) + 1} is {apart.max():.2g} apart "
+            f"(RMS). Run the same motion twice, or leave the log without the load out."
+        )
+    return shift

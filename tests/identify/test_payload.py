@@ -1,0 +1,246 @@
+"""A load at the flange: right, honest about its uncertainty, and refused when the log cannot tell."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from armlab import identify, sim
+from armlab.errors import ModelMismatchError, NotExcited, ShapeError, UnknownName
+from armlab.estimation import Experiment, Fit, check_estimator
+from armlab.identify import fit_payload
+from armlab.identify.payload import _possible
+from armlab.log import Table
+from armlab.models import Friction, Payload, TorqueModel
+from armlab.robots import inertia, load
+
+MASS, CENTRE = 0.5, np.array([0.03, 0.0, 0.052])  # 60 mm from the flange
+POINT = inertia.from_body(MASS, CENTRE, np.zeros((3, 3)))
+
+
+def carrying(truth, pi: np.ndarray):
+    links = truth.links.copy()
+    links[-1] += inertia.transform(truth.robot.links[-1], pi)
+    return replace(truth, links=links)
+
+
+@pytest.fixture(scope="module")
+def motion(truth):
+    return identify.excitation(truth.robot, seconds=14, speed=0.4, acceleration=8.0, seed=3)
+
+
+@pytest.fixture(scope="module")
+def table(truth, motion) -> Table:
+    return carrying(truth, POINT).log(motion, seed=3)
+
+
+@pytest.mark.parametrize("pair", [False, True])
+def test_half_a_kilogram(truth, model, motion, table, pair: bool) -> None:
+    fit = fit_payload(table, model, truth.robot, without=truth.log(motion, seed=4) if pair else None)
+    assert fit.value.mass == pytest.approx(MASS, rel=0.03)
+    np.testing.assert_allclose(fit.value.centre, CENTRE, atol=5e-3)
+    assert 0.01 < fit.sd[0] / MASS < 0.05  # what 5 % of unknown gain leaves
+    assert np.all(np.abs(fit.parameters - POINT[:4]) < 3 * fit.sd)
+    text = fit.report()
+    assert "centre z" in text
+    assert "gains" in text
+
+
+def test_a_body_with_inertia(truth, model, motion) -> None:
+    pi = inertia.from_body(0.5, CENTRE, np.diag([4e-3, 6e-3, 3e-3]))
+    clean = truth.log(motion, seed=4)
+    fit = fit_payload(carrying(truth, pi).log(motion, seed=3), model, truth.robot, "dynamic", clean)
+    assert fit.names[4:] == ("I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
+    assert np.all(np.abs(fit.parameters - pi) < 3.5 * fit.sd)
+    assert np.all(fit.sd[4:] < 2e-3)
+    assert "I_zz" in fit.report()
+
+
+def test_the_loaded_model_predicts_the_loaded_arm(truth, model, motion, table) -> None:
+    loaded = fit_payload(table, model, truth.robot).value.added_to(model)
+    left = [np.std(identify.predict(m, table)["tau"] - identify.predict(m, table)["tau_model"], axis=0) for m in
+            (model, loaded)]  # fmt: skip
+    assert np.all(left[1][:6] < 0.5 * left[0][:6])
+
+
+def test_known_gains_say_more_and_gains_are_found_where_joints_differ(truth, model, motion, table) -> None:
+    sure = fit_payload(table, model, truth.robot, gain_sd=0.0)
+    assert sure.sd[0] < 0.5 * fit_payload(table, model, truth.robot).sd[0]
+    assert "gains" not in sure.report()
+    clean = truth.log(motion, noise=0.0)
+    wrong = np.array([1.05, 0.95, 1.05, 0.95, 1.0, 1.0, 1.0])
+    heavy = carrying(truth, POINT).log(motion, noise=0.0)
+    tau = clean["tau"] + wrong * (heavy["tau"] - clean["tau"])
+    found = fit_payload(heavy.with_column("tau", tau), model, truth.robot, without=clean)
+    assert abs(found.value.mass - MASS) < 0.02 * MASS
+    np.testing.assert_allclose(found.value.centre, CENTRE, atol=1e-3)
+
+
+def test_no_load_is_no_load(truth, model, motion) -> None:
+    fit = fit_payload(truth.log(motion, seed=5), model, truth.robot)
+    assert 0 <= fit.value.mass < 0.02
+    assert np.linalg.norm(fit.parameters[1:]) <= 0.5 * fit.value.mass
+
+
+def test_bounds() -> None:
+    cov = np.diag([1e-4, 1e-5, 1e-5, 1e-5])
+    inside = np.array([0.5, 0.01, 0.0, 0.03])
+    assert _possible(inside, cov) is inside
+    np.testing.assert_array_equal(_possible(np.array([-0.1, 0.0, 0.001, 0.0]), cov), 0.0)
+    far = _possible(np.array([0.1, 0.0, 0.0, 0.08]), cov)
+    assert np.linalg.norm(far[1:]) == pytest.approx(0.5 * far[0])
+    rng = np.random.default_rng(0)
+    distance = (far - [0.1, 0, 0, 0.08]) ** 2 @ (1 / np.diag(cov))
+    for step in 1e-3 * rng.standard_normal((200, 4)):
+        other = far + step
+        if np.linalg.norm(other[1:]) <= 0.5 * other[0]:
+            assert (other - [0.1, 0, 0, 0.08]) ** 2 @ (1 / np.diag(cov)) > distance
+
+
+def test_bad_input_is_refused_by_a_sentence(truth, model, motion, table) -> None:
+    robot = truth.robot
+    with pytest.raises(ModelMismatchError, match="yumi_right"):
+        fit_payload(table, model, load("yumi_right"))
+    with pytest.raises(UnknownName, match="static"):
+        fit_payload(table, model, robot, "fast")
+    with pytest.raises(ShapeError, match="gains"):
+        fit_payload(table, model, robot, gain_sd=-0.1)
+    with pytest.raises(NotExcited, match="5 s"):
+        fit_payload(table.between(0, 3), model, robot)
+    tau = np.array(table["tau"])
+    tau[11] = np.nan
+    with pytest.raises(ShapeError, match=r"\[11\]"):
+        fit_payload(table.with_column("tau", tau), model, robot)
+    with pytest.raises(ShapeError, match=r"\(3500, 7\)"):
+        fit_payload(Table(table.t, {name: table[name][:, :6] for name in ("q", "qd", "tau")}), model, robot)
+
+
+def test_a_load_that_the_log_cannot_weigh_is_refused_by_name(truth, model) -> None:
+    """Without gravity and nearly at rest the torques know nothing of a mass."""
+    robot = replace(truth.robot, gravity=np.zeros(3))
+    light = replace(model, gravity=np.zeros(3), robot_hash=robot.hash)
+    t = np.arange(0, 20, 0.004)[:, None]
+    q, qd = robot.q_home + 0.1 * np.sin(0.2 * t), 0.02 * np.cos(0.2 * t) * np.ones(7)
+    tau = light.torque(q, qd) + truth.noise * np.random.default_rng(0).standard_normal(q.shape)
+    with pytest.raises(NotExcited, match="payload") as caught:
+        fit_payload(Table(t[:, 0], {"q": q, "qd": qd, "tau": tau}), light, robot)
+    assert any("m" in direction.split() for direction in caught.value.directions)
+
+
+@pytest.mark.slow  # 30 s
+def test_the_truth_is_inside_over_fifty_seeds(model) -> None:
+    """The simulated arm, with its own friction and drives, and gains of the joints that nobody knows.
+
+    The arm runs twice; noise and gains are drawn again for every seed. The model has the right masses but friction of
+    another form: what that has wrong falls out of the difference.
+    """
+    robot = load("yumi_left")
+    truth = sim.synthetic_truth(robot)
+    exact = truth.without("noise")
+    motion = identify.excitation(robot, seconds=12, speed=0.4, acceleration=6.0, seed=5)
+    T_last_flange = robot.links[-1]
+    at = T_last_flange[:3, :3] @ CENTRE + T_last_flange[:3, 3]
+    full, empty = (sim.record(sim.Arm(robot, one), motion) for one in (exact.with_payload(MASS, at), exact))
+    simple = sim_model(model, truth)
+    errors, inside = [], []
+    for seed in range(50):
+        rng = np.random.default_rng(seed)
+        gains = 1.0 + 0.05 * rng.standard_normal(7) * (seed % 2)
+        logs = [noisy(one, truth, gains, rng) for one in (full, empty)]
+        fit = fit_payload(logs[0], simple, robot, without=logs[1], seed=seed)
+        inside.append(np.abs(fit.parameters - POINT[:4]) < 1.96 * fit.sd)
+        if not seed % 2:
+            errors.append((fit.value.mass / MASS - 1, *(fit.value.centre - CENTRE)))
+    assert np.abs(errors)[:, 0].max() < 0.03
+    assert np.abs(errors)[:, 1:].max() < 5e-3
+    assert np.mean(inside, axis=0) == pytest.approx(0.95, abs=0.05)
+
+
+def sim_model(model: TorqueModel, truth: sim.Truth) -> TorqueModel:
+    coulomb = 0.5 * (truth.coulomb_pos + truth.coulomb_neg)
+    return replace(
+        model,
+        link_parameters=truth.pi,
+        rotor=truth.rotor,
+        friction=Friction(
+            truth.viscous, truth.coulomb_pos, truth.coulomb_neg, truth.offset, (truth.static_ratio - 1) * coulomb,
+            truth.stribeck_speed, 3 * truth.delta, truth.q_step,
+        ),
+    )  # fmt: skip
+
+
+def noisy(table: Table, truth: sim.Truth, gains: np.ndarray, rng: np.random.Generator) -> Table:
+    noise = rng.standard_normal((2, *table["q"].shape))
+    return Table(
+        table.t,
+        {
+            "q": np.round(table["q"] / truth.q_step) * truth.q_step,
+            "qd": table["qd"] + truth.qd_noise * noise[0],
+            "tau": gains * (table["tau"] + truth.tau_noise * noise[1]),
+        },
+    )
+
+
+@pytest.fixture(scope="module")
+def experiment(truth, model):
+    """Free motion at 100 Hz of an arm that the model knows, but for what `gain_sd` and its covariance allow."""
+    robot = truth.robot
+    root = np.linalg.cholesky(model.base_cov + 1e-18 * np.eye(len(model.base_cov)))
+    base = identify.base_parameters(robot)
+    motion = identify.excitation(robot, seconds=70, speed=0.4, acceleration=8.0, seed=9)
+
+    def make(gain_sd: float, wrong: float, seed: int, n: int) -> Experiment:
+        rng = np.random.default_rng([7, seed])
+        t = 0.01 * np.arange(1, n + 1)
+        q, qd, qdd = motion.sample(t)
+        shift = base.lift @ (wrong * root @ rng.standard_normal(len(base.names)))
+        known = replace(model, base_cov=wrong**2 * model.base_cov)
+        true = replace(model, link_parameters=model.link_parameters + shift[:70].reshape(7, 10),
+                       rotor=model.rotor + shift[70:])  # fmt: skip
+        pi = np.zeros((7, 10))
+        pi[-1] = inertia.transform(robot.links[-1], POINT)
+        carried = robot.chain.rnea(q, qd, qdd, robot.gravity, pi)
+        gains = 1.0 + gain_sd * rng.standard_normal(7)
+        tau = true.torque(q, qd, qdd) + gains * carried + truth.noise * rng.standard_normal(q.shape)
+        table = Table(t, {"q": q, "qd": qd, "tau": tau})
+        return Experiment({"table": table, "model": known, "robot": robot, "gain_sd": gain_sd}, POINT[:4])
+
+    return make
+
+
+REASONS = {
+    "order-free": "friction remembers: the rows of a log have an order",
+    "gauge-free": "tested in the frames' own tests; the flange is the only frame here",
+    "robust": "the filter spreads a single wrong sample over its neighbours; Huber's loss bounds what is left",
+    "efficient": "needs 1000 runs",
+}
+
+
+@pytest.mark.slow  # 30 s
+def test_the_statistical_contract(experiment) -> None:
+    """Gains known and a perfect model: errors shrink with the record."""
+    contract = check_estimator(
+        fit_payload, lambda seed, n: experiment(0.0, 0.0, seed, n), 40, n=1600, noise_given=False, skip=REASONS
+    )
+    assert contract.passed, contract.text()
+
+
+@pytest.mark.slow  # 15 s
+def test_gains_and_model_are_in_the_covariance(experiment) -> None:
+    """Gains of 5 % and a model inside its covariance: NEES stays 1, though errors do not shrink with the record."""
+    reasons = {**REASONS, "consistent": "the gains do not average out"}
+    contract = check_estimator(
+        fit_payload, lambda seed, n: experiment(0.05, 1.0, seed, n), 60, n=1600, noise_given=False, skip=reasons
+    )
+    assert contract.passed, contract.text()
+
+
+def test_value_and_file(truth, model, table, tmp_path) -> None:
+    fit = fit_payload(table, model, truth.robot)
+    assert isinstance(fit.value, Payload)
+    again = Fit.load(fit.save(tmp_path / "load.toml"), kind="payload")
+    assert np.array_equal(again.value.pi, fit.value.pi)
+    assert np.array_equal(again.cov, fit.cov)
+    assert again.names == fit.names
