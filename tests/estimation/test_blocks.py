@@ -15,6 +15,7 @@ from armlab.estimation import (
     block_bootstrap,
     block_cv,
     least_squares,
+    shrinkage,
 )
 
 
@@ -146,3 +147,10 @@ def test_bad_input_is_refused(problems) -> None:
         block_cv(few, folds=8)
     with pytest.raises(UnknownName, match="mode of cross-validation, got 'random'"):
         block_cv(few, mode="random")
+
+
+def test_shrinkage_is_large_where_the_scatter_is_chance_and_small_where_it_is_not() -> None:
+    rng = np.random.default_rng(0)
+    assert shrinkage(rng.standard_normal((20, 5))) > 0.5
+    assert shrinkage(rng.standard_normal((2000, 5)) * [1, 1, 1, 1, 10]) < 0.05
+    assert shrinkage(np.zeros((20, 5))) == 1.0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -18,18 +20,13 @@ def problem(gains: np.ndarray, gain_sd: float = 0.05, seed: int = 0, noise: floa
     A = rng.standard_normal((N, n, 3))
     y = (1 + gains) * (A @ X) + noise * rng.standard_normal((N, n))
     found = least_squares(list(Rows.of(A, y, np.arange(N) // 20)), NAMES)
-    made = GainProblem.of(found, y - A @ found.x, gain_sd)
+    made = GainProblem.of(found, y - A @ found.x, np.zeros(n), gain_sd)
     return A, y, found, made
-
-
-def one(made: GainProblem, n: int) -> tuple[np.ndarray, np.ndarray]:
-    x, g = made.solve(np.ones((1, 20)), np.zeros((1, n)))
-    return x[0], g[0]
 
 
 def test_without_gains_it_is_least_squares() -> None:
     A, y, _, made = problem(np.zeros(4), gain_sd=0.0)
-    x, g = one(made, 4)
+    x, g = made.solve()
     root = np.sqrt(made.weights)
     expected = np.linalg.lstsq((A * root[:, None]).reshape(-1, 3), (y * root).ravel(), rcond=None)[0]
     np.testing.assert_allclose(x, expected, atol=1e-9)
@@ -39,7 +36,7 @@ def test_without_gains_it_is_least_squares() -> None:
 def test_it_is_the_minimum_of_the_cost() -> None:
     gains = np.array([0.04, -0.03, 0.02, -0.05])
     A, y, _, made = problem(gains)
-    x, g = one(made, 4)
+    x, g = made.solve()
 
     def cost(x: np.ndarray, g: np.ndarray) -> float:
         r = y - (1 + g) * (A @ x)
@@ -54,7 +51,7 @@ def test_it_is_the_minimum_of_the_cost() -> None:
 
 def test_the_response_is_the_derivative() -> None:
     A, y, _, made = problem(np.array([0.04, -0.03, 0.02, -0.05]), noise=1e-3)
-    x, g = one(made, 4)
+    x, g = made.solve()
     push = 1e-2 * np.random.default_rng(2).standard_normal(y.shape)
     sums = made.sums.copy()
     for i in range(4):
@@ -63,29 +60,27 @@ def test_the_response_is_the_derivative() -> None:
             change = made.weights[i] * A[rows, i].T @ push[rows, i]
             sums[b, i, :3, 3] += change
             sums[b, i, 3, :3] += change
-    moved = GainProblem(sums, made.gain_sd, made.weights).solve(np.ones((1, 20)), np.zeros((1, 4)))[0][0]
+    moved = replace(made, sums=sums).solve()[0]
     pushed = made.weights[:, None] * np.einsum("kia,ki->ia", A, push)
     expected = np.einsum("iab,ib->a", made.response(x, g), pushed)
     assert np.linalg.norm(moved - x - expected) < 0.03 * np.linalg.norm(expected)  # second derivatives are left out
 
 
-def test_draws_are_solved_one_by_one() -> None:
-    _, _, _, made = problem(np.array([0.04, -0.03, 0.02, -0.05]))
-    rng = np.random.default_rng(3)
-    blocks = rng.multinomial(20, np.full(20, 0.05), 5).astype(float)
-    centres = 0.05 * rng.standard_normal((5, 4))
-    x, g = made.solve(blocks, centres)
-    for k in range(5):
-        again = made.solve(blocks[k : k + 1], centres[k : k + 1])
-        np.testing.assert_allclose(x[k], again[0][0], rtol=1e-6)
-        np.testing.assert_allclose(g[k], again[1][0], atol=1e-6)
-    assert np.std(x, axis=0) == pytest.approx(np.abs(X) * 0.05 / 2, rel=1.0)
+def test_the_covariance_is_that_of_the_errors() -> None:
+    """Over many draws of noise and gains."""
+    nees = []
+    for seed in range(60):
+        gains = 0.05 * np.random.default_rng([1, seed]).standard_normal(4)
+        made = problem(gains, seed=seed, noise=0.3)[3]
+        x, g = made.solve()
+        nees.append((x - X) @ np.linalg.solve(made.covariance(x, g), x - X) / 3)
+    assert np.mean(nees) == pytest.approx(1.0, abs=3 * np.sqrt(2 / (3 * 60)))
 
 
 def test_exact_measurements_are_solved() -> None:
     """Without noise a joint would seem to know its gain infinitely well."""
     _, _, _, made = problem(np.array([0.04, -0.03, 0.02, -0.05]), noise=0.0)
-    x, g = one(made, 4)
+    x, g = made.solve()
     np.testing.assert_allclose(np.outer(1 + g, x), np.outer([1.04, 0.97, 1.02, 0.95], X), rtol=1e-3)
     information = made.information(x, g)
     assert np.linalg.eigvalsh(information).min() > 0

@@ -31,6 +31,7 @@ _COMMANDS = {
     "excite": ("excite:excite", "Design a motion that tells all parameters apart; run it and record a log."),
     "identify": ("identify:identify", "Identify gravity, inertia and friction from logs; save the model."),
     "estimate": ("estimate:estimate", "Estimate the contact force in a log with a model."),
+    "payload": ("payload:payload", "Weigh a load at the flange with the motors: mass, centre, inertia."),
     "log": ("log:log", "Show and repair logs."),
     "robot": ("robot:robot", "List, show and convert robot descriptions."),
 }

@@ -1,6 +1,6 @@
 """Estimation for the whole package: `Fit`, streaming and robust least squares, excitation, block bootstrap."""
 
-from armlab.estimation.blocks import BlockSums, Bootstrap, CrossValidation, block_bootstrap, block_cv
+from armlab.estimation.blocks import BlockSums, Bootstrap, CrossValidation, block_bootstrap, block_cv, shrinkage
 from armlab.estimation.bounds import within_bounds
 from armlab.estimation.contract import Contract, Experiment, Gauge, Limits, Property, check_estimator, difference
 from armlab.estimation.correlation import block_seconds, correlation_time, effective_samples
@@ -48,6 +48,7 @@ __all__ = [
     "least_squares",
     "mad",
     "nonlinear_least_squares",
+    "shrinkage",
     "solve",
     "trimmed",
     "within_bounds",

@@ -19,7 +19,7 @@ from armlab.errors import NotExcited, ShapeError, UnknownName
 from armlab.estimation.bounds import within_bounds
 from armlab.estimation.solution import LinearSolution
 
-__all__ = ["BlockSums", "Bootstrap", "CrossValidation", "block_bootstrap", "block_cv"]
+__all__ = ["BlockSums", "Bootstrap", "CrossValidation", "block_bootstrap", "block_cv", "shrinkage"]
 
 MIN_BLOCKS = 8
 SMALLEST = 1e-8  # eigenvalue of a drawn normal matrix below which a parameter is lost
@@ -177,10 +177,20 @@ def block_bootstrap(sums: BlockSums, draws: int | None = None, seed: int = 0, le
 
 
 def _shrinkage(sums: BlockSums, blocks: np.ndarray, length: int) -> float:
-    """Return how much of the scatter of a covariance of so many stretches is chance (Ledoit and Wolf, lemma 3.2)."""
     count = len(blocks) // length
-    scores = np.add.reduceat(sums.moment[blocks[: count * length]], np.arange(0, count * length, length), axis=0)
-    S = scores.T @ scores
+    return shrinkage(np.add.reduceat(sums.moment[blocks[: count * length]], np.arange(0, count * length, length), 0))
+
+
+def shrinkage(scores: np.ndarray) -> float:
+    """Return how much of the scatter of a covariance ``S = scores^T scores`` of few stretches is chance, from 0 to 1.
+
+    ``(1 - d) S + d trace(S) / p`` is then nearer to the truth than S (Ledoit and Wolf 2004, lemma 3.2).
+
+    Parameters
+    ----------
+    scores : (B, p) gradients of B independent stretches, in coordinates in which the formal covariance is 1.
+    """
+    S, count = scores.T @ scores, len(scores)
     away = S - np.trace(S) / len(S) * np.eye(len(S))
     spread = float(np.sum(away * away))
     fourth = float(np.sum(np.sum(scores * scores, axis=1) ** 2)) - float(np.sum(S * S)) / count

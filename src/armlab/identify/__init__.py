@@ -1,6 +1,7 @@
 """Identification: excitation design, regressors, base parameters, rigid-body dynamics, friction, torque covariance."""
 
 from armlab.identify.base_parameters import BaseParameters, base_parameters
+from armlab.identify.consistency import Physical, physical, pseudo_inertia
 from armlab.identify.covariance import fit_velocity_covariance
 from armlab.identify.dynamics import fit_dynamics
 from armlab.identify.excitation import dither, excitation
@@ -22,6 +23,7 @@ __all__ = [
     "Expectation",
     "Extrapolation",
     "GroupLasso",
+    "Physical",
     "Prepared",
     "Trajectory",
     "base_parameters",
@@ -36,8 +38,10 @@ __all__ = [
     "fit_warm_up",
     "friction_run",
     "group_lasso",
+    "physical",
     "predict",
     "prepare",
+    "pseudo_inertia",
     "rbf_centres",
     "rbf_regressor",
     "ripple_lines",

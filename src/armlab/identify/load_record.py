@@ -83,9 +83,7 @@ def _at_flange(data: Prepared, robot: Robot) -> np.ndarray:
     qdd = data.differentiate(data.qd)
     parts = [slice(a, a + CHUNK) for a in range(0, len(data.t), CHUNK)]
     regressor = robot.chain.rigid_regressor
-    return np.concatenate(
-        [regressor(data.q[p], data.qd[p], qdd[p], robot.gravity)[:, :, -10:] @ moved for p in parts]
-    )
+    return np.concatenate([regressor(data.q[p], data.qd[p], qdd[p], robot.gravity)[:, :, -10:] @ moved for p in parts])
 
 
 def _against(A: np.ndarray, data: Prepared, rows: np.ndarray, model: TorqueModel, robot: Robot) -> np.ndarray:

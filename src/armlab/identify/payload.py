@@ -9,8 +9,9 @@ less, g_i: without it the mass would seem to be known far better than it is.
 1. Residual of the model and regressor pass the same zero-phase filter. With a log of the same motion without the load
    its residual is subtracted, and with it all that the model has wrong and both logs share.
 2. Huber's least squares for pi alone gives the weights of rows and joints.
-3. Gauss-Newton for pi and the gains together, each joint counting its independent samples only.
-4. Whole blocks of time are drawn again, with other gains and another model inside its covariance: the covariance.
+3. Gauss-Newton for pi and the gains together, each joint counting its independent samples only. Then both once more:
+   weights that know nothing of the gains take them for outliers.
+4. The covariance: scatter of whole blocks of time, what the gains may be, what the model may have wrong.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ __all__ = ["fit_payload"]
 SIZES = {"static": 4, "dynamic": 10}
 UNITS = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)
 FARTHEST = 0.5  # m, of the centre of mass
-DRAWS, MIN_BLOCKS = 400, 8
+MIN_BLOCKS, ROUNDS = 8, 2
 
 
 def fit_payload(
@@ -44,7 +45,6 @@ def fit_payload(
     without: Table | None = None,
     *,
     gain_sd: float = 0.05,
-    seed: int = 0,
 ) -> Fit[Payload]:
     """Estimate mass, centre and, if asked, inertia of a load at the flange.
 
@@ -56,12 +56,11 @@ def fit_payload(
     mode : "static": mass and first moment; "dynamic": all ten parameters, which needs fast motion of the wrist.
     without : log of the same motion without the load: what the model has wrong falls out of the difference.
     gain_sd : how well the torque constants are known, as a share; 0 for exactly.
-    seed : of the bootstrap.
 
     Returns
     -------
     Fit of `models.Payload`; its parameters are m, m c (and I about the flange's origin) in flange axes. m >= 0 and
-    a centre within 0.5 m hold. The covariance is that of whole blocks drawn again, of the gains and of the model.
+    a centre within 0.5 m hold; the covariance is that without these bounds.
 
     Raises
     ------
@@ -75,18 +74,21 @@ def fit_payload(
     if not 0 <= gain_sd < 1:
         raise ShapeError(f"Expected a standard deviation of the gains in [0, 1), got {gain_sd}. 0.05 is 5 %.")
     record, p = LoadRecord.of(table, model, robot, without), SIZES[mode]
-    first = _robust(record, p, np.zeros(10), record.data.seconds / 20.0)
-    rest = _point(first.x) if mode == "static" else np.zeros(10)
-    seconds = min(block_seconds(_left(record, first, rest), EVERY / record.data.rate), record.data.seconds / 20.0)
-    found = _robust(record, p, rest, seconds)
-    problem = GainProblem.of(found, _left(record, found, rest), gain_sd)
-    x, gains = (part[0] for part in problem.solve(np.ones((1, len(problem.sums))), np.zeros((1, robot.n))))
+    gains, rest, seconds = np.zeros(robot.n), np.zeros(10), record.data.seconds / 20.0
+    for _ in range(ROUNDS):
+        found = _robust(record, p, gains, rest, seconds)
+        left = record.y - (1.0 + gains) * (record.A @ np.concatenate([found.x, rest[p:]]))
+        problem = GainProblem.of(found, left, gains, gain_sd)
+        x, gains = problem.solve()
+        rest = _point(x) if mode == "static" else rest
+        seconds = min(block_seconds(left, EVERY / record.data.rate), record.data.seconds / 20.0)
     known = np.linalg.cholesky(problem.information(x, gains)).T
     check_spread(known, LINK_SYMBOLS[:p], UNITS[:p], _limits(record, robot)[:p], "payload")
-    draws = _draws(problem, found, record, (x, gains), model, seed)
-    metric = np.cov(draws.T)
-    theta = _possible(x, metric)
-    cov = np.cov(np.stack([_possible(one, metric) for one in draws]).T)
+    wrong = np.einsum("iab,i,ibs->as", problem.response(x, gains), problem.weights, record.against[:, :p])
+    cov = problem.covariance(x, gains)
+    if wrong.size:
+        cov = cov + wrong @ model.base_cov @ wrong.T
+    theta = _possible(x, cov)
     pi = _point(theta) if mode == "static" else theta
     value = Payload(robot.name, robot.hash, pi, robot.links[-1], record.sources)
     notes = _notes(x, theta, value, np.sqrt(np.diag(cov)), gains, gain_sd)
@@ -104,8 +106,8 @@ def fit_payload(
     )
 
 
-def _robust(record: LoadRecord, p: int, rest: np.ndarray, seconds: float) -> LinearSolution:
-    """Return Huber's solution for the first p parameters, the others held at those of `rest` (10,)."""
+def _robust(record: LoadRecord, p: int, gains: np.ndarray, rest: np.ndarray, seconds: float) -> LinearSolution:
+    """Return Huber's solution for the first p parameters; the gains less 1 (n,) and the rest (10,) are held."""
     block = record.blocks(seconds)
     if block[-1] + 1 < MIN_BLOCKS:
         raise NotExcited(
@@ -114,8 +116,8 @@ def _robust(record: LoadRecord, p: int, rest: np.ndarray, seconds: float) -> Lin
             ["covariance"],
             [f"{record.data.seconds:.1f} s"],
         )
-    y = record.y - record.A[:, :, p:] @ rest[p:]
-    rows = list(Rows.of(record.A[:, :, :p], y, block))
+    A = (1.0 + gains)[:, None] * record.A
+    rows = list(Rows.of(A[:, :, :p], record.y - A[:, :, p:] @ rest[p:], block))
     return least_squares(rows, LINK_SYMBOLS[:p], what="payload", method="irls")
 
 
@@ -124,33 +126,6 @@ def _limits(record: LoadRecord, robot: Robot) -> np.ndarray:
     torque, gravity = np.sqrt(np.mean(record.data.tau**2, axis=0)).max(), 9.81
     reach = np.linalg.norm(robot.frames[1:, :3, 3], axis=1).sum()
     return torque / gravity * np.array([1.0 / reach, *[1.0] * 3, *[reach] * 6])
-
-
-def _left(record: LoadRecord, found: LinearSolution, rest: np.ndarray) -> np.ndarray:
-    """Return the residuals (M, n) of a solution [N m]."""
-    return record.y - record.A @ np.concatenate([found.x, rest[len(found.x) :]])
-
-
-def _draws(
-    problem: GainProblem,
-    found: LinearSolution,
-    record: LoadRecord,
-    solution: tuple[np.ndarray, np.ndarray],
-    model: TorqueModel,
-    seed: int,
-) -> np.ndarray:
-    """Return solutions (D, p) for blocks, gains and models drawn again."""
-    rng = np.random.default_rng(seed)
-    B, n = problem.sums.shape[:2]
-    blocks = rng.multinomial(B, np.full(B, 1.0 / B), DRAWS).astype(float)
-    blocks = 1.0 + found.stretch * np.sqrt(B / (B - 1.0)) * (blocks - 1.0)
-    draws = problem.solve(blocks, problem.gain_sd * rng.standard_normal((DRAWS, n)))[0]
-    p, size = draws.shape[1], record.against.shape[2]
-    if size:
-        wrong = rng.multivariate_normal(np.zeros(size), model.base_cov, DRAWS, method="svd")
-        sums = problem.weights[:, None, None] * record.against[:, :p]
-        draws = draws - wrong @ np.einsum("iab,ibs->as", problem.response(*solution), sums).T
-    return draws
 
 
 def _point(theta: np.ndarray) -> np.ndarray:
@@ -186,15 +161,13 @@ def _possible(theta: np.ndarray, cov: np.ndarray) -> np.ndarray:
 def _table(fit: Fit[Payload]) -> str:
     """Return mass, centre and inertia with deviations, then what was fitted."""
     load, theta = fit.value, fit.parameters
-    lines = [f"mass    {1e3 * load.mass:9.1f} +- {1e3 * fit.sd[0]:.1f} g"]
+    lines = [f"{name:6s} {x: .5g} +- {sd:.2g} {unit}" for name, x, sd, unit in zip(fit.names, theta, fit.sd, fit.units)]
     for axis in range(3):
         slope = np.zeros(len(theta))
         if load.mass > 0:
             slope[[0, 1 + axis]] = -load.centre[axis] / load.mass, 1.0 / load.mass
         sd = np.sqrt(slope @ fit.cov @ slope)
-        lines.append(f"centre {'xyz'[axis]}{1e3 * load.centre[axis]:8.1f} +- {1e3 * sd:.1f} mm")
-    for name, value, sd, unit in list(zip(fit.names, theta, fit.sd, fit.units))[4:]:
-        lines.append(f"{name:7s} {value: .3g} +- {sd:.2g} {unit}")
+        lines.append(f"centre {'xyz'[axis]} {1e3 * load.centre[axis]:.1f} +- {1e3 * sd:.1f} mm")
     return "\n".join([*lines, "flange axes; deviations of one sigma"])
 
 

@@ -1,0 +1,69 @@
+"""armlab payload: a load with its deviations, a file, a page, or a sentence and nothing."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from armlab import identify, models
+from armlab.cli import main
+from armlab.cli.payload import payload
+from armlab.robots import inertia
+
+
+@pytest.fixture
+def words(monkeypatch, truth, model, tmp_path: Path) -> list[str]:
+    """A log with 0.5 kg, one without, one with 5 g, and the model file."""
+    motion = identify.excitation(truth.robot, seconds=12, speed=0.4, acceleration=8.0, seed=3)
+
+    def log(mass: float, seed: int):
+        links = truth.links.copy()
+        pi = inertia.from_body(mass, [0.03, 0.0, 0.052], np.zeros((3, 3)))
+        links[-1] += inertia.transform(truth.robot.links[-1], pi)
+        return replace(truth, links=links).log(motion, seed=seed)
+
+    tables = {"full.mcap": log(0.5, 1), "empty.mcap": log(0.0, 2), "crumb.mcap": log(0.005, 3)}
+    monkeypatch.setattr("armlab.log.read", lambda path: tables[path.name])
+    saved = models.save(model, tmp_path / "model.toml")
+    return ["payload", "yumi_left", "full.mcap", "--model", str(saved)]
+
+
+def test_a_load_is_weighed_saved_and_reported(words: list[str], tmp_path: Path, capsys) -> None:
+    assert payload.__doc__
+    files = [tmp_path / name for name in ("load.toml", "load.html", "load.png")]
+    options = [word for pair in zip(("-o", "--report", "--figure"), map(str, files)) for word in pair]
+    assert main([*words, "--without", "empty.mcap", *options]) == 0
+    said = capsys.readouterr().out
+    assert "mass" in said
+    assert "good: The load of" in said
+    load = models.load(files[0], kind="payload")
+    assert load.mass == pytest.approx(0.5, rel=0.03)
+    np.testing.assert_allclose(load.centre, [0.03, 0.0, 0.052], atol=5e-3)
+    page = files[1].read_text(encoding="utf-8")
+    assert "m c_z" in page
+    assert "data:image/png" in page
+    assert files[2].exists()
+    assert main([*words, *options]) == 1
+    assert "--force" in capsys.readouterr().err
+
+
+def test_json_and_mode(words: list[str], capsys) -> None:
+    assert main([*words, "--json", "--mode", "dynamic", "--gain", "0.01"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["mass"] == pytest.approx(0.5, rel=0.03)
+    assert [entry["name"] for entry in found["parameters"]][4:] == ["I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz"]
+    assert found["parameters"][0]["sd"] < 0.01
+
+
+def test_a_crumb_is_not_claimed(words: list[str], capsys) -> None:
+    assert main([*words[:2], "crumb.mcap", *words[3:], "--gain", "0"]) == 0
+    assert "not good" in capsys.readouterr().out
+
+
+def test_the_model_of_another_arm_is_refused(words: list[str], capsys) -> None:
+    assert main([words[0], "yumi_right", *words[2:]]) == 1
+    assert "yumi_left" in capsys.readouterr().err
