@@ -22,7 +22,7 @@ from armlab.identify.preparation import Prepared
 from armlab.identify.shapes import COLUMNS, Shapes, choose, mixing, term_names
 from armlab.identify.thinning import Thinning
 from armlab.kernels import presliding
-from armlab.models import Friction, Ripple
+from armlab.models import CoupledMotors, Friction, Ripple
 from armlab.robots import Robot
 
 __all__ = ["Design"]
@@ -222,6 +222,14 @@ class Design:
         state = speed, delta, self.data.resolution
         friction = Friction(viscous, positive, negative, offset, stribeck, *state, root, smooth)
         return friction, Ripple(cycles, cosine, sine)
+
+    def coupled(self, theta: np.ndarray) -> CoupledMotors | None:
+        """Return the motors that move several joints, of parameters theta (p,); None where there are none."""
+        K = len(self.motors)
+        if not K:
+            return None
+        inertia, viscous, coulomb = theta[-3 * K :].reshape(K, 3).T
+        return CoupledMotors(self.motors, inertia, viscous, coulomb, np.full(K, SMOOTH))
 
     @property
     def _width(self) -> int:

@@ -271,6 +271,7 @@ def _model(design: Design, theta: np.ndarray, cov: np.ndarray) -> TorqueModel:
         quality=_quality(data),
         training=training(data.t, data.q, data.qd, data.segments),
         sources=data.sources,
+        coupled=design.coupled(theta),
     )
 
 
