@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import NamedTuple
 
+import numpy as np
 import pytest
 
 from armlab import identify as identification
 from armlab import models
 from armlab.cli import main
 from armlab.cli.identify import identify
+from armlab.estimation import Fit
 from armlab.log import Table
+from armlab.models import TorqueModel
 
 
 class Outcome(NamedTuple):
@@ -73,22 +77,33 @@ def test_the_page_has_a_row_per_joint_the_verdict_and_all_figures(outcome: Outco
         "Force without contact",
     ):
         assert f"<h2>{title}</h2>" in page
-    assert page.count("data:image/png;base64,") == 8
+    assert page.count("data:image/png;base64,") == 9
     assert "In the test log" in page
     assert len(page) < 4_000_000
+
+
+def with_lines(fit: Fit[TorqueModel]) -> Fit[TorqueModel]:
+    """A fit whose model has a line of ripple at joint 2."""
+    speeds = np.tile(np.linspace(0, 1, 3), (7, 1))
+    lines = models.RippleLines(
+        np.array([1]), np.array([200.0]), speeds, np.full((7, 3), 0.5), np.full((1, 2, 3, 2), 0.01)
+    )
+    return replace(fit, value=replace(fit.value, lines=lines))
 
 
 def test_json_has_the_numbers_and_the_verdict(reading, fitted, monkeypatch, tmp_path, capsys) -> None:
     asked: dict[str, object] = {}
     monkeypatch.setattr("armlab.identify.fit_dynamics", lambda *_, **options: asked.update(options) or fitted)
     words = ["identify", "yumi_left", "run.mcap", "-o", str(tmp_path / "model.toml"), "--json", "--method", "lts"]
-    assert main(words) == 0
+    monkeypatch.setattr("armlab.identify.fit_friction", lambda tables, model: with_lines(fitted))
+    assert main([*words, "--drives"]) == 0
     assert asked["method"] == "lts"
+    assert models.load(tmp_path / "model.toml").lines is not None
     said = json.loads(capsys.readouterr().out)
     assert len(said["joints"]) == 7
     assert said["joints"][0]["share_held_out"] < 0.1
     assert said["joints"][0]["share_test"] is None
-    assert said["verdict"]["good"]
+    assert any("ripple of joint 2." in sentence for sentence in said["verdict"]["good"])
     assert said["condition"] > 1
 
 

@@ -26,11 +26,16 @@ def test_numbers_are_those_of_the_model(fitted: Fit[TorqueModel], trial: Trial) 
     assert np.isnan(third["share_test"])
 
 
-def test_the_page_tells_how_far_it_is(fitted: Fit[TorqueModel], trial: Trial, excited: Table, truth, tmp_path) -> None:
-    heard: list[str] = []
+def test_the_page_tells_how_far_it_is(
+    fitted: Fit[TorqueModel], trial: Trial, excited: Table, truth, monkeypatch, tmp_path
+) -> None:
+    drawings = [("First", "one", "caption", lambda: b"1"), ("Second", "two", "caption", lambda: b"2")]
+    monkeypatch.setattr("armlab.cli.identify_report._drawings", lambda *_: drawings)
+    heard: list[tuple[float, float, str]] = []
     verdict = judge(fitted, truth.robot, [excited], trial)
-    write(tmp_path / "id.html", fitted, verdict, trial, "a log", lambda done, total, what: heard.append(what))
-    assert len(heard) == 8
+    write(tmp_path / "id.html", fitted, verdict, trial, excited, "a log", lambda *words: heard.append(words))
+    assert heard == [(0, 2, "drawing first"), (1, 2, "drawing second")]
     page = (tmp_path / "id.html").read_text(encoding="utf-8")
     assert "±" in page
     assert f"{100 * fitted.value.quality.coverage[0]:.1f}" in page
+    assert "<h2>Second</h2>" in page

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -15,6 +16,7 @@ def identify(
     *logs: Path,
     output: Annotated[Path, Parameter(alias="-o")],
     method: Literal["irls", "wls", "ols", "lts"] = "irls",
+    drives: bool = False,
     report: Path | None = None,
     test: Path | None = None,
     figure: Path | None = None,
@@ -37,6 +39,9 @@ def identify(
     method : str
         irls: outliers count less. lts: a quarter of the stretches of time, those that fit worst, is left out. wls, ols:
         every sample as it is, with or without a weight per joint.
+    drives : bool
+        Also look for lines of torque ripple, friction over position and warm-up (logs from 20 minutes), joint by joint;
+        what wins on held-out stretches of time is kept.
     report : Path
         Also write a page with tables and figures, ends in .html; everything is inside, it asks nobody for anything.
     test : Path
@@ -53,7 +58,7 @@ def identify(
     from armlab.cli import identify_verdict as judging
     from armlab.cli.output import FIGURES, check_output, note, print_json, progress, result
     from armlab.errors import ConfigError
-    from armlab.identify import fit_dynamics, with_velocity
+    from armlab.identify import fit_dynamics, fit_friction, with_velocity
 
     arm = robots.load(robot)
     if not logs:
@@ -65,6 +70,9 @@ def identify(
     unseen = None if test is None else with_velocity(log.read(test))
     with progress("identify") as tell:
         fit = fit_dynamics(tables, arm, method=method, progress=tell)
+        if drives:
+            tell(4, 5, "ripple, friction over position, warm-up")
+            fit = replace(fit, value=fit_friction(tables, fit.value).value)
     trial = judging.try_out(fit.value, arm, tables[0] if unseen is None else unseen, unseen is not None)
     verdict = judging.judge(fit, arm, tables, trial)
     if json:
@@ -82,6 +90,6 @@ def identify(
         seconds = fit.value.quality.seconds
         about = f"From {', '.join(path.name for path in logs)}, {seconds:.0f} s of motion, method {method}."
         with progress("report") as tell:
-            reporting.write(report, fit, verdict, trial, about, tell)
+            reporting.write(report, fit, verdict, trial, tables[0], about, tell)
         note(f"report: {report}")
     return 0

@@ -13,6 +13,7 @@ from armlab.cli.page import Page, Verdict
 
 if TYPE_CHECKING:
     from armlab.estimation import Fit
+    from armlab.log import Table
     from armlab.models import TorqueModel
 
 __all__ = ["numbers", "write"]
@@ -61,14 +62,20 @@ def numbers(fit: Fit[TorqueModel], trial: Trial) -> dict[str, Any]:
 
 
 def write(
-    path: Path, fit: Fit[TorqueModel], verdict: Verdict, trial: Trial, about: str, tell: Tell | None = None
+    path: Path,
+    fit: Fit[TorqueModel],
+    verdict: Verdict,
+    trial: Trial,
+    log: Table,
+    about: str,
+    tell: Tell | None = None,
 ) -> None:
     """Write the page.
 
     Parameters
     ----------
     path : HTML file. fit : of `identify.fit_dynamics`. verdict : of `judge`. trial : of `try_out`.
-    about : which logs, for the line below the title.
+    log : the first that was fitted to. about : which logs, for the line below the title.
     tell : called with (done, total, what).
     """
     page = Page(f"Torque model of {fit.value.robot_name}", about)
@@ -82,7 +89,7 @@ def write(
     page.table(_residual_rows(fit, trial))
     page.section("Friction per joint", "With standard deviations from drawing blocks of time again.")
     page.table(_friction_rows(fit, trial))
-    drawings = _drawings(fit, trial)
+    drawings = _drawings(fit, trial, log)
     for k, (title, alt, caption, draw) in enumerate(drawings):
         if tell is not None:
             tell(k, len(drawings), f"drawing {title.lower()}")
@@ -130,18 +137,18 @@ def _deviation(fit: Fit[TorqueModel], own: dict[str, int], kinds: tuple[str, ...
     return "" if place is None else f" ± {fit.sd[place]:.3f}"
 
 
-def _drawings(fit: Fit[TorqueModel], trial: Trial) -> list[tuple[str, str, str, Callable[[], bytes]]]:
+def _drawings(fit: Fit[TorqueModel], trial: Trial, log: Table) -> list[tuple[str, str, str, Callable[[], bytes]]]:
     """Return title, what it shows, how to read it, and what draws it, of each figure."""
     from armlab import plots
 
     model, estimate = fit.value, trial.estimate
-    log = "the test log" if trial.unseen else "the first log"
+    shown = "The test log" if trial.unseen else "The first log"
     covariances = {"model": model.covariance}
     return [
         (
             "Measured and modelled torque",
             "Torque of each joint over time, measured and modelled, and the residual",
-            f"{log.capitalize()}. What is left should look like noise inside the band.",
+            f"{shown}. What is left should look like noise inside the band.",
             lambda: plots.png(plots.torque_fit(trial.predicted)),
         ),
         (
@@ -155,6 +162,12 @@ def _drawings(fit: Fit[TorqueModel], trial: Trial) -> list[tuple[str, str, str, 
             "Friction of each joint over its speed with uncertainty",
             "Dark: uncertainty of the parameters. Light: with the torque error at that speed, 95 % of the points.",
             lambda: plots.png(plots.friction(fit, estimate)),
+        ),
+        (
+            "Torque ripple",
+            "Amplitude of the torque residual over cycles per turn",
+            "Peaks that stand still over position are ripple of gears and motors; the dotted ones are in the model.",
+            lambda: plots.png(plots.spectrum(model, log)),
         ),
         (
             "How long the residual remembers",
@@ -171,7 +184,7 @@ def _drawings(fit: Fit[TorqueModel], trial: Trial) -> list[tuple[str, str, str, 
         (
             "Force without contact",
             "Estimated wrench over time with two-sigma band; the truth is zero",
-            f"{log.capitalize()} through the estimator. The truth is zero: the band should hold it 95 % of the time.",
+            f"{shown} through the estimator. The truth is zero: the band should hold it 95 % of the time.",
             lambda: plots.png(plots.wrench(estimate)),
         ),
         (

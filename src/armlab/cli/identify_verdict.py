@@ -107,6 +107,9 @@ def _judge_fit(found: _Sentences, fit: Fit[TorqueModel], trial: Trial) -> None:
         )
     elif fine.any():
         found.good.append(f"{_joints(fine)}: at most {100 * FINE:.0f} % of the torque's deviation is left unexplained.")
+    kept = _kept(fit.value)
+    if kept:
+        found.good.append(f"Kept, because they win on held-out stretches of time: {', '.join(kept)}.")
     if poor.any():
         found.bad.append(
             f"{_joints(poor)}: up to {100 * held_out[worst]:.0f} % of the torque's deviation is left unexplained."
@@ -127,6 +130,19 @@ def _judge_fit(found: _Sentences, fit: Fit[TorqueModel], trial: Trial) -> None:
             found.ahead.append("Log motions like those of the test log: its speeds, poses or load were not identified.")
         else:
             found.good.append(f"In the test log {said} is left, as in held-out blocks.")
+
+
+def _kept(model: TorqueModel) -> list[str]:
+    """Name the parts of the drives beyond the usual ones."""
+    kept = []
+    if model.lines is not None:
+        kept.append(f"ripple of {_joints(np.isin(np.arange(model.n), model.lines.joint))}")
+    if model.friction_map is not None:
+        mapped = np.any(model.friction_map.coefficients != 0, axis=(1, 2, 3))
+        kept.append(f"friction over position of {_joints(mapped)}")
+    if model.warm_up is not None:
+        kept.append("warm-up")
+    return kept
 
 
 def _judge_honesty(found: _Sentences, model: TorqueModel, trial: Trial) -> None:

@@ -6,6 +6,7 @@ from armlab.plots.arms import robot
 from armlab.plots.columns import table
 from armlab.plots.covariances import velocity_covariance
 from armlab.plots.coverages import coverage, observability
+from armlab.plots.drives import friction_map, spectrum
 from armlab.plots.ellipsoids import manipulability
 from armlab.plots.excitations import excitation
 from armlab.plots.frictions import friction
@@ -23,6 +24,7 @@ __all__ = [
     "coverage",
     "excitation",
     "friction",
+    "friction_map",
     "latency",
     "manipulability",
     "observability",
@@ -31,6 +33,7 @@ __all__ = [
     "residual_speed",
     "robot",
     "scene",
+    "spectrum",
     "table",
     "torque_fit",
     "velocity_covariance",

@@ -1,0 +1,175 @@
+"""What the drives add over position: friction as a map, torque ripple as a spectrum."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from armlab.errors import ShapeError
+from armlab.glossary import lookup
+from armlab.identify.residuals import model_residuals
+from armlab.kernels import Drive
+from armlab.models import Ripple, TorqueModel
+from armlab.plots.style import GREY, MODEL, legend, look, panels
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from armlab.log import Table
+
+__all__ = ["friction_map", "spectrum"]
+
+_CELLS = 61  # of the map, each way
+_SLICES = 3
+_BINS = 16  # of the coverage, each way
+_ROWS = 8_000  # of a spectrum; more are thinned
+_BEYOND = 1.25  # times the line at twice the gear ratio
+_FEWEST = 100  # rows for an amplitude
+_SLOWEST, _UNGEARED = 1.0, 50.0  # cycles per turn
+
+
+def friction_map(model: TorqueModel, joint: int, table: Table | None = None, ax: Any = None) -> Figure:
+    """Draw the friction of one joint over position and velocity, sliding: as a map, and cut at three positions.
+
+    Where a table is given its samples are drawn on the map, and what they leave open is hatched: there the map is only
+    continued.
+
+    Parameters
+    ----------
+    model : with or without `models.FrictionMap`.
+    joint : number, from 0.
+    table : with q, qd (N, n), what the map was fitted to.
+    ax : two Axes; a new figure when None.
+
+    Raises
+    ------
+    ShapeError : a joint that is not there, or another number of Axes.
+    """
+    _known(model, [joint])
+    known = model.training
+    q = np.linspace(known.q_min[joint], known.q_max[joint], _CELLS)
+    qd = np.linspace(-1.0, 1.0, 2 * (_CELLS // 2)) * known.qd_peak[joint]  # an even number: zero is no velocity
+    torque = _sliding(model, joint, q, qd)
+    with look():
+        figure, axes = panels(1, 2, ax, width=11.0, height=3.8, width_ratios=(3, 2))
+        left, right = axes[0]
+        mesh = left.pcolormesh(q, qd, torque.T, cmap="cividis", shading="nearest", rasterized=True)
+        figure.colorbar(mesh, ax=left, label=f"friction [{lookup('tau').unit}]")
+        if table is not None:
+            _cover(left, table["q"][:, joint], table["qd"][:, joint], q, qd)
+        left.set_xlabel(f"q [{lookup('q').unit}]")
+        left.set_ylabel(f"qd [{lookup('qd').unit}]")
+        left.set_title(f"joint {joint + 1}")
+        left.grid(visible=False)
+        for place, style in zip(np.linspace(0, len(q) - 1, _SLICES + 2).astype(int)[1:-1], ("-", "--", ":")):
+            right.plot(qd, torque[place], style, color=MODEL, label=f"q = {q[place]:.2f} rad")
+        right.set_xlabel(f"qd [{lookup('qd').unit}]")
+        right.set_ylabel(f"friction [{lookup('tau').unit}]")
+        right.legend(loc="upper left")
+    return figure
+
+
+def _sliding(model: TorqueModel, joint: int, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+    """Return the friction (Q, V) of one joint that slides, without torque ripple."""
+    drive = Drive(
+        model.friction.rows,
+        np.zeros((3, model.n)),
+        map=None if model.friction_map is None else model.friction_map.kernel_rows(),
+    )
+    at = np.zeros((2, len(q), len(qd), model.n))
+    at[0, :, :, joint], at[1, :, :, joint] = np.meshgrid(q, qd, indexing="ij")
+    smooth = model.friction.smooth_speed
+    s = np.where(smooth > 0, np.tanh(at[1] / np.where(smooth > 0, smooth, 1.0)), np.sign(at[1]))
+    return drive.torque(at[0], at[1], s)[:, :, joint]
+
+
+def _cover(panel: Any, q: np.ndarray, qd: np.ndarray, q_shown: np.ndarray, qd_shown: np.ndarray) -> None:
+    """Draw the samples, and hatch the cells that have none."""
+    edges = np.linspace(q_shown[0], q_shown[-1], _BINS + 1), np.linspace(qd_shown[0], qd_shown[-1], _BINS + 1)
+    count = np.histogram2d(q, qd, bins=edges)[0]
+    every = max(1, len(q) // 4000)
+    panel.plot(q[::every], qd[::every], ",", color="white", alpha=0.5)
+    middles = [0.5 * (edge[1:] + edge[:-1]) for edge in edges]
+    ends = [np.concatenate([edge[:1], middle[1:-1], edge[-1:]]) for edge, middle in zip(edges, middles)]
+    holes = panel.contourf(*ends, (count == 0).T.astype(float), levels=[0.5, 1.5], colors="none", hatches=["///"])
+    holes.set_edgecolor("white")
+    holes.set_linewidth(0.0)
+
+
+def spectrum(model: TorqueModel, table: Table, joints: Sequence[int] | None = None, ax: Any = None) -> Figure:
+    """Draw the amplitude of the torque residual over cycles per turn, without and with the ripple that the model has.
+
+    Ripple comes from position, so its lines stand still at any speed; those of the model are marked. The upper scale
+    counts turns of the motor, where the gears are known. Of each line only the rows count in which its frequency in
+    time is below a quarter of the sampling rate.
+
+    Parameters
+    ----------
+    model : identified torque model.
+    table : of free motion, with q, qd, tau (N, n).
+    joints : numbers of the joints to draw, from 0; all when None.
+    ax : as many Axes as joints; a new figure when None.
+
+    Raises
+    ------
+    ShapeError : a joint that is not there, or another number of Axes; a log that `identify.prepare` refuses.
+    """
+    shown = list(range(model.n)) if joints is None else list(joints)
+    _known(model, shown)
+    still = np.zeros(model.n)
+    bare = replace(model, ripple=Ripple(model.ripple.cycles, still, still), lines=None)
+    with_ripple, without = model_residuals(table, model), model_residuals(table, bare)
+    every = max(1, len(without.y) // _ROWS)
+    with look():
+        figure, axes = panels(len(shown), 1, ax, width=9.0, height=1.9)
+        for panel, i in zip(axes[:, 0], shown, strict=True):
+            q, qd = without.data.q[::every, i], without.data.qd[::every, i]
+            gear = 0.5 * model.ripple.cycles[i]
+            cycles = _cycles(q, 2.0 * gear)
+            slow = without.data.rate / 4.0 / np.maximum(np.abs(qd) / (2 * np.pi), 1e-9)  # cycles per turn
+            for found, color, label in ((without, GREY, "without"), (with_ripple, MODEL, "with")):
+                amplitude = _amplitude(q, found.y[::every, i], cycles, slow)
+                panel.plot(cycles, amplitude, color=color, linewidth=0.8, label=label)
+            for k, line in enumerate(_lines(model, i)):
+                panel.axvline(line, color=MODEL, linestyle=":", linewidth=0.8, label="_" if k else "line of the model")
+            if 2.0 * gear >= _UNGEARED:
+                top = panel.secondary_xaxis("top", functions=(lambda x, g=gear: x / g, lambda x, g=gear: x * g))
+                top.set_xlabel("cycles per motor turn" if panel is axes[0, 0] else "")
+            panel.set_title(f"joint {i + 1}")
+            panel.set_ylabel(f"amplitude [{lookup('tau').unit}]")
+        axes[-1, 0].set_xlabel("cycles per joint turn")
+        legend(figure, axes[0, 0])
+    return figure
+
+
+def _cycles(q: np.ndarray, line: float) -> np.ndarray:
+    """Return the cycles per turn to look at: as close as the range of the motion can tell apart."""
+    step = 0.25 * 2 * np.pi / max(float(np.ptp(q)), 1e-3)
+    return np.arange(_SLOWEST, _BEYOND * max(line, _UNGEARED), step)
+
+
+def _amplitude(q: np.ndarray, y: np.ndarray, cycles: np.ndarray, most: np.ndarray) -> np.ndarray:
+    """Return the amplitude (C,) of each line ``a cos(c q) + b sin(c q)`` by itself, from rows where `most` > c."""
+    y = y - y.mean()
+    found = np.full(len(cycles), np.nan)
+    for k, c in enumerate(cycles):
+        rows = most > c
+        if rows.sum() >= _FEWEST:
+            found[k] = 2.0 * np.abs(np.mean(y[rows] * np.exp(-1j * c * q[rows])))
+    return found
+
+
+def _lines(model: TorqueModel, joint: int) -> list[float]:
+    """Return the cycles of the ripple lines that the model has for a joint."""
+    found = [] if model.lines is None else model.lines.cycles[model.lines.joint == joint].tolist()
+    if np.hypot(model.ripple.cosine[joint], model.ripple.sine[joint]) > 0:
+        found.append(float(model.ripple.cycles[joint]))
+    return sorted(found)
+
+
+def _known(model: TorqueModel, joints: Sequence[int]) -> None:
+    if not joints or not all(0 <= i < model.n for i in joints):
+        raise ShapeError(f"Expected numbers of joints from 0 to {model.n - 1} to draw, got {list(joints)}.")
