@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["numbers", "write"]
 
 Tell = Callable[[float, float, str], None]
+Drawing = tuple[str, str, str, Callable[[], bytes]]  # title, what it shows, how to read it, what draws it
 
 
 def numbers(fit: Fit[TorqueModel], trial: Trial) -> dict[str, Any]:
@@ -137,13 +138,16 @@ def _deviation(fit: Fit[TorqueModel], own: dict[str, int], kinds: tuple[str, ...
     return "" if place is None else f" ± {fit.sd[place]:.3f}"
 
 
-def _drawings(fit: Fit[TorqueModel], trial: Trial, log: Table) -> list[tuple[str, str, str, Callable[[], bytes]]]:
+def _drawings(fit: Fit[TorqueModel], trial: Trial, log: Table) -> list[Drawing]:
     """Return title, what it shows, how to read it, and what draws it, of each figure."""
+    return [*_of_the_torque(fit, trial, log), *_of_the_force(fit, trial)]
+
+
+def _of_the_torque(fit: Fit[TorqueModel], trial: Trial, log: Table) -> list[Drawing]:
     from armlab import plots
 
     model, estimate = fit.value, trial.estimate
     shown = "The test log" if trial.unseen else "The first log"
-    covariances = {"model": model.covariance}
     return [
         (
             "Measured and modelled torque",
@@ -155,7 +159,7 @@ def _drawings(fit: Fit[TorqueModel], trial: Trial, log: Table) -> list[tuple[str
             "Residual over speed",
             "Residual torque of each joint over its speed with two-sigma curves",
             "Curves follow the cloud where the covariance is right. A step at zero is Coulomb friction that is wrong.",
-            lambda: plots.png(plots.residual_speed(estimate, covariances)),
+            lambda: plots.png(plots.residual_speed(estimate, {"model": model.covariance})),
         ),
         (
             "Friction",
@@ -175,6 +179,14 @@ def _drawings(fit: Fit[TorqueModel], trial: Trial, log: Table) -> list[tuple[str
             "Coloured residuals make formal deviations too small; those of this report come from blocks.",
             lambda: plots.png(plots.autocorrelation(estimate)),
         ),
+    ]
+
+
+def _of_the_force(fit: Fit[TorqueModel], trial: Trial) -> list[Drawing]:
+    from armlab import plots
+
+    shown = "The test log" if trial.unseen else "The first log"
+    return [
         (
             "Excitation",
             "Singular values of the regressor",
@@ -185,18 +197,18 @@ def _drawings(fit: Fit[TorqueModel], trial: Trial, log: Table) -> list[tuple[str
             "Force without contact",
             "Estimated wrench over time with two-sigma band; the truth is zero",
             f"{shown} through the estimator. The truth is zero: the band should hold it 95 % of the time.",
-            lambda: plots.png(plots.wrench(estimate)),
+            lambda: plots.png(plots.wrench(trial.estimate)),
         ),
         (
             "Observability",
             "Observability per axis over time",
             "1: the torques determine the axis. 0: only the prior speaks.",
-            lambda: plots.png(plots.observability(estimate)),
+            lambda: plots.png(plots.observability(trial.estimate)),
         ),
         (
             "Coverage by speed",
             "Share of forces inside two sigma per bin of speed",
             "A true uncertainty holds 95.4 % at every speed.",
-            lambda: plots.png(plots.coverage(estimate)),
+            lambda: plots.png(plots.coverage(trial.estimate)),
         ),
     ]
