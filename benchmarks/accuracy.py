@@ -16,7 +16,7 @@ import force_protocol as protocol
 import numpy as np
 from force_protocol import SPEEDS, Score
 
-METHODS = ("map", "bounded", "interval")
+METHODS = ("map", "bounded", "observer", "kf")
 GAINS = 0.05
 WHAT = f"""\
 # How true the forces are
