@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from armlab import robots
 from armlab.identify import base_parameters, excitation, prepare
@@ -44,6 +45,20 @@ def test_without_known_gears_there_is_no_ripple_line(truth, excited) -> None:
     geared = Design.build(data, robot, base)
     assert geared.geared
     np.testing.assert_allclose(geared.cycles, [200, 200, 200, 200, 200, 202, 200], rtol=1e-12)
+
+
+def test_ripple_that_folds_back_is_not_fitted(truth, excited) -> None:
+    """At 50 Hz a line of 200 rad/rad passes too fast in most samples; at 250 Hz it is cut where it is too fast."""
+    robot, base = truth.robot, base_parameters(truth.robot)
+    with pytest.warns(UserWarning, match=r"ripple below 12\.5 Hz, a quarter.*axis_1.*no ripple is fitted"):
+        coarse = Design.build(prepare(excited.rows(slice(None, None, 5)), robot), robot, base)
+    assert not coarse.geared
+    data = prepare(excited, robot)
+    fixed = Design.build(data, robot, base, cutoff=np.inf, every=1).fixed
+    fast = 202 * np.abs(data.qd[:, 5]) > 2 * np.pi * 62.5
+    assert 0.0 < fast.mean() < 0.5
+    assert not fixed[fast, 5, 2:].any()
+    np.testing.assert_allclose(np.hypot(*fixed[~fast, 5, 2:].T), 1.0)
 
 
 def test_a_motor_that_moves_two_joints_brings_shared_columns(truth, excited) -> None:

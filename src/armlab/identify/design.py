@@ -11,6 +11,7 @@ inertia, viscous and Coulomb friction act on all of them, ``tau = c^T f(theta)``
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -18,6 +19,7 @@ import numpy as np
 
 from armlab.estimation import Rows
 from armlab.identify.base_parameters import BaseParameters
+from armlab.identify.plausibility import slow_enough
 from armlab.identify.preparation import Prepared
 from armlab.identify.shapes import COLUMNS, Shapes, choose, mixing, term_names
 from armlab.identify.thinning import Thinning
@@ -30,6 +32,7 @@ __all__ = ["Design"]
 CUTOFF = 25.0  # Hz, the most; a tenth of the rate where that is less
 BLOCK = 1.0  # s, alternating blocks for the choice of shape
 MIN_CYCLES = 20.0  # rad/rad; a slower ripple line is a harmonic of gravity
+SEEN = 0.5  # share of the samples at which a ripple line must not fold back
 AT_ONCE = 8192  # rows handed to the solver
 BOUNDED = ("viscous", "coulomb", "coulomb+", "coulomb-", "rotor")  # not negative
 SMOOTH = 0.02  # rad/s, of the sign of coupled motors
@@ -100,8 +103,12 @@ class Design:
         owners = np.flatnonzero(np.count_nonzero(turning, axis=1) > 1)
         motors = turning[owners]
         fixed = [data.qd[:, measured], np.ones((len(data.t), len(measured)))]
-        if not np.any(cycles < MIN_CYCLES):
-            fixed += [np.cos(cycles * data.q[:, measured]), np.sin(cycles * data.q[:, measured])]
+        slow = slow_enough(data.qd[:, measured], data.rate, cycles)
+        if not np.any(cycles < MIN_CYCLES) and _lines_are_seen(
+            slow, data.rate, [robot.joint_names[i] for i in measured]
+        ):
+            angle = cycles * data.q[:, measured]
+            fixed += [np.where(slow, np.cos(angle), 0.0), np.where(slow, np.sin(angle), 0.0)]
         columns = np.concatenate([data.tau[:, measured], *fixed, qdd @ motors.T, data.qd @ motors.T], axis=1)
         thin = thinning.run(lambda a, b: columns[a:b], columns.shape[1])
         J, K = len(measured), len(motors)
@@ -302,6 +309,19 @@ class _Stream:
                 if self.trust is not None:
                     A, y = A * self.trust[part, i, None], y * self.trust[part, i]
                 yield Rows(A, y, self.block[part], i, columns)
+
+
+def _lines_are_seen(slow: np.ndarray, rate: float, names: Sequence[str]) -> bool:
+    """Tell whether the ripple lines pass slowly enough for the sampling in most samples; warn where they do not."""
+    fast = np.flatnonzero(slow.mean(axis=0) < SEEN)
+    if len(fast):
+        warnings.warn(
+            f"Expected torque ripple below {rate / 4.0:.3g} Hz, a quarter of the sampling rate, in half of the samples "
+            f"at least, got faster ripple for {', '.join(names[i] for i in fast)}: it folds back, and no ripple is "
+            "fitted. Log slower motion, as of identify.friction_run, or sample faster.",
+            stacklevel=2,
+        )
+    return not len(fast)
 
 
 def _rigid(
