@@ -20,8 +20,17 @@ def test_help_lists_every_command_on_standard_output() -> None:
     result = run("--help")
     assert result.returncode == 0
     assert result.stderr == ""
-    for name in ("demo", "sim", "identify", "estimate", "log", "robot"):
+    for name in ("demo", "sim", "excite", "identify", "estimate", "payload", "log", "robot"):
         assert name in result.stdout
+
+
+@pytest.mark.parametrize("name", ["excite", "identify", "estimate", "payload"])
+def test_help_of_a_command_ends_with_an_example_that_is_right(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main([name, "--help"]) == 0
+    words = capsys.readouterr().out.rpartition("Example: armlab ")[2].split()  # in one line, or broken into two
+    assert words[0] == name
+    _, _, ignored = cli.build_app().parse_args(words, exit_on_error=False, print_error=False)
+    assert not ignored
 
 
 def test_help_imports_no_command() -> None:

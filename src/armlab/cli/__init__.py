@@ -37,6 +37,14 @@ _COMMANDS = {
 }
 
 
+_EXAMPLES = {
+    "excite": "armlab excite yumi_left -o motion.csv --run sim://yumi_left --log excite.mcap",
+    "identify": "armlab identify yumi_left excite.mcap -o model.toml --report model.html",
+    "estimate": "armlab estimate yumi_left press.mcap --model model.toml -o force.mcap --report force.html",
+    "payload": "armlab payload yumi_left loaded.mcap --model model.toml",
+}
+
+
 def build_app() -> App:
     """Return the application with all commands, none of them imported yet."""
     from cyclopts import App, Parameter
@@ -53,7 +61,8 @@ def build_app() -> App:
         suppress_keyboard_interrupt=False,
     )
     for name, (target, text) in _COMMANDS.items():
-        app.command(f"armlab.cli.{target}", name=name, help=text)
+        example = {"help_epilogue": f"Example: {_EXAMPLES[name]}"} if name in _EXAMPLES else {}
+        app.command(f"armlab.cli.{target}", name=name, help=text, **example)
     return app
 
 

@@ -26,8 +26,12 @@ class Prior:
 
     Attributes
     ----------
-    prior_force : standard deviation of the force in each axis [N]. prior_moment : of the moment [N m].
-    point : where the contact is, in tool axes [m], when that is known.
+    prior_force : float
+        How large a force is expected in each axis: its standard deviation [N].
+    prior_moment : float
+        The same of the moment [N m].
+    point : tuple
+        Where the contact is, in tool axes [m], when that is known: x y z.
     """
 
     prior_force: float = 20.0

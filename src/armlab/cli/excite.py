@@ -22,11 +22,18 @@ class Motion:
 
     Attributes
     ----------
-    seconds : length, at least 10 [s].
-    f0 : base frequency [Hz]. harmonics : number of them.
-    speed : peak speed as a share of the robot's limits, in (0, 1].
-    acceleration : peak acceleration [rad/s^2].
-    seed : another motion for each.
+    seconds : float
+        Length of the motion, at least 10 [s].
+    f0 : float
+        Base frequency [Hz]; the motion repeats after 1 / f0.
+    harmonics : int
+        Number of them: the motion holds frequencies up to harmonics times f0.
+    speed : float
+        Peak speed as a share of the robot's limits, in (0, 1].
+    acceleration : float
+        Peak acceleration [rad/s^2].
+    seed : int
+        Another motion for each.
     """
 
     seconds: float = 60.0
