@@ -18,6 +18,14 @@ def test_velocity_noise_is_found_under_the_motion(truth, excited) -> None:
     np.testing.assert_allclose(noise, 1e-3, rtol=0.05)
 
 
+def test_without_rows_that_count_nothing_is_scaled(truth, excited, model) -> None:
+    data = prepare(excited, truth.robot)
+    rows = np.ones(len(data.t), dtype=bool)
+    noise = momentum_noise(model, [(model, rows)], np.full(data.q.shape, np.nan), data)
+    assert (noise.alpha2_observer, noise.alpha2_kf) == (1.0, 1.0)
+    np.testing.assert_allclose(noise.memory, 0.004)
+
+
 def test_momentum_noise_makes_two_sigma_hold(truth, excited, model) -> None:
     """On the rows that it is set on 95.4 % of the axes that can be seen, unless a factor met its bound."""
     data = prepare(excited, truth.robot)

@@ -41,15 +41,16 @@ def momentum_noise(
     errors : (N, n) held-out causal residuals [N m], NaN where they do not count. data : the record.
     """
     step = float(np.median(data.dt))
-    memory = np.array([correlation_time(column[np.isfinite(column)], step) for column in errors.T])
+    known = [column[np.isfinite(column)] for column in errors.T]
+    memory = np.array([correlation_time(column, step) if len(column) > 1 else step for column in known])
     noise = MomentumNoise(memory, velocity_noise(data))
     counts = np.isfinite(errors).all(axis=1)
     held = [(replace(fold, covariance=model.covariance), rows & counts) for fold, rows in folds]
     variance = model.covariance.variance(data.qd) / model.covariance.alpha2
     ratios = [found[3] ** 2 / variance[rows] for found, rows in _runs(held, noise, data, filters=False)]
-    noise = replace(noise, alpha2_observer=_factor(np.concatenate(ratios)))
+    noise = replace(noise, alpha2_observer=_factor(ratios))
     ratios = [_normalised(*found[:3]) for found, _ in _runs(held, noise, data, filters=True)]
-    return replace(noise, alpha2_kf=_factor(np.concatenate(ratios)))
+    return replace(noise, alpha2_kf=_factor(ratios))
 
 
 def _runs(
@@ -81,6 +82,7 @@ def _normalised(F: np.ndarray, P: np.ndarray, observability: np.ndarray) -> np.n
     return (F**2 / np.einsum("kii->ki", P))[observability > SEEN]
 
 
-def _factor(ratios: np.ndarray) -> float:
+def _factor(ratios: list[np.ndarray]) -> float:
     """Return the factor on the covariance by which `COVERAGE` of the ratios are below SIGMAS^2; 1 without any."""
-    return float(np.clip(np.quantile(ratios, COVERAGE) / SIGMAS**2, *ALPHA2_BOUNDS)) if ratios.size else 1.0
+    known = np.concatenate([np.zeros(0), *(part.ravel() for part in ratios)])
+    return float(np.clip(np.quantile(known, COVERAGE) / SIGMAS**2, *ALPHA2_BOUNDS)) if known.size else 1.0
