@@ -11,6 +11,7 @@ import numpy as np
 from blocks import Contender, Table, agree, alternate, each, figures
 from identified import PERIOD, WRENCH, log, model, with_masses
 from pinocchio_estimator import PinocchioEstimator
+from pinocchio_momentum import PinocchioMomentum
 
 from armlab import robots
 from armlab.contact import Estimator
@@ -55,13 +56,51 @@ def run(quick: bool) -> list[Table]:
     return [
         *_tables("Estimator step", tight, contenders(1000, 0.0), 5 if quick else 20),
         *_tables("Estimator step, paced", paced, contenders(250, PERIOD), 2 if quick else 10),
+        *_momentum(torque_model, robot, states, 5 if quick else 20),
+        _methods(torque_model, robot, states, 5 if quick else 20),
     ]
+
+
+def _momentum(torque_model: TorqueModel, robot: Robot, states: Sequence[State], rounds: int) -> list[Table]:
+    """Measure the momentum methods beside the same computation made of Pinocchio's pieces."""
+    links, tables = with_masses(robot, torque_model.link_parameters), []
+    for method, name, bar in (("kf", "Kalman filter", 25e-6), ("observer", "Momentum observer", 15e-6)):
+        ours = Estimator(torque_model, robot, method)
+        peer = PinocchioMomentum(torque_model, robot, links, ours.prior, method == "kf")
+        worst = 0.0
+        for state in states[:1000]:
+            wrench, (F, cov) = ours.step(state), peer.step(state)
+            worst = max(worst, agree(f"wrench of {name}", F, wrench.F, 1e-6))
+            agree(f"covariance of {name}", cov, wrench.cov, 1e-6)
+        note = "crba, computeCoriolisMatrix, computeGeneralizedGravity, computeFrameJacobian, LAPACK dposv"
+        contenders = [
+            Contender(f'method="{method}", step(state)', each(ours.step, states[:1000], ours.reset), "armlab", bar),
+            Contender("Pinocchio with NumPy", each(peer.step, states[:1000], peer.reset), note=note),
+        ]
+        text = f"Wrench and covariance of {ROBOT} from one state, back to back; forces agree to {worst:.1g} N."
+        tables += _tables(f"{name} step", text, contenders, rounds)
+    return tables
+
+
+def _methods(torque_model: TorqueModel, robot: Robot, states: Sequence[State], rounds: int) -> Table:
+    """Measure all methods of the estimator side by side."""
+    ways = {"map": {}, "bounded": {}, "observer": {}, "kf": {}, "kf, bias=True": {"bias": True}, "interval": {}}
+    bars = {"map": 6e-6, "bounded": 15e-6, "observer": 15e-6, "kf": 25e-6}
+    contenders = []
+    for name, options in ways.items():
+        estimator = Estimator(torque_model, robot, name.split(",")[0], **options)
+        contenders.append(
+            Contender(name, each(estimator.step, states[:1000], estimator.reset), "armlab", bars.get(name))
+        )
+    text = f"One step of {ROBOT} by each method, back to back; the middle one of a block. Ratios are to the first."
+    return Table("Estimator methods, p50", text, "µs", figures(contenders, alternate(contenders, rounds)), rounds)
 
 
 def _tables(title: str, text: str, contenders: Sequence[Contender], rounds: int) -> list[Table]:
     samples = alternate(contenders, rounds)
     p50 = figures(contenders, samples, np.median)
-    p99 = figures(contenders, samples, lambda block: float(np.percentile(block, 99)))
+    unbound = [replace(contender, bar=None) for contender in contenders]  # a bar is for the middle
+    p99 = figures(unbound, samples, lambda block: float(np.percentile(block, 99)))
     return [
         Table(f"{title}, p50", f"{text} The middle one of a block.", "µs", p50, rounds),
         Table(f"{title}, p99", f"{text} The slowest hundredth of a block begins here.", "µs", p99, rounds),

@@ -28,6 +28,8 @@ class PinocchioEstimator:
         self._peer = Pinocchio(robot, links)
         self._m, self._f, self._r, self._c = model, model.friction, model.ripple, model.covariance
         self._ripples = bool(np.any(self._r.cosine) or np.any(self._r.sine))
+        self._rooted, smooth = bool(np.any(self._f.root)), self._f.smooth_speed
+        self._smooth = 1.0 / np.where(smooth > 0, smooth, 1.0) if np.any(smooth > 0) else None
         self._speed_scale, self._delta_scale = 1.0 / self._f.stribeck_speed, -1.0 / self._f.delta
         self._static2 = self._f.static**2
         self._at_speed, self._excess = self._c.alpha2 * self._c.Cinf, self._c.alpha2 * (self._c.C0 - self._c.Cinf)
@@ -42,26 +44,33 @@ class PinocchioEstimator:
 
     def step(self, state: State) -> tuple[np.ndarray, ...]:
         """Return F, its covariance, observability, filtered torque error and its variance."""
-        q, qd, dt, f, n = state.q, state.qd, state.dt, self._f, self._m.n
+        q, qd, dt, n = state.q, state.qd, state.dt, self._m.n
         first = self._play is None
         if first:
             self._play, self._qd = q, qd
         self._slide(q, dt)
         qdd = (qd - self._qd) / dt
         self._qd = qd
-        z = self._z
-        drive = f.viscous * qd + f.offset + np.where(z > 0, f.coulomb_pos, f.coulomb_neg) * z
-        drive += f.stribeck * z * np.exp(-np.square(qd * self._speed_scale))
-        if self._ripples:
-            angle = self._r.cycles * q
-            drive += self._r.cosine * np.cos(angle) + self._r.sine * np.sin(angle)
         peer = self._peer
         rigid = pin.rnea(peer.model, peer.data, q, qd, qdd) + self._m.rotor * qdd
-        low = self._lowpass(np.concatenate((rigid + drive - state.tau, self._p)), dt, first)
+        low = self._lowpass(np.concatenate((rigid + self._drive(q, qd) - state.tau, self._p)), dt, first)
         error = low[:n]
         variance = self._variance(qd) + self._static2 * np.minimum(np.maximum(low[n:], 0.0), 1.0)
         J = pin.computeFrameJacobian(peer.model, peer.data, q, peer.tool, WORLD_AXES)
         return *self._posterior(J, error, variance), error, variance
+
+    def _drive(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+        f, z = self._f, self._z
+        if self._smooth is not None:
+            z = np.where(f.smooth_speed > 0, np.tanh(qd * self._smooth), z)
+        drive = f.viscous * qd + f.offset + np.where(z > 0, f.coulomb_pos, f.coulomb_neg) * z
+        drive += f.stribeck * z * np.exp(-np.square(qd * self._speed_scale))
+        if self._rooted:
+            drive += f.root * z * np.sqrt(np.abs(qd))
+        if self._ripples:
+            angle = self._r.cycles * q
+            drive += self._r.cosine * np.cos(angle) + self._r.sine * np.sin(angle)
+        return drive
 
     def _slide(self, q: np.ndarray, dt: float) -> None:
         resolution = self._f.resolution

@@ -32,13 +32,13 @@ def test_momentum_noise_makes_two_sigma_hold(truth, excited, model) -> None:
     rows = np.arange(len(data.t)) < len(data.t) // 2
     folds = [(model, rows), (model, ~rows)]
     errors, moving = held_out(folds, data)
-    errors = np.where(moving[:, None], errors, np.nan)
+    errors = np.where(moving, errors, np.nan)
     noise = momentum_noise(model, folds, errors, data)
     assert np.all((noise.memory > 0.004) & (noise.memory < 1.0))
     assert 0.25 <= noise.alpha2_kf < 1.0  # a walk that never walks is followed too fast
     rate, prior = np.square(FORCE_RATES["normal"]), np.square(PRIOR)
     judged = replace(model, momentum=noise)
-    rows = moving & (data.t > 1.0)
+    rows = moving.all(axis=1) & (data.t > 1.0)
     for filters, factor in ((True, noise.alpha2_kf), (False, noise.alpha2_observer)):
         kernel = judged.momentum_kernel(prior, rate, filters=filters)
         F, P, seen, error, variance, *_ = (a[rows] for a in kernel.run(data.q, data.qd, data.tau, data.dt)[:5])

@@ -44,12 +44,19 @@ def momentum_noise(
     known = [column[np.isfinite(column)] for column in errors.T]
     memory = np.array([correlation_time(column, step) if len(column) > 1 else step for column in known])
     noise = MomentumNoise(memory, velocity_noise(data))
-    counts = np.isfinite(errors).all(axis=1)
-    held = [(replace(fold, covariance=model.covariance), rows & counts) for fold, rows in folds]
+    held = [(replace(fold, covariance=model.covariance), rows) for fold, rows in folds]
     variance = model.covariance.variance(data.qd) / model.covariance.alpha2
-    ratios = [found[3] ** 2 / variance[rows] for found, rows in _runs(held, noise, data, filters=False)]
+    ratios = [
+        (found[3] ** 2 / variance[rows])[np.isfinite(errors[rows] + found[3])]
+        for found, rows in _runs(held, noise, data, filters=False)
+    ]
     noise = replace(noise, alpha2_observer=_factor(ratios))
-    ratios = [_normalised(*found[:3]) for found, _ in _runs(held, noise, data, filters=True)]
+    moving = np.isfinite(errors)
+    judged = moving.any() & moving[:, moving.any(axis=0)].all(axis=1)
+    ratios = [
+        _normalised(*(values[judged[rows]] for values in found[:3]))
+        for found, rows in _runs(held, noise, data, filters=True)
+    ]
     return replace(noise, alpha2_kf=_factor(ratios))
 
 
