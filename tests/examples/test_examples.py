@@ -20,6 +20,7 @@ NEEDS = {  # example -> the one whose files it reads, and one of these files
 LONG = ("03_identify.py", "04_contact_force.py", "12_source_report.py")
 LONGEST = 120  # s, generous for a busy machine; each takes less than 30 s on a quiet one
 MAX_LINES = 40
+PRINTED: dict[tuple[Path, str], str] = {}
 
 
 @pytest.fixture(scope="module")
@@ -28,10 +29,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(name: str, folder: Path) -> str:
-    """Run an example, after the one that it needs, and return what it printed."""
-    if name in NEEDS and not (folder / NEEDS[name][1]).exists():
-        run(NEEDS[name][0], folder)
-    return run_file(EXAMPLES[name], folder)
+    """Run an example, after the one that it needs, and return what it printed; once for all tests."""
+    if (folder, name) not in PRINTED:
+        if name in NEEDS and not (folder / NEEDS[name][1]).exists():
+            run(NEEDS[name][0], folder)
+        PRINTED[folder, name] = run_file(EXAMPLES[name], folder)
+    return PRINTED[folder, name]
 
 
 def run_file(path: Path, folder: Path) -> str:
@@ -55,6 +58,19 @@ def test_example_runs(name: str, folder: Path) -> None:
     printed = run(name, folder)
     assert printed.strip()
     assert "nan" not in printed.lower()
+
+
+@pytest.mark.slow
+def test_the_errors_on_the_page_are_those_of_the_example(folder: Path) -> None:
+    """How true the band is, on the page about contact forces: what 12_source_report.py prints, but for rounding."""
+    number = r"(\d\.\d\d)"
+    printed = re.findall(rf"{number} {number} {number} N RMS, (\d+) %", run("12_source_report.py", folder))
+    page = (ROOT / "docs" / "how_to" / "contact_force.md").read_text(encoding="utf-8")
+    written = re.findall(rf"\| {number}, {number}, {number} \| (\d+) % \|", page)
+    assert len(printed) == len(written) == 4
+    for found, said in zip(printed, written, strict=True):
+        assert [float(x) for x in found[:3]] == pytest.approx([float(x) for x in said[:3]], abs=0.05)
+        assert int(found[3]) == pytest.approx(int(said[3]), abs=2)
 
 
 @pytest.mark.slow
