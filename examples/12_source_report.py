@@ -2,21 +2,20 @@
 
 import numpy as np
 
-from armlab import contact, identify, plots, robots, sim
-from armlab.log import Table
+from armlab import contact, identify, log, plots, robots, sim
 
 WEIGHT = [(20.0, 0, 4.905), (23.0, 2, -4.905)]  # s, axis, N: 500 g along x, then along -z, both hands at once
 FIRST = {"left": 10.0, "right": 1.0}  # s: before that, 5 N along x, y, z of the base, one hand after the other
 
 
-def measure(side: str) -> tuple[Table, Table]:
+def measure(side: str) -> tuple[log.Table, log.Table]:
     """Excite one arm and identify it, then press on its tip while it sways; return the estimates along both logs."""
     robot = robots.load(f"yumi_{side}")
     presses = [(FIRST[side] + 3.0 * axis, axis, 5.0) for axis in range(3)] + WEIGHT
 
     def hand(t: np.ndarray) -> np.ndarray:
-        shapes = [np.interp(t, start + np.array([0.0, 0.1, 2.0, 2.1]), [0, 1, 1, 0]) for start, _, _ in presses]
-        return sum(np.outer(shape, force * np.eye(6)[axis]) for shape, (_, axis, force) in zip(shapes, presses))
+        corners = np.array([0.0, 0.1, 2.0, 2.1])
+        return sum(np.outer(np.interp(t, s + corners, [0, f, f, 0]), np.eye(6)[axis]) for s, axis, f in presses)
 
     arm = sim.Arm(robot, sim.synthetic_truth(robot), seed=1)
     excited = sim.record(arm, identify.excitation(robot, 24.0))
@@ -27,9 +26,9 @@ def measure(side: str) -> tuple[Table, Table]:
 def main() -> None:
     arms = {side: measure(side) for side in FIRST}
     free = arms["right"][0].between(0.5, np.inf)
-    kinds = {"exponential": "exp", "step": "step"}  # equations 3 and 4
-    fits = {name: identify.fit_velocity_covariance(-free["tau_error"], free["qd"], kinds[name]).value for name in kinds}
-    plots.residual_speed(free, fits, joints=[1]).savefig("report_1.png", dpi=120)
+    e, qd = -free["tau_error"], free["qd"]  # exp is equation 3 of the report, step equation 4
+    curves = {kind: identify.fit_velocity_covariance(e, qd, kind).value for kind in ("exp", "step")}
+    plots.residual_speed(free, curves, joints=[1]).savefig("report_1.png", dpi=120)
     for number, start, end in ((2, 0.5, 19.5), (3, 19.5, 26.0)):
         shown = {f"{side} arm": pressed.between(start, end) for side, (_, pressed) in arms.items()}
         plots.wrenches(shown).savefig(f"report_{number}.png", dpi=120)

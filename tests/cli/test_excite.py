@@ -57,6 +57,19 @@ def test_json_has_a_deviation_per_parameter(tmp_path, capsys) -> None:
     assert Motion().seconds == 60.0
 
 
+def test_one_joint_at_constant_speeds(tmp_path, capsys) -> None:
+    path = tmp_path / "friction.csv"
+    assert main(["excite", "yumi_left", "--joint", "3", "-o", str(path)]) == 0
+    assert "s of motion" in capsys.readouterr().out
+    found = columns(path)
+    assert np.ptp(found["q3 [rad]"]) > 0.3
+    assert not any(np.ptp(found[f"q{i} [rad]"]) for i in (1, 2, 4, 5, 6, 7))
+    for wrong in ("0", "8", "elbow"):
+        assert main(["excite", "yumi_left", "--joint", wrong, "-o", str(tmp_path / "none.csv")]) == 1
+        assert "joint" in capsys.readouterr().err
+    assert [entry.name for entry in tmp_path.iterdir()] == ["friction.csv"]
+
+
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [

@@ -49,6 +49,7 @@ def excite(
     *,
     output: Annotated[Path | None, Parameter(alias="-o")] = None,
     motion: Motion = Motion(),
+    joint: str | None = None,
     saved: Path | None = None,
     noise: float = 0.1,
     figure: Path | None = None,
@@ -71,6 +72,8 @@ def excite(
         Write the motion to this CSV file: t, q, qd, qdd at 250 Hz.
     motion : Motion
         What it shall be like.
+    joint : str
+        Instead, move this joint alone, by name or number from 1: ten constant speeds, both ways, to see its friction.
     saved : Path
         Take the motion of this file, as -o writes it, instead of designing one.
     noise : float
@@ -90,7 +93,7 @@ def excite(
     """
     from armlab import log as logs
     from armlab import robots
-    from armlab.cli.output import FIGURES, aligned, check_output, note, print_json, progress, result
+    from armlab.cli.output import FIGURES, check_output, note, print_json, progress, result
     from armlab.errors import ConfigError
     from armlab.identify import Trajectory, expectation
 
@@ -102,14 +105,14 @@ def excite(
     arm = robots.load(robot)
     with progress("design") as tell:
         tell(0, 2, "choosing among candidates" if saved is None else f"reading {saved.name}")
-        trajectory = _design(arm, motion) if saved is None else Trajectory.from_table(logs.read(saved))
+        trajectory = _design(arm, motion, joint) if saved is None else Trajectory.from_table(logs.read(saved))
         tell(1, 2, "what it will tell")
-        expected = expectation(trajectory, arm, noise)
+        expected = expectation(trajectory, arm, noise) if joint is None else None
     if json:
-        print_json({"robot": arm.name, **(vars(motion) if saved is None else {}), **_plain(expected)})
+        told = {} if expected is None else _plain(expected)
+        print_json({"robot": arm.name, **vars(motion), "seconds": trajectory.seconds, **told})
     else:
-        result(aligned(expected.rows(), right=(2, 3, 4)))
-        result(expected.excitation.text())
+        result(f"{trajectory.seconds:.1f} s of motion" if expected is None else _text(expected))
     table = trajectory.table()
     if output is not None:
         note(f"motion: {logs.write(table, output)}")
@@ -124,12 +127,21 @@ def excite(
     return 0
 
 
-def _design(robot: Robot, motion: Motion) -> Trajectory:
-    from armlab.identify import excitation
+def _design(robot: Robot, motion: Motion, joint: str | None) -> Trajectory:
+    """Design a motion of all joints, or of one."""
+    from armlab.identify import excitation, friction_run
 
+    if joint is not None:
+        return friction_run(robot, int(joint) - 1 if joint.isdecimal() else joint)
     return excitation(
         robot, motion.seconds, motion.f0, motion.harmonics, motion.speed, motion.acceleration, seed=motion.seed
     )
+
+
+def _text(expected: Expectation) -> str:
+    from armlab.cli.output import aligned
+
+    return f"{aligned(expected.rows(), right=(2, 3, 4))}\n{expected.excitation.text()}"
 
 
 def _plain(expected: Expectation) -> dict[str, Any]:
