@@ -70,6 +70,7 @@ def test_json(pushed: str, capsys) -> None:
     data = json.loads(capsys.readouterr().out)
     assert len(data["contacts"]) == 1
     assert data["contacts"][0]["force"][0] == pytest.approx(8.0, abs=1.0)
+    assert "point" in data["contacts"][0]["where"]
     assert [axis["axis"] for axis in data["axes"]] == ["f_x", "f_y", "f_z", "m_x", "m_y", "m_z"]
 
 

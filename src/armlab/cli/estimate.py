@@ -13,10 +13,12 @@ if TYPE_CHECKING:
     from armlab.cli.page import Verdict
     from armlab.contact import Contact
     from armlab.log import Table
+    from armlab.robots import Robot
 
 __all__ = ["Prior", "estimate"]
 
 COLUMNS = ("wrench_hat", "wrench_hat_cov", "observability", "wrench_flags", "wrench_active", "wrench_interval")
+LEAST = 1.0  # s of a log in which the place of a contact is weighed
 
 
 @Parameter(name="*")
@@ -62,7 +64,7 @@ def estimate(
     """Estimate the contact force in a log with a model.
 
     Prints, per axis, the range of the estimate, its mean 2-sigma band and how well the arm could see that axis, then
-    each interval of contact with its mean force, then what can be relied on and what cannot. The force is that of the
+    each interval of contact with its mean force and where it may be, then what can be relied on and what cannot. The force is that of the
     environment on the robot, in base axes, at the tool point.
 
     Parameters
@@ -116,7 +118,8 @@ def estimate(
     _check(table, log)
     found = contacts(table)
     verdict = reporting.judge(table, known, estimator.prior, found)
-    _say(table, method, found, verdict, json)
+    where = _where(table, arm, method, prior, found)
+    _say(table, method, found, where, verdict, json)
     if output is not None:
         note(f"writing {output}")
         logs.write(table.select(*(name for name in COLUMNS if name in table)), output, arm)
@@ -133,20 +136,31 @@ def estimate(
     return 0
 
 
-def _say(table: Table, method: str, found: list[Contact], verdict: Verdict, json: bool) -> None:
+def _where(table: Table, arm: Robot, method: str, prior: Prior, found: list[Contact]) -> list[str]:
+    """Return what is believed of the place of each contact; nothing of methods whose torque error is not static."""
+    from armlab.contact import hypotheses
+
+    if not found or method in ("observer", "kf") or table.t[-1] - table.t[0] < LEAST:
+        return [""] * len(found)
+    believed = hypotheses(table, arm, point=prior.point, prior=prior.deviations)
+    return [believed.during(contact.start, contact.end) for contact in found]
+
+
+def _say(table: Table, method: str, found: list[Contact], where: list[str], verdict: Verdict, json: bool) -> None:
     """Print the table per axis, the contacts and the verdict, or all of it as JSON."""
     from armlab.cli.estimate_report import axes, rows
     from armlab.cli.output import aligned, print_json, result
 
     if json:
-        said: dict[str, Any] = {"rows": len(table), "method": method, "contacts": [vars(contact) for contact in found]}
+        said: dict[str, Any] = {"rows": len(table), "method": method, "contacts": []}
+        said["contacts"] = [{**vars(contact), "where": place} for contact, place in zip(found, where)]
         print_json({**said, "axes": axes(table), "verdict": vars(verdict)})
         return
     result(aligned(rows(table), right=(1, 2, 3, 4, 5)))
-    for contact in found:
+    for contact, place in zip(found, where):
         f = "  ".join(f"{value:+.2f}" for value in contact.force)
         span = f"{contact.start:7.2f} to {contact.end:7.2f} s"
-        result(f"contact {span}   force [N]  {f}   2-sigma {contact.band:.2f}")
+        result(f"contact {span}   force [N]  {f}   2-sigma {contact.band:.2f}   {place}".rstrip())
     result(verdict.text())
 
 

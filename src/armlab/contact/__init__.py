@@ -2,6 +2,7 @@
 
 from armlab.contact.comparison import Comparison, compare
 from armlab.contact.estimator import Estimator
+from armlab.contact.hypotheses import Hypotheses, hypotheses
 from armlab.contact.intervals import Contact, contacts
 from armlab.contact.wrench import INFEASIBLE, INVALID, SINGULAR, STUCK, TARED, WEAK, Wrench
 
@@ -15,7 +16,9 @@ __all__ = [
     "Comparison",
     "Contact",
     "Estimator",
+    "Hypotheses",
     "Wrench",
     "compare",
     "contacts",
+    "hypotheses",
 ]

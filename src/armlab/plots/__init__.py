@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from armlab.plots.arms import robot
+from armlab.plots.beliefs import hypotheses
 from armlab.plots.columns import table
 from armlab.plots.covariances import velocity_covariance
 from armlab.plots.coverages import coverage, observability
@@ -20,6 +21,7 @@ from armlab.plots.workspaces import workspace
 from armlab.plots.wrenches import wrench, wrenches
 
 __all__ = [
+    "hypotheses",
     "autocorrelation",
     "coverage",
     "excitation",

@@ -1,0 +1,177 @@
+"""Where a contact is: the right hypothesis for clear pushes, undecided for others, links never taken for the tool."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from armlab import identify, robots
+from armlab.contact import Estimator, Hypotheses, hypotheses
+from armlab.errors import ShapeError, UnknownName
+from armlab.log import Column, Table
+from armlab.models import velocity_covariance
+
+ROBOT = robots.load("yumi_left")
+SD = 0.01 * np.array([40.0, 40, 25, 25, 10, 10, 5])  # of the torque error [N m]
+PRIOR = np.array([20.0, 20, 20, 2, 2, 2])
+STEP, MEMORY, ROWS = 0.004, 0.1, 250
+LINE = np.array([[0.0, 0, 0], [0, 0, 0.06], [0, 0.04, 0.06]])  # 100 mm along two sides
+
+
+@dataclass(frozen=True)
+class Pushes:
+    table: Table
+    places: np.ndarray
+
+    def windows(self, found: Hypotheses) -> np.ndarray:
+        """Numbers of the windows that hold one push each."""
+        return np.arange(len(self.places)) * 2
+
+
+def at_link(q: np.ndarray, link: int, x: np.ndarray) -> np.ndarray:
+    """Jacobian (3, 7) of a point x, base axes, on a link."""
+    J, tool = ROBOT.chain.jacobian(q), ROBOT.chain.forward(q)[:3, 3]
+    return (J[:3] + np.cross(J[3:].T, x - tool).T) * (np.arange(7) < link)
+
+
+def pushes(kind: str, trials: int, seed: int) -> Pushes:
+    """One second each at a random pose: 5 to 15 of the deviations that an estimate of the whole wrench states, at most
+    twice the prior's 20 N, in a direction that it sees well; the error has a correlation time of 0.1 s."""
+    rng = np.random.default_rng(seed)
+    fade = np.exp(-STEP / MEMORY)
+    q, error, places = np.empty((trials, ROWS, 7)), np.empty((trials, ROWS, 7)), np.zeros(trials)
+    for k in range(trials):
+        pose = rng.uniform(np.maximum(ROBOT.q_min, -2), np.minimum(ROBOT.q_max, 2))
+        T_base_tool, J = ROBOT.chain.forward(pose), ROBOT.chain.jacobian(pose)
+        P = np.linalg.inv(J @ np.diag(1 / SD**2) @ J.T + np.diag(1 / PRIOR**2))[:3, :3]
+        directions = rng.standard_normal((200, 3))
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        sigma = np.sqrt(np.einsum("ki,ij,kj->k", directions, P, directions))
+        chosen = int(np.argmax(sigma < np.sqrt(0.1) * 20.0))  # observability 0.9; the first where there is none
+        force = rng.uniform(5, min(15, 40 / sigma[chosen])) * sigma[chosen] * directions[chosen]
+        places[k] = rng.uniform(0, 0.1) if kind == "segment" else 0.0
+        at = T_base_tool[:3, 3] + T_base_tool[:3, :3] @ [0, max(places[k] - 0.06, 0), min(places[k], 0.06)]
+        if kind == "link":
+            origins = ROBOT.chain.link_transforms(pose)[3:5, :3, 3]
+            at = origins[0] + rng.uniform() * (origins[1] - origins[0])
+        torque = at_link(pose, 4 if kind == "link" else 7, at).T @ force * (kind != "none")
+        noise = lfilter([np.sqrt(1 - fade**2)], [1, -fade], rng.standard_normal((2 * ROWS, 7)), axis=0)[ROWS:]
+        q[k], error[k] = pose, torque + SD * noise
+    N = trials * ROWS
+    values = {
+        "q": q.reshape(N, 7),
+        "qd": np.ones((N, 7)),
+        "tau_error": error.reshape(N, 7),
+        "tau_variance": np.tile(SD**2, (N, 1)),
+    }
+    units = {"tau_error": Column(unit="N m"), "tau_variance": Column(unit="N^2 m^2")}
+    return Pushes(Table(STEP * np.arange(N), values, units), places)
+
+
+def decisions(made: Pushes, **options) -> tuple[list[str], np.ndarray, Hypotheses]:
+    found = hypotheses(made.table, ROBOT, memory=MEMORY, **options)
+    rows = made.windows(found)
+    return [found.decision[i] for i in rows], found.link[rows], found
+
+
+def test_clear_pushes_are_taken_for_what_they_are() -> None:
+    """At the known point 94 %, somewhere on the segment 97 %: what is left looks like a push on link 4, through the
+    axes of the wrist, and is undecided for the most part."""
+    at_point, _, point = decisions(pushes("point", 400, seed=11))
+    made = pushes("segment", 400, seed=12)
+    on_segment, _, segment = decisions(made, segment=LINE)
+    right = [name == "point" for name in at_point], [name == "segment" for name in on_segment]
+    assert np.mean(right) >= 0.95
+    assert np.mean(right, axis=1).min() >= 0.93
+    assert np.mean([name not in ("point", "undecided") for name in at_point]) < 0.03
+    assert point.names == ("none", "point", "wrench", *(f"link {k}" for k in range(1, 7)))
+    np.testing.assert_allclose(point.posterior.sum(axis=1), 1.0)
+    np.testing.assert_allclose(point.samples, 5.0)
+    assert np.isnan(point.place).all()
+    error = np.abs(segment.place[made.windows(segment)] - made.places)
+    assert np.median(error) < 0.01
+    assert np.all((segment.place >= 0) & (segment.place <= 0.1 + 1e-12))
+
+
+@pytest.mark.parametrize("segment", [None, LINE])
+def test_a_push_on_a_link_is_never_reported_as_one_on_the_tool_without_a_flag(segment) -> None:
+    names, flags, found = decisions(pushes("link", 200, seed=3), segment=segment)
+    tool = np.isin(names, ["point", "segment", "wrench"])
+    assert not np.any(tool & ~flags)
+    assert np.mean([name.startswith("link") for name in names]) > 0.6
+    assert "link 4" in found.text()
+
+
+def test_no_contact() -> None:
+    names, flags, _ = decisions(pushes("none", 100, seed=4))
+    assert np.mean([name == "none" for name in names]) > 0.9
+    assert not np.any(flags & np.isin(names, ["none"]))
+    quiet = hypotheses(pushes("none", 4, seed=4).table, ROBOT, memory=MEMORY)
+    assert quiet.text() == "no contact in any window"
+    assert quiet.during(0.0, 1.0).startswith("none")
+
+
+def test_at_rest_a_window_is_one_sample() -> None:
+    made = pushes("point", 2, seed=1)
+    still = made.table.with_column("qd", 0 * made.table["qd"])
+    assert np.all(hypotheses(still, ROBOT, memory=MEMORY).samples == 1.0)
+
+
+def test_evidence_is_the_density_of_the_torque_error() -> None:
+    """One row, one sample: log N(tau_e; 0, J^T C J + C_tau) as scipy has it."""
+    from scipy.stats import multivariate_normal
+
+    table = pushes("point", 1, seed=5).table.rows(slice(0, 2))
+    found = hypotheses(table, ROBOT, window=STEP, memory=1.0)
+    q, e = table["q"][0], table["tau_error"][0]
+    J = ROBOT.chain.jacobian(q)
+    expected = [
+        multivariate_normal.logpdf(e, cov=np.diag(SD**2)),
+        multivariate_normal.logpdf(e, cov=400.0 * J[:3].T @ J[:3] + np.diag(SD**2)),
+        multivariate_normal.logpdf(e, cov=J.T @ np.diag(PRIOR**2) @ J + np.diag(SD**2)),
+    ]
+    constant = 3.5 * np.log(2 * np.pi)
+    np.testing.assert_allclose(found.log_evidence[0, :3] - constant, expected, rtol=1e-9)
+
+
+def test_an_estimated_log(truth, model) -> None:
+    """From the estimator's own table: a press at the tool point is one, and before it there is none."""
+    sd = 0.05 * truth.friction.coulomb_pos
+    perfect = replace(
+        model,
+        link_parameters=truth.links,
+        rotor=truth.rotor,
+        friction=truth.friction,
+        ripple=replace(model.ripple, cosine=np.zeros(7), sine=np.zeros(7)),
+        covariance=velocity_covariance("const", sd**2, sd**2),
+    )
+    motion = identify.excitation(truth.robot, seconds=12, speed=0.3, seed=4)
+    force = np.array([0.0, 12.0, -12.0, 0, 0, 0])
+    log = truth.log(motion, seed=1, wrench=lambda t: np.outer((t > 6) & (t < 8), force))
+    found = hypotheses(Estimator(perfect, truth.robot).run(log), truth.robot)
+    assert found.during(6.0, 8.0).startswith("point")
+    assert found.during(3.0, 5.0).startswith("none")
+    assert "point" in found.text()
+
+
+def test_bad_input_is_refused_by_a_sentence() -> None:
+    table = pushes("none", 2, seed=0).table
+    with pytest.raises(UnknownName, match="tau_error"):
+        hypotheses(Table(table.t, {"q": table["q"], "qd": table["qd"]}), ROBOT)
+    with pytest.raises(ShapeError, match="irb2400"):
+        hypotheses(table, robots.load("irb2400"))
+    with pytest.raises(ShapeError, match="three finite"):
+        hypotheses(table, ROBOT, point=(0, 0))
+    with pytest.raises(ShapeError, match="two different points"):
+        hypotheses(table, ROBOT, segment=[[0, 0, 0.1]])
+    with pytest.raises(ShapeError, match="six positive"):
+        hypotheses(table, ROBOT, prior=np.zeros(6))
+    with pytest.raises(ShapeError, match="memory"):
+        hypotheses(table, ROBOT, memory=0.0)
+    with pytest.raises(ShapeError, match="at least one window"):
+        hypotheses(table, ROBOT, window=100.0)
+    with pytest.raises(ShapeError, match="missing"):
+        hypotheses(table.with_column("tau_error", np.full(table["q"].shape, np.nan), unit="N m"), ROBOT)
