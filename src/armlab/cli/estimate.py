@@ -64,8 +64,8 @@ def estimate(
     """Estimate the contact force in a log with a model.
 
     Prints, per axis, the range of the estimate, its mean 2-sigma band and how well the arm could see that axis, then
-    each interval of contact with its mean force and where it may be, then what can be relied on and what cannot. The force is that of the
-    environment on the robot, in base axes, at the tool point.
+    each interval of contact with its mean force and where it may be, then what can be relied on and what cannot. The
+    force is that of the environment on the robot, in base axes, at the tool point.
 
     Parameters
     ----------

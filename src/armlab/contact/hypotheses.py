@@ -168,7 +168,7 @@ def _columns(table: Table, robot: Robot) -> list[np.ndarray]:
 
 
 def _places(
-    point: ArrayLike, segment: ArrayLike | None, prior: ArrayLike | None
+    point: ArrayLike | None, segment: ArrayLike | None, prior: ArrayLike | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the point (1 or 0, 3), the places on the segment (GRID or 0, 3), and the deviations (6,)."""
     at = np.zeros(3) if point is None else np.asarray(point, dtype=float)

@@ -153,7 +153,7 @@ def _information_root(fit: Fit[TorqueModel], base: BaseParameters) -> np.ndarray
             "Identify again from the log."
         )
     whole = known.singular_values[:, None] * known.vectors.T * known.scale
-    return np.linalg.qr(whole[:, :p], mode="r")
+    return np.linalg.qr(whole[:, :p])[1]
 
 
 def _prior(prior: np.ndarray | None, robot: Robot, model: TorqueModel) -> np.ndarray:

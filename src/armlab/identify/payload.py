@@ -34,7 +34,7 @@ __all__ = ["fit_payload"]
 SIZES = {"static": 4, "dynamic": 10}
 UNITS = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)
 FARTHEST = 0.5  # m, of the centre of mass
-MIN_BLOCKS, ROUNDS = 8, 2
+MIN_BLOCKS = 8
 
 
 def fit_payload(
@@ -74,14 +74,14 @@ def fit_payload(
     if not 0 <= gain_sd < 1:
         raise ShapeError(f"Expected a standard deviation of the gains in [0, 1), got {gain_sd}. 0.05 is 5 %.")
     record, p = LoadRecord.of(table, model, robot, without), SIZES[mode]
-    gains, rest, seconds = np.zeros(robot.n), np.zeros(10), record.data.seconds / 20.0
-    for _ in range(ROUNDS):
-        found = _robust(record, p, gains, rest, seconds)
-        left = record.y - (1.0 + gains) * (record.A @ np.concatenate([found.x, rest[p:]]))
-        problem = GainProblem.of(found, left, gains, gain_sd)
-        x, gains = problem.solve()
-        rest = _point(x) if mode == "static" else rest
-        seconds = min(block_seconds(left, EVERY / record.data.rate), record.data.seconds / 20.0)
+    seconds = record.data.seconds / 20.0
+    guess, gains, rest = _robust(record, p, np.zeros(robot.n), np.zeros(10), seconds), np.zeros(robot.n), np.zeros(10)
+    left = _left(record, guess, gains, rest)
+    x, gains = GainProblem.of(guess, left, gains, gain_sd).solve()
+    rest = _point(x) if mode == "static" else rest
+    found = _robust(record, p, gains, rest, min(block_seconds(left, EVERY / record.data.rate), seconds))
+    problem = GainProblem.of(found, _left(record, found, gains, rest), gains, gain_sd)
+    x, gains = problem.solve()
     known = np.linalg.cholesky(problem.information(x, gains)).T
     check_spread(known, LINK_SYMBOLS[:p], UNITS[:p], _limits(record, robot)[:p], "payload")
     wrong = np.einsum("iab,i,ibs->as", problem.response(x, gains), problem.weights, record.against[:, :p])
@@ -128,6 +128,11 @@ def _limits(record: LoadRecord, robot: Robot) -> np.ndarray:
     return torque / gravity * np.array([1.0 / reach, *[1.0] * 3, *[reach] * 6])
 
 
+def _left(record: LoadRecord, found: LinearSolution, gains: np.ndarray, rest: np.ndarray) -> np.ndarray:
+    """Return the residuals (M, n) of a solution [N m]."""
+    return record.y - (1.0 + gains) * (record.A @ np.concatenate([found.x, rest[len(found.x) :]]))
+
+
 def _point(theta: np.ndarray) -> np.ndarray:
     """Return the ten parameters of a point with mass and first moment `theta` (4,)."""
     if not theta[0] > 0:
@@ -146,13 +151,13 @@ def _possible(theta: np.ndarray, cov: np.ndarray) -> np.ndarray:
     def at(multiplier: float) -> np.ndarray:
         return np.linalg.solve(metric + multiplier * cone, metric @ theta[:4])
 
-    from scipy.optimize import brentq
+    from scipy.optimize import root_scalar
 
     reach = np.linalg.eigvals(np.linalg.solve(metric, -cone)).real.max()
     ends = 0.0, (1.0 - 1e-9) / reach
     if at(ends[1]) @ cone @ at(ends[1]) > 0 or at(ends[1])[0] < 0:
         return np.zeros_like(theta)
-    near = at(float(brentq(lambda s: at(s) @ cone @ at(s), *ends)))
+    near = at(root_scalar(lambda s: at(s) @ cone @ at(s), bracket=ends).root)
     if near[0] <= 0:
         return np.zeros_like(theta)
     return np.concatenate([near, theta[4:] + cov[4:, :4] @ metric @ (near - theta[:4])])
