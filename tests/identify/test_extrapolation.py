@@ -77,3 +77,8 @@ def test_bad_logs_are_refused(model, excited) -> None:
         extrapolation(model, excited.with_column("q", q))
     with pytest.raises(ShapeError, match="share of rest"):
         replace(model.training, rest_share=2.0)
+    few = Table(excited.t[:50], {"q": excited["q"][:50]})
+    with pytest.raises(ShapeError, match="100 rows without a gap"):
+        extrapolation(model, few)
+    with pytest.raises(ShapeError, match="at least two rows"):
+        extrapolation(model, few.rows(slice(0, 1)))

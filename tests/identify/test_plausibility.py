@@ -66,9 +66,20 @@ def test_velocity_of_another_sign_unit_or_order(truth, excited) -> None:
 def test_velocity_check_alone(truth) -> None:
     rng = np.random.default_rng(0)
     slope = rng.standard_normal((100, 7))
-    check_velocity(slope, 1.05 * slope, truth.robot)
+    moved = np.ones(7, dtype=bool)
+    check_velocity(slope, 1.05 * slope, moved, truth.robot)
     with pytest.raises(ShapeError, match=r"1\.2 times"):
-        check_velocity(slope, 1.2 * slope, truth.robot)
+        check_velocity(slope, 1.2 * slope, moved, truth.robot)
+
+
+def test_a_locked_joint_that_is_not_fitted_has_no_velocity_to_compare(truth, excited) -> None:
+    """Its position stands still and its velocity is noise: no derivative of anything, and no reason to refuse."""
+    q, qd = excited["q"].copy(), excited["qd"].copy()
+    q[:, 6], qd[:, 6] = 0.3, 1e-3 * np.random.default_rng(0).standard_normal(len(q))
+    for speed in (qd, np.where(np.arange(7) == 6, 0.0, qd)):
+        assert prepare(changed(excited, q=q, qd=speed), truth.robot, joints=range(6)).seconds > 29.0
+    with pytest.raises(NotExcited, match="axis_6"):
+        prepare(changed(excited, q=q, qd=qd), truth.robot)
 
 
 def test_positions_in_degrees_or_of_the_motors(truth, excited) -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from armlab.errors import NotExcited, ShapeError
+from armlab.errors import NotExcited, RobotError, ShapeError, UnknownName
 from armlab.identify import Prepared, prepare, with_velocity
 from armlab.log import Table
 
@@ -99,6 +99,28 @@ def test_bad_columns_are_refused(truth, excited) -> None:
     six = Table(excited.t, {name: excited[name][:, :6] for name in ("q", "qd", "tau")})
     with pytest.raises(ShapeError, match="Name the robot that was logged"):
         prepare(six, robot)
+
+
+def test_what_is_no_log_no_robot_or_no_joint_is_refused(truth, excited) -> None:
+    for wrong in ("log.csv", ["log.csv"], None, excited["q"]):
+        with pytest.raises(ShapeError, match=r"Expected a Table.*log\.read"):
+            prepare(wrong, truth.robot)
+    with pytest.raises(RobotError, match=r"robots\.load\('yumi_left'\)"):
+        prepare(excited, "yumi_left")  # type: ignore[arg-type]
+    for joints in ([7], [-1], [], ["axis_1"], [0.5]):
+        with pytest.raises(UnknownName, match="numbers of joints from 0 to 6"):
+            prepare(excited, truth.robot, joints=joints)
+
+
+def test_positions_without_velocity_are_refused_by_row_and_too_few_have_none(excited) -> None:
+    holes = excited["q"].copy()
+    holes[5] = np.nan
+    with pytest.raises(ShapeError, match=r"finite q.*first \[5\]"):
+        with_velocity(Table(excited.t, {"q": holes}))
+    for rows in (0, 1, 50):
+        few = with_velocity(Table(excited.t[:rows], {"q": excited["q"][:rows]}))
+        assert few["qd"].shape == (rows, 7)
+        assert np.isnan(few["qd"]).all()
 
 
 def test_velocity_is_computed_where_the_log_has_none(truth, excited) -> None:

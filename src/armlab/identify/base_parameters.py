@@ -18,9 +18,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from armlab.errors import RobotError, UnknownName
 from armlab.robots import Robot
 
-__all__ = ["BaseParameters", "base_parameters"]
+__all__ = ["BaseParameters", "base_parameters", "measured_joints"]
 
 LINK_SYMBOLS = ("m", "m c_x", "m c_y", "m c_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
 POSITIVE = (0, 4, 6, 9)  # masses and moments of inertia
@@ -82,12 +83,15 @@ def base_parameters(robot: Robot, *, quasi_static: bool = False, joints: Sequenc
     quasi_static : of gravity alone, as slow motion shows it: masses and first moments.
     joints : whose torque is measured; all when left out.
 
+    Raises
+    ------
+    RobotError : something else than a robot. UnknownName : no such joint.
+
     References
     ----------
     Gautier, M. (1991), Numerical calculation of the base inertial parameters of robots.
     """
-    n = robot.n
-    measured = list(range(n)) if joints is None else list(joints)
+    measured, n = measured_joints(robot, joints), robot.n
     A = _random_regressor(robot, quasi_static)
     norms = np.abs(A[:, :, : 11 * n]).max()
     A = A[:, measured]
@@ -115,6 +119,29 @@ def base_parameters(robot: Robot, *, quasi_static: bool = False, joints: Sequenc
         seen=seen,
         quasi_static=quasi_static,
     )
+
+
+def measured_joints(robot: Robot, joints: Sequence[int] | None = None) -> list[int]:
+    """Return the numbers of the joints that are meant, all when left out.
+
+    Parameters
+    ----------
+    robot : frozen description. joints : numbers from 0.
+
+    Raises
+    ------
+    RobotError : something else than a robot. UnknownName : no such joint, or none at all.
+    """
+    if not isinstance(robot, Robot):
+        raise RobotError.no_robot(robot)
+    numbers = np.arange(robot.n) if joints is None else np.asarray(joints)
+    whole = numbers.ndim == 1 and numbers.size > 0 and numbers.dtype.kind in "iu"
+    if not whole or numbers.min() < 0 or numbers.max() >= robot.n:
+        raise UnknownName(
+            f"Expected numbers of joints from 0 to {robot.n - 1} of robot {robot.name!r}, got {numbers.tolist()}. "
+            "Count from 0, or leave them out for all."
+        )
+    return numbers.tolist()
 
 
 def _random_regressor(robot: Robot, quasi_static: bool) -> np.ndarray:

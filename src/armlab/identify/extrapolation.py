@@ -101,7 +101,7 @@ def extrapolation(model: TorqueModel, table: Table) -> Extrapolation:
     if len(bad):
         raise ShapeError(
             f"Expected finite q and qd, got NaN or Inf in {len(bad)} rows, first {bad[:5].tolist()}. "
-            "Drop them with table.dropna."
+            "Drop them with table.dropna; without qd it takes 100 rows without a gap to compute it."
         )
     margin = BESIDE * (known.q_max - known.q_min)
     outside = np.mean((q < known.q_min - margin) | (q > known.q_max + margin), axis=0)

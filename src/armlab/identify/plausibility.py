@@ -78,24 +78,24 @@ def _side(times: float, joint: int, robot: Robot) -> str:
     return " or ".join(found) or "no known unit"
 
 
-def check_velocity(slope: np.ndarray, qd: np.ndarray, robot: Robot) -> None:
+def check_velocity(slope: np.ndarray, qd: np.ndarray, moved: np.ndarray, robot: Robot) -> None:
     """Refuse a velocity that is not the derivative of the position: wrong sign, unit, side or joint order.
 
     Parameters
     ----------
     slope : (N, n) derivative of position. qd : (N, n) velocity; both low-passed alike.
-    robot : names and gears.
+    moved : (n,) joints that moved; at rest there is nothing to compare. robot : names and gears.
 
     Raises
     ------
     ShapeError : names the joints, the factor and what it looks like.
     """
-    power = np.sum(slope**2, axis=0)
+    power = np.sum(slope**2, axis=0) + 1e-300
     gain = np.sum(slope * qd, axis=0) / power
     norm = np.sqrt(power * np.sum(qd**2, axis=0) + 1e-300)
     alike = (slope.T @ qd) / np.sqrt(np.outer(power, np.sum(qd**2, axis=0)) + 1e-300)
     correlation = np.sum(slope * qd, axis=0) / norm
-    wrong = np.flatnonzero((np.abs(gain - 1) > TOLERANCE) | (correlation < CORRELATION))
+    wrong = np.flatnonzero(moved & ((np.abs(gain - 1) > TOLERANCE) | (correlation < CORRELATION)))
     if not len(wrong):
         return
     gear = _gears(robot)

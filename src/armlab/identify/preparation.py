@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from armlab.errors import NotExcited, ShapeError
+from armlab.identify.base_parameters import measured_joints
 from armlab.identify.plausibility import check_position, check_rate, check_torque, check_velocity
 from armlab.log import Table
 from armlab.robots import Robot
@@ -88,13 +89,14 @@ def prepare(table: Table | Sequence[Table], robot: Robot, joints: Sequence[int] 
 
     Raises
     ------
-    ShapeError : wrong joint count, NaN rows by number, logs of different rates or below 40 Hz, gaps everywhere,
-        positions in degrees or of the motors, velocity that is not the derivative of position, torque of the motors.
+    RobotError : something else than a robot. UnknownName : no such joint.
+    ShapeError : something else than a log, wrong joint count, NaN rows by number, logs of different rates or below
+        40 Hz, gaps everywhere, positions in degrees or of the motors, velocity that is not the derivative of position,
+        torque of the motors.
     NotExcited : too short, joints at rest by name, constant torque.
     """
-    tables = [table] if isinstance(table, Table) else list(table)
-    if not tables:
-        raise ShapeError("Expected at least one log, got none. Give the file of a recorded excitation.")
+    used = np.bincount(measured_joints(robot, joints), minlength=robot.n) > 0
+    tables = _tables(table)
     pieces = [_segments(one, robot) for one in tables]
     rate = _common_rate(tables)
     t = np.concatenate([t[a:b] for t, _, segs in pieces for a, b in segs])
@@ -106,13 +108,24 @@ def prepare(table: Table | Sequence[Table], robot: Robot, joints: Sequence[int] 
     q, qd, tau = columns
     sources = tuple(f"{one.source or 'table'} sha256:{one.sha256}" for one in tables)
     prepared = Prepared(t, dt, q, qd, tau, segments, rate, _resolution(q), sources)
-    used = np.ones(robot.n, dtype=bool) if joints is None else np.isin(np.arange(robot.n), joints)
     check_position(q, robot)
-    _check_motion(prepared, robot, used)
+    moved = np.ptp(q, axis=0) >= np.where(robot.prismatic, MIN_SLIDE, MIN_TURN)
+    _check_motion(q, robot, used & ~moved)
     slope = prepared.filter(prepared.differentiate(q), BAND)
-    check_velocity(slope, prepared.filter(qd, BAND), robot)
+    check_velocity(slope, prepared.filter(qd, BAND), moved, robot)
     check_torque(q, tau, used, robot)
     return prepared
+
+
+def _tables(table: Table | Sequence[Table]) -> list[Table]:
+    """Return one log or several as a list; refuse what is none."""
+    tables = [table] if isinstance(table, Table) or not isinstance(table, (list, tuple)) else list(table)
+    if not tables:
+        raise ShapeError("Expected at least one log, got none. Give the file of a recorded excitation.")
+    for one in tables:
+        if not isinstance(one, Table):
+            raise ShapeError(f"Expected a Table, or a list of them, got {type(one).__name__}. Read files by log.read.")
+    return tables
 
 
 def with_velocity(table: Table) -> Table:
@@ -124,10 +137,15 @@ def with_velocity(table: Table) -> Table:
     Parameters
     ----------
     table : log with q (N, n), finite.
+
+    Raises
+    ------
+    ShapeError : NaN rows, by number.
     """
     if "qd" in table:
         return table
     q, t = table["q"], table.t
+    _check_finite("q", q)
     qd = np.full(q.shape, np.nan)
     for a, b in _pieces(t):
         rate = 1.0 / float(np.median(np.diff(t[a:b])))
@@ -147,7 +165,7 @@ def _corner(q: np.ndarray, rate: float) -> float:
 def _pieces(t: np.ndarray) -> list[tuple[int, int]]:
     """Return (start, stop) of the stretches without a gap that have at least `MIN_SEGMENT` rows."""
     step = np.diff(t)
-    cuts = np.flatnonzero(step > 1.5 * np.median(step)) + 1
+    cuts = np.flatnonzero(step > 1.5 * np.median(step)) + 1 if len(step) else np.zeros(0, dtype=int)
     return [(a, b) for a, b in pairwise([0, *cuts.tolist(), len(t)]) if b - a >= MIN_SEGMENT]
 
 
@@ -161,12 +179,7 @@ def _segments(table: Table, robot: Robot) -> tuple[np.ndarray, list[np.ndarray],
                 f"Expected {name} of shape ({len(table)}, {robot.n}) for robot {robot.name!r}, got {values.shape}. "
                 "Name the robot that was logged."
             )
-        bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
-        if len(bad):
-            raise ShapeError(
-                f"Expected finite {name}, got NaN or Inf in {len(bad)} rows, first {bad[:5].tolist()}. "
-                "Drop them with table.dropna, or record with the research extension when torque is missing."
-            )
+        _check_finite(name, values)
     t = np.asarray(table.t, dtype=float)
     if len(t) < MIN_SEGMENT or t[-1] - t[0] < MIN_SECONDS:
         length = t[-1] - t[0] if len(t) else 0.0
@@ -190,6 +203,15 @@ def _segments(table: Table, robot: Robot) -> tuple[np.ndarray, list[np.ndarray],
     return t, columns, pieces
 
 
+def _check_finite(name: str, values: np.ndarray) -> None:
+    bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
+    if len(bad):
+        raise ShapeError(
+            f"Expected finite {name}, got NaN or Inf in {len(bad)} rows, first {bad[:5].tolist()}. "
+            "Drop them with table.dropna, or record with the research extension when torque is missing."
+        )
+
+
 def _common_rate(tables: list[Table]) -> float:
     """Return the sampling rate [Hz] of all logs; one filter serves them all, so they must agree."""
     rates = [1.0 / float(np.median(np.diff(one.t))) for one in tables]
@@ -206,19 +228,20 @@ def _resolution(q: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(smallest), 0.5 * smallest, 0.0)
 
 
-def _check_motion(data: Prepared, robot: Robot, used: np.ndarray) -> None:
-    ranges = np.ptp(data.q, axis=0)
-    still = np.flatnonzero(used & (ranges < np.where(robot.prismatic, MIN_SLIDE, MIN_TURN)))
-    if len(still):
-        names = [robot.joint_names[i] for i in still]
-        spread = [
-            f"{1e3 * x:.1f} mm" if robot.prismatic[i] else f"{np.rad2deg(x):.2f} deg" for i, x in enumerate(ranges)
-        ]
-        spread = [spread[i] for i in still]
-        listed = ", ".join(f"{a} ({b})" for a, b in zip(names, spread))
-        raise NotExcited(
-            f"Expected every joint to move by at least 5 deg (20 mm), got less for {listed}: their inertia, "
-            "gravity and friction cannot be told apart. Record a motion of all joints, as of identify.excitation.",
-            names,
-            spread,
-        )
+def _check_motion(q: np.ndarray, robot: Robot, still: np.ndarray) -> None:
+    """Refuse joints (n,) that are to be fitted but hardly move."""
+    if not still.any():
+        return
+    names = [robot.joint_names[i] for i in np.flatnonzero(still)]
+    spread = [
+        f"{1e3 * x:.1f} mm" if robot.prismatic[i] else f"{np.rad2deg(x):.2f} deg"
+        for i, x in enumerate(np.ptp(q, axis=0))
+        if still[i]
+    ]
+    listed = ", ".join(f"{a} ({b})" for a, b in zip(names, spread))
+    raise NotExcited(
+        f"Expected every joint to move by at least 5 deg (20 mm), got less for {listed}: their inertia, "
+        "gravity and friction cannot be told apart. Record a motion of all joints, as of identify.excitation.",
+        names,
+        spread,
+    )
