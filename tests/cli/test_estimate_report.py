@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
@@ -87,7 +88,8 @@ def test_the_table_per_axis(table: Table) -> None:
     assert first[2] == f"{found[0]['max']:.2f}"
 
 
-def test_the_page_has_coverage_where_there_is_a_truth(table: Table, model: TorqueModel, tmp_path) -> None:
+def test_the_page_has_coverage_where_there_is_a_truth(table: Table, model: TorqueModel, monkeypatch, tmp_path) -> None:
+    monkeypatch.setattr("armlab.plots.png", lambda drawn: plt.close("all") or b"drawn")
     heard: list[str] = []
     found = contacts(table)
     verdict = judge(table, model, PRIOR, found)

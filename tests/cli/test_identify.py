@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from typing import NamedTuple
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
@@ -39,15 +40,22 @@ def reading(monkeypatch, logs: dict[str, Table]) -> None:
 
 
 @pytest.fixture(scope="module")
-def outcome(logs: dict[str, Table], tmp_path_factory) -> Outcome:
-    """Everything that the command can leave, in one run."""
+def outcome(logs: dict[str, Table], fitted: Fit[TorqueModel], tmp_path_factory) -> Outcome:
+    """Everything that the command can leave, in one run; the fit itself is that of the other tests."""
     from contextlib import redirect_stderr, redirect_stdout
     from io import StringIO
+
+    def told(tables, robot, method, progress) -> Fit[TorqueModel]:
+        assert (len(tables), robot.name, method) == (1, "yumi_left", "irls")
+        progress(0, 5, "checking the log")
+        return fitted
 
     folder, out, err = tmp_path_factory.mktemp("identify"), StringIO(), StringIO()
     words = ["-o", str(folder / "model.toml"), "--report", str(folder / "id.html"), "--figure", str(folder / "fit.png")]
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
         patch.setattr("armlab.log.read", lambda path: logs[path.name])
+        patch.setattr("armlab.identify.fit_dynamics", told)
+        patch.setattr("armlab.plots.png", lambda drawn: plt.close("all") or b"drawn")  # test_excite has real pictures
         assert main(["identify", "yumi_left", "run.mcap", *words, "--test", "free.mcap"]) == 0
     return Outcome(folder, out.getvalue(), err.getvalue())
 
@@ -105,6 +113,10 @@ def test_json_has_the_numbers_and_the_verdict(reading, fitted, monkeypatch, tmp_
     assert said["joints"][0]["share_test"] is None
     assert any("ripple of joint 2." in sentence for sentence in said["verdict"]["good"])
     assert said["condition"] > 1
+
+
+def test_the_model_is_that_of_the_fit(outcome: Outcome, fitted: Fit[TorqueModel]) -> None:
+    assert np.array_equal(models.load(outcome.folder / "model.toml").base_values, fitted.value.base_values)
 
 
 def test_nothing_is_overwritten_without_force(reading, tmp_path, capsys) -> None:

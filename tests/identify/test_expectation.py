@@ -11,9 +11,13 @@ from armlab.identify.expectation import Expectation, expectation
 
 
 @pytest.fixture(scope="module")
-def expected() -> Expectation:
-    robot = robots.load("yumi_left")
-    return expectation(identify.excitation(robot, seconds=30.0, seed=1), robot, noise=0.1)
+def motion() -> identify.Trajectory:
+    return identify.excitation(robots.load("yumi_left"), seconds=30.0, seed=1)
+
+
+@pytest.fixture(scope="module")
+def expected(motion: identify.Trajectory) -> Expectation:
+    return expectation(motion, robots.load("yumi_left"), noise=0.1)
 
 
 def test_every_parameter_has_a_group_and_a_deviation(expected: Expectation) -> None:
@@ -26,20 +30,18 @@ def test_every_parameter_has_a_group_and_a_deviation(expected: Expectation) -> N
     assert sum(int(row[2]) for row in rows) == len(expected.names)
 
 
-def test_deviations_follow_the_noise_and_the_length(expected: Expectation) -> None:
+def test_deviations_follow_the_noise_and_the_length(expected: Expectation, motion: identify.Trajectory) -> None:
     robot = robots.load("yumi_left")
-    motion = identify.excitation(robot, seconds=30.0, seed=1)
     assert expectation(motion, robot, noise=0.2).sd == pytest.approx(2 * expected.sd)
-    longer = expectation(identify.excitation(robot, seconds=60.0, seed=1), robot)
-    assert np.median(longer.sd / expected.sd) == pytest.approx(np.sqrt(0.5), rel=0.15)
+    twice = expectation(identify.sequence([motion, motion], walk=0.1), robot)
+    assert np.median(twice.sd / expected.sd) == pytest.approx(np.sqrt(0.5), rel=0.05)
 
 
-def test_the_spread_of_fits_is_what_was_expected(expected: Expectation) -> None:
+def test_the_spread_of_fits_is_what_was_expected(expected: Expectation, motion: identify.Trajectory) -> None:
     """Least squares on the expected regressor itself, with white noise: the deviations are those of 200 fits."""
     from armlab.identify.base_parameters import base_parameters
 
     robot = robots.load("yumi_left")
-    motion = identify.excitation(robot, seconds=30.0, seed=1)
     q, qd, qdd = motion.sample(np.arange(0.0, 30.0, 0.02))
     base = base_parameters(robot)
     rotor = np.zeros((len(q), 7, 7))
