@@ -10,7 +10,7 @@ import pytest
 from armlab import identify, robots, sim
 from armlab.errors import ConfigError, MissingExtra, ModelMismatchError, ShapeError, UnknownName
 from armlab.estimation import Fit
-from armlab.identify import Physical, physical, pseudo_inertia
+from armlab.identify import Physical, fit_payload, physical, physical_load, pseudo_inertia
 from armlab.identify.consistency import LEAST
 from armlab.identify.residuals import model_residuals
 from armlab.robots import inertia
@@ -107,6 +107,23 @@ def test_simulator_and_urdf_take_the_links(truth, fitted, tmp_path) -> None:
     arm = sim.Arm(robot, replace(template, pi=found.links, rotor=found.rotor))
     arm.step(robot.q_home, np.zeros(7), None)
     assert np.isfinite(arm.sample.tau).all()
+
+
+def test_a_load_becomes_a_body(truth, model) -> None:
+    """A point has no inertia about itself: half of the fits of one are no body, and a body is near."""
+    robot = truth.robot
+    point = inertia.from_body(0.5, [0.03, 0.0, 0.052], np.zeros((3, 3)))
+    links = truth.links.copy()
+    links[-1] += inertia.transform(robot.links[-1], point)
+    motion = identify.excitation(robot, seconds=12, speed=0.4, seed=3)
+    fit = fit_payload(replace(truth, links=links).log(motion, seed=3), model, robot, "dynamic")
+    assert np.linalg.eigvalsh(pseudo_inertia(fit.value.pi)).min() < 0
+    body = physical_load(fit)
+    assert np.linalg.eigvalsh(pseudo_inertia(body.value.pi)).min() > -1e-12
+    assert np.all(np.abs(body.parameters - point) < 4 * fit.sd)
+    assert "deviations to a body" in body.report()
+    with pytest.raises(ConfigError, match="dynamic"):
+        physical_load(fit_payload(truth.log(motion, seed=3), model, robot))
 
 
 def test_bad_input_is_refused_by_a_sentence(truth, fitted, tmp_path, monkeypatch) -> None:

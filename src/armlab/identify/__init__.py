@@ -1,7 +1,7 @@
 """Identification: excitation design, regressors, base parameters, rigid-body dynamics, friction, torque covariance."""
 
 from armlab.identify.base_parameters import BaseParameters, base_parameters
-from armlab.identify.consistency import Physical, physical, pseudo_inertia
+from armlab.identify.consistency import Physical, physical, physical_load, pseudo_inertia
 from armlab.identify.covariance import fit_velocity_covariance
 from armlab.identify.dynamics import fit_dynamics
 from armlab.identify.excitation import dither, excitation
@@ -39,6 +39,7 @@ __all__ = [
     "friction_run",
     "group_lasso",
     "physical",
+    "physical_load",
     "predict",
     "prepare",
     "pseudo_inertia",

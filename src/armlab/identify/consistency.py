@@ -24,10 +24,10 @@ import numpy as np
 from armlab.errors import ConfigError, MissingExtra, NotConverged, ShapeError, UnknownName
 from armlab.estimation import Fit
 from armlab.identify.base_parameters import BaseParameters, base_parameters
-from armlab.models import TorqueModel
+from armlab.models import Payload, TorqueModel
 from armlab.robots import Robot, inertia
 
-__all__ = ["Physical", "physical", "pseudo_inertia"]
+__all__ = ["Physical", "physical", "physical_load", "pseudo_inertia"]
 
 LEAST = 1e-6  # eigenvalue of a pseudo-inertia [kg, kg m^2]
 PULLS = ("log-det", "euclidean")
@@ -138,8 +138,45 @@ def physical(
     distance = float(np.linalg.norm(root @ (values - target)))
     squares = float(np.sum((fit.residuals / fit.sigma) ** 2))
     growth = float(np.sqrt(1.0 + distance**2 / squares) - 1.0)
-    better = replace(model, link_parameters=links, rotor=rotor, base_values=values)
+    constant = base.D @ np.concatenate([links.ravel(), rotor])  # torque of bodies that the fit took for an offset
+    friction = replace(model.friction, offset=model.friction.offset - constant)
+    better = replace(model, link_parameters=links, rotor=rotor, base_values=values, friction=friction)
     return Physical(better, links, rotor, growth, distance)
+
+
+def physical_load(fit: Fit[Payload]) -> Fit[Payload]:
+    """Return the nearest load that is a body, in deviations of the fit.
+
+    ``minimise (pi - pi_fit)^T cov^-1 (pi - pi_fit)`` over pseudo-inertias that are not negative.
+
+    Parameters
+    ----------
+    fit : of `fit_payload` in mode "dynamic". The covariance stays that of the fit.
+
+    Raises
+    ------
+    MissingExtra : cvxpy is not installed. ConfigError : a fit of mass and centre only, which is a body as it is.
+    NotConverged : the solver did not find a solution.
+    """
+    if len(fit.parameters) != 10:
+        raise ConfigError(
+            f"Expected a load with inertia, got {len(fit.parameters)} parameters. Fit it with mode='dynamic'."
+        )
+    cvxpy, far = _cvxpy(), float(np.linalg.norm(fit.value.centre)) or 1.0
+    scale = np.diag([far, far, far, 1.0])
+    expand = _parameters_of(scale)
+    body = cvxpy.Variable((4, 4), PSD=True)
+    root = np.linalg.inv(np.linalg.cholesky(fit.cov))
+    away = (root @ expand) @ cvxpy.vec(body, order="C") - root @ fit.parameters
+    _solve(cvxpy, cvxpy.Problem(cvxpy.Minimize(cvxpy.sum_squares(away))))
+    pi = expand @ _at_least(scale @ body.value @ scale, scale, 0.0)
+    distance = float(np.linalg.norm(root @ (pi - fit.parameters)))
+    text = fit.report()
+
+    def summary(moved: Fit[Payload]) -> str:
+        return f"{moved.table()}\nmoved by {distance:.2g} deviations to a body; before:\n{text}"
+
+    return replace(fit, value=replace(fit.value, pi=pi), parameters=pi, summary=summary)
 
 
 def _information_root(fit: Fit[TorqueModel], base: BaseParameters) -> np.ndarray:
@@ -207,18 +244,26 @@ def _nearest(
             cost = cost + cvxpy.sum_squares(S - S0) / np.sum(S0 * S0)
     cost = cvxpy.sum_squares(root @ values - root @ target) + strength * cost
     problem = cvxpy.Problem(cvxpy.Minimize(cost), [S >> LEAST * back @ back for S in bodies])
-    problem.solve(solver="CLARABEL")
-    if problem.status not in ("optimal", "optimal_inaccurate"):
-        raise NotConverged(f"Expected links that are bodies near the fit, got solver status {problem.status!r}.")
-    found = np.stack([expand @ _at_least(scale @ S.value @ scale, scale) for S in bodies])
+    _solve(cvxpy, problem)
+    found = np.stack([expand @ _at_least(scale @ S.value @ scale, scale, LEAST) for S in bodies])
     return found, np.maximum(rotor.value, 0.0)
 
 
-def _at_least(P: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """Return the scaled pseudo-inertia (16,) with eigenvalues of at least the limit, which solvers meet to rounding."""
+def _solve(cvxpy: Any, problem: Any) -> None:
+    """Solve, or say that there is no solution."""
+    try:
+        problem.solve(solver="CLARABEL")
+    except cvxpy.SolverError as error:
+        raise NotConverged(f"Expected bodies near the fit, got no solution: {error}. Try another strength.") from None
+    if problem.status not in ("optimal", "optimal_inaccurate"):
+        raise NotConverged(f"Expected bodies near the fit, got solver status {problem.status!r}. Try another strength.")
+
+
+def _at_least(P: np.ndarray, scale: np.ndarray, least: float) -> np.ndarray:
+    """Return the scaled pseudo-inertia (16,) with eigenvalues of at least `least`, which solvers meet to rounding."""
     values, vectors = np.linalg.eigh(P)
     back = np.linalg.inv(scale)
-    return (back @ (vectors * np.maximum(values, LEAST)) @ vectors.T @ back).ravel()
+    return (back @ (vectors * np.maximum(values, least)) @ vectors.T @ back).ravel()
 
 
 def _parameters_of(scale: np.ndarray) -> np.ndarray:

@@ -31,7 +31,7 @@ class LoadRecord:
     data : the record with the load. rows : (M,) rows of it that are kept.
     A : (M, n, 10) filtered columns of the load, at the flange. y : (M, n) filtered residual of the model [N m].
     against : (n, 10, p) sums of A_i^T Y_i per joint, Y the columns of the model's p base parameters: how the load takes
-        up what is wrong with them. p is 0 for a model of other base parameters than those of `base_parameters`.
+        up what is wrong with them. p is 0 for a model of other base parameters than those of all joints.
     sources : name and SHA-256 of each log.
     """
 
@@ -88,8 +88,10 @@ def _at_flange(data: Prepared, robot: Robot) -> np.ndarray:
 
 def _against(A: np.ndarray, data: Prepared, rows: np.ndarray, model: TorqueModel, robot: Robot) -> np.ndarray:
     """Return the sums (n, 10, p) of columns of the load times columns of the base parameters."""
-    base, n = base_parameters(robot), robot.n
-    if tuple(model.base_names) != base.names:
+    n = robot.n
+    known = (base_parameters(robot), base_parameters(robot, quasi_static=True))
+    base = next((base for base in known if base.names == tuple(model.base_names)), None)
+    if base is None:
         return np.zeros((n, 10, 0))
     qdd = data.filter(data.differentiate(data.qd), data.rate / 10.0)
     total = np.zeros((n, 10, len(base.names)))

@@ -92,6 +92,8 @@ def fit_payload(
     pi = _point(theta) if mode == "static" else theta
     value = Payload(robot.name, robot.hash, pi, robot.links[-1], record.sources)
     notes = _notes(x, theta, value, np.sqrt(np.diag(cov)), gains, gain_sd)
+    if not wrong.size:
+        notes.append("the model was identified from some joints only: its own uncertainty is not in the deviations")
     return Fit(
         value=value,
         names=LINK_SYMBOLS[:p],
@@ -184,7 +186,7 @@ def _notes(
     if not np.array_equal(free, theta):
         notes.append(f"held at a bound (m >= 0, centre within {FARTHEST} m); without it m = {free[0]:.4g} kg")
     if len(theta) == 10 and inertia.principal_moments(load.pi).min() < -3.0 * sd[4:].max():
-        notes.append("the inertia is not that of a body: the motion does not tell it; use mode static")
+        notes.append("the inertia is not that of a body; identify.physical_load gives the nearest, or use mode static")
     if gain_sd:
         percent = "  ".join(f"{100 * g:+.1f}" for g in gains)
         notes.append(f"gains of the joints, of which {100 * gain_sd:g} % is expected [%]: {percent}")
