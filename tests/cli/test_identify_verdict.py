@@ -66,9 +66,13 @@ def test_stretched_negative_and_narrow_are_said(fitted, trial: Trial, excited: T
     model = fitted.value
     friction = replace(model.friction, viscous=np.where(np.arange(7) == 1, -0.1, model.friction.viscous))
     covariance = replace(model.covariance, alpha2=16.0)
+    momentum = replace(model.momentum, alpha2_kf=25.0)
     training = replace(model.training, q_max=model.training.q_min + 0.2)
-    bent = replace(fitted, value=replace(model, friction=friction, covariance=covariance, training=training))
+    bent = replace(
+        fitted, value=replace(model, friction=friction, covariance=covariance, momentum=momentum, training=training)
+    )
     verdict = judge(bent, truth.robot, [excited.where(np.abs(excited["qd"]).min(axis=1) > 0.02)], trial)
     assert any("stretched 4.0 times" in said for said in verdict.bad)
+    assert any("momentum methods' covariance had to be stretched 5.0 times" in said for said in verdict.bad)
     assert any("joint 2: negative friction" in said for said in verdict.bad)
     assert any("moved over less than 25 %" in said for said in verdict.ahead)

@@ -160,6 +160,10 @@ def _judge_honesty(found: _Sentences, model: TorqueModel, trial: Trial) -> None:
         found.bad.append(f"{_joints(~honest)}: {shares} of the held-out torques lie inside 2 sigma, where 95 % should.")
     if alpha > STRETCHED:
         found.bad.append(f"The torque covariance had to be stretched {alpha:.1f} times to be true: its shape is wrong.")
+    if model.momentum is not None:
+        worst = float(np.sqrt(max(model.momentum.alpha2_observer, model.momentum.alpha2_kf)))
+        if worst > STRETCHED:
+            found.bad.append(f"The momentum methods' covariance had to be stretched {worst:.1f} times to be true.")
     sentence = f"Without contact the {where} gives a force of {force} N RMS in x y z, where the truth is zero"
     inside = f"{100 * trial.coverage:.0f} % inside 2 sigma"
     (found.good if trial.coverage >= HONEST[0] else found.bad).append(f"{sentence}; {inside}.")
