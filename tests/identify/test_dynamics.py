@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from armlab import identify
-from armlab.errors import NotExcited, UnknownName
+from armlab.errors import NotExcited, ShapeError, UnknownName
 from armlab.identify import base_parameters, fit_dynamics, prepare
 from armlab.identify.design import Design
 from armlab.identify.dynamics import Job, fit_model, settle
@@ -146,3 +146,22 @@ def test_an_unknown_method_is_refused_before_the_log_is_read(truth) -> None:
     job = Job("torque model", "median", 0, lambda done, total, what: None)
     with pytest.raises(UnknownName, match="method of identification"):
         fit_model([], truth.robot, base_parameters(truth.robot), job)
+
+
+def test_joints_without_torque_are_left_out_of_the_model(truth, excited) -> None:
+    """Two wrist joints send nothing. The others come out as before, and no estimator listens to the two."""
+    robot, measured = truth.robot, [0, 1, 2, 3, 4]
+    silent = excited["tau"] * np.isin(np.arange(7), measured)
+    fit = fit_dynamics(excited.with_column("tau", silent), robot, joints=measured)
+    quality, friction = fit.value.quality, fit.value.friction
+    assert np.isnan(quality.rms_cv[5:]).all()
+    assert np.all(quality.rms_cv[:5] < 0.05 * quality.torque_sd[:5])
+    np.testing.assert_allclose(friction.coulomb_pos[:5], truth.friction.coulomb_pos[:5], rtol=0.1)
+    assert fit.value.covariance.C0[5:].min() > 1e10
+    assert fit.value.momentum is None
+    table = fit.report().splitlines()
+    assert [line.split()[0] for line in table[2:7]] == ["1", "2", "3", "4", "5"]
+    assert not any(name.endswith(("axis_5", "axis_6")) for name in fit.names)
+    for wrong in ([], [7], [1, 1]):
+        with pytest.raises(ShapeError, match="numbers of joints from 0 to 6, each once"):
+            fit_dynamics(excited, robot, joints=wrong)

@@ -223,6 +223,16 @@ def test_tiago_joints_that_send_no_torque_are_named(tiago) -> None:
     assert caught.value.directions == ("arm_5", "arm_6", "arm_7")
 
 
+def test_tiago_by_the_joints_that_send_torque(tiago) -> None:
+    """As a user would: the raw log, in the estimator's own band of 10 Hz, held out."""
+    robot, table = tiago
+    quality = fit_dynamics(table, robot, joints=[1, 2, 3, 4]).value.quality
+    shares = 100.0 * quality.rms_cv / quality.torque_sd
+    print("TIAGo, held out, band of 10 Hz:", shares.round(1))
+    assert np.array_equal(np.isfinite(shares), np.isin(np.arange(8), [1, 2, 3, 4]))
+    assert np.all(shares[1:5] < [28, 21, 21, 18])
+
+
 def test_the_example_runs_on_the_log() -> None:
     command = [sys.executable, ROOT / "examples/13_real_arm.py", DATA / "staubli_tx40"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300)

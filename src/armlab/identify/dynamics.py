@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from armlab.errors import NotExcited, UnknownName
+from armlab.errors import NotExcited, ShapeError, UnknownName
 from armlab.estimation import BlockSums, Fit, LinearSolution, Prior, block_bootstrap, block_seconds, least_squares
 from armlab.identify.base_parameters import BaseParameters, base_parameters
 from armlab.identify.design import Design
@@ -53,7 +53,7 @@ class Job:
     Attributes
     ----------
     what : is fitted, for messages. method : of `estimation.least_squares`. seed : of random starts and bootstrap.
-    tell : called with (done, total, what). prior : an earlier fit.
+    tell : called with (done, total, what). prior : an earlier fit. joints : whose torque is measured; None for all.
     """
 
     what: str
@@ -61,6 +61,7 @@ class Job:
     seed: int
     tell: Progress
     prior: Fit[TorqueModel] | None = None
+    joints: tuple[int, ...] | None = None
 
     def solve(self, design: Design, block: np.ndarray) -> LinearSolution:
         """Solve for the linear parameters; `block` (M,) is the block of time of each kept row."""
@@ -132,6 +133,7 @@ def fit_dynamics(
     seed: int = 0,
     progress: Progress | None = None,
     prior: Fit[TorqueModel] | None = None,
+    joints: Sequence[int] | None = None,
 ) -> Fit[TorqueModel]:
     """Identify the torque model of an arm from one or several logs of free motion.
 
@@ -146,6 +148,8 @@ def fit_dynamics(
     progress : called with (done, total, what).
     prior : an earlier fit of the same robot; where the log does not tell a direction of the parameters, its values
         stay, and the report lists the direction. Without it such a log is refused.
+    joints : numbers, from 0, of those whose torque is measured; all when left out. All joints may move. Estimators do
+        not listen to the others, and momentum methods have none of such a model.
 
     Returns
     -------
@@ -163,8 +167,20 @@ def fit_dynamics(
     Gautier (1991) for base parameters, Huber (1964), Rousseeuw (1984), Dahl (1968) for presliding, Kunsch (1989) for
     the block bootstrap.
     """
-    job = Job("torque model", method, seed, progress or (lambda done, total, what: None), prior)
-    return fit_model(table, robot, base_parameters(robot), job)
+    measured = None if joints is None else _numbers(joints, robot)
+    job = Job("torque model", method, seed, progress or (lambda done, total, what: None), prior, measured)
+    return fit_model(table, robot, base_parameters(robot, joints=measured), job)
+
+
+def _numbers(joints: Sequence[int], robot: Robot) -> tuple[int, ...]:
+    """Return joints in their order; refuse none, strangers and doubles."""
+    found = sorted(int(joint) for joint in joints)
+    if not found or found != sorted({*found} & {*range(robot.n)}):
+        raise ShapeError(
+            f"Expected numbers of joints from 0 to {robot.n - 1}, each once, got {list(joints)}. "
+            "Leave joints out where all torques are measured."
+        )
+    return tuple(found)
 
 
 def fit_model(table: Table | Sequence[Table], robot: Robot, base: BaseParameters, job: Job) -> Fit[TorqueModel]:
@@ -177,11 +193,11 @@ def fit_model(table: Table | Sequence[Table], robot: Robot, base: BaseParameters
     if job.method not in METHODS:
         raise UnknownName.among("method of identification", job.method, METHODS)
     job.tell(0, 5, "checking the log")
-    data = prepare(table, robot)
+    data = prepare(table, robot, job.joints)
     if job.method in ROBUST:
         data = replace(data, tau=_without_spikes(data))
     job.tell(1, 5, "building the regressor")
-    design = Design.build(data, robot, base)
+    design = Design.build(data, robot, base, joints=job.joints)
     job.tell(2, 5, "choosing the shape of friction")
     design, theta = settle(design, job.method, job.seed)
     job.tell(3, 5, "covariance from blocks")
@@ -191,7 +207,7 @@ def fit_model(table: Table | Sequence[Table], robot: Robot, base: BaseParameters
     cov = block_bootstrap(sums, seed=job.seed, length=length).cov
     job.tell(4, 5, "held-out residuals")
     model = _model(design, solution.x, cov)
-    model = assess(model, _fold_models(model, design, sums, block, length), data)
+    model = assess(model, _fold_models(model, design, sums, block, length), data, design.joints)
     job.tell(5, 5, "done")
     return Fit(
         value=model,

@@ -20,6 +20,7 @@ __all__ = ["assess", "held_out", "predict", "report"]
 SETTLED = 0.01  # variance of the presliding state below which friction is known from motion
 ALPHA2_BOUNDS = (0.25, 25.0)
 HALF = 1.0  # s, stretches of the two halves on which the coverage is judged
+UNMEASURED = 1e12  # (N m)^2 of a joint whose torque is not measured: it tells nothing
 FAST = 0.1  # rad/s: above it the bound on friction holds the model's error in motion
 
 
@@ -53,26 +54,31 @@ def _causal(model: TorqueModel, data: Prepared) -> tuple[np.ndarray, np.ndarray]
     return torque, variance
 
 
-def assess(model: TorqueModel, folds: list[tuple[TorqueModel, np.ndarray]], data: Prepared) -> TorqueModel:
+def assess(
+    model: TorqueModel, folds: list[tuple[TorqueModel, np.ndarray]], data: Prepared, joints: np.ndarray | None = None
+) -> TorqueModel:
     """Return the model with its torque covariance and quality figures.
 
     Both residuals of the quality, of the fit and held out, pass the estimator's causal filter and count each joint
     while it moves: so they may be compared. The coverage is honest: covariance and scale are fitted to one half of the
-    stretches of time and judged on the other, both ways; the model gets those of all.
+    stretches of time and judged on the other, both ways; the model gets those of all. Joints whose torque is not
+    measured have no figures, and a deviation so large that no estimator listens to them.
 
     Parameters
     ----------
     model : fitted to all data. folds : models for held-out rows.
-    data : the record.
+    data : the record. joints : whose torque is measured; all when left out.
     """
     errors, moving = held_out(folds, data)
+    measured = np.ones(model.n, dtype=bool) if joints is None else np.isin(np.arange(model.n), joints)
+    moving &= measured
     covariance = _covariance(errors, data.qd, moving)
     odd = (data.blocks(HALF) % 2 == 1)[:, None]
     inside = np.zeros(model.n)
     for half in (moving & odd, moving & ~odd):
         other = _covariance(errors, data.qd, moving & ~half)
         inside += np.sum(half & (errors**2 < 4.0 * other.variance(data.qd)), axis=0)
-    count = moving.sum(axis=0)
+    count = np.where(measured, moving.sum(axis=0), np.nan)
     quality = replace(
         model.quality,
         rms=np.sqrt(np.sum(_causal(model, data)[0] ** 2, axis=0, where=moving) / count),
@@ -81,13 +87,16 @@ def assess(model: TorqueModel, folds: list[tuple[TorqueModel, np.ndarray]], data
     )
     bound = _bound(model, covariance, errors, data.qd, moving)
     judged = replace(model, covariance=covariance, bound=bound, quality=quality)
+    if not measured.all():
+        return judged  # the momentum of an arm takes all torques
     return replace(judged, momentum=momentum_noise(judged, folds, np.where(moving, errors, np.nan), data))
 
 
 def _covariance(errors: np.ndarray, qd: np.ndarray, moving: np.ndarray) -> VelocityCovariance:
     """Return the covariance over velocity of each joint from its rows in motion, scaled so that 2 sigma hold 95.4 %."""
+    unknown = VelocityCovariance("exp", [UNMEASURED], [UNMEASURED], [1.0])
     parts = [
-        fit_velocity_covariance(errors[rows, i : i + 1], qd[rows, i : i + 1], "exp").value
+        fit_velocity_covariance(errors[rows, i : i + 1], qd[rows, i : i + 1], "exp").value if rows.any() else unknown
         for i, rows in enumerate(moving.T)
     ]
     C0, Cinf, shape = (np.concatenate([getattr(part, name) for part in parts]) for name in ("C0", "Cinf", "shape"))
@@ -143,8 +152,8 @@ def report(fit: Fit[TorqueModel], solution: LinearSolution | None = None) -> str
     model, q = fit.value, fit.value.quality
     header = ("joint", "torque sd", "rms", "fit", "held-out", "viscous", "coulomb +", "coulomb -", "sign", "in 2 sigma")
     units = ("", "", "", "% of sd", "% of sd", "", "", "", "", "%")
-    rows, deviations = [], _deviations(fit)
-    for i, own in enumerate(deviations):
+    rows, judged = [], np.flatnonzero(np.isfinite(q.rms_cv))  # joints whose torque was measured
+    for i, own in zip(judged, _deviations(fit)):
         both = own.get("coulomb", 0.0)
         rows.append(
             (
