@@ -74,7 +74,7 @@ def test_held_out_rows_of_several_logs_are_held_out(truth, excited, monkeypatch)
     """Clocks that start again, the second log shorter: each row is held out once, by a model without its block."""
     seen = {}
 
-    def spy(model, folds, data):
+    def spy(model, folds, data, joints):
         seen.update(folds=folds, data=data)
         return assess(model, folds, data)
 
