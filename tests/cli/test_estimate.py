@@ -85,8 +85,11 @@ def test_the_estimate_of_every_row_goes_to_a_file(pushed: str, tmp_path, capsys)
         assert main([*words, "-o", str(tmp_path / name)]) == 0
     written = read(tmp_path / "est.mcap")
     columns = ("wrench_hat", "wrench_hat_cov", "observability", "wrench_flags", "wrench_active")
-    assert sorted(written.names) == sorted((*columns, "tick", "session"))
+    beliefs = [name for name in written.names if name.startswith("p_")]
+    assert {"p_none", "p_point", "p_wrench"} < set(beliefs)
+    assert sorted(written.names) == sorted((*columns, *beliefs, "tick", "session"))
     middle = (written.t > 3.2) & (written.t < 3.9)
+    assert written["p_none"][middle].max() < 0.01 < 0.5 < written["p_none"][0]
     assert written["wrench_hat"][middle, 0].mean() == pytest.approx(8.0, abs=1.0)
     assert np.all(np.linalg.eigvalsh(written["wrench_hat_cov"]) > 0)
     header = (tmp_path / "est.csv").read_text(encoding="utf-8").splitlines()[0]
@@ -101,7 +104,8 @@ def test_the_page_has_the_contact_and_its_figures(pushed: str, tmp_path) -> None
     page = report.read_text(encoding="utf-8")
     assert "Contact wrench" in page
     assert "1 contact; the strongest from" in page
-    assert page.count("data:image/png;base64,") == 3
+    assert page.count("data:image/png;base64,") == 4
+    assert "where it may be" in page
     assert "method map" in page
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from armlab import identify
-from armlab.cli.estimate_report import axes, judge, rows, write
-from armlab.contact import INFEASIBLE, INVALID, SINGULAR, STUCK, Estimator, contacts
+from armlab.cli.estimate_report import axes, columns, judge, places, rows, write
+from armlab.contact import INFEASIBLE, INVALID, SINGULAR, STUCK, Estimator, contacts, hypotheses
 from armlab.log import Table
 from armlab.models import TorqueModel
 
@@ -93,8 +93,32 @@ def test_the_page_has_coverage_where_there_is_a_truth(table: Table, model: Torqu
     heard: list[str] = []
     found = contacts(table)
     verdict = judge(table, model, PRIOR, found)
-    write(tmp_path / "est.html", table, verdict, found, "a log", lambda done, total, what: heard.append(what))
+    write(
+        tmp_path / "est.html",
+        table,
+        verdict,
+        found,
+        None,
+        "a log",
+        lambda done, total, what: heard.append(what),
+    )
     assert "drawing coverage by speed" in heard
     page = (tmp_path / "est.html").read_text(encoding="utf-8")
     assert page.count("data:image/png;base64,") == 4
     assert f"{found[0].start:.2f}" in page
+
+
+def test_the_place_of_a_contact_is_in_words_and_in_columns(table: Table, truth) -> None:
+    believed = hypotheses(table, truth.robot)
+    (found,) = contacts(table)
+    assert places([found], believed) == [(found, believed.during(found.start, found.end))]
+    assert places([found], None) == [(found, "")]
+    written = columns(table, believed)
+    names = [f"p_{name.replace(' ', '_')}" for name in believed.names]
+    assert [name for name in written.names if name.startswith("p_")] == names
+    shares = np.stack([written[name] for name in names], axis=1)
+    assert shares.sum(axis=1) == pytest.approx(1.0)
+    for t in (0.0, 1.9, 2.6, 4.0):
+        row = int(np.argmin(np.abs(table.t - t)))
+        assert np.array_equal(shares[row], believed.posterior[np.argmin(np.abs(believed.t - table.t[row]))])
+    assert "p_none" not in columns(table, None)

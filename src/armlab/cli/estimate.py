@@ -4,20 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from cyclopts import Parameter
 
 if TYPE_CHECKING:
     from armlab.cli.page import Verdict
-    from armlab.contact import Contact
+    from armlab.contact import Contact, Hypotheses
     from armlab.log import Table
     from armlab.robots import Robot
 
 __all__ = ["Prior", "estimate"]
 
-COLUMNS = ("wrench_hat", "wrench_hat_cov", "observability", "wrench_flags", "wrench_active", "wrench_interval")
 LEAST = 1.0  # s of a log in which the place of a contact is weighed
 
 
@@ -118,11 +117,11 @@ def estimate(
     _check(table, log)
     found = contacts(table)
     verdict = reporting.judge(table, known, estimator.prior, found)
-    where = _where(table, arm, method, prior, found)
-    _say(table, method, found, where, verdict, json)
+    believed = _believed(table, arm, method, prior) if found else None
+    _say(table, method, reporting.places(found, believed), verdict, json)
     if output is not None:
         note(f"writing {output}")
-        logs.write(table.select(*(name for name in COLUMNS if name in table)), output, arm)
+        logs.write(reporting.columns(table, believed), output, arm)
     if figure is not None:
         from armlab import plots
 
@@ -131,33 +130,32 @@ def estimate(
     if report is not None:
         about = f"{log.name} of {arm.name}, model {model.name}, method {method}."
         with progress("report") as tell:
-            reporting.write(report, table, verdict, found, about, tell)
+            reporting.write(report, table, verdict, found, believed, about, tell)
         note(f"report: {report}")
     return 0
 
 
-def _where(table: Table, arm: Robot, method: str, prior: Prior, found: list[Contact]) -> list[str]:
-    """Return what is believed of the place of each contact; nothing of methods whose torque error is not static."""
+def _believed(table: Table, arm: Robot, method: str, prior: Prior) -> Hypotheses | None:
+    """Return what is believed of the place of contacts; nothing of methods whose torque error is not static."""
     from armlab.contact import hypotheses
 
-    if not found or method in ("observer", "kf") or table.t[-1] - table.t[0] < LEAST:
-        return [""] * len(found)
-    believed = hypotheses(table, arm, point=prior.point, prior=prior.deviations)
-    return [believed.during(contact.start, contact.end) for contact in found]
+    if method in ("observer", "kf") or table.t[-1] - table.t[0] < LEAST:
+        return None
+    return hypotheses(table, arm, point=prior.point, prior=prior.deviations)
 
 
-def _say(table: Table, method: str, found: list[Contact], where: list[str], verdict: Verdict, json: bool) -> None:
-    """Print the table per axis, the contacts and the verdict, or all of it as JSON."""
+def _say(table: Table, method: str, found: list[tuple[Contact, str]], verdict: Verdict, json: bool) -> None:
+    """Print the table per axis, the contacts with their places and the verdict, or all of it as JSON."""
     from armlab.cli.estimate_report import axes, rows
     from armlab.cli.output import aligned, print_json, result
 
     if json:
-        said: dict[str, Any] = {"rows": len(table), "method": method, "contacts": []}
-        said["contacts"] = [{**vars(contact), "where": place} for contact, place in zip(found, where)]
-        print_json({**said, "axes": axes(table), "verdict": vars(verdict)})
+        contacts = [{**vars(contact), "where": place} for contact, place in found]
+        said = {"rows": len(table), "method": method, "contacts": contacts, "axes": axes(table)}
+        print_json({**said, "verdict": vars(verdict)})
         return
     result(aligned(rows(table), right=(1, 2, 3, 4, 5)))
-    for contact, place in zip(found, where):
+    for contact, place in found:
         f = "  ".join(f"{value:+.2f}" for value in contact.force)
         span = f"{contact.start:7.2f} to {contact.end:7.2f} s"
         result(f"contact {span}   force [N]  {f}   2-sigma {contact.band:.2f}   {place}".rstrip())

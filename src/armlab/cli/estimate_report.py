@@ -11,12 +11,13 @@ import numpy as np
 from armlab.cli.page import Page, Verdict
 
 if TYPE_CHECKING:
-    from armlab.contact import Contact
+    from armlab.contact import Contact, Hypotheses
     from armlab.log import Table
     from armlab.models import TorqueModel
 
-__all__ = ["axes", "judge", "rows", "write"]
+__all__ = ["axes", "columns", "judge", "places", "rows", "write"]
 
+COLUMNS = ("wrench_hat", "wrench_hat_cov", "observability", "wrench_flags", "wrench_active", "wrench_interval")
 AXES = ("f_x", "f_y", "f_z", "m_x", "m_y", "m_z")
 SEEN, WEAK = 0.9, 0.5  # observability
 SLOW = 0.01  # rad/s: an arm below it in all joints rests
@@ -58,6 +59,34 @@ def rows(table: Table) -> list[tuple[str, ...]]:
     keys = ("min", "max", "rms", "two_sigma", "observability")
     head = ("axis", "min", "max", "rms", "2-sigma", "observability")
     return [head, *((str(axis["axis"]), *(f"{axis[key]:.2f}" for key in keys)) for axis in axes(table))]
+
+
+def columns(table: Table, believed: Hypotheses | None) -> Table:
+    """Return what is written of an estimate: its columns, and the probability of each place of the contact.
+
+    Those are columns p_none, p_point, p_link_1 and so on, of the window nearest to the row.
+
+    Parameters
+    ----------
+    table : of `contact.Estimator.run`. believed : of `contact.hypotheses`, or None.
+    """
+    written = table.select(*(name for name in COLUMNS if name in table))
+    if believed is not None:
+        middles = 0.5 * (believed.t[1:] + believed.t[:-1])
+        nearest = np.searchsorted(middles, table.t)
+        for k, name in enumerate(believed.names):
+            written = written.with_column(f"p_{name.replace(' ', '_')}", believed.posterior[nearest, k], unit="1")
+    return written
+
+
+def places(contacts: Sequence[Contact], believed: Hypotheses | None) -> list[tuple[Contact, str]]:
+    """Return each contact with what is believed of its place, in words.
+
+    Parameters
+    ----------
+    contacts : found. believed : of `contact.hypotheses`; without it the words are empty.
+    """
+    return [(c, "" if believed is None else believed.during(c.start, c.end)) for c in contacts]
 
 
 def judge(table: Table, model: TorqueModel, prior: np.ndarray, contacts: Sequence[Contact]) -> Verdict:
@@ -162,13 +191,20 @@ def _truth(table: Table) -> Verdict:
 
 
 def write(
-    path: Path, table: Table, verdict: Verdict, contacts: Sequence[Contact], about: str, tell: Tell | None = None
+    path: Path,
+    table: Table,
+    verdict: Verdict,
+    contacts: Sequence[Contact],
+    believed: Hypotheses | None,
+    about: str,
+    tell: Tell | None = None,
 ) -> None:
     """Write the page.
 
     Parameters
     ----------
-    path : HTML file. table : of `contact.Estimator.run`. verdict : of `judge`. contacts : found in the table.
+    path : HTML file. table : of `contact.Estimator.run`. verdict : of `judge`.
+    contacts : found in the table. believed : of `contact.hypotheses`, or None.
     about : which robot, log, model and method, for the line below the title.
     tell : called with (done, total, what).
     """
@@ -182,17 +218,13 @@ def write(
     page.table(rows(table))
     page.section("Contacts", "" if contacts else "None: the force band never excludes zero for 0.2 s.")
     if contacts:
-        head = ("from [s]", "to [s]", "f_x [N]", "f_y [N]", "f_z [N]", "2-sigma [N]")
-        page.table(
-            [
-                head,
-                *(
-                    (f"{c.start:.2f}", f"{c.end:.2f}", *(f"{f:+.2f}" for f in c.force), f"{c.band:.2f}")
-                    for c in contacts
-                ),
-            ]
-        )
-    drawings = _drawings(table)
+        head = ("from [s]", "to [s]", "f_x [N]", "f_y [N]", "f_z [N]", "2-sigma [N]", "where it may be")
+        found = [
+            (f"{c.start:.2f}", f"{c.end:.2f}", *(f"{f:+.2f}" for f in c.force), f"{c.band:.2f}", place or "-")
+            for c, place in places(contacts, believed)
+        ]
+        page.table([head, *found])
+    drawings = _drawings(table, believed)
     for k, (title, caption, draw) in enumerate(drawings):
         if tell is not None:
             tell(k, len(drawings), f"drawing {title.lower()}")
@@ -201,7 +233,7 @@ def write(
     page.write(path)
 
 
-def _drawings(table: Table) -> list[tuple[str, str, Any]]:
+def _drawings(table: Table, believed: Hypotheses | None) -> list[tuple[str, str, Any]]:
     """Return title, how to read it, and what draws it, of each figure."""
     from armlab import plots
 
@@ -222,11 +254,18 @@ def _drawings(table: Table) -> list[tuple[str, str, Any]]:
             lambda: plots.png(plots.table(table, "q", "qd", "tau")),
         ),
     ]
+    if believed is not None:
+        where = (
+            "Where the contact may be",
+            "Probability of each place, in windows of one second. The bar on top: a link is not excluded, 400 to 1.",
+            lambda: plots.png(plots.hypotheses(believed)),
+        )
+        shown.insert(1, where)
     if "wrench_true" in table or "wrench" in table:
         coverage = (
             "Coverage by speed",
             "Share of the axis's errors inside two sigma; a true uncertainty holds 95.4 % at every speed.",
             lambda: plots.png(plots.coverage(table)),
         )
-        shown.insert(2, coverage)
+        shown.insert(-1, coverage)
     return shown
