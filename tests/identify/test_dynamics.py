@@ -7,22 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from armlab import identify
-from armlab.errors import NotExcited, ShapeError, UnknownName
+from armlab import identify, robots
+from armlab.errors import ModelMismatchError, NotExcited, ShapeError, UnknownName
 from armlab.identify import base_parameters, fit_dynamics, prepare
 from armlab.identify.design import Design
 from armlab.identify.dynamics import Job, fit_model, settle
 from armlab.identify.validation import assess
 from armlab.log import Table
-
-
-def true_parameters(truth) -> np.ndarray:
-    base = identify.base_parameters(truth.robot)
-    f = truth.friction
-    local = np.stack(
-        [f.viscous, f.coulomb_pos, f.coulomb_neg, f.offset, f.stribeck, 0 * f.offset, 0 * f.offset], axis=1
-    )
-    return np.concatenate([base.B @ np.concatenate([truth.links.ravel(), truth.rotor]), local.ravel()])
 
 
 def test_fit_dynamics_predicts_the_torque_of_another_motion(truth, model) -> None:
@@ -35,24 +26,25 @@ def test_fit_dynamics_predicts_the_torque_of_another_motion(truth, model) -> Non
     assert np.all(np.sqrt(np.mean(error[250:] ** 2, axis=0)) < 0.1 * truth.friction.coulomb_pos)
 
 
-@pytest.mark.slow
+@pytest.mark.slow  # 60 s
 def test_errors_match_the_covariance_and_shrink(truth) -> None:
-    """Well-excited parameters: NEES near 1 over seeds; four times the data halves the error."""
-    expected = true_parameters(truth)
-    p = len(identify.base_parameters(truth.robot).names)
-    viscous = p + 7 * np.arange(7)
-    errors, nees = {}, []
-    for seconds in (20, 80):
-        errors[seconds] = []
-        for seed in range(8):
-            motion = identify.excitation(truth.robot, seconds=seconds, seed=seed)
-            fit = fit_dynamics(truth.log(motion, seed=seed), truth.robot)
-            error = (fit.parameters - expected)[viscous]
-            errors[seconds].append(error / truth.friction.viscous)
-            nees.append(np.mean((error / fit.sd[viscous]) ** 2))
-    ratio = np.sqrt(np.mean(np.square(errors[80])) / np.mean(np.square(errors[20])))
-    assert 0.3 < ratio < 0.75
-    assert 0.4 < np.median(nees) < 3.0
+    """All base parameters and viscous friction: NEES near 1 over seeds; four times the data halves the error."""
+    base, robot = base_parameters(truth.robot), truth.robot
+    expected = dict(zip(base.names, base.B @ np.concatenate([truth.links.ravel(), truth.rotor])))
+    expected |= {f"viscous {name}": value for name, value in zip(robot.joint_names, truth.friction.viscous)}
+    errors, covariances = {20: [], 80: []}, []
+    for seconds, seeds in ((20, 6), (80, 2)):
+        for seed in range(seeds):
+            motion = identify.excitation(robot, seconds=seconds, seed=seed)
+            fit = fit_dynamics(truth.log(motion, seed=seed), robot)
+            known = [fit.names.index(name) for name in expected]
+            errors[seconds].append(fit.parameters[known] - list(expected.values()))
+            covariances.append(fit.cov[np.ix_(known, known)])
+    nees = [e @ np.linalg.solve(C, e) / len(e) for e, C in zip([*errors[20], *errors[80]], covariances)]
+    assert 0.7 < np.mean(nees) < 1.4
+    weight = np.linalg.inv(np.mean(covariances[:6], axis=0))
+    power = [np.mean([e @ weight @ e for e in errors[seconds]]) for seconds in (80, 20)]
+    assert 0.35 < np.sqrt(power[0] / power[1]) < 0.65
 
 
 def test_the_fit_reports_every_joint_and_progress(truth, excited) -> None:
@@ -126,6 +118,21 @@ def test_a_small_sway_of_all_joints_is_refused_by_direction(truth) -> None:
     with pytest.raises(NotExcited, match="does not tell apart") as caught:
         fit_dynamics(table, robot)
     assert any("m c" in direction or "I_" in direction for direction in caught.value.directions)
+
+
+def test_a_prior_holds_what_a_small_sway_does_not_tell_and_is_of_this_robot(truth, fitted) -> None:
+    robot = truth.robot
+    t = np.arange(0, 10, 0.004)
+    wave = np.stack([np.sin(2 * t), 2 * np.cos(2 * t), -4 * np.sin(2 * t)])[:, :, None] * 0.1 * np.ones(robot.n)
+    q, qd, qdd = robot.q_home + wave[0], wave[1], wave[2]
+    noise = truth.noise * np.random.default_rng(0).standard_normal(q.shape)
+    table = Table(t, {"q": q, "qd": qd, "tau": truth.torque(q, qd, qdd, np.sign(qd)) + noise})
+    fit = fit_dynamics(table, robot, method="wls", prior=fitted)
+    assert fit.excitation.rank < fit.excitation.expected
+    assert len(fit.excitation.held) == fit.excitation.expected - fit.excitation.rank
+    assert "held by the prior: " in fit.report()
+    with pytest.raises(ModelMismatchError, match=r"'yumi_left'.*got 'yumi_right'"):
+        fit_dynamics(table, robots.load("yumi_right"), method="wls", prior=fitted)
 
 
 def test_settle_uses_the_rows_it_is_told_and_spares_outliers(truth, excited) -> None:

@@ -161,6 +161,7 @@ def fit_dynamics(
     ------
     ShapeError : NaN rows, wrong joint count, velocity that is not the derivative of position.
     NotExcited : joints or directions that the log does not determine, by name. UnknownName : another method.
+    ModelMismatchError : a prior of another robot.
 
     References
     ----------
@@ -190,6 +191,8 @@ def fit_model(table: Table | Sequence[Table], robot: Robot, base: BaseParameters
     ----------
     table, robot : as there. base : which base parameters. job : how to fit.
     """
+    if job.prior is not None:
+        job.prior.value.check_robot(robot)
     if job.method not in METHODS:
         raise UnknownName.among("method of identification", job.method, METHODS)
     job.tell(0, 5, "checking the log")
