@@ -1,6 +1,7 @@
 #include "arrays.h"
 
 #include <algorithm>
+#include <cmath>
 #include <cstdint>
 #include <functional>
 #include <numeric>
@@ -34,6 +35,20 @@ bool overlap(PyArrayObject *out, const double *data, npy_intp size) {
 }  // namespace
 
 void raise_shape_error(const std::string &sentence) { raise("ShapeError", sentence); }
+
+void require_positive(const char *name, const double *values, npy_intp count) {
+  for (npy_intp i = 0; i < count; ++i)
+    if (!(values[i] > 0.0 && std::isfinite(values[i])))
+      raise_shape_error(std::string("Expected finite ") + name + " above zero, got another at number " + std::to_string(i) +
+                        ". Correct it.");
+}
+
+void require_not_negative(const char *name, const double *values, npy_intp count) {
+  for (npy_intp i = 0; i < count; ++i)
+    if (!(values[i] >= 0.0 && std::isfinite(values[i])))
+      raise_shape_error(std::string("Expected finite ") + name + " not below zero, got another at number " +
+                        std::to_string(i) + ". Correct it.");
+}
 
 int thread_count(nb::handle threads) {
   const bool counts = PyIndex_Check(threads.ptr()) && !PyBool_Check(threads.ptr());

@@ -29,6 +29,10 @@ namespace armlab {
 
 [[noreturn]] void raise_shape_error(const std::string &sentence);
 
+// Refuse numbers that are not finite, or not above zero, or below it.
+void require_positive(const char *name, const double *values, npy_intp count);
+void require_not_negative(const char *name, const double *values, npy_intp count);
+
 // The argument `threads`: an integer from 1 to max_threads, otherwise an armlab.errors.ConfigError.
 int thread_count(nb::handle threads);
 

@@ -15,6 +15,10 @@ void construct(WrenchEstimator *self, const Chain &chain, nb::handle gravity, nb
   auto p = read_arm<WrenchEstimator::Parameters>(chain, gravity, links, rotor, drive, covariance, prior, point);
   const Input bound(bound_, "bound");
   bound.require_exactly({3, n});
+  require_not_negative("bound torque", bound.data(), n);
+  require_positive("bound speed", bound.data() + n, n);
+  require_not_negative("bound floor", bound.data() + 2 * n, n);
+  require_positive("cutoff", &cutoff, 1);
   const double *b = bound.data();
   for (int i = 0; i < n; ++i) p.bound[i] = {b[i], b[n + i], b[2 * n + i]};
   p.cutoff = cutoff;

@@ -18,6 +18,11 @@ void construct(MomentumEstimator *self, const Chain &chain, nb::handle gravity, 
   qd_noise.require_exactly({n});
   rate.require_exactly({6});
   leak.require_exactly({6});
+  require_positive("memory", memory.data(), n);
+  require_not_negative("qd_noise", qd_noise.data(), n);
+  require_not_negative("rate", rate.data(), 6);
+  require_not_negative("leak", leak.data(), 6);
+  require_positive("gain", &gain, 1);
   std::copy_n(memory.data(), n, p.memory.begin());
   std::copy_n(qd_noise.data(), n, p.qd_noise.begin());
   std::copy_n(rate.data(), 6, p.rate.begin());

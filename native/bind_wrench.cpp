@@ -31,6 +31,9 @@ nb::object solve(nb::handle A_, nb::handle error_, nb::handle variance_, nb::han
   variance.require_exactly({n});
   bound.require_exactly({n});
   prior.require_exactly({k});
+  require_positive("variance", variance.data(), n);
+  require_not_negative("bound", bound.data(), n);
+  require_positive("prior", prior.data(), k);
   if (method < 0 || method > 5) raise_shape_error("Expected method from 0 to 5, got " + std::to_string(method) + ".");
   WrenchSolution s;
   solve_wrench({n, k, A.data(), error.data(), variance.data(), bound.data(), prior.data()},
@@ -46,6 +49,8 @@ nb::object interval(nb::handle A_, nb::handle error_, nb::handle spread_, nb::ha
   error.require_exactly({n});
   spread.require_exactly({n});
   box.require_exactly({k});
+  require_not_negative("spread", spread.data(), n);
+  require_positive("box", box.data(), k);
   double ends[12];
   bool violated[max_joints];
   const npy_intp shape[2] = {k, 2};

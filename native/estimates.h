@@ -27,6 +27,9 @@ Parameters read_arm(const Chain &chain, nb::handle gravity_, nb::handle links_, 
     raise_shape_error("Expected a drive of " + std::to_string(n) + " joints like the chain, got " + std::to_string(drive.n) + ".");
   covariance.require_exactly({4, n});
   prior.require_exactly({6});
+  require_positive("covariance", covariance.data(), 2 * n);
+  require_not_negative("covariance shape and kind", covariance.data() + 2 * n, 2 * n);
+  require_positive("prior", prior.data(), 6);
   Parameters p(chain);
   std::copy_n(gravity.data(), 3, p.gravity.begin());
   std::copy_n(links.data(), 10 * n, p.links.begin());
@@ -39,6 +42,7 @@ Parameters read_arm(const Chain &chain, nb::handle gravity_, nb::handle links_, 
   if (p.at_point) {
     const Input point(point_, "point");
     point.require_exactly({3});
+    if (!finite(point.data(), 3)) raise_shape_error("Expected a finite point, got another. Correct it.");
     std::copy_n(point.data(), 3, p.point.begin());
   }
   return p;

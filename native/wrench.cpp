@@ -13,6 +13,7 @@ constexpr int newton_limit = 60;    // 14 were needed at most in 1e5 random prob
 constexpr int clip_limit = 20000;   // the clip iteration needs thousands
 constexpr double kkt_goal = 1e-10;  // clip stops here
 constexpr double weakest = 1e-12;   // ls: smallest pivot of the scaled information
+constexpr double rounding = 1e-14;  // map: a pivot below it, by the largest variance, has no digit
 
 // P = scale S^-1 scale for the factor L of S (k, k).
 void inverse(const double *L, int k, const double *scale, double *P) {
@@ -48,26 +49,30 @@ void joseph(const WrenchProblem &p, const double *K, double *x, double *P) {
     }
 }
 
-// K = C_F A S^-1, S = A^T C_F A + C_tau: needs no inverse of either covariance, and works at singular poses.
-void map_gain(const WrenchProblem &p, double *K) {
+// K = C_F A S^-1, S = A^T C_F A + C_tau: needs no inverse of either covariance, and works at singular poses. False for
+// numbers without a digit left, as more joints than unknowns have when next to nothing disturbs them.
+bool map_gain(const WrenchProblem &p, double *K) {
   const int n = p.n, k = p.k;
-  double S[max_joints * max_joints];
-  for (int i = 0; i < n; ++i)
+  double S[max_joints * max_joints], largest = 0.0;
+  for (int i = 0; i < n; ++i) {
     for (int j = 0; j <= i; ++j) {
       double sum = i == j ? p.variance[i] : 0.0;
       for (int a = 0; a < k; ++a) sum += p.A[n * a + i] * p.prior[a] * p.A[n * a + j];
       S[n * i + j] = sum;
     }
-  cholesky(S, n);
+    largest = std::max(largest, S[(n + 1) * i]);
+  }
+  if (!cholesky(S, n, rounding * largest)) return false;
   for (int a = 0; a < k; ++a) {
     double *row = K + n * a;
     for (int i = 0; i < n; ++i) row[i] = p.prior[a] * p.A[n * a + i];
     cholesky_solve(S, n, row);
   }
+  return true;
 }
 
 // As TFRT-7651 prints it: (A C_tau A^T + C_F^-1)^-1 A C_tau e, which is right only for a weight in place of C_tau.
-void printed_gain(const WrenchProblem &p, double *K) {
+bool printed_gain(const WrenchProblem &p, double *K) {
   const int n = p.n, k = p.k;
   double H[36];
   for (int a = 0; a < k; ++a)
@@ -76,13 +81,20 @@ void printed_gain(const WrenchProblem &p, double *K) {
       for (int i = 0; i < n; ++i) sum += p.A[n * a + i] * p.variance[i] * p.A[n * b + i];
       H[k * a + b] = sum;
     }
-  cholesky(H, k);
+  if (!cholesky(H, k)) return false;
   for (int i = 0; i < n; ++i) {
     double column[6];
     for (int a = 0; a < k; ++a) column[a] = p.A[n * a + i] * p.variance[i];
     cholesky_solve(H, k, column);
     for (int a = 0; a < k; ++a) K[n * a + i] = column[a];
   }
+  return true;
+}
+
+void undetermined(const WrenchProblem &p, WrenchSolution &s) {
+  s.singular = true;
+  std::fill_n(s.x, p.k, std::numeric_limits<double>::quiet_NaN());
+  std::fill_n(s.P, p.k * p.k, std::numeric_limits<double>::quiet_NaN());
 }
 
 // (A C_tau^-1 A^T)^-1 A C_tau^-1 e; the unknowns are scaled by their prior only to judge the rank.
@@ -103,12 +115,7 @@ void least_squares(const WrenchProblem &p, WrenchSolution &s) {
       H[k * a + b] = scale[a] * scale[b] * sum;
     }
   }
-  s.singular = !cholesky(H, k, weakest);
-  if (s.singular) {
-    std::fill_n(s.x, k, std::numeric_limits<double>::quiet_NaN());
-    std::fill_n(s.P, k * k, std::numeric_limits<double>::quiet_NaN());
-    return;
-  }
+  if (!cholesky(H, k, weakest)) return undetermined(p, s);
   cholesky_solve(H, k, rhs);
   for (int a = 0; a < k; ++a) s.x[a] = scale[a] * rhs[a];
   inverse(H, k, scale, s.P);
@@ -146,7 +153,7 @@ struct BandCost {
     return largest;
   }
   // Factor of half the Hessian: joints inside their band carry no information.
-  void hessian(double *H) const {
+  bool hessian(double *H) const {
     for (int a = 0; a < p.k; ++a)
       for (int b = 0; b <= a; ++b) {
         double sum = a == b ? 1.0 : 0.0;
@@ -154,7 +161,7 @@ struct BandCost {
           if (beyond[i] != 0.0) sum += scale[a] * scale[b] * p.A[p.n * a + i] * p.A[p.n * b + i] / p.variance[i];
         H[p.k * a + b] = sum;
       }
-    cholesky(H, p.k);
+    return cholesky(H, p.k);
   }
 };
 
@@ -162,7 +169,7 @@ void finish(const BandCost &cost, const double *y, WrenchSolution &s) {
   const int k = cost.p.k;
   double H[36], g[6];
   s.kkt = cost.gradient(y, g);
-  cost.hessian(H);
+  if (!cost.hessian(H) || !std::all_of(g, g + k, [](double x) { return std::isfinite(x); })) return undetermined(cost.p, s);
   inverse(H, k, cost.scale, s.P);
   for (int a = 0; a < k; ++a) s.x[a] = cost.scale[a] * y[a];
   for (int i = 0; i < cost.p.n; ++i) s.active[i] = cost.beyond[i] != 0.0;
@@ -176,7 +183,7 @@ void newton(const WrenchProblem &p, WrenchSolution &s) {
   for (s.iterations = 0; s.iterations < newton_limit; ++s.iterations) {
     double g[6], step[6], H[36], trial[6];
     if (cost.gradient(y, g) == 0.0) break;
-    cost.hessian(H);
+    if (!cost.hessian(H)) break;
     std::copy_n(g, k, step);
     cholesky_solve(H, k, step);
     double slope = 0.0, size = 0.0, length = 1.0, next = value;
@@ -204,11 +211,11 @@ void newton(const WrenchProblem &p, WrenchSolution &s) {
 void clip(const WrenchProblem &p, WrenchSolution &s) {
   const int n = p.n, k = p.k;
   double K[6 * max_joints], y[6] = {}, g[6];
-  map_gain(p, K);
+  if (!map_gain(p, K)) return undetermined(p, s);
   BandCost cost(p);
   for (s.iterations = 0; s.iterations < clip_limit; ++s.iterations) {
     cost(y);
-    if (cost.gradient(y, g) < kkt_goal) break;
+    if (!(cost.gradient(y, g) >= kkt_goal)) break;
     double x[6] = {}, free[max_joints];
     for (int i = 0; i < n; ++i) {
       double along = 0.0;
@@ -234,11 +241,9 @@ void solve_wrench(const WrenchProblem &p, WrenchMethod method, WrenchSolution &s
   double K[6 * max_joints];
   switch (method) {
     case WrenchMethod::map:
-      map_gain(p, K);
-      return joseph(p, K, s.x, s.P);
+      return map_gain(p, K) ? joseph(p, K, s.x, s.P) : undetermined(p, s);
     case WrenchMethod::lund:
-      printed_gain(p, K);
-      return joseph(p, K, s.x, s.P);
+      return printed_gain(p, K) ? joseph(p, K, s.x, s.P) : undetermined(p, s);
     case WrenchMethod::ls:
       return least_squares(p, s);
     case WrenchMethod::clip:

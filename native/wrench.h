@@ -25,13 +25,13 @@ struct WrenchSolution {
   bool active[max_joints];   // joints that carry information
   int iterations;
   double kkt;                // largest entry of the gradient in units of the prior, bounded and clip
-  bool singular;             // ls: the pose does not determine x
+  bool singular;             // the numbers do not determine x, which is NaN then: at such a pose ls, no method for NaN
 };
 
 void solve_wrench(const WrenchProblem &problem, WrenchMethod method, WrenchSolution &solution);
 
 // Smallest and largest values (k, 2) of each unknown in {x : |e - A^T x| <= spread, |x| <= box}. False when the set is
-// empty; then violated (n) marks the joints that contradict the others.
+// empty; then violated (n) marks the joints that contradict the others. NaN for numbers that are not finite.
 bool wrench_interval(int n, int k, const double *A, const double *error, const double *spread, const double *box,
                      double *interval, bool *violated);
 

@@ -1,6 +1,7 @@
 // Twelve small linear programmes by a dual simplex with bounded rows.
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include "wrench.h"
 
@@ -113,6 +114,12 @@ Outcome maximise(const Polytope &set, const double *c, Vertex &v, int &entering)
 bool wrench_interval(int n, int k, const double *A, const double *error, const double *spread, const double *box,
                      double *interval, bool *violated) {
   Polytope set{k, k + n, {}, {}, {}};
+  std::fill_n(violated, n, false);
+  const auto unknown = [](double x) { return !std::isfinite(x); };
+  if (std::any_of(A, A + k * n, unknown) || std::any_of(error, error + n, unknown)) {
+    std::fill_n(interval, 2 * k, std::numeric_limits<double>::quiet_NaN());
+    return true;
+  }
   for (int a = 0; a < k; ++a) {
     set.normal[a][a] = 1.0;
     set.low[a] = -1.0;
@@ -125,7 +132,6 @@ bool wrench_interval(int n, int k, const double *A, const double *error, const d
     set.low[k + i] = (error[i] - spread[i]) / size;
     set.high[k + i] = (error[i] + spread[i]) / size;
   }
-  std::fill_n(violated, n, false);
   for (int a = 0; a < k; ++a)
     for (int end = 0; end < 2; ++end) {
       // A little of every other axis settles ties, by which a simplex could go in circles; the end moves out by as much

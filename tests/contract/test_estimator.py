@@ -126,3 +126,18 @@ def test_both_refuse_wrong_shapes(model: TorqueModel) -> None:
                 chain, model.gravity, model.link_parameters, model.rotor,
                 module.Drive(np.ones((10, 6)), np.ones((3, 6))), np.ones((4, 7)), np.ones((3, 7)), np.ones(6), 10.0,
             )  # fmt: skip
+
+
+def test_both_refuse_numbers_that_are_no_variances(model: TorqueModel) -> None:
+    errors = import_module("armlab.errors")
+    names = ("covariance", "bound", "prior", "cutoff")
+    for module in (native, _reference):
+        chain, drive = module.Chain(model.frames, model.prismatic), module.Drive(np.ones((10, 7)), np.ones((3, 7)))
+        good = dict(zip(names, (np.ones((4, 7)), np.ones((3, 7)), np.ones(6), 10.0)))
+        for name, wrong in ((name, number * good[name]) for name in names for number in (-1.0, np.nan, np.inf)):
+            with pytest.raises(errors.ShapeError, match=f"^Expected finite {name}"):
+                module.WrenchEstimator(chain, [0.0] * 3, np.zeros((7, 10)), np.ones(7), drive, **{**good, name: wrong})
+        with pytest.raises(errors.ShapeError, match="finite point"):
+            module.WrenchEstimator(
+                chain, [0.0] * 3, np.zeros((7, 10)), np.ones(7), drive, **good, point=[0.0, np.nan, 0.0]
+            )

@@ -111,3 +111,17 @@ def test_both_refuse_wrong_shapes(model: TorqueModel) -> None:
                 module.MomentumEstimator(chain, *{**good, name: wrong}.values(), 30.0, True, False)
         with pytest.raises(errors.ShapeError, match="point"):
             module.MomentumEstimator(chain, *good.values(), 30.0, True, False, np.zeros(2))
+
+
+def test_both_refuse_numbers_that_are_no_noise(model: TorqueModel) -> None:
+    errors = import_module("armlab.errors")
+    names = ("covariance", "prior", "memory", "qd_noise", "rate", "leak", "gain")
+    for module in (native, _reference):
+        chain, drive = module.Chain(model.frames, model.prismatic), module.Drive(np.ones((10, 7)), np.ones((3, 7)))
+        good = dict(zip(names, (np.ones((4, 7)), *(np.ones(k) for k in (6, 7, 7, 6, 6)), 30.0)))
+        for name, wrong in ((name, number * good[name]) for name in names for number in (-1.0, np.nan, np.inf)):
+            with pytest.raises(errors.ShapeError, match=f"^Expected finite {name}"):
+                module.MomentumEstimator(
+                    chain, [0.0] * 3, np.zeros((7, 10)), np.ones(7), drive, **{**good, name: wrong}, filters=True,
+                    biased=False,
+                )  # fmt: skip

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import combinations, product
+from types import ModuleType
 
 import numpy as np
 import osqp
@@ -10,9 +11,9 @@ import pytest
 from scipy import sparse
 from scipy.optimize import lsq_linear
 
-from armlab import robots
+from armlab import kernels, robots
 from armlab.errors import ShapeError
-from armlab.kernels import solve_wrench, wrench_interval
+from armlab.kernels import _reference, solve_wrench, wrench_interval
 from armlab.kernels._reference.wrench import METHODS
 
 PRIOR = np.array([400.0, 400, 400, 4, 4, 4])
@@ -248,3 +249,50 @@ def test_nothing_in_place_of_an_array_is_refused() -> None:
         for name in good:
             with pytest.raises(ShapeError, match=f"^Expected {name} to be an array of real numbers, got NoneType"):
                 function(**{**good, name: None})
+
+
+@pytest.mark.parametrize("method", range(len(METHODS)))
+@pytest.mark.parametrize("backend", [kernels, _reference], ids=["kernels", "reference"])
+def test_variances_that_are_none_are_refused(backend: ModuleType, method: int) -> None:
+    A, _, _, variance, bound, error = next(problems(1, seed=0))
+    good = {"A": A, "error": error, "variance": variance, "bound": bound, "prior": PRIOR, "method": method}
+    for name, number in product(("variance", "prior", "bound"), (0.0, -1.0, np.nan, np.inf)):
+        if name == "bound" and number == 0.0:
+            continue
+        wrong = good[name].copy()
+        wrong[2] = number
+        with pytest.raises(ShapeError, match=f"^Expected finite {name} .* at number 2"):
+            backend.solve_wrench(**{**good, name: wrong})
+
+
+@pytest.mark.parametrize("method", range(len(METHODS)))
+@pytest.mark.parametrize("backend", [kernels, _reference], ids=["kernels", "reference"])
+def test_a_torque_error_that_is_not_known_is_no_wrench_of_zero(backend: ModuleType, method: int) -> None:
+    A, _, _, variance, bound, error = next(problems(1, seed=0))
+    error[3] = np.nan
+    assert np.isnan(backend.solve_wrench(A, error, variance, bound, PRIOR, method)[0]).all()
+    ends, violated = backend.wrench_interval(A, error, bound + 1.0, 10 * np.sqrt(PRIOR))
+    assert np.isnan(ends).all()
+    assert not violated.any()
+
+
+def test_without_digits_left_there_is_no_wrench() -> None:
+    """Seven joints tell six unknowns: without noise their covariance has rank six, and no digit of its inverse holds."""
+    A, _, _, variance, bound, error = next(problems(1, seed=0))
+    for backend in (kernels, _reference):
+        x, P, *_, singular = backend.solve_wrench(A, error, 1e-40 * variance, bound, PRIOR, MAP)
+        assert singular
+        assert np.isnan(x).all()
+        assert np.isnan(P).all()
+
+
+@pytest.mark.parametrize("backend", [kernels, _reference], ids=["kernels", "reference"])
+def test_limits_that_are_none_are_refused(backend: ModuleType) -> None:
+    A, _, _, _, bound, error = next(problems(1, seed=0))
+    for spread, box, name in (
+        (-bound - 1.0, PRIOR, "spread"),
+        (bound, -PRIOR, "box"),
+        (bound * np.nan, PRIOR, "spread"),
+    ):
+        with pytest.raises(ShapeError, match=f"^Expected finite {name}"):
+            backend.wrench_interval(A, error, spread, box)

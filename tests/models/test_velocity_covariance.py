@@ -25,3 +25,9 @@ def test_nonsense_is_refused() -> None:
         velocity_covariance("linear", [1.0], [1.0])
     with pytest.raises(ShapeError, match="C0 >= Cinf > 0"):
         velocity_covariance("exp", [1.0], [2.0], [1.0])
+    for numbers in ({"alpha2": np.nan}, {"alpha2": 0.0}, {"alpha2": -1.0}, {"alpha2": np.inf}, {"shape": [np.nan]}):
+        with pytest.raises(ShapeError, match="finite"):
+            velocity_covariance(**{"kind": "exp", "C0": [2.0], "Cinf": [1.0], "shape": [1.0], **numbers})
+    for C0, Cinf, shape in (([np.inf], [1.0], [1.0]), ([np.nan], [np.nan], [1.0]), ([2.0], [1.0], [-1.0])):
+        with pytest.raises(ShapeError, match="Expected"):
+            velocity_covariance("exp", C0, Cinf, shape)

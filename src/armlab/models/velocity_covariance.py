@@ -43,6 +43,13 @@ class VelocityCovariance:
             values = np.array(getattr(self, name), dtype=float)
             values.flags.writeable = False
             object.__setattr__(self, name, values)
+            if not np.isfinite(values).all():
+                raise ShapeError(f"Expected finite {name} of a torque covariance, got NaN or Inf. Correct it.")
+        if np.any(self.shape < 0) or not 0 < self.alpha2 < np.inf:
+            raise ShapeError(
+                "Expected a decay rate or threshold not below zero and a finite alpha2 above zero, got others or "
+                f"alpha2 {self.alpha2:g}. Correct it."
+            )
         regular = self.C0.ndim == 1 and self.C0.shape == self.Cinf.shape == self.shape.shape
         if not regular or not np.all(self.Cinf > 0) or not np.all(self.Cinf <= self.C0):
             raise ShapeError(
@@ -76,7 +83,7 @@ def velocity_covariance(
 
     Raises
     ------
-    UnknownName : for another kind. ShapeError : when C0 >= Cinf > 0 does not hold.
+    UnknownName : for another kind. ShapeError : when C0 >= Cinf > 0 does not hold, or a number is not finite.
     """
     zeros = np.zeros_like(np.asarray(C0, dtype=float))
     return VelocityCovariance(kind, C0, Cinf, zeros if shape is None else shape, alpha2)

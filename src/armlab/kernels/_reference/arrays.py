@@ -8,7 +8,7 @@ import numpy as np
 
 from armlab.errors import ConfigError, ShapeError
 
-__all__ = ["check_threads", "elements", "read", "result", "results", "same_shape"]
+__all__ = ["check_threads", "elements", "not_negative", "positive", "read", "result", "results", "same_shape"]
 
 MAX_THREADS = 256
 
@@ -55,6 +55,28 @@ def elements(value: Any, name: str, tail: tuple[int, ...]) -> np.ndarray:
     if array.shape[max(array.ndim - len(tail), 0) :] != tail:
         raise ShapeError(f"Expected {name} of shape ({', '.join(['...', *map(str, tail)])}), got {array.shape}.")
     return np.asarray(array, dtype=np.float64, order="C")
+
+
+def positive(values: np.ndarray, name: str) -> None:
+    """Refuse numbers that are not finite or not above zero.
+
+    Raises
+    ------
+    ShapeError
+        When one is not.
+    """
+    _refuse(values, np.isfinite(values) & (values > 0), f"{name} above zero")
+
+
+def not_negative(values: np.ndarray, name: str) -> None:
+    """Refuse numbers that are not finite or below zero.
+
+    Raises
+    ------
+    ShapeError
+        When one is.
+    """
+    _refuse(values, np.isfinite(values) & (values >= 0), f"{name} not below zero")
 
 
 def same_shape(array: np.ndarray, name: str, other: np.ndarray, other_name: str) -> None:
@@ -129,6 +151,12 @@ def check_threads(threads: Any) -> None:
     """
     if not isinstance(threads, int | np.integer) or isinstance(threads, bool) or not 1 <= threads <= MAX_THREADS:
         raise ConfigError(f"Expected threads to be an integer from 1 to {MAX_THREADS}, got {threads!r}.")
+
+
+def _refuse(values: np.ndarray, allowed: np.ndarray, what: str) -> None:
+    others = np.flatnonzero(~allowed)
+    if len(others):
+        raise ShapeError(f"Expected finite {what}, got another at number {others[0]}. Correct it.")
 
 
 def _numbers(value: Any, name: str) -> np.ndarray:

@@ -25,12 +25,12 @@ from typing import Any
 import numpy as np
 
 from armlab.errors import ShapeError
-from armlab.kernels._reference.arrays import read
+from armlab.kernels._reference.arrays import not_negative, positive, read
 from armlab.kernels._reference.chain import Chain
 from armlab.kernels._reference.drive import Drive, drive_torque, heat, move, start
 from armlab.kernels._reference.wrench import METHODS, solve_wrench, wrench_interval
 
-__all__ = ["WrenchEstimator", "contact_map", "speed_variance"]
+__all__ = ["WrenchEstimator", "check_noise", "contact_map", "speed_variance"]
 
 REST_TIME = 0.5  # s
 UNKNOWN = 1.0  # largest variance of a variable in [-1, 1]
@@ -46,6 +46,15 @@ def speed_variance(covariance: np.ndarray, qd: np.ndarray) -> np.ndarray:
     speed = np.abs(qd)
     weight = np.where(kind == 0, np.exp(-shape * speed), np.where(kind == 1, speed < shape, 0.0))
     return (at_rest - at_speed) * weight + at_speed
+
+
+def check_noise(covariance: np.ndarray, prior: np.ndarray, point: np.ndarray | None) -> None:
+    """Refuse variances that are none, and a point that is not finite."""
+    positive(covariance[:2].ravel(), "covariance")
+    not_negative(covariance[2:].ravel(), "covariance shape and kind")
+    positive(prior, "prior")
+    if point is not None and not np.isfinite(point).all():
+        raise ShapeError("Expected a finite point, got another. Correct it.")
 
 
 def contact_map(chain: Chain, q: np.ndarray, point: np.ndarray | None) -> np.ndarray:
@@ -102,6 +111,11 @@ class WrenchEstimator:
             raise ShapeError(f"Expected method from 0 to {len(METHODS) - 1}, got {method}.")
         self._method, self._band = method, METHODS[method] in ("bounded", "clip", "interval")
         self._point = None if point is None else read(point, "point", (3,), exact=True).copy()
+        check_noise(self._covariance, self._prior, self._point)
+        not_negative(self._bound[0], "bound torque")
+        positive(self._bound[1], "bound speed")
+        not_negative(self._bound[2], "bound floor")
+        positive(np.atleast_1d(self._cutoff), "cutoff")
         self._static = 0.5 * (drive.friction[1] + drive.friction[2]) + np.maximum(drive.friction[4], 0.0)
         self.reset()
 

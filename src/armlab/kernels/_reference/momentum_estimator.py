@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from armlab.errors import ShapeError
-from armlab.kernels._reference.arrays import read
+from armlab.kernels._reference.arrays import not_negative, positive, read
 from armlab.kernels._reference.chain import Chain
 from armlab.kernels._reference.drive import Drive, DriveState, drive_torque, heat, move, start
 from armlab.kernels._reference.estimator import (
@@ -35,6 +35,7 @@ from armlab.kernels._reference.estimator import (
     TARED,
     WEAK,
     WEAK_BELOW,
+    check_noise,
     contact_map,
     speed_variance,
 )
@@ -97,6 +98,11 @@ class MomentumEstimator:
         self._rate = read(rate, "rate", (6,), exact=True).copy()
         self._leak = read(leak, "leak", (6,), exact=True).copy()
         self._gain, self._filters, self._biased = gain, filters, biased
+        check_noise(self._covariance, self._prior, self._point)
+        for values, name in ((self._memory, "memory"), (np.atleast_1d(gain), "gain")):
+            positive(values, name)
+        for values, name in ((self._qd_noise, "qd_noise"), (self._rate, "rate"), (self._leak, "leak")):
+            not_negative(values, name)
         self._k = 6 if point is None else 3
         self._static = 0.5 * (drive.friction[1] + drive.friction[2]) + np.maximum(drive.friction[4], 0.0)
         self.reset()

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armlab.kernels._reference.arrays import read
+from armlab.kernels._reference.arrays import not_negative, positive, read
 
 __all__ = ["METHODS", "solve_wrench", "wrench_interval"]
 
@@ -27,6 +27,7 @@ NEWTON_LIMIT = 60
 CLIP_LIMIT = 20_000
 KKT_GOAL = 1e-10
 WEAKEST = 1e-12  # smallest eigenvalue of the scaled information by which ls still determines x
+ROUNDING = 1e-14  # a pivot below it, by the largest variance, has no digit
 
 
 def solve_wrench(
@@ -34,11 +35,13 @@ def solve_wrench(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, int, float, bool]:
     """Return x (k,), its covariance (k, k), active joints (n,), iterations, KKT residual and whether x is undetermined.
 
+    x and its covariance are NaN where the numbers do not determine them.
+
     Parameters
     ----------
     A : (k, n) rows of the Jacobian for the k unknowns.
-    error, variance, bound : (n,) torque errors [N m], variances [(N m)^2], bounds [N m].
-    prior : (k,) prior variances of the unknowns.
+    error, variance, bound : (n,) torque errors [N m], variances [(N m)^2] above zero, bounds [N m] not below it.
+    prior : (k,) prior variances of the unknowns, above zero.
     method : index into METHODS.
     """
     A = read(A, "A", np.shape(A), exact=True)
@@ -47,13 +50,26 @@ def solve_wrench(
         read(a, name, (n,), exact=True) for a, name in ((error, "error"), (variance, "variance"), (bound, "bound"))
     )
     prior = read(prior, "prior", (k,), exact=True)
+    positive(variance, "variance")
+    not_negative(bound, "bound")
+    positive(prior, "prior")
     every = np.ones(n, dtype=bool)
-    match METHODS[method]:
+    try:
+        return _solve(A, error, variance, bound, prior, METHODS[method], every)
+    except np.linalg.LinAlgError:  # NaN, or so uneven that no digit is left
+        return np.full(k, np.nan), np.full((k, k), np.nan), every, 0, 0.0, True
+
+
+def _solve(
+    A: np.ndarray, error: np.ndarray, variance: np.ndarray, bound: np.ndarray, prior: np.ndarray, method: str,
+    every: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, int, float, bool]:  # fmt: skip
+    match method:
         case "map":
             return *_joseph(A, _map_gain(A, variance, prior), error, variance, prior), every, 0, 0.0, False
         case "lund":
             weighted = A * variance
-            K = np.linalg.solve(weighted @ A.T + np.diag(1.0 / prior), weighted)
+            K = _solve_positive(weighted @ A.T + np.diag(1.0 / prior), weighted)
             return *_joseph(A, K, error, variance, prior), every, 0, 0.0, False
         case "ls":
             x, P, singular = _least_squares(A, error, variance)
@@ -74,7 +90,14 @@ def _joseph(
 
 def _map_gain(A: np.ndarray, variance: np.ndarray, prior: np.ndarray) -> np.ndarray:
     weighted = prior[:, None] * A
-    return np.linalg.solve(A.T @ weighted + np.diag(variance), weighted.T).T
+    return _solve_positive(A.T @ weighted + np.diag(variance), weighted.T, ROUNDING).T
+
+
+def _solve_positive(S: np.ndarray, rows: np.ndarray, least: float = 0.0) -> np.ndarray:
+    """Return S^-1 rows; raises LinAlgError when a pivot is not above `least`, by the largest entry."""
+    if not np.all(np.diag(np.linalg.cholesky(S)) ** 2 > least * np.max(np.diag(S))):
+        raise np.linalg.LinAlgError
+    return np.linalg.solve(S, rows)
 
 
 def _least_squares(A: np.ndarray, error: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
@@ -108,6 +131,8 @@ def _finish(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, int, float]:  # fmt: skip
     scale = np.sqrt(prior)
     _, gradient, beyond = _beyond(y, A, error, variance, bound, scale)
+    if not np.isfinite(gradient).all():
+        raise np.linalg.LinAlgError
     P = np.linalg.inv(_hessian(beyond, A, variance, scale)) * np.outer(scale, scale)
     return scale * y, 0.5 * (P + P.T), beyond != 0, iterations, float(np.max(np.abs(gradient)))
 
@@ -158,7 +183,8 @@ def wrench_interval(
 ) -> tuple[np.ndarray | None, np.ndarray]:
     """Return the smallest and largest value (k, 2) of each unknown in {x : |error - A^T x| <= spread, |x| <= box}.
 
-    None when the set is empty; then the mask (n,) marks joints that contradict each other.
+    None when the set is empty; then the mask (n,) marks joints that contradict each other. NaN for torque errors or
+    rows of the Jacobian that are not finite.
 
     Parameters
     ----------
@@ -170,6 +196,10 @@ def wrench_interval(
     k, n = A.shape
     error, spread = read(error, "error", (n,), exact=True), read(spread, "spread", (n,), exact=True)
     box = read(box, "box", (k,), exact=True)
+    not_negative(spread, "spread")
+    positive(box, "box")
+    if not np.isfinite(A).all() or not np.isfinite(error).all():
+        return np.full((k, 2), np.nan), np.zeros(n, dtype=bool)
     rows = (A * box[:, None]).T
     size = np.maximum(np.max(np.abs(rows), axis=1), 1e-300)
     rows = rows / size[:, None]
