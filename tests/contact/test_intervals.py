@@ -32,3 +32,11 @@ def test_contacts_are_found_merged_and_short_ones_left_out() -> None:
 def test_nothing_touches() -> None:
     assert contacts(estimate(np.zeros(500))) == []
     assert contacts(estimate(np.full(500, np.nan))) == []
+
+
+def test_a_chain_of_short_excursions_is_no_contact() -> None:
+    """What a slow filter does without contact: 20 ms outside, 60 ms inside, and again."""
+    force = np.zeros(1000)
+    for start in range(300, 600, 20):
+        force[start : start + 5] = 5.0
+    assert contacts(estimate(force)) == []
