@@ -277,7 +277,7 @@ def test_a_torque_error_that_is_not_known_is_no_wrench_of_zero(backend: ModuleTy
 
 
 def test_without_digits_left_there_is_no_wrench() -> None:
-    """Seven joints tell six unknowns: without noise the rank of their covariance is six, and its inverse has no digit."""
+    """Seven joints tell six unknowns: without noise their covariance has rank six, and its inverse has no digit."""
     A, _, _, variance, bound, error = next(problems(1, seed=0))
     for backend in (kernels, _reference):
         x, P, *_, singular = backend.solve_wrench(A, error, 1e-40 * variance, bound, PRIOR, MAP)
