@@ -52,7 +52,7 @@ def momentum_noise(
     ]
     noise = replace(noise, alpha2_observer=_factor(ratios))
     moving = np.isfinite(errors)
-    judged = moving.any() & moving[:, moving.any(axis=0)].all(axis=1)
+    judged = moving[:, moving.any(axis=0)].all(axis=1) if moving.any() else np.zeros(len(errors), dtype=bool)
     ratios = [
         _normalised(*(values[judged[rows]] for values in found[:3]))
         for found, rows in _runs(held, noise, data, filters=True)
