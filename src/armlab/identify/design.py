@@ -313,15 +313,15 @@ class _Stream:
 
 def _lines_are_seen(slow: np.ndarray, rate: float, names: Sequence[str]) -> bool:
     """Tell whether the ripple lines pass slowly enough for the sampling in most samples; warn where they do not."""
-    fast = np.flatnonzero(slow.mean(axis=0) < SEEN)
-    if len(fast):
+    fast = [names[int(i)] for i in np.flatnonzero(slow.mean(axis=0) < SEEN)]
+    if fast:
         warnings.warn(
             f"Expected torque ripple below {rate / 4.0:.3g} Hz, a quarter of the sampling rate, in half of the samples "
-            f"at least, got faster ripple for {', '.join(names[i] for i in fast)}: it folds back, and no ripple is "
+            f"at least, got faster ripple for {', '.join(fast)}: it folds back, and no ripple is "
             "fitted. Log slower motion, as of identify.friction_run, or sample faster.",
             stacklevel=2,
         )
-    return not len(fast)
+    return not fast
 
 
 def _rigid(

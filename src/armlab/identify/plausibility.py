@@ -67,7 +67,7 @@ def check_position(q: np.ndarray, robot: Robot) -> None:
     )
 
 
-def _side(times: float, joint: int, robot: Robot) -> str:
+def _side(times: float, joint: int | np.intp, robot: Robot) -> str:
     """Say what a position so many times beyond its limit may be."""
     gear, found = _gears(robot)[joint], []
     unit = ("millimetres, divide by 1000", 1e3) if robot.prismatic[joint] else ("degrees", np.rad2deg(1.0))

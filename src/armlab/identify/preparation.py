@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -119,7 +120,7 @@ def prepare(table: Table | Sequence[Table], robot: Robot, joints: Sequence[int] 
 
 def _tables(table: Table | Sequence[Table]) -> list[Table]:
     """Return one log or several as a list; refuse what is none."""
-    tables = [table] if isinstance(table, Table) or not isinstance(table, (list, tuple)) else list(table)
+    tables: list[Any] = list(table) if isinstance(table, (list, tuple)) else [table]
     if not tables:
         raise ShapeError("Expected at least one log, got none. Give the file of a recorded excitation.")
     for one in tables:

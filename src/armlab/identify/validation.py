@@ -94,7 +94,7 @@ def assess(
 
 def _covariance(errors: np.ndarray, qd: np.ndarray, moving: np.ndarray) -> VelocityCovariance:
     """Return the covariance over velocity of each joint from its rows in motion, scaled so that 2 sigma hold 95.4 %."""
-    unknown = VelocityCovariance("exp", [UNMEASURED], [UNMEASURED], [1.0])
+    unknown = VelocityCovariance("exp", np.array([UNMEASURED]), np.array([UNMEASURED]), np.ones(1))
     parts = [
         fit_velocity_covariance(errors[rows, i : i + 1], qd[rows, i : i + 1], "exp").value if rows.any() else unknown
         for i, rows in enumerate(moving.T)
@@ -190,7 +190,7 @@ def _deviations(fit: Fit[TorqueModel]) -> list[dict[str, float]]:
     return joints[: fit.value.n]
 
 
-def _sign(model: TorqueModel, i: int) -> str:
+def _sign(model: TorqueModel, i: int | np.intp) -> str:
     """Return the shape of a joint's friction in words."""
     f = model.friction
     words = f"tanh {f.smooth_speed[i]:.2g}" if f.smooth_speed[i] > 0 else f"presliding {f.delta[i]:.1e}"
