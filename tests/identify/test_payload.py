@@ -12,6 +12,7 @@ from armlab.errors import ModelMismatchError, NotExcited, ShapeError, UnknownNam
 from armlab.estimation import Experiment, Fit, check_estimator
 from armlab.identify import fit_payload
 from armlab.identify.payload import _possible
+from armlab.kernels import presliding
 from armlab.log import Table
 from armlab.models import Friction, Payload, TorqueModel
 from armlab.robots import inertia, load
@@ -76,6 +77,24 @@ def test_known_gains_say_more_and_gains_are_found_where_joints_differ(truth, mod
     found = fit_payload(heavy.with_column("tau", tau), model, truth.robot, without=clean)
     assert abs(found.value.mass - MASS) < 0.02 * MASS
     np.testing.assert_allclose(found.value.centre, CENTRE, atol=1e-3)
+
+
+def test_a_wrist_alone_weighs_it(truth, model) -> None:
+    """Joints at rest are left out: what friction does there is not known."""
+    robot = truth.robot
+    t = np.arange(0, 15, 0.004)[:, None]
+    moves = np.arange(7) >= 3
+    rate = 2 * np.pi * np.array([0.1, 0.1, 0.1, 0.17, 0.23, 0.31, 0.13])
+    q = robot.q_home + 0.6 * np.sin(rate * t) * moves
+    qd, qdd = 0.6 * rate * np.cos(rate * t) * moves, -0.6 * rate**2 * np.sin(rate * t) * moves
+    z = presliding(q, truth.friction.delta, np.zeros(7))
+    tau = carrying(truth, POINT).torque(q, qd, qdd, z)
+    tau = tau + truth.noise * np.random.default_rng(1).standard_normal(q.shape)
+    fit = fit_payload(Table(t[:, 0], {"q": q, "qd": qd, "tau": tau}), model, robot)
+    assert fit.residuals.shape[1] == 4
+    assert fit.value.mass == pytest.approx(MASS, abs=3 * fit.sd[0])
+    assert fit.sd[0] < 0.1 * MASS
+    assert f"left out, at rest: {', '.join(robot.joint_names[:3])}" in fit.report()
 
 
 def test_no_load_is_no_load(truth, model, motion) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from armlab.errors import ShapeError
 from armlab.identify.base_parameters import base_parameters
-from armlab.identify.preparation import MIN_SECONDS, Prepared
+from armlab.identify.preparation import MIN_SECONDS, MIN_SLIDE, MIN_TURN, Prepared
 from armlab.identify.residuals import model_residuals
 from armlab.log import Table
 from armlab.models import TorqueModel
@@ -29,14 +29,16 @@ class LoadRecord:
     Attributes
     ----------
     data : the record with the load. rows : (M,) rows of it that are kept.
-    A : (M, n, 10) filtered columns of the load, at the flange. y : (M, n) filtered residual of the model [N m].
-    against : (n, 10, p) sums of A_i^T Y_i per joint, Y the columns of the model's p base parameters: how the load takes
+    joints : (j,) those that move; what friction does at rest is not known, and the others are left out.
+    A : (M, j, 10) filtered columns of the load, at the flange. y : (M, j) filtered residual of the model [N m].
+    against : (j, 10, p) sums of A_i^T Y_i per joint, Y the columns of the model's p base parameters: how the load takes
         up what is wrong with them. p is 0 for a model of other base parameters than those of all joints.
     sources : name and SHA-256 of each log.
     """
 
     data: Prepared
     rows: np.ndarray
+    joints: np.ndarray
     A: np.ndarray
     y: np.ndarray
     against: np.ndarray
@@ -57,24 +59,37 @@ class LoadRecord:
         ------
         ShapeError, NotExcited : logs that `prepare` refuses. ShapeError : two motions that are not the same.
         """
-        found = model_residuals(table, model)
+        joints = _moving([table] if isinstance(table, Table) else table, robot)
+        found = model_residuals(table, model, joints)
         data, cutoff = found.data, found.data.rate / 10.0
         rows = np.concatenate([np.arange(a, b, EVERY) for a, b in data.segments])
-        y, sources = data.filter(found.y, cutoff), data.sources
+        y, sources = data.filter(found.y[:, joints], cutoff), data.sources
+        columns = data.filter(_at_flange(data, robot)[:, joints], cutoff)
         if without is None:
-            A = data.filter(_at_flange(data, robot), cutoff)[rows]
-            return cls(data, rows, A, y[rows], _against(A, data, rows, model, robot), sources)
-        other = model_residuals(without, model)
+            A = columns[rows]
+            return cls(data, rows, joints, A, y[rows], _against(A, data, rows, joints, model, robot), sources)
+        other = model_residuals(without, model, joints)
         shift = _shift(data, other.data)
         rows = rows[(rows >= shift) & (rows - shift < len(other.data.t))]
-        A = data.filter(_at_flange(data, robot), cutoff)[rows]
-        y = y[rows] - other.data.filter(other.y, cutoff)[rows - shift]
-        shared = _against(A, data, rows, model, robot) - _against(A, other.data, rows - shift, model, robot)
-        return cls(data, rows, A, y, shared, (*sources, *other.data.sources))
+        A, there = columns[rows], rows - shift
+        y = y[rows] - other.data.filter(other.y[:, joints], cutoff)[there]
+        shared = _against(A, data, rows, joints, model, robot)
+        shared = shared - _against(A, other.data, there, joints, model, robot)
+        return cls(data, rows, joints, A, y, shared, (*sources, *other.data.sources))
 
     def blocks(self, seconds: float) -> np.ndarray:
         """Return the block number (M,) of each row, from 0, for blocks of about `seconds`."""
         return np.unique(self.data.blocks(seconds)[self.rows], return_inverse=True)[1]
+
+
+def _moving(tables: Sequence[Table], robot: Robot) -> np.ndarray:
+    """Return the joints that move enough for their friction to be known; all where that cannot be said."""
+    if not tables or any(not isinstance(one, Table) or one["q"].shape[1:] != (robot.n,) for one in tables):
+        return np.arange(robot.n)  # `prepare` says what is wrong
+    ends = np.array([(np.nanmin(one["q"], axis=0), np.nanmax(one["q"], axis=0)) for one in tables if len(one)])
+    least = np.where(robot.prismatic, MIN_SLIDE, MIN_TURN)
+    moving = np.flatnonzero(ends[:, 1].max(axis=0) - ends[:, 0].min(axis=0) >= least) if len(ends) else []
+    return np.asarray(moving) if len(moving) else np.arange(robot.n)
 
 
 def _at_flange(data: Prepared, robot: Robot) -> np.ndarray:
@@ -86,20 +101,22 @@ def _at_flange(data: Prepared, robot: Robot) -> np.ndarray:
     return np.concatenate([regressor(data.q[p], data.qd[p], qdd[p], robot.gravity)[:, :, -10:] @ moved for p in parts])
 
 
-def _against(A: np.ndarray, data: Prepared, rows: np.ndarray, model: TorqueModel, robot: Robot) -> np.ndarray:
-    """Return the sums (n, 10, p) of columns of the load times columns of the base parameters."""
+def _against(
+    A: np.ndarray, data: Prepared, rows: np.ndarray, joints: np.ndarray, model: TorqueModel, robot: Robot
+) -> np.ndarray:
+    """Return the sums (j, 10, p) of columns of the load times columns of the base parameters."""
     n = robot.n
     known = (base_parameters(robot), base_parameters(robot, quasi_static=True))
     base = next((base for base in known if base.names == tuple(model.base_names)), None)
     if base is None:
-        return np.zeros((n, 10, 0))
+        return np.zeros((len(joints), 10, 0))
     qdd = data.filter(data.differentiate(data.qd), data.rate / 10.0)
-    total = np.zeros((n, 10, len(base.names)))
+    total = np.zeros((len(joints), 10, len(base.names)))
     for a in range(0, len(rows), CHUNK):
         part = rows[a : a + CHUNK]
         Y = robot.chain.rigid_regressor(data.q[part], data.qd[part], qdd[part], robot.gravity) @ base.lift[: 10 * n]
         Y += qdd[part][:, :, None] * base.lift[10 * n :]
-        total += A[a : a + CHUNK].transpose(1, 2, 0) @ Y.transpose(1, 0, 2)
+        total += A[a : a + CHUNK].transpose(1, 2, 0) @ Y[:, joints].transpose(1, 0, 2)
     return total
 
 
@@ -112,7 +129,8 @@ def _shift(data: Prepared, other: Prepared) -> int:
             "Record both again, or leave the log without the load out."
         )
     size = len(data.t) + len(other.t)
-    one, two = (np.fft.rfft(x.qd / np.std(data.qd, axis=0), size, axis=0) for x in (data, other))
+    weight = 1.0 / np.maximum(np.std(data.qd, axis=0), 1e-3 * np.std(data.qd))
+    one, two = (np.fft.rfft(x.qd * weight, size, axis=0) for x in (data, other))
     alike = np.fft.irfft((one * np.conj(two)).sum(axis=1), size)
     shift = int(np.argmax(alike))
     shift = shift - size if shift >= len(data.t) else shift

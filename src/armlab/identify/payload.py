@@ -75,7 +75,8 @@ def fit_payload(
         raise ShapeError(f"Expected a standard deviation of the gains in [0, 1), got {gain_sd}. 0.05 is 5 %.")
     record, p = LoadRecord.of(table, model, robot, without), SIZES[mode]
     seconds = record.data.seconds / 20.0
-    guess, gains, rest = _robust(record, p, np.zeros(robot.n), np.zeros(10), seconds), np.zeros(robot.n), np.zeros(10)
+    gains, rest = np.zeros(len(record.joints)), np.zeros(10)
+    guess = _robust(record, p, gains, rest, seconds)
     left = _left(record, guess, gains, rest)
     x, gains = GainProblem.of(guess, left, gains, gain_sd).solve()
     rest = _point(x) if mode == "static" else rest
@@ -92,6 +93,9 @@ def fit_payload(
     pi = _point(theta) if mode == "static" else theta
     value = Payload(robot.name, robot.hash, pi, robot.links[-1], record.sources)
     notes = _notes(x, theta, value, np.sqrt(np.diag(cov)), gains, gain_sd)
+    if len(record.joints) < robot.n:
+        rest_names = [robot.joint_names[i] for i in range(robot.n) if i not in record.joints]
+        notes.append(f"left out, at rest: {', '.join(rest_names)}")
     if not wrong.size:
         notes.append("the model was identified from some joints only: its own uncertainty is not in the deviations")
     return Fit(
@@ -125,7 +129,7 @@ def _robust(record: LoadRecord, p: int, gains: np.ndarray, rest: np.ndarray, sec
 
 def _limits(record: LoadRecord, robot: Robot) -> np.ndarray:
     """Return the deviations (10,) that are the most accepted: loads that would double the largest torque of the log."""
-    torque, gravity = np.sqrt(np.mean(record.data.tau**2, axis=0)).max(), 9.81
+    torque, gravity = np.sqrt(np.mean(record.data.tau[:, record.joints] ** 2, axis=0)).max(), 9.81
     reach = np.linalg.norm(robot.frames[1:, :3, 3], axis=1).sum()
     return torque / gravity * np.array([1.0 / reach, *[1.0] * 3, *[reach] * 6])
 

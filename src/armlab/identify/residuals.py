@@ -31,13 +31,16 @@ class Residuals:
     s: np.ndarray
 
 
-def model_residuals(table: Table | Sequence[Table], model: TorqueModel) -> Residuals:
+def model_residuals(
+    table: Table | Sequence[Table], model: TorqueModel, joints: Sequence[int] | None = None
+) -> Residuals:
     """Return measured minus modelled torque of every row; the acceleration is low-passed at a tenth of the rate.
 
     Parameters
     ----------
     table : one log or several, of free motion, with columns q, qd, tau.
     model : of the arm that was logged.
+    joints : numbers, from 0, of those that must move; all when left out.
 
     Raises
     ------
@@ -45,7 +48,7 @@ def model_residuals(table: Table | Sequence[Table], model: TorqueModel) -> Resid
     """
     names = [f"joint {i + 1}" for i in range(model.n)]
     arm = from_links(model.robot_name, model.frames, model.prismatic, gravity=model.gravity, joint_names=names)
-    data = prepare(table, arm)
+    data = prepare(table, arm, joints)
     qdd = data.filter(data.differentiate(data.qd), data.rate / 10.0)
     y, s = np.empty_like(data.q), np.empty_like(data.q)
     smooth = model.friction.smooth_speed
