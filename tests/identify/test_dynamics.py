@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from armlab import identify, robots
-from armlab.errors import ModelMismatchError, NotExcited, ShapeError, UnknownName
+from armlab.errors import ModelMismatchError, NotExcited, UnknownName
 from armlab.identify import base_parameters, fit_dynamics, prepare
 from armlab.identify.design import Design
 from armlab.identify.dynamics import Job, fit_model, settle
@@ -170,5 +170,5 @@ def test_joints_without_torque_are_left_out_of_the_model(truth, excited) -> None
     assert [line.split()[0] for line in table[2:7]] == ["1", "2", "3", "4", "5"]
     assert not any(name.endswith(("axis_5", "axis_6")) for name in fit.names)
     for wrong in ([], [7], [1, 1]):
-        with pytest.raises(ShapeError, match="numbers of joints from 0 to 6, each once"):
+        with pytest.raises(UnknownName, match="numbers of joints from 0 to 6, each once"):
             fit_dynamics(excited, robot, joints=wrong)

@@ -9,6 +9,7 @@ import pytest
 
 from armlab.errors import NotExcited, RobotError, ShapeError, UnknownName
 from armlab.identify import Prepared, prepare, with_velocity
+from armlab.identify.preparation import pieces
 from armlab.log import Table
 
 
@@ -69,6 +70,14 @@ def test_gaps_everywhere_and_logs_of_two_rates_are_refused(truth, excited) -> No
         prepare(often, truth.robot)
     with pytest.raises(ShapeError, match=r"250 Hz, 125 Hz"):
         prepare([excited, excited.rows(slice(None, None, 2))], truth.robot)
+
+
+def test_pieces_between_gaps_have_a_hundred_rows() -> None:
+    t = np.delete(0.004 * np.arange(500), np.r_[120:130, 180, 300:320])
+    assert pieces(t) == [(0, 120), (170, 289), (289, 469)]
+    for few in (t[:0], t[:1], t[:99]):
+        with pytest.raises(ShapeError, match=f"0 gaps in {len(few)} rows"):
+            pieces(few)
 
 
 def test_a_sliding_joint_moves_when_it_moves_by_millimetres(truth) -> None:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from armlab.errors import NotExcited, ShapeError
 from armlab.identify import dither, fit_dynamics, predict, prepare
 from armlab.identify.validation import assess, held_out, report
 
@@ -33,6 +36,30 @@ def test_predict_gives_model_torque_whose_band_holds_the_measured_one(truth, exc
     assert np.all(np.sqrt(np.mean(error**2, axis=0)) < 0.04 * np.std(table["tau"], axis=0))
     assert np.all(np.mean(np.abs(error) < 2 * table["tau_sigma"], axis=0) > 0.85)
     assert table["tau_model"].shape == table["tau_sigma"].shape == excited["tau"].shape
+
+
+def test_a_prediction_does_not_reach_across_a_gap(truth, excited, model) -> None:
+    """Samples are missing: what lies a second away from the gap is as without it; a short piece has no prediction."""
+    whole, kept = predict(model, excited), np.r_[0:2000, 2500:2550, 3000:7500]
+    holed = predict(model, excited.rows(kept))
+    assert np.isnan(holed["tau_model"][2000:2050]).all()
+    assert np.isnan(holed["tau"][2000:2050]).all()
+    for name in ("tau", "tau_model"):
+        assert np.isfinite(holed[name][[0, 1999, 2050, -1]]).all()
+        for rows in (slice(0, 1750), slice(2300, None)):
+            np.testing.assert_allclose(holed[name][rows], whole[name][kept][rows], atol=0.01)
+    with pytest.raises(ShapeError, match="at least 100 samples without a gap"):
+        predict(model, excited.rows(slice(0, 1)))
+
+
+def test_a_joint_that_never_slides_is_refused_by_name(truth, excited, model) -> None:
+    """Presliding over a turn: friction is never known, so the errors in motion cannot be judged."""
+    delta = np.where(np.arange(7) == 3, 6.0, model.friction.delta)
+    stuck = replace(model, friction=replace(model.friction, delta=delta))
+    data = prepare(excited, truth.robot)
+    with pytest.raises(NotExcited, match=r"slide.*joint 4 \(0 rows\).*further") as caught:
+        assess(stuck, [(stuck, np.ones(len(data.t), dtype=bool))], data)
+    assert caught.value.directions == ("joint 4",)
 
 
 def test_the_band_of_a_prediction_is_wide_where_the_arm_rested(truth, model) -> None:

@@ -122,7 +122,7 @@ def base_parameters(robot: Robot, *, quasi_static: bool = False, joints: Sequenc
 
 
 def measured_joints(robot: Robot, joints: Sequence[int] | None = None) -> list[int]:
-    """Return the numbers of the joints that are meant, all when left out.
+    """Return the numbers of the joints that are meant, ascending; all when left out.
 
     Parameters
     ----------
@@ -130,18 +130,19 @@ def measured_joints(robot: Robot, joints: Sequence[int] | None = None) -> list[i
 
     Raises
     ------
-    RobotError : something else than a robot. UnknownName : no such joint, or none at all.
+    RobotError : something else than a robot. UnknownName : no such joint, one twice, or none at all.
     """
     if not isinstance(robot, Robot):
         raise RobotError.no_robot(robot)
     numbers = np.arange(robot.n) if joints is None else np.asarray(joints)
     whole = numbers.ndim == 1 and numbers.size > 0 and numbers.dtype.kind in "iu"
-    if not whole or numbers.min() < 0 or numbers.max() >= robot.n:
+    found = sorted({*numbers.tolist()} & {*range(robot.n)}) if whole else []
+    if not found or len(found) != len(numbers):
         raise UnknownName(
-            f"Expected numbers of joints from 0 to {robot.n - 1} of robot {robot.name!r}, got {numbers.tolist()}. "
+            f"Expected numbers of joints from 0 to {robot.n - 1}, each once, got {numbers.tolist()}. "
             "Count from 0, or leave them out for all."
         )
-    return numbers.tolist()
+    return found
 
 
 def _random_regressor(robot: Robot, quasi_static: bool) -> np.ndarray:

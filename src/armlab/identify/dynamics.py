@@ -19,9 +19,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from armlab.errors import NotExcited, ShapeError, UnknownName
+from armlab.errors import NotExcited, UnknownName
 from armlab.estimation import BlockSums, Fit, LinearSolution, Prior, block_bootstrap, block_seconds, least_squares
-from armlab.identify.base_parameters import BaseParameters, base_parameters
+from armlab.identify.base_parameters import BaseParameters, base_parameters, measured_joints
 from armlab.identify.design import Design
 from armlab.identify.extrapolation import training
 from armlab.identify.preparation import Prepared, prepare
@@ -168,20 +168,9 @@ def fit_dynamics(
     Gautier (1991) for base parameters, Huber (1964), Rousseeuw (1984), Dahl (1968) for presliding, Kunsch (1989) for
     the block bootstrap.
     """
-    measured = None if joints is None else _numbers(joints, robot)
+    measured = None if joints is None else tuple(measured_joints(robot, joints))
     job = Job("torque model", method, seed, progress or (lambda done, total, what: None), prior, measured)
     return fit_model(table, robot, base_parameters(robot, joints=measured), job)
-
-
-def _numbers(joints: Sequence[int], robot: Robot) -> tuple[int, ...]:
-    """Return joints in their order; refuse none, strangers and doubles."""
-    found = sorted(int(joint) for joint in joints)
-    if not found or found != sorted({*found} & {*range(robot.n)}):
-        raise ShapeError(
-            f"Expected numbers of joints from 0 to {robot.n - 1}, each once, got {list(joints)}. "
-            "Leave joints out where all torques are measured."
-        )
-    return tuple(found)
 
 
 def fit_model(table: Table | Sequence[Table], robot: Robot, base: BaseParameters, job: Job) -> Fit[TorqueModel]:

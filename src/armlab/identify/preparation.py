@@ -16,7 +16,7 @@ from armlab.log import Table
 from armlab.robots import Robot
 from armlab.signals import central_diff, lowpass_offline
 
-__all__ = ["Prepared", "prepare", "with_velocity"]
+__all__ = ["Prepared", "pieces", "prepare", "with_velocity"]
 
 MIN_SECONDS = 5.0
 MIN_TURN, MIN_SLIDE = np.deg2rad(5.0), 0.02  # rad, m: range of a joint that is said to move
@@ -98,11 +98,11 @@ def prepare(table: Table | Sequence[Table], robot: Robot, joints: Sequence[int] 
     """
     used = np.bincount(measured_joints(robot, joints), minlength=robot.n) > 0
     tables = _tables(table)
-    pieces = [_segments(one, robot) for one in tables]
+    parts = [_segments(one, robot) for one in tables]
     rate = _common_rate(tables)
-    t = np.concatenate([t[a:b] for t, _, segs in pieces for a, b in segs])
-    columns = [np.concatenate([c[k][a:b] for _, c, segs in pieces for a, b in segs]) for k in range(3)]
-    lengths = np.cumsum([0, *(b - a for _, _, segs in pieces for a, b in segs)])
+    t = np.concatenate([t[a:b] for t, _, segs in parts for a, b in segs])
+    columns = [np.concatenate([c[k][a:b] for _, c, segs in parts for a, b in segs]) for k in range(3)]
+    lengths = np.cumsum([0, *(b - a for _, _, segs in parts for a, b in segs)])
     segments = tuple((int(a), int(b)) for a, b in pairwise(lengths))
     dt = np.diff(t, prepend=t[0])
     dt[lengths[:-1]] = 1.0 / rate
@@ -163,6 +163,28 @@ def _corner(q: np.ndarray, rate: float) -> float:
     return min(max(MARGIN * highest, 0.01 * rate), 0.1 * rate)
 
 
+def pieces(t: np.ndarray) -> list[tuple[int, int]]:
+    """Return (start, stop) of the stretches of a log without a gap that have at least 100 rows.
+
+    Parameters
+    ----------
+    t : (N,) times [s], increasing.
+
+    Raises
+    ------
+    ShapeError : when there is none.
+    """
+    found = _pieces(t)
+    if not found:
+        cuts = np.flatnonzero(np.diff(t) > 1.5 * np.median(np.diff(t))) + 1 if len(t) > 1 else []
+        longest = int(np.diff([0, *cuts, len(t)]).max())
+        raise ShapeError(
+            f"Expected pieces of at least {MIN_SEGMENT} samples without a gap, got {len(cuts)} gaps in {len(t)} rows, "
+            f"the longest piece with {longest} samples. Record again, or resample the log."
+        )
+    return found
+
+
 def _pieces(t: np.ndarray) -> list[tuple[int, int]]:
     """Return (start, stop) of the stretches without a gap that have at least `MIN_SEGMENT` rows."""
     step = np.diff(t)
@@ -190,18 +212,9 @@ def _segments(table: Table, robot: Robot) -> tuple[np.ndarray, list[np.ndarray],
             ["too short"],
         )
     check_rate(t)
-    pieces = _pieces(t)
-    if not pieces:
-        step = np.diff(t)
-        cuts = np.flatnonzero(step > 1.5 * np.median(step)) + 1
-        longest = int(np.diff([0, *cuts.tolist(), len(t)]).max())
-        raise ShapeError(
-            f"Expected pieces of at least {MIN_SEGMENT} samples without a gap, got {len(cuts)} gaps in {len(t)} rows, "
-            f"the longest piece with {longest} samples. Record again, or resample the log."
-        )
     if "qd" not in table:
         columns.insert(1, with_velocity(table)["qd"])
-    return t, columns, pieces
+    return t, columns, pieces(t)
 
 
 def _check_finite(name: str, values: np.ndarray) -> None:

@@ -6,11 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from armlab.errors import NotExcited
 from armlab.estimation import Fit, LinearSolution
 from armlab.identify.covariance import fit_velocity_covariance
 from armlab.identify.extrapolation import extrapolation
 from armlab.identify.momentum import momentum_noise
-from armlab.identify.preparation import Prepared, with_velocity
+from armlab.identify.preparation import Prepared, pieces, with_velocity
 from armlab.log import Table
 from armlab.models import FrictionBound, TorqueModel, VelocityCovariance
 from armlab.signals import central_diff, lowpass_offline
@@ -21,6 +22,7 @@ SETTLED = 0.01  # variance of the presliding state below which friction is known
 ALPHA2_BOUNDS = (0.25, 25.0)
 HALF = 1.0  # s, stretches of the two halves on which the coverage is judged
 UNMEASURED = 1e12  # (N m)^2 of a joint whose torque is not measured: it tells nothing
+FEWEST = 100  # rows of sliding in either half
 FAST = 0.1  # rad/s: above it the bound on friction holds the model's error in motion
 
 
@@ -72,10 +74,12 @@ def assess(
     errors, moving = held_out(folds, data)
     measured = np.ones(model.n, dtype=bool) if joints is None else np.isin(np.arange(model.n), joints)
     moving &= measured
-    covariance = _covariance(errors, data.qd, moving)
     odd = (data.blocks(HALF) % 2 == 1)[:, None]
+    halves = moving & odd, moving & ~odd
+    _check_sliding(measured, np.min([half.sum(axis=0) for half in halves], axis=0))
+    covariance = _covariance(errors, data.qd, moving)
     inside = np.zeros(model.n)
-    for half in (moving & odd, moving & ~odd):
+    for half in halves:
         other = _covariance(errors, data.qd, moving & ~half)
         inside += np.sum(half & (errors**2 < 4.0 * other.variance(data.qd)), axis=0)
     count = np.where(measured, moving.sum(axis=0), np.nan)
@@ -90,6 +94,22 @@ def assess(
     if not measured.all():
         return judged  # the momentum of an arm takes all torques
     return replace(judged, momentum=momentum_noise(judged, folds, np.where(moving, errors, np.nan), data))
+
+
+def _check_sliding(measured: np.ndarray, rows: np.ndarray) -> None:
+    """Refuse joints whose friction is hardly ever known: fewer than 100 rows in either half of the log."""
+    few = np.flatnonzero(measured & (rows < FEWEST))
+    if len(few):
+        names = [f"joint {i + 1}" for i in few]
+        spread = [f"{rows[i]} rows" for i in few]
+        listed = ", ".join(f"{name} ({got})" for name, got in zip(names, spread))
+        raise NotExcited(
+            f"Expected every joint to slide, past its presliding, in {2 * FEWEST} rows at least, evenly over the log, "
+            f"got less for {listed}: how large its errors in motion are cannot be told. Let it move further between "
+            "its reversals.",
+            names,
+            spread,
+        )
 
 
 def _covariance(errors: np.ndarray, qd: np.ndarray, moving: np.ndarray) -> VelocityCovariance:
@@ -126,17 +146,28 @@ def predict(model: TorqueModel, table: Table) -> Table:
     Parameters
     ----------
     model : identified torque model.
-    table : log with columns q, tau (N, n), and qd where it was measured, without gaps.
+    table : log with columns q, tau (N, n), and qd where it was measured. Pieces between gaps are filtered each by
+        itself; in pieces of fewer than 100 rows tau and tau_model are missing (NaN).
+
+    Raises
+    ------
+    ShapeError : no piece of 100 rows without a gap, NaN rows, wrong joint count.
     """
-    table = with_velocity(table)
-    rate = 1.0 / float(np.median(np.diff(table.t)))
-    torque = model.torque(table["q"], table["qd"], central_diff(table["qd"], table.t), table.dt)
+    parts, table = pieces(table.t), with_velocity(table)
+    qdd, tau, modelled = np.full((3, *table["q"].shape), np.nan)
+    for a, b in parts:
+        qdd[a:b] = central_diff(table["qd"][a:b], table.t[a:b])
+    torque = model.torque(table["q"], table["qd"], qdd, table.dt)
+    for a, b in parts:
+        rate = 1.0 / float(np.median(np.diff(table.t[a:b])))
+        tau[a:b] = lowpass_offline(table["tau"][a:b], rate, model.cutoff)
+        modelled[a:b] = lowpass_offline(torque[a:b], rate, model.cutoff)
     variance = model.estimator_kernel(np.ones(6)).run(table["q"], table["qd"], table["tau"], table.dt)[4]
     warned = extrapolation(model, table).warnings
     return (
         replace(table, notes=(*table.notes, *warned))
-        .with_column("tau", lowpass_offline(table["tau"], rate, model.cutoff))
-        .with_column("tau_model", lowpass_offline(torque, rate, model.cutoff), unit="N m")
+        .with_column("tau", tau)
+        .with_column("tau_model", modelled, unit="N m")
         .with_column("tau_sigma", np.sqrt(variance), unit="N m")
     )
 
