@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Motion", "excite"]
 
+ROUNDS = 300  # of the search for the motion that tells most
+
 
 @Parameter(name="*")
 @dataclass(frozen=True)
@@ -133,9 +135,8 @@ def _design(robot: Robot, motion: Motion, joint: str | None) -> Trajectory:
 
     if joint is not None:
         return friction_run(robot, int(joint) - 1 if joint.isdecimal() else joint)
-    return excitation(
-        robot, motion.seconds, motion.f0, motion.harmonics, motion.speed, motion.acceleration, seed=motion.seed
-    )
+    shape = motion.seconds, motion.f0, motion.harmonics, motion.speed, motion.acceleration
+    return excitation(robot, *shape, seed=motion.seed, rounds=ROUNDS)
 
 
 def _text(expected: Expectation) -> str:
