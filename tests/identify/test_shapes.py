@@ -8,6 +8,7 @@ import pytest
 from armlab.identify.shapes import (
     COLUMNS,
     DELTAS,
+    FOLDS,
     SMOOTH_SPEEDS,
     STRIBECK_SPEEDS,
     TERMS,
@@ -37,9 +38,9 @@ def columns(q: np.ndarray, qd: np.ndarray, delta, smooth, speeds) -> np.ndarray:
 def chosen(torque, noise: float = 0.02) -> Shapes:
     q, qd = record()
     y = torque(q, qd) + noise * np.random.default_rng(1).standard_normal(q.shape)
-    odd = np.arange(len(q)) // 100 % 2 == 1
+    fold = np.arange(len(q)) // 50 % FOLDS
     fixed = np.stack([qd, np.ones_like(qd)], axis=2)
-    return choose(lambda *shape: columns(q, qd, *shape), fixed, y, odd, np.ones_like(q))
+    return choose(lambda *shape: columns(q, qd, *shape), fixed, y, fold, np.ones_like(q))
 
 
 def test_presliding_friction_is_told_from_a_smooth_sign_and_refined() -> None:
@@ -79,9 +80,9 @@ def test_rows_without_trust_do_not_count() -> None:
     y = presliding(q, np.array([1e-3]), np.zeros(1))
     bad = np.arange(len(q)) % 20 == 0
     y = np.where(bad[:, None], 50.0, y)
-    odd = np.arange(len(q)) // 100 % 2 == 1
+    fold = np.arange(len(q)) // 50 % FOLDS
     fixed = np.stack([qd, np.ones_like(qd)], axis=2)
-    found = choose(lambda *shape: columns(q, qd, *shape), fixed, y, odd, 1.0 - bad[:, None])
+    found = choose(lambda *shape: columns(q, qd, *shape), fixed, y, fold, 1.0 - bad[:, None])
     assert found.delta[0] == pytest.approx(1e-3, rel=0.1)
 
 

@@ -9,6 +9,7 @@ from armlab.identify.expectation import Expectation, expectation
 from armlab.identify.extrapolation import Extrapolation, extrapolation
 from armlab.identify.friction import fit_friction
 from armlab.identify.friction_run import friction_run
+from armlab.identify.gravity import fit_gravity
 from armlab.identify.group_lasso import GroupLasso, group_lasso, select_groups
 from armlab.identify.payload import fit_payload
 from armlab.identify.preparation import Prepared, prepare, with_velocity
@@ -33,6 +34,7 @@ __all__ = [
     "extrapolation",
     "fit_dynamics",
     "fit_friction",
+    "fit_gravity",
     "fit_payload",
     "fit_velocity_covariance",
     "fit_warm_up",

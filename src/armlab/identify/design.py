@@ -21,7 +21,7 @@ from armlab.estimation import Rows
 from armlab.identify.base_parameters import BaseParameters
 from armlab.identify.plausibility import slow_enough
 from armlab.identify.preparation import Prepared
-from armlab.identify.shapes import COLUMNS, Shapes, choose, mixing, term_names
+from armlab.identify.shapes import COLUMNS, FOLDS, Shapes, choose, mixing, term_names
 from armlab.identify.thinning import Thinning
 from armlab.kernels import presliding
 from armlab.models import CoupledMotors, Friction, Ripple
@@ -30,7 +30,7 @@ from armlab.robots import Robot
 __all__ = ["Design"]
 
 CUTOFF = 25.0  # Hz, the most; a tenth of the rate where that is less
-BLOCK = 1.0  # s, alternating blocks for the choice of shape
+BLOCK = 0.5  # s, blocks that go to the folds in turn for the choice of shape
 MIN_CYCLES = 20.0  # rad/rad; a slower ripple line is a harmonic of gravity
 SEEN = 0.5  # share of the samples at which a ripple line must not fold back
 AT_ONCE = 8192  # rows handed to the solver
@@ -243,22 +243,23 @@ class Design:
         return len(COLUMNS) if self.geared else len(COLUMNS) - 2
 
     def choose_shapes(self, theta: np.ndarray, trust: np.ndarray | None = None) -> Design:
-        """Choose the shape of friction of each joint on held-out alternating blocks of 1 s.
+        """Choose the shape of friction of each joint on held-out blocks of half a second.
 
         Parameters
         ----------
-        theta : (p,) parameters, of which all but those of the joints' own friction are held.
+        theta : (p,) parameters, of which the base parameters are held.
         trust : (M, J) weights of the rows; 0 leaves one out.
         """
-        own = [len(terms) for terms in self.terms]
-        target = self.tau.copy()
+        target, free = self.tau.copy(), np.zeros((*self.tau.shape, 3 * len(self.motors)))
         for i, (A, L, c) in enumerate(zip(self.rigid, self.local, self.columns)):
-            w = A.shape[1]
-            target[:, i] -= A @ theta[c[:w]] + L[:, own[i] :] @ theta[c[w + own[i] :]]
+            target[:, i] -= A @ theta[c[: A.shape[1]]]
+            coupled = L[:, len(self.terms[i]) :]
+            free[:, i, : coupled.shape[1]] = coupled
+        fixed = np.concatenate([self.fixed, free], axis=2)
         weights = np.ones_like(target) if trust is None else np.asarray(trust, dtype=float)
-        used = np.cumsum(weights.any(axis=1))  # blocks of what is used: both halves have as much
-        odd = used // max(1, round(BLOCK * self.data.rate / self.thinning.every)) % 2 == 1
-        return self.with_shapes(choose(self.shaped, self.fixed, target, odd, weights))
+        used = np.cumsum(weights.any(axis=1))  # blocks of what is used: all folds have as much
+        fold = used // max(1, round(BLOCK * self.data.rate / self.thinning.every)) % FOLDS
+        return self.with_shapes(choose(self.shaped, fixed, target, fold, weights))
 
     def shaped(self, delta: np.ndarray, smooth: np.ndarray, speeds: np.ndarray) -> np.ndarray:
         """Return the filtered columns (M, J, 3 + S) that depend on the shape: s+, s-, root, Stribeck of each speed.

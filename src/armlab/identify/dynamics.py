@@ -173,12 +173,19 @@ def fit_dynamics(
     return fit_model(table, robot, base_parameters(robot, joints=measured), job)
 
 
-def fit_model(table: Table | Sequence[Table], robot: Robot, base: BaseParameters, job: Job) -> Fit[TorqueModel]:
+def fit_model(
+    table: Table | Sequence[Table],
+    robot: Robot,
+    base: BaseParameters,
+    job: Job,
+    check: Callable[[Prepared], None] = lambda data: None,
+) -> Fit[TorqueModel]:
     """Fit base parameters, friction and offset; see `fit_dynamics` and `fit_gravity`.
 
     Parameters
     ----------
     table, robot : as there. base : which base parameters. job : how to fit.
+    check : refuses records that are not of this kind.
     """
     if job.prior is not None:
         job.prior.value.check_robot(robot)
@@ -186,6 +193,7 @@ def fit_model(table: Table | Sequence[Table], robot: Robot, base: BaseParameters
         raise UnknownName.among("method of identification", job.method, METHODS)
     job.tell(0, 5, "checking the log")
     data = prepare(table, robot, job.joints)
+    check(data)
     if job.method in ROBUST:
         data = replace(data, tau=_without_spikes(data))
     job.tell(1, 5, "building the regressor")
@@ -280,6 +288,7 @@ def _model(design: Design, theta: np.ndarray, cov: np.ndarray) -> TorqueModel:
         training=training(data.t, data.q, data.qd, data.segments),
         sources=data.sources,
         coupled=design.coupled(theta),
+        quasi_static=base.quasi_static,
     )
 
 

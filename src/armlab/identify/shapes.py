@@ -16,6 +16,7 @@ import numpy as np
 __all__ = [
     "COLUMNS",
     "DELTAS",
+    "FOLDS",
     "SMOOTH_SPEEDS",
     "STRIBECK_SPEEDS",
     "TERMS",
@@ -29,8 +30,10 @@ DELTAS = np.geomspace(1e-4, 1e-2, 7)  # rad
 SMOOTH_SPEEDS = np.array([0.005, 0.01, 0.02, 0.05, 0.1])  # rad/s
 STRIBECK_SPEEDS = np.array([0.02, 0.05, 0.1, 0.3])  # rad/s
 REFINEMENTS = (1.5, 1.25, 1.12, 1.06, 1.03, 1.015)  # factors tried both ways after the grid
+FOLDS = 4
 GAIN = 0.01  # of the squared held-out error: a term that wins less is left out
 DEFAULT_SPEED = 2  # of STRIBECK_SPEEDS, for joints without that term
+TOLD = 1e-6  # squared, of what each fold must tell of every direction: no term rests on one event
 EXACT = 1e-12  # squared error, relative to the torque, that is rounding
 # All columns of a joint, in their order; the last two where the gears are known.
 COLUMNS = ("viscous", "coulomb+", "coulomb-", "offset", "stribeck", "root", "ripple cos", "ripple sin")
@@ -96,7 +99,7 @@ class _Search:
     fixed: np.ndarray
     target: np.ndarray
     trust: np.ndarray
-    odd: np.ndarray
+    fold: np.ndarray
 
     def scores(self, delta: np.ndarray, smooth: np.ndarray, speeds: np.ndarray) -> np.ndarray:
         """Return the held-out error (n, S, 8) of shapes with speeds (S, n), relative to the torque, for all TERMS."""
@@ -107,10 +110,12 @@ class _Search:
             fixed = self.fixed[:, i]
             A = np.column_stack([fixed[:, :1], columns[:, i, :2], fixed[:, 1:2], columns[:, i, 2:], fixed[:, 2:]])
             A, y = A * self.trust[:, i, None], self.target[:, i] * self.trust[:, i]
-            halves = [_sums(A[half], y[half]) for half in (self.odd, ~self.odd)]
+            sums = [_sums(A[rows], y[rows]) for rows in (self.fold == k for k in range(FOLDS))]
             ripple = list(range(5 + S, A.shape[1]))
             picks = np.array([[0, 1, 2, 3, 5 + s, 4, *ripple] for s in range(S)])
-            out[i] = _held_out(halves, picks)
+            out[i] = _held_out(sums, picks)
+            wide = speeds[:, i] > np.abs(fixed[:, 0]).max()  # beyond the log's speeds it is one more viscous term
+            out[i][np.ix_(wide, TERMS[:, 1])] = np.inf
         return out
 
 
@@ -118,35 +123,43 @@ def _sums(A: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     return A.T @ A, A.T @ y, float(y @ y)
 
 
-def _held_out(halves: list[tuple[np.ndarray, np.ndarray, float]], picks: np.ndarray) -> np.ndarray:
-    """Return the squared error of each half of the blocks by the parameters of the other, over the torque's (S, 8).
+def _held_out(sums: list[tuple[np.ndarray, np.ndarray, float]], picks: np.ndarray) -> np.ndarray:
+    """Return the squared error (S, 8) of each fold by the parameters of the others, over that of the torque.
 
     Parameters
     ----------
-    halves : of each half A^T A, A^T y and y^T y. picks : (S, w) columns of A that each speed of Stribeck has.
+    sums : of each fold A^T A, A^T y and y^T y. picks : (S, w) columns of A that each speed of Stribeck has.
     """
     w = picks.shape[1]
     T = np.zeros((len(TERMS), w, w))  # absent columns are zero and keep parameters of zero
     for k, terms in enumerate(TERMS):
         mixed = mixing(terms, w)
         T[k, :, : mixed.shape[1]] = mixed
-    grams = [(G[picks[:, :, None], picks[:, None, :]][:, None], v[picks][:, None, :, None]) for G, v, _ in halves]
-    error = np.zeros((len(picks), len(TERMS)))
-    for (G, v), (H, u), power in ((*grams, halves[1][2]), (*grams[::-1], halves[0][2])):
-        A, b = T.transpose(0, 2, 1) @ G @ T, T.transpose(0, 2, 1) @ v
-        scale = np.sqrt(np.diagonal(A, axis1=2, axis2=3))
-        scale = np.where(scale > 0, scale, 1.0)[..., None]
-        A = A / (scale * np.swapaxes(scale, 2, 3))
-        diagonal = np.arange(w)
-        A[..., diagonal, diagonal] = 1.0 + EXACT
-        x = T @ (np.linalg.solve(A, b / scale) / scale)
+    grams = [(G[picks[:, :, None], picks[:, None, :]][:, None], v[picks][:, None, :, None]) for G, v, _ in sums]
+    error, told = np.zeros((len(picks), len(TERMS))), np.ones((len(picks), len(TERMS)), dtype=bool)
+    G, v = sum(G for G, _ in grams), sum(v for _, v in grams)
+    for (H, u), (_, _, power) in zip(grams, sums):
+        A, scale = _scaled(T.transpose(0, 2, 1) @ (G - H) @ T)
+        x = T @ (np.linalg.solve(A, T.transpose(0, 2, 1) @ (v - u) / scale) / scale)
         error += (power - 2.0 * np.swapaxes(u, 2, 3) @ x + np.swapaxes(x, 2, 3) @ H @ x)[..., 0, 0]
-    total = halves[0][2] + halves[1][2]
-    return np.maximum(error / total if total > 0 else error, EXACT)
+        if H.any():
+            told &= np.linalg.eigvalsh(_scaled(T.transpose(0, 2, 1) @ H @ T)[0])[..., 0] > TOLD
+    total = sum(power for _, _, power in sums)
+    return np.where(told, np.maximum(error / total if total > 0 else error, EXACT), np.inf)
 
 
-def choose(shaped: Shaped, fixed: np.ndarray, target: np.ndarray, odd: np.ndarray, trust: np.ndarray) -> Shapes:
-    """Choose the shape of each joint's friction: fitted to the odd blocks of time, judged on the even ones, and back.
+def _scaled(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return A (..., w, w) with columns and rows scaled to a diagonal of 1, and the scale (..., w, 1)."""
+    scale = np.sqrt(np.diagonal(A, axis1=-2, axis2=-1))
+    scale = np.where(scale > 0, scale, 1.0)[..., None]
+    A = A / (scale * np.swapaxes(scale, -2, -1))
+    diagonal = np.arange(A.shape[-1])
+    A[..., diagonal, diagonal] = 1.0 + EXACT
+    return A, scale
+
+
+def choose(shaped: Shaped, fixed: np.ndarray, target: np.ndarray, fold: np.ndarray, trust: np.ndarray) -> Shapes:
+    """Choose the shape of each joint's friction: fitted to all folds of the data but one, judged on that one, in turn.
 
     Presliding distance or v_t, the speed of Stribeck's term, and which terms there are come from a grid; of all that
     come within 1 % of the smallest squared error the one with the fewest terms wins, with presliding before tanh. Its
@@ -155,11 +168,11 @@ def choose(shaped: Shaped, fixed: np.ndarray, target: np.ndarray, odd: np.ndarra
     Parameters
     ----------
     shaped : (delta (n,), smooth (n,), speeds (S, n)) -> columns (M, n, 3 + S): s+, s-, root, Stribeck of each speed.
-    fixed : (M, n, 2 or 4) columns viscous, offset, and ripple where the gears are known.
+    fixed : (M, n, 2 or more) columns viscous, offset, and whatever else has no shape.
     target : (M, n) torque that friction has to explain.
-    odd : (M,) rows in odd blocks. trust : (M, n) weights of the rows, 0 to leave one out.
+    fold : (M,) number of the fold of each row, 0 to FOLDS - 1. trust : (M, n) weights of the rows, 0 to leave one out.
     """
-    search = _Search(shaped, fixed, target, trust, odd)
+    search = _Search(shaped, fixed, target, trust, fold)
     n = target.shape[1]
     every = np.repeat(STRIBECK_SPEEDS[:, None], n, axis=1)
     trials = [(np.full(n, delta), np.zeros(n)) for delta in DELTAS]
@@ -199,8 +212,9 @@ def _refine(search: _Search, shapes: Shapes, best: np.ndarray) -> Shapes:
     which = [int(np.flatnonzero((terms == TERMS).all(axis=1))[0]) for terms in shapes.terms]
     for factor in (f for step in REFINEMENTS for f in (step, 1.0 / step)):
         for of_sign, of_bump in ((factor, 1.0), (1.0, factor)):
-            delta, smooth = np.where(soft, 1.0, of_sign) * shapes.delta, of_sign * shapes.smooth
-            speed = of_bump * shapes.speed
+            delta = np.clip(np.where(soft, 1.0, of_sign) * shapes.delta, 0.1 * DELTAS[0], DELTAS[-1])
+            smooth = np.where(soft, np.clip(of_sign * shapes.smooth, 0.1 * SMOOTH_SPEEDS[0], SMOOTH_SPEEDS[-1]), 0.0)
+            speed = np.clip(of_bump * shapes.speed, 0.5 * STRIBECK_SPEEDS[0], 2.0 * STRIBECK_SPEEDS[-1])
             score = search.scores(delta, smooth, speed[None])[joints, 0, which]
             better = score < best
             best = np.where(better, score, best)

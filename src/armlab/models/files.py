@@ -80,6 +80,7 @@ class _Dynamics(_Strict):
     base_names: list[str]
     base_values: list[float]
     base_cov_lower: list[float]
+    quasi_static: bool = False
 
 
 class _Covariance(_Strict):
@@ -165,6 +166,7 @@ def _torque_file(model: TorqueModel) -> dict[str, Any]:
         "dynamics": {
             "link_parameters": model.link_parameters.tolist(),
             "rotor": model.rotor.tolist(),
+            "quasi_static": model.quasi_static,
             "base_names": list(model.base_names),
             "base_values": model.base_values.tolist(),
             "base_cov_lower": model.base_cov[lower].tolist(),
@@ -281,6 +283,7 @@ def _model(file: _File, path: Path) -> TorqueModel:
         gravity=np.array(file.robot.gravity),
         link_parameters=np.array(d.link_parameters),
         rotor=np.array(d.rotor),
+        quasi_static=d.quasi_static,
         friction=Friction(**_joined(file.friction, FRICTION, path)),
         ripple=Ripple(**_joined(file.ripple, RIPPLE, path)),
         covariance=VelocityCovariance(c.kind, np.array(c.C0), np.array(c.Cinf), np.array(c.shape), c.alpha2),

@@ -29,6 +29,7 @@ from armlab.robots import Robot
 __all__ = ["Quality", "TorqueModel"]
 
 SIGN = "environment_on_robot"
+WEIGHTLESS = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +70,7 @@ class TorqueModel:
     lines, friction_map, warm_up : parts of the drives that `identify.fit_friction` adds where they win, or None.
     momentum : noise of torque and velocity for the momentum estimators, or None: then there is none.
     coupled : motors that move several joints, or None.
+    quasi_static : True for gravity, friction and offset alone: no torque comes with velocity or acceleration of links.
     """
 
     robot_name: str
@@ -94,6 +96,7 @@ class TorqueModel:
     warm_up: WarmUp | None = None
     momentum: MomentumNoise | None = None
     coupled: CoupledMotors | None = None
+    quasi_static: bool = False
 
     def __post_init__(self) -> None:
         """Check shapes and freeze the arrays."""
@@ -132,6 +135,16 @@ class TorqueModel:
         return Chain(self.frames, self.prismatic)
 
     @property
+    def _weights(self) -> tuple[np.ndarray, np.ndarray]:
+        """Gravity and link parameters as the kernels take them.
+
+        The torque of gravity is linear in both, that of motion in the link parameters alone: a quasi-static model moves
+        a factor of 1e9 from one to the other, and what is left of the torque of motion is below rounding.
+        """
+        share = WEIGHTLESS if self.quasi_static else 1.0
+        return self.gravity / share, share * self.link_parameters
+
+    @property
     def drive(self) -> Drive:
         """Kernel of friction, ripple and warm-up: the one place that evaluates them."""
         return Drive(
@@ -152,7 +165,7 @@ class TorqueModel:
 
     def rigid_torque(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
         """Return gravity, inertial and rotor torque (..., n) [N m]; all inputs (..., n)."""
-        torque = self.chain.rnea(q, qd, qdd, self.gravity, self.link_parameters) + self.rotor * qdd
+        torque = self.chain.rnea(q, qd, qdd, *self._weights) + self.rotor * qdd
         return torque if self.coupled is None else torque + self.coupled.inertial(qdd)
 
     def torque(
@@ -171,7 +184,7 @@ class TorqueModel:
         """
         q, qd = np.atleast_2d(q), np.atleast_2d(qd)
         qdd = np.zeros_like(q) if qdd is None else np.atleast_2d(qdd)
-        torque = model_torque(self.chain, self.gravity, self.link_parameters, self.rotor, self.drive, q, qd, qdd, dt)
+        torque = model_torque(self.chain, *self._weights, self.rotor, self.drive, q, qd, qdd, dt)
         return torque if self.coupled is None else torque + self.coupled.torque(qd, qdd)
 
     def estimator_kernel(
@@ -188,8 +201,7 @@ class TorqueModel:
         b = self.bound
         kernel = WrenchEstimator(
             self.chain,
-            self.gravity,
-            self.link_parameters,
+            *self._weights,
             self.rotor,
             self.drive,
             self._covariance_rows(self.covariance.alpha2),
@@ -239,8 +251,7 @@ class TorqueModel:
         prior, rate = np.asarray(prior, dtype=float), alpha2 * np.asarray(rate, dtype=float)
         kernel = MomentumEstimator(
             self.chain,
-            self.gravity,
-            self.link_parameters,
+            *self._weights,
             self.rotor,
             self.drive,
             self._covariance_rows(alpha2),
