@@ -142,7 +142,7 @@ def test_a_load_that_the_log_cannot_weigh_is_refused_by_name(truth, model) -> No
     assert any("m" in direction.split() for direction in caught.value.directions)
 
 
-@pytest.mark.slow  # 30 s
+@pytest.mark.slow  # 16 s
 def test_the_truth_is_inside_over_fifty_seeds(model) -> None:
     """The simulated arm, with its own friction and drives, and gains of the joints that nobody knows.
 
@@ -241,13 +241,13 @@ def weightless(truth, model) -> dict:
     return {"table": Table(t[:, 0], {"q": q, "qd": qd, "tau": tau}), "model": light, "robot": robot}
 
 
-@pytest.mark.slow  # 30 s
+@pytest.mark.slow  # 7 s
 def test_the_statistical_contract(experiment, truth, model) -> None:
     """Gains known and a perfect model: errors shrink with the record."""
     contract = check_estimator(
         fit_payload,
         lambda seed, n: experiment(0.0, 0.0, seed, n),
-        30,
+        20,
         n=1400,
         refusals={"m": weightless(truth, model)},
         noise_given=False,
@@ -256,12 +256,12 @@ def test_the_statistical_contract(experiment, truth, model) -> None:
     assert contract.passed, contract.text()
 
 
-@pytest.mark.slow  # 15 s
+@pytest.mark.slow  # 7 s
 def test_gains_and_model_are_in_the_covariance(experiment) -> None:
     """Gains of 5 % and a model inside its covariance: NEES stays 1, though errors do not shrink with the record."""
     reasons = {**REASONS, "consistent": "the gains do not average out", "refuses": "see above"}
     contract = check_estimator(
-        fit_payload, lambda seed, n: experiment(0.05, 1.0, seed, n), 40, n=1600, noise_given=False, skip=reasons
+        fit_payload, lambda seed, n: experiment(0.05, 1.0, seed, n), 30, n=1600, noise_given=False, skip=reasons
     )
     assert contract.passed, contract.text()
 

@@ -60,7 +60,7 @@ class LoadRecord:
         ShapeError, NotExcited : logs that `prepare` refuses. ShapeError : two motions that are not the same.
         """
         joints = _moving([table] if isinstance(table, Table) else table, robot)
-        found = model_residuals(table, model, joints)
+        found = model_residuals(table, model, joints.tolist())
         data, cutoff = found.data, found.data.rate / 10.0
         rows = np.concatenate([np.arange(a, b, EVERY) for a, b in data.segments])
         y, sources = data.filter(found.y[:, joints], cutoff), data.sources
@@ -68,7 +68,7 @@ class LoadRecord:
         if without is None:
             A = columns[rows]
             return cls(data, rows, joints, A, y[rows], _against(A, data, rows, joints, model, robot), sources)
-        other = model_residuals(without, model, joints)
+        other = model_residuals(without, model, joints.tolist())
         shift = _shift(data, other.data)
         rows = rows[(rows >= shift) & (rows - shift < len(other.data.t))]
         A, there = columns[rows], rows - shift
