@@ -98,8 +98,8 @@ def estimate(
     from armlab import models, robots
     from armlab.cli import estimate_report as reporting
     from armlab.cli.output import FIGURES, check_output, note, progress
+    from armlab.cli.reading import doubts, read_log
     from armlab.contact import Estimator, contacts
-    from armlab.identify import with_velocity
 
     for path, endings in ((output, (".mcap", ".csv")), (report, (".html",)), (figure, FIGURES)):
         if path is not None:
@@ -110,13 +110,13 @@ def estimate(
     estimator = Estimator(known, arm, method, prior.deviations, prior.point, **options)
     with progress("estimate") as tell:
         tell(0, 1, "reading the log")
-        read = logs.read(log)
+        read = read_log(log, arm)
         tell(0, 1, f"{method} of {len(read)} rows")
-        table = estimator.run(with_velocity(read))
+        table = estimator.run(read)
         tell(1, 1, "done")
     _check(table, log)
     found = contacts(table)
-    verdict = reporting.judge(table, known, estimator.prior, found)
+    verdict = reporting.judge(table, known, estimator.prior, found, doubts(table, arm))
     believed = _believed(table, arm, method, prior) if found else None
     _say(table, method, reporting.places(found, believed), verdict, json)
     if output is not None:

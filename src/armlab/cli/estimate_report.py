@@ -89,16 +89,19 @@ def places(contacts: Sequence[Contact], believed: Hypotheses | None) -> list[tup
     return [(c, "" if believed is None else believed.during(c.start, c.end)) for c in contacts]
 
 
-def judge(table: Table, model: TorqueModel, prior: np.ndarray, contacts: Sequence[Contact]) -> Verdict:
+def judge(
+    table: Table, model: TorqueModel, prior: np.ndarray, contacts: Sequence[Contact], doubts: Sequence[str] = ()
+) -> Verdict:
     """Return what of the estimate can be relied on, what cannot, and what to do next.
 
     Parameters
     ----------
     table : of `contact.Estimator.run`. model : that it used. prior : (6,) prior variances. contacts : found in it.
+    doubts : what of the log cannot be true; then nothing else is worth much.
     """
     good: list[str] = []
-    bad: list[str] = []
-    ahead: list[str] = []
+    bad: list[str] = list(doubts)
+    ahead: list[str] = ["Correct the log first: forces from what it says are not to be trusted."] if doubts else []
     if contacts:
         largest = max(contacts, key=lambda contact: float(np.linalg.norm(contact.force)))
         size = float(np.linalg.norm(largest.force))

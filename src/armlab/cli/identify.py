@@ -53,12 +53,13 @@ def identify(
     force : bool
         Replace existing files.
     """
-    from armlab import log, robots
+    from armlab import robots
     from armlab.cli import identify_report as reporting
     from armlab.cli import identify_verdict as judging
     from armlab.cli.output import FIGURES, check_output, note, print_json, progress, result
+    from armlab.cli.reading import read_log
     from armlab.errors import ConfigError
-    from armlab.identify import fit_dynamics, fit_friction, with_velocity
+    from armlab.identify import fit_dynamics, fit_friction
 
     arm = robots.load(robot)
     if not logs:
@@ -66,8 +67,8 @@ def identify(
     for path, endings in ((output, [".toml"]), (report, [".html"]), (figure, FIGURES)):
         if path is not None:
             check_output(path, force, endings)
-    tables = [with_velocity(log.read(path)) for path in logs]
-    unseen = None if test is None else with_velocity(log.read(test))
+    tables = [read_log(path, arm) for path in logs]
+    unseen = None if test is None else read_log(test, arm)
     with progress("identify") as tell:
         fit = fit_dynamics(tables, arm, method=method, progress=tell)
         if drives:

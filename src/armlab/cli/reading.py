@@ -1,0 +1,105 @@
+"""The log of a command: refused when it has no torques or is of another robot, doubted when it cannot be true."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from armlab.log import Table
+    from armlab.robots import Robot
+
+__all__ = ["doubts", "read_log"]
+
+BAND = 5.0  # Hz, in which velocity is compared with the slope of position
+MOVED = (0.005, np.deg2rad(1.0))  # m, rad: a joint that moved less says nothing of its velocity
+SHORTEST = 100  # rows
+
+
+def read_log(path: Path, robot: Robot) -> Table:
+    """Return the log with q, qd and tau; where it has no velocity that is the slope of the position.
+
+    Parameters
+    ----------
+    path : of the log. robot : that the command names.
+
+    Raises
+    ------
+    LogError : no positions or torques. ModelMismatchError : a recording of another robot.
+    """
+    from armlab import log as logs
+    from armlab.errors import LogError
+    from armlab.identify import with_velocity
+
+    table = logs.read(path)
+    missing = [name for name in ("q", "tau") if name not in table]
+    if missing:
+        raise LogError(
+            f"Expected positions and torques, columns q and tau, in {path}, got none for {' and '.join(missing)} among "
+            f"{', '.join(table.names)}. Record with the research extension, which sends torques."
+        )
+    _check_robot(path, robot)
+    return with_velocity(table)
+
+
+def _check_robot(path: Path, robot: Robot) -> None:
+    """Refuse a recording of a robot of another name; text knows none."""
+    from armlab import log as logs
+    from armlab.errors import ModelMismatchError
+
+    if path.suffix != ".mcap" or not path.is_file():
+        return
+    name = logs.inspect(path).metadata.get("armlab", {}).get("robot", robot.name)
+    if name != robot.name:
+        raise ModelMismatchError(
+            f"Expected a recording of {robot.name!r}, got one of {name!r} in {path}. Name the robot that was recorded."
+        )
+
+
+def doubts(table: Table, robot: Robot) -> tuple[str, ...]:
+    """Return what of a log cannot be true: units, velocity that is not the slope of position, torques of the motors.
+
+    `identify.prepare` refuses such logs. One that is only estimated may rest, so it is looked at where it moves, in its
+    longest stretch without a gap.
+
+    Parameters
+    ----------
+    table : with q, qd, tau (N, n). robot : the arm.
+    """
+    from armlab.errors import NotExcited, ShapeError
+    from armlab.identify.plausibility import check_position, check_torque, check_velocity
+    from armlab.signals import lowpass_offline
+
+    rows = _longest_stretch(table)
+    if rows.stop - rows.start < SHORTEST:
+        return ()
+    t, q, qd, tau = table.t[rows], table["q"][rows], table["qd"][rows], table["tau"][rows]
+    moved = np.ptp(q, axis=0) >= np.where(robot.prismatic, *MOVED)
+    rate = 1.0 / float(np.median(np.diff(t)))
+    slope, speed = (lowpass_offline(x, rate, min(BAND, 0.2 * rate)) for x in (np.gradient(q, t, axis=0), qd))
+    found = []
+    for check, given in (
+        (check_position, (q, robot)),
+        (check_velocity, (slope, speed, moved, robot)),
+        (check_torque, (q, tau, moved, robot)),
+    ):
+        try:
+            check(*given)
+        except (NotExcited, ShapeError) as error:
+            found.append(str(error))
+    return tuple(found)
+
+
+def _longest_stretch(table: Table) -> slice:
+    """Return the rows of the longest stretch in which nothing is missing."""
+    whole = np.isfinite(np.hstack([table[name] for name in ("q", "qd", "tau")])).all(axis=1)
+    step = np.diff(table.t)
+    apart = step > 1.5 * np.median(step) if len(step) else np.zeros(0, dtype=bool)
+    cuts = np.flatnonzero(~whole)
+    edges = np.unique(np.concatenate([[0, len(table)], cuts, cuts + 1, np.flatnonzero(apart) + 1]).astype(int))
+    if len(edges) < 2:
+        return slice(0, 0)
+    longest = int(np.argmax(np.diff(edges)))
+    return slice(int(edges[longest]), int(edges[longest + 1]))

@@ -1,0 +1,42 @@
+"""Logs of commands: what is refused, and what is doubted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from armlab import identify, log, robots
+from armlab.cli.reading import doubts, read_log
+from armlab.errors import LogError, ModelMismatchError
+
+
+def test_a_log_without_torques_or_of_another_robot_is_refused(truth, tmp_path: Path) -> None:
+    table = truth.log(identify.dither(truth.robot.q_home, 1.0), seed=5).select("q", "tau")
+    path = log.write(table, tmp_path / "swayed.mcap", truth.robot)
+    assert "qd" in read_log(path, truth.robot)
+    with pytest.raises(ModelMismatchError, match="recording of 'yumi_right', got one of 'yumi_left'"):
+        read_log(path, robots.load("yumi_right"))
+    mute = log.write(table.select("q"), tmp_path / "mute.mcap", truth.robot)
+    with pytest.raises(LogError, match=r"got none for tau among .*research extension"):
+        read_log(mute, truth.robot)
+
+
+def test_what_cannot_be_true_is_doubted(truth) -> None:
+    table = truth.log(identify.dither(truth.robot.q_home, 4.0), seed=5)
+    assert doubts(table, truth.robot) == ()
+    backwards, motors = table.with_column("qd", -table["qd"]), table.with_column("tau", table["tau"] / 100)
+    assert ["derivative of q" in sentence for sentence in doubts(backwards, truth.robot)] == [True]
+    assert ["motors'" in sentence for sentence in doubts(motors, truth.robot)] == [True]
+
+
+def test_gaps_missing_rows_and_rest_are_no_reason_to_doubt(truth) -> None:
+    table = truth.log(identify.dither(truth.robot.q_home, 4.0), seed=5)
+    torn = table.rows(np.r_[0:300, 600 : len(table)])
+    tau = torn["tau"].copy()
+    tau[350] = np.nan
+    assert doubts(torn.with_column("tau", tau), truth.robot) == ()
+    still = truth.log(identify.dither(truth.robot.q_home, 2.0, amplitude=1e-6), seed=5)
+    assert doubts(still, truth.robot) == ()
+    assert doubts(table.rows(slice(0, 0)), truth.robot) == ()
