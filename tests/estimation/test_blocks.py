@@ -143,6 +143,10 @@ def test_bad_input_is_refused(problems) -> None:
     few = sums(A, y, problems.names, 7)
     with pytest.raises(ShapeError, match="at least 8 stretches of 1 blocks to draw from, got 7"):
         block_bootstrap(few)
+    enough = sums(A, y, problems.names, 10)
+    for draws in (0, 1):
+        with pytest.raises(ShapeError, match=f"at least 2 draws for a covariance, got {draws}"):
+            block_bootstrap(enough, draws)
     with pytest.raises(ShapeError, match="2 to 7 folds"):
         block_cv(few, folds=8)
     with pytest.raises(UnknownName, match="mode of cross-validation, got 'random'"):

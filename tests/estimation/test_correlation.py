@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from armlab.errors import ShapeError
 from armlab.estimation import block_seconds, correlation_time, effective_samples
 
 RHO = 0.95  # of the AR(1) records of conftest
@@ -41,3 +42,11 @@ def test_effective_samples_make_the_band_of_a_mean_true() -> None:
     assert 0.90 < np.mean(np.abs(means) < 2.0 * honest) < 0.97
     assert np.mean(np.abs(means) < 2.0 * white) < 0.60
     assert honest == pytest.approx(np.sqrt(variance / (effective_samples(training) * seconds / (dt * len(training)))))
+
+
+def test_records_that_tell_nothing_are_refused() -> None:
+    for wrong, words in ((np.zeros(0), r"\(0,\)"), (np.zeros(1), r"\(1,\)"), (np.array([1.0, np.nan, 2.0]), "1 NaN")):
+        for function in (effective_samples, lambda x: correlation_time(x, 0.1), lambda x: block_seconds(x[:, None], 1)):
+            with pytest.raises(ShapeError, match=words):
+                function(wrong)
+    assert block_seconds(np.zeros((10, 0)), 0.1) == 0.5

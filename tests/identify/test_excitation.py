@@ -68,12 +68,15 @@ def test_nonsense_is_refused() -> None:
         excitation(robot, seconds=2.0)
     with pytest.raises(ShapeError, match="at least 10 seconds"):
         excitation(robot, seconds=float("nan"))
-    for wrong in ({"f0": 0.0}, {"harmonics": 0}, {"acceleration": -1.0}, {"rounds": -1}):
+    for wrong in ({"f0": 0.0}, {"harmonics": 0}, {"acceleration": -1.0}, {"rounds": -1}, {"harmonics": 2.5}):
         with pytest.raises(ShapeError, match="at least one harmonic"):
             excitation(robot, **wrong)
     for centre in (np.zeros(3), robot.q_max + 1.0, np.full(7, np.nan)):
         with pytest.raises(ShapeError, match="inside the limits"):
             excitation(robot, centre=centre)
+    for wrong in ({"centre": [np.nan]}, {"centre": 0.0}, {"amplitude": np.inf}, {"frequency": 0.0}):
+        with pytest.raises(ShapeError, match="finite pose"):
+            dither(**{"centre": [0.0], "seconds": 2.0, **wrong})
     with pytest.raises(ShapeError, match="above 0 s"):
         dither(np.zeros(2), 0.0)
 

@@ -1,4 +1,4 @@
-"""A friction run is what force.md 4.5 asks for, on every robot, inside every limit."""
+"""Ten constant speeds, both ways, with holds between them: on every robot, inside every limit."""
 
 from __future__ import annotations
 
@@ -76,6 +76,9 @@ def test_refusals() -> None:
         friction_run(robot, "elbow")
     with pytest.raises(UnknownName, match="from 0 to 6, got 7"):
         friction_run(robot, 7)
+    for wrong in (1.5, True, None):
+        with pytest.raises(UnknownName, match="number of a joint from 0 to 6"):
+            friction_run(robot, wrong)  # type: ignore[arg-type]
     with pytest.raises(ShapeError, match=r"pose of shape \(7,\)"):
         friction_run(robot, 0, at=np.full(7, 9.0))
     with pytest.raises(ShapeError, match="limits of speed and acceleration"):

@@ -77,6 +77,8 @@ def test_bad_records_are_refused() -> None:
         rbf_centres(q, qd[:-1])
     with pytest.raises(ShapeError, match="2 joints"):
         rbf_regressor(q[:, :1], qd[:, :1], basis)
+    with pytest.raises(ShapeError, match="finite q, qd and z"):
+        rbf_regressor(q, qd, basis, z=np.full(q.shape, np.nan))
     q = q.copy()
     q[3, 0] = np.nan
     with pytest.raises(ShapeError, match="finite q"):

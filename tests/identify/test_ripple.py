@@ -92,5 +92,9 @@ def test_wrong_shapes_are_refused() -> None:
     _, q, qd = motion(1.0)
     with pytest.raises(ShapeError, match="one shape"):
         ripple_lines(q, qd, q[:-1], RATE, 250.0)
+    for rate, highest in ((0.0, 250.0), (np.nan, 250.0), (RATE, np.inf)):
+        with pytest.raises(ShapeError, match="rate above 0 Hz and finite ends"):
+            ripple_lines(q, qd, q, rate, highest)
+    assert len(ripple_lines(q[:0], q[:0], q[:0], RATE, 250.0)) == 0
     with pytest.raises(ShapeError, match="finite"):
         ripple_lines(q, qd, np.full(len(q), np.nan), RATE, 250.0)

@@ -109,7 +109,7 @@ def test_bad_input_is_refused_with_a_sentence() -> None:
         central_diff(np.zeros(4), np.array([0.0, 1.0, 1.0, 2.0]))
     with pytest.raises(ShapeError, match=r"steps from 0\.5 s to 2 s"):
         smooth_diff(np.zeros(6), np.array([0.0, 1.0, 2.0, 4.0, 4.5, 5.0]), 0.1)
-    with pytest.raises(ShapeError, match=r"between 0 and 0\.3 of the sampling rate, got 0\.4"):
+    with pytest.raises(ShapeError, match=r"between 1e-05 and 0\.3 of the sampling rate, got 0\.4"):
         smooth_diff(np.zeros(5000), T, 100.0)
     with pytest.raises(ShapeError, match="at least 313 samples for a bandwidth of 1 Hz, got 100"):
         smooth_diff(np.zeros(100), T[:100], 1.0)
@@ -117,5 +117,26 @@ def test_bad_input_is_refused_with_a_sentence() -> None:
         filtfilt(Differentiator(0.004), np.zeros(100))
     with pytest.raises(ShapeError, match="at least 2 samples"):
         filtfilt(LowPass2(1.0, 0.1), np.zeros(1))
+    with pytest.raises(ShapeError, match=r"1e-05 and 0\.3"):
+        smooth_diff(np.ones(100), 0.004 * np.arange(100), 1e-9)
+    for wrong in (0, 2.5, np.nan):
+        with pytest.raises(ConfigError, match="whole order of at least 1"):
+            lowpass_offline(np.ones(100), 250.0, 10.0, order=wrong)
+    with pytest.raises(ConfigError, match="whole factor of at least 1"):
+        decimate(np.ones(100), 250.0, 2.5)  # type: ignore[arg-type]
+    with pytest.raises(ShapeError, match=r"NaN or Inf in 100 rows"):
+        decimate(np.full(100, np.nan), 250.0, 1)
+    t = 0.004 * np.arange(100)
+    for function in (
+        lambda x: lowpass_offline(x, 250.0, 10.0),
+        lambda x: central_diff(x, t),
+        lambda x: decimate(x, 250.0, 2),
+        lambda x: smooth_diff(x, t, 5.0),
+        lambda x: filtfilt(ExpFilter(0.1, 0.004), x),
+    ):
+        with pytest.raises(ShapeError, match="got a number"):
+            function(3.0)  # type: ignore[arg-type]
+    with pytest.raises(ShapeError, match="finite, strictly increasing"):
+        central_diff(t, np.append(t[:-1], np.inf))
     with pytest.raises(ConfigError, match="factor of at least 1"):
         decimate(np.zeros(10), 1.0, 0)

@@ -147,7 +147,7 @@ def block_bootstrap(sums: BlockSums, draws: int | None = None, seed: int = 0, le
 
     Raises
     ------
-    ShapeError : fewer than 8 stretches. NotExcited : a draw does not determine every parameter.
+    ShapeError : fewer than 8 stretches or 2 draws. NotExcited : a draw does not determine every parameter.
 
     References
     ----------
@@ -164,6 +164,8 @@ def block_bootstrap(sums: BlockSums, draws: int | None = None, seed: int = 0, le
         )
     found = sums.solution
     number = max(200, 4 * len(found.x)) if draws is None else draws
+    if number < 2:
+        raise ShapeError(f"Expected at least 2 draws for a covariance, got {number}. Leave draws out for enough.")
     starts = np.random.default_rng(seed).integers(count, size=(number, -(-count // length)))
     chosen = (starts[:, :, None] + np.arange(length)).reshape(number, -1)[:, :count] % count
     weights = np.zeros((number, len(sums.rows)))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from armlab.errors import ShapeError
+
 __all__ = ["block_seconds", "correlation_time", "effective_samples"]
 
 SHORTEST = 0.5  # s
@@ -19,8 +21,18 @@ def correlation_time(x: np.ndarray, dt: float) -> float:
     Parameters
     ----------
     x : (N,) evenly sampled record. dt : time between samples [s].
+
+    Raises
+    ------
+    ShapeError : fewer than two samples, NaN.
     """
-    x = np.asarray(x, dtype=float) - np.mean(x)
+    x = np.asarray(x, dtype=float)
+    if x.ndim != 1 or len(x) < 2 or not np.isfinite(x).all():
+        raise ShapeError(
+            f"Expected a finite record (N,) of at least two samples, got shape {x.shape} with "
+            f"{np.count_nonzero(~np.isfinite(x))} NaN or Inf. Drop the missing samples."
+        )
+    x = x - np.mean(x)
     size = 2 ** int(np.ceil(np.log2(2 * len(x))))
     spectrum = np.fft.rfft(x, size)
     rho = np.fft.irfft(spectrum * np.conj(spectrum), size)[: len(x) // 2]
@@ -33,7 +45,7 @@ def correlation_time(x: np.ndarray, dt: float) -> float:
 
 
 def effective_samples(x: np.ndarray) -> float:
-    """Return the number of independent samples that tell as much about the mean as the record x (N,)."""
+    """Return the number of independent samples that tell as much about the mean as the record x (N,), N > 1."""
     return len(x) / max(2.0 * correlation_time(x, 1.0), 1.0)
 
 
@@ -42,6 +54,6 @@ def block_seconds(residuals: np.ndarray, dt: float) -> float:
 
     Parameters
     ----------
-    residuals : (N, k) evenly sampled. dt : time between samples [s].
+    residuals : (N, k) evenly sampled, finite. dt : time between samples [s].
     """
-    return max(SHORTEST, MEMORIES * max(correlation_time(column, dt) for column in np.transpose(residuals)))
+    return max([SHORTEST, *(MEMORIES * correlation_time(column, dt) for column in np.transpose(residuals))])

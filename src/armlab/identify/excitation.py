@@ -78,7 +78,8 @@ def excitation(
             f"Expected a speed share in (0, 1] and at least 10 seconds, got {speed:g} and {seconds:g} s. "
             "Shorter motions do not excite friction at all speeds."
         )
-    if not 0 < f0 < np.inf or harmonics < 1 or not acceleration > 0 or rounds < 0:
+    counts = harmonics >= 1 and rounds >= 0 and harmonics == int(harmonics) and rounds == int(rounds)
+    if not 0 < f0 < np.inf or not acceleration > 0 or not counts:
         raise ShapeError(
             f"Expected f0 and acceleration above 0, at least one harmonic and rounds from 0, got {f0:g} Hz, "
             f"{acceleration:g}, {harmonics} and {rounds}. Leave them out for the defaults."
@@ -126,11 +127,16 @@ def dither(
 
     Raises
     ------
-    ShapeError : for a length that is not above 0.
+    ShapeError : for a length that is not above 0, or a pose, amplitude or frequency that is none.
     """
     if not 0 < seconds < np.inf:
         raise ShapeError(f"Expected a length above 0 s, got {seconds:g} s. Give the seconds of the motion.")
     centre = np.array(centre, dtype=float)
+    if centre.ndim != 1 or not np.isfinite(centre).all() or not np.isfinite(amplitude) or not 0 < frequency < np.inf:
+        raise ShapeError(
+            f"Expected a finite pose (n,) and amplitude and a frequency above 0 Hz, got shape {centre.shape}, "
+            f"{amplitude:g} rad and {frequency:g} Hz. Give one position per joint [rad]."
+        )
     omega = 2 * np.pi * frequency
     phase = np.arange(len(centre)) * 2 * np.pi / len(centre)
 

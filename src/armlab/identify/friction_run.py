@@ -85,8 +85,8 @@ def _number(robot: Robot, joint: int | str) -> int:
         if joint not in names:
             raise UnknownName.among("joint", joint, names)
         return names.index(joint)
-    if not 0 <= joint < robot.n:
-        raise UnknownName(f"Expected the number of a joint from 0 to {robot.n - 1}, got {joint}. Count from 0.")
+    if not isinstance(joint, int | np.integer) or isinstance(joint, bool) or not 0 <= joint < robot.n:
+        raise UnknownName(f"Expected the number of a joint from 0 to {robot.n - 1}, got {joint!r}. Count from 0.")
     return int(joint)
 
 

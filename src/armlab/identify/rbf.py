@@ -70,8 +70,8 @@ def rbf_regressor(q: np.ndarray, qd: np.ndarray, basis: RadialBasis, z: np.ndarr
     """
     q, qd = _record(q, qd)
     z = np.sign(qd) if z is None else np.asarray(z, dtype=float)
-    if q.shape[1] != basis.n or z.shape != q.shape:
-        raise ShapeError(f"Expected q, qd and z of {basis.n} joints, got shapes {q.shape} and {z.shape}.")
+    if q.shape[1] != basis.n or z.shape != q.shape or not np.isfinite(z).all():
+        raise ShapeError(f"Expected finite q, qd and z of {basis.n} joints, got shapes {q.shape} and {z.shape}.")
     joints = [basis.functions(i, *(np.ascontiguousarray(x[:, i]) for x in (q, qd, z))) for i in range(basis.n)]
     return np.stack(joints, axis=1)
 

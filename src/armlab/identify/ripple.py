@@ -63,12 +63,17 @@ def ripple_lines(
 
     Raises
     ------
-    ShapeError : shapes, NaN.
+    ShapeError : shapes, NaN, a rate that is not above 0.
     """
     q, qd, y = (np.asarray(x, dtype=float) for x in (q, qd, y))
     if q.ndim != 1 or q.shape != qd.shape or q.shape != y.shape or not np.isfinite([q, qd, y]).all():
         raise ShapeError(f"Expected finite q, qd and y of one shape (N,), got {q.shape}, {qd.shape} and {y.shape}.")
-    turns = np.ptp(q) / (2 * np.pi)
+    if not 0 < rate < np.inf or not np.isfinite([highest, lowest]).all():
+        raise ShapeError(
+            f"Expected a rate above 0 Hz and finite ends of the search, got {rate:g} Hz and {lowest:g} to {highest:g} "
+            "cycles. Give the sampling rate and 2.5 times the gear ratio."
+        )
+    turns = np.ptp(q) / (2 * np.pi) if len(q) else 0.0
     if not highest > lowest or turns * (highest - lowest) < 4.0:
         return np.zeros(0)
     search = _Search(q, qd, y - np.mean(y), rate)

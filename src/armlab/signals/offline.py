@@ -12,7 +12,8 @@ __all__ = ["central_diff", "decimate", "filtfilt", "lowpass_offline", "smooth_di
 UNEVEN = 0.1  # relative deviation of a step beyond which samples are not even
 PASSED = 0.8  # share of the new half rate that decimation keeps
 ORDER = 3  # of the polynomials of smooth_diff
-WINDOW, WIDEST = 1.25, 0.3  # bandwidth times window, and the most of the rate: with five samples
+WINDOW = 1.25  # bandwidth times window
+NARROWEST, WIDEST = 1e-5, 0.3  # bandwidth over rate: with 125000 and with five samples
 
 
 def lowpass_offline(x: np.ndarray, rate: float, cutoff: float, order: int = 4) -> np.ndarray:
@@ -32,16 +33,19 @@ def lowpass_offline(x: np.ndarray, rate: float, cutoff: float, order: int = 4) -
     Raises
     ------
     ShapeError : when the record is too short for the filter, is not finite, or the cut-off is outside (0, rate / 2).
+    ConfigError : an order that is not a whole number of at least 1.
     """
     from scipy.signal import butter, sosfiltfilt
 
-    x = np.asarray(x, dtype=float)
+    x = _record(x)
     if not 0.0 < cutoff < rate / 2:
         raise ShapeError(f"Expected a cut-off between 0 and {rate / 2:g} Hz (half the rate), got {cutoff:g} Hz.")
-    sections = np.asarray(butter(order, cutoff / (rate / 2), output="sos"))
+    if not order >= 1 or order != int(order):
+        raise ConfigError(f"Expected a whole order of at least 1, got {order}. 4 is usual.")
+    sections = np.asarray(butter(int(order), cutoff / (rate / 2), output="sos"))
     needed = 6 * sections.shape[0] + 4
-    if x.shape[0] < needed:
-        raise ShapeError(f"Expected at least {needed} samples to filter, got {x.shape[0]}. Record for longer.")
+    if len(x) < needed:
+        raise ShapeError(f"Expected at least {needed} samples along axis 0, got shape {x.shape}. Record for longer.")
     _check_finite(x)
     return sosfiltfilt(sections, x, axis=0)
 
@@ -58,8 +62,8 @@ def central_diff(x: np.ndarray, t: np.ndarray) -> np.ndarray:
     -------
     (N, ...) derivative [unit of x per second].
     """
-    t = _check_times(t, len(x), 3)
-    return np.gradient(np.asarray(x, dtype=float), t, axis=0, edge_order=2)
+    x = _record(x)
+    return np.gradient(x, _check_times(t, len(x), 3), axis=0, edge_order=2)
 
 
 def filtfilt(operator: Operator, x: np.ndarray, t: np.ndarray | None = None) -> np.ndarray:
@@ -91,8 +95,8 @@ def filtfilt(operator: Operator, x: np.ndarray, t: np.ndarray | None = None) -> 
             f"Expected a filter to run forward and backward, got {type(operator).__name__}. "
             "Use central_diff or smooth_diff for derivatives."
         )
-    x = np.asarray(x, dtype=float)
-    if x.ndim < 1 or len(x) < 2:
+    x = _record(x)
+    if len(x) < 2:
         raise ShapeError(f"Expected at least 2 samples along axis 0, got shape {x.shape}. Record for longer.")
     _check_finite(x)
     times = None if t is None else _check_times(t, len(x), 2)
@@ -118,10 +122,15 @@ def decimate(x: np.ndarray, rate: float, factor: int) -> np.ndarray:
     Returns
     -------
     (ceil(N / factor), ...) samples, the first at the same time as before.
+
+    Raises
+    ------
+    ConfigError : a factor that is not a whole number of at least 1. ShapeError : too short, not finite.
     """
-    if factor < 1:
-        raise ConfigError(f"Expected a factor of at least 1, got {factor}.")
-    x = np.asarray(x, dtype=float)
+    if not factor >= 1 or factor != int(factor):
+        raise ConfigError(f"Expected a whole factor of at least 1, got {factor}. Resample the record for others.")
+    x, factor = _record(x), int(factor)
+    _check_finite(x)
     return x.copy() if factor == 1 else lowpass_offline(x, rate, PASSED * 0.5 * rate / factor)[::factor]
 
 
@@ -150,7 +159,7 @@ def smooth_diff(x: np.ndarray, t: np.ndarray, bandwidth: float) -> np.ndarray:
     """
     from scipy.signal import savgol_filter
 
-    x = np.asarray(x, dtype=float)
+    x = _record(x)
     _check_finite(x)
     steps = np.diff(_check_times(t, len(x), 5))
     dt = float(np.mean(steps))
@@ -171,10 +180,10 @@ def _window(bandwidth: float) -> int:
     """Return the odd window whose derivative loses 3 dB nearest to `bandwidth` [cycles per sample]."""
     from scipy.signal import savgol_coeffs
 
-    if not 0.0 < bandwidth < WIDEST:
+    if not NARROWEST <= bandwidth < WIDEST:
         raise ShapeError(
-            f"Expected a bandwidth between 0 and {WIDEST:g} of the sampling rate, got {bandwidth:.3g} of it. Use "
-            "central_diff for more."
+            f"Expected a bandwidth between {NARROWEST:g} and {WIDEST:g} of the sampling rate, got {bandwidth:.3g} of "
+            "it. Use central_diff for more."
         )
 
     def loss(window: int) -> float:
@@ -192,11 +201,19 @@ def _reflected(x: np.ndarray, pad: int) -> np.ndarray:
     return np.concatenate([2 * x[:1] - x[pad:0:-1], x, 2 * x[-1:] - x[-2 : -pad - 2 : -1]])
 
 
+def _record(x: np.ndarray) -> np.ndarray:
+    """Return samples (N, ...) as numbers; refuse one number."""
+    x = np.asarray(x, dtype=float)
+    if x.ndim < 1:
+        raise ShapeError("Expected samples (N, ...) along axis 0, got a number. Give a record.")
+    return x
+
+
 def _check_times(t: np.ndarray, count: int, least: int) -> np.ndarray:
     t = np.asarray(t, dtype=float)
-    if t.ndim != 1 or len(t) != count or count < least or not np.all(np.diff(t) > 0):
+    if t.ndim != 1 or len(t) != count or count < least or not np.all(np.diff(t) > 0) or not np.isfinite(t).all():
         raise ShapeError(
-            f"Expected at least {least} strictly increasing times for {count} samples, got an array of shape "
+            f"Expected at least {least} finite, strictly increasing times for {count} samples, got an array of shape "
             f"{t.shape}. Drop repeated and backward stamps first."
         )
     return t
