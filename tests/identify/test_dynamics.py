@@ -9,7 +9,8 @@ import pytest
 
 from armlab import identify, robots
 from armlab.errors import ModelMismatchError, NotExcited, UnknownName
-from armlab.identify import base_parameters, fit_dynamics, prepare
+from armlab.estimation import Experiment, check_estimator
+from armlab.identify import base_parameters, fit_dynamics, fit_gravity, prepare
 from armlab.identify.design import Design
 from armlab.identify.dynamics import Job, fit_model, settle
 from armlab.identify.validation import assess
@@ -45,6 +46,46 @@ def test_errors_match_the_covariance_and_shrink(truth) -> None:
     weight = np.linalg.inv(np.mean(covariances[:6], axis=0))
     power = [np.mean([e @ weight @ e for e in errors[seconds]]) for seconds in (80, 20)]
     assert 0.35 < np.sqrt(power[0] / power[1]) < 0.65
+
+
+SKIPPED = {
+    "consistent": "in the test above, with fewer runs",
+    "honest": "in the test above, with fewer runs",
+    "efficient": "residuals of robots are coloured: there is no bound to reach",
+    "order-free": "friction remembers: the rows of a log have an order",
+    "gauge-free": "parameters are those of the robot's own frames",
+    "robust": "Huber's loss and trimming have tests of their own in estimation",
+    "explains": "the report is a table per joint; the table of the fit has every value",
+}
+
+
+@pytest.mark.slow  # 15 s
+@pytest.mark.parametrize("fit", [fit_dynamics, fit_gravity])
+def test_the_laws_of_the_statistical_contract(fit, truth) -> None:
+    """Files bit-equal, inputs as they were, outputs read-only, the same bits twice, NaN refused by its row."""
+    robot = truth.robot
+    fast = {} if fit is fit_dynamics else {"f0": 1 / 60, "harmonics": 3, "speed": 0.07}
+    motion = identify.excitation(robot, seconds=12 if fit is fit_dynamics else 40, seed=3, **fast)
+    log = truth.log(motion, seed=0)
+    locked = np.arange(7) == 3
+    still = log.with_column("q", np.where(locked, 0.3, log["q"])).with_column("qd", np.where(locked, 0.0, log["qd"]))
+    contract = check_estimator(
+        fit,
+        lambda seed, n: Experiment({"table": truth.log(motion, seed=seed), "robot": robot}, None),
+        1,
+        n=len(log),
+        refusals={robot.joint_names[3]: {"table": still, "robot": robot}},
+        skip=SKIPPED,
+    )
+    assert contract.passed, contract.text()
+
+
+def test_the_table_of_a_fit_has_every_value_with_unit_and_deviation(fitted) -> None:
+    lines = fitted.table().splitlines()
+    for name, unit, line in zip(fitted.names, fitted.units, lines):
+        assert line.startswith(name)
+        assert line.endswith(unit)
+        assert " +- " in line
 
 
 def test_the_fit_reports_every_joint_and_progress(truth, excited) -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from armlab import identify, robots
-from armlab.errors import ModelMismatchError
+from armlab.errors import ModelMismatchError, ShapeError
 from armlab.kernels import presliding
 from armlab.models import Quality, TorqueModel
 
@@ -21,6 +23,9 @@ def test_torque_is_rigid_plus_friction_plus_ripple(model: TorqueModel) -> None:
     np.testing.assert_allclose(model.torque(q, qd), slow, rtol=0, atol=1e-12)
     assert model.n == 7
     assert isinstance(model.quality, Quality)
+    assert not any(getattr(model.quality, name).flags.writeable for name in ("torque_sd", "rms", "rms_cv", "coverage"))
+    with pytest.raises(ShapeError, match=r"rms_cv of one number per joint, got shape \(3,\)"):
+        replace(model.quality, rms_cv=np.zeros(3))
 
 
 def test_a_row_with_nan_gives_nan_and_leaves_the_state(model: TorqueModel) -> None:

@@ -51,6 +51,15 @@ class Quality:
     coverage: np.ndarray
     seconds: float
 
+    def __post_init__(self) -> None:
+        """Check shapes and freeze the arrays; NaN stands for joints that could not be judged."""
+        for name in ("torque_sd", "rms", "rms_cv", "coverage"):
+            values = np.array(getattr(self, name), dtype=float)
+            if values.ndim != 1 or values.shape != np.shape(self.torque_sd):
+                raise ShapeError(f"Expected {name} of one number per joint, got shape {values.shape}. Identify again.")
+            values.flags.writeable = False
+            object.__setattr__(self, name, values)
+
 
 @dataclass(frozen=True, eq=False)
 class TorqueModel:
