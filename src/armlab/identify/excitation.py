@@ -87,7 +87,7 @@ def excitation(
     rng = np.random.default_rng(seed)
     middle = _with_room(robot) if centre is None else _inside(robot, centre)
     base = base_parameters(robot)
-    draws = rng.standard_normal((CANDIDATES, 2, harmonics, robot.n))
+    draws = rng.standard_normal((CANDIDATES, 2, int(harmonics), robot.n))
     weights = 1.0 / _deviation(robot, np.ones(robot.n) if sigma is None else sigma)
 
     def judged(draw: np.ndarray) -> tuple[Trajectory, tuple[bool, float]] | None:
@@ -104,7 +104,7 @@ def excitation(
         )
     draw, best, value = max(found, key=lambda candidate: candidate[2])
     width = WIDTH
-    for _ in range(rounds):
+    for _ in range(int(rounds)):
         trial = draw + width * rng.standard_normal(draw.shape)
         result = judged(trial)
         if result is not None and result[1] > value:

@@ -176,7 +176,7 @@ def pieces(t: np.ndarray) -> list[tuple[int, int]]:
     """
     found = _pieces(t)
     if not found:
-        cuts = np.flatnonzero(np.diff(t) > 1.5 * np.median(np.diff(t))) + 1 if len(t) > 1 else []
+        cuts = _cuts(t)
         longest = int(np.diff([0, *cuts, len(t)]).max())
         raise ShapeError(
             f"Expected pieces of at least {MIN_SEGMENT} samples without a gap, got {len(cuts)} gaps in {len(t)} rows, "
@@ -187,9 +187,13 @@ def pieces(t: np.ndarray) -> list[tuple[int, int]]:
 
 def _pieces(t: np.ndarray) -> list[tuple[int, int]]:
     """Return (start, stop) of the stretches without a gap that have at least `MIN_SEGMENT` rows."""
+    return [(a, b) for a, b in pairwise([0, *_cuts(t), len(t)]) if b - a >= MIN_SEGMENT]
+
+
+def _cuts(t: np.ndarray) -> list[int]:
+    """Return the rows that come after a gap."""
     step = np.diff(t)
-    cuts = np.flatnonzero(step > 1.5 * np.median(step)) + 1 if len(step) else np.zeros(0, dtype=int)
-    return [(a, b) for a, b in pairwise([0, *cuts.tolist(), len(t)]) if b - a >= MIN_SEGMENT]
+    return (np.flatnonzero(step > 1.5 * np.median(step)) + 1).tolist() if len(step) else []
 
 
 def _segments(table: Table, robot: Robot) -> tuple[np.ndarray, list[np.ndarray], list[tuple[int, int]]]:
