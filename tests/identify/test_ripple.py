@@ -88,6 +88,20 @@ def test_the_covariance_of_a_refit_is_true() -> None:
     assert held_out_error(A, A @ truth, block) < 1e-6
 
 
+def test_few_blocks_leave_no_direction_without_spread() -> None:
+    """32 coefficients and 20 blocks of residuals that remember: the scatter alone would have rank 20."""
+    rng = np.random.default_rng(4)
+    A, block = np.repeat(rng.standard_normal((200, 32)), 10, axis=0), np.arange(2000) // 100
+    A = A + 0.5 * rng.standard_normal(A.shape)
+    nees = []
+    for _ in range(50):
+        e = np.repeat(rng.standard_normal(200), 10) + 0.1 * rng.standard_normal(2000)
+        x, cov = refit(A, e, block)
+        nees.append(x @ np.linalg.solve(cov, x) / 32)
+    assert np.linalg.matrix_rank(cov) == 32
+    assert 0.7 < np.mean(nees) < 1.4
+
+
 def test_wrong_shapes_are_refused() -> None:
     _, q, qd = motion(1.0)
     with pytest.raises(ShapeError, match="one shape"):

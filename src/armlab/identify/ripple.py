@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from armlab.errors import ShapeError
-from armlab.estimation import mad
+from armlab.estimation import mad, shrinkage
 from armlab.identify.group_lasso import select_groups
 from armlab.identify.plausibility import SLOW_SHARE, slow_enough
 from armlab.kernels import basis_weights
@@ -157,8 +157,9 @@ def ripple_regressor(
 def refit(A: np.ndarray, y: np.ndarray, block: np.ndarray, ridge: float = RIDGE) -> tuple[np.ndarray, np.ndarray]:
     """Return ridge coefficients (p,) and their covariance (p, p) from the scatter of whole blocks.
 
-    ``H = A^T A + ridge mean(diag) 1``, ``cov = H^-1 (sum_b g_b g_b^T) H^-1`` with the moments g_b of the residuals in a
-    block: residuals that remember make it larger than the formal one.
+    ``H = A^T A + ridge mean(diag) 1``, ``cov = H^-1 S H^-1`` with S the scatter ``sum_b g_b g_b^T`` of the moments g_b of
+    the residuals in a block: residuals that remember make it larger than the formal one. Where blocks are few for the
+    coefficients S is shrunk towards a multiple of H (`estimation.shrinkage`): it would have no spread in most directions.
 
     Parameters
     ----------
@@ -167,7 +168,11 @@ def refit(A: np.ndarray, y: np.ndarray, block: np.ndarray, ridge: float = RIDGE)
     x, H = _ridge(A, y, ridge)
     moments = np.zeros((int(np.max(block)) + 1, A.shape[1]))
     np.add.at(moments, block, A * (y - A @ x)[:, None])
-    half = np.linalg.solve(H, moments.T)
+    root = np.linalg.cholesky(H)
+    scores = np.linalg.solve(root, moments.T).T
+    chance, S = shrinkage(scores), scores.T @ scores
+    S = (1.0 - chance) * S + chance * np.trace(S) / len(S) * np.eye(len(S))
+    half = np.linalg.solve(root.T, np.linalg.cholesky(S))
     return x, half @ half.T
 
 
