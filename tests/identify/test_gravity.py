@@ -8,7 +8,8 @@ import pytest
 from armlab import models
 from armlab.contact import Estimator
 from armlab.errors import NotExcited, ShapeError
-from armlab.estimation import Fit
+from armlab.estimation import Fit, check_estimator
+from armlab.estimation.contract import PROPERTIES
 from armlab.identify import excitation, fit_gravity
 from armlab.log import Table
 from armlab.models import TorqueModel
@@ -74,3 +75,17 @@ def test_a_log_at_one_pose_is_refused(truth) -> None:
     tau = np.random.default_rng(0).standard_normal(q.shape)
     with pytest.raises(NotExcited):
         fit_gravity(Table(t, {"q": q, "qd": np.zeros_like(q), "tau": tau}), truth.robot)
+
+
+@pytest.mark.slow  # 40 s beside other work
+def test_errors_halve_with_four_times_the_data_and_match_the_covariance(short_arm) -> None:
+    """The statistical contract on a short arm."""
+    found = check_estimator(
+        lambda table, robot: short_arm.of_base(fit_gravity(table, robot)),
+        short_arm.experiment(slow=True),
+        runs=8,
+        n=4000,
+        noise_given=False,
+        skip=dict.fromkeys(set(PROPERTIES) - {"consistent", "honest"}, "as fit_dynamics, whose machinery it shares"),
+    )
+    assert found.passed, found.text()

@@ -339,7 +339,7 @@ def _rigid(
     def columns(a: int, b: int) -> np.ndarray:
         moves = 0.0 if base.quasi_static else 1.0
         Y = robot.chain.rigid_regressor(data.q[a:b], moves * data.qd[a:b], moves * qdd[a:b], robot.gravity)
-        X = Y.reshape(b - a, -1)[:, flat]
+        X = np.take(Y.reshape(b - a, -1), flat, axis=1)
         for position, joint in rotors:
             X[:, position] = qdd[a:b, joint]
         return X

@@ -20,7 +20,7 @@ __all__ = ["Piece", "Thinning"]
 
 ORDER = 4
 DECAYED = 1e-6  # of the largest tap
-AT_ONCE = 4096  # rows of the record
+AT_ONCE = 1024  # rows of the record: their regressor stays in the cache
 BAND = 32  # kept rows of one product
 
 
