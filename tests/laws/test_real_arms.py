@@ -1,4 +1,4 @@
-"""The bars of the specification on public logs of two real arms: RMS residual on held-out blocks in % of torque deviation.
+"""The bars of the specification on public logs of two real arms: residual on held-out blocks in % of torque deviation.
 
 The logs and where they are from: the README beside the data. Earlier figures, and all that is reached, are on
 docs/how_to/real_arm.md.

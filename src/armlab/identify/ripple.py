@@ -157,9 +157,10 @@ def ripple_regressor(
 def refit(A: np.ndarray, y: np.ndarray, block: np.ndarray, ridge: float = RIDGE) -> tuple[np.ndarray, np.ndarray]:
     """Return ridge coefficients (p,) and their covariance (p, p) from the scatter of whole blocks.
 
-    ``H = A^T A + ridge mean(diag) 1``, ``cov = H^-1 S H^-1`` with S the scatter ``sum_b g_b g_b^T`` of the moments g_b of
-    the residuals in a block: residuals that remember make it larger than the formal one. Where blocks are few for the
-    coefficients S is shrunk towards a multiple of H (`estimation.shrinkage`): it would have no spread in most directions.
+    ``H = A^T A + ridge mean(diag) 1``, ``cov = H^-1 S H^-1`` with S the scatter ``sum_b g_b g_b^T`` of the moments g_b
+    of the residuals in a block: residuals that remember make it larger than the formal one. Where blocks are few for
+    the coefficients S is shrunk towards a multiple of H (`estimation.shrinkage`): it would have no spread in most
+    directions.
 
     Parameters
     ----------
