@@ -52,7 +52,9 @@ WrenchEstimator::WrenchEstimator(const Parameters &parameters) : p_(parameters) 
 
 void WrenchEstimator::reset() {
   joints_.fill(Joint{JointDrive(), 0.0, {{0.0, 0.0}, {0.0, 0.0}}});
+  nominal_ = 0.0;
   first_ = true;
+  fresh_ = false;
 }
 
 double WrenchEstimator::slowness(int i, double qd) const {
@@ -60,7 +62,7 @@ double WrenchEstimator::slowness(int i, double qd) const {
   return std::exp(-(ratio * ratio));
 }
 
-bool WrenchEstimator::advance(const double *q, const double *qd, const double *tau, double dt, double *raw) {
+bool WrenchEstimator::advance(const double *q, const double *qd, const double *tau, double dt, bool apart, double *raw) {
   const int n = this->n();
   if (!finite(q, n) || !finite(qd, n) || !finite(tau, n) || !(dt > 0.0) || !std::isfinite(dt)) return false;
   const double relax = 1.0 - std::exp(-dt / rest_time);
@@ -68,9 +70,10 @@ bool WrenchEstimator::advance(const double *q, const double *qd, const double *t
   double qdd[max_joints], rigid[max_joints];
   for (int i = 0; i < n; ++i) {
     Joint &joint = next[i] = joints_[i];
-    if (first_) {
-      joint.drive.state = p_.drive.start(i, q[i]);
-      joint.qd = qd[i];
+    if (apart) {
+      const double warmth = joint.drive.state.warmth;
+      joint = Joint{JointDrive{p_.drive.start(i, q[i])}, qd[i], {{0.0, 0.0}, {0.0, 0.0}}};
+      if (!first_) joint.drive.state.warmth = warmth;
     }
     joint.drive.move(p_.drive, i, q[i], relax);
     qdd[i] = (qd[i] - joint.qd) / dt;
@@ -90,21 +93,25 @@ bool WrenchEstimator::advance(const double *q, const double *qd, const double *t
 void WrenchEstimator::step(const double *q, const double *qd, const double *tau, double dt, WrenchEstimate &e) {
   const int n = this->n();
   double raw[max_joints];
-  if (!advance(q, qd, tau, dt, raw)) return e.make_invalid(n);
-  const bool first = first_, band = has_band();
+  const bool apart = first_ || dt > gap_steps * nominal_, band = has_band();
+  if (!advance(q, qd, tau, dt, apart, raw)) return e.make_invalid(n);
+  const bool begins = apart || fresh_;  // in steady state, without a transient from what was
+  if (first_) nominal_ = dt;
+  fresh_ = apart && !first_;
   first_ = false;
   const double g = std::tan(pi * std::min(p_.cutoff * dt, 0.45));
   const double a = 1.0 / (1.0 + g * (g + std::sqrt(2.0)));
   for (int i = 0; i < n; ++i) {
     Joint &joint = joints_[i];
     const JointCovariance &c = p_.covariance[i];
-    const double unsure = band ? slowness(i, qd[i]) : joint.drive.unsure;
-    if (first) {  // start in steady state, without a transient from zero
+    const double unsure = band ? std::max(slowness(i, qd[i]), joint.drive.unsure) : joint.drive.unsure;
+    if (begins) {
+      joint.low[0][0] = joint.low[1][0] = 0.0;
       joint.low[0][1] = raw[i];
       joint.low[1][1] = unsure;
     }
-    e.error[i] = first ? raw[i] : lowpass(joint.low[0], raw[i], g, a);
-    const double filtered = std::min(std::max(first ? unsure : lowpass(joint.low[1], unsure, g, a), 0.0), 1.0);
+    e.error[i] = begins ? raw[i] : lowpass(joint.low[0], raw[i], g, a);
+    const double filtered = std::min(std::max(begins ? unsure : lowpass(joint.low[1], unsure, g, a), 0.0), 1.0);
     if (band) {  // the bound holds what velocity does to the error near rest
       e.variance[i] = c.at_speed;
       e.bound[i] = p_.bound[i].torque * filtered + p_.bound[i].floor;

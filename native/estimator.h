@@ -12,6 +12,7 @@
 namespace armlab {
 
 constexpr double rest_time = 0.5;         // s, in which friction at rest becomes unknown
+constexpr double gap_steps = 5.0;         // first steps; a longer step is a gap, of which nothing is known
 constexpr double largest_torque = 1e100;  // N m; beyond it an error would overflow in a filter and never leave it
 
 inline bool finite(const double *values, int n) {
@@ -100,8 +101,8 @@ class WrenchEstimator {
   };
 
   // Moves play, presliding state and velocity by one sample and gives the torque error; false, and nothing moved, when
-  // the sample or its torque error is not finite.
-  bool advance(const double *q, const double *qd, const double *tau, double dt, double *raw);
+  // the sample or its torque error is not finite. Only the warmth is kept of what was when the sample is `apart`.
+  bool advance(const double *q, const double *qd, const double *tau, double dt, bool apart, double *raw);
   double slowness(int i, double qd) const;
   void solve(const double *q, WrenchEstimate &estimate) const;
   void intervals(const double *A, const Unknowns &unknowns, WrenchEstimate &estimate) const;
@@ -109,7 +110,8 @@ class WrenchEstimator {
   Parameters p_;
   std::array<double, max_joints> static_;
   std::array<Joint, max_joints> joints_;
-  bool first_;
+  double nominal_;      // step of the first sample
+  bool first_, fresh_;  // fresh: the last sample came after a gap, without an acceleration
 };
 
 }  // namespace armlab

@@ -10,7 +10,6 @@ namespace armlab {
 namespace {
 
 constexpr double creep = 1e-3;        // 1/s, of its variance, by which it wanders at rest
-constexpr double gap_steps = 5.0;     // a longer step is a gap
 constexpr double longest = 20.0;      // s, memory of friction at rest for a joint that no contact turns
 constexpr double at_rest = 0.5;       // variance of the presliding state above which a joint rests
 constexpr double still = 1.0;         // presliding distances that a joint may move before a tare is void

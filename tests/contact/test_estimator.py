@@ -50,6 +50,21 @@ def test_run_equals_step_bit_for_bit(truth, model, excited, method) -> None:
         assert np.array_equal(wrench.observability, table["observability"][k])
 
 
+@pytest.mark.parametrize("method", ["map", "bounded", "interval"])
+def test_over_a_gap_nothing_is_made_up(truth, model, method: str) -> None:
+    """What friction did in it is not known; what the filter held before says nothing of the time after."""
+    log = truth.log(identify.excitation(truth.robot, seconds=12, seed=3), seed=8)
+    held = []
+    for start in np.arange(2.0, 9.0, 1.0):
+        torn = log.rows(((log.t > start - 1.0) & (log.t <= start)) | ((log.t >= start + 0.6) & (log.t < start + 1.0)))
+        table = Estimator(model, truth.robot, method).run(torn)
+        after = np.flatnonzero(table.t >= start + 0.6)[1:]  # the first has no acceleration
+        F, cov = table["wrench_hat"][after], table["wrench_hat_cov"][after]
+        held.append(np.abs(F) <= 3 * np.sqrt(np.einsum("kii->ki", cov)))
+        assert np.max(np.abs(F[:, :3])) < 12.0
+    assert np.mean(held) > 0.95
+
+
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_press_along_an_axis_appears_with_its_sign(truth, perfect, axis: int, sign: float) -> None:

@@ -53,7 +53,8 @@ ACCURACY = {"map": 1e-11, "bounded": 1e-9, "interval": 1e-9, "ls": 1e-8, "lund":
 def test_estimators_agree(model: TorqueModel, excited: Table, method: str, point: np.ndarray | None) -> None:
     log = excited.between(0.0, 0.4 if method == "interval" else 1.6)
     dt = np.array(log.dt)
-    dt[50] = 0.02  # a gap
+    dt[50] = 0.02  # a long step
+    dt[60] = 0.5  # a gap
     tau = np.array(log["tau"])
     tau[70, 2] = np.nan  # a broken sample
     tau[90, 1] = 1e200  # one that would stay in the filter for ever

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
+from urllib.parse import urlsplit
 
 from cyclopts import Parameter
 
@@ -105,6 +106,8 @@ def excite(
         if path is not None:
             check_output(path, force, endings)
     arm = robots.load(robot)
+    if run is not None:
+        _check_link(arm, run)
     with progress("design") as tell:
         tell(0, 2, "choosing among candidates" if saved is None else f"reading {saved.name}")
         trajectory = _design(arm, motion, joint) if saved is None else Trajectory.from_table(logs.read(saved))
@@ -150,6 +153,18 @@ def _plain(expected: Expectation) -> dict[str, Any]:
     keys = ("name", "unit", "group", "sd")
     found = {"condition": expected.excitation.condition, "weakest": expected.excitation.weakest}
     return {**found, "parameters": [dict(zip(keys, values, strict=True)) for values in parameters]}
+
+
+def _check_link(robot: Robot, url: str) -> None:
+    """Refuse a simulated arm of another name: the log would say that it is of this one."""
+    from armlab.errors import ConfigError
+
+    link = urlsplit(url)
+    if link.scheme == "sim" and link.netloc != robot.name:
+        raise ConfigError(
+            f"Expected a link to {robot.name!r}, got {url!r}, another arm. Name it as ROBOT, or give the link "
+            f"sim://{robot.name}."
+        )
 
 
 def _run(robot: Robot, trajectory: Trajectory, url: str, log: Path, approach: float) -> None:

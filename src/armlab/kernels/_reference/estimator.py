@@ -12,8 +12,11 @@ One step, with ``tau_e = model - measured = J^T F + error``:
 5. The wrench from tau_e and C_tau, by one of the methods of `wrench.py`.
 
 Methods with a bound (bounded, clip, interval) treat friction near rest as bounded instead of random. With the slowness
-w = exp(-(qd / speed)^2), the Coulomb and Stribeck terms of the model count by 1 - w, the bound is ``torque w + floor``
-with w low-passed, and C_tau = diag(Cinf).
+w = exp(-(qd / speed)^2), the Coulomb and Stribeck terms of the model count by 1 - w, the bound is ``torque max(w, p) +
+floor`` with max(w, p) low-passed, and C_tau = diag(Cinf).
+
+A step longer than GAP_STEPS first steps is a gap: nothing is known of what friction did in it, so all but the warmth
+begins anew, as at the first sample; the low-pass once more at the next, which has an acceleration.
 
 With a contact at a known point, F = S f for a force f, S = [1; hat(r)], and the solver works on A = S^T J.
 """
@@ -33,6 +36,7 @@ from armlab.kernels._reference.wrench import METHODS, solve_wrench, wrench_inter
 __all__ = ["WrenchEstimator", "check_noise", "contact_map", "speed_variance"]
 
 REST_TIME = 0.5  # s
+GAP_STEPS = 5.0  # first steps; a longer step is a gap, of which nothing is known
 UNKNOWN = 1.0  # largest variance of a variable in [-1, 1]
 LARGEST = 1e100  # N m; a torque error beyond it would overflow in the filter and never leave it
 WEAK_BELOW = 0.5
@@ -123,8 +127,9 @@ class WrenchEstimator:
         """Forget everything but the parameters."""
         n = len(self._rotor)
         self._state, self._started = start(self._drive, np.zeros(n)), False
+        self._fresh = False
         self._qd, self._p = np.zeros(n), np.full(n, UNKNOWN)
-        self._low = np.zeros((2, 2 * n))
+        self._low, self._nominal = np.zeros((2, 2 * n)), 0.0
 
     def step(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, dt: float) -> tuple[Any, ...]:
         """Advance by one sample.
@@ -138,13 +143,17 @@ class WrenchEstimator:
         first = not self._started
         if not (np.isfinite(q).all() and np.isfinite(qd).all() and np.isfinite(tau).all() and 0.0 < dt < np.inf):
             return self._invalid()
-        if first:
-            self._state, self._qd = start(self._drive, q), qd.copy()
+        apart = first or dt > GAP_STEPS * self._nominal
+        before, last, p = self._state, self._qd, self._p
+        if apart:
+            before, last, p = start(self._drive, q), qd, np.full(n, UNKNOWN)
+            if not first:
+                before.warmth = self._state.warmth
         with np.errstate(over="ignore", invalid="ignore"):
-            qdd = (qd - self._qd) / dt
+            qdd = (qd - last) / dt
             rigid = self._chain.rnea(q, qd, qdd, self._gravity, self._links) + self._rotor * qdd
-            state, dy = move(self._drive, q, self._state)
-            p = self._p + (UNKNOWN - self._p) * (1.0 - np.exp(-dt / REST_TIME))
+            state, dy = move(self._drive, q, before)
+            p = p + (UNKNOWN - p) * (1.0 - np.exp(-dt / REST_TIME))
             p = p * np.exp(-2.0 * np.abs(dy) / self._drive.friction[6])
             dry_share = 1.0 - self._slowness(qd) if self._band else 1.0  # near rest it is anything within the bound
             raw = rigid + drive_torque(self._drive, q, qd, state, dry_share) - tau
@@ -152,7 +161,11 @@ class WrenchEstimator:
             return self._invalid()
         self._state, self._p = heat(self._drive, qd, dt, state), p
         self._qd, self._started = qd.copy(), True
-        filtered = self._lowpass(np.concatenate([raw, self._slowness(qd) if self._band else p]), dt, first)
+        if first:
+            self._nominal = dt
+        unsure = np.maximum(self._slowness(qd), p) if self._band else p
+        filtered = self._lowpass(np.concatenate([raw, unsure]), dt, apart or self._fresh)
+        self._fresh = apart and not first
         torque, unsure = filtered[:n], np.clip(filtered[n:], 0.0, UNKNOWN)
         if self._band:
             return self._solve(q, torque, self._covariance[1], self._bound[0] * unsure + self._bound[2])
@@ -179,8 +192,8 @@ class WrenchEstimator:
         interval = np.full((6, 2), np.nan) if METHODS[self._method] == "interval" else None
         return *missing, INVALID, np.zeros(n, dtype=bool), interval
 
-    def _lowpass(self, x: np.ndarray, dt: float, first: bool) -> np.ndarray:
-        if first:  # start in steady state, without a transient from zero
+    def _lowpass(self, x: np.ndarray, dt: float, begins: bool) -> np.ndarray:
+        if begins:  # in steady state, without a transient from what was
             self._low[0], self._low[1] = 0.0, x
             return x
         g = np.tan(np.pi * min(self._cutoff * dt, 0.45))

@@ -29,6 +29,7 @@ from armlab.kernels._reference.arrays import not_negative, positive, read
 from armlab.kernels._reference.chain import Chain
 from armlab.kernels._reference.drive import Drive, DriveState, drive_torque, heat, move, start
 from armlab.kernels._reference.estimator import (
+    GAP_STEPS,
     INVALID,
     LARGEST,
     REST_TIME,
@@ -46,7 +47,6 @@ __all__ = ["MomentumEstimator"]
 
 CREEP = 1e-3  # 1/s, of its variance, by which friction wanders at rest
 LONGEST = 20.0  # s, memory of friction at rest for a joint that no contact turns
-GAP_STEPS = 5.0
 AT_REST = 0.5  # variance of the presliding state above which a joint rests
 STILL = 1.0  # presliding distances that a joint may move before a tare is void
 
