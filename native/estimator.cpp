@@ -106,12 +106,15 @@ void WrenchEstimator::step(const double *q, const double *qd, const double *tau,
     const JointCovariance &c = p_.covariance[i];
     const double unsure = band ? std::max(slowness(i, qd[i]), joint.drive.unsure) : joint.drive.unsure;
     if (begins) {
-      joint.low[0][0] = joint.low[1][0] = 0.0;
+      joint.low[0][0] = 0.0;
       joint.low[0][1] = raw[i];
+    }
+    if (apart) {  // the doubt stays for as long as one sample's noise is in the filter
+      joint.low[1][0] = 0.0;
       joint.low[1][1] = unsure;
     }
     e.error[i] = begins ? raw[i] : lowpass(joint.low[0], raw[i], g, a);
-    const double filtered = std::min(std::max(begins ? unsure : lowpass(joint.low[1], unsure, g, a), 0.0), 1.0);
+    const double filtered = std::min(std::max(apart ? unsure : lowpass(joint.low[1], unsure, g, a), 0.0), 1.0);
     if (band) {  // the bound holds what velocity does to the error near rest
       e.variance[i] = c.at_speed;
       e.bound[i] = p_.bound[i].torque * filtered + p_.bound[i].floor;

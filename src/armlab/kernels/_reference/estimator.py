@@ -164,7 +164,10 @@ class WrenchEstimator:
         if first:
             self._nominal = dt
         unsure = np.maximum(self._slowness(qd), p) if self._band else p
-        filtered = self._lowpass(np.concatenate([raw, unsure]), dt, apart or self._fresh)
+        begins = np.repeat(
+            [apart or self._fresh, apart], n
+        )  # the doubt stays while one sample's noise is in the filter
+        filtered = self._lowpass(np.concatenate([raw, unsure]), dt, begins)
         self._fresh = apart and not first
         torque, unsure = filtered[:n], np.clip(filtered[n:], 0.0, UNKNOWN)
         if self._band:
@@ -192,17 +195,15 @@ class WrenchEstimator:
         interval = np.full((6, 2), np.nan) if METHODS[self._method] == "interval" else None
         return *missing, INVALID, np.zeros(n, dtype=bool), interval
 
-    def _lowpass(self, x: np.ndarray, dt: float, begins: bool) -> np.ndarray:
-        if begins:  # in steady state, without a transient from what was
-            self._low[0], self._low[1] = 0.0, x
-            return x
+    def _lowpass(self, x: np.ndarray, dt: float, begins: np.ndarray) -> np.ndarray:
+        self._low[0, begins], self._low[1, begins] = 0.0, x[begins]  # in steady state: no transient from what was
         g = np.tan(np.pi * min(self._cutoff * dt, 0.45))
         a = 1.0 / (1.0 + g * (g + np.sqrt(2.0)))
         error = x - self._low[1]
         v1 = a * (self._low[0] + g * error)
         v2 = self._low[1] + g * v1
         self._low = np.stack([2.0 * v1 - self._low[0], 2.0 * v2 - self._low[1]])
-        return v2
+        return np.where(begins, x, v2)
 
     def _slowness(self, qd: np.ndarray) -> np.ndarray:
         return np.exp(-((qd / self._bound[1]) ** 2))
