@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.errors import NotConverged, ShapeError
+from armlab.errors import NotConverged, RobotError, ShapeError
 from armlab.identify import dither, excitation, expectation
 
 
@@ -64,6 +64,8 @@ def test_nonsense_is_refused() -> None:
     robot = robots.load("yumi_left")
     with pytest.raises(ShapeError, match="speed share"):
         excitation(robot, speed=1.5)
+    with pytest.raises(RobotError, match="Load it first"):
+        excitation("yumi_left")  # type: ignore[arg-type]
     with pytest.raises(ShapeError, match="at least 10 seconds"):
         excitation(robot, seconds=2.0)
     with pytest.raises(ShapeError, match="at least 10 seconds"):

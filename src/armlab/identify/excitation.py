@@ -85,8 +85,8 @@ def excitation(
             f"{acceleration:g}, {harmonics} and {rounds}. Leave them out for the defaults."
         )
     rng = np.random.default_rng(seed)
-    middle = _with_room(robot) if centre is None else _inside(robot, centre)
     base = base_parameters(robot)
+    middle = _with_room(robot) if centre is None else _inside(robot, centre)
     draws = rng.standard_normal((CANDIDATES, 2, int(harmonics), robot.n))
     weights = 1.0 / _deviation(robot, np.ones(robot.n) if sigma is None else sigma)
 
