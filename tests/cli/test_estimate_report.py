@@ -122,3 +122,11 @@ def test_the_place_of_a_contact_is_in_words_and_in_columns(table: Table, truth) 
         row = int(np.argmin(np.abs(table.t - t)))
         assert np.array_equal(shares[row], believed.posterior[np.argmin(np.abs(believed.t - table.t[row]))])
     assert "p_none" not in columns(table, None)
+
+
+def test_the_verdict_leads_to_the_limits_that_are_there(table: Table, model: TorqueModel) -> None:
+    stuck = table.with_column("wrench_flags", np.full(len(table), STUCK), unit="1", kind="count")
+    assert any("--method interval" in said for said in judge(stuck, model, PRIOR, []).ahead)
+    limits = stuck.with_column("wrench_interval", np.zeros((len(table), 6, 2)))
+    assert any("wrench_interval" in said for said in judge(limits, model, PRIOR, []).ahead)
+    assert judge(table, model, PRIOR, [], ["Expected qd, got q."]).bad[0] == "Expected qd, got q."

@@ -156,7 +156,11 @@ def _flags(table: Table) -> Verdict:
             f"In {100 * share[STUCK]:.0f} % of the rows every joint is inside its friction bound: a force may be "
             "hidden there."
         )
-        ahead.append("Read the limits of --method interval there.")
+        ahead.append(
+            "Read the limits there: dotted in the figure, wrench_interval in the written estimate."
+            if "wrench_interval" in table
+            else "Read the limits of --method interval there."
+        )
     if share[INFEASIBLE]:
         bad.append(
             f"In {100 * share[INFEASIBLE]:.1f} % of the rows no wrench at the tool explains the torques: contact on "
