@@ -155,7 +155,7 @@ def test_a_damaged_chunk_costs_its_rows_only(recording: Callable[..., Path], tmp
     [
         (b"", "empty file"),
         (b"\x89HDF\r\n\x1a\n" + b"\0" * 90, "format HDF5"),
-        (b"t,q1\n0,1\n", "format text"),
+        (b"hello world\n1\n", "a column t"),
         (b"\x00\x01\x02", "format unknown .*00 01 02"),
         (b"\x89MCAP0\r\n", "without columns; topics: none"),
         (b"\x89MCAP0\r\n" + b"\x01" + (2**60).to_bytes(8, "little"), "without columns"),

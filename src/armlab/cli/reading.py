@@ -80,13 +80,13 @@ def doubts(table: Table, robot: Robot) -> tuple[str, ...]:
     rate = 1.0 / float(np.median(np.diff(t)))
     slope, speed = (lowpass_offline(x, rate, min(BAND, 0.2 * rate)) for x in (np.gradient(q, t, axis=0), qd))
     found = []
-    for check, given in (
-        (check_position, (q, robot)),
-        (check_velocity, (slope, speed, moved, robot)),
-        (check_torque, (q, tau, moved, robot)),
+    for check in (
+        lambda: check_position(q, robot),
+        lambda: check_velocity(slope, speed, moved, robot),
+        lambda: check_torque(q, tau, moved, robot),
     ):
         try:
-            check(*given)
+            check()
         except (NotExcited, ShapeError) as error:
             found.append(str(error))
     return tuple(found)

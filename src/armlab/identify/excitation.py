@@ -91,7 +91,8 @@ def excitation(
     weights = 1.0 / _deviation(robot, np.ones(robot.n) if sigma is None else sigma)
 
     def judged(draw: np.ndarray) -> tuple[Trajectory, tuple[bool, float]] | None:
-        motion = _scaled(robot, middle, *draw, f0, seconds, speed, acceleration)
+        sines, cosines = draw
+        motion = _scaled(robot, middle, sines, cosines, f0, seconds, speed, acceleration)
         if not _possible(robot, motion, collides):
             return None
         return motion, (_varied(robot, motion), _information(robot, base, motion, f0, weights))

@@ -51,7 +51,7 @@ def momentum_noise(
         for found, rows in _runs(held, noise, data, filters=False)
     ]
     noise = replace(noise, alpha2_observer=_factor(ratios))
-    moving = np.isfinite(errors)
+    moving: np.ndarray = np.isfinite(errors)
     judged = moving[:, moving.any(axis=0)].all(axis=1) if moving.any() else np.zeros(len(errors), dtype=bool)
     ratios = [
         _normalised(*(values[judged[rows]] for values in found[:3]))

@@ -133,7 +133,8 @@ def se3_interpolate(T_a: Any, T_b: Any, s: Any, screw: bool = False, out: Any = 
     """``T_a exp(s log(T_a⁻¹ T_b))`` when `screw`, otherwise the position along a line and the rotation as above."""
     T_a, T_b, s = elements(T_a, "T_a", (4, 4)), elements(T_b, "T_b", (4, 4)), elements(s, "s", ())
     broadcast(T_a=(T_a, 2), T_b=(T_b, 2), s=(s, 0))
-    poses(T_a, "T_a"), poses(T_b, "T_b")
+    poses(T_a, "T_a")
+    poses(T_b, "T_b")
     nearer, rest = _nearer(T_a, T_b, s)
     if screw:
         return result(nearer @ se3_exp(rest * se3_log(se3_inv(T_a) @ T_b)), out)
