@@ -64,6 +64,14 @@ def test_a_crumb_is_not_claimed(words: list[str], capsys) -> None:
     assert "not good" in capsys.readouterr().out
 
 
+def test_without_a_load_none_is_to_be_added(words: list[str], capsys) -> None:
+    assert main([*words[:2], "empty.mcap", *words[3:]]) == 0
+    said = capsys.readouterr().out
+    assert "cannot be told from no load" in said
+    assert "as it is" in said
+    assert "added_to" not in said
+
+
 def test_the_model_of_another_arm_is_refused(words: list[str], capsys) -> None:
     assert main([words[0], "yumi_right", *words[2:]]) == 1
     assert "yumi_left" in capsys.readouterr().err

@@ -121,7 +121,11 @@ def _judge(fit: Fit[Payload], model: TorqueModel, table: Table) -> Verdict:
     explained = 1.0 - np.std(fit.residuals, axis=0) ** 2 / np.var(table["tau"], axis=0)
     good.append(f"Arm and load together explain {100 * explained.min():.1f} % of the torque variance or more.")
     bad += extrapolation(model, table).warnings
-    ahead.append("Add the load to the model of the arm: models.load(…).added_to(model).")
+    ahead.append(
+        "Use the model of the arm as it is; nothing is to be read from the centre."
+        if mass < LEAST * sd
+        else "Add the load to the model of the arm: models.load(…).added_to(model)."
+    )
     return Verdict(tuple(good), tuple(bad), tuple(ahead))
 
 
