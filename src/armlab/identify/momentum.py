@@ -51,8 +51,9 @@ def momentum_noise(
         for found, rows in _runs(held, noise, data, filters=False)
     ]
     noise = replace(noise, alpha2_observer=_factor(ratios))
-    moving: np.ndarray = np.isfinite(errors)
-    judged = moving[:, moving.any(axis=0)].all(axis=1) if moving.any() else np.zeros(len(errors), dtype=bool)
+    moving = np.isfinite(errors)
+    told = moving.any(axis=0)
+    judged: np.ndarray = np.all(moving[:, told], axis=1) if told.any() else np.zeros(len(errors), dtype=bool)
     ratios = [
         _normalised(*(values[judged[rows]] for values in found[:3]))
         for found, rows in _runs(held, noise, data, filters=True)
