@@ -27,6 +27,7 @@ is identified from 60 s of excitation; 60 s of other motion with pushes of 5 N i
 logs only. *Gains*: every torque sensor is off by an unknown factor of up to {100 * GAINS:.0f} %.
 
 A figure is the median over seeds with the least and the largest, of the worst axis for errors, of all axes for shares.
+The bars are meant for every seed: where the largest or the least lies beyond one, a seed misses it.
 Edges are the {protocol.EDGE:g} s after the beginning of each ramp.
 """
 BARS: tuple[tuple[str, str, str, Callable[[Score], object]], ...] = (
