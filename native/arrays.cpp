@@ -36,6 +36,14 @@ bool overlap(PyArrayObject *out, const double *data, npy_intp size) {
 
 void raise_shape_error(const std::string &sentence) { raise("ShapeError", sentence); }
 
+std::string place(const std::string &name, npy_intp number, const npy_intp *shape, int axes) {
+  if (axes == 0) return name;
+  std::string text;
+  for (int k = axes - 1; k >= 0; number /= shape[k--])
+    text = std::to_string(number % shape[k]) + (text.empty() ? "" : ", ") + text;
+  return name + "[" + text + "]";
+}
+
 void require_positive(const char *name, const double *values, npy_intp count) {
   for (npy_intp i = 0; i < count; ++i)
     if (!(values[i] > 0.0 && std::isfinite(values[i])))

@@ -39,6 +39,9 @@ int thread_count(nb::handle threads);
 // An argument that is an array. None gets in too, so that it is refused in the words of `Input`, not of nanobind.
 inline auto array(const char *name) { return nb::arg(name).none(); }
 
+// name[i, j]: sample `number` of a batch of `axes` axes; the name alone without a batch.
+std::string place(const std::string &name, npy_intp number, const npy_intp *shape, int axes);
+
 // A fresh array; with the values of `data` when that is given.
 nb::object fresh_array(int ndim, const npy_intp *shape, const double *data = nullptr);
 

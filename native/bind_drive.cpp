@@ -173,6 +173,7 @@ nb::object model_torque(const Chain &chain, nb::handle gravity_, nb::handle link
     dt = copied(steps);
   }
   const Output tau(out, "out", {n}, {&q, &qd, &qdd});
+  for (const Input *parameter : {&gravity, &links, &rotor}) tau.require_apart_from(*parameter);
   const double *inertia = rotor.data();
   compute<3, 1>(q, {q.samples(), qd.samples(), qdd.samples()}, {tau.samples()}, [&](const auto &in, const auto &to) {
     rnea(chain, in[0], in[1], in[2], gravity.data(), links.data(), to[0]);

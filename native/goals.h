@@ -6,29 +6,16 @@
 
 #include "arrays.h"
 #include "inverse.h"
+#include "lie_arguments.h"
 
 namespace armlab::python {
 
-constexpr double rotation_tolerance = 1e-6;  // of a goal: entries of |R^T R - I|
-
 inline bool is_pose(const double *m) {
-  const Pose<double> T(m);
   for (int k = 0; k < 16; ++k)
     if (!std::isfinite(m[k])) return false;
   if (m[12] != 0.0 || m[13] != 0.0 || m[14] != 0.0 || m[15] != 1.0) return false;
-  for (double error : {dot(T.x, T.x) - 1.0, dot(T.y, T.y) - 1.0, dot(T.z, T.z) - 1.0, dot(T.x, T.y), dot(T.x, T.z),
-                       dot(T.y, T.z)})
-    if (!(std::fabs(error) <= rotation_tolerance)) return false;
-  return dot(cross(T.x, T.y), T.z) > 0.0;
-}
-
-// name[i, j]: where sample `number` is in the batch.
-inline std::string place(const char *name, npy_intp number, const npy_intp *shape, int axes) {
-  if (axes == 0) return name;
-  std::string text;
-  for (int k = axes - 1; k >= 0; number /= shape[k--])
-    text = std::to_string(number % shape[k]) + (text.empty() ? "" : ", ") + text;
-  return std::string(name) + "[" + text + "]";
+  const Rotation<double> R = rotation_at(m, 4);
+  return departure(R) <= rotation_tolerance && dot(cross(R.x, R.y), R.z) > 0.0;
 }
 
 // The goals of a call, one per sample.

@@ -15,15 +15,8 @@ std::string number(const char *format, double x) {
 
 npy_intp count(const Samples &samples) { return samples.size() / std::max(samples.samples().width, 1); }
 
-// name[i, j] of the sample that is the k-th of its batch.
 std::string indexed(const Samples &samples, const std::string &name, npy_intp k) {
-  std::string text;
-  for (int axis = samples.batch_axes() - 1; axis >= 0; --axis) {
-    const npy_intp length = samples.shape()[axis];
-    text = std::to_string(k % length) + (text.empty() ? "" : ", ") + text;
-    k /= length;
-  }
-  return text.empty() ? name : name + "[" + text + "]";
+  return place(name, k, samples.shape(), samples.batch_axes());
 }
 
 bool any_missing(const double *m, int stride) {
@@ -37,20 +30,25 @@ bool any_missing(const double *m, int stride) {
 std::string fault(const double *m, int stride) {
   if (any_missing(m, stride)) return "";
   const Rotation<double> R = rotation_at(m, stride);
-  const Vec3<double> columns[3] = {R.x, R.y, R.z};
-  double largest = 0.0, off = 0.0;
+  double largest = 0.0;
   for (int i = 0; i < 3; ++i)
-    for (int j = 0; j < 3; ++j) {
-      largest = std::max(largest, std::fabs(m[stride * i + j]));
-      off = std::max(off, std::fabs(dot(columns[i], columns[j]) - (i == j)));
-    }
+    for (int j = 0; j < 3; ++j) largest = std::max(largest, std::fabs(m[stride * i + j]));
   if (std::isinf(largest)) return "max|R| = inf";
+  const double off = departure(R);
   if (off > rotation_tolerance) return "max|R^T R - I| = " + number("%.3g", off);
   const double determinant = dot(cross(R.x, R.y), R.z);
   return determinant < 0.0 ? "determinant = " + number("%.3g", determinant) : "";
 }
 
 }  // namespace
+
+double departure(const Rotation<double> &R) {
+  const Vec3<double> columns[3] = {R.x, R.y, R.z};
+  double off = 0.0;
+  for (int i = 0; i < 3; ++i)
+    for (int j = i; j < 3; ++j) off = std::max(off, std::fabs(dot(columns[i], columns[j]) - (i == j)));
+  return off;
+}
 
 void refuse_no_rotation(const Samples &R, const std::string &name, int stride) {
   for (npy_intp k = 0; k < count(R); ++k) {

@@ -14,6 +14,9 @@ namespace armlab {
 constexpr double rotation_tolerance = 1e-6;  // of the largest entry of |R^T R - I|
 constexpr double unit_tolerance = 1e-3;      // of the length of a quaternion
 
+// The largest entry of |R^T R - I| of a finite R.
+double departure(const Rotation<double> &R);
+
 void refuse_no_rotation(const Samples &R, const std::string &name, int stride = 3);
 void refuse_no_pose(const Samples &T, const std::string &name);
 void refuse_not_unit(const Samples &q);

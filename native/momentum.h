@@ -47,7 +47,7 @@ inline void mass_matrix(const Chain &chain, const Real *q, const double *paramet
   const int n = chain.n;
   const Real zero(0.0);
   Pose<Real> T[max_joints];
-  Body<Real> rest;  // links k ... n, in frame k
+  Body<Real> rest{};  // links k ... n, in frame k
   for (int k = 0; k < n; ++k) T[k] = link_pose(chain, k, q[k]);
   for (int k = n - 1; k >= 0; --k) {
     Body<Real> body(parameters + 10 * k);

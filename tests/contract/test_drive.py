@@ -73,6 +73,11 @@ def test_model_torque_agrees(model: TorqueModel) -> None:
         found.append(module.model_torque(*arguments))
         out = np.empty_like(q)
         assert module.model_torque(*arguments, out=out) is out
+        shared = np.zeros(q.size + 69)
+        shared[:70] = model.link_parameters.ravel()
+        links = shared[:70].reshape(7, 10)
+        with pytest.raises(ShapeError, match="Expected out to be apart from links"):
+            module.model_torque(*arguments[:2], links, *arguments[3:], out=shared[69:].reshape(q.shape))
     np.testing.assert_allclose(found[0], found[1], rtol=0, atol=1e-12 * np.nanmax(np.abs(found[1])))
     assert np.array_equal(np.flatnonzero(np.isnan(found[0]).any(axis=1)), [0, 50])
 

@@ -194,21 +194,37 @@ def test_wrong_arguments(
         getattr(chain, name)(**arguments)
 
 
-def test_out_apart_from_the_inputs() -> None:
-    """Native only: the reference writes when everything is computed."""
-    chain = _native.Chain(np.tile(np.eye(4), (5, 1, 1)), np.zeros(4))
-    memory = np.zeros(20)
-    with pytest.raises(ShapeError, match="shares memory with q"):
-        chain.forward(memory[:4], out=memory[2:18].reshape(4, 4))
+MODULES = pytest.mark.parametrize("module", [_native, _reference], ids=["native", "reference"])
 
 
+@MODULES
+@pytest.mark.parametrize("name", METHODS)
+def test_out_apart_from_the_samples(module: Any, name: str) -> None:
+    """Each of them, refused in the same words with and without the extension."""
+    chain = module.Chain(np.tile(np.eye(4), (5, 1, 1)), np.zeros(4))
+    given = {"gravity": np.zeros(3), "pi": np.zeros((4, 10))} | {key: np.zeros(4) for key in ("q", "qd", "qdd")}
+    wanted = getattr(chain, name)(*(given[key] for key in METHODS[name]))
+    pair = isinstance(wanted, tuple)
+    for key in ("q", "qd", "qdd"):
+        if key not in METHODS[name]:
+            continue
+        memory = np.zeros(8 + (wanted[1] if pair else wanted).size)
+        arguments = [memory[:4] if other == key else given[other] for other in METHODS[name]]
+        last = wanted[1] if pair else wanted
+        inside = memory[2 : 2 + last.size].reshape(last.shape)
+        sentence = rf"Expected out(\[1\])? to be .* got one that shares memory with {key}\. Make"
+        with pytest.raises(ShapeError, match=sentence):
+            getattr(chain, name)(*arguments, out=(np.empty_like(wanted[0]), inside) if pair else inside)
+
+
+@MODULES
 @pytest.mark.parametrize(
     ("name", "size"),
     [("rnea", (4,)), ("mass_matrix", (4, 4)), ("rigid_regressor", (4, 40)), ("gravity_regressor", (4, 16))],
 )
-def test_out_apart_from_the_parameters(name: str, size: tuple[int, ...]) -> None:
-    """Native only, as above: the next sample would be computed with other parameters."""
-    chain, memory = _native.Chain(np.tile(np.eye(4), (5, 1, 1)), np.zeros(4)), np.zeros(200)
+def test_out_apart_from_the_parameters(module: Any, name: str, size: tuple[int, ...]) -> None:
+    """The next sample would be computed with other parameters."""
+    chain, memory = module.Chain(np.tile(np.eye(4), (5, 1, 1)), np.zeros(4)), np.zeros(200)
     parameters = {"gravity": memory[:3], "pi": memory[:40].reshape(4, 10)}
     arguments = [parameters.get(argument, np.zeros(4)) for argument in METHODS[name]]
     with pytest.raises(ShapeError, match=r"Expected out to be apart from (gravity|pi), got arrays that share memory"):

@@ -159,6 +159,15 @@ def test_out_is_filled_and_returned(module: Any, batch: dict[str, np.ndarray], n
     np.testing.assert_array_equal(out, wanted)
     with pytest.raises(ShapeError, match="writable C-contiguous float64"):
         call(*arguments, out=np.empty(wanted.shape, dtype=np.float32))
+    for k, argument in enumerate(arguments):
+        memory = np.zeros(argument.size + wanted.size)
+        memory[: argument.size] = argument.ravel()
+        shared = [*arguments[:k], memory[: argument.size].reshape(argument.shape), *arguments[k + 1 :]]
+        into = memory[argument.size - 1 :][: wanted.size].reshape(wanted.shape)
+        if not argument.size:
+            continue
+        with pytest.raises(ShapeError, match="got one that shares memory with"):
+            call(*shared, out=into)
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)

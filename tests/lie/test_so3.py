@@ -109,6 +109,9 @@ def test_is_rotation_and_its_tolerance() -> None:
     off = R + 2e-7
     assert so3.is_rotation(off)
     assert not so3.is_rotation(off, tolerance=1e-9)
+    for tolerance in ("a", -1e-9, np.nan, [1e-6, 1e-6], None):
+        with pytest.raises(ShapeError, match="tolerance"):
+            so3.is_rotation(off, tolerance=tolerance)
     assert so3.ROTATION_TOLERANCE == 1e-6
 
 

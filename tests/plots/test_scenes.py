@@ -85,3 +85,9 @@ def test_missing_poses_are_poses() -> None:
     gap[3, 3, 0] = 1.0
     with pytest.raises(ShapeError, match="row 3"):
         pose_stack(gap)
+
+
+@pytest.mark.parametrize("frames", [-1, np.nan, np.inf, "long", [0.1, 0.2]])
+def test_frames_have_a_length(frames) -> None:
+    with pytest.raises(ShapeError, match="frames to be"):
+        scene({"base": np.eye(4)}, frames=frames)

@@ -41,3 +41,11 @@ def last_row(T: np.ndarray, name: str) -> None:
     bad = (off > 0) | (np.isnan(off) & ~np.isnan(T[..., :3, :]).any(axis=(-1, -2)))  # a NaN here alone would vanish
     if bad.any():
         raise ShapeError(f"Expected (0, 0, 0, 1) as the last row of {name}, got one off by {off[bad].max():.3g}.")
+
+
+def tolerance(value: float) -> float:
+    """Return a tolerance, refusing what is no number from 0 on."""
+    number = array(value, (), "tolerance")
+    if number.ndim or not number >= 0.0:
+        raise ShapeError(f"Expected a tolerance of one number from 0 on, got {value!r}. 1e-6 is the usual one.")
+    return float(number)

@@ -240,6 +240,10 @@ def is_pose(T: ArrayLike, tolerance: float = so3.ROTATION_TOLERANCE) -> np.ndarr
     Returns
     -------
     (...) bool; False for NaN and infinity.
+
+    Raises
+    ------
+    ShapeError : another shape, a tolerance that is no number from 0 on.
     """
     T = _check.array(T, (4, 4), "T")
     last_row = (T[..., 3, :] == (0.0, 0.0, 0.0, 1.0)).all(axis=-1)

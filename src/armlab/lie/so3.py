@@ -147,8 +147,12 @@ def is_rotation(R: ArrayLike, tolerance: float = ROTATION_TOLERANCE) -> np.ndarr
     Returns
     -------
     (...) bool; False for NaN and infinity.
+
+    Raises
+    ------
+    ShapeError : another shape, a tolerance that is no number from 0 on.
     """
-    R = _check.array(R, (3, 3), "R")
+    R, tolerance = _check.array(R, (3, 3), "R"), _check.tolerance(tolerance)
     R = np.where(np.isfinite(R).all(axis=(-1, -2), keepdims=True), R, 0.0)
     off = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max(axis=(-1, -2))
     determinant = (np.cross(R[..., 0, :], R[..., 1, :]) * R[..., 2, :]).sum(axis=-1)

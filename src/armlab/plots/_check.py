@@ -27,3 +27,11 @@ def numbers(value: Any, what: str) -> np.ndarray:
     if array.dtype.kind not in "biuf":
         raise ShapeError(f"Expected {what} to be real numbers, got {shortened(value)}.")
     return array.astype(np.float64, copy=False)
+
+
+def length(value: Any, what: str) -> float:
+    """Return a length [m], refusing what is no number from 0 on."""
+    number = numbers(value, what)
+    if number.ndim or not 0.0 <= number < np.inf:
+        raise ShapeError(f"Expected {what} to be one length from 0 on [m], got {shortened(value)}. 0 is the default.")
+    return float(number)

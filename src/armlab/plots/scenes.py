@@ -38,8 +38,10 @@ def scene(*items: Any, frames: float = 0.0, ax: Any = None) -> Axes3D:
 
     Raises
     ------
-    ShapeError : an item is none of these, a pose has no rotation, or `ax` is not three-dimensional.
+    ShapeError : an item is none of these, a pose has no rotation, `frames` is no length from 0 on, or `ax` is not
+        three-dimensional.
     """
+    frames = _check.length(frames, "frames")
     checked = [_checked(item) for item in items]
     with look():
         _, panel = space.space(ax)

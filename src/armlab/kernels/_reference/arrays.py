@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -94,33 +95,51 @@ def same_shape(array: np.ndarray, name: str, other: np.ndarray, other_name: str)
         )
 
 
-def result(value: np.ndarray, out: Any, name: str = "out") -> np.ndarray:
+def result(
+    value: np.ndarray, out: Any, name: str = "out", apart: Mapping[str, Any] | None = None, **samples: Any
+) -> np.ndarray:
     """Return `value`, written into `out` when that is given.
+
+    Parameters
+    ----------
+    name : how error messages call `out`.
+    apart : inputs that are no samples, by name. **samples : those that are.
 
     Raises
     ------
     ShapeError
-        When `out` is not a writable C-contiguous float64 array of the shape of `value`.
+        When `out` is not a writable C-contiguous float64 array of the shape of `value`, or shares memory with an input,
+        which the compiled kernels would overwrite before they have read it.
     """
     if out is None:
         return value
     plain = type(out) is np.ndarray and out.dtype == np.float64 and out.flags.carray
-    if not plain or out.shape != value.shape:
-        came = f"shape {out.shape}" if plain else "an object that is not"
+    shared = next((f"one that shares memory with {key}" for key, x in samples.items() if _overlap(out, x)), "")
+    if not plain or out.shape != value.shape or shared:
+        came = "an object that is not" if not plain else shared if out.shape == value.shape else f"shape {out.shape}"
         raise ShapeError(
             f"Expected {name} to be a writable C-contiguous float64 array of shape {value.shape}, got {came}. "
             "Make it with numpy.empty, or leave it out."
         )
+    for key, x in (apart or {}).items():
+        if _overlap(out, x):
+            raise ShapeError(
+                f"Expected {name} to be apart from {key}, got arrays that share memory. Make it with numpy.empty, or "
+                "leave it out."
+            )
     out[...] = value
     return out
 
 
-def results(values: tuple[np.ndarray, np.ndarray], out: Any, names: str) -> tuple[np.ndarray, np.ndarray]:
+def results(
+    values: tuple[np.ndarray, np.ndarray], out: Any, names: str, apart: Mapping[str, Any] | None = None, **samples: Any
+) -> tuple[np.ndarray, np.ndarray]:
     """Return two `values`, written into the pair `out` when that is given.
 
     Parameters
     ----------
     names : how the error message calls the two, like ``(T, J)``.
+    apart, **samples : inputs, as in `result`.
 
     Raises
     ------
@@ -133,12 +152,13 @@ def results(values: tuple[np.ndarray, np.ndarray], out: Any, names: str) -> tupl
         raise ShapeError(
             f"Expected out to be a pair of arrays {names}, got something else. Give a tuple of two arrays."
         )
-    if all(isinstance(into, np.ndarray) for into in out) and np.may_share_memory(*out):
+    if _overlap(*out):
         raise ShapeError(
             "Expected out[1] and out[0] to be apart, got arrays that share memory. Make each with numpy.empty, or "
             "leave them out."
         )
-    return result(values[0], out[0], "out[0]"), result(values[1], out[1], "out[1]")
+    first = result(values[0], out[0], "out[0]", apart, **samples)
+    return first, result(values[1], out[1], "out[1]", apart, **samples)
 
 
 def check_threads(threads: Any) -> None:
@@ -157,6 +177,12 @@ def _refuse(values: np.ndarray, allowed: np.ndarray, what: str) -> None:
     others = np.flatnonzero(~allowed)
     if len(others):
         raise ShapeError(f"Expected finite {what}, got another at number {others[0]}. Correct it.")
+
+
+def _overlap(out: Any, x: Any) -> bool:
+    """Tell whether two arrays share memory; what is no C-contiguous float64 array is converted, and so apart."""
+    plain = all(type(a) is np.ndarray and a.dtype == np.float64 and a.flags.c_contiguous for a in (out, x))
+    return plain and np.may_share_memory(out, x)
 
 
 def _numbers(value: Any, name: str) -> np.ndarray:

@@ -63,11 +63,11 @@ class Chain:
     def forward(self, q: Any, out: Any = None, threads: int = 1) -> np.ndarray:
         """Return T_base_tool (..., 4, 4) for joint positions `q` (..., n)."""
         check_threads(threads)
-        return result(self._links(self._joints(q))[..., -1, :, :] @ self._frames[-1], out)
+        return result(self._links(self._joints(q))[..., -1, :, :] @ self._frames[-1], out, q=q)
 
     def link_transforms(self, q: Any, out: Any = None) -> np.ndarray:
         """Return T_base_i (..., n, 4, 4) of link frames 1 ... n."""
-        return result(self._links(self._joints(q)), out)
+        return result(self._links(self._joints(q)), out, q=q)
 
     def jacobian(self, q: Any, tool: bool = False, out: Any = None, threads: int = 1) -> np.ndarray:
         """Return J (..., 6, n), rows [v; w], at the tool point in base axes, or in tool axes when `tool`.
@@ -75,12 +75,12 @@ class Chain:
         Column i is ``[z_i x (p - p_i); z_i]`` (revolute) or ``[z_i; 0]`` (prismatic).
         """
         check_threads(threads)
-        return result(self._forward_jacobian(self._joints(q), tool)[1], out)
+        return result(self._forward_jacobian(self._joints(q), tool)[1], out, q=q)
 
     def forward_jacobian(self, q: Any, tool: bool = False, out: _Pair | None = None, threads: int = 1) -> _Pair:
         """Return `forward`, T_base_tool (..., 4, 4), and `jacobian`, J (..., 6, n); `out` is such a pair."""
         check_threads(threads)
-        return results(self._forward_jacobian(self._joints(q), tool), out, "(T, J)")
+        return results(self._forward_jacobian(self._joints(q), tool), out, "(T, J)", q=q)
 
     def jacobian_derivative(self, q: Any, qd: Any, tool: bool = False, out: Any = None) -> np.ndarray:
         """Return Jd (..., 6, n), the derivative of `jacobian` along the motion `q`, `qd` (..., n).
@@ -103,7 +103,8 @@ class Chain:
             R_transposed = np.swapaxes(T[..., :3, :3], -1, -2)
             turn = np.vecdot(np.moveaxis(w, 0, -1), speeds[..., None, :])
             vd, wd = (apply(R_transposed, ud - np.cross(turn, u)) for ud, u in ((vd, v), (wd, w)))
-        return result(np.ascontiguousarray(np.moveaxis(np.concatenate([vd, wd], axis=-1), 0, -1)), out)
+        Jd = np.ascontiguousarray(np.moveaxis(np.concatenate([vd, wd], axis=-1), 0, -1))
+        return result(Jd, out, q=q, qd=qd)
 
     def rnea(self, q: Any, qd: Any, qdd: Any, gravity: Any, pi: Any, out: Any = None) -> np.ndarray:
         """Return joint torques tau (..., n) of a motion, by recursive Newton-Euler.
@@ -125,7 +126,7 @@ class Chain:
             F = F + apply(inertia[i], A[i]) + apply(wrench_cross(V[i]), apply(inertia[i], V[i]))
             tau[..., i] = F @ self._axis(i)
             F = apply(np.swapaxes(steps[i], -1, -2), F)
-        return result(tau, out)
+        return result(tau, out, apart={"gravity": gravity, "pi": pi}, q=q, qd=qd, qdd=qdd)
 
     def rigid_regressor(self, q: Any, qd: Any, qdd: Any, gravity: Any, out: Any = None) -> np.ndarray:
         """Return Y (..., n, 10 n) with ``tau = Y pi.ravel()``, parameters as in `rnea`."""
@@ -137,7 +138,7 @@ class Chain:
             for i in reversed(range(k + 1)):
                 Y[..., i, 10 * k : 10 * k + 10] = self._axis(i) @ F
                 F = np.swapaxes(steps[i], -1, -2) @ F
-        return result(Y, out)
+        return result(Y, out, apart={"gravity": gravity}, q=q, qd=qd, qdd=qdd)
 
     def mass_matrix(self, q: Any, pi: Any, out: Any = None) -> np.ndarray:
         """Return M (..., n, n): column j is the torque of a unit acceleration of joint j, without gravity and velocity.
@@ -151,7 +152,7 @@ class Chain:
         zero = np.zeros_like(positions)
         for j in range(self.n):
             M[..., j] = self.rnea(positions, zero, zero + np.eye(self.n)[j], np.zeros(3), pi)
-        return result(M, out)
+        return result(M, out, apart={"pi": pi}, q=q)
 
     def momentum(self, q: Any, qd: Any, pi: Any, out: _Pair | None = None) -> _Pair:
         """Return p = M qd and beta = C^T qd (..., n): rnea without gravity is dp/dt - beta; `out` is such a pair.
@@ -172,7 +173,7 @@ class Chain:
             p[..., i] = total @ self._axis(i)
             beta[..., i] = np.einsum("...a,...a->...", total, apply(twist_cross(V[i]), self._axis(i)))
             total = apply(np.swapaxes(steps[i], -1, -2), total)
-        return results((p, beta), out, "(p, beta)")
+        return results((p, beta), out, "(p, beta)", {"pi": pi}, q=q, qd=qd)
 
     def gravity_regressor(self, q: Any, gravity: Any, out: Any = None) -> np.ndarray:
         """Return Y_g (..., n, 4 n) of the gravity torques ``G = dU/dq = Y_g [m, m cx, m cy, m cz]`` per link.
@@ -190,7 +191,7 @@ class Chain:
                 if not self._prismatic[i]:
                     turn = np.cross(z[..., i, :], g)
                     Y[..., i, 4 * k + 1 : 4 * k + 4] = apply(np.swapaxes(T[..., k, :3, :3], -1, -2), turn)
-        return result(Y, out)
+        return result(Y, out, apart={"gravity": gravity}, q=q)
 
     def _joints(self, q: Any) -> np.ndarray:
         return read(q, "q", (self.n,))

@@ -85,7 +85,7 @@ class Drive:
         q, qd, z = (read(a, name, (self.n,)) for a, name in ((q, "q"), (qd, "qd"), (z, "z")))
         same_shape(qd, "qd", q, "q")
         same_shape(z, "z", q, "q")
-        return result(drive_torque(self, q, qd, DriveState(q, z, self.warm_up[4])), out)
+        return result(drive_torque(self, q, qd, DriveState(q, z, self.warm_up[4])), out, q=q, qd=qd, z=z)
 
 
 def _parts(values: Any, count: int) -> tuple[Any, ...]:
@@ -261,7 +261,7 @@ def model_torque(
         tau[k] += drive_torque(drive, q[k], qd[k], state)
         if dt is not None:
             state = heat(drive, qd[k], dt[k], state)
-    return result(tau, out)
+    return result(tau, out, apart={"gravity": gravity, "links": links, "rotor": rotor}, q=q, qd=qd, qdd=qdd)
 
 
 def presliding(q: np.ndarray, delta: np.ndarray, resolution: np.ndarray) -> np.ndarray:

@@ -21,7 +21,7 @@ def euler_from_rpy(rpy: Any, first: int, middle: int, last: int, out: Any = None
     """The product of the three turns."""
     rpy = elements(rpy, "rpy", (3,))
     a, b, c = (_turn(rpy[..., k], axis) for k, axis in enumerate((first, middle, last)))
-    return result(a @ b @ c, out)
+    return result(a @ b @ c, out, rpy=rpy)
 
 
 def euler_to_rpy(R: Any, first: int, middle: int, last: int, out: Any = None) -> np.ndarray:
@@ -36,7 +36,7 @@ def euler_to_rpy(R: Any, first: int, middle: int, last: int, out: Any = None) ->
     p = _angle(length, R[..., i, i]) if proper else _angle(e * R[..., i, k], length)
     row = np.cos(r)[..., None] * R[..., j, :] + e * np.sin(r)[..., None] * R[..., k, :]  # lock does not touch it
     y = _angle(-e * row[..., k] if proper else e * row[..., i], row[..., j])
-    return result(np.stack([r, p, y], axis=-1), out)
+    return result(np.stack([r, p, y], axis=-1), out, R=R)
 
 
 def _angle(y: np.ndarray, x: np.ndarray) -> np.ndarray:

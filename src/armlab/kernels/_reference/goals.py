@@ -9,11 +9,10 @@ import numpy as np
 from armlab.errors import ShapeError
 from armlab.kernels._reference.arrays import read
 from armlab.kernels._reference.descent import Search
+from armlab.kernels._reference.lie_arguments import ROTATION_TOLERANCE, departure
 from armlab.kernels._reference.objective import Objective
 
 __all__ = ["read_goals", "read_search", "read_task", "read_vectors"]
-
-ROTATION_TOLERANCE = 1e-6  # of a goal: entries of |R^T R - I|
 
 
 def read_goals(value: Any) -> np.ndarray:
@@ -27,11 +26,9 @@ def read_goals(value: Any) -> np.ndarray:
     T = read(value, "T_base_tool", ())
     if T.shape[-2:] != (4, 4):
         raise ShapeError(f"Expected T_base_tool of shape (..., 4, 4), got {T.shape}.")
-    R = T[..., :3, :3]
     with np.errstate(invalid="ignore", over="ignore"):
-        off = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max(axis=(-1, -2))
-        right_handed = np.vecdot(np.cross(R[..., 0], R[..., 1]), R[..., 2]) > 0.0
-    good = np.isfinite(T).all(axis=(-1, -2)) & (off <= ROTATION_TOLERANCE) & right_handed
+        off, det = departure(T[..., :3, :3])
+    good = np.isfinite(T).all(axis=(-1, -2)) & (off <= ROTATION_TOLERANCE) & (det > 0.0)
     good &= (T[..., 3, :] == [0.0, 0.0, 0.0, 1.0]).all(axis=-1)
     if not good.all():
         raise ShapeError(

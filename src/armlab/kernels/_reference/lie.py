@@ -49,7 +49,7 @@ def so3_exp(w: Any, out: Any = None) -> np.ndarray:
     """``I + sin θ/θ hat(w) + 2 sin²(θ/2)/θ² hat(w)²``."""
     w = elements(w, "w", (3,))
     theta = _norm(w)
-    return result(_polynomial(w, _sinc(theta), _sinc(theta / 2) ** 2 / 2), out)
+    return result(_polynomial(w, _sinc(theta), _sinc(theta / 2) ** 2 / 2), out, w=w)
 
 
 def so3_log(R: Any, out: Any = None) -> np.ndarray:
@@ -57,45 +57,45 @@ def so3_log(R: Any, out: Any = None) -> np.ndarray:
     q = quaternion_from_matrix(R)
     length = _norm(q[..., 1:])
     theta = 2 * np.arctan2(length, q[..., 0])
-    return result(q[..., 1:] * _ratio(theta, length, 2.0)[..., None], out)
+    return result(q[..., 1:] * _ratio(theta, length, 2.0)[..., None], out, R=R)
 
 
 def so3_angle(R_a: Any, R_b: Any, out: Any = None) -> np.ndarray:
     """``2 atan2(abs(v), w)`` of the quaternion of ``R_aᵀ R_b``."""
     R_a, R_b = elements(R_a, "R_a", (3, 3)), elements(R_b, "R_b", (3, 3))
-    broadcast(R_a=(R_a, 2), R_b=(R_b, 2))
+    R_a, R_b = broadcast(R_a=(R_a, 2), R_b=(R_b, 2))
     q = _from_matrix(np.swapaxes(rotations(R_a, "R_a"), -1, -2) @ rotations(R_b, "R_b"))
-    return result(np.asarray(2 * np.arctan2(_norm(q[..., 1:]), q[..., 0])), out)
+    return result(np.asarray(2 * np.arctan2(_norm(q[..., 1:]), q[..., 0])), out, R_a=R_a, R_b=R_b)
 
 
 def so3_interpolate(R_a: Any, R_b: Any, s: Any, out: Any = None) -> np.ndarray:
     """``R_a exp(s log(R_aᵀ R_b))``, from the nearer end, which is exact that way."""
     R_a, R_b, s = elements(R_a, "R_a", (3, 3)), elements(R_b, "R_b", (3, 3)), elements(s, "s", ())
-    broadcast(R_a=(R_a, 2), R_b=(R_b, 2), s=(s, 0))
+    R_a, R_b, s = broadcast(R_a=(R_a, 2), R_b=(R_b, 2), s=(s, 0))
     w = so3_log(np.swapaxes(rotations(R_a, "R_a"), -1, -2) @ rotations(R_b, "R_b"))
     nearer, rest = _nearer(R_a, R_b, s)
-    return result(nearer @ so3_exp(rest * w), out)
+    return result(nearer @ so3_exp(rest * w), out, R_a=R_a, R_b=R_b, s=s)
 
 
 def so3_left_jacobian(w: Any, out: Any = None) -> np.ndarray:
     """``I + (1 - cos θ)/θ² hat(w) + (θ - sin θ)/θ³ hat(w)²``."""
     w = elements(w, "w", (3,))
     a, b, _, _ = _left_jacobian(_norm(w))
-    return result(_polynomial(w, a, b), out)
+    return result(_polynomial(w, a, b), out, w=w)
 
 
 def so3_left_jacobian_inv(w: Any, out: Any = None) -> np.ndarray:
     """``I - hat(w)/2 + (1 - θ/2 cot(θ/2))/θ² hat(w)²``."""
     w = elements(w, "w", (3,))
     a, b, _, _ = _left_jacobian_inv(_norm(w))
-    return result(_polynomial(w, a, b), out)
+    return result(_polynomial(w, a, b), out, w=w)
 
 
 def se3_exp(xi: Any, out: Any = None) -> np.ndarray:
     """``[[exp(w), V v], [0, 1]]`` with V the left Jacobian of w."""
     xi = elements(xi, "xi", (6,))
     v, w = xi[..., :3], xi[..., 3:]
-    return result(_pose(so3_exp(w), _apply(so3_left_jacobian(w), v)), out)
+    return result(_pose(so3_exp(w), _apply(so3_left_jacobian(w), v)), out, xi=xi)
 
 
 def se3_log(T: Any, out: Any = None) -> np.ndarray:
@@ -103,89 +103,91 @@ def se3_log(T: Any, out: Any = None) -> np.ndarray:
     T = poses(T, "T")
     w = so3_log(T[..., :3, :3])
     v = _apply(so3_left_jacobian_inv(w), T[..., :3, 3])
-    return result(np.concatenate([v, w], axis=-1), out)
+    return result(np.concatenate([v, w], axis=-1), out, T=T)
 
 
 def se3_inv(T: Any, out: Any = None) -> np.ndarray:
     """``[[Rᵀ, -Rᵀ p], [0, 1]]``."""
     T = poses(T, "T")
     Rt = np.swapaxes(T[..., :3, :3], -1, -2)
-    return result(_pose(Rt, -_apply(Rt, T[..., :3, 3])), out)
+    return result(_pose(Rt, -_apply(Rt, T[..., :3, 3])), out, T=T)
 
 
 def se3_adjoint(T_a_b: Any, out: Any = None) -> np.ndarray:
     """``[[R, hat(p) R], [0, R]]``."""
     T = poses(T_a_b, "T_a_b")
     R = T[..., :3, :3]
-    return result(_blocks(R, _hat(T[..., :3, 3]) @ R), out)
+    return result(_blocks(R, _hat(T[..., :3, 3]) @ R), out, T_a_b=T_a_b)
 
 
 def se3_transform_wrench(T_a_b: Any, wrench_b: Any, out: Any = None) -> np.ndarray:
     """``f_a = R f_b``, ``m_a = R m_b + p × f_a``."""
     T, wrench = elements(T_a_b, "T_a_b", (4, 4)), elements(wrench_b, "wrench_b", (6,))
-    broadcast(T_a_b=(T, 2), wrench_b=(wrench, 1))
+    T, wrench = broadcast(T_a_b=(T, 2), wrench_b=(wrench, 1))
     R, p = poses(T, "T_a_b")[..., :3, :3], T[..., :3, 3]
     f = _apply(R, wrench[..., :3])
-    return result(np.concatenate([f, _apply(R, wrench[..., 3:]) + np.cross(p, f)], axis=-1), out)
+    wrench_a = np.concatenate([f, _apply(R, wrench[..., 3:]) + np.cross(p, f)], axis=-1)
+    return result(wrench_a, out, T_a_b=T, wrench_b=wrench)
 
 
 def se3_interpolate(T_a: Any, T_b: Any, s: Any, screw: bool = False, out: Any = None) -> np.ndarray:
     """``T_a exp(s log(T_a⁻¹ T_b))`` when `screw`, otherwise the position along a line and the rotation as above."""
     T_a, T_b, s = elements(T_a, "T_a", (4, 4)), elements(T_b, "T_b", (4, 4)), elements(s, "s", ())
-    broadcast(T_a=(T_a, 2), T_b=(T_b, 2), s=(s, 0))
+    T_a, T_b, s = broadcast(T_a=(T_a, 2), T_b=(T_b, 2), s=(s, 0))
     poses(T_a, "T_a")
     poses(T_b, "T_b")
     nearer, rest = _nearer(T_a, T_b, s)
     if screw:
-        return result(nearer @ se3_exp(rest * se3_log(se3_inv(T_a) @ T_b)), out)
+        T = nearer @ se3_exp(rest * se3_log(se3_inv(T_a) @ T_b))
+        return result(T, out, T_a=T_a, T_b=T_b, s=s)
     p = nearer[..., :3, 3] + rest * (T_b[..., :3, 3] - T_a[..., :3, 3])
-    return result(_pose(so3_interpolate(T_a[..., :3, :3], T_b[..., :3, :3], s), p), out)
+    return result(_pose(so3_interpolate(T_a[..., :3, :3], T_b[..., :3, :3], s), p), out, T_a=T_a, T_b=T_b, s=s)
 
 
 def se3_left_jacobian(xi: Any, out: Any = None) -> np.ndarray:
     """``[[J, Q], [0, J]]``: J of w, and Q its derivative in the direction v."""
     xi = elements(xi, "xi", (6,))
     v, w = xi[..., :3], xi[..., 3:]
-    return result(_with_derivative(w, v, _left_jacobian(_norm(w))), out)
+    return result(_with_derivative(w, v, _left_jacobian(_norm(w))), out, xi=xi)
 
 
 def se3_left_jacobian_inv(xi: Any, out: Any = None) -> np.ndarray:
     """The same of the inverse of J."""
     xi = elements(xi, "xi", (6,))
     v, w = xi[..., :3], xi[..., 3:]
-    return result(_with_derivative(w, v, _left_jacobian_inv(_norm(w))), out)
+    return result(_with_derivative(w, v, _left_jacobian_inv(_norm(w))), out, xi=xi)
 
 
 def quaternion_from_matrix(R: Any, out: Any = None) -> np.ndarray:
     """Divide the row of 4 q qᵀ with the largest diagonal by its length (Shepperd 1978)."""
-    return result(_from_matrix(rotations(R, "R")), out)
+    return result(_from_matrix(rotations(R, "R")), out, R=R)
 
 
 def quaternion_to_matrix(quaternion: Any, out: Any = None) -> np.ndarray:
     """``I + 2 w hat(v) + 2 hat(v)²`` of the unit quaternion (w, v)."""
     q = unit(quaternion, "quaternion")
-    return result(_polynomial(q[..., 1:], 2 * q[..., 0], np.full(q.shape[:-1], 2.0)), out)
+    return result(_polynomial(q[..., 1:], 2 * q[..., 0], np.full(q.shape[:-1], 2.0)), out, quaternion=quaternion)
 
 
 def quaternion_multiply(p: Any, q: Any, out: Any = None) -> np.ndarray:
     """``(p_w q_w - p_v · q_v, p_w q_v + q_w p_v + p_v × q_v)``."""
     p, q = elements(p, "p", (4,)), elements(q, "q", (4,))
-    broadcast(p=(p, 1), q=(q, 1))
+    p, q = broadcast(p=(p, 1), q=(q, 1))
     (pw, pv), (qw, qv) = ((x[..., :1], x[..., 1:]) for x in (p, q))
     w = pw * qw - (pv * qv).sum(axis=-1, keepdims=True)
-    return result(np.concatenate([w, pw * qv + qw * pv + np.cross(pv, qv)], axis=-1), out)
+    return result(np.concatenate([w, pw * qv + qw * pv + np.cross(pv, qv)], axis=-1), out, p=p, q=q)
 
 
 def quaternion_slerp(a: Any, b: Any, s: Any, out: Any = None) -> np.ndarray:
     """``(a sin((1-s)Ω) ± b sin(sΩ)) / sin Ω``, Ω at most a quarter turn of the unit sphere."""
     a, b, s = elements(a, "a", (4,)), elements(b, "b", (4,)), elements(s, "s", ())
-    broadcast(a=(a, 1), b=(b, 1), s=(s, 0))
-    a, b, s = unit(a, "a"), unit(b, "b"), s[..., None]
+    given = dict(zip("abs", broadcast(a=(a, 1), b=(b, 1), s=(s, 0))))
+    a, b, s = unit(given["a"], "a"), unit(given["b"], "b"), given["s"][..., None]
     b = np.where((a * b).sum(axis=-1, keepdims=True) < 0, -b, b)
     chord = [np.linalg.norm(v, axis=-1, keepdims=True) for v in (b - a, b + a)]
     omega = 2 * np.arctan2(*chord) / np.pi  # in half turns of the unit sphere, as np.sinc wants it
     q = ((1 - s) * np.sinc((1 - s) * omega) * a + s * np.sinc(s * omega) * b) / np.sinc(omega)
-    return result(q / np.linalg.norm(q, axis=-1, keepdims=True), out)
+    return result(q / np.linalg.norm(q, axis=-1, keepdims=True), out, **given)
 
 
 def _from_matrix(R: np.ndarray) -> np.ndarray:

@@ -12,10 +12,16 @@ import numpy as np
 from armlab.errors import ShapeError
 from armlab.kernels._reference.arrays import elements
 
-__all__ = ["broadcast", "poses", "rotations", "unit"]
+__all__ = ["broadcast", "departure", "poses", "rotations", "unit"]
 
 ROTATION_TOLERANCE = 1e-6
 UNIT_TOLERANCE = 1e-3
+
+
+def departure(R: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return how far matrices (..., 3, 3) are from rotations: the largest entry of ``abs(RᵀR - I)``, and det R."""
+    off = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max(axis=(-1, -2))
+    return off, np.vecdot(np.cross(R[..., 0], R[..., 1]), R[..., 2])
 
 
 def rotations(R: Any, name: str) -> np.ndarray:
@@ -34,8 +40,7 @@ def rotations(R: Any, name: str) -> np.ndarray:
     R = elements(R, name, (3, 3))
     largest = np.abs(R).max(axis=(-1, -2))
     finite = np.where((largest < np.inf)[..., None, None], R, 0.0)
-    off = np.abs(np.swapaxes(finite, -1, -2) @ finite - np.eye(3)).max(axis=(-1, -2))
-    det = (np.cross(finite[..., 0, :], finite[..., 1, :]) * finite[..., 2, :]).sum(axis=-1)
+    off, det = departure(finite)
     present = ~np.isnan(largest)
     bad = present & ((largest == np.inf) | (off > ROTATION_TOLERANCE) | (det < 0))
     if not bad.any():
@@ -103,8 +108,8 @@ def unit(q: Any, name: str) -> np.ndarray:
     return q / length[..., None]
 
 
-def broadcast(**arguments: tuple[np.ndarray, int]) -> None:
-    """Refuse arrays whose leading axes do not broadcast.
+def broadcast(**arguments: tuple[np.ndarray, int]) -> list[np.ndarray]:
+    """Return arrays with the same leading axes, by the rules of NumPy.
 
     Parameters
     ----------
@@ -116,10 +121,11 @@ def broadcast(**arguments: tuple[np.ndarray, int]) -> None:
         When NumPy's rules do not allow it.
     """
     try:
-        np.broadcast_shapes(*(array.shape[: array.ndim - tail] for array, tail in arguments.values()))
+        batch = np.broadcast_shapes(*(array.shape[: array.ndim - tail] for array, tail in arguments.values()))
     except ValueError:
         came = ", ".join(f"{name} of shape {array.shape}" for name, (array, _) in arguments.items())
         raise ShapeError(f"Expected leading axes that broadcast, got {came}.") from None
+    return [np.broadcast_to(array, batch + array.shape[array.ndim - tail :]) for array, tail in arguments.values()]
 
 
 def _first(bad: np.ndarray) -> tuple[int, ...]:

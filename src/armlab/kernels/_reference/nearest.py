@@ -18,7 +18,7 @@ def so3_nearest(M: Any, out: Any = None) -> tuple[np.ndarray, np.ndarray]:
     ``σ₂ + d σ₃`` says how well the rotation is determined; where it is 0 the rotation is one of many. Where an entry of
     M is not finite everything is NaN.
     """
-    M = elements(M, "M", (3, 3))
+    M = given = elements(M, "M", (3, 3))
     missing = ~np.isfinite(M).all(axis=(-1, -2), keepdims=True)
     M = np.where(missing, np.eye(3), M)
     U, S, Vt = np.linalg.svd(M)
@@ -27,7 +27,7 @@ def so3_nearest(M: Any, out: Any = None) -> tuple[np.ndarray, np.ndarray]:
     S[..., 2] *= sign
     determined = S[..., 1:].sum(axis=-1) > 1e-9 * S[..., 0]
     R = np.where(determined[..., None, None], _refine(U @ Vt, M, determined), U @ Vt)
-    return result(np.where(missing, np.nan, R), out), np.where(missing[..., 0], np.nan, S)
+    return result(np.where(missing, np.nan, R), out, M=given), np.where(missing[..., 0], np.nan, S)
 
 
 def _refine(R: np.ndarray, M: np.ndarray, determined: np.ndarray) -> np.ndarray:
