@@ -53,22 +53,25 @@ def test_the_series_meets_the_closed_form() -> None:
 
 @pytest.mark.parametrize("intensity", [2.0, 20.0, 200.0])
 def test_held_torques_give_weighted_least_squares(intensity: float) -> None:
-    """No leak, a constant torque error, velocity known: the steady wrench is prior-free least squares, weights 1/Qp."""
+    """No leak, a constant torque error, velocity known: the steady wrench is prior-free least squares, weights 1/Qp.
+
+    The velocity is known exactly, R = 0: with R = 1e-12 (N m s)^2 the wrench is off by 1e-6.
+    """
     robot = robots.load("yumi_left")
     rng = np.random.default_rng(1)
     J = robot.chain.jacobian(robot.q_home)
     tau_e, Qp = rng.standard_normal(7), rng.uniform(0.5, 2, 7) * 1e-3
     x, P = np.zeros(13), np.diag(np.r_[np.zeros(7), [400.0] * 3, [4.0] * 3])
     p = np.zeros(7)
-    for _ in range(6000):
+    for _ in range(1500):  # the slowest mode, of the smallest intensity, keeps 0.980 per step
         p = p + H * tau_e
         x, P = momentum_step(
-            x, P, J.T, np.zeros(7), p, 1e-12 * np.eye(7), H, Qp, intensity**2 * np.array([1, 1, 1, 0.01, 0.01, 0.01]),
+            x, P, J.T, np.zeros(7), p, np.zeros((7, 7)), H, Qp, intensity**2 * np.array([1, 1, 1, 0.01, 0.01, 0.01]),
             np.zeros(6),
         )  # fmt: skip
     weighted = J / Qp
     expected = np.linalg.solve(weighted @ J.T, weighted @ tau_e)
-    np.testing.assert_allclose(x[7:], expected, rtol=1e-6, atol=1e-7)
+    np.testing.assert_allclose(x[7:], expected, rtol=1e-8)
 
 
 def test_a_wrench_held_over_one_step_is_the_static_estimate() -> None:
