@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-
 import numpy as np
 import pytest
 
+from armlab.errors import ShapeError
 from armlab.kernels import _reference
 from armlab.models import TorqueModel
 
@@ -119,11 +118,10 @@ def test_presliding_of_nothing_is_nothing(module: object) -> None:
 
 @pytest.mark.parametrize("module", [native, _reference])
 def test_wrong_shapes_are_refused(module: object, model: TorqueModel) -> None:
-    errors = import_module("armlab.errors")
     friction, ripple = rows()
-    with pytest.raises(errors.ShapeError, match="friction"):
+    with pytest.raises(ShapeError, match="friction"):
         module.Drive(friction[:8], ripple)
-    with pytest.raises(errors.ShapeError, match="ripple"):
+    with pytest.raises(ShapeError, match="ripple"):
         module.Drive(friction, ripple[:, :2])
     lines, table, warm_up = parts()
     backwards = (lines[0][::-1].copy(), *lines[1:])
@@ -134,13 +132,13 @@ def test_wrong_shapes_are_refused(module: object, model: TorqueModel) -> None:
         {"map": (np.zeros((3, 65)), *table[1:])},
         {"warm_up": warm_up[:4]},
     ):
-        with pytest.raises(errors.ShapeError):
+        with pytest.raises(ShapeError):
             module.Drive(friction, ripple, **wrong)
-    with pytest.raises(errors.ShapeError, match="centres"):
+    with pytest.raises(ShapeError, match="centres"):
         module.basis_weights(np.zeros(3), np.zeros(0), np.zeros(0))
     drive = module.Drive(friction, ripple)
-    with pytest.raises(errors.ShapeError, match="qd"):
+    with pytest.raises(ShapeError, match="qd"):
         drive.torque(np.zeros(3), np.zeros(2), np.zeros(3))
     chain, zero = module.Chain(model.frames, model.prismatic), np.zeros((4, 7))
-    with pytest.raises(errors.ShapeError, match="drive of 7 joints"):
+    with pytest.raises(ShapeError, match="drive of 7 joints"):
         module.model_torque(chain, model.gravity, model.link_parameters, model.rotor, drive, zero, zero, zero)
