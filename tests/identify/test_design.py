@@ -44,7 +44,7 @@ def test_without_known_gears_there_is_no_ripple_line(truth, excited) -> None:
     assert len(silent.names) == len(silent.units) == 50 + 5 * 7
     geared = Design.build(data, robot, base)
     assert geared.geared
-    np.testing.assert_allclose(geared.cycles, [200, 200, 200, 200, 200, 202, 200], rtol=1e-12)
+    np.testing.assert_allclose(geared.made.cycles, [200, 200, 200, 200, 200, 202, 200], rtol=1e-12)
 
 
 def test_ripple_that_folds_back_is_not_fitted(truth, excited) -> None:

@@ -11,7 +11,6 @@ inertia, viscous and Coulomb friction act on all of them, ``tau = c^T f(theta)``
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -19,11 +18,10 @@ import numpy as np
 
 from armlab.estimation import Rows
 from armlab.identify.base_parameters import BaseParameters
-from armlab.identify.plausibility import slow_enough
+from armlab.identify.columns import SMOOTH, Columns
 from armlab.identify.preparation import Prepared
 from armlab.identify.shapes import COLUMNS, FOLDS, Shapes, choose, mixing, term_names
 from armlab.identify.thinning import Thinning
-from armlab.kernels import presliding
 from armlab.models import CoupledMotors, Friction, Ripple
 from armlab.robots import Robot
 
@@ -31,11 +29,8 @@ __all__ = ["Design"]
 
 CUTOFF = 25.0  # Hz, the most; a tenth of the rate where that is less
 BLOCK = 0.5  # s, blocks that go to the folds in turn for the choice of shape
-MIN_CYCLES = 20.0  # rad/rad; a slower ripple line is a harmonic of gravity
-SEEN = 0.5  # share of the samples at which a ripple line must not fold back
 AT_ONCE = 8192  # rows handed to the solver
 BOUNDED = ("viscous", "coulomb", "coulomb+", "coulomb-", "rotor")  # not negative
-SMOOTH = 0.02  # rad/s, of the sign of coupled motors
 COUPLED = ("rotor", "viscous", "coulomb")  # of a motor that moves several joints
 
 
@@ -45,28 +40,21 @@ class Design:
 
     Attributes
     ----------
-    data : the record. thinning : its filter, with the (M,) rows that are kept.
-    robot, base : the arm and its base parameters. joints : (J,) those whose torque counts.
-    motors : (K, n) angles theta = c q of motors that move several joints. owners : (K,) the joint each belongs to.
+    made : what makes the columns of this record and arm. base : base parameters.
+    owners : (K,) the joint that each coupled motor belongs to.
     tau : (M, J) filtered torque. rigid : of each joint (M, w), columns of the base parameters that it sees.
     fixed : (M, J, 2 or 4) columns without shape: viscous, offset, and ripple where the gears are known.
-    inertial : (M, K, 2) filtered acceleration and velocity of the coupled motors.
-    cycles : (J,) ripple line [rad/rad].
+    coupled_motors : (M, K, 3) filtered acceleration, velocity and sign of the coupled motors.
     shapes : of friction. local : of each joint (M, k) columns of its own, then of the motors that move it.
     """
 
-    data: Prepared
-    thinning: Thinning
-    robot: Robot
+    made: Columns
     base: BaseParameters
-    joints: np.ndarray
-    motors: np.ndarray
     owners: np.ndarray
     tau: np.ndarray
     rigid: tuple[np.ndarray, ...]
     fixed: np.ndarray
-    inertial: np.ndarray
-    cycles: np.ndarray
+    coupled_motors: np.ndarray
     shapes: Shapes
     local: tuple[np.ndarray, ...] = ()
 
@@ -94,41 +82,49 @@ class Design:
         """
         corner = min(data.rate / 10.0, CUTOFF) if cutoff is None else cutoff
         step = max(1, int(data.rate / (2.5 * corner))) if every is None else every
-        thinning = Thinning.of(data, corner, step)
         measured = np.arange(robot.n) if joints is None else np.asarray(joints)
-        qdd = data.differentiate(data.qd)
         ratios = np.linalg.inv(robot.coupling)
-        cycles = 2.0 * np.abs(np.diag(ratios))[measured]
         turning = ratios / np.diag(ratios)[:, None]
         owners = np.flatnonzero(np.count_nonzero(turning, axis=1) > 1)
-        motors = turning[owners]
-        fixed = [data.qd[:, measured], np.ones((len(data.t), len(measured)))]
-        slow = slow_enough(data.qd[:, measured], data.rate, cycles)
-        if not np.any(cycles < MIN_CYCLES) and _lines_are_seen(
-            slow, data.rate, [robot.joint_names[i] for i in measured]
-        ):
-            angle = cycles * data.q[:, measured]
-            fixed += [np.where(slow, np.cos(angle), 0.0), np.where(slow, np.sin(angle), 0.0)]
-        columns = np.concatenate([data.tau[:, measured], *fixed, qdd @ motors.T, data.qd @ motors.T], axis=1)
-        thin = thinning.run(lambda a, b: columns[a:b], columns.shape[1])
-        J, K = len(measured), len(motors)
-        parts = np.split(thin, [J, J * (len(fixed) + 1)], axis=1)
+        columns = Columns(data, Thinning.of(data, corner, step), robot, measured, turning[owners])
+        qdd = data.differentiate(data.qd)
+        tau, fixed, inertial = columns.plain(qdd)
         design = cls(
-            data=data,
-            thinning=thinning,
-            robot=robot,
+            made=columns,
             base=base,
-            joints=measured,
-            motors=motors,
             owners=owners,
-            tau=parts[0],
-            rigid=_rigid(data, qdd, robot, base, measured, thinning),
-            fixed=np.moveaxis(parts[1].reshape(len(thin), len(fixed), J), 1, 2),
-            inertial=np.moveaxis(parts[2].reshape(len(thin), 2, K), 1, 2),
-            cycles=cycles,
-            shapes=Shapes.start(J),
+            tau=tau,
+            rigid=columns.rigid(qdd, base),
+            fixed=fixed,
+            coupled_motors=np.concatenate([inertial, columns.coupled_sign()[:, :, None]], axis=2),
+            shapes=Shapes.start(len(measured)),
         )
         return design.with_shapes(design.shapes)
+
+    @property
+    def data(self) -> Prepared:
+        """The record."""
+        return self.made.data
+
+    @property
+    def thinning(self) -> Thinning:
+        """Its filter, with the rows that are kept."""
+        return self.made.thinning
+
+    @property
+    def robot(self) -> Robot:
+        """The arm."""
+        return self.made.robot
+
+    @property
+    def joints(self) -> np.ndarray:
+        """Those whose torque counts (J,)."""
+        return self.made.joints
+
+    @property
+    def motors(self) -> np.ndarray:
+        """Angles theta = c q of motors that move several joints (K, n)."""
+        return self.made.motors
 
     @property
     def rows(self) -> np.ndarray:
@@ -185,14 +181,13 @@ class Design:
 
     def with_shapes(self, shapes: Shapes) -> Design:
         """Return it with the columns of other shapes of friction."""
-        shaped = self.shaped(shapes.delta, shapes.smooth, shapes.speed[None])
-        coupled = self._coupled(shapes)
+        shaped = self.made.shaped(shapes.delta, shapes.smooth, shapes.speed[None])
         local = []
         for i, joint in enumerate(self.joints):
             own = [self.fixed[:, i, :1], shaped[:, i, :2], self.fixed[:, i, 1:2], shaped[:, i, [3, 2]]]
             own = np.concatenate([*own, self.fixed[:, i, 2:]], axis=1)
             moved = np.flatnonzero(self.motors[:, joint])
-            theirs = self.motors[moved, joint][:, None] * coupled[:, moved]
+            theirs = self.motors[moved, joint][:, None] * self.coupled_motors[:, moved]
             local.append(np.hstack([own @ mixing(shapes.terms[i], own.shape[1]), theirs.reshape(len(own), -1)]))
         return replace(self, shapes=shapes, local=tuple(local))
 
@@ -223,7 +218,7 @@ class Design:
             own = theta[columns[first : first + len(self.terms[i])]]
             values[: self._width, self.joints[i]] = mixing(self.shapes.terms[i], self._width) @ own
         shapes = np.tile([[1e-3], [0.0], [0.1], [2.0]], self.robot.n)
-        shapes[:, self.joints] = self.shapes.delta, self.shapes.smooth, self.shapes.speed, self.cycles
+        shapes[:, self.joints] = self.shapes.delta, self.shapes.smooth, self.shapes.speed, self.made.cycles
         viscous, positive, negative, offset, stribeck, root, cosine, sine = values
         delta, smooth, speed, cycles = shapes
         state = speed, delta, self.data.resolution
@@ -259,38 +254,7 @@ class Design:
         weights = np.ones_like(target) if trust is None else np.asarray(trust, dtype=float)
         used = np.cumsum(weights.any(axis=1))  # blocks of what is used: all folds have as much
         fold = used // max(1, round(BLOCK * self.data.rate / self.thinning.every)) % FOLDS
-        return self.with_shapes(choose(self.shaped, fixed, target, fold, weights))
-
-    def shaped(self, delta: np.ndarray, smooth: np.ndarray, speeds: np.ndarray) -> np.ndarray:
-        """Return the filtered columns (M, J, 3 + S) that depend on the shape: s+, s-, root, Stribeck of each speed.
-
-        Parameters
-        ----------
-        delta, smooth : (J,) shape of the sign. speeds : (S, J) of Stribeck's term.
-        """
-        sign, J = self._sign(self.data.q[:, self.joints], self.data.qd[:, self.joints], delta, smooth), len(self.joints)
-
-        def columns(a: int, b: int) -> np.ndarray:
-            s, qd = sign[a:b], self.data.qd[a:b, self.joints]
-            bumps = [s * np.exp(-((qd / speed) ** 2)) for speed in speeds]
-            return np.concatenate([np.maximum(s, 0.0), np.minimum(s, 0.0), s * np.sqrt(np.abs(qd)), *bumps], axis=1)
-
-        count = 3 + len(speeds)
-        return np.moveaxis(self.thinning.run(columns, J * count).reshape(-1, count, J), 1, 2)
-
-    def _sign(self, q: np.ndarray, qd: np.ndarray, delta: np.ndarray, smooth: np.ndarray) -> np.ndarray:
-        """Return s (N, k) along the record: presliding state, or smooth sign."""
-        resolution = self.data.resolution[self.joints] if len(delta) == len(self.joints) else np.zeros(len(delta))
-        z = np.concatenate([presliding(np.ascontiguousarray(q[a:b]), delta, resolution) for a, b in self.data.segments])
-        soft = smooth > 0
-        z[:, soft] = np.tanh(qd[:, soft] / smooth[soft])
-        return z
-
-    def _coupled(self, shapes: Shapes) -> np.ndarray:
-        """Return filtered acceleration, velocity and sign (M, K, 3) of the coupled motors."""
-        sign = np.tanh(self.data.qd @ self.motors.T / SMOOTH)
-        s = self.thinning.run(lambda a, b: sign[a:b], len(self.motors))
-        return np.concatenate([self.inertial, s[:, :, None]], axis=2)
+        return self.with_shapes(choose(self.made.shaped, fixed, target, fold, weights))
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,39 +274,3 @@ class _Stream:
                 if self.trust is not None:
                     A, y = A * self.trust[part, i, None], y * self.trust[part, i]
                 yield Rows(A, y, self.block[part], i, columns)
-
-
-def _lines_are_seen(slow: np.ndarray, rate: float, names: Sequence[str]) -> bool:
-    """Tell whether the ripple lines pass slowly enough for the sampling in most samples; warn where they do not."""
-    fast = [names[int(i)] for i in np.flatnonzero(slow.mean(axis=0) < SEEN)]
-    if fast:
-        warnings.warn(
-            f"Expected torque ripple below {rate / 4.0:.3g} Hz, a quarter of the sampling rate, in half of the samples "
-            f"at least, got faster ripple for {', '.join(fast)}: it folds back, and no ripple is "
-            "fitted. Log slower motion, as of identify.friction_run, or sample faster.",
-            stacklevel=2,
-        )
-    return not fast
-
-
-def _rigid(
-    data: Prepared, qdd: np.ndarray, robot: Robot, base: BaseParameters, joints: np.ndarray, thinning: Thinning
-) -> tuple[np.ndarray, ...]:
-    """Return the filtered columns of the base parameters that each joint sees."""
-    n = robot.n
-    seen = [base.kept[base.seen[i]] for i in joints]
-    edges = np.cumsum([0, *(len(kept) for kept in seen)])
-    flat = np.concatenate([np.where(kept < 10 * n, 10 * n * i + kept, 0) for i, kept in zip(joints, seen)])
-    rotors = [(edges[i] + k, column - 10 * n) for i, kept in enumerate(seen) for k, column in enumerate(kept)]
-    rotors = [(position, joint) for position, joint in rotors if joint >= 0]
-
-    def columns(a: int, b: int) -> np.ndarray:
-        moves = 0.0 if base.quasi_static else 1.0
-        Y = robot.chain.rigid_regressor(data.q[a:b], moves * data.qd[a:b], moves * qdd[a:b], robot.gravity)
-        X = np.take(Y.reshape(b - a, -1), flat, axis=1)
-        for position, joint in rotors:
-            X[:, position] = qdd[a:b, joint]
-        return X
-
-    thin = thinning.run(columns, int(edges[-1]))
-    return tuple(thin[:, edges[i] : edges[i + 1]] for i in range(len(joints)))
