@@ -63,7 +63,7 @@ def _record(robot: Robot, samples: int) -> Prepared:
 def _fit(data: Prepared, robot: Robot, base: identify.BaseParameters) -> np.ndarray:
     design = Design.build(data, robot, base)
     block = data.blocks(20.0)[design.rows]
-    return least_squares(design.stream(block), design.names, method="wls").x
+    return least_squares(design.stream(block), design.layout.names, method="wls").x
 
 
 def _loop(peer: Pinocchio, data: Prepared) -> np.ndarray:

@@ -10,7 +10,7 @@ import pytest
 from armlab import robots
 from armlab.identify import base_parameters, excitation, prepare
 from armlab.identify.design import Design
-from armlab.identify.dynamics import settle
+from armlab.identify.settling import settle
 from armlab.identify.shapes import DELTAS, STRIBECK_SPEEDS
 
 
@@ -26,7 +26,7 @@ def test_design_finds_the_shape_of_friction_and_the_parameters_of_a_clean_log(tr
     assert design.shapes.terms[:, :2].all()
     relative = np.sqrt(np.mean(design.residuals(theta) ** 2, axis=0)) / np.std(design.tau, axis=0)
     assert np.all(relative < 5e-3)
-    assert len(design.units) == len(design.names) == len(design.lower) == len(theta)
+    assert len(design.layout.units) == len(design.layout.names) == len(design.layout.lower) == len(theta)
     assert design.model(theta).shape == design.tau.shape == (len(design.rows), 7)
     pieces = list(design.stream(np.zeros(len(design.rows), dtype=int)))
     assert sum(len(piece.y) for piece in pieces) == design.tau.size
@@ -40,8 +40,8 @@ def test_without_known_gears_there_is_no_ripple_line(truth, excited) -> None:
     assert robots.load("irb7600").coupling[0, 0] == 1.0
     silent = Design.build(data, replace(robot, coupling=np.eye(7)), base)
     assert not silent.geared
-    assert not any("ripple" in name for name in silent.names)
-    assert len(silent.names) == len(silent.units) == 50 + 5 * 7
+    assert not any("ripple" in name for name in silent.layout.names)
+    assert len(silent.layout.names) == len(silent.layout.units) == 50 + 5 * 7
     geared = Design.build(data, robot, base)
     assert geared.geared
     np.testing.assert_allclose(geared.made.cycles, [200, 200, 200, 200, 200, 202, 200], rtol=1e-12)
@@ -70,9 +70,9 @@ def test_a_motor_that_moves_two_joints_brings_shared_columns(truth, excited) -> 
     data = prepare(excited, robot)
     base = base_parameters(robot)
     design = Design.build(data, robot, base)
-    assert design.names[-3:] == tuple(f"{term} of motor axis_6" for term in ("rotor", "viscous", "coulomb"))
+    assert design.layout.names[-3:] == tuple(f"{term} of motor axis_6" for term in ("rotor", "viscous", "coulomb"))
     np.testing.assert_array_equal(design.motors, [[0, 0, 0, 0, 0, 1, 1]])
-    theta = np.zeros(len(design.names))
+    theta = np.zeros(len(design.layout.names))
     theta[-3:] = 0.02, 0.3, 0.5
     speed = data.qd[:, 5] + data.qd[:, 6]
     torque = 0.02 * data.differentiate(speed) + 0.3 * speed + 0.5 * np.tanh(speed / 0.02)
@@ -88,7 +88,31 @@ def test_joints_whose_torque_is_not_measured_are_left_out(truth, excited) -> Non
     assert design.tau.shape == (750, 3)
     assert len(base.names) < 50
     np.testing.assert_array_equal(design.tau, excited["tau"][::10][:, measured])
-    friction, ripple = design.drives(np.arange(1.0, len(design.names) + 1))
+    friction, ripple = design.drives(np.arange(1.0, len(design.layout.names) + 1))
     assert np.all(friction.viscous[measured] > 0)
     assert not friction.viscous[[0, 2, 5, 6]].any()
     assert not ripple.cosine[[0, 2, 5, 6]].any()
+
+
+def test_slopes_are_the_derivatives_of_the_torque_over_the_logarithms(short_arm) -> None:
+    """A shape moved by a little changes the torque by slope times step; parameters come back in their units."""
+    robot = short_arm.robot
+    design = Design.build(prepare(short_arm.log(0, 2000), robot), robot, base_parameters(robot))
+    theta = np.linspace(1.0, 2.0, len(design.layout.names))
+    sloped = design.with_slopes(theta)
+    assert sloped.free.all()
+    at = np.flatnonzero(sloped.layout.slopes)
+    assert [sloped.layout.names[k].split()[0] for k in at] == ["delta", "stribeck-speed"] * 2
+    x = np.zeros(len(sloped.layout.names))
+    x[~sloped.layout.slopes] = theta
+    for k, step in zip(at, (1e-3, -1e-3, 2e-3, 1e-3)):
+        moved = x.copy()
+        moved[k] = step
+        change = design.with_shapes(sloped.moved(moved)).model(theta) - design.model(theta)
+        np.testing.assert_allclose(sloped.model(moved) - sloped.model(x), change, atol=3e-3 * np.abs(change).max())
+        found, cov = sloped.in_units(moved, np.eye(len(x)))
+        assert found[k] == pytest.approx(sloped.shapes.numbers.ravel()[list(at).index(k)] * np.exp(step))
+        assert cov[k, k] == pytest.approx(found[k] ** 2)
+    assert sloped.drives(moved)[0].stribeck_speed[1] == pytest.approx(0.1 * np.exp(1e-3))
+    only = design.with_slopes(theta, np.array([[True, False], [False, False]]))
+    assert only.layout.slopes.sum() == 1

@@ -103,3 +103,13 @@ def test_same_shapes_agree_to_ten_per_cent() -> None:
     assert not one.same(Shapes(one.delta * 1.3, one.smooth, one.speed, one.terms))
     assert not one.same(Shapes(one.delta, one.smooth + 0.02, one.speed, one.terms))
     assert not one.same(Shapes(one.delta, one.smooth, one.speed, ~one.terms))
+
+
+def test_numbers_move_by_factors_within_the_range_of_the_search() -> None:
+    shapes = Shapes(np.full(2, 1e-3), np.array([0.0, 0.02]), np.array([0.1, 0.5]), TERMS[[2, 3]])
+    np.testing.assert_array_equal(shapes.numbers, [[1e-3, 0.1], [0.02, 0.5]])
+    assert shapes.names == [("delta", "stribeck-speed"), ("tanh-speed", "stribeck-speed")]
+    moved = shapes.moved(np.log([[2.0, 0.5], [3.0, 4.0]]))
+    np.testing.assert_allclose(moved.numbers, [[2e-3, 0.05], [0.06, 2 * STRIBECK_SPEEDS[-1]]])
+    assert moved.delta[1] == shapes.delta[1]
+    assert moved.smooth[0] == 0.0

@@ -17,7 +17,7 @@ __all__ = ["Fit"]
 
 Value = TypeVar("Value")
 
-READ_ONLY = ("parameters", "cov", "sigma", "residuals", "outliers")
+READ_ONLY = ("parameters", "cov", "sigma", "residuals", "outliers", "formal_cov")
 SAVED = ("names", "units", "parameters", "cov", "classes", "sigma", "outliers", "n", "rank")
 EXCITATION = ("expected", "singular_values", "weakest", "held", "null_names")
 
@@ -39,6 +39,8 @@ class Fit(Generic[Value]):
     summary : makes the text of `report`.
     outliers : (N,) samples that were left out; empty for fits that look for none.
     classes : names of the classes of measurement, with their units: "position [m]".
+    formal_cov : (d, d) where `cov` is from drawing blocks again: what white residuals would give, too small by far when
+        they are coloured. None where `cov` is formal itself, and when the fit was read from a file.
     """
 
     value: Value
@@ -53,6 +55,7 @@ class Fit(Generic[Value]):
     summary: Callable[[Fit[Value]], str] | None = field(default=None, repr=False)
     outliers: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     classes: tuple[str, ...] = ()
+    formal_cov: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         """Check shapes and freeze the arrays."""
@@ -64,7 +67,7 @@ class Fit(Generic[Value]):
             )
         object.__setattr__(self, "names", tuple(self.names))
         object.__setattr__(self, "units", tuple(self.units))
-        for name in READ_ONLY:
+        for name in (name for name in READ_ONLY if getattr(self, name) is not None):
             values = np.array(getattr(self, name), dtype=bool if name == "outliers" else float)
             values.flags.writeable = False
             object.__setattr__(self, name, values)

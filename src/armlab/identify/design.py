@@ -13,12 +13,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 
 import numpy as np
 
 from armlab.estimation import Rows
 from armlab.identify.base_parameters import BaseParameters
 from armlab.identify.columns import SMOOTH, Columns
+from armlab.identify.layout import Layout
 from armlab.identify.preparation import Prepared
 from armlab.identify.shapes import COLUMNS, FOLDS, Shapes, choose, mixing, term_names
 from armlab.identify.thinning import Thinning
@@ -30,8 +32,9 @@ __all__ = ["Design"]
 CUTOFF = 25.0  # Hz, the most; a tenth of the rate where that is less
 BLOCK = 0.5  # s, blocks that go to the folds in turn for the choice of shape
 AT_ONCE = 8192  # rows handed to the solver
-BOUNDED = ("viscous", "coulomb", "coulomb+", "coulomb-", "rotor")  # not negative
-COUPLED = ("rotor", "viscous", "coulomb")  # of a motor that moves several joints
+STEP = 0.01  # of the logarithm of a number of the shape, for its derivative
+LONGEST = 0.5  # step of such a logarithm
+NOTHING = 1e-12  # of the power of the torque: a slope without effect
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +48,9 @@ class Design:
     tau : (M, J) filtered torque. rigid : of each joint (M, w), columns of the base parameters that it sees.
     fixed : (M, J, 2 or 4) columns without shape: viscous, offset, and ripple where the gears are known.
     coupled_motors : (M, K, 3) filtered acceleration, velocity and sign of the coupled motors.
-    shapes : of friction. local : of each joint (M, k) columns of its own, then of the motors that move it.
+    shapes : of friction. free : (J, 2) bool, which of `Shapes.numbers` have a column: the derivative of the torque over
+        the logarithm of the number, at the parameters given to `with_slopes`.
+    local : of each joint (M, k) columns of its own, slopes of its shape last, then of the motors that move it.
     """
 
     made: Columns
@@ -56,6 +61,7 @@ class Design:
     fixed: np.ndarray
     coupled_motors: np.ndarray
     shapes: Shapes
+    free: np.ndarray
     local: tuple[np.ndarray, ...] = ()
 
     @classmethod
@@ -98,6 +104,7 @@ class Design:
             fixed=fixed,
             coupled_motors=np.concatenate([inertial, columns.coupled_sign()[:, :, None]], axis=2),
             shapes=Shapes.start(len(measured)),
+            free=np.zeros((len(measured), 2), dtype=bool),
         )
         return design.with_shapes(design.shapes)
 
@@ -139,45 +146,13 @@ class Design:
     @property
     def terms(self) -> list[tuple[str, ...]]:
         """Names of the columns of each joint's own."""
-        return [term_names(terms, self.geared) for terms in self.shapes.terms]
+        kinds = zip(self.shapes.terms, self.shapes.names, self.free)
+        return [(*term_names(terms, self.geared), *compress(names, free)) for terms, names, free in kinds]
 
     @property
-    def columns(self) -> list[np.ndarray]:
-        """Which parameters the columns of each joint belong to: base, own, coupled motors."""
-        counts = [len(terms) for terms in self.terms]
-        first = len(self.base.names) + np.concatenate([[0], np.cumsum(counts)])
-        out = []
-        for i, joint in enumerate(self.joints):
-            moved = np.flatnonzero(self.motors[:, joint])
-            coupled = first[-1] + (3 * moved[:, None] + np.arange(3)).ravel()
-            out.append(np.concatenate([np.flatnonzero(self.base.seen[joint]), np.arange(*first[i : i + 2]), coupled]))
-        return out
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of all parameters: base, own of each joint, coupled motors."""
-        own = []
-        for i, terms in zip(self.joints, self.terms):
-            plain = {"offset": self.base.offset_names[i]}
-            own += [plain.get(term, f"{term} {self.robot.joint_names[i]}") for term in terms]
-        motors = [f"{term} of motor {self.robot.joint_names[i]}" for i in self.owners for term in COUPLED]
-        return (*self.base.names, *own, *motors)
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """Units of all parameters."""
-        own = []
-        for i, terms in zip(self.joints, self.terms):
-            force, length = ("N", "m") if self.robot.prismatic[i] else ("N m", "rad")
-            special = {"viscous": f"{force} s/{length}", "root": f"{force} sqrt(s/{length})"}
-            own += [special.get(term, force) for term in terms]
-        return (*self.base.units, *own, *("kg m^2", "N m s/rad", "N m") * len(self.motors))
-
-    @property
-    def lower(self) -> np.ndarray:
-        """Lower bounds of all parameters: 0 for inertia, viscous and Coulomb friction, else -inf."""
-        own = [term for terms in self.terms for term in terms] + list(COUPLED) * len(self.motors)
-        return np.concatenate([self.base.lower, [0.0 if term in BOUNDED else -np.inf for term in own]])
+    def layout(self) -> Layout:
+        """Names, units, bounds and places of all parameters."""
+        return Layout(self.robot, self.base, self.joints, self.motors, self.owners, tuple(self.terms))
 
     def with_shapes(self, shapes: Shapes) -> Design:
         """Return it with the columns of other shapes of friction."""
@@ -189,7 +164,48 @@ class Design:
             moved = np.flatnonzero(self.motors[:, joint])
             theirs = self.motors[moved, joint][:, None] * self.coupled_motors[:, moved]
             local.append(np.hstack([own @ mixing(shapes.terms[i], own.shape[1]), theirs.reshape(len(own), -1)]))
-        return replace(self, shapes=shapes, local=tuple(local))
+        return replace(self, shapes=shapes, free=np.zeros_like(self.free), local=tuple(local))
+
+    def with_slopes(self, theta: np.ndarray, free: np.ndarray | None = None) -> Design:
+        """Return it with the derivatives of the torque over the logarithms of the numbers that make the shapes.
+
+        Parameters
+        ----------
+        theta : (p,) parameters of this design, without slopes, at which they are taken.
+        free : (J, 2) bool, which numbers; all that matter to the torque when left out.
+        """
+        slopes = self._slopes(theta)
+        power = np.sum(slopes * slopes, axis=0)
+        told = power > NOTHING * np.sum(self.tau * self.tau, axis=0)[:, None]
+        free = told if free is None else told & free
+        local = []
+        for i, (L, terms) in enumerate(zip(self.local, self.terms)):
+            own = len(terms)
+            local.append(np.hstack([L[:, :own], slopes[:, i, free[i]], L[:, own:]]))
+        return replace(self, free=free, local=tuple(local))
+
+    def _slopes(self, theta: np.ndarray) -> np.ndarray:
+        """Return the derivatives (M, J, 2) by central differences."""
+        c = self._own(theta)[[1, 2, 5, 4]].T  # in the order of `Columns.shaped`
+        slopes = []
+        for step in np.eye(2) * STEP:
+            ends = [self.shapes.moved(np.tile(s * step, (len(self.joints), 1))) for s in (1.0, -1.0)]
+            up, down = (self.made.shaped(end.delta, end.smooth, end.speed[None]) for end in ends)
+            apart = np.log(ends[0].numbers / ends[1].numbers).sum(axis=1)
+            slopes.append(np.einsum("mjk,jk->mj", up - down, c / apart[:, None]))
+        return np.stack(slopes, axis=2)
+
+    def moved(self, theta: np.ndarray) -> Shapes:
+        """Return the shapes with the steps among parameters theta (p,) taken, each by half at most."""
+        steps = np.zeros(self.free.shape)
+        steps[self.free] = np.clip(theta[self.layout.slopes], -LONGEST, LONGEST)
+        return self.shapes.moved(steps)
+
+    def in_units(self, theta: np.ndarray, *covs: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return parameters (p,) and covariances (p, p) with the numbers of the shapes in place of their steps."""
+        x, scale, at = theta.copy(), np.ones(len(theta)), self.layout.slopes
+        x[at] = scale[at] = self.moved(theta).numbers[self.free]
+        return x, *(cov * np.outer(scale, scale) for cov in covs)
 
     def stream(self, block: np.ndarray, trust: np.ndarray | None = None) -> Iterable[Rows]:
         """Return the rows of the problem, made again whenever they are read.
@@ -203,7 +219,7 @@ class Design:
 
     def model(self, theta: np.ndarray) -> np.ndarray:
         """Return the filtered torque (M, J) [N m] of parameters theta (p,)."""
-        parts = zip(self.rigid, self.local, self.columns)
+        parts = zip(self.rigid, self.local, self.layout.columns)
         return np.stack([np.hstack([A, L]) @ theta[c] for A, L, c in parts], axis=1)
 
     def residuals(self, theta: np.ndarray) -> np.ndarray:
@@ -213,17 +229,23 @@ class Design:
     def drives(self, theta: np.ndarray) -> tuple[Friction, Ripple]:
         """Return friction and ripple of all joints of parameters theta (p,); zero for joints that do not count."""
         values = np.zeros((len(COLUMNS), self.robot.n))
-        for i, columns in enumerate(self.columns):
-            first = self.rigid[i].shape[1]
-            own = theta[columns[first : first + len(self.terms[i])]]
-            values[: self._width, self.joints[i]] = mixing(self.shapes.terms[i], self._width) @ own
+        values[:, self.joints] = self._own(theta)
+        found = self.moved(theta)
         shapes = np.tile([[1e-3], [0.0], [0.1], [2.0]], self.robot.n)
-        shapes[:, self.joints] = self.shapes.delta, self.shapes.smooth, self.shapes.speed, self.made.cycles
+        shapes[:, self.joints] = found.delta, found.smooth, found.speed, self.made.cycles
         viscous, positive, negative, offset, stribeck, root, cosine, sine = values
         delta, smooth, speed, cycles = shapes
         state = speed, delta, self.data.resolution
         friction = Friction(viscous, positive, negative, offset, stribeck, *state, root, smooth)
         return friction, Ripple(cycles, cosine, sine)
+
+    def _own(self, theta: np.ndarray) -> np.ndarray:
+        """Return the parameters of all COLUMNS of each joint (8, J); zero for those that it has not."""
+        values = np.zeros((len(COLUMNS), len(self.joints)))
+        for i, (columns, A) in enumerate(zip(self.layout.columns, self.rigid)):
+            T = mixing(self.shapes.terms[i], self._width)
+            values[: self._width, i] = T @ theta[columns[A.shape[1] :][: T.shape[1]]]
+        return values
 
     def coupled(self, theta: np.ndarray) -> CoupledMotors | None:
         """Return the motors that move several joints, of parameters theta (p,); None where there are none."""
@@ -246,7 +268,7 @@ class Design:
         trust : (M, J) weights of the rows; 0 leaves one out.
         """
         target, free = self.tau.copy(), np.zeros((*self.tau.shape, 3 * len(self.motors)))
-        for i, (A, L, c) in enumerate(zip(self.rigid, self.local, self.columns)):
+        for i, (A, L, c) in enumerate(zip(self.rigid, self.local, self.layout.columns)):
             target[:, i] -= A @ theta[c[: A.shape[1]]]
             coupled = L[:, len(self.terms[i]) :]
             free[:, i, : coupled.shape[1]] = coupled
@@ -267,7 +289,7 @@ class _Stream:
 
     def __iter__(self) -> Iterator[Rows]:
         d = self.design
-        for i, columns in enumerate(d.columns):
+        for i, columns in enumerate(d.layout.columns):
             for a in range(0, len(self.block), AT_ONCE):
                 part = slice(a, a + AT_ONCE)
                 A, y = np.hstack([d.rigid[i][part], d.local[i][part]]), d.tau[part, i]

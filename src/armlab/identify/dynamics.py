@@ -25,23 +25,19 @@ from armlab.identify.base_parameters import BaseParameters, base_parameters, mea
 from armlab.identify.design import Design
 from armlab.identify.extrapolation import training
 from armlab.identify.preparation import Prepared, prepare
+from armlab.identify.settling import ROBUST, linearised, settle, short_blocks
 from armlab.identify.validation import assess, report
 from armlab.log import Table
 from armlab.models import FrictionBound, Quality, TorqueModel, velocity_covariance
 from armlab.robots import Robot
 
-__all__ = ["Job", "fit_dynamics", "fit_model", "settle"]
+__all__ = ["Job", "fit_dynamics", "fit_model"]
 
-ROUNDS = 4
 CUTOFF = 10.0  # Hz, corner of the estimator's causal filter
-TRIMMED = 0.25  # s, blocks of which the method "lts" leaves some out
 SPIKE, WINDOW = 6.0, 9  # robust deviations from the median of so many samples
 NORMAL_MAD = 0.6744897501960817  # median of |x| for x ~ N(0, 1)
-MOST_BLOCKS = 1000.0  # of them: a triangle is kept for each
-HUBER = 1.345
 UNKNOWN = 1e3  # deviation of what a prior does not know
 METHODS = ("irls", "lts", "wls", "ols")
-ROBUST = ("irls", "lts")
 
 Progress = Callable[[int, int, str], None]
 
@@ -65,64 +61,18 @@ class Job:
 
     def solve(self, design: Design, block: np.ndarray) -> LinearSolution:
         """Solve for the linear parameters; `block` (M,) is the block of time of each kept row."""
-        names = [re.split(r" [+-] ", name)[0] for name in design.names]  # a whole combination fills a line
+        names = [re.split(r" [+-] ", name)[0] for name in design.layout.names]  # a whole combination fills a line
         rows, prior = design.stream(block), self._prior(design)
-        limits = {"lower": design.lower, "prior": prior, "seed": self.seed}
+        limits = {"lower": design.layout.lower, "prior": prior, "seed": self.seed}
         return least_squares(rows, names, what=self.what, method=self.method, **limits)
 
     def _prior(self, design: Design) -> Prior | None:
         if self.prior is None:
             return None
         known = dict(zip(self.prior.names, zip(self.prior.parameters, self.prior.sd)))
-        values = [known.get(name, (0.0, UNKNOWN)) for name in design.names]
+        values = [known.get(name, (0.0, UNKNOWN)) for name in design.layout.names]
+        values = [(0.0, 1.0) if slope else value for value, slope in zip(values, design.layout.slopes)]
         return Prior(np.array([v for v, _ in values]), np.array([max(sd, 1e-12) for _, sd in values]))
-
-
-def settle(design: Design, method: str, seed: int = 0, use: np.ndarray | None = None) -> tuple[Design, np.ndarray]:
-    """Alternate between the linear parameters and the shape of friction until the shape stays; return both.
-
-    Directions that the log does not tell are no fault here: the last fit judges.
-
-    Parameters
-    ----------
-    design : with any shapes. method : of `fit_dynamics`. seed : of "lts".
-    use : (M,) kept rows to fit to; all when left out.
-    """
-    use = np.ones(len(design.rows), dtype=bool) if use is None else use
-    trust = np.repeat(use[:, None].astype(float), len(design.joints), axis=1)
-    block = design.data.blocks(_short(design.data))[design.rows]
-    theta = _loose(design, block, trust, method)
-    for _ in range(ROUNDS):
-        if method in ROBUST:
-            trust = _trust(design, theta, block, method, seed) * use[:, None]
-        shaped = design.choose_shapes(theta, trust)
-        settled = shaped.shapes.same(design.shapes)
-        design, theta = shaped, _loose(shaped, block, trust, method)
-        if settled:
-            break
-    return design, theta
-
-
-def _short(data: Prepared) -> float:
-    """Return the length of the blocks that "lts" leaves out [s]."""
-    return max(TRIMMED, data.seconds / MOST_BLOCKS)
-
-
-def _loose(design: Design, block: np.ndarray, trust: np.ndarray, method: str) -> np.ndarray:
-    """Return the parameters (p,) of weighted rows, the smallest where the log does not tell them."""
-    rows = design.stream(np.zeros_like(block), trust)
-    plain = "ols" if method == "ols" else "wls"
-    return least_squares(rows, design.names, method=plain, lower=design.lower, max_condition=np.inf).x
-
-
-def _trust(design: Design, theta: np.ndarray, block: np.ndarray, method: str, seed: int) -> np.ndarray:
-    """Return factors (M, J) of the rows that keep outliers from the choice of shape."""
-    if method == "lts":
-        found = least_squares(design.stream(block), design.names, method="lts", seed=seed, max_condition=np.inf)
-        return np.repeat(found.kept[block][:, None].astype(float), len(design.joints), axis=1)
-    e = np.abs(design.residuals(theta))
-    limit = HUBER / NORMAL_MAD * np.median(e, axis=0)
-    return np.sqrt(np.divide(limit, e, out=np.ones_like(e), where=e > limit))
 
 
 def fit_dynamics(
@@ -202,19 +152,22 @@ def fit_model(
     design, theta = settle(design, job.method, job.seed)
     job.tell(3, 5, "covariance from blocks")
     block, length = _blocks(design, theta, job.method)
+    design = linearised(design, theta, job.method)
     solution = job.solve(design, block[design.rows])
     sums = BlockSums.of(solution)
     cov = block_bootstrap(sums, seed=job.seed, length=length).cov
+    parameters, cov_in_units, formal = design.in_units(solution.x, cov, solution.cov)
     job.tell(4, 5, "held-out residuals")
     model = _model(design, solution.x, cov)
     model = assess(model, _fold_models(model, design, sums, block, length), data, design.joints)
     job.tell(5, 5, "done")
     return Fit(
         value=model,
-        names=design.names,
-        units=design.units,
-        parameters=solution.x,
-        cov=cov,
+        names=design.layout.names,
+        units=design.layout.units,
+        parameters=parameters,
+        cov=cov_in_units,
+        formal_cov=formal,
         sigma=solution.sigma,
         residuals=design.residuals(solution.x),
         n=len(data.t),
@@ -248,7 +201,7 @@ def _blocks(design: Design, theta: np.ndarray, method: str) -> tuple[np.ndarray,
     data = design.data
     step = float(np.median(np.diff(data.t[design.rows])))
     seconds = min(block_seconds(design.residuals(theta), step), data.seconds / 20.0)
-    block = data.blocks(_short(data) if method == "lts" else seconds)
+    block = data.blocks(short_blocks(data) if method == "lts" else seconds)
     count = int(block[-1]) + 1
     length = max(1, round(seconds * count / data.seconds))
     if count < 8 * length:

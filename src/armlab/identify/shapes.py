@@ -63,6 +63,26 @@ class Shapes:
         """Return presliding over 1e-3 rad with all terms but the root, for n joints."""
         return cls(np.full(n, 1e-3), np.zeros(n), np.full(n, 0.1), np.tile([True, True, False], (n, 1)))
 
+    @property
+    def numbers(self) -> np.ndarray:
+        """What is not linear in the torque (n, 2): delta or v_t, whichever the sign has, and v_s."""
+        return np.stack([np.where(self.smooth > 0, self.smooth, self.delta), self.speed], axis=1)
+
+    @property
+    def names(self) -> list[tuple[str, str]]:
+        """Names of `numbers`, for each joint."""
+        return [("tanh-speed" if soft else "delta", "stribeck-speed") for soft in self.smooth > 0]
+
+    def moved(self, steps: np.ndarray) -> Shapes:
+        """Return it with `numbers` times exp(steps) (n, 2), within the range that is searched."""
+        (sign, bump), soft = np.exp(steps).T, self.smooth > 0
+        return replace(
+            self,
+            delta=np.where(soft, self.delta, np.clip(sign * self.delta, 0.1 * DELTAS[0], DELTAS[-1])),
+            smooth=np.where(soft, np.clip(sign * self.smooth, 0.1 * SMOOTH_SPEEDS[0], SMOOTH_SPEEDS[-1]), 0.0),
+            speed=np.clip(bump * self.speed, 0.5 * STRIBECK_SPEEDS[0], 2.0 * STRIBECK_SPEEDS[-1]),
+        )
+
     def same(self, other: Shapes) -> bool:
         """Return whether the other differs by less than 10 %, in the same terms."""
         kinds = np.array_equal(self.terms, other.terms) and np.array_equal(self.smooth > 0, other.smooth > 0)
@@ -208,20 +228,18 @@ def _pick(scores: np.ndarray) -> tuple[int, int, int]:
 
 def _refine(search: _Search, shapes: Shapes, best: np.ndarray) -> Shapes:
     """Try factors on distance or speed of the sign and on Stribeck's speed; keep what lowers the held-out error."""
-    joints, soft = np.arange(len(best)), shapes.smooth > 0
+    joints = np.arange(len(best))
     which = [int(np.flatnonzero((terms == TERMS).all(axis=1))[0]) for terms in shapes.terms]
-    for factor in (f for step in REFINEMENTS for f in (step, 1.0 / step)):
-        for of_sign, of_bump in ((factor, 1.0), (1.0, factor)):
-            delta = np.clip(np.where(soft, 1.0, of_sign) * shapes.delta, 0.1 * DELTAS[0], DELTAS[-1])
-            smooth = np.where(soft, np.clip(of_sign * shapes.smooth, 0.1 * SMOOTH_SPEEDS[0], SMOOTH_SPEEDS[-1]), 0.0)
-            speed = np.clip(of_bump * shapes.speed, 0.5 * STRIBECK_SPEEDS[0], 2.0 * STRIBECK_SPEEDS[-1])
-            score = search.scores(delta, smooth, speed[None])[joints, 0, which]
+    for step in (s * np.log(factor) for factor in REFINEMENTS for s in (1.0, -1.0)):
+        for steps in ((step, 0.0), (0.0, step)):
+            trial = shapes.moved(np.tile(steps, (len(best), 1)))
+            score = search.scores(trial.delta, trial.smooth, trial.speed[None])[joints, 0, which]
             better = score < best
             best = np.where(better, score, best)
             shapes = replace(
                 shapes,
-                delta=np.where(better, delta, shapes.delta),
-                smooth=np.where(better, smooth, shapes.smooth),
-                speed=np.where(better, speed, shapes.speed),
+                delta=np.where(better, trial.delta, shapes.delta),
+                smooth=np.where(better, trial.smooth, shapes.smooth),
+                speed=np.where(better, trial.speed, shapes.speed),
             )
     return shapes
