@@ -32,8 +32,10 @@ class ShortArm:
         beside[0, 3] = 0.3
         self.robot = robots.from_links("short", [np.eye(4), turned, beside])
 
-    def log(self, seed: int, n: int, *, rho: float = 0.0, slow: bool = False, bad: float = 0.0) -> Table:
-        """A log of n samples with AR(1) noise of the torque, and a share of outliers of ten deviations."""
+    def log(
+        self, seed: int, n: int, *, rho: float = 0.0, slow: bool = False, bad: float = 0.0, stretch: int = 1
+    ) -> Table:
+        """A log of n samples with AR(1) noise of the torque; a share of stretches is ten deviations off."""
         t, draw = np.arange(n) / RATE, np.random.default_rng(99)
         f = np.array([0.11, 0.23, 0.37, 0.61, 0.83]) * (0.3 if slow else 1.0)
         a, phase = draw.uniform(0.015, 0.05, (2, 5, 1)) / f[:, None], draw.uniform(0, 6, (2, 5, 1))
@@ -46,10 +48,9 @@ class ShortArm:
         tau = tau + np.array([1.0, 0.5]) * qd + np.array([2.0, 1.0]) * presliding(q, DELTA, np.zeros(2)) + [0.3, -0.2]
         rng = np.random.default_rng(seed)
         tau = tau + NOISE * _noise(rng, n, rho)
-        spoilt = rng.random(tau.shape) < bad
-        return Table(
-            t, {"q": q, "qd": qd, "tau": tau + np.where(spoilt, 10 * NOISE * rng.choice([-1, 1], tau.shape), 0.0)}
-        )
+        count = -(-n // stretch), 2
+        spoilt = np.where(rng.random(count) < bad, 10 * NOISE * rng.choice([-1, 1], count), 0.0)
+        return Table(t, {"q": q, "qd": qd, "tau": tau + np.repeat(spoilt, stretch, axis=0)[:n]})
 
     def experiment(self, rho: float = 0.0, slow: bool = False) -> Callable[[int, int], Experiment]:
         """Return what `check_estimator` draws from: logs and the true base parameters."""

@@ -71,7 +71,7 @@ def test_a_motor_that_moves_two_joints_brings_shared_columns(truth, excited) -> 
     base = base_parameters(robot)
     design = Design.build(data, robot, base)
     assert design.layout.names[-3:] == tuple(f"{term} of motor axis_6" for term in ("rotor", "viscous", "coulomb"))
-    np.testing.assert_array_equal(design.motors, [[0, 0, 0, 0, 0, 1, 1]])
+    np.testing.assert_array_equal(design.made.motors, [[0, 0, 0, 0, 0, 1, 1]])
     theta = np.zeros(len(design.layout.names))
     theta[-3:] = 0.02, 0.3, 0.5
     speed = data.qd[:, 5] + data.qd[:, 6]
@@ -116,3 +116,11 @@ def test_slopes_are_the_derivatives_of_the_torque_over_the_logarithms(short_arm)
     assert sloped.drives(moved)[0].stribeck_speed[1] == pytest.approx(0.1 * np.exp(1e-3))
     only = design.with_slopes(theta, np.array([[True, False], [False, False]]))
     assert only.layout.slopes.sum() == 1
+
+
+def test_another_torque_takes_the_place_of_the_first(short_arm) -> None:
+    robot = short_arm.robot
+    design = Design.build(prepare(short_arm.log(0, 2000), robot), robot, base_parameters(robot))
+    twice = design.with_torque(2.0 * design.data.tau)
+    np.testing.assert_allclose(twice.tau, 2.0 * design.tau, rtol=1e-12, atol=1e-12)
+    np.testing.assert_array_equal(twice.data.tau, 2.0 * design.data.tau)

@@ -129,11 +129,6 @@ class Design:
         return self.made.joints
 
     @property
-    def motors(self) -> np.ndarray:
-        """Angles theta = c q of motors that move several joints (K, n)."""
-        return self.made.motors
-
-    @property
     def rows(self) -> np.ndarray:
         """Rows of the record that are kept (M,)."""
         return self.thinning.rows
@@ -152,7 +147,7 @@ class Design:
     @property
     def layout(self) -> Layout:
         """Names, units, bounds and places of all parameters."""
-        return Layout(self.robot, self.base, self.joints, self.motors, self.owners, tuple(self.terms))
+        return Layout(self.robot, self.base, self.joints, self.made.motors, self.owners, tuple(self.terms))
 
     def with_shapes(self, shapes: Shapes) -> Design:
         """Return it with the columns of other shapes of friction."""
@@ -161,10 +156,15 @@ class Design:
         for i, joint in enumerate(self.joints):
             own = [self.fixed[:, i, :1], shaped[:, i, :2], self.fixed[:, i, 1:2], shaped[:, i, [3, 2]]]
             own = np.concatenate([*own, self.fixed[:, i, 2:]], axis=1)
-            moved = np.flatnonzero(self.motors[:, joint])
-            theirs = self.motors[moved, joint][:, None] * self.coupled_motors[:, moved]
+            moved = np.flatnonzero(self.made.motors[:, joint])
+            theirs = self.made.motors[moved, joint][:, None] * self.coupled_motors[:, moved]
             local.append(np.hstack([own @ mixing(shapes.terms[i], own.shape[1]), theirs.reshape(len(own), -1)]))
         return replace(self, shapes=shapes, free=np.zeros_like(self.free), local=tuple(local))
+
+    def with_torque(self, tau: np.ndarray) -> Design:
+        """Return it with another torque (N, n) of the record."""
+        thin = self.thinning.run(lambda a, b: tau[a:b, self.joints], len(self.joints))
+        return replace(self, made=replace(self.made, data=replace(self.data, tau=tau)), tau=thin)
 
     def with_slopes(self, theta: np.ndarray, free: np.ndarray | None = None) -> Design:
         """Return it with the derivatives of the torque over the logarithms of the numbers that make the shapes.
@@ -249,11 +249,11 @@ class Design:
 
     def coupled(self, theta: np.ndarray) -> CoupledMotors | None:
         """Return the motors that move several joints, of parameters theta (p,); None where there are none."""
-        K = len(self.motors)
+        K = len(self.made.motors)
         if not K:
             return None
         inertia, viscous, coulomb = theta[-3 * K :].reshape(K, 3).T
-        return CoupledMotors(self.motors, inertia, viscous, coulomb, np.full(K, SMOOTH))
+        return CoupledMotors(self.made.motors, inertia, viscous, coulomb, np.full(K, SMOOTH))
 
     @property
     def _width(self) -> int:
@@ -267,7 +267,7 @@ class Design:
         theta : (p,) parameters, of which the base parameters are held.
         trust : (M, J) weights of the rows; 0 leaves one out.
         """
-        target, free = self.tau.copy(), np.zeros((*self.tau.shape, 3 * len(self.motors)))
+        target, free = self.tau.copy(), np.zeros((*self.tau.shape, 3 * len(self.made.motors)))
         for i, (A, L, c) in enumerate(zip(self.rigid, self.local, self.layout.columns)):
             target[:, i] -= A @ theta[c[: A.shape[1]]]
             coupled = L[:, len(self.terms[i]) :]

@@ -26,6 +26,7 @@ from armlab.identify.design import Design
 from armlab.identify.extrapolation import training
 from armlab.identify.preparation import Prepared, prepare
 from armlab.identify.settling import ROBUST, linearised, settle, short_blocks
+from armlab.identify.spikes import spikes, without_spikes
 from armlab.identify.validation import assess, report
 from armlab.log import Table
 from armlab.models import FrictionBound, Quality, TorqueModel, velocity_covariance
@@ -34,8 +35,6 @@ from armlab.robots import Robot
 __all__ = ["Job", "fit_dynamics", "fit_model"]
 
 CUTOFF = 10.0  # Hz, corner of the estimator's causal filter
-SPIKE, WINDOW = 6.0, 9  # robust deviations from the median of so many samples
-NORMAL_MAD = 0.6744897501960817  # median of |x| for x ~ N(0, 1)
 UNKNOWN = 1e3  # deviation of what a prior does not know
 METHODS = ("irls", "lts", "wls", "ols")
 
@@ -144,12 +143,8 @@ def fit_model(
     job.tell(0, 5, "checking the log")
     data = prepare(table, robot, job.joints)
     check(data)
-    if job.method in ROBUST:
-        data = replace(data, tau=_without_spikes(data))
-    job.tell(1, 5, "building the regressor")
-    design = Design.build(data, robot, base, joints=job.joints)
-    job.tell(2, 5, "choosing the shape of friction")
-    design, theta = settle(design, job.method, job.seed)
+    design, theta = _settled(data, robot, base, job)
+    data = design.data
     job.tell(3, 5, "covariance from blocks")
     block, length = _blocks(design, theta, job.method)
     design = linearised(design, theta, job.method)
@@ -176,21 +171,22 @@ def fit_model(
     )
 
 
-def _without_spikes(data: Prepared) -> np.ndarray:
-    """Return the torque (N, n) with single samples far from their neighbours replaced by the median of these.
+def _settled(data: Prepared, robot: Robot, base: BaseParameters, job: Job) -> tuple[Design, np.ndarray]:
+    """Return the design with its shape of friction and parameters (p,).
 
-    A filter would spread a spike over its neighbours, where no loss function finds it again.
+    Spikes are replaced twice: the second time by what the first fit makes of them.
     """
-    from scipy.ndimage import median_filter
-
-    tau = np.empty_like(data.tau)
-    for a, b in data.segments:
-        x = data.tau[a:b]
-        middle = median_filter(x, size=(WINDOW, 1), mode="nearest")
-        away = np.abs(x - middle)
-        scale = np.median(away, axis=0) / NORMAL_MAD
-        tau[a:b] = np.where((away > SPIKE * scale) & (scale > 0), middle, x)
-    return tau
+    found = spikes(data) if job.method in ROBUST else np.zeros(data.tau.shape, dtype=bool)
+    first = without_spikes(data, found) if found.any() else data.tau
+    job.tell(1, 5, "building the regressor")
+    design = Design.build(replace(data, tau=first), robot, base, joints=job.joints)
+    job.tell(2, 5, "choosing the shape of friction")
+    design, theta = settle(design, job.method, job.seed)
+    if found.any():
+        model = _model(design, theta, np.zeros((len(theta), len(theta))))
+        design = design.with_torque(without_spikes(data, found, model))
+        design, theta = settle(design, job.method, job.seed)
+    return design, theta
 
 
 def _blocks(design: Design, theta: np.ndarray, method: str) -> tuple[np.ndarray, int]:
