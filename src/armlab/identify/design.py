@@ -155,10 +155,10 @@ class Design:
         local = []
         for i, joint in enumerate(self.joints):
             own = [self.fixed[:, i, :1], shaped[:, i, :2], self.fixed[:, i, 1:2], shaped[:, i, [3, 2]]]
-            own = np.concatenate([*own, self.fixed[:, i, 2:]], axis=1)
+            own = np.concatenate([*own, self.fixed[:, i, 2:]], axis=1) @ mixing(shapes.terms[i], self._width)
             moved = np.flatnonzero(self.made.motors[:, joint])
-            theirs = self.made.motors[moved, joint][:, None] * self.coupled_motors[:, moved]
-            local.append(np.hstack([own @ mixing(shapes.terms[i], own.shape[1]), theirs.reshape(len(own), -1)]))
+            theirs = (self.made.motors[m, joint] * self.coupled_motors[:, m] for m in moved)
+            local.append(np.hstack([own, *theirs]) if len(moved) else own)
         return replace(self, shapes=shapes, free=np.zeros_like(self.free), local=tuple(local))
 
     def with_torque(self, tau: np.ndarray) -> Design:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -77,7 +78,7 @@ class Thinning:
         """
         out = np.empty((len(self.rows), width))
         for piece in self.pieces():
-            out[piece.first : piece.last] = self.thin(piece, columns(piece.start, piece.stop))
+            self.thin(piece, columns(piece.start, piece.stop), out[piece.first : piece.last])
         return out
 
     def pieces(self) -> Iterator[Piece]:
@@ -93,30 +94,30 @@ class Thinning:
                 yield Piece(*inside, inside[0] - start, stop - inside[1], first + k, first + last)
             first += kept
 
-    def thin(self, piece: Piece, x: np.ndarray) -> np.ndarray:
-        """Return the kept rows (last - first, C) of one piece; ends of a segment are continued by point reflection.
+    def thin(self, piece: Piece, x: np.ndarray, out: np.ndarray) -> None:
+        """Write the kept rows of one piece; ends of a segment are continued by point reflection.
 
         Parameters
         ----------
-        piece : from `pieces`. x : (stop - start, C) its rows.
+        piece : from `pieces`. x : (stop - start, C) its rows. out : (last - first, C) where they go.
         """
         if piece.before or piece.after:
             x = np.pad(x, ((piece.before, piece.after), (0, 0)), mode="reflect", reflect_type="odd")
         if len(self.taps) == 1:
-            return x[:: self.every]
+            out[:] = x[:: self.every]
+            return
         kept = piece.last - piece.first
-        out = np.empty((kept, x.shape[1]))
-        T = self._band(min(BAND, kept))
+        T = self._band[:kept]
         for k in range(0, kept, BAND):
             m = min(BAND, kept - k)
             width = self.every * (m - 1) + len(self.taps)
-            out[k : k + m] = T[:m, :width] @ x[self.every * k : self.every * k + width]
-        return out
+            np.matmul(T[:m, :width], x[self.every * k : self.every * k + width], out=out[k : k + m])
 
-    def _band(self, count: int) -> np.ndarray:
-        """Return the matrix of `count` kept rows: the taps, moved by `every` from row to row."""
-        T = np.zeros((count, self.every * (count - 1) + len(self.taps)))
-        for k in range(count):
+    @cached_property
+    def _band(self) -> np.ndarray:
+        """The matrix of BAND kept rows: the taps, moved by `every` from row to row."""
+        T = np.zeros((BAND, self.every * (BAND - 1) + len(self.taps)))
+        for k in range(BAND):
             T[k, self.every * k : self.every * k + len(self.taps)] = self.taps
         return T
 
