@@ -105,6 +105,7 @@ def test_slopes_are_the_derivatives_of_the_torque_over_the_logarithms(short_arm)
     assert [sloped.layout.names[k].split()[0] for k in at] == ["delta", "stribeck-speed"] * 2
     x = np.zeros(len(sloped.layout.names))
     x[~sloped.layout.slopes] = theta
+    moved = x
     for k, step in zip(at, (1e-3, -1e-3, 2e-3, 1e-3)):
         moved = x.copy()
         moved[k] = step

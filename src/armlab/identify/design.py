@@ -177,12 +177,12 @@ class Design:
         slopes = self._slopes(theta)
         power = np.sum(slopes * slopes, axis=0)
         told = power > NOTHING * np.sum(self.tau * self.tau, axis=0)[:, None]
-        free = told if free is None else told & free
+        picked = told if free is None else told & free
         local = []
         for i, (L, terms) in enumerate(zip(self.local, self.terms)):
             own = len(terms)
-            local.append(np.hstack([L[:, :own], slopes[:, i, free[i]], L[:, own:]]))
-        return replace(self, free=free, local=tuple(local))
+            local.append(np.hstack([L[:, :own], slopes[:, i, picked[i]], L[:, own:]]))
+        return replace(self, free=picked, local=tuple(local))
 
     def _slopes(self, theta: np.ndarray) -> np.ndarray:
         """Return the derivatives (M, J, 2) by central differences."""
