@@ -104,6 +104,19 @@ def test_draws_respect_bounds_and_priors(problems) -> None:
     assert held.cov[3, 3] > 0.004
 
 
+def test_spread_counts_the_blocks_that_tell_a_parameter() -> None:
+    """All ten tell the first, one tells the second, half of them the third; the fourth is held by a prior."""
+    A = np.zeros((1000, 1, 4))
+    x = np.random.default_rng(0).standard_normal((1000, 3))
+    block = np.arange(1000) // 100
+    A[:, 0, :3] = x * np.stack([np.ones(1000), block == 3, block % 2 == 0], axis=1)
+    prior = Prior(np.zeros(4), np.ones(4))
+    found = sums(A, x.sum(axis=1, keepdims=True), ("a", "b", "c", "d"), 10, prior=prior)
+    np.testing.assert_allclose(found.spread()[:3], [10.0, 1.0, 5.0], rtol=0.1)
+    assert found.spread()[3] == np.inf
+    np.testing.assert_allclose(found.spread(2)[:3], [5.0, 1.0, 5.0], rtol=0.1)
+
+
 def test_a_parameter_that_only_one_block_sees_is_not_drawn_again(problems) -> None:
     A, y = problems.draw(1, 1000)
     A[100:, 0, 1] = 0.0

@@ -80,6 +80,22 @@ class BlockSums:
         solved = np.concatenate([self._solve(part) for part in parts])
         return solved.reshape(*np.shape(weights)[:-1], -1)
 
+    def spread(self, length: int = 1) -> np.ndarray:
+        """Return over how many stretches of blocks the knowledge of each parameter (p,) is spread, 1 / sum_s h_s^2.
+
+        h_s is the share of a stretch in the information on the parameter, b^T G_s b / b^T b with b its row of basis:
+        1 where one stretch tells it alone, their number where all tell the same. inf for a parameter that is held.
+
+        Parameters
+        ----------
+        length : blocks in a stretch.
+        """
+        b = self.solution.basis
+        told = np.einsum("pi,kij,pj->kp", b, self.gram, b, optimize=True)
+        told = np.add.reduceat(told, np.arange(0, len(told), length), axis=0)
+        squares = np.sum(told**2, axis=0)
+        return np.divide(told.sum(axis=0) ** 2, squares, out=np.full(len(b), np.inf), where=squares > 0.0)
+
     def _solve(self, weights: np.ndarray) -> np.ndarray:
         found, r = self.solution, self.gram.shape[1]
         gram = (weights @ self.gram.reshape(len(self.rows), -1)).reshape(-1, r, r)

@@ -35,6 +35,7 @@ from armlab.robots import Robot
 __all__ = ["Job", "fit_dynamics", "fit_model"]
 
 CUTOFF = 10.0  # Hz, corner of the estimator's causal filter
+FEWEST = 8.0  # stretches that tell a number of the shape of friction
 UNKNOWN = 1e3  # deviation of what a prior does not know
 METHODS = ("irls", "lts", "wls", "ols")
 
@@ -147,9 +148,8 @@ def fit_model(
     data = design.data
     job.tell(3, 5, "covariance from blocks")
     block, length = _blocks(design, theta, job.method)
-    design = linearised(design, theta, job.method)
-    solution = job.solve(design, block[design.rows])
-    sums = BlockSums.of(solution)
+    design, sums = _summed(design, theta, job, block, length)
+    solution = sums.solution
     cov = block_bootstrap(sums, seed=job.seed, length=length).cov
     parameters, cov_in_units, formal = design.in_units(solution.x, cov, solution.cov)
     job.tell(4, 5, "held-out residuals")
@@ -187,6 +187,22 @@ def _settled(data: Prepared, robot: Robot, base: BaseParameters, job: Job) -> tu
         design = design.with_torque(without_spikes(data, found, model))
         design, theta = settle(design, job.method, job.seed)
     return design, theta
+
+
+def _summed(design: Design, theta: np.ndarray, job: Job, block: np.ndarray, length: int) -> tuple[Design, BlockSums]:
+    """Return the design with its slopes and the sums of its blocks (B,).
+
+    A number of the shape that a few reversals tell keeps its value: its deviation cannot be drawn from them.
+    """
+    sloped = linearised(design, theta, job.method)
+    sums = BlockSums.of(job.solve(sloped, block[design.rows]))
+    spread = sums.spread(length)[sloped.layout.slopes] >= FEWEST
+    if spread.all():
+        return sloped, sums
+    free = sloped.free.copy()
+    free[sloped.free] = spread
+    sloped = design.with_slopes(theta, free)
+    return sloped, BlockSums.of(job.solve(sloped, block[design.rows]))
 
 
 def _blocks(design: Design, theta: np.ndarray, method: str) -> tuple[np.ndarray, int]:
