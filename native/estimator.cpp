@@ -115,9 +115,9 @@ void WrenchEstimator::step(const double *q, const double *qd, const double *tau,
     }
     e.error[i] = begins ? raw[i] : lowpass(joint.low[0], raw[i], g, a);
     const double filtered = std::min(std::max(apart ? unsure : lowpass(joint.low[1], unsure, g, a), 0.0), 1.0);
-    if (band) {  // the bound holds what velocity does to the error near rest
+    if (band) {  // the bound holds what velocity does to the error near rest; without an acceleration nothing does
       e.variance[i] = c.at_speed;
-      e.bound[i] = p_.bound[i].torque * filtered + p_.bound[i].floor;
+      e.bound[i] = apart ? largest_torque : p_.bound[i].torque * filtered + p_.bound[i].floor;
       continue;
     }
     e.variance[i] = c.at(qd[i]) + static_[i] * static_[i] * filtered;

@@ -28,7 +28,9 @@ Momentum methods need no acceleration: ``p = M qd``, ``dp/dt = u + J^T F``, ``u 
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Callable
+from itertools import pairwise
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -46,6 +48,7 @@ Method = Literal["map", "bounded", "clip", "interval", "ls", "lund", "observer",
 STATIC = ("map", "bounded", "clip", "interval", "ls", "lund")  # the kernel knows them by number
 METHODS = (*STATIC, "observer", "kf")
 GAIN = 30.0  # 1/s, of the observer
+PARTS = 100  # of a log whose progress is told
 
 
 class Estimator:
@@ -184,7 +187,7 @@ class Estimator:
             )
         self._tared_at = self._t
 
-    def run(self, table: Table) -> Table:
+    def run(self, table: Table, *, progress: Callable[[int, int, str], None] | None = None) -> Table:
         """Return the table with the estimate of every row.
 
         Columns: wrench_hat, wrench_hat_cov, observability, tau_error, tau_variance, wrench_flags, wrench_active, and
@@ -193,6 +196,7 @@ class Estimator:
         Parameters
         ----------
         table : log with columns q, qd, tau (N, n).
+        progress : called with (done, total, what), in rows.
 
         Raises
         ------
@@ -204,12 +208,10 @@ class Estimator:
                 f"Expected q of shape ({len(table)}, {self._n}), got {q.shape}. "
                 "Give the log of the robot that the model belongs to."
             )
-        self.reset()
-        found = self._kernel.run(q, qd, tau, np.ascontiguousarray(table.dt))
+        found = self._run(q, qd, tau, np.ascontiguousarray(table.dt), progress)
         missed = (found[5] & INVALID) > 0
         if missed.any():  # the row after takes its time from the last that counted, as in `step`
-            self.reset()
-            found = self._kernel.run(q, qd, tau, _bridged(table, missed))
+            found = self._run(q, qd, tau, _bridged(table, missed), progress)
         F, cov, observability, error, variance, flags, active, interval = found
         table = (
             table.with_column("wrench_hat", F)
@@ -221,6 +223,26 @@ class Estimator:
             .with_column("wrench_active", active.astype(np.int64), unit="1", kind="count")
         )
         return table if interval is None else table.with_column("wrench_interval", interval)
+
+    def _run(
+        self,
+        q: np.ndarray,
+        qd: np.ndarray,
+        tau: np.ndarray,
+        dt: np.ndarray,
+        tell: Callable[[int, int, str], None] | None,
+    ) -> tuple[Any, ...]:
+        """Return what the kernel makes of all rows; in parts, from one to the next as it is, when progress is told."""
+        self.reset()
+        rows = len(dt)
+        if tell is None or rows < PARTS:
+            return self._kernel.run(q, qd, tau, dt)
+        parts = []
+        for a, b in pairwise(np.linspace(0, rows, PARTS + 1).astype(int)):
+            tell(int(a), rows, f"{self._method} of {rows} rows")
+            parts.append(self._kernel.run(q[a:b], qd[a:b], tau[a:b], dt[a:b]))
+        tell(rows, rows, "done")
+        return tuple(None if values[0] is None else np.concatenate(values) for values in zip(*parts))
 
     def _forget_clock(self) -> None:
         self._t, self._missed, self._tared_at = float("nan"), False, None

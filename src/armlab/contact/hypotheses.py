@@ -84,14 +84,16 @@ class Hypotheses:
         best = np.argsort(-evidence)
         odds = np.exp(evidence - evidence[best[0]])
         shares = odds / odds.sum()
-        said = ", ".join(f"{self.names[i]} {100 * shares[i]:.0f} %" for i in best[:3] if shares[i] >= 0.005)
+        said = [f"{self.names[i]} {100 * shares[i]:.0f} %" for i in best[:3] if shares[i] >= 0.005]
         sure = evidence[best[0]] - evidence[best[1]] > DECISIVE
         name = self.names[best[0]] if sure else UNDECIDED
         place = f", {1e3 * np.median(self.place[inside]):.0f} mm along" if name == "segment" else ""
         doubt = (
             "; maybe on a link" if self.link[inside].any() and not name.startswith("link") and name != "none" else ""
         )
-        return f"{name} ({said}{place}{doubt})"
+        first, *others = said if sure else (f"{UNDECIDED}: {', '.join(said)}",)
+        beside = f" ({', '.join(others)})" if others else ""
+        return f"{first}{place}{beside}{doubt}"
 
     def text(self) -> str:
         """Return one line per stretch of time with one decision, but for those without contact."""

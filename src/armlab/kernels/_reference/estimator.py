@@ -16,7 +16,8 @@ w = exp(-(qd / speed)^2), the Coulomb and Stribeck terms of the model count by 1
 floor`` with max(w, p) low-passed, and C_tau = diag(Cinf).
 
 A step longer than GAP_STEPS first steps is a gap: nothing is known of what friction did in it, so all but the warmth
-begins anew, as at the first sample; the low-pass once more at the next, which has an acceleration.
+begins anew, as at the first sample; the low-pass once more at the next, which has an acceleration. Without one, methods
+with a bound say nothing: the torque of the inertia would count as contact.
 
 With a contact at a known point, F = S f for a force f, S = [1; hat(r)], and the solver works on A = S^T J.
 """
@@ -171,7 +172,8 @@ class WrenchEstimator:
         self._fresh = apart and not first
         torque, unsure = filtered[:n], np.clip(filtered[n:], 0.0, UNKNOWN)
         if self._band:
-            return self._solve(q, torque, self._covariance[1], self._bound[0] * unsure + self._bound[2])
+            bound = np.full(n, LARGEST) if apart else self._bound[0] * unsure + self._bound[2]
+            return self._solve(q, torque, self._covariance[1], bound)
         return self._solve(q, torque, speed_variance(self._covariance, qd) + self._static**2 * unsure, np.zeros(n))
 
     def run(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, dt: np.ndarray) -> tuple[Any, ...]:
