@@ -131,3 +131,25 @@ def test_prior_and_point_reach_the_estimator(pushed: str, capsys) -> None:
     assert "method='kf' only" in capsys.readouterr().err
     assert main([*words, "--method", "kf", "--bias", "--force-rate", "smooth"]) == 0
     assert Prior(prior_force=5.0).deviations == [5.0] * 3 + [2.0] * 3
+
+
+def test_limits_of_the_method_interval_are_printed(pushed: str, capsys) -> None:
+    words = ["estimate", "yumi_left", "push.mcap", "--model", pushed, "--method", "interval"]
+    assert main(words) == 0
+    said = capsys.readouterr().out
+    assert "limit from  limit to  share beyond zero" in said
+    if "contact " in said:
+        assert "limits [N]" in said
+
+
+def test_gaps_are_named(pushed: str, truth, monkeypatch, capsys) -> None:
+    table = truth.log(identify.dither(truth.robot.q_home, 4.0), seed=5)
+    torn = table.rows((table.t < 2.0) | (table.t >= 2.5))
+    monkeypatch.setattr("armlab.log.read", lambda path: torn)
+    words = ["estimate", "yumi_left", "push.mcap", "--model", pushed]
+    assert main(words) == 0
+    assert "Gap in the log: 0.504 s after 2.00 s" in capsys.readouterr().out
+    assert main([*words, "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["gaps"] == [{"after": pytest.approx(1.996), "seconds": pytest.approx(0.504)}]
+    assert data["left_out"] == 0

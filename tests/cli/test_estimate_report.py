@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from armlab import identify
-from armlab.cli.estimate_report import axes, columns, judge, places, rows, write
-from armlab.contact import INFEASIBLE, INVALID, SINGULAR, STUCK, Estimator, contacts, hypotheses
+from armlab.cli.estimate_report import judge, write
+from armlab.contact import INFEASIBLE, INVALID, SINGULAR, STUCK, Estimator, contacts
 from armlab.log import Table
 from armlab.models import TorqueModel
 
@@ -79,15 +79,6 @@ def test_a_force_beyond_the_prior_and_a_truth_that_is_missed_are_bad(table: Tabl
     assert not any("against" in said for said in judge(silent, model, PRIOR, []).good)
 
 
-def test_the_table_per_axis(table: Table) -> None:
-    found = axes(table)
-    assert [axis["axis"] for axis in found] == ["f_x", "f_y", "f_z", "m_x", "m_y", "m_z"]
-    assert found[0]["max"] == table["wrench_hat"][:, 0].max()
-    head, first, *_ = rows(table)
-    assert head[4] == "2-sigma"
-    assert first[2] == f"{found[0]['max']:.2f}"
-
-
 def test_the_page_has_coverage_where_there_is_a_truth(table: Table, model: TorqueModel, monkeypatch, tmp_path) -> None:
     monkeypatch.setattr("armlab.plots.png", lambda drawn: plt.close("all") or b"drawn")
     heard: list[str] = []
@@ -108,25 +99,24 @@ def test_the_page_has_coverage_where_there_is_a_truth(table: Table, model: Torqu
     assert f"{found[0].start:.2f}" in page
 
 
-def test_the_place_of_a_contact_is_in_words_and_in_columns(table: Table, truth) -> None:
-    believed = hypotheses(table, truth.robot)
-    (found,) = contacts(table)
-    assert places([found], believed) == [(found, believed.during(found.start, found.end))]
-    assert places([found], None) == [(found, "")]
-    written = columns(table, believed)
-    names = [f"p_{name.replace(' ', '_')}" for name in believed.names]
-    assert [name for name in written.names if name.startswith("p_")] == names
-    shares = np.stack([written[name] for name in names], axis=1)
-    assert shares.sum(axis=1) == pytest.approx(1.0)
-    for t in (0.0, 1.9, 2.6, 4.0):
-        row = int(np.argmin(np.abs(table.t - t)))
-        assert np.array_equal(shares[row], believed.posterior[np.argmin(np.abs(believed.t - table.t[row]))])
-    assert "p_none" not in columns(table, None)
-
-
 def test_the_verdict_leads_to_the_limits_that_are_there(table: Table, model: TorqueModel) -> None:
     stuck = table.with_column("wrench_flags", np.full(len(table), STUCK), unit="1", kind="count")
     assert any("--method interval" in said for said in judge(stuck, model, PRIOR, []).ahead)
     limits = stuck.with_column("wrench_interval", np.zeros((len(table), 6, 2)))
     assert any("wrench_interval" in said for said in judge(limits, model, PRIOR, []).ahead)
     assert judge(table, model, PRIOR, [], ["Expected qd, got q."]).bad[0] == "Expected qd, got q."
+
+
+def test_gaps_and_rows_that_were_left_out_are_named(table: Table, model: TorqueModel) -> None:
+    assert not any("Gap" in said or "are not finite" in said for said in judge(table, model, PRIOR, []).bad)
+    rows = np.arange(len(table))
+    flags = np.where((rows >= 250) & (rows < 275), INVALID, 0)
+    torn = table.with_column("wrench_flags", flags, unit="1", kind="count").rows((rows < 500) | (rows >= 700))
+    bad = judge(torn, model, PRIOR, []).bad
+    assert any("25 of 800 rows (3.1 %), between 1.00 and 1.10 s, are not finite" in said for said in bad)
+    assert any(said.startswith("Gap in the log: 0.804 s after 2.00 s; 0.804 s in all.") for said in bad)
+    for first in (100, 300, 800, 900):
+        torn = torn.rows((torn.t < first / 250) | (torn.t >= (first + 10) / 250))
+    (said,) = [said for said in judge(torn, model, PRIOR, []).bad if "gaps in the log" in said]
+    assert said.startswith("5 gaps in the log: ")
+    assert "2 shorter ones" in said

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from armlab import identify, log, robots
-from armlab.cli.reading import doubts, read_log
+from armlab.cli.reading import doubts, gaps, left_out, read_log
 from armlab.errors import LogError, ModelMismatchError
 
 
@@ -40,3 +40,15 @@ def test_gaps_missing_rows_and_rest_are_no_reason_to_doubt(truth) -> None:
     still = truth.log(identify.dither(truth.robot.q_home, 2.0, amplitude=1e-6), seed=5)
     assert doubts(still, truth.robot) == ()
     assert doubts(table.rows(slice(0, 0)), truth.robot) == ()
+
+
+def test_gaps_and_rows_without_an_estimate_are_counted(truth) -> None:
+    table = truth.log(identify.dither(truth.robot.q_home, 2.0), seed=5)
+    assert gaps(table) == []
+    assert gaps(table.rows(slice(0, 1))) == []
+    torn = table.rows((table.t < 0.5) | ((table.t >= 0.6) & (np.arange(len(table)) != 300)))
+    (first, second) = gaps(torn)
+    assert first == pytest.approx((0.496, 0.104))
+    assert second == pytest.approx((1.196, 0.008))
+    flags = np.where(np.arange(len(table)) < 7, 1 + 4, 4)
+    assert left_out(table.with_column("wrench_flags", flags, unit="1", kind="count")) == 7

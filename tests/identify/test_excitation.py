@@ -130,3 +130,13 @@ def test_a_search_makes_the_motion_tell_more() -> None:
     assert np.all(np.abs(qdd) <= 15.01)
     again = excitation(robot, seconds=30, rounds=150)
     np.testing.assert_array_equal(again.sample(np.array(7.0))[0], searched.sample(np.array(7.0))[0])
+
+
+def test_progress_is_told_and_changes_nothing() -> None:
+    robot, heard = robots.load("irb120"), []
+    told = excitation(robot, seconds=10, rounds=5, progress=lambda *words: heard.append(words))
+    quiet = excitation(robot, seconds=10, rounds=5)
+    assert np.array_equal(told.sample(np.array(3.0))[0], quiet.sample(np.array(3.0))[0])
+    assert heard[0] == (0, 65, "choosing among candidates")
+    assert heard[-2:] == [(64, 65, "searching around the best"), (65, 65, "done")]
+    assert [done for done, *_ in heard] == list(range(66))

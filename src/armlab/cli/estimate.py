@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import numpy as np
 from cyclopts import Parameter
 
 if TYPE_CHECKING:
@@ -62,9 +61,10 @@ def estimate(
 ) -> int:
     """Estimate the contact force in a log with a model.
 
-    Prints, per axis, the range of the estimate, its mean 2-sigma band and how well the arm could see that axis, then
-    each interval of contact with its mean force and where it may be, then what can be relied on and what cannot. The
-    force is that of the environment on the robot, in base axes, at the tool point.
+    Prints, per axis, the range of the estimate, its mean 2-sigma band and how well the arm could see that axis (with
+    --method interval also the limits), then each interval of contact with its mean force and where it may be, then
+    what can be relied on and what cannot, with gaps and rows that were left out. The force is that of the environment
+    on the robot, in base axes, at the tool point.
 
     Parameters
     ----------
@@ -97,6 +97,7 @@ def estimate(
     from armlab import log as logs
     from armlab import models, robots
     from armlab.cli import estimate_report as reporting
+    from armlab.cli import estimate_tables as tables
     from armlab.cli.output import FIGURES, check_output, note, progress
     from armlab.cli.reading import doubts, read_log
     from armlab.contact import Estimator, contacts
@@ -110,18 +111,18 @@ def estimate(
     estimator = Estimator(known, arm, method, prior.deviations, prior.point, **options)
     with progress("estimate") as tell:
         tell(0, 1, "reading the log")
-        read = read_log(log, arm)
-        tell(0, 1, f"{method} of {len(read)} rows")
-        table = estimator.run(read)
+        table = estimator.run(read_log(log, arm), progress=tell)
+        _check(table, log)
+        found = contacts(table)
+        tell(0, 2, "where the contact may be")
+        believed = _believed(table, arm, method, prior) if found else None
+        tell(1, 2, "what can be relied on")
+        verdict = reporting.judge(table, known, estimator.prior, found, doubts(table, arm))
         tell(1, 1, "done")
-    _check(table, log)
-    found = contacts(table)
-    verdict = reporting.judge(table, known, estimator.prior, found, doubts(table, arm))
-    believed = _believed(table, arm, method, prior) if found else None
-    _say(table, method, reporting.places(found, believed), verdict, json)
+    _say(table, method, tables.places(found, believed), verdict, json)
     if output is not None:
         note(f"writing {output}")
-        logs.write(reporting.columns(table, believed), output, arm)
+        logs.write(tables.columns(table, believed), output, arm)
     if figure is not None:
         from armlab import plots
 
@@ -146,29 +147,35 @@ def _believed(table: Table, arm: Robot, method: str, prior: Prior) -> Hypotheses
 
 def _say(table: Table, method: str, found: list[tuple[Contact, str]], verdict: Verdict, json: bool) -> None:
     """Print the table per axis, the contacts with their places and the verdict, or all of it as JSON."""
-    from armlab.cli.estimate_report import axes, rows
+    from armlab.cli.estimate_tables import axes, limits, rows
     from armlab.cli.output import aligned, print_json, result
+    from armlab.cli.reading import gaps, left_out
 
     if json:
         contacts = [{**vars(contact), "where": place} for contact, place in found]
-        said = {"rows": len(table), "method": method, "contacts": contacts, "axes": axes(table)}
+        missing = [{"after": after, "seconds": seconds} for after, seconds in gaps(table)]
+        said = {"rows": len(table), "left_out": left_out(table), "gaps": missing, "method": method}
+        said |= {"contacts": contacts, "axes": axes(table)}
         print_json({**said, "verdict": vars(verdict)})
         return
-    result(aligned(rows(table), right=(1, 2, 3, 4, 5)))
+    head, *lines = rows(table)
+    result(aligned([head, *lines], right=range(1, len(head))))
     for contact, place in found:
         f = "  ".join(f"{value:+.2f}" for value in contact.force)
         span = f"{contact.start:7.2f} to {contact.end:7.2f} s"
         result(f"contact {span}   force [N]  {f}   2-sigma {contact.band:.2f}   {place}".rstrip())
+        if within := limits(table, contact):
+            result(f"        {' ' * len(span)}   limits [N]  {'   '.join(f'{a:+.2f} .. {b:+.2f}' for a, b in within)}")
     result(verdict.text())
 
 
 def _check(table: Table, log: Path) -> None:
     """Refuse a log without a row that could be estimated; say how many could not."""
     from armlab.cli.output import note
-    from armlab.contact import INVALID
+    from armlab.cli.reading import left_out
     from armlab.errors import LogError
 
-    invalid = int(np.count_nonzero(table["wrench_flags"] & INVALID))
+    invalid = left_out(table)
     if invalid == len(table):
         raise LogError(
             f"Expected rows with finite q, qd, tau in {log}, got none among {len(table)}. "

@@ -8,85 +8,24 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from armlab.cli.estimate_tables import AXES, contact_rows, rows
 from armlab.cli.page import Page, Verdict
+from armlab.cli.reading import gaps, left_out
 
 if TYPE_CHECKING:
     from armlab.contact import Contact, Hypotheses
     from armlab.log import Table
     from armlab.models import TorqueModel
 
-__all__ = ["axes", "columns", "judge", "places", "rows", "write"]
+__all__ = ["judge", "write"]
 
-COLUMNS = ("wrench_hat", "wrench_hat_cov", "observability", "wrench_flags", "wrench_active", "wrench_interval")
-AXES = ("f_x", "f_y", "f_z", "m_x", "m_y", "m_z")
 SEEN, WEAK = 0.9, 0.5  # observability
 SLOW = 0.01  # rad/s: an arm below it in all joints rests
 OFTEN = 0.05  # share of the rows that is worth a sentence
 HONEST = 0.90  # share inside 2 sigma
+NAMED = 3  # gaps, the longest, that are named
 
 Tell = Callable[[float, float, str], None]
-
-
-def axes(table: Table) -> list[dict[str, float | str]]:
-    """Return range, RMS, mean 2-sigma and observability of each axis of the wrench.
-
-    Parameters
-    ----------
-    table : of `contact.Estimator.run`.
-    """
-    F, observability = table["wrench_hat"], table["observability"]
-    sigma = np.sqrt(np.einsum("kii->ki", table["wrench_hat_cov"]))
-    return [
-        {
-            "axis": AXES[i],
-            "min": float(np.nanmin(F[:, i])),
-            "max": float(np.nanmax(F[:, i])),
-            "rms": float(np.sqrt(np.nanmean(F[:, i] ** 2))),
-            "two_sigma": float(2 * np.nanmean(sigma[:, i])),
-            "observability": float(np.nanmean(observability[:, i])),
-        }
-        for i in range(6)
-    ]
-
-
-def rows(table: Table) -> list[tuple[str, ...]]:
-    """Return the table per axis as words, its head first.
-
-    Parameters
-    ----------
-    table : of `contact.Estimator.run`.
-    """
-    keys = ("min", "max", "rms", "two_sigma", "observability")
-    head = ("axis", "min", "max", "rms", "2-sigma", "observability")
-    return [head, *((str(axis["axis"]), *(f"{axis[key]:.2f}" for key in keys)) for axis in axes(table))]
-
-
-def columns(table: Table, believed: Hypotheses | None) -> Table:
-    """Return what is written of an estimate: its columns, and the probability of each place of the contact.
-
-    Those are columns p_none, p_point, p_link_1 and so on, of the window nearest to the row.
-
-    Parameters
-    ----------
-    table : of `contact.Estimator.run`. believed : of `contact.hypotheses`, or None.
-    """
-    written = table.select(*(name for name in COLUMNS if name in table))
-    if believed is not None:
-        middles = 0.5 * (believed.t[1:] + believed.t[:-1])
-        nearest = np.searchsorted(middles, table.t)
-        for k, name in enumerate(believed.names):
-            written = written.with_column(f"p_{name.replace(' ', '_')}", believed.posterior[nearest, k], unit="1")
-    return written
-
-
-def places(contacts: Sequence[Contact], believed: Hypotheses | None) -> list[tuple[Contact, str]]:
-    """Return each contact with what is believed of its place, in words.
-
-    Parameters
-    ----------
-    contacts : found. believed : of `contact.hypotheses`; without it the words are empty.
-    """
-    return [(c, "" if believed is None else believed.during(c.start, c.end)) for c in contacts]
 
 
 def judge(
@@ -111,7 +50,7 @@ def judge(
         )
     else:
         good.append("No contact: the force band never excludes zero for 0.2 s.")
-    for part in (_seen(table), _flags(table), _reach(table, model, prior), _truth(table)):
+    for part in (_seen(table), _whole(table), _flags(table), _reach(table, model, prior), _truth(table)):
         good += part.good
         bad += part.bad
         ahead += part.ahead
@@ -140,14 +79,35 @@ def _seen(table: Table) -> Verdict:
     return Verdict(tuple(good), tuple(bad), tuple(ahead))
 
 
+def _whole(table: Table) -> Verdict:
+    """Name rows that were left out, and gaps."""
+    from armlab.contact import INVALID
+
+    bad = []
+    if count := left_out(table):
+        t = table.t[(table["wrench_flags"] & INVALID) > 0]
+        bad.append(
+            f"{count} of {len(table)} rows ({100 * count / len(table):.1f} %), between {t[0]:.2f} and {t[-1]:.2f} s, "
+            "are not finite and have no estimate."
+        )
+    if found := gaps(table):
+        longest = sorted(sorted(found, key=lambda gap: -gap[1])[:NAMED])
+        named = ", ".join(f"{seconds:.3g} s after {after:.2f} s" for after, seconds in longest)
+        more = f", {len(found) - NAMED} shorter ones" if len(found) > NAMED else ""
+        total = sum(seconds for _, seconds in found)
+        bad.append(
+            f"{'Gap' if len(found) == 1 else f'{len(found)} gaps'} in the log: {named}{more}; {total:.3g} s in all. "
+            "A contact in a gap is not seen, and after one the estimate begins anew."
+        )
+    return Verdict(bad=tuple(bad))
+
+
 def _flags(table: Table) -> Verdict:
-    from armlab.contact import INFEASIBLE, INVALID, SINGULAR, STUCK
+    from armlab.contact import INFEASIBLE, SINGULAR, STUCK
 
     flags = table["wrench_flags"]
-    share = {flag: float(np.mean((flags & flag) != 0)) for flag in (INVALID, STUCK, INFEASIBLE, SINGULAR)}
+    share = {flag: float(np.mean((flags & flag) != 0)) for flag in (STUCK, INFEASIBLE, SINGULAR)}
     bad, ahead = [], []
-    if share[INVALID]:
-        bad.append(f"{100 * share[INVALID]:.1f} % of the rows are not finite and have no estimate.")
     if share[SINGULAR]:
         bad.append(f"{100 * share[SINGULAR]:.1f} % of the rows are at singular poses and have no estimate.")
         ahead.append("Choose a method with a prior (map, bounded) for such poses.")
@@ -157,7 +117,7 @@ def _flags(table: Table) -> Verdict:
             "hidden there."
         )
         ahead.append(
-            "Read the limits there: dotted in the figure, wrench_interval in the written estimate."
+            "Read the limits there: in the tables, dotted in the figure, wrench_interval in the written estimate."
             if "wrench_interval" in table
             else "Read the limits of --method interval there."
         )
@@ -217,20 +177,15 @@ def write(
     """
     page = Page("Contact wrench", about)
     page.verdict(verdict)
-    page.section(
-        "Per axis",
-        "By the environment on the robot, base axes, at the tool point, in N and N m. Observability: 1 the torques "
-        "determine the axis, 0 only the prior speaks.",
-    )
+    words = "By the environment on the robot, base axes, at the tool point, in N and N m. Observability: 1 the torques "
+    words += "determine the axis, 0 only the prior speaks."
+    if "wrench_interval" in table:
+        words += " Limits: the middle ones of all rows, and the share of rows in which they leave out zero."
+    page.section("Per axis", words)
     page.table(rows(table))
     page.section("Contacts", "" if contacts else "None: the force band never excludes zero for 0.2 s.")
     if contacts:
-        head = ("from [s]", "to [s]", "f_x [N]", "f_y [N]", "f_z [N]", "2-sigma [N]", "where it may be")
-        found = [
-            (f"{c.start:.2f}", f"{c.end:.2f}", *(f"{f:+.2f}" for f in c.force), f"{c.band:.2f}", place or "-")
-            for c, place in places(contacts, believed)
-        ]
-        page.table([head, *found])
+        page.table(contact_rows(table, contacts, believed))
     drawings = _drawings(table, believed)
     for k, (title, caption, draw) in enumerate(drawings):
         if tell is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -109,10 +110,14 @@ def excite(
     if run is not None:
         _check_link(arm, run)
     with progress("design") as tell:
-        tell(0, 2, "choosing among candidates" if saved is None else f"reading {saved.name}")
-        trajectory = _design(arm, motion, joint) if saved is None else Trajectory.from_table(logs.read(saved))
-        tell(1, 2, "what it will tell")
+        if saved is None:
+            trajectory = _design(arm, motion, joint, tell)
+        else:
+            tell(0, 2, f"reading {saved.name}")
+            trajectory = Trajectory.from_table(logs.read(saved))
+        tell(9, 10, "what it will tell")
         expected = expectation(trajectory, arm, noise) if joint is None else None
+        tell(1, 1, "done")
     if json:
         told = {} if expected is None else _plain(expected)
         print_json({"robot": arm.name, **vars(motion), "seconds": trajectory.seconds, **told})
@@ -132,14 +137,20 @@ def excite(
     return 0
 
 
-def _design(robot: Robot, motion: Motion, joint: str | None) -> Trajectory:
+def _design(robot: Robot, motion: Motion, joint: str | None, tell: Callable[[float, float, str], None]) -> Trajectory:
     """Design a motion of all joints, or of one."""
     from armlab.identify import excitation, friction_run
 
     if joint is not None:
         return friction_run(robot, int(joint) - 1 if joint.isdecimal() else joint)
     shape = motion.seconds, motion.f0, motion.harmonics, motion.speed, motion.acceleration
-    return excitation(robot, *shape, seed=motion.seed, rounds=ROUNDS)
+    return excitation(
+        robot,
+        *shape,
+        seed=motion.seed,
+        rounds=ROUNDS,
+        progress=lambda done, total, what: tell(0.9 * done, total, what) if done < total else None,
+    )
 
 
 def _text(expected: Expectation) -> str:

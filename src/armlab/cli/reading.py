@@ -11,11 +11,12 @@ if TYPE_CHECKING:
     from armlab.log import Table
     from armlab.robots import Robot
 
-__all__ = ["doubts", "read_log"]
+__all__ = ["doubts", "gaps", "left_out", "read_log"]
 
 BAND = 5.0  # Hz, in which velocity is compared with the slope of position
 MOVED = (0.005, np.deg2rad(1.0))  # m, rad: a joint that moved less says nothing of its velocity
 SHORTEST = 100  # rows
+LOST = 1.5  # median steps: a longer one lacks rows
 
 
 def read_log(path: Path, robot: Robot) -> Table:
@@ -92,11 +93,35 @@ def doubts(table: Table, robot: Robot) -> tuple[str, ...]:
     return tuple(found)
 
 
+def gaps(table: Table) -> list[tuple[float, float]]:
+    """Return (time of the row before, length) of each gap [s]: a step longer than one and a half of the usual.
+
+    Parameters
+    ----------
+    table : any log.
+    """
+    steps = np.diff(table.t)
+    after = np.flatnonzero(steps > LOST * np.median(steps)) if len(steps) else []
+    return [(float(table.t[k]), float(steps[k])) for k in after]
+
+
+def left_out(table: Table) -> int:
+    """Return how many rows are not finite and have no estimate.
+
+    Parameters
+    ----------
+    table : of `contact.Estimator.run`.
+    """
+    from armlab.contact import INVALID
+
+    return int(np.count_nonzero(table["wrench_flags"] & INVALID))
+
+
 def _longest_stretch(table: Table) -> slice:
     """Return the rows of the longest stretch in which nothing is missing."""
     whole = np.isfinite(np.hstack([table[name] for name in ("q", "qd", "tau")])).all(axis=1)
     step = np.diff(table.t)
-    apart = step > 1.5 * np.median(step) if len(step) else np.zeros(0, dtype=bool)
+    apart = step > LOST * np.median(step) if len(step) else np.zeros(0, dtype=bool)
     cuts = np.flatnonzero(~whole)
     edges = np.unique(np.concatenate([[0, len(table)], cuts, cuts + 1, np.flatnonzero(apart) + 1]).astype(int))
     if len(edges) < 2:

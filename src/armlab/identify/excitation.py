@@ -41,6 +41,8 @@ def excitation(
     sigma: np.ndarray | None = None,
     collides: Callable[[np.ndarray], bool] | None = None,
     rounds: int = 0,
+    *,
+    progress: Callable[[int, int, str], None] | None = None,
 ) -> Trajectory:
     """Design an excitation motion.
 
@@ -62,6 +64,7 @@ def excitation(
     sigma : (n,) deviation of the torque noise [N m], that weighs the joints; all alike when left out.
     collides : tells whether a pose (n,) must be avoided; asked ten times a second along each candidate.
     rounds : of a search around the best candidate, 5 ms each; 300 make the expected deviations about a fifth smaller.
+    progress : called with (done, total, what).
 
     Returns
     -------
@@ -97,7 +100,12 @@ def excitation(
             return None
         return motion, (_varied(robot, motion), _information(robot, base, motion, f0, weights))
 
-    found = [(draw, *result) for draw in draws if (result := judged(draw)) is not None]
+    tell, total = progress or (lambda done, total, what: None), CANDIDATES + int(rounds)
+    found = []
+    for k, draw in enumerate(draws):
+        tell(k, total, "choosing among candidates")
+        if (result := judged(draw)) is not None:
+            found.append((draw, *result))
     if not found:
         raise NotConverged(
             f"Expected a motion without collision and within the torque limits of {robot.name!r}, got none among "
@@ -105,13 +113,15 @@ def excitation(
         )
     draw, best, value = max(found, key=lambda candidate: candidate[2])
     width = WIDTH
-    for _ in range(int(rounds)):
+    for k in range(int(rounds)):
+        tell(CANDIDATES + k, total, "searching around the best")
         trial = draw + width * rng.standard_normal(draw.shape)
         result = judged(trial)
         if result is not None and result[1] > value:
             draw, (best, value), width = trial, result, WIDER * width
         else:
             width *= NARROWER
+    tell(total, total, "done")
     return best
 
 
