@@ -1,7 +1,8 @@
-"""Base parameters and friction of a 7-joint arm from a million samples, beside a loop over Pinocchio's regressor.
+"""Base parameters and friction of a 7-joint arm from a million samples, beside Pinocchio's regressor and FIGAROH.
 
-FIGAROH would do the same job with Pinocchio's regressor in a Python loop; it cannot be installed from the pinned
-peers, so its inner loop stands for it.
+FIGAROH (1.0.2) makes its regressor with Pinocchio in a Python loop, finds base parameters by QR of the data, and
+solves ordinary least squares. It is not among the pinned peers, since it brings a viewer and an SDP modeller of its
+own; where it is installed it does the same job as armlab on the same samples, and where it is not the table says so.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from blocks import Contender, Table, agree, once, table
 from peers import Pinocchio
 
 from armlab import identify, robots
-from armlab.estimation import least_squares
+from armlab.estimation import Rows, least_squares
 from armlab.identify.base_parameters import base_parameters
 from armlab.identify.design import Design
 from armlab.identify.preparation import Prepared
@@ -23,6 +24,8 @@ from armlab.robots import Robot
 RATE = 250.0  # Hz
 BAR = 5.0  # s for a million samples: regressor, filter and weighted least squares
 FEW = 20_000  # samples of the loop, scaled up
+SAME = 5_000  # samples of the job that FIGAROH does too; its regressor is dense
+BLOCK = 1000  # samples of armlab's regressor at once
 
 
 def run(quick: bool) -> list[Table]:
@@ -47,7 +50,63 @@ def run(quick: bool) -> list[Table]:
         f"joint. Regressors agree to {worst:.1g}. Peak memory of the process with {samples:.0e} samples: {peak:.2f} GB "
         "(bar for 1e6: 2)."
     )
-    return [Table(found.title, text, found.unit, found.figures, found.rounds)]
+    return [
+        Table(found.title, text, found.unit, found.figures, found.rounds),
+        _beside_figaroh(robot, 1 if quick else 5),
+    ]
+
+
+def _beside_figaroh(robot: Robot, rounds: int) -> Table:
+    """Return both ways from positions to base parameters, viscous and Coulomb friction, rotors and offsets by OLS."""
+    data, base = _record(robot, SAME), base_parameters(robot)
+    qdd = data.differentiate(data.qd)
+    contenders = [
+        Contender("armlab: regressor, OLS", once(lambda: _plain(data, qdd, robot, base), 1e6 / SAME), "armlab")
+    ]
+    text = f"Scaled up from {SAME} samples to 1e6. Viscous and Coulomb friction, rotor and offset of each joint."
+    try:
+        from figaroh.tools.qrdecomposition import QRDecomposer
+        from figaroh.tools.regressor import RegressorBuilder, RegressorConfig
+    except ImportError as error:
+        found = table("Identification beside FIGAROH", "", "s", contenders, rounds)
+        return Table(found.title, f"{text} FIGAROH left out: {error}.", found.unit, found.figures, found.rounds)
+    peer = Pinocchio(robot, np.ones((robot.n, 10)))
+    config = RegressorConfig(has_friction=True, has_actuator_inertia=True, has_joint_offset=True)
+    active = {"act_idxv": list(range(robot.n))}
+
+    def theirs() -> np.ndarray:
+        W = RegressorBuilder(peer, config).build_basic_regressor(data.q, data.qd, qdd, active)
+        kept = np.flatnonzero(np.einsum("ij,ij->j", W, W) > 1e-6)
+        decomposer = QRDecomposer(relative_tolerance=1e-8)
+        W_base, _, _, phi = decomposer.double_decomposition(data.tau.T.ravel(), W[:, kept], [f"p{k}" for k in kept])
+        return (W_base @ phi).reshape(robot.n, -1).T
+
+    ours = _columns(data, qdd, robot, base, slice(None)) @ _plain(data, qdd, robot, base)
+    worst = agree("fitted torque", ours, theirs(), 1e-6)
+    contenders.append(Contender("FIGAROH: regressor, QR, OLS", once(theirs, 1e6 / SAME), bar=1.0))
+    found = table("Identification beside FIGAROH", "", "s", contenders, rounds)
+    text += f" Torques of the two fits agree to {worst:.1g} N m. FIGAROH holds the dense regressor."
+    return Table(found.title, text, found.unit, found.figures, found.rounds)
+
+
+def _plain(data: Prepared, qdd: np.ndarray, robot: Robot, base: identify.BaseParameters) -> np.ndarray:
+    """Return the parameters of ordinary least squares without filter."""
+    block = np.arange(len(data.t)) // BLOCK
+    parts = [slice(a, a + BLOCK) for a in range(0, len(data.t), BLOCK)]
+    made = ((_columns(data, qdd, robot, base, part), part) for part in parts)
+    rows = (row for A, part in made for row in Rows.of(A, data.tau[part], block[part]))
+    names = [f"p{k}" for k in range(len(base.kept) + 3 * robot.n)]
+    return least_squares(rows, names, method="ols").x
+
+
+def _columns(data: Prepared, qdd: np.ndarray, robot: Robot, base: identify.BaseParameters, rows: slice) -> np.ndarray:
+    """Return the columns (N, n, p): base parameters, then viscous and Coulomb friction and offset of each joint."""
+    q, qd, joints = data.q[rows], data.qd[rows], range(robot.n)
+    own = np.zeros((4, len(q), robot.n, robot.n))
+    for diagonal, values in zip(own, (qdd[rows], qd, np.sign(qd), np.ones_like(qd))):
+        diagonal[:, joints, joints] = values
+    rigid = robot.chain.rigid_regressor(q, qd, qdd[rows], robot.gravity)
+    return np.concatenate([np.concatenate([rigid, own[0]], axis=2)[:, :, base.kept], *own[1:]], axis=2)
 
 
 def _record(robot: Robot, samples: int) -> Prepared:

@@ -72,11 +72,12 @@ def test_it_prints_a_table_per_joint_and_a_verdict_and_saves_the_model(outcome: 
     assert sorted(entry.name for entry in outcome.folder.iterdir()) == ["fit.png", "id.html", "model.toml"]
 
 
-def test_the_page_has_a_row_per_joint_the_verdict_and_all_figures(outcome: Outcome) -> None:
+def test_the_page_has_a_row_per_joint_the_verdict_and_all_figures(outcome: Outcome, fitted: Fit[TorqueModel]) -> None:
     page = (outcome.folder / "id.html").read_text(encoding="utf-8")
     assert "Torque model of yumi_left" in page
     assert "From run.mcap, 30 s of motion, method irls." in page
-    assert page.count("<tr>") == 16
+    assert page.count("<tr>") == 16 + 1 + len(fitted.names)
+    assert f"<summary>{len(fitted.names)} parameters with standard deviations</summary>" in page
     for title in (
         "Measured and modelled torque",
         "Residual over speed",
@@ -117,6 +118,23 @@ def test_json_has_the_numbers_and_the_verdict(reading, fitted, monkeypatch, tmp_
 
 def test_the_model_is_that_of_the_fit(outcome: Outcome, fitted: Fit[TorqueModel]) -> None:
     assert np.array_equal(models.load(outcome.folder / "model.toml").base_values, fitted.value.base_values)
+
+
+def test_gravity_only_is_a_model_of_slow_motion(truth, excited: Table, monkeypatch, tmp_path, capsys) -> None:
+    motion = identification.excitation(truth.robot, seconds=40, f0=1 / 60, harmonics=3, speed=0.07, seed=3)
+    tables = {"slow.mcap": truth.log(motion, seed=0), "fast.mcap": excited}
+    monkeypatch.setattr("armlab.log.read", lambda path: tables[path.name])
+    monkeypatch.setattr("armlab.plots.png", lambda drawn: plt.close("all") or b"drawn")
+    output, report = tmp_path / "model.toml", tmp_path / "id.html"
+    words = ["identify", "yumi_left", "--gravity-only", "-o", str(output), "--report", str(report)]
+    assert main([*words, "fast.mcap"]) == 1
+    assert "Expected slow motion" in capsys.readouterr().err
+    assert main([*words, "slow.mcap"]) == 0
+    model = models.load(output)
+    assert model.quasi_static
+    assert not model.rotor.any()
+    assert "gravity and friction only" in report.read_text(encoding="utf-8")
+    assert "m c_x" in capsys.readouterr().out
 
 
 def test_nothing_is_overwritten_without_force(reading, tmp_path, capsys) -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from armlab.errors import NotExcited, ShapeError
 from armlab.identify import dither, fit_dynamics, predict, prepare
+from armlab.identify.parameter_table import parameter_text
 from armlab.identify.validation import assess, held_out, report
 
 
@@ -71,8 +72,11 @@ def test_the_band_of_a_prediction_is_wide_where_the_arm_rested(truth, model) -> 
 
 def test_report_has_one_line_per_joint_and_the_bounds_that_hold(truth, excited) -> None:
     fit = fit_dynamics(excited, truth.robot, method="wls")
-    lines = report(fit).splitlines()
+    text = report(fit)
+    parameters, rest = text.split("\n\n")
+    assert parameters == parameter_text(fit)
+    lines = rest.splitlines()
     assert len(lines) == truth.robot.n + 5
     assert all("+- 0.000 " not in line for line in lines[2:6])
-    assert fit.report().startswith(lines[0])
+    assert fit.report().startswith(parameters)
     assert fit.report().endswith(lines[-1])

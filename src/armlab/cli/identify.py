@@ -16,6 +16,7 @@ def identify(
     *logs: Path,
     output: Annotated[Path, Parameter(alias="-o")],
     method: Literal["irls", "wls", "ols", "lts"] = "irls",
+    gravity_only: bool = False,
     drives: bool = False,
     report: Path | None = None,
     test: Path | None = None,
@@ -39,6 +40,9 @@ def identify(
     method : str
         irls: outliers count less. lts: a quarter of the stretches of time, those that fit worst, is left out. wls, ols:
         every sample as it is, with or without a weight per joint.
+    gravity_only : bool
+        Gravity and friction alone, from a log of slow motion (accelerations below 1 rad/s^2), for an arm that may not
+        move fast: enough for contact forces in slow motion. Without: also inertia, which takes a log of fast motion.
     drives : bool
         Also look for lines of torque ripple, friction over position and warm-up (logs from 20 minutes), joint by joint;
         what wins on held-out stretches of time is kept.
@@ -59,7 +63,7 @@ def identify(
     from armlab.cli.output import FIGURES, check_output, note, print_json, progress, result
     from armlab.cli.reading import read_log
     from armlab.errors import ConfigError
-    from armlab.identify import fit_dynamics, fit_friction
+    from armlab.identify import fit_dynamics, fit_friction, fit_gravity
 
     arm = robots.load(robot)
     if not logs:
@@ -70,7 +74,8 @@ def identify(
     tables = [read_log(path, arm) for path in logs]
     unseen = None if test is None else read_log(test, arm)
     with progress("identify") as tell:
-        fit = fit_dynamics(tables, arm, method=method, progress=tell)
+        fit_model = fit_gravity if gravity_only else fit_dynamics
+        fit = fit_model(tables, arm, method=method, progress=tell)
         if drives:
             tell(4, 5, "ripple, friction over position, warm-up")
             fit = replace(fit, value=fit_friction(tables, fit.value).value)
@@ -89,7 +94,8 @@ def identify(
         note(f"figure: {figure}")
     if report is not None:
         seconds = fit.value.quality.seconds
-        about = f"From {', '.join(path.name for path in logs)}, {seconds:.0f} s of motion, method {method}."
+        kind = ", gravity and friction only" if gravity_only else ""
+        about = f"From {', '.join(path.name for path in logs)}, {seconds:.0f} s of motion, method {method}{kind}."
         with progress("report") as tell:
             reporting.write(report, fit, verdict, trial, tables[0], about, tell)
         note(f"report: {report}")

@@ -79,6 +79,8 @@ def write(
     log : the first that was fitted to. about : which logs, for the line below the title.
     tell : called with (done, total, what).
     """
+    from armlab.identify.parameter_table import parameter_rows
+
     page = Page(f"Torque model of {fit.value.robot_name}", about)
     page.verdict(verdict)
     page.section(
@@ -96,8 +98,11 @@ def write(
             tell(k, len(drawings), f"drawing {title.lower()}")
         page.section(title)
         page.figure(draw(), alt, caption)
+    page.section("Parameters", "What the motion can tell: of the links only these combinations act on the torques.")
+    head = ("value", "standard deviation", "unit", "parameter")
+    page.table([head, *parameter_rows(fit)], f"{len(fit.names)} parameters with standard deviations")
     page.section("As printed")
-    page.verbatim(fit.report())
+    page.verbatim(fit.report(), "Report of the fit")
     page.write(path)
 
 

@@ -26,9 +26,8 @@ h1 {{ font-size: 1.6rem; margin-bottom: .2rem; }}
 h2 {{ font-size: 1.15rem; margin: 2.2rem 0 .4rem; border-bottom: 1px solid #ddd; }}
 .about {{ color: #555; margin-top: 0; }}
 table {{ border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: 13px; }}
-table {{ display: block; overflow-x: auto; }}
-th, td {{ padding: .18rem .55rem; text-align: right; border-bottom: 1px solid #eee; white-space: nowrap; }}
-th:first-child, td:first-child {{ text-align: left; }}
+th, td {{ padding: .18rem .55rem; text-align: right; vertical-align: bottom; border-bottom: 1px solid #eee; }}
+th:first-child, td:first-child, .words {{ text-align: left; }}
 th {{ border-bottom: 1px solid #999; font-weight: 600; }}
 figure {{ margin: .8rem 0; }}
 img {{ max-width: 100%; height: auto; }}
@@ -37,7 +36,8 @@ figcaption, .note {{ color: #555; max-width: 52rem; }}
 .verdict.care {{ border-color: #E69F00; background: #fdf8ec; }}
 .verdict p {{ margin: .2rem 0; }}
 .verdict ul {{ margin: .1rem 0 .6rem; padding-left: 1.2rem; }}
-pre {{ overflow-x: auto; background: #f6f6f6; padding: .6rem; font-size: 13px; }}
+pre {{ white-space: pre-wrap; background: #f6f6f6; padding: .6rem; font-size: 11px; }}
+summary {{ cursor: pointer; color: #555; }}
 </style>
 </head>
 <body>
@@ -95,12 +95,21 @@ class Page:
         """Begin a section, with a paragraph if there are words."""
         self.pieces.append(f"<h2>{escape(title)}</h2>" + (f'<p class="note">{escape(words)}</p>' if words else ""))
 
-    def table(self, rows: Sequence[Sequence[str]]) -> None:
-        """Add a table; the first row is the head."""
+    def table(self, rows: Sequence[Sequence[str]], folded: str = "") -> None:
+        """Add a table; the first row is the head. Columns of words stand to the left, figures to the right.
+
+        Parameters
+        ----------
+        rows : of cells. folded : what a long table holds; it opens with a click on that.
+        """
         head, *body = rows
-        cells = "".join(f"<th>{escape(cell)}</th>" for cell in head)
-        lines = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in body)
-        self.pieces.append(f"<table><thead><tr>{cells}</tr></thead><tbody>{lines}</tbody></table>")
+        words = [any(row[k][:1].isalpha() and row[k] != "nan" for row in body) for k in range(len(head))]
+        head_cells = "".join(_cell("th", cell, text) for cell, text in zip(head, words, strict=True))
+        lines = "".join(
+            f"<tr>{''.join(_cell('td', cell, text) for cell, text in zip(row, words, strict=True))}</tr>"
+            for row in body
+        )
+        self._add(f"<table><thead><tr>{head_cells}</tr></thead><tbody>{lines}</tbody></table>", folded)
 
     def figure(self, png: bytes, alt: str, caption: str = "") -> None:
         """Add a picture.
@@ -113,17 +122,32 @@ class Page:
         below = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
         self.pieces.append(f'<figure><img src="data:image/png;base64,{data}" alt="{escape(alt)}">{below}</figure>')
 
-    def verbatim(self, text: str) -> None:
-        """Add text as it is printed in a terminal."""
-        self.pieces.append(f"<pre>{escape(text)}</pre>")
+    def verbatim(self, text: str, folded: str = "") -> None:
+        """Add text as it is printed in a terminal.
+
+        Parameters
+        ----------
+        text : of lines. folded : what a long one holds; it opens with a click on that.
+        """
+        self._add(f"<pre>{escape(text)}</pre>", folded)
 
     def html(self) -> str:
         """Return the whole page."""
         top = f'<h1>{escape(self.title)}</h1>\n<p class="about">{escape(self.about)}</p>'
         return "\n".join([_HEAD.format(title=escape(self.title)) + top, *self.pieces, "</body>\n</html>\n"])
 
+    def _add(self, piece: str, folded: str) -> None:
+        self.pieces.append(f"<details><summary>{escape(folded)}</summary>{piece}</details>" if folded else piece)
+
     def write(self, path: Path) -> None:
         """Write the page; an existing file is replaced in one step or not at all."""
         temporary = path.with_name(path.name + ".part")
         temporary.write_text(self.html(), encoding="utf-8")
         temporary.replace(path)
+
+
+def _cell(kind: str, text: str, words: bool) -> str:
+    """Return one cell: of words, or of a figure, which does not break where the uncertainty begins."""
+    if words:
+        return f'<{kind} class="words">{escape(text)}</{kind}>'
+    return f"<{kind}>{escape(text.replace(' ± ', ' ± '))}</{kind}>"

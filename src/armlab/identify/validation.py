@@ -11,6 +11,7 @@ from armlab.estimation import Fit, LinearSolution
 from armlab.identify.covariance import fit_velocity_covariance
 from armlab.identify.extrapolation import extrapolation
 from armlab.identify.momentum import momentum_noise
+from armlab.identify.parameter_table import parameter_text
 from armlab.identify.preparation import Prepared, pieces, with_velocity
 from armlab.log import Table
 from armlab.models import FrictionBound, TorqueModel, VelocityCovariance
@@ -173,7 +174,7 @@ def predict(model: TorqueModel, table: Table) -> Table:
 
 
 def report(fit: Fit[TorqueModel], solution: LinearSolution | None = None) -> str:
-    """Return a table per joint: torque, residuals in % of the torque's deviation, friction with deviations.
+    """Return all parameters, then per joint: torque, residuals in % of its deviation, friction with deviations.
 
     Parameters
     ----------
@@ -206,7 +207,8 @@ def report(fit: Fit[TorqueModel], solution: LinearSolution | None = None) -> str
     if solution is not None and solution.active:
         lines += [bound.text() for bound in solution.active]
         lines += [f"bounds let the residual grow by {100 * solution.growth:.2g} %"]
-    return "\n".join([*lines, f"{fit.n} samples, {q.seconds:.1f} s", fit.excitation.text()])
+    last = (f"{fit.n} samples, {q.seconds:.1f} s", fit.excitation.text())
+    return "\n".join([parameter_text(fit), "", *lines, *last])
 
 
 def _deviations(fit: Fit[TorqueModel]) -> list[dict[str, float]]:

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab.errors import ShapeError
+from armlab._numbers import numbers
+from armlab.errors import RobotError, ShapeError
 from armlab.kinematics import forward, link_transforms
-from armlab.plots import _check, space
+from armlab.plots import space
 from armlab.plots.style import GREY, JOINT_STYLES, legend, look
 from armlab.robots import Robot
 
@@ -76,8 +77,9 @@ def configurations(robot: Robot, q: ArrayLike | None) -> np.ndarray:
     ShapeError : the shape is neither (n,) nor (N, n), or a number is not finite.
     RobotError : something else came in place of a robot, such as its name.
     """
-    robot = _check.arm(robot)
-    q = robot.q_home if q is None else _check.numbers(q, "q")
+    if not isinstance(robot, Robot):
+        raise RobotError.no_robot(robot)
+    q = robot.q_home if q is None else numbers(q, "q", ShapeError)
     if q.ndim not in (1, 2) or q.shape[-1] != robot.n or not q.size:
         raise ShapeError(f"Expected q of shape ({robot.n},) or (N, {robot.n}) to draw {robot.name}, got {q.shape}.")
     q = np.atleast_2d(q)

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from armlab._numbers import numbers
 from armlab.errors import ShapeError
 from armlab.lie import se3
-from armlab.plots import _check, space
+from armlab.plots import space
 from armlab.plots.style import JOINT_STYLES, look
 
 if TYPE_CHECKING:
@@ -41,7 +42,10 @@ def scene(*items: Any, frames: float = 0.0, ax: Any = None) -> Axes3D:
     ShapeError : an item is none of these, a pose has no rotation, `frames` is no length from 0 on, or `ax` is not
         three-dimensional.
     """
-    frames = _check.length(frames, "frames")
+    size = numbers(frames, "frames", ShapeError)
+    if size.ndim or not 0.0 <= size < np.inf:
+        raise ShapeError(f"Expected frames to be one length from 0 on [m], got {frames!r}. 0 is the default.")
+    frames = float(size)
     checked = [_checked(item) for item in items]
     with look():
         _, panel = space.space(ax)
@@ -71,7 +75,7 @@ def pose_stack(T: Any, name: str = "T") -> np.ndarray:
     ------
     ShapeError : another shape, or a matrix that is no pose.
     """
-    T = _check.numbers(T, f"poses {name}")
+    T = numbers(T, f"poses {name}", ShapeError)
     if T.ndim != 3 or T.shape[1:] != (4, 4):
         raise ShapeError(f"Expected poses {name} of shape (N, 4, 4), got {T.shape}.")
     wrong = np.flatnonzero(~(se3.is_pose(T) | np.isnan(T).any(axis=(1, 2))))
@@ -87,7 +91,7 @@ def _checked(item: Any) -> dict[str, np.ndarray] | np.ndarray:
     """Return named frames, poses (N, 4, 4) or points (N, 3)."""
     if isinstance(item, Mapping):
         return {str(name): _named(T, name) for name, T in item.items()}
-    array = _check.numbers(item, "what is drawn")
+    array = numbers(item, "what is drawn", ShapeError)
     if array.ndim == 3:
         return pose_stack(array)
     if array.ndim == 2 and array.shape[1] == 3:
@@ -97,7 +101,7 @@ def _checked(item: Any) -> dict[str, np.ndarray] | np.ndarray:
 
 
 def _named(T: Any, name: Any) -> np.ndarray:
-    T = _check.numbers(T, f"the pose of {name!r}")
+    T = numbers(T, f"the pose of {name!r}", ShapeError)
     if T.shape != (4, 4):
         raise ShapeError(f"Expected the pose of {name!r} of shape (4, 4), got {T.shape}.")
     return pose_stack(T[None], repr(name))[0]

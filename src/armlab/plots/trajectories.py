@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab._numbers import numbers
 from armlab.errors import ShapeError
 from armlab.lie import quaternion
-from armlab.plots import _check
 from armlab.plots.scenes import pose_stack
 from armlab.plots.style import AXIS_COLORS, legend, line, look, panels
 
@@ -41,7 +41,7 @@ def poses(T: ArrayLike, t: ArrayLike | None = None, *, rotation: bool = True, ax
     ShapeError : T are not poses, t is not one finite time per pose, or `ax` has another number of Axes.
     """
     T = pose_stack(T)
-    times = np.arange(len(T), dtype=float) if t is None else _check.numbers(t, "t")
+    times = np.arange(len(T), dtype=float) if t is None else numbers(t, "t", ShapeError)
     if times.shape != (len(T),) or not np.isfinite(times).all():
         raise ShapeError(f"Expected one finite time per pose, {len(T)} in all, got t of shape {times.shape}.")
     drawn = [("position [m]", T[:, :3, 3])]

@@ -8,7 +8,7 @@ import numpy as np
 
 from armlab.errors import ConfigError, RobotError, ShapeError
 from armlab.kinematics import forward
-from armlab.plots import _check, space
+from armlab.plots import space
 from armlab.plots.arms import stick
 from armlab.plots.style import JOINT_STYLES, look
 from armlab.robots import Robot
@@ -45,7 +45,8 @@ def workspace(robot: Robot, *, points: int = 20_000, seed: int = 0, ax: Any = No
     ShapeError : `points` is no integer of at least 1, or `ax` are not three Axes.
     ConfigError : `seed` is no integer of at least 0.
     """
-    robot = _check.arm(robot)
+    if not isinstance(robot, Robot):
+        raise RobotError.no_robot(robot)
     p = _sample(robot, points, seed)
     reach = np.linalg.norm(p - robot.T_base_mount[:3, 3], axis=1)
     arm = stick(robot, robot.q_home)

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from armlab._numbers import members
 from armlab.errors import RobotError, UnknownName
-from armlab.robots._numbers import members
 
 if TYPE_CHECKING:
     from armlab.robots.urdf import Joint, Link, Mimic, Tree

@@ -8,8 +8,8 @@ from typing import Any, Literal, TypedDict, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab._numbers import members, numbers
 from armlab.errors import RobotError
-from armlab.robots._numbers import members, numbers
 from armlab.robots.mesh import Mesh
 from armlab.robots.robot import Robot
 

@@ -14,8 +14,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab._numbers import numbers
 from armlab.errors import RobotError, ShapeError
-from armlab.robots._numbers import numbers
 from armlab.robots.robot import Robot
 
 __all__ = [

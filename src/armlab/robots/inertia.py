@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab._numbers import numbers
 from armlab.errors import ShapeError
 from armlab.lie import se3
-from armlab.robots._numbers import numbers
 
 __all__ = ["Body", "from_body", "principal_moments", "to_body", "transform"]
 

@@ -7,9 +7,9 @@ from typing import Literal
 
 import numpy as np
 
+from armlab._numbers import frozen
 from armlab.errors import RobotError
 from armlab.lie import se3
-from armlab.robots._numbers import frozen
 
 __all__ = ["Mesh"]
 

@@ -7,10 +7,10 @@ from typing import NamedTuple, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab._numbers import numbers
 from armlab.errors import RobotError, ShapeError
 from armlab.lie import se3
 from armlab.robots._axes import frames_along
-from armlab.robots._numbers import numbers
 from armlab.robots.build import Details, from_links
 from armlab.robots.robot import POSE_TOLERANCE, Robot
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from armlab._numbers import frozen, members
 from armlab.errors import RobotError
 from armlab.robots._consistency import POSE_TOLERANCE, check_robot
-from armlab.robots._numbers import frozen, members
 from armlab.robots.mesh import Mesh
 
 if TYPE_CHECKING:

@@ -15,8 +15,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab._numbers import numbers
 from armlab.errors import RobotError, ShapeError, UnknownName
-from armlab.robots._numbers import numbers
 from armlab.robots.mesh import Mesh
 from armlab.robots.robot import Robot
 
