@@ -114,7 +114,9 @@ def contact_rows(table: Table, contacts: Sequence[Contact], believed: Hypotheses
     ----------
     table : of `contact.Estimator.run`. contacts : found in it. believed : of `contact.hypotheses`, or None.
     """
-    found = [("from [s]", "to [s]", "f_x [N]", "f_y [N]", "f_z [N]", "2-sigma [N]", "where it may be")]
+    found: list[tuple[str, ...]] = [
+        ("from [s]", "to [s]", "f_x [N]", "f_y [N]", "f_z [N]", "2-sigma [N]", "where it may be")
+    ]
     for c, place in places(contacts, believed):
         within = [f" ({low:+.2f} to {high:+.2f})" for low, high in limits(table, c)] or [""] * 3
         forces = (f"{force:+.2f}{limit}" for force, limit in zip(c.force, within, strict=True))
