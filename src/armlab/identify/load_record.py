@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from armlab.errors import ShapeError
-from armlab.identify.base_parameters import base_parameters
+from armlab.estimation import Fit
+from armlab.identify.model_error import ModelError
 from armlab.identify.preparation import MIN_SECONDS, MIN_SLIDE, MIN_TURN, Prepared
 from armlab.identify.residuals import model_residuals
 from armlab.log import Table
@@ -31,8 +32,8 @@ class LoadRecord:
     data : the record with the load. rows : (M,) rows of it that are kept.
     joints : (j,) those that move; what friction does at rest is not known, and the others are left out.
     A : (M, j, 10) filtered columns of the load, at the flange. y : (M, j) filtered residual of the model [N m].
-    against : (j, 10, p) sums of A_i^T Y_i per joint, Y the columns of the model's p base parameters: how the load takes
-        up what is wrong with them. p is 0 for a model of other base parameters than those of all joints.
+    error : what is uncertain in the model. against : (j, 10, P) sums of A_i^T C_i per joint, C the slopes of the model's
+        torque over these parameters: how the load takes up what is wrong with them.
     sources : name and SHA-256 of each log.
     """
 
@@ -41,24 +42,31 @@ class LoadRecord:
     joints: np.ndarray
     A: np.ndarray
     y: np.ndarray
+    error: ModelError
     against: np.ndarray
     sources: tuple[str, ...]
 
     @classmethod
     def of(
-        cls, table: Table | Sequence[Table], model: TorqueModel, robot: Robot, without: Table | None = None
+        cls,
+        table: Table | Sequence[Table],
+        known: TorqueModel | Fit[TorqueModel],
+        robot: Robot,
+        without: Table | None = None,
     ) -> LoadRecord:
         """Build the regression from logs.
 
         Parameters
         ----------
-        table : log or logs with the load. model : of the arm alone. robot : the arm.
+        table : log or logs with the load. known : model of the arm alone, or its fit. robot : the arm.
         without : log of the same motion without the load; its residual is subtracted.
 
         Raises
         ------
         ShapeError, NotExcited : logs that `prepare` refuses. ShapeError : two motions that are not the same.
         """
+        error = ModelError.of(known, robot)
+        model = error.model
         joints = _moving([table] if isinstance(table, Table) else table, robot)
         found = model_residuals(table, model, joints.tolist())
         data, cutoff = found.data, found.data.rate / 10.0
@@ -67,15 +75,14 @@ class LoadRecord:
         columns = data.filter(_at_flange(data, robot)[:, joints], cutoff)
         if without is None:
             A = columns[rows]
-            return cls(data, rows, joints, A, y[rows], _against(A, data, rows, joints, model, robot), sources)
+            return cls(data, rows, joints, A, y[rows], error, error.against(A, data, rows, joints), sources)
         other = model_residuals(without, model, joints.tolist())
         shift = _shift(data, other.data)
         rows = rows[(rows >= shift) & (rows - shift < len(other.data.t))]
         A, there = columns[rows], rows - shift
         y = y[rows] - other.data.filter(other.y[:, joints], cutoff)[there]
-        shared = _against(A, data, rows, joints, model, robot)
-        shared = shared - _against(A, other.data, there, joints, model, robot)
-        return cls(data, rows, joints, A, y, shared, (*sources, *other.data.sources))
+        shared = error.against(A, data, rows, joints) - error.against(A, other.data, there, joints)
+        return cls(data, rows, joints, A, y, error, shared, (*sources, *other.data.sources))
 
     def blocks(self, seconds: float) -> np.ndarray:
         """Return the block number (M,) of each row, from 0, for blocks of about `seconds`."""
@@ -99,25 +106,6 @@ def _at_flange(data: Prepared, robot: Robot) -> np.ndarray:
     parts = [slice(a, a + CHUNK) for a in range(0, len(data.t), CHUNK)]
     regressor = robot.chain.rigid_regressor
     return np.concatenate([regressor(data.q[p], data.qd[p], qdd[p], robot.gravity)[:, :, -10:] @ moved for p in parts])
-
-
-def _against(
-    A: np.ndarray, data: Prepared, rows: np.ndarray, joints: np.ndarray, model: TorqueModel, robot: Robot
-) -> np.ndarray:
-    """Return the sums (j, 10, p) of columns of the load times columns of the base parameters."""
-    n = robot.n
-    known = (base_parameters(robot), base_parameters(robot, quasi_static=True))
-    base = next((base for base in known if base.names == tuple(model.base_names)), None)
-    if base is None:
-        return np.zeros((len(joints), 10, 0))
-    qdd = data.filter(data.differentiate(data.qd), data.rate / 10.0)
-    total = np.zeros((len(joints), 10, len(base.names)))
-    for a in range(0, len(rows), CHUNK):
-        part = rows[a : a + CHUNK]
-        Y = robot.chain.rigid_regressor(data.q[part], data.qd[part], qdd[part], robot.gravity) @ base.lift[: 10 * n]
-        Y += qdd[part][:, :, None] * base.lift[10 * n :]
-        total += A[a : a + CHUNK].transpose(1, 2, 0) @ Y[:, joints].transpose(1, 0, 2)
-    return total
 
 
 def _shift(data: Prepared, other: Prepared) -> int:

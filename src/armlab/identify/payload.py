@@ -11,7 +11,8 @@ less, g_i: without it the mass would seem to be known far better than it is.
 2. Huber's least squares for pi alone gives the weights of rows and joints.
 3. Gauss-Newton for pi and the gains together, each joint counting its independent samples only. Then both once more:
    weights that know nothing of the gains take them for outliers.
-4. The covariance: scatter of whole blocks of time, what the gains may be, what the model may have wrong.
+4. The covariance: scatter of whole blocks of time, what the gains may be, what the model may have wrong in its masses
+   and its friction.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from armlab.estimation import Fit, LinearSolution, Rows, block_seconds, check_sp
 from armlab.identify.base_parameters import LINK_SYMBOLS
 from armlab.identify.gains import GainProblem
 from armlab.identify.load_record import EVERY, LoadRecord
+from armlab.identify.model_error import ModelError
 from armlab.log import Table
 from armlab.models import Payload, TorqueModel
 from armlab.robots import Robot, inertia
@@ -39,7 +41,7 @@ MIN_BLOCKS = 8
 
 def fit_payload(
     table: Table | Sequence[Table],
-    model: TorqueModel,
+    model: TorqueModel | Fit[TorqueModel],
     robot: Robot,
     mode: str = "static",
     without: Table | None = None,
@@ -51,7 +53,8 @@ def fit_payload(
     Parameters
     ----------
     table : log or logs with the load, columns q, qd, tau (N, n), without contact.
-    model : torque model of the arm without the load.
+    model : of the arm without the load, as `identify.fit_dynamics` returns it: what is uncertain in its masses and in
+        its friction is in the covariance. Of a model alone, `fit.value`, that of the friction is not known.
     robot : the arm.
     mode : "static": mass and first moment; "dynamic": all ten parameters, which needs fast motion of the wrist.
     without : log of the same motion without the load: what the model has wrong falls out of the difference.
@@ -68,7 +71,7 @@ def fit_payload(
     NotExcited : motion that does not tell the parameters apart, by name; too short a log.
     ShapeError : NaN rows, wrong joint count, a motion without the load that is another one, `gain_sd` out of range.
     """
-    model.check_robot(robot)
+    (model.value if isinstance(model, Fit) else model).check_robot(robot)
     if mode not in SIZES:
         raise UnknownName.among("mode of a payload fit", mode, SIZES)
     if not 0 <= gain_sd < 1:
@@ -86,9 +89,7 @@ def fit_payload(
     known = np.linalg.cholesky(problem.information(x, gains)).T
     check_spread(known, LINK_SYMBOLS[:p], UNITS[:p], _limits(record, robot)[:p], "payload")
     wrong = np.einsum("iab,i,ibs->as", problem.response(x, gains), problem.weights, record.against[:, :p])
-    cov = problem.covariance(x, gains)
-    if wrong.size:
-        cov = cov + wrong @ model.base_cov @ wrong.T
+    cov = problem.covariance(x, gains) + wrong @ record.error.cov @ wrong.T
     theta = _possible(x, cov)
     pi = _point(theta) if mode == "static" else theta
     value = Payload(robot.name, robot.hash, pi, robot.links[-1], record.sources)
@@ -96,8 +97,7 @@ def fit_payload(
     if len(record.joints) < robot.n:
         rest_names = [robot.joint_names[i] for i in range(robot.n) if i not in record.joints]
         notes.append(f"left out, at rest: {', '.join(rest_names)}")
-    if not wrong.size:
-        notes.append("the model was identified from some joints only: its own uncertainty is not in the deviations")
+    notes += _unknown(record.error, isinstance(model, Fit))
     return Fit(
         value=value,
         names=LINK_SYMBOLS[:p],
@@ -180,6 +180,18 @@ def _table(fit: Fit[Payload]) -> str:
         sd = np.sqrt(slope @ fit.cov @ slope)
         lines.append(f"centre {'xyz'[axis]} {1e3 * load.centre[axis]:.1f} +- {1e3 * sd:.1f} mm")
     return "\n".join([*lines, "flange axes; deviations of one sigma"])
+
+
+def _unknown(error: ModelError, fitted: bool) -> list[str]:
+    """Return what of the model's own uncertainty the deviations leave out."""
+    notes = []
+    if error.base is None:
+        notes.append("the model was identified from some joints only: what is uncertain in its masses is not in")
+    if not fitted:
+        notes.append("what is uncertain in the model's friction is not in: give the fit of the model, not its value")
+    elif error.base is not None and error.left_out:
+        notes.append(f"not in the deviations: what is uncertain in {', '.join(error.left_out)}")
+    return notes
 
 
 def _notes(
