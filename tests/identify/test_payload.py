@@ -15,7 +15,7 @@ from armlab.identify.payload import _possible
 from armlab.kernels import presliding
 from armlab.log import Table
 from armlab.models import Friction, Payload, TorqueModel
-from armlab.robots import Robot, inertia, load
+from armlab.robots import Robot, from_links, inertia, load
 
 MASS, CENTRE = 0.5, np.array([0.03, 0.0, 0.052])  # 60 mm from the flange
 POINT = inertia.from_body(MASS, CENTRE, np.zeros((3, 3)))
@@ -202,8 +202,7 @@ def experiment(truth, fitted):
 
     `wrong` times the deviations, of masses and friction together, as they are correlated.
     """
-    robot, model = truth.robot, fitted.value
-    scale = fitted.sd
+    robot, scale = truth.robot, fitted.sd
     values, vectors = np.linalg.eigh(fitted.cov / np.outer(scale, scale))
     root = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
     motion = identify.excitation(robot, seconds=70, speed=0.4, acceleration=8.0, seed=9)
@@ -298,6 +297,47 @@ def test_gains_and_model_are_in_the_covariance(experiment) -> None:
         fit_payload, lambda seed, n: experiment(0.05, 1.0, seed, n), 30, n=1600, noise_given=False, skip=reasons
     )
     assert contract.passed, contract.text()
+
+
+def three_joints(seed: tuple[int, int], n: int, motion: int, pi: np.ndarray, noise: float) -> tuple[Table, Robot]:
+    """A log at 100 Hz of an arm of three joints with Coulomb and viscous friction that carries pi."""
+    turned, down, flange = np.eye(4), np.eye(4), np.eye(4)
+    turned[:3, :3] = down[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
+    down[0, 3], flange[2, 3] = 0.3, 0.1
+    robot = from_links("three", [np.eye(4), turned, down, flange])
+    links = np.array(
+        [[3, 0.1, 0.02, 0.3, 0.5, 0.01, 0.4, 0.02, 0.01, 0.3], [1.5, 0.25, 0.05, 0.02, 0.05, 0.01, 0.2, 0, 0.01, 0.22],
+         [0.8, 0.02, 0.01, 0.08, 0.02, 0, 0.02, 0, 0, 0.01]]
+    )  # fmt: skip
+    links[-1] += inertia.transform(flange, pi)
+    f, draw = np.array([0.11, 0.23, 0.37, 0.61, 0.83])[:, None, None], np.random.default_rng(motion)
+    a, phase, w = draw.uniform(0.015, 0.05, (5, 1, 3)) / f, draw.uniform(0, 6, (5, 1, 3)), 2 * np.pi * f
+    t = np.arange(n) / 100.0
+    wave = w * t[:, None] + phase
+    q, qd, qdd = (x.sum(axis=0) for x in (a * np.sin(wave), a * w * np.cos(wave), -a * w**2 * np.sin(wave)))
+    tau = robot.chain.rnea(q, qd, qdd, robot.gravity, links) + np.array([0.2, 0.1, 0.05]) * qdd + [0.3, -0.2, 0.1]
+    tau += np.array([1.0, 0.5, 0.3]) * qd + np.array([2.0, 1.0, 0.5]) * presliding(q, np.full(3, 1e-3), np.zeros(3))
+    tau += noise * np.array([0.3, 0.2, 0.1]) * np.random.default_rng(seed).standard_normal(q.shape)
+    return Table(t, {"q": q, "qd": qd, "tau": tau}), robot
+
+
+@pytest.mark.slow  # 15 s
+def test_an_identified_model_is_in_the_covariance() -> None:
+    """Each load is weighed with a model identified from a log of its own: NEES is 1, within three standard errors."""
+    nees = []
+    for seed in range(12):
+        clean, robot = three_joints((1, seed), 2000, 1, np.zeros(10), 1.0)
+        loaded, _ = three_joints((2, seed), 1500, 2, POINT, 0.3)
+        fit = fit_payload(loaded, identify.fit_dynamics(clean, robot), robot, gain_sd=0.0)
+        e = fit.parameters - POINT[:4]
+        nees.append(e @ np.linalg.solve(fit.cov, e) / 4)
+    assert abs(np.mean(nees) - 1.0) < 3.0 * np.sqrt(2.0 / (4 * len(nees)))
+
+
+def test_of_a_model_without_its_fit_friction_is_said_to_be_unknown(truth, fitted, table) -> None:
+    words = "give the fit of the model, not its value"
+    assert words in fit_payload(table, fitted.value, truth.robot).report()
+    assert words not in fit_payload(table, fitted, truth.robot).report()
 
 
 def test_value_and_file(truth, model, table, tmp_path) -> None:

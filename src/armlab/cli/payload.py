@@ -65,17 +65,19 @@ def payload(
     from armlab import models, robots
     from armlab.cli.output import FIGURES, check_output, note, print_json, progress, result
     from armlab.cli.reading import read_log
+    from armlab.estimation import Fit
     from armlab.identify import fit_payload
 
     for path, endings in ((output, (".toml",)), (report, (".html",)), (figure, FIGURES)):
         if path is not None:
             check_output(path, force, endings)
     arm, known = robots.load(robot), models.load(model, "torque_model")
+    told = Fit.load(model) if models.load_statistics(model) else known  # the fit knows what is uncertain in friction
     table = read_log(log, arm)
     empty = None if without is None else read_log(without, arm)
     with progress("payload") as tell:
         tell(0, 1, f"{mode} fit to {len(table)} rows")
-        fit = fit_payload(table, known, arm, mode, empty, gain_sd=gain)
+        fit = fit_payload(table, told, arm, mode, empty, gain_sd=gain)
         tell(1, 1, "done")
     verdict = _judge(fit, known, table)
     if json:

@@ -32,8 +32,8 @@ class LoadRecord:
     data : the record with the load. rows : (M,) rows of it that are kept.
     joints : (j,) those that move; what friction does at rest is not known, and the others are left out.
     A : (M, j, 10) filtered columns of the load, at the flange. y : (M, j) filtered residual of the model [N m].
-    error : what is uncertain in the model. against : (j, 10, P) sums of A_i^T C_i per joint, C the slopes of the model's
-        torque over these parameters: how the load takes up what is wrong with them.
+    error : what is uncertain in the model. against : (j, 10, P) sums of A_i^T C_i per joint, C the slopes of its torque
+        over these parameters: how the load takes up what is wrong with them.
     sources : name and SHA-256 of each log.
     """
 

@@ -181,13 +181,14 @@ def quaternion_multiply(p: Any, q: Any, out: Any = None) -> np.ndarray:
 def quaternion_slerp(a: Any, b: Any, s: Any, out: Any = None) -> np.ndarray:
     """``(a sin((1-s)Ω) ± b sin(sΩ)) / sin Ω``, Ω at most a quarter turn of the unit sphere."""
     a, b, s = elements(a, "a", (4,)), elements(b, "b", (4,)), elements(s, "s", ())
-    given = dict(zip("abs", broadcast(a=(a, 1), b=(b, 1), s=(s, 0))))
-    a, b, s = unit(given["a"], "a"), unit(given["b"], "b"), given["s"][..., None]
-    b = np.where((a * b).sum(axis=-1, keepdims=True) < 0, -b, b)
-    chord = [np.linalg.norm(v, axis=-1, keepdims=True) for v in (b - a, b + a)]
+    a, b, s = broadcast(a=(a, 1), b=(b, 1), s=(s, 0))
+    one, other, share = unit(a, "a"), unit(b, "b"), s[..., None]
+    other = np.where((one * other).sum(axis=-1, keepdims=True) < 0, -other, other)
+    chord = [np.linalg.norm(v, axis=-1, keepdims=True) for v in (other - one, other + one)]
     omega = 2 * np.arctan2(*chord) / np.pi  # in half turns of the unit sphere, as np.sinc wants it
-    q = ((1 - s) * np.sinc((1 - s) * omega) * a + s * np.sinc(s * omega) * b) / np.sinc(omega)
-    return result(q / np.linalg.norm(q, axis=-1, keepdims=True), out, **given)
+    q = (1 - share) * np.sinc((1 - share) * omega) * one + share * np.sinc(share * omega) * other
+    q = q / np.sinc(omega)
+    return result(q / np.linalg.norm(q, axis=-1, keepdims=True), out, a=a, b=b, s=s)
 
 
 def _from_matrix(R: np.ndarray) -> np.ndarray:
