@@ -134,3 +134,14 @@ def test_directions_are_put_into_the_words_of_the_caller() -> None:
 def test_check_spread_refuses_what_does_not_fit() -> None:
     with pytest.raises(ShapeError, match="3 limits above zero"):
         check_spread(np.eye(3), NAMES, UNITS, np.zeros(3), "model")
+
+
+def test_an_estimate_without_a_design_matrix_tells_the_same_by_its_covariance() -> None:
+    A, names = np.random.default_rng(0).standard_normal((40, 3)) * [1.0, 1e3, 1e-3], ("a", "b", "c")
+    found = Excitation.of_covariance(np.linalg.inv(A.T @ A), names)
+    expected = Excitation.of(A, names)
+    np.testing.assert_allclose(found.singular_values, expected.singular_values, rtol=1e-6)
+    assert (found.rank, found.weakest) == (3, expected.weakest)
+    nothing = Excitation.of_covariance(np.zeros((0, 0)), ())
+    assert nothing.condition == 1.0
+    assert "rank 0 of 0" in nothing.text()

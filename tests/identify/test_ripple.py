@@ -7,7 +7,7 @@ import pytest
 
 from armlab.errors import ShapeError
 from armlab.identify import ripple_lines, ripple_regressor
-from armlab.identify.ripple import held_out_error, refit, select_lines
+from armlab.identify.ripple import held_out_error, refit, scattered, select_lines
 from armlab.models import RippleLines, speed_basis
 
 RATE = 250.0
@@ -112,3 +112,14 @@ def test_wrong_shapes_are_refused() -> None:
     assert len(ripple_lines(q[:0], q[:0], q[:0], RATE, 250.0)) == 0
     with pytest.raises(ShapeError, match="finite"):
         ripple_lines(q, qd, np.full(len(q), np.nan), RATE, 250.0)
+
+
+def test_the_scatter_of_many_stretches_is_that_of_least_squares_in_any_unit() -> None:
+    """White residuals: the sandwich is the formal covariance; a parameter in thousandths has a thousandth deviation."""
+    rng = np.random.default_rng(4)
+    A, noise = rng.standard_normal((20000, 3)), rng.standard_normal(20000)
+    cov = scattered(A.T @ A, A * noise[:, None])
+    np.testing.assert_allclose(cov, np.linalg.inv(A.T @ A), atol=0.05 / 20000)
+    unit = np.array([1.0, 1e3, 1e-3])
+    B = A * unit
+    np.testing.assert_allclose(scattered(B.T @ B, B * noise[:, None]), cov / np.outer(unit, unit), rtol=1e-6)

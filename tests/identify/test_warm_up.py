@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 
 from armlab.errors import NotExcited
-from armlab.identify import fit_warm_up
+from armlab.estimation import Experiment, Fit, check_estimator
+from armlab.identify import fit_dynamics, fit_warm_up
 from armlab.log import Table
 from armlab.models import TorqueModel, WarmUp
 
 RATE = 50.0
+OWN = ("viscous", "coulomb_pos", "coulomb_neg", "offset")
 
 
 def log(model: TorqueModel, minutes: float, seed: int) -> Table:
@@ -60,3 +62,57 @@ def test_a_warm_up_of_40_minutes_is_found(cold: TorqueModel) -> None:
 def test_a_short_log_is_refused(model: TorqueModel) -> None:
     with pytest.raises(NotExcited, match="20 min"):
         fit_warm_up(log(model, 2, seed=0), model)
+
+
+SECONDS = 1206.0
+CHANGE = np.array([-0.4, -0.2, 400.0, 0.1])  # of viscous and Coulomb friction, time constant, warmth at the start
+POWER = 2.0
+
+
+def difference(fit: Fit[TorqueModel], truth: np.ndarray) -> np.ndarray:
+    """Errors of a fit whose warmth is 1 at another power than the truth's."""
+    assert fit.value.warm_up is not None
+    ratio = POWER / fit.value.warm_up.power[0]
+    return fit.parameters - truth * [1, 1, 1, 1, 1 / ratio, 1 / ratio, 1, ratio]
+
+
+@pytest.mark.slow  # 20 s
+def test_the_statistical_contract(short_arm) -> None:
+    """One joint of two warms up for 20 minutes; four times the samples are those of four times the rate."""
+    cold = fit_dynamics(short_arm.log(0, 3000), short_arm.robot).value
+    own = np.array([4.0, 2.0, 2.0, 0.3])
+    friction = {name: np.array([value, 0.5 * value]) for name, value in zip(OWN, own)}
+    cold = replace(cold, friction=replace(cold.friction, **friction))
+    of_coulomb, of_viscous, time, start = (np.array([x, 0.0]) for x in CHANGE[[1, 0, 2, 3]])
+    truth = replace(cold, warm_up=WarmUp(of_coulomb, of_viscous, time, np.full(2, POWER), start))
+    motions: dict[int, Table] = {}
+
+    def draw(seed: int, n: int) -> Experiment:
+        t = np.arange(n) * SECONDS / n
+        if n not in motions:
+            phase = 0.6 * t - 200 / (2 * np.pi) * np.cos(2 * np.pi * t / 400)  # fast and slow for minutes each
+            q = 0.8 * np.sin(phase[:, None] * [1.5, 1.9])
+            qd = np.gradient(q, t, axis=0)
+            tau = truth.torque(q, qd, np.gradient(qd, t, axis=0), np.full(n, SECONDS / n))
+            motions[n] = Table(t, {"q": q, "qd": qd, "tau": tau})
+        clean = motions[n]
+        tau = clean["tau"] + 0.1 * np.random.default_rng(seed).standard_normal((n, 2))
+        return Experiment({"table": clean.with_column("tau", tau), "model": cold}, np.concatenate([own, CHANGE]))
+
+    n = int(40 * SECONDS)
+    contract = check_estimator(
+        fit_warm_up,
+        draw,
+        12,
+        n=n,
+        error=difference,
+        noise_given=False,
+        refusals={"warm-up": {"table": draw(0, n).data["table"].between(0.0, 600.0), "model": cold}},
+        skip={
+            "efficient": "residuals of robots are coloured: there is no bound to reach",
+            "order-free": "warmth remembers: the rows of a log have an order",
+            "gauge-free": "parameters are those of the drives",
+            "robust": "fit_dynamics takes care of outliers before",
+        },
+    )
+    assert contract.passed, contract.text()

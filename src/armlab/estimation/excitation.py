@@ -97,9 +97,24 @@ class Excitation:
         rank = int(np.count_nonzero((singular * max_condition >= singular[0]) & (singular > 0)))
         return cls(rank, len(names), singular, _in_words(rows[-1], names), scale, rows.T)
 
+    @classmethod
+    def of_covariance(cls, cov: np.ndarray, names: Sequence[str]) -> Excitation:
+        """Measure the excitation behind an estimate that comes with its covariance and no design matrix.
+
+        Parameters
+        ----------
+        cov : (p, p) of full rank. names : of the p parameters; there may be none.
+        """
+        if not len(names):
+            return cls(0, 0, np.zeros(0), "nothing was fitted")
+        sd = np.sqrt(np.diag(cov))
+        return cls.of(np.linalg.inv(np.linalg.cholesky(cov / np.outer(sd, sd))) / sd, names)
+
     @property
     def condition(self) -> float:
-        """Largest over smallest singular value."""
+        """Largest over smallest singular value; 1 where there are no parameters."""
+        if not self.singular_values.size:
+            return 1.0
         smallest = self.singular_values[-1]
         return float(self.singular_values[0] / smallest) if smallest > 0 else float("inf")
 

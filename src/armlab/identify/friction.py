@@ -167,6 +167,6 @@ def _fit(table: Table | Sequence[Table], model: TorqueModel, parts: list[_Part],
         sigma=np.std(residuals, axis=0),
         residuals=residuals,
         n=len(residuals),
-        excitation=Excitation(len(names), len(names), np.zeros(0), "speeds that the log has little of"),
+        excitation=Excitation.of_covariance(cov, names),
         summary=report,
     )

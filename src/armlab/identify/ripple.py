@@ -22,7 +22,7 @@ from armlab.identify.group_lasso import select_groups
 from armlab.identify.plausibility import SLOW_SHARE, slow_enough
 from armlab.kernels import basis_weights
 
-__all__ = ["held_out_error", "refit", "ripple_lines", "ripple_regressor", "select_lines"]
+__all__ = ["held_out_error", "refit", "ripple_lines", "ripple_regressor", "scattered", "select_lines"]
 
 P_VALUE = 1e-3
 NEIGHBOURS = 50  # grid points on either side that make the local median
@@ -169,12 +169,27 @@ def refit(A: np.ndarray, y: np.ndarray, block: np.ndarray, ridge: float = RIDGE)
     x, H = _ridge(A, y, ridge)
     moments = np.zeros((int(np.max(block)) + 1, A.shape[1]))
     np.add.at(moments, block, A * (y - A @ x)[:, None])
-    root = np.linalg.cholesky(H)
-    scores = np.linalg.solve(root, moments.T).T
+    return x, scattered(H, moments)
+
+
+def scattered(H: np.ndarray, moments: np.ndarray) -> np.ndarray:
+    """Return ``H^-1 S H^-1`` (p, p), S the scatter of the moments, shrunk towards a multiple of H where they are few.
+
+    Parameters
+    ----------
+    H : (p, p) of the normal equations. moments : (B, p) gradients of independent stretches, of sum 0 or nearly so.
+
+    References
+    ----------
+    Huber (1967), The behavior of maximum likelihood estimates under nonstandard conditions, for the sandwich.
+    """
+    scale = np.sqrt(np.diag(H))  # parameters of many units
+    root = np.linalg.cholesky(H / np.outer(scale, scale))
+    scores = np.linalg.solve(root, (moments / scale).T).T
     chance, S = shrinkage(scores), scores.T @ scores
     S = (1.0 - chance) * S + chance * np.trace(S) / len(S) * np.eye(len(S))
-    half = np.linalg.solve(root.T, np.linalg.cholesky(S))
-    return x, half @ half.T
+    half = np.linalg.solve(root.T, np.linalg.cholesky(S)) / scale[:, None]
+    return half @ half.T
 
 
 def _ridge(A: np.ndarray, y: np.ndarray, ridge: float) -> tuple[np.ndarray, np.ndarray]:

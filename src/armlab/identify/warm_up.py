@@ -15,8 +15,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from armlab.errors import NotExcited
-from armlab.estimation import Excitation, Fit
+from armlab.estimation import Excitation, Fit, block_seconds
 from armlab.identify.residuals import Residuals, model_residuals
+from armlab.identify.ripple import scattered
 from armlab.log import Table
 from armlab.models import TorqueModel, WarmUp
 
@@ -26,7 +27,13 @@ MIN_SECONDS = 20 * 60.0
 TIMES = 60.0 * np.geomspace(2.0, 60.0, 12)  # s
 BIN = 1.0  # s
 ROUNDS = 3
-FOLDS = 10
+SETTLING = 8  # rounds of power and warmth for given parameters
+HOTTEST = 3.0
+FEWEST = 40  # stretches for a covariance of eight parameters
+COLUMN = np.array([0, 1, 2, 3, 0, 4, 5])  # of the sums, for each linear parameter and y
+DEGREE = np.array([0, 0, 0, 0, 1, 1, 0])  # in x
+STEPS = 20  # of Gauss and Newton at most
+SMALL = 1e-6  # of a deviation
 GAIN = 0.02  # share of the variance that warm-up must explain
 NAMES = ("viscous", "coulomb+", "coulomb-", "offset", "of_viscous", "of_coulomb", "time", "start")
 UNITS = ("N m s/rad", "N m", "N m", "N m", "1", "1", "s", "1")
@@ -59,21 +66,19 @@ class _Seconds:
 
 
 def _warmth(heat: np.ndarray, time: float, start: float) -> np.ndarray:
-    """Return x (B,) in every second for heat (B,) = power / reference."""
+    """Return x (B,) in the middle of every second for heat (B,) = power / reference."""
     from scipy.signal import lfilter
 
     keep = float(np.exp(-BIN / time))
     x = lfilter([0.0, 1.0 - keep], [1.0, -keep], heat)
-    return np.asarray(x) + start * keep ** np.arange(len(heat))
+    x = np.asarray(x) + start * keep ** np.arange(len(heat))  # at its beginning
+    return 0.5 * (1.0 + keep) * x + 0.5 * (1.0 - keep) * heat
 
 
 def _linear(sums: _Seconds, x: np.ndarray, used: np.ndarray) -> tuple[np.ndarray, float]:
     """Return viscous, coulomb+, coulomb-, offset, of_viscous viscous, of_coulomb, and the sum of squares left."""
-    weights = np.ones((len(x), 7))
-    weights[:, 4] = weights[:, 5] = x
-    which = [0, 1, 2, 3, 0, 4, 5]
-    G = sums.gram[:, which][:, :, which]
-    total = np.einsum("b,bi,bij,bj->ij", used, weights, G, weights)
+    moments = (np.stack([used, used * x, used * x * x]) @ sums.gram.reshape(len(x), -1)).reshape(3, 6, 6)
+    total = moments[DEGREE[:, None] + DEGREE, COLUMN[:, None], COLUMN]
     scale = np.sqrt(np.diag(total)[:6])
     scale[scale == 0] = 1.0
     k = np.linalg.lstsq(total[:6, :6] / np.outer(scale, scale), total[:6, 6] / scale, rcond=1e-10)[0] / scale
@@ -106,7 +111,7 @@ def _joint(sums: _Seconds, used: np.ndarray, guess: np.ndarray | None = None) ->
         lambda v: _given(sums, float(np.exp(v[0])), abs(float(v[1])), used)[1] / scores[T, x0],
         [np.log(T), x0],
         method="Nelder-Mead",
-        bounds=[(np.log(TIMES[0]), np.log(TIMES[-1])), (0.0, 3.0)],
+        bounds=[(np.log(TIMES[0]), np.log(TIMES[-1])), (0.0, HOTTEST)],
         options={"xatol": 1e-3, "fatol": 1e-9, "maxiter": 200},
     )
     T, x0 = float(np.exp(best.x[0])), abs(float(best.x[1]))
@@ -127,8 +132,8 @@ def fit_warm_up(table: Table | Sequence[Table], model: TorqueModel) -> Fit[Torqu
 
     Returns
     -------
-    Fit of `models.TorqueModel`; eight parameters of every joint that warms up, with the covariance of a jackknife over
-    tenths of the log.
+    Fit of `models.TorqueModel`; eight parameters of every joint that warms up, with a covariance from the scatter of
+    stretches of the log that are longer than its residual remembers.
 
     Raises
     ------
@@ -154,7 +159,8 @@ def fit_warm_up(table: Table | Sequence[Table], model: TorqueModel) -> Fit[Torqu
         theta, left, reference = _joint(sums, every)
         plain = _linear(sums, 0.0 * every, every)[1]
         if left < (1.0 - GAIN) * plain and _gain(sums, theta) > GAIN:
-            kept[i] = theta, _jackknife(sums, theta), reference
+            theta = _polished(sums, theta, reference)
+            kept[i] = theta, _covariance(sums, theta, reference), reference
     warm = _with_warm_up(model, kept)
     names = tuple(f"{name} joint {i + 1}" for i in kept for name in NAMES)
     cov = np.zeros((len(names), len(names)))
@@ -170,7 +176,7 @@ def fit_warm_up(table: Table | Sequence[Table], model: TorqueModel) -> Fit[Torqu
         sigma=np.std(left, axis=0),
         residuals=left,
         n=len(data.t),
-        excitation=Excitation(len(names), len(names), np.zeros(0), "start"),
+        excitation=Excitation.of_covariance(cov, names),
     )
 
 
@@ -187,28 +193,76 @@ def _gain(sums: _Seconds, guess: np.ndarray) -> float:
     return 1.0 - warm / plain if plain > 0 else 0.0
 
 
-def _left(sums: _Seconds, theta: np.ndarray, reference: float, used: np.ndarray) -> float:
+def _warm(sums: _Seconds, theta: np.ndarray, reference: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return viscous ... of_coulomb (6,) and the warmth x (B,) that settles with its own friction."""
     k = np.array([*theta[:4], theta[4] * theta[0], theta[5]])
-    x, power = np.zeros(len(used)), sums.power.sum(axis=1)
-    for _ in range(ROUNDS):
-        x = _warmth(np.abs(power) / reference, theta[6], theta[7])
+    x = np.zeros(len(sums.rows))
+    for _ in range(SETTLING):
         power = (k[0] + k[4] * x) * sums.power[:, 0] + (1 + k[5] * x) * sums.power[:, 1] + sums.power[:, 2]
-    return _squares(sums, k, x, used)
+        x = _warmth(np.abs(power) / reference, theta[6], theta[7])
+    return k, x
+
+
+def _along(k: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Return v (B, 6): the residuals of a second are its columns times v."""
+    constant = np.broadcast_to(k[1:4, None], (3, len(x)))
+    return np.stack([k[0] + k[4] * x, *constant, k[5] * x, np.full(len(x), -1.0)], axis=1)
+
+
+def _left(sums: _Seconds, theta: np.ndarray, reference: float, used: np.ndarray) -> float:
+    return _squares(sums, *_warm(sums, theta, reference), used)
 
 
 def _squares(sums: _Seconds, k: np.ndarray, x: np.ndarray, used: np.ndarray) -> float:
-    """Return the sum of squares of y minus the columns times k in the seconds that are used."""
-    constant = np.broadcast_to(k[1:4, None], (3, len(x)))
-    v = np.stack([k[0] + k[4] * x, *constant, k[5] * x, np.full(len(x), -1.0)], axis=1)
+    """Return the sum of squares of the residuals in the seconds that are used."""
+    v = _along(k, x)
     return float(np.einsum("b,bi,bij,bj->", used, v, sums.gram, v))
 
 
-def _jackknife(sums: _Seconds, guess: np.ndarray) -> np.ndarray:
-    """Return the covariance (8, 8) from fits without one tenth of the log each."""
-    part = np.arange(len(sums.rows)) * FOLDS // len(sums.rows)
-    thetas = np.array([_joint(sums, (part != k).astype(float), guess)[0] for k in range(FOLDS)])
-    apart = thetas - thetas.mean(axis=0)
-    return (FOLDS - 1) / FOLDS * apart.T @ apart
+def _slopes(sums: _Seconds, theta: np.ndarray, reference: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return v (B, 6) and its derivatives (B, 6, 8) over the parameters, by differences."""
+
+    def at(values: np.ndarray) -> np.ndarray:
+        return _along(*_warm(sums, values, reference))
+
+    steps = 1e-4 * np.maximum(np.abs(theta), 0.1)
+    apart = [(at(theta + h) - at(theta - h)) / (2.0 * step) for h, step in zip(np.diag(steps), steps)]
+    return at(theta), np.stack(apart, axis=2)
+
+
+def _polished(sums: _Seconds, theta: np.ndarray, reference: float) -> np.ndarray:
+    """Return the parameters that leave least, by steps of Gauss and Newton: warmth answers to each of them.
+
+    Without this viscous and Coulomb friction would leave least for the warmth of the round before, and no formula of
+    least squares would tell their errors.
+    """
+    every = np.ones(len(sums.rows))
+    least = _left(sums, theta, reference, every)
+    for _ in range(STEPS):
+        v, J = _slopes(sums, theta, reference)
+        H, g = np.einsum("bip,bij,bjq->pq", J, sums.gram, J), np.einsum("bip,bij,bj->p", J, sums.gram, v)
+        scale = np.sqrt(np.diag(H))
+        step = -np.linalg.lstsq(H / np.outer(scale, scale), g / scale, rcond=1e-12)[0] / scale
+        trial = theta + step
+        trial[6:] = np.clip(trial[6:], (TIMES[0], 0.0), (TIMES[-1], HOTTEST))
+        left = _left(sums, trial, reference, every)
+        if not left < least:
+            break
+        small = np.all(np.abs(trial - theta) * scale < SMALL * np.sqrt(left / sums.rows.sum()))
+        theta, least = trial, left
+        if small:
+            break
+    return theta
+
+
+def _covariance(sums: _Seconds, theta: np.ndarray, reference: float) -> np.ndarray:
+    """Return the covariance (8, 8) from the scatter of stretches that are longer than the residual remembers."""
+    v, J = _slopes(sums, theta, reference)
+    means = np.einsum("bi,bi->b", v, sums.gram[:, 3]) / np.maximum(sums.rows, 1.0)
+    length = max(1, round(min(block_seconds(means[:, None], BIN), BIN * len(means) / FEWEST) / BIN))
+    H = np.einsum("bip,bij,bjq->pq", J, sums.gram, J)
+    moments = np.einsum("bip,bij,bj->bp", J, sums.gram, v)
+    return scattered(H, np.add.reduceat(moments, np.arange(0, len(moments), length), axis=0))
 
 
 def _with_warm_up(model: TorqueModel, kept: dict[int, tuple[np.ndarray, np.ndarray, float]]) -> TorqueModel:
