@@ -82,3 +82,15 @@ def test_bad_logs_are_refused(model: TorqueModel) -> None:
     tau[7] = np.nan
     with pytest.raises(ShapeError, match="first"):
         fit_friction(table.with_column("tau", tau), model)
+
+
+def test_lines_that_the_sampling_hides_are_told_by_joint(model: TorqueModel) -> None:
+    """At 50 Hz ripple at twice the gear ratio folds back above 0.7 rad/s or so; the search says for whom."""
+    t = np.arange(0, 8, 0.02)
+    f = np.where(np.arange(7) == 2, 2.0, 0.2)
+    q = 0.9 * np.sin(f * t[:, None])
+    qd, qdd = 0.9 * f * np.cos(f * t[:, None]), -0.9 * f**2 * np.sin(f * t[:, None])
+    noise = 0.05 * np.random.default_rng(0).standard_normal(q.shape)
+    table = Table(t, {"q": q, "qd": qd, "tau": model.torque(q, qd, qdd) + noise})
+    with pytest.warns(UserWarning, match=r"faster ripple for joint 3 \(above \d+ cycles/rev\): it folds back"):
+        fit_friction(table, model)

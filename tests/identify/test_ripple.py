@@ -7,7 +7,14 @@ import pytest
 
 from armlab.errors import ShapeError
 from armlab.identify import ripple_lines, ripple_regressor
-from armlab.identify.ripple import held_out_error, refit, scattered, select_lines
+from armlab.identify.ripple import (
+    held_out_error,
+    highest_seen,
+    refit,
+    scattered,
+    select_lines,
+    warn_of_fast_lines,
+)
 from armlab.models import RippleLines, speed_basis
 
 RATE = 250.0
@@ -42,7 +49,12 @@ def test_lines_that_pass_too_fast_are_refused() -> None:
     q = motion()[1]
     y = 0.2 * np.cos(100.0 * q)
     fast = np.full(len(q), 5.0)
-    assert not np.any(np.abs(ripple_lines(q, fast, y, RATE, 250.0) - 100.0) < 5.0)
+    assert highest_seen(fast, RATE) == pytest.approx(2 * np.pi * 62.5 / 5.0)
+    with pytest.warns(UserWarning, match=r"below 62\.5 Hz.*this joint \(above 79 cycles/rev\)"):
+        found = ripple_lines(q, fast, y, RATE, 250.0)
+    assert not np.any(np.abs(found - 100.0) < 5.0)
+    with pytest.warns(UserWarning, match=r"joint 2 \(above 30 cycles/rev\).*slower motion"):
+        warn_of_fast_lines({"joint 2": 30.0}, RATE)
 
 
 def test_a_short_range_or_no_gear_has_no_lines() -> None:

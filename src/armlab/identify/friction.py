@@ -19,7 +19,16 @@ import numpy as np
 from armlab.estimation import Excitation, Fit, block_seconds
 from armlab.identify.rbf import rbf_centres
 from armlab.identify.residuals import Residuals, model_residuals
-from armlab.identify.ripple import GAIN, held_out_error, refit, ripple_lines, ripple_regressor, select_lines
+from armlab.identify.ripple import (
+    GAIN,
+    held_out_error,
+    highest_seen,
+    refit,
+    ripple_lines,
+    ripple_regressor,
+    select_lines,
+    warn_of_fast_lines,
+)
 from armlab.identify.warm_up import MIN_SECONDS, fit_warm_up
 from armlab.log import Table
 from armlab.models import FrictionMap, RippleLines, TorqueModel, speed_basis
@@ -85,12 +94,12 @@ def fit_friction(table: Table | Sequence[Table], model: TorqueModel) -> Fit[Torq
     spread = [speed_basis(0.0, float(peak), SPEEDS) for peak in np.abs(data.qd).max(axis=0)]
     lines, maps = {}, {}
     every = max(1, len(data.t) // ROWS)
+    highest = _highest(model, data.qd[::every], data.rate)
     for i in range(model.n):
         q, qd, s, y = (np.ascontiguousarray(x[::every, i]) for x in (data.q, data.qd, found.s, found.y))
         rows = _Rows(q, qd, s, block[::every], data.rate)
-        highest = HIGHEST * float(model.ripple.cycles[i])
         lowest = np.pi / float(basis.position_widths[i, 0])
-        cycles, part = _ripple(rows, y, (lowest, highest), *spread[i])
+        cycles, part = _ripple(rows, y, (lowest, float(highest[i])), *spread[i])
         if len(cycles):
             lines[i] = cycles, _named(part, f"ripple joint {i + 1}")
             y = y - ripple_regressor(q, qd, s, cycles, *spread[i]) @ part.k
@@ -106,6 +115,16 @@ def fit_friction(table: Table | Sequence[Table], model: TorqueModel) -> Fit[Torq
         friction_map=FrictionMap(basis, coefficients) if maps else model.friction_map,
     )
     return _fit(table, extended, [part for _, part in lines.values()] + list(maps.values()), found)
+
+
+def _highest(model: TorqueModel, qd: np.ndarray, rate: float) -> np.ndarray:
+    """Return up to which line (n,) each joint is searched; warn where the sampling hides what is beyond."""
+    wanted = HIGHEST * model.ripple.cycles
+    seen = np.array([highest_seen(column, rate) for column in qd.T])
+    hidden = np.flatnonzero(seen < wanted)
+    if len(hidden):
+        warn_of_fast_lines({f"joint {i + 1}": float(seen[i]) for i in hidden}, rate)
+    return np.minimum(wanted, seen)
 
 
 def _ripple(

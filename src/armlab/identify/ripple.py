@@ -7,11 +7,12 @@
 3. A line stays when without it the error on held-out blocks grows by more than 2 %.
 
 A line passes with the frequency c |qd| / (2 pi): only samples below a quarter of the sampling rate are used, and a line
-that loses more than half of the samples is refused.
+that loses more than half of the samples is refused; what cannot be searched for that reason is told by a warning.
 """
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +23,16 @@ from armlab.identify.group_lasso import select_groups
 from armlab.identify.plausibility import SLOW_SHARE, slow_enough
 from armlab.kernels import basis_weights
 
-__all__ = ["held_out_error", "refit", "ripple_lines", "ripple_regressor", "scattered", "select_lines"]
+__all__ = [
+    "held_out_error",
+    "highest_seen",
+    "refit",
+    "ripple_lines",
+    "ripple_regressor",
+    "scattered",
+    "select_lines",
+    "warn_of_fast_lines",
+]
 
 P_VALUE = 1e-3
 NEIGHBOURS = 50  # grid points on either side that make the local median
@@ -64,6 +74,10 @@ def ripple_lines(
     Raises
     ------
     ShapeError : shapes, NaN, a rate that is not above 0.
+
+    Warns
+    -----
+    UserWarning : lines up to `highest` pass too fast for the sampling in more than half of the samples.
     """
     q, qd, y = (np.asarray(x, dtype=float) for x in (q, qd, y))
     if q.ndim != 1 or q.shape != qd.shape or q.shape != y.shape or not np.isfinite([q, qd, y]).all():
@@ -76,6 +90,9 @@ def ripple_lines(
     turns = np.ptp(q) / (2 * np.pi) if len(q) else 0.0
     if not highest > lowest or turns * (highest - lowest) < 4.0:
         return np.zeros(0)
+    seen = highest_seen(qd, rate)
+    if seen < highest:
+        warn_of_fast_lines({"this joint": seen}, rate)
     search = _Search(q, qd, y - np.mean(y), rate)
     grid = np.arange(lowest, highest, 0.25 / turns)
     grid = grid[[np.mean(search.slow(c)) >= 0.5 for c in grid]]
@@ -94,6 +111,32 @@ def ripple_lines(
             continue
         found.append(line)
     return np.sort(found)
+
+
+def highest_seen(qd: np.ndarray, rate: float) -> float:
+    """Return the largest c [cycles per revolution] that passes below a quarter of the rate in half of the samples.
+
+    Parameters
+    ----------
+    qd : (N,) velocity [rad/s]. rate : of sampling [Hz].
+    """
+    return float(2 * np.pi * SLOW_SHARE * rate / max(np.median(np.abs(qd)), 1e-12))
+
+
+def warn_of_fast_lines(seen: dict[str, float], rate: float) -> None:
+    """Warn that lines of torque ripple fold back and are not looked for.
+
+    Parameters
+    ----------
+    seen : largest c of each joint that can be found, by name. rate : of sampling [Hz].
+    """
+    listed = ", ".join(f"{name} (above {c:.0f} cycles/rev)" for name, c in seen.items())
+    warnings.warn(
+        f"Expected torque ripple below {SLOW_SHARE * rate:.3g} Hz, a quarter of the sampling rate, in half of the "
+        f"samples at least, got faster ripple for {listed}: it folds back, and lines beyond are not looked for. Log "
+        "slower motion, as of identify.friction_run, or sample faster.",
+        stacklevel=3,
+    )
 
 
 def _left(search: _Search, lines: list[float]) -> np.ndarray:
