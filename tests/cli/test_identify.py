@@ -92,12 +92,13 @@ def test_the_page_has_a_row_per_joint_the_verdict_and_all_figures(outcome: Outco
 
 
 def with_lines(fit: Fit[TorqueModel]) -> Fit[TorqueModel]:
-    """A fit whose model has a line of ripple at joint 2."""
+    """A fit whose model has a line of ripple at joint 2, and leaves half of what it left before."""
     speeds = np.tile(np.linspace(0, 1, 3), (7, 1))
     lines = models.RippleLines(
         np.array([1]), np.array([200.0]), speeds, np.full((7, 3), 0.5), np.full((1, 2, 3, 2), 0.01)
     )
-    return replace(fit, value=replace(fit.value, lines=lines))
+    quality = replace(fit.value.quality, rms_cv=0.5 * fit.value.quality.rms_cv)
+    return replace(fit, value=replace(fit.value, lines=lines, quality=quality))
 
 
 def test_json_has_the_numbers_and_the_verdict(reading, fitted, monkeypatch, tmp_path, capsys) -> None:
@@ -111,6 +112,8 @@ def test_json_has_the_numbers_and_the_verdict(reading, fitted, monkeypatch, tmp_
     said = json.loads(capsys.readouterr().out)
     assert len(said["joints"]) == 7
     assert said["joints"][0]["share_held_out"] < 0.1
+    quality = fitted.value.quality
+    assert said["joints"][0]["share_held_out"] == pytest.approx(0.5 * quality.rms_cv[0] / quality.torque_sd[0])
     assert said["joints"][0]["share_test"] is None
     assert any("ripple of joint 2." in sentence for sentence in said["verdict"]["good"])
     assert said["condition"] > 1

@@ -10,8 +10,11 @@ import pytest
 from armlab import identify
 from armlab.errors import NotExcited, ShapeError
 from armlab.identify import fit_friction
+from armlab.identify.preparation import prepare
+from armlab.identify.validation import held_out
 from armlab.log import Table
 from armlab.models import FrictionMap, RippleLines, TorqueModel, load, save, speed_basis
+from armlab.robots import from_links
 
 
 def log(model: TorqueModel, seconds: float, seed: int, noise: float = 0.05) -> Table:
@@ -39,6 +42,22 @@ def rippled(model: TorqueModel) -> TorqueModel:
     return replace(model, lines=lines, friction_map=FrictionMap(basis, table))
 
 
+def assert_honest(found: TorqueModel, before: TorqueModel, unseen: Table) -> None:
+    """Quality and covariance are what another motion shows: neither those of the model before nor those of the fit."""
+    quality, won = found.quality, [1, 3]
+    data = prepare(unseen, from_links("arm", found.frames, gravity=found.gravity))
+    rows = np.ones(len(unseen), dtype=bool)
+    errors, moving = held_out([(found, rows)], data)
+    worse, _ = held_out([(before, rows)], data)
+    rms, rms_before = (np.sqrt(np.sum(e**2, axis=0, where=moving) / moving.sum(axis=0)) for e in (errors, worse))
+    assert np.all(quality.rms_cv[won] > quality.rms[won])
+    assert np.all(quality.rms_cv[won] < 0.5 * rms_before[won])
+    np.testing.assert_allclose(quality.rms_cv[won], rms[won], rtol=0.4)
+    inside = np.mean(errors[:, won] ** 2 < 4.0 * found.covariance.variance(unseen["qd"])[:, won], where=moving[:, won])
+    assert 0.85 < inside < 0.995
+    np.testing.assert_allclose(quality.coverage[won], 0.954, atol=0.05)
+
+
 @pytest.mark.slow  # 15 s
 def test_what_is_there_is_found_and_nothing_else(tmp_path, model: TorqueModel, rippled: TorqueModel) -> None:
     fit = fit_friction(log(rippled, 40, seed=0), model)
@@ -59,6 +78,7 @@ def test_what_is_there_is_found_and_nothing_else(tmp_path, model: TorqueModel, r
     assert error[3] < 0.25
     assert len(fit.names) == 32 + 80
     assert "100." in fit.report()
+    assert_honest(fit.value, model, log(rippled, 30, seed=5))
     again = load(save(fit.value, tmp_path / "model.toml"))
     assert np.array_equal(again.torque(held_out["q"], held_out["qd"]), fit.value.torque(held_out["q"], held_out["qd"]))
 

@@ -10,7 +10,7 @@ import pytest
 from armlab.errors import NotExcited, ShapeError
 from armlab.identify import dither, fit_dynamics, predict, prepare
 from armlab.identify.parameter_table import parameter_text
-from armlab.identify.validation import assess, held_out, report
+from armlab.identify.validation import FIFTHS, assess, assess_again, fold_of, held_out, report
 
 
 def test_held_out_residuals_cover_the_log_and_assess_calibrates(truth, excited, model) -> None:
@@ -29,6 +29,35 @@ def test_held_out_residuals_cover_the_log_and_assess_calibrates(truth, excited, 
     assert np.mean(judged.quality.coverage) != pytest.approx(np.mean(ratio < 4.0), abs=1e-9)
     # these folds saw every row: in-sample and held-out figures are of one kind and therefore equal
     np.testing.assert_allclose(judged.quality.rms, judged.quality.rms_cv, rtol=1e-12)
+
+
+def test_fifths_are_stretches_all_over_the_log(truth, excited) -> None:
+    fold = fold_of(prepare(excited, truth.robot))
+    assert np.bincount(fold).min() > 0.9 * len(fold) / FIFTHS == 0.9 * len(fold) / 5
+    assert np.count_nonzero(np.diff(fold)) == 19
+
+
+@pytest.mark.slow  # 5 s
+def test_a_model_with_parts_is_judged_with_what_its_base_lost_on_the_same_log(truth, excited, model) -> None:
+    """On its own log the base has seen each fifth: its loss is added. On another log residuals tell it themselves."""
+    data = prepare(excited.between(0.0, 10.0), truth.robot)
+    model = replace(model, sources=data.sources)
+    q, folds = model.quality, [model] * FIFTHS
+    same = assess_again(model, model, folds, data)
+    np.testing.assert_allclose(same.quality.rms, q.rms, rtol=0.2)
+    np.testing.assert_allclose(same.quality.rms_cv**2, same.quality.rms**2 + q.rms_cv**2 - q.rms**2, rtol=1e-9)
+    np.testing.assert_allclose(same.quality.coverage, 0.954, atol=0.04)
+    assert same.sources == model.sources
+    other = assess_again(replace(model, sources=("another log",)), model, folds, data)
+    np.testing.assert_allclose(other.quality.rms_cv, other.quality.rms, rtol=1e-12)
+    assert other.sources == ("another log", *data.sources)
+    assert np.all(other.covariance.variance(0.3 * np.ones(7)) < same.covariance.variance(0.3 * np.ones(7)))
+    # parts that are wrong on fifths they have not seen widen the covariance
+    friction = replace(model.friction, offset=model.friction.offset + np.where(np.arange(7) == 2, 1.0, 0.0))
+    worse = assess_again(model, model, [replace(model, friction=friction), *folds[1:]], data)
+    assert worse.quality.rms_cv[2] > 3.0 * same.quality.rms_cv[2]
+    assert worse.covariance.Cinf[2] > 4.0 * same.covariance.Cinf[2]
+    np.testing.assert_allclose(worse.quality.rms, same.quality.rms, rtol=1e-12)
 
 
 def test_predict_gives_model_torque_whose_band_holds_the_measured_one(truth, excited, model) -> None:

@@ -55,6 +55,10 @@ def test_a_warm_up_of_40_minutes_is_found(cold: TorqueModel) -> None:
         model.torque(held_out["q"], held_out["qd"], qdd, held_out.dt)[:, :2] for model in (cold, fit.value, truth)
     )
     assert np.sqrt(np.mean((after - exact) ** 2)) < 0.5 * np.sqrt(np.mean((before - exact) ** 2))
+    quality = fit.value.quality
+    assert np.all(quality.rms_cv[:2] >= quality.rms[:2])
+    assert np.all(quality.rms_cv[:2] < 0.5 * np.std(after - before, axis=0)), "without warm-up much more is left"
+    np.testing.assert_allclose(quality.coverage, 0.954, atol=0.05)
     assert len(fit.names) == 16
     assert np.all(fit.sd > 0)
 

@@ -11,7 +11,7 @@ Each is joint by joint, on the unfiltered residual that the ones before leave.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,9 +29,13 @@ from armlab.identify.ripple import (
     select_lines,
     warn_of_fast_lines,
 )
+from armlab.identify.ripple import (
+    RIDGE as LINE_RIDGE,
+)
+from armlab.identify.validation import FIFTHS, assess_again, fold_of
 from armlab.identify.warm_up import MIN_SECONDS, fit_warm_up
 from armlab.log import Table
-from armlab.models import FrictionMap, RippleLines, TorqueModel, speed_basis
+from armlab.models import FrictionMap, RadialBasis, RippleLines, TorqueModel, speed_basis
 
 __all__ = ["fit_friction"]
 
@@ -43,11 +47,20 @@ HIGHEST = 1.25  # times the ripple line of the model, which is at twice the gear
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """Coefficients of one joint with their covariance."""
+    """Coefficients (p,) of one joint with covariance and names, and those (5, p) without each fifth of the log."""
 
     k: np.ndarray
     cov: np.ndarray
+    folds: np.ndarray
     names: tuple[str, ...]
+
+    @classmethod
+    def of(cls, A: np.ndarray, y: np.ndarray, rows: _Rows, ridge: float, name: str, others: np.ndarray) -> _Part:
+        """Fit to y (M,), and without each fifth to `others` (5, M)."""
+        k, cov = refit(A, y, rows.block, ridge)
+        used = [rows.fifth != number for number in range(FIFTHS)]
+        folds = [refit(A[use], left[use], rows.block[use], ridge)[0] for use, left in zip(used, others)]
+        return cls(k, cov, np.array(folds), tuple(f"{name} [{number}]" for number in range(len(k))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +71,13 @@ class _Rows:
     qd: np.ndarray
     s: np.ndarray
     block: np.ndarray
+    fifth: np.ndarray
     rate: float
+
+    def of(self, use: np.ndarray) -> _Rows:
+        """Return the rows that are used (M,)."""
+        columns = (self.q, self.qd, self.s, self.block, self.fifth)
+        return _Rows(*(column[use] for column in columns), self.rate)
 
 
 def fit_friction(table: Table | Sequence[Table], model: TorqueModel) -> Fit[TorqueModel]:
@@ -72,13 +91,14 @@ def fit_friction(table: Table | Sequence[Table], model: TorqueModel) -> Fit[Torq
     Returns
     -------
     Fit of `models.TorqueModel`: the model with the parts that won, the same model when none did. Its torque covariance
-    and quality are still those of the model given. Parameters are the coefficients of the parts, in N m, with a
-    covariance from the scatter of whole blocks; parameters of warm-up stay with `fit_warm_up`.
+    and quality are its own: parts fitted without a fifth of the log are judged on it, and what the model given lost on
+    held-out rows is added where it was identified from the same log. Parameters are the coefficients of the parts, in
+    N m, with a covariance from the scatter of whole blocks; parameters of warm-up stay with `fit_warm_up`.
 
     Raises
     ------
     ShapeError : NaN rows, wrong joint count, velocity that is not the derivative of position.
-    NotExcited : too short, joints at rest.
+    NotExcited : too short, joints at rest, or that hardly slide past their presliding.
 
     References
     ----------
@@ -90,30 +110,35 @@ def fit_friction(table: Table | Sequence[Table], model: TorqueModel) -> Fit[Torq
         model = fit_warm_up(table, model).value
         found = model_residuals(table, model)
     block = data.blocks(min(block_seconds(found.y, 1.0 / data.rate), data.seconds / 20.0))
-    basis = rbf_centres(data.q, data.qd)
+    basis, fifth = rbf_centres(data.q, data.qd), fold_of(data)
     spread = [speed_basis(0.0, float(peak), SPEEDS) for peak in np.abs(data.qd).max(axis=0)]
-    lines, maps = {}, {}
+    lines: dict[int, tuple[np.ndarray, _Part]] = {}
+    maps: dict[int, _Part] = {}
     every = max(1, len(data.t) // ROWS)
     highest = _highest(model, data.qd[::every], data.rate)
     for i in range(model.n):
         q, qd, s, y = (np.ascontiguousarray(x[::every, i]) for x in (data.q, data.qd, found.s, found.y))
-        rows = _Rows(q, qd, s, block[::every], data.rate)
+        rows = _Rows(q, qd, s, block[::every], fifth[::every], data.rate)
         lowest = np.pi / float(basis.position_widths[i, 0])
-        cycles, part = _ripple(rows, y, (lowest, float(highest[i])), *spread[i])
-        if len(cycles):
-            lines[i] = cycles, _named(part, f"ripple joint {i + 1}")
-            y = y - ripple_regressor(q, qd, s, cycles, *spread[i]) @ part.k
+        others = np.tile(y, (FIFTHS, 1))
+        ripple = _ripple(rows, y, (lowest, float(highest[i])), spread[i], f"ripple joint {i + 1}")
+        if ripple is not None:
+            lines[i] = cycles, part = ripple
+            A = ripple_regressor(q, qd, s, cycles, *spread[i])
+            y, others = y - A @ part.k, others - part.folds @ A.T
         A = basis.functions(i, q, qd, s)
         if held_out_error(A, y, rows.block, RIDGE) < (1.0 - GAIN) * held_out_error(A[:, :0], y, rows.block):
-            maps[i] = _named(_Part(*refit(A, y, rows.block, RIDGE), ()), f"map joint {i + 1}")
-    coefficients = np.zeros((model.n, 2, basis.positions.shape[1], basis.speeds.shape[1]))
-    for i, part in maps.items():
-        coefficients[i] = part.k.reshape(coefficients[i].shape)
-    extended = replace(
-        model,
-        lines=_lines(lines, spread) if lines else model.lines,
-        friction_map=FrictionMap(basis, coefficients) if maps else model.friction_map,
-    )
+            maps[i] = _Part.of(A, y, rows, RIDGE, f"map joint {i + 1}", others)
+
+    def with_parts(pick: Callable[[_Part], np.ndarray]) -> TorqueModel:
+        of_lines = {i: (cycles, pick(part)) for i, (cycles, part) in lines.items()}
+        own_map = _map(basis, {i: pick(part) for i, part in maps.items()}) if maps else model.friction_map
+        return replace(model, lines=_lines(of_lines, spread) if lines else model.lines, friction_map=own_map)
+
+    extended = model
+    if lines or maps:
+        folds = [with_parts(lambda part, number=number: part.folds[number]) for number in range(FIFTHS)]
+        extended = assess_again(model, with_parts(lambda part: part.k), folds, data)
     return _fit(table, extended, [part for _, part in lines.values()] + list(maps.values()), found)
 
 
@@ -128,34 +153,40 @@ def _highest(model: TorqueModel, qd: np.ndarray, rate: float) -> np.ndarray:
 
 
 def _ripple(
-    rows: _Rows, y: np.ndarray, ends: tuple[float, float], speeds: np.ndarray, widths: np.ndarray
-) -> tuple[np.ndarray, _Part]:
+    rows: _Rows, y: np.ndarray, ends: tuple[float, float], spread: tuple[np.ndarray, np.ndarray], name: str
+) -> tuple[np.ndarray, _Part] | None:
     """Return the lines of one joint that stay and their coefficients, from the rows on which all of them are slow."""
-    nothing = _Part(np.zeros(0), np.zeros((0, 0)), ())
     cycles = ripple_lines(rows.q, rows.qd, y, rows.rate, ends[1], max(ends[0], 1.0))
     if not len(cycles):
-        return cycles, nothing
+        return None
     slow = cycles.max() * np.abs(rows.qd) < 0.5 * np.pi * rows.rate
-    A = ripple_regressor(rows.q, rows.qd, rows.s, cycles, speeds, widths)[slow]
-    size = 4 * len(speeds)
-    kept = select_lines(A, y[slow], size, rows.block[slow])
+    rows, y = rows.of(slow), y[slow]
+    A = ripple_regressor(rows.q, rows.qd, rows.s, cycles, *spread)
+    size = 4 * len(spread[0])
+    kept = select_lines(A, y, size, rows.block)
     if not kept.any():
-        return cycles[:0], nothing
-    return cycles[kept], _Part(*refit(A[:, np.repeat(kept, size)], y[slow], rows.block[slow]), ())
+        return None
+    part = _Part.of(A[:, np.repeat(kept, size)], y, rows, LINE_RIDGE, name, np.tile(y, (FIFTHS, 1)))
+    return cycles[kept], part
 
 
-def _named(part: _Part, name: str) -> _Part:
-    return replace(part, names=tuple(f"{name} [{k}]" for k in range(len(part.k))))
-
-
-def _lines(lines: dict[int, tuple[np.ndarray, _Part]], spread: Sequence[tuple[np.ndarray, np.ndarray]]) -> RippleLines:
+def _lines(
+    lines: dict[int, tuple[np.ndarray, np.ndarray]], spread: Sequence[tuple[np.ndarray, np.ndarray]]
+) -> RippleLines:
     return RippleLines(
         joint=np.concatenate([np.full(len(cycles), i) for i, (cycles, _) in lines.items()]),
         cycles=np.concatenate([cycles for cycles, _ in lines.values()]),
         speeds=np.stack([speeds for speeds, _ in spread]),
         widths=np.stack([widths for _, widths in spread]),
-        coefficients=np.concatenate([part.k.reshape(-1, 2, SPEEDS, 2) for _, part in lines.values()]),
+        coefficients=np.concatenate([k.reshape(-1, 2, SPEEDS, 2) for _, k in lines.values()]),
     )
+
+
+def _map(basis: RadialBasis, maps: dict[int, np.ndarray]) -> FrictionMap:
+    coefficients = np.zeros((basis.n, 2, basis.positions.shape[1], basis.speeds.shape[1]))
+    for i, k in maps.items():
+        coefficients[i] = k.reshape(coefficients[i].shape)
+    return FrictionMap(basis, coefficients)
 
 
 def _fit(table: Table | Sequence[Table], model: TorqueModel, parts: list[_Part], before: Residuals) -> Fit[TorqueModel]:

@@ -68,7 +68,7 @@ def _runs(
     prior, rate = np.square(PRIOR), np.square(FORCE_RATES["normal"])
     for model, rows in held:
         kernel = replace(model, momentum=noise).momentum_kernel(prior, rate, filters=filters)
-        for a, b in _pieces(rows, data):
+        for a, b in data.segments if model.warm_up is not None else _pieces(rows, data):  # warmth needs its past
             kernel.reset()
             found = kernel.run(data.q[a:b], data.qd[a:b], data.tau[a:b], data.dt[a:b])
             yield tuple(values[rows[a:b]] for values in found[:5]), a + np.flatnonzero(rows[a:b])

@@ -13,11 +13,14 @@ from armlab.identify.extrapolation import extrapolation
 from armlab.identify.momentum import momentum_noise
 from armlab.identify.parameter_table import parameter_text
 from armlab.identify.preparation import Prepared, pieces, with_velocity
+from armlab.identify.spikes import spikes, without_spikes
 from armlab.log import Table
 from armlab.models import FrictionBound, TorqueModel, VelocityCovariance
 from armlab.signals import central_diff, lowpass_offline
 
-__all__ = ["assess", "held_out", "predict", "report"]
+__all__ = ["FIFTHS", "assess", "assess_again", "fold_of", "held_out", "predict", "report"]
+
+FIFTHS, STRETCHES = 5, 20
 
 SETTLED = 0.01  # variance of the presliding state below which friction is known from motion
 ALPHA2_BOUNDS = (0.25, 25.0)
@@ -58,7 +61,11 @@ def _causal(model: TorqueModel, data: Prepared) -> tuple[np.ndarray, np.ndarray]
 
 
 def assess(
-    model: TorqueModel, folds: list[tuple[TorqueModel, np.ndarray]], data: Prepared, joints: np.ndarray | None = None
+    model: TorqueModel,
+    folds: list[tuple[TorqueModel, np.ndarray]],
+    data: Prepared,
+    joints: np.ndarray | None = None,
+    unseen: np.ndarray | None = None,
 ) -> TorqueModel:
     """Return the model with its torque covariance and quality figures.
 
@@ -71,8 +78,14 @@ def assess(
     ----------
     model : fitted to all data. folds : models for held-out rows.
     data : the record. joints : whose torque is measured; all when left out.
+    unseen : (n,) variance [(N m)^2] that held-out residuals have beyond those of `folds`, whose models share a part
+        that was fitted to these rows too.
     """
     errors, moving = held_out(folds, data)
+    if unseen is not None:
+        count = np.maximum(moving.sum(axis=0), 1)
+        power = np.sum(errors**2, axis=0, where=moving) / count
+        errors = errors * np.sqrt(1.0 + unseen / np.maximum(power, 1e-300))
     measured = np.ones(model.n, dtype=bool) if joints is None else np.isin(np.arange(model.n), joints)
     moving &= measured
     odd = (data.blocks(HALF) % 2 == 1)[:, None]
@@ -95,6 +108,41 @@ def assess(
     if not measured.all():
         return judged  # the momentum of an arm takes all torques
     return replace(judged, momentum=momentum_noise(judged, folds, np.where(moving, errors, np.nan), data))
+
+
+def assess_again(before: TorqueModel, model: TorqueModel, folds: list[TorqueModel], data: Prepared) -> TorqueModel:
+    """Return a model with parts added to one that was identified before, with torque covariance and quality of its own.
+
+    Where `before` was identified from one of these logs, its own parameters have seen the rows that `folds` have not:
+    what it lost on held-out rows, ``rms_cv^2 - rms^2``, is added to their errors.
+
+    Parameters
+    ----------
+    before : without the parts. model : with the parts, fitted to all data.
+    folds : with the parts fitted without each fifth of `fold_of`.
+    data : the record; single spikes of its torque do not count, as in `fit_dynamics`.
+    """
+    data = replace(data, tau=without_spikes(data, spikes(data), before))
+    fold, quality = fold_of(data), before.quality
+    known = np.isfinite(quality.rms_cv)
+    measured = np.flatnonzero(known) if known.any() else None
+    lost = np.where(known, np.maximum(quality.rms_cv**2 - quality.rms**2, 0.0), 0.0)
+    seen = not set(data.sources).isdisjoint(before.sources)
+    quality = replace(quality, torque_sd=np.std(data.tau, axis=0), seconds=data.seconds)
+    sources = (*before.sources, *(source for source in data.sources if source not in before.sources))
+    pairs = [(one, fold == k) for k, one in enumerate(folds)]
+    model = replace(model, quality=quality, sources=sources)
+    return assess(model, pairs, data, measured, lost if seen else None)
+
+
+def fold_of(data: Prepared) -> np.ndarray:
+    """Return which fifth (N,), from 0, each row is in: twenty stretches of time go to the fifths in turn.
+
+    Parameters
+    ----------
+    data : the record.
+    """
+    return data.blocks(data.seconds / STRETCHES) % FIFTHS
 
 
 def _check_sliding(measured: np.ndarray, rows: np.ndarray) -> None:

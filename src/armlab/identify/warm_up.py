@@ -16,8 +16,10 @@ import numpy as np
 
 from armlab.errors import NotExcited
 from armlab.estimation import Excitation, Fit, block_seconds
+from armlab.identify.preparation import Prepared
 from armlab.identify.residuals import Residuals, model_residuals
 from armlab.identify.ripple import scattered
+from armlab.identify.validation import FIFTHS, assess_again, fold_of
 from armlab.log import Table
 from armlab.models import TorqueModel, WarmUp
 
@@ -56,13 +58,28 @@ class _Seconds:
         y = found.y[:, i] + f.viscous[i] * qd + c + f.offset[i]
         rest = f.stribeck[i] * s * np.exp(-((qd / f.stribeck_speed[i]) ** 2)) + f.root[i] * s * np.sqrt(np.abs(qd))
         columns = np.stack([qd, plus, minus, np.ones_like(qd), c, y], axis=1)
-        number = ((data.t - data.t[0]) / BIN).astype(int)
+        number = _number(data)
         rows = np.bincount(number).astype(float)
         gram = np.zeros((len(rows), 6, 6))
         np.add.at(gram, number, columns[:, :, None] * columns[:, None, :])
         power = np.zeros((len(rows), 3))
         np.add.at(power, number, np.stack([qd * qd, c * qd, rest * qd], axis=1))
         return cls(gram, power / np.maximum(rows, 1.0)[:, None], rows)
+
+
+def _number(data: Prepared) -> np.ndarray:
+    """Return the number (N,) of the second of each row."""
+    return ((data.t - data.t[0]) / BIN).astype(int)
+
+
+@dataclass(frozen=True, eq=False)
+class _Warm:
+    """What warms up: parameters (8,), their covariance, reference power, and parameters (5, 8) without each fifth."""
+
+    theta: np.ndarray
+    cov: np.ndarray
+    reference: float
+    folds: np.ndarray
 
 
 def _warmth(heat: np.ndarray, time: float, start: float) -> np.ndarray:
@@ -132,8 +149,9 @@ def fit_warm_up(table: Table | Sequence[Table], model: TorqueModel) -> Fit[Torqu
 
     Returns
     -------
-    Fit of `models.TorqueModel`; eight parameters of every joint that warms up, with a covariance from the scatter of
-    stretches of the log that are longer than its residual remembers.
+    Fit of `models.TorqueModel` with torque covariance and quality of its own, see `fit_friction`; eight parameters of
+    every joint that warms up, with a covariance from the scatter of stretches of the log that are longer than its
+    residual remembers.
 
     Raises
     ------
@@ -152,26 +170,33 @@ def fit_warm_up(table: Table | Sequence[Table], model: TorqueModel) -> Fit[Torqu
             ["warm-up"],
             [f"{data.seconds / 60:.1f} min"],
         )
-    kept: dict[int, tuple[np.ndarray, np.ndarray, float]] = {}
+    fifth, kept = fold_of(data), dict[int, _Warm]()
+    first = np.searchsorted(_number(data), np.arange(int(_number(data)[-1]) + 1))
     for i in range(model.n):
         sums = _Seconds.of(found, model, i)
         every = np.ones(len(sums.rows))
         theta, left, reference = _joint(sums, every)
         plain = _linear(sums, 0.0 * every, every)[1]
-        if left < (1.0 - GAIN) * plain and _gain(sums, theta) > GAIN:
+        if left >= (1.0 - GAIN) * plain:
+            continue
+        gain, folds = _held_out(sums, theta, reference, fifth[first])
+        if gain > GAIN:
             theta = _polished(sums, theta, reference)
-            kept[i] = theta, _covariance(sums, theta, reference), reference
-    warm = _with_warm_up(model, kept)
+            kept[i] = _Warm(theta, _covariance(sums, theta, reference), reference, folds)
+    warm = _with_warm_up(model, {i: (one.theta, one.reference) for i, one in kept.items()})
+    if kept:
+        parts = [{i: (one.folds[k], one.reference) for i, one in kept.items()} for k in range(FIFTHS)]
+        warm = assess_again(model, warm, [_with_warm_up(model, part) for part in parts], data)
     names = tuple(f"{name} joint {i + 1}" for i in kept for name in NAMES)
     cov = np.zeros((len(names), len(names)))
-    for k, (_, part, _) in enumerate(kept.values()):
-        cov[8 * k : 8 * k + 8, 8 * k : 8 * k + 8] = part
+    for k, one in enumerate(kept.values()):
+        cov[8 * k : 8 * k + 8, 8 * k : 8 * k + 8] = one.cov
     left = model_residuals(table, warm).y
     return Fit(
         value=warm,
         names=names,
         units=UNITS * len(kept),
-        parameters=np.concatenate([theta for theta, _, _ in kept.values()]) if kept else np.zeros(0),
+        parameters=np.concatenate([np.zeros(0), *(one.theta for one in kept.values())]),
         cov=cov,
         sigma=np.std(left, axis=0),
         residuals=left,
@@ -180,17 +205,16 @@ def fit_warm_up(table: Table | Sequence[Table], model: TorqueModel) -> Fit[Torqu
     )
 
 
-def _gain(sums: _Seconds, guess: np.ndarray) -> float:
-    """Return the share of the squares on held-out fifths of the minutes that warm-up removes."""
-    plain = warm = 0.0
+def _held_out(sums: _Seconds, guess: np.ndarray, reference: float, fifth: np.ndarray) -> tuple[float, np.ndarray]:
+    """Return the share of the squares on held-out seconds that warm-up removes, and parameters without each fifth."""
+    plain, warm, thetas = 0.0, 0.0, []
     zero = np.zeros(len(sums.rows))
-    minute = (np.arange(len(zero)) * BIN / 60.0).astype(int)
-    for fold in range(5):
-        out = (minute % 5 == fold).astype(float)
-        theta, _, reference = _joint(sums, 1.0 - out, guess)
-        warm += _left(sums, theta, reference, out)
+    for k in range(FIFTHS):
+        out = (fifth == k).astype(float)
+        thetas.append(_joint(sums, 1.0 - out, guess)[0])
+        warm += _left(sums, thetas[-1], reference, out)
         plain += _squares(sums, _linear(sums, zero, 1.0 - out)[0], zero, out)
-    return 1.0 - warm / plain if plain > 0 else 0.0
+    return 1.0 - warm / plain if plain > 0 else 0.0, np.array(thetas)
 
 
 def _warm(sums: _Seconds, theta: np.ndarray, reference: float) -> tuple[np.ndarray, np.ndarray]:
@@ -265,14 +289,14 @@ def _covariance(sums: _Seconds, theta: np.ndarray, reference: float) -> np.ndarr
     return scattered(H, np.add.reduceat(moments, np.arange(0, len(moments), length), axis=0))
 
 
-def _with_warm_up(model: TorqueModel, kept: dict[int, tuple[np.ndarray, np.ndarray, float]]) -> TorqueModel:
+def _with_warm_up(model: TorqueModel, kept: dict[int, tuple[np.ndarray, float]]) -> TorqueModel:
     if not kept:
         return model
     f, zero = model.friction, np.zeros(model.n)
     friction = {name: getattr(f, name).copy() for name in ("viscous", "coulomb_pos", "coulomb_neg", "offset")}
     warm = {name: zero.copy() for name in ("of_coulomb", "of_viscous", "time", "power", "start")}
     warm["power"] += 1.0  # of drives that do not warm up
-    for i, (theta, _, reference) in kept.items():
+    for i, (theta, reference) in kept.items():
         viscous, positive, negative, offset, of_viscous, of_coulomb, time, start = theta
         for name, value in zip(friction, (viscous, positive, negative, offset)):
             friction[name][i] = value
