@@ -9,7 +9,8 @@ import pytest
 
 from armlab import identify
 from armlab.errors import NotExcited, ShapeError
-from armlab.identify import fit_friction
+from armlab.estimation import Experiment, Limits, check_estimator
+from armlab.identify import fit_dynamics, fit_friction
 from armlab.identify.preparation import prepare
 from armlab.identify.validation import held_out
 from armlab.log import Table
@@ -76,7 +77,9 @@ def test_what_is_there_is_found_and_nothing_else(tmp_path, model: TorqueModel, r
     )
     assert error[1] < 0.25
     assert error[3] < 0.25
-    assert len(fit.names) == 32 + 80
+    assert len(fit.names) == 32 + 1 + 80
+    assert fit.names[32] == "ripple joint 2 line 1"
+    assert fit.parameters[32] == lines.cycles[0]
     assert "100." in fit.report()
     assert_honest(fit.value, model, log(rippled, 30, seed=5))
     again = load(save(fit.value, tmp_path / "model.toml"))
@@ -114,3 +117,53 @@ def test_lines_that_the_sampling_hides_are_told_by_joint(model: TorqueModel) -> 
     table = Table(t, {"q": q, "qd": qd, "tau": model.torque(q, qd, qdd) + noise})
     with pytest.warns(UserWarning, match=r"faster ripple for joint 3 \(above \d+ cycles/rev\): it folds back"):
         fit_friction(table, model)
+
+
+@pytest.mark.slow  # 12 s
+def test_the_statistical_contract(short_arm) -> None:
+    """Ripple of one joint and friction over position of the other; four times the samples at four times the rate."""
+    base = fit_dynamics(short_arm.log(0, 3000), short_arm.robot).value
+    base = replace(base, ripple=replace(base.ripple, cycles=np.array([100.0, 100.0])))
+    f = np.array([0.4, 0.53])
+
+    def motion(n: int) -> tuple[np.ndarray, ...]:
+        t = np.arange(n)[:, None] * 40.0 / n
+        waves = [(0.9, f, 0.0), (0.1, 3.1 * f, 1.0)]
+        q = sum(a * np.sin(w * t + p) for a, w, p in waves)
+        qd = sum(a * w * np.cos(w * t + p) for a, w, p in waves)
+        return t[:, 0], q, qd, sum(-a * w**2 * np.sin(w * t + p) for a, w, p in waves)
+
+    _, q, qd, _ = motion(4000)
+    spread = [speed_basis(0.0, float(peak), 8) for peak in np.abs(qd).max(axis=0)]
+    speeds, widths = (np.stack([one[k] for one in spread]) for k in range(2))
+    ripple, basis, table = np.zeros((1, 2, 8, 2)), identify.rbf_centres(q, qd), np.zeros((2, 2, 8, 5))
+    ripple[0, 0, :, 0], ripple[0, 1, :, 1] = 0.8, 0.7
+    table[1, 0], table[1, 1] = 0.4 * np.sin(3 * basis.positions[1])[:, None], -0.2
+    lines = RippleLines([0], [100.0], speeds, widths, ripple)
+    truth = replace(base, lines=lines, friction_map=FrictionMap(basis, table))
+    clean: dict[int, Table] = {}
+
+    def draw(seed: int, n: int) -> Experiment:
+        if n not in clean:
+            t, q, qd, qdd = motion(n)
+            clean[n] = Table(t, {"q": q, "qd": qd, "tau": truth.torque(q, qd, qdd)})
+        noise = 0.2 * np.random.default_rng(seed).standard_normal((n, 2))
+        log = clean[n].with_column("tau", clean[n]["tau"] + noise)
+        return Experiment({"table": log, "model": base}, np.concatenate([ripple.ravel(), [100.0], table[1].ravel()]))
+
+    contract = check_estimator(
+        fit_friction,
+        draw,
+        3,
+        n=4000,
+        limits=Limits(honest=(0.7, 1.4)),  # of covariances from blocks: there are 80 of them for 113 parameters
+        refusals={"everything": {"table": draw(0, 4000).data["table"].between(0.0, 3.0), "model": base}},
+        skip={
+            "efficient": "residuals of robots are coloured: there is no bound to reach",
+            "order-free": "friction remembers: the rows of a log have an order",
+            "gauge-free": "parameters are those of the drives",
+            "robust": "fit_dynamics takes care of outliers before",
+            "explains": "the report is a table per joint; the table of the fit has every value",
+        },
+    )
+    assert contract.passed, contract.text()

@@ -10,7 +10,10 @@ from armlab.identify import ripple_lines, ripple_regressor
 from armlab.identify.ripple import (
     held_out_error,
     highest_seen,
+    refine_lines,
     refit,
+    ridge_solution,
+    ripple_amplitudes,
     scattered,
     select_lines,
     warn_of_fast_lines,
@@ -106,7 +109,7 @@ def test_few_blocks_leave_no_direction_without_spread() -> None:
     A, block = np.repeat(rng.standard_normal((200, 32)), 10, axis=0), np.arange(2000) // 100
     A = A + 0.5 * rng.standard_normal(A.shape)
     nees = []
-    for _ in range(50):
+    for _ in range(15):
         e = np.repeat(rng.standard_normal(200), 10) + 0.1 * rng.standard_normal(2000)
         x, cov = refit(A, e, block)
         nees.append(x @ np.linalg.solve(cov, x) / 32)
@@ -135,3 +138,21 @@ def test_the_scatter_of_many_stretches_is_that_of_least_squares_in_any_unit() ->
     unit = np.array([1.0, 1e3, 1e-3])
     B = A * unit
     np.testing.assert_allclose(scattered(B.T @ B, B * noise[:, None]), cov / np.outer(unit, unit), rtol=1e-6)
+
+
+def test_a_line_is_refined_with_all_its_amplitudes_and_its_error_is_told() -> None:
+    """Amplitudes over speed and direction, a search 0.1 off, 20 logs: errors are as large as stated."""
+    t, q, qd = motion(20.0)
+    speeds, widths = speed_basis(0.0, np.abs(qd).max(), 3)
+    amplitudes, block = ripple_amplitudes(qd, np.sign(qd), speeds, widths), (t / 0.5).astype(int)
+    A = ripple_regressor(q, qd, np.sign(qd), np.array([100.0]), speeds, widths)
+    truth = np.array([0.3, 0.0, 0.3, 0.1, 0.2, 0.0, 0.0, 0.3, 0.1, 0.3, 0.0, 0.2])
+    rng, nees = np.random.default_rng(5), []
+    for _ in range(20):
+        y = A @ truth + 0.1 * rng.standard_normal(len(q))
+        cycles, x, cov = refine_lines(q, amplitudes, y, np.array([100.1]), block)
+        assert cycles[0] == pytest.approx(100.0, abs=5.0 * np.sqrt(cov[-1, -1]))
+        e = np.append(x - truth, cycles - 100.0)
+        nees.append(e @ np.linalg.solve(cov, e) / 13)
+    assert 0.7 < np.mean(nees) < 1.3
+    np.testing.assert_allclose(ridge_solution(A, A @ truth)[0], truth, atol=1e-4)

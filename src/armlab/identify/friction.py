@@ -23,7 +23,10 @@ from armlab.identify.ripple import (
     GAIN,
     held_out_error,
     highest_seen,
+    refine_lines,
     refit,
+    ridge_solution,
+    ripple_amplitudes,
     ripple_lines,
     ripple_regressor,
     select_lines,
@@ -47,20 +50,22 @@ HIGHEST = 1.25  # times the ripple line of the model, which is at twice the gear
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """Coefficients (p,) of one joint with covariance and names, and those (5, p) without each fifth of the log."""
+    """Coefficients (p,) of one joint, lines (L,), covariance of both, and coefficients (5, p) without each fifth."""
 
+    name: str
     k: np.ndarray
+    cycles: np.ndarray
     cov: np.ndarray
     folds: np.ndarray
-    names: tuple[str, ...]
 
-    @classmethod
-    def of(cls, A: np.ndarray, y: np.ndarray, rows: _Rows, ridge: float, name: str, others: np.ndarray) -> _Part:
-        """Fit to y (M,), and without each fifth to `others` (5, M)."""
-        k, cov = refit(A, y, rows.block, ridge)
-        used = [rows.fifth != number for number in range(FIFTHS)]
-        folds = [refit(A[use], left[use], rows.block[use], ridge)[0] for use, left in zip(used, others)]
-        return cls(k, cov, np.array(folds), tuple(f"{name} [{number}]" for number in range(len(k))))
+    @property
+    def names(self) -> list[str]:
+        of_lines = [f"{self.name} line {number + 1}" for number in range(len(self.cycles))]
+        return [f"{self.name} [{number}]" for number in range(len(self.k))] + of_lines
+
+    @property
+    def units(self) -> list[str]:
+        return ["N m"] * len(self.k) + ["cycles/rev"] * len(self.cycles)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +84,11 @@ class _Rows:
         columns = (self.q, self.qd, self.s, self.block, self.fifth)
         return _Rows(*(column[use] for column in columns), self.rate)
 
+    def folds(self, A: np.ndarray, others: np.ndarray, ridge: float) -> np.ndarray:
+        """Return coefficients (5, p) without each fifth, from residuals `others` (5, M) of models without it."""
+        used = [self.fifth != number for number in range(FIFTHS)]
+        return np.array([ridge_solution(A[use], y[use], ridge)[0] for use, y in zip(used, others)])
+
 
 def fit_friction(table: Table | Sequence[Table], model: TorqueModel) -> Fit[TorqueModel]:
     """Fit warm-up, torque ripple and friction over position to what a model leaves of a log, and keep what wins.
@@ -93,7 +103,8 @@ def fit_friction(table: Table | Sequence[Table], model: TorqueModel) -> Fit[Torq
     Fit of `models.TorqueModel`: the model with the parts that won, the same model when none did. Its torque covariance
     and quality are its own: parts fitted without a fifth of the log are judged on it, and what the model given lost on
     held-out rows is added where it was identified from the same log. Parameters are the coefficients of the parts, in
-    N m, with a covariance from the scatter of whole blocks; parameters of warm-up stay with `fit_warm_up`.
+    N m, and the lines, with a covariance from the scatter of whole blocks and the pull of the ridge; parameters of
+    warm-up stay with `fit_warm_up`.
 
     Raises
     ------
@@ -112,7 +123,7 @@ def fit_friction(table: Table | Sequence[Table], model: TorqueModel) -> Fit[Torq
     block = data.blocks(min(block_seconds(found.y, 1.0 / data.rate), data.seconds / 20.0))
     basis, fifth = rbf_centres(data.q, data.qd), fold_of(data)
     spread = [speed_basis(0.0, float(peak), SPEEDS) for peak in np.abs(data.qd).max(axis=0)]
-    lines: dict[int, tuple[np.ndarray, _Part]] = {}
+    lines: dict[int, _Part] = {}
     maps: dict[int, _Part] = {}
     every = max(1, len(data.t) // ROWS)
     highest = _highest(model, data.qd[::every], data.rate)
@@ -123,15 +134,16 @@ def fit_friction(table: Table | Sequence[Table], model: TorqueModel) -> Fit[Torq
         others = np.tile(y, (FIFTHS, 1))
         ripple = _ripple(rows, y, (lowest, float(highest[i])), spread[i], f"ripple joint {i + 1}")
         if ripple is not None:
-            lines[i] = cycles, part = ripple
-            A = ripple_regressor(q, qd, s, cycles, *spread[i])
+            lines[i] = part = ripple
+            A = ripple_regressor(q, qd, s, part.cycles, *spread[i])
             y, others = y - A @ part.k, others - part.folds @ A.T
         A = basis.functions(i, q, qd, s)
         if held_out_error(A, y, rows.block, RIDGE) < (1.0 - GAIN) * held_out_error(A[:, :0], y, rows.block):
-            maps[i] = _Part.of(A, y, rows, RIDGE, f"map joint {i + 1}", others)
+            k, cov = refit(A, y, rows.block, RIDGE)
+            maps[i] = _Part(f"map joint {i + 1}", k, np.zeros(0), cov, rows.folds(A, others, RIDGE))
 
     def with_parts(pick: Callable[[_Part], np.ndarray]) -> TorqueModel:
-        of_lines = {i: (cycles, pick(part)) for i, (cycles, part) in lines.items()}
+        of_lines = {i: (part.cycles, pick(part)) for i, part in lines.items()}
         own_map = _map(basis, {i: pick(part) for i, part in maps.items()}) if maps else model.friction_map
         return replace(model, lines=_lines(of_lines, spread) if lines else model.lines, friction_map=own_map)
 
@@ -139,7 +151,7 @@ def fit_friction(table: Table | Sequence[Table], model: TorqueModel) -> Fit[Torq
     if lines or maps:
         folds = [with_parts(lambda part, number=number: part.folds[number]) for number in range(FIFTHS)]
         extended = assess_again(model, with_parts(lambda part: part.k), folds, data)
-    return _fit(table, extended, [part for _, part in lines.values()] + list(maps.values()), found)
+    return _fit(table, extended, [*lines.values(), *maps.values()], found)
 
 
 def _highest(model: TorqueModel, qd: np.ndarray, rate: float) -> np.ndarray:
@@ -154,20 +166,21 @@ def _highest(model: TorqueModel, qd: np.ndarray, rate: float) -> np.ndarray:
 
 def _ripple(
     rows: _Rows, y: np.ndarray, ends: tuple[float, float], spread: tuple[np.ndarray, np.ndarray], name: str
-) -> tuple[np.ndarray, _Part] | None:
-    """Return the lines of one joint that stay and their coefficients, from the rows on which all of them are slow."""
+) -> _Part | None:
+    """Return the lines of one joint that stay with their coefficients, from the rows on which all of them are slow."""
     cycles = ripple_lines(rows.q, rows.qd, y, rows.rate, ends[1], max(ends[0], 1.0))
     if not len(cycles):
         return None
     slow = cycles.max() * np.abs(rows.qd) < 0.5 * np.pi * rows.rate
     rows, y = rows.of(slow), y[slow]
+    amplitudes = ripple_amplitudes(rows.qd, rows.s, *spread)
     A = ripple_regressor(rows.q, rows.qd, rows.s, cycles, *spread)
-    size = 4 * len(spread[0])
-    kept = select_lines(A, y, size, rows.block)
+    kept = select_lines(A, y, amplitudes.shape[1] * 2, rows.block)
     if not kept.any():
         return None
-    part = _Part.of(A[:, np.repeat(kept, size)], y, rows, LINE_RIDGE, name, np.tile(y, (FIFTHS, 1)))
-    return cycles[kept], part
+    cycles, k, cov = refine_lines(rows.q, amplitudes, y, cycles[kept], rows.block)
+    A = ripple_regressor(rows.q, rows.qd, rows.s, cycles, *spread)
+    return _Part(name, k, cycles, cov, rows.folds(A, np.tile(y, (FIFTHS, 1)), LINE_RIDGE))
 
 
 def _lines(
@@ -193,8 +206,9 @@ def _fit(table: Table | Sequence[Table], model: TorqueModel, parts: list[_Part],
     names = tuple(name for part in parts for name in part.names)
     cov, at = np.zeros((len(names), len(names))), 0
     for part in parts:
-        cov[at : at + len(part.k), at : at + len(part.k)] = part.cov
-        at += len(part.k)
+        size = len(part.cov)
+        cov[at : at + size, at : at + size] = part.cov
+        at += size
     residuals = model_residuals(table, model).y
     started = np.std(before.y, axis=0)
 
@@ -211,8 +225,8 @@ def _fit(table: Table | Sequence[Table], model: TorqueModel, parts: list[_Part],
     return Fit(
         value=model,
         names=names,
-        units=("N m",) * len(names),
-        parameters=np.concatenate([np.zeros(0), *(part.k for part in parts)]),
+        units=tuple(unit for part in parts for unit in part.units),
+        parameters=np.concatenate([np.zeros(0), *(np.append(part.k, part.cycles) for part in parts)]),
         cov=cov,
         sigma=np.std(residuals, axis=0),
         residuals=residuals,

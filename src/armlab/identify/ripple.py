@@ -26,7 +26,10 @@ from armlab.kernels import basis_weights
 __all__ = [
     "held_out_error",
     "highest_seen",
+    "refine_lines",
+    "ridge_solution",
     "refit",
+    "ripple_amplitudes",
     "ripple_lines",
     "ripple_regressor",
     "scattered",
@@ -37,6 +40,9 @@ __all__ = [
 P_VALUE = 1e-3
 NEIGHBOURS = 50  # grid points on either side that make the local median
 MAX_LINES = 10
+MOST_STRETCHES = 200  # for a covariance
+FULL = 1e-6  # least share of a direction that other stretches tell
+NEWTON = 3  # steps of Gauss and Newton from a line found to one that leaves least
 RIDGE = 1e-6  # relative
 GAIN = 0.02  # share of the held-out variance that a part must remove
 CHUNK = 2**22  # numbers held at once
@@ -190,29 +196,62 @@ def ripple_regressor(
     q, qd, z : (N,) position [rad], velocity [rad/s], presliding state.
     cycles : (L,) lines. speeds, widths : (S,) of the Gaussians [rad/s].
     """
+    return _waves(q, ripple_amplitudes(qd, z, speeds, widths), cycles)[0]
+
+
+def ripple_amplitudes(qd: np.ndarray, z: np.ndarray, speeds: np.ndarray, widths: np.ndarray) -> np.ndarray:
+    """Return the weights (N, 2 S) of both directions and of the Gaussians in speed.
+
+    Parameters
+    ----------
+    qd, z : (N,) velocity [rad/s], presliding state. speeds, widths : (S,) of the Gaussians [rad/s].
+    """
     along = basis_weights(np.abs(qd), speeds, widths)
     sides = np.stack([0.5 * (1 + np.asarray(z)), 0.5 * (1 - np.asarray(z))], axis=1)
-    amplitude = (sides[:, :, None] * along[:, None, :]).reshape(len(along), -1)
-    wave = np.stack([np.cos(np.outer(q, cycles)), np.sin(np.outer(q, cycles))], axis=2)
-    return np.einsum("nk,nlw->nlkw", amplitude, wave).reshape(len(along), -1)
+    return (sides[:, :, None] * along[:, None, :]).reshape(len(along), -1)
 
 
-def refit(A: np.ndarray, y: np.ndarray, block: np.ndarray, ridge: float = RIDGE) -> tuple[np.ndarray, np.ndarray]:
+def refit(
+    A: np.ndarray, y: np.ndarray, block: np.ndarray, ridge: float = RIDGE, beside: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Return ridge coefficients (p,) and their covariance (p, p) from the scatter of whole blocks.
 
-    ``H = A^T A + ridge mean(diag) 1``, ``cov = H^-1 S H^-1`` with S the scatter ``sum_b g_b g_b^T`` of the moments g_b
-    of the residuals in a block: residuals that remember make it larger than the formal one. Where blocks are few for
-    the coefficients S is shrunk towards a multiple of H (`estimation.shrinkage`): it would have no spread in most
-    directions.
+    ``H = A^T A + r 1, r = ridge mean(diag)``, ``cov = H^-1 (S + r^2 v 1) H^-1`` with S the scatter ``sum_b g_b g_b^T``
+    of the moments g_b of the residuals in a block: residuals that remember make it larger than the formal one. Where
+    blocks are few for the coefficients S is shrunk towards a multiple of H (`estimation.shrinkage`): it would have no
+    spread in most directions. v is the mean square of the coefficients: so far the ridge pulls what is hardly told.
 
     Parameters
     ----------
     A : (N, p). y : (N,). block : (N,) numbers. ridge : relative to the mean diagonal of A^T A.
+    beside : (N, m) columns of parameters known so far that they leave nothing, free in the covariance, which is then
+        (p + m, p + m).
     """
-    x, H = _ridge(A, y, ridge)
-    moments = np.zeros((int(np.max(block)) + 1, A.shape[1]))
-    np.add.at(moments, block, A * (y - A @ x)[:, None])
-    return x, scattered(H, moments)
+    x, H = ridge_solution(A, y, ridge)
+    pull = ridge * np.trace(H) / max(len(H), 1) / (1.0 + ridge)
+    left, size = y - A @ x, len(x)
+    if beside is not None:
+        A = np.hstack([A, beside])
+        H = np.block([[H, A[:, :size].T @ beside], [beside.T @ A[:, :size], beside.T @ beside]])
+    pulled = np.linalg.inv(H)[:, :size] * pull * np.sqrt(np.mean(x**2))
+    return x, scattered(H, _moments(A, left, H, block)) + pulled @ pulled.T
+
+
+def _moments(A: np.ndarray, left: np.ndarray, H: np.ndarray, block: np.ndarray) -> np.ndarray:
+    """Return the moments (B, p) of stretches, each as large as that of the noise.
+
+    A stretch that tells a coefficient nearly alone leaves nothing of its own noise: with M its share of H, the moment
+    is ``(1 - M)^(-1/2)`` times that of the residuals, in coordinates in which H is 1 (Bell and McCaffrey 2002).
+    """
+    number = np.asarray(block) // (1 + int(np.max(block)) // MOST_STRETCHES)
+    root = np.linalg.cholesky(H)
+    B = np.linalg.solve(root, A.T).T
+    whole = np.zeros((int(np.max(number)) + 1, len(H)))
+    for k in np.unique(number):
+        rows = number == k
+        values, vectors = np.linalg.eigh(B[rows].T @ B[rows])
+        whole[k] = vectors @ ((vectors.T @ (B[rows].T @ left[rows])) / np.sqrt(np.maximum(1.0 - values, FULL)))
+    return whole @ root.T
 
 
 def scattered(H: np.ndarray, moments: np.ndarray) -> np.ndarray:
@@ -235,10 +274,57 @@ def scattered(H: np.ndarray, moments: np.ndarray) -> np.ndarray:
     return half @ half.T
 
 
-def _ridge(A: np.ndarray, y: np.ndarray, ridge: float) -> tuple[np.ndarray, np.ndarray]:
+def ridge_solution(A: np.ndarray, y: np.ndarray, ridge: float = RIDGE) -> tuple[np.ndarray, np.ndarray]:
+    """Return ridge coefficients (p,) and the matrix (p, p) of their equations, see `refit`.
+
+    Parameters
+    ----------
+    A : (N, p). y : (N,). ridge : relative to the mean diagonal of A^T A.
+    """
     H = A.T @ A
     H[np.diag_indices_from(H)] += ridge * np.trace(H) / max(len(H), 1)
     return np.linalg.solve(H, A.T @ y), H
+
+
+def refine_lines(
+    q: np.ndarray, amplitudes: np.ndarray, y: np.ndarray, cycles: np.ndarray, block: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return lines (L,) that leave least, their coefficients (p,), and the covariance (p + L, p + L) of both.
+
+    The search finds a line with one amplitude in each direction; here it has all of them. Its error turns the phase at
+    the ends of the range: coefficients without it would seem too sure.
+
+    Parameters
+    ----------
+    q : (N,) position [rad]. amplitudes : (N, 2 S) of each direction and speed, see `ripple_regressor`.
+    y : (N,) residual torque [N m]. cycles : (L,) lines found. block : (N,) numbers of whole blocks.
+    """
+    for _ in range(NEWTON):
+        A, D, left = _bent(q, amplitudes, y, cycles)
+        both = np.hstack([A, D])
+        norms = np.linalg.norm(both, axis=0)
+        cycles = cycles + (ridge_solution(both / norms, left, RIDGE)[0] / norms)[-len(cycles) :]
+    A, D, _ = _bent(q, amplitudes, y, cycles)
+    return cycles, *refit(A, y, block, RIDGE, D)
+
+
+def _bent(
+    q: np.ndarray, amplitudes: np.ndarray, y: np.ndarray, cycles: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the columns of lines, the derivatives (N, L) of their best sum over the lines, and what it leaves."""
+    A, slopes = _waves(q, amplitudes, cycles)
+    x = ridge_solution(A, y, RIDGE)[0]
+    shape = len(cycles), -1
+    return A, np.einsum("nlk,lk->nl", slopes.reshape(len(q), *shape), x.reshape(shape)), y - A @ x
+
+
+def _waves(q: np.ndarray, amplitudes: np.ndarray, cycles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the columns (N, L 2 S 2) of lines and their derivatives over the lines."""
+    angle = np.outer(q, cycles)
+    wave = np.stack([np.cos(angle), np.sin(angle)], axis=2)
+    turned = q[:, None, None] * np.stack([-np.sin(angle), np.cos(angle)], axis=2)
+    columns, slopes = (np.einsum("nk,nlw->nlkw", amplitudes, part).reshape(len(q), -1) for part in (wave, turned))
+    return columns, slopes
 
 
 def held_out_error(A: np.ndarray, y: np.ndarray, block: np.ndarray, ridge: float = RIDGE, folds: int = 5) -> float:
@@ -251,7 +337,7 @@ def held_out_error(A: np.ndarray, y: np.ndarray, block: np.ndarray, ridge: float
     total, fold = 0.0, np.asarray(block) % folds
     for k in range(folds):
         out = fold == k
-        x = _ridge(A[~out], y[~out], ridge)[0]
+        x = ridge_solution(A[~out], y[~out], ridge)[0]
         total += float(np.sum((y[out] - A[out] @ x) ** 2))
     return total / len(y)
 
