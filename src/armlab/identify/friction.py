@@ -81,8 +81,7 @@ class _Rows:
 
     def of(self, use: np.ndarray) -> _Rows:
         """Return the rows that are used (M,)."""
-        columns = (self.q, self.qd, self.s, self.block, self.fifth)
-        return _Rows(*(column[use] for column in columns), self.rate)
+        return _Rows(self.q[use], self.qd[use], self.s[use], self.block[use], self.fifth[use], self.rate)
 
     def folds(self, A: np.ndarray, others: np.ndarray, ridge: float) -> np.ndarray:
         """Return coefficients (5, p) without each fifth, from residuals `others` (5, M) of models without it."""
