@@ -70,6 +70,8 @@ def ripple_lines(
 ) -> np.ndarray:
     """Return the lines (L,) [cycles per revolution] in the residual of one joint, ascending.
 
+    A warning says from where on lines pass too fast for the sampling in more than half of the samples.
+
     Parameters
     ----------
     q, qd, y : (N,) position [rad], velocity [rad/s], residual torque [N m].
@@ -80,10 +82,6 @@ def ripple_lines(
     Raises
     ------
     ShapeError : shapes, NaN, a rate that is not above 0.
-
-    Warns
-    -----
-    UserWarning : lines up to `highest` pass too fast for the sampling in more than half of the samples.
     """
     q, qd, y = (np.asarray(x, dtype=float) for x in (q, qd, y))
     if q.ndim != 1 or q.shape != qd.shape or q.shape != y.shape or not np.isfinite([q, qd, y]).all():
