@@ -19,21 +19,17 @@ import numpy as np
 from armlab.estimation import Excitation, Fit, block_seconds
 from armlab.identify.rbf import rbf_centres
 from armlab.identify.residuals import Residuals, model_residuals
+from armlab.identify.ridge import RIDGE as LINE_RIDGE
+from armlab.identify.ridge import held_out_error, refit, ridge_solution
 from armlab.identify.ripple import (
     GAIN,
-    held_out_error,
     highest_seen,
     refine_lines,
-    refit,
-    ridge_solution,
     ripple_amplitudes,
     ripple_lines,
     ripple_regressor,
     select_lines,
     warn_of_fast_lines,
-)
-from armlab.identify.ripple import (
-    RIDGE as LINE_RIDGE,
 )
 from armlab.identify.validation import FIFTHS, assess_again, fold_of
 from armlab.identify.warm_up import MIN_SECONDS, fit_warm_up
@@ -43,6 +39,8 @@ from armlab.models import FrictionMap, RadialBasis, RippleLines, TorqueModel, sp
 __all__ = ["fit_friction"]
 
 RIDGE = 1e-3  # of the friction map, relative to the mean diagonal
+SHORTEST = 0.5  # s, of a block
+MOST_OF = 20  # blocks at least
 ROWS = 20000  # that a joint is fitted to: more are thinned
 SPEEDS = 8
 HIGHEST = 1.25  # times the ripple line of the model, which is at twice the gear ratio
@@ -70,18 +68,31 @@ class _Part:
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """Thinned rows of one joint."""
+    """Thinned rows of one joint, with the number of the half second and of the fifth that they are in."""
 
     q: np.ndarray
     qd: np.ndarray
     s: np.ndarray
-    block: np.ndarray
+    half: np.ndarray
     fifth: np.ndarray
-    rate: float
+    rate: float  # of the log
+    step: float  # s, between thinned rows
 
     def of(self, use: np.ndarray) -> _Rows:
         """Return the rows that are used (M,)."""
-        return _Rows(self.q[use], self.qd[use], self.s[use], self.block[use], self.fifth[use], self.rate)
+        parts = self.q[use], self.qd[use], self.s[use], self.half[use], self.fifth[use]
+        return _Rows(*parts, self.rate, self.step)
+
+    def blocks(self, left: np.ndarray) -> np.ndarray:
+        """Return block numbers (M,): blocks last longer than the residuals (M,) remember, and there are 20 or more."""
+        count = int(np.ceil(block_seconds(left[:, None], self.step) / SHORTEST))
+        return self.half // max(1, min(count, (int(self.half[-1]) + 1) // MOST_OF))
+
+    def refit(
+        self, A: np.ndarray, y: np.ndarray, ridge: float, slopes: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return coefficients and covariance, from blocks by the memory of what the coefficients leave, not of y."""
+        return refit(A, y, self.blocks(y - A @ ridge_solution(A, y, ridge)[0]), ridge, slopes)
 
     def folds(self, A: np.ndarray, others: np.ndarray, ridge: float) -> np.ndarray:
         """Return coefficients (5, p) without each fifth, from residuals `others` (5, M) of models without it."""
@@ -119,7 +130,7 @@ def fit_friction(table: Table | Sequence[Table], model: TorqueModel) -> Fit[Torq
     if len(data.segments) == 1 and data.seconds >= MIN_SECONDS:
         model = fit_warm_up(table, model).value
         found = model_residuals(table, model)
-    block = data.blocks(min(block_seconds(found.y, 1.0 / data.rate), data.seconds / 20.0))
+    half = data.blocks(SHORTEST)
     basis, fifth = rbf_centres(data.q, data.qd), fold_of(data)
     spread = [speed_basis(0.0, float(peak), SPEEDS) for peak in np.abs(data.qd).max(axis=0)]
     lines: dict[int, _Part] = {}
@@ -128,18 +139,20 @@ def fit_friction(table: Table | Sequence[Table], model: TorqueModel) -> Fit[Torq
     highest = _highest(model, data.qd[::every], data.rate)
     for i in range(model.n):
         q, qd, s, y = (np.ascontiguousarray(x[::every, i]) for x in (data.q, data.qd, found.s, found.y))
-        rows = _Rows(q, qd, s, block[::every], fifth[::every], data.rate)
+        rows = _Rows(q, qd, s, half[::every], fifth[::every], data.rate, every / data.rate)
         lowest = np.pi / float(basis.position_widths[i, 0])
         others = np.tile(y, (FIFTHS, 1))
-        ripple = _ripple(rows, y, (lowest, float(highest[i])), spread[i], f"ripple joint {i + 1}")
+        over = basis.functions(i, q, qd, s)
+        clean = y - over @ ridge_solution(over, y, RIDGE)[0]
+        ripple = _ripple(rows, y, clean, (lowest, float(highest[i])), spread[i], f"ripple joint {i + 1}")
         if ripple is not None:
             lines[i] = part = ripple
             A = ripple_regressor(q, qd, s, part.cycles, *spread[i])
             y, others = y - A @ part.k, others - part.folds @ A.T
-        A = basis.functions(i, q, qd, s)
-        if held_out_error(A, y, rows.block, RIDGE) < (1.0 - GAIN) * held_out_error(A[:, :0], y, rows.block):
-            k, cov = refit(A, y, rows.block, RIDGE)
-            maps[i] = _Part(f"map joint {i + 1}", k, np.zeros(0), cov, rows.folds(A, others, RIDGE))
+        block = rows.blocks(y)
+        if held_out_error(over, y, block, RIDGE) < (1.0 - GAIN) * held_out_error(over[:, :0], y, block):
+            k, cov = rows.refit(over, y, RIDGE)
+            maps[i] = _Part(f"map joint {i + 1}", k, np.zeros(0), cov, rows.folds(over, others, RIDGE))
 
     def with_parts(pick: Callable[[_Part], np.ndarray]) -> TorqueModel:
         of_lines = {i: (part.cycles, pick(part)) for i, part in lines.items()}
@@ -164,21 +177,30 @@ def _highest(model: TorqueModel, qd: np.ndarray, rate: float) -> np.ndarray:
 
 
 def _ripple(
-    rows: _Rows, y: np.ndarray, ends: tuple[float, float], spread: tuple[np.ndarray, np.ndarray], name: str
+    rows: _Rows,
+    y: np.ndarray,
+    clean: np.ndarray,
+    ends: tuple[float, float],
+    spread: tuple[np.ndarray, np.ndarray],
+    name: str,
 ) -> _Part | None:
-    """Return the lines of one joint that stay with their coefficients, from the rows on which all of them are slow."""
-    cycles = ripple_lines(rows.q, rows.qd, y, rows.rate, ends[1], max(ends[0], 1.0))
+    """Return the lines of one joint that stay with their coefficients, from the rows on which all of them are slow.
+
+    They are found and chosen in `clean`, which friction over position has left: what it puts into some blocks and not
+    into others would hide lines from the choice by held-out blocks.
+    """
+    cycles = ripple_lines(rows.q, rows.qd, clean, rows.rate, ends[1], max(ends[0], 1.0))
     if not len(cycles):
         return None
     slow = cycles.max() * np.abs(rows.qd) < 0.5 * np.pi * rows.rate
-    rows, y = rows.of(slow), y[slow]
+    rows, y, clean = rows.of(slow), y[slow], clean[slow]
     amplitudes = ripple_amplitudes(rows.qd, rows.s, *spread)
     A = ripple_regressor(rows.q, rows.qd, rows.s, cycles, *spread)
-    kept = select_lines(A, y, amplitudes.shape[1] * 2, rows.block)
+    kept = select_lines(A, clean, amplitudes.shape[1] * 2, rows.blocks(clean))
     if not kept.any():
         return None
-    cycles, k, cov = refine_lines(rows.q, amplitudes, y, cycles[kept], rows.block)
-    A = ripple_regressor(rows.q, rows.qd, rows.s, cycles, *spread)
+    cycles, A, slopes = refine_lines(rows.q, amplitudes, y, cycles[kept])
+    k, cov = rows.refit(A, y, LINE_RIDGE, slopes)
     return _Part(name, k, cycles, cov, rows.folds(A, np.tile(y, (FIFTHS, 1)), LINE_RIDGE))
 
 

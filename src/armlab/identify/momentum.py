@@ -9,9 +9,10 @@ import numpy as np
 
 from armlab.estimation import correlation_time
 from armlab.identify.preparation import Prepared
+from armlab.identify.warmth import begun
 from armlab.models import FORCE_RATES, PRIOR, MomentumNoise, TorqueModel
 
-__all__ = ["momentum_noise", "velocity_noise"]
+__all__ = ["momentum_noise", "stretches", "velocity_noise"]
 
 COVERAGE, SIGMAS = 0.954, 2.0
 ALPHA2_BOUNDS = (0.25, 25.0)
@@ -67,15 +68,19 @@ def _runs(
     """Yield what the estimators of the folds find in rows that they did not see, and these rows, piece by piece."""
     prior, rate = np.square(PRIOR), np.square(FORCE_RATES["normal"])
     for model, rows in held:
-        kernel = replace(model, momentum=noise).momentum_kernel(prior, rate, filters=filters)
-        for a, b in data.segments if model.warm_up is not None else _pieces(rows, data):  # warmth needs its past
-            kernel.reset()
+        for one, a, b in begun(replace(model, momentum=noise), data, stretches(rows, data)):
+            kernel = one.momentum_kernel(prior, rate, filters=filters)
             found = kernel.run(data.q[a:b], data.qd[a:b], data.tau[a:b], data.dt[a:b])
             yield tuple(values[rows[a:b]] for values in found[:5]), a + np.flatnonzero(rows[a:b])
 
 
-def _pieces(rows: np.ndarray, data: Prepared) -> Iterator[tuple[int, int]]:
-    """Yield the stretches of the record that hold the rows, each with a lead of `LEAD` where the segment has it."""
+def stretches(rows: np.ndarray, data: Prepared) -> Iterator[tuple[int, int]]:
+    """Yield the stretches of the record that hold the rows, each with a lead of half a second where the segment has it.
+
+    Parameters
+    ----------
+    rows : (N,) which are wanted. data : the record.
+    """
     lead = int(LEAD * data.rate)
     for first, last in data.segments:
         counts = np.concatenate([rows[first:last], np.zeros(lead, dtype=bool)])

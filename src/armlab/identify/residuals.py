@@ -13,7 +13,7 @@ from armlab.log import Table
 from armlab.models import TorqueModel
 from armlab.robots import from_links
 
-__all__ = ["Residuals", "model_residuals"]
+__all__ = ["Residuals", "friction_signs", "model_residuals"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,10 +50,20 @@ def model_residuals(
     arm = from_links(model.robot_name, model.frames, model.prismatic, gravity=model.gravity, joint_names=names)
     data = prepare(table, arm, joints)
     qdd = data.filter(data.differentiate(data.qd), data.rate / 10.0)
-    y, s = np.empty_like(data.q), np.empty_like(data.q)
-    smooth = model.friction.smooth_speed
+    y = np.empty_like(data.q)
     for a, b in data.segments:
         y[a:b] = data.tau[a:b] - model.torque(data.q[a:b], data.qd[a:b], qdd[a:b], data.dt[a:b])
+    return Residuals(data, y, friction_signs(model, data))
+
+
+def friction_signs(model: TorqueModel, data: Prepared) -> np.ndarray:
+    """Return the sign (N, n) that friction goes by: the presliding state, or the smooth sign where a joint has one.
+
+    Parameters
+    ----------
+    model : of the arm. data : the record.
+    """
+    smooth, s = model.friction.smooth_speed, np.empty_like(data.q)
+    for a, b in data.segments:
         s[a:b] = presliding(data.q[a:b], model.friction.delta, model.friction.resolution)
-    s = np.where(smooth > 0, np.tanh(data.qd / np.where(smooth > 0, smooth, 1.0)), s)
-    return Residuals(data, y, s)
+    return np.where(smooth > 0, np.tanh(data.qd / np.where(smooth > 0, smooth, 1.0)), s)

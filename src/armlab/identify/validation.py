@@ -10,10 +10,11 @@ from armlab.errors import NotExcited
 from armlab.estimation import Fit, LinearSolution
 from armlab.identify.covariance import fit_velocity_covariance
 from armlab.identify.extrapolation import extrapolation
-from armlab.identify.momentum import momentum_noise
+from armlab.identify.momentum import momentum_noise, stretches
 from armlab.identify.parameter_table import parameter_text
 from armlab.identify.preparation import Prepared, pieces, with_velocity
 from armlab.identify.spikes import spikes, without_spikes
+from armlab.identify.warmth import begun
 from armlab.log import Table
 from armlab.models import FrictionBound, TorqueModel, VelocityCovariance
 from armlab.signals import central_diff, lowpass_offline
@@ -43,19 +44,21 @@ def held_out(folds: list[tuple[TorqueModel, np.ndarray]], data: Prepared) -> tup
     residuals = np.full(data.q.shape, np.nan)
     moving = np.zeros(data.q.shape, dtype=bool)
     for model, rows in folds:
-        torque, variance = _causal(model, data)
+        torque, variance = _causal(model, data, rows)
         residuals[rows] = torque[rows]
         moving[rows] = variance[rows] <= SETTLED * model.friction.static**2
     return residuals, moving & np.isfinite(residuals)
 
 
-def _causal(model: TorqueModel, data: Prepared) -> tuple[np.ndarray, np.ndarray]:
-    """Run the estimator's own residual filter; return filtered residuals and the variance from unknown friction."""
-    kernel = model.estimator_kernel(np.ones(6))
-    torque, variance = np.empty_like(data.q), np.empty_like(data.q)
-    for a, b in data.segments:
-        kernel.reset()
-        found = kernel.run(data.q[a:b], data.qd[a:b], data.tau[a:b], data.dt[a:b])
+def _causal(model: TorqueModel, data: Prepared, rows: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Run the estimator's own residual filter; return filtered residuals and the variance from unknown friction.
+
+    Of a log long enough for warm-up only the stretches with the rows (N,) are run, as warm as the log before made them.
+    """
+    torque, variance = np.full((2, *data.q.shape), np.nan)
+    pieces = data.segments if rows is None or model.warm_up is None else stretches(rows, data)
+    for one, a, b in begun(model, data, pieces):
+        found = one.estimator_kernel(np.ones(6)).run(data.q[a:b], data.qd[a:b], data.tau[a:b], data.dt[a:b])
         torque[a:b], variance[a:b] = found[3], found[4]
     return torque, variance
 

@@ -16,10 +16,10 @@ import numpy as np
 
 from armlab.errors import NotExcited
 from armlab.estimation import Excitation, Fit, block_seconds
-from armlab.identify.preparation import Prepared
 from armlab.identify.residuals import Residuals, model_residuals
-from armlab.identify.ripple import scattered
+from armlab.identify.ridge import scattered
 from armlab.identify.validation import FIFTHS, assess_again, fold_of
+from armlab.identify.warmth import BIN, dry_torques, mean_power, relaxed, seconds, settled
 from armlab.log import Table
 from armlab.models import TorqueModel, WarmUp
 
@@ -27,9 +27,7 @@ __all__ = ["fit_warm_up"]
 
 MIN_SECONDS = 20 * 60.0
 TIMES = 60.0 * np.geomspace(2.0, 60.0, 12)  # s
-BIN = 1.0  # s
 ROUNDS = 3
-SETTLING = 8  # rounds of power and warmth for given parameters
 HOTTEST = 3.0
 FEWEST = 40  # stretches for a covariance of eight parameters
 COLUMN = np.array([0, 1, 2, 3, 0, 4, 5])  # of the sums, for each linear parameter and y
@@ -52,24 +50,14 @@ class _Seconds:
     @classmethod
     def of(cls, found: Residuals, model: TorqueModel, i: int) -> _Seconds:
         f, data = model.friction, found.data
-        qd, s = data.qd[:, i], found.s[:, i]
-        plus, minus = np.maximum(s, 0), np.minimum(s, 0)
-        c = f.coulomb_pos[i] * plus + f.coulomb_neg[i] * minus
+        qd, s, number = data.qd[:, i], found.s[:, i], seconds(data.t)
+        c, _ = dry_torques(model, i, qd, s)
         y = found.y[:, i] + f.viscous[i] * qd + c + f.offset[i]
-        rest = f.stribeck[i] * s * np.exp(-((qd / f.stribeck_speed[i]) ** 2)) + f.root[i] * s * np.sqrt(np.abs(qd))
-        columns = np.stack([qd, plus, minus, np.ones_like(qd), c, y], axis=1)
-        number = _number(data)
-        rows = np.bincount(number).astype(float)
-        gram = np.zeros((len(rows), 6, 6))
-        np.add.at(gram, number, columns[:, :, None] * columns[:, None, :])
-        power = np.zeros((len(rows), 3))
-        np.add.at(power, number, np.stack([qd * qd, c * qd, rest * qd], axis=1))
-        return cls(gram, power / np.maximum(rows, 1.0)[:, None], rows)
-
-
-def _number(data: Prepared) -> np.ndarray:
-    """Return the number (N,) of the second of each row."""
-    return ((data.t - data.t[0]) / BIN).astype(int)
+        columns = np.stack([qd, np.maximum(s, 0), np.minimum(s, 0), np.ones_like(qd), c, y])
+        gram = np.empty((int(number[-1]) + 1, 6, 6))
+        for j, k in zip(*np.tril_indices(6)):
+            gram[:, j, k] = gram[:, k, j] = np.bincount(number, weights=columns[j] * columns[k])
+        return cls(gram, mean_power(model, i, qd, s, number), np.bincount(number).astype(float))
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,16 +68,6 @@ class _Warm:
     cov: np.ndarray
     reference: float
     folds: np.ndarray
-
-
-def _warmth(heat: np.ndarray, time: float, start: float) -> np.ndarray:
-    """Return x (B,) in the middle of every second for heat (B,) = power / reference."""
-    from scipy.signal import lfilter
-
-    keep = float(np.exp(-BIN / time))
-    x = lfilter([0.0, 1.0 - keep], [1.0, -keep], heat)
-    x = np.asarray(x) + start * keep ** np.arange(len(heat))  # at its beginning
-    return 0.5 * (1.0 + keep) * x + 0.5 * (1.0 - keep) * heat
 
 
 def _linear(sums: _Seconds, x: np.ndarray, used: np.ndarray) -> tuple[np.ndarray, float]:
@@ -108,7 +86,7 @@ def _given(sums: _Seconds, time: float, start: float, used: np.ndarray) -> tuple
     reference = float(np.median(power[sums.rows > 0]))
     k, left = np.zeros(6), np.inf
     for _ in range(ROUNDS):
-        x = _warmth(np.abs(power) / reference, time, start)
+        x = relaxed(np.abs(power) / reference, time, start)
         k, left = _linear(sums, x, used)
         power = (k[0] + k[4] * x) * sums.power[:, 0] + (1 + k[5] * x) * sums.power[:, 1] + sums.power[:, 2]
     return k, left, reference
@@ -171,7 +149,8 @@ def fit_warm_up(table: Table | Sequence[Table], model: TorqueModel) -> Fit[Torqu
             [f"{data.seconds / 60:.1f} min"],
         )
     fifth, kept = fold_of(data), dict[int, _Warm]()
-    first = np.searchsorted(_number(data), np.arange(int(_number(data)[-1]) + 1))
+    number = seconds(data.t)
+    first = np.searchsorted(number, np.arange(int(number[-1]) + 1))
     for i in range(model.n):
         sums = _Seconds.of(found, model, i)
         every = np.ones(len(sums.rows))
@@ -220,11 +199,7 @@ def _held_out(sums: _Seconds, guess: np.ndarray, reference: float, fifth: np.nda
 def _warm(sums: _Seconds, theta: np.ndarray, reference: float) -> tuple[np.ndarray, np.ndarray]:
     """Return viscous ... of_coulomb (6,) and the warmth x (B,) that settles with its own friction."""
     k = np.array([*theta[:4], theta[4] * theta[0], theta[5]])
-    x = np.zeros(len(sums.rows))
-    for _ in range(SETTLING):
-        power = (k[0] + k[4] * x) * sums.power[:, 0] + (1 + k[5] * x) * sums.power[:, 1] + sums.power[:, 2]
-        x = _warmth(np.abs(power) / reference, theta[6], theta[7])
-    return k, x
+    return k, settled(sums.power, k, theta[6], theta[7], reference)
 
 
 def _along(k: np.ndarray, x: np.ndarray) -> np.ndarray:
