@@ -155,7 +155,7 @@ def drives(short_arm) -> Drives:
 
 @pytest.mark.slow  # 2 s
 def test_a_weak_line_is_found_beside_friction_over_position(drives: Drives) -> None:
-    """A tenth of the power of the noise: where friction over position differs by block, 4 of 20 logs or fewer told it."""
+    """A tenth of the power of the noise: under friction over position at most 4 of 20 logs told it."""
     weak = replace(drives.lines, coefficients=0.12 * np.asarray(drives.lines.coefficients))
     over = replace(drives.map, coefficients=np.asarray(drives.map.coefficients)[::-1])
     truth = replace(drives.base, lines=weak, friction_map=over)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from armlab.identify import prepare
-from armlab.identify.momentum import momentum_noise, velocity_noise
+from armlab.identify.momentum import momentum_noise, stretches, velocity_noise
 from armlab.identify.validation import held_out
 from armlab.models import FORCE_RATES, PRIOR
 
@@ -16,6 +16,12 @@ from armlab.models import FORCE_RATES, PRIOR
 def test_velocity_noise_is_found_under_the_motion(truth, excited) -> None:
     noise = velocity_noise(prepare(excited, truth.robot))
     np.testing.assert_allclose(noise, 1e-3, rtol=0.05)
+
+
+def test_stretches_hold_the_rows_with_half_a_second_before(truth, excited) -> None:
+    data = prepare(excited, truth.robot)
+    rows = np.isin(np.arange(len(data.t)), [*range(50, 60), *range(2000, 2100), *range(2200, 2300)])
+    assert list(stretches(rows, data)) == [(0, 60), (1876, 2300)]
 
 
 def test_without_rows_that_count_nothing_is_scaled(truth, excited, model) -> None:

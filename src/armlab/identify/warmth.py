@@ -52,7 +52,8 @@ def _warmth_at(model: TorqueModel, data: Prepared, rows: np.ndarray) -> np.ndarr
             power = mean_power(model, i, data.qd[a:b, i], s[a:b, i], number)
             k = np.array([f.viscous[i], 0.0, 0.0, 0.0, f.viscous[i] * warm.of_viscous[i], warm.of_coulomb[i]])
             along = settled(power, k, float(warm.time[i]), float(warm.start[i]), float(warm.power[i]))
-            x[here, i] = along[number[rows[here] - a]]
+            middle = BIN * (np.arange(len(along)) + 0.5)
+            x[here, i] = np.interp(data.t[rows[here]] - data.t[a], [0.0, *middle], [warm.start[i], *along])
     return x
 
 
