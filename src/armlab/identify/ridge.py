@@ -11,7 +11,7 @@ import numpy as np
 
 from armlab.estimation import shrinkage
 
-__all__ = ["RIDGE", "held_out_error", "refit", "ridge_solution", "scattered"]
+__all__ = ["held_out_error", "refit", "ridge_solution", "scattered"]
 
 RIDGE = 1e-6  # relative
 MOST_STRETCHES = 200  # for a covariance

@@ -25,7 +25,6 @@ from armlab.identify.ridge import RIDGE, held_out_error, ridge_solution
 from armlab.kernels import basis_weights
 
 __all__ = [
-    "GAIN",
     "highest_seen",
     "refine_lines",
     "ripple_amplitudes",
