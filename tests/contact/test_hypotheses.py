@@ -12,6 +12,7 @@ from scipy.signal import lfilter
 from armlab import identify, robots
 from armlab.contact import Estimator, Hypotheses, hypotheses
 from armlab.errors import ShapeError, UnknownName
+from armlab.estimation import correlation_time
 from armlab.log import Column, Table
 from armlab.models import velocity_covariance
 
@@ -38,11 +39,11 @@ def at_link(q: np.ndarray, link: int, x: np.ndarray) -> np.ndarray:
     return (J[:3] + np.cross(J[3:].T, x - tool).T) * (np.arange(7) < link)
 
 
-def pushes(kind: str, trials: int, seed: int) -> Pushes:
+def pushes(kind: str, trials: int, seed: int, memory: float = MEMORY) -> Pushes:
     """One second each at a random pose: 5 to 15 of the deviations that an estimate of the whole wrench states, at most
-    twice the prior's 20 N, in a direction that it sees well; the error has a correlation time of 0.1 s."""
+    twice the prior's 20 N, in a direction that it sees well; the error has a correlation time of `memory`."""
     rng = np.random.default_rng(seed)
-    fade = np.exp(-STEP / MEMORY)
+    fade = np.exp(-STEP / memory)
     q, error, places = np.empty((trials, ROWS, 7)), np.empty((trials, ROWS, 7)), np.zeros(trials)
     for k in range(trials):
         pose = rng.uniform(np.maximum(ROBOT.q_min, -2), np.minimum(ROBOT.q_max, 2))
@@ -104,6 +105,24 @@ def test_a_push_on_a_link_is_never_reported_as_one_on_the_tool_without_a_flag(se
     assert not np.any(tool & ~flags)
     assert np.mean([name.startswith("link") for name in names]) > 0.6
     assert "link 4" in found.text()
+
+
+@pytest.mark.parametrize("memory", [0.025, 0.2])
+def test_the_default_memory_makes_no_false_decision_where_the_error_remembers_less_or_more(memory: float) -> None:
+    """No contact made up, no push on a link at the tool without its flag, few at the tool taken for another thing."""
+    found = {kind: hypotheses(made.table, ROBOT) for kind in ("none", "point", "link")
+             if (made := pushes(kind, 100, 4, memory))}  # fmt: skip
+    names = {kind: [one.decision[i] for i in range(0, 200, 2)] for kind, one in found.items()}
+    assert all(name in ("none", "undecided") for name in names["none"])
+    assert np.mean([name not in ("point", "undecided") for name in names["point"]]) <= 0.05
+    assert not np.any(np.isin(names["link"], ["point", "wrench"]) & ~found["link"].link[:200:2])
+
+
+def test_the_default_memory_is_above_that_of_an_identified_arm(truth, model) -> None:
+    motion = identify.excitation(truth.robot, seconds=20, f0=0.07, harmonics=6, speed=0.4, seed=2)
+    table = Estimator(model, truth.robot).run(truth.log(motion, seed=2)).between(1.0, 20.0)
+    white = table["tau_error"] / np.sqrt(table["tau_variance"])
+    assert max(correlation_time(column, STEP) for column in white.T) < 0.1
 
 
 def test_no_contact() -> None:
