@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab.errors import ArmlabError, RobotError
+from armlab.errors import ArmlabError, RobotError, ShapeError
 
-__all__ = ["frozen", "members", "numbers"]
+__all__ = ["frozen", "generator", "members", "number", "numbers"]
 
 
 def numbers(value: ArrayLike, what: str, error: type[ArmlabError] = RobotError) -> np.ndarray:
@@ -71,3 +71,39 @@ def frozen(value: ArrayLike, what: str) -> np.ndarray:
     array += 0.0
     array.flags.writeable = False
     return array
+
+
+def number(value: Any, what: str, error: type[ArmlabError] = ShapeError) -> float:
+    """Return one real number, which may be infinite or missing: comparing it tells.
+
+    Parameters
+    ----------
+    value : a number.
+    what : its name with its unit, for the message.
+    error : what to raise.
+
+    Raises
+    ------
+    ArmlabError : when it is anything else.
+    """
+    array = numbers(value, what, error)
+    if array.ndim:
+        raise error(f"Expected {what} to be one number, got {shortened(value)}.")
+    return float(array)
+
+
+def generator(seed: Any) -> np.random.Generator:
+    """Return the random numbers of a seed, or the generator that was given.
+
+    Parameters
+    ----------
+    seed : whole number from 0, or a `numpy.random.Generator`.
+
+    Raises
+    ------
+    ShapeError : when it is anything else.
+    """
+    whole = isinstance(seed, int | np.integer) and not isinstance(seed, bool) and seed >= 0
+    if not whole and not isinstance(seed, np.random.Generator):
+        raise ShapeError(f"Expected a whole number from 0 as seed, got {shortened(seed)}. Each gives other numbers.")
+    return np.random.default_rng(seed)

@@ -44,6 +44,16 @@ class ArmlabError(Exception):
 class ShapeError(ArmlabError, ValueError):
     """An array has the wrong shape or content: shape, NaN rows, not a rotation, time order."""
 
+    @classmethod
+    def no_table(cls, value: object) -> ShapeError:
+        """Build the error for `value` where a log was expected.
+
+        Parameters
+        ----------
+        value : what came: often the path of a log that was not read.
+        """
+        return cls(f"Expected a Table, got {shortened(value)}. Read files by log.read.")
+
 
 class UnknownName(ArmlabError, KeyError):
     """A robot, column, link or convention does not exist. The message lists those that do."""
@@ -103,7 +113,17 @@ class FrameError(ArmlabError, ValueError):
 
 
 class ModelMismatchError(ArmlabError, ValueError):
-    """A model file belongs to another robot, sign convention or unit."""
+    """A model file belongs to another robot, sign convention or unit, or something else came in place of a model."""
+
+    @classmethod
+    def no_model(cls, value: object) -> ModelMismatchError:
+        """Build the error for `value` where a `TorqueModel` was expected.
+
+        Parameters
+        ----------
+        value : what came: often the path of a model that was not loaded, or a fit in place of its value.
+        """
+        return cls(f"Expected a TorqueModel, got {shortened(value)}. models.load gives one, or the value of a fit.")
 
 
 class NotExcited(ArmlabError, ValueError):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from armlab import log, robots
-from armlab.errors import ConfigError, LogError
+from armlab.errors import ConfigError, LogError, RobotError, ShapeError
 from armlab.log import Column, Table
 from armlab.log.writing import write
 
@@ -75,3 +75,18 @@ def test_other_endings_and_folders_that_do_not_exist_are_refused(table: Table, t
         write(table, tmp_path / "est.xlsx")
     with pytest.raises(LogError, match="create"):
         write(table, tmp_path / "none" / "est.csv")
+
+
+def test_a_table_of_another_number_of_joints_and_what_is_no_table_or_robot(tmp_path) -> None:
+    t = np.arange(10) * 0.004
+    table = Table(t, {"q": np.zeros((10, 6)), "tau": np.zeros((10, 6))})
+    path = tmp_path / "six.mcap"
+    with pytest.raises(
+        ShapeError, match=r"Expected q of shape \(10, 7\) for robot 'yumi_left' of 7 joints, got \(10, 6\)"
+    ):
+        write(table, path, robots.load("yumi_left"))
+    with pytest.raises(RobotError, match="Load it first"):
+        write(table, path, "irb120")  # type: ignore[arg-type]
+    with pytest.raises(ShapeError, match="Expected a Table"):
+        write("six.csv", path, robots.load("irb120"))  # type: ignore[arg-type]
+    assert not list(tmp_path.iterdir())

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from armlab.errors import UnknownName
+from armlab.errors import ShapeError, UnknownName
 from armlab.log import Table
 
 __all__ = ["Comparison", "compare"]
@@ -48,8 +48,10 @@ def compare(table: Table) -> Comparison:
 
     Raises
     ------
-    UnknownName : a column is missing, or no row has both.
+    UnknownName : a column is missing, or no row has both. ShapeError : something else than a table.
     """
+    if not isinstance(table, Table):
+        raise ShapeError.no_table(table)
     for name in ("wrench_hat", "wrench_hat_cov"):
         if name not in table:
             raise UnknownName.among("column of a comparison", name, table.names)

@@ -35,8 +35,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab._numbers import numbers
 from armlab.contact.wrench import INVALID, TARED, Wrench
-from armlab.errors import ConfigError, NotExcited, ShapeError, UnknownName
+from armlab.errors import ConfigError, ModelMismatchError, NotExcited, ShapeError, UnknownName
 from armlab.log import Table
 from armlab.models import FORCE_RATES, PRIOR, TorqueModel
 from armlab.robots import Robot
@@ -100,6 +101,8 @@ class Estimator:
         gain: float | None = None,
         bias: bool = False,
     ) -> None:
+        if not isinstance(model, TorqueModel):
+            raise ModelMismatchError.no_model(model)
         model.check_robot(robot)
         if method not in METHODS:
             raise UnknownName.among("estimation method", method, METHODS)
@@ -109,7 +112,7 @@ class Estimator:
             PRIOR if prior is None else prior, "standard deviations [N, N, N, N m, N m, N m] as prior"
         )
         if point is not None:
-            point = np.array(point, dtype=float)
+            point = np.array(numbers(point, "the contact point", ShapeError))
             if point.shape != (3,) or not np.all(np.isfinite(point)):
                 raise ShapeError(f"Expected the contact point as three finite numbers [m], tool axes, got {point!r}.")
         variances = deviations**2
@@ -200,8 +203,10 @@ class Estimator:
 
         Raises
         ------
-        ShapeError : when the joint count is not the model's.
+        ShapeError : when the joint count is not the model's, or something else came than a table.
         """
+        if not isinstance(table, Table):
+            raise ShapeError.no_table(table)
         q, qd, tau = (np.ascontiguousarray(table[name], dtype=float) for name in ("q", "qd", "tau"))
         if q.shape != (len(table), self._n):
             raise ShapeError(
@@ -260,11 +265,11 @@ def _refuse_idle(method: str, options: dict[str, dict[str, object]]) -> None:
 
 
 def _positive(values: ArrayLike, what: str, shape: tuple[int, ...] = (6,)) -> np.ndarray:
-    numbers = np.asarray(values, dtype=float)
-    if numbers.shape != shape or not np.all(np.isfinite(numbers)) or not np.all(numbers > 0):
+    found = numbers(values, what, ShapeError)
+    if found.shape != shape or not np.all(np.isfinite(found)) or not np.all(found > 0):
         count = "six positive" if shape else "a positive"
         raise ShapeError(f"Expected {count} {what}, got {values!r}. Give the size that you expect.")
-    return numbers
+    return found
 
 
 def _walk(force_rate: ArrayLike | str | None, leak: ArrayLike | None) -> tuple[np.ndarray, np.ndarray | None]:
@@ -277,7 +282,7 @@ def _walk(force_rate: ArrayLike | str | None, leak: ArrayLike | None) -> tuple[n
     rate = _positive(force_rate, "rates [N/sqrt(s) and N m/sqrt(s)] as force_rate") ** 2
     if leak is None:
         return rate, None
-    leaks = np.asarray(leak, dtype=float)
+    leaks = numbers(leak, "the leak [1/s]", ShapeError)
     if leaks.shape not in ((), (6,)) or not np.all(np.isfinite(leaks)) or not np.all(leaks >= 0):
         raise ShapeError(f"Expected a leak of one number or six [1/s], none below zero, got {leak!r}. Correct it.")
     return rate, np.array(np.broadcast_to(leaks, 6))

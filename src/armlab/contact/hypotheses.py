@@ -23,7 +23,8 @@ from itertools import groupby
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab.errors import ShapeError
+from armlab._numbers import number, numbers
+from armlab.errors import RobotError, ShapeError
 from armlab.log import Table
 from armlab.models import PRIOR
 from armlab.robots import Robot
@@ -141,6 +142,7 @@ def hypotheses(
     """
     q, qd, error, variance = _columns(table, robot)
     at, line, sd = _places(point, segment, prior)
+    window, memory = number(window, "the window [s]"), number(memory, "the memory [s]")
     if not 0 < memory < np.inf or not 0 < window < np.inf:
         raise ShapeError(f"Expected a window and a memory above 0 s, got {window} s and {memory} s.")
     rows = _windows(table, error, window, memory)
@@ -162,6 +164,10 @@ def hypotheses(
 
 
 def _columns(table: Table, robot: Robot) -> list[np.ndarray]:
+    if not isinstance(table, Table):
+        raise ShapeError.no_table(table)
+    if not isinstance(robot, Robot):
+        raise RobotError.no_robot(robot)
     columns = [table[name] for name in ("q", "qd", "tau_error", "tau_variance")]
     if any(values.shape != (len(table), robot.n) for values in columns):
         raise ShapeError(
@@ -175,9 +181,9 @@ def _places(
     point: ArrayLike | None, segment: ArrayLike | None, prior: ArrayLike | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the point (1 or 0, 3), the places on the segment (GRID or 0, 3), and the deviations (6,)."""
-    at = np.zeros(3) if point is None else np.asarray(point, dtype=float)
-    sd = np.asarray(PRIOR if prior is None else prior, dtype=float)
-    corners = np.zeros((0, 3)) if segment is None else np.asarray(segment, dtype=float)
+    at = np.zeros(3) if point is None else numbers(point, "the contact point", ShapeError)
+    sd = numbers(PRIOR if prior is None else prior, "the prior", ShapeError)
+    corners = np.zeros((0, 3)) if segment is None else numbers(segment, "the segment", ShapeError)
     if at.shape != (3,) or not np.isfinite(at).all():
         raise ShapeError(f"Expected the contact point as three finite numbers [m], tool axes, got {point!r}.")
     if sd.shape != (6,) or not np.isfinite(sd).all() or not np.all(sd > 0):

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from armlab.errors import ShapeError
 from armlab.log import Table
 
 __all__ = ["Contact", "contacts"]
@@ -41,7 +42,13 @@ def contacts(table: Table) -> list[Contact]:
     Parameters
     ----------
     table : with wrench_hat and wrench_hat_cov, from `Estimator.run`.
+
+    Raises
+    ------
+    ShapeError : something else than a table. UnknownName : it was not estimated.
     """
+    if not isinstance(table, Table):
+        raise ShapeError.no_table(table)
     force, cov = table["wrench_hat"][:, :3], table["wrench_hat_cov"][:, :3, :3]
     known = np.isfinite(force).all(axis=1)
     distance = np.zeros(len(table))

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from armlab._numbers import generator
 from armlab.errors import NotExcited, ShapeError, UnknownName
 from armlab.estimation.bounds import within_bounds
 from armlab.estimation.solution import LinearSolution
@@ -182,7 +183,7 @@ def block_bootstrap(sums: BlockSums, draws: int | None = None, seed: int = 0, le
     number = max(200, 4 * len(found.x)) if draws is None else draws
     if number < 2:
         raise ShapeError(f"Expected at least 2 draws for a covariance, got {number}. Leave draws out for enough.")
-    starts = np.random.default_rng(seed).integers(count, size=(number, -(-count // length)))
+    starts = generator(seed).integers(count, size=(number, -(-count // length)))
     chosen = (starts[:, :, None] + np.arange(length)).reshape(number, -1)[:, :count] % count
     weights = np.zeros((number, len(sums.rows)))
     np.add.at(weights, (np.arange(number)[:, None], blocks[chosen]), 1.0)

@@ -15,6 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from armlab._numbers import generator
 from armlab.errors import NotExcited
 from armlab.estimation.blocks import BlockSums
 from armlab.estimation.factors import Rows, factorise
@@ -130,7 +131,7 @@ def trimmed(start: LinearSolution, seed: int = 0) -> LinearSolution:
     for _ in range(2):  # the second time with weights of the classes that the outliers did not make
         current = start if kept.all() else solve(start.question, start.factors, kept=kept)
         whole = replace(current, kept=start.kept)
-        kept = _agreeing(BlockSums.of(whole), np.random.default_rng(seed))
+        kept = _agreeing(BlockSums.of(whole), generator(seed))
     return solve(start.question, start.factors, kept=kept)
 
 

@@ -21,7 +21,8 @@ from typing import Any
 
 import numpy as np
 
-from armlab.errors import ConfigError, MissingExtra, NotConverged, ShapeError, UnknownName
+from armlab._numbers import numbers
+from armlab.errors import ConfigError, MissingExtra, ModelMismatchError, NotConverged, ShapeError, UnknownName
 from armlab.estimation import Fit
 from armlab.identify.base_parameters import BaseParameters, base_parameters
 from armlab.models import Payload, TorqueModel
@@ -83,7 +84,7 @@ def pseudo_inertia(pi: np.ndarray) -> np.ndarray:
     ------
     ShapeError : another shape.
     """
-    pi = np.asarray(pi, dtype=float)
+    pi = numbers(pi, "inertial parameters", ShapeError)
     if pi.shape[-1:] != (10,):
         raise ShapeError(f"Expected inertial parameters of shape (..., 10), got {pi.shape}. See robots.inertia.")
     xx, xy, yy, xz, yz, zz = np.moveaxis(pi[..., 4:], -1, 0)
@@ -124,6 +125,8 @@ def physical(
     Wensing, Kim and Slotine (2018), Linear matrix inequalities for physically consistent inertial parameter
     identification; Lee, Wensing and Park (2020), Geometric robot dynamic identification, for the log-det divergence.
     """
+    if not isinstance(fit, Fit) or not isinstance(fit.value, TorqueModel):
+        raise ModelMismatchError(f"Expected the fit of a torque model, got {type(fit).__name__}. See fit_dynamics.")
     model = fit.value
     model.check_robot(robot)
     if pull not in PULLS:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from armlab._numbers import numbers
 from armlab.errors import NotExcited, ShapeError, UnknownName
 from armlab.estimation import Excitation, Fit, effective_samples
 from armlab.models import VelocityCovariance, velocity_covariance
@@ -48,7 +49,7 @@ def fit_velocity_covariance(residuals: np.ndarray, qd: np.ndarray, kind: str = "
     Yao (1987), Approximating the distribution of the maximum likelihood estimate of the change-point in a sequence of
     independent random variables, for the covariance of a threshold.
     """
-    residuals, qd = np.asarray(residuals, dtype=float), np.asarray(qd, dtype=float)
+    residuals, qd = numbers(residuals, "residuals", ShapeError), numbers(qd, "qd", ShapeError)
     _check(residuals, qd)
     fitters = {"exp": _fit_exponential, "step": _fit_step, "const": _fit_constant}
     if kind not in fitters:

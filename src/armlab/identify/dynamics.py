@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from armlab.errors import NotExcited, UnknownName
+from armlab.errors import ModelMismatchError, NotExcited, UnknownName
 from armlab.estimation import BlockSums, Fit, LinearSolution, Prior, block_bootstrap, block_seconds, least_squares
 from armlab.identify.base_parameters import BaseParameters, base_parameters, measured_joints
 from armlab.identify.design import Design
@@ -138,6 +138,8 @@ def fit_model(
     check : refuses records that are not of this kind.
     """
     if job.prior is not None:
+        if not isinstance(getattr(job.prior, "value", None), TorqueModel):
+            raise ModelMismatchError(f"Expected an earlier fit as prior, got {type(job.prior).__name__}. See Fit.load.")
         job.prior.value.check_robot(robot)
     if job.method not in METHODS:
         raise UnknownName.among("method of identification", job.method, METHODS)

@@ -14,6 +14,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from armlab._numbers import generator, number, numbers
 from armlab.errors import NotConverged, ShapeError
 from armlab.identify.base_parameters import BaseParameters, base_parameters
 from armlab.identify.trajectory import Trajectory
@@ -73,21 +74,24 @@ def excitation(
     Raises
     ------
     ShapeError : for a share outside (0, 1], a record that is too short, no harmonics, a centre outside the limits,
-        noise that is not above 0.
+        noise that is not above 0, a seed below 0, or something else than numbers.
     NotConverged : when every candidate collides or is beyond the torque limits.
     """
+    seconds, f0 = number(seconds, "seconds"), number(f0, "f0 [Hz]")
+    speed, acceleration = number(speed, "the share of the speed"), number(acceleration, "acceleration [rad/s^2]")
+    waves, tries = number(harmonics, "harmonics"), number(rounds, "rounds")
     if not 0 < speed <= 1 or not 10 <= seconds < np.inf:
         raise ShapeError(
             f"Expected a speed share in (0, 1] and at least 10 seconds, got {speed:g} and {seconds:g} s. "
             "Shorter motions do not excite friction at all speeds."
         )
-    counts = harmonics >= 1 and rounds >= 0 and harmonics == int(harmonics) and rounds == int(rounds)
+    counts = 1 <= waves < np.inf and 0 <= tries < np.inf and waves % 1 == tries % 1 == 0
     if not 0 < f0 < np.inf or not acceleration > 0 or not counts:
         raise ShapeError(
             f"Expected f0 and acceleration above 0, at least one harmonic and rounds from 0, got {f0:g} Hz, "
-            f"{acceleration:g}, {harmonics} and {rounds}. Leave them out for the defaults."
+            f"{acceleration:g}, {waves:g} and {tries:g}. Leave them out for the defaults."
         )
-    rng = np.random.default_rng(seed)
+    rng = generator(seed)
     base = base_parameters(robot)
     middle = _with_room(robot) if centre is None else _inside(robot, centre)
     draws = rng.standard_normal((CANDIDATES, 2, int(harmonics), robot.n))
@@ -140,9 +144,11 @@ def dither(
     ------
     ShapeError : for a length that is not above 0, or a pose, amplitude or frequency that is none.
     """
+    seconds, amplitude = number(seconds, "seconds"), number(amplitude, "the amplitude [rad]")
+    frequency = number(frequency, "the frequency [Hz]")
     if not 0 < seconds < np.inf:
         raise ShapeError(f"Expected a length above 0 s, got {seconds:g} s. Give the seconds of the motion.")
-    centre = np.array(centre, dtype=float)
+    centre = np.array(numbers(centre, "the pose", ShapeError))
     if centre.ndim != 1 or not np.isfinite(centre).all() or not np.isfinite(amplitude) or not 0 < frequency < np.inf:
         raise ShapeError(
             f"Expected a finite pose (n,) and amplitude and a frequency above 0 Hz, got shape {centre.shape}, "
@@ -169,7 +175,7 @@ def _with_room(robot: Robot) -> np.ndarray:
 
 def _inside(robot: Robot, centre: np.ndarray) -> np.ndarray:
     """Return a centre (n,) moved away from the limits by twice the margin; refuse one outside them."""
-    given = np.array(centre, dtype=float)
+    given = np.array(numbers(centre, "the centre", ShapeError))
     if given.shape != (robot.n,) or not np.all((given >= robot.q_min) & (given <= robot.q_max)):
         raise ShapeError(
             f"Expected a centre of shape ({robot.n},) inside the limits of {robot.name!r}, got {given.tolist()}. "
@@ -270,7 +276,7 @@ def _varied(robot: Robot, motion: Trajectory) -> bool:
 
 
 def _deviation(robot: Robot, sigma: np.ndarray) -> np.ndarray:
-    values = np.asarray(sigma, dtype=float)
+    values = numbers(sigma, "sigma", ShapeError)
     if values.shape != (robot.n,) or not np.all((values > 0) & np.isfinite(values)):
         raise ShapeError(
             f"Expected sigma of shape ({robot.n},) above 0 N m, got {values.tolist()}. Give one per joint."

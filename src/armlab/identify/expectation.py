@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from armlab.errors import ShapeError
+from armlab._numbers import number
+from armlab.errors import RobotError, ShapeError
 from armlab.estimation import Excitation
 from armlab.identify.base_parameters import base_parameters
 from armlab.identify.trajectory import Trajectory
@@ -66,9 +67,14 @@ def expectation(trajectory: Trajectory, robot: Robot, noise: float = 0.1) -> Exp
 
     Raises
     ------
-    ShapeError : noise that is not above zero, or a motion of another number of joints.
+    ShapeError : noise that is not above zero, something else than a motion, or one of another number of joints.
+    RobotError : something else than a robot.
     """
-    n = robot.n
+    if not isinstance(robot, Robot):
+        raise RobotError.no_robot(robot)
+    if not isinstance(trajectory, Trajectory):
+        raise ShapeError(f"Expected a Trajectory, got {type(trajectory).__name__}. identify.excitation gives one.")
+    n, noise = robot.n, number(noise, "the torque noise [N m]")
     if not 0 < noise < np.inf or trajectory.q_first.shape != (n,):
         raise ShapeError(
             f"Expected a torque noise above 0 N m and a motion of {n} joints, got {noise:g} and "

@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from armlab.errors import ShapeError
+from armlab.errors import ModelMismatchError, ShapeError
 from armlab.identify.preparation import with_velocity
 from armlab.log import Table
 from armlab.models import SPEED_EDGES, TorqueModel, Training
@@ -90,6 +90,8 @@ def extrapolation(model: TorqueModel, table: Table) -> Extrapolation:
     ------
     ShapeError : another number of joints, NaN rows, fewer than two rows.
     """
+    if not isinstance(model, TorqueModel):
+        raise ModelMismatchError.no_model(model)
     table = with_velocity(table)
     q, qd, t, known = table["q"], table["qd"], table.t, model.training
     if q.shape[1:] != (model.n,) or qd.shape != q.shape or len(t) < 2:

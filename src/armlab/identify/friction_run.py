@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armlab.errors import ShapeError, UnknownName
+from armlab.errors import RobotError, ShapeError, UnknownName
 from armlab.identify.trajectory import Trajectory
 from armlab.robots import Robot
 
@@ -80,6 +80,8 @@ def friction_run(robot: Robot, joint: int | str, at: np.ndarray | None = None) -
 
 
 def _number(robot: Robot, joint: int | str) -> int:
+    if not isinstance(robot, Robot):
+        raise RobotError.no_robot(robot)
     names = robot.joint_names
     if isinstance(joint, str):
         if joint not in names:

@@ -12,6 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
+from armlab._numbers import numbers
 from armlab.errors import NotConverged, ShapeError
 
 __all__ = ["GroupLasso", "group_lasso", "select_groups"]
@@ -78,7 +79,7 @@ def group_lasso(A: np.ndarray, y: np.ndarray, size: int, penalty: float) -> Grou
     ----------
     Yuan and Lin (2006); Beck and Teboulle (2009); O'Donoghue and Candes (2015), Adaptive restart.
     """
-    A, y = np.asarray(A, dtype=float), np.asarray(y, dtype=float)
+    A, y = numbers(A, "A", ShapeError), numbers(y, "y", ShapeError)
     if A.ndim != 2 or y.shape != A.shape[:1] or size < 1 or A.shape[1] % size or not penalty > 0:
         raise ShapeError(
             f"Expected A (N, p), y (N,), groups of equal size and a penalty above 0, got {A.shape}, {y.shape}, "

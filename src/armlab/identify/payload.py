@@ -21,7 +21,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from armlab.errors import NotExcited, ShapeError, UnknownName
+from armlab._numbers import number
+from armlab.errors import ModelMismatchError, NotExcited, ShapeError, UnknownName
 from armlab.estimation import Fit, LinearSolution, Rows, block_seconds, check_spread, least_squares
 from armlab.identify.base_parameters import LINK_SYMBOLS
 from armlab.identify.gains import GainProblem
@@ -71,10 +72,13 @@ def fit_payload(
     NotExcited : motion that does not tell the parameters apart, by name; too short a log.
     ShapeError : NaN rows, wrong joint count, a motion without the load that is another one, `gain_sd` out of range.
     """
-    (model.value if isinstance(model, Fit) else model).check_robot(robot)
+    value = model.value if isinstance(model, Fit) else model
+    if not isinstance(value, TorqueModel):
+        raise ModelMismatchError.no_model(model)
+    value.check_robot(robot)
     if mode not in SIZES:
         raise UnknownName.among("mode of a payload fit", mode, SIZES)
-    if not 0 <= gain_sd < 1:
+    if not 0 <= number(gain_sd, "the deviation of the gains") < 1:
         raise ShapeError(f"Expected a standard deviation of the gains in [0, 1), got {gain_sd}. 0.05 is 5 %.")
     record, p = LoadRecord.of(table, model, robot, without), SIZES[mode]
     seconds = record.data.seconds / 20.0

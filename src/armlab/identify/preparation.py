@@ -125,7 +125,7 @@ def _tables(table: Table | Sequence[Table]) -> list[Table]:
         raise ShapeError("Expected at least one log, got none. Give the file of a recorded excitation.")
     for one in tables:
         if not isinstance(one, Table):
-            raise ShapeError(f"Expected a Table, or a list of them, got {type(one).__name__}. Read files by log.read.")
+            raise ShapeError.no_table(one)
     return tables
 
 
@@ -143,6 +143,8 @@ def with_velocity(table: Table) -> Table:
     ------
     ShapeError : NaN rows, by number.
     """
+    if not isinstance(table, Table):
+        raise ShapeError.no_table(table)
     if "qd" in table:
         return table
     q, t = table["q"], table.t

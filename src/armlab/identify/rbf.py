@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from armlab._numbers import numbers
 from armlab.errors import NotExcited, ShapeError
 from armlab.models import RadialBasis
 
@@ -77,7 +78,7 @@ def rbf_regressor(q: np.ndarray, qd: np.ndarray, basis: RadialBasis, z: np.ndarr
 
 
 def _record(q: np.ndarray, qd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    q, qd = np.asarray(q, dtype=float), np.asarray(qd, dtype=float)
+    q, qd = numbers(q, "q", ShapeError), numbers(qd, "qd", ShapeError)
     if q.ndim != 2 or q.shape != qd.shape or not len(q) or not np.isfinite(q).all() or not np.isfinite(qd).all():
         raise ShapeError(
             f"Expected finite q and qd of one shape (N, n), got {q.shape} and {qd.shape}. Drop NaN rows first."

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from armlab.errors import ModelMismatchError
 from armlab.identify.preparation import Prepared, prepare
 from armlab.kernels import presliding
 from armlab.log import Table
@@ -46,6 +47,8 @@ def model_residuals(
     ------
     ShapeError, NotExcited : logs that `prepare` refuses.
     """
+    if not isinstance(model, TorqueModel):
+        raise ModelMismatchError.no_model(model)
     names = [f"joint {i + 1}" for i in range(model.n)]
     arm = from_links(model.robot_name, model.frames, model.prismatic, gravity=model.gravity, joint_names=names)
     data = prepare(table, arm, joints)

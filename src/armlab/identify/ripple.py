@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from armlab._numbers import numbers
 from armlab.errors import ShapeError
 from armlab.estimation import mad
 from armlab.identify.group_lasso import select_groups
@@ -77,7 +78,7 @@ def ripple_lines(
     ------
     ShapeError : shapes, NaN, a rate that is not above 0.
     """
-    q, qd, y = (np.asarray(x, dtype=float) for x in (q, qd, y))
+    q, qd, y = (numbers(x, "q, qd and y", ShapeError) for x in (q, qd, y))
     if q.ndim != 1 or q.shape != qd.shape or q.shape != y.shape or not np.isfinite([q, qd, y]).all():
         raise ShapeError(f"Expected finite q, qd and y of one shape (N,), got {q.shape}, {qd.shape} and {y.shape}.")
     if not 0 < rate < np.inf or not np.isfinite([highest, lowest]).all():

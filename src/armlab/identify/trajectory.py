@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from armlab._numbers import number
 from armlab.errors import ShapeError
 from armlab.log import Table
 from armlab.state import Command, State
@@ -132,9 +133,12 @@ def sequence(parts: Sequence[Trajectory], walk: float = 2.0) -> Trajectory:
 
     Raises
     ------
-    ShapeError : for no parts or no time to walk.
+    ShapeError : for no parts, parts that are no motions, or no time to walk.
     """
-    if not parts or not walk > 0:
+    walk = number(walk, "the walk [s]")
+    if not isinstance(parts, list | tuple) or not all(isinstance(part, Trajectory) for part in parts):
+        raise ShapeError(f"Expected a list of motions, got {type(parts).__name__}. identify.excitation gives one.")
+    if not parts or not 0 < walk < np.inf:
         raise ShapeError(f"Expected at least one motion and a walk above 0 s, got {len(parts)} and {walk:g} s.")
     starts = np.cumsum([0.0, *(part.seconds + walk for part in parts[:-1])])
     total = float(starts[-1] + parts[-1].seconds)

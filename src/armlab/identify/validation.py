@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from armlab.errors import NotExcited
+from armlab.errors import ModelMismatchError, NotExcited, ShapeError
 from armlab.estimation import Fit, LinearSolution
 from armlab.identify.covariance import fit_velocity_covariance
 from armlab.identify.extrapolation import extrapolation
@@ -205,6 +205,10 @@ def predict(model: TorqueModel, table: Table) -> Table:
     ------
     ShapeError : no piece of 100 rows without a gap, NaN rows, wrong joint count.
     """
+    if not isinstance(model, TorqueModel):
+        raise ModelMismatchError.no_model(model)
+    if not isinstance(table, Table):
+        raise ShapeError.no_table(table)
     parts, table = pieces(table.t), with_velocity(table)
     qdd, tau, modelled = np.full((3, *table["q"].shape), np.nan)
     for a, b in parts:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from armlab.errors import ShapeError, UnknownName
+from armlab.errors import RobotError, ShapeError, UnknownName
 from armlab.log.column import Column
 from armlab.log.states import QD_SOURCES, TAU_SOURCES
 from armlab.state import Command, State
@@ -102,9 +102,14 @@ class RowLayout:
     Raises
     ------
     ShapeError, UnknownName : a declaration contradicts the glossary, lacks its unit, or repeats a standard column.
+    RobotError : something else than a robot.
     """
 
     def __init__(self, robot: Robot, extra: Mapping[str, Column] | None = None) -> None:
+        from armlab.robots import Robot
+
+        if not isinstance(robot, Robot):
+            raise RobotError.no_robot(robot)
         self.n = robot.n
         self.extra = {name: column.resolved(name) for name, column in {**_ESTIMATE, **(extra or {})}.items()}
         self.slots: dict[str, Slot] = {}

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from armlab.errors import ConfigError, LogError
+from armlab.errors import ConfigError, LogError, ShapeError
 from armlab.log.column import Column
 from armlab.log.recording_file import RecordingFile
 from armlab.log.rows import RowLayout
@@ -37,8 +37,11 @@ def write(table: Table, path: str | Path, robot: Robot | None = None) -> Path:
 
     Raises
     ------
-    ConfigError : another ending, or no robot for MCAP. LogError : the file cannot be created.
+    ConfigError : another ending, or no robot for MCAP. LogError : the file cannot be created. RobotError : something
+    else than a robot. ShapeError : something else than a table, or a column that does not fit the robot's joints.
     """
+    if not isinstance(table, Table):
+        raise ShapeError.no_table(table)
     path = Path(path)
     if path.suffix.lower() not in (".mcap", ".csv"):
         raise ConfigError(f"Expected a file name that ends in .mcap or .csv, got {path}. Change the ending.")
@@ -96,6 +99,11 @@ def _write_mcap(table: Table, path: Path, robot: Robot) -> None:
     block = np.tile(np.frombuffer(layout.pack_values({}), dtype=np.uint8), (len(table), 1))
     for name, array in values.items():
         slot = layout.slots[name]
+        if array.shape != (len(table), *slot.column.shape):
+            raise ShapeError(
+                f"Expected {name} of shape ({len(table)}, {', '.join(map(str, slot.column.shape))}) for robot "
+                f"{robot.name!r} of {robot.n} joints, got {array.shape}. Name the robot that was logged."
+            )
         if slot.missing is not None:
             array = np.where(np.isfinite(array), array, slot.missing)
         raw = np.ascontiguousarray(array.reshape(len(table), -1), dtype=slot.dtype)

@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from armlab.errors import ModelMismatchError, ShapeError
+from armlab.errors import ModelMismatchError, RobotError, ShapeError
 from armlab.kernels import Chain, Drive, MomentumEstimator, WrenchEstimator, model_torque
 from armlab.models.coupled import CoupledKernel, CoupledMotors
 from armlab.models.friction import Friction, FrictionBound, Ripple
@@ -165,7 +165,9 @@ class TorqueModel:
         )
 
     def check_robot(self, robot: Robot) -> None:
-        """Raise `ModelMismatchError` unless `robot` is the one this model was identified on."""
+        """Raise `ModelMismatchError` unless `robot` is the one of this model, `RobotError` when it is none."""
+        if not isinstance(robot, Robot):
+            raise RobotError.no_robot(robot)
         if robot.hash != self.robot_hash:
             raise ModelMismatchError(
                 f"Expected robot {self.robot_name!r} ({self.robot_hash[:12]}), got {robot.name!r} ({robot.hash[:12]}). "

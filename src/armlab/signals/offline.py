@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from armlab._numbers import number, numbers
 from armlab.errors import ConfigError, ShapeError
 from armlab.signals.streaming import Operator
 
@@ -38,10 +39,11 @@ def lowpass_offline(x: np.ndarray, rate: float, cutoff: float, order: int = 4) -
     from scipy.signal import butter, sosfiltfilt
 
     x = _record(x)
-    if not 0.0 < cutoff < rate / 2:
+    cutoff, rate = number(cutoff, "the cut-off [Hz]"), number(rate, "the rate [Hz]")
+    if not 0.0 < cutoff < rate / 2 < np.inf:
         raise ShapeError(f"Expected a cut-off between 0 and {rate / 2:g} Hz (half the rate), got {cutoff:g} Hz.")
-    if not order >= 1 or order != int(order):
-        raise ConfigError(f"Expected a whole order of at least 1, got {order}. 4 is usual.")
+    if not 1 <= number(order, "the order", ConfigError) < np.inf or order % 1:
+        raise ConfigError(f"Expected a whole order of at least 1, got {order:g}. 4 is usual.")
     sections = np.asarray(butter(int(order), cutoff / (rate / 2), output="sos"))
     needed = 6 * sections.shape[0] + 4
     if len(x) < needed:
@@ -90,6 +92,8 @@ def filtfilt(operator: Operator, x: np.ndarray, t: np.ndarray | None = None) -> 
     ----------
     Gustafsson (1996), Determining the initial states in forward-backward filtering.
     """
+    if not isinstance(operator, Operator):
+        raise ConfigError(f"Expected a filter, got {type(operator).__name__}. Give one, such as LowPass2(10.0).")
     if not operator.settling:
         raise ConfigError(
             f"Expected a filter to run forward and backward, got {type(operator).__name__}. "
@@ -127,8 +131,8 @@ def decimate(x: np.ndarray, rate: float, factor: int) -> np.ndarray:
     ------
     ConfigError : a factor that is not a whole number of at least 1. ShapeError : too short, not finite.
     """
-    if not factor >= 1 or factor != int(factor):
-        raise ConfigError(f"Expected a whole factor of at least 1, got {factor}. Resample the record for others.")
+    if not 1 <= number(factor, "the factor", ConfigError) < np.inf or factor % 1:
+        raise ConfigError(f"Expected a whole factor of at least 1, got {factor:g}. Resample the record for others.")
     x, factor = _record(x), int(factor)
     _check_finite(x)
     return x.copy() if factor == 1 else lowpass_offline(x, rate, PASSED * 0.5 * rate / factor)[::factor]
@@ -168,6 +172,7 @@ def smooth_diff(x: np.ndarray, t: np.ndarray, bandwidth: float) -> np.ndarray:
             f"Expected even times, got steps from {steps.min():.4g} s to {steps.max():.4g} s. Resample the record "
             "first, or use central_diff."
         )
+    bandwidth = number(bandwidth, "the bandwidth [Hz]")
     window = _window(bandwidth * dt)
     if window > len(x):
         raise ShapeError(
@@ -203,14 +208,14 @@ def _reflected(x: np.ndarray, pad: int) -> np.ndarray:
 
 def _record(x: np.ndarray) -> np.ndarray:
     """Return samples (N, ...) as numbers; refuse one number."""
-    x = np.asarray(x, dtype=float)
+    x = numbers(x, "samples", ShapeError)
     if x.ndim < 1:
         raise ShapeError("Expected samples (N, ...) along axis 0, got a number. Give a record.")
     return x
 
 
 def _check_times(t: np.ndarray, count: int, least: int) -> np.ndarray:
-    t = np.asarray(t, dtype=float)
+    t = numbers(t, "times", ShapeError)
     if t.ndim != 1 or len(t) != count or count < least or not np.all(np.diff(t) > 0) or not np.isfinite(t).all():
         raise ShapeError(
             f"Expected at least {least} finite, strictly increasing times for {count} samples, got an array of shape "

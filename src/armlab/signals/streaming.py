@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from armlab._numbers import number
 from armlab.errors import ConfigError, UnknownName
 from armlab.kernels import SignalOperator
 
@@ -134,7 +135,7 @@ class ExpFilter(Operator):
     __slots__ = ()
 
     def __init__(self, time_constant: float, dt: float | None = None, init: np.ndarray | float | None = None) -> None:
-        if not 0 < time_constant < np.inf:
+        if not 0 < number(time_constant, "the time constant [s]", ConfigError) < np.inf:
             raise ConfigError(f"Expected a time constant above 0 s, got {time_constant!r}.")
         step = _step(dt)
         super().__init__(SignalOperator("exponential", time_constant, 0.0, step, init), step, SETTLED * time_constant)
@@ -200,7 +201,7 @@ class Notch(Operator):
     __slots__ = ()
 
     def __init__(self, frequency: float, quality: float = 2.0, dt: float | None = None) -> None:
-        if not 0.5 < quality < np.inf:
+        if not 0.5 < number(quality, "the quality", ConfigError) < np.inf:
             raise ConfigError(f"Expected a quality above 0.5, got {quality!r}. A higher one stops a narrower band.")
         w, step = _corner(frequency, dt), _step(dt)
         super().__init__(SignalOperator("notch", w, 0.5 / quality, step), step, SETTLED * 2.0 * quality / w)
@@ -209,7 +210,7 @@ class Notch(Operator):
 def _step(dt: float | None) -> float:
     if dt is None:
         return np.nan
-    if not 0 < dt < np.inf:
+    if not 0 < number(dt, "the step dt [s]", ConfigError) < np.inf:
         raise ConfigError(f"Expected a step dt above 0 s, got {dt!r}.")
     return float(dt)
 
@@ -217,6 +218,6 @@ def _step(dt: float | None) -> float:
 def _corner(frequency: float, dt: float | None) -> float:
     """Return the angular frequency [rad/s]; refuse one that samples of dt cannot show."""
     highest = np.inf if dt is None else 0.5 / _step(dt)
-    if not 0 < frequency < highest:
+    if not 0 < number(frequency, "the frequency [Hz]", ConfigError) < highest:
         raise ConfigError(f"Expected a frequency between 0 and {highest:g} Hz (half the rate), got {frequency!r}.")
     return 2.0 * np.pi * frequency
