@@ -32,7 +32,7 @@ NO_NUMBER: dict[str, Callable] = {
     "noise": lambda x: identify.expectation(MOTION, YUMI, x),
     "walk": lambda x: identify.sequence([MOTION], x),
     "parts": identify.sequence,
-    "q": lambda x: identify.rbf_centres(x, np.zeros((5, 2)), (3, 4)),
+    "q": lambda x: identify.rbf_centres(x, np.zeros((5, 2))),
     "residuals": lambda x: identify.fit_velocity_covariance(x, np.zeros((200, 7))),
     "A": lambda x: identify.group_lasso(x, np.zeros(5), 2, 1.0),
     "inertial parameters": identify.pseudo_inertia,

@@ -97,7 +97,7 @@ def _whole(table: Table) -> Verdict:
         total = sum(seconds for _, seconds in found)
         bad.append(
             f"{'Gap' if len(found) == 1 else f'{len(found)} gaps'} in the log: {named}{more}; {total:.3g} s in all. "
-            "A contact in a gap is not seen, and after one the estimate begins anew."
+            "A contact in a gap is not seen; after more than five periods the estimate begins anew."
         )
     return Verdict(bad=tuple(bad))
 

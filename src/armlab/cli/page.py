@@ -6,6 +6,7 @@ The page carries a content policy that forbids requests, so that a browser enfor
 from __future__ import annotations
 
 import base64
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from html import escape
@@ -29,6 +30,7 @@ table {{ border-collapse: collapse; font-variant-numeric: tabular-nums; font-siz
 th, td {{ padding: .18rem .55rem; text-align: right; vertical-align: bottom; border-bottom: 1px solid #eee; }}
 th:first-child, td:first-child, .words {{ text-align: left; }}
 th {{ border-bottom: 1px solid #999; font-weight: 600; }}
+@media (max-width: 50rem) {{ table {{ font-size: 11px; }} th, td {{ padding: .18rem .3rem; }} }}
 figure {{ margin: .8rem 0; }}
 img {{ max-width: 100%; height: auto; }}
 figcaption, .note {{ color: #555; max-width: 52rem; }}
@@ -147,7 +149,7 @@ class Page:
 
 
 def _cell(kind: str, text: str, words: bool) -> str:
-    """Return one cell: of words, or of a figure, which does not break where the uncertainty begins."""
-    if words:
-        return f'<{kind} class="words">{escape(text)}</{kind}>'
-    return f"<{kind}>{escape(text.replace(' ± ', ' ± '))}</{kind}>"
+    """Return one cell; units stay whole, and a sign with the uncertainty behind it."""
+    whole = re.sub(r"\[[^]]*\]|± \S+", lambda found: found[0].replace(" ", "\N{NO-BREAK SPACE}"), text)
+    opened = f'{kind} class="words"' if words else kind
+    return f"<{opened}>{escape(whole)}</{kind}>"
