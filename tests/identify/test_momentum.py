@@ -32,6 +32,19 @@ def test_without_rows_that_count_nothing_is_scaled(truth, excited, model) -> Non
     np.testing.assert_allclose(noise.memory, 0.004)
 
 
+def test_some_windows_of_a_long_record_tell_the_factors(truth, excited, model, monkeypatch) -> None:
+    data = prepare(excited, truth.robot)
+    rows = np.ones(len(data.t), dtype=bool)
+    errors, moving = held_out([(model, rows)], data)
+    errors = np.where(moving, errors, np.nan)
+    whole = momentum_noise(model, [(model, rows)], errors, data)
+    monkeypatch.setattr("armlab.identify.momentum.ENOUGH", len(rows) // 2)
+    part = momentum_noise(model, [(model, rows)], errors, data)
+    assert part.alpha2_observer != whole.alpha2_observer
+    assert part.alpha2_observer == pytest.approx(whole.alpha2_observer, rel=0.2)
+    np.testing.assert_array_equal(part.memory, whole.memory)
+
+
 def test_momentum_noise_makes_two_sigma_hold(truth, excited, model) -> None:
     """On the rows that it is set on 95.4 % of the axes that can be seen, unless a factor met its bound."""
     data = prepare(excited, truth.robot)

@@ -18,6 +18,7 @@ COVERAGE, SIGMAS = 0.954, 2.0
 ALPHA2_BOUNDS = (0.25, 25.0)
 SEEN = 0.9  # observability of the axes whose coverage counts
 LEAD = 0.5  # s, in which an estimator forgets how it began
+ENOUGH, WINDOW = 50_000, 10.0  # rows for a factor, and s: of longer records every second window, or third, is run
 
 
 def velocity_noise(data: Prepared) -> np.ndarray:
@@ -45,7 +46,8 @@ def momentum_noise(
     known = [column[np.isfinite(column)] for column in errors.T]
     memory = np.array([correlation_time(column, step) if len(column) > 1 else step for column in known])
     noise = MomentumNoise(memory, velocity_noise(data))
-    held = [(replace(fold, covariance=model.covariance), rows) for fold, rows in folds]
+    some = data.blocks(WINDOW) % -(-len(data.t) // ENOUGH) == 0
+    held = [(replace(fold, covariance=model.covariance), rows & some) for fold, rows in folds]
     variance = model.covariance.variance(data.qd) / model.covariance.alpha2
     ratios = [
         (found[3] ** 2 / variance[rows])[np.isfinite(errors[rows] + found[3])]

@@ -19,6 +19,7 @@ __all__ = ["BIN", "begun", "dry_torques", "mean_power", "relaxed", "seconds", "s
 
 BIN = 1.0  # s
 SETTLING = 8  # rounds of power and warmth for given parameters
+FEWEST = 20  # rows of a second that tell its power
 
 
 def begun(
@@ -47,9 +48,9 @@ def _warmth_at(model: TorqueModel, data: Prepared, rows: np.ndarray) -> np.ndarr
     x = np.tile(warm.start, (len(rows), 1))
     logs = [0, *(np.flatnonzero(np.diff(data.t) <= 0) + 1), len(data.t)]
     for a, b in pairwise(logs):
-        number, here = seconds(data.t[a:b]), (rows >= a) & (rows < b)
+        some, here = slice(a, b, max(1, int(data.rate * BIN) // FEWEST)), (rows >= a) & (rows < b)
         for i in np.flatnonzero(warm.time > 0):
-            power = mean_power(model, i, data.qd[a:b, i], s[a:b, i], number)
+            power = mean_power(model, i, data.qd[some, i], s[some, i], seconds(data.t[some]))
             k = np.array([f.viscous[i], 0.0, 0.0, 0.0, f.viscous[i] * warm.of_viscous[i], warm.of_coulomb[i]])
             along = settled(power, k, float(warm.time[i]), float(warm.start[i]), float(warm.power[i]))
             middle = BIN * (np.arange(len(along)) + 0.5)
