@@ -80,7 +80,7 @@ def difference(fit: Fit[TorqueModel], truth: np.ndarray) -> np.ndarray:
     return fit.parameters - truth * [1, 1, 1, 1, 1 / ratio, 1 / ratio, 1, ratio]
 
 
-@pytest.mark.slow  # 17 s
+@pytest.mark.slow  # 20 s
 def test_the_statistical_contract(short_arm) -> None:
     """One joint of two warms up for 20 minutes; four times the samples are those of four times the rate."""
     cold = fit_dynamics(short_arm.log(0, 3000), short_arm.robot).value
@@ -107,7 +107,7 @@ def test_the_statistical_contract(short_arm) -> None:
     contract = check_estimator(
         fit_warm_up,
         draw,
-        12,
+        8,
         n=n,
         error=difference,
         noise_given=False,
