@@ -67,7 +67,7 @@ bool WrenchEstimator::advance(const double *q, const double *qd, const double *t
   if (!finite(q, n) || !finite(qd, n) || !finite(tau, n) || !(dt > 0.0) || !std::isfinite(dt)) return false;
   const double relax = 1.0 - std::exp(-dt / rest_time);
   std::array<Joint, max_joints> next;
-  double qdd[max_joints], rigid[max_joints];
+  double qdd[max_joints] = {}, rigid[max_joints];
   for (int i = 0; i < n; ++i) {
     Joint &joint = next[i] = joints_[i];
     if (apart) {

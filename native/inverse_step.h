@@ -113,7 +113,7 @@ inline void evaluate(const Chain &chain, const Goal &goal, double weight, Iterat
 // A = L D L^T of a symmetric positive definite matrix: L below the diagonal of A, and 1 / D. False when it is not.
 template <int M>
 inline bool factor(double (&A)[M][M], double (&inverse)[M]) {
-  double D[M], scaled[M];
+  double D[M], scaled[M] = {};
   for (int j = 0; j < M; ++j) {
     D[j] = A[j][j];
     for (int k = 0; k < j; ++k) {
