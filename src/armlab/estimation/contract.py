@@ -73,7 +73,9 @@ class Gauge:
 
 @dataclass(frozen=True)
 class Limits:
-    """What is accepted; three standard errors of the number of runs are added.
+    """What is accepted.
+
+    Two-sided limits give way to three standard errors where few runs make these wider; one-sided ones grow by them.
 
     Attributes
     ----------
