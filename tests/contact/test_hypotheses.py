@@ -166,6 +166,8 @@ def test_an_estimated_log(truth, model) -> None:
         rotor=truth.rotor,
         friction=truth.friction,
         ripple=replace(model.ripple, cosine=np.zeros(7), sine=np.zeros(7)),
+        gains=np.ones(7),
+        gain_cov=np.zeros((7, 7)),
         covariance=velocity_covariance("const", sd**2, sd**2),
     )
     motion = identify.excitation(truth.robot, seconds=12, speed=0.3, seed=4)

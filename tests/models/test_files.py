@@ -47,7 +47,7 @@ def test_the_file_says_where_it_comes_from(tmp_path, model) -> None:
     ("old", "new", "error", "sentence"),
     [
         ('sign = "environment_on_robot"', 'sign = "robot_on_environment"', ModelMismatchError, "kind, format and sign"),
-        ("format = 4", "format = 9", ModelMismatchError, "kind, format and sign"),
+        ("format = 5", "format = 9", ModelMismatchError, "kind, format and sign"),
         ("rotor = [", "motor = [", ConfigError, "motor|rotor"),
         ("[meta]", "[meta", ConfigError, "TOML model file"),
         ("alpha2 = ", 'alpha2 = "x"\nbeta = ', ConfigError, "alpha2|beta"),

@@ -18,9 +18,9 @@ def test_torque_is_rigid_plus_friction_plus_ripple(model: TorqueModel) -> None:
     q, qd, qdd = identify.dither(np.zeros(7), 2.0).sample(t)
     z = presliding(q, model.friction.delta, model.friction.resolution)
     expected = model.rigid_torque(q, qd, qdd) + model.friction.torque(qd, z) + model.ripple.torque(q)
-    np.testing.assert_allclose(model.torque(q, qd, qdd), expected, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(model.torque(q, qd, qdd), model.gains * expected, rtol=0, atol=1e-12)
     slow = model.rigid_torque(q, qd, 0 * q) + model.friction.torque(qd, z) + model.ripple.torque(q)
-    np.testing.assert_allclose(model.torque(q, qd), slow, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(model.torque(q, qd), model.gains * slow, rtol=0, atol=1e-12)
     assert model.n == 7
     assert isinstance(model.quality, Quality)
     assert not any(getattr(model.quality, name).flags.writeable for name in ("torque_sd", "rms", "rms_cv", "coverage"))

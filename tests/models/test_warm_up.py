@@ -31,7 +31,7 @@ def test_a_model_warms_up_along_a_record(tmp_path, model) -> None:
     t = np.arange(0, 40, 0.01)
     qd = np.full((len(t), 7), 0.3)
     q, dt = np.cumsum(qd, axis=0) * 0.01, np.full(len(t), 0.01)
-    change = warm.torque(q, qd, dt=dt) - model.torque(q, qd)
+    change = (warm.torque(q, qd, dt=dt) - model.torque(q, qd)) / model.gains
     f = model.friction
     x = (change / -(0.4 * f.viscous * 0.3 + 0.1 * f.coulomb_pos))[200:]
     settled = x[-1]

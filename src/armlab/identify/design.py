@@ -45,7 +45,7 @@ class Design:
     ----------
     made : what makes the columns of this record and arm. base : base parameters.
     owners : (K,) the joint that each coupled motor belongs to.
-    tau : (M, J) filtered torque. rigid : of each joint (M, w), columns of the base parameters that it sees.
+    gains : (J,) torque as it is read over true torque. tau : (M, J) filtered torque, divided by them. rigid : of each joint (M, w), columns of the base parameters that it sees.
     fixed : (M, J, 2 or 4) columns without shape: viscous, offset, and ripple where the gears are known.
     coupled_motors : (M, K, 3) filtered acceleration, velocity and sign of the coupled motors.
     shapes : of friction. free : (J, 2) bool, which of `Shapes.numbers` have a column: the derivative of the torque over
@@ -56,6 +56,7 @@ class Design:
     made: Columns
     base: BaseParameters
     owners: np.ndarray
+    gains: np.ndarray
     tau: np.ndarray
     rigid: tuple[np.ndarray, ...]
     fixed: np.ndarray
@@ -99,6 +100,7 @@ class Design:
             made=columns,
             base=base,
             owners=owners,
+            gains=np.ones(len(measured)),
             tau=tau,
             rigid=columns.rigid(qdd, base),
             fixed=fixed,
@@ -162,9 +164,14 @@ class Design:
         return replace(self, shapes=shapes, free=np.zeros_like(self.free), local=tuple(local))
 
     def with_torque(self, tau: np.ndarray) -> Design:
-        """Return it with another torque (N, n) of the record."""
+        """Return it with another torque (N, n) that was read."""
         thin = self.thinning.run(lambda a, b: tau[a:b, self.joints], len(self.joints))
-        return replace(self, made=replace(self.made, data=replace(self.data, tau=tau)), tau=thin)
+        made = replace(self.made, data=replace(self.data, tau=tau))
+        return replace(self, made=made, tau=thin / self.gains)
+
+    def with_gains(self, gains: np.ndarray) -> Design:
+        """Return it with other gains (J,) of the torque that was read."""
+        return replace(self, gains=gains, tau=self.tau * self.gains / gains)
 
     def with_slopes(self, theta: np.ndarray, free: np.ndarray | None = None) -> Design:
         """Return it with the derivatives of the torque over the logarithms of the numbers that make the shapes.

@@ -3,11 +3,13 @@
     tau_i = Y_i(q, qd, qdd) base + F_f,i(qd_i, s_i) + ripple_i(q_i) + e_i
 
 1. The same zero-phase filter runs over torque and every regressor column; then every few samples are kept.
-2. Per joint, kind and width of the sign, Stribeck speed and the terms of friction are chosen on held-out blocks, with
+2. Joints may read their torque by a few percent too large or small: gains, by which it is divided, are fitted before
+   and after the next step.
+3. Per joint, kind and width of the sign, Stribeck speed and the terms of friction are chosen on held-out blocks, with
    the rigid part held.
-3. All linear parameters by least squares, joints weighted by 1 / their residual deviation, within physical bounds.
-4. Covariance by drawing blocks again: residuals are coloured, and the formal covariance is far too small.
-5. Models fitted without a fifth of the blocks give held-out residuals through the estimator's own causal filter; to
+4. All linear parameters by least squares, joints weighted by 1 / their residual deviation, within physical bounds.
+5. Covariance by drawing blocks again: residuals are coloured, and the formal covariance is far too small.
+6. Models fitted without a fifth of the blocks give held-out residuals through the estimator's own causal filter; to
    them the torque covariance over velocity is fitted and its scale calibrated to 95.4 % inside 2 sigma.
 """
 
@@ -27,6 +29,7 @@ from armlab.identify.extrapolation import training
 from armlab.identify.preparation import Prepared, prepare
 from armlab.identify.settling import ROBUST, linearised, settle, short_blocks
 from armlab.identify.spikes import spikes, without_spikes
+from armlab.identify.torque_gains import calibrated, gain_share
 from armlab.identify.validation import assess, report
 from armlab.log import Table
 from armlab.models import FrictionBound, Quality, TorqueModel, velocity_covariance
@@ -146,16 +149,16 @@ def fit_model(
     job.tell(0, 5, "checking the log")
     data = prepare(table, robot, job.joints)
     check(data)
-    design, theta = _settled(data, robot, base, job)
+    design, theta, gain_cov = _settled(data, robot, base, job)
     data = design.data
     job.tell(3, 5, "covariance from blocks")
     block, length = _blocks(design, theta, job.method)
     design, sums = _summed(design, theta, job, block, length)
     solution = sums.solution
-    cov = block_bootstrap(sums, seed=job.seed, length=length).cov
+    cov = block_bootstrap(sums, seed=job.seed, length=length).cov + gain_share(solution, gain_cov)
     parameters, cov_in_units, formal = design.in_units(solution.x, cov, solution.cov)
     job.tell(4, 5, "held-out residuals")
-    model = _model(design, solution.x, cov)
+    model = _model(design, solution.x, cov, gain_cov)
     model = assess(model, _fold_models(model, design, sums, block, length), data, design.joints)
     job.tell(5, 5, "done")
     return Fit(
@@ -173,22 +176,23 @@ def fit_model(
     )
 
 
-def _settled(data: Prepared, robot: Robot, base: BaseParameters, job: Job) -> tuple[Design, np.ndarray]:
-    """Return the design with its shape of friction and parameters (p,).
+def _settled(data: Prepared, robot: Robot, base: BaseParameters, job: Job) -> tuple[Design, np.ndarray, np.ndarray]:
+    """Return the design with its gains and shape of friction, parameters (p,), and the covariance (J, J) of the gains.
 
     Spikes are replaced twice: the second time by what the first fit makes of them.
     """
+    known = None if job.prior is None else (job.prior.value.gains, job.prior.value.gain_cov)
     found = spikes(data) if job.method in ROBUST else np.zeros(data.tau.shape, dtype=bool)
     first = without_spikes(data, found) if found.any() else data.tau
     job.tell(1, 5, "building the regressor")
-    design = Design.build(replace(data, tau=first), robot, base, joints=job.joints)
+    design = calibrated(Design.build(replace(data, tau=first), robot, base, joints=job.joints), job.method, known)[0]
     job.tell(2, 5, "choosing the shape of friction")
     design, theta = settle(design, job.method, job.seed)
     if found.any():
         model = _model(design, theta, np.zeros((len(theta), len(theta))))
         design = design.with_torque(without_spikes(data, found, model))
         design, theta = settle(design, job.method, job.seed)
-    return design, theta
+    return calibrated(design, job.method, known)
 
 
 def _summed(design: Design, theta: np.ndarray, job: Job, block: np.ndarray, length: int) -> tuple[Design, BlockSums]:
@@ -228,13 +232,17 @@ def _blocks(design: Design, theta: np.ndarray, method: str) -> tuple[np.ndarray,
     return block, length
 
 
-def _model(design: Design, theta: np.ndarray, cov: np.ndarray) -> TorqueModel:
+def _model(design: Design, theta: np.ndarray, cov: np.ndarray, gain_cov: np.ndarray | None = None) -> TorqueModel:
     """Turn linear parameters and friction shapes into a model; covariance and quality are provisional."""
     data, robot, base = design.data, design.robot, design.base
     n, p = robot.n, len(base.names)
     links, rotor = base.links_and_rotors(theta[:p])
     friction, ripple = design.drives(theta)
     tiny = np.full(n, 1e-18)
+    gains, spread = np.ones(n), np.zeros((n, n))
+    gains[design.joints] = design.gains
+    if gain_cov is not None:
+        spread[np.ix_(design.joints, design.joints)] = gain_cov
     return TorqueModel(
         robot_name=robot.name,
         robot_hash=robot.hash,
@@ -251,6 +259,8 @@ def _model(design: Design, theta: np.ndarray, cov: np.ndarray) -> TorqueModel:
         base_names=base.names,
         base_values=theta[:p],
         base_cov=cov[:p, :p],
+        gains=gains,
+        gain_cov=spread,
         quality=_quality(data),
         training=training(data.t, data.q, data.qd, data.segments),
         sources=data.sources,

@@ -90,6 +90,21 @@ class GainProblem:
         """
         return self._normal(self.sums.sum(axis=0)[:, :-1, :-1], x, 1.0 + g)[0]
 
+    def gain_covariance(self, x: np.ndarray, g: np.ndarray) -> np.ndarray:
+        """Return the covariance (n, n) of the gains, x unknown.
+
+        Parameters
+        ----------
+        x : (p,) solution. g : (n,) its gains less 1.
+        """
+        G, k = self.sums.sum(axis=0)[:, :-1, :-1], 1.0 + g
+        _, u, d = self._normal(G, x, k)
+        H = np.tensordot(k * k, G, 1)
+        scale = np.sqrt(np.where(np.diag(H) > 0, np.diag(H), 1.0))
+        told = np.linalg.solve(H / np.outer(scale, scale), (u / scale).T)
+        cov = np.linalg.inv(np.diag(d) - (u / scale) @ told)
+        return 0.5 * (cov + cov.T)
+
     def response(self, x: np.ndarray, g: np.ndarray) -> np.ndarray:
         """Return how x follows the sums ``weights_i A_i^T e_i`` of each joint (n, p, p): dx = sum_i response_i @ them.
 

@@ -23,7 +23,7 @@ class Residuals:
 
     Attributes
     ----------
-    data : the record. y : (N, n) measured minus modelled torque [N m], unfiltered.
+    data : the record. y : (N, n) measured minus modelled torque [N m], over the gains, unfiltered.
     s : (N, n) the sign that friction goes by: presliding state, or the smooth sign.
     """
 
@@ -55,7 +55,8 @@ def model_residuals(
     qdd = data.filter(data.differentiate(data.qd), data.rate / 10.0)
     y = np.empty_like(data.q)
     for a, b in data.segments:
-        y[a:b] = data.tau[a:b] - model.torque(data.q[a:b], data.qd[a:b], qdd[a:b], data.dt[a:b])
+        left = data.tau[a:b] - model.torque(data.q[a:b], data.qd[a:b], qdd[a:b], data.dt[a:b])
+        y[a:b] = left / model.gains
     return Residuals(data, y, friction_signs(model, data))
 
 

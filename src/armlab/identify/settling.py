@@ -15,7 +15,7 @@ from armlab.estimation import LinearSolution, least_squares
 from armlab.identify.design import Design
 from armlab.identify.preparation import Prepared
 
-__all__ = ["ROBUST", "linearised", "settle", "short_blocks"]
+__all__ = ["ROBUST", "linearised", "settle", "short_blocks", "solved"]
 
 ROUNDS = 4
 STEPS = 6  # of Gauss and Newton
@@ -42,13 +42,13 @@ def settle(design: Design, method: str, seed: int = 0, use: np.ndarray | None = 
     use = np.ones(len(design.rows), dtype=bool) if use is None else use
     trust = np.repeat(use[:, None].astype(float), len(design.joints), axis=1)
     block = design.data.blocks(short_blocks(design.data))[design.rows]
-    theta = _solved(design, trust, method).x
+    theta = solved(design, trust, method).x
     for _ in range(ROUNDS):
         if method in ROBUST:
             trust = _trust(design, theta, block, method, seed) * use[:, None]
         shaped = design.choose_shapes(theta, trust)
         settled = shaped.shapes.same(design.shapes)
-        design, theta = shaped, _solved(shaped, trust, method).x
+        design, theta = shaped, solved(shaped, trust, method).x
         if settled:
             break
     return _refined(design, theta, trust, method)
@@ -59,10 +59,10 @@ def _refined(design: Design, theta: np.ndarray, trust: np.ndarray, method: str) 
     cost = _cost(design, theta, trust)
     for _ in range(STEPS):
         sloped = linearised(design, theta, method, trust)
-        step = np.where(sloped.layout.slopes, _solved(sloped, trust, method).x, 0.0)
+        step = np.where(sloped.layout.slopes, solved(sloped, trust, method).x, 0.0)
         for share in SHARES:
             trial = design.with_shapes(sloped.moved(share * step))
-            found = _solved(trial, trust, method).x
+            found = solved(trial, trust, method).x
             lower = _cost(trial, found, trust)
             if lower < cost:
                 break
@@ -89,7 +89,7 @@ def linearised(design: Design, theta: np.ndarray, method: str, trust: np.ndarray
     trust : (M, J) weights of the rows; 1 when left out.
     """
     sloped = design.with_slopes(theta)
-    free, sd = sloped.free.copy(), _solved(sloped, trust, method).sd[sloped.layout.slopes]
+    free, sd = sloped.free.copy(), solved(sloped, trust, method).sd[sloped.layout.slopes]
     free[sloped.free] = sd < VAGUE
     return sloped if np.array_equal(free, sloped.free) else design.with_slopes(theta, free)
 
@@ -104,8 +104,13 @@ def short_blocks(data: Prepared) -> float:
     return max(TRIMMED, data.seconds / MOST_BLOCKS)
 
 
-def _solved(design: Design, trust: np.ndarray | None, method: str) -> LinearSolution:
-    """Solve for weighted rows; the smallest parameters where the log does not tell them."""
+def solved(design: Design, trust: np.ndarray | None, method: str) -> LinearSolution:
+    """Solve for weighted rows; the smallest parameters where the log does not tell them.
+
+    Parameters
+    ----------
+    design : the problem. trust : (M, J) weights of the rows; 1 when left out. method : of `fit_dynamics`.
+    """
     rows = design.stream(np.zeros(len(design.rows), dtype=int), trust)
     plain = "ols" if method == "ols" else "wls"
     return least_squares(rows, design.layout.names, method=plain, lower=design.layout.lower, max_condition=np.inf)

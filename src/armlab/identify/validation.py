@@ -224,7 +224,7 @@ def predict(model: TorqueModel, table: Table) -> Table:
         replace(table, notes=(*table.notes, *warned))
         .with_column("tau", tau)
         .with_column("tau_model", modelled, unit="N m")
-        .with_column("tau_sigma", np.sqrt(variance), unit="N m")
+        .with_column("tau_sigma", model.gains * np.sqrt(variance), unit="N m")
     )
 
 

@@ -27,7 +27,7 @@ from armlab.models.velocity_covariance import VelocityCovariance
 __all__ = ["load", "load_statistics", "save"]
 
 KIND = "torque_model"
-FORMAT = 4
+FORMAT = 5
 FRICTION = tuple(entry.name for entry in fields(Friction))
 RIPPLE = ("cycles", "cosine", "sine")
 BOUND = ("torque", "speed", "floor")
@@ -80,6 +80,8 @@ class _Dynamics(_Strict):
     base_names: list[str]
     base_values: list[float]
     base_cov_lower: list[float]
+    gains: list[float]
+    gain_cov: list[list[float]]
     quasi_static: bool = False
 
 
@@ -170,6 +172,8 @@ def _torque_file(model: TorqueModel) -> dict[str, Any]:
             "base_names": list(model.base_names),
             "base_values": model.base_values.tolist(),
             "base_cov_lower": model.base_cov[lower].tolist(),
+            "gains": model.gains.tolist(),
+            "gain_cov": model.gain_cov.tolist(),
         },
         "friction": _by_joint(model.friction, FRICTION),
         "ripple": _by_joint(model.ripple, RIPPLE),
@@ -292,6 +296,8 @@ def _model(file: _File, path: Path) -> TorqueModel:
         base_names=tuple(d.base_names),
         base_values=np.array(d.base_values),
         base_cov=cov,
+        gains=np.array(d.gains),
+        gain_cov=np.array(d.gain_cov),
         quality=Quality(**{name: np.array(getattr(validation, name)) for name in QUALITY}, seconds=validation.seconds),
         training=Training(
             **{name: np.array(getattr(file.limits, name)) for name in LIMITS},

@@ -1,8 +1,8 @@
 """The torque model of one robot: rigid body, friction, ripple, and how uncertain it is.
 
-    tau = Y(q, qd, qdd) pi + rotor qdd + F_f(qd, z) + ripple(q) - J^T F + e,   e ~ N(0, C_tau(qd))
+    tau / gains = Y(q, qd, qdd) pi + rotor qdd + F_f(qd, z) + ripple(q) - J^T F + e,   e ~ N(0, C_tau(qd))
 
-F is the wrench by the environment on the robot, in base axes, at the tool point.
+with the torque tau that each joint reads; all else is in true newton metres. F is the wrench by the environment on the robot, in base axes, at the tool point.
 `link_parameters` is the smallest parameter vector that gives the identified base parameters: it evaluates the model
 exactly and is not a set of masses.
 """
@@ -16,6 +16,7 @@ import numpy as np
 
 from armlab.errors import ModelMismatchError, RobotError, ShapeError
 from armlab.kernels import Chain, Drive, MomentumEstimator, WrenchEstimator, model_torque
+from armlab.models.calibrated import CalibratedKernel
 from armlab.models.coupled import CoupledKernel, CoupledMotors
 from armlab.models.friction import Friction, FrictionBound, Ripple
 from armlab.models.momentum import MomentumNoise
@@ -74,6 +75,7 @@ class TorqueModel:
     bound : of friction near rest, for the estimators that take it as bounded.
     cutoff : corner [Hz] of the causal filter on the torque residual that `covariance` belongs to.
     base_names, base_values, base_cov : the identified base parameters with their covariance.
+    gains : (n,) torque as it is read over true torque, 1 when left out; gain_cov : (n, n) of them, 0 when left out.
     quality : how well it fits. training : the ranges of the data behind it.
     sources : SHA-256 and name of each log.
     lines, friction_map, warm_up : parts of the drives that `identify.fit_friction` adds where they win, or None.
@@ -106,13 +108,19 @@ class TorqueModel:
     momentum: MomentumNoise | None = None
     coupled: CoupledMotors | None = None
     quasi_static: bool = False
+    gains: np.ndarray = field(default_factory=lambda: np.ones(0))
+    gain_cov: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __post_init__(self) -> None:
         """Check shapes and freeze the arrays."""
         n, p = len(self.rotor), len(self.base_names)
+        if not np.size(self.gains):
+            object.__setattr__(self, "gains", np.ones(n))
+        if not np.size(self.gain_cov):
+            object.__setattr__(self, "gain_cov", np.zeros((n, n)))
         shapes = {
             "frames": (n + 1, 4, 4), "prismatic": (n,), "gravity": (3,), "link_parameters": (n, 10), "rotor": (n,),
-            "base_values": (p,), "base_cov": (p, p),
+            "base_values": (p,), "base_cov": (p, p), "gains": (n,), "gain_cov": (n, n),
         }  # fmt: skip
         for name, shape in shapes.items():
             values = np.array(getattr(self, name), dtype=bool if name == "prismatic" else float)
@@ -120,6 +128,8 @@ class TorqueModel:
                 raise ShapeError(f"Expected finite {name} of shape {shape} for {n} joints, got shape {values.shape}.")
             values.flags.writeable = False
             object.__setattr__(self, name, values)
+        if np.any(self.gains <= 0):
+            raise ShapeError(f"Expected gains above 0, got {self.gains.tolist()}. Identify again.")
         if self.momentum is not None and len(self.momentum.memory) != n:
             raise ShapeError(f"Expected momentum noise of {n} joints, got {len(self.momentum.memory)}.")
         if self.coupled is not None and self.coupled.ratios.shape[1] != n:
@@ -175,14 +185,14 @@ class TorqueModel:
             )
 
     def rigid_torque(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
-        """Return gravity, inertial and rotor torque (..., n) [N m]; all inputs (..., n)."""
+        """Return gravity, inertial and rotor torque (..., n) [N m], true; all inputs (..., n)."""
         torque = self.chain.rnea(q, qd, qdd, *self._weights) + self.rotor * qdd
         return torque if self.coupled is None else torque + self.coupled.inertial(qdd)
 
     def torque(
         self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray | None = None, dt: np.ndarray | None = None
     ) -> np.ndarray:
-        """Return the model torque (N, n) [N m] without contact along a record.
+        """Return the torque (N, n) [N m] that is read along a record without contact: true torque times the gains.
 
         The presliding state runs through the rows in order, from 0 at the first. A row with a NaN gives NaN and leaves
         the state alone.
@@ -196,11 +206,11 @@ class TorqueModel:
         q, qd = np.atleast_2d(q), np.atleast_2d(qd)
         qdd = np.zeros_like(q) if qdd is None else np.atleast_2d(qdd)
         torque = model_torque(self.chain, *self._weights, self.rotor, self.drive, q, qd, qdd, dt)
-        return torque if self.coupled is None else torque + self.coupled.torque(qd, qdd)
+        return self.gains * (torque if self.coupled is None else torque + self.coupled.torque(qd, qdd))
 
     def estimator_kernel(
         self, prior: np.ndarray, method: int = 0, point: np.ndarray | None = None
-    ) -> WrenchEstimator | CoupledKernel:
+    ) -> CalibratedKernel:
         """Return a fresh estimator kernel with this model's numbers.
 
         Parameters
@@ -222,7 +232,7 @@ class TorqueModel:
             method,
             point,
         )
-        return kernel if self.coupled is None else CoupledKernel(kernel, self.coupled)
+        return self._calibrated(kernel)
 
     def momentum_kernel(
         self,
@@ -233,7 +243,7 @@ class TorqueModel:
         filters: bool = True,
         biased: bool = False,
         point: np.ndarray | None = None,
-    ) -> MomentumEstimator | CoupledKernel:
+    ) -> CalibratedKernel:
         """Return a fresh momentum estimator kernel with this model's numbers.
 
         The factor alpha^2 of the filter is on everything that is random in it, so that it changes the covariance and
@@ -276,7 +286,12 @@ class TorqueModel:
             biased,
             point,
         )
-        return kernel if self.coupled is None else CoupledKernel(kernel, self.coupled)
+        return self._calibrated(kernel)
+
+    def _calibrated(self, kernel: WrenchEstimator | MomentumEstimator) -> CalibratedKernel:
+        """Return the kernel for torques as they are read."""
+        whole = kernel if self.coupled is None else CoupledKernel(kernel, self.coupled)
+        return CalibratedKernel(whole, self.gains, float(np.mean(np.diag(self.gain_cov))))
 
     def _covariance_rows(self, alpha2: float) -> np.ndarray:
         c = self.covariance
