@@ -9,7 +9,7 @@ import pytest
 
 from armlab.identify import base_parameters, prepare
 from armlab.identify.design import Design
-from armlab.identify.settling import ROBUST, linearised, settle, short_blocks
+from armlab.identify.settling import ROBUST, linearised, settle, short_blocks, solved
 
 
 def test_settle_uses_the_rows_it_is_told_and_spares_outliers(truth, excited) -> None:
@@ -32,6 +32,7 @@ def test_where_all_has_settled_there_is_no_step_left(short_arm, method) -> None:
     data = prepare(short_arm.log(3, 3000), short_arm.robot)
     design, theta = settle(Design.build(data, short_arm.robot, base_parameters(short_arm.robot)), method)
     assert not design.layout.slopes.any()
+    assert np.linalg.norm(solved(design, None, method).x - theta) < 0.05 * np.linalg.norm(theta)
     sloped = linearised(design, theta, method)
     assert sloped.layout.slopes.sum() == sloped.free.sum() == 2
     again = linearised(*settle(design, method), method)

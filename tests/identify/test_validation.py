@@ -105,7 +105,7 @@ def test_report_has_one_line_per_joint_and_the_bounds_that_hold(truth, excited) 
     parameters, rest = text.split("\n\n")
     assert parameters == parameter_text(fit)
     lines = rest.splitlines()
-    assert len(lines) == truth.robot.n + 5
+    assert len(lines) == truth.robot.n + 6
     assert all("+- 0.000 " not in line for line in lines[2:6])
     assert fit.report().startswith(parameters)
     assert fit.report().endswith(lines[-1])

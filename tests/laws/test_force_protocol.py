@@ -28,6 +28,8 @@ def test_one_seed_meets_the_bars() -> None:
 
 
 def test_unknown_gains_of_the_torque_sensors() -> None:
-    score = protocol.judge(protocol.record("yumi_right", seed=1, gains=0.05), "map")
+    """Proximal joints that disagree by 9 %: the worst of twenty seeds where their gains are not told apart."""
+    score = protocol.judge(protocol.record("yumi_left", seed=15, gains=0.05), "map")
     assert (score.rms <= 1.5).all()
     assert (score.inside >= 0.85).all()
+    assert np.abs(list(score.press.values())).max() <= 0.10

@@ -45,7 +45,8 @@ class Design:
     ----------
     made : what makes the columns of this record and arm. base : base parameters.
     owners : (K,) the joint that each coupled motor belongs to.
-    gains : (J,) torque as it is read over true torque. tau : (M, J) filtered torque, divided by them. rigid : of each joint (M, w), columns of the base parameters that it sees.
+    gains : (J,) torque as it is read over true torque. tau : (M, J) filtered torque, divided by them.
+    rigid : of each joint (M, w), columns of the base parameters that it sees.
     fixed : (M, J, 2 or 4) columns without shape: viscous, offset, and ripple where the gears are known.
     coupled_motors : (M, K, 3) filtered acceleration, velocity and sign of the coupled motors.
     shapes : of friction. free : (J, 2) bool, which of `Shapes.numbers` have a column: the derivative of the torque over

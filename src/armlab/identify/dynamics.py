@@ -155,8 +155,9 @@ def fit_model(
     block, length = _blocks(design, theta, job.method)
     design, sums = _summed(design, theta, job, block, length)
     solution = sums.solution
-    cov = block_bootstrap(sums, seed=job.seed, length=length).cov + gain_share(solution, gain_cov)
-    parameters, cov_in_units, formal = design.in_units(solution.x, cov, solution.cov)
+    cov = block_bootstrap(sums, seed=job.seed, length=length).cov
+    whole = cov + gain_share(solution, gain_cov)
+    parameters, cov_in_units, formal = design.in_units(solution.x, whole, solution.cov)
     job.tell(4, 5, "held-out residuals")
     model = _model(design, solution.x, cov, gain_cov)
     model = assess(model, _fold_models(model, design, sums, block, length), data, design.joints)

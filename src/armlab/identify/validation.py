@@ -259,11 +259,19 @@ def report(fit: Fit[TorqueModel], solution: LinearSolution | None = None) -> str
     widths = [max(map(len, column)) for column in zip(header, units, *rows)]
     lines = ["  ".join(f"{cell:>{width}}" for cell, width in zip(row, widths)) for row in (header, units, *rows)]
     lines += ["torque in N m, friction in N m and N m s/rad (joints that slide: N and m); sign: its distance or speed"]
+    lines += [f"torque as it is read over true torque, what all have in common unknown: {_gains(model, judged)}"]
     if solution is not None and solution.active:
         lines += [bound.text() for bound in solution.active]
         lines += [f"bounds let the residual grow by {100 * solution.growth:.2g} %"]
     last = (f"{fit.n} samples, {q.seconds:.1f} s", fit.excitation.text())
     return "\n".join([parameter_text(fit), "", *lines, *last])
+
+
+def _gains(model: TorqueModel, joints: np.ndarray) -> str:
+    """Return the gains of joints with deviations, without what all have in common."""
+    apart = np.eye(len(joints)) - 1.0 / len(joints)
+    sd = np.sqrt(np.diag(apart @ model.gain_cov[np.ix_(joints, joints)] @ apart.T))
+    return ", ".join(f"{gain:.3f} +- {deviation:.3f}" for gain, deviation in zip(model.gains[joints], sd))
 
 
 def _deviations(fit: Fit[TorqueModel]) -> list[dict[str, float]]:

@@ -2,7 +2,8 @@
 
     tau / gains = Y(q, qd, qdd) pi + rotor qdd + F_f(qd, z) + ripple(q) - J^T F + e,   e ~ N(0, C_tau(qd))
 
-with the torque tau that each joint reads; all else is in true newton metres. F is the wrench by the environment on the robot, in base axes, at the tool point.
+with the torque tau that each joint reads; all else is in true newton metres. F is the wrench by the environment on the
+robot, in base axes, at the tool point.
 `link_parameters` is the smallest parameter vector that gives the identified base parameters: it evaluates the model
 exactly and is not a set of masses.
 """
@@ -74,7 +75,7 @@ class TorqueModel:
     rotor : (n,) rotor inertia [kg m^2]. friction, ripple, covariance : the other terms.
     bound : of friction near rest, for the estimators that take it as bounded.
     cutoff : corner [Hz] of the causal filter on the torque residual that `covariance` belongs to.
-    base_names, base_values, base_cov : the identified base parameters with their covariance.
+    base_names, base_values, base_cov : the identified base parameters with their covariance while the gains hold.
     gains : (n,) torque as it is read over true torque, 1 when left out; gain_cov : (n, n) of them, 0 when left out.
     quality : how well it fits. training : the ranges of the data behind it.
     sources : SHA-256 and name of each log.
@@ -208,9 +209,7 @@ class TorqueModel:
         torque = model_torque(self.chain, *self._weights, self.rotor, self.drive, q, qd, qdd, dt)
         return self.gains * (torque if self.coupled is None else torque + self.coupled.torque(qd, qdd))
 
-    def estimator_kernel(
-        self, prior: np.ndarray, method: int = 0, point: np.ndarray | None = None
-    ) -> CalibratedKernel:
+    def estimator_kernel(self, prior: np.ndarray, method: int = 0, point: np.ndarray | None = None) -> CalibratedKernel:
         """Return a fresh estimator kernel with this model's numbers.
 
         Parameters

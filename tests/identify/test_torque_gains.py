@@ -1,0 +1,86 @@
+"""Gains of the torques: told apart as well as is said, and part of the covariance."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from armlab import identify
+from armlab.identify import base_parameters, prepare
+from armlab.identify.design import Design
+from armlab.identify.torque_gains import GAIN_SD, calibrated, gain_share
+
+GAINS = np.array([1.05, 0.96, 1.02, 1.03, 1.05, 0.99, 0.99])
+
+
+@pytest.fixture(scope="module")
+def misread(truth, excited) -> Design:
+    robot = truth.robot
+    return Design.build(
+        prepare(excited.with_column("tau", GAINS * excited["tau"]), robot), robot, base_parameters(robot)
+    )
+
+
+def test_joints_that_disagree_tell_their_gains(misread) -> None:
+    """Errors are as large as the covariance says; friction has not even its shape yet."""
+    design, _, cov = calibrated(misread, "irls")
+    error = design.gains - GAINS
+    assert error @ np.linalg.solve(cov, error) / 7 < 2.0
+    apart = error[:4] - error[:4].mean()
+    assert np.abs(apart).max() < 0.01 < np.abs(GAINS[:4] - GAINS[:4].mean()).max()
+    ones = np.ones(7)
+    assert 1 / np.sqrt(ones @ np.linalg.solve(cov, ones)) == pytest.approx(GAIN_SD / np.sqrt(7), rel=0.05)
+    np.testing.assert_allclose(design.tau, misread.tau / design.gains, rtol=1e-12)
+
+
+def test_what_all_have_in_common_is_left_to_the_prior(misread) -> None:
+    one = calibrated(misread, "wls")[0].gains
+    other = calibrated(misread.with_torque(1.03 * misread.data.tau), "wls")[0].gains
+    np.testing.assert_allclose(other, one, atol=2e-3)
+
+
+def test_gains_that_are_known_stay(misread) -> None:
+    cov = 0.01**2 * np.eye(7)
+    design, _, known = calibrated(misread, "wls", (GAINS, cov))
+    np.testing.assert_array_equal(design.gains, GAINS)
+    np.testing.assert_array_equal(known, cov)
+
+
+def test_the_share_of_the_gains_is_the_derivative(misread) -> None:
+    """One gain a little larger: the parameters move by what its covariance is made of."""
+    from armlab.estimation import least_squares
+
+    def solve(design: Design, weights=None):
+        rows = design.stream(np.zeros(len(design.rows), dtype=int))
+        return least_squares(rows, design.layout.names, method="ols")
+
+    found = solve(misread)
+    step = np.array([0, 0, 1e-4, 0, 0, 0, 0])
+    moved = solve(misread.with_gains(1.0 + step)).x - found.x
+    share = gain_share(found, np.outer(step, step))
+    np.testing.assert_allclose(share, np.outer(moved, moved), rtol=0.01, atol=1e-4 * np.abs(share).max())
+
+
+def test_where_the_log_tells_nothing_gains_stay(truth, excited) -> None:
+    """Two rows of columns that are zero: the fit will refuse, by name."""
+    robot = truth.robot
+    data = prepare(excited, robot)
+    design = Design.build(data, robot, base_parameters(robot))
+    blind = design.with_torque(np.zeros_like(data.tau))
+    assert np.all(np.isfinite(calibrated(blind, "wls")[0].gains))
+
+
+def test_a_fit_of_misread_torque_reads_the_same_torque(truth, short_arm) -> None:
+    """The short arm with gains of 1.05 and 0.97: in the model, in its covariance, in its report."""
+    gains, log = np.array([1.05, 0.97]), short_arm.log(1, 3000)
+    fit = identify.fit_dynamics(log.with_column("tau", gains * log["tau"]), short_arm.robot)
+    plain = identify.fit_dynamics(log, short_arm.robot)
+    ratio, sd = fit.value.gains / plain.value.gains / gains, np.sqrt(np.diag(fit.value.gain_cov))
+    assert np.all(np.abs(ratio - 1.0) < 2 * sd)
+    p = len(fit.value.base_names)
+    assert np.all(np.diag(fit.cov)[:p] >= np.diag(fit.value.base_cov))
+    e = (fit.parameters - plain.parameters)[:p]
+    assert e @ np.linalg.solve(fit.cov[:p, :p], e) / p < 1.0
+    assert "true torque" in fit.report()
+    again = identify.fit_dynamics(log, short_arm.robot, prior=fit)
+    np.testing.assert_array_equal(again.value.gains, fit.value.gains)
