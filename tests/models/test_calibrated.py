@@ -70,3 +70,10 @@ def test_gains_that_are_none_are_refused(model) -> None:
         replace(model, gains=-GAINS)
     with pytest.raises(ShapeError, match=r"gains of shape \(7,\)"):
         replace(model, gains=GAINS[:3])
+
+
+def test_torque_of_another_number_of_joints_gets_the_sentence_of_the_kernel(calibrated) -> None:
+    kernel, zero = calibrated.estimator_kernel(np.ones(6)), np.zeros(7)
+    for count in (1, 6):
+        with pytest.raises(ShapeError, match="tau"):
+            kernel.step(zero, zero, np.zeros(count), 0.004)

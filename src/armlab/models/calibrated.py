@@ -23,19 +23,27 @@ class CalibratedKernel:
     """
 
     def __init__(self, kernel: Any, gains: np.ndarray, variance: float) -> None:
-        self._kernel, self._gains, self._variance = kernel, gains, variance
+        self._kernel, self._gains, self._sd = kernel, gains, np.sqrt(variance)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._kernel, name)
 
     def step(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, dt: float) -> Any:
         """Take one sample: q, qd, tau (n,), dt [s]."""
-        return self._widened(self._kernel.step(q, qd, tau / self._gains, dt))
+        found = self._kernel.step(q, qd, self._true(tau), dt)
+        spread = self._sd * found[0]
+        cov = found[1]
+        cov += spread[:, None] * spread  # the kernel's array is nobody else's
+        return found
 
     def run(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, dt: np.ndarray) -> Any:
         """Take samples in their order: q, qd, tau (N, n), dt (N,) [s]; the same as steps."""
-        return self._widened(self._kernel.run(q, qd, tau / self._gains, dt))
+        found = self._kernel.run(q, qd, self._true(tau), dt)
+        spread = self._sd * found[0]
+        cov = found[1]
+        cov += spread[:, :, None] * spread[:, None, :]
+        return found
 
-    def _widened(self, found: Any) -> Any:
-        F, cov, *rest = found
-        return F, cov + self._variance * (F[..., :, None] * F[..., None, :]), *rest
+    def _true(self, tau: np.ndarray) -> np.ndarray:
+        tau = np.asarray(tau)
+        return tau / self._gains if tau.shape[-1:] == self._gains.shape else tau  # the kernel says what is wrong
