@@ -52,12 +52,17 @@ class ShortArm:
         spoilt = np.where(rng.random(count) < bad, 10 * NOISE * rng.choice([-1, 1], count), 0.0)
         return Table(t, {"q": q, "qd": qd, "tau": tau + np.repeat(spoilt, stretch, axis=0)[:n]})
 
-    def experiment(self, rho: float = 0.0, slow: bool = False) -> Callable[[int, int], Experiment]:
-        """Return what `check_estimator` draws from: logs and the true base parameters."""
+    def experiment(
+        self, rho: float = 0.0, slow: bool = False, gain_sd: float = 0.0
+    ) -> Callable[[int, int], Experiment]:
+        """Return what `check_estimator` draws from: logs, with gains of the torque, and the true base parameters."""
         truth = base_parameters(self.robot, quasi_static=slow).B @ np.concatenate([LINKS.ravel(), ROTOR])
 
         def draw(seed: int, n: int) -> Experiment:
-            return Experiment({"table": self.log(seed, n, rho=rho, slow=slow), "robot": self.robot}, truth)
+            table = self.log(seed, n, rho=rho, slow=slow)
+            gains = 1.0 + gain_sd * np.random.default_rng([seed, 5]).standard_normal(2)
+            table = table.with_column("tau", gains * table["tau"])
+            return Experiment({"table": table, "robot": self.robot}, truth)
 
         return draw
 

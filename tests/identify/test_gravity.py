@@ -27,16 +27,17 @@ def fit(truth, slow) -> Fit[TorqueModel]:
 
 
 def test_gravity_of_other_poses_is_predicted(truth, fit) -> None:
-    """To 3 % of its deviation over random poses in the range of the log; offsets but for the asymmetry of friction."""
+    """As it is read, to 4 % of its deviation over random poses in the range of the log (3 % of joints whose gains are
+    known, 3.3 % of the fourth with its own); offsets but for the asymmetry of friction."""
     model, robot = fit.value, truth.robot
     rng = np.random.default_rng(0)
     q = rng.uniform(model.training.q_min, model.training.q_max, (500, 7))
     still = np.zeros_like(q)
     expected = robot.chain.rnea(q, still, still, robot.gravity, truth.links)
-    found = model.rigid_torque(q, still, still)
+    found = model.gains * model.rigid_torque(q, still, still)
     heavy = np.std(expected, axis=0) > 0.1
     assert heavy.sum() >= 4
-    assert np.all((np.std(found - expected, axis=0) / np.std(expected, axis=0))[heavy] < 0.03)
+    assert np.all((np.std(found - expected, axis=0) / np.std(expected, axis=0))[heavy] < 0.04)
     offset = np.mean(found - expected, axis=0) + model.friction.offset - truth.friction.offset
     assert np.all(np.abs(offset) < 0.08 * truth.friction.coulomb_pos)
 
@@ -80,12 +81,13 @@ def test_a_log_at_one_pose_is_refused(truth) -> None:
 @pytest.mark.slow  # 18 s
 def test_errors_halve_with_four_times_the_data_and_match_the_covariance(short_arm) -> None:
     """The statistical contract on a short arm."""
-    found = check_estimator(
-        lambda table, robot: short_arm.of_base(fit_gravity(table, robot)),
-        short_arm.experiment(slow=True),
-        runs=16,
-        n=3000,
-        noise_given=False,
-        skip=dict.fromkeys(set(PROPERTIES) - {"consistent", "honest"}, "as fit_dynamics, whose machinery it shares"),
-    )
-    assert found.passed, found.text()
+    for law, gain_sd in (("consistent", 0.0), ("honest", 0.05)):  # as for fit_dynamics
+        found = check_estimator(
+            lambda table, robot: short_arm.of_base(fit_gravity(table, robot)),
+            short_arm.experiment(slow=True, gain_sd=gain_sd),
+            runs=16,
+            n=3000,
+            noise_given=False,
+            skip=dict.fromkeys(set(PROPERTIES) - {law}, "as fit_dynamics, whose machinery it shares"),
+        )
+        assert found.passed, found.text()
