@@ -31,7 +31,7 @@ def test_the_load_explains_the_difference(truth, model, loaded, motion) -> None:
     """Without noise the difference of the logs is the load, to the step from one sample to the next."""
     record = LoadRecord.of(loaded.log(motion, noise=0.0), model, truth.robot, truth.log(motion, noise=0.0))
     assert record.A.shape == (*record.y.shape, 10)
-    np.testing.assert_allclose(record.y, record.A @ PI, atol=2e-3)
+    np.testing.assert_allclose(model.gains * record.y, record.A @ PI, atol=2e-3)
     assert record.against.shape == (7, 10, len(model.base_names))
     scale = np.abs(LoadRecord.of(loaded.log(motion, noise=0.0), model, truth.robot).against).max()
     assert np.abs(record.against).max() < 1e-6 * scale

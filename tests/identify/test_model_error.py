@@ -43,7 +43,8 @@ def test_every_parameter_of_a_fit_is_known_by_name(truth, fitted) -> None:
     error = ModelError.of(fitted, truth.robot)
     assert error.names == fitted.names
     assert error.left_out == ()
-    np.testing.assert_array_equal(error.cov, fitted.cov)
+    held = replace(fitted, value=replace(fitted.value, gain_cov=np.zeros((7, 7))))
+    np.testing.assert_array_equal(ModelError.of(held, truth.robot).cov, fitted.cov)
     alone = ModelError.of(fitted.value, truth.robot)
     assert alone.names == fitted.value.base_names
     np.testing.assert_array_equal(alone.cov, fitted.value.base_cov)
@@ -53,8 +54,21 @@ def test_what_is_not_known_by_name_is_left_out_and_said(truth, fitted) -> None:
     names = (*fitted.names[:-1], "coulomb of motor of another arm")
     error = ModelError.of(replace(fitted, names=names), truth.robot)
     assert error.left_out == names[-1:]
-    np.testing.assert_array_equal(error.cov, fitted.cov[:-1, :-1])
+    np.testing.assert_array_equal(error.cov, ModelError.of(fitted, truth.robot).cov[:-1, :-1])
     base_names = tuple(f"{name} of an arm with joints left out" for name in fitted.value.base_names)
     other = ModelError.of(replace(fitted.value, base_names=base_names), truth.robot)
     assert other.base is None
     assert other.cov.shape == (0, 0)
+
+
+def test_what_gains_have_in_common_is_no_error_of_the_torque_that_is_read(fitted, truth) -> None:
+    """The deviation of the weight of the arm is 2 % of it with the gains; what the model predicts is known better."""
+    model, p = fitted.value, len(fitted.value.base_names)
+    error = ModelError.of(fitted, truth.robot)
+    index = [error.names.index(name) for name in model.base_names]
+    apart = error.cov[np.ix_(index, index)]
+    assert np.linalg.eigvalsh(error.cov).min() > -1e-9 * np.linalg.eigvalsh(error.cov).max()
+    whole, held = (model.base_values @ C @ model.base_values for C in (fitted.cov[:p, :p], model.base_cov))
+    weight = float(model.base_values @ model.base_values)
+    assert whole - held > 0.015**2 * weight**2
+    assert model.base_values @ apart @ model.base_values - held < 0.2 * (whole - held)

@@ -66,7 +66,7 @@ class ModelError:
         known : as `identify.fit_dynamics` or `fit_gravity` return it, or its value. robot : the arm.
         """
         model = known.value if isinstance(known, Fit) else known
-        names, cov = (known.names, known.cov) if isinstance(known, Fit) else (model.base_names, model.base_cov)
+        names, cov = (known.names, _apart(known)) if isinstance(known, Fit) else (model.base_names, model.base_cov)
         bases = base_parameters(robot), base_parameters(robot, quasi_static=True)
         base = next((base for base in bases if base.names == tuple(model.base_names)), None)
         own = {name for terms in _own_names(robot, base).values() for name in terms}
@@ -113,6 +113,21 @@ class ModelError:
                 value = getattr(friction, FIELDS[term][0])
                 width = 2.0 * np.sinh(STEP) * np.where(value > 0, value, 1.0)
             yield names, (ends[0] - ends[1]) / width
+
+
+def _apart(fit: Fit[TorqueModel]) -> np.ndarray:
+    """Return the covariance of a fit without what its gains have in common.
+
+    Gains that are all c too large leave parameters that are all c too small, and the torque that is read the same.
+    """
+    gain_cov = fit.value.gain_cov
+    told = np.flatnonzero(np.diag(gain_cov) > 0)
+    if not len(told):
+        return fit.cov
+    ones = np.ones(len(told))
+    common = 1.0 / (ones @ np.linalg.solve(gain_cov[np.ix_(told, told)], ones))
+    scaled = np.array([0.0 if name.split()[0] in CURVED else x for name, x in zip(fit.names, fit.parameters)])
+    return fit.cov - common * np.outer(scaled, scaled)
 
 
 def _own_names(robot: Robot, base: BaseParameters | None) -> dict[str, tuple[str, ...]]:
