@@ -11,6 +11,7 @@ from armlab import identify, sim
 from armlab.errors import ModelMismatchError, NotExcited, ShapeError, UnknownName
 from armlab.estimation import Experiment, Fit, check_estimator
 from armlab.identify import fit_payload
+from armlab.identify.model_error import ModelError
 from armlab.identify.payload import _possible
 from armlab.kernels import presliding
 from armlab.log import Table
@@ -202,8 +203,9 @@ def experiment(truth, fitted):
 
     `wrong` times the deviations, of masses and friction together, as they are correlated.
     """
-    robot, scale = truth.robot, fitted.sd
-    values, vectors = np.linalg.eigh(fitted.cov / np.outer(scale, scale))
+    robot, scale, model = truth.robot, fitted.sd, replace(fitted.value, gain_cov=np.zeros((7, 7)))
+    error = ModelError.of(fitted, robot).cov  # with the gains of the model, whatever they have in common
+    values, vectors = np.linalg.eigh(error / np.outer(scale, scale))
     root = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
     motion = identify.excitation(robot, seconds=70, speed=0.4, acceleration=8.0, seed=9)
 
@@ -212,11 +214,11 @@ def experiment(truth, fitted):
         t = 0.01 * np.arange(1, n + 1)
         q, qd, qdd = motion.sample(t)
         true = moved(fitted, wrong * root @ rng.standard_normal(len(scale)), robot)
-        known = replace(fitted, cov=wrong**2 * fitted.cov)
+        known = replace(fitted, value=model, cov=wrong**2 * error)
         pi = np.zeros((7, 10))
         pi[-1] = inertia.transform(robot.links[-1], POINT)
         carried = robot.chain.rnea(q, qd, qdd, robot.gravity, pi)
-        gains = 1.0 + gain_sd * rng.standard_normal(7)
+        gains = model.gains * (1.0 + gain_sd * rng.standard_normal(7))
         tau = true.torque(q, qd, qdd) + gains * carried + truth.noise * rng.standard_normal(q.shape)
         table = Table(t, {"q": q, "qd": qd, "tau": tau})
         return Experiment({"table": table, "model": known, "robot": robot, "gain_sd": gain_sd}, POINT[:4])
