@@ -52,7 +52,8 @@ class State:
     utilization : percent. robotware : "6.06", "6.07", "6.10" or "7".
     rapid_data, rapid_digital : values from RAPID.
     robot_ns : controller clock, int64 nanoseconds. t_receive : arrival, int64 nanoseconds.
-    arms : the State of each arm when several are fused.
+    robot : name of the arm. age : seconds from arrival to this tick, 0 for the arm that paces.
+    arms : the State of each arm when several are fused; `q` and the other joint arrays are then one arm after another.
     """
 
     t: float
@@ -85,6 +86,8 @@ class State:
     rapid_digital: bool = False
     robot_ns: int = 0
     t_receive: int = 0
+    robot: str = ""
+    age: float = 0.0
     arms: tuple[State, ...] = ()
 
     @property

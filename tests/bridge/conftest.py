@@ -166,7 +166,7 @@ class Play:
         self, script: Callable[[Peer], None], controller: Any, link: Link | None = None, **options: Any
     ) -> Run:
         link = link or self.link()
-        self.peers.append(Peer(self.robot, link.port))
+        self.peers.append(Peer(link.robots[-1], link.ports[-1]))
         failures: list[BaseException] = []
 
         def play() -> None:
@@ -185,6 +185,49 @@ class Play:
             assert not thread.is_alive()
             if failures:
                 raise failures[0]
+
+
+class Pair(Play):
+    """The same with the two arms of a YuMi: a script plays both."""
+
+    def __init__(self) -> None:
+        super().__init__(robots.load("yumi_left"))
+        self.robots = [self.robot, robots.load("yumi_right")]
+
+    def link(self, clock: Any = "robot", **options: Any) -> Link:
+        urls = ["egm://127.0.0.1:0"] * 2
+        link = bridge.connect(urls, self.robots, clock=clock, patience=PATIENCE, **options)
+        self.links.append(link)
+        return link
+
+    def __call__(
+        self, script: Callable[[Peer, Peer], None], controller: Any, link: Link | None = None, **options: Any
+    ) -> Run:
+        link = link or self.link()
+        left = Peer(self.robots[0], link.ports[0])
+        self.peers.append(left)
+        return super().__call__(lambda right: script(left, right), controller, link, **options)
+
+    def rest(self, left: Peer, right: Peer) -> None:
+        """Both go on, in turns, until the run has ended."""
+        over = self.peers[-1].over
+        while not over.is_set():
+            for peer in (left, right):
+                peer.send()
+                while not over.is_set():
+                    with contextlib.suppress(TimeoutError):
+                        peer.answer(0.02)
+                        break
+
+
+@pytest.fixture
+def pair() -> Iterator[Pair]:
+    made = Pair()
+    yield made
+    for link in made.links:
+        link.close()
+    for peer in made.peers:
+        peer.socket.close()
 
 
 @pytest.fixture

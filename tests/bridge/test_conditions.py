@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import signal
 import sys
 import threading
 
@@ -13,6 +14,7 @@ from armlab.bridge.conditions import (
     GUARD_PRIORITY,
     LOOP_PRIORITY,
     collect_if_due,
+    interrupts,
     priority,
     quiet_memory,
     short_switches,
@@ -73,3 +75,27 @@ def test_priority_is_raised_or_told_and_given_back() -> None:
     assert os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == before
     assert inherited == [before]
     assert all("rtprio" in sentence for sentence in told)
+
+
+def test_signals_call_and_their_handlers_come_back() -> None:
+    calls: list[int] = []
+    before = signal.getsignal(signal.SIGTERM)
+    with interrupts(lambda: calls.append(1)):
+        signal.raise_signal(signal.SIGTERM)
+        signal.raise_signal(signal.SIGINT)
+    assert calls == [1, 1]
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_another_thread_leaves_signals_alone() -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    seen: list[bool] = []
+
+    def work() -> None:
+        with interrupts(lambda: None):
+            seen.append(signal.getsignal(signal.SIGTERM) is before)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert seen == [True]

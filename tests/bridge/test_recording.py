@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab import log
-from armlab.bridge.recording import Recording
+from armlab import log, robots
+from armlab.bridge.recording import Feed, Recording, paths
 from armlab.log import Column, Tick
 from armlab.robots import Robot
 from armlab.state import Command, State
@@ -50,3 +50,28 @@ def test_a_command_of_any_shape_does_not_stop_the_rows(robot: Robot) -> None:
         recording.row(state, command, tick)
     assert len(recording.table()) == len(odd)
     assert any("without its command" in text for _, text in recording.events)
+
+
+def test_paths(robot: Robot) -> None:
+    left, other = robots.load("yumi_left"), robots.load("ur5e")
+    assert paths(None, [left, robot]) == [None, None]
+    assert paths("run.mcap", [robot]) == [Path("run.mcap")]
+    assert paths("logs/log", [left, robot]) == [Path("logs/logleft"), Path("logs/logright")]
+    assert paths("run.mcap", [left, other]) == [Path("run-yumi_left.mcap"), Path("run-ur5e.mcap")]
+
+
+def test_a_feed_that_raises_is_dropped(robot: Robot) -> None:
+    class Broken:
+        def row(self, state: State, command: Command | None, tick: Tick) -> None:
+            raise ValueError("full")
+
+        def event(self, text: str, warn: bool = False) -> None:
+            raise ValueError("full too")
+
+    feeds: list[Feed] = [Broken(), Broken()]
+    recording = Recording(robot, None, None, wait=False, clock=lambda: 0, feeds=feeds, label="arm")
+    state, tick = row(robot, 0)
+    recording.row(state, None, tick)
+    assert not feeds
+    assert next(text for _, text in recording.events).startswith("arm: A feed was dropped: it raised ValueError: full")
+    assert len(recording.table()) == 1

@@ -10,6 +10,8 @@ import pytest
 
 from armlab import log
 from armlab.bridge import Run
+from armlab.bridge.run import statistics, together
+from armlab.log import Column, Table
 from armlab.state import Command, State
 
 
@@ -51,3 +53,18 @@ def test_the_table_and_the_wire_agree_on_clamps(play: Any) -> None:
     counts = [int(((clamped[:, 0] & bit) != 0).sum()) for bit in (1, 2, 4, 8)]
     assert counts == [run.statistics["clamps"][name][0] for name in ("position", "velocity", "acceleration", "braking")]
     assert counts[1] > 5
+
+
+def test_tables_together() -> None:
+    def table(rows: int, start_ns: int) -> Table:
+        t = 0.004 * np.arange(rows)
+        q = Column(shape=(2,), unit="rad")
+        return Table(t, {"q": np.stack((t, -t), axis=1)}, {"q": q}, t0_ns=start_ns)
+
+    both = together({"a": table(10, 10**18), "b": table(5, 10**18 + 2_000_000)})
+    assert set(both.names) == {"a.q", "b.q", "b.age"}
+    assert np.isnan(both["b.q"][0]).all()
+    np.testing.assert_allclose(both["b.age"][1:5], 0.002)
+    np.testing.assert_allclose(both["b.q"][1:5, 0], 0.004 * np.arange(4))
+    assert len(together({"a": table(10, 1), "b": table(0, 1)})) == 10
+    assert callable(statistics)

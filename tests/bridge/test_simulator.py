@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import select
 import time
 
 import pytest
@@ -25,9 +26,9 @@ def wait_until_gone(simulator: Simulator) -> str:
 
 def test_it_sends_and_is_stopped() -> None:
     port = Port("127.0.0.1", 0)
-    simulator = Simulator("yumi_right", port.port, {"lockstep": "true", "seed": "3"})
+    simulator = Simulator(["yumi_right"], [port.port], {"lockstep": "true", "seed": "3"})
     try:
-        assert port.wait(PATIENCE)
+        assert select.select([port], [], [], PATIENCE)[0]
         assert simulator.gone() == ""
     finally:
         simulator.stop()
@@ -37,7 +38,7 @@ def test_it_sends_and_is_stopped() -> None:
 
 def test_an_end_in_time_is_no_error() -> None:
     port = Port("127.0.0.1", 0)
-    simulator = Simulator("yumi_right", port.port, {"seconds": "0.05", "lockstep": "false"})
+    simulator = Simulator(["yumi_right"], [port.port], {"seconds": "0.05", "lockstep": "false"})
     try:
         assert wait_until_gone(simulator) == "the simulated robot ended"
     finally:
@@ -46,7 +47,7 @@ def test_an_end_in_time_is_no_error() -> None:
 
 
 def test_an_early_death_is_quoted() -> None:
-    simulator = Simulator("no_such_robot", 9, {})
+    simulator = Simulator(["no_such_robot"], [9], {})
     try:
         with pytest.raises(LinkError, match=r"armlab sim no_such_robot .* status .*no_such_robot.*yumi_right"):
             wait_until_gone(simulator)

@@ -1,16 +1,27 @@
-"""What a loop needs around it: no garbage collection at the wrong moment, short thread switches, real-time priority."""
+"""What a loop needs around it: garbage collected at the right moment, short thread switches, priority, interrupts."""
 
 from __future__ import annotations
 
 import gc
 import os
+import signal
 import sys
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from types import FrameType
 
 from armlab.bridge.events import Tell, nobody
 
-__all__ = ["GUARD_PRIORITY", "LOOP_PRIORITY", "collect_if_due", "priority", "quiet_memory", "short_switches"]
+__all__ = [
+    "GUARD_PRIORITY",
+    "LOOP_PRIORITY",
+    "collect_if_due",
+    "interrupts",
+    "priority",
+    "quiet_memory",
+    "short_switches",
+]
 
 LOOP_PRIORITY, GUARD_PRIORITY = 50, 55
 _SWITCH_INTERVAL = 5e-4  # s; with Python's 5 ms the guard comes a cycle late against a busy controller
@@ -73,3 +84,26 @@ def priority(level: int, on_event: Tell = nobody) -> Iterator[bool]:
     finally:
         with suppress(OSError):
             os.sched_setscheduler(0, before, parameters)
+
+
+@contextmanager
+def interrupts(stop: Callable[[], None]) -> Iterator[None]:
+    """Turn Ctrl-C and SIGTERM into a call. Only the main thread can.
+
+    Parameters
+    ----------
+    stop : called in the main thread between two instructions; what it raises is raised there.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        stop()
+
+    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

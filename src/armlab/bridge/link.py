@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-import signal
-import threading
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from types import FrameType, TracebackType
-from typing import Any, Literal
-from urllib.parse import parse_qsl, urlsplit
+from types import TracebackType
+from typing import Literal
 
-from armlab.bridge.conditions import LOOP_PRIORITY, priority, quiet_memory, short_switches
+from armlab.bridge.address import addresses
+from armlab.bridge.assembly import End, assemble, checked_limits, finished
+from armlab.bridge.conditions import LOOP_PRIORITY, interrupts, priority, quiet_memory, short_switches
 from armlab.bridge.events import Tell
 from armlab.bridge.limits import Limits
 from armlab.bridge.loop import Controller, Loop
 from armlab.bridge.port import Port
-from armlab.bridge.recording import Recording
-from armlab.bridge.rehearsal import Rehearsal
-from armlab.bridge.run import Run
-from armlab.bridge.session import Session
+from armlab.bridge.recording import Feed
+from armlab.bridge.run import Run, together
 from armlab.bridge.simulator import Simulator
-from armlab.bridge.states import Guide
 from armlab.bridge.supervision import Settings
 from armlab.bridge.waiting import Wait, Waiting
 from armlab.bridge.watchdog import Guard
@@ -33,28 +29,25 @@ from armlab.wire.egm import Codec, EgmCodec
 
 __all__ = ["Link", "connect"]
 
-_PORT = 6510
-_SILENCE = 0.5  # s that end a session
-_CLAMPS = ("position", "velocity", "acceleration", "braking")
-
 
 def connect(
-    url: str,
-    robot: Robot,
-    codec: str | Codec = "egm",
+    url: str | Sequence[str],
+    robot: Robot | Sequence[Robot],
+    codec: str | Codec | Sequence[Codec] = "egm",
     extension: bool = False,
     answer_stream: bool = True,
     clock: Literal["wall", "robot"] = "wall",
     patience: float = 30.0,
 ) -> Link:
-    """Return a link to a robot; use it as a context manager.
+    """Return a link to a robot, or to several arms; use it as a context manager.
 
     Parameters
     ----------
     url : ``egm://127.0.0.1:6510`` listens there for a robot's controller. ``sim://yumi_right`` starts that simulated
-        robot and stops it with the link; ``?seed=1&lockstep=true`` are options of ``armlab sim``.
-    robot : the arm.
-    codec : "egm", or an object with the methods of `wire.egm.Codec`.
+        robot and stops it with the link; ``?seed=1&lockstep=true`` are options of ``armlab sim``. Several arms have
+        one url each, or ``sim://yumi_left+yumi_right``. Without a number the port is 6510, of several 6511, 6512, ...
+    robot : the arm, or several in the order of the urls.
+    codec : "egm", or an object with the methods of `wire.egm.Codec`; one per arm.
     extension : send the research extension; always with a simulated robot. What arrives of it is always used.
     answer_stream : answer also before guidance begins.
     clock : "robot" for a robot in lockstep: no deadline then. Implied by ``lockstep=true``.
@@ -63,70 +56,68 @@ def connect(
     Raises
     ------
     ConfigError, UnknownName : wrong url, codec or clock. RobotError : no robot, or one whose axes EGM does not give.
-    LinkError : the port cannot be bound.
+    LinkError : a port cannot be bound.
     """
-    parts = urlsplit(url)
-    if parts.scheme not in ("egm", "sim") or not parts.netloc:
-        raise ConfigError(f"Expected a link like egm://127.0.0.1:6510 or sim://yumi_right, got {url!r}.")
+    robots = _robots(robot)
+    where = addresses([url] if isinstance(url, str) else list(url), len(robots))
     if clock not in ("wall", "robot"):
         raise ConfigError(f'Expected clock to be "wall" or "robot", got {clock!r}.')
-    options = dict(parse_qsl(parts.query, keep_blank_values=True))
-    is_simulated = parts.scheme == "sim"
-    if options and not is_simulated:
-        raise ConfigError(f"Expected no options in an egm link, got {', '.join(options)} in {url!r}.")
-    wires = _codecs(codec, robot, extension or is_simulated)
-    if is_simulated:
-        in_lockstep = options.get("lockstep", "false").lower() in ("", "true")
-        settings = Settings(clock="robot" if in_lockstep else clock, patience=patience)
-        port = Port("127.0.0.1", 0)
-        try:
-            simulator = Simulator(parts.netloc, port.port, options)
-        except BaseException:
-            port.close()
-            raise
-        return Link(port, robot, wires, answer_stream, replace(settings, alive=simulator.gone), simulator)
-    host, number = _address(url, parts.hostname, parts.netloc)
-    return Link(Port(host, number), robot, wires, answer_stream, Settings(clock=clock, patience=patience))
+    is_simulated = where[0].scheme == "sim"
+    codecs = _codecs(codec, robots, extension or is_simulated)
+    in_lockstep = is_simulated and where[0].options.get("lockstep", "false").lower() in ("", "true")
+    settings = Settings(clock="robot" if in_lockstep else clock, patience=patience)
+    with ExitStack() as opened:
+        ends: list[End] = []
+        for one, address, wires in zip(robots, where, codecs, strict=True):
+            ends.append(End(one, Port(address.host, address.port), *wires))
+            opened.callback(ends[-1].port.close)
+        simulator = None
+        if is_simulated:
+            simulator = Simulator([one.robot for one in where], [end.port.port for end in ends], where[0].options)
+            settings = replace(settings, alive=simulator.gone)
+        opened.pop_all()
+    return Link(ends, answer_stream, settings, simulator)
 
 
-def _codecs(codec: str | Codec, robot: Robot, extension: bool) -> tuple[Codec, Codec | None]:
-    """Return the codec and one more for rehearsals, which an object of the user's does not have."""
+def _robots(robot: object) -> list[Robot]:
+    found = list(robot) if isinstance(robot, (list, tuple)) else [robot]
+    for one in found:
+        if not isinstance(one, Robot):
+            raise RobotError.no_robot(one)
+    names = [one.name for one in found]
+    if len(set(names)) < len(names):
+        raise ConfigError(f"Expected arms with different names in one link, got {', '.join(names)}.")
+    return found
+
+
+def _codecs(
+    codec: str | Codec | Sequence[Codec], robots: Sequence[Robot], extension: bool
+) -> list[tuple[Codec, Codec | None]]:
+    """Return the codec of each arm and one more for rehearsals, which an object of the user's does not have."""
     if not isinstance(codec, str):
-        return codec, None
+        given = list(codec) if isinstance(codec, Sequence) else [codec]
+        if len(given) != len(robots):
+            raise ConfigError(f"Expected one codec per arm, since each follows one session, got {len(given)}.")
+        return [(one, None) for one in given]
     if codec != "egm":
         raise UnknownName.among("codec", codec, ["egm"])
-    if not isinstance(robot, Robot):
-        raise RobotError.no_robot(robot)
-    return EgmCodec(robot, extension), EgmCodec(robot, extension)
-
-
-def _address(url: str, host: str | None, netloc: str) -> tuple[str, int]:
-    number = netloc.rpartition(":")[2] if ":" in netloc else str(_PORT)
-    if not host or not number.isascii() or not number.isdigit() or int(number) > 65535:
-        raise ConfigError(f"Expected egm://HOST:PORT with a port from 0 to 65535, got {url!r}.")
-    return host, int(number)
+    return [(EgmCodec(one, extension), EgmCodec(one, extension)) for one in robots]
 
 
 class Link:
-    """A bound port for one arm. Made by `connect`; several runs after one another are allowed.
+    """A bound port for each arm. Made by `connect`; several runs after one another are allowed.
 
     Attributes
     ----------
-    robot : the arm. host, port : the address bound.
+    robots : the arms. robot : the first. host, port : the address bound for the first. ports : of each arm.
     """
 
     def __init__(
-        self,
-        port: Port,
-        robot: Robot,
-        codecs: tuple[Codec, Codec | None],
-        answer_stream: bool,
-        settings: Settings,
-        simulator: Simulator | None = None,
+        self, ends: Sequence[End], answer_stream: bool, settings: Settings, simulator: Simulator | None = None
     ) -> None:
-        self.robot, self.host, self.port = robot, port.host, port.port
-        self._port, self._answer_stream = port, answer_stream
-        self._codec, self._spare = codecs
+        self.robots, self.ports = tuple(end.robot for end in ends), tuple(end.port.port for end in ends)
+        self.robot, self.host, self.port = ends[0].robot, ends[0].port.host, ends[0].port.port
+        self._ends, self._answer_stream = tuple(ends), answer_stream
         self._settings, self._simulator = settings, simulator
 
     def __enter__(self) -> Link:
@@ -138,8 +129,9 @@ class Link:
         self.close()
 
     def close(self) -> None:
-        """Close the port and stop the simulated robot."""
-        self._port.close()
+        """Close the ports and stop the simulated robots."""
+        for end in self._ends:
+            end.port.close()
         if self._simulator is not None:
             self._simulator.stop()
 
@@ -148,12 +140,14 @@ class Link:
         controller: Controller | None,
         seconds: float | None = None,
         wait: Wait = "ahead",
-        limits: Limits | None = None,
+        limits: Limits | Sequence[Limits] | None = None,
         reconnect: Literal["resume", "stop"] = "resume",
         torque: Literal["refuse"] = "refuse",
         record: str | Path | None = None,
         extra: Mapping[str, Column] | None = None,
         progress: Callable[[float, float, str], None] | None = None,
+        pace: str | None = None,
+        feeds: Sequence[Feed] = (),
     ) -> Run:
         """Run a controller against the robot: one call and one reply per packet.
 
@@ -162,17 +156,25 @@ class Link:
         the arm is brought to rest first. Ctrl-C raises KeyboardInterrupt once the arm rests and the log is closed; a
         second one raises at once, and the last speed then acts until the time-out of the robot's controller.
 
+        With several arms the controller is called on the packets of the arm that paces, with the State of all, while
+        all are ready; each other arm is answered in its own tick with the newest command it was given. When one is
+        not ready, ends its session or falls silent, all hold.
+
         Parameters
         ----------
-        controller : callable State -> Command or None (hold). None only listens and never sends.
+        controller : callable State -> Command or None (hold). None only listens and never sends. With several arms
+            the Command has the joints of all, or there is one per arm in a tuple.
         seconds : robot time under guidance, counted from the first readiness (from the first packet when listening).
         wait : "ahead" polls just before the packet, "block" sleeps, "spin" polls always.
-        limits : on what is sent; `Limits.of(robot)` by default.
+        limits : on what is sent, one per arm; `Limits.of(robot)` by default.
         reconnect : "resume" waits for the next session when the controller ends one, "stop" ends the run.
         torque : torque commands are refused by this link.
-        record : file for the recording; without it the rows stay in memory.
+        record : file for the recording; without it the rows stay in memory. Several arms have a file each, see
+            `recording.paths`.
         extra : columns of ``Command.record`` by name.
         progress : called ten times a second of robot time with (done, total, what): seconds under guidance, and of all.
+        pace : name of the arm that paces, the first by default.
+        feeds : told every row and event after the reply was sent; see `recording.Feed`.
 
         Returns
         -------
@@ -181,51 +183,55 @@ class Link:
         Raises
         ------
         ConfigError : wrong options, limits for another number of joints, or a robot in lockstep that gets no answers.
+        UnknownName : `pace` is no arm of this link.
         NoRobot, SessionEnded, CommandRefused, ControllerLate, ControllerFailed : with the last ten seconds in `.table`.
         """
-        self._check(controller, wait, reconnect, torque, limits)
-        in_lockstep = self._settings.clock == "robot"
+        self._check(controller, wait, reconnect, torque)
+        paced = self._paced(pace)
         tell = None if progress is None else lambda done: progress(done, seconds or done, "moving")
         settings = replace(self._settings, seconds=seconds, resume=reconnect == "resume", progress=tell)
-        recording = Recording(self.robot, record, extra, wait=in_lockstep, clock=lambda: loop.stamp_ns)
-        limits = limits or Limits.of(self.robot)
-        guide = Guide(
-            self.robot,
-            limits,
+        arms = assemble(
+            self._ends,
+            checked_limits(limits, self.robots),
+            settings,
             commands=controller is not None,
-            capabilities=self._codec.capabilities,
             answer_stream=self._answer_stream,
-            on_event=recording.event,
+            record=record,
+            extra=extra,
+            feeds=feeds,
         )
-        session = Session(self._codec, float("inf") if in_lockstep else _SILENCE, recording.event)
-        waiting = Waiting(self._port, "block" if in_lockstep else wait)
-        rehearsal = None if self._spare is None else Rehearsal(self.robot, limits, self._spare)
-        loop = Loop(self._port, self._codec, session, guide, waiting, recording, controller, settings, rehearsal)
-        problems: list[str] = []
-        statistics: dict[str, Any] = {}
+        in_lockstep = settings.clock == "robot"
+        mode: Wait = "block" if in_lockstep else wait
+        waiting = Waiting([arm.port for arm in arms], [arm.prediction for arm in arms], mode)
+        loop = Loop(arms, waiting, controller, settings, paced)
+        arms.insert(0, arms.pop(paced))
         try:
             with ExitStack() as stack:
-                stack.enter_context(_interrupts(loop))
+                stack.enter_context(interrupts(loop.interrupt))
                 stack.enter_context(quiet_memory())
                 if not in_lockstep:
-                    self._port.flush()
-                    _enter_real_time(stack, loop, recording.event, wait)
+                    for arm in arms:
+                        arm.port.flush()
+                    _enter_real_time(stack, loop, arms[0].recording.event, wait)
                 loop.run()
         finally:
-            statistics = _statistics(self.robot, self._codec, self._port, session, guide, loop)
-            problems = recording.close(statistics)
-        if guide.failure is not None:
-            guide.failure.table = recording.tail()
-            raise guide.failure
+            run = finished(arms, loop.reason)
+        failure = loop.failure
+        if failure is not None:
+            tails = {arm.robot.name: arm.recording.tail() for arm in arms}
+            failure.table = together(tails) if len(tails) > 1 else arms[0].recording.tail()
+            raise failure
         if loop.interrupted:
             raise KeyboardInterrupt
-        return Run(
-            guide.reason, {**statistics, "problems": problems}, tuple(recording.events), recording.path, recording
-        )
+        return run
 
-    def _check(
-        self, controller: Controller | None, wait: str, reconnect: str, torque: str, limits: Limits | None
-    ) -> None:
+    def _paced(self, pace: str | None) -> int:
+        names = [robot.name for robot in self.robots]
+        if pace is not None and pace not in names:
+            raise UnknownName.among("arm of this link", pace, names)
+        return 0 if pace is None else names.index(pace)
+
+    def _check(self, controller: Controller | None, wait: str, reconnect: str, torque: str) -> None:
         for name, value, known in (
             ("wait", wait, ("ahead", "block", "spin")),
             ("reconnect", reconnect, ("resume", "stop")),
@@ -233,16 +239,12 @@ class Link:
         ):
             if value not in known:
                 raise ConfigError(f"Expected {name} to be one of {', '.join(known)}, got {value!r}.")
-        if controller is not None and "position" not in self._codec.capabilities:
-            raise ConfigError(
-                f"Expected a codec that can send positions to {self.robot.name}, but this one cannot. "
-                "Listen only: pass None as the controller."
-            )
-        if limits is not None and len(limits.q_min) != self.robot.n:
-            raise ConfigError(
-                f"Expected limits for the {self.robot.n} joints of {self.robot.name}, got {len(limits.q_min)}. "
-                "Use Limits.of(robot)."
-            )
+        for end in self._ends:
+            if controller is not None and "position" not in end.codec.capabilities:
+                raise ConfigError(
+                    f"Expected a codec that can send positions to {end.robot.name}, but this one cannot. "
+                    "Listen only: pass None as the controller."
+                )
         if self._settings.clock == "robot" and (controller is None or not self._answer_stream):
             what = "controller=None" if controller is None else "answer_stream=False"
             raise ConfigError(
@@ -257,45 +259,3 @@ def _enter_real_time(stack: ExitStack, loop: Loop, on_event: Tell, wait: Wait) -
     stack.enter_context(Guard(loop.overdue, loop.answer_for_controller))
     if wait != "spin":
         stack.enter_context(priority(LOOP_PRIORITY, on_event))
-
-
-@contextmanager
-def _interrupts(loop: Loop) -> Iterator[None]:
-    """Turn the first Ctrl-C or SIGTERM into a stop of the loop; a second raises at once. Only the main thread can."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        if loop.interrupted:
-            raise KeyboardInterrupt
-        loop.interrupted = True
-
-    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-def _statistics(robot: Robot, codec: Codec, port: Port, session: Session, guide: Guide, loop: Loop) -> dict[str, Any]:
-    return {
-        "robot": robot.name,
-        "robotware": getattr(codec, "robotware", ""),
-        "sessions": session.number,
-        "period_s": session.period.seconds,
-        "seconds": guide.elapsed,
-        "packets": session.received,
-        "replies": loop.replies,
-        "overtaken": loop.overtaken,
-        "missed": session.missed,
-        "late": loop.late,
-        "refused": guide.refused,
-        "drops": dict(session.drops),
-        "socket_errors": port.errors,
-        "latency_us": loop.latency.summary(),
-        "clamps": dict(zip(_CLAMPS, guide.clamps.tolist(), strict=True)),
-        "worst_ratio": guide.worst_ratio,
-        "reason": guide.reason,
-    }

@@ -1,122 +1,108 @@
-"""The loop of one arm: receive, decode, ask the controller, limit, send one reply, record. In this order, every cycle.
+"""The loop: receive, decode, ask the controller, limit, send one reply, record. In this order, every packet.
 
-One reply per packet, never more; none for a packet that a newer one has overtaken. Everything but the controller runs
-under one lock, which the guard thread takes when the controller is overdue.
+One reply per packet, never more; none for a packet that a newer one has overtaken. One arm paces: the controller is
+called on its packets. Another arm is answered in its own tick with the newest command it was given. Everything but the
+controller runs under one lock, which the guard thread takes when the controller is overdue.
 """
 
 from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any
 
+from armlab.bridge.arm import Arm, Turn
+from armlab.bridge.arms import fuse, shares
 from armlab.bridge.conditions import collect_if_due
-from armlab.bridge.latency import Latency
-from armlab.bridge.limits import Reply
-from armlab.bridge.port import Arrival, Port
-from armlab.bridge.recording import Recording
-from armlab.bridge.rehearsal import Rehearsal
-from armlab.bridge.session import Sample, Session
-from armlab.bridge.states import Guide, Mode
-from armlab.bridge.supervision import Settings, Supervisor
+from armlab.bridge.states import Mode
+from armlab.bridge.supervision import Settings
 from armlab.bridge.waiting import Waiting
 from armlab.bridge.watchdog import Lateness
-from armlab.errors import ControllerFailed, ControllerLate
-from armlab.log import Tick
+from armlab.errors import CommandRefused, ControllerFailed, ControllerLate, LinkError
 from armlab.state import Command, State
-from armlab.wire.egm import Codec, Reference
 
 __all__ = ["Controller", "Loop"]
 
-Controller = Callable[[State], Command | None]
-"""What decides: called with each state, returns a command or None for hold."""
+Controller = Callable[[State], Command | Sequence[Command | None] | None]
+"""What decides: called with each state, returns a command or None for hold; with several arms also one per arm."""
 
-_DROPS = 64  # refused datagrams per wake-up: a flood cannot hold the loop up
-_BACKLOG = 1000  # datagrams per wake-up, more than wait after any stall: all but the newest packet are overtaken
 _LOOK = 0.05  # s between two looks at silence and interrupts
-_DEADLINE = 0.75  # of a period, from arrival to reply
 _GRACE = 0.25  # of a period, that the controller has in any case
 _BLAME = 0.5  # of a period: a late cycle is the controller's fault when its call took longer
 _NAP = 2e-3  # s the guard waits for a packet
 _SPARE = 1_000_000  # ns to the next packet that leave time to collect garbage
 _PROGRESS = 0.1  # s between two calls of progress
-
-
-class _Turn(NamedTuple):
-    """A packet that is about to be answered, and what the controller sees of it."""
-
-    sample: Sample
-    state: State
+_STALE_PERIODS, _STALE = 3.0, 0.02  # an arm unheard for longer, the larger of the two, holds the others
+_SERVES = 2.5  # periods of the pacing arm for which a command serves another arm
 
 
 class Loop:
-    """Runs one arm until it ends.
+    """Runs the arms of a link until all have ended.
 
     Parameters
     ----------
-    port, codec, session, guide, waiting, recording : the parts.
-    controller : see `Controller`; None listens only. settings : see `Settings`. rehearsal : see `rehearsal`.
+    arms : see `Arm`. waiting : on their ports. controller : see `Controller`; None listens only.
+    settings : see `Settings`. pace : index of the arm on whose packets the controller is called.
 
     Attributes
     ----------
-    latency : arrival to reply. replies, overtaken, late : packets. interrupted : set it to stop.
+    reason, failure : why the run ended. interrupted : set it to stop.
     """
 
     def __init__(
-        self,
-        port: Port,
-        codec: Codec,
-        session: Session,
-        guide: Guide,
-        waiting: Waiting,
-        recording: Recording,
-        controller: Controller | None,
-        settings: Settings,
-        rehearsal: Rehearsal | None = None,
+        self, arms: Sequence[Arm], waiting: Waiting, controller: Controller | None, settings: Settings, pace: int = 0
     ) -> None:
-        self._port, self._codec, self._session, self._guide = port, codec, session, guide
-        self._waiting, self._recording, self._controller, self._settings = waiting, recording, controller, settings
-        self._rehearsal = rehearsal
+        self._arms, self._pace, self._waiting = tuple(arms), arms[pace], waiting
+        self._others = tuple(arm for arm in arms if arm is not self._pace)
+        self._controller, self._settings = controller, settings
         self._in_lockstep = settings.clock == "robot"
-        self.latency, self._lateness = Latency(), Lateness()
-        self.replies = self.overtaken = self.late = self._ticks = 0
+        self._lateness = Lateness()
         self.interrupted = False
-        self._supervisor = Supervisor(port, session, guide, settings, recording.event)
+        self.reason = ""
         self._lock = threading.Lock()
-        self._wall_ns = time.time_ns() - time.monotonic_ns()
-        self._heard_ns = time.monotonic_ns()
-        self._robot_ns = 0
         self._next_progress = 0.0
-        self._surpassed: list[_Turn] = []
+        self._looked_ns = time.monotonic_ns()
+        self._sessions: tuple[int, ...] = ()
+        self._t0 = 0.0
         # Shared with the guard. `_calling` becomes False only under the lock, `_turn` does not change while it is True.
-        self._calling = self._taken = self._was_late = False
+        self._calling = self._taken = False
         self._deadline_ns = 0.0
-        self._turn: _Turn | None = None
-        self._arrival: Arrival | None = None
-        self._command: Command | None = None
-        waiting.rehearse = self._rehearse
+        self._turn: Turn | None = None
+        waiting.rehearse = lambda index: self._arms[index].rehearse()
 
     @property
-    def stamp_ns(self) -> int:
-        """Now: wall clock at the start plus monotonic time since [ns]; in lockstep the robot's clock."""
-        return self._robot_ns if self._in_lockstep and self._robot_ns else self._wall_ns + time.monotonic_ns()
+    def elapsed(self) -> float:
+        """Robot time while all arms were ready [s]."""
+        return min(arm.guide.elapsed for arm in self._arms)
+
+    @property
+    def failure(self) -> LinkError | None:
+        """What `run` of the link raises."""
+        return next((arm.guide.failure for arm in self._arms if arm.guide.failure is not None), None)
+
+    def interrupt(self) -> None:
+        """Stop at the next packet; the second time raise KeyboardInterrupt at once."""
+        if self.interrupted:
+            raise KeyboardInterrupt
+        self.interrupted = True
 
     def run(self) -> None:
-        """Run until the guide has ended. What it ended with is in `guide.reason` and `guide.failure`."""
-        guide = self._guide
-        while guide.mode is not Mode.ENDED:
-            arrival = self._waiting.next(_LOOK)
+        """Run until every guide has ended."""
+        while any(arm.guide.mode is not Mode.ENDED for arm in self._arms):
+            found = self._waiting.next(_LOOK)
+            turn, asks = None, False
             with self._lock:
-                turn = self._take(arrival)
-                if turn is None:
-                    self._stop_if_interrupted()
-                    self._supervisor.look(self._heard_ns)
-                    continue
-                asks = guide.calls
-                if not asks:
-                    self._reply(turn, None, guide.answer(None, self._session.period.seconds))
-            if asks:
+                if found is not None:
+                    arm = self._arms[found[0]]
+                    turn = arm.take(found[1])
+                    asks = turn is not None and arm is self._pace and self._may_ask(turn)
+                    if turn is not None and not asks:
+                        self._answer(arm, turn)
+                    elif asks:
+                        self._serve_others()
+                self._look(turn is None)
+            if turn is not None and asks:
                 self._call(turn)
             self._after()
 
@@ -129,50 +115,54 @@ class Loop:
     def answer_for_controller(self) -> None:
         """Hold for the packet whose reply is overdue and for newer ones until the controller returns. For the guard."""
         if self._taken:
-            time.sleep(_NAP)  # not port.wait: only the loop's own thread may wait on the port
+            time.sleep(_NAP)  # only the loop's own thread may wait on the ports
         with self._lock:
             if self.overdue() > 0.0:
                 return
-            turn = self._take(self._port.receive(), None if self._taken else self._turn)
+            pace = self._pace
+            turn = pace.take(pace.port.receive(), None if self._taken else self._turn)
             self._taken = True
             if turn is not None:
-                self._reply(turn, None, self._guide.hold(self._session.period.seconds), late=True)
+                pace.reply(turn, None, pace.guide.hold(pace.period), late=True)
+            self._serve_others()
 
-    def _take(self, arrival: Arrival | None, unanswered: _Turn | None = None) -> _Turn | None:
-        """Drain the port as far as a flood allows. Return the newest packet that counts, or the unanswered one."""
-        newest, refused = unanswered, 0
-        for _ in range(_BACKLOG):
-            if arrival is None:
-                break
-            sample = self._session.accept(arrival)
-            if sample is None:
-                refused += 1
-                if refused == _DROPS:
-                    break  # before the next is taken from the port: it would be lost
-            else:
-                if newest is not None:
-                    self._surpassed.append(newest)
-                newest = self._observe(sample)
-                self._arrival = arrival
-            arrival = self._port.receive()
-        return newest
+    def _may_ask(self, turn: Turn) -> bool:
+        """Whether the controller is called for this packet: all arms are ready and none is stale."""
+        if not all(arm.guide.calls for arm in self._arms):
+            return False
+        for arm in () if self._in_lockstep else self._others:
+            longest = max(_STALE_PERIODS * arm.period, _STALE)
+            if arm.newest is None or turn.sample.arrival_ns - arm.newest.sample.arrival_ns > 1e9 * longest:
+                return False
+        return True
 
-    def _observe(self, sample: Sample) -> _Turn:
-        self._guide.observe(sample)
-        self._heard_ns, self._robot_ns = sample.arrival_ns, sample.packet.robot_ns
-        self._waiting.prediction.add(sample.arrival_ns, sample.missed + 1, self._session.period.seconds)
-        return _Turn(sample, self._guide.state(sample, self._wall_ns + sample.arrival_ns))
+    def _answer(self, arm: Arm, turn: Turn) -> None:
+        """Answer without the controller: with the newest command for an arm that does not pace, else hold."""
+        command = None
+        if arm is self._pace:
+            for other in self._others:
+                other.give(None)
+        elif all(one.guide.calls for one in self._arms):
+            command = arm.given(turn.sample, _SERVES * self._pace.period)
+        arm.reply(turn, command, arm.guide.answer(command, arm.period))
 
-    def _call(self, turn: _Turn) -> None:
+    def _serve_others(self) -> None:
+        for arm in self._others:
+            turn = arm.take(arm.port.receive())
+            if turn is not None:
+                self._answer(arm, turn)
+
+    def _call(self, turn: Turn) -> None:
         """Ask the controller and answer; when the guard has answered meanwhile, the result is discarded."""
-        controller, period_ns = self._controller, 1e9 * self._session.period.seconds
-        command, failure = None, None
+        pace, controller, period_ns = self._pace, self._controller, 1e9 * self._pace.period
+        state = self._state(turn)
+        asked, failure = None, None
         self._turn, self._taken = turn, False
         start = time.monotonic_ns()
-        self._deadline_ns = max(self._deadline(turn.sample), start + _GRACE * period_ns)
+        self._deadline_ns = max(pace.deadline(turn.sample), start + _GRACE * period_ns)
         self._calling = True
         try:
-            command = controller(turn.state) if controller is not None else None
+            asked = controller(state) if controller is not None else None
         except BaseException as error:  # also SystemExit: the arm must not go on at its last speed
             if isinstance(error, KeyboardInterrupt) and self.interrupted:
                 raise  # the second Ctrl-C
@@ -184,107 +174,87 @@ class Loop:
                 self._calling = False
         with self._lock:
             if failure is not None:
-                self._guide.stop("the controller failed", failure)
+                self._stop("the controller failed", failure)
             if not self._taken:
-                newest = self._take(self._port.receive(), turn) or turn
-                self._command = command if newest.sample.session == turn.sample.session else None
-                reply = self._guide.answer(self._command, self._session.period.seconds)
-                self._reply(newest, self._command, reply, call_ns=call_ns)
+                self._obey(turn, asked, call_ns)
             self._judge(call_ns, period_ns)
 
-    def _deadline(self, sample: Sample) -> float:
-        """Return when the reply is late, on our monotonic clock [ns]."""
-        return sample.arrival_ns + _DEADLINE * 1e9 * self._session.period.seconds
+    def _state(self, turn: Turn) -> State:
+        """Return what the controller sees: the state of the one arm, or all of them fused."""
+        if not self._others:
+            return turn.state
+        turns = [arm.newest or turn for arm in self._arms]
+        sessions = tuple(one.sample.session for one in turns)
+        if sessions != self._sessions:
+            self._sessions, self._t0 = sessions, turn.state.t
+        now_ns = self._pace.stamp(turn.sample)
+        ages = [1e-9 * (now_ns - arm.stamp(one.sample)) for arm, one in zip(self._arms, turns, strict=True)]
+        return fuse([one.state for one in turns], ages, self._arms.index(self._pace), turn.state.t - self._t0)
 
-    def _rehearse(self) -> None:
-        if self._rehearsal is not None and self._arrival is not None:
-            self._rehearsal(self._arrival, self._command)
-            self._arrival = None
+    def _obey(self, turn: Turn, asked: Any, call_ns: int) -> None:
+        """Answer the newest packet of the pacing arm with what the controller wants, keep the rest for the others."""
+        pace = self._pace
+        try:
+            commands = shares(asked, [arm.robot for arm in self._arms])
+        except CommandRefused as error:
+            self._stop("a command was refused", error)
+            commands = (None,) * len(self._arms)
+        newest = pace.take(pace.port.receive(), turn) or turn
+        is_same = newest.sample.session == turn.sample.session
+        for arm, command in zip(self._arms, commands, strict=True):
+            if arm is pace:
+                command = command if is_same else None
+                pace.reply(newest, command, pace.guide.answer(command, pace.period), call_ns=call_ns)
+            else:
+                arm.give(command if is_same else None)
 
     def _judge(self, call_ns: int, period_ns: float) -> None:
         """Stop when the controller, not the computer, makes too many cycles late."""
         if self._in_lockstep:
             return
-        blamed = self._taken or (self._was_late and call_ns > _BLAME * period_ns)
+        blamed = self._taken or (self._pace.was_late and call_ns > _BLAME * period_ns)
         too_late = self._lateness.add(time.monotonic_ns(), blamed, call_ns)
         if too_late:
             sentence = f"The controller was too slow: {too_late}. The arm was stopped. Give work to another thread."
-            self._guide.stop("the controller was late", ControllerLate(sentence))
+            self._stop("the controller was late", ControllerLate(sentence))
 
-    def _reply(
-        self, turn: _Turn, command: Command | None, reply: Reply | None, *, call_ns: int = 0, late: bool = False
-    ) -> None:
-        """Send the one reply to a packet, then record it and those it has overtaken."""
-        sample, session = turn.sample, self._session
-        seq = send_ns = -1
-        if reply is not None and session.source is not None:
-            packet = sample.packet
-            tm_ms = 0 if packet.tm_ms is None else packet.tm_ms
-            reference = Reference(reply.q, reply.qd, None, session.seq, tm_ms, packet.seqno, packet.robot_mono_ns)
-            data = self._codec.encode(reference)
-            now = time.monotonic_ns()
-            if self._port.send(data, session.source):
-                seq, send_ns = session.seq, now
-                session.replied(now)
-                self.replies += 1
-                self.latency.add(now - sample.arrival_ns)
-                late = late or (not self._in_lockstep and now > self._deadline(sample))
-        self._was_late = late
-        self.late += late
-        for older in self._surpassed:
-            self.overtaken += 1
-            self._record(older, None, None, -1, -1, 0, late=False)
-        self._surpassed.clear()
-        self._record(turn, command, reply if send_ns >= 0 else None, seq, send_ns, call_ns, late)
-
-    def _record(
-        self,
-        turn: _Turn,
-        command: Command | None,
-        reply: Reply | None,
-        seq: int,
-        send_ns: int,
-        call_ns: int,
-        late: bool,
-    ) -> None:
-        sample, wall_ns = turn.sample, self._wall_ns
-        stamp_ns = (
-            sample.packet.robot_ns if self._in_lockstep and sample.packet.robot_ns else wall_ns + sample.arrival_ns
-        )
-        tick = Tick(
-            number=self._ticks,
-            seq_sent=seq,
-            stamp_ns=stamp_ns,
-            receive_ns=wall_ns + sample.arrival_ns,
-            send_ns=send_ns if send_ns < 0 else wall_ns + send_ns,
-            step_ns=call_ns,
-            late=late,
-            drops=self._session.total_drops,
-            q_sent=None if reply is None else reply.q,
-            qd_sent=None if reply is None else reply.qd,
-            clamped=None if reply is None else reply.clamped,
-        )
-        self._ticks += 1
-        self._recording.row(turn.state, command, tick)
+    def _look(self, now: bool) -> None:
+        """Look at silence and interrupts: when nothing came, and often enough when only one arm is silent."""
+        now_ns = time.monotonic_ns()
+        if now or now_ns - self._looked_ns > 1e9 * _LOOK:
+            self._looked_ns = now_ns
+            self._stop_if_interrupted()
+            for arm in self._arms:
+                arm.look()
 
     def _after(self) -> None:
         """After a reply: ends, progress, garbage."""
-        guide, settings = self._guide, self._settings
+        settings, elapsed = self._settings, self.elapsed
         self._stop_if_interrupted()
-        if settings.seconds is not None and guide.elapsed >= settings.seconds:
-            guide.stop("the time is up")
-        if settings.progress is not None and guide.elapsed >= self._next_progress:
-            self._next_progress = guide.elapsed + _PROGRESS
+        if settings.seconds is not None and elapsed >= settings.seconds:
+            self._stop("the time is up")
+        if settings.progress is not None and elapsed >= self._next_progress:
+            self._next_progress = elapsed + _PROGRESS
             try:
-                settings.progress(guide.elapsed)
+                settings.progress(elapsed)
             except Exception as error:
                 failure = ControllerFailed(f"`progress` raised {type(error).__name__}: {error}. The arm was stopped.")
                 failure.__cause__ = error
-                guide.stop("the display of progress failed", failure)
-        next_ns = self._waiting.prediction.next_ns
-        if self._in_lockstep or next_ns is None or next_ns - time.monotonic_ns() > _SPARE:
+                self._stop("the display of progress failed", failure)
+        for arm in self._arms:
+            if arm.guide.mode in (Mode.STOPPING, Mode.ENDED):
+                self._stop(arm.guide.reason)
+        next_ns = [arm.prediction.next_ns for arm in self._arms]
+        if self._in_lockstep or all(ns is None or ns - time.monotonic_ns() > _SPARE for ns in next_ns):
             collect_if_due()
+
+    def _stop(self, reason: str, failure: LinkError | None = None) -> None:
+        """Bring all arms to rest and end; the first reason stays. The pacing arm carries the failure."""
+        self.reason = self.reason or reason
+        self._pace.guide.stop(reason, failure)
+        for arm in self._others:
+            arm.guide.stop(reason)
 
     def _stop_if_interrupted(self) -> None:
         if self.interrupted:
-            self._guide.stop("interrupted")
+            self._stop("interrupted")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import select
 import socket
 import struct
 import time
@@ -58,16 +57,14 @@ class Port:
             self._socket.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
         self.host, self.port = self._socket.getsockname()
         self.errors = 0
-        self._poll = select.poll()
-        self._poll.register(self._socket, select.POLLIN)
 
     def close(self) -> None:
         """Close the socket."""
         self._socket.close()
 
-    def wait(self, seconds: float) -> bool:
-        """Sleep until a datagram is there or the time is over. Return whether one is there."""
-        return bool(self._poll.poll(1e3 * max(seconds, 0.0)))
+    def fileno(self) -> int:
+        """Return the number by which the system knows the socket: one can wait on it."""
+        return self._socket.fileno()
 
     def receive(self) -> Arrival | None:
         """Return the next datagram, or None when there is none."""

@@ -1,31 +1,65 @@
-"""`Recording`: rows and events of one run, in a file, or in memory when there is none."""
+"""`Recording`: rows and events of one arm in a run, in a file, or in memory when there is none; and to feeds."""
 
 from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from armlab.log import Column, Log, Recorder, Table, Tail, Tick
 from armlab.robots import Robot
 from armlab.state import Command, State
 
-__all__ = ["Recording"]
+__all__ = ["Feed", "Recording", "paths"]
 
 _KEPT_SECONDS = 10.0  # in `.table` of errors
 _KEPT_EVENTS = 1000
 _logger = logging.getLogger("armlab.bridge")
 
 
+class Feed(Protocol):
+    """What else takes the rows and events of a run: called in the loop after the reply was sent, so it must be quick.
+
+    A feed that raises is dropped, with an event.
+    """
+
+    def row(self, state: State, command: Command | None, tick: Tick) -> None:
+        """Take one row: of each packet of each arm, which `state.robot` names."""
+        ...
+
+    def event(self, text: str, warn: bool = False) -> None:
+        """Take one sentence."""
+        ...
+
+
+def paths(record: str | Path | None, robots: Sequence[Robot]) -> list[Path | None]:
+    """Return the file of each arm: the name given, with the side (else the name) of the arm added when several.
+
+    Parameters
+    ----------
+    record : ``run.mcap`` becomes ``runleft.mcap`` and ``runright.mcap`` for the arms of a YuMi. None: no files.
+    robots : the arms.
+    """
+    if record is None:
+        return [None] * len(robots)
+    path = Path(record)
+    if len(robots) == 1:
+        return [path]
+    sides = [robot.side for robot in robots]
+    ends = sides if all(sides) and len(set(sides)) == len(sides) else [f"-{robot.name}" for robot in robots]
+    return [path.with_name(f"{path.stem}{end}{path.suffix}") for end in ends]
+
+
 class Recording:
-    """Where the rows of a run go.
+    """Where the rows of an arm go.
 
     Parameters
     ----------
     robot : the arm. path : file to write, None keeps the rows in memory. extra : the controller's own columns.
     wait : never drop a row (a link in lockstep keeps no real time). clock : stamps of events, wall clock [ns].
+    feeds : told too; a list that the recordings of a run share. label : put before each event when several arms run.
 
     Attributes
     ----------
@@ -40,10 +74,13 @@ class Recording:
         *,
         wait: bool,
         clock: Callable[[], int],
+        feeds: list[Feed] | None = None,
+        label: str = "",
     ) -> None:
         self._recorder = None if path is None else Recorder(path, robot, extra=extra, wait=wait)
         self._log = Log(robot, extra) if path is None else Tail(_KEPT_SECONDS, robot, extra)
-        self._clock = clock
+        self._clock, self._label = clock, label
+        self._feeds = [] if feeds is None else feeds
         self._told: set[str] = set()
         self.path = None if self._recorder is None else self._recorder.path
         self.events: deque[tuple[int, str]] = deque(maxlen=_KEPT_EVENTS)
@@ -65,14 +102,27 @@ class Recording:
             self._log.row(state, None, tick)
         if self._recorder is not None:
             self._recorder.row(state, command, tick)
+        if self._feeds:
+            self._tell_feeds(lambda feed: feed.row(state, command, tick))
 
     def event(self, text: str, warn: bool = False) -> None:
         """Keep a sentence; it also goes to the logger ``armlab.bridge``, as a warning when something is wrong."""
-        stamp = self._clock()
+        stamp, text = self._clock(), f"{self._label}: {text}" if self._label else text
         self.events.append((stamp, text))
         _logger.log(logging.WARNING if warn else logging.INFO, text)
         if self._recorder is not None:
             self._recorder.event(text, stamp)
+        if self._feeds:
+            self._tell_feeds(lambda feed: feed.event(text, warn))
+
+    def _tell_feeds(self, tell: Callable[[Feed], None]) -> None:
+        for feed in tuple(self._feeds):
+            try:
+                tell(feed)
+            except Exception as error:  # a feed must not stop the loop
+                if feed in self._feeds:
+                    self._feeds.remove(feed)
+                self.event(f"A feed was dropped: it raised {type(error).__name__}: {error}.", warn=True)
 
     def tail(self) -> Table:
         """Return the last ten seconds."""

@@ -1,4 +1,4 @@
-"""`Run`: what a run left behind, and its report."""
+"""`Run`: what a run left behind, and its report; `statistics` of one arm."""
 
 from __future__ import annotations
 
@@ -8,10 +8,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from armlab.bridge.arm import Arm
 from armlab.bridge.recording import Recording
 from armlab.log import Table
 
-__all__ = ["Run"]
+__all__ = ["Run", "statistics", "together"]
+
+_CLAMPS = ("position", "velocity", "acceleration", "braking")
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,24 +23,42 @@ class Run:
 
     Attributes
     ----------
-    reason : why it ended, in words. path : the recording, None when rows were kept in memory.
-    statistics : what was counted; also kept in the recording as its summary.
+    reason : why it ended, in words. path : the recording, None when rows were kept in memory or there are several arms.
+    statistics : what was counted; also kept in the recording as its summary. With several arms: under "arms", by name.
     events : (wall clock ns, sentence).
+    arms : the Run of each arm when there are several, the pacing arm first.
     """
 
     reason: str
     statistics: Mapping[str, Any]
     events: tuple[tuple[int, str], ...]
     path: Path | None
-    _recording: Recording = field(repr=False)
+    _recording: Recording | None = field(repr=False)
+    arms: tuple[Run, ...] = ()
+
+    @classmethod
+    def of_several(cls, reason: str, arms: tuple[Run, ...]) -> Run:
+        """Return the run of several arms.
+
+        Parameters
+        ----------
+        reason : why it ended. arms : each arm's, the pacing arm first.
+        """
+        counted = {"arms": {arm.statistics["robot"]: arm.statistics for arm in arms}, "reason": reason}
+        counted["problems"] = [problem for arm in arms for problem in arm.statistics["problems"]]
+        return cls(reason, counted, tuple(sorted(event for arm in arms for event in arm.events)), None, None, arms)
 
     @cached_property
     def table(self) -> Table:
-        """What was measured, asked and sent, one row per packet."""
-        return self._recording.table()
+        """What was measured, asked and sent, one row per packet; with several arms see `together`."""
+        if self._recording is not None:
+            return self._recording.table()
+        return together({arm.statistics["robot"]: arm.table for arm in self.arms})
 
     def report(self) -> str:
         """Return the run in a few lines: packets, latency, late cycles, drops, clamps per joint."""
+        if self.arms:
+            return "\n".join(arm.report() for arm in self.arms)
         s = self.statistics
         latency = ", ".join(f"{name} {value:.0f}" for name, value in s["latency_us"].items())
         lines = [
@@ -56,3 +77,53 @@ class Run:
                 lines.append(f"Clamped by {kind}, times per joint: {', '.join(map(str, counts))}{worst}.")
         lines += s["problems"]
         return "\n".join(lines)
+
+
+def statistics(arm: Arm, reason: str) -> dict[str, Any]:
+    """Return what was counted of one arm.
+
+    Parameters
+    ----------
+    arm : after the run. reason : why the run ended.
+    """
+    session, guide = arm.session, arm.guide
+    return {
+        "robot": arm.robot.name,
+        "robotware": getattr(arm.codec, "robotware", ""),
+        "sessions": session.number,
+        "period_s": session.period.seconds,
+        "seconds": guide.elapsed,
+        "packets": session.received,
+        "replies": arm.replies,
+        "overtaken": arm.overtaken,
+        "missed": session.missed,
+        "late": arm.late,
+        "refused": guide.refused,
+        "drops": dict(session.drops),
+        "socket_errors": arm.port.errors,
+        "latency_us": arm.latency.summary(),
+        "clamps": dict(zip(_CLAMPS, guide.clamps.tolist(), strict=True)),
+        "worst_ratio": guide.worst_ratio,
+        "reason": reason,
+    }
+
+
+def together(tables: Mapping[str, Table]) -> Table:
+    """Return the tables of several arms as one, with columns such as ``yumi_left.q``.
+
+    The rows are those of the first arm; the others have their last row at or before, and its age in ``<robot>.age``.
+
+    Parameters
+    ----------
+    tables : of each arm by name, the one that gives the rows first.
+    """
+    named = [
+        (robot, table.rename({name: f"{robot}.{name}" for name in table.names})) for robot, table in tables.items()
+    ]
+    (_, rows), *others = named
+    for robot, table in others:
+        if len(rows) and len(table):
+            joined = rows.join(table)
+            ages = [f"{name}_age" for name in table.names]
+            rows = joined.rename({ages[0]: f"{robot}.age"}).without(*ages[1:])
+    return rows

@@ -20,6 +20,7 @@ _FAR = 2**16  # packets ahead: less than 2**31 of them do not fit into the silen
 _FILTER = 30.0  # Hz, of velocities from differences
 _SILENT_PERIODS = 5  # of the old source, before another port of the same host may begin a session
 _OWN_SILENCE = 150_000_000  # ns without a reply: shorter than any CommTimeout in use
+_FOREIGN = Drop("foreign source", "only the first sender of a session is answered, each motion task needs its own port")
 _MOTORS_OFF, _RAPID_STOPPED, _MCI_ERROR, _MCI_RUNNING = 2, 1, 1, 3
 
 
@@ -93,12 +94,12 @@ class Session:
             self.end()
         foreign = self.active and arrival.source != self.source
         if foreign and not self._may_replace(arrival):
-            return self._drop(Drop("foreign source", "only the first sender of a session is answered"), arrival)
+            return self._drop(_FOREIGN, arrival)
         packet = self._codec.decode(arrival.data)
         if isinstance(packet, Drop):
             return self._drop(packet, arrival)
         if foreign and packet.seqno != 0:
-            return self._drop(Drop("foreign source", "only the first sender of a session is answered"), arrival)
+            return self._drop(_FOREIGN, arrival)
         missed = -1 if foreign or not self.active or self._last is None else self._count(packet, self._last.packet)
         if isinstance(missed, Drop):
             return self._drop(missed, arrival)

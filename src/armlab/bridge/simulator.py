@@ -1,4 +1,4 @@
-"""`Simulator`: the simulated robot as a process, started for a link and stopped with it."""
+"""`Simulator`: the simulated robots as a process, started for a link and stopped with it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import subprocess
 import sys
 import threading
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from armlab.errors import LinkError
 
@@ -17,13 +17,13 @@ _PATIENCE = 5.0  # s to end by itself before it is killed
 
 
 class Simulator:
-    """One ``python -m armlab sim`` process that sends to a port of this computer.
+    """One ``python -m armlab sim`` process that sends to ports of this computer.
 
     It gets its own process group, so that Ctrl-C reaches the bridge alone, which brings the arm to rest first.
 
     Parameters
     ----------
-    robot : name in the library. port : where it shall send.
+    robots : names in the library. ports : where each shall send.
     options : further options by name: "seed" -> "1" becomes ``--seed 1``; "true" a bare ``--name``.
 
     Attributes
@@ -31,8 +31,9 @@ class Simulator:
     lines : the last lines it wrote.
     """
 
-    def __init__(self, robot: str, port: int, options: Mapping[str, str]) -> None:
-        arguments = [sys.executable, "-m", "armlab", "sim", robot, "--to", f"127.0.0.1:{port}", "--extension"]
+    def __init__(self, robots: Sequence[str], ports: Sequence[int], options: Mapping[str, str]) -> None:
+        to = ",".join(f"127.0.0.1:{port}" for port in ports)
+        arguments = [sys.executable, "-m", "armlab", "sim", *robots, "--to", to, "--extension"]
         for name, value in options.items():
             if value.lower() != "false":
                 arguments += [f"--{name}"] if value.lower() in ("", "true") else [f"--{name}", value]

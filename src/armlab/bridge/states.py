@@ -91,6 +91,11 @@ class Guide:
         """Whether the controller is asked for this packet."""
         return self.ready and self.mode in (Mode.HOLDING, Mode.RUNNING)
 
+    @property
+    def _is_silent(self) -> bool:
+        """Whether it ended without coming to rest; one that rests is answered while another arm of the link stops."""
+        return self.mode is Mode.ENDED and self._rested < STOP_TIME
+
     def observe(self, sample: Sample) -> None:
         """Take one sample: readiness, time, transitions. The newest one observed is the one that `answer` answers.
 
@@ -157,6 +162,7 @@ class Guide:
             rapid_digital=packet.rapid_digital,
             robot_ns=packet.robot_ns,
             t_receive=t_receive,
+            robot=self._robot.name,
         )
 
     def answer(self, command: Command | None, period: float) -> Reply | None:
@@ -167,14 +173,14 @@ class Guide:
         command : what the controller returned; None holds. period : cycle time of the robot [s].
         """
         packet = self._packet
-        if packet is None or self.mode in (Mode.WAITING, Mode.LISTENING, Mode.ENDED):
+        if packet is None or self.mode in (Mode.WAITING, Mode.LISTENING) or self._is_silent:
             return None
         if not self.ready:
             self._rest(period)
             if not (self._answer_stream or packet.mci == MCI_RUNNING):
                 return None
             self._last = self._limiter.rest(packet.q)
-        elif self.mode is Mode.STOPPING:
+        elif self.mode in (Mode.STOPPING, Mode.ENDED):
             self._last = self._limiter.hold(period)
             if self._limiter.at_rest:
                 self._rest(period)

@@ -5,8 +5,9 @@ A loop that polls rehearses first, see `rehearsal`.
 
 from __future__ import annotations
 
+import select
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Literal
 
 from armlab.bridge.port import Arrival, Port
@@ -58,57 +59,80 @@ class Prediction:
 
 
 class Waiting:
-    """Waits for datagrams on a port.
+    """Waits for datagrams on the ports of a link.
 
     Parameters
     ----------
-    port : where they arrive. mode : "block", "ahead" (sleep, poll around the predicted arrival, block) or "spin".
+    ports : where they arrive; each is asked first in turn, so that a flood on one does not shut out the others.
+    predictions : of the next arrival on each. mode : "block", "ahead" (sleep, poll around the predicted arrival,
+        block) or "spin".
 
     Attributes
     ----------
-    prediction : of the next arrival. rehearse : called shortly before it; must change nothing.
+    rehearse : called with the index of the port shortly before an arrival is predicted there; must change nothing.
     """
 
-    def __init__(self, port: Port, mode: Wait) -> None:
-        self._port, self._mode = port, mode
-        self.prediction = Prediction()
-        self.rehearse: Callable[[], None] = lambda: None
+    def __init__(self, ports: Sequence[Port], predictions: Sequence[Prediction], mode: Wait) -> None:
+        self._ports, self._predictions, self._mode = tuple(enumerate(ports)), predictions, mode
+        self._poller = select.poll()
+        for port in ports:
+            self._poller.register(port.fileno(), select.POLLIN)
+        self.rehearse: Callable[[int], None] = lambda index: None
 
-    def next(self, seconds: float) -> Arrival | None:
-        """Return the next datagram, or None when none came in the time.
+    def next(self, seconds: float) -> tuple[int, Arrival] | None:
+        """Return the next datagram with the index of its port, or None when none came in the time.
 
         Parameters
         ----------
         seconds : longest time to wait.
         """
-        arrival = self._port.receive()
-        if arrival is not None:
-            return arrival
-        now = time.monotonic_ns()
-        end = now + int(1e9 * seconds)
-        predicted = self.prediction.next_ns
-        if self._mode != "block" and predicted is not None and now < predicted + _AFTER < end:
+        found = self._receive()
+        if found is not None:
+            return found
+        end = time.monotonic_ns() + int(1e9 * seconds)
+        while self._mode != "block":
+            now = time.monotonic_ns()
+            soonest = self._soonest(now)
+            if soonest is None or soonest[0] + _AFTER >= end:
+                break
+            predicted, index = soonest
             if now < predicted - _AHEAD:
-                arrival = self._idle(predicted - _AHEAD)
-                if arrival is not None:
-                    return arrival
-                self.rehearse()
-            arrival = self._poll(predicted + _AFTER)
-            if arrival is not None:
-                return arrival
+                found = self._idle(predicted - _AHEAD)
+                if found is not None:
+                    return found
+                self.rehearse(index)
+            found = self._poll(predicted + _AFTER)
+            if found is not None:
+                return found
         if self._mode == "spin":
             return self._poll(end)
-        self._port.wait(1e-9 * (end - time.monotonic_ns()))
-        return self._port.receive()
+        self._poller.poll(max(1e-6 * (end - time.monotonic_ns()), 0.0))
+        return self._receive()
 
-    def _idle(self, until: float) -> Arrival | None:
+    def _soonest(self, now: int) -> tuple[float, int] | None:
+        """Return the first predicted arrival that is not over, and the index of its port."""
+        times = [(p.next_ns, index) for index, p in enumerate(self._predictions) if p.next_ns is not None]
+        return min(((ns, index) for ns, index in times if now < ns + _AFTER), default=None)
+
+    def _receive(self) -> tuple[int, Arrival] | None:
+        for index, port in self._ports:
+            arrival = port.receive()
+            if arrival is not None:
+                if len(self._ports) > 1:
+                    self._ports = (*self._ports[1:], self._ports[0])
+                return index, arrival
+        return None
+
+    def _idle(self, until: float) -> tuple[int, Arrival] | None:
         if self._mode == "spin":
             return self._poll(until)
-        time.sleep(1e-9 * max(until - time.monotonic_ns(), 0.0))
-        return self._port.receive()
+        whole = int(1e-6 * (until - time.monotonic_ns()))
+        if len(self._ports) == 1 or not self._poller.poll(max(whole, 0)):  # another arm's packet does not wait
+            time.sleep(1e-9 * max(until - time.monotonic_ns(), 0.0))
+        return self._receive()
 
-    def _poll(self, end: float) -> Arrival | None:
+    def _poll(self, end: float) -> tuple[int, Arrival] | None:
         while True:
-            arrival = self._port.receive()
-            if arrival is not None or time.monotonic_ns() >= end:
-                return arrival
+            found = self._receive()
+            if found is not None or time.monotonic_ns() >= end:
+                return found

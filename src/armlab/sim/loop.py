@@ -89,7 +89,10 @@ def _end(channels: Sequence[Channel], pace: Pace, alive: Callable[[], bool]) -> 
 def _lockstep(
     channels: Sequence[Channel], pace: Pace, alive: Callable[[], bool], observe: Callable[[int], None]
 ) -> str:
-    """Send, move while the peer computes, then wait for its reply: it acts in the next cycle, as in real time."""
+    """Send, move while the peer computes, then wait for its reply: it acts in the next cycle, as in real time.
+
+    One arm after another, so that a peer of several hears them in the same order in every run.
+    """
     while True:
         reason = _end(channels, pace, alive)
         if reason:
@@ -97,9 +100,7 @@ def _lockstep(
         _prepare(channels, observe)
         for channel in channels:
             channel.send()
-        for channel in channels:
             channel.controller.advance()
-        for channel in channels:
             if not channel.wait(pace.patience, alive) and alive():
                 channel.controller.lose_peer()
                 if time.monotonic() - channel.heard > pace.gone:

@@ -1,0 +1,68 @@
+"""Urls of a link, taken apart: `Address`, and `addresses`, one per robot or one for all simulated robots."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+from urllib.parse import parse_qsl, urlsplit
+
+from armlab.errors import ConfigError
+
+__all__ = ["Address", "addresses"]
+
+_PORT = 6510  # of one arm
+_PORTS = 6511  # of the first of several: 6511 left, 6512 right
+
+
+class Address(NamedTuple):
+    """Where one robot is heard.
+
+    Attributes
+    ----------
+    scheme : "egm" or "sim". host, port : where to listen. robot : name of the simulated robot, else "".
+    options : of the simulator.
+    """
+
+    scheme: str
+    host: str
+    port: int
+    robot: str
+    options: dict[str, str]
+
+
+def addresses(urls: Sequence[str], count: int) -> list[Address]:
+    """Return the addresses of the robots of a link.
+
+    Parameters
+    ----------
+    urls : ``egm://HOST:PORT`` for each robot, or ``sim://NAME?option=value``, also ``sim://NAME+NAME``. count : robots.
+
+    Raises
+    ------
+    ConfigError : another form, another number than that of the robots, or two that cannot be in one link.
+    """
+    ports = [_PORTS + index if count > 1 else _PORT for index in range(len(urls))]
+    found = [address for url, port in zip(urls, ports, strict=True) for address in _taken_apart(url, port)]
+    if len(found) != count:
+        raise ConfigError(f"Expected one url per robot, got {len(found)} for {count}: {', '.join(urls)}.")
+    if len({address.scheme for address in found}) > 1 or any(one.options != found[0].options for one in found):
+        raise ConfigError(f"Expected urls of one kind and with the same options in one link, got {', '.join(urls)}.")
+    bound = [(one.host, one.port) for one in found if one.port]
+    if len(set(bound)) < len(bound):
+        raise ConfigError(f"Expected a port per arm, since each motion task needs its own, got {', '.join(urls)}.")
+    return found
+
+
+def _taken_apart(url: str, port: int) -> list[Address]:
+    parts = urlsplit(url) if isinstance(url, str) else None
+    if parts is None or parts.scheme not in ("egm", "sim") or not parts.netloc:
+        raise ConfigError(f"Expected a link like egm://127.0.0.1:6510 or sim://yumi_right, got {url!r}.")
+    options = dict(parse_qsl(parts.query, keep_blank_values=True))
+    if parts.scheme == "sim":
+        return [Address("sim", "127.0.0.1", 0, robot, options) for robot in parts.netloc.split("+")]
+    if options:
+        raise ConfigError(f"Expected no options in an egm link, got {', '.join(options)} in {url!r}.")
+    number = parts.netloc.rpartition(":")[2] if ":" in parts.netloc else str(port)
+    if not parts.hostname or not number.isascii() or not number.isdigit() or int(number) > 65535:
+        raise ConfigError(f"Expected egm://HOST:PORT with a port from 0 to 65535, got {url!r}.")
+    return [Address("egm", parts.hostname, int(number), "", {})]

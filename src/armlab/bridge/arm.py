@@ -1,0 +1,214 @@
+"""`Arm`: one arm during a run. It takes packets from its port, sends the one reply to each, and records both."""
+
+from __future__ import annotations
+
+import time
+from typing import NamedTuple
+
+from armlab.bridge.latency import Latency
+from armlab.bridge.limits import Reply
+from armlab.bridge.port import Arrival, Port
+from armlab.bridge.recording import Recording
+from armlab.bridge.rehearsal import Rehearsal
+from armlab.bridge.session import Sample, Session
+from armlab.bridge.states import Guide
+from armlab.bridge.supervision import Settings, Supervisor
+from armlab.bridge.waiting import Prediction
+from armlab.log import Tick
+from armlab.robots import Robot
+from armlab.state import Command, State
+from armlab.wire.egm import Codec, Reference
+
+__all__ = ["Arm", "Turn"]
+
+_DROPS = 64  # refused datagrams per wake-up: a flood cannot hold the loop up
+_BACKLOG = 1000  # datagrams per wake-up, more than wait after any stall: all but the newest packet are overtaken
+_DEADLINE = 0.75  # of a period, from arrival to reply
+
+
+class Turn(NamedTuple):
+    """A packet that is about to be answered, and what the controller sees of it."""
+
+    sample: Sample
+    state: State
+
+
+class Arm:
+    """One arm of a loop: everything that concerns it alone. Its methods are called under the loop's lock.
+
+    Parameters
+    ----------
+    robot, port, codec, session, guide, recording : the parts.
+    settings : of the run. wall_ns : wall clock minus monotonic clock [ns]. rehearsal : see `rehearsal`.
+
+    Attributes
+    ----------
+    prediction : of the next packet. newest : the newest packet that counted. latency : arrival to reply.
+    replies, overtaken, late : packets. was_late : the last reply was.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        port: Port,
+        codec: Codec,
+        session: Session,
+        guide: Guide,
+        recording: Recording,
+        settings: Settings,
+        wall_ns: int,
+        rehearsal: Rehearsal | None = None,
+    ) -> None:
+        self.robot, self.port, self.codec, self.session = robot, port, codec, session
+        self.guide, self.recording = guide, recording
+        self.latency, self.prediction = Latency(), Prediction()
+        self.replies = self.overtaken = self.late = self._ticks = 0
+        self.was_late = False
+        self.newest: Turn | None = None
+        self._in_lockstep = settings.clock == "robot"
+        self._supervisor = Supervisor(port, session, guide, settings, recording.event)
+        self._wall_ns, self._heard_ns, self._robot_ns = wall_ns, time.monotonic_ns(), 0
+        self._surpassed: list[Turn] = []
+        self._rehearsal, self._arrival = rehearsal, None
+        self._answered: Command | None = None
+        self._given: Command | None = None
+        self._given_age = 0.0
+
+    @property
+    def period(self) -> float:
+        """Measured cycle time of the robot [s]."""
+        return self.session.period.seconds
+
+    @property
+    def stamp_ns(self) -> int:
+        """Now: wall clock at the start plus monotonic time since [ns]; in lockstep the robot's clock."""
+        return self._robot_ns if self._in_lockstep and self._robot_ns else self._wall_ns + time.monotonic_ns()
+
+    def stamp(self, sample: Sample) -> int:
+        """Return when a packet came, as rows are stamped [ns]: arrival on the wall clock, in lockstep robot time."""
+        robot_ns = sample.packet.robot_ns
+        return robot_ns if self._in_lockstep and robot_ns else self._wall_ns + sample.arrival_ns
+
+    def deadline(self, sample: Sample) -> float:
+        """Return when the reply to a packet is late, on our monotonic clock [ns]."""
+        return sample.arrival_ns + _DEADLINE * 1e9 * self.period
+
+    def look(self) -> None:
+        """See whether the session or the run is over; see `Supervisor`."""
+        self._supervisor.look(self._heard_ns)
+
+    def give(self, command: Command | None) -> None:
+        """Keep what the controller commands this arm, which does not pace it, for the next packets.
+
+        Parameters
+        ----------
+        command : None holds.
+        """
+        self._given, self._given_age = command, 0.0
+
+    def given(self, sample: Sample, longest: float) -> Command | None:
+        """Return the command kept for this packet; None, hold, once it is too old.
+
+        Parameters
+        ----------
+        sample : the packet. longest : time for which a command serves [s].
+        """
+        self._given_age += sample.dt
+        return self._given if self._given_age <= longest else None
+
+    def take(self, arrival: Arrival | None, unanswered: Turn | None = None) -> Turn | None:
+        """Drain the port as far as a flood allows. Return the newest packet that counts, or the unanswered one.
+
+        Parameters
+        ----------
+        arrival : the first datagram. unanswered : a packet that waits for its reply.
+        """
+        turn, refused = unanswered, 0
+        for _ in range(_BACKLOG):
+            if arrival is None:
+                break
+            sample = self.session.accept(arrival)
+            if sample is None:
+                refused += 1
+                if refused == _DROPS:
+                    break  # before the next is taken from the port: it would be lost
+            else:
+                if turn is not None:
+                    self._surpassed.append(turn)
+                self._arrival = arrival
+                turn = self._observe(sample)
+            arrival = self.port.receive()
+        return turn
+
+    def _observe(self, sample: Sample) -> Turn:
+        self.guide.observe(sample)
+        self._heard_ns, self._robot_ns = sample.arrival_ns, sample.packet.robot_ns
+        self.prediction.add(sample.arrival_ns, sample.missed + 1, self.period)
+        self.newest = Turn(sample, self.guide.state(sample, self._wall_ns + sample.arrival_ns))
+        return self.newest
+
+    def reply(
+        self, turn: Turn, command: Command | None, reply: Reply | None, *, call_ns: int = 0, late: bool = False
+    ) -> None:
+        """Send the one reply to a packet, then record it and those it has overtaken.
+
+        Parameters
+        ----------
+        turn : the packet. command : what the controller wanted. reply : what the guide makes of it, None for nothing.
+        call_ns : time spent in the controller. late : the controller missed its deadline.
+        """
+        sample, session = turn.sample, self.session
+        seq = send_ns = -1
+        if reply is not None and session.source is not None:
+            packet = sample.packet
+            tm_ms = 0 if packet.tm_ms is None else packet.tm_ms
+            reference = Reference(reply.q, reply.qd, None, session.seq, tm_ms, packet.seqno, packet.robot_mono_ns)
+            data = self.codec.encode(reference)
+            now = time.monotonic_ns()
+            if self.port.send(data, session.source):
+                seq, send_ns = session.seq, now
+                session.replied(now)
+                self.replies += 1
+                self.latency.add(now - sample.arrival_ns)
+                late = late or (not self._in_lockstep and now > self.deadline(sample))
+        self._answered = command
+        self.was_late = late
+        self.late += late
+        for older in self._surpassed:
+            self.overtaken += 1
+            self._record(older, None, None, -1, -1, 0, late=False)
+        self._surpassed.clear()
+        self._record(turn, command, reply if send_ns >= 0 else None, seq, send_ns, call_ns, late)
+
+    def rehearse(self) -> None:
+        """Do the work of the last packet once more; see `rehearsal`."""
+        if self._rehearsal is not None and self._arrival is not None:
+            self._rehearsal(self._arrival, self._answered)
+            self._arrival = None
+
+    def _record(
+        self,
+        turn: Turn,
+        command: Command | None,
+        reply: Reply | None,
+        seq: int,
+        send_ns: int,
+        call_ns: int,
+        late: bool,
+    ) -> None:
+        sample, wall_ns = turn.sample, self._wall_ns
+        tick = Tick(
+            number=self._ticks,
+            seq_sent=seq,
+            stamp_ns=self.stamp(sample),
+            receive_ns=wall_ns + sample.arrival_ns,
+            send_ns=send_ns if send_ns < 0 else wall_ns + send_ns,
+            step_ns=call_ns,
+            late=late,
+            drops=self.session.total_drops,
+            q_sent=None if reply is None else reply.q,
+            qd_sent=None if reply is None else reply.qd,
+            clamped=None if reply is None else reply.clamped,
+        )
+        self._ticks += 1
+        self.recording.row(turn.state, command, tick)

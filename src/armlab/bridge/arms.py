@@ -1,0 +1,100 @@
+"""Several arms as one: `fuse` makes one State of theirs, `shares` gives each its part of a Command."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from armlab.errors import CommandRefused
+from armlab.robots import Robot
+from armlab.state import Command, State
+
+__all__ = ["fuse", "shares"]
+
+_JOINTS = ("q", "qd", "tau", "q_start", "q_planned", "q_sent", "qd_sent", "clamped")
+
+
+def fuse(states: Sequence[State], ages: Sequence[float], pace: int, t: float) -> State:
+    """Return the state of all arms: joint arrays one arm after another, each arm's own State in `arms` with its age.
+
+    Time, sequence and state numbers are those of the pacing arm. What a fused state cannot say (poses, wrenches) is
+    NaN: look into `arms`.
+
+    Parameters
+    ----------
+    states : newest of each arm. ages : seconds since each was received. pace : index of the pacing arm.
+    t : seconds since the guidance of all arms began.
+    """
+    first = states[pace]
+    arms = tuple(state if age <= 0.0 else replace(state, age=age) for state, age in zip(states, ages, strict=True))
+    joints = {}
+    for name in _JOINTS:
+        joints[name] = np.concatenate([getattr(state, name) for state in states])
+        joints[name].flags.writeable = False
+    return State(
+        t=t,
+        dt=first.dt,
+        seq=first.seq,
+        missed=first.missed,
+        session=first.session,
+        qd_source=first.qd_source,
+        tau_source=first.tau_source,
+        motors=first.motors,
+        rapid=first.rapid,
+        mci=first.mci,
+        converged=first.converged,
+        utilization=first.utilization,
+        robotware=first.robotware,
+        robot_ns=first.robot_ns,
+        t_receive=first.t_receive,
+        robot="+".join(state.robot for state in states),
+        arms=arms,
+        **joints,
+    )
+
+
+def shares(asked: Any, robots: Sequence[Robot]) -> Sequence[Command | None]:
+    """Return the part of each arm in what a controller returned.
+
+    Parameters
+    ----------
+    asked : None, a Command with the joints of all arms one after another, or one Command (or None) per arm. The values
+        to record of a common Command go with the first arm. robots : the arms.
+
+    Raises
+    ------
+    CommandRefused : another number of joints or of commands, or something else.
+    """
+    if len(robots) == 1:
+        return (asked,)
+    if asked is None:
+        return (None,) * len(robots)
+    if isinstance(asked, Sequence) and len(asked) == len(robots):
+        return asked
+    if not isinstance(asked, Command):
+        names = " and ".join(robot.name for robot in robots)
+        raise CommandRefused(
+            f"Expected the controller to return one Command of all joints, one per arm ({names}) or None, got "
+            f"{type(asked).__name__}{f' of {len(asked)}' if isinstance(asked, Sequence) else ''}. "
+            "Write Command(q) with all joints, or a tuple of one Command per arm."
+        )
+    parts = [_parts(name, getattr(asked, name), robots) for name in ("q", "qd", "tau")]
+    records = [asked.record, *({} for _ in robots[1:])]
+    return [Command(q, qd, tau, record, asked.ends) for q, qd, tau, record in zip(*parts, records, strict=True)]
+
+
+def _parts(name: str, values: Any, robots: Sequence[Robot]) -> Sequence[np.ndarray | None]:
+    if values is None:
+        return (None,) * len(robots)
+    sizes = [robot.n for robot in robots]
+    array = np.asarray(values)
+    if array.shape != (sum(sizes),):
+        joints = " and ".join(f"{robot.n} of {robot.name}" for robot in robots)
+        raise CommandRefused(
+            f"Expected Command.{name} of shape ({sum(sizes)},), {joints}, got {array.shape}. "
+            "Write all joints one arm after another, or return a tuple of one Command per arm."
+        )
+    return np.split(array, np.cumsum(sizes)[:-1])

@@ -1,0 +1,143 @@
+"""The arms of a run, put together from where each is heard: `End`, `assemble`; and `finished`, their runs."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from armlab.bridge.arm import Arm
+from armlab.bridge.limits import Limits
+from armlab.bridge.port import Port
+from armlab.bridge.recording import Feed, Recording, paths
+from armlab.bridge.rehearsal import Rehearsal
+from armlab.bridge.run import Run, statistics
+from armlab.bridge.session import Session
+from armlab.bridge.states import Guide
+from armlab.bridge.supervision import Settings
+from armlab.errors import ConfigError
+from armlab.log import Column
+from armlab.robots import Robot
+from armlab.wire.egm import Codec
+
+__all__ = ["End", "assemble", "checked_limits", "finished"]
+
+_SILENCE = 0.5  # s that end a session
+
+
+class End(NamedTuple):
+    """Where one arm is heard, and how.
+
+    Attributes
+    ----------
+    robot, port : the arm and its port. codec : of its session.
+    spare : one more for rehearsals, None where the codec is the user's.
+    """
+
+    robot: Robot
+    port: Port
+    codec: Codec
+    spare: Codec | None
+
+
+def checked_limits(limits: Limits | Sequence[Limits] | None, robots: Sequence[Robot]) -> list[Limits]:
+    """Return the limits of each arm.
+
+    Parameters
+    ----------
+    limits : one per arm; None gives the robots' own. robots : the arms.
+
+    Raises
+    ------
+    ConfigError : another number of limits, or limits for another number of joints.
+    """
+    if limits is None:
+        return [Limits.of(robot) for robot in robots]
+    given = [limits] if isinstance(limits, Limits) else list(limits)
+    if len(given) != len(robots):
+        names = ", ".join(robot.name for robot in robots)
+        raise ConfigError(f"Expected Limits for each of {names}, got {len(given)}. Use Limits.of(robot) for each.")
+    for one, robot in zip(given, robots, strict=True):
+        if len(one.q_min) != robot.n:
+            raise ConfigError(
+                f"Expected limits for the {robot.n} joints of {robot.name}, got {len(one.q_min)}. Use Limits.of(robot)."
+            )
+    return given
+
+
+def assemble(
+    ends: Sequence[End],
+    limits: Sequence[Limits],
+    settings: Settings,
+    *,
+    commands: bool,
+    answer_stream: bool,
+    record: str | Path | None,
+    extra: Mapping[str, Column] | None,
+    feeds: Sequence[Feed],
+) -> list[Arm]:
+    """Return the arms of one run, on one clock.
+
+    Parameters
+    ----------
+    ends : where they are heard. limits : of each. settings : of the run. commands : False when nothing is ever sent.
+    answer_stream, record, extra, feeds : see `Link.run`.
+    """
+    wall_ns = time.time_ns() - time.monotonic_ns()
+    told = list(feeds)  # one list: a feed that fails is dropped for all arms
+    files = paths(record, [end.robot for end in ends])
+    arms: list[Arm] = []
+    try:
+        for end, one, file in zip(ends, limits, files, strict=True):
+            label = end.robot.name if len(ends) > 1 else ""
+            arms.append(_arm(end, one, settings, wall_ns, file, told, commands, answer_stream, extra, label))
+    except BaseException:
+        for arm in arms:
+            arm.recording.close({})
+        raise
+    return arms
+
+
+def _arm(
+    end: End,
+    limits: Limits,
+    settings: Settings,
+    wall_ns: int,
+    file: Path | None,
+    feeds: list[Feed],
+    commands: bool,
+    answer_stream: bool,
+    extra: Mapping[str, Column] | None,
+    label: str,
+) -> Arm:
+    robot, in_lockstep = end.robot, settings.clock == "robot"
+    recording = Recording(robot, file, extra, wait=in_lockstep, clock=lambda: arm.stamp_ns, feeds=feeds, label=label)
+    guide = Guide(
+        robot,
+        limits,
+        commands=commands,
+        capabilities=end.codec.capabilities,
+        answer_stream=answer_stream,
+        on_event=recording.event,
+    )
+    session = Session(end.codec, float("inf") if in_lockstep else _SILENCE, recording.event)
+    rehearsal = None if end.spare is None else Rehearsal(robot, limits, end.spare)
+    arm = Arm(robot, end.port, end.codec, session, guide, recording, settings, wall_ns, rehearsal)
+    return arm
+
+
+def finished(arms: Sequence[Arm], reason: str) -> Run:
+    """Close the recordings and return what the run left behind.
+
+    Parameters
+    ----------
+    arms : after the run, the pacing arm first. reason : why it ended.
+    """
+    runs = []
+    for arm in arms:
+        counted = statistics(arm, reason)
+        problems = arm.recording.close(counted)
+        events = tuple(arm.recording.events)
+        runs.append(Run(reason, {**counted, "problems": problems}, events, arm.recording.path, arm.recording))
+    return runs[0] if len(runs) == 1 else Run.of_several(reason, tuple(runs))

@@ -1,0 +1,27 @@
+"""Urls of a link."""
+
+from __future__ import annotations
+
+import pytest
+
+from armlab.bridge.address import Address, addresses
+from armlab.errors import ConfigError
+
+
+def test_default_ports() -> None:
+    assert addresses(["egm://10.0.0.1"], 1) == [Address("egm", "10.0.0.1", 6510, "", {})]
+    assert [one.port for one in addresses(["egm://127.0.0.1", "egm://127.0.0.1"], 2)] == [6511, 6512]
+
+
+def test_simulated() -> None:
+    both = addresses(["sim://yumi_left+yumi_right?seed=3"], 2)
+    assert [one.robot for one in both] == ["yumi_left", "yumi_right"]
+    assert both[0].options == both[1].options == {"seed": "3"}
+    assert addresses(["sim://a?seed=3", "sim://b?seed=3"], 2)[1].robot == "b"
+
+
+def test_a_number_of_robots_that_is_not_that_of_the_urls() -> None:
+    with pytest.raises(ConfigError, match="one url per robot, got 2 for 1"):
+        addresses(["sim://a+b"], 1)
+    with pytest.raises(ConfigError, match="got None"):
+        addresses([None], 1)  # type: ignore[list-item]

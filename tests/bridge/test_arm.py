@@ -1,0 +1,59 @@
+"""One arm of a loop, fed by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab.bridge import Limits
+from armlab.bridge.arm import Arm, Turn
+from armlab.bridge.assembly import End, assemble
+from armlab.bridge.port import Arrival, Port
+from armlab.bridge.supervision import Settings
+from armlab.robots import Robot
+from armlab.state import Command
+from armlab.wire.egm import EgmCodec
+
+PERIOD_NS = 4_000_000
+
+
+@pytest.fixture
+def arm(robot: Robot) -> Iterator[Arm]:
+    port = Port("127.0.0.1", 0)
+    options: dict[str, Any] = {"commands": True, "answer_stream": True, "record": None, "extra": None, "feeds": ()}
+    [made] = assemble([End(robot, port, EgmCodec(robot), None)], [Limits.of(robot)], Settings(), **options)
+    yield made
+    port.close()
+
+
+def take(arm: Arm, packets: Any, k: int) -> Turn:
+    turn = arm.take(Arrival(packets(), ("127.0.0.1", arm.port.port), arm.stamp_ns + k * PERIOD_NS))
+    assert turn is not None
+    return turn
+
+
+def test_the_newest_is_answered_and_both_are_recorded(arm: Arm, packets: Any) -> None:
+    first = take(arm, packets, 0)
+    second = arm.take(Arrival(packets(), ("127.0.0.1", arm.port.port), first.sample.arrival_ns + PERIOD_NS), first)
+    assert second is not None
+    assert arm.newest is second
+    arm.reply(second, None, arm.guide.answer(None, arm.period))
+    assert (arm.replies, arm.overtaken) == (1, 1)
+    table = arm.recording.table()
+    np.testing.assert_array_equal(table["seq"], [0, 1])
+    np.testing.assert_array_equal(np.isfinite(table["seq_sent"].astype(float)), [False, True])
+    assert arm.deadline(second.sample) == second.sample.arrival_ns + 0.75 * PERIOD_NS
+
+
+def test_a_command_that_was_given_serves_for_a_time(arm: Arm, packets: Any) -> None:
+    command = Command(qd=np.ones(7))
+    arm.give(command)
+    served = [arm.given(take(arm, packets, k).sample, 0.0101) is command for k in range(4)]
+    assert served == [True, True, False, False]
+    arm.give(command)
+    assert arm.given(take(arm, packets, 4).sample, 0.0101) is command
+    arm.give(None)
+    assert arm.given(take(arm, packets, 5).sample, 0.0101) is None

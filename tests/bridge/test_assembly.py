@@ -1,0 +1,59 @@
+"""The arms of a run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab import robots
+from armlab.bridge import Limits
+from armlab.bridge.arm import Arm
+from armlab.bridge.assembly import End, assemble, checked_limits, finished
+from armlab.bridge.port import Port
+from armlab.bridge.supervision import Settings
+from armlab.errors import ConfigError, LogError
+from armlab.robots import Robot
+from armlab.wire.egm import EgmCodec
+
+RIGHT = robots.load("yumi_right")
+
+
+def test_limits_of_each() -> None:
+    own = Limits.of(RIGHT, speed=0.5)
+    assert checked_limits(own, [RIGHT]) == [own]
+    np.testing.assert_array_equal(checked_limits(None, [RIGHT] * 2)[1].qd_max, RIGHT.qd_max)
+    with pytest.raises(ConfigError, match="Limits for each"):
+        checked_limits([own], [RIGHT, RIGHT])
+    with pytest.raises(ConfigError, match="7 joints of yumi_right, got 6"):
+        checked_limits(Limits(*np.stack([-np.ones(6), *[np.ones(6)] * 5])), [RIGHT])
+
+
+def ends(*arms: Robot) -> list[End]:
+    return [End(arm, Port("127.0.0.1", 0), EgmCodec(arm), None) for arm in arms]
+
+
+OPTIONS: dict[str, Any] = {"commands": True, "answer_stream": True, "extra": None, "feeds": ()}
+
+
+def test_one_clock_and_a_run_at_the_end(tmp_path: Path) -> None:
+    made = ends(robots.load("yumi_left"), RIGHT)
+    limits = checked_limits(None, [end.robot for end in made])
+    arms = assemble(made, limits, Settings(), record=tmp_path / "run.mcap", **OPTIONS)
+    assert all(isinstance(arm, Arm) for arm in arms)
+    assert abs(arms[0].stamp_ns - arms[1].stamp_ns) < 10**9
+    run = finished(arms, "the test is over")
+    assert [arm.path for arm in run.arms] == [tmp_path / "runleft.mcap", tmp_path / "runright.mcap"]
+    assert (run.reason, run.statistics["problems"]) == ("the test is over", [])
+    for end in made:
+        end.port.close()
+
+
+def test_a_file_that_cannot_be_written_is_an_error_before_anything_moves(tmp_path: Path) -> None:
+    made = ends(RIGHT)
+    (tmp_path / "file").touch()
+    with pytest.raises(LogError):
+        assemble(made, [Limits.of(RIGHT)], Settings(), record=tmp_path / "file" / "run.mcap", **OPTIONS)
+    made[0].port.close()
