@@ -105,7 +105,28 @@ class LogError(ArmlabError, ValueError):
 
 
 class LabCommError(ArmlabError, ValueError):
-    """A LabComm packet or definition is malformed."""
+    """A LabComm stream, definition, value or `.lc` text is malformed.
+
+    Attributes
+    ----------
+    offset : position in the stream of the first byte of the field at fault, or None.
+    events : what the same piece of the stream held before the fault.
+    path : the part of a value at fault, for example "robot_row.pos".
+    line, column : place in an `.lc` text, from 1, or None.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        offset: int | None = None,
+        *,
+        path: str = "",
+        line: int | None = None,
+        column: int | None = None,
+    ) -> None:
+        super().__init__(message)
+        self.offset, self.path, self.line, self.column = offset, path, line, column
+        self.events: list[Any] = []
 
 
 class FrameError(ArmlabError, ValueError):

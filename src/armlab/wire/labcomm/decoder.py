@@ -1,0 +1,318 @@
+"""`Decoder`: bytes to events, in pieces of any size.
+
+One generator walks the stream and waits where bytes are missing, so every cut of a stream gives the same events. A
+packet with a length is decoded once it has come whole; without one (2013, 2006, data of 2014old) a walk finds its end
+first. Faults are reported at the field where they are, before anything is built for them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+
+from armlab.errors import LabCommError
+from armlab.wire.labcomm._definition import Head, definition, value_end
+from armlab.wire.labcomm._read import Cursor, decoded
+from armlab.wire.labcomm._source import Cut, Source, Walk, number
+from armlab.wire.labcomm._tables import Known, Tables
+from armlab.wire.labcomm.dialects import DIALECTS, Dialect, dialect_named
+from armlab.wire.labcomm.encoder import PRAGMA, SAMPLE_DEF, SAMPLE_REF, TYPE_BINDING, TYPE_DEF, VERSION
+from armlab.wire.labcomm.events import Binding, Definition, Event, Kind, Other, Pragma, Sample, Unknown, Version
+from armlab.wire.labcomm.limits import Limits
+from armlab.wire.labcomm.signature import FIRST_INDEX
+
+__all__ = ["Decoder"]
+
+_KINDS: dict[int, Kind] = {SAMPLE_DEF: "sample", SAMPLE_REF: "ref", TYPE_DEF: "type"}
+_HEADER = 10  # bytes of a tag and a length at most
+
+
+class Decoder:
+    """Reads one stream.
+
+    Parameters
+    ----------
+    dialect : name of the dialect, "auto" to tell it from the first bytes.
+    limits : `Limits.server()` by default.
+    require_version : False takes a stream of the given dialect that announces nothing.
+
+    Attributes
+    ----------
+    refs : sample types by index of their SAMPLE_REF. samples : by index of their SAMPLE_DEF.
+
+    Raises
+    ------
+    UnknownName : no such dialect. LabCommError : no dialect for a stream without VERSION.
+    """
+
+    def __init__(self, dialect: str = "auto", limits: Limits | None = None, require_version: bool = True) -> None:
+        if dialect == "auto" and not require_version:
+            raise LabCommError('Expected a dialect for a stream without VERSION, got "auto". Name one.')
+        self._given = None if dialect == "auto" else dialect_named(dialect)
+        self._dialect, self._undecided = self._given, False
+        self._limits, self._require_version = limits or Limits.server(), require_version
+        self._tables, self._source = Tables(self._limits), Source()
+        self.refs, self.samples = self._tables.refs, self._tables.samples
+        self._events: list[Event] = []
+        self._error: LabCommError | None = None
+        self._closed = False
+        self._walk = self._run()
+
+    @property
+    def dialect(self) -> str | None:
+        """Name of the dialect; None until it is known. 2014 until a definition tells that it is 2014i."""
+        return None if self._dialect is None else self._dialect.name
+
+    def feed(self, data: bytes | bytearray | memoryview) -> list[Event]:
+        """Take the next bytes and return the events they complete.
+
+        Parameters
+        ----------
+        data : any piece of the stream.
+
+        Raises
+        ------
+        LabCommError : the stream is malformed. `offset` says where, `events` holds what this piece had before. Every
+            later call raises the same error.
+        """
+        if self._error is not None:
+            raise self._error
+        if self._closed:
+            raise LabCommError("Expected no bytes after close, got more. Make a new Decoder.")
+        self._source.add(data)
+        try:
+            next(self._walk)
+        except LabCommError as error:
+            self._error = error
+            error.events, self._events = list(self._events), []
+            raise
+        events, self._events = self._events, []
+        return events
+
+    def close(self) -> None:
+        """Say that the stream has ended.
+
+        Raises
+        ------
+        LabCommError : it ended within a packet.
+        """
+        source = self._source
+        if self._error is None and not self._closed and source.stop > source.at:
+            left = source.stop - source.at
+            self._error = LabCommError(
+                f"Expected the rest of the packet at byte {source.at}, got the end after {left} bytes.", source.at
+            )
+            raise self._error
+        self._closed = True
+
+    @property
+    def pending(self) -> int:
+        """Bytes of a packet that is not complete."""
+        return self._source.stop - self._source.at
+
+    def _run(self) -> Walk:
+        dialect = yield from self._begin()
+        while True:
+            if dialect.lengths:
+                yield from self._packets(dialect)
+                dialect = self._dialect or dialect
+            else:
+                yield from self._bare(dialect)
+
+    def _begin(self) -> Generator[None, None, Dialect]:
+        """Tell the dialect from the first byte, and read the announcement of 2013."""
+        source, given = self._source, self._given
+        yield from source.need(1)
+        first = source.buf[0]
+        if given is None:
+            guess = {0x00: DIALECTS["2006"], 0x01: DIALECTS["2014"], 0x0B: DIALECTS["2013"]}.get(first)
+            if guess is None:
+                raise _bad(0, "the beginning of a LabComm stream (00, 01 or 0b)", f"{first:02x}")
+        else:
+            guess = given
+            announces = {"2013": 0x0B, "2006": first}.get(given.name, VERSION)
+            if first != announces:
+                if self._require_version:
+                    raise _bad(0, f"the VERSION of {given.name}", f"{first:02x}")
+                return guess
+        if guess.name == "2013":
+            yield from source.need(12)
+            if source.slice(1, 12) != guess.version.encode():
+                raise _bad(0, guess.version, repr(source.slice(1, 12)))
+            self._events.append(Version(guess.version))
+            source.at = 12
+        elif guess.name != "2006":
+            yield from self._version(guess)
+            return self._dialect or guess
+        self._dialect = guess
+        return guess
+
+    def _version(self, guess: Dialect, again: bool = False) -> Walk:
+        """Walk over VERSION; its string counts, the declared length may be one too large."""
+        source, end = self._source, self._source.at + 2 * _HEADER + self._limits.packet
+        _, pos = yield from number(source, source.at, end, wide=False)
+        where = pos
+        declared, pos = yield from number(source, pos, end, wide=False)
+        begin = pos
+        size, pos = yield from number(source, pos, end, wide=False)
+        if size > self._limits.version:
+            raise _bad(begin, f"a VERSION of at most {self._limits.version} bytes", f"{size} bytes")
+        yield from source.need(pos + size)
+        raw, stop = source.slice(pos, pos + size), pos + size
+        wanted = {guess.version}
+        if self._given is None and not again:
+            wanted = {dialect.version for dialect in DIALECTS.values() if dialect.lengths}
+        text = raw.decode("ascii", "replace")
+        if text not in wanted:
+            raise _bad(begin, " or ".join(sorted(wanted)), repr(text))
+        extra = declared - (stop - begin)
+        if extra not in (0, 1):
+            raise _bad(where, f"a length of {stop - begin}", str(declared))
+        if not again:
+            if self._given is None and text == DIALECTS["2014v1"].version:
+                guess = DIALECTS["2014v1"]
+            self._undecided = self._given is None and guess.name == "2014" and not extra
+            self._dialect = DIALECTS["2014old"] if guess.name == "2014" and extra else guess
+        self._events.append(Version(text))
+        source.at = stop
+
+    def _packets(self, dialect: Dialect) -> Walk:
+        """Walk over packets with lengths until the dialect changes (2014 turns out to be 2014i).
+
+        Most packets have the type of the one before. When it is of fixed size, equal heads are all there is to check.
+        """
+        source, limits = self._source, self._limits
+        buf, cursor = source.buf, Cursor(source.buf, limits, wide=False)
+        head, total, last = b"", 0, None
+        while True:
+            start = source.at - source.base
+            if last is not None and buf.startswith(head, start) and start + total <= len(buf):
+                cursor.at, cursor.end = start + len(head), start + total
+                self._events.append(self._sample(last, cursor))
+                source.at += total
+                continue
+            cursor.base, cursor.at, cursor.end = source.base, start, len(buf)
+            try:
+                tag = cursor.number()
+                where = cursor.at
+                length = cursor.number()
+            except Cut:
+                yield
+                continue
+            offset, body, last = source.base + where, cursor.at, None
+            if length > limits.packet:
+                raise _bad(offset, f"a packet of at most {limits.packet} bytes", f"{length}")
+            if tag == VERSION:
+                yield from self._version(dialect, again=True)
+                continue
+            known = self._tables.known.get(tag)
+            if known is not None and not dialect.trusted:
+                yield from self._measured(known, dialect, source.base + body)
+                continue
+            if known is not None and known.type.fixed_size is not None:
+                if known.type.fixed_size != length:
+                    raise _bad(offset, f"a length of {known.type.fixed_size}", str(length))
+                last, head, total = known, bytes(buf[start:body]), body - start + length
+            if body + length > len(buf):
+                yield
+                continue
+            self._events.append(self._whole(tag, known, cursor, offset, length))
+            source.at = source.base + cursor.end
+            if self._dialect is not dialect:
+                return
+
+    def _whole(self, tag: int, known: Known | None, cursor: Cursor, offset: int, length: int) -> Event:
+        """Decode a packet that has come whole and must be used up; `offset` is that of its length."""
+        cursor.end = cursor.at + length
+        try:
+            event = self._packet(tag, known, cursor)
+        except Cut:
+            raise _bad(offset, f"a body that is longer than {length} bytes", "its end") from None
+        if cursor.at != cursor.end:
+            raise _bad(offset, f"a length of {length - cursor.end + cursor.at}", str(length))
+        return event
+
+    def _packet(self, tag: int, known: Known | None, cursor: Cursor) -> Event:
+        """Decode one whole packet."""
+        if known is not None:
+            return self._sample(known, cursor)
+        if tag in _KINDS:
+            return self._define(tag, cursor)
+        if tag == TYPE_BINDING:
+            return Binding(cursor.number(), cursor.number())
+        where = cursor.base + cursor.at
+        size = cursor.number() if tag == PRAGMA else 0
+        body = bytes(cursor.buf[cursor.at : cursor.end])
+        cursor.at = cursor.end
+        if tag == PRAGMA:
+            if size > len(body):
+                raise _bad(where, f"a string of at most {len(body)} bytes", str(size))
+            return Pragma(decoded(body[:size]), body[size:])
+        return Other(tag, body) if tag < FIRST_INDEX else Unknown(tag, body)
+
+    def _sample(self, known: Known, cursor: Cursor) -> Sample:
+        _, index, name, node, _ = known.definition
+        cursor.left = self._limits.values - node.values
+        return Sample(index, name, known.read(cursor), node)
+
+    def _define(self, tag: int, cursor: Cursor) -> Definition:
+        """Read a whole definition; the first one of an undecided stream tells 2014 from 2014i."""
+        dialect = self._dialect or DIALECTS["2014"]
+        start, end = cursor.base + cursor.at, cursor.base + cursor.end
+        try:
+            head = self._head(dialect, tag, start, end)
+        except (LabCommError, Cut):
+            if not self._undecided:
+                raise
+            try:
+                head = self._head(DIALECTS["2014i"], tag, start, end)
+            except (LabCommError, Cut):
+                head = None
+            if head is None:
+                raise
+            self._dialect = DIALECTS["2014i"]
+        self._undecided = False
+        cursor.at = cursor.end
+        return self._tables.keep(_KINDS[tag], head, start)
+
+    def _head(self, dialect: Dialect, tag: int, start: int, end: int) -> Head:
+        walk = definition(self._source, start, end, dialect, self._limits, tag == TYPE_DEF)
+        try:
+            next(walk)
+        except StopIteration as done:
+            return done.value
+        raise Cut  # not reached: the packet has come whole
+
+    def _bare(self, dialect: Dialect) -> Walk:
+        """Walk over one packet without a length."""
+        source, limits = self._source, self._limits
+        start = source.at
+        tag, pos = yield from number(source, start, start + _HEADER, dialect.wide)
+        known = self._tables.known.get(tag)
+        if known is not None:
+            yield from self._measured(known, dialect, pos)
+        elif tag == SAMPLE_DEF:
+            try:
+                head = yield from definition(source, pos, pos + limits.packet, dialect, limits, type_refs=False)
+            except Cut:
+                raise _bad(start, f"a definition of at most {limits.packet} bytes", "a longer one") from None
+            self._events.append(self._tables.keep("sample", head, pos))
+            source.at = head.end
+        else:
+            raise _bad(start, "a definition or data of a defined index", f"tag {tag:#x}")
+
+    def _measured(self, known: Known, dialect: Dialect, pos: int) -> Walk:
+        """Walk to the end of a value, then decode it."""
+        source, limits, start = self._source, self._limits, self._source.at
+        try:
+            stop = yield from value_end(source, known.type, pos, pos + limits.packet, dialect.wide, limits)
+        except Cut:
+            raise _bad(start, f"a value of at most {limits.packet} bytes", "a longer one") from None
+        yield from source.need(stop)
+        cursor = Cursor(source.buf, limits, dialect.wide)
+        cursor.base, cursor.at, cursor.end = source.base, pos - source.base, stop - source.base
+        self._events.append(self._sample(known, cursor))
+        source.at = stop
+
+
+def _bad(offset: int, expected: str, got: str) -> LabCommError:
+    return LabCommError(f"Expected {expected} at byte {offset}, got {got}.", offset)

@@ -1,0 +1,288 @@
+"""Types of LabComm values as immutable trees: `Prim`, `Array`, `Struct`; `SampleType` is one with a name.
+
+A tree knows of itself what a reader needs before it reads: levels, nodes, values, and its smallest size on the wire,
+which is ``size`` bytes and ``numbers`` sizes or lengths of 1 byte (4 in dialect 2006) or more.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from armlab.errors import LabCommError
+from armlab.wire.labcomm.dialects import Notes, dialect_named
+
+__all__ = [
+    "PRIMS",
+    "VOID",
+    "Array",
+    "Field",
+    "Prim",
+    "SampleType",
+    "Struct",
+    "Type",
+    "TypeRef",
+    "containers",
+    "typename",
+]
+
+ARRAY, STRUCT, STRING, SAMPLE = 0x10, 0x11, 0x27, 0x28
+_CODES = {
+    "boolean": (0x20, "?", 1),
+    "byte": (0x21, "B", 1),
+    "short": (0x22, "h", 2),
+    "int": (0x23, "i", 4),
+    "long": (0x24, "q", 8),
+    "float": (0x25, "f", 4),
+    "double": (0x26, "d", 8),
+    "string": (STRING, "", 0),
+    "sample": (SAMPLE, "i", 4),
+}
+_MAX_DEPTH, _MAX_DIMS, _NUMBERS = 32, 16, 2**32
+
+
+def _set(node: object, **values: object) -> None:
+    for name, value in values.items():
+        object.__setattr__(node, name, value)
+
+
+def _check_part(node: _Node, what: str) -> None:
+    if node.nodes == 1 and not node.size + node.numbers:
+        raise LabCommError(f"Expected a type with a value for {what}, got void; it may only be a whole sample.")
+    if node.depth >= _MAX_DEPTH:
+        raise LabCommError(f"Expected at most {_MAX_DEPTH} levels in a type, got more in {what}.")
+
+
+class _Node:
+    """What all types have."""
+
+    __slots__ = ()
+    depth: int
+    nodes: int
+    values: int
+    size: int
+    numbers: int
+
+    @property
+    def fixed_size(self) -> int | None:
+        """Bytes of every value, None where they differ."""
+        return None if self.numbers else self.size
+
+    def min_size(self, dialect: str = "2014v1") -> int:
+        """Return the bytes of the smallest value in a dialect."""
+        return self.size + self.numbers * (4 if dialect_named(dialect).wide else 1)
+
+    @property
+    def struct_format(self) -> str | None:
+        """The value for Python's `struct`, for example ">i21d"; None for types of no fixed size."""
+        if self.numbers:
+            return None
+        runs: list[tuple[str, int]] = []
+        for code, count in _leaves(self):
+            if runs and runs[-1][0] == code:
+                count += runs.pop()[1]
+            runs.append((code, count))
+        return ">" + "".join(code if count == 1 else f"{count}{code}" for code, count in runs)
+
+    def signature(self, dialect: str = "2014v1") -> bytes:
+        """Return the flat signature as a dialect writes it."""
+        return b"".join(_signature(self, dialect))
+
+
+@dataclass(frozen=True, slots=True)
+class Prim(_Node):
+    """A primitive type.
+
+    Attributes
+    ----------
+    name : boolean, byte, short, int, long, float, double, string or sample (a reference).
+    code : type code on the wire. letter : its letter in `struct`, "" for a string.
+    """
+
+    name: str
+    code: int = field(init=False, compare=False, repr=False)
+    letter: str = field(init=False, compare=False, repr=False)
+    size: int = field(init=False, compare=False, repr=False)
+    numbers: int = field(init=False, compare=False, repr=False)
+    depth: int = field(init=False, compare=False, repr=False, default=1)
+    nodes: int = field(init=False, compare=False, repr=False, default=1)
+    values: int = field(init=False, compare=False, repr=False, default=1)
+
+    def __post_init__(self) -> None:
+        if self.name not in _CODES:
+            raise LabCommError(f"Expected a primitive type ({', '.join(_CODES)}), got {self.name!r}.")
+        code, letter, size = _CODES[self.name]
+        _set(self, code=code, letter=letter, size=size, numbers=int(self.name == "string"))
+
+
+@dataclass(frozen=True, slots=True)
+class TypeRef(_Node):
+    """A type by its index; only in the signature of a TYPE_DEF."""
+
+    index: int
+    size: int = field(init=False, compare=False, repr=False, default=0)
+    numbers: int = field(init=False, compare=False, repr=False, default=1)
+    depth: int = field(init=False, compare=False, repr=False, default=1)
+    nodes: int = field(init=False, compare=False, repr=False, default=1)
+    values: int = field(init=False, compare=False, repr=False, default=1)
+
+
+@dataclass(frozen=True, slots=True)
+class Array(_Node):
+    """A rectangular array.
+
+    Attributes
+    ----------
+    dims : size of each dimension, 0 where it varies. elem : type of the elements.
+    """
+
+    dims: tuple[int, ...]
+    elem: Type
+    size: int = field(init=False, compare=False, repr=False)
+    numbers: int = field(init=False, compare=False, repr=False)
+    depth: int = field(init=False, compare=False, repr=False)
+    nodes: int = field(init=False, compare=False, repr=False)
+    values: int = field(init=False, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        dims, elem = tuple(self.dims), self.elem
+        if not 1 <= len(dims) <= _MAX_DIMS or not all(0 <= size < _NUMBERS for size in dims):
+            raise LabCommError(f"Expected 1 to {_MAX_DIMS} sizes from 0 (variable) to 2**32 - 1, got {dims}.")
+        _check_part(elem, "an element of an array")
+        variable, count = dims.count(0), math.prod(dims)
+        _set(
+            self,
+            dims=dims,
+            size=count * elem.size,
+            numbers=variable or count * elem.numbers,
+            depth=elem.depth + 1,
+            nodes=elem.nodes + 1,
+            values=1 if variable else containers(dims) + count * elem.values,
+        )
+
+
+class Field(NamedTuple):
+    """A field of a struct: name, type, and notes (pairs of key and value, dialect 2014i only)."""
+
+    name: str
+    type: Type
+    notes: Notes = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Struct(_Node):
+    """Named fields in order; without fields it is `VOID`."""
+
+    fields: tuple[Field, ...]
+    size: int = field(init=False, compare=False, repr=False)
+    numbers: int = field(init=False, compare=False, repr=False)
+    depth: int = field(init=False, compare=False, repr=False)
+    nodes: int = field(init=False, compare=False, repr=False)
+    values: int = field(init=False, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        fields = tuple(Field(*entry) for entry in self.fields)
+        names = [entry.name for entry in fields]
+        if len(set(names)) < len(names):
+            raise LabCommError(f"Expected different names for the fields of a struct, got {', '.join(names)}.")
+        for entry in fields:
+            _check_part(entry.type, f"the field {entry.name}")
+        types = [entry.type for entry in fields]
+        _set(
+            self,
+            fields=fields,
+            size=sum(one.size for one in types),
+            numbers=sum(one.numbers for one in types),
+            depth=1 + max((one.depth for one in types), default=0),
+            nodes=1 + sum(one.nodes for one in types),
+            values=1 + sum(one.values for one in types),
+        )
+
+
+Type = Prim | Array | Struct | TypeRef
+"""Any type tree."""
+
+PRIMS = {name: Prim(name) for name in _CODES}
+"""Primitive types by name."""
+
+VOID = Struct(())
+"""The type of a sample without a value."""
+
+
+class SampleType(NamedTuple):
+    """A named type: what a SAMPLE_DEF defines. Two match when name and signature are equal.
+
+    Attributes
+    ----------
+    name : of the sample. type : its tree. notes : pairs of key and value that do not belong to the signature.
+    """
+
+    name: str
+    type: Type
+    notes: Notes = ()
+
+    def signature(self, dialect: str = "2014v1") -> bytes:
+        """Return the flat signature as a dialect writes it."""
+        return self.type.signature(dialect)
+
+
+def typename(node: Type) -> str:
+    """Return a type in words for errors: "double[7]", "struct".
+
+    Parameters
+    ----------
+    node : the type.
+    """
+    if isinstance(node, Array):
+        return f"{typename(node.elem)}[{','.join(str(size or '_') for size in node.dims)}]"
+    return node.name if isinstance(node, Prim) else f"type {node.index}" if isinstance(node, TypeRef) else "struct"
+
+
+def containers(shape: tuple[int, ...]) -> int:
+    """Return how many lists a nested list has.
+
+    Parameters
+    ----------
+    shape : its sizes.
+    """
+    total = rows = 1
+    for size in shape[:-1]:
+        rows *= size
+        total += rows
+    return total
+
+
+def _leaves(node: _Node) -> Iterator[tuple[str, int]]:
+    """Yield the letters of a fixed type in order, with how often each repeats."""
+    if isinstance(node, Prim):
+        yield node.letter, 1
+    elif isinstance(node, Struct):
+        for entry in node.fields:
+            yield from _leaves(entry.type)
+    elif isinstance(node, Array):
+        count = math.prod(node.dims)
+        if isinstance(node.elem, Prim):
+            yield node.elem.letter, count
+        else:
+            for _ in range(count):
+                yield from _leaves(node.elem)
+
+
+def _signature(node: _Node, name: str) -> Iterator[bytes]:
+    dialect = dialect_named(name)
+    if isinstance(node, Prim):
+        if node.code == SAMPLE and not dialect.references:
+            raise LabCommError(f"Expected a type that LabComm {name} has, got a reference to a sample.")
+        yield dialect.number(node.code)
+    elif isinstance(node, TypeRef):
+        yield dialect.number(node.index)
+    elif isinstance(node, Array):
+        yield b"".join(map(dialect.number, (ARRAY, len(node.dims), *node.dims)))
+        yield from _signature(node.elem, name)
+    elif isinstance(node, Struct):
+        yield dialect.number(STRUCT) + dialect.number(len(node.fields))
+        for entry in node.fields:
+            yield dialect.label(entry.name, entry.notes)
+            yield from _signature(entry.type, name)

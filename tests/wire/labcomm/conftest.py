@@ -1,0 +1,25 @@
+"""The byte vectors that real LabComm libraries wrote, where they are."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+VECTORS = Path(__file__).parents[4] / "shared/data/labcomm_vectors"
+
+
+@pytest.fixture(scope="session")
+def folder() -> Path:
+    """The folder of the vectors."""
+    if not VECTORS.exists():
+        pytest.skip("needs ../shared/data/labcomm_vectors: streams written by the LabComm libraries")
+    return VECTORS
+
+
+@pytest.fixture(scope="session")
+def manifest(folder: Path) -> dict[str, Any]:
+    """What the streams hold."""
+    return json.loads((folder / "manifest.json").read_text(encoding="utf-8"))

@@ -1,0 +1,222 @@
+"""Every dialect both ways, any cut of a stream, and what a decoder refuses."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armlab.errors import LabCommError
+from armlab.wire.labcomm import (
+    DIALECTS,
+    PRIMS,
+    VOID,
+    Array,
+    Definition,
+    Encoder,
+    Field,
+    Limits,
+    Sample,
+    SampleType,
+    Struct,
+    Unknown,
+    Version,
+    parse_lc,
+    parse_signature,
+    to_lc,
+)
+from armlab.wire.labcomm.decoder import Decoder
+from armlab.wire.labcomm.types import Prim, Type
+
+NAMES = st.from_regex(r"\Af_[a-z0-9]{0,4}\Z")
+TEXTS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=6)
+NUMBERS = {"byte": (0, 255), "short": (-(2**15), 2**15 - 1), "int": (-(2**31), 2**31 - 1), "sample": (0, 9)}
+
+
+def trees(with_refs: bool, with_notes: bool) -> st.SearchStrategy[Type]:
+    prims = st.sampled_from([prim for name, prim in PRIMS.items() if with_refs or name != "sample"])
+    notes = st.sampled_from([(), (("unit", "rad"),)]) if with_notes else st.just(())
+
+    def grow(inner: st.SearchStrategy[Type]) -> st.SearchStrategy[Type]:
+        arrays = st.builds(Array, st.lists(st.integers(0, 3), min_size=1, max_size=3).map(tuple), inner)
+        fields = st.lists(st.builds(Field, NAMES, inner, notes), min_size=1, max_size=4, unique_by=lambda f: f.name)
+        return arrays | st.builds(Struct, fields.map(tuple))
+
+    return st.just(VOID) | prims | grow(prims | grow(prims | grow(prims)))
+
+
+def values(node: Type) -> st.SearchStrategy[Any]:
+    if isinstance(node, Struct):
+        return st.fixed_dictionaries({field.name: values(field.type) for field in node.fields})
+    if isinstance(node, Array):
+        return shapes(node.dims).flatmap(lambda sizes: nested(sizes, node.elem))
+    name = node.name if isinstance(node, Prim) else ""
+    if name in ("float", "double"):
+        return st.floats(width=32 if name == "float" else 64)
+    if name == "string":
+        return TEXTS
+    return st.booleans() if name == "boolean" else st.integers(*NUMBERS.get(name, (-(2**63), 2**63 - 1)))
+
+
+def shapes(dims: tuple[int, ...]) -> st.SearchStrategy[tuple[int, ...]]:
+    return st.tuples(*[st.just(size) if size else st.integers(0, 2) for size in dims])
+
+
+def nested(sizes: tuple[int, ...], elem: Type) -> st.SearchStrategy[Any]:
+    if not sizes:
+        return values(elem)
+    return st.lists(nested(sizes[1:], elem), min_size=sizes[0], max_size=sizes[0])
+
+
+def bits(value: Any) -> Any:
+    """A value in which floats are their bits and rows of bytes are lists."""
+    if isinstance(value, float):
+        return struct.pack(">d", value)
+    if isinstance(value, dict):
+        return {name: bits(part) for name, part in value.items()}
+    return [bits(part) for part in value] if isinstance(value, list | bytes) else value
+
+
+@st.composite
+def streams(draw: st.DrawFn) -> tuple[str, SampleType, Any]:
+    dialect = draw(st.sampled_from([name for name in DIALECTS if name != "2014old"]))
+    node = draw(trees(DIALECTS[dialect].references, DIALECTS[dialect].maps))
+    return dialect, SampleType("it", node), draw(values(node))
+
+
+@settings(max_examples=100, deadline=None)
+@given(streams(), st.lists(st.integers(1, 30), max_size=8))
+def test_decode_inverts_encode(stream: tuple[str, SampleType, Any], cuts: list[int]) -> None:
+    dialect, sample, value = stream
+    assert parse_signature(sample.signature(dialect), dialect) == sample.type
+    assert parse_lc(to_lc([sample]), dialect) == [sample]
+    encoder = Encoder(dialect)
+    raw = encoder.version() + encoder.define(sample) + encoder.data(sample, value) * 2
+    decoder = Decoder()
+    events = decoder.feed(raw)
+    decoder.close()
+    assert bits(events[-1].value) == bits(value)
+    assert (decoder.dialect, decoder.samples) == (dialect, {0x40: sample})
+    pieces, rest = [], raw
+    for cut in cuts:
+        pieces.append(rest[:cut])
+        rest = rest[cut:]
+    again, decoder = [], Decoder()
+    for piece in [*pieces, rest]:
+        again += decoder.feed(piece)
+    assert [(type(e), bits(getattr(e, "value", None))) for e in again] == [
+        (type(e), bits(getattr(e, "value", None))) for e in events
+    ]
+
+
+def stream(text: str, *rows: Any, dialect: str = "2014v1") -> bytes:
+    (sample,) = parse_lc(text)
+    encoder = Encoder(dialect, allow_nul=True)
+    return encoder.version() + encoder.define(sample) + b"".join(encoder.data(sample, row) for row in rows)
+
+
+def test_an_error_is_raised_again_and_keeps_the_events_before_it() -> None:
+    raw = stream("sample int n;", 7)
+    decoder = Decoder()
+    with pytest.raises(LabCommError, match="at byte 31") as caught:
+        decoder.feed(raw + b"\x40\x03abc")
+    assert [type(event) for event in caught.value.events] == [Version, Definition, Sample]
+    with pytest.raises(LabCommError) as again:
+        decoder.feed(b"")
+    assert again.value is caught.value
+    decoder.close()
+
+
+def test_the_end_within_a_packet_is_an_error() -> None:
+    raw = stream("sample int n;", 7)
+    decoder = Decoder()
+    decoder.feed(raw[:-1])
+    assert decoder.pending == 5
+    with pytest.raises(LabCommError, match="after 5 bytes") as caught:
+        decoder.close()
+    assert caught.value.offset == len(raw) - 6
+    decoder = Decoder()
+    decoder.feed(raw)
+    decoder.close()
+    with pytest.raises(LabCommError, match="after close"):
+        decoder.feed(b"x")
+
+
+def test_streams_without_version_need_a_dialect() -> None:
+    with pytest.raises(LabCommError, match="a dialect for a stream"):
+        Decoder(require_version=False)
+    raw = stream("sample int n;", 7)[17:]
+    with pytest.raises(LabCommError, match="VERSION of 2014v1"):
+        Decoder("2014v1").feed(raw)
+    *_, event = Decoder("2014v1", require_version=False).feed(raw)
+    assert event == Sample(0x40, "n", 7, PRIMS["int"])
+
+
+def test_a_given_dialect_is_the_only_one_taken() -> None:
+    with pytest.raises(LabCommError, match=r"Expected LabComm2014 at byte 2"):
+        Decoder("2014i").feed(stream("sample int n;", 7))
+    events = Decoder("2014").feed(stream("sample int n;", 7, dialect="2014"))
+    assert len(events) == 3
+
+
+def test_data_of_an_undefined_index_is_skipped() -> None:
+    raw = stream("sample int n;") + b"\x50\x02ab" + b"\x40\x04\0\0\0\1"
+    assert Decoder().feed(raw)[-2:] == [Unknown(0x50, b"ab"), Sample(0x40, "n", 1, PRIMS["int"])]
+
+
+def test_another_definition_of_an_index_replaces_the_first() -> None:
+    raw = stream("sample int n;", 7) + b"\x02\x05\x40\x01s\x01\x27" + b"\x40\x03\x02hi"
+    assert Decoder().feed(raw)[-1] == Sample(0x40, "s", "hi", PRIMS["string"])
+
+
+@pytest.mark.parametrize(
+    ("raw", "text"),
+    [
+        (b"\xed\xa0\xbe\xed\xb4\x96", "\U0001f916"),
+        (b"a\xc0\x80b", "a\0b"),
+        (b"\xff\xfe", "\udcff\udcfe"),
+        (b"\xed\xa0\xbe", "\udced\udca0\udcbe"),
+        ("å".encode(), "å"),
+    ],
+)
+def test_strings_of_other_languages(raw: bytes, text: str) -> None:
+    data = stream("sample string s;") + b"\x40" + bytes([len(raw) + 1, len(raw)]) + raw
+    event = Decoder().feed(data)[-1]
+    assert event == Sample(0x40, "s", text, PRIMS["string"])
+    if "\udcff" in text or "\udced" in text:
+        assert stream("sample string s;", text) == data, "escaped bytes are written as they were"
+
+
+def test_values_of_a_packet_are_counted_together() -> None:
+    text = "sample struct { int a[_]; int b[_]; } s;"
+    limits = Limits(packet=65_536, values=100, definitions=4, nodes=100)
+    row = {"a": [1] * 60, "b": [1] * 37}
+    assert len(Decoder(limits=limits).feed(stream(text, row))) == 3
+    with pytest.raises(LabCommError, match="at most 100 values"):
+        Decoder(limits=limits).feed(stream(text, {"a": [1] * 60, "b": [1] * 38}))
+
+
+@pytest.mark.parametrize("dialect", ["2013", "2006"])
+def test_a_value_without_length_is_bounded(dialect: str) -> None:
+    """Nothing is kept for a value that would not fit in the largest packet."""
+    raw = stream("sample string s;", "x" * 70_000, dialect=dialect)
+    decoder = Decoder()
+    decoder.feed(raw[:16])
+    with pytest.raises(LabCommError, match="ends in its packet"):
+        decoder.feed(raw[16:100])
+    assert decoder.pending < 100
+
+
+def test_lengths_of_2014old_are_not_believed() -> None:
+    raw = (
+        b"\x01\x0d\x0bLabComm2014"
+        + b"\x02\x08\x40\x01n\x04\x10\x01\x00\x23"
+        + b"\x40\x09\x01\0\0\0\7"
+        + b"\x40\x01\x00"
+    )
+    decoder = Decoder()
+    assert [event.value for event in decoder.feed(raw) if isinstance(event, Sample)] == [[7], []]
+    assert decoder.dialect == "2014old"

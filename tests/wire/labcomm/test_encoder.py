@@ -1,0 +1,145 @@
+"""Packets of an encoder, and values that do not fit."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab.errors import LabCommError, UnknownName
+from armlab.wire.labcomm import Decoder, Definition, Sample, SampleType, Unknown, Version, parse_lc
+from armlab.wire.labcomm.encoder import Encoder, write_packet
+
+ROW = parse_lc("sample struct { int tm; double pos[7]; double vel[7]; double trq[7]; } robot_row;")[0]
+VALUE = {"tm": 5, "pos": [0.5] * 7, "vel": [0.0] * 7, "trq": [-1.0] * 7}
+
+
+def sample(text: str) -> SampleType:
+    found = parse_lc(f"sample {text};")[0]
+    assert isinstance(found, SampleType)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("dialect", "raw"),
+    [
+        ("2014v1", "010f0e" + b"LabComm2014.v1".hex() + "020940" + "05735f696e740123" + "400400000000"),
+        ("2014", "010c0b" + b"LabComm2014".hex() + "020940" + "05735f696e740123" + "400400000000"),
+        ("2014i", "010c0b" + b"LabComm2014".hex() + "020b40" + "010005735f696e740123" + "400400000000"),
+        ("2013", "0b" + b"LabComm2013".hex() + "0240" + "05735f696e7423" + "4000000000"),
+        ("2006", "0000000200000040" + "00000005735f696e7400000023" + "0000004000000000"),
+    ],
+)
+def test_first_bytes_of_a_stream(dialect: str, raw: str) -> None:
+    encoder, number = Encoder(dialect), sample("int s_int")
+    assert (encoder.version() + encoder.define(number) + encoder.data(number, 0)).hex() == raw
+    assert encoder.dialect == dialect
+
+
+def test_a_robot_row_is_175_bytes() -> None:
+    encoder = Encoder()
+    assert len(encoder.define(ROW)) == 44
+    packet = encoder.data(ROW, VALUE)
+    assert len(packet) == 175
+    assert packet[:3].hex() == "40812c"
+    for kind in (tuple, np.array):
+        assert (
+            encoder.data(ROW, {name: kind(v) if name != "tm" else np.int32(v) for name, v in VALUE.items()}) == packet
+        )
+
+
+def test_one_index_per_type() -> None:
+    encoder, number = Encoder(), sample("int n")
+    first = encoder.define(number)
+    assert encoder.define(SampleType("n", number.type, (("source", "x"),))) == first
+    assert encoder.define(ROW)[2] == 0x41
+
+
+def test_references_are_types_or_indices() -> None:
+    encoder, ref, number = Encoder(), sample("sample r"), sample("int n")
+    raw = encoder.version() + encoder.define(ref) + encoder.ref(number)
+    raw += b"".join(encoder.data(ref, value) for value in (number, ROW, 0, encoder.ref_index(number)))
+    decoder = Decoder()
+    values = [event.value for event in decoder.feed(raw) if isinstance(event, Sample)]
+    assert values == [0x40, 0, 0, 0x40]
+    assert decoder.refs.get(0x40) == number
+    with pytest.raises(LabCommError, match="references"):
+        Encoder("2006").ref(number)
+
+
+def test_type_bindings_are_sent_on_request() -> None:
+    encoder = Encoder("2014", type_defs=True)
+    assert encoder.define(sample("int n")).hex() == "020540016e0123" + "05024000"
+    with pytest.raises(LabCommError, match="2014 or 2014i"):
+        Encoder("2014v1", type_defs=True)
+
+
+def bad(name: str, value: Any) -> dict[str, Any]:
+    return {**VALUE, name: value}
+
+
+@pytest.mark.parametrize(
+    ("text", "value", "message"),
+    [
+        ("int n", 1.5, "n: a int expected, 1.5 given"),
+        ("int n", 2**31, "n: a int expected, 2147483648 given"),
+        ("byte n", -1, "n: a byte expected, -1 given"),
+        ("float n", 1e300, "n: a float expected"),
+        ("boolean n", "no", "n: True or False expected"),
+        ("string n", b"raw", "n: a string expected"),
+        ("string n", "a\0b", "n: a string without NUL"),
+        ("string n", "\ud800", "n: a string that UTF-8 can write"),
+        ("double n[7]", [0.0] * 6, "n: 7 values expected, 6 given"),
+        ("double n[_]", 1.0, r"n: a list for double\[_\] expected, 1.0 given"),
+        ("double n[_]", "12", "n: a list for"),
+        ("int n[_,_]", [[1], [2, 3]], "n: rows of one length expected, 1 and 2 given"),
+        ("int n[_,_]", [[1], [None]], r"n\[1\]\[0\]: a int expected, None given"),
+        ("int n[2,2]", np.zeros((2, 3), int), "n: 2 values expected, 3 given"),
+        ("void n", {"a": 1}, r"n: the fields \(none\) expected, a given"),
+        ("struct { int a; int b; } n", {"a": 1}, "n: the fields a, b expected, b missing"),
+        ("struct { int a; int b; } n", {"a": 1, "b": 2, "c": 3}, "n: the fields a, b expected, c given"),
+        ("struct { int a; int b; } n", 3, "n: a dict expected, 3 given"),
+        ("struct { struct { string s; } p[_]; } n", {"p": [{"s": "a"}, {"s": 1}]}, r"n.p\[1\].s: a string expected"),
+    ],
+)
+def test_values_that_do_not_fit_say_where(text: str, value: Any, message: str) -> None:
+    encoder, kind = Encoder(), sample(text)
+    encoder.define(kind)
+    with pytest.raises(LabCommError, match=f"^{message}") as caught:
+        encoder.data(kind, value)
+    assert str(caught.value).startswith(caught.value.path)
+
+
+@pytest.mark.parametrize("value", [[0.0] * 6, [0.0] * 8, "1234567", dict.fromkeys(range(7)), np.zeros((7, 1)), None])
+def test_a_row_of_the_wrong_form_is_refused(value: Any) -> None:
+    encoder = Encoder()
+    encoder.define(ROW)
+    with pytest.raises(LabCommError, match=r"^robot_row\.pos"):
+        encoder.data(ROW, bad("pos", value))
+
+
+def test_numpy_arrays_keep_sizes_that_lists_hide() -> None:
+    encoder, kind = Encoder(), sample("int n[_,_]")
+    encoder.define(kind)
+    assert encoder.data(kind, np.zeros((0, 5), int)).hex() == "40020005"
+    assert encoder.data(kind, []).hex() == "40020000"
+    assert encoder.data(kind, [[], []]).hex() == "40020200"
+
+
+def test_a_type_is_defined_before_its_values() -> None:
+    with pytest.raises(LabCommError, match="define first"):
+        Encoder().data(ROW, VALUE)
+    with pytest.raises(UnknownName):
+        Encoder("2012")
+
+
+def test_write_packet_says_what_a_dialect_cannot() -> None:
+    assert write_packet(Version("LabComm2014"), "2014old", 13)[1] == 13
+    assert write_packet(Unknown(0x50, b"ab"), "2014") == b"\x50\x02ab"
+    with pytest.raises(LabCommError, match="Unknown"):
+        write_packet(Unknown(0x50, b"ab"), "2013")
+    with pytest.raises(LabCommError, match="2006"):
+        write_packet(Definition("ref", 0x40, "n", ROW.type), "2006")
+    with pytest.raises(LabCommError, match=r"robot_row.pos: 7 values expected"):
+        write_packet(Sample(0x40, "robot_row", bad("pos", []), ROW.type), "2014")
