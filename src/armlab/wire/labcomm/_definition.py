@@ -17,7 +17,7 @@ from armlab.wire.labcomm.types import Array, Struct, Type
 class Head(NamedTuple):
     """What a definition packet says."""
 
-    index: int
+    index: int  # pyright: ignore[reportIncompatibleMethodOverride]
     name: str
     notes: Notes
     type: Type
@@ -65,9 +65,9 @@ def value_end(source: Source, node: Type, pos: int, end: int, wide: bool, limits
                 read.append(Size(size, where))
         shape = checked_shape(node, read, end - pos, wide, limits)
         if node.elem.fixed_size is not None:
-            pos += shape.count * node.elem.fixed_size
+            pos += shape.total * node.elem.fixed_size
         else:
-            for _ in range(shape.count):
+            for _ in range(shape.total):
                 pos = yield from value_end(source, node.elem, pos, end, wide, limits)
     else:
         where = pos

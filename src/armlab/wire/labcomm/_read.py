@@ -63,7 +63,7 @@ class Cursor:
                 read.append(Size(self.number(), where))
         shape = checked_shape(node, read, self.end - self.at, self.wide, self.limits)
         if shape.last is not None:
-            self.left -= containers(shape.sizes) - 1 + shape.count * node.elem.values
+            self.left -= containers(shape.sizes) - 1 + shape.total * node.elem.values
             if self.left < 0:
                 limit = self.limits.values
                 raise LabCommError(
@@ -175,7 +175,7 @@ def _array(node: Array) -> Reader:
 
     def read(cursor: Cursor) -> list[Any]:
         shape = cursor.shape(node)
-        return nest([part(cursor) for _ in range(shape.count)], shape.sizes)
+        return nest([part(cursor) for _ in range(shape.total)], shape.sizes)
 
     return read
 
@@ -186,13 +186,13 @@ def _numbers(node: Array, elem: Prim) -> Reader:
 
     def read(cursor: Cursor) -> Any:
         shape = cursor.shape(node)
-        start, stop = cursor.at, cursor.at + shape.count * size
+        start, stop = cursor.at, cursor.at + shape.total * size
         if stop > cursor.end:
             raise Cut
         cursor.at = stop
         if is_bytes:
             return bytes(cursor.buf[start:stop])
-        flat = list(unpack_from(f">{shape.count}{letter}", cursor.buf, start))
+        flat = list(unpack_from(f">{shape.total}{letter}", cursor.buf, start))
         return nest(flat, shape.sizes) if len(shape.sizes) > 1 else flat
 
     return read

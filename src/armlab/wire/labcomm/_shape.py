@@ -23,7 +23,7 @@ class Shape(NamedTuple):
     """Sizes of all dimensions, number of elements, and where the last size was read (None: all are fixed)."""
 
     sizes: tuple[int, ...]
-    count: int
+    total: int
     last: int | None
 
 

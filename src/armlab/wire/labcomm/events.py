@@ -27,7 +27,7 @@ class Definition(NamedTuple):
     """
 
     kind: Kind
-    index: int
+    index: int  # pyright: ignore[reportIncompatibleMethodOverride]
     name: str
     type: Type
     notes: Notes = ()
@@ -63,7 +63,7 @@ class Sample(NamedTuple):
     type : its type tree.
     """
 
-    index: int
+    index: int  # pyright: ignore[reportIncompatibleMethodOverride]
     name: str
     value: Any
     type: Type
@@ -72,7 +72,7 @@ class Sample(NamedTuple):
 class Unknown(NamedTuple):
     """Data of an index that was not defined, skipped."""
 
-    index: int
+    index: int  # pyright: ignore[reportIncompatibleMethodOverride]
     body: bytes
 
 
