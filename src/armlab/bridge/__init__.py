@@ -2,6 +2,8 @@
 
 from armlab.bridge.limits import Limits
 from armlab.bridge.link import Link, connect
+from armlab.bridge.parameters import Parameter, Parameters
+from armlab.bridge.rights import Arbiter, Order
 from armlab.bridge.run import Run
 
-__all__ = ["Limits", "Link", "Run", "connect"]
+__all__ = ["Arbiter", "Limits", "Link", "Order", "Parameter", "Parameters", "Run", "connect"]

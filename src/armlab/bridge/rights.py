@@ -1,0 +1,296 @@
+"""Who may command: one commander per arm with a lease, all others read. `Order`, and `Arbiter`, which is a controller.
+
+Not a safety function: emergency stop and the robot's own supervision stay in charge.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from armlab.bridge.events import Tell, nobody
+from armlab.bridge.limits import Limits
+from armlab.robots import Robot
+from armlab.state import Command, State
+
+__all__ = ["LEASE", "Arbiter", "Order"]
+
+LEASE = 0.1
+"""Seconds of silence after which an arm is free again, the same for all servers."""
+
+_ANSWER_EVERY = 1_000_000_000  # ns between two answers to one client
+_CLIENTS = 256  # that are counted or wait; more are a flood
+_CAUSES = "Usual causes are degrees instead of radians and another joint order."
+
+
+class Order(NamedTuple):
+    """What a client wants an arm to do next.
+
+    Attributes
+    ----------
+    client : identity of the connection, first its server: "labcomm 127.0.0.1:40312". arm : name of the robot.
+    q, qd, tau : (n,) references, None for not commanded. seq : number in the client's order, None without one.
+    """
+
+    client: str
+    arm: str
+    q: Any = None
+    qd: Any = None
+    tau: Any = None
+    seq: int | None = None
+
+    @property
+    def server(self) -> str:
+        """Name of the server it came through."""
+        return self.client.partition(" ")[0]
+
+
+@dataclass(slots=True)
+class _Holder:
+    """Who commands an arm: the command in force, its number, and when the last one came [ns]."""
+
+    client: str
+    command: Command
+    seq: int | None
+    heard_ns: int
+
+
+class Arbiter:
+    """A controller that gives each arm the newest command of the one client that holds it, else hold.
+
+    The first valid command of an allowed client takes a free arm. The client keeps it by commands and loses it after
+    `lease` of silence, when it closes, or by `release`. The first position must lie within `entry` of the measured
+    joints. A command that is refused changes nothing and keeps nothing. `stop` is for everybody, `resume` for
+    operators.
+
+    Parameters
+    ----------
+    robots : the arms, in the order of the link. allowed : servers that may command.
+    poll : called first in each tick; it fetches what clients sent. tell : takes events.
+    answer : takes (client, sentence), at most once a second for each client.
+    lease : s. entry : rad or m. torque : whether the link carries torques. clock : monotonic [ns].
+
+    Attributes
+    ----------
+    refused : commands refused, by client. stopped : who stopped all arms, "" when nobody has.
+    """
+
+    def __init__(
+        self,
+        robots: Sequence[Robot],
+        allowed: Iterable[str] = (),
+        *,
+        poll: Callable[[], None] = lambda: None,
+        tell: Tell = nobody,
+        answer: Callable[[str, str], None] = lambda client, text: None,
+        lease: float = LEASE,
+        entry: float = 0.05,
+        torque: bool = False,
+        clock: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self._robots, self._allowed = tuple(robots), frozenset(allowed)
+        self._poll, self._tell, self._answer, self._clock = poll, tell, answer, clock
+        self._lease_ns, self._entry, self._torque = int(1e9 * lease), entry, torque
+        self._jumps = {robot.name: Limits.of(robot).jump for robot in robots}
+        self._holders: dict[str, _Holder | None] = {robot.name: None for robot in robots}
+        self._inbox: dict[tuple[str, str], tuple[int, Order]] = {}
+        self._answered: dict[str, int] = {}
+        self.refused: Counter[str] = Counter()
+        self.stopped = ""
+
+    def commander(self, arm: str) -> str:
+        """Return who commands an arm, "" when nobody does."""
+        holder = self._holders.get(arm)
+        return "" if holder is None else holder.client
+
+    def commands(self, client: str) -> bool:
+        """Return whether a client commands an arm, or could take a free one at once: the rights of a commander."""
+        holders = [holder.client for holder in self._holders.values() if holder is not None]
+        return client in holders or (not holders and client.partition(" ")[0] in self._allowed)
+
+    def submit(self, order: Order) -> None:
+        """Take what a client wants; it is judged in the next tick. Of one client and arm only the newest counts."""
+        now = self._clock()
+        if order.arm not in self._holders:
+            known = ", ".join(self._holders)
+            self._refuse(order.client, f"Expected the name of an arm of this cell ({known}), got {order.arm!r}.", now)
+        elif order.server not in self._allowed:
+            self._refuse(
+                order.client, f"Expected no commands through {order.server}: `commands` does not name it.", now
+            )
+        elif len(self._inbox) < _CLIENTS or (order.arm, order.client) in self._inbox:
+            self._inbox[order.arm, order.client] = (now, order)
+
+    def stop(self, who: str) -> None:
+        """Hold all arms until an operator resumes. Everybody may.
+
+        Parameters
+        ----------
+        who : identity of the client, for the log.
+        """
+        if not self.stopped:
+            self.stopped = who
+            self._tell(f"Stopped by {who}. An operator ends this: armlab bridge resume.", warn=True)
+        for arm in self._holders:
+            self._free(arm, "all arms were stopped")
+
+    def resume(self, who: str) -> None:
+        """End a stop; every commander begins anew by the start rule. For operators.
+
+        Parameters
+        ----------
+        who : identity of the client, for the log.
+        """
+        if self.stopped:
+            self.stopped = ""
+            self._inbox.clear()
+            self._tell(f"Resumed by {who}.")
+
+    def release(self, who: str, client: str = "") -> None:
+        """Free the arms that a client holds; without one all arms.
+
+        Parameters
+        ----------
+        who : wants it, for the log. client : whose arms.
+        """
+        for arm, holder in self._holders.items():
+            if holder is not None and client in ("", holder.client):
+                self._free(arm, f"released by {who}")
+
+    def leave(self, client: str) -> None:
+        """Take note that a client has gone: its arms are free.
+
+        Parameters
+        ----------
+        client : its identity.
+        """
+        for arm, holder in self._holders.items():
+            self._inbox.pop((arm, client), None)
+            if holder is not None and holder.client == client:
+                self._free(arm, "it closed")
+        self._answered.pop(client, None)
+
+    def __call__(self, state: State) -> Command | tuple[Command | None, ...] | None:
+        """Return what each arm shall do: the newest command of its holder, or None, hold.
+
+        Parameters
+        ----------
+        state : of the arm, or of all of them fused.
+        """
+        self._poll()
+        now = self._clock()
+        for arm, holder in self._holders.items():
+            if holder is not None and now - holder.heard_ns > self._lease_ns:
+                self._free(arm, f"silent for {1e-9 * self._lease_ns:g} s")
+        inbox, self._inbox = self._inbox, {}
+        states = state.arms or (state,)
+        by_name = dict(zip((robot.name for robot in self._robots), states, strict=True))
+        fresh = set()
+        for came_ns, order in inbox.values():
+            if now - came_ns <= self._lease_ns and self._judge(order, by_name[order.arm], now):
+                fresh.add(order.arm)
+        commands = tuple(
+            self._command(robot, at, robot.name in fresh) for robot, at in zip(self._robots, states, strict=True)
+        )
+        return commands[0] if len(commands) == 1 else commands
+
+    def _judge(self, order: Order, state: State, now: int) -> bool:
+        """Let a command come into force; False when it was refused."""
+        holder, robot = self._holders[order.arm], self._robot(order.arm)
+        if self.stopped:
+            return self._refuse(order.client, f"All arms hold, since {self.stopped} stopped them.", now)
+        if holder is not None and holder.client != order.client:
+            return self._refuse(order.client, f"{order.arm} is commanded by {holder.client}. You may read.", now)
+        if holder is not None and None not in (order.seq, holder.seq) and order.seq <= holder.seq:  # type: ignore[operator]
+            self.refused[order.client] += 1
+            return False
+        values: dict[str, np.ndarray | None] = {}
+        for name in ("q", "qd", "tau"):
+            values[name], problem = _vector(getattr(order, name), name, robot)
+            if problem:
+                return self._refuse(order.client, problem, now)
+        q, tau = values["q"], values["tau"]
+        problem = "" if tau is None or self._torque else f"Expected no torque: this link to {order.arm} carries none."
+        if q is not None and not problem:
+            if holder is None:
+                problem = _distance(q, state.q, np.full(robot.n, self._entry), "first position", "measured", robot)
+            else:
+                problem = _distance(q, _sent(state), self._jumps[order.arm], "position", "last sent", robot)
+        if not problem and all(value is None for value in values.values()):
+            problem = f"Expected a position, a velocity or a torque for {order.arm}, got none."
+        if problem:
+            return self._refuse(order.client, problem, now)
+        if holder is None:
+            self._tell(f"{order.client} commands {order.arm}.")
+        self._holders[order.arm] = _Holder(order.client, Command(**values), order.seq, now)
+        return True
+
+    def _command(self, robot: Robot, state: State, is_fresh: bool) -> Command | None:
+        holder = self._holders[robot.name]
+        if holder is None:
+            return None
+        q = holder.command.q
+        if not is_fresh and q is not None and np.any(np.abs(q - _sent(state)) > self._jumps[robot.name]):
+            return None  # the arm was held meanwhile: to go on would be a jump, which ends runs
+        return holder.command
+
+    def _free(self, arm: str, why: str) -> None:
+        holder, self._holders[arm] = self._holders[arm], None
+        if holder is not None:
+            self._tell(f"{holder.client} no longer commands {arm}: {why}. The arm holds.")
+
+    def _refuse(self, client: str, why: str, now: int) -> bool:
+        for table in (self.refused, self._answered):
+            if client not in table and len(table) >= _CLIENTS:
+                table.pop(next(iter(table)))
+        self.refused[client] += 1
+        if now - self._answered.get(client, -_ANSWER_EVERY) >= _ANSWER_EVERY:
+            self._answered[client] = now
+            self._answer(client, f"{why} {self.refused[client]} commands refused so far.")
+            if self.refused[client] == 1:
+                self._tell(f"A command of {client} was refused: {why}", warn=True)
+        return False
+
+    def _robot(self, arm: str) -> Robot:
+        return next(robot for robot in self._robots if robot.name == arm)
+
+
+def _sent(state: State) -> np.ndarray:
+    """Return the position that was sent last, the measured one before anything was."""
+    q = state.q_sent
+    return q if len(q) and not np.isnan(q).any() else state.q
+
+
+def _vector(values: Any, name: str, robot: Robot) -> tuple[np.ndarray | None, str]:
+    """Return the (n,) numbers of a command, and what is wrong with them."""
+    if values is None:
+        return None, ""
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (ValueError, TypeError, OverflowError):
+        array = np.empty(0)
+    if array.shape != (robot.n,):
+        return None, f"Expected {robot.n} numbers in {name} for {robot.name}, got {np.shape(array)}."
+    if not np.isfinite(array).all():
+        i = int(np.argmin(np.isfinite(array)))
+        joint = f"joint {i + 1} ({robot.joint_names[i]})"
+        return None, f"Expected finite numbers in {name} for {robot.name}, got {array[i]} for {joint}."
+    array.flags.writeable = False
+    return array, ""
+
+
+def _distance(q: np.ndarray, near: np.ndarray, bound: np.ndarray, what: str, where: str, robot: Robot) -> str:
+    """Return the sentence for a position too far from another, "" when it is near enough."""
+    excess = np.abs(q - near) - bound
+    i = int(np.argmax(excess))
+    if excess[i] <= 0.0:
+        return ""
+    return (
+        f"Expected the {what} within {bound[i]:g} of the one {where}, got {q[i]:.4f} for joint {i + 1} "
+        f"({robot.joint_names[i]}) of {robot.name}, {where} {near[i]:.4f}. {_CAUSES}"
+    )

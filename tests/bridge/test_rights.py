@@ -1,0 +1,228 @@
+"""One commander per arm: taking, keeping, losing an arm, in simulated time."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armlab import robots
+from armlab.bridge.rights import LEASE, Arbiter, Order
+from armlab.state import Command, State
+
+LEFT, RIGHT = robots.load("yumi_left"), robots.load("yumi_right")
+HOME = np.array(LEFT.q_home)
+TICK = 4_000_000  # ns
+
+
+class Bench:
+    """An arbiter with a clock of its own and a list of what it says."""
+
+    def __init__(self, arms: Any = (LEFT,), allowed: Any = ("labcomm",), **options: Any) -> None:
+        self.now = 10**12
+        self.events: list[str] = []
+        self.answers: list[tuple[str, str]] = []
+        self.arbiter = Arbiter(arms, allowed, tell=self.tell, answer=self.answer, clock=lambda: self.now, **options)
+        self.q_sent = {robot.name: np.array(robot.q_home) for robot in arms}
+        self.arms = arms
+
+    def tell(self, text: str, warn: bool = False) -> None:
+        self.events.append(text)
+
+    def answer(self, client: str, text: str) -> None:
+        self.answers.append((client, text))
+
+    def state(self) -> State:
+        made = [
+            State(0.0, 0.004, np.array(robot.q_home), np.zeros(7), np.zeros(7), q_sent=self.q_sent[robot.name])
+            for robot in self.arms
+        ]
+        return made[0] if len(made) == 1 else State(0.0, 0.004, *np.zeros((3, 14)), arms=tuple(made))
+
+    def __call__(self, *orders: Order, after: float = 0.004) -> Any:
+        self.now += int(1e9 * after)
+        for order in orders:
+            self.arbiter.submit(order)
+        command = self.arbiter(self.state())
+        if isinstance(command, Command) and command.q is not None:
+            self.q_sent[self.arms[0].name] = command.q
+        return command
+
+
+def order(client: str = "labcomm a", offset: float = 0.01, arm: str = "yumi_left", **more: Any) -> Order:
+    return Order(client, arm, HOME + offset, **more)
+
+
+def test_the_first_valid_command_takes_the_arm() -> None:
+    bench = Bench()
+    assert bench() is None
+    assert bench(order("labcomm a", 0.01), order("labcomm b", 0.02)).q[0] == HOME[0] + 0.01
+    assert bench.arbiter.commander("yumi_left") == "labcomm a"
+    assert bench.events[0] == "labcomm a commands yumi_left."
+    assert bench.answers == [
+        ("labcomm b", "yumi_left is commanded by labcomm a. You may read. 1 commands refused so far.")
+    ]
+    assert bench.arbiter.refused == {"labcomm b": 1}
+
+
+def test_others_are_answered_once_a_second() -> None:
+    bench = Bench()
+    for _ in range(600):
+        bench(order("labcomm a"), order("labcomm b"))
+    assert bench.arbiter.refused["labcomm b"] == 600
+    assert len(bench.answers) == 3
+    assert sum("refused" in text for text in bench.events) == 1
+
+
+def test_the_lease() -> None:
+    bench = Bench()
+    assert bench(order("labcomm a")) is not None
+    assert bench(order("labcomm b"), after=LEASE - 0.001).q[0] == HOME[0] + 0.01
+    command = bench(order("labcomm b", 0.02), after=0.002)
+    assert command.q[0] == HOME[0] + 0.02
+    assert bench.events[-2:] == [
+        "labcomm a no longer commands yumi_left: silent for 0.1 s. The arm holds.",
+        "labcomm b commands yumi_left.",
+    ]
+
+
+def test_refused_commands_keep_nothing() -> None:
+    bench = Bench()
+    bench(order())
+    for _ in range(24):
+        assert bench(order(offset=np.nan)) is not None
+    bench(order(offset=np.nan), after=0.01)
+    assert bench.arbiter.commander("yumi_left") == ""
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (order(offset=0.06), "first position within 0.05 of the one measured"),
+        (Order("labcomm a", "yumi_left", HOME[:6]), "7 numbers in q"),
+        (Order("labcomm a", "yumi_left", qd=[[1.0], [2.0, 3.0]]), "7 numbers in qd"),
+        (Order("labcomm a", "yumi_left", "up"), "7 numbers in q"),
+        (Order("labcomm a", "yumi_left", qd=np.full(7, np.inf)), "finite numbers in qd"),
+        (Order("labcomm a", "yumi_left", HOME, tau=np.zeros(7)), "no torque"),
+        (Order("labcomm a", "yumi_left"), "a position, a velocity or a torque"),
+        (order(arm="yumi_right"), r"arm of this cell \(yumi_left\), got 'yumi_right'"),
+        (order("ros a"), "no commands through ros"),
+    ],
+)
+def test_refused(wrong: Order, words: str) -> None:
+    bench = Bench()
+    assert bench(wrong) is None
+    assert re.search(words, bench.answers[0][1])
+    assert "was refused" in bench.events[0]
+    assert bench.arbiter.commander("yumi_left") == ""
+
+
+def test_torque_where_the_link_carries_it() -> None:
+    command = Bench(torque=True)(Order("labcomm a", "yumi_left", tau=np.ones(7)))
+    np.testing.assert_array_equal(command.tau, np.ones(7))
+
+
+def test_a_jump_is_refused_and_the_last_command_stays() -> None:
+    bench = Bench()
+    bench(order())
+    assert bench(order(offset=0.2)).q[0] == HOME[0] + 0.01
+    assert "within 0.1 of the one last sent" in bench.answers[0][1]
+    bench.q_sent["yumi_left"] = HOME + 0.2  # held elsewhere meanwhile
+    assert bench() is None
+
+
+def test_older_numbers_are_ignored() -> None:
+    bench = Bench()
+    assert bench(order(seq=5)).q[0] == HOME[0] + 0.01
+    assert bench(order(offset=0.02, seq=5)).q[0] == HOME[0] + 0.01
+    assert bench(order(offset=0.03, seq=6)).q[0] == HOME[0] + 0.03
+
+
+def test_an_order_that_waited_too_long_is_dropped() -> None:
+    """The arbiter is not called while the robot is not ready; what was sent then must not move it later."""
+    bench = Bench()
+    bench.arbiter.submit(order())
+    assert bench(after=LEASE + 0.01) is None
+
+
+def test_stop_is_for_everybody_and_resume_for_operators() -> None:
+    bench = Bench()
+    bench(order())
+    bench.arbiter.stop("web b")
+    bench.arbiter.stop("web c")
+    assert bench(order()) is None
+    assert bench.arbiter.stopped == "web b"
+    bench.arbiter.resume("local 1")
+    assert bench(order()) is not None
+    assert [text.split(".")[0] for text in bench.events if "topped by" in text or "Resumed" in text] == [
+        "Stopped by web b",
+        "Resumed by local 1",
+    ]
+
+
+def test_release_and_leave() -> None:
+    bench = Bench((LEFT, RIGHT))
+    bench(order("labcomm a"), Order("labcomm b", "yumi_right", np.array(RIGHT.q_home)))
+    assert (bench.arbiter.commander("yumi_left"), bench.arbiter.commander("yumi_right")) == ("labcomm a", "labcomm b")
+    bench.arbiter.leave("labcomm b")
+    assert bench.arbiter.commander("yumi_right") == ""
+    bench.arbiter.release("labcomm x", "labcomm x")
+    assert bench.arbiter.commander("yumi_left") == "labcomm a"
+    bench.arbiter.release("local 1")
+    assert bench.arbiter.commander("yumi_left") == ""
+    assert bench() == (None, None)
+
+
+def test_rights_of_a_commander() -> None:
+    arbiter = (bench := Bench()).arbiter
+    assert arbiter.commands("labcomm a")
+    assert not arbiter.commands("ros a")
+    bench(order("labcomm a"))
+    assert arbiter.commands("labcomm a")
+    assert not arbiter.commands("labcomm b")
+
+
+def test_a_flood_of_clients_is_bounded() -> None:
+    bench = Bench()
+    bench(order("labcomm holder"), *[order(f"labcomm {k}") for k in range(5000)])
+    bench(*[order(f"ros {k}") for k in range(5000)])
+    assert len(bench.arbiter.refused) <= 256
+    assert len(bench.arbiter._answered) <= 256
+
+
+step = st.tuples(st.booleans(), st.booleans(), st.sampled_from([0.0, 0.0, 0.01, 0.03, 0.2, np.nan]))
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.lists(step, min_size=50, max_size=400), st.randoms(use_true_random=False))
+def test_two_commanders_that_die_at_random(steps: list[tuple[bool, bool, float]], chance: Any) -> None:
+    """The outcome is one of them or hold at each tick, no step is above the bound, each takeover has an event."""
+    bench = Bench()
+    alive = {"labcomm a": 1.0, "labcomm b": -1.0}
+    dead_until = dict.fromkeys(alive, 0)
+    holder, last = "", HOME
+    for k, (first, second, move) in enumerate(steps):
+        orders = []
+        for (client, sign), sends in zip(alive.items(), (first, second), strict=True):
+            if k >= dead_until[client] and chance.random() < 0.02:
+                dead_until[client] = k + chance.randrange(80)
+                if chance.random() < 0.5:
+                    bench.arbiter.leave(client)
+            if sends and k >= dead_until[client]:
+                orders.append(Order(client, "yumi_left", HOME + sign * (move + 1e-3 * k / len(steps))))
+        before = len(bench.events)
+        command = bench(*orders)
+        now = bench.arbiter.commander("yumi_left")
+        told = bench.events[before:]
+        assert (command is None) == (now == "")
+        if command is not None:
+            assert alive[now] * (command.q[0] - HOME[0]) >= 0.0
+            assert np.all(np.abs(command.q - last) <= 0.1 + 1e-12)
+            last = command.q
+        if now and now != holder:
+            assert f"{now} commands yumi_left." in told
+        holder = now if now else ("" if any("no longer" in text for text in told) else holder)
