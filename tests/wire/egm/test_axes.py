@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab.errors import RobotError
+from armlab.errors import ConfigError, RobotError
 from armlab.wire.egm.axes import RADIAN, AxisMap, Refused
 
 
@@ -36,7 +36,7 @@ def test_scara_linear_joint_is_metres_with_the_rotary_factor(scara: Any) -> None
     axes = AxisMap(scara)
     q = np.array(axes.joints([10, 20, -5.156620156177409, 30], [])) * axes.scale
     np.testing.assert_allclose(q, [10 * RADIAN, 20 * RADIAN, -0.09, 30 * RADIAN], rtol=1e-12)
-    assert axes.has_linear_head
+    assert not axes.can_move
 
 
 def test_linear_axis_beyond_the_sixth_is_in_millimetres() -> None:
@@ -45,7 +45,7 @@ def test_linear_axis_beyond_the_sixth_is_in_millimetres() -> None:
     )
     axes = AxisMap(arm)
     assert axes.scale[6] == 1e-3
-    assert not axes.has_linear_head
+    assert axes.can_move
 
 
 @pytest.mark.parametrize(
@@ -96,3 +96,15 @@ def test_axes_that_move_two_joints_are_refused() -> None:
     with pytest.raises(RobotError, match=r"Expected a robot over EGM .* motor 2 also moves joint 3, .*\.$"):
         AxisMap(SimpleNamespace(n=3, prismatic=np.zeros(3, bool), abb_axes=(1, 2, 3), coupling=rod))
     AxisMap(SimpleNamespace(n=3, prismatic=np.zeros(3, bool), abb_axes=(1, 2, 3), coupling=np.diag([0.01, -0.01, 1])))
+
+
+def test_units_of_each_axis(scara: Any) -> None:
+    """Where the user knows the units; external axes follow the joints, and the rest of them is in degrees."""
+    axes = AxisMap(scara, ("deg", "deg", "mm", "deg", "mm"))
+    assert axes.can_move
+    np.testing.assert_array_equal(axes.scale, [RADIAN, RADIAN, 1e-3, RADIAN])
+    np.testing.assert_array_equal(axes.external_scale(2), [1e-3, RADIAN])
+    assert axes.external_scale(0).shape == (0,)
+    for units in (("deg",) * 3, ("deg",) * 3 + ("inch",)):
+        with pytest.raises(ConfigError, match=r'"deg" or "mm" for 4 joints'):
+            AxisMap(scara, units)

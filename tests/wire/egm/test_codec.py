@@ -6,6 +6,7 @@ import math
 import subprocess
 import sys
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -161,8 +162,25 @@ def test_extension_reply_echoes(yumi: Any) -> None:
 
 def test_capabilities(six: Any, scara: Any) -> None:
     assert EgmCodec(six).capabilities == {"position", "velocity"}
-    assert EgmCodec(six, extension=True).capabilities == {"position", "velocity", "measured_torque"}
+    assert EgmCodec(six, extension=True).capabilities == {"position", "velocity", "measured_torque", "torque"}
     assert EgmCodec(scara).capabilities == frozenset()
+    assert EgmCodec(scara, extension=True).capabilities == {"measured_torque"}
+    assert EgmCodec(scara, units=("deg",) * 4).capabilities == {"position", "velocity"}
+
+
+def test_an_external_unit_alone(wire: Any) -> None:
+    """Its own task and channel: no joints, no pose, external joints only (abb_libegm issues 57 and 107)."""
+    arm = SimpleNamespace(n=0, prismatic=np.zeros(0, bool), abb_axes=(), coupling=np.zeros((0, 0)))
+    codec = EgmCodec(arm, units=("mm", "deg"))
+    data = wire.header() + wire.m(2, wire.m(3, wire.d(1, 500.0, 90.0)), wire.m(4, wire.u(1, 1)))
+    for _ in range(2):
+        packet = accepted(codec.decode(data))
+        assert packet.q.shape == (0,)
+        np.testing.assert_allclose(packet.q_ext, [0.5, np.pi / 2])
+    empty: Any = codec.decode(wire.header())
+    assert empty.reason == "no joints"
+    extra: Any = codec.decode(wire.robot(wire.joints(1.0)))
+    assert extra.reason == "joint count"
 
 
 def drops(wire: Any) -> dict[str, tuple[bytes, str]]:

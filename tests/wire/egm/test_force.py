@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from armlab.wire.egm.force import NO_WRENCH, decode_force, encode_force
+from armlab.wire.egm.force import NO_WRENCH, decode_force, encode_force, is_layout_of_rw7
 
 FORCE = (1.0, -2.0, 3.5, 0.1, 0.2, -0.3)
 DOUBLES = [struct.pack("<d", value) for value in FORCE]
@@ -30,6 +30,7 @@ DOUBLES = [struct.pack("<d", value) for value in FORCE]
 )
 def test_the_first_tag_tells_the_layout(data: bytes, is_rw7: bool) -> None:
     assert decode_force(data) == (FORCE, is_rw7)
+    assert is_layout_of_rw7(data) == is_rw7
 
 
 @pytest.mark.parametrize(

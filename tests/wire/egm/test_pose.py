@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from armlab.wire.egm import armlab_egm_pb2 as pb
-from armlab.wire.egm.pose import NO_POSE, pose_from_matrix, pose_values
+from armlab.wire.egm.pose import NO_POSE, pose_from_matrix, pose_values, read_pose
 
 
 def written(message: pb.EgmPose) -> np.ndarray:
@@ -51,3 +51,11 @@ def test_half_turns(turn: tuple[float, ...]) -> None:
 def test_an_unusable_quaternion_is_no_pose(quaternion: tuple[float, ...]) -> None:
     assert pose_values((0, 0, 0, *quaternion)) is NO_POSE
     assert np.isnan(NO_POSE).all()
+
+
+def test_a_pose_without_position_or_quaternion_is_none() -> None:
+    where, turn = pb.EgmCartesian(x=1, y=2, z=3), pb.EgmQuaternion(u0=1)
+    euler = pb.EgmEuler(x=90)
+    assert read_pose(pb.EgmPose(pos=where, orient=turn, euler=euler)) == (1, 2, 3, 1, 0, 0, 0)
+    for message in (pb.EgmPose(), pb.EgmPose(pos=where, euler=euler), pb.EgmPose(orient=turn)):
+        assert read_pose(message) is None

@@ -8,13 +8,14 @@ from operator import itemgetter
 
 import numpy as np
 
-from armlab.errors import RobotError
+from armlab.errors import ConfigError, RobotError
 from armlab.wire.egm.types import Arm, Drop
 
 __all__ = ["RADIAN", "AxisMap", "Refused"]
 
 RADIAN = pi / 180.0
 _MILLIMETRE = 1e-3
+_UNITS = {"deg": RADIAN, "mm": _MILLIMETRE}
 _HEAD = 6  # EgmJoints holds at most six values; further axes of the robot travel as external joints
 
 
@@ -32,16 +33,26 @@ class AxisMap:
     A rotary joint is in degrees on the wire. A linear joint among the first six arrives as metres times 180/pi
     (abb_libegm pull request 142), so its factor is the rotary one; beyond the sixth it is in millimetres.
 
+    An arm without joints is an external unit alone: everything is in the external joints. Further external axes are
+    in degrees unless `units` says otherwise.
+
     Parameters
     ----------
     arm : number of joints, which are prismatic, ABB's axis number of each in kinematic order, and the gears.
+    units : "deg" or "mm", for each joint in kinematic order and then for each external axis; empty for the rule above.
+
+    Attributes
+    ----------
+    n, head, tail : joints, those among ABB's first six, those beyond. scale : (n,) SI per wire unit.
+    can_move : the units of all commands are known.
 
     Raises
     ------
     RobotError : when `abb_axes` is not a permutation of 1..n, or a motor moves two joints (IRB 2400).
+    ConfigError : units that are none, or fewer than joints.
     """
 
-    def __init__(self, arm: Arm) -> None:
+    def __init__(self, arm: Arm, units: Sequence[str] = ()) -> None:
         axes = tuple(int(axis) for axis in arm.abb_axes)
         if sorted(axes) != list(range(1, arm.n + 1)):
             raise RobotError(f"Expected abb_axes to hold each of 1 to {arm.n} once, got {axes}.")
@@ -59,7 +70,13 @@ class AxisMap:
         order = tuple(axis - 1 for axis in axes)
         linear = np.asarray(arm.prismatic, dtype=bool)
         self.scale = np.where(linear & (np.array(order) >= self.head), _MILLIMETRE, RADIAN)
-        self.has_linear_head = bool(np.any(linear & (np.array(order) < self.head)))
+        self.can_move = bool(units) or not np.any(linear & (np.array(order) < self.head))
+        self._beyond = np.array([], dtype=np.float64)
+        if units:
+            if not set(units) <= _UNITS.keys() or len(units) < arm.n:
+                raise ConfigError(f'Expected units of "deg" or "mm" for {arm.n} joints at least, got {tuple(units)}.')
+            factors = np.array([_UNITS[unit] for unit in units])
+            self.scale, self._beyond = factors[: arm.n], factors[arm.n :]
         self.kinematic = _picker(order)
         self.abb = _picker(tuple(order.index(k) for k in range(arm.n)))
 
@@ -74,7 +91,7 @@ class AxisMap:
         ------
         Refused : no joints, or their number is not that of this robot.
         """
-        if not joints:
+        if not joints and (self.head or not external):
             raise Refused("no joints", "the array of joints is absent or empty")
         if len(joints) != self.head or len(external) < self.tail:
             raise Refused(
@@ -82,6 +99,16 @@ class AxisMap:
                 f"expected {self.head} joints and at least {self.tail} external, got {len(joints)} and {len(external)}",
             )
         return self.kinematic((*joints, *external) if self.tail else joints)
+
+    def external_scale(self, count: int) -> np.ndarray:
+        """Return SI per wire unit of the external axes beyond the robot's own, (count,).
+
+        Parameters
+        ----------
+        count : how many there are.
+        """
+        known = self._beyond[:count]
+        return np.concatenate((known, np.full(count - len(known), RADIAN)))
 
     def array(self, values: Sequence[float], is_kinematic: bool) -> tuple[float, ...] | None:
         """Return the n values of one extension array in kinematic order, None when it is absent.

@@ -9,13 +9,23 @@ from google.protobuf.message import DecodeError
 
 from armlab.wire.egm import armlab_egm_pb2 as pb
 
-__all__ = ["NO_WRENCH", "decode_force", "encode_force"]
+__all__ = ["NO_WRENCH", "decode_force", "encode_force", "is_layout_of_rw7"]
 
 NO_WRENCH = (nan,) * 6
 """The values of a force that was not sent."""
 
-_RW6_TAGS = (0x09, 0x0A)  # field 1 doubles, unpacked or packed
-_RW7_TAGS = (0x08, 0x11, 0x12)  # field 1 bool; field 2 doubles, unpacked or packed
+_RW6_TAGS = (b"\x09", b"\x0a")  # field 1 doubles, unpacked or packed
+_RW7_TAGS = (b"\x08", b"\x11", b"\x12")  # field 1 bool; field 2 doubles, unpacked or packed
+
+
+def is_layout_of_rw7(data: bytes) -> bool:
+    """Return whether a measuredForce has the layout of RobotWare 7, by its first tag.
+
+    Parameters
+    ----------
+    data : content of the field.
+    """
+    return data[:1] in _RW7_TAGS
 
 
 def decode_force(data: bytes) -> tuple[tuple[float, ...], bool]:
@@ -27,9 +37,9 @@ def decode_force(data: bytes) -> tuple[tuple[float, ...], bool]:
     ----------
     data : content of the field measuredForce.
     """
-    if not data or data[0] not in _RW6_TAGS + _RW7_TAGS:
+    if data[:1] not in _RW6_TAGS + _RW7_TAGS:
         return NO_WRENCH, False
-    is_rw7 = data[0] in _RW7_TAGS
+    is_rw7 = is_layout_of_rw7(data)
     try:
         force = (pb.EgmForceRw7 if is_rw7 else pb.EgmForceRw6).FromString(data).force[:]
     except DecodeError:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["NO_POSE", "pose_from_matrix", "pose_values"]
+__all__ = ["NO_POSE", "pose_from_matrix", "pose_values", "read_pose"]
 
 NO_POSE = (nan,) * 16
 """The values of a pose that was not sent."""
@@ -37,6 +37,19 @@ def pose_values(pose: Sequence[float]) -> tuple[float, ...]:
         bd - ac, cd + ab, 1.0 - b2 - c2, 1e-3 * z,
         0.0, 0.0, 0.0, 1.0,
     )  # fmt: skip
+
+
+def read_pose(pose: Any) -> tuple[float, ...] | None:
+    """Return x, y, z [mm] and u0 to u3 of an EgmPose, None without position and quaternion. Euler angles are not read.
+
+    Parameters
+    ----------
+    pose : an EgmPose message.
+    """
+    if not (pose.HasField("pos") and pose.HasField("orient")):
+        return None
+    where, turn = pose.pos, pose.orient
+    return where.x, where.y, where.z, turn.u0, turn.u1, turn.u2, turn.u3
 
 
 def pose_from_matrix(pose: Any, T_frame_tool: np.ndarray) -> None:

@@ -12,8 +12,7 @@ from armlab.errors import ConfigError, UnknownName
 from armlab.wire.egm import armlab_egm_pb2 as pb
 from armlab.wire.egm.axes import RADIAN, AxisMap, Refused
 from armlab.wire.egm.force import encode_force
-from armlab.wire.egm.leaves import read_pose
-from armlab.wire.egm.pose import pose_from_matrix, pose_values
+from armlab.wire.egm.pose import pose_from_matrix, pose_values, read_pose
 from armlab.wire.egm.types import Arm, Drop, RobotMessage, SensorMessage
 
 __all__ = ["DEFAULT_ARRAYS", "EXTENSION_ARRAYS", "MAX_BYTES", "ROBOTWARE", "RobotSideCodec"]
@@ -207,7 +206,7 @@ class RobotSideCodec:
         header, axes = sensor.header, self._axes
         q = _joints(axes, sensor.planned)
         qd = _joints(axes, sensor.speedRef)
-        pose = read_pose(sensor.planned.cartesian.SerializeToString())
+        pose = read_pose(sensor.planned.cartesian)
         speed = sensor.speedRef.cartesians.value
         twist_scale = (_MILLIMETRE, _MILLIMETRE, _MILLIMETRE, RADIAN, RADIAN, RADIAN)
         has_data = sensor.HasField("rapidToRobot")

@@ -1,0 +1,124 @@
+"""Reading by a layout that was learnt: the same packets as parsing gives, whatever the bytes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armlab.wire.egm import Drop, EgmCodec, Packet, RobotMessage, RobotSideCodec
+from armlab.wire.egm.layout import Layout, Places, find_places
+
+SEVEN = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]
+
+
+def message(arm: Any, k: int, **more: Any) -> RobotMessage:
+    rng = np.random.default_rng(k)
+    rows = rng.normal(size=(6, arm.n))
+    fields: dict[str, Any] = {
+        "T_frame_tool": np.eye(4), "wrench_raw": np.arange(6.0) + k, "rapid_data": (1.0 * k, 2.0),
+        "rapid_digital": True, "tau_reference": rows[2], "qd": rows[3], "tau": rows[4], "robot_ns": 10**18 + k * 10**6,
+        "mono_ns": 2**40 + k, "queue_depth": k, "utilization": 0.5 * k, "q_ext": (0.1 * k,),
+    }  # fmt: skip
+    return RobotMessage(300 + k, 70000 + k, rows[0], rows[1], **(fields | more))
+
+
+def alike(a: Packet | Drop, b: Packet | Drop) -> None:
+    assert type(a) is type(b)
+    for x, y in zip(a, b, strict=True):
+        np.testing.assert_array_equal(x, y, strict=isinstance(y, np.ndarray))
+
+
+def parsed(codec: EgmCodec, arm: Any, data: bytes) -> Packet | Drop:
+    """What a codec that has learnt nothing but the flavour says."""
+    fresh = EgmCodec(arm)
+    fresh.robotware = codec.robotware
+    return fresh.decode(data)
+
+
+@pytest.mark.parametrize("robotware", ["6.06", "6.07", "6.10", "7"])
+@pytest.mark.parametrize("extension", [False, ("qd", "tau")])
+@pytest.mark.parametrize("axes", ["six", "yumi", "scara"])
+def test_packets_read_as_parsed(request: Any, axes: str, robotware: str, extension: Any) -> None:
+    arm = request.getfixturevalue(axes)
+    robot, codec = RobotSideCodec(arm, robotware, extension, force=True), EgmCodec(arm)
+    for k in range(1, 60):
+        data = robot.encode_robot(message(arm, k))
+        alike(codec.decode(data), parsed(codec, arm, data))
+    assert codec._known  # learnt, not parsed each time
+
+
+def test_the_second_packet_is_not_parsed(yumi: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    robot, codec = RobotSideCodec(yumi, "7", force=True), EgmCodec(yumi)
+    codec.decode(robot.encode_robot(message(yumi, 1)))
+    monkeypatch.setattr(EgmCodec, "_parsed", None)
+    assert isinstance(codec.decode(robot.encode_robot(message(yumi, 2))), Packet)
+
+
+def test_a_state_that_changes_is_seen(yumi: Any) -> None:
+    robot, codec = RobotSideCodec(yumi, "7"), EgmCodec(yumi)
+    for k, (mci, converged) in enumerate([(3, False), (2, False), (3, True), (3, False)]):
+        packet: Any = codec.decode(robot.encode_robot(message(yumi, k, mci=mci, converged=converged)))
+        assert (packet.mci, packet.converged) == (mci, converged)
+
+
+def test_nan_is_dropped_by_a_layout_too(six: Any) -> None:
+    robot, codec = RobotSideCodec(six), EgmCodec(six)
+    good = message(six, 1)
+    assert isinstance(codec.decode(robot.encode_robot(good)), Packet)
+    for name in ("q", "q_ext"):
+        bad = robot.encode_robot(good._replace(**{name: np.full(len(getattr(good, name)), np.nan)}))
+        found: Any = codec.decode(bad)
+        assert (type(found), found.reason) == (Drop, "not finite")
+
+
+def test_a_robot_that_never_looks_alike_is_parsed(six: Any, wire: Any) -> None:
+    codec = EgmCodec(six)
+    for k in range(1100):
+        data = wire.robot(wire.joints(*range(6)), wire.m(4, wire.u(1, k)))
+        packet: Any = codec.decode(data)
+        assert packet.motors == k
+    assert codec._learnt == 1100
+
+
+@given(st.data())
+@settings(max_examples=300)
+def test_mutations_of_what_was_learnt(yumi: Any, data: st.DataObject) -> None:
+    """Same length or not, tags, lengths, states or numbers hit: reading and parsing agree."""
+    robot, codec = RobotSideCodec(yumi, "7", ("qd", "tau"), force=True), EgmCodec(yumi)
+    good = robot.encode_robot(message(yumi, 1))
+    codec.decode(good)
+    mutated = bytearray(good)
+    for _ in range(data.draw(st.integers(1, 4))):
+        where, size = data.draw(st.integers(0, len(mutated) - 1)), data.draw(st.integers(0, 9))
+        keep = data.draw(st.booleans())
+        mutated[where : where + size] = data.draw(st.binary(min_size=size if keep else 0, max_size=size))
+    alike(codec.decode(bytes(mutated)), parsed(codec, yumi, bytes(mutated)))
+
+
+def test_places(wire: Any) -> None:
+    data = wire.header(300, 5) + wire.m(2, wire.m(1, wire.d(1, 1.0, 2.0))) + wire.u(6, 1)
+    places = find_places(data)
+    assert isinstance(places, Places)
+    assert places.integers["header.seqno"] == (3, 5)
+    first, second = places.doubles["feedBack.joints.joints"]
+    assert second - first == 9
+    assert places.mask[first : first + 8] == bytes(8)
+    assert places.mask[3:5] == b"\x80\x80"  # varies
+    assert places.mask[-1] == 0xFF  # a state
+    layout = Layout(data, places, [second, -1, first], ["header.tm", "header.seqno", "moveIndex"])
+    read: Any = layout.read(data)
+    assert (read[0][0], read[0][2], read[1]) == (2.0, 1.0, [5, 300, 0])
+    assert np.isnan(read[0][1])
+    assert layout.read(data[:-1] + b"\x00") is None
+
+
+@pytest.mark.parametrize(
+    "data", [b"\x0a", b"\x0a\xff", b"\x0b", b"\x09\x01", b"\x0a\x01\x08", bytes(2049), b"\x12\x04\x0a\x02\x09\x09"]
+)
+def test_no_places_in_what_is_no_message(data: bytes) -> None:
+    found = find_places(data)
+    assert found is None or not found.doubles

@@ -1,0 +1,48 @@
+"""What goes to the robot, as the robot's side reads it and as bytes by hand."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from armlab.wire.egm import EgmCodec, Reference, RobotSideCodec
+from armlab.wire.egm.axes import AxisMap
+from armlab.wire.egm.replies import Replies, encode_path_correction, encode_pose
+
+T = np.array([[0.0, 0, 1, 0.4], [1, 0, 0, -0.05], [0, 1, 0, 0.3], [0, 0, 0, 1]])
+
+
+def test_a_pose_byte_by_byte(wire: Any) -> None:
+    """Quaternion (.5, .5, .5, .5) in millimetres, no Euler angles."""
+    pose = wire.m(1, wire.d(1, 400.0), wire.d(2, -50.0), wire.d(3, 300.0))
+    turn = wire.m(2, wire.d(1, 0.5), wire.d(2, 0.5), wire.d(3, 0.5), wire.d(4, 0.5))
+    expected = wire.header(3, 4, 3) + wire.m(2, wire.m(2, pose, turn))
+    assert encode_pose(T, None, 3, 4) == expected
+
+
+def test_a_pose_with_its_speed_arrives(six: Any) -> None:
+    twist = np.array([0.1, 0.2, 0.3, 1.0, 2.0, 3.0])
+    message: Any = RobotSideCodec(six).decode_sensor(EgmCodec(six).encode_pose(T, twist, 2**32 + 5, 6))
+    assert (message.seqno, message.tm_ms, message.mtype, message.q) == (5, 6, 3, None)
+    np.testing.assert_allclose(message.T_frame_tool, T, atol=1e-15)
+    np.testing.assert_allclose(message.twist, twist)
+
+
+def test_a_path_correction_is_that_of_another_program(six: Any, wire: Any, vector: Any) -> None:
+    theirs = wire.header(1, 0, 4)[2:]
+    ours = encode_path_correction((1.5e-3, -2e-3), 0.04, 1, 0)
+    assert ours == wire.m(1, theirs) + vector("path_correction")[6:]
+    message: Any = RobotSideCodec(six).decode_sensor(EgmCodec(six).encode_path_correction((1.5e-3, -2e-3), 0.04, 1, 9))
+    np.testing.assert_allclose(message.path_yz, [1.5e-3, -2e-3])
+    assert (message.path_age, message.tm_ms, message.mtype) == (0.04, 9, 4)
+
+
+def test_joints_with_and_without_speed(scara: Any, wire: Any) -> None:
+    """A linear joint of a SCARA, in metres with the rotary factor where the user says so."""
+    replies = Replies(AxisMap(scara, ("deg",) * 4), extension=False)
+    q = np.radians([90.0, 0, 0, 0])
+    assert replies.encode(Reference(q, None, None, 1, 2)) == wire.header(1, 2, 3) + wire.m(
+        2, wire.m(1, wire.d(1, 90.0, 0, 0, 0))
+    )
+    assert len(replies.encode(Reference(q, q, None, 1, 2))) > 60
