@@ -6,7 +6,7 @@ The only place, with its neighbours in this package, where degrees, millimetres 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from math import nan
 from typing import Any
 
@@ -170,10 +170,11 @@ class EgmCodec:
             self._known[len(data)] = layout, shape
 
 
-def _same(a: Packet | None, b: Packet) -> bool:
-    pairs: Iterable[tuple[Any, Any]] = zip(a or (), b)
+def _same(a: Any, b: Any) -> bool:
+    """Return whether two packets are equal, NaN being equal to itself; False when the first is none."""
     return a is not None and all(
-        np.array_equal(x, y, equal_nan=True) if isinstance(x, np.ndarray) else x == y or x != x for x, y in pairs
+        np.array_equal(x, y, equal_nan=True) if isinstance(x, np.ndarray) else x == y or x != x
+        for x, y in zip(a, b, strict=True)
     )
 
 
