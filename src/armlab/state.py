@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ __all__ = ["Command", "State"]
 
 _EMPTY = np.zeros(0)
 _EMPTY.flags.writeable = False
+_NO_SOURCES: Mapping[str, Any] = MappingProxyType({})
 
 
 def _nan(*shape: int) -> np.ndarray:
@@ -52,6 +54,7 @@ class State:
     utilization : percent. robotware : "6.06", "6.07", "6.10" or "7".
     rapid_data, rapid_digital : values from RAPID.
     robot_ns : controller clock, int64 nanoseconds. t_receive : arrival, int64 nanoseconds.
+    sources : what each source has at this tick by name (`bridge.Held`): ``state.sources["tracker"]["p"]``.
     robot : name of the arm. age : seconds from arrival to this tick, 0 for the arm that paces.
     arms : the State of each arm when several are fused; `q` and the other joint arrays are then one arm after another.
     """
@@ -86,6 +89,7 @@ class State:
     rapid_digital: bool = False
     robot_ns: int = 0
     t_receive: int = 0
+    sources: Mapping[str, Any] = field(default_factory=lambda: _NO_SOURCES)
     robot: str = ""
     age: float = 0.0
     arms: tuple[State, ...] = ()

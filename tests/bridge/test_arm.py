@@ -23,7 +23,14 @@ PERIOD_NS = 4_000_000
 @pytest.fixture
 def arm(robot: Robot) -> Iterator[Arm]:
     port = Port("127.0.0.1", 0)
-    options: dict[str, Any] = {"commands": True, "answer_stream": True, "record": None, "extra": None, "feeds": ()}
+    options: dict[str, Any] = {
+        "commands": True,
+        "answer_stream": True,
+        "record": None,
+        "extra": None,
+        "feeds": (),
+        "sources": (),
+    }
     [made] = assemble([End(robot, port, EgmCodec(robot), None)], [Limits.of(robot)], Settings(), **options)
     yield made
     port.close()

@@ -35,7 +35,7 @@ def ends(*arms: Robot) -> list[End]:
     return [End(arm, Port("127.0.0.1", 0), EgmCodec(arm), None) for arm in arms]
 
 
-OPTIONS: dict[str, Any] = {"commands": True, "answer_stream": True, "extra": None, "feeds": ()}
+OPTIONS: dict[str, Any] = {"commands": True, "answer_stream": True, "extra": None, "feeds": (), "sources": ()}
 
 
 def test_one_clock_and_a_run_at_the_end(tmp_path: Path) -> None:

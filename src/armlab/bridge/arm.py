@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from typing import NamedTuple
 
+from armlab.bridge.fusion import Fusion
 from armlab.bridge.latency import Latency
 from armlab.bridge.limits import Reply
 from armlab.bridge.port import Arrival, Port
@@ -39,7 +40,8 @@ class Arm:
     Parameters
     ----------
     robot, port, codec, session, guide, recording : the parts.
-    settings : of the run. wall_ns : wall clock minus monotonic clock [ns]. rehearsal : see `rehearsal`.
+    settings : of the run. wall_ns : wall clock minus monotonic clock [ns]. fusion : of the sources.
+    rehearsal : see `rehearsal`.
 
     Attributes
     ----------
@@ -57,6 +59,7 @@ class Arm:
         recording: Recording,
         settings: Settings,
         wall_ns: int,
+        fusion: Fusion,
         rehearsal: Rehearsal | None = None,
     ) -> None:
         self.robot, self.port, self.codec, self.session = robot, port, codec, session
@@ -66,6 +69,7 @@ class Arm:
         self.was_late = False
         self.newest: Turn | None = None
         self._in_lockstep = settings.clock == "robot"
+        self._fusion = fusion
         self._supervisor = Supervisor(port, session, guide, settings, recording.event)
         self._wall_ns, self._heard_ns, self._robot_ns = wall_ns, time.monotonic_ns(), 0
         self._surpassed: list[Turn] = []
@@ -73,6 +77,11 @@ class Arm:
         self._answered: Command | None = None
         self._given: Command | None = None
         self._given_age = 0.0
+
+    @property
+    def may_call(self) -> bool:
+        """Whether the controller may be asked: this arm is ready and no source that it requires is stale."""
+        return self.guide.calls and not self._fusion.missing
 
     @property
     def period(self) -> float:
@@ -144,7 +153,9 @@ class Arm:
         self.guide.observe(sample)
         self._heard_ns, self._robot_ns = sample.arrival_ns, sample.packet.robot_ns
         self.prediction.add(sample.arrival_ns, sample.missed + 1, self.period)
-        self.newest = Turn(sample, self.guide.state(sample, self._wall_ns + sample.arrival_ns))
+        fused = self._fusion.fields(sample.arrival_ns, self.robot.name)
+        state = self.guide.state(sample, self._wall_ns + sample.arrival_ns, **fused)
+        self.newest = Turn(sample, state)
         return self.newest
 
     def reply(
@@ -209,6 +220,7 @@ class Arm:
             q_sent=None if reply is None else reply.q,
             qd_sent=None if reply is None else reply.qd,
             clamped=None if reply is None else reply.clamped,
+            record=self._fusion.record(turn.state.sources, sample.arrival_ns),
         )
         self._ticks += 1
         self.recording.row(turn.state, command, tick)

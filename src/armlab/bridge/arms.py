@@ -50,6 +50,7 @@ def fuse(states: Sequence[State], ages: Sequence[float], pace: int, t: float) ->
         robotware=first.robotware,
         robot_ns=first.robot_ns,
         t_receive=first.t_receive,
+        sources=first.sources,
         robot="+".join(state.robot for state in states),
         arms=arms,
         **joints,

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from armlab.bridge.arm import Arm
+from armlab.bridge.events import nobody
+from armlab.bridge.fusion import Fusion
 from armlab.bridge.limits import Limits
 from armlab.bridge.port import Port
 from armlab.bridge.recording import Feed, Recording, paths
 from armlab.bridge.rehearsal import Rehearsal
 from armlab.bridge.run import Run, statistics
 from armlab.bridge.session import Session
+from armlab.bridge.sources import Source
 from armlab.bridge.states import Guide
 from armlab.bridge.supervision import Settings
 from armlab.errors import ConfigError
@@ -76,22 +79,33 @@ def assemble(
     record: str | Path | None,
     extra: Mapping[str, Column] | None,
     feeds: Sequence[Feed],
+    sources: Sequence[Source],
 ) -> list[Arm]:
     """Return the arms of one run, on one clock.
 
     Parameters
     ----------
     ends : where they are heard. limits : of each. settings : of the run. commands : False when nothing is ever sent.
-    answer_stream, record, extra, feeds : see `Link.run`.
+    answer_stream, record, extra, feeds, sources : see `Link.run`.
     """
     wall_ns = time.time_ns() - time.monotonic_ns()
     told = list(feeds)  # one list: a feed that fails is dropped for all arms
+    columns = {**Fusion(sources).columns, **(extra or {})}
     files = paths(record, [end.robot for end in ends])
     arms: list[Arm] = []
     try:
         for end, one, file in zip(ends, limits, files, strict=True):
-            label = end.robot.name if len(ends) > 1 else ""
-            arms.append(_arm(end, one, settings, wall_ns, file, told, commands, answer_stream, extra, label))
+            recording = Recording(
+                end.robot,
+                file,
+                columns,
+                wait=settings.clock == "robot",
+                clock=_clock(arms, len(arms)),
+                feeds=told,
+                label=end.robot.name if len(ends) > 1 else "",
+            )
+            fusion = Fusion(sources, recording.event if not arms else nobody)
+            arms.append(_arm(end, one, settings, wall_ns, recording, fusion, commands, answer_stream))
     except BaseException:
         for arm in arms:
             arm.recording.close({})
@@ -99,20 +113,21 @@ def assemble(
     return arms
 
 
+def _clock(arms: Sequence[Arm], index: int) -> Callable[[], int]:
+    return lambda: arms[index].stamp_ns
+
+
 def _arm(
     end: End,
     limits: Limits,
     settings: Settings,
     wall_ns: int,
-    file: Path | None,
-    feeds: list[Feed],
+    recording: Recording,
+    fusion: Fusion,
     commands: bool,
     answer_stream: bool,
-    extra: Mapping[str, Column] | None,
-    label: str,
 ) -> Arm:
-    robot, in_lockstep = end.robot, settings.clock == "robot"
-    recording = Recording(robot, file, extra, wait=in_lockstep, clock=lambda: arm.stamp_ns, feeds=feeds, label=label)
+    robot = end.robot
     guide = Guide(
         robot,
         limits,
@@ -121,10 +136,9 @@ def _arm(
         answer_stream=answer_stream,
         on_event=recording.event,
     )
-    session = Session(end.codec, float("inf") if in_lockstep else _SILENCE, recording.event)
+    session = Session(end.codec, float("inf") if settings.clock == "robot" else _SILENCE, recording.event)
     rehearsal = None if end.spare is None else Rehearsal(robot, limits, end.spare)
-    arm = Arm(robot, end.port, end.codec, session, guide, recording, settings, wall_ns, rehearsal)
-    return arm
+    return Arm(robot, end.port, end.codec, session, guide, recording, settings, wall_ns, fusion, rehearsal)
 
 
 def finished(arms: Sequence[Arm], reason: str) -> Run:

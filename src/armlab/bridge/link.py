@@ -19,6 +19,7 @@ from armlab.bridge.port import Port
 from armlab.bridge.recording import Feed
 from armlab.bridge.run import Run, together
 from armlab.bridge.simulator import Simulator
+from armlab.bridge.sources import Source
 from armlab.bridge.supervision import Settings
 from armlab.bridge.waiting import Wait, Waiting
 from armlab.bridge.watchdog import Guard
@@ -148,6 +149,7 @@ class Link:
         progress: Callable[[float, float, str], None] | None = None,
         pace: str | None = None,
         feeds: Sequence[Feed] = (),
+        sources: Sequence[Source] = (),
     ) -> Run:
         """Run a controller against the robot: one call and one reply per packet.
 
@@ -175,6 +177,7 @@ class Link:
         progress : called ten times a second of robot time with (done, total, what): seconds under guidance, and of all.
         pace : name of the arm that paces, the first by default.
         feeds : told every row and event after the reply was sent; see `recording.Feed`.
+        sources : fused with each packet into `State.sources` and recorded; started and closed with the run.
 
         Returns
         -------
@@ -199,6 +202,7 @@ class Link:
             record=record,
             extra=extra,
             feeds=feeds,
+            sources=sources,
         )
         in_lockstep = settings.clock == "robot"
         mode: Wait = "block" if in_lockstep else wait
@@ -208,6 +212,9 @@ class Link:
         try:
             with ExitStack() as stack:
                 stack.enter_context(interrupts(loop.interrupt))
+                for source in sources:
+                    stack.callback(source.close)
+                    source.start()
                 stack.enter_context(quiet_memory())
                 if not in_lockstep:
                     for arm in arms:

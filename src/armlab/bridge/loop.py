@@ -127,8 +127,8 @@ class Loop:
             self._serve_others()
 
     def _may_ask(self, turn: Turn) -> bool:
-        """Whether the controller is called for this packet: all arms are ready and none is stale."""
-        if not all(arm.guide.calls for arm in self._arms):
+        """Whether the controller is called for this packet: all arms are ready and nothing that it needs is stale."""
+        if not all(arm.may_call for arm in self._arms):
             return False
         for arm in () if self._in_lockstep else self._others:
             longest = max(_STALE_PERIODS * arm.period, _STALE)
@@ -142,7 +142,7 @@ class Loop:
         if arm is self._pace:
             for other in self._others:
                 other.give(None)
-        elif all(one.guide.calls for one in self._arms):
+        elif all(one.may_call for one in self._arms):
             command = arm.given(turn.sample, _SERVES * self._pace.period)
         arm.reply(turn, command, arm.guide.answer(command, arm.period))
 

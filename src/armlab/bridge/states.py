@@ -8,6 +8,7 @@ then the position reached is repeated with speed zero.
 from __future__ import annotations
 
 from enum import Enum
+from typing import Any
 
 import numpy as np
 
@@ -125,12 +126,13 @@ class Guide:
             self._lose_ready(packet)
         self.ready = ready
 
-    def state(self, sample: Sample, t_receive: int) -> State:
+    def state(self, sample: Sample, t_receive: int, **fused: Any) -> State:
         """Return what the controller sees of a sample just observed.
 
         Parameters
         ----------
         sample : from the session. t_receive : arrival, wall clock [ns].
+        fused : `sources` and `wrench` of the State, where there are any.
         """
         packet, last = sample.packet, self._last
         return State(
@@ -163,6 +165,7 @@ class Guide:
             robot_ns=packet.robot_ns,
             t_receive=t_receive,
             robot=self._robot.name,
+            **fused,
         )
 
     def answer(self, command: Command | None, period: float) -> Reply | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -49,6 +50,7 @@ class Tick(NamedTuple):
     late : the controller missed its deadline. drops : datagrams refused so far.
     q_sent, qd_sent, tau_sent : (n,) what went out after the limits, None when nothing did.
     clamped : (n,) bits of the limits that acted, None when there were none to apply.
+    record : values of declared columns that the bridge knows, besides those of the Command.
     """
 
     number: int
@@ -63,6 +65,7 @@ class Tick(NamedTuple):
     qd_sent: np.ndarray | None = None
     tau_sent: np.ndarray | None = None
     clamped: np.ndarray | None = None
+    record: Mapping[str, Any] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,9 +152,10 @@ class RowLayout:
         """
         n, nan, none = self.n, self._nan, self._nan["q"]
         q_ref = qd_ref = tau_ref = None
-        record: Mapping[str, Any] = {}
+        record = tick.record
         if command is not None:
-            q_ref, qd_ref, tau_ref, record = command.q, command.qd, command.tau, command.record
+            q_ref, qd_ref, tau_ref = command.q, command.qd, command.tau
+            record = {**record, **command.record} if record else command.record
         parts = [
             _SCALARS.pack(
                 tick.stamp_ns, tick.number, state.seq, tick.seq_sent, state.session, state.missed, tick.drops,

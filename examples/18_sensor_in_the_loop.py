@@ -1,0 +1,39 @@
+"""Use a sensor beside the arm: its newest value in each State, its age, NaN while it is silent, all in the log."""
+
+import itertools
+
+import numpy as np
+
+from armlab import Command, State, bridge, robots
+from armlab.log import Column
+
+COUNTS = {"fresh": 0, "held": 0, "too old": 0}
+FRAME = itertools.count()
+
+
+def read_tracker() -> dict[str, object] | None:
+    """Stand in for a camera at 30 Hz that sees the tool for two thirds of each second."""
+    k = next(FRAME)
+    return {"p": [0.4, 0.0, 0.2 + 0.01 * np.sin(k / 30)]} if k % 30 < 20 else None
+
+
+def controller(state: State) -> Command:
+    """Turn the flange with what the tracker sees; back where it began while that is too old, which is NaN."""
+    seen = state.sources["tracker"]
+    COUNTS["too old" if seen.stale else "fresh" if seen.fresh else "held"] += 1
+    q = state.q_start.copy()
+    q[6] += 0.0 if seen.stale else 2.0 * (seen["p"][2] - 0.2)
+    return Command(q)
+
+
+def main() -> None:
+    fields = {"p": Column((3,), unit="m", frame="base")}
+    tracker = bridge.CallableSource("tracker", fields, read_tracker, period=1 / 30)
+    with bridge.connect("sim://yumi_right", robots.load("yumi_right")) as link:
+        run = link.run(controller, seconds=1.5, sources=[tracker])
+    print("packets at which the tracker was", COUNTS)
+    print("oldest value in the log [s]:", np.nanmax(run.table["tracker.age"]).round(2))
+
+
+if __name__ == "__main__":
+    main()

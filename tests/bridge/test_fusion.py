@@ -1,0 +1,270 @@
+"""The newest of every source at each tick: ages, gaps, staleness, clocks, and a replay that gives the same rows."""
+
+from __future__ import annotations
+
+import socket
+import struct
+import threading
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab import bridge
+from armlab.bridge import CallableSource, Fusion, Held, Reading, ReplaySource, Source, TimerSource, UdpSource
+from armlab.errors import ConfigError, UnknownName
+from armlab.log import Column
+from armlab.robots import Robot
+from armlab.state import Command, State
+
+MS = 1_000_000
+P = {"p": Column(unit="m")}
+
+
+class Scripted(Source):
+    """Readings at given times; what `newest` returns depends on the time of the tick alone."""
+
+    def __init__(self, name: str, times_ns: np.ndarray, clock_ns: int = 0, lost: tuple[int, ...] = (), **options: Any):
+        super().__init__(name, P, **options)
+        kept = [seq for seq in range(len(times_ns)) if seq not in lost]
+        self.arrivals = times_ns[kept]
+        self.readings = []
+        for row, seq in enumerate(kept):
+            receive = int(times_ns[seq])
+            values = self.values({"p": float(seq)})
+            self.readings.append(Reading(values, receive - clock_ns, receive, seq, seq - row))
+
+    def newest(self) -> Reading | None:
+        row = int(np.searchsorted(self.arrivals, self.now_ns, side="right")) - 1
+        return self.readings[row] if row >= 0 else None
+
+
+def scripts(seconds: float) -> list[Scripted]:
+    """A force sensor at 1 kHz; a tracker at 30 Hz with jitter, lost frames, and 2 s without any."""
+    rng = np.random.default_rng(3)
+    force = np.arange(0, int(1e9 * seconds), MS) + rng.integers(0, MS // 20, int(1e3 * seconds))
+    frames = np.arange(0, int(1e9 * seconds), 33_333_333)
+    stall = (frames > 3e9) & (frames < 5e9)
+    track = (frames + rng.integers(0, 12 * MS, len(frames)))[~stall]
+    return [
+        Scripted("force", force, clock_ns=10**15, period=0.001, role="required"),
+        Scripted("tracker", track, lost=(5, 6, 40), period=1 / 30),
+    ]
+
+
+def test_ages_of_the_specified_cell() -> None:
+    """Two arms at 4.032 and 4.000 ms look at both: ages, freshness, gaps and staleness are the truth's, to 0.2 ms."""
+    made, fusion = scripts(8.0), [Fusion(scripts(8.0)) for _ in range(2)]
+    for one, period in zip(fusion, (4_032_000, 4_000_000), strict=True):
+        last: dict[str, int] = {}
+        for now in range(100 * MS, int(7.9e9), period):
+            held = one.tick(now)
+            for source in made:
+                got = held[source.name]
+                row = int(np.searchsorted(source.arrivals, now, side="right")) - 1
+                truth = 1e-9 * (now - source.arrivals[row])
+                assert abs(got.age - truth) < 0.2e-3
+                assert got.fresh == (last.get(source.name) != row)
+                assert got.stale == (truth > source.max_age)
+                assert np.isnan(got["p"]) == got.stale
+                assert got.kept["p"] == source.readings[row].values["p"]
+                assert got.gaps == source.readings[row].gaps
+                last[source.name] = row
+            assert one.missing == ""
+            assert abs(held["force"].mapped_ns - held["force"].receive_ns) < 0.2 * MS
+
+
+def test_stale_sources_are_told_and_a_required_one_is_missing() -> None:
+    told: list[str] = []
+    source = Scripted("force", np.array([0, MS, 100 * MS, 101 * MS]), period=0.001, role="required")
+    fusion = Fusion([source], lambda text, warn=False: told.append(text))
+    never = Fusion([Scripted("late", np.array([10 * MS]), period=0.001, role="required")])
+    never.tick(0)
+    assert never.missing == "late"
+    missing = []
+    for now in (2 * MS, 20 * MS, 22 * MS, 60 * MS, 101 * MS):
+        fusion.tick(now)
+        missing.append(fusion.missing)
+    assert missing == ["", "", "force", "force", ""]
+    assert told == ["The source force is stale: its last reading is 0.021 s old.", "The source force is back."]
+
+
+def test_what_was_never_seen() -> None:
+    held = Fusion([Scripted("late", np.array([10 * MS]), period=0.001)]).tick(0)["late"]
+    assert isinstance(held, Held)
+    assert held.age == float("inf")
+    assert (held.fresh, held.stale, held.receive_ns) == (False, True, 0)
+    assert np.isnan(held["p"])
+
+
+def test_a_restart_of_the_numbers_maps_the_clock_anew() -> None:
+    told: list[str] = []
+
+    class Restarting(Source):
+        def newest(self) -> Reading:
+            k = self.now_ns // MS
+            seq, clock = (k, 5) if k < 50 else (k - 50, 20 * MS)
+            return Reading(self.values({"p": 0.0}), 10**9 + self.now_ns - clock, self.now_ns, seq)
+
+    fusion = Fusion([Restarting("s", P, 0.001)], lambda text, warn=False: told.append(text))
+    for k in range(60):
+        held = fusion.tick(k * MS)["s"]
+        assert abs(held.mapped_ns - k * MS) <= 5
+    assert told == ["The source s began anew: number 0 after 49."]
+
+
+def test_wrong_sets_of_sources() -> None:
+    one, two = TimerSource("a", 0.01), TimerSource("b", 0.01)
+    for sources, words in (([one, one], "different names"), ([one, two], "at most one"), ([object()], "got object")):
+        with pytest.raises(ConfigError, match=words):
+            Fusion(sources)  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match="role pacing"):
+        next(Fusion([TimerSource("a", 0.01, role="optional")]).ticks(0.1))
+
+
+def test_a_timer_paces_rows_without_a_robot() -> None:
+    timer = TimerSource("clock", 0.002)
+    fusion = Fusion([timer])
+    timer.start()
+    counts = [int(held["clock"]["count"]) for held in fusion.ticks(0.1)]
+    assert counts == sorted(set(counts))
+    assert 5 <= len(counts) <= 51
+
+
+def columns(table: Any, name: str) -> dict[str, np.ndarray]:
+    return {one: table[one] for one in table.names if one.startswith(f"{name}.")}
+
+
+def test_in_a_run_and_replayed(play: Any) -> None:
+    """Values reach the controller and the log; a replay of the log through the same fusion gives the same rows."""
+    seen: list[Mapping[str, Held]] = []
+
+    def controller(state: State) -> Command:
+        seen.append(state.sources)
+        return Command(state.q_start)
+
+    class Wrench(Source):
+        """Every third tick a new wrench."""
+
+        def newest(self) -> Reading:
+            k = (self.now_ns - begun) // (3 * MS)
+            stamp = begun + 3 * MS * k
+            return Reading(self.values({"wrench": np.full(6, 1.0 * k)}), stamp - begun + 1, stamp, k)
+
+    begun = time.monotonic_ns()
+    source = Wrench("force", {"wrench": Column((6,))}, 0.003)
+    wrenches: list[np.ndarray] = []
+
+    class Feed:
+        def row(self, state: State, command: Command | None, tick: Any) -> None:
+            wrenches.append(state.wrench)
+
+        def event(self, text: str, warn: bool = False) -> None:
+            pass
+
+    run = play(lambda peer: peer.rest(), controller, seconds=0.3, sources=[source], feeds=[Feed()])
+    table = run.table
+    assert all(held["force"].age < 0.02 for held in seen)
+    np.testing.assert_array_equal(table["force.wrench"][:, 0], [wrench[0] for wrench in wrenches])
+    np.testing.assert_array_equal(table["force.wrench"], np.repeat(table["force.seq"][:, None], 6, axis=1))
+    assert table.units["force.age"] == "s"
+    replay = ReplaySource("force", table, 0.003)
+    fusion = Fusion([replay])
+    start = 10**12
+    for row, receive_ns in enumerate(table["receive_ns"] - table["receive_ns"][0]):
+        now = start + int(receive_ns)
+        again = fusion.record(fusion.tick(now), now)
+        for name, column in columns(table, "force").items():
+            np.testing.assert_allclose(again[name], column[row], rtol=1e-12, atol=2e-9, err_msg=name)
+    with pytest.raises(UnknownName, match="source in this recording"):
+        ReplaySource("tracker", table, 0.03)
+
+
+def test_a_required_source_that_is_stale_holds_the_arm(play: Any) -> None:
+    alive = [True]
+
+    class Sensor(Source):
+        kept: Reading | None = None
+
+        def newest(self) -> Reading | None:
+            if alive[0]:
+                self.kept = Reading(self.values({"p": 1.0}), 0, self.now_ns, self.now_ns)
+            return self.kept
+
+    calls: list[float] = []
+
+    def controller(state: State) -> Command:
+        calls.append(state.t)
+        return Command(qd=np.full(7, 0.1))
+
+    def script(peer: Any) -> None:
+        peer.cycles(20)
+        assert peer.replies[-1].qd.min() > 0.05
+        alive[0] = False
+        time.sleep(0.03)
+        held = peer.cycles(30)
+        called = len(calls)
+        assert not held[-1].qd.any()
+        alive[0] = True
+        peer.cycles(20)
+        assert len(calls) > called
+        peer.rest()
+
+    run = play(script, controller, sources=[Sensor("sensor", P, 0.004, role="required")], seconds=0.3)
+    assert any("The source sensor is stale" in text for _, text in run.events)
+
+
+def test_sources_are_started_and_closed(play: Any, robot: Robot) -> None:
+    done: list[str] = []
+
+    class Sensor(Source):
+        def start(self) -> None:
+            done.append(f"start {self.name}")
+            if self.name == "bad":
+                raise ConfigError("Expected a sensor, got none.")
+
+        def close(self) -> None:
+            done.append(f"close {self.name}")
+
+        def newest(self) -> None:
+            return None
+
+    good, bad = Sensor("good", P, 0.01), Sensor("bad", P, 0.01)
+    with bridge.connect("egm://127.0.0.1:0", robot) as link, pytest.raises(ConfigError, match="a sensor"):
+        link.run(None, sources=[good, bad])
+    assert done == ["start good", "start bad", "close bad", "close good"]
+
+
+@pytest.mark.slow
+def test_ages_of_datagrams(play: Any) -> None:
+    """1 s in real time: the sender's own clock is ours, so the age that the loop tells can be compared."""
+    sensor = UdpSource("force", P, 0.001, 0, {"seq": "<u4", "stamp_ns": "<i8", "p": "<f8"})
+    hand = CallableSource("hand", P, lambda: {"p": 1e-9 * time.monotonic_ns()}, 0.004)
+    over = threading.Event()
+
+    def send() -> None:
+        seq = 0
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+            while not over.wait(0.001):
+                if sensor.port:
+                    data = struct.pack("<Iqd", seq, time.monotonic_ns(), 0.0)
+                    out.sendto(data, ("127.0.0.1", sensor.port))
+                    seq += 1
+
+    def script(peer: Any) -> None:
+        peer.begin()
+        peer.rest(pause=0.004)
+
+    thread = threading.Thread(target=send)
+    thread.start()
+    run = play(
+        script, lambda state: Command(state.q_start), play.link(clock="wall"), sources=[sensor, hand], seconds=1.0
+    )
+    over.set()
+    thread.join()
+    table = run.table
+    assert np.median(table["force.age"]) < 0.004
+    assert np.percentile(np.abs(table["force.delay"]), 90) < 0.2e-3
+    assert np.nanmax(table["force.gaps"]) == 0.0

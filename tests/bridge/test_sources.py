@@ -1,0 +1,91 @@
+"""Kinds of sources."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab.bridge import CallableSource, Reading, Source, TimerSource
+from armlab.bridge.sources import TICK_COLUMNS
+from armlab.errors import ConfigError, ShapeError, UnknownName
+from armlab.log import Column
+
+FIELDS = {"p": Column((3,), unit="m"), "grip": Column(unit="N")}
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "words"),
+    [
+        ({"name": "a.b"}, ConfigError, "without dots"),
+        ({"fields": {}}, ConfigError, "with fields"),
+        (
+            {"fields": {"age": Column(unit="s")}},
+            ConfigError,
+            "other names than those of the log's own columns, got age",
+        ),
+        ({"fields": {"p": Column((3,))}}, ShapeError, "unit"),
+        ({"period": 0.0}, ConfigError, "above 0 s, got 0.0"),
+        ({"max_age": float("nan")}, ConfigError, "max_age"),
+        ({"role": "leading"}, UnknownName, "role of a source"),
+    ],
+)
+def test_wrong_sources(options: dict[str, Any], error: type[Exception], words: str) -> None:
+    with pytest.raises(error, match=words):
+        Source(**{"name": "tracker", "fields": FIELDS, "period": 0.03, **options})
+
+
+def test_values() -> None:
+    source = Source("tracker", FIELDS, 0.03)
+    assert source.max_age == pytest.approx(0.09)
+    assert Source("force", FIELDS, 0.001).max_age == 0.02
+    values = source.values({"p": [1, 2, 3]})
+    np.testing.assert_array_equal(values["p"], [1.0, 2.0, 3.0])
+    assert np.isnan(values["grip"])
+    assert not values["p"].flags.writeable
+    for given, error, words in (
+        ({"q": 1.0}, UnknownName, "field of the source 'tracker'"),
+        ({"p": [1.0]}, ConfigError, r"p of shape \(3,\) from the source 'tracker', got \(1,\)"),
+        ({"grip": "high"}, ConfigError, "numbers in grip"),
+    ):
+        with pytest.raises(error, match=words):
+            source.values(given)
+    assert set(TICK_COLUMNS) == {"age", "gaps", "seq", "source_time", "delay"}
+
+
+def test_a_function_in_a_thread() -> None:
+    calls = threading.Semaphore(0)
+    given: list[Any] = [{"grip": 1.0}, None, {"grip": "high"}, {"grip": 2.0}]
+
+    def function() -> Any:
+        calls.release()
+        return given.pop(0) if given else {"grip": 3.0}
+
+    source = CallableSource("hand", FIELDS, function, 0.001)
+    assert source.newest() is None
+    source.start()
+    for _ in range(6):
+        assert calls.acquire(timeout=5.0)
+    source.close()
+    reading = source.newest()
+    assert isinstance(reading, Reading)
+    assert reading.values["grip"] == 3.0
+    assert reading.receive_ns <= time.monotonic_ns()
+    assert reading.seq >= 2
+    assert "numbers in grip" in source.problem
+
+
+def test_timer() -> None:
+    timer = TimerSource("clock", 0.001)
+    timer.start()
+    first = timer.newest()
+    assert first is not None
+    time.sleep(0.003)
+    second = timer.newest()
+    assert second is not None
+    assert second.seq - first.seq >= 2
+    assert second.receive_ns - first.receive_ns == (second.seq - first.seq) * 1_000_000
+    assert second.values["count"] == second.seq
