@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -330,6 +332,37 @@ def test_two_arms_in_real_time() -> None:
         counted = arm.statistics
         assert counted["replies"] + counted["overtaken"] == counted["packets"]
         assert np.nanmax(arm.table["q_sent"][:, 0]) - arm.table["q"][0, 0] > 0.01
+
+
+_PROGRAM = """
+import sys
+import numpy as np
+from armlab import bridge, robots
+from armlab.state import Command
+pair = [robots.load("yumi_left"), robots.load("yumi_right")]
+told = []
+def controller(state):
+    if state.t > 1.2 and not told:
+        told.append(print("running", flush=True))
+    return Command(state.q_start + 0.05 * np.sin(state.t))
+with bridge.connect("sim://yumi_left+yumi_right", pair) as link:
+    link.run(controller, record=sys.argv[1])
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:.*was not finished")
+def test_both_files_survive_a_kill(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", _PROGRAM, str(tmp_path / "run.mcap")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True) as program:
+        assert program.stdout is not None
+        assert program.stdout.readline() == "running\n"
+        program.kill()
+    for name in ("runleft.mcap", "runright.mcap"):
+        table = log.read(tmp_path / name)
+        assert table.t[-1] > 0.2
+        assert np.isfinite(table["q"]).all()
+        np.testing.assert_array_equal(np.diff(table["tick"]), 1)
 
 
 def test_wrong_pairs() -> None:

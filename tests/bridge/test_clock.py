@@ -41,6 +41,13 @@ def test_arrival_is_the_last_resort(packets: Any) -> None:
     assert clock.step(packet(packets, robot_ns=None, tm_ms=None), 5_001_000) > 0.0
 
 
+def test_a_tm_too_coarse_for_the_cycle_is_left_alone(packets: Any) -> None:
+    """At 0.5 ms two packets share one tm: counted too, its steps would make the robot's time run faster."""
+    clock = RobotClock()
+    steps = [clock.step(packet(packets, robot_ns=None, tm_ms=k // 2), 500_000 * k) for k in range(2000)]
+    assert sum(step for step in steps if step is not None) == pytest.approx(0.5e-3 * 1999, rel=1e-3)
+
+
 def test_the_period_is_the_robots_not_the_gaps() -> None:
     period = Period()
     assert period.seconds == NOMINAL_PERIOD

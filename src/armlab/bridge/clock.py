@@ -47,10 +47,12 @@ class Period:
 class RobotClock:
     """Differences of robot time: feedBack.time, else the header's tm, else arrival.
 
-    A source that steps back, stands still or jumps by more than 1 s is not used for that step.
+    A source that steps back, stands still or jumps by more than 1 s is not used for that step. A tm that is the same in
+    two packets is too coarse for the cycle, below 1 ms, and is not used again: its next step would count twice.
     """
 
     def __init__(self) -> None:
+        self._is_coarse = False
         self._last: tuple[int, int | None, int] | None = None  # robot ns, tm ms, arrival ns
 
     def step(self, packet: Packet, arrival_ns: int) -> float | None:
@@ -68,8 +70,9 @@ class RobotClock:
             dt = 1e-9 * (packet.robot_ns - robot_ns)
             if 0.0 < dt <= _LONGEST:
                 return dt
-        if packet.tm_ms is not None and tm_ms is not None:
+        if packet.tm_ms is not None and tm_ms is not None and not self._is_coarse:
             dt = 1e-3 * ((packet.tm_ms - tm_ms) % _WRAP_MS)
+            self._is_coarse = dt == 0.0
             if 0.0 < dt <= _LONGEST:
                 return dt
         return max(1e-9 * (arrival_ns - arrived), 1e-6)

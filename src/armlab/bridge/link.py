@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import Literal
+from typing import Any, Literal
 
 from armlab.bridge.address import addresses
 from armlab.bridge.assembly import End, assemble, checked_limits, finished
@@ -80,8 +80,8 @@ def connect(
     return Link(ends, answer_stream, settings, simulator)
 
 
-def _robots(robot: object) -> list[Robot]:
-    found = list(robot) if isinstance(robot, (list, tuple)) else [robot]
+def _robots(robot: Any) -> list[Robot]:
+    found: list[Any] = list(robot) if isinstance(robot, (list, tuple)) else [robot]
     for one in found:
         if not isinstance(one, Robot):
             raise RobotError.no_robot(one)
