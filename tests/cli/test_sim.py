@@ -139,6 +139,19 @@ def test_a_simulator_ends_with_the_process_that_started_it() -> None:
     assert "the process that started the simulator has ended" in said
 
 
+def test_a_simulator_whose_parent_is_gone_before_it_looks_ends() -> None:
+    """The bridge tells its number: whoever adopted the simulator meanwhile is not taken for it."""
+    with subprocess.Popen([sys.executable, "-c", ""]) as gone:
+        gone.wait()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
+        silent.bind(("127.0.0.1", 0))
+        words = arguments(silent.getsockname()[1], "--parent", str(gone.pid))
+        assert cli.main(words) == 0
+        silent.settimeout(0.05)
+        with pytest.raises(TimeoutError):
+            silent.recvfrom(65535)
+
+
 def test_sim_ends_cleanly_when_terminated(tmp_path: Path) -> None:
     stats = tmp_path / "stats.json"
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:

@@ -1,4 +1,4 @@
-"""Files of `armlab sim`: each wrong line is named."""
+"""Files of `armlab sim`: each wrong line is named. What `truth_writer` writes is read in test_sim.py."""
 
 from __future__ import annotations
 

@@ -54,7 +54,8 @@ def start(seed: int = 0, operator: Operator | None = None, extension: bool = Tru
     chosen = Settings(**changes)  # type: ignore[arg-type]
     events: list[str] = []
     arm = Arm(ROBOT, TRUTH, period=chosen.period, seed=seed)
-    peer = Peer(Controller(arm, RobotSideCodec(ROBOT, extension=extension), chosen, operator, lambda event: events.append(str(event))))
+    codec = RobotSideCodec(ROBOT, extension=extension)
+    peer = Peer(Controller(arm, codec, chosen, operator, lambda event: events.append(str(event))))
     peer.events = events  # type: ignore[attr-defined]
     return peer
 

@@ -93,9 +93,7 @@ def test_first_in_first_out_of_64_with_ages() -> None:
     assert box.take(11) is None
 
 
-@pytest.mark.parametrize(
-    ("mode", "reason"), [("joint", None), ("pose", "no pose"), ("path", "no path correction")]
-)
+@pytest.mark.parametrize(("mode", "reason"), [("joint", None), ("pose", "no pose"), ("path", "no path correction")])
 def test_messages_must_hold_what_the_mode_needs(mode: str, reason: str | None) -> None:
     box, statistics = inbox(mode=mode)
     found = box.read(EgmCodec(ROBOT).encode(Reference(np.zeros(7), None, None, 0, 0)))

@@ -12,7 +12,7 @@ from armlab.wire.egm import armlab_egm_pb2 as pb
 def test_the_slide_goes_down() -> None:
     robot = scara()
     T_base_tool = robot.chain.forward(robot.q_home)
-    lower = robot.chain.forward(robot.q_home + [0.0, 0.0, 0.05, 0.0])
+    lower = robot.chain.forward(robot.q_home + np.array([0.0, 0.0, 0.05, 0.0]))
     np.testing.assert_allclose(lower[:3, 3] - T_base_tool[:3, 3], [0.0, 0.0, -0.05], atol=1e-12)
 
 

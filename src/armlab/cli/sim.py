@@ -186,9 +186,7 @@ class _Cell:
         content, settings = self.content, self.settings
         robot = scara() if name == "scara" else robots.load(name)
         is_rw7 = content.robotware == "7"
-        codec = RobotSideCodec(
-            robot, content.robotware, self.extension, force=content.force, external=content.external
-        )
+        codec = RobotSideCodec(robot, content.robotware, self.extension, force=content.force, external=content.external)
         packets = Packets(
             codec,
             settings.period,

@@ -52,9 +52,9 @@ class Controller:
     Attributes
     ----------
     phase : see the module. reason : why it is over, "" before. dead : over by a failure that only a restart ends.
-    session : number of the session from 1. uptime : robot time [s]. guidance_time : since guidance began [s], or the
-    stream where there is none. seq, cycle : number of the next packet, and of the cycle since the start. inbox : what has arrived. packets : builds messages.
-    statistics : what was counted.
+    session : number of the session from 1. seq, cycle : number of the next packet, and of the cycle since the start.
+    uptime : robot time [s]. guidance_time : since guidance began [s], or the stream where there is none.
+    inbox : what has arrived. packets : builds messages. statistics : what was counted.
 
     Raises
     ------
@@ -201,7 +201,9 @@ class Controller:
         self._target.begin(self._guidance.q)
         streamed = math.ceil(self._settings.stream / self._settings.period - 1e-9)
         self._guided_since = first_cycle + (0 if self._settings.only_streams else streamed)
-        streams = streamed or self._settings.only_streams or not self._scene.is_ready(first_cycle * self._settings.period)
+        streams = (
+            streamed or self._settings.only_streams or not self._scene.is_ready(first_cycle * self._settings.period)
+        )
         self._enter("streaming" if streams else "guiding")
 
     def _enter(self, phase: str) -> None:

@@ -32,7 +32,8 @@ class HandPath:
         self._t, self._q = np.array(t, dtype=np.float64), np.array(q, dtype=np.float64)
         if self._t.ndim != 1 or self._q.ndim != 2 or len(self._t) != len(self._q) or len(self._t) < 2:
             raise ShapeError(
-                f"Expected times (N,) and postures (N, n) with at least two rows, got {self._t.shape} and {self._q.shape}."
+                f"Expected times (N,) and postures (N, n) with at least two rows, got {self._t.shape} and "
+                f"{self._q.shape}. Give one posture per time."
             )
         if not (np.isfinite(self._t).all() and np.isfinite(self._q).all() and (np.diff(self._t) > 0).all()):
             raise ShapeError("Expected finite postures at finite times that increase, got others. Correct the rows.")

@@ -28,7 +28,7 @@ _CONTENT = {
 
 @dataclass(slots=True)
 class Sent:
-    """A packet that can be answered: number, `tm`, cycle, clock just before sending [ns], whether it was in guidance."""
+    """A packet that can be answered: number, `tm`, cycle, whether in guidance, clock just before sending [ns]."""
 
     seq: int
     tm_ms: int

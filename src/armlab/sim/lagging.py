@@ -73,6 +73,4 @@ class LaggingArm:
 
     def _report(self, qd: np.ndarray, q_ref: np.ndarray) -> None:
         none = self._unknown
-        self.sample = Sample(
-            self._q, qd, none, none, none, none, q_ref, self._calm, self.robot.chain.forward(self._q)
-        )
+        self.sample = Sample(self._q, qd, none, none, none, none, q_ref, self._calm, self.robot.chain.forward(self._q))

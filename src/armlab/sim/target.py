@@ -1,8 +1,8 @@
 """`Target`: what the peer wants, as joints: from joint references, a pose, or a path correction, and the drive's part.
 
 Pose and path correction exist for tests of codecs: the goal is the posture that inverse kinematics finds from the
-planned one. A path correction shifts the posture at the beginning of guidance by y and z of the tool frame; one is taken
-per 24 ms.
+planned one. A path correction shifts the posture at the beginning of guidance by y and z of the tool frame; one is
+taken per 24 ms.
 """
 
 from __future__ import annotations
