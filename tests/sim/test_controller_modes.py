@@ -190,8 +190,8 @@ def test_torques_move_an_arm_whose_gains_are_zero() -> None:
     push = rest + np.array([6.0, 0, 0, 0, 0, 0, 0])
     task.run(60, lambda p: research(p, push, 0.0))
     moved = task.controller.arm.sample.q - ROBOT.q_home
-    print("MOVED", moved)
-    assert moved[0] > 0.02
+    assert moved[0] > 0.1
+    assert np.abs(moved[1:]).max() < 1e-3
     np.testing.assert_allclose(task.packets[-1].q_planned, task.packets[-2].q, atol=0.02)
     before = task.controller.arm.sample.q
     task.run(50, task.position(task.packets[-1].q))
