@@ -160,7 +160,8 @@ class LabCommClient:
         end = time.monotonic() + seconds
         while True:
             left = max(end - time.monotonic(), 0.0)
-            rows = [self._types.row(event.value) for event in self.events(left) if self._is_row(event)]
+            samples = [event for event in self.events(left) if isinstance(event, Sample)]
+            rows = [self._types.row(one.value) for one in samples if self._is_row(one)]
             if rows or time.monotonic() >= end:
                 return rows
 
@@ -215,9 +216,8 @@ class LabCommClient:
                     raise
                 time.sleep(0.1)
 
-    def _is_row(self, event: Event) -> bool:
-        sent = self._types.sent
-        return isinstance(event, Sample) and (event.name, event.type) == (sent.name, sent.type)
+    def _is_row(self, sample: Sample) -> bool:
+        return (sample.name, sample.type) == (self._types.sent.name, self._types.sent.type)
 
     def _push(self, packet: bytes, may_drop: bool = True) -> None:
         if packet:

@@ -175,7 +175,8 @@ class LabCommServer:
                 elif isinstance(key.data, Channel):
                     self._accept(key.fileobj, key.data)
                 else:
-                    self._turn(*key.data, mask)
+                    channel, peer = key.data
+                    self._turn(channel, peer, mask)
             self._deliver()
             now = time.monotonic()
             if now - looked > _LOOK or self._unknown:
