@@ -75,3 +75,10 @@ def test_a_feed_that_raises_is_dropped(robot: Robot) -> None:
     assert not feeds
     assert next(text for _, text in recording.events).startswith("arm: A feed was dropped: it raised ValueError: full")
     assert len(recording.table()) == 1
+
+
+def test_sentences_of_the_whole_run_have_no_label(robot: Robot) -> None:
+    recording = Recording(robot, None, None, wait=False, clock=lambda: 7, label="yumi_left")
+    recording.event("Late.")
+    recording.note("Stopped.")
+    assert list(recording.events) == [(7, "yumi_left: Late."), (7, "Stopped.")]

@@ -110,6 +110,10 @@ def assemble(
         for arm in arms:
             arm.recording.close({})
         raise
+    for feed in feeds:
+        begin = getattr(feed, "begin", None)
+        if begin is not None:
+            begin(arms[0].recording.note)
     return arms
 
 

@@ -22,7 +22,8 @@ _logger = logging.getLogger("armlab.bridge")
 class Feed(Protocol):
     """What else takes the rows and events of a run: called in the loop after the reply was sent, so it must be quick.
 
-    A feed that raises is dropped, with an event.
+    A feed that raises is dropped, with an event. One that has a method ``begin(tell)`` gets at the start where its own
+    sentences are recorded.
     """
 
     def row(self, state: State, command: Command | None, tick: Tick) -> None:
@@ -107,7 +108,11 @@ class Recording:
 
     def event(self, text: str, warn: bool = False) -> None:
         """Keep a sentence; it also goes to the logger ``armlab.bridge``, as a warning when something is wrong."""
-        stamp, text = self._clock(), f"{self._label}: {text}" if self._label else text
+        self.note(f"{self._label}: {text}" if self._label else text, warn)
+
+    def note(self, text: str, warn: bool = False) -> None:
+        """Keep a sentence that concerns the whole run; see `event`."""
+        stamp = self._clock()
         self.events.append((stamp, text))
         _logger.log(logging.WARNING if warn else logging.INFO, text)
         if self._recorder is not None:

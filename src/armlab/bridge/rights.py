@@ -227,7 +227,7 @@ class Arbiter:
             return self._refuse(order.client, problem, now)
         if holder is None:
             self._tell(f"{order.client} commands {order.arm}.")
-        self._holders[order.arm] = _Holder(order.client, Command(**values), order.seq, now)
+        self._holders[order.arm] = _Holder(order.client, Command(q, values["qd"], tau), order.seq, now)
         return True
 
     def _command(self, robot: Robot, state: State, is_fresh: bool) -> Command | None:

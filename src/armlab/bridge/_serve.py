@@ -1,0 +1,35 @@
+"""The process of one server: ``python -m armlab.bridge._serve NAME SOCKET OPTIONS``. Ends when the loop closes."""
+
+from __future__ import annotations
+
+import json
+import socket
+import sys
+from pathlib import Path
+from typing import Any
+
+from armlab.errors import ArmlabError
+
+
+def _local(feed: socket.socket, options: dict[str, Any]) -> None:
+    from armlab.bridge.local import LocalServer
+
+    LocalServer(feed, Path(options["path"])).run()
+
+
+_SERVERS = {"local": _local}
+
+
+def main(name: str, number: str, options: str) -> int:
+    """Serve; return the status of the process."""
+    with socket.socket(fileno=int(number)) as feed:
+        try:
+            _SERVERS[name](feed, json.loads(options))
+        except (ArmlabError, OSError) as error:
+            sys.stderr.write(f"{error}\n")
+            return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))

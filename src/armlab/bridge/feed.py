@@ -1,0 +1,296 @@
+"""Between the loop and the server processes: `Outlet`, a socket that never blocks, and `Exchange`, which is a feed.
+
+Rows and events go out; commands and settings of parameters come back by the same sockets. A server that does not read
+loses rows, which are counted; it never holds the loop up.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+import time
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from armlab.bridge.events import Tell
+from armlab.bridge.messages import (
+    CommandRequest,
+    Leave,
+    Listening,
+    Release,
+    Request,
+    Resume,
+    SetRequest,
+    Stop,
+    parameter_message,
+    read_request,
+    text_message,
+)
+from armlab.bridge.parameters import Parameters
+from armlab.bridge.rights import Arbiter, Order
+from armlab.bridge.row import RowSchema, RowWriter
+from armlab.errors import ArmlabError, LinkError
+from armlab.log import Column, Tick
+from armlab.robots import Robot
+from armlab.state import Command, State
+
+__all__ = ["OPERATOR", "Exchange", "Outlet", "pair"]
+
+OPERATOR = "local"
+"""The server whose clients are operators: its socket is the user's own."""
+
+_BUFFER = 4 * 2**20  # bytes that wait for a server
+_SNDBUFFORCE = 32  # Linux: beyond the system's limit, where permitted
+_DRAINED = 16  # requests of a server per look
+_EVENTS = 1000  # that wait for a run to begin
+_LARGEST = 2**17
+_COMPLAINT = 200_000_000  # ns between two events about refused settings
+
+
+def pair() -> tuple[socket.socket, socket.socket]:
+    """Return two connected sockets that keep messages whole: ours, which never blocks, and the server's."""
+    ours, theirs = socket.socketpair(socket.AF_UNIX, getattr(socket, "SOCK_SEQPACKET", socket.SOCK_DGRAM))
+    ours.setblocking(False)
+    for option in (socket.SO_SNDBUF, _SNDBUFFORCE):
+        with contextlib.suppress(OSError):
+            ours.setsockopt(socket.SOL_SOCKET, option, _BUFFER)
+    return ours, theirs
+
+
+class Outlet:
+    """The way to one server process and back.
+
+    Parameters
+    ----------
+    name : of the server.
+
+    Attributes
+    ----------
+    sent, dropped : messages. where : what the server listens on; None until it says so.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.sent = self.dropped = 0
+        self.where: list[str] | None = None
+        self._socket: socket.socket | None = None
+
+    def open(self) -> socket.socket:
+        """Return a new socket for the server process; the old one, of a process that has ended, is closed."""
+        self.close()
+        ours, theirs = pair()
+        self._socket = ours
+        return theirs
+
+    def close(self) -> None:
+        """Close our end: the server process ends then."""
+        gone, self._socket, self.where = self._socket, None, None
+        if gone is not None:
+            gone.close()
+
+    def send(self, data: bytes) -> bool:
+        """Send one message; False when it was dropped. Never waits."""
+        connection = self._socket
+        if connection is None:
+            return False
+        try:
+            connection.send(data)
+        except OSError:  # full, or the process has gone: its supervisor sees to that
+            self.dropped += 1
+            return False
+        self.sent += 1
+        return True
+
+    def receive(self) -> bytes | None:
+        """Return one message, None when none waits."""
+        connection = self._socket
+        try:
+            return None if connection is None else connection.recv(_LARGEST) or None
+        except OSError:
+            return None
+
+
+class Exchange:
+    """A feed (see `recording.Feed`) for processes: rows and events to all, their requests to arbiter and parameters.
+
+    Parameters
+    ----------
+    robots : the arms. servers : names. parameters : of the run. allowed : servers that may command.
+    sources : fields by source. about : told every client first, for example the name of the cell. torque : whether the
+        link carries torques.
+
+    Attributes
+    ----------
+    arbiter : the controller that obeys the clients. schema : of the rows. outlets : by name of the server.
+    mistakes : requests that were none.
+    """
+
+    def __init__(
+        self,
+        robots: Sequence[Robot],
+        servers: Iterable[str],
+        parameters: Parameters | None = None,
+        allowed: Iterable[str] = (),
+        *,
+        sources: Mapping[str, Mapping[str, Column]] | None = None,
+        about: Mapping[str, Any] | None = None,
+        torque: bool = False,
+    ) -> None:
+        self.parameters = Parameters() if parameters is None else parameters
+        self.outlets = {name: Outlet(name) for name in servers}
+        self.schema = RowSchema.of(robots, sources)
+        self.mistakes = 0
+        self._writer = RowWriter(self.schema)
+        self._about = dict(about or {})
+        self._told: deque[tuple[str, bool]] = deque(maxlen=_EVENTS)
+        self._record: Tell | None = None
+        self._lock = threading.Lock()
+        self._polled_ns = self._complained_ns = 0
+        self.arbiter = Arbiter(robots, allowed, poll=self.poll, tell=self.tell, answer=self.answer, torque=torque)
+
+    def open(self, name: str) -> socket.socket:
+        """Return the socket for a server process that starts; it gets schema and parameters first.
+
+        Parameters
+        ----------
+        name : of the server.
+        """
+        outlet = self.outlets[name]
+        theirs = outlet.open()
+        outlet.send(text_message("about", **self._about, schema=self.schema.text.decode()))
+        outlet.send(parameter_message(self.parameters))
+        return theirs
+
+    def close(self) -> None:
+        """Close all outlets: the server processes end."""
+        for outlet in self.outlets.values():
+            outlet.close()
+
+    def begin(self, tell: Tell) -> None:
+        """Take where the events of a run are recorded; it gives them back to `event`.
+
+        Parameters
+        ----------
+        tell : of the recording.
+        """
+        self._record, self.parameters.running = tell, True
+
+    def tell(self, text: str, warn: bool = False) -> None:
+        """Keep a sentence for the events of the run; from any thread.
+
+        Parameters
+        ----------
+        text : the sentence. warn : something is wrong.
+        """
+        self._told.append((text, warn))
+
+    def answer(self, client: str, text: str) -> None:
+        """Send a sentence to the client that asked.
+
+        Parameters
+        ----------
+        client : its identity, first its server. text : the sentence.
+        """
+        server, _, rest = client.partition(" ")
+        if server in self.outlets:
+            self.outlets[server].send(text_message("answer", client=rest, text=text))
+
+    def row(self, state: State, command: Command | None, tick: Tick) -> None:
+        """Send a row to every server and see what came back."""
+        data = self._writer.row(state, command, tick, time.monotonic_ns(), self.arbiter.commander(state.robot))
+        for outlet in self.outlets.values():
+            outlet.send(data)
+        self.poll()
+
+    def event(self, text: str, warn: bool = False) -> None:
+        """Send a sentence to every server."""
+        data = text_message("event", stamp_ns=time.time_ns(), text=text, warn=warn)
+        for outlet in self.outlets.values():
+            outlet.send(data)
+
+    def idle(self, longer_ns: int) -> None:
+        """See what came back when no packet of a robot made the loop look; for another thread.
+
+        Parameters
+        ----------
+        longer_ns : time without a look.
+        """
+        if time.monotonic_ns() - self._polled_ns > longer_ns:
+            self.poll()
+
+    def poll(self) -> None:
+        """Take at most 16 requests of each server, then bring parameters into force. Never waits."""
+        if not self._lock.acquire(blocking=False):
+            return  # the other thread is at it
+        try:
+            self._polled_ns = time.monotonic_ns()
+            for outlet in self.outlets.values():
+                for _ in range(_DRAINED):
+                    data = outlet.receive()
+                    if data is None:
+                        break
+                    self._take(outlet, data)
+            changes = self.parameters.apply()
+            for change in changes:
+                self.tell(change.sentence)
+            if changes:
+                message = parameter_message(self.parameters)
+                for outlet in self.outlets.values():
+                    outlet.send(message)
+            while self._told:
+                (self._record or self.event)(*self._told.popleft())
+        finally:
+            self._lock.release()
+
+    def _take(self, outlet: Outlet, data: bytes) -> None:
+        try:
+            request = read_request(data)
+        except LinkError:
+            self.mistakes += 1
+            return
+        if isinstance(request, Listening):
+            outlet.where = request.where
+            return
+        client = f"{outlet.name} {request.client}"
+        if isinstance(request, SetRequest):
+            self._set(client, request, outlet.name == OPERATOR)
+        elif isinstance(request, CommandRequest):
+            q, qd, tau = (None if one is None else _numbers(one) for one in (request.q, request.qd, request.tau))
+            self.arbiter.submit(Order(client, request.arm, q, qd, tau, request.seq))
+        elif isinstance(request, Resume | Release) and outlet.name == OPERATOR:
+            self._obey_operator(request, client)
+        elif isinstance(request, Release):
+            self.arbiter.release(client, client)
+        elif isinstance(request, Stop):
+            self.arbiter.stop(client)
+        elif isinstance(request, Leave):
+            self.arbiter.leave(client)
+        else:
+            self.answer(client, "Expected an operator to resume: armlab bridge resume.")
+
+    def _set(self, client: str, request: SetRequest, is_operator: bool) -> None:
+        commander = is_operator or self.arbiter.commands(client)
+        try:
+            self.parameters.set_together(request.values, client, commander=commander)
+        except ArmlabError as error:
+            self.answer(client, str(error))
+            now = time.monotonic_ns()
+            if now - self._complained_ns > _COMPLAINT:  # a client that repeats itself must not fill the log
+                self._complained_ns = now
+                self.tell(f"A setting of {client} was refused: {error}", warn=True)
+
+    def _obey_operator(self, request: Request, client: str) -> None:
+        if isinstance(request, Resume):
+            self.arbiter.resume(client)
+        else:
+            self.arbiter.release(client)
+        self.answer(client, "Done.")
+
+
+def _numbers(values: Sequence[float | None]) -> np.ndarray:
+    """Return the numbers, NaN for null."""
+    return np.array([np.nan if value is None else value for value in values], dtype=float)

@@ -1,0 +1,190 @@
+"""`Servers`: one process per server, watched and started again; none of them can touch the loop."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from types import TracebackType
+from typing import Any
+
+from armlab.bridge.feed import Exchange
+
+__all__ = ["PLACE", "RESTARTS", "Servers", "server_command"]
+
+PLACE = "{fd}"
+"""Word of a command that stands for the number of the socket to the loop."""
+
+RESTARTS = (1.0, 5.0, 30.0)
+"""Seconds after which a server that ended is started again; after the last it stays dead."""
+
+_LOOK = 0.05  # s
+_IDLE = 200_000_000  # ns without a packet of a robot, after which requests are taken here
+_QUOTED = 400  # bytes of what a server said last
+_PATIENCE = 3.0  # s to end by itself before it is killed
+
+
+def server_command(name: str, options: Mapping[str, Any]) -> list[str]:
+    """Return the command that starts a server of armlab.
+
+    Parameters
+    ----------
+    name : "labcomm" or "local". options : of the server, as JSON can hold them.
+    """
+    return [sys.executable, "-m", "armlab.bridge._serve", name, PLACE, json.dumps(dict(options))]
+
+
+class _Child:
+    """One server: its command, its process, and what becomes of it."""
+
+    def __init__(self, name: str, command: Sequence[str]) -> None:
+        self.name, self.command = name, list(command)
+        self.process: subprocess.Popen[bytes] | None = None
+        self.ends = 0
+        self.due: float | None = 0.0
+        self.said = b""
+
+    def read(self) -> None:
+        """Keep the end of what it writes to standard error."""
+        if self.process is None or self.process.stderr is None:
+            return
+        with contextlib.suppress(BlockingIOError, ValueError):
+            while part := os.read(self.process.stderr.fileno(), 4096):
+                self.said = (self.said + part)[-_QUOTED:]
+
+    @property
+    def words(self) -> str:
+        """What it said last, in one line."""
+        return " ".join(self.said.decode(errors="replace").split()) or "nothing"
+
+
+class Servers:
+    """Starts the server processes of an exchange and keeps them running; a context manager.
+
+    Parameters
+    ----------
+    exchange : whose outlets are served. commands : by name of the server; see `server_command`.
+    restarts : see `RESTARTS`.
+
+    Attributes
+    ----------
+    dead : servers that are left dead.
+    """
+
+    def __init__(
+        self, exchange: Exchange, commands: Mapping[str, Sequence[str]], restarts: Sequence[float] = RESTARTS
+    ) -> None:
+        self._exchange, self._restarts = exchange, tuple(restarts)
+        self._children = [_Child(name, command) for name, command in commands.items()]
+        self.dead: set[str] = set()
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._watch, name="servers", daemon=True)
+
+    def __enter__(self) -> Servers:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End all processes."""
+        self._over.set()
+        self._thread.join()
+        self._exchange.close()
+        for child in self._children:
+            if child.process is not None:
+                self._end(child, child.process)
+
+    def ready(self, patience: float = 10.0) -> list[str]:
+        """Wait until every server listens or is dead, and return who listens where.
+
+        Parameters
+        ----------
+        patience : s to wait at most.
+        """
+        until = time.monotonic() + patience
+        waiting = {child.name for child in self._children}
+        while waiting and time.monotonic() < until:
+            waiting = {name for name in waiting - self.dead if self._exchange.outlets[name].where is None}
+            self._over.wait(_LOOK)
+        outlets = self._exchange.outlets.values()
+        return [where for outlet in outlets for where in outlet.where or [f"{outlet.name}: not listening"]]
+
+    def processes(self) -> dict[str, int]:
+        """Return the process id of each server that runs."""
+        running = [child for child in self._children if child.process is not None and child.process.poll() is None]
+        return {child.name: child.process.pid for child in running if child.process is not None}
+
+    def _watch(self) -> None:
+        while not self._over.is_set():
+            for child in self._children:
+                self._look(child)
+            self._exchange.idle(_IDLE)
+            self._over.wait(_LOOK)
+
+    def _look(self, child: _Child) -> None:
+        if child.process is not None:
+            child.read()
+            if child.process.poll() is not None:
+                self._ended(child, child.process)
+        if child.process is None and child.due is not None and time.monotonic() >= child.due:
+            self._start(child)
+
+    def _start(self, child: _Child) -> None:
+        child.said = b""
+        theirs = self._exchange.open(child.name)
+        command = [word.replace(PLACE, str(theirs.fileno())) for word in child.command]
+        try:
+            child.process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.PIPE,
+                pass_fds=[theirs.fileno()],
+                start_new_session=True,  # Ctrl-C reaches the bridge alone, which brings the arm to rest first
+            )
+        except OSError as error:
+            child.said = str(error).encode()
+            self._plan(child, "could not be started")
+        else:
+            if child.process.stderr is not None:
+                os.set_blocking(child.process.stderr.fileno(), False)
+        finally:
+            theirs.close()
+
+    def _ended(self, child: _Child, process: subprocess.Popen[bytes]) -> None:
+        child.read()
+        if process.stderr is not None:
+            process.stderr.close()
+        child.process = None
+        self._plan(child, f"ended with status {process.returncode}")
+
+    def _plan(self, child: _Child, what: str) -> None:
+        """Say when a server that is gone starts again."""
+        if child.ends < len(self._restarts):
+            delay = self._restarts[child.ends]
+            child.due, then = time.monotonic() + delay, f"It starts again in {delay:g} s."
+        else:
+            child.due, then = None, "It stays dead; the loop goes on."
+            self.dead.add(child.name)
+        child.ends += 1
+        self._exchange.tell(f"The server {child.name} {what}. {then} It said: {child.words}", warn=True)
+
+    def _end(self, child: _Child, process: subprocess.Popen[bytes]) -> None:
+        """Let a process end, now that its socket is closed."""
+        try:
+            process.wait(_PATIENCE)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        child.read()
+        if process.stderr is not None:
+            process.stderr.close()
