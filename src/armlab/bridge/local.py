@@ -317,7 +317,7 @@ class LocalFeed:
             try:
                 data = self._socket.recv(_LARGEST)
             except TimeoutError:
-                raise LinkError("Expected a message of the bridge in time, but none came. Does it run?") from None
+                raise LinkError("Expected a message of the bridge in time, but none came. See whether it runs.") from None
             except OSError:
                 data = b""
             if not data:
