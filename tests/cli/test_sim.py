@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 
 from armlab import cli, robots
-from armlab.cli.sim import read_operator, sim
-from armlab.errors import ConfigError
+from armlab.cli.sim import sim
 from armlab.sim.guidance import Settings
 from armlab.wire.egm import EgmCodec, Packet, Reference
 
@@ -102,7 +101,6 @@ def test_abb_defaults_do_not_replace_what_was_given(holding_peer: int, monkeypat
     ("words", "text"),
     [
         (["sim", "yumi_rihgt", "--to", "127.0.0.1:6510"], "yumi_right"),
-        (["sim", "dh_test", "--to", "127.0.0.1:6510"], "irb2400"),
         (["sim", "yumi_right", "--to", "127.0.0.1"], "HOST:PORT"),
         (["sim", "yumi_right", "--to", "127.0.0.1:99999"], "65535"),
         (["sim", "yumi_right", "--to", "127.0.0.1:6511,127.0.0.1:6512"], "got 1 and 2"),
@@ -126,33 +124,6 @@ def test_wrong_arguments_are_one_line(words: list[str], text: str, capsys: pytes
     assert text in said
 
 
-@pytest.mark.parametrize(
-    ("text", "where"),
-    [
-        ("t,fx,fy,fz\n", "line 1"),
-        (HEADER + "0,1,2,3,4,5,6\n1,1,2,3\n", "line 3"),
-        (HEADER + "0,1,2,3,4,5,6\n1,a,0,0,0,0,0\n", "line 3"),
-        (HEADER + "0,1,2,3,4,5,nan\n", "line 2"),
-        (HEADER + "1,0,0,0,0,0,0\n\n1,0,0,0,0,0,0\n", "line 4"),
-        (HEADER + "1" * 200_000 + ",0,0,0,0,0,0\n", "line 2"),
-        ("", "line 1"),
-    ],
-)
-def test_read_operator_names_file_and_line(tmp_path: Path, text: str, where: str) -> None:
-    path = tmp_path / "hand.csv"
-    path.write_text(text, encoding="utf-8")
-    with pytest.raises(ConfigError, match=rf"{where} of .*hand\.csv"):
-        read_operator(path)
-
-
-def test_read_operator_reads(tmp_path: Path) -> None:
-    path = tmp_path / "hand.csv"
-    path.write_text("\ufeff" + HEADER + "0, 0,0,0,0,0,0\n2,10,0,0,0,0,1\n", encoding="utf-8")
-    np.testing.assert_allclose(read_operator(path).at(1.0), [5, 0, 0, 0, 0, 0.5])
-    path.write_text(HEADER, encoding="utf-8")
-    assert read_operator(path).at(0.0) is None
-
-
 def test_a_simulator_ends_with_the_process_that_started_it() -> None:
     """The child keeps the pipe open as long as it lives: reading to its end returns only because it ended."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
@@ -166,6 +137,19 @@ def test_a_simulator_ends_with_the_process_that_started_it() -> None:
             silent.recvfrom(65535)  # the simulator runs and waits for a reply
             _, said = parent.communicate("\n", timeout=30)
     assert "the process that started the simulator has ended" in said
+
+
+def test_a_simulator_whose_parent_is_gone_before_it_looks_ends() -> None:
+    """The bridge tells its number: whoever adopted the simulator meanwhile is not taken for it."""
+    with subprocess.Popen([sys.executable, "-c", ""]) as gone:
+        gone.wait()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
+        silent.bind(("127.0.0.1", 0))
+        words = arguments(silent.getsockname()[1], "--parent", str(gone.pid))
+        assert cli.main(words) == 0
+        silent.settimeout(0.05)
+        with pytest.raises(TimeoutError):
+            silent.recvfrom(65535)
 
 
 def test_sim_ends_cleanly_when_terminated(tmp_path: Path) -> None:

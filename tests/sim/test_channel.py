@@ -108,7 +108,7 @@ def test_delayed_packets_leave_newest_first() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as server:
         server.bind(("127.0.0.1", 0))
         client = channel(server.getsockname()[1])
-        client._outgoing = SimpleNamespace(through=lambda _: [(1, b"old"), (3, b"new"), (2, b"middle")])  # type: ignore[assignment]
+        client._outgoing = SimpleNamespace(through=lambda _, now: [(1, b"old"), (3, b"new"), (2, b"middle")])  # type: ignore[assignment]
         client.send()
         assert [server.recv(100) for _ in range(3)] == [b"new", b"middle", b"old"]
         client.close()

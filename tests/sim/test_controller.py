@@ -9,9 +9,11 @@ from hypothesis import strategies as st
 
 from armlab import robots
 from armlab.sim.arm import Arm
-from armlab.sim.controller import EPOCH_NS, QUEUE_LENGTH, Controller
+from armlab.sim.controller import Controller
 from armlab.sim.guidance import Settings
+from armlab.sim.inbox import QUEUE_LENGTH
 from armlab.sim.operator import Operator
+from armlab.sim.packets import EPOCH_NS
 from armlab.sim.truth import synthetic_truth
 from armlab.wire.egm import EgmCodec, Packet, Reference, RobotSideCodec
 
@@ -52,7 +54,8 @@ def start(seed: int = 0, operator: Operator | None = None, extension: bool = Tru
     chosen = Settings(**changes)  # type: ignore[arg-type]
     events: list[str] = []
     arm = Arm(ROBOT, TRUTH, period=chosen.period, seed=seed)
-    peer = Peer(Controller(arm, RobotSideCodec(ROBOT, extension=extension), chosen, operator, events.append))
+    codec = RobotSideCodec(ROBOT, extension=extension)
+    peer = Peer(Controller(arm, codec, chosen, operator, lambda event: events.append(str(event))))
     peer.events = events  # type: ignore[attr-defined]
     return peer
 

@@ -52,3 +52,24 @@ def test_integral_removes_a_constant_load() -> None:
     assert (largest > 1e-4).all()
     np.testing.assert_allclose(q, 0.0, atol=1e-9)
     np.testing.assert_allclose(tau, -load, rtol=1e-6)
+
+
+def test_scaled_gains_and_added_torque_follow_the_law() -> None:
+    unit = drive()
+    unit.assist(np.array([0.5, -0.2]), np.array([0.5, 0.0]), np.array([2.0, 0.0]))
+    lag, speed, bias = np.array([1e-3, 2e-3]), np.array([0.01, 0.02]), np.array([2.0, 1.0])
+    e = np.array([2.0, 0.0]) * speed + np.array([0.5, 0.0]) * POSITION_GAIN * lag
+    integral = np.array([0.5, 0.0]) ** 2 * e * 1e-3 / INTEGRAL_TIME
+    expected = INERTIA * (np.array([2.0, 0.0]) * 3.0 + VELOCITY_GAIN * (e + integral)) + 0.9 * bias + [0.5, -0.2]
+    tau = unit.torque(lag, speed, np.full(2, 3.0), ZERO, ZERO, bias, np.empty(2))
+    np.testing.assert_allclose(tau, expected, rtol=1e-12)
+    assert tau[1] == 0.9 * 1.0 - 0.2, "both scales zero: feed-forward and the added torque alone"
+
+
+def test_alone_again_it_is_the_plain_drive_bit_for_bit() -> None:
+    plain, used = drive(), drive()
+    used.assist(np.ones(2), np.zeros(2), np.zeros(2))
+    used.alone()
+    step = (np.array([1e-4, -2e-4]), np.array([0.01, 0.02]), np.full(2, 3.0), ZERO, ZERO, np.array([2.0, 1.0]))
+    for _ in range(3):
+        np.testing.assert_array_equal(used.torque(*step, np.empty(2)), plain.torque(*step, np.empty(2)))

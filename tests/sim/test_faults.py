@@ -12,8 +12,8 @@ N = 4000
 
 
 def outcome(rates: FaultRates, seed: int = 1) -> list[list[tuple[int, bytes]]]:
-    faults = Faults(rates, seed)
-    return [faults.through([(k, f"datagram {k}".encode())]) for k in range(N)]
+    faults = Faults(rates, seed, period=0.004)
+    return [faults.through([(k, f"datagram {k}".encode())], 0.004 * k) for k in range(N)]
 
 
 def numbers(rates: FaultRates) -> list[int]:
@@ -42,10 +42,33 @@ def test_reordered_come_behind_their_successor() -> None:
     assert np.abs(position - np.arange(len(late))).max() <= 2
 
 
-def test_delay_in_cycles() -> None:
-    waits = [k - number for k, cycle in enumerate(outcome(FaultRates(delay=3.0))) for number, _ in cycle]
-    assert min(waits) == 0
-    assert np.mean(waits) == pytest.approx(3.0 - 0.5, abs=0.3)
+def waits(rates: FaultRates) -> np.ndarray:
+    return np.array([k - number for k, cycle in enumerate(outcome(rates)) for number, _ in cycle])
+
+
+def test_delay_to_the_nearest_cycle() -> None:
+    assert set(waits(FaultRates(delay=(0.0121, 0.0))).tolist()) == {3}
+    assert set(waits(FaultRates(delay=(0.0019, 0.0))).tolist()) == {0}
+    spread = waits(FaultRates(delay=(0.02, 0.008)))
+    assert spread.mean() == pytest.approx(5.0, abs=0.2)
+    assert spread.std() == pytest.approx(2.0, abs=0.2)
+
+
+def test_a_pause_holds_and_then_gives_everything() -> None:
+    cycles = outcome(FaultRates(pause=(1.0, 0.4)))
+    quiet = [k for k, cycle in enumerate(cycles) if not cycle]
+    assert quiet == list(range(250, 350))
+    assert sorted(number for number, _ in cycles[350]) == list(range(250, 351))
+
+
+def test_losses_come_in_bursts_at_the_same_share() -> None:
+    kept = np.zeros(N + 1, dtype=bool)
+    kept[numbers(FaultRates(loss=0.2, burst=10))] = True
+    kept[N] = True
+    assert 1 - kept[:N].mean() == pytest.approx(0.2, abs=0.06)
+    edges = np.flatnonzero(np.diff(kept.astype(int)))
+    runs = np.diff(edges)[::2] if not kept[edges[0] + 1] else np.diff(edges)[1::2]
+    assert runs[:-1].min() >= 10
 
 
 def test_corrupted_can_never_be_read() -> None:
@@ -58,7 +81,7 @@ def test_corrupted_can_never_be_read() -> None:
 
 
 def test_same_seed_same_faults() -> None:
-    rates = FaultRates(loss=0.1, duplicate=0.1, reorder=0.1, corrupt=0.1, delay=1.0)
+    rates = FaultRates(loss=0.1, duplicate=0.1, reorder=0.1, corrupt=0.1, delay=(0.004, 0.002), burst=3)
     assert outcome(rates) == outcome(rates)
     assert outcome(rates) != outcome(rates, seed=2)
 
@@ -66,5 +89,9 @@ def test_same_seed_same_faults() -> None:
 def test_rates_out_of_range() -> None:
     with pytest.raises(ConfigError, match="loss"):
         FaultRates(loss=1.1)
+    with pytest.raises(ConfigError, match="pause"):
+        FaultRates(pause=(1.0, np.inf))
+    with pytest.raises(ConfigError, match="burst"):
+        FaultRates(burst=0)
     with pytest.raises(ConfigError, match="delay"):
-        FaultRates(delay=-1)
+        FaultRates(delay=(-1.0, 0.0))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.errors import ConfigError
+from armlab.errors import ConfigError, UnknownName
 from armlab.robots import Robot
 from armlab.sim.guidance import Guidance, Settings
 
@@ -123,3 +123,18 @@ def test_abb_defaults_are_slow_and_converge() -> None:
 def test_settings_out_of_range(name: str, value: float) -> None:
     with pytest.raises(ConfigError, match=name):
         Settings(**{name: value})
+
+
+@pytest.mark.parametrize("name", ["program", "stream_queue", "mode", "activated"])
+def test_unknown_choices_are_refused(name: str) -> None:
+    with pytest.raises(UnknownName, match=f"{name} of the simulated controller"):
+        Settings(**{name: "sideways"})  # type: ignore[arg-type]
+
+
+def test_a_hand_leads_and_a_free_joint_is_let_go(robot: Robot) -> None:
+    guidance = Guidance(robot, Settings(), robot.q_home)
+    guidance.lead(robot.q_home + 0.1, np.full(7, 0.2))
+    np.testing.assert_array_equal((guidance.q, guidance.qd), (robot.q_home + 0.1, np.full(7, 0.2)))
+    free = np.arange(7) == 3
+    guidance.let_go(robot.q_home - 0.2, free)
+    np.testing.assert_array_equal(guidance.q, robot.q_home + np.where(free, -0.2, 0.1))

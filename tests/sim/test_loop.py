@@ -24,12 +24,14 @@ RIGHT, LEFT = robots.load("yumi_right"), robots.load("yumi_left")
 MakePeer = Callable[..., Any]
 
 
-def channel(port: int, seed: int = 0, robot: Any = RIGHT, rates: FaultRates | None = None, **changes: Any) -> Channel:
+def channel(
+    port: int, seed: int = 0, robot: Any = RIGHT, rates: FaultRates | None = None, phase: float = 0.0, **changes: Any
+) -> Channel:
     settings = Settings(**changes)
     arm = Arm(robot, synthetic_truth(robot), period=settings.period, seed=seed)
     controller = Controller(arm, RobotSideCodec(robot, extension=True), settings)
-    faults = [Faults(rates, [seed, i]) if rates else None for i in (0, 1)]
-    return Channel(controller, "127.0.0.1", port, *faults)
+    faults = [Faults(rates, [seed, i], settings.period) if rates else None for i in (0, 1)]
+    return Channel(controller, "127.0.0.1", port, *faults, phase=phase)
 
 
 def lockstep(make_peer: MakePeer, seed: int, rates: FaultRates | None = None) -> tuple[str, bytes, Channel]:
@@ -92,7 +94,7 @@ def test_times_that_make_no_sense_are_refused(changes: dict[str, float]) -> None
 
 def test_lateness_counts_the_late_cycles_too(make_peer: MakePeer) -> None:
     client = channel(make_peer(RIGHT).port)
-    run([client], Pace(seconds=0.2), observe=lambda _: time.sleep(0.03 if client.controller.seq == 20 else 0.0))
+    run([client], Pace(seconds=1.2), observe=lambda _: time.sleep(0.03 if client.controller.seq == 270 else 0.0))
     assert client.controller.statistics.as_dict()["wake_up_late_us"]["max"] > 20_000
 
 
@@ -123,9 +125,9 @@ def test_a_dead_controller_ends_the_run(make_peer: MakePeer) -> None:
 def test_two_arms_in_one_process(make_peer: MakePeer) -> None:
     peers = [make_peer(RIGHT), make_peer(LEFT)]
     clients = [channel(peers[0].port), channel(peers[1].port, 1, LEFT)]
-    seen: list[int] = []
+    seen: list[Channel] = []
     run(clients, Pace(lockstep=True, seconds=0.5), observe=seen.append)
-    assert seen[:4] == [0, 1, 0, 1]
+    assert seen[:4] == clients * 2
     times = [[p.robot_ns for p in peer.packets] for peer in peers]
     assert times[0] == times[1]
 
@@ -156,3 +158,43 @@ def test_missed_cycles_are_skipped_not_sent_in_a_burst(make_peer: MakePeer) -> N
     gaps = np.diff([p.robot_ns for p in peer.packets]) / 4_032_000
     assert gaps.max() >= 10, "robot time went on while the process slept"
     assert [p.seqno for p in peer.packets] == list(range(len(peer.packets))), "what was not sent has no number"
+
+
+def test_two_arms_share_the_clock_and_keep_their_phase(make_peer: MakePeer) -> None:
+    peers = [make_peer(RIGHT), make_peer(LEFT)]
+    clients = [channel(peers[0].port), channel(peers[1].port, 1, LEFT, phase=0.002)]
+    stalled: list[float] = []
+
+    def observe(which: Channel) -> None:
+        if which is clients[0] and which.controller.seq == 40 and not stalled:
+            stalled.append(time.sleep(0.2) or 0.0)  # longer than what the arm makes up
+
+    begin = time.monotonic()
+    run(clients, Pace(seconds=0.6), observe=observe)
+    assert time.monotonic() - begin >= 0.6
+    cycles = [client.controller.cycle for client in clients]
+    assert abs(cycles[0] - cycles[1]) <= 1, "also after a stall the robot times agree"
+    assert all(client.controller.statistics.counts["skipped"] >= 45 for client in clients)
+
+
+@pytest.mark.parametrize("phase", [-0.001, 0.004032, np.nan])
+def test_a_phase_outside_the_period_is_refused(phase: float) -> None:
+    with pytest.raises(ConfigError, match="phase"):
+        channel(6510, phase=phase)
+
+
+@pytest.mark.parametrize(
+    "rates",
+    [FaultRates(delay=(0.01, 0.004)), FaultRates(pause=(0.2, 0.1)), FaultRates(loss=0.3, burst=5)],
+)
+def test_lockstep_waits_for_no_packet_that_faults_hold_back(make_peer: MakePeer, rates: FaultRates) -> None:
+    """With patience 60 s a single wrong wait would hang the test."""
+    peer = make_peer(RIGHT)
+    for outgoing, incoming in ((True, False), (False, True)):
+        client = channel(peer.port)
+        client._outgoing = Faults(rates, 5) if outgoing else None
+        client._incoming = Faults(rates, 6) if incoming else None
+        begin = time.monotonic()
+        assert run([client], Pace(lockstep=True, seconds=1.0, patience=60.0)) == "the time is up"
+        assert time.monotonic() - begin < 50.0
+        assert client.controller.statistics.counts["replies"] > 100

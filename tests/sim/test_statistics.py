@@ -25,7 +25,7 @@ def test_everything_is_plain_json() -> None:
     statistics.drops["unparsable"] += 1
     statistics.queue[1] += 2
     statistics.age[1] += 2
-    statistics.late(1e-4)
+    statistics.late(1e-4, uptime=2.0)
     statistics.events.append(Event(0.5, "yumi_left", 41822, "No data"))
     data = json.loads(json.dumps(statistics.as_dict()))
     assert data["counts"] == {"packets": 3}
@@ -47,3 +47,22 @@ def test_line_names_what_was_dropped() -> None:
     statistics.drops["no header"] += 2
     assert "dropped: 2 no header" in statistics.line()
     assert "round trip" not in statistics.line()
+
+
+def test_missed_and_lateness_leave_out_the_first_second() -> None:
+    statistics = Statistics()
+    for uptime in (0.5, 1.5, 2.5):
+        statistics.miss(uptime)
+        statistics.late(1e-3 * uptime, uptime)
+    data = statistics.as_dict()
+    assert data["counts"]["missed"] == 2
+    assert data["wake_up_late_us"]["max"] == pytest.approx(2500.0)
+
+
+def test_text_has_a_line_per_kind() -> None:
+    statistics = Statistics()
+    statistics.mtypes[3] += 2
+    statistics.queue[1] += 2
+    lines = statistics.text().splitlines()
+    assert any(line.split() == ["mtypes", "3:", "2"] for line in lines)
+    assert any("round trip us" in line and "nothing" in line for line in lines)

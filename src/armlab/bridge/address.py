@@ -12,6 +12,7 @@ __all__ = ["Address", "addresses"]
 
 _PORT = 6510  # of one arm
 _PORTS = 6511  # of the first of several: 6511 left, 6512 right
+_LABCOMM = 7511  # of the first arm of a LabComm server: 7511 left, 7512 right
 
 
 class Address(NamedTuple):
@@ -19,8 +20,9 @@ class Address(NamedTuple):
 
     Attributes
     ----------
-    scheme : "egm" or "sim". host, port : where to listen. robot : name of the simulated robot, else "".
-    options : of the simulator.
+    scheme : "egm", "sim" or "labcomm". host, port : where to listen, or of the LabComm server.
+    robot : name of the simulated robot, else "".
+    options : of the simulator or the LabComm port.
     """
 
     scheme: str
@@ -35,14 +37,16 @@ def addresses(urls: Sequence[str], count: int) -> list[Address]:
 
     Parameters
     ----------
-    urls : ``egm://HOST:PORT`` for each robot, or ``sim://NAME?option=value``, also ``sim://NAME+NAME``. count : robots.
+    urls : ``egm://HOST:PORT`` or ``labcomm://HOST:PORT`` for each robot, or ``sim://NAME?option=value``, also
+        ``sim://NAME+NAME``. count : robots.
 
     Raises
     ------
     ConfigError : another form, another number than that of the robots, or two that cannot be in one link.
     """
     ports = [_PORTS + index if count > 1 else _PORT for index in range(len(urls))]
-    found = [address for url, port in zip(urls, ports, strict=True) for address in _taken_apart(url, port)]
+    rows = [_LABCOMM + index for index in range(len(urls))]
+    found = [one for url, *numbers in zip(urls, ports, rows, strict=True) for one in _taken_apart(url, *numbers)]
     if len(found) != count:
         raise ConfigError(f"Expected one url per robot, got {len(found)} for {count}: {', '.join(urls)}.")
     if len({address.scheme for address in found}) > 1 or any(one.options != found[0].options for one in found):
@@ -53,16 +57,18 @@ def addresses(urls: Sequence[str], count: int) -> list[Address]:
     return found
 
 
-def _taken_apart(url: str, port: int) -> list[Address]:
+def _taken_apart(url: str, port: int, rows: int) -> list[Address]:
     parts = urlsplit(url) if isinstance(url, str) else None
-    if parts is None or parts.scheme not in ("egm", "sim") or not parts.netloc:
+    if parts is None or parts.scheme not in ("egm", "sim", "labcomm") or not parts.netloc:
         raise ConfigError(f"Expected a link like egm://127.0.0.1:6510 or sim://yumi_right, got {url!r}.")
     options = dict(parse_qsl(parts.query, keep_blank_values=True))
     if parts.scheme == "sim":
         return [Address("sim", "127.0.0.1", 0, robot, options) for robot in parts.netloc.split("+")]
-    if options:
+    if parts.scheme == "labcomm":
+        port = rows
+    elif options:
         raise ConfigError(f"Expected no options in an egm link, got {', '.join(options)} in {url!r}.")
     number = parts.netloc.rpartition(":")[2] if ":" in parts.netloc else str(port)
     if not parts.hostname or not number.isascii() or not number.isdigit() or int(number) > 65535:
-        raise ConfigError(f"Expected egm://HOST:PORT with a port from 0 to 65535, got {url!r}.")
-    return [Address("egm", parts.hostname, int(number), "", {})]
+        raise ConfigError(f"Expected {parts.scheme}://HOST:PORT with a port from 0 to 65535, got {url!r}.")
+    return [Address(parts.scheme, parts.hostname, int(number), "", options)]

@@ -47,6 +47,8 @@ def connect(
     url : ``egm://127.0.0.1:6510`` listens there for a robot's controller. ``sim://yumi_right`` starts that simulated
         robot and stops it with the link; ``?seed=1&lockstep=true`` are options of ``armlab sim``. Several arms have
         one url each, or ``sim://yumi_left+yumi_right``. Without a number the port is 6510, of several 6511, 6512, ...
+        ``labcomm://host:7511`` goes to a LabComm server whose bridge has the robot; ``?order=chain&dialect=2014`` say
+        how its port is set.
     robot : the arm, or several in the order of the urls.
     codec : "egm", or an object with the methods of `wire.egm.Codec`; one per arm.
     extension : send the research extension; always with a simulated robot. What arrives of it is always used.
@@ -70,7 +72,12 @@ def connect(
     with ExitStack() as opened:
         ends: list[End] = []
         for one, address, wires in zip(robots, where, codecs, strict=True):
-            ends.append(End(one, Port(address.host, address.port), *wires))
+            if address.scheme == "labcomm":
+                from armlab.bridge.labcomm.far import far_end
+
+                ends.append(End(one, *far_end(one, address.host, address.port, address.options), None))
+            else:
+                ends.append(End(one, Port(address.host, address.port), *wires))
             opened.callback(ends[-1].port.close)
         simulator = None
         if is_simulated:

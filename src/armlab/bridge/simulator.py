@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import threading
@@ -38,6 +39,7 @@ class Simulator:
             if value.lower() != "false":
                 arguments += [f"--{name}"] if value.lower() in ("", "true") else [f"--{name}", value]
         self._command = " ".join(["armlab", *arguments[3:]])
+        arguments += ["--parent", str(os.getpid())]  # told, not found: this process may end before the other looks
         self.lines: deque[str] = deque(maxlen=_KEPT_LINES)
         self._process = subprocess.Popen(
             arguments,

@@ -2,33 +2,32 @@
 
 from __future__ import annotations
 
-import json
-import math
+import json as json_format
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TextIO
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 from cyclopts import Parameter
 
 from armlab.cli import FAILED, INTERRUPTED, interrupts_deferred
+from armlab.cli.sim_files import truth_writer
+from armlab.cli.sim_options import Around, Content, FaultOptions
 from armlab.errors import ConfigError
-from armlab.sim.faults import FaultRates, Faults
 from armlab.sim.guidance import Settings
 from armlab.sim.mismatch import Mismatch
-from armlab.sim.operator import Operator
 
 if TYPE_CHECKING:
+    from armlab.robots import Robot
+    from armlab.sim.arm import Arm
     from armlab.sim.channel import Channel
-    from armlab.sim.controller import Controller
+    from armlab.sim.lagging import LaggingArm
+    from armlab.sim.statistics import Event
 
-__all__ = ["read_operator", "sim"]
+__all__ = ["sim"]
 
-_OPERATOR = ("t", "fx", "fy", "fz", "mx", "my", "mz")
-_SHOWN = 80  # characters of a wrong line that a message quotes
 _flat = Parameter(name="*")
 
 
@@ -39,119 +38,106 @@ def sim(
     seed: int = 0,
     seconds: float | None = None,
     extension: bool = False,
-    operator: Path | None = None,
+    phase: float = 0.0,
     truth: Path | None = None,
     stats: Path | None = None,
+    json: bool = False,
     patience: float = 10.0,
     abb_defaults: bool = False,
+    content: Annotated[Content, _flat] = Content(),  # noqa: B008 - frozen
+    around: Annotated[Around, _flat] = Around(),  # noqa: B008 - frozen
     settings: Annotated[Settings, _flat] = Settings(),  # noqa: B008 - frozen
-    faults: Annotated[FaultRates, _flat] = FaultRates(),  # noqa: B008 - frozen
+    faults: Annotated[FaultOptions, _flat] = FaultOptions(),  # noqa: B008 - frozen
+    outgoing: FaultOptions | None = None,
+    incoming: FaultOptions | None = None,
     mismatch: Mismatch = Mismatch(),  # noqa: B008 - frozen
+    parent: Annotated[int | None, Parameter(show=False)] = None,
 ) -> int:
     """Simulate arms and their EGM controller. Masses, friction and noise are invented; see the documentation.
 
     Parameters
     ----------
     robot : str
-        Names in the library, one motion task each.
+        Names in the library, one motion task each; or none together with --axes.
     to : str
         HOST:PORT of the bridge; with several robots one each, separated by commas.
     lockstep : bool
         Wait for each reply and run as fast as the peer; the same seed gives the same bytes.
     seed : int
-        Seed of noise and faults.
+        Seed of noise, faults and the random hand.
     seconds : float
         Robot time after which to end [s]; without it until Ctrl-C.
     extension : bool
-        Send velocities and torques too (research extension, field 101).
-    operator : Path
-        CSV file of the wrench that a hand exerts on the first robot, t,fx,fy,fz,mx,my,mz: seconds since guidance began,
-        N and N m in base axes at the tool point, linear between rows.
+        Send velocities and torques too (research extension, field 101), and obey torques and gains.
+    phase : float
+        With several robots: how long after the one before each sends [s].
     truth : Path
         CSV file to write with the exact state, friction and wrench of every packet (one robot only).
     stats : Path
         JSON file to write with counters and round-trip times, per robot; a name given twice gets a number.
+    json : bool
+        Print events as JSON, one object per line.
     patience : float
         How long lockstep waits for one reply before the session times out [s].
     abb_defaults : bool
         Speed deviation 1 deg/s and convergence after 1 s within 0.5 deg, as on a robot set up without care. What is
         given as an option of its own keeps its value.
+    content : Content
+        Of the packets.
+    around : Around
+        The arms.
     settings : Settings
         Of the controller.
-    faults : FaultRates
+    faults : FaultOptions
         In both directions.
+    outgoing : FaultOptions
+        Of the robot's packets instead, for example --outgoing.loss 0.1.
+    incoming : FaultOptions
+        Of the replies instead.
     mismatch : Mismatch
         How the arms differ from what is believed of them, for example --mismatch.torque-constant 0.05.
+    parent : int
+        Process with which to end; the one that started this one by default.
     """
     from armlab.cli.output import note
     from armlab.sim.loop import Pace, run
 
-    parent = os.getppid()  # now, before anything takes time in which it could end
+    parent = os.getppid() if parent is None else parent  # now, before anything takes time in which it could end
     pace = Pace(lockstep, seconds, patience)
     if seed < 0:
         raise ConfigError(f"Expected a seed of at least 0, got {seed}.")
     if abb_defaults:
         settings = _with_abb_defaults(settings)
-    hand = Operator.idle() if operator is None else read_operator(operator)
-    addresses = _addresses(to, robot)
-    if truth is not None and len(robot) > 1:
-        raise ConfigError(f"Expected one robot together with --truth, got {len(robot)}. Start one simulator per robot.")
+    tell = (lambda event: note(json_format.dumps(event._asdict()))) if json else (lambda event: note(str(event)))
+    cell = _Cell(content, around, settings, (outgoing or faults, incoming or faults), mismatch, extension, phase, tell)
+    addresses = _addresses(to)
+    names = content.names(robot, len(addresses))
+    if not names or len(addresses) != len(names):
+        raise ConfigError(f"Expected robots and as many addresses in --to, got {len(names)} and {len(addresses)}.")
+    if truth is not None and len(names) > 1:
+        raise ConfigError(f"Expected one robot together with --truth, got {len(names)}. Start one simulator per robot.")
     with ExitStack() as opened:
         channels: list[Channel] = []
-        for i, (name, address) in enumerate(zip(robot, addresses, strict=True)):
-            pusher = hand if i == 0 else Operator.idle()
+        for i, (name, address) in enumerate(zip(names, addresses)):
             with interrupts_deferred():  # MuJoCo loads here
-                channels.append(_channel(name, address, settings, extension, pusher, faults, mismatch, [seed, i], note))
+                channels.append(cell.channel(name, address, i, [seed, i]))
             opened.callback(channels[-1].close)
         summary, exact = (path and opened.enter_context(path.open("w", encoding="utf-8")) for path in (stats, truth))
-        observe = _recorder(exact, channels[0].controller) if exact else None
+        observe = truth_writer(exact, channels[0].controller) if exact else None
         try:
             # never outlive the program that started us
             reason = run(channels, pace, alive=lambda: os.getppid() == parent, observe=observe)
             code = FAILED if any(channel.controller.dead for channel in channels) else 0
         except KeyboardInterrupt:
             reason, code = "interrupted", INTERRUPTED
-        for name, channel in zip(robot, channels):
-            note(f"{name}: {channel.controller.uptime:.3f} s, {channel.controller.statistics.line()}; {reason}")
+        for name, channel in zip(names, channels):
+            counted = channel.controller.statistics
+            note(f"{name}: {channel.controller.uptime:.3f} s, {counted.line()}; {reason}\n{counted.text()}")
         if summary:
-            labels = [f"{name} {i + 1}" if robot.count(name) > 1 else name for i, name in enumerate(robot)]
-            counted = [channel.controller.statistics.as_dict() for channel in channels]
-            summary.write(json.dumps(dict(zip(labels, counted)), indent=2) + "\n")
+            labels = [f"{name} {i + 1}" if names.count(name) > 1 else name for i, name in enumerate(names)]
+            found = [channel.controller.statistics.as_dict() for channel in channels]
+            summary.write(json_format.dumps(dict(zip(labels, found)), indent=2) + "\n")
     return code
-
-
-def read_operator(path: Path) -> Operator:
-    """Return the operator described by a CSV file with the header ``t,fx,fy,fz,mx,my,mz``.
-
-    Parameters
-    ----------
-    path : the file; one row per time, times increasing.
-
-    Raises
-    ------
-    ConfigError : when the file cannot be read or a row is wrong; names file and line.
-    """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"Expected an operator file at {path}, but it cannot be read ({error}).") from error
-    header, *lines = text.splitlines() or [""]
-    if tuple(word.strip() for word in header.split(",")) != _OPERATOR:
-        raise ConfigError(f"Expected the header {','.join(_OPERATOR)} in line 1 of {path}, got {header[:_SHOWN]!r}.")
-    rows: list[list[float]] = []
-    for number, line in enumerate(lines, start=2):
-        if not line.strip():
-            continue
-        row = _numbers(line.split(","))
-        if len(row) != len(_OPERATOR) or not all(math.isfinite(value) for value in row):
-            raise ConfigError(f"Expected {len(_OPERATOR)} numbers in line {number} of {path}, got {line[:_SHOWN]!r}.")
-        if rows and row[0] <= rows[-1][0]:
-            raise ConfigError(
-                f"Expected times that increase in line {number} of {path}, got {row[0]:g} s after {rows[-1][0]:g} s."
-            )
-        rows.append(row)
-    table = np.array(rows).reshape(len(rows), len(_OPERATOR))
-    return Operator(table[:, 0], table[:, 1:])
 
 
 def _with_abb_defaults(settings: Settings) -> Settings:
@@ -163,15 +149,7 @@ def _with_abb_defaults(settings: Settings) -> Settings:
     )
 
 
-def _numbers(words: Iterable[str]) -> list[float]:
-    """Return the words as numbers; nothing when one of them is none."""
-    try:
-        return [float(word) for word in words]
-    except ValueError:
-        return []
-
-
-def _addresses(to: str, robot: tuple[str, ...]) -> list[tuple[str, int]]:
+def _addresses(to: str) -> list[tuple[str, int]]:
     """Return (host, port) per robot."""
     found = []
     for word in to.split(","):
@@ -179,50 +157,56 @@ def _addresses(to: str, robot: tuple[str, ...]) -> list[tuple[str, int]]:
         if not host or not port.isascii() or not port.isdigit() or not 0 < int(port) < 65536:
             raise ConfigError(f"Expected --to HOST:PORT with a port from 1 to 65535, got {word!r}.")
         found.append((host, int(port)))
-    if not robot or len(found) != len(robot):
-        raise ConfigError(f"Expected robots and as many addresses in --to, got {len(robot)} and {len(found)}.")
     return found
 
 
-def _channel(
-    name: str,
-    address: tuple[str, int],
-    settings: Settings,
-    extension: bool,
-    operator: Operator,
-    faults: FaultRates,
-    mismatch: Mismatch,
-    seed: list[int],
-    note: Callable[[str], None],
-) -> Channel:
-    """Return one simulated robot with its socket."""
-    from armlab import robots
-    from armlab.sim.arm import Arm
-    from armlab.sim.channel import Channel
-    from armlab.sim.controller import Controller
-    from armlab.sim.truth import synthetic_truth
-    from armlab.wire.egm import RobotSideCodec
+@dataclass(frozen=True)
+class _Cell:
+    """All that is the same for every robot of one command."""
 
-    robot = robots.load(name)
-    arm = Arm(robot, synthetic_truth(robot), period=settings.period, seed=seed, mismatch=mismatch)
-    controller = Controller(arm, RobotSideCodec(robot, extension=extension), settings, operator, note)
-    directions = [Faults(faults, [*seed, stream]) if faults.any else None for stream in (1, 2)]
-    return Channel(controller, *address, outgoing=directions[0], incoming=directions[1])
+    content: Content
+    around: Around
+    settings: Settings
+    faults: tuple[FaultOptions, FaultOptions]
+    mismatch: Mismatch
+    extension: bool
+    phase: float
+    tell: Callable[[Event], None]
 
+    def channel(self, name: str, address: tuple[str, int], index: int, seed: list[int]) -> Channel:
+        """Return one simulated robot with its socket."""
+        from armlab import robots
+        from armlab.sim.channel import Channel
+        from armlab.sim.controller import Controller
+        from armlab.sim.faults import Faults
+        from armlab.sim.packets import Packets
+        from armlab.sim.scara import scara
+        from armlab.wire.egm import RobotSideCodec
 
-def _recorder(file: TextIO, controller: Controller) -> Callable[[int], None]:
-    """Write the header of the truth file and return what writes a row per packet."""
-    joints = {"q": "rad", "qd": "rad/s", "qdd": "rad/s^2", "tau": "N m", "tau_friction": "N m"}
-    n = controller.arm.robot.n
-    header = ["robot_ns", "session", "seq", "t [s]"]
-    header += [f"wrench_true{i + 1} [{'N' if i < 3 else 'N m'}]" for i in range(6)]
-    header += [f"{name}{i + 1} [{unit}]" for name, unit in joints.items() for i in range(n)]
-    file.write(",".join(header) + "\n")
+        content, settings = self.content, self.settings
+        robot = scara() if name == "scara" else robots.load(name)
+        is_rw7 = content.robotware == "7"
+        codec = RobotSideCodec(robot, content.robotware, self.extension, force=content.force, external=content.external)
+        packets = Packets(
+            codec,
+            settings.period,
+            fields=content.left_out,
+            phase=index * self.phase,
+            force=content.force,
+            torque_reference=is_rw7 and settings.level == 0 and not settings.only_streams,
+        )
+        scene = self.around.scene(robot, index, [*seed, 3], content.external)
+        controller = Controller(self._arm(robot, seed), packets, settings, scene, self.tell)
+        both = [options.rates() for options in self.faults]
+        ways = [Faults(rates, [*seed, i], settings.period) if rates.any else None for i, rates in enumerate(both, 1)]
+        return Channel(controller, *address, *ways, phase=index * self.phase)
 
-    def write(_: int) -> None:
-        sample = controller.arm.sample
-        numbers = np.concatenate([sample.wrench, *(getattr(sample, name) for name in joints)])
-        stamp = f"{controller.robot_ns},{controller.session},{controller.seq - 1},{controller.guidance_time:.6f}"
-        file.write(stamp + "," + ",".join(map(repr, numbers.tolist())) + "\n")
+    def _arm(self, robot: Robot, seed: list[int]) -> Arm | LaggingArm:
+        from armlab.sim.arm import Arm
+        from armlab.sim.lagging import LaggingArm
+        from armlab.sim.truth import synthetic_truth, truth_names
 
-    return write
+        period = self.settings.period
+        if self.content.lagging or robot.name not in truth_names():
+            return LaggingArm(robot, period)
+        return Arm(robot, synthetic_truth(robot), period=period, seed=seed, mismatch=self.mismatch)

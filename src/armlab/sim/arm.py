@@ -75,13 +75,15 @@ class Arm:
     Attributes
     ----------
     robot : the description. built : the arm that moves. truth : its parameters, mismatch included.
-    sample : the exact state at the last instant.
+    sample : the exact state at the last instant. has_torque : True.
 
     Raises
     ------
     ShapeError : when truth or posture have another number of joints.
     ConfigError : when the period is not between 0.1 ms and 1 s.
     """
+
+    has_torque = True
 
     def __init__(
         self,

@@ -6,10 +6,9 @@ import select
 import socket
 import struct
 import time
-from collections import deque
 from collections.abc import Callable
 
-from armlab.errors import LinkError
+from armlab.errors import ConfigError, LinkError
 from armlab.sim.controller import Controller
 from armlab.sim.faults import Faults
 from armlab.wire.egm import SensorMessage
@@ -30,7 +29,8 @@ class Channel:
     ----------
     controller : the motion task.
     host, port : where the bridge listens.
-    outgoing, incoming : what goes wrong on the way. With `incoming` round trips are not measured.
+    outgoing, incoming : what goes wrong on the way.
+    phase : how long after the beat that all channels share it sends in real time [s], less than a period.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class Channel:
 
     Raises
     ------
-    LinkError : when the address does not exist.
+    LinkError : when the address does not exist. ConfigError : a phase outside [0, period).
     """
 
     def __init__(
@@ -48,8 +48,11 @@ class Channel:
         port: int,
         outgoing: Faults | None = None,
         incoming: Faults | None = None,
+        phase: float = 0.0,
     ) -> None:
-        self.controller = controller
+        self.controller, self.phase = controller, phase
+        if not 0.0 <= phase < controller.arm.period:
+            raise ConfigError(f"Expected a phase from 0 s to below the period, got {phase:g} s.")
         self._outgoing, self._incoming = outgoing, incoming
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
@@ -61,9 +64,8 @@ class Channel:
         self._stamped = self._ask_for_stamps()
         self._poll = select.poll()
         self._poll.register(self._socket, select.POLLIN)
-        self._sent: deque[tuple[int, int, int]] = deque(maxlen=64)  # (seq, tm, nanoseconds just before sending)
         self._packet: bytes | None = None
-        self._tm, self._number, self._newest, self._arrival = 0, 0, -1, 0
+        self._expected, self._newest, self._arrival = 0, -1, 0
         self._refused = self._awaited = False
         self._arrived: list[tuple[int, bytes]] = []
         self.heard = time.monotonic()
@@ -74,24 +76,23 @@ class Channel:
 
     def prepare(self) -> bool:
         """Build the packet of the coming cycle, so that it can leave on time. Return whether there is one."""
-        self._seq, self._tm = self.controller.seq, self.controller.tm_ms
         self._packet = self.controller.packet()
         return self._packet is not None
 
     def send(self) -> None:
         """Send what was prepared, or what the faults make of it."""
-        self._number += 1
-        datagrams = [(self._number, self._packet)] if self._packet is not None else []
+        controller = self.controller
+        datagrams = [(controller.cycle, self._packet)] if self._packet is not None else []
         if self._outgoing is not None:
-            datagrams = self._outgoing.through(datagrams)
+            datagrams = self._outgoing.through(datagrams, controller.uptime)
         if self._packet is not None:
-            self._sent.append((self._seq, self._tm, time.time_ns()))
+            controller.inbox.stamp(time.time_ns(), controller.uptime)
         self._awaited = False
         # the newest first: then a peer answers one of them, whether it looks before or after the others have come
         for number, datagram in sorted(datagrams, key=lambda item: -item[0]):
             self._put(datagram)
-            self._awaited = self._awaited or number > self._newest  # a peer answers what is newer than all before
-            self._newest = max(self._newest, number)
+            if number > self._newest:  # a peer answers what is newer than all before
+                self._awaited, self._newest, self._expected = True, number, controller.packets.tm_ms(number)
 
     def drain(self) -> None:
         """Read what has arrived."""
@@ -135,30 +136,22 @@ class Channel:
     def _receive(self, data: bytes) -> bool:
         """Take one datagram from the socket. Return whether it is what lockstep waits for."""
         if self._incoming is not None:
-            self._arrived.append((0, data))
-            self.heard = time.monotonic()
-            return True
-        message = self.controller.accept(data)
-        if message is None:
+            self._arrived.append((self._arrival, data))
+            message = self.controller.inbox.read(data, count=False)
+        else:
+            message = self.controller.accept(data, self._arrival)
+        if not isinstance(message, SensorMessage):
             return False
         self.heard = time.monotonic()
-        self._match(message)
         # a peer that does not echo tm (None, or 0 as abb_libegm sends) gets the benefit of the doubt
-        return not message.tm_ms or message.tm_ms == self._tm
+        return not message.tm_ms or message.tm_ms == self._expected
 
     def _deliver(self) -> None:
         """Hand on what the faults let through in this cycle."""
         if self._incoming is not None:
-            for _, datagram in self._incoming.through(self._arrived):
-                self.controller.accept(datagram)
+            for stamp, datagram in self._incoming.through(self._arrived, self.controller.uptime):
+                self.controller.accept(datagram, max(stamp, 0))
             self._arrived.clear()
-
-    def _match(self, message: SensorMessage) -> None:
-        """Find the packet that this answers, by the echoes, and note the round trip."""
-        for seq, tm, sent in reversed(self._sent):
-            if message.echo_seq == seq if message.echo_seq is not None else message.tm_ms == tm:
-                self.controller.statistics.trip(1e-9 * (self._arrival - sent), self.controller.uptime)
-                return
 
     def _put(self, datagram: bytes) -> None:
         """Send; twice when the first attempt only reports that an earlier datagram was refused."""

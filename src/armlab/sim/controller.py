@@ -5,32 +5,37 @@ a first-in first-out queue; hold the last reference, speed included, when there 
 acts in the next cycle at the earliest, and a surplus reply adds one cycle of lag for ever.
 
 Phases: ``streaming`` (packets say STOPPED) -> ``guiding`` (RUNNING) -> ``failing`` (ERROR, while the arm brakes) ->
-``paused`` (no packets) -> the next session or ``over``.
+``paused`` (no packets) -> the next session or ``over``. Motors or RAPID that stop lead from guiding back to streaming.
 """
 
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable
 
 import numpy as np
 
+from armlab.errors import ShapeError
 from armlab.sim.arm import Arm
+from armlab.sim.external import ExternalAxes
 from armlab.sim.guidance import Guidance, Settings
+from armlab.sim.inbox import Inbox, Sent
+from armlab.sim.journal import Journal
+from armlab.sim.lagging import LaggingArm
 from armlab.sim.operator import Operator
+from armlab.sim.packets import Condition, Packets
+from armlab.sim.scene import Scene
 from armlab.sim.statistics import Event, Statistics
-from armlab.wire.egm import Drop, RobotMessage, RobotSideCodec, SensorMessage
+from armlab.sim.target import PATH_PERIOD, Target, has_numbers
+from armlab.wire.egm import Drop, RobotSideCodec, SensorMessage
 
 __all__ = ["Controller"]
 
-QUEUE_LENGTH = 64
-EPOCH_NS = 1_500_000_000_000_000_000  # robot time starts here: the same bytes in every run
-_UPTIME_MS = 10_000  # tm of the first packet; 0 would look like "no tm" when it is echoed
 _FAILING_TIME = 0.1  # s
-_ABSURD = 1e9  # rad, rad/s
 _MCI = {"streaming": 2, "guiding": 3, "failing": 1}
+_POSITION, _VELOCITY, _TORQUE = 1, 2, 3  # modes of the research extension
 _NO_DATA = (41822, "No data from the UdpUc device")
+_MISMATCH = (41826, "EGM mode mismatch")
 
 
 class Controller:
@@ -39,34 +44,44 @@ class Controller:
     Parameters
     ----------
     arm : the simulated arm; its period is the controller's.
-    codec : the robot's side of the wire.
+    wire : the robot's side of the wire, or packets of chosen content on it.
     settings : see `Settings`.
-    operator : who pushes the arm, over guidance time.
-    on_event : called with each event as one line of text.
+    scene : see `Scene`; an operator alone is a scene too.
+    on_event : called with each event.
 
     Attributes
     ----------
     phase : see the module. reason : why it is over, "" before. dead : over by a failure that only a restart ends.
-    session : number of the session from 1. uptime : robot time [s]. guidance_time : since guidance began [s].
-    robot_ns, seq : stamp and sequence number of the next packet.
-    statistics : what was counted.
+    session : number of the session from 1. seq, cycle : number of the next packet, and of the cycle since the start.
+    uptime : robot time [s]. guidance_time : since guidance began [s], or the stream where there is none.
+    inbox : what has arrived. packets : builds messages. statistics : what was counted.
+
+    Raises
+    ------
+    ShapeError : a hand for another number of joints.
     """
 
     def __init__(
         self,
-        arm: Arm,
-        codec: RobotSideCodec,
+        arm: Arm | LaggingArm,
+        wire: RobotSideCodec | Packets,
         settings: Settings,
-        operator: Operator | None = None,
-        on_event: Callable[[str], None] | None = None,
+        scene: Scene | Operator | None = None,
+        on_event: Callable[[Event], None] | None = None,
     ) -> None:
         self.arm, self.statistics = arm, Statistics()
-        self._codec, self._settings = codec, settings
-        self._operator = operator or Operator.idle()
-        self._on_event = on_event
-        self._guidance = Guidance(arm.robot, settings, arm.sample.q)
-        self._queue: deque[SensorMessage] = deque()
-        self._sent: deque[tuple[int, int]] = deque(maxlen=QUEUE_LENGTH)  # (tm, cycle) of packets that may be answered
+        self.packets = wire if isinstance(wire, Packets) else Packets(wire, settings.period)
+        self._settings, self._journal = settings, Journal(arm.robot.name, self.statistics, on_event)
+        self._scene = scene if isinstance(scene, Scene) else Scene(scene or Operator.idle())
+        self._hand = self._scene.hand if settings.program == "lead-through" else None
+        if self._hand is not None:
+            if self._hand.n != arm.robot.n:
+                raise ShapeError(f"Expected a hand path of {arm.robot.n} joints, got one of {self._hand.n}.")
+            arm.place(self._hand.at(0.0)[0])
+        self._guidance, self._target = Guidance(arm.robot, settings, arm.sample.q), Target(arm.robot, settings)
+        self._external = ExternalAxes(self._scene.external, settings)
+        self.inbox = Inbox(self.packets.codec, self.statistics, settings)
+        self._stride = max(1, round(PATH_PERIOD / settings.period)) if settings.mode == "path" else 1
         self._cycles = {
             "streaming": self._stream,
             "guiding": self._guide,
@@ -74,93 +89,92 @@ class Controller:
             "paused": self._pause,
             "over": self._guidance.brake,
         }
-        self._cycle = self.session = 0
+        self.cycle = self.session = 0
         self.reason, self.dead, self._answered = "", False, False
         self._begin_session(0)
 
     @property
     def uptime(self) -> float:
         """Robot time since the start [s]."""
-        return self._cycle * self._settings.period
+        return self.cycle * self._settings.period
 
     @property
     def robot_ns(self) -> int:
-        """Robot clock [ns]: exact multiples of the period."""
-        return EPOCH_NS + round(self._cycle * self._settings.period * 1e9)
+        """Robot clock of the next packet [ns]."""
+        return self.packets.time_ns(self.cycle)
 
     @property
     def guidance_time(self) -> float:
         """Seconds since guidance began in this session; negative before."""
-        return (self._cycle - self._guided_since) * self._settings.period
+        return (self.cycle - self._guided_since) * self._settings.period
 
     @property
     def tm_ms(self) -> int:
         """The `tm` of the next packet."""
-        return _UPTIME_MS + int(self._cycle * self._settings.period * 1e3 + 1e-6)
+        return self.packets.tm_ms(self.cycle)
 
     def packet(self) -> bytes | None:
         """Return the bytes of this cycle's packet, or None while no session runs."""
         if self.phase not in _MCI:
             return None
-        arm, guidance, measured = self.arm, self._guidance, self.arm.measure()
-        message = RobotMessage(
-            seqno=self.seq,
-            tm_ms=self.tm_ms,
-            q=measured.q,
-            q_planned=guidance.q,
-            robot_ns=self.robot_ns,
-            T_frame_tool=arm.robot.chain.forward(measured.q),
+        scene, t, target = self._scene, self.uptime, self._target
+        mode = _TORQUE if not target.gain_q.any() else _POSITION if self._settings.position_gain else _VELOCITY
+        condition = Condition(
+            seq=self.seq,
+            motors=scene.motors.at(t),
             mci=_MCI[self.phase],
+            rapid=scene.rapid.at(t),
             converged=self._near,
-            utilization=guidance.utilization,
-            qd=measured.qd,
-            tau=measured.tau,
-            tau_total=arm.sample.tau,
-            tau_gravity=arm.sample.tau_gravity,
-            q_reference=guidance.q,
-            qd_reference=guidance.qd,
-            mono_ns=self.robot_ns - EPOCH_NS,
+            mode=mode,
             used_seq=self._used_seq,
-            queue_depth=self._left,
+            left=self._left,
         )
-        self._sent.append((self.tm_ms, self._cycle))
+        self.inbox.note(Sent(self.seq, self.tm_ms, self.cycle, self.phase == "guiding"))
         self.seq += 1
         self.statistics.counts["packets"] += 1
-        return self._codec.encode_robot(message)
+        return self.packets.encode(self.cycle, self.arm, self._guidance, condition, self._external.q.tolist())
 
-    def accept(self, data: bytes) -> SensorMessage | None:
+    def accept(self, data: bytes, arrival_ns: int = 0) -> SensorMessage | None:
         """Decode an arrived datagram and queue it. Return the message, or None for what is no message to us.
 
         Parameters
         ----------
-        data : one datagram, whatever it holds.
+        data : one datagram, whatever it holds. arrival_ns : wall clock of its arrival, for the round trip.
         """
-        found = self._codec.decode_sensor(data)
-        if isinstance(found, SensorMessage) and found.q is None:
-            found = Drop("no joints", "a message without joint references in joint mode")
+        found = self.inbox.read(data)
         if isinstance(found, Drop):
-            self._drop(found, data)
+            self._journal.drop(self.uptime, found, data)
             return None
         self._answered = True
         self.statistics.counts["replies"] += 1
-        if self.phase != "guiding":
+        sent = self.inbox.match(found, arrival_ns, self.uptime)
+        keeps = self.phase == "streaming" and self._settings.stream_queue == "keep"
+        if self.phase != "guiding" and not keeps:
             self.statistics.drops["not guiding"] += 1
-        elif len(self._queue) >= QUEUE_LENGTH:
+        elif not self.inbox.put(found, sent and sent.cycle):
             self.statistics.drops["queue full"] += 1
-        else:
-            self._queue.append(found)
         return found
 
     def advance(self) -> None:
         """Take at most one message, move the reference and the arm by one period."""
         self._in_phase += 1
         self._cycles[self.phase]()
-        guiding = self.phase == "guiding"
-        self._cycle += 1
-        wrench = self._operator.at(self.guidance_time) if guiding else None
+        moves = self.phase == "guiding" or (self._settings.only_streams and self.phase == "streaming")
+        self.cycle += 1
+        wrench = self._scene.operator.at(self.guidance_time) if moves else None
+        self._external.follow(self._target.q_ext if self.phase == "guiding" else None)
         self.arm.step(self._guidance.q, self._guidance.qd, wrench)
         if self.phase != "over" and not np.isfinite(self.arm.sample.q).all():
             self._die(0, "the simulated arm was driven beyond all numbers; push it with less force")
+
+    def skip(self, cycles: int) -> None:
+        """Let robot time pass without packets and without motion.
+
+        Parameters
+        ----------
+        cycles : how many periods.
+        """
+        self.cycle += cycles
 
     def lose_peer(self) -> None:
         """End the session as CommTimeout does. For lockstep, where robot time stands still while the peer is silent."""
@@ -181,42 +195,60 @@ class Controller:
     def _begin_session(self, first_cycle: int) -> None:
         self.session += 1
         self.statistics.counts["sessions"] += 1
-        self.seq = self._used_seq = self._left = self._near_for = 0
-        self._near = False
-        self._q_ref: np.ndarray | None = None
-        self._qd_ref: np.ndarray | None = None
-        self._told: set[str] = set()
-        self._queue.clear()
-        self._sent.clear()
+        self.seq = self._used_seq = self._left = 0
+        self._journal.begin()
+        self.inbox.begin()
+        self._target.begin(self._guidance.q)
         streamed = math.ceil(self._settings.stream / self._settings.period - 1e-9)
-        self._guided_since = first_cycle + streamed
-        self._enter("streaming" if streamed else "guiding")
+        self._guided_since = first_cycle + (0 if self._settings.only_streams else streamed)
+        streams = (
+            streamed or self._settings.only_streams or not self._scene.is_ready(first_cycle * self._settings.period)
+        )
+        self._enter("streaming" if streams else "guiding")
 
     def _enter(self, phase: str) -> None:
-        self.phase, self._in_phase = phase, 0
+        self.phase, self._in_phase, self._near, self._near_for = phase, 0, False, 0
+        self._target.release()
+        self._assist()
         if phase == "guiding":
             self._silent_for = 0
+            self._target.begin(self._guidance.q)
             self._guidance.begin()
+            if self._settings.activated not in ("", self._settings.mode):
+                self._event(*_MISMATCH)
+                self._enter("paused")
 
     def _lasted(self, seconds: float) -> bool:
         return self._in_phase * self._settings.period >= seconds - 1e-9
 
     def _stream(self) -> None:
+        if self._hand is not None:
+            self._guidance.lead(*self._hand.at(self.guidance_time + self._settings.period))
+            return
         self._guidance.brake()
-        if self._cycle + 1 == self._guided_since:
+        begins = self.cycle + 1 >= self._guided_since and not self._settings.only_streams
+        if begins and self._scene.is_ready(self.uptime + self._settings.period):
+            self._guided_since = self.cycle + 1
             self._enter("guiding")
 
     def _guide(self) -> None:
-        self._take()
-        guidance = self._guidance
+        if not self._scene.is_ready(self.uptime):
+            self._guidance.brake()
+            self._enter("streaming")
+            return
+        if self._in_phase % self._stride == 0:
+            self._take()
+        guidance, target = self._guidance, self._target
         if self.phase != "guiding":
             guidance.brake()
             return
-        guidance.follow(self._q_ref, self._qd_ref)
+        if not target.gain_q.all():
+            guidance.let_go(self.arm.sample.q, target.gain_q == 0)
+        guidance.follow(target.q, target.qd)
         if violation := guidance.violation():
             self._fail(violation)
             return
-        self._near = guidance.near(self._q_ref)
+        self._near = guidance.near(target.q)
         self._near_for = self._near_for + 1 if self._near else 0
         period = self._settings.period
         if self._near and self._near_for * period >= self._settings.condition_time:
@@ -233,36 +265,40 @@ class Controller:
     def _pause(self) -> None:
         self._guidance.brake()
         if self._lasted(self._settings.restart):
-            if self._settings.program == "loop":
-                self._begin_session(self._cycle + 1)
+            if self._settings.program != "once":
+                self._begin_session(self.cycle + 1)
             else:
                 self.stop("the program ran once")
 
     def _take(self) -> None:
         """Step 5 of the cycle: the next message, or none and the last reference stays."""
-        self.statistics.queue[len(self._queue)] += 1
-        if not self._queue:
-            self._silent_for += 1
+        message = self.inbox.take(self.cycle)
+        if message is None:
+            self._silent_for += self._stride
             self.statistics.counts["starved"] += self._in_phase > 1  # nothing can have come in the first cycle
             return
-        self._silent_for = 0
-        message = self._queue.popleft()
-        self._left = len(self._queue)
-        self._note_age(message)
-        q, qd = message.q, message.qd
-        if q is None or not _is_number(q) or (qd is not None and not _is_number(qd)):
+        self._silent_for, self._left = 0, len(self.inbox)
+        found = self._target.read(message, self._guidance.q)
+        if found is None:
+            self._fail("no posture of the arm reaches the pose")
+        elif not has_numbers(message, *found):
             self._die(10014, "System failure state: a reference is no usable number; restart the controller")
-        elif refusal := self._guidance.refusal(q):
+        elif refusal := self._guidance.refusal(found[0]):
             self._fail(refusal)
         else:
-            self._q_ref, self._qd_ref, self._used_seq = q, qd, message.seqno or 0
+            self._target.accept(message, *found)
+            self._used_seq = message.seqno or 0
+            self._assist()
 
-    def _note_age(self, message: SensorMessage) -> None:
-        """Cycles between the packet that was answered and now, for peers that echo our time."""
-        for tm, cycle in reversed(self._sent):
-            if tm == message.tm_ms:
-                self.statistics.age[self._cycle - cycle] += 1
-                return
+    def _assist(self) -> None:
+        """Hand the drive's part of the reference to the drives; an arm without masses has none."""
+        if not isinstance(self.arm, Arm):
+            return
+        target = self._target
+        if target.is_plain:
+            self.arm.drive.alone()
+        else:
+            self.arm.drive.assist(target.tau, target.gain_q, target.gain_qd)
 
     def _die(self, number: int, text: str) -> None:
         self._event(number, text)
@@ -279,20 +315,5 @@ class Controller:
         self._answered = False
         self._enter("paused")
 
-    def _drop(self, drop: Drop, data: bytes) -> None:
-        """Count what is no message; say it once per kind and session."""
-        self.statistics.drops[drop.reason] += 1
-        if drop.reason not in self._told:
-            self._told.add(drop.reason)
-            self._event(0, f"dropped a datagram, {drop.reason}: {drop.detail}; first bytes {data[:32].hex(' ')}")
-
     def _event(self, number: int, text: str) -> None:
-        event = Event(round(self.uptime, 6), self.arm.robot.name, number, text)
-        self.statistics.events.append(event)
-        if self._on_event:
-            self._on_event(str(event))
-
-
-def _is_number(values: np.ndarray) -> bool:
-    """Whether all values are finite, and not so large that sums of them would not be."""
-    return bool((np.abs(values) < _ABSURD).all())
+        self._journal.tell(self.uptime, number, text)

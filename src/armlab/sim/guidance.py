@@ -19,7 +19,7 @@ from typing import Literal
 
 import numpy as np
 
-from armlab.errors import ConfigError
+from armlab.errors import ConfigError, UnknownName
 from armlab.robots import Robot
 
 __all__ = ["Guidance", "Settings"]
@@ -38,6 +38,13 @@ _RANGES: dict[str, tuple[float, float]] = {
     "comm_timeout": (1e-3, math.inf),
     "stream": (0.0, 1e6),
     "restart": (0.0, math.inf),
+}
+
+_CHOICES = {
+    "program": ("loop", "once", "stream", "lead-through"),
+    "stream_queue": ("drop", "keep"),
+    "mode": ("joint", "pose", "path"),
+    "activated": ("", "joint", "pose", "path"),
 }
 
 _OVERSHOOT = 0.02  # rad: the filters may carry a reference that stops at a limit this far beyond it
@@ -76,7 +83,15 @@ class Settings:
     restart : float
         Time from the end of a session to the next [s].
     program : str
-        "loop" begins another session when one ends, "once" does not.
+        "loop" begins another session when one ends, "once" does not. "stream" only streams, without guidance;
+        "lead-through" too, while a hand leads the arm.
+    stream_queue : str
+        What becomes of messages that arrive while the controller only streams: "drop", or "keep" for the guidance
+        after it. Which of them a real controller does is not known.
+    mode : str
+        What is guided, and so what messages must hold: "joint" references, a "pose", or corrections of a "path".
+    activated : str
+        The mode that RAPID prepared; another than `mode` plays event 41826. "" for the same.
 
     Raises
     ------
@@ -96,7 +111,10 @@ class Settings:
     comm_timeout: float = 1.0
     stream: float = 0.0
     restart: float = 0.2
-    program: Literal["loop", "once"] = "loop"
+    program: Literal["loop", "once", "stream", "lead-through"] = "loop"
+    stream_queue: Literal["drop", "keep"] = "drop"
+    mode: Literal["joint", "pose", "path"] = "joint"
+    activated: Literal["", "joint", "pose", "path"] = ""
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -104,6 +122,14 @@ class Settings:
             value = getattr(self, name)
             if not low <= value <= high:
                 raise ConfigError(f"Expected {name} of the simulated controller in [{low:g}, {high:g}], got {value}.")
+        for name, choices in _CHOICES.items():
+            if getattr(self, name) not in choices:
+                raise UnknownName.among(f"{name} of the simulated controller", getattr(self, name), choices)
+
+    @property
+    def only_streams(self) -> bool:
+        """Whether guidance never begins."""
+        return self.program in ("stream", "lead-through")
 
     @classmethod
     def abb_defaults(cls) -> Settings:
@@ -163,6 +189,24 @@ class Guidance:
             wanted = self._filters[i] = state + self._pole * (wanted - state)
         self.qd = wanted
         self.q = self.q + wanted * settings.period
+
+    def lead(self, q: np.ndarray, qd: np.ndarray) -> None:
+        """Be where a hand leads the arm.
+
+        Parameters
+        ----------
+        q, qd : (n,) position and velocity of the hand.
+        """
+        self.q, self.qd, self.utilization = q, qd, 0.0
+
+    def let_go(self, q: np.ndarray, free: np.ndarray) -> None:
+        """Follow the arm in joints whose position nobody controls, so that control can come back without a jump.
+
+        Parameters
+        ----------
+        q : (n,) where the arm is. free : (n,) which joints.
+        """
+        self.q = np.where(free, q, self.q)
 
     def brake(self) -> None:
         """Advance by one period while the speed goes to zero at the robot's acceleration limits."""

@@ -12,7 +12,7 @@ from armlab.sim.channel import Channel
 
 __all__ = ["Pace", "run"]
 
-_CATCH_UP = 25  # cycles made up without packets after this process was held up; more are forgotten
+_CATCH_UP = 25  # cycles in which the arm moves on without packets after this process was held up
 
 
 @dataclass(frozen=True)
@@ -49,16 +49,16 @@ def run(
     pace: Pace,
     *,
     alive: Callable[[], bool] = lambda: True,
-    observe: Callable[[int], None] | None = None,
+    observe: Callable[[Channel], None] | None = None,
 ) -> str:
     """Run until all controllers are over, the time is up, or `alive` says no. Return the reason in words.
 
     Parameters
     ----------
-    channels : one per motion task, all with the same period.
+    channels : one per motion task, all with the same period; each sends its `phase` after the beat.
     pace : see `Pace`.
     alive : asked in every cycle and while waiting.
-    observe : called with the index of each channel whenever its packet has been built.
+    observe : called with a channel whenever its packet has been built.
     """
     gc.collect()
     gc.freeze()  # what exists now is not searched again: a full collection would cost cycles
@@ -70,10 +70,10 @@ def run(
             channel.close()
 
 
-def _prepare(channels: Sequence[Channel], observe: Callable[[int], None]) -> None:
-    for index, channel in enumerate(channels):
+def _prepare(channels: Sequence[Channel], observe: Callable[[Channel], None]) -> None:
+    for channel in channels:
         if channel.prepare():
-            observe(index)
+            observe(channel)
 
 
 def _end(channels: Sequence[Channel], pace: Pace, alive: Callable[[], bool]) -> str:
@@ -81,13 +81,13 @@ def _end(channels: Sequence[Channel], pace: Pace, alive: Callable[[], bool]) -> 
     tasks = [channel.controller for channel in channels]
     if all(task.phase == "over" for task in tasks):
         return "; ".join(task.reason for task in tasks)
-    if pace.seconds is not None and tasks[0].uptime >= pace.seconds - 1e-9:
+    if pace.seconds is not None and min(task.uptime for task in tasks) >= pace.seconds - 1e-9:
         return "the time is up"
     return "" if alive() else "the process that started the simulator has ended"
 
 
 def _lockstep(
-    channels: Sequence[Channel], pace: Pace, alive: Callable[[], bool], observe: Callable[[int], None]
+    channels: Sequence[Channel], pace: Pace, alive: Callable[[], bool], observe: Callable[[Channel], None]
 ) -> str:
     """Send, move while the peer computes, then wait for its reply: it acts in the next cycle, as in real time.
 
@@ -107,32 +107,50 @@ def _lockstep(
                     return f"no reply for {pace.gone:g} s: the peer is gone"
 
 
+@dataclass
+class _Beat:
+    """Channels that send at the same time, and when they do next."""
+
+    due: float
+    channels: list[Channel]
+
+
 def _real_time(
-    channels: Sequence[Channel], pace: Pace, alive: Callable[[], bool], observe: Callable[[int], None]
+    channels: Sequence[Channel], pace: Pace, alive: Callable[[], bool], observe: Callable[[Channel], None]
 ) -> str:
-    """Keep the schedule ``t0 + k T``; cycles that this process misses are made up without packets, never in a burst."""
+    """Keep the schedule ``t0 + k T + phase``; cycles missed by this process pass without packets, never in a burst."""
     period = channels[0].controller.arm.period
-    due = time.monotonic()
+    start = time.monotonic() + period
+    beats = [
+        _Beat(start + phase, [channel for channel in channels if channel.phase == phase])
+        for phase in sorted({channel.phase for channel in channels})
+    ]
     while True:
         reason = _end(channels, pace, alive)
         if reason:
             return reason
-        _prepare(channels, observe)
-        due += period
-        left = due - time.monotonic()
+        beat = min(beats, key=lambda beat: beat.due)
+        _prepare(beat.channels, observe)
+        left = beat.due - time.monotonic()
         if left > 0:
             time.sleep(left)
-        for channel in channels:
-            channel.controller.statistics.late(time.monotonic() - due)
-        for channel in channels:
+        for channel in beat.channels:
+            channel.controller.statistics.late(time.monotonic() - beat.due, channel.controller.uptime)
+        for channel in beat.channels:
             channel.drain()  # first, or a fast reply to the packet that leaves now would count for this cycle
             channel.send()
-        for channel in channels:
+        for channel in beat.channels:
             channel.controller.advance()
-        missed = int((time.monotonic() - due) / period)
+        missed = int((time.monotonic() - beat.due) / period)
         if missed:
-            for channel in channels:
-                channel.controller.statistics.counts["skipped"] += missed
-                for _ in range(min(missed, _CATCH_UP)):
-                    channel.controller.advance()
-            due += missed * period
+            _miss(beat.channels, missed)
+        beat.due += (1 + missed) * period
+
+
+def _miss(channels: Sequence[Channel], cycles: int) -> None:
+    """Let cycles pass without packets. The arm moves in the first of them only: a long stall is not made up."""
+    for channel in channels:
+        channel.controller.statistics.counts["skipped"] += cycles
+        for _ in range(min(cycles, _CATCH_UP)):
+            channel.controller.advance()
+        channel.controller.skip(max(0, cycles - _CATCH_UP))

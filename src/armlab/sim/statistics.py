@@ -9,7 +9,7 @@ import numpy as np
 
 __all__ = ["Event", "Statistics"]
 
-_WARM_UP = 1.0  # seconds left out of the round trips: a peer's first reply may be slow
+_WARM_UP = 1.0  # seconds left out of all times: a peer's first reply may be slow
 _KEPT = 100_000  # newest times kept for the quantiles: memory does not grow in a long run
 
 
@@ -31,11 +31,21 @@ class Event(NamedTuple):
 
 
 class Statistics:
-    """Counters of one motion task."""
+    """Counters of one motion task.
+
+    Attributes
+    ----------
+    counts : packets, replies, sessions; starved cycles, in which the queue was empty; skipped cycles of this process;
+        missed: packets of guidance without a usable reply within one period; duplicates: replies that repeat the
+        number of the one before; how replies were matched. drops : datagrams by reason. mtypes : types of messages.
+    queue : depth of the queue at each take. age : cycles between packet and take of the reply to it, 1 at best.
+    events : the newest thousand.
+    """
 
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()
         self.drops: Counter[str] = Counter()
+        self.mtypes: Counter[int] = Counter()
         self.queue: Counter[int] = Counter()
         self.age: Counter[int] = Counter()
         self.events: deque[Event] = deque(maxlen=1000)
@@ -53,20 +63,31 @@ class Statistics:
         if uptime > _WARM_UP:
             self._round_trips.append(seconds)
 
-    def late(self, seconds: float) -> None:
+    def miss(self, uptime: float) -> None:
+        """Note a packet without a usable reply within one period.
+
+        Parameters
+        ----------
+        uptime : robot time; the first second does not count.
+        """
+        self.counts["missed"] += uptime > _WARM_UP
+
+    def late(self, seconds: float, uptime: float) -> None:
         """Note how late this process woke up for a cycle.
 
         Parameters
         ----------
-        seconds : behind the schedule.
+        seconds : behind the schedule. uptime : robot time; the first second does not count.
         """
-        self._wake_ups.append(seconds)
+        if uptime > _WARM_UP:
+            self._wake_ups.append(seconds)
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything as plain numbers, for a JSON file; times in microseconds."""
         return {
-            "counts": dict(sorted(self.counts.items())),
+            "counts": {name: count for name, count in sorted(self.counts.items()) if count},
             "drops": dict(sorted(self.drops.items())),
+            "mtypes": {str(k): v for k, v in sorted(self.mtypes.items())},
             "queue_depth": {str(k): v for k, v in sorted(self.queue.items())},
             "reference_age": {str(k): v for k, v in sorted(self.age.items())},
             "round_trip_us": _quantiles(self._round_trips),
@@ -83,6 +104,17 @@ class Statistics:
         if trips:
             text += f", round trip p50 {trips['p50']:.0f} us, p99 {trips['p99']:.0f} us, max {trips['max']:.0f} us"
         return text
+
+    def text(self) -> str:
+        """Return everything but the events as lines of text, times in microseconds."""
+        values = self.as_dict()
+        values.pop("events")
+        width = max(map(len, values))
+        return "\n".join(
+            f"  {name.replace('_', ' '):{width}}  "
+            + (", ".join(f"{key}: {value:g}" for key, value in found.items()) or "nothing")
+            for name, found in values.items()
+        )
 
 
 def _quantiles(seconds: deque[float]) -> dict[str, float]:

@@ -210,6 +210,7 @@ class RobotSideCodec:
         speed = sensor.speedRef.cartesians.value
         twist_scale = (_MILLIMETRE, _MILLIMETRE, _MILLIMETRE, RADIAN, RADIAN, RADIAN)
         has_data = sensor.HasField("rapidToRobot")
+        beyond = sensor.planned.externalJoints.joints[axes.tail :]
         return SensorMessage(
             seqno=header.seqno if header.HasField("seqno") else None,
             tm_ms=header.tm if header.HasField("tm") else None,
@@ -220,6 +221,7 @@ class RobotSideCodec:
             twist=np.multiply(speed, twist_scale) if len(speed) == 6 else None,
             rapid_data=np.array(sensor.rapidToRobot.dnum) if has_data else None,
             rapid_digital=sensor.rapidToRobot.digVal if has_data else None,
+            q_ext=RADIAN * np.array(beyond) if beyond else None,
             **_research_reference(axes, sensor.researchRef) if sensor.HasField("researchRef") else {},
         )
 

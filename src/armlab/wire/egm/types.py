@@ -197,6 +197,7 @@ class SensorMessage(NamedTuple):
     rapid_data, rapid_digital : RAPIDtoRobot.
     tau, qd_reference, q_reference, gain_q, gain_qd : (n,) valid arrays of the extension, else None.
     echo_mono_ns, echo_seq : echoes of the extension, None without it.
+    q_ext : references of external axes beyond the robot's own [rad], None without any.
     """
 
     seqno: int | None
@@ -217,3 +218,4 @@ class SensorMessage(NamedTuple):
     gain_qd: np.ndarray | None = None
     echo_mono_ns: int | None = None
     echo_seq: int | None = None
+    q_ext: np.ndarray | None = None

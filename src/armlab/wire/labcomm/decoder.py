@@ -109,6 +109,11 @@ class Decoder:
         """Bytes of a packet that is not complete."""
         return self._source.stop - self._source.at
 
+    @property
+    def offset(self) -> int:
+        """Position in the stream of the packet that is not complete, or of the next."""
+        return self._source.at
+
     def _run(self) -> Walk:
         dialect = yield from self._begin()
         while True:

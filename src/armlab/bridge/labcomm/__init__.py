@@ -1,0 +1,25 @@
+"""LabComm servers and clients: rows of the arms and parameters out, commands in, over TCP.
+
+`LabCommServer` serves `ArmChannel` (7511 left, 7512 right), `ParameterChannel` (7513) and `FusedChannel` (7514);
+`LabCommClient` is the other side; ``bridge.connect("labcomm://host:7511", robot)`` runs a controller over it.
+"""
+
+from armlab.bridge.labcomm.channels import ArmChannel, FusedArm, FusedChannel, FusedSource, ParameterChannel
+from armlab.bridge.labcomm.client import LabCommClient
+from armlab.bridge.labcomm.feed import Commander, RowFeed
+from armlab.bridge.labcomm.rows import Row, RowTypes
+from armlab.bridge.labcomm.server import LabCommServer
+
+__all__ = [
+    "ArmChannel",
+    "Commander",
+    "FusedArm",
+    "FusedChannel",
+    "FusedSource",
+    "LabCommClient",
+    "LabCommServer",
+    "ParameterChannel",
+    "Row",
+    "RowFeed",
+    "RowTypes",
+]

@@ -1,0 +1,229 @@
+"""`LabCommClient`: the other side of a LabComm server, for rows and commands of an arm, or any samples."""
+
+from __future__ import annotations
+
+import select
+import socket
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any
+
+from armlab.bridge.labcomm.peer import Peer
+from armlab.bridge.labcomm.rows import Row, RowTypes
+from armlab.errors import LabCommError, LinkError
+from armlab.wire.labcomm import Encoder, Event, Sample, SampleType
+
+__all__ = ["LabCommClient", "connected"]
+
+
+def connected(host: str, port: int, patience: float) -> socket.socket:
+    """Return a connected socket.
+
+    Parameters
+    ----------
+    host, port : of the server. patience : seconds to wait.
+
+    Raises
+    ------
+    LinkError : nobody listens there.
+    """
+    try:
+        return socket.create_connection((host, port), timeout=patience)
+    except (OSError, OverflowError) as error:
+        raise LinkError(
+            f"Expected a LabComm server at {host}:{port}, got: {error}. Start it (armlab bridge) or check the address."
+        ) from error
+
+
+class LabCommClient:
+    """A connection to one port; a context manager. It announces itself and its command type at once.
+
+    Parameters
+    ----------
+    host, port : of the server: 7511 left arm, 7512 right arm, 7513 parameters, 7514 fused rows.
+    dialect : of what is sent; what comes is told from its first bytes.
+    types : sample types and order of joints of an arm's port. patience : seconds to wait for the connection.
+
+    Attributes
+    ----------
+    host, port : of the server. samples : types that the server has defined, by index.
+
+    Raises
+    ------
+    LinkError : nobody listens there. UnknownName : no such dialect.
+    """
+
+    def __init__(
+        self,
+        host: str = "127.0.0.1",
+        port: int = 7511,
+        dialect: str = "2014v1",
+        types: RowTypes | None = None,
+        patience: float = 5.0,
+    ) -> None:
+        self.host, self.port = host, port
+        self._types, self._dialect, self._patience = types or RowTypes(), dialect, patience
+        self._defined: list[SampleType] = []
+        self._open()
+
+    def __enter__(self) -> LabCommClient:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the connection: the server frees the arm."""
+        self._peer.close()
+
+    @property
+    def samples(self) -> dict[int, SampleType]:
+        """Types that the server has defined, by index."""
+        return self._peer.decoder.samples
+
+    def define(self, sample: SampleType) -> None:
+        """Announce a type: a server of parameters then sends its value.
+
+        Parameters
+        ----------
+        sample : name and type.
+        """
+        if sample not in self._defined:
+            self._defined.append(sample)
+            self._push(self._encoder.define(sample), may_drop=False)
+
+    def send(self, sample: SampleType, value: Any) -> None:
+        """Send a value, after its definition.
+
+        Parameters
+        ----------
+        sample : name and type. value : see `wire.labcomm.Sample`.
+
+        Raises
+        ------
+        LabCommError : the value does not fit. LinkError : the connection is gone.
+        """
+        self.define(sample)
+        self._push(self._encoder.data(sample, value))
+
+    def command(self, row: Row) -> None:
+        """Send a command to the arm: a position, and a velocity and a torque where they are given.
+
+        Parameters
+        ----------
+        row : `tm` is that of the row it answers; joints in kinematic order.
+
+        Raises
+        ------
+        LabCommError : a wrong number of joints. LinkError : the connection is gone.
+        """
+        self.send(self._types.accepted, self._types.value(row, self._types.accepted))
+
+    def events(self, seconds: float) -> list[Event]:
+        """Return what has come, waiting for the first event if there is none.
+
+        Parameters
+        ----------
+        seconds : longest time to wait.
+
+        Raises
+        ------
+        LinkError : the server has closed the connection, or its stream is malformed.
+        """
+        end = time.monotonic() + seconds
+        while True:
+            self._push(b"", may_drop=True)
+            select.select([self._peer.socket], [], [], max(end - time.monotonic(), 0.0))
+            try:
+                events = self._peer.read()
+            except LabCommError as error:
+                raise LinkError(f"The stream of {self.host}:{self.port} is malformed. {error}") from error
+            if events is None:
+                raise self._gone()
+            if events or time.monotonic() >= end:
+                return events
+
+    def rows(self, seconds: float) -> list[Row]:
+        """Return the rows of the arm that have come, waiting for the first if there is none.
+
+        Parameters
+        ----------
+        seconds : longest time to wait.
+
+        Raises
+        ------
+        LinkError : the server has closed the connection, or its stream is malformed.
+        """
+        end = time.monotonic() + seconds
+        while True:
+            left = max(end - time.monotonic(), 0.0)
+            samples = [event for event in self.events(left) if isinstance(event, Sample)]
+            rows = [self._types.row(one.value) for one in samples if self._is_row(one)]
+            if rows or time.monotonic() >= end:
+                return rows
+
+    def run(self, on_row: Callable[[Row], Row | None], seconds: float | None = None, reconnects: bool = True) -> int:
+        """Call a function with each newest row; what it returns is sent as the command. Return the number of calls.
+
+        Parameters
+        ----------
+        on_row : Row -> Row or None. seconds : to run, None until the connection is gone.
+        reconnects : try again for `patience` seconds when the server goes.
+
+        Raises
+        ------
+        LinkError : the server is gone, or sent nothing for `patience` seconds.
+        """
+        end = None if seconds is None else time.monotonic() + seconds
+        calls, heard = 0, time.monotonic()
+        while end is None or time.monotonic() < end:
+            try:
+                rows = self.rows(0.1)
+                if rows:
+                    heard = time.monotonic()
+                    calls += 1
+                    answer = on_row(rows[-1])
+                    if answer is not None:
+                        self.command(answer)
+            except LinkError:
+                if not reconnects:
+                    raise
+                self.close()
+                self._again()
+            if time.monotonic() - heard > self._patience:
+                raise LinkError(f"Expected rows from {self.host}:{self.port}, got none for {self._patience:g} s.")
+        return calls
+
+    def _open(self) -> None:
+        encoder = Encoder(self._dialect)
+        connection = connected(self.host, self.port, self._patience)
+        self._encoder, self._peer = encoder, Peer(connection, f"{self.host}:{self.port}", encoder)
+        self._push(encoder.version(), may_drop=False)
+        for sample in self._defined:
+            self._push(encoder.define(sample), may_drop=False)
+
+    def _again(self) -> None:
+        end = time.monotonic() + self._patience
+        while True:
+            try:
+                self._open()
+                return
+            except LinkError:
+                if time.monotonic() > end:
+                    raise
+                time.sleep(0.1)
+
+    def _is_row(self, sample: Sample) -> bool:
+        return (sample.name, sample.type) == (self._types.sent.name, self._types.sent.type)
+
+    def _push(self, packet: bytes, may_drop: bool = True) -> None:
+        if packet:
+            self._peer.push(packet, may_drop)
+        if not self._peer.flush():
+            raise self._gone()
+
+    def _gone(self) -> LinkError:
+        return LinkError(f"The LabComm server at {self.host}:{self.port} closed the connection.")

@@ -1,0 +1,110 @@
+"""Files of ``armlab sim``: the operator's wrench, the hand's path, the exact state."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, TextIO
+
+import numpy as np
+
+from armlab.errors import ConfigError
+from armlab.sim.hand import HandPath
+from armlab.sim.operator import Operator
+
+if TYPE_CHECKING:
+    from armlab.sim.channel import Channel
+    from armlab.sim.controller import Controller
+
+__all__ = ["read_hand", "read_operator", "truth_writer"]
+
+_OPERATOR = ("t", "fx", "fy", "fz", "mx", "my", "mz")
+_SHOWN = 80  # characters of a wrong line that a message quotes
+
+
+def read_operator(path: Path) -> Operator:
+    """Return the operator described by a CSV file with the header ``t,fx,fy,fz,mx,my,mz``.
+
+    Parameters
+    ----------
+    path : the file; one row per time, times increasing.
+
+    Raises
+    ------
+    ConfigError : when the file cannot be read or a row is wrong; names file and line.
+    """
+    table = _read(path, _OPERATOR, "an operator file")
+    return Operator(table[:, 0], table[:, 1:])
+
+
+def read_hand(path: Path, n: int) -> HandPath:
+    """Return the path of a hand described by a CSV file with the header ``t,q1,q2,...``.
+
+    Parameters
+    ----------
+    path : the file; at least two rows, times increasing. n : number of joints.
+
+    Raises
+    ------
+    ConfigError : when the file cannot be read or a row is wrong; names file and line.
+    """
+    table = _read(path, ("t", *(f"q{i + 1}" for i in range(n))), "a hand path")
+    if len(table) < 2:
+        raise ConfigError(f"Expected at least two rows in {path}, got {len(table)}.")
+    return HandPath(table[:, 0], table[:, 1:])
+
+
+def _read(path: Path, names: Sequence[str], what: str) -> np.ndarray:
+    """Return the numbers of a CSV file whose first column is a time that increases."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"Expected {what} at {path}, but it cannot be read ({error}).") from error
+    header, *lines = text.splitlines() or [""]
+    if tuple(word.strip() for word in header.split(",")) != tuple(names):
+        raise ConfigError(f"Expected the header {','.join(names)} in line 1 of {path}, got {header[:_SHOWN]!r}.")
+    rows: list[list[float]] = []
+    for number, line in enumerate(lines, start=2):
+        if not line.strip():
+            continue
+        row = _numbers(line.split(","))
+        if len(row) != len(names) or not all(math.isfinite(value) for value in row):
+            raise ConfigError(f"Expected {len(names)} numbers in line {number} of {path}, got {line[:_SHOWN]!r}.")
+        if rows and row[0] <= rows[-1][0]:
+            raise ConfigError(
+                f"Expected times that increase in line {number} of {path}, got {row[0]:g} s after {rows[-1][0]:g} s."
+            )
+        rows.append(row)
+    return np.array(rows).reshape(len(rows), len(names))
+
+
+def _numbers(words: Iterable[str]) -> list[float]:
+    """Return the words as numbers; nothing when one of them is none."""
+    try:
+        return [float(word) for word in words]
+    except ValueError:
+        return []
+
+
+def truth_writer(file: TextIO, controller: Controller) -> Callable[[Channel], None]:
+    """Write the header of the truth file and return what writes a row per packet.
+
+    Parameters
+    ----------
+    file : open for writing. controller : of the arm whose exact state is written.
+    """
+    joints = {"q": "rad", "qd": "rad/s", "qdd": "rad/s^2", "tau": "N m", "tau_friction": "N m"}
+    n = controller.arm.robot.n
+    header = ["robot_ns", "session", "seq", "t [s]"]
+    header += [f"wrench_true{i + 1} [{'N' if i < 3 else 'N m'}]" for i in range(6)]
+    header += [f"{name}{i + 1} [{unit}]" for name, unit in joints.items() for i in range(n)]
+    file.write(",".join(header) + "\n")
+
+    def write(_: Channel) -> None:
+        sample = controller.arm.sample
+        numbers = np.concatenate([sample.wrench, *(getattr(sample, name) for name in joints)])
+        stamp = f"{controller.robot_ns},{controller.session},{controller.seq - 1},{controller.guidance_time:.6f}"
+        file.write(stamp + "," + ",".join(map(repr, numbers.tolist())) + "\n")
+
+    return write

@@ -1,0 +1,173 @@
+"""Options of ``armlab sim`` that belong together: faults, content of the packets, what happens around the arms."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from armlab.cli.sim_files import read_hand, read_operator
+from armlab.errors import ConfigError
+from armlab.robots import Robot
+from armlab.sim.faults import FaultRates
+from armlab.sim.hand import HandPath
+from armlab.sim.operator import Operator
+from armlab.sim.scene import Scene
+from armlab.sim.script import MOTORS, RAPID, Script
+
+__all__ = ["Around", "Content", "FaultOptions", "pair"]
+
+_AXES = {"6": "irb1200", "7": "yumi_right", "scara": "scara"}
+
+
+@dataclass(frozen=True)
+class FaultOptions:
+    """What goes wrong, with pairs as text.
+
+    Attributes
+    ----------
+    loss : float
+        Probability that a datagram is lost.
+    duplicate : float
+        Probability that it arrives twice.
+    reorder : float
+        Probability that it arrives one cycle later, behind its successor.
+    corrupt : float
+        Probability that it arrives damaged, so that nobody can read it.
+    delay : str
+        MEAN,SIGMA of a normal delay [s], to the nearest cycle.
+    pause : str
+        START,LENGTH [s] in robot time; what is sent meanwhile arrives when the pause is over.
+    burst : int
+        Losses come this many in a row, at the same share of all datagrams.
+    """
+
+    loss: float = 0.0
+    duplicate: float = 0.0
+    reorder: float = 0.0
+    corrupt: float = 0.0
+    delay: str = "0,0"
+    pause: str = "0,0"
+    burst: int = 1
+
+    def rates(self) -> FaultRates:
+        """Return the rates, or raise ConfigError for what makes no sense."""
+        return FaultRates(
+            loss=self.loss,
+            duplicate=self.duplicate,
+            reorder=self.reorder,
+            corrupt=self.corrupt,
+            delay=pair("delay", self.delay),
+            pause=pair("pause", self.pause),
+            burst=self.burst,
+        )
+
+
+@dataclass(frozen=True)
+class Content:
+    """What the packets hold.
+
+    Attributes
+    ----------
+    robotware : str
+        Flavour: 6.06 sends radians and no time, 6.07 time, 6.10 the utilization, 7 what came later.
+    axes : str
+        A robot without a name: 6 for irb1200, 7 for yumi_right, scara for an invented robot of four axes.
+    external : int
+        External axes beyond those of the robot.
+    fields : str
+        Fields of EgmRobot to leave out, with commas between: tm, planned, cartesian, time, motorState, mciState,
+        rapidExecState, mciConvergenceMet, utilizationRate.
+    force : bool
+        Send the wrench on the tool as measuredForce, in the layout of the RobotWare.
+    lagging : bool
+        No masses: the arm follows its reference through a dead time of two cycles and a lag of 8 ms, without torques.
+        So do all robots of which no masses are assumed.
+    """
+
+    robotware: Literal["6.06", "6.07", "6.10", "7"] = "6.10"
+    axes: Literal["", "6", "7", "scara"] = ""
+    external: int = 0
+    fields: str = ""
+    force: bool = False
+    lagging: bool = False
+
+    def names(self, robots: Sequence[str], count: int) -> tuple[str, ...]:
+        """Return the names of the robots.
+
+        Parameters
+        ----------
+        robots : names given. count : of the addresses.
+
+        Raises
+        ------
+        ConfigError : both names and axes.
+        """
+        if self.axes and robots:
+            raise ConfigError(f"Expected names of robots or --axes, got both: {', '.join(robots)} and {self.axes}.")
+        return (_AXES[self.axes],) * count if self.axes else tuple(robots)
+
+    @property
+    def left_out(self) -> list[str]:
+        """Names of the fields to leave out."""
+        return [name.strip() for name in self.fields.split(",") if name.strip()]
+
+
+@dataclass(frozen=True)
+class Around:
+    """What happens around the arms.
+
+    Attributes
+    ----------
+    operator : Path
+        CSV file of the wrench that a hand exerts on the first robot, t,fx,fy,fz,mx,my,mz: seconds since guidance began,
+        N and N m in base axes at the tool point, linear between rows.
+    hand : Path
+        CSV file of the posture to which a hand leads the first robot with --program lead-through, t,q1,q2,... in rad;
+        without it the path is random and smooth.
+    motors : str
+        State of the motors over robot time, as on, or 0:on,2.5:off,4:on. Also: undefined.
+    rapid : str
+        State of RAPID over robot time: running, stopped or undefined (stuck, as after a restart).
+    """
+
+    operator: Path | None = None
+    hand: Path | None = None
+    motors: str = "on"
+    rapid: str = "running"
+
+    def scene(self, robot: Robot, index: int, seed: list[int], external: int) -> Scene:
+        """Return what happens around one robot.
+
+        Parameters
+        ----------
+        robot : its description. index : 0 for the first, which the files are for. seed : of a random hand.
+        external : number of external axes.
+
+        Raises
+        ------
+        ConfigError, UnknownName : a file or a state that makes no sense.
+        """
+        operator = Operator.idle() if self.operator is None or index else read_operator(self.operator)
+        hand = HandPath.random(robot, seed) if self.hand is None or index else read_hand(self.hand, robot.n)
+        return Scene(operator, hand, Script(self.motors, MOTORS), Script(self.rapid, RAPID), external)
+
+
+def pair(name: str, text: str) -> tuple[float, float]:
+    """Return the two numbers of an option.
+
+    Parameters
+    ----------
+    name : of the option, for the message. text : as typed, "1,2".
+
+    Raises
+    ------
+    ConfigError : the text is not two numbers.
+    """
+    words = text.split(",")
+    try:
+        first, second = (float(word) for word in words)
+    except ValueError:
+        raise ConfigError(f"Expected two numbers with a comma between for --{name}, got {text!r}.") from None
+    return first, second

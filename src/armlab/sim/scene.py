@@ -1,0 +1,39 @@
+"""`Scene`: what happens around a simulated controller: who pushes or leads the arm, who switches motors and RAPID."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from armlab.sim.hand import HandPath
+from armlab.sim.operator import Operator
+from armlab.sim.script import MOTORS, RAPID, Script
+
+__all__ = ["Scene"]
+
+_ON, _STOPPED = MOTORS["on"], RAPID["stopped"]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What happens around the controller.
+
+    Attributes
+    ----------
+    operator : who pushes the arm, over guidance time. hand : who leads it in the program "lead-through".
+    motors, rapid : their states over robot time. external : number of external axes.
+    """
+
+    operator: Operator = field(default_factory=Operator.idle)
+    hand: HandPath | None = None
+    motors: Script = field(default_factory=lambda: Script("on", MOTORS))
+    rapid: Script = field(default_factory=lambda: Script("running", RAPID))
+    external: int = 0
+
+    def is_ready(self, t: float) -> bool:
+        """Return whether motors and RAPID let guidance run. RAPID that is stuck at UNDEFINED does.
+
+        Parameters
+        ----------
+        t : robot time [s].
+        """
+        return self.motors.at(t) == _ON and self.rapid.at(t) != _STOPPED

@@ -1,0 +1,102 @@
+"""The queue of the controller and the three ways to match a reply with its packet."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab import robots
+from armlab.sim.guidance import Settings
+from armlab.sim.inbox import QUEUE_LENGTH, Inbox, Sent
+from armlab.sim.statistics import Statistics
+from armlab.wire.egm import Drop, EgmCodec, Reference, RobotSideCodec, SensorMessage
+
+ROBOT = robots.load("yumi_right")
+LATE = 2.0  # s, after the first second
+
+
+def inbox(**changes: Any) -> tuple[Inbox, Statistics]:
+    statistics = Statistics()
+    box = Inbox(RobotSideCodec(ROBOT), statistics, Settings(**changes))
+    return box, statistics
+
+
+def send(box: Inbox, count: int, same_tm: int = 1) -> None:
+    for k in range(count):
+        box.note(Sent(k, 10_000 + 4 * (k // same_tm), 100 + k, True))
+        box.stamp(10**9 + 4_000_000 * k, LATE)
+
+
+def matched(box: Inbox, message: SensorMessage, arrival_ns: int = 0) -> int | None:
+    sent = box.match(message, arrival_ns, LATE)
+    return sent and sent.seq
+
+
+def test_the_echo_of_the_extension_decides() -> None:
+    box, statistics = inbox()
+    send(box, 5)
+    assert matched(box, SensorMessage(7, 10_000, 3, echo_mono_ns=1, echo_seq=3), 10**9 + 12_100_000) == 3
+    assert matched(box, SensorMessage(8, 10_000, 3, echo_mono_ns=1, echo_seq=99)) is None
+    assert statistics.counts["matched by echo"] == 1
+    assert statistics.as_dict()["round_trip_us"]["p50"] == pytest.approx(100.0)
+
+
+def test_packets_of_one_millisecond_share_their_tm_and_are_told_apart() -> None:
+    """A period of 0.25 ms: each reply means the oldest packet with that tm which nobody has answered."""
+    box, _ = inbox(period=0.00025)
+    send(box, 8, same_tm=4)
+    assert [matched(box, SensorMessage(k, 10_000, 3)) for k in range(5)] == [0, 1, 2, 3, 3]
+    assert matched(box, SensorMessage(9, 10_004, 3)) == 4
+
+
+@pytest.mark.parametrize("tm", [None, 0])
+def test_by_order_where_nothing_is_echoed(tm: int | None) -> None:
+    box, statistics = inbox()
+    send(box, 3)  # the peer was not there for the first packets
+    assert matched(box, SensorMessage(1, tm, 3)) == 2
+    box.note(Sent(3, 10_012, 103, True))
+    assert matched(box, SensorMessage(3, tm, 3)) == 3
+    assert statistics.counts["matched by order"] == 2
+
+
+def test_duplicates_count_and_do_not_measure() -> None:
+    box, statistics = inbox()
+    send(box, 2)
+    for _ in range(3):
+        assert matched(box, SensorMessage(5, 10_004, 3), 10**9 + 4_050_000) == 1
+    assert statistics.counts["duplicates"] == 2
+    assert statistics.counts["matched by tm"] == 1
+
+
+def test_a_packet_without_a_reply_within_its_period_is_missed() -> None:
+    box, statistics = inbox()
+    for k in range(4):
+        box.note(Sent(k, 10_000 + 4 * k, k, guiding=k != 2))
+        box.stamp(10**9 + 4_000_000 * k, LATE)
+        if k == 0:
+            matched(box, SensorMessage(0, 10_000, 3), 10**9 + 200_000)
+    assert statistics.counts["missed"] == 1, "packet 0 was answered, 2 did not guide, 3 has time left"
+
+
+def test_first_in_first_out_of_64_with_ages() -> None:
+    box, statistics = inbox()
+    assert all(box.put(SensorMessage(k, None, 3), k) for k in range(QUEUE_LENGTH))
+    assert not box.put(SensorMessage(99, None, 3), None)
+    assert len(box) == QUEUE_LENGTH
+    taken = [box.take(10) for _ in range(3)]
+    assert [message and message.seqno for message in taken] == [0, 1, 2]
+    assert dict(statistics.age) == {10: 1, 9: 1, 8: 1}
+    assert statistics.queue[QUEUE_LENGTH] == 1
+    box.begin()
+    assert box.take(11) is None
+
+
+@pytest.mark.parametrize(("mode", "reason"), [("joint", None), ("pose", "no pose"), ("path", "no path correction")])
+def test_messages_must_hold_what_the_mode_needs(mode: str, reason: str | None) -> None:
+    box, statistics = inbox(mode=mode)
+    found = box.read(EgmCodec(ROBOT).encode(Reference(np.zeros(7), None, None, 0, 0)))
+    assert isinstance(found, Drop if reason else SensorMessage)
+    assert reason is None or (isinstance(found, Drop) and found.reason == reason)
+    assert dict(statistics.mtypes) == {3: 1}
