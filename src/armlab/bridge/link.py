@@ -198,7 +198,8 @@ class Link:
         """
         self._check(controller, wait, reconnect, torque)
         paced = self._paced(pace)
-        tell = None if progress is None else lambda done: progress(done, seconds or done, "moving")
+        what = "listening" if controller is None else "moving"
+        tell = None if progress is None else lambda done: progress(done, seconds or done, what)
         settings = replace(self._settings, seconds=seconds, resume=reconnect == "resume", progress=tell)
         arms = assemble(
             self._ends,
@@ -224,7 +225,7 @@ class Link:
                     source.start()
                 stack.enter_context(quiet_memory())
                 if not in_lockstep:
-                    for arm in arms:
+                    for arm in arms if controller is not None else ():  # a listener keeps what has come meanwhile
                         arm.port.flush()
                     _enter_real_time(stack, loop, arms[0].recording.event, wait)
                 loop.run()

@@ -1,0 +1,163 @@
+"""``armlab run``: run a controller of yours, from a file, against a robot."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+if TYPE_CHECKING:
+    from armlab.bridge import Link, Run
+
+__all__ = ["load_controller", "run"]
+
+_NAME = "controller"
+
+
+def run(
+    robot: str,
+    controller: str | None = None,
+    *,
+    link: str | None = None,
+    log: str | None = None,
+    no_log: bool = False,
+    seconds: float | None = None,
+    speed: float = 1.0,
+    wait: str = "ahead",
+    interactive: Annotated[bool, Parameter(alias="-i")] = False,
+) -> int:
+    """Run a controller from a file against a robot, record a log, and report how it went.
+
+    The file needs nothing of armlab's but a function State -> Command; None holds. A dictionary `extra` in the file
+    declares the columns of Command.record. The run ends after --seconds, by Command.stop(), or on Ctrl-C; the arm is
+    brought to rest first.
+
+    Parameters
+    ----------
+    robot : str
+        Name in the library, or a robot file; yumi_left+yumi_right for two arms.
+    controller : str
+        FILE.py:NAME; FILE.py alone means the function `controller` in it. Without a file the arm holds where it is.
+    link : str
+        egm://HOST:PORT for a robot, where HOST is an address of this computer, separated by commas for two arms; the
+        simulated robot when not given.
+    log : str
+        Beginning of the name of the log, to which the time is added; the robot's name when not given.
+    no_log : bool
+        Record nothing.
+    seconds : float
+        Robot time under guidance after which to end [s].
+    speed : float
+        Share of the robot's speed and acceleration limits that is allowed, in (0, 1].
+    wait : str
+        How to wait for packets: ahead, block or spin.
+    interactive : bool
+        Afterwards, a Python prompt with `log` (the table), `run` and `robot`.
+    """
+    from armlab import bridge, robots
+    from armlab.cli.narration import Narrator
+    from armlab.cli.output import note, result
+
+    arms = [robots.load(name) for name in robot.split("+")]
+    step, extra = (_hold, None) if controller is None else load_controller(controller)
+    urls = [f"sim://{'+'.join(arm.name for arm in arms)}"] if link is None else link.split(",")
+    base = _base(log, no_log, robot)
+    if any(url.startswith("egm:") for url in urls):
+        note(_CHECKS)
+    with bridge.connect(urls, arms) as end:
+        limits = [bridge.Limits.of(arm, speed=speed) for arm in arms]
+        options: dict[str, Any] = {"wait": wait, "limits": limits, "extra": extra, "feeds": [Narrator()]}
+        try:
+            done = end.run(step, seconds, record=base, **options)
+        finally:
+            _tell_files(base, end)
+    result(done.report())
+    if interactive:
+        _prompt(done, end)
+    return 0
+
+
+_CHECKS = """A real arm moves now: nobody in its reach, a hand on the emergency stop, slow at first (--speed 0.1).
+In this order: automatic mode or manual with the enabling device; motors on; RAPID from main; then this program."""
+
+
+def load_controller(place: str) -> tuple[Callable[..., Any], Mapping[str, Any] | None]:
+    """Return the controller in a file, and the columns that the file declares as `extra`, None without them.
+
+    Parameters
+    ----------
+    place : ``FILE.py:NAME``; ``FILE.py`` alone means the function `controller`. The file may import its neighbours.
+
+    Raises
+    ------
+    ConfigError : no such file, no such name in it, or it is not callable. What the file itself raises is its cause.
+    """
+    from importlib.util import module_from_spec, spec_from_file_location
+
+    from armlab.errors import ConfigError
+
+    file, _, name = place.partition(".py:")
+    path, name = Path(f"{file}.py" if name else place), name or _NAME
+    if path.suffix != ".py" or not path.is_file():
+        raise ConfigError(f"Expected a controller as FILE.py:NAME, got {place!r}, and there is no file {path}.")
+    spec = spec_from_file_location(path.stem, path)
+    if spec is None or spec.loader is None:
+        raise ConfigError(f"Expected a Python file, got {path}. Give it a name that ends in .py.")
+    module = module_from_spec(spec)
+    sys.path.insert(0, str(path.parent.resolve()))
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise ConfigError(f"Expected {path} to load, but it raised {type(error).__name__}: {error}.") from error
+    finally:
+        sys.path.pop(0)
+    found = getattr(module, name, None)
+    if not callable(found):
+        named = [key for key, value in vars(module).items() if callable(value) and not key.startswith("_")]
+        raise ConfigError(
+            f"Expected a function {name!r} in {path}, got {found!r}. It has {', '.join(named) or 'no function'}. "
+            "Say which: FILE.py:NAME."
+        )
+    return found, getattr(module, "extra", None)
+
+
+def _hold(state: object) -> None:
+    """Hold where the arm is."""
+
+
+def _base(log: str | None, no_log: bool, robot: str) -> Path | None:
+    """Return the name of the log, with the time: one file per arm and start."""
+    from armlab.cli.output import check_output
+    from armlab.errors import ConfigError
+
+    if no_log:
+        if log is not None:
+            raise ConfigError(f"Expected either --log or --no-log, got both (--log {log}). Leave one out.")
+        return None
+    start = (Path(robot).stem if log is None else log).removesuffix(".mcap")
+    path = Path(f"{start}-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}.mcap")
+    check_output(path, force=True, endings=[".mcap"])  # a second start in this second gets -2 from the recorder
+    return path
+
+
+def _tell_files(base: Path | None, link: Link) -> None:
+    from armlab.bridge.recording import paths
+    from armlab.cli.output import note
+
+    for path in paths(base, link.robots):
+        if path is not None and path.exists():
+            note(f"log: {path}; look at it: armlab log show {path}")
+
+
+def _prompt(done: Run, link: Link) -> None:
+    """Open a prompt with what the run left behind."""
+    import code
+
+    import numpy as np
+
+    names = {"run": done, "log": done.table, "robot": link.robot, "np": np}
+    code.interact("log: the table, run: its report, robot, np. Ctrl-D ends.", local=names, exitmsg="")

@@ -1,0 +1,180 @@
+"""armlab record: every packet is kept, nothing is sent."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab import log, robots
+from armlab.cli import main
+from armlab.cli.record import record
+from armlab.wire.egm import RobotMessage, RobotSideCodec
+
+START_NS = 1_700_000_000_000_000_000
+
+
+def free_ports(count: int) -> list[int]:
+    sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
+    for one in sockets:
+        one.bind(("127.0.0.1", 0))
+    ports = [one.getsockname()[1] for one in sockets]
+    for one in sockets:
+        one.close()
+    return ports
+
+
+class Streaming:
+    """A robot's controller that streams packets to a port, and counts what comes back."""
+
+    def __init__(self, name: str, port: int, mci: int = 2, q: Any = None) -> None:
+        robot = robots.load(name)
+        self.codec, self.mci, self.to = RobotSideCodec(robot), mci, ("127.0.0.1", port)
+        self.q = np.array(robot.q_home) if q is None else np.asarray(q)
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.bind(("127.0.0.1", 0))
+        self.sent = 0
+
+    def send(self) -> None:
+        k = self.sent
+        message = RobotMessage(
+            seqno=k, tm_ms=4 * k, q=self.q, q_planned=self.q, robot_ns=START_NS + 4_000_000 * k, mci=self.mci
+        )
+        self.socket.sendto(self.codec.encode_robot(message), self.to)
+        self.sent += 1
+
+    def came_back(self) -> int:
+        self.socket.setblocking(False)
+        try:
+            self.socket.recv(65535)
+        except BlockingIOError:
+            return 0
+        return 1
+
+
+@pytest.fixture
+def streaming() -> Iterator[Any]:
+    """Streams from a thread, 1 kHz, until the test ends."""
+    over, threads, peers = threading.Event(), [], []
+
+    def begin(*made: Streaming) -> None:
+        def play() -> None:
+            while not over.wait(0.001):
+                for one in made:
+                    one.send()
+
+        peers.extend(made)
+        threads.append(threading.Thread(target=play, daemon=True))
+        threads[-1].start()
+
+    yield begin
+    over.set()
+    for thread in threads:
+        thread.join(10)
+    for peer in peers:
+        peer.socket.close()
+
+
+def test_two_arms_are_recorded_and_nothing_is_sent(tmp_path: Path, streaming: Any, capsys: Any) -> None:
+    ports = free_ports(2)
+    elsewhere = robots.load("yumi_right").q_home + np.array([0, 0, 0.2, 0, 0, 0, 0])
+    left, right = Streaming("yumi_left", ports[0]), Streaming("yumi_right", ports[1], q=elsewhere)
+    streaming(left, right)
+    words = ["--port", ",".join(map(str, ports)), "--lead-through", "-o", str(tmp_path / "run.mcap")]
+    assert main(["record", "yumi_left", "yumi_right", *words, "--seconds", "0.4"]) == 0
+    said = capsys.readouterr()
+    for side, peer in (("left", left), ("right", right)):
+        table = log.read(tmp_path / f"run{side}.mcap")
+        assert len(table) >= 100
+        assert (np.diff(table["seq"]) == 1).all()
+        assert table["q"][-1] == pytest.approx(peer.q, abs=1e-9)
+        assert "q_sent" not in table.names
+        assert f"run{side}.mcap: {len(table)} packets" in said.out
+        assert peer.came_back() == 0
+    assert "Manual mode, motors off" in said.err
+    assert "yumi_right does not begin in its home posture: joint 3 is 0.20" in said.err
+    assert "yumi_left does not begin" not in said.err
+
+
+def test_an_arm_that_waits_for_references_gets_none_but_is_told_of(tmp_path: Path, streaming: Any, capsys: Any) -> None:
+    (port,) = free_ports(1)
+    peer = Streaming("yumi_left", port, mci=3)
+    streaming(peer)
+    words = ["--port", str(port), "-o", str(tmp_path / "run.mcap"), "--seconds", "0.1"]
+    assert main(["record", "yumi_left", *words]) == 0
+    assert peer.came_back() == 0
+    assert capsys.readouterr().err.count("waits for references") == 1
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_recording_that_is_ended_from_outside(tmp_path: Path, number: signal.Signals) -> None:
+    """Ctrl-C and termination keep every packet that came; a process killed outright loses less than a second."""
+    (port,), path = free_ports(1), tmp_path / "run.mcap"
+    command = [sys.executable, "-m", "armlab", "record", "yumi_left", "--port", str(port), "-o", str(path)]
+    peer = Streaming("yumi_left", port)
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        assert f"Listening on UDP port {port}" in process.stderr.readline()
+        while not path.exists():
+            time.sleep(0.01)
+        time.sleep(0.1)
+        begun = time.monotonic()
+        while time.monotonic() - begun < 1.2:
+            peer.send()
+            time.sleep(0.002)
+        time.sleep(0.2)  # the last packet is on its way through the kernel no longer
+        os.kill(process.pid, number)
+        process.communicate(timeout=30)
+    expected = -number if number == signal.SIGKILL else 0
+    assert process.returncode == expected
+    if number == signal.SIGKILL:
+        table = log.recover(path).path
+        assert log.read(table)["seq"][0] == 0
+        assert len(log.read(table)) > peer.sent - 450
+    else:
+        seq = log.read(path)["seq"]
+        assert (seq[0], seq[-1], len(seq)) == (0, peer.sent - 1, peer.sent)
+    assert peer.came_back() == 0
+    peer.socket.close()
+
+
+def test_no_robot(tmp_path: Path, capsys: Any) -> None:
+    (port,) = free_ports(1)
+    words = ["--port", str(port), "-o", str(tmp_path / "run.mcap"), "--patience", "0.1"]
+    assert main(["record", "yumi_left", *words]) == 1
+    said = capsys.readouterr().err
+    assert "Expected packets from a robot within 0.1 s" in said
+    assert "armlab doctor" in said
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["-o", "run.mcap"], "Expected the name of a robot, got none"),
+        (["yumi_left", "yumi_right", "--port", "6511", "-o", "run.mcap"], "one port per robot"),
+        (["yumi_left", "--port", "egm", "-o", "run.mcap"], "one port per robot"),
+        (["yumi_left", "-o", "run.csv"], ".mcap"),
+        (["yumi_left", "-o", "there.mcap"], "exists"),
+        (["yumi_lefft", "-o", "run.mcap"], "Did you mean"),
+    ],
+)
+def test_refusals(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any, words: list[str], sentence: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("there.mcap").write_text("kept", encoding="utf-8")
+    assert main(["record", *words]) == 1
+    assert sentence in capsys.readouterr().err
+    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("there.mcap", "kept")]
+    assert record.__doc__

@@ -1,0 +1,126 @@
+"""armlab run: a controller from a file, against the simulated robot."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab import log, robots
+from armlab.cli import main
+from armlab.cli.run import load_controller, run
+from armlab.errors import ConfigError
+
+SINE = """
+import numpy as np
+from armlab import Command
+from armlab.log import Column
+from beside import AMPLITUDE
+
+extra = {"wish": Column((), "rad")}
+
+def sine(state):
+    wish = AMPLITUDE * np.sin(2.0 * state.t)
+    q = state.q_start.copy()
+    q[0] += wish
+    return Command(q, record={"wish": wish})
+
+number = 3
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    (tmp_path / "code").mkdir()
+    (tmp_path / "code" / "sine.py").write_text(SINE, encoding="utf-8")
+    (tmp_path / "code" / "beside.py").write_text("AMPLITUDE = 0.1\n", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delitem(sys.modules, "beside", raising=False)
+    return tmp_path
+
+
+def test_a_controller_of_a_file_moves_the_arm_and_is_recorded(folder: Path, capsys: Any) -> None:
+    words = ["--link", "sim://yumi_left?lockstep=true", "--log", "sway", "--seconds", "2"]
+    assert main(["run", "yumi_left", "code/sine.py:sine", *words]) == 0
+    said = capsys.readouterr()
+    assert "Ended: the time is up." in said.out
+    assert "The robot is ready and holds." in said.err
+    (path,) = folder.glob("sway-*Z.mcap")
+    assert f"log: {path.name}" in said.err
+    table = log.read(path)
+    assert np.ptp(table["q"][:, 0]) > 0.1
+    assert np.nanmax(table["wish"]) == pytest.approx(0.1, abs=1e-3)
+    assert run.__doc__
+
+
+def test_both_arms_without_a_file_hold(folder: Path, capsys: Any) -> None:
+    words = ["--link", "sim://yumi_left+yumi_right?lockstep=true", "--no-log", "--seconds", "0.2"]
+    assert main(["run", "yumi_left+yumi_right", *words]) == 0
+    assert capsys.readouterr().out.count("Ended: the time is up.") == 2
+    assert not list(folder.glob("*.mcap"))
+
+
+def test_a_prompt_afterwards(folder: Path) -> None:
+    command = [sys.executable, "-m", "armlab", "run", "yumi_left", "-i", "--no-log", "--seconds", "0.2"]
+    done = subprocess.run(
+        [*command, "--link", "sim://yumi_left?lockstep=true"],
+        input="print('rows', log['q'].shape[1], robot.name, run.reason)\n",
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 0
+    assert "rows 7 yumi_left the time is up" in done.stdout
+
+
+def test_a_controller_that_raises_is_one_sentence(folder: Path, capsys: Any) -> None:
+    (folder / "bad.py").write_text("def controller(state):\n    return 1 / 0\n", encoding="utf-8")
+    assert main(["run", "yumi_left", "bad.py", "--link", "sim://yumi_left?lockstep=true", "--log", "bad"]) == 1
+    assert "The controller raised ZeroDivisionError" in capsys.readouterr().err
+    assert len(list(folder.glob("bad-*.mcap"))) == 1
+
+
+def test_load_controller(folder: Path) -> None:
+    found, extra = load_controller("code/sine.py:sine")
+    assert found.__name__ == "sine"
+    assert extra is not None
+    assert set(extra) == {"wish"}
+    assert str(folder / "code") not in sys.path
+
+
+@pytest.mark.parametrize(
+    ("place", "words"),
+    [
+        ("none.py:sine", "no file none.py"),
+        ("code/sine", "Expected a controller as FILE.py:NAME"),
+        ("code/sine.py", "Expected a function 'controller' .* sine"),
+        ("code/sine.py:number", "got 3"),
+        ("broken.py:f", "broken.py to load, but it raised ZeroDivisionError"),
+        ("wrong.py:f", "SyntaxError"),
+    ],
+)
+def test_files_that_are_no_controllers(folder: Path, place: str, words: str) -> None:
+    (folder / "broken.py").write_text("1 / 0\n", encoding="utf-8")
+    (folder / "wrong.py").write_text("def f(\n", encoding="utf-8")
+    with pytest.raises(ConfigError, match=words):
+        load_controller(place)
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--log", "a", "--no-log"], "either --log or --no-log"),
+        (["--log", "nowhere/a"], "folder that exists"),
+        (["--speed", "2"], "speed in (0, 1]"),
+        (["--link", "http://x"], "Expected a link"),
+    ],
+)
+def test_refusals(folder: Path, capsys: Any, words: list[str], sentence: str) -> None:
+    assert main(["run", "yumi_left", *words, "--seconds", "0.1"]) == 1
+    assert sentence in capsys.readouterr().err
+    assert not list(folder.glob("*.mcap"))
+    assert robots.load("yumi_left").n == 7
