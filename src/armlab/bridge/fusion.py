@@ -144,7 +144,7 @@ class Fusion:
         """
         row: dict[str, Any] = {}
         for name, one in held.items():
-            if not np.isfinite(one.age):
+            if not one.receive_ns:
                 continue
             for field, value in one.kept.items():
                 row[f"{name}.{field}"] = value

@@ -55,6 +55,7 @@ class Loop:
     ) -> None:
         self._arms, self._pace, self._waiting = tuple(arms), arms[pace], waiting
         self._others = tuple(arm for arm in arms if arm is not self._pace)
+        self._robots = tuple(arm.robot for arm in arms)
         self._controller, self._settings = controller, settings
         self._in_lockstep = settings.clock == "robot"
         self._lateness = Lateness()
@@ -89,7 +90,7 @@ class Loop:
 
     def run(self) -> None:
         """Run until every guide has ended."""
-        while any(arm.guide.mode is not Mode.ENDED for arm in self._arms):
+        while not self._have_ended():
             found = self._waiting.next(_LOOK)
             turn, asks = None, False
             with self._lock:
@@ -101,9 +102,9 @@ class Loop:
                         self._answer(arm, turn)
                     elif asks:
                         self._serve_others()
-                self._look(turn is None)
             if turn is not None and asks:
                 self._call(turn)
+            self._look(turn is None)
             self._after()
 
     def overdue(self) -> float:
@@ -128,8 +129,9 @@ class Loop:
 
     def _may_ask(self, turn: Turn) -> bool:
         """Whether the controller is called for this packet: all arms are ready and nothing that it needs is stale."""
-        if not all(arm.may_call for arm in self._arms):
-            return False
+        for arm in self._arms:
+            if not arm.may_call:
+                return False
         for arm in () if self._in_lockstep else self._others:
             longest = max(_STALE_PERIODS * arm.period, _STALE)
             if arm.newest is None or turn.sample.arrival_ns - arm.newest.sample.arrival_ns > 1e9 * longest:
@@ -195,7 +197,7 @@ class Loop:
         """Answer the newest packet of the pacing arm with what the controller wants, keep the rest for the others."""
         pace = self._pace
         try:
-            commands = shares(asked, [arm.robot for arm in self._arms])
+            commands = shares(asked, self._robots)
         except CommandRefused as error:
             self._stop("a command was refused", error)
             commands = (None,) * len(self._arms)
@@ -241,12 +243,22 @@ class Loop:
                 failure = ControllerFailed(f"`progress` raised {type(error).__name__}: {error}. The arm was stopped.")
                 failure.__cause__ = error
                 self._stop("the display of progress failed", failure)
+        spare_ns = time.monotonic_ns() + _SPARE
         for arm in self._arms:
-            if arm.guide.mode in (Mode.STOPPING, Mode.ENDED):
+            next_ns = arm.prediction.next_ns
+            if next_ns is not None and next_ns < spare_ns and not self._in_lockstep:
+                return
+        collect_if_due()
+
+    def _have_ended(self) -> bool:
+        """Whether all arms have ended; one that stops or has ended stops the others."""
+        ended = True
+        for arm in self._arms:
+            mode = arm.guide.mode
+            if mode is Mode.STOPPING or mode is Mode.ENDED:
                 self._stop(arm.guide.reason)
-        next_ns = [arm.prediction.next_ns for arm in self._arms]
-        if self._in_lockstep or all(ns is None or ns - time.monotonic_ns() > _SPARE for ns in next_ns):
-            collect_if_due()
+            ended = ended and mode is Mode.ENDED
+        return ended
 
     def _stop(self, reason: str, failure: LinkError | None = None) -> None:
         """Bring all arms to rest and end; the first reason stays. The pacing arm carries the failure."""
