@@ -45,7 +45,7 @@ class State:
     qd_source : "measured" or "difference". tau_source : "measured", "reference" or "none".
     q_start : (n,) position when guidance began. q_planned : (n,) the controller's own reference.
     q_sent, qd_sent, clamped : (n,) the previous reply and its clamps (bits: 1 position, 2 velocity,
-        4 acceleration, 8 braking).
+        4 acceleration, 8 braking, 16 torque, 32 torque rate).
     T_frame_tool : (4, 4) pose reported by the controller, in the frame that RAPID activated.
     wrench_raw : (6,) measuredForce as sent [N, N m], frame and sign not documented by ABB.
     wrench : (6,) calibrated force sensor, base axes, at the tool point.

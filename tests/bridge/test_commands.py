@@ -12,15 +12,15 @@ from armlab.errors import CommandRefused
 from armlab.robots import Robot
 from armlab.state import Command
 
-ABLE = frozenset(("position", "velocity"))
-
 
 def test_references_pass(robot: Robot) -> None:
-    q, qd = wanted(Command([0.0] * 7, np.ones(7, dtype=np.float32)), robot, ABLE)  # type: ignore[arg-type]
+    q, qd, tau = wanted(Command([0.0] * 7, np.ones(7, dtype=np.float32), [1] * 7), robot)  # type: ignore[arg-type]
     assert q is not None
     assert qd is not None
+    assert tau is not None
+    assert (tau.dtype, tau.sum()) == (np.float64, 7.0)
     assert (q.dtype, qd.dtype) == (np.float64, np.float64)
-    assert wanted(Command(), robot, ABLE) == (None, None)
+    assert wanted(Command(), robot) == (None, None, None)
 
 
 @pytest.mark.parametrize(
@@ -33,12 +33,12 @@ def test_references_pass(robot: Robot) -> None:
         (Command(["a"] * 7), "7 numbers in Command.q"),  # type: ignore[arg-type]
         (Command({}), "7 numbers"),  # type: ignore[arg-type]
         (Command([10**400] * 7), "7 numbers"),  # type: ignore[arg-type]
-        (Command(tau=np.zeros(7)), "can carry position, velocity only"),
+        (Command(tau=np.zeros(6)), r"Command.tau.*got \(6,\)"),
     ],
 )
 def test_what_is_no_reference_is_refused(robot: Robot, command: Any, words: str) -> None:
     with pytest.raises(CommandRefused, match=words):
-        wanted(command, robot, ABLE)
+        wanted(command, robot)
 
 
 def test_the_sentence_names_joint_and_values(robot: Robot) -> None:

@@ -173,8 +173,8 @@ class Arm:
         if reply is not None and session.source is not None:
             packet = sample.packet
             tm_ms = 0 if packet.tm_ms is None else packet.tm_ms
-            reference = Reference(reply.q, reply.qd, None, session.seq, tm_ms, packet.seqno, packet.robot_mono_ns)
-            data = self.codec.encode(reference)
+            echoes = packet.seqno, packet.robot_mono_ns
+            data = self.codec.encode(Reference(reply.q, reply.qd, reply.tau, session.seq, tm_ms, *echoes, reply.free))
             now = time.monotonic_ns()
             if self.port.send(data, session.source):
                 seq, send_ns = session.seq, now
@@ -219,6 +219,7 @@ class Arm:
             drops=self.session.total_drops,
             q_sent=None if reply is None else reply.q,
             qd_sent=None if reply is None else reply.qd,
+            tau_sent=None if reply is None else reply.tau,
             clamped=None if reply is None else reply.clamped,
             record=self._fusion.record(turn.state.sources, sample.arrival_ns),
         )

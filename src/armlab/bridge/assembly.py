@@ -19,6 +19,7 @@ from armlab.bridge.session import Session
 from armlab.bridge.sources import Source
 from armlab.bridge.states import Guide
 from armlab.bridge.supervision import Settings
+from armlab.bridge.torque import Admittance
 from armlab.errors import ConfigError
 from armlab.log import Column
 from armlab.robots import Robot
@@ -36,12 +37,14 @@ class End(NamedTuple):
     ----------
     robot, port : the arm and its port. codec : of its session.
     spare : one more for rehearsals, None where the codec is the user's.
+    admittance : makes velocities of torque commands, None where torques are sent or refused.
     """
 
     robot: Robot
     port: Port
     codec: Codec
     spare: Codec | None
+    admittance: Admittance | None = None
 
 
 def checked_limits(limits: Limits | Sequence[Limits] | None, robots: Sequence[Robot]) -> list[Limits]:
@@ -139,9 +142,10 @@ def _arm(
         capabilities=end.codec.capabilities,
         answer_stream=answer_stream,
         on_event=recording.event,
+        admittance=end.admittance,
     )
     session = Session(end.codec, float("inf") if settings.clock == "robot" else _SILENCE, recording.event)
-    rehearsal = None if end.spare is None else Rehearsal(robot, limits, end.spare)
+    rehearsal = None if end.spare is None else Rehearsal(robot, limits, end.spare, end.admittance)
     return Arm(robot, end.port, end.codec, session, guide, recording, settings, wall_ns, fusion, rehearsal)
 
 

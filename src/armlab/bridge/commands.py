@@ -15,29 +15,24 @@ __all__ = ["entry_refusal", "refusal", "wanted"]
 _CAUSES = "Usual causes are degrees instead of radians and another joint order."
 
 
-def wanted(command: Command, robot: Robot, capabilities: frozenset[str]) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """Return the position and velocity (n,) that a command asks for, None for what it does not.
+def wanted(command: Command, robot: Robot) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray | None]:
+    """Return the position, velocity and torque (n,) that a command asks for, None for what it does not.
 
     Parameters
     ----------
-    command : what the controller returned. robot : the arm. capabilities : of the codec.
+    command : what the controller returned. robot : the arm.
 
     Raises
     ------
-    CommandRefused : not a Command, wrong shape, no numbers, or a torque that this link cannot send.
+    CommandRefused : not a Command, wrong shape, or no numbers.
     """
     if not isinstance(command, Command):
         raise CommandRefused(
             f"Expected the controller to return a Command or None, got {type(command).__name__}. "
             "Write Command(q) for positions, Command(qd=...) for velocities."
         )
-    if command.tau is not None:
-        able = ", ".join(sorted(capabilities)) or "nothing"
-        raise CommandRefused(
-            f"Expected no torque in the Command, but tau is set and this link can carry {able} only. "
-            "Command q or qd, or connect with a codec that carries torques."
-        )
-    return _vector("q", command.q, robot), _vector("qd", command.qd, robot)
+    tau = None if command.tau is None else _vector("tau", command.tau, robot)
+    return _vector("q", command.q, robot), _vector("qd", command.qd, robot), tau
 
 
 def _vector(name: str, values: Any, robot: Robot) -> np.ndarray | None:

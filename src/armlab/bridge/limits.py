@@ -13,6 +13,8 @@ from armlab.robots import Robot
 
 __all__ = ["Limiter", "Limits", "Reply"]
 
+_TORQUE_RISE = 0.1  # s from no torque to the largest
+
 
 @dataclass(frozen=True, eq=False)
 class Limits:
@@ -23,10 +25,12 @@ class Limits:
     q_min, q_max : positions [rad or m]. qd_max, qdd_max : speed and acceleration.
     jump : how far a position may be from the last one sent, besides ``qd_max dt``.
     entry : how far the first position may be from where the arm holds.
+    tau_max, tau_rate : torque [N m or N] and its change per second; None where torques are refused.
 
     Raises
     ------
-    ConfigError : shapes that differ, NaN, q_min not below q_max, or another limit that is not above 0.
+    ConfigError : shapes that differ, NaN, q_min not below q_max, another limit that is not above 0, or one of the
+        torque limits without the other.
     """
 
     q_min: np.ndarray
@@ -35,21 +39,34 @@ class Limits:
     qdd_max: np.ndarray
     jump: np.ndarray
     entry: np.ndarray
+    tau_max: np.ndarray | None = None
+    tau_rate: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         shape = np.shape(self.q_min)
-        for name in ("q_min", "q_max", "qd_max", "qdd_max", "jump", "entry"):
+        if (self.tau_max is None) != (self.tau_rate is None):
+            raise ConfigError(f"Expected tau_max and tau_rate together, got {self.tau_max} and {self.tau_rate}.")
+        torque = () if self.tau_max is None else ("tau_max", "tau_rate")
+        for name in ("q_min", "q_max", "qd_max", "qdd_max", "jump", "entry", *torque):
             if len(shape) != 1 or np.shape(getattr(self, name)) != shape:
                 got = f"{name} of shape {np.shape(getattr(self, name))} and q_min of {shape}"
                 raise ConfigError(f"Expected Limits of one shape (n,), got {got}.")
         if not np.all(self.q_min < self.q_max):  # also NaN, with which a limit would never act
             raise ConfigError(f"Expected Limits with q_min below q_max, got {self.q_min} and {self.q_max}.")
-        for name in ("qd_max", "qdd_max", "jump", "entry"):
+        for name in ("qd_max", "qdd_max", "jump", "entry", *torque):
             if not np.all(getattr(self, name) > 0.0):
                 raise ConfigError(f"Expected Limits with {name} above 0 for each joint, got {getattr(self, name)}.")
 
     @classmethod
-    def of(cls, robot: Robot, *, margin: float = 0.01, speed: float = 1.0, entry: float = 0.05) -> Limits:
+    def of(
+        cls,
+        robot: Robot,
+        *,
+        margin: float = 0.01,
+        speed: float = 1.0,
+        entry: float = 0.05,
+        tau_max: float | np.ndarray | None = None,
+    ) -> Limits:
         """Return the limits of a robot.
 
         Parameters
@@ -57,6 +74,8 @@ class Limits:
         margin : distance kept from the ends of the joints [rad or m].
         speed : share of the robot's own speed and acceleration limits, in (0, 1].
         entry : see `Limits`.
+        tau_max : torque limits, one or (n,); the robot's own by default, none where it has none. The full torque is
+            reached in 0.1 s at the earliest.
 
         Raises
         ------
@@ -70,7 +89,10 @@ class Limits:
         if not np.all(q_min < q_max):
             raise ConfigError(f"Expected a margin that leaves room between the joint limits, got {margin}.")
         jump = np.where(robot.prismatic, 0.02, 0.1)
-        return cls(q_min, q_max, speed * robot.qd_max, speed * robot.qdd_max, jump, np.full(robot.n, entry))
+        most = np.broadcast_to(robot.tau_max if tau_max is None else tau_max, (robot.n,)).astype(np.float64)
+        torque = (most, most / _TORQUE_RISE) if np.isfinite(most).all() else (None, None)
+        speeds = speed * robot.qd_max, speed * robot.qdd_max
+        return cls(q_min, q_max, *speeds, jump, np.full(robot.n, entry), *torque)
 
 
 class Reply(NamedTuple):
@@ -78,9 +100,11 @@ class Reply(NamedTuple):
 
     Attributes
     ----------
-    q, qd : (n,) position and speed to send. clamped : (n,) bits 1 position, 2 velocity, 4 acceleration, 8 braking.
+    q, qd : (n,) position and speed to send.
+    clamped : (n,) bits 1 position, 2 velocity, 4 acceleration, 8 braking, 16 torque, 32 torque rate.
     ratio : of the velocity limit, 1 when it did not act.
     refused : 0, or i when joint i (from 1) is not finite, -i when it jumps; the reply then holds.
+    tau : (n,) torque to send or None. free : the torque takes the place of the position loop.
     """
 
     q: np.ndarray
@@ -88,6 +112,8 @@ class Reply(NamedTuple):
     clamped: np.ndarray
     ratio: float = 1.0
     refused: int = 0
+    tau: np.ndarray | None = None
+    free: bool = False
 
 
 class Limiter:
@@ -121,6 +147,13 @@ class Limiter:
         self._sent.flags.writeable = False
         self._asked = None
         return Reply(self._sent[0], self._sent[1], self._none)
+
+    def follow(self, q: np.ndarray, qd: np.ndarray) -> Reply:
+        """Go along with an arm that moves freely: the next reference begins at its `q` and `qd` (n,)."""
+        self._sent = np.stack((q, qd, qd))
+        self._sent.flags.writeable = False
+        self._asked = None
+        return Reply(self._sent[0], self._sent[2], self._none, free=True)
 
     def hold(self, period: float) -> Reply:
         """Come to rest within the acceleration limits, then stay. `period` in seconds."""

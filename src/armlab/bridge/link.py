@@ -9,6 +9,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal
 
+import numpy as np
+
 from armlab.bridge.address import addresses
 from armlab.bridge.assembly import End, assemble, checked_limits, finished
 from armlab.bridge.conditions import LOOP_PRIORITY, interrupts, priority, quiet_memory, short_switches
@@ -21,6 +23,7 @@ from armlab.bridge.run import Run, together
 from armlab.bridge.simulator import Simulator
 from armlab.bridge.sources import Source
 from armlab.bridge.supervision import Settings
+from armlab.bridge.torque import TorqueModel, admittances
 from armlab.bridge.waiting import Wait, Waiting
 from armlab.bridge.watchdog import Guard
 from armlab.errors import ConfigError, RobotError, UnknownName
@@ -150,13 +153,15 @@ class Link:
         wait: Wait = "ahead",
         limits: Limits | Sequence[Limits] | None = None,
         reconnect: Literal["resume", "stop"] = "resume",
-        torque: Literal["refuse"] = "refuse",
+        torque: Literal["refuse", "admittance"] = "refuse",
         record: str | Path | None = None,
         extra: Mapping[str, Column] | None = None,
         progress: Callable[[float, float, str], None] | None = None,
         pace: str | None = None,
         feeds: Sequence[Feed] = (),
         sources: Sequence[Source] = (),
+        damping: np.ndarray | None = None,
+        torque_model: TorqueModel | Sequence[TorqueModel] | None = None,
     ) -> Run:
         """Run a controller against the robot: one call and one reply per packet.
 
@@ -177,7 +182,8 @@ class Link:
         wait : "ahead" polls just before the packet, "block" sleeps, "spin" polls always.
         limits : on what is sent, one per arm; `Limits.of(robot)` by default.
         reconnect : "resume" waits for the next session when the controller ends one, "stop" ends the run.
-        torque : torque commands are refused by this link.
+        torque : what becomes of a torque command on a codec without the capability "torque": "refuse" ends the run
+            with `CommandRefused`, "admittance" moves at ``qd = (tau - torque_model(q, qd)) / damping``.
         record : file for the recording; without it the rows stay in memory. Several arms have a file each, see
             `recording.paths`.
         extra : columns of ``Command.record`` by name.
@@ -185,6 +191,8 @@ class Link:
         pace : name of the arm that paces, the first by default.
         feeds : told every row and event after the reply was sent; see `recording.Feed`.
         sources : fused with each packet into `State.sources` and recorded; started and closed with the run.
+        damping : (n,) of each joint [N m s/rad], for the admittance; it has no default.
+        torque_model : (q, qd) -> (n,) torque of a free motion, one per arm; without it the command is what goes beyond.
 
         Returns
         -------
@@ -196,13 +204,14 @@ class Link:
         UnknownName : `pace` is no arm of this link.
         NoRobot, SessionEnded, CommandRefused, ControllerLate, ControllerFailed : with the last ten seconds in `.table`.
         """
-        self._check(controller, wait, reconnect, torque)
+        self._check(controller, wait, reconnect)
         paced = self._paced(pace)
         what = "listening" if controller is None else "moving"
         tell = None if progress is None else lambda done: progress(done, seconds or done, what)
         settings = replace(self._settings, seconds=seconds, resume=reconnect == "resume", progress=tell)
+        softness = admittances(torque, damping, torque_model, self.robots)
         arms = assemble(
-            self._ends,
+            [end._replace(admittance=one) for end, one in zip(self._ends, softness, strict=True)],
             checked_limits(limits, self.robots),
             settings,
             commands=controller is not None,
@@ -246,11 +255,10 @@ class Link:
             raise UnknownName.among("arm of this link", pace, names)
         return 0 if pace is None else names.index(pace)
 
-    def _check(self, controller: Controller | None, wait: str, reconnect: str, torque: str) -> None:
+    def _check(self, controller: Controller | None, wait: str, reconnect: str) -> None:
         for name, value, known in (
             ("wait", wait, ("ahead", "block", "spin")),
             ("reconnect", reconnect, ("resume", "stop")),
-            ("torque", torque, ("refuse",)),
         ):
             if value not in known:
                 raise ConfigError(f"Expected {name} to be one of {', '.join(known)}, got {value!r}.")

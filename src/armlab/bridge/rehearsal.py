@@ -9,6 +9,7 @@ from armlab.bridge.limits import Limits
 from armlab.bridge.port import Arrival
 from armlab.bridge.session import Session
 from armlab.bridge.states import Guide
+from armlab.bridge.torque import Admittance
 from armlab.robots import Robot
 from armlab.state import Command
 from armlab.wire.egm import Codec, Reference
@@ -21,13 +22,13 @@ class Rehearsal:
 
     Parameters
     ----------
-    robot, limits : as in `Guide`. codec : one of its own, since it is reset with the sessions.
+    robot, limits, admittance : as in `Guide`. codec : one of its own, since it is reset with the sessions.
     """
 
-    def __init__(self, robot: Robot, limits: Limits, codec: Codec) -> None:
+    def __init__(self, robot: Robot, limits: Limits, codec: Codec, admittance: Admittance | None = None) -> None:
         self._codec = codec
         self._session = Session(codec)
-        self._guide = Guide(robot, limits, capabilities=codec.capabilities)
+        self._guide = Guide(robot, limits, capabilities=codec.capabilities, admittance=admittance)
 
     def __call__(self, arrival: Arrival, command: Command | None) -> None:
         """Do everything that the loop did with a packet, except sending.
@@ -45,5 +46,6 @@ class Rehearsal:
         reply = guide.answer(command, session.period.seconds)
         if reply is not None:
             packet = sample.packet
-            self._codec.encode(Reference(reply.q, reply.qd, None, session.seq, packet.tm_ms or 0, packet.seqno))
+            echoes = packet.tm_ms or 0, packet.seqno, 0
+            self._codec.encode(Reference(reply.q, reply.qd, reply.tau, session.seq, *echoes, reply.free))
             session.replied(arrival.ns)

@@ -14,7 +14,7 @@ from armlab.log import Table
 
 __all__ = ["Run", "statistics", "together"]
 
-_CLAMPS = ("position", "velocity", "acceleration", "braking")
+_CLAMPS = ("position", "velocity", "acceleration", "braking", "torque", "torque rate")
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,11 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from armlab.bridge.commands import entry_refusal, refusal, wanted
+from armlab.bridge.commands import entry_refusal, refusal
 from armlab.bridge.events import Tell, nobody
 from armlab.bridge.limits import Limiter, Limits, Reply
 from armlab.bridge.readiness import MCI_RUNNING, implausible, obstacle
 from armlab.bridge.session import Sample
+from armlab.bridge.torque import Admittance, Torques
 from armlab.errors import CommandRefused, LinkError
 from armlab.robots import Robot
 from armlab.state import Command, State
@@ -27,7 +28,7 @@ __all__ = ["Guide", "Mode"]
 STOP_TIME = 0.5  # s at rest before a run ends
 _REFUSALS = 3  # in a row end the run
 _ENTRY_PATIENCE = 1.0  # s of refused entries before a warning
-_BITS = {"position": 1, "velocity": 2, "acceleration": 4, "braking": 8}
+_BITS = {"position": 1, "velocity": 2, "acceleration": 4, "braking": 8, "torque": 16, "torque rate": 32}
 
 
 class Mode(Enum):
@@ -48,14 +49,14 @@ class Guide:
     ----------
     robot : the arm. limits : on what is sent.
     commands : False when there is no controller: LISTENING.
-    capabilities : of the codec. answer_stream : answer also before guidance.
+    capabilities : of the codec. answer_stream : answer also before guidance. admittance : see `Torques`.
     on_event : called with a sentence for what a user should know.
 
     Attributes
     ----------
     mode, ready : see the module. t : robot time since guidance began in this session [s].
     elapsed : robot time while ready since the first readiness [s]. q_start : (n,) where guidance began.
-    failure, reason : why the run stops. clamps : times each limit acted, (4, n). worst_ratio : of the velocity limit.
+    failure, reason : why the run stops. clamps : times each limit acted, (6, n). worst_ratio : of the velocity limit.
     refused : commands refused.
     """
 
@@ -68,8 +69,10 @@ class Guide:
         capabilities: frozenset[str] = frozenset(("position", "velocity")),
         answer_stream: bool = True,
         on_event: Tell = nobody,
+        admittance: Admittance | None = None,
     ) -> None:
-        self._robot, self._limits, self._capabilities = robot, limits, capabilities
+        self._robot, self._limits = robot, limits
+        self._torques = Torques(robot, limits, capabilities, admittance)
         self._answer_stream, self._on_event = answer_stream, on_event
         self._limiter = Limiter(limits)
         self._last = self._limiter.rest(np.full(robot.n, np.nan))
@@ -85,6 +88,7 @@ class Guide:
         self._missing = np.full(robot.n, np.nan)
         self._missing.flags.writeable = False
         self._packet: Packet | None = None
+        self._qd = self._missing
         self._guided = self._plausible = self._warned = False
 
     @property
@@ -104,7 +108,8 @@ class Guide:
         ----------
         sample : from the session.
         """
-        packet = self._packet = sample.packet
+        packet, self._qd = sample.packet, sample.qd
+        self._packet = packet
         if sample.fresh:
             self.t, self._guided, self.ready = 0.0, False, False
             self._check_plausible(packet)
@@ -182,13 +187,14 @@ class Guide:
             self._rest(period)
             if not (self._answer_stream or packet.mci == MCI_RUNNING):
                 return None
+            self._torques.reset()
             self._last = self._limiter.rest(packet.q)
         elif self.mode in (Mode.STOPPING, Mode.ENDED):
-            self._last = self._limiter.hold(period)
+            self._last = self._held(period)
             if self._limiter.at_rest:
                 self._rest(period)
         else:
-            self._last = self._follow(command, period)
+            self._last = self._follow(Command() if command is None else command, packet, period)
         if self._last.clamped.any():
             self.clamps += [(self._last.clamped & bit) != 0 for bit in _BITS.values()]
             self.worst_ratio = min(self.worst_ratio, self._last.ratio)
@@ -203,7 +209,7 @@ class Guide:
         """
         if not self.calls:
             return self.answer(None, period)
-        self._last = self._limiter.hold(period)
+        self._last = self._held(period)
         return self._last
 
     def stop(self, reason: str, failure: LinkError | None = None) -> None:
@@ -235,29 +241,44 @@ class Guide:
         elif self.mode is not Mode.LISTENING:
             self.mode = Mode.WAITING
 
-    def _follow(self, command: Command | None, period: float) -> Reply:
+    def _follow(self, command: Command, packet: Packet, period: float) -> Reply:
         try:
-            q, qd = (None, None) if command is None else wanted(command, self._robot, self._capabilities)
+            q, qd, tau = self._torques.wanted(command, packet.q, self._qd)
         except CommandRefused as error:
             self.stop("a command was refused", error)
-            return self._limiter.hold(period)
-        if command is not None and command.ends:
+            return self._held(period)
+        if command.ends:
             self.stop("the controller ended the run")
-            return self._limiter.hold(period)
+            return self._held(period)
         if q is None and qd is None:
+            if tau is not None:
+                return self._free(tau, packet, period)
             self.mode, self._refused_in_a_row = Mode.HOLDING, 0
-            return self._limiter.hold(period)
+            return self._held(period)
         before = self._limiter.q
         if self.mode is Mode.HOLDING and q is not None:
             problem = entry_refusal(q, before, self._limits.entry, self._robot)
             if problem:
                 return self._refuse_entry(problem, period)
         reply = self._limiter.step(q, qd, period)
+        reply = self._torques.limited(reply, None if reply.refused else tau, period)
         if reply.refused:
             self._refuse(refusal(reply.refused, q, qd, before, self._robot))
         else:
             self.mode, self._refused_in_a_row, self._waited = Mode.RUNNING, 0, 0.0
         return reply
+
+    def _free(self, tau: np.ndarray, packet: Packet, period: float) -> Reply:
+        """A torque alone: no position loop, as long as the arm stays within its limits."""
+        problem = self._torques.outside(packet.q, self._qd)
+        if problem:
+            self._refuse(problem)
+            return self._held(period)
+        self.mode, self._refused_in_a_row, self._waited = Mode.RUNNING, 0, 0.0
+        return self._torques.limited(self._limiter.follow(packet.q, self._qd), tau, period)
+
+    def _held(self, period: float) -> Reply:
+        return self._torques.limited(self._limiter.hold(period), None, period)
 
     def _refuse(self, problem: str) -> None:
         self.refused += 1
@@ -273,7 +294,7 @@ class Guide:
         if self._waited >= _ENTRY_PATIENCE and not self._warned:
             self._warned = True
             self._on_event(problem, warn=True)
-        return self._limiter.hold(period)
+        return self._held(period)
 
     def _rest(self, period: float) -> None:
         if self.mode is Mode.STOPPING:
@@ -282,6 +303,7 @@ class Guide:
                 self.mode = Mode.ENDED
 
     def _become_ready(self, packet: Packet) -> None:
+        self._torques.reset()
         self._last = self._limiter.rest(packet.q)
         self._waited, self._warned = 0.0, False
         if not self._guided:

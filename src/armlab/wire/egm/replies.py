@@ -16,6 +16,7 @@ __all__ = ["Replies", "encode_path_correction", "encode_pose"]
 
 _CORRECTION, _PATH_CORRECTION = 3, 4
 _KINEMATIC = 1
+_GAINS = 0b11000  # posGainScale and velGainScale are valid
 _UINT32, _UINT64 = 2**32 - 1, 2**64 - 1
 _TWIST = np.array([1e-3, 1e-3, 1e-3, RADIAN, RADIAN, RADIAN])
 
@@ -47,6 +48,7 @@ class _Reply:
 
     def __init__(self, axes: AxisMap, extension: bool, speed: bool) -> None:
         self._axes = axes
+        self._zeros = (0.0,) * axes.n
         self._sensor = sensor = pb.EgmSensor()
         self._header = sensor.header
         self._header.mtype = _CORRECTION
@@ -72,8 +74,10 @@ class _Reply:
                 external[k] = wire[axes.head + k]
         if research is not None:
             research.echoSeqno, research.echoTNs = ref.robot_seq & _UINT32, ref.robot_mono_ns & _UINT64
+            loosened = self._zeros if ref.free else ()
             research.torqueFF[:] = () if ref.tau is None else ref.tau.tolist()
-            research.validMask = 0 if ref.tau is None else 1
+            research.posGainScale[:], research.velGainScale[:] = loosened, loosened
+            research.validMask = (ref.tau is not None) | (_GAINS if ref.free else 0)
         return self._sensor.SerializeToString()
 
 

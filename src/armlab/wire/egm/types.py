@@ -108,6 +108,7 @@ class Reference(NamedTuple):
     q, qd, tau : (n,) references; `qd` None sends no speed reference, `tau` goes out with the extension only.
     seq : our own sequence number. tm_ms : the `tm` of the packet answered (0 when it had none).
     robot_seq, robot_mono_ns : echoes of the packet answered, sent with the extension only.
+    free : the torque takes the place of the position loop: its gains are zero.
     """
 
     q: np.ndarray
@@ -117,6 +118,7 @@ class Reference(NamedTuple):
     tm_ms: int
     robot_seq: int = 0
     robot_mono_ns: int = 0
+    free: bool = False
 
 
 class Codec(Protocol):
