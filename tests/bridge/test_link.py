@@ -47,7 +47,7 @@ def test_wrong_options(robot: Robot) -> None:
     with pytest.raises(ConfigError, match="clock"):
         connect("egm://127.0.0.1:0", robot, clock="atomic")  # type: ignore[arg-type]
     with connect("egm://127.0.0.1:0", robot) as link:
-        for options in ({"wait": "sleep"}, {"reconnect": "never"}, {"torque": "admittance"}):
+        for options in ({"wait": "sleep"}, {"reconnect": "never"}, {"torque": "always"}):
             with pytest.raises(ConfigError, match=next(iter(options))):
                 link.run(sway, **options)  # type: ignore[arg-type]
 

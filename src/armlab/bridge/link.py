@@ -13,6 +13,7 @@ import numpy as np
 
 from armlab.bridge.address import addresses
 from armlab.bridge.assembly import End, assemble, checked_limits, finished
+from armlab.bridge.codecs import codec_named
 from armlab.bridge.conditions import LOOP_PRIORITY, interrupts, priority, quiet_memory, short_switches
 from armlab.bridge.events import Tell
 from armlab.bridge.limits import Limits
@@ -29,7 +30,7 @@ from armlab.bridge.watchdog import Guard
 from armlab.errors import ConfigError, RobotError, UnknownName
 from armlab.log import Column
 from armlab.robots import Robot
-from armlab.wire.egm import Codec, EgmCodec
+from armlab.wire.egm import Codec
 
 __all__ = ["Link", "connect"]
 
@@ -53,7 +54,8 @@ def connect(
         ``labcomm://host:7511`` goes to a LabComm server whose bridge has the robot; ``?order=chain&dialect=2014`` say
         how its port is set.
     robot : the arm, or several in the order of the urls.
-    codec : "egm", or an object with the methods of `wire.egm.Codec`; one per arm.
+    codec : "egm", the name of an entry point of the group ``armlab.bridge.codecs``, or an object with the methods of
+        `wire.egm.Codec`; one per arm.
     extension : send the research extension; always with a simulated robot. What arrives of it is always used.
     answer_stream : answer also before guidance begins.
     clock : "robot" for a robot in lockstep: no deadline then. Implied by ``lockstep=true``.
@@ -110,9 +112,7 @@ def _codecs(
         if len(given) != len(robots):
             raise ConfigError(f"Expected one codec per arm, since each follows one session, got {len(given)}.")
         return [(one, None) for one in given]
-    if codec != "egm":
-        raise UnknownName.among("codec", codec, ["egm"])
-    return [(EgmCodec(one, extension), EgmCodec(one, extension)) for one in robots]
+    return [(codec_named(codec, one, extension), codec_named(codec, one, extension)) for one in robots]
 
 
 class Link:

@@ -187,7 +187,7 @@ def admittances(
             raise ConfigError('Expected damping and torque_model together with torque="admittance" only.')
         return [None] * len(robots)
     sizes = [robot.n for robot in robots]
-    if np.shape(damping) != (sum(sizes),):
+    if damping is None or np.shape(damping) != (sum(sizes),):
         raise ConfigError(f"Expected a damping for each of {sum(sizes)} joints, in N m s/rad, got {damping}.")
     parts = np.split(np.asarray(damping, dtype=np.float64), np.cumsum(sizes)[:-1])
     models = list(model) if isinstance(model, Sequence) else [model] * len(robots)
