@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 from armlab.errors import LabCommError
 from armlab.wire.labcomm._definition import Head
 from armlab.wire.labcomm._read import Reader, reader
@@ -17,21 +19,18 @@ class Known:
 
     Attributes
     ----------
-    definition : of the type. type : its tree.
+    index, name, type : as defined. left : values that a packet may hold besides those that every value has.
+    read : the reader.
     """
 
-    __slots__ = ("_read", "definition", "type")
+    def __init__(self, definition: Definition, limits: Limits) -> None:
+        _, self.index, self.name, self.type, _ = definition
+        self.left = limits.values - self.type.values
 
-    def __init__(self, definition: Definition) -> None:
-        self.definition, self.type = definition, definition.type
-        self._read: Reader | None = None
-
-    @property
+    @cached_property
     def read(self) -> Reader:
         """What reads a value."""
-        if self._read is None:
-            self._read = reader(self.type)
-        return self._read
+        return reader(self.type)
 
 
 class Tables:
@@ -57,5 +56,5 @@ class Tables:
                 raise LabCommError(f"Expected {most} in a stream, got one more at byte {offset}.", offset)
             self._nodes, table[head.index] = nodes, entry
             if kind == "sample":
-                self.known[head.index] = Known(event)
+                self.known[head.index] = Known(event, limits)
         return event

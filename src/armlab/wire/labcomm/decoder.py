@@ -187,13 +187,16 @@ class Decoder:
         """
         source, limits = self._source, self._limits
         buf, cursor = source.buf, Cursor(source.buf, limits, wide=False)
-        head, total, last = b"", 0, None
+        head, skipped, total, last = b"", 0, 0, None
         while True:
             start = source.at - source.base
             if last is not None and buf.startswith(head, start) and start + total <= len(buf):
-                cursor.at, cursor.end = start + len(head), start + total
+                cursor.at, cursor.end = start + skipped, start + total
                 self._events.append(self._sample(last, cursor))
                 source.at += total
+                continue
+            if start == len(buf):
+                yield
                 continue
             cursor.base, cursor.at, cursor.end = source.base, start, len(buf)
             try:
@@ -216,7 +219,7 @@ class Decoder:
             if known is not None and known.type.fixed_size is not None:
                 if known.type.fixed_size != length:
                     raise _bad(offset, f"a length of {known.type.fixed_size}", str(length))
-                last, head, total = known, bytes(buf[start:body]), body - start + length
+                last, head, skipped, total = known, bytes(buf[start:body]), body - start, body - start + length
             if body + length > len(buf):
                 yield
                 continue
@@ -255,9 +258,8 @@ class Decoder:
         return Other(tag, body) if tag < FIRST_INDEX else Unknown(tag, body)
 
     def _sample(self, known: Known, cursor: Cursor) -> Sample:
-        _, index, name, node, _ = known.definition
-        cursor.left = self._limits.values - node.values
-        return Sample(index, name, known.read(cursor), node)
+        cursor.left = known.left
+        return Sample(known.index, known.name, known.read(cursor), known.type)
 
     def _define(self, tag: int, cursor: Cursor) -> Definition:
         """Read a whole definition; the first one of an undecided stream tells 2014 from 2014i."""
