@@ -13,6 +13,14 @@ def test_default_ports() -> None:
     assert [one.port for one in addresses(["egm://127.0.0.1", "egm://127.0.0.1"], 2)] == [6511, 6512]
 
 
+def test_labcomm() -> None:
+    assert addresses(["labcomm://lab?order=chain"], 1) == [Address("labcomm", "lab", 7511, "", {"order": "chain"})]
+    assert [one.port for one in addresses(["labcomm://lab", "labcomm://lab"], 2)] == [7511, 7512]
+    assert addresses(["labcomm://lab:99"], 1)[0].port == 99
+    with pytest.raises(ConfigError, match="labcomm://HOST:PORT"):
+        addresses(["labcomm://lab:x"], 1)
+
+
 def test_simulated() -> None:
     both = addresses(["sim://yumi_left+yumi_right?seed=3"], 2)
     assert [one.robot for one in both] == ["yumi_left", "yumi_right"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from armlab import bridge, robots
-from armlab.bridge.labcomm import ArmChannel, LabCommServer, Row, RowTypes
+from armlab.bridge.labcomm import ArmChannel, Commander, LabCommServer, Row, RowFeed, RowTypes
 from armlab.bridge.labcomm.far import RowCodec, RowPort, far_end
 from armlab.errors import ConfigError, LinkError, UnknownName
 from armlab.robots import Robot
@@ -25,6 +26,33 @@ Start = Callable[..., Started]
 @pytest.fixture(scope="module")
 def robot() -> Robot:
     return robots.load("yumi_right")
+
+
+@pytest.mark.slow
+def test_a_controller_far_away_moves_a_simulated_robot_over_egm(robot: Robot) -> None:
+    """Simulated controller, EGM, bridge, LabComm, a second loop, and back. About 5 s."""
+    commander, far_runs = Commander(), []
+
+    def controller(state: State) -> Command:
+        q = state.q_start.copy()
+        q[0] += 0.05 * (1.0 - np.cos(np.pi * state.t))
+        return Command(q)
+
+    def far_away(port: int) -> None:
+        with bridge.connect(f"labcomm://127.0.0.1:{port}", robot) as link:
+            far_runs.append(link.run(controller, seconds=2.0, wait="block"))
+
+    channel = ArmChannel("right", 0, commander.take, robot.abb_axes)
+    with LabCommServer([channel]) as server, bridge.connect("sim://yumi_right", robot) as link:
+        thread = threading.Thread(target=far_away, args=(server.ports["right"],))
+        thread.start()
+        run = link.run(commander, seconds=4.0, feeds=[RowFeed(server, {"yumi_right": "right"})], wait="block")
+        thread.join()
+    assert far_runs[0].reason == "the time is up"
+    moved, told = run.table["q"][:, 0], far_runs[0].table["q"][:, 0]
+    assert np.ptp(moved) == pytest.approx(0.1, abs=0.02)
+    assert np.ptp(told) == pytest.approx(0.1, abs=0.02)
+    assert server.counts["right"]["commands"] > 100
 
 
 class Arm:
