@@ -17,7 +17,13 @@ def _local(feed: socket.socket, options: dict[str, Any]) -> None:
     LocalServer(feed, Path(options["path"])).run()
 
 
-_SERVERS = {"local": _local}
+def _labcomm(feed: socket.socket, options: dict[str, Any]) -> None:
+    from armlab.bridge.labcomm.process import LabCommProcess
+
+    LabCommProcess(feed, options).run()
+
+
+_SERVERS = {"local": _local, "labcomm": _labcomm}
 
 
 def main(name: str, number: str, options: str) -> int:

@@ -1,0 +1,224 @@
+"""`LabCommProcess`: a LabComm server in a process of its own, between the loop's feed and its clients.
+
+Rows, events and parameters come from the loop by a socket (see `bridge.feed`); commands and settings of parameters go
+back by it. Nothing here can touch the loop: what it does not read is dropped there.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import math
+import socket
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from armlab.bridge.labcomm.channels import ArmChannel, Channel, FusedArm, FusedChannel, FusedSource, ParameterChannel
+from armlab.bridge.labcomm.peer import Peer
+from armlab.bridge.labcomm.rows import Row
+from armlab.bridge.labcomm.server import LabCommServer
+from armlab.bridge.messages import CommandRequest, Leave, Listening, Request, SetRequest
+from armlab.bridge.row import MAGIC, RowSchema, read_row
+from armlab.errors import ConfigError, LinkError
+from armlab.robots import Robot
+
+__all__ = ["LabCommProcess", "labcomm_options"]
+
+_LARGEST = 2**17
+_LEFT, _PARAMETERS, _FUSED = 7511, 7513, 7514
+_logger = logging.getLogger("armlab.bridge")
+
+
+def labcomm_options(
+    robots: Sequence[Robot],
+    host: str = "127.0.0.1",
+    ports: Sequence[int] | None = None,
+    dialect: str = "2014v1",
+    order: str = "abb",
+    parameters: int | None = _PARAMETERS,
+    fused: int | None = _FUSED,
+) -> dict[str, Any]:
+    """Return the options of the server of some arms, for `servers.server_command`.
+
+    Parameters
+    ----------
+    robots : the arms. host : address to listen on, this computer only by default.
+    ports : of the arms; None gives 7511 to a left or only arm, 7512 to a right one.
+    dialect, order : see `ArmChannel`. parameters, fused : ports, None for none. Fused rows are for arms of 7 joints.
+
+    Raises
+    ------
+    ConfigError : another number of ports than of arms.
+    """
+    if ports is None:
+        sides = [robot.side for robot in robots]
+        ports = [_LEFT + (side == "right" if all(sides) else k) for k, side in enumerate(sides)]
+    if len(ports) != len(robots):
+        raise ConfigError(f"Expected a LabComm port for each of {len(robots)} arms, got {len(ports)}.")
+    arms = {one.name: {"port": port, "axes": list(one.abb_axes)} for one, port in zip(robots, ports, strict=True)}
+    if any(robot.n != 7 for robot in robots):
+        fused = None
+    return {
+        "host": host, "dialect": dialect, "order": order, "arms": arms, "parameters": parameters, "fused": fused
+    }  # fmt: skip
+
+
+class _Arm(ArmChannel):
+    """The port of an arm, which also tells the loop of clients that leave."""
+
+    process: LabCommProcess
+
+    def left(self, peer: Peer) -> None:
+        """Free the arm here and in the loop."""
+        super().left(peer)
+        self.process.ask(Leave(peer.address))
+
+
+class LabCommProcess:
+    """Serves until the loop closes the feed.
+
+    Parameters
+    ----------
+    feed : connected to the loop; see `feed.Exchange`. options : see `labcomm_options`.
+
+    Raises
+    ------
+    LinkError : the loop has gone before it said what rows hold.
+    """
+
+    def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
+        self._feed, self._options = feed, options
+        self._schema: RowSchema | None = None
+        self._parameters: dict[str, dict[str, Any]] = {}
+        self._asked: dict[str, set[str]] = {}  # names that a client set, until the loop has answered
+        self._server: LabCommServer | None = None
+
+    def run(self) -> None:
+        """Serve until the loop closes the feed."""
+        said: set[str] = set()
+        while not {"about", "parameters"} <= said:
+            data = self._hear()
+            if data is None:
+                raise LinkError("Expected the loop to say what its rows hold, but it closed the feed. Start it again.")
+            if data[:4] != MAGIC:
+                said.add(self._text(data))
+        with LabCommServer(self._channels(), self._options["host"], self._event) as self._server:
+            host, ports = self._options["host"], self._server.ports
+            self.ask(Listening(where=[f"{host}:{port} (labcomm, {name})" for name, port in ports.items()]))
+            while (data := self._hear()) is not None:
+                if data[:4] == MAGIC:
+                    self._row(data)
+                else:
+                    self._text(data)
+
+    def ask(self, request: Request) -> None:
+        """Send a request to the loop; one that finds no room is lost.
+
+        Parameters
+        ----------
+        request : see `messages`.
+        """
+        with contextlib.suppress(OSError):
+            self._feed.send(msgspec.json.encode(request), socket.MSG_DONTWAIT)
+
+    def _hear(self) -> bytes | None:
+        try:
+            return self._feed.recv(_LARGEST) or None
+        except OSError:
+            return None
+
+    def _channels(self) -> list[Channel]:
+        options = self._options
+        common = {"dialect": options["dialect"]}
+        channels: list[Channel] = []
+        for name, arm in options["arms"].items():
+            one = _Arm(name, arm["port"], self._command, arm["axes"], options["order"], **common)
+            one.process = self
+            channels.append(one)
+        if options["fused"] is not None:
+            axes = next(iter(options["arms"].values()))["axes"]
+            channels.append(FusedChannel(options["fused"], axes, options["order"], **common))
+        if options["parameters"] is not None:
+            values = {name: value for name in self._parameters if (value := self._value(name)) is not None}
+            channels.append(ParameterChannel(values, options["parameters"], self._set, **common))
+        return channels
+
+    def _command(self, name: str, row: Row, client: str) -> None:
+        q, qd, tau = (None if part is None else part.tolist() for part in (row.q, row.qd, row.tau))
+        self.ask(CommandRequest(client, name, q, qd, tau))
+
+    def _set(self, name: str, value: Any, client: str) -> None:
+        """Ask the loop; it answers with the values in force, or with why not."""
+        if self._parameters[name]["type"] in ("int", "bool") and float(value).is_integer():
+            value = int(value) if self._parameters[name]["type"] == "int" else bool(value)
+        self._asked.setdefault(client, set()).add(name)
+        self.ask(SetRequest(client, {name: value}))
+
+    def _value(self, name: str) -> float | list[float] | None:
+        """Return a parameter as LabComm has it; texts it has not."""
+        value = self._parameters[name]["value"]
+        if isinstance(value, list):
+            return [float(one) for one in value]
+        return float(value) if isinstance(value, int | float) else None
+
+    def _text(self, data: bytes) -> str:
+        message = msgspec.json.decode(data)
+        kind = message["kind"]
+        if kind == "about":
+            self._schema = RowSchema.read(message["schema"].encode())
+        elif kind == "parameters":
+            before, self._parameters = self._parameters, {one["name"]: one for one in message["parameters"]}
+            for name, about in self._parameters.items():
+                if before.get(name, {}).get("sequence") != about["sequence"]:
+                    self._echo(name)
+                    for names in self._asked.values():
+                        names.discard(name)
+        elif kind == "answer":  # what this client set is not in force
+            for name in self._asked.pop(message["client"], ()):
+                self._echo(name)
+        return kind
+
+    def _echo(self, name: str) -> None:
+        value = self._value(name)
+        if self._server is not None and "parameters" in self._server.ports and value is not None:
+            self._server.parameter(name, value)
+
+    def _row(self, data: bytes) -> None:
+        server, schema = self._server, self._schema
+        if server is None or schema is None:
+            return
+        row = read_row(schema, data)
+        values, arms = row.values, list(self._options["arms"])
+        for name in arms:
+            if values[f"{name}.fresh"]:
+                server.row(name, _arm_row(values, name))
+        if "fused" in server.ports and values[f"{arms[0]}.fresh"]:
+            heard = [name for name in arms if math.isfinite(values[f"{name}.age"])]
+            fused = [FusedArm(name, values[f"{name}.receive_ns"] // 1000, _arm_row(values, name)) for name in heard]
+            server.fused(row.wall_ns // 1000, fused, _sources(schema, values, row.wall_ns))
+
+    def _event(self, text: str, warn: bool = False) -> None:
+        _logger.log(logging.WARNING if warn else logging.INFO, "labcomm %s", text)
+
+
+def _arm_row(values: Mapping[str, Any], name: str) -> Row:
+    robot_ns = values[f"{name}.robot_ns"]
+    tm = robot_ns // 10**6 if robot_ns else round(1e3 * values[f"{name}.session_t"])
+    return Row(tm, values[f"{name}.q"], values[f"{name}.qd"], values[f"{name}.tau"])
+
+
+def _sources(schema: RowSchema, values: Mapping[str, Any], now_ns: int) -> list[FusedSource]:
+    """Return what sources besides the arms gave last; those that were never heard are left out."""
+    parts: dict[str, list[np.ndarray]] = {}
+    for field in schema.fields.values():
+        if field.source not in schema.robots and field.name != f"{field.source}.age":
+            parts.setdefault(field.source, []).append(np.ravel(values[field.name]))
+    ages = {name: values[f"{name}.age"] for name in parts}
+    return [
+        FusedSource(name, (now_ns - round(1e9 * ages[name])) // 1000, np.concatenate(numbers))
+        for name, numbers in parts.items()
+        if math.isfinite(ages[name])
+    ]

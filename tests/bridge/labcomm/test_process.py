@@ -1,0 +1,157 @@
+"""The server as a process: rows of a feed go out, commands and parameters of clients come back to the loop."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab import robots
+from armlab.bridge.feed import Exchange
+from armlab.bridge.labcomm import LabCommClient, Row, RowTypes
+from armlab.bridge.labcomm.process import LabCommProcess, labcomm_options
+from armlab.bridge.parameters import Parameter, Parameters
+from armlab.bridge.servers import Servers, server_command
+from armlab.errors import ConfigError, LinkError
+from armlab.log import Column, Tick
+from armlab.robots import Robot
+from armlab.state import State
+from armlab.wire.labcomm import Sample, parse_lc
+
+from .conftest import PATIENCE, until
+
+TICK = Tick(0, -1, 5_000_000_000, 4_999_000_000, -1, 0)
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return robots.load("yumi_right")
+
+
+def state(robot: Robot, **fields: Any) -> State:
+    q = np.array(robot.q_home)
+    return State(t=1.5, dt=0.004, q=q, qd=np.zeros(7), tau=np.full(7, np.nan), robot=robot.name, q_start=q, **fields)
+
+
+class Running:
+    """The process's work in a thread, at the other end of an exchange."""
+
+    def __init__(self, robot: Robot) -> None:
+        declared = [Parameter("gain", 0.5, minimum=0.0, maximum=1.0, rights="anyone"), Parameter("note", "a", "text")]
+        self.exchange = Exchange(
+            [robot], ["labcomm"], Parameters(declared), ["labcomm"], sources={"force": {"f": Column((3,), "N")}}
+        )
+        options = labcomm_options([robot], ports=[0], parameters=0, fused=0)
+        self.feed = self.exchange.open("labcomm")
+        self.process = LabCommProcess(self.feed, options)
+        self.thread = threading.Thread(target=self.process.run)
+        self.thread.start()
+        self.where: dict[str, int] = {}
+        until(self.listens)
+
+    def listens(self) -> bool:
+        self.exchange.poll()
+        for text in self.exchange.outlets["labcomm"].where or ():
+            address, _, name = text.partition(" (labcomm, ")
+            self.where[name.rstrip(")")] = int(address.rpartition(":")[2])
+        return bool(self.where)
+
+    def close(self) -> None:
+        self.exchange.close()
+        self.thread.join()
+        self.feed.close()
+
+
+@pytest.fixture
+def running(robot: Robot) -> Iterator[Running]:
+    one = Running(robot)
+    yield one
+    one.close()
+
+
+def test_rows_go_out_and_commands_come_back(running: Running, robot: Robot) -> None:
+    now = state(robot, robot_ns=9_000_000)
+    with LabCommClient(port=running.where[robot.name], types=RowTypes(robot.abb_axes)) as client:
+        until(lambda: running.exchange.row(now, None, TICK) or client.rows(0.0))
+        client.command(Row(9, robot.q_home + 0.01))
+
+        def commanded() -> bool:
+            running.exchange.row(now, None, TICK)
+            command = running.exchange.arbiter(now)
+            return command is not None and command.q is not None and np.allclose(command.q, robot.q_home + 0.01)
+
+        until(commanded)
+        assert running.exchange.arbiter.commander(robot.name).startswith("labcomm 127.0.0.1:")
+        got = client.rows(PATIENCE)[-1]
+        assert got.tm == 9
+        assert np.array_equal(got.q, robot.q_home)
+    until(lambda: running.exchange.poll() or not running.exchange.arbiter.commander(robot.name))
+
+
+def test_fused_rows_have_sources_that_were_heard(running: Running, robot: Robot) -> None:
+    with LabCommClient(port=running.where["fused"]) as client:
+        events: list[Any] = []
+
+        def heard() -> list[Any]:
+            running.exchange.row(state(robot), None, TICK)
+            events.extend(event for event in client.events(0.0) if isinstance(event, Sample))
+            return events
+
+        until(heard)
+    value = events[0].value
+    assert (value["t_us"], value["source"]) == (5_000_000, [])
+    assert [(arm["name"], arm["tm"], arm["t_us"]) for arm in value["arm"]] == [(robot.name, 1500, 4_999_000)]
+
+
+def test_parameters_are_echoed_as_the_loop_decides(running: Running) -> None:
+    (gain,) = parse_lc("sample double gain;")
+    with LabCommClient(port=running.where["parameters"]) as client:
+        values: list[float] = []
+
+        def told(count: int) -> bool:
+            running.exchange.poll()
+            values.extend(event.value for event in client.events(0.0) if isinstance(event, Sample))
+            return len(values) >= count
+
+        client.define(gain)
+        until(lambda: told(1))
+        client.send(gain, 0.75)
+        until(lambda: told(2))
+        client.send(gain, 7.0)
+        until(lambda: told(3))
+    assert values == [0.5, 0.75, 0.75]
+    assert running.exchange.parameters.gain == 0.75
+
+
+def test_options() -> None:
+    left, right = robots.load("yumi_left"), robots.load("yumi_right")
+    options = labcomm_options([left, right])
+    assert [arm["port"] for arm in options["arms"].values()] == [7511, 7512]
+    assert (options["host"], options["parameters"], options["fused"]) == ("127.0.0.1", 7513, 7514)
+    assert [arm["port"] for arm in labcomm_options([right])["arms"].values()] == [7512]
+    six = labcomm_options([robots.load("irb2400")])
+    assert (six["fused"], six["arms"]["irb2400"]["port"]) == (None, 7511)
+    with pytest.raises(ConfigError, match="each of 1 arms"):
+        labcomm_options([left], ports=[1, 2])
+
+
+def test_a_loop_that_has_gone_ends_the_process(robot: Robot) -> None:
+    exchange = Exchange([robot], ["labcomm"])
+    feed = exchange.open("labcomm")
+    feed.recv(2**17)
+    exchange.close()
+    with pytest.raises(LinkError, match="Start it again"), feed:
+        LabCommProcess(feed, labcomm_options([robot])).run()
+
+
+def test_it_is_one_of_the_bridge_s_servers(robot: Robot) -> None:
+    exchange = Exchange([robot], ["labcomm"])
+    options = labcomm_options([robot], ports=[0], parameters=0, fused=None)
+    with Servers(exchange, {"labcomm": server_command("labcomm", options)}) as servers:
+        where = servers.ready()
+        assert [text.partition(" ")[2] for text in where] == [f"(labcomm, {robot.name})", "(labcomm, parameters)"]
+        with LabCommClient(port=int(where[0].partition(" ")[0].rpartition(":")[2])) as client:
+            until(lambda: exchange.row(state(robot), None, TICK) or client.rows(0.0))
