@@ -49,12 +49,22 @@ def test_a_command_is_given_until_it_is_stale(monkeypatch: pytest.MonkeyPatch) -
 
     clock = Clock()
     monkeypatch.setattr(module, "time", clock)
-    commander = Commander()
-    assert commander(state("a")) is None
-    commander.take("left", Row(1, np.ones(7), np.zeros(7)), "client")
-    command = commander(state("a"))
+    commander, now = Commander(), state("a")
+    assert commander(now) is None
+    commander.take("left", Row(1, now.q + 0.06, np.zeros(7)), "client")
+    assert (commander(now), commander.refused) == (None, 1), "too far to begin"
+    commander.take("left", Row(1, now.q + 0.04), "client")
+    assert commander(now) is not None
+    commander.take("left", Row(1, now.q + 0.5), "client")
+    command = commander(now)
     assert command is not None
     assert command.q is not None
-    assert command.q.tolist() == [1.0] * 7
+    assert np.allclose(command.q, now.q + 0.5), "the limits of the loop see to the rest"
+    commander.take("left", Row(1, now.q + 0.5), "another client")
+    assert commander(now) is None
+    commander.take("left", Row(1, now.q), "client")
     clock.now += 0.11
-    assert commander(state("a")) is None
+    assert commander(now) is None
+    commander.take("left", Row(1, now.q + 0.06), "client")
+    assert commander(now) is None
+    assert commander.refused == 3

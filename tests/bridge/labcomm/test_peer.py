@@ -40,6 +40,20 @@ def test_a_full_queue_loses_the_oldest_data_and_no_definition(pair: tuple[Peer, 
     assert data == expected
 
 
+def test_newer_data_replaces_what_waits(pair: tuple[Peer, socket.socket]) -> None:
+    peer, other = pair
+    peer.push(b"DEF", may_drop=False)
+    peer.push(b"old")
+    peer.clear()
+    peer.push(b"new")
+    assert peer.flush()
+    assert peer.dropped == 1
+    data = b""
+    while len(data) < 6:
+        data += other.recv(6)
+    assert data == b"DEFnew"
+
+
 def test_a_peer_that_takes_nothing_is_overdue(pair: tuple[Peer, socket.socket]) -> None:
     peer, other = pair
     for _ in range(200):

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from armlab.bridge.labcomm import ArmChannel, FusedChannel, LabCommServer, ParameterChannel, Row, RowTypes
@@ -156,6 +157,15 @@ def test_a_callback_that_raises_stops_nobody(start: Start) -> None:
     until(lambda: any("RuntimeError: broken" in text for text in one.said))
     one.server.row("left", row(1))
     client.read(3)
+
+
+def test_a_row_of_another_shape_stops_nobody(start: Start) -> None:
+    one = start(ArmChannel("left", 0))
+    client = one.client("left")
+    one.server.row("left", Row(1, np.zeros(3)))
+    one.server.row("left", row(2))
+    assert client.read(3)[-1].value["tm"] == 2
+    assert any("a row was not sent" in text for text in one.said)
 
 
 def test_noise_closes_the_connection_that_makes_it(start: Start) -> None:

@@ -112,6 +112,8 @@ class LabCommClient:
     def command(self, row: Row) -> None:
         """Send a command to the arm: a position, and a velocity and a torque where they are given.
 
+        Commands that could not be sent yet are dropped for it.
+
         Parameters
         ----------
         row : `tm` is that of the row it answers; joints in kinematic order.
@@ -120,6 +122,7 @@ class LabCommClient:
         ------
         LabCommError : a wrong number of joints. LinkError : the connection is gone.
         """
+        self._peer.clear()
         self.send(self._types.accepted, self._types.value(row, self._types.accepted))
 
     def events(self, seconds: float) -> list[Event]:

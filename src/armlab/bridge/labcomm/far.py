@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+import select
 import socket
 import struct
 import time
@@ -77,6 +78,8 @@ class RowPort:
         self._form = struct.Struct(f">Ii{3 * types.n}d")
         Encoder(dialect)
         self._socket = connected(host, port, _PATIENCE)
+        self._address = self._socket.getpeername()
+        self._fresh: socket.socket | None = None  # a connection that was begun
         self._rows: deque[Arrival] = deque()
         self._count, self._retry = 0, math.inf
         self._peer: Peer | None = self._greeted()
@@ -88,6 +91,8 @@ class RowPort:
     def close(self) -> None:
         """Close the connection."""
         self._socket.close()
+        if self._fresh is not None:
+            self._fresh.close()
 
     def receive(self) -> Arrival | None:
         """Return the next row as a packet for `RowCodec`, or None when there is none."""
@@ -102,7 +107,7 @@ class RowPort:
                 break
 
     def send(self, data: bytes, to: tuple[str, int]) -> bool:
-        """Queue one command and send what the system takes. Return whether there is a connection.
+        """Send one command; those that could not be sent yet are dropped for it. Return whether there is a connection.
 
         Parameters
         ----------
@@ -110,6 +115,7 @@ class RowPort:
         """
         if self._peer is None:
             return False
+        self._peer.clear()
         self._peer.push(data)
         if self._peer.flush():
             return True
@@ -158,19 +164,25 @@ class RowPort:
             os.dup2(idle.fileno(), self._socket.fileno(), inheritable=False)
 
     def _connect_again(self) -> None:
-        if time.monotonic() < self._retry:
+        """Begin a connection when it is time, and see whether one that was begun is there. Never waits."""
+        now = time.monotonic()
+        if self._fresh is None:
+            if now >= self._retry:
+                self._retry = now + _AGAIN
+                self._fresh = socket.socket(self._socket.family, socket.SOCK_STREAM)
+                self._fresh.setblocking(False)
+                self._fresh.connect_ex(self._address)
             return
-        self._retry = time.monotonic() + _AGAIN
-        try:
-            family, kind, protocol, _, address = socket.getaddrinfo(self.host, self.port, type=socket.SOCK_STREAM)[0]
-            with socket.socket(family, kind, protocol) as fresh:
-                fresh.settimeout(0.2)
-                fresh.connect(address)
-                os.dup2(fresh.fileno(), self._socket.fileno(), inheritable=False)
-        except OSError:
-            self.errors += 1
+        _, is_done, _ = select.select([], [self._fresh], [], 0.0)
+        if not is_done and now < self._retry:
             return
-        self._peer = self._greeted()
+        failed = not is_done or self._fresh.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+        if not failed:
+            os.dup2(self._fresh.fileno(), self._socket.fileno(), inheritable=False)
+            self._peer = self._greeted()
+        self._fresh.close()
+        self._fresh = None
+        self.errors += bool(failed)
 
 
 class RowCodec:

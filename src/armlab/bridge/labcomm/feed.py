@@ -5,6 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 
+import numpy as np
+
 from armlab.bridge.labcomm.channels import FusedArm
 from armlab.bridge.labcomm.rows import Row
 from armlab.bridge.labcomm.server import LabCommServer
@@ -14,6 +16,7 @@ from armlab.state import Command, State
 __all__ = ["Commander", "RowFeed"]
 
 _LEASE = 0.1  # s after which a command is stale
+_ENTRY = 0.05  # rad between the arm and the first command of a client
 
 
 class RowFeed:
@@ -61,11 +64,18 @@ class RowFeed:
 class Commander:
     """A controller whose commands come from the client that holds the arm; it holds while there is none.
 
+    A client that begins, or begins again after 100 ms of silence, must do so within 0.05 rad of where the arm is.
     Pass `take` to an `ArmChannel` as `on_command`, and the object itself to ``Link.run``.
+
+    Attributes
+    ----------
+    refused : commands that would have begun too far away.
     """
 
     def __init__(self) -> None:
-        self._newest: tuple[Row, float] | None = None
+        self._newest: tuple[Row, str, float] | None = None
+        self._obeyed = ""
+        self.refused = 0
 
     def take(self, name: str, row: Row, client: str) -> None:
         """Take a command; only the newest counts.
@@ -74,12 +84,18 @@ class Commander:
         ----------
         name : of the channel. row : the command. client : who holds the arm.
         """
-        self._newest = (row, time.monotonic())
+        self._newest = (row, client, time.monotonic())
 
     def __call__(self, state: State) -> Command | None:
-        """Return the newest command, None when it is older than 100 ms."""
+        """Return the newest command, None when it is older than 100 ms or begins too far away."""
         newest = self._newest
-        if newest is None or time.monotonic() - newest[1] > _LEASE:
+        if newest is None or time.monotonic() - newest[2] > _LEASE:
+            self._obeyed = ""
             return None
-        row = newest[0]
+        row, client, _ = newest
+        if client != self._obeyed:
+            if row.q is None or np.abs(row.q - state.q).max() > _ENTRY:
+                self.refused += 1
+                return None
+            self._obeyed = client
         return Command(row.q, row.qd, row.tau)

@@ -73,6 +73,12 @@ class Peer:
                 return
         queue.append((packet, may_drop))
 
+    def clear(self) -> None:
+        """Drop the data that waits, for something newer: an old command is worse than none."""
+        kept = [entry for entry in self._queue if not entry[1]]
+        self.dropped += len(self._queue) - len(kept)
+        self._queue = deque(kept)
+
     def flush(self) -> bool:
         """Send what the system takes, one write per packet. Return False when the connection is gone."""
         while self._rest or self._queue:

@@ -192,12 +192,12 @@ class LabCommServer:
         address, peers = f"{host}:{port}", self._peers[channel.name]
         if len(peers) >= _CLIENTS:
             connection.close()
-            self._on_event(f"{channel.name}: {address} was closed, {_CLIENTS} clients are connected.", warn=True)
+            self._tell(f"{channel.name}: {address} was closed, {_CLIENTS} clients are connected.", warn=True)
             return
         peer = Peer(connection, address, None if channel.follows_client else Encoder(channel.dialect))
         peers.append(peer)
         self._selector.register(connection, selectors.EVENT_READ, (channel, peer))
-        self._on_event(f"{channel.name}: {address} connected.")
+        self._tell(f"{channel.name}: {address} connected.")
         if peer.encoder is None:
             self._unknown.append((channel, peer, peer.began + _SNIFF))
         else:
@@ -218,7 +218,7 @@ class LabCommServer:
                     channel.take(peer, event, self._peers[channel.name])
                 except Exception as error:  # of the user's callback: the thread serves other clients too
                     what = f"{type(error).__name__}: {error}"
-                    self._on_event(f"{channel.name}: what {peer.address} sent was not taken, {what}", warn=True)
+                    self._tell(f"{channel.name}: what {peer.address} sent was not taken, {what}", warn=True)
             if events is None or reason:
                 self._drop(channel, peer, reason)
             if events:
@@ -234,8 +234,8 @@ class LabCommServer:
             name, item = self._published.popleft()
             try:
                 self._channels[name].put(item, self._peers[name])
-            except LabCommError as error:
-                self._on_event(f"{name}: a row was not sent. {error}", warn=True)
+            except Exception as error:  # a row of another shape: the thread goes on for the next
+                self._tell(f"{name}: a row was not sent, {type(error).__name__}: {error}", warn=True)
             self._flush_all(self._channels[name])
 
     def _look(self, now: float) -> None:
@@ -284,7 +284,11 @@ class LabCommServer:
         channel.left(peer)
         why = f" was closed, {reason.rstrip('.')}" if reason else " left"
         lost = f"; {peer.dropped} packets were dropped for it" if peer.dropped else ""
-        self._on_event(f"{channel.name}: {peer.address}{why}{lost}.", warn=bool(reason))
+        self._tell(f"{channel.name}: {peer.address}{why}{lost}.", warn=bool(reason))
+
+    def _tell(self, text: str, warn: bool = False) -> None:
+        with contextlib.suppress(Exception):  # who cannot log must not end the server
+            self._on_event(text, warn)
 
     def _close_sockets(self) -> None:
         for peers in self._peers.values():

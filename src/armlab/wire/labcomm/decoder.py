@@ -7,10 +7,9 @@ first. Faults are reported at the field where they are, before anything is built
 
 from __future__ import annotations
 
-from collections.abc import Generator
-
 from armlab.errors import LabCommError
 from armlab.wire.labcomm._definition import Head, definition, value_end
+from armlab.wire.labcomm._opening import HEADER, opening, version
 from armlab.wire.labcomm._read import Cursor, decoded
 from armlab.wire.labcomm._source import Cut, Source, Walk, number
 from armlab.wire.labcomm._tables import Known, Tables
@@ -23,7 +22,6 @@ from armlab.wire.labcomm.signature import FIRST_INDEX
 __all__ = ["Decoder"]
 
 _KINDS: dict[int, Kind] = {SAMPLE_DEF: "sample", SAMPLE_REF: "ref", TYPE_DEF: "type"}
-_HEADER = 10  # bytes of a tag and a length at most
 
 
 class Decoder:
@@ -115,70 +113,16 @@ class Decoder:
         return self._source.at
 
     def _run(self) -> Walk:
-        dialect = yield from self._begin()
+        start = yield from opening(self._source, self._given, self._require_version, self._limits)
+        dialect = self._dialect = start.dialect
+        self._undecided = start.is_undecided
+        self._events += start.events
         while True:
             if dialect.lengths:
                 yield from self._packets(dialect)
                 dialect = self._dialect or dialect
             else:
                 yield from self._bare(dialect)
-
-    def _begin(self) -> Generator[None, None, Dialect]:
-        """Tell the dialect from the first byte, and read the announcement of 2013."""
-        source, given = self._source, self._given
-        yield from source.need(1)
-        first = source.buf[0]
-        if given is None:
-            guess = {0x00: DIALECTS["2006"], 0x01: DIALECTS["2014"], 0x0B: DIALECTS["2013"]}.get(first)
-            if guess is None:
-                raise _bad(0, "the beginning of a LabComm stream (00, 01 or 0b)", f"{first:02x}")
-        else:
-            guess = given
-            announces = {"2013": 0x0B, "2006": first}.get(given.name, VERSION)
-            if first != announces:
-                if self._require_version:
-                    raise _bad(0, f"the VERSION of {given.name}", f"{first:02x}")
-                return guess
-        if guess.name == "2013":
-            yield from source.need(12)
-            if source.slice(1, 12) != guess.version.encode():
-                raise _bad(0, guess.version, repr(source.slice(1, 12)))
-            self._events.append(Version(guess.version))
-            source.at = 12
-        elif guess.name != "2006":
-            yield from self._version(guess)
-            return self._dialect or guess
-        self._dialect = guess
-        return guess
-
-    def _version(self, guess: Dialect, again: bool = False) -> Walk:
-        """Walk over VERSION; its string counts, the declared length may be one too large."""
-        source, end = self._source, self._source.at + 2 * _HEADER + self._limits.packet
-        _, pos = yield from number(source, source.at, end, wide=False)
-        where = pos
-        declared, pos = yield from number(source, pos, end, wide=False)
-        begin = pos
-        size, pos = yield from number(source, pos, end, wide=False)
-        if size > self._limits.version:
-            raise _bad(begin, f"a VERSION of at most {self._limits.version} bytes", f"{size} bytes")
-        yield from source.need(pos + size)
-        raw, stop = source.slice(pos, pos + size), pos + size
-        wanted = {guess.version}
-        if self._given is None and not again:
-            wanted = {dialect.version for dialect in DIALECTS.values() if dialect.lengths}
-        text = raw.decode("ascii", "replace")
-        if text not in wanted:
-            raise _bad(begin, " or ".join(sorted(wanted)), repr(text))
-        extra = declared - (stop - begin)
-        if extra not in (0, 1):
-            raise _bad(where, f"a length of {stop - begin}", str(declared))
-        if not again:
-            if self._given is None and text == DIALECTS["2014v1"].version:
-                guess = DIALECTS["2014v1"]
-            self._undecided = self._given is None and guess.name == "2014" and not extra
-            self._dialect = DIALECTS["2014old"] if guess.name == "2014" and extra else guess
-        self._events.append(Version(text))
-        source.at = stop
 
     def _packets(self, dialect: Dialect) -> Walk:
         """Walk over packets with lengths until the dialect changes (2014 turns out to be 2014i).
@@ -210,7 +154,8 @@ class Decoder:
             if length > limits.packet:
                 raise _bad(offset, f"a packet of at most {limits.packet} bytes", f"{length}")
             if tag == VERSION:
-                yield from self._version(dialect, again=True)
+                text, _ = yield from version(source, {dialect.version}, limits)
+                self._events.append(Version(text))
                 continue
             known = self._tables.known.get(tag)
             if known is not None and not dialect.trusted:
@@ -293,7 +238,7 @@ class Decoder:
         """Walk over one packet without a length."""
         source, limits = self._source, self._limits
         start = source.at
-        tag, pos = yield from number(source, start, start + _HEADER, dialect.wide)
+        tag, pos = yield from number(source, start, start + HEADER, dialect.wide)
         known = self._tables.known.get(tag)
         if known is not None:
             yield from self._measured(known, dialect, pos)
