@@ -238,3 +238,17 @@ def play(robot: Robot) -> Iterator[Play]:
         link.close()
     for peer in made.peers:
         peer.socket.close()
+
+
+@pytest.fixture
+def make_peer() -> Iterator[Callable[[Robot, int], Peer]]:
+    """Return what makes peers that are closed after the test."""
+    made: list[Peer] = []
+
+    def make(robot: Robot, port: int) -> Peer:
+        made.append(Peer(robot, port))
+        return made[-1]
+
+    yield make
+    for peer in made:
+        peer.socket.close()

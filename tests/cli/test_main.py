@@ -20,11 +20,11 @@ def test_help_lists_every_command_on_standard_output() -> None:
     result = run("--help")
     assert result.returncode == 0
     assert result.stderr == ""
-    for name in ("demo", "sim", "run", "record", "excite", "identify", "estimate", "payload", "log", "robot"):
+    for name in ("demo", "sim", "doctor", "run", "record", "excite", "identify", "estimate", "payload", "log", "robot"):
         assert name in result.stdout
 
 
-@pytest.mark.parametrize("name", ["run", "record", "excite", "identify", "estimate", "payload"])
+@pytest.mark.parametrize("name", ["doctor", "run", "record", "excite", "identify", "estimate", "payload"])
 def test_help_of_a_command_ends_with_an_example_that_is_right(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main([name, "--help"]) == 0
     words = capsys.readouterr().out.rpartition("Example: armlab ")[2].split()  # in one line, or broken into two

@@ -28,6 +28,7 @@ FAILED, WRONG_USE, SKIPPED, INTERRUPTED = 1, 2, 3, 130
 _COMMANDS = {
     "demo": ("demo:demo", "Simulated YuMi, from excitation to the estimated force of a hand. No robot needed."),
     "sim": ("sim:sim", "Simulated arms and a simulated controller that speaks EGM."),
+    "doctor": ("doctor:doctor", "Check computer, network and robot before a run. Sends nothing to a robot."),
     "run": ("run:run", "Run a controller of yours, from a file, against a robot; record a log."),
     "record": ("record:record", "Record what robots send, also while led by hand. Sends nothing."),
     "excite": ("excite:excite", "Design a motion that tells all parameters apart; run it and record a log."),
@@ -40,6 +41,7 @@ _COMMANDS = {
 
 
 _EXAMPLES = {
+    "doctor": "armlab doctor yumi_left yumi_right --port 6511,6512 --seconds 10",
     "run": "armlab run yumi_left sine.py:sine --link egm://0.0.0.0:6510 --speed 0.1 --seconds 10",
     "record": "armlab record yumi_left yumi_right --port 6511,6512 --lead-through -o run.mcap",
     "excite": "armlab excite yumi_left -o motion.csv --run sim://yumi_left --log excite.mcap",

@@ -1,0 +1,117 @@
+"""``armlab doctor``: is everything ready for a robot? Sends nothing to one."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from armlab.bridge.findings import Finding
+
+__all__ = ["disk", "doctor"]
+
+_ROW_BYTES = 1500  # of a recording per packet of seven joints, rounded up
+_PACKETS = 250 * 3600  # per hour
+_LEAST_HOURS = 1.0
+_LEAST_SPEED = 5e6  # bytes per second: ten times what two arms write
+_BLOCK = bytes(1 << 20)
+_LONGEST_SYNC = 0.5  # s: the recorder syncs every 0.8 s
+
+
+def doctor(
+    *robot: str,
+    port: str | None = None,
+    seconds: float = 5.0,
+    json: bool = False,
+) -> int:
+    """Check computer, network and robot, one line each: verdict, what was found, what to do.
+
+    Listens on the ports and sends nothing to a robot. Exit codes: 0 all is well, 3 warnings, 1 failures.
+
+    Parameters
+    ----------
+    robot : str
+        What is expected at each port: names in the library, or robot files, to compare axes and posture with.
+    port : str
+        UDP ports, separated by commas; 6510, 6511 and 6512 when not given, or as `armlab record` for these robots.
+    seconds : float
+        How long to listen.
+    json : bool
+        Print JSON for scripts.
+    """
+    from armlab import robots
+    from armlab.bridge.doctor import examine
+    from armlab.cli import FAILED, SKIPPED
+    from armlab.cli.output import note, print_json, result
+
+    arms = [robots.load(name) for name in robot]
+    ports = _ports(port, len(arms))
+    note(f"Listening for {seconds:g} s; nothing is sent to a robot.")
+    findings = [*examine(ports, seconds, arms), disk(Path.cwd())]
+    if json:
+        print_json([asdict(finding) for finding in findings])
+    else:
+        result("\n".join(_lines(findings)))
+    verdicts = {finding.verdict for finding in findings}
+    return FAILED if "failure" in verdicts else SKIPPED if "warning" in verdicts else 0
+
+
+def disk(
+    folder: Path,
+    sync: Callable[[int], None] = os.fsync,
+    free: Callable[[Path], int] = lambda folder: shutil.disk_usage(folder).free,
+) -> Finding:
+    """Measure the disk on which a log would be written: speed, how long a sync takes, hours of room.
+
+    Parameters
+    ----------
+    folder : of the log. sync : brings a file to the disk. free : bytes left.
+    """
+    from armlab.bridge.findings import Finding
+
+    syncs: list[float] = []
+    try:
+        with tempfile.TemporaryFile(dir=folder) as file:
+            start = time.perf_counter()
+            for _ in range(20):
+                file.write(_BLOCK)
+                file.flush()
+                before = time.perf_counter()
+                sync(file.fileno())
+                syncs.append(time.perf_counter() - before)
+            speed = 20 * len(_BLOCK) / (time.perf_counter() - start)
+    except OSError as error:
+        return Finding("disk", "failure", f"{folder} cannot be written ({error.strerror})", "Choose another folder.")
+    hours = free(folder) / (_ROW_BYTES * _PACKETS)
+    value = f"{1e-6 * speed:.0f} MB/s, sync {1e3 * max(syncs):.1f} ms at most, room for {hours:.0f} h of one arm"
+    bad = hours < _LEAST_HOURS or speed < _LEAST_SPEED or max(syncs) > _LONGEST_SYNC
+    advice = "Record to a local disk with room: rows that cannot be written in time are lost, and counted."
+    return Finding.judged("disk", "warning", bad, value, advice)
+
+
+def _ports(port: str | None, robots: int) -> list[int] | None:
+    from armlab.errors import ConfigError
+
+    if port is None:
+        return None if not robots else [6510] if robots == 1 else [6511 + i for i in range(robots)]
+    words = [word.strip() for word in port.split(",")]
+    if not all(word.isascii() and word.isdigit() for word in words):
+        raise ConfigError(f"Expected ports such as --port 6511,6512, got {port!r}.")
+    return [int(word) for word in words]
+
+
+def _lines(findings: list[Finding]) -> list[str]:
+    width = max(len(finding.name) for finding in findings)
+    lines: list[str] = []
+    for finding in findings:
+        lines.append(f"{finding.verdict:7}  {finding.name:{width}}  {finding.value}")
+        if finding.advice:
+            lines.append(f"{'':7}  {'':{width}}  -> {finding.advice}")
+    counts = [f"{sum(f.verdict == verdict for f in findings)} {verdict}" for verdict in ("ok", "warning", "failure")]
+    return [*lines, ", ".join(counts)]

@@ -1,0 +1,109 @@
+"""armlab doctor: one line per check, exit codes, and the simulated controller seen from outside."""
+
+from __future__ import annotations
+
+import json
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from armlab.bridge.findings import Finding
+from armlab.cli import main
+from armlab.cli.doctor import disk, doctor
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
+        one.bind(("0.0.0.0", 0))
+        return one.getsockname()[1]
+
+
+@contextmanager
+def simulated(port: int, *words: str) -> Iterator[None]:
+    """Run `armlab sim`, streaming."""
+    command = [sys.executable, "-m", "armlab", "sim", "yumi_left", "--to", f"127.0.0.1:{port}", "--stream", "1000"]
+    with subprocess.Popen([*command, *words], stderr=subprocess.DEVNULL) as process:
+        try:
+            yield
+        finally:
+            process.terminate()
+
+
+def test_the_simulated_controller(capsys: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Streaming and not guided: a warning. It takes about three seconds to start."""
+    monkeypatch.setattr("armlab.bridge.doctor.machine", lambda seconds: [])
+    port = free_port()
+    with simulated(port):
+        code = main(["doctor", "yumi_left", "--port", str(port), "--seconds", "4", "--json"])
+    found = {entry["name"]: entry for entry in json.loads(capsys.readouterr().out)}
+    assert code == 3
+    assert found[f"port {port}, first packet"]["value"] == "RobotWare 6.10, 7 axes"
+    assert "guidance has not begun" in found[f"port {port}, guidance"]["value"]
+    assert found[f"port {port}, guidance"]["verdict"] == "warning"
+    assert "period 4.03" in found[f"port {port}, timing"]["value"]
+    assert found[f"port {port}, senders"]["verdict"] == "ok"
+    assert found[f"port {port}, posture"]["verdict"] == "ok"
+
+
+@pytest.mark.parametrize(("verdicts", "code"), [(["ok"], 0), (["ok", "warning"], 3), (["warning", "failure", "ok"], 1)])
+def test_exit_codes_and_lines(
+    verdicts: list[Any], code: int, monkeypatch: pytest.MonkeyPatch, capsys: Any, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    findings = [Finding(f"check {i}", verdict, "seen", "do it") for i, verdict in enumerate(verdicts)]
+    monkeypatch.setattr("armlab.bridge.doctor.examine", lambda *arguments: findings)
+    monkeypatch.setattr("armlab.cli.doctor.disk", lambda folder: Finding("disk", "ok", "fast"))
+    assert main(["doctor"]) == code
+    said = capsys.readouterr()
+    assert said.out.count("-> do it") == len(verdicts)
+    for i, verdict in enumerate(verdicts):
+        assert f"{verdict:7}  check {i}" in said.out
+    assert "nothing is sent" in said.err
+
+
+def test_ports_follow_the_robots(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+    asked: list[Any] = []
+    monkeypatch.setattr("armlab.bridge.doctor.examine", lambda ports, *rest: asked.append(ports) or [])
+    for words in ([], ["yumi_left"], ["yumi_left", "yumi_right"], ["--port", "7000, 7001"]):
+        main(["doctor", *words])
+    assert asked == [None, [6510], [6511, 6512], [7000, 7001]]
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [(["--port", "egm"], "such as --port"), (["--seconds", "-1"], "Expected seconds"), (["yumi"], "Did you mean")],
+)
+def test_refusals(words: list[str], sentence: str, capsys: Any) -> None:
+    assert main(["doctor", *words]) == 1
+    assert sentence in capsys.readouterr().err
+    assert doctor.__doc__
+
+
+def test_disk(tmp_path: Path) -> None:
+    good = disk(tmp_path, lambda number: None, lambda folder: 10**12)
+    assert good.verdict == "ok"
+    assert "room for" in good.value
+    full = disk(tmp_path, lambda number: None, lambda folder: 10**6)
+    assert full.verdict == "warning"
+    assert "room for 0 h" in full.value
+    assert disk(tmp_path / "none").verdict == "failure"
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_disk_that_is_slow_to_sync(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [0.0]
+    monkeypatch.setattr("armlab.cli.doctor.time.perf_counter", lambda: now[0])
+
+    def sync(number: int) -> None:
+        now[0] += 0.6
+
+    found = disk(tmp_path, sync, lambda folder: 10**12)
+    assert found.verdict == "warning"
+    assert "sync 600.0 ms" in found.value
