@@ -196,7 +196,7 @@ class Pair(Play):
 
     def link(self, clock: Any = "robot", **options: Any) -> Link:
         urls = ["egm://127.0.0.1:0"] * 2
-        link = bridge.connect(urls, self.robots, clock=clock, patience=PATIENCE, **options)
+        link = bridge.connect(urls, self.robots, clock=clock, **{"patience": PATIENCE, **options})
         self.links.append(link)
         return link
 
