@@ -49,6 +49,8 @@ def test_the_newest_is_answered_and_both_are_recorded(arm: Arm, packets: Any) ->
     assert arm.newest is second
     arm.reply(second, None, arm.guide.answer(None, arm.period))
     assert (arm.replies, arm.overtaken) == (1, 1)
+    assert len(arm.recording.table()) == 0
+    arm.record()
     table = arm.recording.table()
     np.testing.assert_array_equal(table["seq"], [0, 1])
     np.testing.assert_array_equal(np.isfinite(table["seq_sent"].astype(float)), [False, True])

@@ -47,6 +47,8 @@ def force() -> Iterator[Sender]:
 
 def test_the_newest_counts_and_gaps_are_counted(force: Sender) -> None:
     assert force.source.newest() is None
+    force(PACK.pack(2, 20, *np.zeros(6)))
+    force.source.newest()
     force(*(PACK.pack(seq, 10 * seq, *np.arange(6.0) + seq) for seq in (3, 4, 7)))
     reading = force.source.newest()
     assert reading is not None
@@ -77,7 +79,7 @@ def test_json() -> None:
 def test_any_datagram_is_a_reading_or_a_drop(data: bytes) -> None:
     for layout in (LAYOUT, "json"):
         source = UdpSource("force", FIELDS, 0.001, 0, layout)  # type: ignore[arg-type]
-        source._take(data, 1)
+        source._take(data, 1, 1)
         assert (source.newest() is None) == (source.drops == 1)
 
 

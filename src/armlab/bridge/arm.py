@@ -34,6 +34,18 @@ class Turn(NamedTuple):
     state: State
 
 
+class _Row(NamedTuple):
+    """What is recorded of a packet: by default one that was overtaken."""
+
+    turn: Turn
+    command: Command | None = None
+    reply: Reply | None = None
+    seq: int = -1
+    send_ns: int = -1
+    call_ns: int = 0
+    late: bool = False
+
+
 class Arm:
     """One arm of a loop: everything that concerns it alone. Its methods are called under the loop's lock.
 
@@ -73,6 +85,7 @@ class Arm:
         self._supervisor = Supervisor(port, session, guide, settings, recording.event)
         self._wall_ns, self._heard_ns, self._robot_ns = wall_ns, time.monotonic_ns(), 0
         self._surpassed: list[Turn] = []
+        self._rows: list[_Row] = []
         self._rehearsal, self._arrival = rehearsal, None
         self._answered: Command | None = None
         self._given: Command | None = None
@@ -161,7 +174,7 @@ class Arm:
     def reply(
         self, turn: Turn, command: Command | None, reply: Reply | None, *, call_ns: int = 0, late: bool = False
     ) -> None:
-        """Send the one reply to a packet, then record it and those it has overtaken.
+        """Send the one reply to a packet; `record` later records it and those it has overtaken.
 
         Parameters
         ----------
@@ -187,9 +200,9 @@ class Arm:
         self.late += late
         for older in self._surpassed:
             self.overtaken += 1
-            self._record(older, None, None, -1, -1, 0, late=False)
+            self._rows.append(_Row(older))
         self._surpassed.clear()
-        self._record(turn, command, reply if send_ns >= 0 else None, seq, send_ns, call_ns, late)
+        self._rows.append(_Row(turn, command, reply if send_ns >= 0 else None, seq, send_ns, call_ns, late))
 
     def rehearse(self) -> None:
         """Do the work of the last packet once more; see `rehearsal`."""
@@ -197,31 +210,25 @@ class Arm:
             self._rehearsal(self._arrival, self._answered)
             self._arrival = None
 
-    def _record(
-        self,
-        turn: Turn,
-        command: Command | None,
-        reply: Reply | None,
-        seq: int,
-        send_ns: int,
-        call_ns: int,
-        late: bool,
-    ) -> None:
-        sample, wall_ns = turn.sample, self._wall_ns
-        tick = Tick(
-            number=self._ticks,
-            seq_sent=seq,
-            stamp_ns=self.stamp(sample),
-            receive_ns=wall_ns + sample.arrival_ns,
-            send_ns=send_ns if send_ns < 0 else wall_ns + send_ns,
-            step_ns=call_ns,
-            late=late,
-            drops=self.session.total_drops,
-            q_sent=None if reply is None else reply.q,
-            qd_sent=None if reply is None else reply.qd,
-            tau_sent=None if reply is None else reply.tau,
-            clamped=None if reply is None else reply.clamped,
-            record=self._fusion.record(turn.state.sources, sample.arrival_ns),
-        )
-        self._ticks += 1
-        self.recording.row(turn.state, command, tick)
+    def record(self) -> None:
+        """Record what was answered or overtaken since the last call: when no reply has to wait for that."""
+        for row in self._rows:
+            sample, reply, wall_ns = row.turn.sample, row.reply, self._wall_ns
+            tick = Tick(
+                number=self._ticks,
+                seq_sent=row.seq,
+                stamp_ns=self.stamp(sample),
+                receive_ns=wall_ns + sample.arrival_ns,
+                send_ns=row.send_ns if row.send_ns < 0 else wall_ns + row.send_ns,
+                step_ns=row.call_ns,
+                late=row.late,
+                drops=self.session.total_drops,
+                q_sent=None if reply is None else reply.q,
+                qd_sent=None if reply is None else reply.qd,
+                tau_sent=None if reply is None else reply.tau,
+                clamped=None if reply is None else reply.clamped,
+                record=self._fusion.record(row.turn.state.sources, sample.arrival_ns),
+            )
+            self._ticks += 1
+            self.recording.row(row.turn.state, row.command, tick)
+        self._rows.clear()

@@ -158,6 +158,7 @@ def finished(arms: Sequence[Arm], reason: str) -> Run:
     """
     runs = []
     for arm in arms:
+        arm.record()
         counted = statistics(arm, reason)
         problems = arm.recording.close(counted)
         events = tuple(arm.recording.events)

@@ -317,7 +317,9 @@ class LocalFeed:
             try:
                 data = self._socket.recv(_LARGEST)
             except TimeoutError:
-                raise LinkError("Expected a message of the bridge in time, but none came. See whether it runs.") from None
+                raise LinkError(
+                    "Expected a message of the bridge in time, but none came. See whether it runs."
+                ) from None
             except OSError:
                 data = b""
             if not data:

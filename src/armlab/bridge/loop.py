@@ -104,6 +104,7 @@ class Loop:
                         self._serve_others()
             if turn is not None and asks:
                 self._call(turn)
+            self._record()
             self._look(turn is None)
             self._after()
 
@@ -126,6 +127,11 @@ class Loop:
             if turn is not None:
                 pace.reply(turn, None, pace.guide.hold(pace.period), late=True)
             self._serve_others()
+            self._record()
+
+    def _record(self) -> None:
+        for arm in self._arms:
+            arm.record()
 
     def _may_ask(self, turn: Turn) -> bool:
         """Whether the controller is called for this packet: all arms are ready and nothing that it needs is stale."""

@@ -92,6 +92,7 @@ class Source:
         if taken:
             raise ConfigError(f"Expected other names than those of the log's own columns, got {', '.join(taken)}.")
         self.fields = {field: column.resolved(field) for field, column in fields.items()}
+        self._missing = {field: np.full(column.shape, np.nan) for field, column in fields.items()}
         self.max_age = max(3.0 * period, _DEFAULT_AGE) if max_age is None else float(max_age)
         self.problem, self.now_ns = "", 0
 
@@ -122,7 +123,7 @@ class Source:
         checked = {}
         for name, column in self.fields.items():
             try:
-                array = np.array(given.get(name, np.full(column.shape, np.nan)), dtype=np.float64)
+                array = np.array(given[name] if name in given else self._missing[name], dtype=np.float64)
             except (TypeError, ValueError) as error:
                 raise ConfigError(f"Expected numbers in {name} of the source {self.name!r} ({error}).") from error
             if array.shape != column.shape:

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from armlab.bridge.port import Port
+from armlab.bridge.port import Arrival, Port
 from armlab.bridge.sources import Reading, Source
 from armlab.errors import ConfigError
 from armlab.log import Column
@@ -33,7 +33,7 @@ class UdpSource(Source):
 
     Attributes
     ----------
-    drops : datagrams that could not be read.
+    drops : datagrams that could not be read; those before a newer one in the same tick are not looked at.
 
     Raises
     ------
@@ -75,26 +75,31 @@ class UdpSource(Source):
 
     def newest(self) -> Reading | None:
         """Return the latest reading, None before the first."""
-        for _ in range(_DRAINED):
-            arrival = None if self._port is None else self._port.receive()
+        waiting: list[Arrival] = []
+        while self._port is not None and len(waiting) < _DRAINED:
+            arrival = self._port.receive()
             if arrival is None:
                 break
-            self._take(arrival.data, arrival.ns)
+            waiting.append(arrival)
+        while waiting and not self._take(waiting[-1].data, waiting[-1].ns, len(waiting)):
+            waiting.pop()
         return self._newest
 
-    def _take(self, data: bytes, receive_ns: int) -> None:
+    def _take(self, data: bytes, receive_ns: int, count: int) -> bool:
+        """Read the newest of `count` datagrams, so that those before it cost nothing. Return whether that went well."""
         last = self._newest
         try:
             given = self._json(data) if self._layout is None else self._numbers(data, self._layout)
-            seq = int(given.pop("seq", 0 if last is None else last.seq + 1))
+            seq = int(given.pop("seq", 0 if last is None else last.seq + count))
             stamp_ns = int(given.pop("stamp_ns", 0))
             values = self.values(given)
         except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
             self.drops += 1
             self.problem = self.problem or f"a datagram could not be read, {type(error).__name__}: {error}"
-            return
-        lost = 0 if last is None else max(seq - last.seq - 1, 0)  # a restart of the numbers loses nothing
+            return False
+        lost = 0 if last is None else max(seq - last.seq - count, 0)  # a restart of the numbers loses nothing
         self._newest = Reading(values, stamp_ns, receive_ns, seq, lost if last is None else last.gaps + lost)
+        return True
 
     def _record(self, layout: Mapping[str, str]) -> np.dtype[Any]:
         names = [name for name in layout if name not in _STAMPS]
