@@ -17,6 +17,7 @@ __all__ = ["UdpSource"]
 
 _STAMPS = ("seq", "stamp_ns")
 _DRAINED = 64  # datagrams per tick: a flood cannot hold the loop up
+_BACKLOG = 2000  # at first: what came before the robot did
 
 
 class UdpSource(Source):
@@ -76,7 +77,8 @@ class UdpSource(Source):
     def newest(self) -> Reading | None:
         """Return the latest reading, None before the first."""
         waiting: list[Arrival] = []
-        while self._port is not None and len(waiting) < _DRAINED:
+        most = _BACKLOG if self._newest is None else _DRAINED
+        while self._port is not None and len(waiting) < most:
             arrival = self._port.receive()
             if arrival is None:
                 break
