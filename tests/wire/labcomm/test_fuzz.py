@@ -73,7 +73,7 @@ def test_mutated_streams(seeds: list[bytes]) -> None:
 
 @pytest.mark.slow
 def test_a_million_mutated_streams(seeds: list[bytes]) -> None:
-    """About 80 s."""
+    """About two minutes."""
     assert fuzz(1_000_000, 2, seeds) > 250_000
 
 
