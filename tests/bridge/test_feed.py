@@ -108,7 +108,7 @@ def test_parameters_are_set_between_ticks_echoed_and_told(cell: Cell) -> None:
     for server in SERVERS:
         echo = [m for m in cell.heard(server) if isinstance(m, dict) and m["kind"] == "parameters"][-1]
         assert (echo["parameters"][0]["value"], echo["parameters"][0]["who"]) == (3.0, "labcomm 1")
-    assert cell.told == ["Parameter gain = 3.0, set by labcomm 1 (setting 1)."]
+    assert cell.told == ["Parameters: gain = 2.0, open = 1.0.", "Parameter gain = 3.0, set by labcomm 1 (setting 1)."]
 
 
 def test_refused_settings(cell: Cell) -> None:

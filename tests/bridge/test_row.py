@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armlab import robots
+from armlab.bridge.fusion import Held
 from armlab.bridge.row import LARGEST, MAGIC, Row, RowField, RowSchema, RowWriter, read_row
 from armlab.errors import ConfigError, LinkError, UnknownName
 from armlab.log import Column, Tick
@@ -60,6 +61,14 @@ def test_the_other_arm_keeps_its_values_and_gets_older() -> None:
     np.testing.assert_array_equal(values["yumi_right.q"], J)
     assert values["yumi_right.age"] == pytest.approx(0.008)
     assert (values["yumi_right.fresh"], values["yumi_left.fresh"]) == (0, 1)
+
+
+def test_sources_are_in_the_row() -> None:
+    wrench = np.arange(6.0)
+    held = Held({"wrench": np.full(6, np.nan)}, {"wrench": wrench}, 0.5, False, True)
+    values = read_row(BOTH, RowWriter(BOTH).row(state(sources={"force": held}), None, tick(), 0)).values
+    np.testing.assert_array_equal(values["force.wrench"], wrench)
+    assert values["force.age"] == 0.5
 
 
 def test_odd_commands_leave_holes() -> None:

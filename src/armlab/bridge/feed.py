@@ -178,6 +178,9 @@ class Exchange:
         tell : of the recording.
         """
         self._record, self.parameters.running = tell, True
+        values = self.parameters.values()
+        if values:
+            self.tell(f"Parameters: {', '.join(f'{name} = {value}' for name, value in values.items())}.")
 
     def tell(self, text: str, warn: bool = False) -> None:
         """Keep a sentence for the events of the run; from any thread.

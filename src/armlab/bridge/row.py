@@ -265,6 +265,7 @@ class RowWriter:
                 start = (field.offset - _HEAD.size) // 8
                 self._numbers[start : start + field.size // 8] = np.inf if field.name.endswith(".age") else np.nan
         self._parts = {robot: _Part(schema, robot) for robot in schema.robots}
+        self._sources = [field for field in schema.fields.values() if field.source not in schema.robots]
 
     def row(self, state: State, command: Command | None, tick: Tick, mono_ns: int, commander: str = "") -> bytes:
         """Return the row after a tick of one arm; what the others gave last is in it too, with its age.
@@ -297,7 +298,18 @@ class RowWriter:
             if other is not part and other.heard_ns:
                 self._numbers[other.age] = 1e-9 * (tick.receive_ns - other.heard_ns)
                 self._integers[other.fresh] = 0
+        if self._sources:
+            self._fill_sources(state)
         return bytes(buffer)
+
+    def _fill_sources(self, state: State) -> None:
+        """Write what each source gave last, whatever its age."""
+        for field in self._sources:
+            held = state.sources.get(field.source)
+            if held is not None:
+                name, start = field.name.removeprefix(f"{field.source}."), (field.offset - _HEAD.size) // 8
+                values = held.age if name == "age" else held.kept[name]
+                self._numbers[start : start + field.size // 8] = np.ravel(values)
 
     def _fill(self, part: _Part, state: State, command: Command | None, tick: Tick) -> None:
         numbers, n = self._numbers, part.n

@@ -35,6 +35,7 @@ _COMMANDS = {
     "identify": ("identify:identify", "Identify gravity, inertia and friction from logs; save the model."),
     "estimate": ("estimate:estimate", "Estimate the contact force in a log with a model."),
     "payload": ("payload:payload", "Weigh a load at the flange with the motors: mass, centre, inertia."),
+    "bridge": ("bridge:bridge", "Run a cell: robots, LabComm and other clients, parameters, one commander."),
     "log": ("log:log", "Show and repair logs."),
     "robot": ("robot:robot", "List, show and convert robot descriptions."),
 }

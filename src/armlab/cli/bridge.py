@@ -1,0 +1,137 @@
+"""``armlab bridge``: run a cell, and talk to one that runs."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cyclopts import App
+
+from armlab.errors import ConfigError
+
+if TYPE_CHECKING:
+    from armlab.bridge.messages import Request
+
+__all__ = ["bridge", "release", "resume", "set_parameters", "start"]
+
+bridge = App(
+    name="bridge",
+    help="Run a cell: robots, LabComm and other clients, parameters, one commander.",
+    help_epilogue="Example: armlab bridge --config cell.toml",
+)
+
+
+@bridge.default
+def start(*, config: Path, listen: list[str] | None = None, seconds: float | None = None) -> None:
+    """Run the bridge of a cell until Ctrl-C. The first line says what listens where.
+
+    Parameters
+    ----------
+    config
+        The cell: a TOML file of robots, sources, parameters and servers.
+    listen
+        SERVER=ADDRESS or SERVER=INTERFACE: let a server be read beyond this computer. Such a server takes no commands.
+    seconds
+        Robot time under guidance after which to end [s].
+    """
+    from armlab.bridge.cell import parse_cell, run_cell
+    from armlab.cli.output import note, result
+
+    try:
+        text = config.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"Expected a cell file at {config}, but it cannot be read ({error}).") from error
+    run = run_cell(parse_cell(text, str(config)), listen or (), seconds, ready=note)
+    result(run.report())
+
+
+@bridge.command(name="set")
+def set_parameters(*setting: str, cell: str = "") -> None:
+    """Set parameters of a bridge that runs, together or none of them; shows what is in force.
+
+    Parameters
+    ----------
+    setting
+        NAME=VALUE, for example gain=2.5, force=[0,0,5], gentle=true. None: show all parameters.
+    cell
+        Name of the cell; needed when several run.
+    """
+    from armlab.bridge.local import LocalFeed
+    from armlab.bridge.messages import SetRequest, Subscribe
+    from armlab.cli.output import aligned, result
+
+    values = dict(_setting(word) for word in setting)
+    with LocalFeed(cell) as feed:
+        feed.ask(Subscribe(rate=0.0))
+        found = _await(feed, "parameters")["parameters"]
+        if values:
+            before = max((one["sequence"] for one in found), default=0)
+            feed.ask(SetRequest(values=values))
+            while max((one["sequence"] for one in found), default=0) <= before:
+                found = _await(feed, "parameters")["parameters"]
+    shown = [one for one in found if one["name"] in values or not values]
+    rows = [[one["name"], str(one["value"]), one["unit"], one["text"], one["who"]] for one in shown]
+    result(aligned([["parameter", "value", "unit", "", "set by"], *rows]) if rows else "This cell has no parameters.")
+
+
+@bridge.command
+def release(*, cell: str = "") -> None:
+    """Free the arms from whoever commands them; they hold.
+
+    Parameters
+    ----------
+    cell
+        Name of the cell; needed when several run.
+    """
+    from armlab.bridge.messages import Release
+
+    _operate(Release(), cell)
+
+
+@bridge.command
+def resume(*, cell: str = "") -> None:
+    """End a stop, so that an arm may be commanded again.
+
+    Parameters
+    ----------
+    cell
+        Name of the cell; needed when several run.
+    """
+    from armlab.bridge.messages import Resume
+
+    _operate(Resume(), cell)
+
+
+def _operate(request: Request, cell: str) -> None:
+    from armlab.bridge.local import LocalFeed
+    from armlab.cli.output import result
+
+    with LocalFeed(cell) as feed:
+        feed.ask(request)
+        while (message := feed.receive()) and not (isinstance(message, dict) and message["kind"] == "answer"):
+            pass
+    result(message["text"])
+
+
+def _await(feed: Any, kind: str) -> dict[str, Any]:
+    """Return the next message of a kind; an answer meanwhile is a refusal."""
+    from armlab.errors import CommandRefused
+
+    while True:
+        message = feed.receive()
+        if isinstance(message, dict):
+            if message["kind"] == "answer":
+                raise CommandRefused(message["text"])
+            if message["kind"] == kind:
+                return message
+
+
+def _setting(word: str) -> tuple[str, Any]:
+    name, sign, value = word.partition("=")
+    if not sign or not name:
+        raise ConfigError(f"Expected NAME=VALUE, got {word!r}. Write for example gain=2.5.")
+    try:
+        return name, tomllib.loads(f"x = {value}")["x"]
+    except tomllib.TOMLDecodeError:
+        return name, value  # a text without quotes

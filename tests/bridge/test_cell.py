@@ -1,0 +1,265 @@
+"""Cells: the file and its errors, and whole bridges with the simulated robot, LabComm clients and the local feed."""
+
+from __future__ import annotations
+
+import re
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab import robots
+from armlab.bridge.cell import Cell, listening, parse_cell, run_cell
+from armlab.bridge.local import LocalFeed
+from armlab.bridge.messages import CommandRequest, SetRequest, Stop, Subscribe
+from armlab.bridge.row import Row
+from armlab.errors import ConfigError, UnknownName
+
+FILE = """
+name = "yumi"
+commands = ["local"]
+[[robots]]
+name = "yumi_left"
+link = "sim://yumi_left?lockstep=true"
+speed = 0.5
+[parameters.gain]
+default = 2.0
+unit = "N/m"
+minimum = 0.0
+maximum = 10.0
+text = "Stiffness."
+[parameters.gentle]
+default = true
+type = "bool"
+rights = "anyone"
+[servers.labcomm]
+ports = {yumi_left = 0}
+parameters = 0
+rows = 0
+"""
+HOME = np.array(robots.load("yumi_left").q_home)
+
+
+def test_a_cell() -> None:
+    cell = parse_cell(FILE)
+    assert isinstance(cell, Cell)
+    assert (cell.name, cell.commands, cell.links) == ("yumi", ("local",), ("sim://yumi_left?lockstep=true",))
+    assert [one.name for one in cell.parameters] == ["gain", "gentle"]
+    assert list(cell.servers) == ["local", "labcomm"]
+    assert cell.servers["labcomm"]["axes"] == {"yumi_left": [1, 2, 7, 3, 4, 5, 6]}
+    np.testing.assert_allclose(cell.limits[0].qd_max, 0.5 * cell.robots[0].qd_max)
+
+
+def test_two_arms_have_the_ports_of_the_ancestor() -> None:
+    cell = parse_cell(
+        'pace = "yumi_right"\n[[robots]]\nname="yumi_left"\nlink="egm://127.0.0.1:6511"\n'
+        '[[robots]]\nname="yumi_right"\nlink="egm://127.0.0.1:6512"\n[servers.labcomm]\n'
+        "[sources.force]\nperiod=0.004\nport=0\n[sources.force.fields.wrench_raw]\nshape=[6]"
+    )
+    labcomm = cell.servers["labcomm"]
+    assert labcomm["ports"] == {"yumi_left": 7511, "yumi_right": 7512}
+    assert (labcomm["parameters"], labcomm["rows"], cell.pace) == (7513, 7514, "yumi_right")
+    (force,) = cell.sources()
+    assert (force.name, force.fields["wrench_raw"].unit) == ("force", "N, N m")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('name = "yumi"', "name = 3", r"Expected `str`, got `int` - at `\$.name`"),
+        ('name = "yumi"', 'name = "../x"', r"regex.*\$.name"),
+        ('name = "yumi"', "nam = 1", "unknown field `nam`"),
+        ('name = "yumi"', "name =", "Expected TOML in cell.toml.*line 2"),
+        ('"local"]', '"ros2"]', "Invalid enum value 'ros2'"),
+        ('"local"]', '"labcomm", "local"]\npace = "ur5e"', "robot of this cell"),
+        ('name = "yumi_left"', 'name = "yumi_lef"', "yumi_left"),
+        ("speed = 0.5", "speed = 2.0", r"speed in \(0, 1\]"),
+        ("speed = 0.5", 'speed = "fast"', r"Expected `float`, got `str` - at `\$.robots\[0\].speed`"),
+        ("default = 2.0", "default = 20.0", "from 0 to 10"),
+        ("{yumi_left = 0}", "{yumi_right = 0}", "robot of this cell"),
+        ("parameters = 0", "parameters = 7514\nrows = 7514", "Cannot overwrite"),
+        ("{yumi_left = 0}\nparameters = 0\nrows = 0", "{yumi_left = 7513}", "a LabComm port of its own"),
+        ("{yumi_left = 0}", "{yumi_left = 70000}", "65535"),
+        ("[servers.labcomm]", '[sources.a]\nperiod=0.0\nport=0\nfields.x.unit="1"\n[servers.labcomm]', "above 0 s"),
+    ],
+)
+def test_errors_are_one_line_with_the_path(old: str, new: str, words: str) -> None:
+    with pytest.raises(ConfigError, match=words) as caught:
+        parse_cell(FILE.replace(old, new))
+    assert "\n" not in str(caught.value)
+    assert "cell.toml" in str(caught.value)
+
+
+def test_a_server_that_commands_must_be_enabled() -> None:
+    with pytest.raises(ConfigError, match=r"got labcomm. Add \[servers.labcomm\]"):
+        parse_cell('commands=["labcomm"]\n[[robots]]\nname="ur5e"\nlink="egm://127.0.0.1:6510"')
+
+
+def test_listening() -> None:
+    cell = parse_cell(FILE)
+    assert listening([], cell) == {"labcomm": "127.0.0.1"}
+    assert listening(["labcomm=0.0.0.0"], cell) == {"labcomm": "0.0.0.0"}
+    assert listening(["labcomm=lo"], cell) == {"labcomm": "127.0.0.1"}
+    with pytest.raises(UnknownName, match="enabled server"):
+        listening(["ros=0.0.0.0"], cell)
+    with pytest.raises(ConfigError, match="IPv4 address or one of the interfaces"):
+        listening(["labcomm=nowhere"], cell)
+    commanding = parse_cell(FILE.replace('["local"]', '["labcomm"]'))
+    assert listening(["labcomm=127.0.0.2"], commanding) == {"labcomm": "127.0.0.2"}
+    with pytest.raises(ConfigError, match="no place for a secret and no encryption"):
+        listening(["labcomm=0.0.0.0"], commanding)
+
+
+class Bench:
+    """Runs a cell in this thread while a script plays its clients in another."""
+
+    def __call__(self, cell: Cell, script: Callable[[dict[str, int]], None], seconds: float, **options: Any) -> Any:
+        failures: list[BaseException] = []
+        threads: list[threading.Thread] = []
+        self.line = ""
+
+        def play(ports: dict[str, int]) -> None:
+            try:
+                script(ports)
+            except BaseException as error:
+                failures.append(error)
+
+        def ready(line: str) -> None:
+            self.line = line
+            words = line.removeprefix("Listening: ").rstrip(".").split(", ")
+            ports = {
+                w.partition("(")[2][:-1]: int(w.split(" ")[0].rpartition(":")[2]) for w in words if "local" not in w
+            }
+            threads.append(threading.Thread(target=play, args=(ports,), daemon=True))
+            threads[0].start()
+
+        try:
+            return run_cell(cell, seconds=seconds, ready=ready, patience=10.0, **options)
+        finally:
+            threads[0].join(20.0)
+            assert not threads[0].is_alive()
+            if failures:
+                raise failures[0]
+
+
+@pytest.fixture
+def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    return Bench()  # type: ignore[return-value]
+
+
+def rows(feed: LocalFeed) -> Iterator[Any]:
+    while True:
+        message = feed.receive()
+        if isinstance(message, Row):
+            yield message.values
+
+
+def test_a_local_client_commands_in_real_time(bench: Bench) -> None:
+    """It moves one joint; the parameter is set; what was sent is what it asked for."""
+    asked: list[float] = []
+
+    def script(ports: dict[str, int]) -> None:
+        with LocalFeed() as feed:
+            feed.ask(Subscribe(rate=None))
+            feed.ask(SetRequest(values={"gain": 3.0, "gentle": False}))
+            start = None
+            for values in rows(feed):
+                start = values["yumi_left.q"] if start is None else start
+                if values["yumi_left.mci"] != 3:
+                    continue
+                asked.append(min(0.05, 0.0005 * len(asked)))
+                q = start.copy()
+                q[3] += asked[-1]
+                feed.ask(CommandRequest(arm="yumi_left", q=q.tolist(), seq=len(asked)))
+                if len(asked) > 150:
+                    assert values["yumi_left.commander"].startswith("local ")
+                    return
+
+    cell = parse_cell(FILE.replace("?lockstep=true", ""))
+    run = bench(cell, script, seconds=1.2)
+    told = [text for _, text in run.events]
+    assert "yumi_left" in bench.line
+    assert any(re.fullmatch(r"local \d+ commands yumi_left\.", text) for text in told)
+    assert any("no longer commands yumi_left" in text for text in told)
+    assert any("Parameter gain = 3.0, set by local " in text for text in told)
+    sent = run.table["q_sent"][np.isfinite(run.table["q_sent"]).all(axis=1)]
+    assert np.abs(sent[-1] - sent[0])[3] == pytest.approx(asked[-1], abs=1e-6)
+    assert np.abs(np.delete(sent - sent[0], 3, axis=1)).max() < 1e-3
+
+
+@pytest.mark.slow
+def test_stop_holds_all_arms(bench: Bench) -> None:
+    """Takes 4 s."""
+
+    def script(ports: dict[str, int]) -> None:
+        with LocalFeed() as feed, LocalFeed() as other:
+            feed.ask(Subscribe(rate=None))
+            for k, values in enumerate(rows(feed)):
+                if values["yumi_left.mci"] != 3:
+                    continue
+                feed.ask(CommandRequest(arm="yumi_left", qd=[0.02] * 7))
+                if values["yumi_left.commander"] and k > 50:
+                    other.ask(Stop())
+                    break
+            for values in rows(feed):
+                if not values["yumi_left.commander"]:
+                    return
+
+    run = bench(parse_cell(FILE.replace("?lockstep=true", "")), script, seconds=1.0)
+    assert any("Stopped by local" in text for _, text in run.events)
+    assert np.abs(run.table["qd_sent"][-20:]).max() < 1e-9
+
+
+@pytest.mark.slow
+def test_a_controller_over_labcomm(bench: Bench) -> None:
+    """A controller elsewhere, through the LabComm port of the arm. Takes 6 s."""
+    from armlab import bridge
+    from armlab.state import Command
+
+    seen: list[Any] = []
+
+    def script(ports: dict[str, int]) -> None:
+        url = f"labcomm://127.0.0.1:{ports['labcomm yumi_left']}"
+
+        def sway(state: Any) -> Any:
+            seen.append(state.q)
+            return Command(state.q_start + 0.02 * np.sin(3.0 * state.t))
+
+        with bridge.connect(url, robots.load("yumi_left"), patience=5.0) as link:
+            link.run(sway, seconds=0.8)
+
+    cell = parse_cell(FILE.replace("?lockstep=true", "").replace('["local"]', '["labcomm"]'))
+    run = bench(cell, script, seconds=2.5)
+    assert len(seen) > 100
+    assert any("labcomm 127.0.0.1:" in text and "commands yumi_left." in text for _, text in run.events)
+    assert np.nanmax(run.table["q_sent"][:, 2]) - np.nanmin(run.table["q_sent"][:, 2]) > 0.005
+
+
+@pytest.mark.slow
+def test_ten_idle_clients_and_one_that_never_reads(bench: Bench) -> None:
+    """Eight is the most that a LabComm port takes; the loop misses nothing because of them. Takes 8 s."""
+
+    def script(ports: dict[str, int]) -> None:
+        port = ports["labcomm yumi_left"]
+        idle = [socket.create_connection(("127.0.0.1", port)) for _ in range(8)]
+        with LocalFeed() as silent, LocalFeed() as feed:
+            silent.ask(Subscribe(rate=None))
+            feed.ask(Subscribe(rate=None))
+            end = time.monotonic() + 4.0
+            numbers = []
+            for values in rows(feed):
+                numbers.append(values["yumi_left.tick"])
+                if time.monotonic() > end:
+                    break
+            assert np.array_equal(np.diff(numbers), np.ones(len(numbers) - 1))
+        for one in idle:
+            one.close()
+
+    run = bench(parse_cell(FILE.replace("?lockstep=true", "")), script, seconds=6.0)
+    assert run.statistics["missed"] == 0

@@ -1,0 +1,126 @@
+"""``armlab bridge``: its errors, and the commands that talk to a bridge that runs."""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from armlab import robots
+from armlab.bridge.feed import OPERATOR, Exchange
+from armlab.bridge.local import LocalServer, socket_path
+from armlab.bridge.parameters import Parameter, Parameters
+from armlab.cli import main
+from armlab.cli.bridge import bridge, release, resume, set_parameters, start
+
+CELL = """
+name = "small"
+[[robots]]
+name = "yumi_left"
+link = "sim://yumi_left"
+"""
+
+
+@pytest.fixture
+def running(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Exchange]:
+    """An exchange whose requests another thread takes, as when no packet of a robot comes."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    declared = [Parameter("gain", 2.0, unit="N/m", minimum=0.0, text="Stiffness."), Parameter("word", "a", "text")]
+    exchange = Exchange([robots.load("yumi_left")], [OPERATOR], Parameters(declared))
+    far = exchange.open(OPERATOR)
+    server = threading.Thread(target=LocalServer(far, socket_path("small")).run, daemon=True)
+    over = threading.Event()
+
+    def poll() -> None:
+        while not over.is_set():
+            exchange.poll()
+            time.sleep(0.01)
+
+    poller = threading.Thread(target=poll, daemon=True)
+    for thread in (server, poller):
+        thread.start()
+    yield exchange
+    over.set()
+    poller.join()
+    exchange.close()
+    server.join(10.0)
+    far.close()
+
+
+def test_set(running: Exchange, capsys: Any) -> None:
+    assert main(["bridge", "set", "gain=3.5", "word=hello"]) == 0
+    shown = capsys.readouterr().out
+    assert re.search(r"gain +3.5 +N/m +Stiffness. +local \d", shown)
+    assert (running.parameters.gain, running.parameters.word) == (3.5, "hello")
+    assert main(["bridge", "set"]) == 0
+    assert "gain       3.5" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["gain=-1"], "from 0 to inf"),
+        (["gan=1"], "Did you mean 'gain'"),
+        (["gain"], "NAME=VALUE"),
+        (["gain=3", "word=4"], "a text"),
+    ],
+)
+def test_refused(running: Exchange, capsys: Any, words: list[str], said: str) -> None:
+    assert main(["bridge", "set", *words]) == 1
+    assert said in capsys.readouterr().err
+    assert running.parameters.gain == 2.0
+
+
+def test_release_and_resume(running: Exchange, capsys: Any) -> None:
+    running.arbiter.stop("labcomm x")
+    assert main(["bridge", "release"]) == 0
+    assert main(["bridge", "resume"]) == 0
+    assert capsys.readouterr().out == "Done.\nDone.\n"
+    assert running.arbiter.stopped == ""
+
+
+def test_nothing_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    for words in (["set", "a=1"], ["release"], ["resume"]):
+        assert main(["bridge", *words]) == 1
+        assert "found none" in capsys.readouterr().err
+
+
+def test_wrong_cells(tmp_path: Path, capsys: Any) -> None:
+    path = tmp_path / "cell.toml"
+    assert main(["bridge", "--config", str(path)]) == 1
+    assert "cannot be read" in capsys.readouterr().err
+    path.write_text("robots = 3")
+    assert main(["bridge", "--config", str(path)]) == 1
+    assert f"{path}: Expected `array`, got `int` - at `$.robots`." in capsys.readouterr().err
+
+
+def test_the_functions_are_the_commands() -> None:
+    assert bridge.name == ("bridge",)
+    assert all(callable(one) for one in (start, set_parameters, release, resume))
+
+
+@pytest.mark.slow
+def test_the_whole_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It says who listens where, ends on Ctrl-C with 130 and leaves nothing behind. Takes 4 s."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    path = tmp_path / "cell.toml"
+    path.write_text(CELL)
+    command = [sys.executable, "-m", "armlab", "bridge", "--config", str(path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as program:
+        assert program.stderr is not None
+        line = program.stderr.readline()
+        assert re.fullmatch(r"Listening: 127\.0\.0\.1:\d+ \(egm yumi_left\), .*armlab/small\.sock \(local\)\.\n", line)
+        time.sleep(1.0)
+        program.send_signal(signal.SIGINT)
+        program.communicate(timeout=20.0)
+    assert program.returncode == 130
+    assert not socket_path("small").exists()
