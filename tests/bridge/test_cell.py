@@ -51,7 +51,7 @@ def test_a_cell() -> None:
     assert (cell.name, cell.commands, cell.links) == ("yumi", ("local",), ("sim://yumi_left?lockstep=true",))
     assert [one.name for one in cell.parameters] == ["gain", "gentle"]
     assert list(cell.servers) == ["local", "labcomm"]
-    assert cell.servers["labcomm"]["axes"] == {"yumi_left": [1, 2, 7, 3, 4, 5, 6]}
+    assert cell.servers["labcomm"]["arms"] == {"yumi_left": {"port": 0, "axes": [1, 2, 7, 3, 4, 5, 6]}}
     np.testing.assert_allclose(cell.limits[0].qd_max, 0.5 * cell.robots[0].qd_max)
 
 
@@ -62,8 +62,8 @@ def test_two_arms_have_the_ports_of_the_ancestor() -> None:
         "[sources.force]\nperiod=0.004\nport=0\n[sources.force.fields.wrench_raw]\nshape=[6]"
     )
     labcomm = cell.servers["labcomm"]
-    assert labcomm["ports"] == {"yumi_left": 7511, "yumi_right": 7512}
-    assert (labcomm["parameters"], labcomm["rows"], cell.pace) == (7513, 7514, "yumi_right")
+    assert [arm["port"] for arm in labcomm["arms"].values()] == [7511, 7512]
+    assert (labcomm["parameters"], labcomm["fused"], cell.pace) == (7513, 7514, "yumi_right")
     (force,) = cell.sources()
     assert (force.name, force.fields["wrench_raw"].unit) == ("force", "N, N m")
 
@@ -131,10 +131,7 @@ class Bench:
 
         def ready(line: str) -> None:
             self.line = line
-            words = line.removeprefix("Listening: ").rstrip(".").split(", ")
-            ports = {
-                w.partition("(")[2][:-1]: int(w.split(" ")[0].rpartition(":")[2]) for w in words if "local" not in w
-            }
+            ports = {name: int(port) for port, name in re.findall(r":(\d+) \(labcomm, (\w+)\)", line)}
             threads.append(threading.Thread(target=play, args=(ports,), daemon=True))
             threads[0].start()
 
@@ -225,7 +222,7 @@ def test_a_controller_over_labcomm(bench: Bench) -> None:
     seen: list[Any] = []
 
     def script(ports: dict[str, int]) -> None:
-        url = f"labcomm://127.0.0.1:{ports['labcomm yumi_left']}"
+        url = f"labcomm://127.0.0.1:{ports['yumi_left']}"
 
         def sway(state: Any) -> Any:
             seen.append(state.q)
@@ -246,7 +243,7 @@ def test_ten_idle_clients_and_one_that_never_reads(bench: Bench) -> None:
     """Eight is the most that a LabComm port takes; the loop misses nothing because of them. Takes 8 s."""
 
     def script(ports: dict[str, int]) -> None:
-        port = ports["labcomm yumi_left"]
+        port = ports["yumi_left"]
         idle = [socket.create_connection(("127.0.0.1", port)) for _ in range(8)]
         with LocalFeed() as silent, LocalFeed() as feed:
             silent.ask(Subscribe(rate=None))

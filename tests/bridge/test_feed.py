@@ -134,6 +134,17 @@ def test_rights_of_settings() -> None:
     cell.close()
 
 
+def test_beyond_this_computer_clients_only_read_and_stop() -> None:
+    params = Parameters([Parameter("open", 1.0, rights="anyone")])
+    exchange = Exchange([LEFT], ["labcomm"], params, read_only=["labcomm"])
+    with exchange.open("labcomm") as far:
+        for kind in ({"kind": "set", "values": {"open": 2.0}}, {"kind": "stop"}):
+            far.send(json.dumps({"client": "1", **kind}).encode())
+        exchange.poll()
+        assert (params.open, exchange.arbiter.stopped) == (1.0, "labcomm 1")
+    exchange.close()
+
+
 def test_stop_is_for_all_and_resume_for_operators(cell: Cell) -> None:
     cell.say("labcomm", "stop")
     cell.say("labcomm", "resume")

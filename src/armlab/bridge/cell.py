@@ -16,6 +16,7 @@ import msgspec
 
 from armlab import robots
 from armlab.bridge.feed import OPERATOR, Exchange
+from armlab.bridge.labcomm.process import labcomm_options
 from armlab.bridge.limits import Limits
 from armlab.bridge.link import connect
 from armlab.bridge.local import socket_path
@@ -202,18 +203,19 @@ def _labcomm(options: _LabComm, arms: Sequence[Robot]) -> dict[str, Any]:
     for name in options.ports:
         if name not in names:
             raise UnknownName.among("robot of this cell", name, names)
-    ports = {arm.name: options.ports.get(arm.name, _SIDES.get(arm.side, 7511)) for arm in arms}
-    taken = [port for port in (*ports.values(), options.parameters, options.rows) if port]
+    sides = [_SIDES.get(arm.side, 7511) for arm in arms]
+    ports = [options.ports.get(arm.name, side) for arm, side in zip(arms, sides, strict=True)]
+    taken = [port for port in (*ports, options.parameters, options.rows) if port]
     if len(set(taken)) < len(taken):
         raise ConfigError(f"Expected a LabComm port of its own for each arm, parameters and rows, got {taken}")
-    return {
-        "ports": ports,
-        "axes": {arm.name: [int(axis) for axis in arm.abb_axes] for arm in arms},
-        "parameters": options.parameters,
-        "rows": options.rows,
-        "order": options.order,
-        "dialect": options.dialect,
-    }
+    return labcomm_options(
+        arms,
+        ports=ports,
+        dialect=options.dialect,
+        order=options.order,
+        parameters=options.parameters,
+        fused=options.rows,
+    )
 
 
 def _source(name: str, one: _Source) -> Source:
@@ -301,11 +303,11 @@ def run_cell(
         cell.commands,
         sources={source.name: source.fields for source in sources},
         about=about,
+        read_only=[name for name, host in addresses.items() if not ipaddress.ip_address(host).is_loopback],
     )
     commands = {OPERATOR: server_command(OPERATOR, {"path": str(socket_path(cell.name))})}
     for name, host in addresses.items():
-        beyond = not ipaddress.ip_address(host).is_loopback
-        commands[name] = server_command(name, {**cell.servers[name], "host": host, "read_only": beyond})
+        commands[name] = server_command(name, {**cell.servers[name], "host": host})
     with ExitStack() as stack:
         where = stack.enter_context(Servers(exchange, commands)).ready()
         link = stack.enter_context(

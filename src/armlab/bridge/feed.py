@@ -121,7 +121,7 @@ class Exchange:
     ----------
     robots : the arms. servers : names. parameters : of the run. allowed : servers that may command.
     sources : fields by source. about : told every client first, for example the name of the cell. torque : whether the
-        link carries torques.
+        link carries torques. read_only : servers whose clients may stop the arms and nothing else.
 
     Attributes
     ----------
@@ -139,6 +139,7 @@ class Exchange:
         sources: Mapping[str, Mapping[str, Column]] | None = None,
         about: Mapping[str, Any] | None = None,
         torque: bool = False,
+        read_only: Iterable[str] = (),
     ) -> None:
         self.parameters = Parameters() if parameters is None else parameters
         self.outlets = {name: Outlet(name) for name in servers}
@@ -146,6 +147,7 @@ class Exchange:
         self.mistakes = 0
         self._writer = RowWriter(self.schema)
         self._about = dict(about or {})
+        self._read_only = frozenset(read_only)
         self._told: deque[tuple[str, bool]] = deque(maxlen=_EVENTS)
         self._record: Tell | None = None
         self._lock = threading.Lock()
@@ -259,6 +261,9 @@ class Exchange:
             outlet.where = request.where
             return
         client = f"{outlet.name} {request.client}"
+        if outlet.name in self._read_only and not isinstance(request, Stop | Leave):
+            self.answer(client, f"Expected no requests through {outlet.name}: it listens beyond this computer. Read.")
+            return
         if isinstance(request, SetRequest):
             self._set(client, request, outlet.name == OPERATOR)
         elif isinstance(request, CommandRequest):
