@@ -165,7 +165,7 @@ def _cell(file: _File) -> Cell:
     arms = tuple(robots.load(one.name) for one in file.robots)
     names = [arm.name for arm in arms]
     if len(set(names)) < len(names):
-        raise ConfigError(f"Expected robots with different names, got {', '.join(names)}")
+        raise ConfigError(f"Expected robots with different names, got {', '.join(names)}.")
     if file.pace is not None and file.pace not in names:
         raise UnknownName.among("robot of this cell", file.pace, names)
     servers: dict[str, Mapping[str, Any]] = {OPERATOR: {}}
@@ -174,7 +174,7 @@ def _cell(file: _File) -> Cell:
     idle = [name for name in file.commands if name not in servers]
     if idle:
         raise ConfigError(
-            f"Expected `commands` to name enabled servers, got {', '.join(idle)}. Add [servers.{idle[0]}]"
+            f"Expected `commands` to name enabled servers, got {', '.join(idle)}. Add [servers.{idle[0]}]."
         )
     declared = []
     for name, one in file.parameters.items():
@@ -207,7 +207,7 @@ def _labcomm(options: _LabComm, arms: Sequence[Robot]) -> dict[str, Any]:
     ports = [options.ports.get(arm.name, side) for arm, side in zip(arms, sides, strict=True)]
     taken = [port for port in (*ports, options.parameters, options.rows) if port]
     if len(set(taken)) < len(taken):
-        raise ConfigError(f"Expected a LabComm port of its own for each arm, parameters and rows, got {taken}")
+        raise ConfigError(f"Expected a LabComm port of its own for each arm, parameters and rows, got {taken}.")
     return labcomm_options(
         arms,
         ports=ports,
