@@ -158,7 +158,7 @@ def parse_cell(text: str, path: str = "cell.toml") -> Cell:
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"Expected TOML in {path}: {_line(error)}.") from None
     except (msgspec.ValidationError, ArmlabError) as error:
-        raise ConfigError(f"{path}: {_line(error)}.") from None
+        raise ConfigError(f"Expected another cell in {path}: {_line(error)}.") from None
 
 
 def _cell(file: _File) -> Cell:
