@@ -9,6 +9,7 @@ from armlab.bridge.labcomm.client import LabCommClient
 from armlab.bridge.labcomm.feed import Commander, RowFeed
 from armlab.bridge.labcomm.rows import Row, RowTypes
 from armlab.bridge.labcomm.server import LabCommServer
+from armlab.bridge.labcomm.source import LabCommSource
 
 __all__ = [
     "ArmChannel",
@@ -18,6 +19,7 @@ __all__ = [
     "FusedSource",
     "LabCommClient",
     "LabCommServer",
+    "LabCommSource",
     "ParameterChannel",
     "Row",
     "RowFeed",
