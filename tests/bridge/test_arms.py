@@ -50,6 +50,7 @@ def test_shares_of_a_common_command() -> None:
     np.testing.assert_array_equal(right.q, q[7:])
     assert (left.qd, right.qd) == (None, None)
     assert (left.record, right.record) == ({"x": 1.0}, {})
+    assert [one.record for one in shares(Command(q, record={"x": 1.0}), [LEFT, RIGHT], 1) if one] == [{}, {"x": 1.0}]
     assert all(one is not None and one.ends for one in shares(Command.stop(), [LEFT, RIGHT]))
 
 

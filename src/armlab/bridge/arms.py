@@ -57,13 +57,13 @@ def fuse(states: Sequence[State], ages: Sequence[float], pace: int, t: float) ->
     )
 
 
-def shares(asked: Any, robots: Sequence[Robot]) -> Sequence[Command | None]:
+def shares(asked: Any, robots: Sequence[Robot], pace: int = 0) -> Sequence[Command | None]:
     """Return the part of each arm in what a controller returned.
 
     Parameters
     ----------
     asked : None, a Command with the joints of all arms one after another, or one Command (or None) per arm. The values
-        to record of a common Command go with the first arm. robots : the arms.
+        to record of a common Command go with the arm that paces. robots : the arms. pace : index of that arm.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def shares(asked: Any, robots: Sequence[Robot]) -> Sequence[Command | None]:
             "Write Command(q) with all joints, or a tuple of one Command per arm."
         )
     parts = [_parts(name, getattr(asked, name), robots) for name in ("q", "qd", "tau")]
-    records = [asked.record, *({} for _ in robots[1:])]
+    records = [asked.record if index == pace else {} for index in range(len(robots))]
     return [Command(q, qd, tau, record, asked.ends) for q, qd, tau, record in zip(*parts, records, strict=True)]
 
 

@@ -55,7 +55,7 @@ class Loop:
     ) -> None:
         self._arms, self._pace, self._waiting = tuple(arms), arms[pace], waiting
         self._others = tuple(arm for arm in arms if arm is not self._pace)
-        self._robots = tuple(arm.robot for arm in arms)
+        self._robots, self._pace_index = tuple(arm.robot for arm in arms), pace
         self._controller, self._settings = controller, settings
         self._in_lockstep = settings.clock == "robot"
         self._lateness = Lateness()
@@ -197,13 +197,13 @@ class Loop:
             self._sessions, self._t0 = sessions, turn.state.t
         now_ns = self._pace.stamp(turn.sample)
         ages = [1e-9 * (now_ns - arm.stamp(one.sample)) for arm, one in zip(self._arms, turns, strict=True)]
-        return fuse([one.state for one in turns], ages, self._arms.index(self._pace), turn.state.t - self._t0)
+        return fuse([one.state for one in turns], ages, self._pace_index, turn.state.t - self._t0)
 
     def _obey(self, turn: Turn, asked: Any, call_ns: int) -> None:
         """Answer the newest packet of the pacing arm with what the controller wants, keep the rest for the others."""
         pace = self._pace
         try:
-            commands = shares(asked, self._robots)
+            commands = shares(asked, self._robots, self._pace_index)
         except CommandRefused as error:
             self._stop("a command was refused", error)
             commands = (None,) * len(self._arms)
