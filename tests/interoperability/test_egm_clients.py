@@ -1,6 +1,7 @@
 """EGM clients of other people, each in an environment and a process of its own, driven by `armlab sim`.
 
-They are installed from PyPI; where that is not possible the tests are skipped with the reason. About 40 s in all, mostly for installing.
+They are installed from PyPI; where that is not possible the tests are skipped with the reason. About 40 s in all,
+mostly for installing.
 """
 
 from __future__ import annotations
@@ -74,7 +75,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> dict[Any, Any]:
 
 @pytest.mark.parametrize("run", RUNS, ids=lambda run: f"{run[0]}, {run[1]} axes, RobotWare {run[2]}")
 def test_a_client_moves_the_simulated_robot(results: dict[Any, Any], run: Any) -> None:
-    """Joint 1 and axis 7 follow a cosine, lag as they must and arrive; the session that converges is followed by another."""
+    """Joint 1 and axis 7 follow a cosine, lag as they must and arrive; the arm converges and a new session begins."""
     if isinstance(results[run], str):
         pytest.skip(results[run])
     seen, counted = results[run]

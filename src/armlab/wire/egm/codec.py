@@ -7,7 +7,6 @@ The only place, with its neighbours in this package, where degrees, millimetres 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import nan
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,7 @@ from google.protobuf.message import DecodeError
 
 from armlab.wire.egm import armlab_egm_pb2 as pb
 from armlab.wire.egm.axes import AxisMap, Refused
-from armlab.wire.egm.force import decode_force
+from armlab.wire.egm.force import NO_WRENCH, decode_force
 from armlab.wire.egm.layout import Layout, find_places
 from armlab.wire.egm.numbers import INTEGERS, Numbers, Shape
 from armlab.wire.egm.pose import read_pose
@@ -138,7 +137,7 @@ class EgmCodec:
             tuple(research.jointVel),
             tuple(research.torqueMeas),
             tuple(message.torqueRef.joints),
-            force,
+            () if force is NO_WRENCH else force,
             tuple(message.rapidFromRobot.dnum),
             (message.utilizationRate,) if message.HasField("utilizationRate") else (),
             read_pose(feedback.cartesian) or (),
@@ -156,7 +155,7 @@ class EgmCodec:
         )
         time = feedback.time
         integers = (header.seqno, header.tm, time.sec, time.usec, research.tNs, research.queueDepth)
-        return shape, shape.arranged(numbers, nan), integers
+        return shape, shape.arranged(numbers, 0.0), integers
 
     def _learn(self, data: bytes, shape: Shape, packet: Packet) -> None:
         """Keep the layout of a packet, if reading by it gives what parsing gave."""

@@ -101,7 +101,7 @@ class Layout:
     Parameters
     ----------
     data : the datagram that has it. places : of its numbers.
-    offsets : of the doubles to read, in the order wanted; -1 reads NaN.
+    offsets : of the doubles to read, in the order wanted; -1 reads 0.
     integers : names of the integers to read, 0 when absent.
     """
 
@@ -134,10 +134,7 @@ class Layout:
             for byte in data[span]:
                 value = value << 7 | byte & 0x7F
             integers.append(value)
-        return self._pick((*self._unpack(data), _NAN)), integers
-
-
-_NAN = float("nan")
+        return self._pick((*self._unpack(data), 0.0)), integers
 
 
 def _varint(data: bytes, at: int) -> tuple[int, int]:

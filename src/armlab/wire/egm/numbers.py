@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from math import isfinite
+from math import isfinite, nan
 from struct import Struct
 from typing import NamedTuple, TypeVar
 
@@ -126,6 +126,9 @@ class Shape:
         scale = one if in_radians else axes.scale
         beyond = np.ones(external) if in_radians else axes.external_scale(external)
         self._scale = np.concatenate((scale, axes.scale, scale, one, np.ones(6), beyond, np.ones(data + 16)))
+        present = np.array(self.arranged(Numbers(*((1.0,) * len(values) for values in numbers)), nan))
+        self._scale[:-16] *= present[:-8]  # what is absent is 0 among the numbers, and becomes NaN
+        self._has_utilization = bool(numbers.utilization)
         # One array per packet, cut into all its vectors: five times cheaper than one array for each.
         self._pack = Struct(f"={len(self._scale)}d").pack
 
@@ -163,13 +166,18 @@ class Shape:
 
         Parameters
         ----------
-        numbers : in the order of `arranged`. integers : values of `INTEGERS`.
+        numbers : in the order of `arranged`, 0 for what is absent. integers : values of `INTEGERS`.
         """
         n, (tau, force, external, data) = self._n, self._ends
-        if not isfinite(sum(numbers[: self._moving]) + (sum(numbers[force:external]) if external > force else 0.0)):
+        values = np.frombuffer(self._pack(*numbers[:-8], *pose_values(numbers[-7:])))
+        if isfinite(sum(numbers)):
+            values = values * self._scale
+        elif isfinite(sum(numbers[: self._moving]) + sum(numbers[force:external])):
+            with np.errstate(invalid="ignore"):  # a signalling NaN from the wire would warn
+                values = values * self._scale
+        else:
             return None
         seqno, tm, seconds, microseconds, mono, queue = integers
-        values = np.frombuffer(self._pack(*numbers[:-8], *pose_values(numbers[-7:]))) * self._scale
         values.setflags(write=False)
         motors, mci, rapid = self._states
         return Packet(  # in the order of its fields: keywords would cost another half microsecond
@@ -188,7 +196,7 @@ class Shape:
             mci,
             rapid,
             self._converged,
-            numbers[-8],
+            numbers[-8] if self._has_utilization else nan,
             self._robotware,
             values[external:data] if data > external else _EMPTY,
             self._rapid_digital,
