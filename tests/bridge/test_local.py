@@ -78,6 +78,7 @@ def test_rows_events_status(bench: Bench) -> None:
     bench.exchange.event("Before.")
     with LocalFeed() as feed:
         assert feed.cell == "test"
+        assert feed.wait(5.0)
         assert feed.receive()["cell"] == "test"  # type: ignore[index]
         feed.ask(Subscribe(rate=None))
         first = bench.until(feed, "row")

@@ -116,7 +116,7 @@ def assemble(
     for feed in feeds:
         begin = getattr(feed, "begin", None)
         if begin is not None:
-            begin(arms[0].recording.note)
+            begin(arms[0].recording.note, [arm.recording.path for arm in arms if arm.recording.path is not None])
     return arms
 
 

@@ -12,6 +12,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -150,6 +151,7 @@ class Exchange:
         self._read_only = frozenset(read_only)
         self._told: deque[tuple[str, bool]] = deque(maxlen=_EVENTS)
         self._record: Tell | None = None
+        self._files = b""
         self._lock = threading.Lock()
         self._polled_ns = self._complained_ns = 0
         self.arbiter = Arbiter(robots, allowed, poll=self.poll, tell=self.tell, answer=self.answer, torque=torque)
@@ -165,6 +167,8 @@ class Exchange:
         theirs = outlet.open()
         outlet.send(text_message("about", **self._about, schema=self.schema.text.decode()))
         outlet.send(parameter_message(self.parameters))
+        if self._files:
+            outlet.send(self._files)
         return theirs
 
     def close(self) -> None:
@@ -172,13 +176,16 @@ class Exchange:
         for outlet in self.outlets.values():
             outlet.close()
 
-    def begin(self, tell: Tell) -> None:
+    def begin(self, tell: Tell, files: Sequence[Path] = ()) -> None:
         """Take where the events of a run are recorded; it gives them back to `event`.
 
         Parameters
         ----------
-        tell : of the recording.
+        tell : of the recording. files : of the recording.
         """
+        self._files = text_message("recording", files=[str(file.absolute()) for file in files])
+        for outlet in self.outlets.values():
+            outlet.send(self._files)
         self._record, self.parameters.running = tell, True
         values = self.parameters.values()
         if values:

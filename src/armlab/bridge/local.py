@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import select
 import selectors
 import socket
 import stat
@@ -293,6 +294,15 @@ class LocalFeed:
     def close(self) -> None:
         """Leave."""
         self._socket.close()
+
+    def wait(self, seconds: float) -> bool:
+        """Return whether a message comes within so many seconds.
+
+        Parameters
+        ----------
+        seconds : at most.
+        """
+        return bool(select.select([self._socket], [], [], max(seconds, 0.0))[0])
 
     def ask(self, request: Request) -> None:
         """Send a request.

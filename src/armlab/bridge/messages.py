@@ -109,8 +109,8 @@ def text_message(kind: str, **fields: Any) -> bytes:
 
     Parameters
     ----------
-    kind : "event", "answer", "about", "parameters", "status". fields : what it says; arrays become lists, numbers that
-        are not finite null.
+    kind : "event", "answer", "about", "parameters", "recording" or "status". fields : what it says; arrays become
+        lists, numbers that are not finite null.
     """
     return msgspec.json.encode({"kind": kind, **fields}, enc_hook=_plain)
 

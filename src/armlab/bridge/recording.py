@@ -22,8 +22,8 @@ _logger = logging.getLogger("armlab.bridge")
 class Feed(Protocol):
     """What else takes the rows and events of a run: called in the loop after the reply was sent, so it must be quick.
 
-    A feed that raises is dropped, with an event. One that has a method ``begin(tell)`` gets at the start where its own
-    sentences are recorded.
+    A feed that raises is dropped, with an event. One that has a method ``begin(tell, files)`` gets at the start where
+    its own sentences are recorded, and the files of the recording.
     """
 
     def row(self, state: State, command: Command | None, tick: Tick) -> None:

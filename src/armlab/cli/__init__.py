@@ -36,6 +36,7 @@ _COMMANDS = {
     "estimate": ("estimate:estimate", "Estimate the contact force in a log with a model."),
     "payload": ("payload:payload", "Weigh a load at the flange with the motors: mass, centre, inertia."),
     "bridge": ("bridge:bridge", "Run a cell: robots, LabComm and other clients, parameters, one commander."),
+    "monitor": ("monitor:monitor", "Watch a bridge that runs: rates, round trips, clamps, commander, events."),
     "log": ("log:log", "Show and repair logs."),
     "robot": ("robot:robot", "List, show and convert robot descriptions."),
 }
