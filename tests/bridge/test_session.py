@@ -66,6 +66,23 @@ def test_a_late_duplicate_of_the_first_packet_is_none(feed: Any) -> None:
     assert feed.session.number == 1
 
 
+@pytest.mark.parametrize("seqno", [0, 3, 40])
+def test_a_late_packet_of_the_session_before_is_old(feed: Any, seqno: int) -> None:
+    """Its number may be ahead of ours: only its tm tells."""
+    feed(seqno=0, tm_ms=1000)
+    feed(seqno=0, tm_ms=3000)
+    feed(seqno=1, tm_ms=3004)
+    assert feed(seqno=seqno, tm_ms=2000) is None
+    assert feed.session.drops == {"old": 1}
+    assert feed.sample(seqno=2, tm_ms=3008).missed == 0
+    assert feed.session.number == 2
+
+
+def test_tm_wraps(feed: Any) -> None:
+    feed(seqno=5, tm_ms=2**32 - 2)
+    assert feed.sample(seqno=6, tm_ms=2).missed == 0
+
+
 def test_silence_begins_a_new_session(feed: Any) -> None:
     feed(seqno=10)
     sample = feed.sample(seqno=11, after=SILENCE)

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import select
+import signal
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -53,3 +58,38 @@ def test_an_early_death_is_quoted() -> None:
             wait_until_gone(simulator)
     finally:
         simulator.stop()
+
+
+_DIES_AT_ONCE = """
+import os, sys
+from armlab.bridge.simulator import Simulator
+print(Simulator(["yumi_right"], [int(sys.argv[1])], {})._process.pid, flush=True)
+os._exit(0)
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/cmdline").exists(), reason="tells living processes by /proc")
+def test_it_does_not_outlive_a_bridge_that_dies_while_it_starts() -> None:
+    """The bridge is gone long before the simulator can look who started it."""
+    port = Port("127.0.0.1", 0)
+    command = [sys.executable, "-c", _DIES_AT_ONCE, str(port.port)]
+    number = subprocess.run(command, capture_output=True, text=True, check=True, timeout=PATIENCE).stdout.strip()
+    deadline = time.monotonic() + PATIENCE
+    try:
+        while _command_of(number) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        assert not _command_of(number), "the simulator lives on without its bridge"
+        assert not select.select([port], [], [], 0.0)[0], "it never spoke"
+    finally:
+        port.close()
+        if _command_of(number):
+            os.kill(int(number), signal.SIGKILL)
+
+
+def _command_of(number: str) -> str:
+    """Return the command of our process, "" when it is gone or only waits to be buried."""
+    try:
+        command = Path(f"/proc/{number}/cmdline").read_text(encoding="utf-8")
+    except OSError:
+        return ""
+    return command if "armlab" in command else ""

@@ -16,6 +16,7 @@ import pytest
 from armlab import cli, robots
 from armlab.cli.sim import sim
 from armlab.sim.guidance import Settings
+from armlab.sim.scara import scara
 from armlab.wire.egm import EgmCodec, Packet, Reference
 
 HEADER = "t,fx,fy,fz,mx,my,mz\n"
@@ -107,6 +108,14 @@ def test_abb_defaults_do_not_replace_what_was_given(holding_peer: int, monkeypat
         (["sim", "--to", "127.0.0.1:6511"], "got 0 and 1"),
         (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--period", "9"], "period"),
         (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--loss", "2"], "loss"),
+        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--delay", "5"], "two numbers"),
+        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--outgoing.loss", "2"], "loss"),
+        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--axes", "6"], "got both"),
+        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--robotware", "5"], "6.06"),
+        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--fields", "tim"], "planned"),
+        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--motors", "0:onn"], "onn"),
+        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--external", "9"], "external"),
+        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--hand", "missing.csv"], "missing.csv"),
         (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--mismatch.mass", "2"], "mismatch mass"),
         (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--seed", "-1"], "seed"),
         (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--seconds", "nan"], "seconds"),
@@ -122,6 +131,37 @@ def test_wrong_arguments_are_one_line(words: list[str], text: str, capsys: pytes
     said = capsys.readouterr().err
     assert len(said.splitlines()) == 1
     assert text in said
+
+
+@pytest.mark.parametrize(
+    ("options", "robotware", "n"),
+    [
+        (["--axes", "6", "--robotware", "7", "--level", "0", "--force"], "7", 6),
+        (["--axes", "7", "--robotware", "6.06"], "6.06", 7),
+        (["--axes", "scara", "--external", "1", "--fields", "utilizationRate"], "6.07", 4),
+        (["--axes", "6", "--program", "lead-through", "--rapid", "undefined"], "6.10", 6),
+    ],
+)
+def test_flavours_from_the_command(options: list[str], robotware: str, n: int) -> None:
+    """One packet in real time is enough: what the codec says of it."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as server:
+        server.bind(("127.0.0.1", 0))
+        to = f"127.0.0.1:{server.getsockname()[1]}"
+        assert cli.main(["sim", "--to", to, "--seconds", "0.05", *options]) == 0
+        robot = scara() if n == 4 else robots.load("irb1200" if n == 6 else "yumi_right")
+        packet = EgmCodec(robot).decode(server.recv(65535))
+    assert isinstance(packet, Packet)
+    assert (packet.robotware, len(packet.q)) == (robotware, n)
+
+
+def test_events_as_json(capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
+        silent.bind(("127.0.0.1", 0))
+        to = f"127.0.0.1:{silent.getsockname()[1]}"
+        words = ["sim", "ur5e", "--to", to, "--seconds", "0.3", "--comm-timeout", "0.1", "--json"]
+        assert cli.main(words) == 0
+    event = json.loads(capsys.readouterr().err.splitlines()[0])
+    assert (event["number"], event["task"]) == (41822, "ur5e")
 
 
 def test_a_simulator_ends_with_the_process_that_started_it() -> None:

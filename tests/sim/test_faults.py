@@ -71,6 +71,13 @@ def test_losses_come_in_bursts_at_the_same_share() -> None:
     assert runs[:-1].min() >= 10
 
 
+def test_from_until_on_nothing_goes_wrong() -> None:
+    rates = FaultRates(loss=0.5, corrupt=0.5, reorder=0.5, delay=(0.01, 0.0), pause=(7.0, 9.0), until=8.0)
+    cycles = outcome(rates)
+    assert not any(cycles[1760:2000])
+    assert cycles[2010:] == [[(k, f"datagram {k}".encode())] for k in range(2010, N)]
+
+
 def test_corrupted_can_never_be_read() -> None:
     from armlab import robots
     from armlab.wire.egm import Drop, EgmCodec
@@ -91,6 +98,8 @@ def test_rates_out_of_range() -> None:
         FaultRates(loss=1.1)
     with pytest.raises(ConfigError, match="pause"):
         FaultRates(pause=(1.0, np.inf))
+    with pytest.raises(ConfigError, match="until"):
+        FaultRates(until=np.nan)
     with pytest.raises(ConfigError, match="burst"):
         FaultRates(burst=0)
     with pytest.raises(ConfigError, match="delay"):

@@ -88,6 +88,7 @@ def test_first_in_first_out_of_64_with_ages() -> None:
     taken = [box.take(10) for _ in range(3)]
     assert [message and message.seqno for message in taken] == [0, 1, 2]
     assert dict(statistics.age) == {10: 1, 9: 1, 8: 1}
+    assert statistics.last_age == 8
     assert statistics.queue[QUEUE_LENGTH] == 1
     box.begin()
     assert box.take(11) is None

@@ -31,7 +31,7 @@ def test_everything_is_plain_json() -> None:
     assert data["counts"] == {"packets": 3}
     assert data["drops"] == {"unparsable": 1}
     assert data["queue_depth"] == {"1": 2}
-    assert data["reference_age"] == {"1": 2}
+    assert data["reference_age"] == {"1": 2, "last": 0}
     assert data["wake_up_late_us"]["p50"] == pytest.approx(100.0)
     assert data["round_trip_us"] == {}
     assert data["events"] == [{"t": 0.5, "task": "yumi_left", "number": 41822, "text": "No data"}]

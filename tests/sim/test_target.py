@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from armlab import robots
+from armlab.sim.drive import Drive
 from armlab.sim.guidance import Settings
 from armlab.sim.target import PATH_PERIOD, Target, has_numbers, is_number
 from armlab.wire.egm import SensorMessage
@@ -65,6 +66,18 @@ def test_what_is_absent_goes_back_to_its_default() -> None:
     assert target.is_plain
     target.begin(HOME)
     assert target.q is None
+
+
+def test_the_drives_get_their_part() -> None:
+    drive, target = Drive(ONES, 50.0 * ONES, 0.9 * ONES, 1e-3), Target(ROBOT, Settings())
+    rest = (np.zeros(7),) * 6
+    target.accept(SensorMessage(0, 1, 3, tau=3.0 * ONES), HOME, None)
+    target.apply(drive)
+    np.testing.assert_array_equal(drive.torque(*rest, np.empty(7)), 3.0)
+    target.release()
+    target.apply(drive)
+    np.testing.assert_array_equal(drive.torque(*rest, np.empty(7)), 0.0)
+    target.apply(None)
 
 
 @pytest.mark.parametrize("field", ["tau", "gain_q", "gain_qd", "q_ext"])

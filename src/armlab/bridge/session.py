@@ -16,6 +16,7 @@ from armlab.wire.egm import Codec, Drop, Packet
 __all__ = ["Sample", "Session"]
 
 _SEQUENCES = 2**32
+_HALF = 2**31  # ms ahead: a tm that is further is one of the past
 _FAR = 2**16  # packets ahead: less than 2**31 of them do not fit into the silence that ends a session
 _FILTER = 30.0  # Hz, of velocities from differences
 _SILENT_PERIODS = 5  # of the old source, before another port of the same host may begin a session
@@ -145,14 +146,19 @@ class Session:
 
     def _count(self, packet: Packet, last: Packet) -> int | Drop:
         """Return the packets lost between two, -1 for a new session, or why the later one does not count."""
+        now, then = packet.tm_ms, last.tm_ms
+        is_late = now is not None and then is not None and (now - then) % _SEQUENCES >= _HALF  # of a session before
         ahead = (packet.seqno - last.seqno) % _SEQUENCES
         if packet.seqno == 0 and ahead != 1:
             same_tm = packet.tm_ms == self._first_tm if packet.tm_ms is not None else last.seqno == 0
-            return Drop("duplicate", "the first packet of the session again") if same_tm else -1
+            if same_tm:
+                return Drop("duplicate", "the first packet of the session again")
+            if not is_late:
+                return -1
         if ahead == 0:
             return Drop("duplicate", f"packet {packet.seqno} again")
-        if ahead > _FAR:
-            return Drop("old", f"packet {packet.seqno} after {last.seqno}")
+        if is_late or ahead > _FAR:
+            return Drop("old", f"packet {packet.seqno} after {last.seqno}, at {now} after {then} ms")
         return ahead - 1
 
     def _begin(self, arrival: Arrival) -> Sample | None:

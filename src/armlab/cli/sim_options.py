@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,6 +42,8 @@ class FaultOptions:
         START,LENGTH [s] in robot time; what is sent meanwhile arrives when the pause is over.
     burst : int
         Losses come this many in a row, at the same share of all datagrams.
+    until : float
+        Robot time from which on nothing goes wrong any more [s].
     """
 
     loss: float = 0.0
@@ -50,6 +53,7 @@ class FaultOptions:
     delay: str = "0,0"
     pause: str = "0,0"
     burst: int = 1
+    until: float = math.inf
 
     def rates(self) -> FaultRates:
         """Return the rates, or raise ConfigError for what makes no sense."""
@@ -61,6 +65,7 @@ class FaultOptions:
             delay=pair("delay", self.delay),
             pause=pair("pause", self.pause),
             burst=self.burst,
+            until=self.until,
         )
 
 
@@ -87,7 +92,7 @@ class Content:
     """
 
     robotware: Literal["6.06", "6.07", "6.10", "7"] = "6.10"
-    axes: Literal["", "6", "7", "scara"] = ""
+    axes: Literal["6", "7", "scara"] | None = None
     external: int = 0
     fields: str = ""
     force: bool = False

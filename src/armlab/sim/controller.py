@@ -79,6 +79,7 @@ class Controller:
                 raise ShapeError(f"Expected a hand path of {arm.robot.n} joints, got one of {self._hand.n}.")
             arm.place(self._hand.at(0.0)[0])
         self._guidance, self._target = Guidance(arm.robot, settings, arm.sample.q), Target(arm.robot, settings)
+        self._drive = arm.drive if isinstance(arm, Arm) else None  # without masses there are no torques
         self._external = ExternalAxes(self._scene.external, settings)
         self.inbox = Inbox(self.packets.codec, self.statistics, settings)
         self._stride = max(1, round(PATH_PERIOD / settings.period)) if settings.mode == "path" else 1
@@ -108,28 +109,15 @@ class Controller:
         """Seconds since guidance began in this session; negative before."""
         return (self.cycle - self._guided_since) * self._settings.period
 
-    @property
-    def tm_ms(self) -> int:
-        """The `tm` of the next packet."""
-        return self.packets.tm_ms(self.cycle)
-
     def packet(self) -> bytes | None:
         """Return the bytes of this cycle's packet, or None while no session runs."""
         if self.phase not in _MCI:
             return None
         scene, t, target = self._scene, self.uptime, self._target
         mode = _TORQUE if not target.gain_q.any() else _POSITION if self._settings.position_gain else _VELOCITY
-        condition = Condition(
-            seq=self.seq,
-            motors=scene.motors.at(t),
-            mci=_MCI[self.phase],
-            rapid=scene.rapid.at(t),
-            converged=self._near,
-            mode=mode,
-            used_seq=self._used_seq,
-            left=self._left,
-        )
-        self.inbox.note(Sent(self.seq, self.tm_ms, self.cycle, self.phase == "guiding"))
+        states = scene.motors.at(t), _MCI[self.phase], scene.rapid.at(t)
+        condition = Condition(self.seq, *states, self._near, mode, self._used_seq, self._left)
+        self.inbox.note(Sent(self.seq, self.packets.tm_ms(self.cycle), self.cycle, self.phase == "guiding"))
         self.seq += 1
         self.statistics.counts["packets"] += 1
         return self.packets.encode(self.cycle, self.arm, self._guidance, condition, self._external.q.tolist())
@@ -209,12 +197,12 @@ class Controller:
     def _enter(self, phase: str) -> None:
         self.phase, self._in_phase, self._near, self._near_for = phase, 0, False, 0
         self._target.release()
-        self._assist()
+        self._target.apply(self._drive)
         if phase == "guiding":
             self._silent_for = 0
             self._target.begin(self._guidance.q)
             self._guidance.begin()
-            if self._settings.activated not in ("", self._settings.mode):
+            if self._settings.activated not in (None, self._settings.mode):
                 self._event(*_MISMATCH)
                 self._enter("paused")
 
@@ -288,17 +276,7 @@ class Controller:
         else:
             self._target.accept(message, *found)
             self._used_seq = message.seqno or 0
-            self._assist()
-
-    def _assist(self) -> None:
-        """Hand the drive's part of the reference to the drives; an arm without masses has none."""
-        if not isinstance(self.arm, Arm):
-            return
-        target = self._target
-        if target.is_plain:
-            self.arm.drive.alone()
-        else:
-            self.arm.drive.assist(target.tau, target.gain_q, target.gain_qd)
+            self._target.apply(self._drive)
 
     def _die(self, number: int, text: str) -> None:
         self._event(number, text)

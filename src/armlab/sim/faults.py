@@ -39,6 +39,8 @@ class FaultRates:
         Start and length [s] in robot time: what is sent meanwhile arrives when the pause is over.
     burst : int
         Losses come this many in a row; `loss` stays the share of all datagrams.
+    until : float
+        Robot time from which on nothing goes wrong any more [s].
 
     Raises
     ------
@@ -52,6 +54,7 @@ class FaultRates:
     delay: tuple[float, float] = (0.0, 0.0)
     pause: tuple[float, float] = (0.0, 0.0)
     burst: int = 1
+    until: float = math.inf
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -61,6 +64,8 @@ class FaultRates:
         for name in ("delay", "pause"):
             if not all(0.0 <= value < math.inf for value in getattr(self, name)):
                 raise ConfigError(f"Expected two times of at least 0 s for {name}, got {getattr(self, name)}.")
+        if not self.until >= 0.0:
+            raise ConfigError(f"Expected until of at least 0 s, got {self.until}.")
         if self.burst < 1:
             raise ConfigError(f"Expected a burst of at least 1 datagram, got {self.burst}.")
 
@@ -100,7 +105,9 @@ class Faults:
         rates, draw = self._rates, self._random
         out: list[tuple[int, bytes]] = []
         start, length = rates.pause
-        resumes = start + length if start <= now < start + length else 0.0
+        resumes = start + length if start <= now < min(start + length, rates.until) else 0.0
+        if now >= rates.until:
+            out, datagrams = list(datagrams), []
         for number, data in datagrams:
             begins, twice, swapped, corrupt = draw.random(4) < (
                 self._begins,

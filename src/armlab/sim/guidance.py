@@ -44,7 +44,7 @@ _CHOICES = {
     "program": ("loop", "once", "stream", "lead-through"),
     "stream_queue": ("drop", "keep"),
     "mode": ("joint", "pose", "path"),
-    "activated": ("", "joint", "pose", "path"),
+    "activated": (None, "joint", "pose", "path"),
 }
 
 _OVERSHOOT = 0.02  # rad: the filters may carry a reference that stops at a limit this far beyond it
@@ -91,7 +91,7 @@ class Settings:
     mode : str
         What is guided, and so what messages must hold: "joint" references, a "pose", or corrections of a "path".
     activated : str
-        The mode that RAPID prepared; another than `mode` plays event 41826. "" for the same.
+        The mode that RAPID prepared; another than `mode` plays event 41826. None for the same.
 
     Raises
     ------
@@ -114,7 +114,7 @@ class Settings:
     program: Literal["loop", "once", "stream", "lead-through"] = "loop"
     stream_queue: Literal["drop", "keep"] = "drop"
     mode: Literal["joint", "pose", "path"] = "joint"
-    activated: Literal["", "joint", "pose", "path"] = ""
+    activated: Literal["joint", "pose", "path"] | None = None
 
     def __post_init__(self) -> None:
         """Check the ranges."""

@@ -139,6 +139,7 @@ class Inbox:
             return None
         message, asked = self._queue.popleft()
         if asked is not None:
+            self._statistics.last_age = cycle - asked
             self._statistics.age[cycle - asked] += 1
         return message
 

@@ -39,6 +39,7 @@ class Statistics:
         missed: packets of guidance without a usable reply within one period; duplicates: replies that repeat the
         number of the one before; how replies were matched. drops : datagrams by reason. mtypes : types of messages.
     queue : depth of the queue at each take. age : cycles between packet and take of the reply to it, 1 at best.
+    last_age : of the newest reply taken, 0 before the first.
     events : the newest thousand.
     """
 
@@ -48,6 +49,7 @@ class Statistics:
         self.mtypes: Counter[int] = Counter()
         self.queue: Counter[int] = Counter()
         self.age: Counter[int] = Counter()
+        self.last_age = 0
         self.events: deque[Event] = deque(maxlen=1000)
         self._round_trips: deque[float] = deque(maxlen=_KEPT)
         self._wake_ups: deque[float] = deque(maxlen=_KEPT)
@@ -89,7 +91,7 @@ class Statistics:
             "drops": dict(sorted(self.drops.items())),
             "mtypes": {str(k): v for k, v in sorted(self.mtypes.items())},
             "queue_depth": {str(k): v for k, v in sorted(self.queue.items())},
-            "reference_age": {str(k): v for k, v in sorted(self.age.items())},
+            "reference_age": {str(k): v for k, v in sorted(self.age.items())} | {"last": self.last_age},
             "round_trip_us": _quantiles(self._round_trips),
             "wake_up_late_us": _quantiles(self._wake_ups),
             "events": [event._asdict() for event in self.events],

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from armlab.robots import Robot
+from armlab.sim.drive import Drive
 from armlab.sim.guidance import Settings
 from armlab.wire.egm import SensorMessage
 
@@ -102,6 +103,20 @@ class Target:
         self.tau = np.zeros(n) if message.tau is None else message.tau
         self.gain_q = np.ones(n) if message.gain_q is None else message.gain_q.clip(0.0, _LARGEST_GAIN)
         self.gain_qd = np.ones(n) if message.gain_qd is None else message.gain_qd.clip(0.0, _LARGEST_GAIN)
+
+    def apply(self, drive: Drive | None) -> None:
+        """Hand the drive's part to the drives.
+
+        Parameters
+        ----------
+        drive : of all joints; None for an arm without masses, which has none.
+        """
+        if drive is None:
+            return
+        if self.is_plain:
+            drive.alone()
+        else:
+            drive.assist(self.tau, self.gain_q, self.gain_qd)
 
     def release(self) -> None:
         """Give the drive back its own gains and no torque: guidance is over."""
