@@ -15,6 +15,7 @@ import pytest
 
 from armlab import robots
 from armlab.bridge.cell import Cell, listening, parse_cell, run_cell
+from armlab.bridge.labcomm import LabCommSource
 from armlab.bridge.local import LocalFeed
 from armlab.bridge.messages import CommandRequest, SetRequest, Stop, Subscribe
 from armlab.bridge.row import Row
@@ -59,13 +60,18 @@ def test_two_arms_have_the_ports_of_the_ancestor() -> None:
     cell = parse_cell(
         'pace = "yumi_right"\n[[robots]]\nname="yumi_left"\nlink="egm://127.0.0.1:6511"\n'
         '[[robots]]\nname="yumi_right"\nlink="egm://127.0.0.1:6512"\n[servers.labcomm]\n'
-        "[sources.force]\nperiod=0.004\nport=0\n[sources.force.fields.wrench_raw]\nshape=[6]"
+        "types='sample struct { double pos[7]; } state;'\n"
+        "[sources.force]\nperiod=0.004\nport=0\n[sources.force.fields.wrench_raw]\nshape=[6]\n"
+        "[sources.far]\nkind='labcomm'\nsample='robot_row'\nperiod=0.004\nport=7511\n"
+        "[sources.far.fields.trq]\nshape=[7]\nunit='N m'"
     )
     labcomm = cell.servers["labcomm"]
     assert [arm["port"] for arm in labcomm["arms"].values()] == [7511, 7512]
     assert (labcomm["parameters"], labcomm["fused"], cell.pace) == (7513, 7514, "yumi_right")
-    (force,) = cell.sources()
+    assert "state" in labcomm["types"]
+    force, far = cell.sources()
     assert (force.name, force.fields["wrench_raw"].unit) == ("force", "N, N m")
+    assert isinstance(far, LabCommSource)
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ import msgspec
 
 from armlab import robots
 from armlab.bridge.feed import OPERATOR, Exchange
+from armlab.bridge.labcomm import LabCommSource
 from armlab.bridge.labcomm.process import labcomm_options
 from armlab.bridge.limits import Limits
 from armlab.bridge.link import connect
@@ -58,12 +59,13 @@ class _Field(_Table, frozen=True):
 
 
 class _Source(_Table, frozen=True):
-    """A source of values beside the arms: datagrams of another program."""
+    """A source of values beside the arms: datagrams of another program, or a sample of a LabComm server."""
 
     fields: dict[_Name, _Field]
     period: float
     port: _Port
-    kind: Literal["udp"] = "udp"
+    kind: Literal["udp", "labcomm"] = "udp"
+    sample: str | None = None
     host: str = "127.0.0.1"
     layout: dict[str, str] | Literal["json"] = "json"
     max_age: float | None = None
@@ -92,6 +94,8 @@ class _LabComm(_Table, frozen=True):
     rows: _Port = 7514
     order: Literal["abb", "chain"] = "abb"
     dialect: str = "2014v1"
+    types: str | None = None
+    follows_client: bool = False
 
 
 class _Servers(_Table, frozen=True):
@@ -215,12 +219,16 @@ def _labcomm(options: _LabComm, arms: Sequence[Robot]) -> dict[str, Any]:
         order=options.order,
         parameters=options.parameters,
         fused=options.rows,
+        types=options.types,
+        follows_client=options.follows_client,
     )
 
 
 def _source(name: str, one: _Source) -> Source:
     fields = {field: Column(about.shape, about.unit, about.frame) for field, about in one.fields.items()}
     options = {"max_age": one.max_age, "role": one.role, "robot": one.robot}
+    if one.kind == "labcomm":
+        return LabCommSource(name, fields, one.period, one.port, one.host, one.sample, **options)
     return UdpSource(name, fields, one.period, one.port, one.layout, one.host, **options)
 
 

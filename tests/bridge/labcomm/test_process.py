@@ -15,7 +15,7 @@ from armlab.bridge.labcomm import LabCommClient, Row, RowTypes
 from armlab.bridge.labcomm.process import LabCommProcess, labcomm_options
 from armlab.bridge.parameters import Parameter, Parameters
 from armlab.bridge.servers import Servers, server_command
-from armlab.errors import ConfigError, LinkError
+from armlab.errors import ConfigError, LabCommError, LinkError, UnknownName
 from armlab.log import Column, Tick
 from armlab.robots import Robot
 from armlab.state import State
@@ -134,6 +134,12 @@ def test_options() -> None:
     assert [arm["port"] for arm in labcomm_options([right])["arms"].values()] == [7512]
     six = labcomm_options([robots.load("irb2400")])
     assert (six["fused"], six["arms"]["irb2400"]["port"]) == (None, 7511)
+    text = "sample struct { double pos[7]; } state;"
+    assert labcomm_options([left], types=text, follows_client=True)["types"] == text
+    with pytest.raises(LabCommError, match="to be a struct"):
+        labcomm_options([left], types="sample int a;")
+    with pytest.raises(UnknownName, match="dialect"):
+        labcomm_options([left], dialect="2015")
     with pytest.raises(ConfigError, match="each of 1 arms"):
         labcomm_options([left], ports=[1, 2])
 
@@ -149,9 +155,13 @@ def test_a_loop_that_has_gone_ends_the_process(robot: Robot) -> None:
 
 def test_it_is_one_of_the_bridge_s_servers(robot: Robot) -> None:
     exchange = Exchange([robot], ["labcomm"])
-    options = labcomm_options([robot], ports=[0], parameters=0, fused=None)
+    text = "sample struct { long tm; float pos[_]; } where; sample struct { float pos[7]; } there;"
+    options = labcomm_options([robot], ports=[0], parameters=0, fused=None, types=text)
     with Servers(exchange, {"labcomm": server_command("labcomm", options)}) as servers:
         where = servers.ready()
         assert [text.partition(" ")[2] for text in where] == [f"(labcomm, {robot.name})", "(labcomm, parameters)"]
-        with LabCommClient(port=int(where[0].partition(" ")[0].rpartition(":")[2])) as client:
-            until(lambda: exchange.row(state(robot), None, TICK) or client.rows(0.0))
+        types = RowTypes(robot.abb_axes, text=text)
+        with LabCommClient(port=int(where[0].partition(" ")[0].rpartition(":")[2]), types=types) as client:
+            rows: list[Row] = []
+            until(lambda: exchange.row(state(robot), None, TICK) or rows.extend(client.rows(0.0)) or rows)
+    assert np.allclose(rows[0].q, robot.q_home, rtol=0, atol=1e-6)

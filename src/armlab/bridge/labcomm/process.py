@@ -18,7 +18,7 @@ import numpy as np
 
 from armlab.bridge.labcomm.channels import ArmChannel, Channel, FusedArm, FusedChannel, FusedSource, ParameterChannel
 from armlab.bridge.labcomm.peer import Peer
-from armlab.bridge.labcomm.rows import Row
+from armlab.bridge.labcomm.rows import Order, Row
 from armlab.bridge.labcomm.server import LabCommServer
 from armlab.bridge.messages import CommandRequest, Leave, Listening, Request, SetRequest
 from armlab.bridge.row import MAGIC, RowSchema, read_row
@@ -37,9 +37,11 @@ def labcomm_options(
     host: str = "127.0.0.1",
     ports: Sequence[int] | None = None,
     dialect: str = "2014v1",
-    order: str = "abb",
+    order: Order = "abb",
     parameters: int | None = _PARAMETERS,
     fused: int | None = _FUSED,
+    types: str | None = None,
+    follows_client: bool = False,
 ) -> dict[str, Any]:
     """Return the options of the server of some arms, for `servers.server_command`.
 
@@ -47,12 +49,16 @@ def labcomm_options(
     ----------
     robots : the arms. host : address to listen on, this computer only by default.
     ports : of the arms; None gives 7511 to a left or only arm, 7512 to a right one.
-    dialect, order : see `ArmChannel`. parameters, fused : ports, None for none. Fused rows are for arms of 7 joints.
+    dialect, order, types, follows_client : see `ArmChannel`.
+    parameters, fused : ports, None for none. Fused rows are for arms of 7 joints.
 
     Raises
     ------
-    ConfigError : another number of ports than of arms.
+    ConfigError, UnknownName : another number of ports than of arms, an order or a dialect that does not exist.
+    LabCommError : `types` that do not parse or that are no rows.
     """
+    for robot in robots:
+        ArmChannel(robot.name, 0, None, robot.abb_axes, order, types, dialect)  # a mistake shows before any process
     if ports is None:
         sides = [robot.side for robot in robots]
         ports = [_LEFT + (side == "right" if all(sides) else k) for k, side in enumerate(sides)]
@@ -62,8 +68,15 @@ def labcomm_options(
     if any(robot.n != 7 for robot in robots):
         fused = None
     return {
-        "host": host, "dialect": dialect, "order": order, "arms": arms, "parameters": parameters, "fused": fused
-    }  # fmt: skip
+        "host": host,
+        "dialect": dialect,
+        "order": order,
+        "arms": arms,
+        "parameters": parameters,
+        "fused": fused,
+        "types": types,
+        "follows_client": follows_client,
+    }
 
 
 class _Arm(ArmChannel):
@@ -132,10 +145,10 @@ class LabCommProcess:
 
     def _channels(self) -> list[Channel]:
         options = self._options
-        common = {"dialect": options["dialect"]}
+        common = {name: options[name] for name in ("dialect", "follows_client")}
         channels: list[Channel] = []
         for name, arm in options["arms"].items():
-            one = _Arm(name, arm["port"], self._command, arm["axes"], options["order"], **common)
+            one = _Arm(name, arm["port"], self._command, arm["axes"], options["order"], options["types"], **common)
             one.process = self
             channels.append(one)
         if options["fused"] is not None:
