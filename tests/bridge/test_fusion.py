@@ -99,6 +99,25 @@ def test_what_was_never_seen() -> None:
     assert np.isnan(held["p"])
 
 
+def test_a_source_that_breaks_its_promises_grows_old() -> None:
+    told: list[str] = []
+
+    class Broken(Source):
+        def newest(self) -> Any:
+            k = self.now_ns // MS
+            if k == 0:
+                return Reading(self.values({"p": 1.0}), 0, self.now_ns, 0)
+            if k < 50:
+                raise OSError("unplugged")
+            return Reading({"p": np.zeros(3)}, 0, self.now_ns, k) if k < 60 else "nothing"
+
+    fusion = Fusion([Broken("s", P, 0.001)], lambda text, warn=False: told.append(text))
+    ages = [fusion.tick(k * MS)["s"].age for k in range(70)]
+    np.testing.assert_allclose(ages, 1e-3 * np.arange(70))
+    assert [text.partition(":")[0] for text in told if "problem" in text] == ["The source s has a problem"] * 3
+    assert any("OSError: unplugged" in text for text in told)
+
+
 def test_a_restart_of_the_numbers_maps_the_clock_anew() -> None:
     told: list[str] = []
 

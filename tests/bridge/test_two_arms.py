@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import socket
 import threading
@@ -15,6 +16,8 @@ import pytest
 from armlab import log
 from armlab.errors import ControllerFailed, LinkError, NoRobot
 from armlab.state import Command, State
+
+START_NS = 1_700_000_000_000_000_000
 
 
 def sway(now: State) -> Command:
@@ -171,3 +174,36 @@ def test_a_new_session_of_one_arm_begins_time_anew(pair: Any) -> None:
     assert run.arms[1].statistics["sessions"] == 2
     assert times.count(0.0) == 2
     assert all(0.0 <= t < 0.3 for t in times)
+
+
+def test_two_clocks_that_drift_through_each_other(pair: Any) -> None:
+    """Cycles of 4.032 and 4.000 ms: ages are exact, and what the other arm is sent is at most one period old."""
+    periods = (4_032_000, 4_000_000)
+    told: list[float] = []
+
+    def controller(now: State) -> Command:
+        left, right = now.arms
+        told.append(right.age)
+        assert abs(1e9 * right.age - (left.robot_ns - right.robot_ns)) < 1.0
+        return Command(now.q_start + 1e-9 * (now.robot_ns - START_NS) * 0.01)
+
+    def script(left: Any, right: Any) -> None:
+        peers, due = (left, right), [500_000, 0]
+        while not pair.peer.over.is_set():
+            k = int(due[1] <= due[0])
+            peers[k].send(robot_ns=START_NS + due[k])
+            while not pair.peer.over.is_set():
+                with contextlib.suppress(TimeoutError):
+                    peers[k].answer(0.02)
+                    break
+            due[k] += periods[k]
+
+    run = pair(script, controller, seconds=1.0)
+    assert 0.0 <= min(told) < 0.0001
+    assert 0.0039 < max(told) <= 0.004
+    right = run.arms[1].table
+    followed = np.flatnonzero(np.isfinite(right["q_ref"]).all(axis=1))[10:]
+    asked_at = (right["q_ref"][followed, 0] - right["q"][0, 0]) / 0.01
+    ages = 1e-9 * (right["robot_ns"][followed] - START_NS) - asked_at
+    assert ages.min() >= 0.0
+    assert ages.max() <= 0.004032 + 1e-6

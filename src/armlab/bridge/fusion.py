@@ -158,13 +158,13 @@ class Fusion:
     def _look(self, source: Source, now_ns: int) -> Held:
         name = source.name
         source.now_ns = now_ns
-        reading = source.newest()
+        last = self._last.get(name)
+        reading = self._newest(source, None if last is None else last[0])
         if source.problem and self._told.get(name) != source.problem:
             self._told[name] = source.problem
             self._on_event(f"The source {name} has a problem: {source.problem}.", warn=True)
         if reading is None:
             return Held(self._nothing[name], self._nothing[name], float("inf"), False, True)
-        last = self._last.get(name)
         fresh = last is None or (reading.seq, reading.receive_ns) != (last[0].seq, last[0].receive_ns)
         if fresh:
             last = self._last[name] = (reading, self._mapped(source, reading, None if last is None else last[0]))
@@ -176,6 +176,21 @@ class Fusion:
             values, reading.values, age, fresh, stale, reading.gaps, reading.seq, reading.source_ns,
             reading.receive_ns, last[1] if last is not None else 0,
         )  # fmt: skip
+
+    def _newest(self, source: Source, last: Reading | None) -> Reading | None:
+        """Return the latest reading of a source; the one before where it raises or gives something else."""
+        try:
+            reading = source.newest()
+            if reading is None or reading is last:
+                return reading
+            shapes = {field: np.shape(value) for field, value in reading.values.items()}
+        except Exception as error:  # a user's own source must not stop the loop
+            source.problem = f"{type(error).__name__}: {error}"
+            return last
+        if shapes != {field: column.shape for field, column in source.fields.items()}:
+            source.problem = f"expected the fields {', '.join(source.fields)} with their shapes, got {shapes}"
+            return last
+        return reading
 
     def _mapped(self, source: Source, reading: Reading, last: Reading | None) -> int:
         if not reading.source_ns:

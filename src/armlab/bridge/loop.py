@@ -91,22 +91,33 @@ class Loop:
     def run(self) -> None:
         """Run until every guide has ended."""
         while not self._have_ended():
-            found = self._waiting.next(_LOOK)
-            turn, asks = None, False
-            with self._lock:
-                if found is not None:
-                    arm = self._arms[found[0]]
-                    turn = arm.take(found[1])
-                    asks = turn is not None and arm is self._pace and self._may_ask(turn)
-                    if turn is not None and not asks:
-                        self._answer(arm, turn)
-                    elif asks:
-                        self._serve_others()
-            if turn is not None and asks:
-                self._call(turn)
-            self._record()
-            self._look(turn is None)
-            self._after()
+            try:
+                self._cycle()
+            except Exception as error:
+                if self.failure is not None:
+                    raise
+                failure = LinkError(f"Expected a cycle without errors, got {type(error).__name__}: {error}.")
+                failure.__cause__ = error  # of a codec or a source of the user's, or ours: no arm goes on at its speed
+                self._stop("the bridge failed", failure)
+
+    def _cycle(self) -> None:
+        """Wait for one packet, answer it, record it."""
+        found = self._waiting.next(_LOOK)
+        turn, asks = None, False
+        with self._lock:
+            if found is not None:
+                arm = self._arms[found[0]]
+                turn = arm.take(found[1])
+                asks = turn is not None and arm is self._pace and self._may_ask(turn)
+                if turn is not None and not asks:
+                    self._answer(arm, turn)
+                elif asks:
+                    self._serve_others()
+        if turn is not None and asks:
+            self._call(turn)
+        self._record()
+        self._look(turn is None)
+        self._after()
 
     def overdue(self) -> float:
         """Return the seconds until the controller is overdue, 0 or less when it is. For the guard."""
