@@ -14,6 +14,7 @@ from armlab.bridge.rehearsal import Rehearsal
 from armlab.bridge.session import Sample, Session
 from armlab.bridge.states import Guide
 from armlab.bridge.supervision import Settings, Supervisor
+from armlab.bridge.surplus import Surplus
 from armlab.bridge.waiting import Prediction
 from armlab.log import Tick
 from armlab.robots import Robot
@@ -58,6 +59,7 @@ class Arm:
     Attributes
     ----------
     prediction : of the next packet. newest : the newest packet that counted. latency : arrival to reply.
+    surplus : replies left out, see `Surplus`.
     replies, overtaken, late : packets. was_late : the last reply was.
     """
 
@@ -82,6 +84,7 @@ class Arm:
         self.newest: Turn | None = None
         self._in_lockstep = settings.clock == "robot"
         self._fusion = fusion
+        self.surplus = Surplus()
         self._supervisor = Supervisor(port, session, guide, settings, recording.event)
         self._wall_ns, self._heard_ns, self._robot_ns = wall_ns, time.monotonic_ns(), 0
         self._surpassed: list[Turn] = []
@@ -183,7 +186,8 @@ class Arm:
         """
         sample, session = turn.sample, self.session
         seq = send_ns = -1
-        if reply is not None and session.source is not None:
+        depth = -1 if self._in_lockstep else sample.packet.queue_depth  # lockstep waits for every reply
+        if reply is not None and session.source is not None and not self.surplus.leaves_out(depth):
             packet = sample.packet
             tm_ms = 0 if packet.tm_ms is None else packet.tm_ms
             echoes = packet.seqno, packet.robot_mono_ns

@@ -96,6 +96,7 @@ def statistics(arm: Arm, reason: str) -> dict[str, Any]:
         "packets": session.received,
         "replies": arm.replies,
         "overtaken": arm.overtaken,
+        "left_out": arm.surplus.left_out,
         "missed": session.missed,
         "late": arm.late,
         "refused": guide.refused,

@@ -1,0 +1,42 @@
+"""`Surplus`: replies left out when the robot's queue holds more than it should.
+
+The controller takes one message per cycle, first in, first out. A surplus message makes every later reference one cycle
+older, for ever, until one reply is left out. Only the research extension tells how many wait (``queueDepth``).
+"""
+
+from __future__ import annotations
+
+__all__ = ["Surplus"]
+
+_CYCLES = 3  # in a row with messages left: fewer are replies on their way
+
+
+class Surplus:
+    """Decides packet by packet whether its reply is left out.
+
+    Attributes
+    ----------
+    left_out : replies so far.
+    """
+
+    def __init__(self) -> None:
+        self.left_out = 0
+        self._owed = 0
+        self._depths: list[int] = []
+
+    def leaves_out(self, depth: int) -> bool:
+        """Return whether the reply to this packet is left out: one for each message that was left in three cycles.
+
+        Parameters
+        ----------
+        depth : messages left in the queue after the controller took one; not above 0 also when it does not tell.
+        """
+        if not self._owed:
+            self._depths = [*self._depths, depth] if depth > 0 else []
+            if len(self._depths) < _CYCLES:
+                return False
+            self._owed = min(self._depths)
+            self._depths = []  # look anew afterwards: the next two packets still count what was left out
+        self._owed -= 1
+        self.left_out += 1
+        return True

@@ -1,0 +1,69 @@
+"""One reply is left out for each surplus message in the robot's queue."""
+
+from __future__ import annotations
+
+import json
+from collections import deque
+from pathlib import Path
+from urllib.parse import quote
+
+import pytest
+
+from armlab import robots
+from armlab.bridge import connect
+from armlab.bridge.surplus import Surplus
+from armlab.state import Command
+
+
+def controller(surplus: Surplus, extra: dict[int, int], cycles: int) -> tuple[list[int], int]:
+    """Ages of the references that act, and cycles without one: sends, takes one message, then the reply arrives."""
+    queue: deque[int] = deque()
+    ages, starved, left = [], 0, 0
+    for k in range(cycles):
+        depth = left
+        if queue:
+            ages.append(k - queue.popleft())
+        else:
+            starved += k > 0
+        left = len(queue)
+        if not surplus.leaves_out(depth):
+            queue.append(k)
+        queue.extend([k] * extra.get(k, 0))
+    return ages, starved
+
+
+def test_nothing_is_left_out_of_a_queue_that_empties() -> None:
+    surplus = Surplus()
+    ages, starved = controller(surplus, {}, 100)
+    assert (set(ages), starved, surplus.left_out) == ({1}, 0, 0)
+
+
+@pytest.mark.parametrize("many", [1, 2, 5])
+def test_surplus_messages_cost_no_lag_in_the_end(many: int) -> None:
+    """Without the rule the age would stay at 1 + many for ever."""
+    surplus = Surplus()
+    ages, starved = controller(surplus, {20: many}, 100)
+    assert max(ages) == 1 + many
+    assert set(ages[-60:]) == {1}
+    assert surplus.left_out == many
+    assert starved == 0
+
+
+def test_two_cycles_are_not_enough_and_unknown_depth_never_acts() -> None:
+    surplus = Surplus()
+    assert not any(surplus.leaves_out(depth) for depth in [1, 1, 0, 2, 2, 0, -1, -1, -1, -1, -1])
+    assert [surplus.leaves_out(depth) for depth in [3, 1, 2, 2]] == [False, False, True, False]
+    assert surplus.left_out == 1
+
+
+@pytest.mark.slow
+def test_duplicated_replies_leave_no_lag(tmp_path: Path) -> None:
+    """Real time, one reply in a hundred arrives twice: without the rule the references would be 10 cycles old. 6 s."""
+    robot, stats = robots.load("yumi_right"), tmp_path / "stats.json"
+    url = f"sim://yumi_right?duplicate=0.01&seed=4&stats={quote(str(stats))}"
+    with connect(url, robot) as link:
+        run = link.run(lambda state: Command(state.q_start), seconds=4.0)
+    assert run.statistics["left_out"] >= 3
+    [counted] = json.loads(stats.read_text()).values()
+    ages = {int(age): number for age, number in counted["reference_age"].items()}
+    assert sum(number for age, number in ages.items() if age <= 2) > 0.8 * sum(ages.values())
