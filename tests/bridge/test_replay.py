@@ -47,6 +47,16 @@ def test_readings_come_when_they_came() -> None:
     assert got[4] is got[6]
 
 
+def test_a_source_without_a_clock() -> None:
+    source = ReplaySource("tracker", recording().without("tracker.source_time", "tracker.delay"), 1 / 30)
+    source.now_ns = 0
+    source.newest()
+    source.now_ns = 5 * MS
+    reading = source.newest()
+    assert reading is not None
+    assert (reading.seq, reading.source_ns) == (7, 0)
+
+
 def test_a_source_that_was_not_recorded() -> None:
     with pytest.raises(UnknownName, match=r"source in this recording.*tracker"):
         ReplaySource("force", recording(), 0.001)

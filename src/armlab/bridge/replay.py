@@ -35,7 +35,8 @@ class ReplaySource(Source):
         super().__init__(name, fields, period, **options)
         self._values = {one.removeprefix(prefix): table[one] for one in names}
         self._ages_ns = np.rint(1e9 * table[f"{prefix}age"])
-        self._counts = {one: table[f"{prefix}{one}"] for one in ("seq", "gaps", "source_time")}
+        absent = np.full(len(table), np.nan)  # the source had no clock of its own
+        self._counts = {one: table.values.get(f"{prefix}{one}", absent) for one in ("seq", "gaps", "source_time")}
         self._ticks_ns = table["receive_ns"] - table["receive_ns"][0]
         self._begun_ns: int | None = None
         self._row, self._newest = -1, None
