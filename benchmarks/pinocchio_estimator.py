@@ -33,6 +33,7 @@ class PinocchioEstimator:
         self._speed_scale, self._delta_scale = 1.0 / self._f.stribeck_speed, -1.0 / self._f.delta
         self._static2 = self._f.static**2
         self._at_speed, self._excess = self._c.alpha2 * self._c.Cinf, self._c.alpha2 * (self._c.C0 - self._c.Cinf)
+        self._true, self._unsure = 1.0 / model.gains, float(np.mean(np.diag(model.gain_cov)))
         self._prior, self._prior_column = prior, prior[:, None]
         self._prior_matrix = np.diag(prior)
         self.reset()
@@ -53,7 +54,7 @@ class PinocchioEstimator:
         self._qd = qd
         peer = self._peer
         rigid = pin.rnea(peer.model, peer.data, q, qd, qdd) + self._m.rotor * qdd
-        low = self._lowpass(np.concatenate((rigid + self._drive(q, qd) - state.tau, self._p)), dt, first)
+        low = self._lowpass(np.concatenate((rigid + self._drive(q, qd) - self._true * state.tau, self._p)), dt, first)
         error = low[:n]
         variance = self._variance(qd) + self._static2 * np.minimum(np.maximum(low[n:], 0.0), 1.0)
         J = pin.computeFrameJacobian(peer.model, peer.data, q, peer.tool, WORLD_AXES)
@@ -105,4 +106,9 @@ class PinocchioEstimator:
         if failed:
             raise ArithmeticError("S is not positive definite.")
         P = self._prior_matrix - weighted @ gain
-        return error @ gain, P, 1.0 - P.diagonal() / self._prior
+        F = error @ gain
+        return F, self._of_gains(F, P), 1.0 - P.diagonal() / self._prior
+
+    def _of_gains(self, F: np.ndarray, P: np.ndarray) -> np.ndarray:
+        """Return the covariance (6, 6) with what the gains of the torques leave in doubt."""
+        return P + np.outer(self._unsure * F, F)

@@ -54,7 +54,7 @@ class PinocchioMomentum(PinocchioEstimator):
         beta = pin.computeCoriolisMatrix(peer.model, peer.data, q, qd).T @ qd
         gravity = pin.computeGeneralizedGravity(peer.model, peer.data, q)
         M = pin.crba(peer.model, peer.data, q) + self._rotor
-        u, p = state.tau + beta - gravity - self._drive(q, qd), M @ qd
+        u, p = self._true * state.tau + beta - gravity - self._drive(q, qd), M @ qd
         known = u if self._count < 2 else 0.5 * (u + self._known)
         middle = q if first else 0.5 * (q + self._q)
         self._known, self._q, self._count = u, q, self._count + 1
@@ -108,7 +108,8 @@ class PinocchioMomentum(PinocchioEstimator):
                 raise ArithmeticError("S is not positive definite.")
             self._x = self._x + (p - self._x[:n]) @ gain
             self._P = P - P[:, :n] @ gain
-        return self._scale * self._x[n:], self._scale[:, None] * self._P[n:, n:] * self._scale
+        F = self._scale * self._x[n:]
+        return F, self._of_gains(F, self._scale[:, None] * self._P[n:, n:] * self._scale)
 
     def _predict(self, G: np.ndarray, known: np.ndarray, h: float, Qp: np.ndarray) -> None:
         n, P = len(Qp), self._P

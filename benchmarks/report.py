@@ -22,11 +22,12 @@ ratio, or of armlab's own time. Bold lines are armlab's, lines in italics are li
 
 @dataclass(frozen=True)
 class Section:
-    """The tables of one benchmark, and the cores that other processes used meanwhile."""
+    """The tables of one benchmark, the cores that other processes used meanwhile, and why there is no table."""
 
     name: str
     tables: Sequence[Table]
     other_cores: float
+    failure: str = ""
 
 
 def render(date: str, machine: Sequence[str], sections: Sequence[Section], quick: bool = False) -> str:
@@ -46,6 +47,7 @@ def render(date: str, machine: Sequence[str], sections: Sequence[Section], quick
             "scatter more than on a quiet one, tails above all. Each table tells how much it was meanwhile.",
             "",
         ]
+    lines += [f"**{section.name} failed:** {section.failure}\n" for section in sections if section.failure]
     lines += [METHOD, *_bars(sections)]
     for section in sections:
         for table in section.tables:

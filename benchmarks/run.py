@@ -46,11 +46,14 @@ def main() -> int:
     results.mkdir(exist_ok=True)
     path = results / f"{start:%Y-%m-%d-%H%M%S}.md"
     path.write_text(text, encoding="utf-8")
-    if options.publish:
+    failed = [section.name for section in sections if section.failure]
+    if options.publish and not failed:
         (environment.ROOT / "docs" / "benchmarks.md").write_text(text, encoding="utf-8")
     print(text)
     print(f"Report: {path.relative_to(environment.ROOT)}")
-    return 0
+    if failed:
+        print(f"Failed: {', '.join(failed)}. Nothing was published.", file=sys.stderr)
+    return 1 if failed else 0
 
 
 if __name__ == "__main__":
