@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import random
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from armlab.bridge.labcomm.channels import (
     ParameterChannel,
 )
 from armlab.bridge.labcomm.rows import Row
-from armlab.errors import ConfigError, UnknownName
+from armlab.errors import ConfigError, LabCommError, UnknownName
 from armlab.wire.labcomm import PRIMS, Array, Decoder, Definition, Encoder, Sample, Unknown, Version, idl
 
 COMMAND = idl.samples("armlab")["command_row"]
@@ -162,3 +163,46 @@ def test_all_parameters_on_accept() -> None:
         Channel("x", 0, dialect="2015")
     with pytest.raises(NotImplementedError):
         Channel("x", 0).put(None, [])
+
+
+def mutants(count: int) -> Iterator[bytes]:
+    rng, encoder = random.Random(11), Encoder()
+    raw = encoder.version() + encoder.define(COMMAND) + 3 * encoder.data(COMMAND, VALUE)
+    for _ in range(count):
+        data = bytearray(raw)
+        for _ in range(rng.randint(1, 3)):
+            at = rng.randrange(len(data))
+            if rng.random() < 0.2:
+                del data[at : at + rng.randint(1, 4)]
+            else:
+                data[at] = rng.choice((0x00, 0x7F, 0xFF, 0xF0, rng.randrange(256)))
+        yield bytes(data)
+
+
+def obeyed(count: int) -> list[Row]:
+    """What an arm would be asked by mutated streams of commands, one client after another."""
+    taken: list[Row] = []
+    channel = ArmChannel("left", 0, lambda name, row, client: taken.append(row))
+    for raw in mutants(count):
+        (peer,), decoder = fakes("a"), Decoder()
+        try:
+            events = decoder.feed(raw)
+        except LabCommError as error:
+            events = error.events
+        for event in events:
+            channel.take(peer, event, [peer])
+        channel.left(peer)
+    return taken
+
+
+@pytest.mark.parametrize("count", [1000, pytest.param(50_000, marks=pytest.mark.slow)])
+def test_mutated_commands_are_whole_or_refused(count: int) -> None:
+    """Each command that reaches the loop is finite and of the right length. The slow one takes about 15 s."""
+    rows = obeyed(count)
+    assert len(rows) > count // 2
+    for row in rows:
+        assert row.q is not None
+        assert row.q.shape == (7,)
+        assert np.isfinite(row.q).all()
+        for part in (row.qd, row.tau):
+            assert part is None or np.isfinite(part).all()
