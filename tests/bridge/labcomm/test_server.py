@@ -13,7 +13,7 @@ import pytest
 from armlab.bridge.labcomm import ArmChannel, FusedChannel, LabCommServer, ParameterChannel, Row, RowTypes
 from armlab.bridge.labcomm.channels import FusedArm
 from armlab.errors import LinkError, UnknownName
-from armlab.wire.labcomm import Definition, Encoder, Sample, SampleType, Version, parse_lc
+from armlab.wire.labcomm import Decoder, Definition, Encoder, Sample, SampleType, Version, parse_lc
 
 from .conftest import Plain, Started, row, until
 
@@ -187,3 +187,24 @@ def test_a_port_that_is_taken_is_named(start: Start) -> None:
         LabCommServer([ArmChannel("left", one.server.ports["left"])])
     with pytest.raises(UnknownName, match="left"):
         one.server.row("middle", row(0))
+
+
+@pytest.mark.parametrize("name", ["tcp_client", "command_row"])
+@pytest.mark.parametrize("dialect", ["2014v1", "2014", "2014i"])
+def test_what_the_c_library_sent_commands_the_arm(start: Start, dialect: str, name: str) -> None:
+    """Streams that clients of the C library wrote, played to the server as they came over TCP."""
+    path = VECTORS / dialect / ("c_tcp" if name == "tcp_client" else "c_armlab") / f"{name}.bin"
+    if not path.exists():
+        pytest.skip("needs ../shared/data/labcomm_vectors")
+    raw, taken = path.read_bytes(), []
+    values = [event.value for event in Decoder().feed(raw) if isinstance(event, Sample)]
+    kept = [value for value in values if np.isfinite(value["pos"]).all()]
+    one = start(ArmChannel("left", 0, lambda name, row, client: taken.append(row), order="chain", dialect=dialect))
+    client = one.client("left")
+    client.socket.sendall(raw)
+    until(lambda: sum(one.server.counts["left"].get(what, 0) for what in ("commands", "refused")) == len(values))
+    assert [row.tm for row in taken] == [value["tm"] for value in kept]
+    for got, value in zip(taken, kept, strict=True):
+        assert got.q.tolist() == value["pos"]
+        assert (got.qd is None) == (not np.nan_to_num(value["vel"]).any())
+    assert client.read(2)[0].text == ("LabComm2014.v1" if dialect == "2014v1" else "LabComm2014")
