@@ -9,10 +9,11 @@ namespace {
 constexpr int methods = 6;  // of WrenchMethod
 
 void construct(WrenchEstimator *self, const Chain &chain, nb::handle gravity, nb::handle links, nb::handle rotor,
-               const Drive &drive, nb::handle covariance, nb::handle bound_, nb::handle prior, double cutoff, int method,
+               const Drive &drive, nb::handle gains, double gain_variance, nb::handle covariance, nb::handle bound_, nb::handle prior, double cutoff, int method,
                nb::handle point) {
   const int n = chain.n;
-  auto p = read_arm<WrenchEstimator::Parameters>(chain, gravity, links, rotor, drive, covariance, prior, point);
+  auto p = read_arm<WrenchEstimator::Parameters>(chain, gravity, links, rotor, drive, gains, gain_variance, covariance, prior,
+                                                 point);
   const Input bound(bound_, "bound");
   bound.require_exactly({3, n});
   require_not_negative("bound torque", bound.data(), n);
@@ -36,7 +37,7 @@ void bind_estimator(nb::module_ &m) {
   nb::class_<WrenchEstimator>(m, "WrenchEstimator",
                               "Contact wrench from joint motion and torque; see armlab/kernels/_reference/estimator.py.")
       .def("__init__", &construct, nb::arg("chain"), array("gravity"), array("links"), array("rotor"),
-           nb::arg("drive"), array("covariance"), array("bound"), array("prior"),
+           nb::arg("drive"), array("gains"), nb::arg("gain_variance"), array("covariance"), array("bound"), array("prior"),
            nb::arg("cutoff"), nb::arg("method") = 0, nb::arg("point") = nb::none())
       .def("reset", &WrenchEstimator::reset, "Forget everything but the parameters.")
       .def("step", &step<WrenchEstimator>, array("q"), array("qd"), array("tau"), nb::arg("dt"),

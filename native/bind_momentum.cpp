@@ -9,10 +9,11 @@ namespace armlab {
 namespace {
 
 void construct(MomentumEstimator *self, const Chain &chain, nb::handle gravity, nb::handle links, nb::handle rotor,
-               const Drive &drive, nb::handle covariance, nb::handle prior, nb::handle memory_, nb::handle qd_noise_,
+               const Drive &drive, nb::handle gains, double gain_variance, nb::handle covariance, nb::handle prior, nb::handle memory_, nb::handle qd_noise_,
                nb::handle rate_, nb::handle leak_, double gain, bool filters, bool biased, nb::handle point) {
   const int n = chain.n;
-  auto p = read_arm<MomentumEstimator::Parameters>(chain, gravity, links, rotor, drive, covariance, prior, point);
+  auto p = read_arm<MomentumEstimator::Parameters>(chain, gravity, links, rotor, drive, gains, gain_variance, covariance, prior,
+                                                   point);
   const Input memory(memory_, "memory"), qd_noise(qd_noise_, "qd_noise"), rate(rate_, "rate"), leak(leak_, "leak");
   memory.require_exactly({n});
   qd_noise.require_exactly({n});
@@ -69,7 +70,7 @@ void bind_momentum(nb::module_ &m) {
   nb::class_<MomentumEstimator>(m, "MomentumEstimator",
                                 "Contact wrench by momentum; see armlab/kernels/_reference/momentum_estimator.py.")
       .def("__init__", &construct, arg("chain"), array("gravity"), array("links"), array("rotor"), arg("drive"),
-           array("covariance"), array("prior"), array("memory"), array("qd_noise"), array("rate"), array("leak"), arg("gain"),
+           array("gains"), arg("gain_variance"), array("covariance"), array("prior"), array("memory"), array("qd_noise"), array("rate"), array("leak"), arg("gain"),
            arg("filters"), arg("biased"), arg("point") = nb::none())
       .def("reset", &MomentumEstimator::reset, "Forget everything but the parameters.")
       .def("tare", &MomentumEstimator::tare, "Call what the torques show now friction; False unless all joints rest.")

@@ -13,20 +13,23 @@
 
 namespace armlab {
 
-// covariance (4, n): rows C0, Cinf, shape, kind. point: (3) in tool axes, or None.
+// gains (n). covariance (4, n): rows C0, Cinf, shape, kind. point: (3) in tool axes, or None.
 template <class Parameters>
 Parameters read_arm(const Chain &chain, nb::handle gravity_, nb::handle links_, nb::handle rotor_, const Drive &drive,
-                    nb::handle covariance_, nb::handle prior_, nb::handle point_) {
+                    nb::handle gains_, double gain_variance, nb::handle covariance_, nb::handle prior_, nb::handle point_) {
   const int n = chain.n;
   const Input gravity(gravity_, "gravity"), links(links_, "links"), rotor(rotor_, "rotor");
-  const Input covariance(covariance_, "covariance"), prior(prior_, "prior");
+  const Input gains(gains_, "gains"), covariance(covariance_, "covariance"), prior(prior_, "prior");
   gravity.require_exactly({3});
   links.require_exactly({n, 10});
   rotor.require_exactly({n});
   if (drive.n != n)
     raise_shape_error("Expected a drive of " + std::to_string(n) + " joints like the chain, got " + std::to_string(drive.n) + ".");
+  gains.require_exactly({n});
   covariance.require_exactly({4, n});
   prior.require_exactly({6});
+  require_positive("gains", gains.data(), n);
+  require_not_negative("gain_variance", &gain_variance, 1);
   require_positive("covariance", covariance.data(), 2 * n);
   require_not_negative("covariance shape and kind", covariance.data() + 2 * n, 2 * n);
   require_positive("prior", prior.data(), 6);
@@ -36,6 +39,8 @@ Parameters read_arm(const Chain &chain, nb::handle gravity_, nb::handle links_, 
   std::copy_n(rotor.data(), n, p.rotor.begin());
   std::copy_n(prior.data(), 6, p.prior.begin());
   p.drive = drive;
+  std::copy_n(gains.data(), n, p.gains.begin());
+  p.gain_variance = gain_variance;
   const double *c = covariance.data();
   for (int i = 0; i < n; ++i) p.covariance[i] = {c[i], c[n + i], c[2 * n + i], c[3 * n + i]};
   p.at_point = !point_.is_none();

@@ -25,14 +25,16 @@ double lowpass(double *state, double x, double g, double a) {
 
 }  // namespace
 
-void WrenchEstimate::tell(const Unknowns &unknowns, const double *prior, const double *x, const double *covariance) {
+void WrenchEstimate::tell(const Unknowns &unknowns, const ArmModel &arm, const double *x, const double *covariance) {
   unknowns.wrench(x, covariance, F, P);
   for (int m = 0; m < 6; ++m) {
     // A moment that cannot be has nothing to hide; without a prior (ls) an axis may be worse known than it would leave it.
-    const double C = unknowns.variance(prior, m);
+    const double C = unknowns.variance(arm.prior.data(), m);
     observability[m] = C > 0.0 ? std::max(1.0 - P[7 * m] / C, 0.0) : 1.0;
     if (observability[m] < weak_below) flags |= 2;
   }
+  for (int m = 0; m < 6; ++m)
+    for (int l = 0; l < 6; ++l) P[6 * m + l] += arm.gain_variance * (F[m] * F[l]);
 }
 
 void WrenchEstimate::make_invalid(int n) {
@@ -82,7 +84,8 @@ bool WrenchEstimator::advance(const double *q, const double *qd, const double *t
   rnea(p_.chain, q, qd, qdd, p_.gravity.data(), p_.links.data(), rigid);
   for (int i = 0; i < n; ++i) {
     const double dry_share = has_band() ? 1.0 - slowness(i, qd[i]) : 1.0;  // near rest it is anything within the bound
-    raw[i] = rigid[i] + p_.rotor[i] * qdd[i] + p_.drive.torque(i, q[i], qd[i], next[i].drive.state, dry_share) - tau[i];
+    raw[i] = rigid[i] + p_.rotor[i] * qdd[i] + p_.drive.torque(i, q[i], qd[i], next[i].drive.state, dry_share) -
+             tau[i] / p_.gains[i];
     if (!(std::fabs(raw[i]) < largest_torque)) return false;
     p_.drive.heat(i, qd[i], dt, next[i].drive.state);
   }
@@ -135,7 +138,7 @@ void WrenchEstimator::solve(const double *q, WrenchEstimate &e) const {
   std::copy_n(x.active, n, e.active);
   e.flags = x.singular ? 16 : 0;
   if (has_band() && std::none_of(x.active, x.active + n, [](bool active) { return active; })) e.flags |= 4;
-  e.tell(unknowns, p_.prior.data(), x.x, x.P);
+  e.tell(unknowns, p_, x.x, x.P);
   if (has_interval()) intervals(A, unknowns, e);
 }
 
@@ -150,6 +153,11 @@ void WrenchEstimator::intervals(const double *A, const Unknowns &unknowns, Wrenc
     std::fill(e.interval, e.interval + 12, std::numeric_limits<double>::quiet_NaN());
     std::copy_n(violated, n, e.active);
     return;
+  }
+  const double widened = spread_sigmas * std::sqrt(p_.gain_variance);
+  for (int a = 0; a < k; ++a) {
+    ends[2 * a] = std::max(ends[2 * a] - widened * std::fabs(ends[2 * a]), -box[a]);
+    ends[2 * a + 1] = std::min(ends[2 * a + 1] + widened * std::fabs(ends[2 * a + 1]), box[a]);
   }
   if (k == 6) {
     std::copy_n(ends, 12, e.interval);

@@ -41,6 +41,8 @@ struct ArmModel {
   std::array<double, 10 * max_joints> links;
   std::array<double, max_joints> rotor;
   Drive drive;
+  std::array<double, max_joints> gains;  // torque as it is read over true torque
+  double gain_variance;                  // of what they have in common
   std::array<JointCovariance, max_joints> covariance;
   std::array<double, 6> prior;
   bool at_point;                // the contact is at a known point: a force of three unknowns
@@ -69,7 +71,7 @@ struct WrenchEstimate {
   int flags;
 
   // Writes the wrench of the unknowns x (k) with covariance P (k, k), and what of it can be seen.
-  void tell(const Unknowns &unknowns, const double *prior, const double *x, const double *covariance);
+  void tell(const Unknowns &unknowns, const ArmModel &arm, const double *x, const double *covariance);
   void make_invalid(int n);
 };
 

@@ -56,7 +56,7 @@ bool MomentumEstimator::prepare(const double *q, const double *qd, const double 
       joint.since_tare = still + 1.0;
     }
     p[i] += p_.rotor[i] * qd[i];
-    const double u = tau[i] + beta[i] - gravity[i] - p_.drive.torque(i, q[i], qd[i], joint.drive.state, 1.0);
+    const double u = tau[i] / p_.gains[i] + beta[i] - gravity[i] - p_.drive.torque(i, q[i], qd[i], joint.drive.state, 1.0);
     if (!(std::fabs(u) < largest_torque) || !(std::fabs(p[i]) < largest_torque)) return false;
     s.known[i] = s.apart || fresh_ ? u : 0.5 * (u + joint.known);
     s.middle[i] = s.apart ? q[i] : 0.5 * (q[i] + joint.q);
@@ -111,7 +111,7 @@ void MomentumEstimator::observe(const double *q, const double *qd, double dt, Sa
   }
   WrenchSolution x;
   solve_wrench({n, unknowns.k, A, e.error, e.variance, e.bound, p_.prior.data()}, WrenchMethod::map, x);
-  e.tell(unknowns, p_.prior.data(), x.x, x.P);
+  e.tell(unknowns, p_, x.x, x.P);
 }
 
 // What drives the momentum from outside: the wrench in units of its prior, and the friction errors; with their noise.
@@ -206,9 +206,9 @@ void MomentumEstimator::report(const double *q, const Unknowns &middle, WrenchEs
     e.error[i] = 0.0;
     for (int j = 0; j < m; ++j) e.error[i] += G_[m * i + j] * x_[n + j];
   }
-  if (!p_.at_point) return e.tell(middle, p_.prior.data(), x, P);
+  if (!p_.at_point) return e.tell(middle, p_, x, P);
   double J[6 * max_joints];
-  e.tell(Unknowns(point(), jacobian(p_.chain, q, false, J), n, J), p_.prior.data(), x, P);
+  e.tell(Unknowns(point(), jacobian(p_.chain, q, false, J), n, J), p_, x, P);
 }
 
 // The posterior of all else given that the wrench is zero.

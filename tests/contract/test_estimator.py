@@ -32,6 +32,8 @@ def twins(
                 model.link_parameters,
                 model.rotor,
                 module.Drive(model.friction.rows, model.ripple.rows, *extra),
+                np.linspace(0.95, 1.05, 7),
+                0.03**2,
                 np.stack([c.C0, c.Cinf, c.shape, np.arange(7) % 3]),
                 np.stack([model.bound.torque, model.bound.speed, model.bound.floor]),
                 np.array([400.0, 400, 400, 4, 4, 4]),
@@ -125,16 +127,17 @@ def test_both_refuse_wrong_shapes(model: TorqueModel) -> None:
         with pytest.raises(errors.ShapeError, match="drive of 7 joints"):
             module.WrenchEstimator(
                 chain, model.gravity, model.link_parameters, model.rotor,
-                module.Drive(np.ones((10, 6)), np.ones((3, 6))), np.ones((4, 7)), np.ones((3, 7)), np.ones(6), 10.0,
+                module.Drive(np.ones((10, 6)), np.ones((3, 6))), np.ones(7), 0.0, np.ones((4, 7)), np.ones((3, 7)),
+                np.ones(6), 10.0,
             )  # fmt: skip
 
 
 def test_both_refuse_numbers_that_are_no_variances(model: TorqueModel) -> None:
     errors = import_module("armlab.errors")
-    names = ("covariance", "bound", "prior", "cutoff")
+    names = ("gains", "gain_variance", "covariance", "bound", "prior", "cutoff")
     for module in (native, _reference):
         chain, drive = module.Chain(model.frames, model.prismatic), module.Drive(np.ones((10, 7)), np.ones((3, 7)))
-        good = dict(zip(names, (np.ones((4, 7)), np.ones((3, 7)), np.ones(6), 10.0)))
+        good = dict(zip(names, (np.ones(7), 1.0, np.ones((4, 7)), np.ones((3, 7)), np.ones(6), 10.0)))
         for name, wrong in ((name, number * good[name]) for name in names for number in (-1.0, np.nan, np.inf)):
             with pytest.raises(errors.ShapeError, match=f"^Expected finite {name}"):
                 module.WrenchEstimator(chain, [0.0] * 3, np.zeros((7, 10)), np.ones(7), drive, **{**good, name: wrong})

@@ -33,6 +33,8 @@ def twins(model: TorqueModel, way: str, point: np.ndarray | None = None) -> tupl
                 model.link_parameters,
                 model.rotor,
                 module.Drive(model.friction.rows, model.ripple.rows, None, None, warm_up),
+                np.linspace(0.95, 1.05, 7),
+                0.03**2,
                 np.stack([c.C0, c.Cinf, c.shape, np.arange(7) % 3]),
                 prior,
                 np.linspace(0.02, 0.05, 7),
@@ -98,14 +100,27 @@ def test_both_refuse_wrong_shapes(model: TorqueModel) -> None:
             estimator.step(np.zeros(7), np.zeros(6), np.zeros(7), 0.004)
         with pytest.raises(errors.ShapeError, match="tau"):
             estimator.run(np.zeros((5, 7)), np.zeros((5, 7)), np.zeros((4, 7)), np.zeros(5))
-    names = ("gravity", "links", "rotor", "drive", "covariance", "prior", "memory", "qd_noise", "rate", "leak")
+    names = (
+        "gravity",
+        "links",
+        "rotor",
+        "drive",
+        "gains",
+        "gain_variance",
+        "covariance",
+        "prior",
+        "memory",
+        "qd_noise",
+        "rate",
+        "leak",
+    )
     for module in (native, _reference):
         good = dict(
             zip(names, ([0.0] * 3, np.zeros((7, 10)), np.ones(7), module.Drive(np.ones((10, 7)), np.ones((3, 7))),
-                        np.ones((4, 7)), np.ones(6), np.ones(7), np.ones(7), np.ones(6), np.ones(6)))
+                        np.ones(7), 0.0, np.ones((4, 7)), np.ones(6), np.ones(7), np.ones(7), np.ones(6), np.ones(6)))
         )  # fmt: skip
         chain = module.Chain(model.frames, model.prismatic)
-        for name in names:
+        for name in (name for name in names if name != "gain_variance"):
             wrong = module.Drive(np.ones((10, 6)), np.ones((3, 6))) if name == "drive" else np.zeros(5)
             with pytest.raises(errors.ShapeError, match=name):
                 module.MomentumEstimator(chain, *{**good, name: wrong}.values(), 30.0, True, False)
@@ -115,10 +130,10 @@ def test_both_refuse_wrong_shapes(model: TorqueModel) -> None:
 
 def test_both_refuse_numbers_that_are_no_noise(model: TorqueModel) -> None:
     errors = import_module("armlab.errors")
-    names = ("covariance", "prior", "memory", "qd_noise", "rate", "leak", "gain")
+    names = ("gains", "gain_variance", "covariance", "prior", "memory", "qd_noise", "rate", "leak", "gain")
     for module in (native, _reference):
         chain, drive = module.Chain(model.frames, model.prismatic), module.Drive(np.ones((10, 7)), np.ones((3, 7)))
-        good = dict(zip(names, (np.ones((4, 7)), *(np.ones(k) for k in (6, 7, 7, 6, 6)), 30.0)))
+        good = dict(zip(names, (np.ones(7), 1.0, np.ones((4, 7)), *(np.ones(k) for k in (6, 7, 7, 6, 6)), 30.0)))
         for name, wrong in ((name, number * good[name]) for name in names for number in (-1.0, np.nan, np.inf)):
             with pytest.raises(errors.ShapeError, match=f"^Expected finite {name}"):
                 module.MomentumEstimator(

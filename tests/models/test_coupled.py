@@ -45,8 +45,8 @@ def test_a_model_with_them_predicts_and_estimates_past_them(model, excited, tmp_
     plain, relieved = model.estimator_kernel(np.ones(6)), wrist.estimator_kernel(np.ones(6))
     without, found = plain.run(q, qd, tau, dt)[0], relieved.run(q, qd, tau, dt)[0]
     true = replace(model, gains=np.ones(7), gain_cov=np.zeros((7, 7)))
-    by_hand = CoupledKernel(true.estimator_kernel(np.ones(6)), WRIST)
-    np.testing.assert_array_equal(by_hand.run(q, qd, tau / model.gains, dt)[0], found)
+    by_hand = CoupledKernel(true.estimator_kernel(np.ones(6)), WRIST, np.ones(7))
+    np.testing.assert_allclose(by_hand.run(q, qd, tau / model.gains, dt)[0], found, rtol=0.0, atol=1e-10)
     np.testing.assert_allclose(found, 0.0, atol=1e-9)
     assert np.abs(without).max() > 1e-3
     again = models.load(models.save(wrist, tmp_path / "wrist.toml"))
@@ -65,6 +65,15 @@ def test_step_and_run_are_equal_bit_for_bit_also_past_holes(model, excited) -> N
     np.testing.assert_array_equal([s[0] for s in one_by_one], np.concatenate([h[0] for h in halves]))
     run.reset()
     np.testing.assert_array_equal(run.run(q[:170], qd[:170], tau[:170], dt[:170])[0], halves[0][0])
+
+
+def test_shapes_that_differ_get_the_sentence_of_the_kernel(model) -> None:
+    kernel, zero, rows = replace(model, coupled=WRIST).estimator_kernel(np.ones(6)), np.zeros(7), np.zeros((5, 7))
+    for count in (1, 6):
+        with pytest.raises(ShapeError, match="tau"):
+            kernel.step(zero, zero, np.zeros(count), 0.004)
+        with pytest.raises(ShapeError, match="qd"):
+            kernel.run(rows, np.zeros((5, count)), rows, np.full(5, 0.004))
 
 
 def test_others_are_refused(model) -> None:

@@ -9,14 +9,15 @@ C_tau(qd) over velocity.
 "bounded"   near rest friction is bounded instead of random: the least ``sum max(|tau_e - J^T F| - D, 0)^2 / s^2 + F^T
             C_F^-1 F`` by semismooth Newton (after Linderoth, Stolt, Robertsson and Johansson, IROS 2013). No contact
             unless proven; no drift at rest. Joints inside their bound tell nothing.
-"interval"  bounded, and the guaranteed interval of every axis while |friction error| <= D and |noise| <= 3 s, by linear
-            programmes.
+"interval"  bounded, and the guaranteed interval of every axis while |friction error| <= D, |noise| <= 3 s and gains of
+            the torques within 3 deviations, by linear programmes.
 "clip"      bounded, by the iteration that is easy to audit and needs thousands of rounds. To compare.
 "ls"        weighted least squares without a prior. To compare; near singular poses its forces are huge.
 "lund"      ``(J C_tau J^T + C_F^-1)^-1 J C_tau tau_e`` as TFRT-7651, eq. (2), prints it. To compare: with a covariance
             in place of a weight the noisiest joint speaks loudest. Our sign; the report's F_ext is -F.
 
-For ``x = K tau_e`` with any gain the covariance is ``(I - K J^T) C_F (I - K J^T)^T + K C_tau K^T``.
+For ``x = K tau_e`` with any gain the covariance is ``(I - K J^T) C_F (I - K J^T)^T + K C_tau K^T``,
+and by any method what unknown gains of the torques do, ``var(g) F F^T``; the observability is that before it.
 
 Momentum methods need no acceleration: ``p = M qd``, ``dp/dt = u + J^T F``, ``u = tau + C^T qd - G - friction``.
 

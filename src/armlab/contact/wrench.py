@@ -22,8 +22,8 @@ class Wrench:
 
     Attributes
     ----------
-    F : (6,) [N, N m]. cov : (6, 6) posterior covariance.
-    observability : (6,) 1 - posterior variance / prior variance, in [0, 1].
+    F : (6,) [N, N m]. cov : (6, 6) posterior covariance, with what unknown gains of the torques add to it.
+    observability : (6,) 1 - posterior variance / prior variance, in [0, 1], as if the gains were known.
     torque_error : (n,) filtered model minus measured torque [N m]; of "kf", what of it the
         estimate explains. torque_variance : (n,) its variance.
     prior : (6,) prior variances of the unknowns: the wrench, or a force at a known point (then the last three idle).

@@ -5,10 +5,11 @@ from armlab.models.files import load, load_statistics, save
 from armlab.models.friction import Friction, FrictionBound, Ripple
 from armlab.models.momentum import FORCE_RATES, PRIOR, MomentumNoise
 from armlab.models.payload import Payload
+from armlab.models.quality import Quality
 from armlab.models.rbf import FrictionMap, RadialBasis
 from armlab.models.registry import register
 from armlab.models.ripple import RippleLines, speed_basis
-from armlab.models.torque import Quality, TorqueModel
+from armlab.models.torque import TorqueModel
 from armlab.models.training import SPEED_EDGES, Training
 from armlab.models.velocity_covariance import VelocityCovariance, velocity_covariance
 from armlab.models.warm_up import WarmUp

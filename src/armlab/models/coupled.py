@@ -78,10 +78,11 @@ class CoupledKernel:
     Parameters
     ----------
     kernel : with step, run and reset, of a model without the motors. motors : of the model.
+    gains : (n,) torque as it is read over true torque.
     """
 
-    def __init__(self, kernel: Any, motors: CoupledMotors) -> None:
-        self._kernel, self._motors = kernel, motors
+    def __init__(self, kernel: Any, motors: CoupledMotors, gains: np.ndarray) -> None:
+        self._kernel, self._motors, self._gains = kernel, motors, gains
         self._qd: np.ndarray | None = None
 
     def __getattr__(self, name: str) -> Any:
@@ -94,21 +95,25 @@ class CoupledKernel:
 
     def step(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, dt: float) -> Any:
         """Take one sample: q, qd, tau (n,), dt [s]."""
+        if not np.shape(q) == np.shape(qd) == np.shape(tau):
+            return self._kernel.step(q, qd, tau, dt)  # which says what is wrong
         whole = bool(np.isfinite(q).all() and np.isfinite(qd).all() and np.isfinite(tau).all() and np.isfinite(dt))
         if not whole or not dt > 0:
             return self._kernel.step(q, qd, tau, dt)
         last = qd if self._qd is None else self._qd
         self._qd = np.array(qd, dtype=float)
-        return self._kernel.step(q, qd, tau - self._motors.torque(qd, (qd - last) / dt), dt)
+        return self._kernel.step(q, qd, tau - self._gains * self._motors.torque(qd, (qd - last) / dt), dt)
 
     def run(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, dt: np.ndarray) -> Any:
         """Take samples in their order: q, qd, tau (N, n), dt (N,) [s]; the same as steps."""
+        if not np.shape(q) == np.shape(qd) == np.shape(tau) == (*np.shape(dt), len(self._gains)):
+            return self._kernel.run(q, qd, tau, dt)  # which says what is wrong
         whole = np.isfinite(np.concatenate([q, qd, tau], axis=1)).all(axis=1) & np.isfinite(dt)
         rows = np.flatnonzero(whole & (np.where(whole, dt, 0.0) > 0))
         relieved = np.array(tau, dtype=float)
         if len(rows):
             first = qd[rows[:1]] if self._qd is None else self._qd[None]
             last = np.concatenate([first, qd[rows[:-1]]])
-            relieved[rows] -= self._motors.torque(qd[rows], (qd[rows] - last) / dt[rows, None])
+            relieved[rows] -= self._gains * self._motors.torque(qd[rows], (qd[rows] - last) / dt[rows, None])
             self._qd = np.array(qd[rows[-1]], dtype=float)
         return self._kernel.run(q, qd, relieved, dt)

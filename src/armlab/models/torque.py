@@ -17,10 +17,10 @@ import numpy as np
 
 from armlab.errors import ModelMismatchError, RobotError, ShapeError
 from armlab.kernels import Chain, Drive, MomentumEstimator, WrenchEstimator, model_torque
-from armlab.models.calibrated import CalibratedKernel
 from armlab.models.coupled import CoupledKernel, CoupledMotors
 from armlab.models.friction import Friction, FrictionBound, Ripple
 from armlab.models.momentum import MomentumNoise
+from armlab.models.quality import Quality
 from armlab.models.rbf import FrictionMap
 from armlab.models.ripple import RippleLines
 from armlab.models.training import Training
@@ -28,39 +28,10 @@ from armlab.models.velocity_covariance import KINDS, VelocityCovariance
 from armlab.models.warm_up import WarmUp
 from armlab.robots import Robot
 
-__all__ = ["Quality", "TorqueModel"]
+__all__ = ["TorqueModel"]
 
 SIGN = "environment_on_robot"
 WEIGHTLESS = 1e-9
-
-
-@dataclass(frozen=True, eq=False)
-class Quality:
-    """How well the model fits, per joint (n,).
-
-    Attributes
-    ----------
-    torque_sd : standard deviation of the measured torque [N m].
-    rms : residual in the data it was fitted to [N m]; rms_cv : in held-out blocks [N m]; both in motion, after the
-        causal filter of the estimator.
-    coverage : share of held-out causal residuals inside 2 sigma.
-    seconds : length of the training data.
-    """
-
-    torque_sd: np.ndarray
-    rms: np.ndarray
-    rms_cv: np.ndarray
-    coverage: np.ndarray
-    seconds: float
-
-    def __post_init__(self) -> None:
-        """Check shapes and freeze the arrays; NaN stands for joints that could not be judged."""
-        for name in ("torque_sd", "rms", "rms_cv", "coverage"):
-            values = np.array(getattr(self, name), dtype=float)
-            if values.ndim != 1 or values.shape != np.shape(self.torque_sd):
-                raise ShapeError(f"Expected {name} of one number per joint, got shape {values.shape}. Identify again.")
-            values.flags.writeable = False
-            object.__setattr__(self, name, values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,7 +180,9 @@ class TorqueModel:
         torque = model_torque(self.chain, *self._weights, self.rotor, self.drive, q, qd, qdd, dt)
         return self.gains * (torque if self.coupled is None else torque + self.coupled.torque(qd, qdd))
 
-    def estimator_kernel(self, prior: np.ndarray, method: int = 0, point: np.ndarray | None = None) -> CalibratedKernel:
+    def estimator_kernel(
+        self, prior: np.ndarray, method: int = 0, point: np.ndarray | None = None
+    ) -> WrenchEstimator | CoupledKernel:
         """Return a fresh estimator kernel with this model's numbers.
 
         Parameters
@@ -224,6 +197,8 @@ class TorqueModel:
             *self._weights,
             self.rotor,
             self.drive,
+            self.gains,
+            self._gain_variance,
             self._covariance_rows(self.covariance.alpha2),
             np.stack([b.torque, b.speed, b.floor]),
             np.asarray(prior, dtype=float),
@@ -231,7 +206,7 @@ class TorqueModel:
             method,
             point,
         )
-        return self._calibrated(kernel)
+        return kernel if self.coupled is None else CoupledKernel(kernel, self.coupled, self.gains)
 
     def momentum_kernel(
         self,
@@ -242,7 +217,7 @@ class TorqueModel:
         filters: bool = True,
         biased: bool = False,
         point: np.ndarray | None = None,
-    ) -> CalibratedKernel:
+    ) -> MomentumEstimator | CoupledKernel:
         """Return a fresh momentum estimator kernel with this model's numbers.
 
         The factor alpha^2 of the filter is on everything that is random in it, so that it changes the covariance and
@@ -274,6 +249,8 @@ class TorqueModel:
             *self._weights,
             self.rotor,
             self.drive,
+            self.gains,
+            self._gain_variance,
             self._covariance_rows(alpha2),
             prior,
             noise.memory,
@@ -285,12 +262,17 @@ class TorqueModel:
             biased,
             point,
         )
-        return self._calibrated(kernel)
+        return kernel if self.coupled is None else CoupledKernel(kernel, self.coupled, self.gains)
 
-    def _calibrated(self, kernel: WrenchEstimator | MomentumEstimator) -> CalibratedKernel:
-        """Return the kernel for torques as they are read."""
-        whole = kernel if self.coupled is None else CoupledKernel(kernel, self.coupled)
-        return CalibratedKernel(whole, self.gains, float(np.mean(np.diag(self.gain_cov))))
+    @property
+    def _gain_variance(self) -> float:
+        """Of the common share by which the gains may be off, and every force with them.
+
+        The mean of their variances stands for it: less where they are independent, more for the one known worst. The
+        torque of a joint without one is not measured, or its gain is known.
+        """
+        variances = np.diag(self.gain_cov)
+        return float(np.sum(variances) / max(np.count_nonzero(variances), 1))
 
     def _covariance_rows(self, alpha2: float) -> np.ndarray:
         c = self.covariance

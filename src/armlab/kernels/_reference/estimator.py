@@ -5,7 +5,7 @@ One step, with ``tau_e = model - measured = J^T F + error``:
 1. y follows q with a play of +-resolution; z slides by dy. Its variance p relaxes towards 1, the largest that a
    variable in [-1, 1] can have, with the time constant REST_TIME, since what friction does during a long rest is not
    known; then displacement wipes it out: ``p <- p exp(-2 |dy| / delta)``.
-2. qdd = (qd_k - qd_{k-1}) / dt; tau_e = rnea + rotor qdd + friction(qd, z) + ripple(q) - tau.
+2. qdd = (qd_k - qd_{k-1}) / dt; tau_e = rnea + rotor qdd + friction(qd, z) + ripple(q) - tau / gains.
 3. tau_e passes a second-order Butterworth low-pass (state-variable form, exact for a varying dt up to frequency
    warping).
 4. C_tau = diag(s^2(qd) + static^2 p_filtered), with p low-passed like tau_e so that it stays as long as its error does.
@@ -18,6 +18,9 @@ floor`` with max(w, p) low-passed, and C_tau = diag(Cinf).
 A step longer than GAP_STEPS first steps is a gap: nothing is known of what friction did in it, so all but the warmth
 begins anew, as at the first sample; the low-pass once more at the next, which has an acceleration. Without one, methods
 with a bound say nothing: the torque of the inertia would count as contact.
+
+Torques are read with gains, ``tau / gains`` is the true one; where the gains are off by a common share g, so is F: its
+covariance grows by ``var(g) F F^T``, an interval at both ends by 3 deviations of g, within its box.
 
 With a contact at a known point, F = S f for a force f, S = [1; hat(r)], and the solver works on A = S^T J.
 """
@@ -34,7 +37,7 @@ from armlab.kernels._reference.chain import Chain
 from armlab.kernels._reference.drive import Drive, drive_torque, heat, move, start
 from armlab.kernels._reference.wrench import METHODS, solve_wrench, wrench_interval
 
-__all__ = ["WrenchEstimator", "check_noise", "contact_map", "speed_variance"]
+__all__ = ["WrenchEstimator", "check_noise", "contact_map", "read_gains", "speed_variance"]
 
 REST_TIME = 0.5  # s
 GAP_STEPS = 5.0  # first steps; a longer step is a gap, of which nothing is known
@@ -62,6 +65,14 @@ def check_noise(covariance: np.ndarray, prior: np.ndarray, point: np.ndarray | N
         raise ShapeError("Expected a finite point, got another. Correct it.")
 
 
+def read_gains(gains: np.ndarray, variance: float, n: int) -> np.ndarray:
+    """Return a copy of the gains (n,); refuse those that are none, and a variance that is none."""
+    found = read(gains, "gains", (n,), exact=True).copy()
+    positive(found, "gains")
+    not_negative(np.atleast_1d(variance), "gain_variance")
+    return found
+
+
 def contact_map(chain: Chain, q: np.ndarray, point: np.ndarray | None) -> np.ndarray:
     """Return S (6, k) of F = S x: the identity, or [1; hat(r)] of a force at a known point (3,) in tool axes."""
     if point is None:
@@ -79,6 +90,7 @@ class WrenchEstimator:
     gravity : (3,) [m/s^2], base axes.
     links : (n, 10) link parameters. rotor : (n,) rotor inertia.
     drive : friction and ripple of as many joints.
+    gains : (n,) torque as it is read over true torque. gain_variance : of what they have in common.
     covariance : (4, n) rows C0, Cinf, shape, kind (0 exp, 1 step, 2 const); C0 and Cinf already scaled.
     bound : (3, n) rows torque, speed, floor of the bound on low-speed friction.
     prior : (6,) prior variances of the wrench.
@@ -94,6 +106,8 @@ class WrenchEstimator:
         links: np.ndarray,
         rotor: np.ndarray,
         drive: Drive,
+        gains: np.ndarray,
+        gain_variance: float,
         covariance: np.ndarray,
         bound: np.ndarray,
         prior: np.ndarray,
@@ -107,7 +121,7 @@ class WrenchEstimator:
         self._rotor = read(rotor, "rotor", (n,), exact=True).copy()
         if drive.n != n:
             raise ShapeError(f"Expected a drive of {n} joints like the chain, got {drive.n}.")
-        self._drive = drive
+        self._drive, self._gains, self._gain_variance = drive, read_gains(gains, gain_variance, n), gain_variance
         self._covariance = read(covariance, "covariance", (4, n), exact=True).copy()
         self._bound = read(bound, "bound", (3, n), exact=True).copy()
         self._prior = read(prior, "prior", (6,), exact=True).copy()
@@ -157,7 +171,7 @@ class WrenchEstimator:
             p = p + (UNKNOWN - p) * (1.0 - np.exp(-dt / REST_TIME))
             p = p * np.exp(-2.0 * np.abs(dy) / self._drive.friction[6])
             dry_share = 1.0 - self._slowness(qd) if self._band else 1.0  # near rest it is anything within the bound
-            raw = rigid + drive_torque(self._drive, q, qd, state, dry_share) - tau
+            raw = rigid + drive_torque(self._drive, q, qd, state, dry_share) - tau / self._gains
         if not np.all(np.abs(raw) < LARGEST):
             return self._invalid()
         self._state, self._p = heat(self._drive, qd, dt, state), p
@@ -229,6 +243,9 @@ class WrenchEstimator:
             if ends is None:
                 interval, active, flags = np.full((6, 2), np.nan), violated, flags | INFEASIBLE
             else:
+                widened = SPREAD_SIGMAS * np.sqrt(self._gain_variance) * np.abs(ends)
+                ends = np.clip(ends + widened * [-1.0, 1.0], -box[:, None], box[:, None])
                 up, down = np.maximum(S, 0.0), np.minimum(S, 0.0)
                 interval = up @ ends + down @ ends[:, ::-1]
+        P = P + self._gain_variance * np.outer(F, F)
         return F, P, observability, torque, variance, flags, active, interval

@@ -1,9 +1,10 @@
 """Contact wrench by the generalised momentum (specification; the compiled twin is native/momentum_estimator.cpp).
 
-With p = M qd and beta = C^T qd the arm obeys ``dp/dt = u + J^T F``, ``u = tau + beta - G - F_f``: no acceleration is
-needed (De Luca and Mattone 2003; Wahrburg et al., IEEE T-ASE 15(2), 2018). u is the mean of its values at the ends of
-a step (at the first, its end: at the beginning nothing is known of friction). A step longer than GAP_STEPS first
-steps is a gap: nothing is known of u and of the way in it, so momentum and friction begin anew after it.
+With p = M qd and beta = C^T qd the arm obeys ``dp/dt = u + J^T F``, ``u = tau / gains + beta - G - F_f``: no
+acceleration is needed (De Luca and Mattone 2003; Wahrburg et al., IEEE T-ASE 15(2), 2018). u is the mean of its values
+at the ends of a step (at the first, its end: at the beginning nothing is known of friction). A step longer than
+GAP_STEPS first steps is a gap: nothing is known of u and of the way in it, so momentum and friction begin anew after
+it. What unknown gains add to the covariance is as in `estimator.py`.
 
 Observer: ``r <- r + (1 - e^(-K h)) ((p - p_before) / h - u - r)`` is J^T F through a low-pass, stable for any step;
 then the most probable wrench, as in `estimator.py`, with C_tau = diag(s^2(qd) + static^2 p_filtered). Of a wrench
@@ -38,6 +39,7 @@ from armlab.kernels._reference.estimator import (
     WEAK_BELOW,
     check_noise,
     contact_map,
+    read_gains,
     speed_variance,
 )
 from armlab.kernels._reference.momentum import leak_integrals, momentum_step
@@ -56,7 +58,7 @@ class MomentumEstimator:
 
     Parameters
     ----------
-    chain, gravity, links, rotor, drive, covariance, prior, point : as of `WrenchEstimator`.
+    chain, gravity, links, rotor, drive, gains, gain_variance, covariance, prior, point : as of `WrenchEstimator`.
     memory : (n,) correlation time of the torque error [s].
     qd_noise : (n,) deviation of the measured velocity.
     rate : (6,) intensity of the wrench's random walk [N^2/s, (N m)^2/s]. leak : (6,) of the wrench [1/s].
@@ -72,6 +74,8 @@ class MomentumEstimator:
         links: np.ndarray,
         rotor: np.ndarray,
         drive: Drive,
+        gains: np.ndarray,
+        gain_variance: float,
         covariance: np.ndarray,
         prior: np.ndarray,
         memory: np.ndarray,
@@ -89,7 +93,7 @@ class MomentumEstimator:
         self._rotor = read(rotor, "rotor", (n,), exact=True).copy()
         if drive.n != n:
             raise ShapeError(f"Expected a drive of {n} joints like the chain, got {drive.n}.")
-        self._drive = drive
+        self._drive, self._gains, self._gain_variance = drive, read_gains(gains, gain_variance, n), gain_variance
         self._covariance = read(covariance, "covariance", (4, n), exact=True).copy()
         self._prior = read(prior, "prior", (6,), exact=True).copy()
         self._point = None if point is None else read(point, "point", (3,), exact=True).copy()
@@ -134,7 +138,7 @@ class MomentumEstimator:
             p = p + self._rotor * qd
             state, dy = move(self._drive, q, start(self._drive, q) if first else self._state)
             gravity = self._chain.rnea(q, 0 * q, 0 * q, self._gravity, self._links)
-            u = tau + beta - gravity - drive_torque(self._drive, q, qd, state)
+            u = tau / self._gains + beta - gravity - drive_torque(self._drive, q, qd, state)
         if not (np.all(np.abs(u) < LARGEST) and np.all(np.abs(p) < LARGEST)):
             return self._invalid()
         moved = np.abs(dy) / self._drive.friction[6]
@@ -193,6 +197,7 @@ class MomentumEstimator:
         F, P = S @ x, S @ P @ S.T
         observability = np.fmax(1.0 - np.divide(np.diag(P), C, out=np.zeros(6), where=C > 0), 0.0)
         flags = (WEAK if np.any(observability < WEAK_BELOW) else 0) | (TARED if self._tared else 0)
+        P = P + self._gain_variance * np.outer(F, F)
         return F, P, observability, error, variance, flags, np.ones(self._chain.n, dtype=bool), None
 
     def _observe(
