@@ -11,7 +11,7 @@ inertia, viscous and Coulomb friction act on all of them, ``tau = c^T f(theta)``
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
 
@@ -20,6 +20,7 @@ import numpy as np
 from armlab.estimation import Rows
 from armlab.identify.base_parameters import BaseParameters
 from armlab.identify.columns import SMOOTH, Columns
+from armlab.identify.design_rows import DesignRows
 from armlab.identify.layout import Layout
 from armlab.identify.preparation import Prepared
 from armlab.identify.shapes import COLUMNS, FOLDS, Shapes, choose, mixing, term_names
@@ -31,7 +32,6 @@ __all__ = ["Design"]
 
 CUTOFF = 25.0  # Hz, the most; a tenth of the rate where that is less
 BLOCK = 0.5  # s, blocks that go to the folds in turn for the choice of shape
-AT_ONCE = 8192  # rows handed to the solver
 STEP = 0.01  # of the logarithm of a number of the shape, for its derivative
 LONGEST = 0.5  # step of such a logarithm
 NOTHING = 1e-12  # of the power of the torque: a slope without effect
@@ -223,7 +223,7 @@ class Design:
         block : (M,) number of the block of time of each kept row.
         trust : (M, J) weights to multiply the rows by; 1 when left out.
         """
-        return _Stream(self, block, trust)
+        return DesignRows(self.tau, self.rigid, self.local, self.layout.columns, block, trust)
 
     def model(self, theta: np.ndarray) -> np.ndarray:
         """Return the filtered torque (M, J) [N m] of parameters theta (p,)."""
@@ -285,22 +285,3 @@ class Design:
         used = np.cumsum(weights.any(axis=1))  # blocks of what is used: all folds have as much
         fold = used // max(1, round(BLOCK * self.data.rate / self.thinning.every)) % FOLDS
         return self.with_shapes(choose(self.made.shaped, fixed, target, fold, weights))
-
-
-@dataclass(frozen=True, eq=False)
-class _Stream:
-    """Rows of a design; reading it again makes them again."""
-
-    design: Design
-    block: np.ndarray
-    trust: np.ndarray | None
-
-    def __iter__(self) -> Iterator[Rows]:
-        d = self.design
-        for i, columns in enumerate(d.layout.columns):
-            for a in range(0, len(self.block), AT_ONCE):
-                part = slice(a, a + AT_ONCE)
-                A, y = np.hstack([d.rigid[i][part], d.local[i][part]]), d.tau[part, i]
-                if self.trust is not None:
-                    A, y = A * self.trust[part, i, None], y * self.trust[part, i]
-                yield Rows(A, y, self.block[part], i, columns)
