@@ -27,8 +27,8 @@ def fit(truth, slow) -> Fit[TorqueModel]:
 
 
 def test_gravity_of_other_poses_is_predicted(truth, fit) -> None:
-    """As it is read, to 4 % of its deviation over random poses in the range of the log (3 % of joints whose gains are
-    known, 3.3 % of the fourth with its own); offsets but for the asymmetry of friction."""
+    """As it is read, to 3.5 % of its deviation over random poses in the range of the log, 3 % were every gain known;
+    offsets but for the asymmetry of friction."""
     model, robot = fit.value, truth.robot
     rng = np.random.default_rng(0)
     q = rng.uniform(model.training.q_min, model.training.q_max, (500, 7))
@@ -37,7 +37,7 @@ def test_gravity_of_other_poses_is_predicted(truth, fit) -> None:
     found = model.gains * model.rigid_torque(q, still, still)
     heavy = np.std(expected, axis=0) > 0.1
     assert heavy.sum() >= 4
-    assert np.all((np.std(found - expected, axis=0) / np.std(expected, axis=0))[heavy] < 0.04)
+    assert np.all((np.std(found - expected, axis=0) / np.std(expected, axis=0))[heavy] < 0.035)
     offset = np.mean(found - expected, axis=0) + model.friction.offset - truth.friction.offset
     assert np.all(np.abs(offset) < 0.08 * truth.friction.coulomb_pos)
 

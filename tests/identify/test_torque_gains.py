@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from armlab import identify
+from armlab.estimation import LinearSolution, least_squares
 from armlab.identify import base_parameters, prepare
 from armlab.identify.design import Design
 from armlab.identify.torque_gains import GAIN_SD, calibrated, gain_share
@@ -48,9 +51,8 @@ def test_gains_that_are_known_stay(misread) -> None:
 
 def test_the_share_of_the_gains_is_the_derivative(misread) -> None:
     """One gain a little larger: the parameters move by what its covariance is made of."""
-    from armlab.estimation import least_squares
 
-    def solve(design: Design, weights=None):
+    def solve(design: Design) -> LinearSolution:
         rows = design.stream(np.zeros(len(design.rows), dtype=int))
         return least_squares(rows, design.layout.names, method="ols")
 
@@ -61,13 +63,18 @@ def test_the_share_of_the_gains_is_the_derivative(misread) -> None:
     np.testing.assert_allclose(share, np.outer(moved, moved), rtol=0.01, atol=1e-4 * np.abs(share).max())
 
 
-def test_where_the_log_tells_nothing_gains_stay(truth, excited) -> None:
-    """Two rows of columns that are zero: the fit will refuse, by name."""
-    robot = truth.robot
-    data = prepare(excited, robot)
-    design = Design.build(data, robot, base_parameters(robot))
-    blind = design.with_torque(np.zeros_like(data.tau))
-    assert np.all(np.isfinite(calibrated(blind, "wls")[0].gains))
+def test_where_the_log_tells_nothing_gains_stay(misread) -> None:
+    """Two base parameters with one effect, then a torque that is nothing: gains of 1, known as expected."""
+    alike = [A.copy() for A in misread.rigid]
+    for A, columns in zip(alike, misread.layout.columns):
+        at = [np.flatnonzero(columns[: A.shape[1]] == k) for k in (0, 1)]
+        A[:, at[0]] = A[:, at[1]] if len(at[0]) == len(at[1]) else 0.0
+        A[:, at[1]] = A[:, at[0]] if len(at[0]) == len(at[1]) else 0.0
+    for blind in (replace(misread, rigid=tuple(alike)), misread.with_torque(np.zeros_like(misread.data.tau))):
+        design, x, cov = calibrated(blind, "wls")
+        np.testing.assert_array_equal(design.gains, np.ones(7))
+        np.testing.assert_allclose(cov, GAIN_SD**2 * np.eye(7), rtol=1e-9, atol=1e-12)
+        assert np.all(np.isfinite(x))
 
 
 def test_a_fit_of_misread_torque_reads_the_same_torque(truth, short_arm) -> None:
