@@ -1,10 +1,12 @@
-"""The bridge and the simulated controller under every fault: the arm stays within limits, and the log is complete."""
+"""The bridge and the simulated controller under every fault: the arm stays within limits, and the log is complete.
+
+Both run in one thread without sockets: whenever the bridge waits, the controller has a cycle.
+"""
 
 from __future__ import annotations
 
-import sys
-import threading
-from collections.abc import Iterator
+import time
+from collections import deque
 from dataclasses import replace
 from typing import Any
 
@@ -12,18 +14,18 @@ import numpy as np
 import pytest
 
 from armlab import bridge, robots
-from armlab.sim.channel import Channel
+from armlab.bridge.port import Arrival, Port
+from armlab.bridge.waiting import Waiting
 from armlab.sim.controller import Controller
 from armlab.sim.faults import FaultRates, Faults
 from armlab.sim.guidance import Settings
 from armlab.sim.lagging import LaggingArm
-from armlab.sim.loop import Pace, run
 from armlab.state import Command, State
 from armlab.wire.egm import RobotSideCodec
 
 ROBOT = robots.load("yumi_right")
-PERIOD = 0.024192  # SampleRate 24: six times as fast to test as 4
-SECONDS, UNTIL = 60.0, 57.0  # the last seconds are clean: what is left of the faults then?
+PERIOD = 0.016128  # SampleRate 16: four times as fast to test as 4
+SECONDS, UNTIL = 60.0, 57.0  # the last seconds are clean
 SHARES = (0.01, 0.1, 0.5)
 FAULTS: dict[str, Any] = {
     "loss": lambda p: FaultRates(loss=p, until=UNTIL),
@@ -36,36 +38,57 @@ FAULTS: dict[str, Any] = {
 }
 
 
+class Wire:
+    """The way between bridge and controller, with faults in both directions."""
+
+    def __init__(self, outgoing: FaultRates, incoming: FaultRates) -> None:
+        codec = RobotSideCodec(ROBOT, extension=True)
+        self.controller = Controller(LaggingArm(ROBOT, PERIOD), codec, Settings(period=PERIOD))
+        self._out, self._in = Faults(outgoing, [7, 1], PERIOD), Faults(incoming, [7, 2], PERIOD)
+        self._packets, self._replies = deque[bytes](), list[tuple[int, bytes]]()
+
+    def receive(self, port: Port) -> Arrival | None:
+        return Arrival(self._packets.popleft(), ("127.0.0.1", 1), time.monotonic_ns()) if self._packets else None
+
+    def send(self, port: Port, data: bytes, to: tuple[str, int]) -> bool:
+        self._replies.append((0, data))
+        return True
+
+    def next(self, waiting: Waiting, seconds: float) -> tuple[int, Arrival] | None:
+        """Run cycles until a packet comes through."""
+        controller = self.controller
+        for _ in range(10_000):
+            if self._packets:
+                return 0, Arrival(self._packets.popleft(), ("127.0.0.1", 1), time.monotonic_ns())
+            for _, data in self._in.through(self._replies, controller.uptime):
+                controller.accept(data)
+            self._replies.clear()
+            packet = controller.packet()
+            sent = self._out.through([(controller.cycle, packet)] if packet else [], controller.uptime)
+            self._packets.extend(data for _, data in sent)
+            controller.advance()
+        return None
+
+
 def sway(state: State) -> Command:
     """Velocities, so that time that was lost is no jump of the position."""
     goal = state.q_start + 0.2 * (1.0 - np.cos(2.0 * state.t))
     return Command(qd=0.4 * np.sin(2.0 * state.t) + 0.5 * (goal - state.q))
 
 
-@pytest.fixture(autouse=True)
-def quick_switches() -> Iterator[None]:
-    """Two threads that take turns: neither shall wait for the other's time slice."""
-    before = sys.getswitchinterval()
-    sys.setswitchinterval(1e-4)
-    yield
-    sys.setswitchinterval(before)
+@pytest.fixture
+def play(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Give a function that runs bridge and controller against each other."""
 
+    def run(outgoing: FaultRates, incoming: FaultRates, seconds: float) -> tuple[Any, Controller]:
+        wire = Wire(outgoing, incoming)
+        monkeypatch.setattr(Waiting, "next", lambda waiting, seconds: wire.next(waiting, seconds))
+        monkeypatch.setattr(Port, "receive", lambda port: wire.receive(port))
+        monkeypatch.setattr(Port, "send", lambda port, data, to: wire.send(port, data, to))
+        with bridge.connect("egm://127.0.0.1:0", ROBOT, extension=True, clock="robot") as link:
+            return link.run(sway, seconds=seconds, wait="block"), wire.controller
 
-def play(outgoing: FaultRates | None, incoming: FaultRates | None, seconds: float = SECONDS) -> tuple[Any, Controller]:
-    """Run bridge and controller against each other in two threads."""
-    settings = Settings(period=PERIOD)
-    controller = Controller(LaggingArm(ROBOT, PERIOD), RobotSideCodec(ROBOT, extension=True), settings)
-    ways = [Faults(rates, [7, i], PERIOD) if rates else None for i, rates in enumerate((outgoing, incoming))]
-    done = threading.Event()
-    with bridge.connect("egm://127.0.0.1:0", ROBOT, extension=True, clock="robot", patience=20.0) as link:
-        channel = Channel(controller, "127.0.0.1", link.port, *ways)
-        endless = Pace(lockstep=True, patience=0.5)
-        thread = threading.Thread(target=lambda: run([channel], endless, alive=lambda: not done.is_set()), daemon=True)
-        thread.start()
-        found = link.run(sway, seconds=seconds, wait="block")
-        done.set()
-        thread.join(30.0)
-    return found, controller
+    return run
 
 
 def check(found: Any, controller: Controller) -> None:
@@ -79,11 +102,12 @@ def check(found: Any, controller: Controller) -> None:
     assert np.ptp(sent, axis=0).min() > 0.3, "it moved"
 
 
+@pytest.mark.parametrize("way", ["out", "in"])
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_reference_is_one_cycle_old_again_after_faults_of_the_packets(fault: str) -> None:
-    """Overtaken packets get no reply, so nothing is left in the queue of the controller."""
-    rates = replace(FAULTS[fault](0.5), until=4.0, pause=(1.0, 0.5) if fault == "pause" else (0.0, 0.0))
-    found, controller = play(rates, None, 6.0)
+def test_a_reference_is_one_cycle_old_again_after_faults(play: Any, fault: str, way: str) -> None:
+    """Overtaken packets get no reply; for what faults of the replies leave in the queue, replies are left out."""
+    rates = replace(FAULTS[fault](0.5), until=2.0, pause=(1.0, 0.5) if fault == "pause" else (0.0, 0.0))
+    found, controller = play(*((rates, FaultRates()) if way == "out" else (FaultRates(), rates)), 5.0)
     assert found.reason == "the time is up"
     assert controller.statistics.last_age == 1
     assert len(controller.inbox) <= 1
@@ -91,7 +115,7 @@ def test_a_reference_is_one_cycle_old_again_after_faults_of_the_packets(fault: s
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", FAULTS)
-def test_every_fault_for_a_minute(fault: str) -> None:
+def test_every_fault_for_a_minute(play: Any, fault: str) -> None:
     """1, 10 and 50 % of the datagrams in both directions; all seven faults together take half a minute."""
     for share in SHARES:
-        check(*play(FAULTS[fault](share), FAULTS[fault](share)))
+        check(*play(FAULTS[fault](share), FAULTS[fault](share), SECONDS))
