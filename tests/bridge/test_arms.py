@@ -310,6 +310,7 @@ def test_files_and_feeds(pair: Any, tmp_path: Path) -> None:
     assert np.nanmax(both["yumi_right.age"]) < 0.0081
 
 
+@pytest.mark.slow  # 3 s; examples/19_teleoperation.py runs both in the default run
 def test_two_arms_of_the_simulator_are_repeatable() -> None:
     tables = []
     for url in (
@@ -325,7 +326,7 @@ def test_two_arms_of_the_simulator_are_repeatable() -> None:
     assert np.ptp(one["yumi_right.q"], axis=0).min() > 0.01
 
 
-@pytest.mark.slow
+@pytest.mark.slow  # 2 s
 def test_two_arms_in_real_time() -> None:
     with bridge.connect("sim://yumi_left+yumi_right", [LEFT, RIGHT]) as link:
         run = link.run(sway, seconds=0.5)
@@ -351,7 +352,7 @@ with bridge.connect("sim://yumi_left+yumi_right", pair) as link:
 """
 
 
-@pytest.mark.slow
+@pytest.mark.slow  # 3 s
 @pytest.mark.filterwarnings("ignore:.*was not finished")
 def test_both_files_survive_a_kill(tmp_path: Path) -> None:
     command = [sys.executable, "-c", _PROGRAM, str(tmp_path / "run.mcap")]
