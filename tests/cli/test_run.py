@@ -84,6 +84,18 @@ def test_a_controller_that_raises_is_one_sentence(folder: Path, capsys: Any) -> 
     assert len(list(folder.glob("bad-*.mcap"))) == 1
 
 
+def test_an_interrupted_run_is_reported_too(folder: Path, capsys: Any) -> None:
+    (folder / "long.py").write_text(
+        "import signal\ndef controller(state):\n    state.t > 0.3 and signal.raise_signal(signal.SIGINT)\n",
+        encoding="utf-8",
+    )
+    assert main(["run", "yumi_left", "long.py", "--link", "sim://yumi_left?lockstep=true", "--log", "long"]) == 130
+    said = capsys.readouterr()
+    assert "Ended: interrupted." in said.out
+    assert "Packets " in said.out
+    assert "log: long-" in said.err
+
+
 def test_load_controller(folder: Path) -> None:
     found, extra = load_controller("code/sine.py:sine")
     assert found.__name__ == "sine"

@@ -66,13 +66,16 @@ def run(
     step, extra = (_hold, None) if controller is None else load_controller(controller)
     urls = [f"sim://{'+'.join(arm.name for arm in arms)}"] if link is None else link.split(",")
     base = _base(log, no_log, robot)
-    if any(url.startswith("egm:") for url in urls):
+    if not all(url.startswith("sim:") for url in urls):
         note(_CHECKS)
     with bridge.connect(urls, arms) as end:
         limits = [bridge.Limits.of(arm, speed=speed) for arm in arms]
         options: dict[str, Any] = {"wait": wait, "limits": limits, "extra": extra, "feeds": [Narrator()]}
         try:
             done = end.run(step, seconds, record=base, **options)
+        except KeyboardInterrupt:
+            _report_of_logs(base, end)
+            raise
         finally:
             _tell_files(base, end)
     result(done.report())
@@ -151,6 +154,19 @@ def _tell_files(base: Path | None, link: Link) -> None:
     for path in paths(base, link.robots):
         if path is not None and path.exists():
             note(f"log: {path}; look at it: armlab log show {path}")
+
+
+def _report_of_logs(base: Path | None, link: Link) -> None:
+    """Print the report of a run that was interrupted: its numbers are the summary of the log."""
+    from armlab import log as logs
+    from armlab.bridge.recording import paths
+    from armlab.bridge.run import Run
+    from armlab.cli.output import result
+
+    for path in paths(base, link.robots):
+        summary = {} if path is None or not path.exists() else logs.inspect(path).summary
+        if summary:
+            result(Run(summary["reason"], {**summary, "problems": []}, (), path, None).report())
 
 
 def _prompt(done: Run, link: Link) -> None:
