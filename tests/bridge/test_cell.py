@@ -18,8 +18,11 @@ from armlab.bridge.cell import Cell, listening, parse_cell, run_cell
 from armlab.bridge.labcomm import LabCommSource
 from armlab.bridge.local import LocalFeed
 from armlab.bridge.messages import CommandRequest, SetRequest, Stop, Subscribe
+from armlab.bridge.parameters import Parameters
 from armlab.bridge.row import Row
+from armlab.cli import main
 from armlab.errors import ConfigError, UnknownName
+from armlab.state import Command
 
 FILE = """
 name = "yumi"
@@ -197,6 +200,42 @@ def test_a_local_client_commands_in_real_time(bench: Bench) -> None:
 
 
 @pytest.mark.slow
+def test_a_controller_of_its_own_reads_parameters_and_listens_to_a_stop(bench: Bench, tmp_path: Path) -> None:
+    """Two arms; the history of the parameters is in both logs. Takes 4 s."""
+    both = FILE.replace("?lockstep=true", "").replace(
+        "[parameters.gain]", '[[robots]]\nname = "yumi_right"\nlink = "sim://yumi_right"\n[parameters.gain]'
+    )
+    both = both.replace("ports = {yumi_left = 0}", "ports = {yumi_left = 0, yumi_right = 0}")
+    cell = parse_cell(both.replace('name = "yumi"', f'name = "yumi"\nrecord = "{tmp_path / "run.mcap"}"'))
+    params = Parameters(cell.parameters)
+    seen: list[float] = []
+
+    def controller(state: Any) -> Any:
+        seen.append(params.gain)
+        return Command(qd=np.full(14, 0.01))
+
+    def script(ports: dict[str, int]) -> None:
+        with LocalFeed() as feed:
+            feed.ask(Subscribe(rate=None))
+            for values in rows(feed):
+                if values["yumi_right.qd_sent"][0] > 0.009:
+                    break
+            feed.ask(CommandRequest(arm="yumi_left", qd=[0.0] * 7))
+            feed.ask(SetRequest(values={"gain": 7.0}))
+            for _ in rows(feed):
+                if seen[-1] == 7.0:
+                    break
+            feed.ask(Stop())
+
+    run = bench(cell, script, seconds=1.5, controller=controller, parameters=params)
+    assert (seen[0], seen[-1]) == (2.0, 7.0)
+    for arm in run.arms:
+        assert np.abs(arm.table["qd_sent"][-20:]).max() < 1e-9
+        assert arm.statistics["parameters"]["gain"] == 7.0
+    assert main(["log", "show", "--parameters", str(tmp_path / "runleft.mcap")]) == 0
+
+
+@pytest.mark.slow
 def test_stop_holds_all_arms(bench: Bench) -> None:
     """Takes 4 s."""
 
@@ -223,7 +262,6 @@ def test_stop_holds_all_arms(bench: Bench) -> None:
 def test_a_controller_over_labcomm(bench: Bench) -> None:
     """A controller elsewhere, through the LabComm port of the arm. Takes 6 s."""
     from armlab import bridge
-    from armlab.state import Command
 
     seen: list[Any] = []
 

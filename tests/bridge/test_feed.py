@@ -219,6 +219,16 @@ def test_listening(cell: Cell) -> None:
     assert cell.exchange.outlets[OPERATOR].where == ["a"]
 
 
+def test_the_summary_of_a_run(cell: Cell) -> None:
+    cell.exchange.begin(lambda text, warn=False: cell.told.append(text))
+    assert cell.params.running
+    cell.say(OPERATOR, "set", values={"gain": 4.0})
+    cell.exchange.arbiter.refused["labcomm 1"] = 3
+    assert cell.exchange.summary() == {"parameters": {"gain": 4.0, "open": 1.0}, "commands_refused": {"labcomm 1": 3}}
+    assert "Parameter gain = 4.0" in cell.told[-1]
+    assert not cell.params.running
+
+
 def test_a_pair_keeps_messages_whole() -> None:
     ours, theirs = pair()
     assert not ours.getblocking()

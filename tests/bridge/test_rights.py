@@ -187,6 +187,13 @@ def test_rights_of_a_commander() -> None:
     assert not arbiter.commands("labcomm b")
 
 
+def test_a_controller_of_its_own_keeps_the_arms() -> None:
+    bench = Bench()
+    bench.arbiter.reserve("the controller of the cell")
+    assert bench(order()) is None
+    assert "is commanded by the controller of the cell" in bench.answers[0][1]
+
+
 def test_a_flood_of_clients_is_bounded() -> None:
     bench = Bench()
     bench(order("labcomm holder"), *[order(f"labcomm {k}") for k in range(5000)])

@@ -28,6 +28,20 @@ def path(tmp_path: Path) -> Path:
     return recorder.path
 
 
+def test_the_history_of_the_parameters(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["log", "show", "--parameters", str(path)]) == 0
+    assert capsys.readouterr().out == "This log has no parameters.\n"
+    with Recorder(tmp_path / "set.mcap", robots.load("yumi_right")) as recorder:
+        for text in ("Parameters: gain = 2.0.", "Something else.", "Parameter gain = 3.0, set by local 1 (setting 1)."):
+            recorder.event(text, 1_700_000_000_000_000_000)
+        recorder.close({"parameters": {"gain": 3.0}})
+    assert cli.main(["log", "show", "--parameters", str(recorder.path)]) == 0
+    first, second, last = capsys.readouterr().out.splitlines()
+    assert first == "2023-11-14 22:13:20.000000 UTC  Parameters: gain = 2.0."
+    assert "set by local 1" in second
+    assert last == "At the end: gain = 3.0."
+
+
 def test_show_says_what_the_log_holds(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["log", "show", str(path)]) == 0
     captured = capsys.readouterr()

@@ -149,17 +149,20 @@ def _arm(
     return Arm(robot, end.port, end.codec, session, guide, recording, settings, wall_ns, fusion, rehearsal)
 
 
-def finished(arms: Sequence[Arm], reason: str) -> Run:
+def finished(arms: Sequence[Arm], reason: str, feeds: Sequence[Feed] = ()) -> Run:
     """Close the recordings and return what the run left behind.
 
     Parameters
     ----------
-    arms : after the run, the pacing arm first. reason : why it ended.
+    arms : after the run, the pacing arm first. reason : why it ended. feeds : of the run; see `recording.Feed`.
     """
     runs = []
+    told = {}
+    for feed in feeds:
+        told |= getattr(feed, "summary", dict)()
     for arm in arms:
         arm.record()
-        counted = statistics(arm, reason)
+        counted = {**statistics(arm, reason), **told}
         problems = arm.recording.close(counted)
         events = tuple(arm.recording.events)
         runs.append(Run(reason, {**counted, "problems": problems}, events, arm.recording.path, arm.recording))

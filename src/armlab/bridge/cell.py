@@ -21,7 +21,9 @@ from armlab.bridge.labcomm.process import labcomm_options
 from armlab.bridge.limits import Limits
 from armlab.bridge.link import connect
 from armlab.bridge.local import socket_path
+from armlab.bridge.loop import Controller
 from armlab.bridge.parameters import Parameter, Parameters
+from armlab.bridge.rights import Arbiter
 from armlab.bridge.run import Run
 from armlab.bridge.servers import Servers, server_command
 from armlab.bridge.sources import Source
@@ -29,6 +31,7 @@ from armlab.bridge.udp import UdpSource
 from armlab.errors import ArmlabError, ConfigError, UnknownName
 from armlab.log import Column
 from armlab.robots import Robot
+from armlab.state import State
 
 __all__ = ["Cell", "listening", "parse_cell", "run_cell"]
 
@@ -285,6 +288,8 @@ def run_cell(
     seconds: float | None = None,
     patience: float = math.inf,
     ready: Callable[[str], None] = lambda line: None,
+    controller: Controller | None = None,
+    parameters: Parameters | None = None,
 ) -> Run:
     """Run the bridge of a cell until it ends: EGM to rows, rows to servers, commands of one client back.
 
@@ -292,6 +297,8 @@ def run_cell(
     ----------
     cell : from `parse_cell`. listen : see `listening`. seconds : robot time under guidance after which to end.
     patience : s to wait for a robot. ready : told one line, who listens where, before the first packet is taken.
+    controller : commands the arms in place of the clients, which then only read, set parameters and stop the arms.
+    parameters : that the controller reads, made of `Cell.parameters`.
 
     Returns
     -------
@@ -307,12 +314,14 @@ def run_cell(
     exchange = Exchange(
         cell.robots,
         cell.servers,
-        Parameters(cell.parameters),
+        Parameters(cell.parameters) if parameters is None else parameters,
         cell.commands,
         sources={source.name: source.fields for source in sources},
         about=about,
         read_only=[name for name, host in addresses.items() if not ipaddress.ip_address(host).is_loopback],
     )
+    if controller is not None:
+        exchange.arbiter.reserve("the controller of the cell")
     commands = {OPERATOR: server_command(OPERATOR, {"path": str(socket_path(cell.name))})}
     for name, host in addresses.items():
         commands[name] = server_command(name, {**cell.servers[name], "host": host})
@@ -324,7 +333,7 @@ def run_cell(
         egm = [f"{link.host}:{port} (egm {arm.name})" for arm, port in zip(cell.robots, link.ports, strict=True)]
         ready(f"Listening: {', '.join([*egm, *where])}.")
         return link.run(
-            exchange.arbiter,
+            exchange.arbiter if controller is None else _stoppable(controller, exchange.arbiter),
             seconds=seconds,
             limits=list(cell.limits),
             record=cell.record,
@@ -332,6 +341,16 @@ def run_cell(
             feeds=[exchange],
             sources=sources,
         )
+
+
+def _stoppable(controller: Controller, arbiter: Arbiter) -> Controller:
+    """Return the controller that holds while somebody has stopped the arms."""
+
+    def controlled(state: State) -> Any:
+        arbiter.poll()
+        return None if arbiter.stopped else controller(state)
+
+    return controlled
 
 
 def _line(error: Exception) -> str:

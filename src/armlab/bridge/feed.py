@@ -191,6 +191,16 @@ class Exchange:
         if values:
             self.tell(f"Parameters: {', '.join(f'{name} = {value}' for name, value in values.items())}.")
 
+    def summary(self) -> dict[str, Any]:
+        """Return what is kept with the numbers of a run: parameters in force, commands refused by client."""
+        self.poll()
+        self.parameters.running = False
+        values = {
+            name: getattr(value, "tolist", lambda value=value: value)()
+            for name, value in self.parameters.values().items()
+        }
+        return {"parameters": values, "commands_refused": dict(self.arbiter.refused)}
+
     def tell(self, text: str, warn: bool = False) -> None:
         """Keep a sentence for the events of the run; from any thread.
 

@@ -239,7 +239,7 @@ class Link:
                     _enter_real_time(stack, loop, arms[0].recording.event, wait)
                 loop.run()
         finally:
-            run = finished(arms, loop.reason)
+            run = finished(arms, loop.reason, feeds)
         failure = loop.failure
         if failure is not None:
             tails = {arm.robot.name: arm.recording.tail() for arm in arms}

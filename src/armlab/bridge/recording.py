@@ -23,7 +23,8 @@ class Feed(Protocol):
     """What else takes the rows and events of a run: called in the loop after the reply was sent, so it must be quick.
 
     A feed that raises is dropped, with an event. One that has a method ``begin(tell, files)`` gets at the start where
-    its own sentences are recorded, and the files of the recording.
+    its own sentences are recorded, and the files of the recording. What ``summary()`` of one returns is kept with the
+    numbers of the run.
     """
 
     def row(self, state: State, command: Command | None, tick: Tick) -> None:

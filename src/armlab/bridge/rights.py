@@ -77,7 +77,7 @@ class Arbiter:
 
     Attributes
     ----------
-    refused : commands refused, by client. stopped : who stopped all arms, "" when nobody has.
+    poll : as given. refused : commands refused, by client. stopped : who stopped all arms, "" when nobody has.
     """
 
     def __init__(
@@ -94,14 +94,14 @@ class Arbiter:
         clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self._robots, self._allowed = tuple(robots), frozenset(allowed)
-        self._poll, self._tell, self._answer, self._clock = poll, tell, answer, clock
+        self.poll, self._tell, self._answer, self._clock = poll, tell, answer, clock
         self._lease_ns, self._entry, self._torque = int(1e9 * lease), entry, torque
         self._jumps = {robot.name: Limits.of(robot).jump for robot in robots}
         self._holders: dict[str, _Holder | None] = {robot.name: None for robot in robots}
         self._inbox: dict[tuple[str, str], tuple[int, Order]] = {}
         self._answered: dict[str, int] = {}
         self.refused: Counter[str] = Counter()
-        self.stopped = ""
+        self.stopped = self._reserved = ""
 
     def commander(self, arm: str) -> str:
         """Return who commands an arm, "" when nobody does."""
@@ -119,12 +119,23 @@ class Arbiter:
         if order.arm not in self._holders:
             known = ", ".join(self._holders)
             self._refuse(order.client, f"Expected the name of an arm of this cell ({known}), got {order.arm!r}.", now)
+        elif self._reserved:
+            self._refuse(order.client, f"{order.arm} is commanded by {self._reserved}. You may read.", now)
         elif order.server not in self._allowed:
             self._refuse(
                 order.client, f"Expected no commands through {order.server}: `commands` does not name it.", now
             )
         elif len(self._inbox) < _CLIENTS or (order.arm, order.client) in self._inbox:
             self._inbox[order.arm, order.client] = (now, order)
+
+    def reserve(self, who: str) -> None:
+        """Refuse the commands of all clients, since the arms have a controller of their own.
+
+        Parameters
+        ----------
+        who : the controller, in words.
+        """
+        self._reserved = who
 
     def stop(self, who: str) -> None:
         """Hold all arms until an operator resumes. Everybody may.
@@ -182,7 +193,7 @@ class Arbiter:
         ----------
         state : of the arm, or of all of them fused.
         """
-        self._poll()
+        self.poll()
         now = self._clock()
         for arm, holder in self._holders.items():
             if holder is not None and now - holder.heard_ns > self._lease_ns:

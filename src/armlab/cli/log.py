@@ -19,7 +19,7 @@ log = App(name="log", help="Show and repair logs.")
 
 
 @log.command
-def show(file: Path, *, json: bool = False) -> None:
+def show(file: Path, *, json: bool = False, parameters: bool = False) -> None:
     """Show what a log holds: rows, rate, columns with units and ranges, metadata, events.
 
     Parameters
@@ -28,6 +28,8 @@ def show(file: Path, *, json: bool = False) -> None:
         A recording, finished or not.
     json
         Print JSON for scripts.
+    parameters
+        Show only the parameters of the run: who set what when, and what was in force at the end.
     """
     import warnings
 
@@ -35,6 +37,9 @@ def show(file: Path, *, json: bool = False) -> None:
     from armlab.cli.output import print_json, result
 
     held = logs.inspect(file)
+    if parameters:
+        result(_parameters(held))
+        return
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the notes of the table say the same and are shown below
         table = logs.read(file)
@@ -65,6 +70,20 @@ def recover(file: Path, *, output: Path | None = None) -> None:
         f"{done.lost_chunks} damaged chunks"
     )
     result(str(done.path))
+
+
+def _parameters(held: Inspection) -> str:
+    """Return the history of the parameters."""
+    from datetime import UTC, datetime
+
+    lines = [
+        f"{datetime.fromtimestamp(event.stamp_ns / 1e9, UTC):%Y-%m-%d %H:%M:%S.%f} UTC  {event.text}"
+        for event in held.events
+        if event.text.startswith(("Parameter ", "Parameters: ", "A setting of "))
+    ]
+    last = (held.summary or {}).get("parameters") or {}
+    ends = [f"At the end: {', '.join(f'{name} = {value}' for name, value in last.items())}."] if last else []
+    return "\n".join([*lines, *ends]) or "This log has no parameters."
 
 
 def _data(held: Inspection, table: Table) -> dict[str, Any]:
