@@ -1,4 +1,4 @@
-"""One cycle of the EGM codec: decode a packet of the robot, encode the reply."""
+"""EGM: one cycle of the codec, and round trips of whole clients against the simulated controller."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 from ABBRobotEGM._egm_protobuf import egm_pb2
 from ABBRobotEGM.egm import EGM
 from blocks import Contender, Table, agree, loop, table
+from egm_round_trips import round_trips
 
 from armlab import robots
 from armlab.robots import Robot
@@ -19,7 +20,7 @@ BAR = 12e-6  # seconds per cycle, seven axes, content of RobotWare 7
 
 
 def run(quick: bool) -> list[Table]:
-    """Measure decode with encode, of `wire.egm.EgmCodec` and of ABBRobotEGM."""
+    """Measure decode with encode, of `wire.egm.EgmCodec` and of ABBRobotEGM; then the clients, abb_robot_client too."""
     robot = robots.load(ROBOT)
     standard, extended = _packets(robot, extension=False), _packets(robot, extension=True)
     plain, research = EgmCodec(robot), EgmCodec(robot, extension=True)
@@ -59,7 +60,7 @@ def run(quick: bool) -> list[Table]:
         "abb_robot_client, which decodes only inside its socket calls and whose messages cannot be loaded beside "
         "ABBRobotEGM's."
     )
-    return [table("EGM codec, one cycle", text, "µs", contenders, 20 if quick else 100)]
+    return [table("EGM codec, one cycle", text, "µs", contenders, 20 if quick else 100), *round_trips(quick)]
 
 
 class _Peer:

@@ -1,0 +1,69 @@
+"""One EGM client for `bench_egm`, in a process of its own: `python egm_client.py NAME PORT [MODEL]`.
+
+NAME is "ahead" or "spin" for armlab's bridge with an empty controller, "estimator" for the contact-force estimator in
+the loop with the model file MODEL, or the name of a package from PyPI, which sends back what it received. All run with
+real-time priority where the system permits it, but for "spin", which never yields. Prints "ready" when it listens.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+PRIORITY = 50  # as the bridge takes
+SILENCE = 5.0  # s
+
+
+def answer(package: str, port: int) -> None:
+    """Answer every packet with the joints it holds, until the robot is silent."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+    except OSError:
+        print("normal priority", file=sys.stderr)
+    egm = import_module(f"{package}.egm").EGM(port=port)
+    print("ready", flush=True)
+    found, state = egm.receive_from_robot(timeout=60.0)
+    while found:
+        egm.send_to_robot(joint_angles=state.joint_angles, external_joints=state.external_axes)
+        found, state = egm.receive_from_robot(timeout=SILENCE)
+
+
+def bridge(way: str, port: int, file: Path | None) -> None:
+    """Run armlab's bridge until the robot is silent."""
+    from armlab import models, robots
+    from armlab.bridge import connect
+    from armlab.contact import Estimator
+    from armlab.errors import SessionEnded
+    from armlab.models import TorqueModel
+    from armlab.state import Command, State
+
+    robot = robots.load("yumi_right")
+    estimator: Any = None
+    if file is not None:
+        model = models.load(file)
+        if not isinstance(model, TorqueModel):
+            raise SystemExit(f"Expected a torque model in {file}.")
+        estimator = Estimator(model, robot)
+
+    def controller(state: State) -> Command:
+        if estimator is not None:
+            estimator.step(state)
+        return Command(state.q_start)
+
+    try:
+        with connect(f"egm://127.0.0.1:{port}", robot, extension=True, patience=60.0) as link:
+            print("ready", flush=True)
+            link.run(controller, wait="spin" if way == "spin" else "ahead", reconnect="stop")
+    except SessionEnded:
+        pass
+
+
+if __name__ == "__main__":
+    name, at, *more = sys.argv[1:]
+    if name in ("ahead", "spin", "estimator"):
+        bridge(name, int(at), Path(more[0]) if more else None)
+    else:
+        answer(name, int(at))
