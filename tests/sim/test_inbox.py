@@ -51,6 +51,15 @@ def test_packets_of_one_millisecond_share_their_tm_and_are_told_apart() -> None:
     assert matched(box, SensorMessage(9, 10_004, 3)) == 4
 
 
+def test_a_packet_that_was_built_but_has_not_left_is_not_answered() -> None:
+    """Replies are read just before the next packet leaves; the round trip is that of the one before."""
+    box, statistics = inbox()
+    send(box, 1)
+    box.note(Sent(1, 10_004, 101, True))
+    assert matched(box, SensorMessage(1, None, 3), 10**9 + 150_000) == 0
+    assert statistics.as_dict()["round_trip_us"]["p50"] == pytest.approx(150.0)
+
+
 @pytest.mark.parametrize("tm", [None, 0])
 def test_by_order_where_nothing_is_echoed(tm: int | None) -> None:
     box, statistics = inbox()

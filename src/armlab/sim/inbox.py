@@ -149,7 +149,8 @@ class Inbox:
         if message.tm_ms:  # abb_libegm sends 0, the Python clients nothing
             same = [sent for sent in self._sent if sent.tm_ms == message.tm_ms]
             return "tm", next((sent for sent in same if not sent.answered), same[-1] if same else None)
-        if self._ordered < 0:  # the first reply of a session may come late
-            self._ordered = self._sent[-1].seq - 1 if self._sent else -1
+        if self._ordered < 0:  # the first reply of a session may come late; the last packet built may not have left
+            left = [sent.seq for sent in self._sent if sent.stamp_ns]
+            self._ordered = left[-1] - 1 if left else -1
         self._ordered += 1
         return "order", next((sent for sent in self._sent if sent.seq == self._ordered), None)
