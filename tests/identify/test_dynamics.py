@@ -141,7 +141,7 @@ def test_the_fit_reports_every_joint_and_progress(truth, excited) -> None:
     assert fit.names[:50] == fit.value.base_names
     assert fit.excitation.condition < 300
     text = fit.report()
-    assert text.count("+-") == len(fit.names) + 3 * truth.robot.n
+    assert text.count("+-") == len(fit.names) + 4 * truth.robot.n  # friction in three columns, and the gain
     assert "good" in text
     assert np.all(fit.value.quality.rms_cv < 0.05 * fit.value.quality.torque_sd)
     np.testing.assert_allclose(fit.value.quality.coverage, 0.954, atol=0.03)
