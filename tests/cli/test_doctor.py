@@ -35,8 +35,9 @@ def simulated(port: int, *words: str) -> Iterator[None]:
             process.terminate()
 
 
+@pytest.mark.slow
 def test_the_simulated_controller(capsys: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Streaming and not guided: a warning. It takes about three seconds to start."""
+    """Streaming and not guided: a warning. About 5 s, of which the simulator needs one or two to start."""
     monkeypatch.setattr("armlab.bridge.doctor.machine", lambda seconds: [])
     port = free_port()
     with simulated(port):

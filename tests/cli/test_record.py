@@ -129,7 +129,7 @@ def test_a_recording_that_is_ended_from_outside(tmp_path: Path, number: signal.S
             time.sleep(0.01)
         time.sleep(0.1)
         begun = time.monotonic()
-        while time.monotonic() - begun < 1.2:
+        while time.monotonic() - begun < (1.2 if number == signal.SIGKILL else 0.3):
             peer.send()
             time.sleep(0.002)
         time.sleep(0.2)  # the last packet is on its way through the kernel no longer

@@ -60,14 +60,15 @@ def declared(path: Path) -> dict[str, str]:
 
 
 def instructions(path: Path) -> list[tuple[str, str]]:
-    return [one.partition(" ")[::2] for one in statements(path) if not one.startswith("LOCAL")]
+    parts = [one.partition(" ") for one in statements(path) if not one.startswith("LOCAL")]
+    return [(word, text) for word, _, text in parts]
 
 
 def argument(path: Path, instruction: str, name: str) -> str:
     """Return the value of an optional argument."""
     (text,) = [text for word, text in instructions(path) if word == instruction]
     (value,) = re.findall(rf"\\{name}:=(\S+)", text)
-    return declared(path).get(value, value)
+    return declared(path).get(str(value), str(value))
 
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda path: path.stem)

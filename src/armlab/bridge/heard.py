@@ -139,13 +139,16 @@ class Heard:
             f"{1e3 * p99:.2f} ms (p99); {lost} lost, {repeated} repeated or out of order"
         )
         bad = bool(lost or repeated or p99 - p50 > _SPREAD)
-        advice = "Connect robot and computer by a cable of their own, without WLAN, VPN or a shared switch."
+        advice = (
+            "Either this computer is busy (see wake-up), or the network: connect robot and computer by a cable of their "
+            "own, without WLAN, VPN or a shared switch."
+        )
         return Finding.judged(f"{name}, timing", "warning", bad, value, advice)
 
     def _robotware(self, name: str, first: Sample) -> Finding:
         packet = first.packet
         external = f" and {len(packet.q_ext)} external" if len(packet.q_ext) else ""
-        hint = ", a YuMi's seventh axis or a track" if external and self._robot is None else ""
+        hint = ", a YuMi's seventh axis or a track" if external and len(packet.q) == len(_AnyArm().abb_axes) else ""
         value = f"RobotWare {packet.robotware}, {len(packet.q)} axes{external}{hint}"
         old = _OLD.get(packet.robotware, "")
         return Finding.judged(f"{name}, first packet", "warning", bool(old), value, old)

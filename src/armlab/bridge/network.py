@@ -23,7 +23,7 @@ __all__ = ["addresses", "firewall", "listen", "local_addresses", "route_to"]
 _SIOCGIFADDR = 0x8915
 _INTERFACE = struct.Struct("256s")
 _FIREWALL = Path("/etc/ufw/ufw.conf")
-_SELF_TEST = 0.5  # s at least for the self-test to come back
+_SELF_TEST = 0.2  # s at least for the self-test to come back
 
 
 def local_addresses() -> dict[str, str]:

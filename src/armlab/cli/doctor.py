@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["disk", "doctor"]
 
-_ROW_BYTES = 1500  # of a recording per packet of seven joints, rounded up
+_ROW_BYTES = 600  # of a recording per packet of seven joints with torques, compressed, rounded up
 _PACKETS = 250 * 3600  # per hour
 _LEAST_HOURS = 1.0
 _LEAST_SPEED = 5e6  # bytes per second: ten times what two arms write

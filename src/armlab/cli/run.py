@@ -65,6 +65,7 @@ def run(
     arms = [robots.load(name) for name in robot.split("+")]
     step, extra = (_hold, None) if controller is None else load_controller(controller)
     urls = [f"sim://{'+'.join(arm.name for arm in arms)}"] if link is None else link.split(",")
+    _check_simulated(urls, [arm.name for arm in arms])
     base = _base(log, no_log, robot)
     if not all(url.startswith("sim:") for url in urls):
         note(_CHECKS)
@@ -128,6 +129,21 @@ def load_controller(place: str) -> tuple[Callable[..., Any], Mapping[str, Any] |
     return found, getattr(module, "extra", None)
 
 
+def _check_simulated(urls: list[str], names: list[str]) -> None:
+    """Refuse simulated arms of other names: the log would say that it is of these."""
+    from urllib.parse import urlsplit
+
+    from armlab.errors import ConfigError
+
+    links = [urlsplit(url) for url in urls]
+    simulated = [name for link in links if link.scheme == "sim" for name in link.netloc.split("+")]
+    if simulated and simulated != names:
+        raise ConfigError(
+            f"Expected a link to {'+'.join(names)}, got {','.join(urls)}, other arms. Name the arms as ROBOT, or give "
+            f"the link sim://{'+'.join(names)}."
+        )
+
+
 def _hold(state: object) -> None:
     """Hold where the arm is."""
 
@@ -164,7 +180,9 @@ def _report_of_logs(base: Path | None, link: Link) -> None:
     from armlab.cli.output import result
 
     for path in paths(base, link.robots):
-        summary = {} if path is None or not path.exists() else logs.inspect(path).summary
+        if path is None or not path.exists():
+            continue
+        summary = logs.inspect(path).summary
         if summary:
             result(Run(summary["reason"], {**summary, "problems": []}, (), path, None).report())
 
