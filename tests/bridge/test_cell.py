@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import re
 import socket
 import threading
@@ -124,6 +126,27 @@ def test_listening() -> None:
         listening(["labcomm=0.0.0.0"], commanding)
 
 
+def bound() -> set[str]:
+    """Addresses on which this process and those it started wait for others, as /proc writes them."""
+    parents = {}
+    for folder in Path("/proc").iterdir():
+        with contextlib.suppress(OSError, ValueError, IndexError):
+            parents[int(folder.name)] = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
+    family, inodes = {os.getpid()}, set()
+    for _ in range(5):
+        family |= {child for child, parent in parents.items() if parent in family}
+    for process in family:
+        with contextlib.suppress(OSError):
+            inodes |= {str(entry.readlink()) for entry in Path(f"/proc/{process}/fd").iterdir()}
+    found = set()
+    for table in ("tcp", "tcp6", "udp", "udp6"):
+        for line in Path(f"/proc/net/{table}").read_text().splitlines()[1:]:
+            words = line.split()
+            if f"socket:[{words[9]}]" in inodes and words[3] in ("0A", "07"):  # listening; bound UDP
+                found.add(words[1].partition(":")[0])
+    return found
+
+
 class Bench:
     """Runs a cell in this thread while a script plays its clients in another."""
 
@@ -172,6 +195,7 @@ def test_a_local_client_commands_in_real_time(bench: Bench) -> None:
 
     def script(ports: dict[str, int]) -> None:
         with LocalFeed() as feed:
+            assert bound() == {"0100007F"}, "127.0.0.1 only, in a full run"
             feed.ask(Subscribe(rate=None))
             feed.ask(SetRequest(values={"gain": 3.0, "gentle": False}))
             start = None

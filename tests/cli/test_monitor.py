@@ -81,7 +81,14 @@ def test_the_table(tmp_path: Path) -> None:
     assert "2.0 MB" in watch.recording()
     console.print(watch.table(NOW))
     text = console.file.getvalue()  # type: ignore[attr-defined]
-    for word in ("No row yet", "Cell yumi", "yumi_right", "The robot is ready.", "Rows lost by this feed: 4"):
+    for word in (
+        "No row yet",
+        "Cell yumi",
+        "yumi_right",
+        "p50 / p99 / max [us]",
+        "The robot is ready.",
+        "Rows lost by this feed: 4",
+    ):
         assert word in text
 
 

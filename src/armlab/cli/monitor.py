@@ -207,7 +207,7 @@ class Watch:
         for k, arm in enumerate([{"arm": ""}, *arms]):
             table.add_column(arm["arm"], no_wrap=k == 0)
         for key in list(arms[0])[1:]:
-            table.add_row(key, *[arm[key] for arm in arms])
+            table.add_row(Text(key), *[Text(arm[key]) for arm in arms])  # brackets would be styles
         lost = self._status.get("lost", 0)
         notes = [f"Recording: {self.recording()}", *([f"Rows lost by this feed: {lost}"] if lost else []), *self.events]
         return Group(table, Text("\n".join(notes)))
