@@ -218,3 +218,13 @@ def test_skipped_cycles_pass_without_motion() -> None:
     task.run(10, task.position(ROBOT.q_home))
     task.controller.skip(100)
     assert task.run(1).robot_ns - task.packets[-2].robot_ns == 101 * 4_032_000
+
+
+def test_cycles_without_packets_are_not_the_peers_silence() -> None:
+    task = Task(comm_timeout=0.1, ramp_in=0.005)
+    before = task.run(50, task.position(ROBOT.q_home + 0.3)).q_planned
+    for _ in range(100):
+        task.controller.advance(takes=False)
+    assert task.controller.phase == "guiding"
+    assert task.controller.statistics.counts["starved"] == 0
+    assert (task.run(1).q_planned > before).all(), "the last reference goes on"

@@ -25,7 +25,8 @@ from armlab.state import Command, State
 from armlab.wire.egm import EgmCodec, Packet, RobotSideCodec
 
 ROBOT = robots.load("yumi_right")
-PERIOD = 0.016128  # SampleRate 16: four times as fast to test as 4
+MIDDLE = (ROBOT.q_min + ROBOT.q_max) / 2
+PERIOD = 0.012096  # SampleRate 12: three times as fast to test as 4
 SECONDS, UNTIL = 60.0, 57.0  # the last seconds are clean
 SHARES = (0.01, 0.1, 0.5)
 FAULTS: dict[str, Any] = {
@@ -44,7 +45,7 @@ class Wire:
 
     def __init__(self, outgoing: FaultRates, incoming: FaultRates) -> None:
         codec = RobotSideCodec(ROBOT, extension=True)
-        self.controller = Controller(LaggingArm(ROBOT, PERIOD), codec, Settings(period=PERIOD))
+        self.controller = Controller(LaggingArm(ROBOT, PERIOD, MIDDLE), codec, Settings(period=PERIOD))
         self._out, self._in = Faults(outgoing, [7, 1], PERIOD), Faults(incoming, [7, 2], PERIOD)
         self._packets, self._replies = deque[bytes](), list[tuple[int, bytes]]()
         self._eyes, self.depth = EgmCodec(ROBOT, extension=True), -1
@@ -79,9 +80,9 @@ class Wire:
 
 
 def sway(state: State) -> Command:
-    """Velocities, so that time that was lost is no jump of the position."""
-    goal = state.q_start + 0.2 * (1.0 - np.cos(2.0 * state.t))
-    return Command(qd=0.4 * np.sin(2.0 * state.t) + 0.5 * (goal - state.q))
+    """Velocities, so that time that was lost is no jump; far from the limits, because the last speed goes on."""
+    goal = MIDDLE + 0.2 * np.sin(2.0 * state.t) ** 2
+    return Command(qd=0.4 * np.sin(4.0 * state.t) + 0.5 * (goal - state.q))
 
 
 @pytest.fixture
@@ -111,7 +112,7 @@ def check(found: Any, controller: Controller) -> None:
     q, sent = table["q"], table["q_sent"][np.isfinite(table["q_sent"]).all(axis=1)]
     assert ((q > ROBOT.q_min) & (q < ROBOT.q_max)).all()
     assert np.abs(np.diff(sent, axis=0)).max() <= ROBOT.qd_max.max() * 1.5 * PERIOD
-    assert np.ptp(sent, axis=0).min() > 0.3, "it moved"
+    assert np.ptp(sent, axis=0).min() > 0.1, "it moved"
 
 
 @pytest.mark.parametrize("way", ["out", "in"])

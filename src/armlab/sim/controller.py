@@ -143,9 +143,15 @@ class Controller:
             self.statistics.drops["queue full"] += 1
         return found
 
-    def advance(self) -> None:
-        """Take at most one message, move the reference and the arm by one period."""
+    def advance(self, takes: bool = True) -> None:
+        """Take at most one message, move the reference and the arm by one period.
+
+        Parameters
+        ----------
+        takes : False for a cycle without a packet that this process missed: its peer is not to blame for silence then.
+        """
         self._in_phase += 1
+        self._takes = takes
         self._cycles[self.phase]()
         moves = self.phase == "guiding" or (self._settings.only_streams and self.phase == "streaming")
         self.cycle += 1
@@ -224,7 +230,7 @@ class Controller:
             self._guidance.brake()
             self._enter("streaming")
             return
-        if self._in_phase % self._stride == 0:
+        if self._takes and self._in_phase % self._stride == 0:
             self._take()
         guidance, target = self._guidance, self._target
         if self.phase != "guiding":

@@ -152,5 +152,5 @@ def _miss(channels: Sequence[Channel], cycles: int) -> None:
     for channel in channels:
         channel.controller.statistics.counts["skipped"] += cycles
         for _ in range(min(cycles, _CATCH_UP)):
-            channel.controller.advance()
+            channel.controller.advance(takes=False)
         channel.controller.skip(max(0, cycles - _CATCH_UP))
