@@ -21,6 +21,15 @@ def test_a_pose_byte_by_byte(wire: Any) -> None:
     assert encode_pose(T, None, 3, 4) == expected
 
 
+def test_a_pose_is_that_of_another_program(vector: Any) -> None:
+    twist = np.array([0.1, 0.2, 0.3, np.pi / 10, np.pi / 5, 0.3 * np.pi])
+    ours, theirs = encode_pose(T, twist, 3, 4), vector("sensor_pose")
+    assert ours[:-56] == theirs[:-56]
+    speeds = [np.frombuffer(data[-54:], dtype=[("tag", "u1"), ("value", "<f8")]) for data in (ours, theirs)]
+    assert speeds[0]["tag"].tolist() == speeds[1]["tag"].tolist() == [9] * 6
+    np.testing.assert_allclose(speeds[0]["value"], speeds[1]["value"], rtol=1e-14)
+
+
 def test_a_pose_with_its_speed_arrives(six: Any) -> None:
     twist = np.array([0.1, 0.2, 0.3, 1.0, 2.0, 3.0])
     message: Any = RobotSideCodec(six).decode_sensor(EgmCodec(six).encode_pose(T, twist, 2**32 + 5, 6))
