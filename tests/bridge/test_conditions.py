@@ -87,6 +87,27 @@ def test_signals_call_and_their_handlers_come_back() -> None:
     assert signal.getsignal(signal.SIGTERM) is before
 
 
+def test_a_closed_terminal_counts_once_and_never_as_a_second_signal() -> None:
+    before = signal.getsignal(signal.SIGHUP)
+    for first in (signal.SIGHUP, signal.SIGINT):
+        calls: list[int] = []
+        with interrupts(lambda calls=calls: calls.append(1)):
+            for number in (first, signal.SIGHUP, signal.SIGHUP):
+                signal.raise_signal(number)
+        assert calls == [1]
+    assert signal.getsignal(signal.SIGHUP) is before
+
+
+def test_a_closed_terminal_that_is_ignored_stays_so() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with interrupts(lambda: pytest.fail("called")):
+            signal.raise_signal(signal.SIGHUP)
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
 def test_another_thread_leaves_signals_alone() -> None:
     before = signal.getsignal(signal.SIGTERM)
     seen: list[bool] = []

@@ -88,7 +88,10 @@ def priority(level: int, on_event: Tell = nobody) -> Iterator[bool]:
 
 @contextmanager
 def interrupts(stop: Callable[[], None]) -> Iterator[None]:
-    """Turn Ctrl-C and SIGTERM into a call. Only the main thread can.
+    """Turn Ctrl-C, SIGTERM and a terminal that is closed into a call. Only the main thread can.
+
+    A closed terminal may send SIGHUP twice and more: it counts once, and not after another signal, so that it never
+    cuts a stop short. Where it is ignored (nohup) it stays so.
 
     Parameters
     ----------
@@ -98,10 +101,18 @@ def interrupts(stop: Callable[[], None]) -> Iterator[None]:
         yield
         return
 
-    def handle(number: int, frame: FrameType | None) -> None:
-        stop()
+    came: list[int] = []
 
-    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
+    def handle(number: int, frame: FrameType | None) -> None:
+        again = number == signal.SIGHUP and bool(came)
+        came.append(number)
+        if not again:
+            stop()
+
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        numbers.append(signal.SIGHUP)
+    before = {number: signal.signal(number, handle) for number in numbers}
     try:
         yield
     finally:

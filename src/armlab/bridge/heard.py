@@ -140,8 +140,8 @@ class Heard:
         )
         bad = bool(lost or repeated or p99 - p50 > _SPREAD)
         advice = (
-            "Either this computer is busy (see wake-up), or the network: connect robot and computer by a cable of their "
-            "own, without WLAN, VPN or a shared switch."
+            "Either this computer is busy (see wake-up), or the network: connect robot and computer by a cable of "
+            "their own, without WLAN, VPN or a shared switch."
         )
         return Finding.judged(f"{name}, timing", "warning", bad, value, advice)
 

@@ -145,7 +145,7 @@ def _short_warnings() -> Iterator[None]:
 
 @contextmanager
 def interrupts_deferred() -> Iterator[None]:
-    """Let Ctrl-C and SIGTERM act when the block has ended: compiled modules that load may swallow an interrupt."""
+    """Let Ctrl-C and the like act when the block has ended: compiled modules that load may swallow an interrupt."""
     came: list[int] = []
     with _handling(lambda number, _frame: came.append(number)):
         yield
@@ -155,12 +155,14 @@ def interrupts_deferred() -> Iterator[None]:
 
 @contextmanager
 def _interruptible() -> Iterator[list[int]]:
-    """Treat SIGTERM like Ctrl-C, so that logs are closed and simulators stopped. Yields the signals that came."""
+    """Treat SIGTERM and a closed terminal like Ctrl-C: logs are closed, simulators stopped. Yields what came."""
     came: list[int] = []
 
     def interrupt(number: int, _frame: object) -> None:
+        again = number == signal.SIGHUP and bool(came)  # a terminal that is closed sends it more than once
         came.append(number)
-        raise KeyboardInterrupt
+        if not again:
+            raise KeyboardInterrupt
 
     with _handling(interrupt):
         yield came
@@ -168,11 +170,14 @@ def _interruptible() -> Iterator[list[int]]:
 
 @contextmanager
 def _handling(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """Handle SIGINT and SIGTERM in another way for a while."""
+    """Handle SIGINT, SIGTERM and, unless it is ignored (nohup), SIGHUP in another way for a while."""
     if threading.current_thread() is not threading.main_thread():  # the process's owner handles signals
         yield
         return
-    before = {number: signal.signal(number, handler) for number in (signal.SIGINT, signal.SIGTERM)}
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        numbers.append(signal.SIGHUP)
+    before = {number: signal.signal(number, handler) for number in numbers}
     try:
         yield
     finally:
