@@ -39,6 +39,7 @@ def lockstep(make_peer: MakePeer, seed: int, rates: FaultRates | None = None) ->
     peer = make_peer(RIGHT)
     client = channel(peer.port, seed, rates=rates)
     assert run([client], Pace(lockstep=True, seconds=2.0)) == "the time is up"
+    assert rates is not None or client.controller.statistics.counts["missed"] == 0
     digest = peer.digest.hexdigest()
     return digest, client.controller.arm.sample.q.tobytes(), client
 

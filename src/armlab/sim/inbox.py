@@ -36,7 +36,6 @@ class Sent:
     guiding: bool
     stamp_ns: int = 0
     answered: bool = False
-    timely: bool = False
 
 
 class Inbox:
@@ -46,11 +45,11 @@ class Inbox:
     ----------
     codec : of the robot's side.
     statistics : receives what is counted.
-    settings : mode and period.
+    settings : the mode.
     """
 
     def __init__(self, codec: RobotSideCodec, statistics: Statistics, settings: Settings) -> None:
-        self._codec, self._statistics, self._period = codec, statistics, settings.period
+        self._codec, self._statistics = codec, statistics
         self._field, self._missing, self._wanted = _CONTENT[settings.mode]
         self.begin()
 
@@ -69,7 +68,7 @@ class Inbox:
         self._sent.append(sent)
 
     def stamp(self, nanoseconds: int, uptime: float) -> None:
-        """Note when the newest packet left. The one before it has had its period by now: was it answered in time?
+        """Note when the newest packet left. A reply to the one before it that has not come by now is late or missing.
 
         Parameters
         ----------
@@ -77,7 +76,7 @@ class Inbox:
         """
         if self._sent:
             self._sent[-1].stamp_ns = nanoseconds
-        if len(self._sent) > 1 and self._sent[-2].guiding and not self._sent[-2].timely:
+        if len(self._sent) > 1 and self._sent[-2].guiding and not self._sent[-2].answered:
             self._statistics.miss(uptime)
 
     def read(self, data: bytes, count: bool = True) -> SensorMessage | Drop:
@@ -110,9 +109,7 @@ class Inbox:
         counts[f"matched by {how}"] += 1
         sent.answered = True
         if sent.stamp_ns and arrival_ns:
-            trip = 1e-9 * (arrival_ns - sent.stamp_ns)
-            sent.timely = trip <= self._period
-            self._statistics.trip(trip, uptime)
+            self._statistics.trip(1e-9 * (arrival_ns - sent.stamp_ns), uptime)
         return sent
 
     def put(self, message: SensorMessage, cycle: int | None) -> bool:
