@@ -116,8 +116,9 @@ class Layout:
         self._unpack = Struct(f"<{''.join(steps)}{len(data) - at}x").unpack
         where = {offset: k for k, offset in enumerate(found)}
         self._pick = itemgetter(*(where.get(offset, len(found)) for offset in offsets))
-        spans = [places.integers.get(name, (1, 1)) for name in integers]
-        self._spans = tuple(slice(stop - 1, start - 1, -1) for start, stop in spans)
+        self._count = len(integers)
+        spans = [(k, *places.integers[name]) for k, name in enumerate(integers) if name in places.integers]
+        self._spans = tuple((k, slice(stop - 1, start - 1, -1)) for k, start, stop in spans)
 
     def read(self, data: bytes) -> tuple[tuple[float, ...], list[int]] | None:
         """Return the doubles and the integers of a datagram of the same length, None when it has another shape.
@@ -128,12 +129,12 @@ class Layout:
         """
         if int.from_bytes(data, "little") & self._mask != self._shape:
             return None
-        integers: list[int] = []
-        for span in self._spans:
+        integers = [0] * self._count
+        for k, span in self._spans:
             value = 0
             for byte in data[span]:
                 value = value << 7 | byte & 0x7F
-            integers.append(value)
+            integers[k] = value
         return self._pick((*self._unpack(data), 0.0)), integers
 
 
