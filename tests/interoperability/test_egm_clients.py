@@ -1,6 +1,6 @@
 """EGM clients of other people, each in an environment and a process of its own, driven by `armlab sim`.
 
-They are installed from PyPI; where that is not possible the tests are skipped with the reason. About 40 s in all,
+They are installed from PyPI; where that is not possible the tests are skipped with the reason. About 50 s in all,
 mostly for installing.
 """
 
@@ -66,9 +66,9 @@ def drive(folder: Path, python: Path | str, run: tuple[str, str, str, tuple[str,
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> dict[Any, Any]:
-    """All clients and flavours: environments beside each other, then the runs."""
+    """All clients and flavours: environments beside each other, then three runs at a time: two cores carry no more."""
     folder = tmp_path_factory.mktemp("clients")
-    with ThreadPoolExecutor(len(RUNS)) as pool:
+    with ThreadPoolExecutor(3) as pool:
         pythons = dict(zip(CLIENTS, pool.map(lambda client: install(folder, client), CLIENTS), strict=True))
         return dict(zip(RUNS, pool.map(lambda run: drive(folder, pythons[run[0]], run), RUNS), strict=True))
 
