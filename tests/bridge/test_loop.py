@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import socket
 import threading
@@ -13,7 +12,7 @@ import numpy as np
 import pytest
 
 from armlab.bridge.loop import Controller, Loop
-from armlab.errors import CommandRefused, ControllerFailed, ControllerLate, LinkError
+from armlab.errors import CommandRefused, ControllerFailed, ControllerLate
 from armlab.state import Command, State
 from armlab.wire.egm import EgmCodec, Reference
 
@@ -266,31 +265,6 @@ def test_a_controller_that_exits_stops_the_arm_first(play: Any) -> None:
         play(lambda peer: peer.rest(), controller)
     np.testing.assert_array_equal(caught.value.table["qd_sent"][-1], 0.0)
     assert len(caught.value.table) > 100
-
-
-def test_an_error_outside_the_controller_stops_the_arm_first(play: Any, robot: Any) -> None:
-    """A codec of the user's that raises, against its protocol."""
-
-    class Broken(EgmCodec):
-        decoded = 0
-
-        def decode(self, data: bytes) -> Any:
-            self.decoded += 1
-            if self.decoded == 40:
-                raise ZeroDivisionError("division by zero")
-            return super().decode(data)
-
-    def script(peer: Any) -> None:
-        while not peer.over.is_set():  # one packet has no answer
-            peer.send()
-            with contextlib.suppress(TimeoutError):
-                peer.answer(0.05)
-
-    with pytest.raises(LinkError, match=r"without errors, got ZeroDivisionError: division by zero\.") as caught:
-        play(script, lambda state: Command(qd=np.full(7, 0.1)), play.link(codec=Broken(robot)))
-    sent = caught.value.table["qd_sent"]
-    assert sent.max() > 0.05
-    assert not sent[-1].any()
 
 
 def test_a_display_of_progress_that_fails_stops_the_arm_first(play: Any) -> None:

@@ -172,3 +172,28 @@ def test_what_is_in_force_is_always_valid(values: dict[str, Any]) -> None:
         parameter.checked(getattr(params, name))
         if not accepted:
             assert np.array_equal(getattr(params, name), before[name])
+
+
+@pytest.mark.parametrize("value", [10**400, -(10**400), 10**5000], ids=["big", "small", "unprintable"])
+@pytest.mark.parametrize("kind", ["float", "int", "float[2]"])
+def test_integers_that_no_float_holds_are_refused(kind: str, value: int) -> None:
+    """JSON has them: a client must not end the run with one."""
+    is_vector = kind == "float[2]"
+    params = Parameters([Parameter("gain", [0.0, 0.0] if is_vector else 0, type=kind)])
+    with pytest.raises(CommandRefused, match=r"Expected .* for the parameter gain.*Its value stays\.$"):
+        params.set("gain", [value, 1] if is_vector else value)
+    assert params.apply() == ()
+
+
+def test_who_set_what_last_is_known_without_a_look_at_the_history() -> None:
+    params = Parameters([Parameter("gain", 2.0), Parameter("other", 1.0)])
+    assert params.last("gain") is None
+    for value in (3.0, 4.0):
+        params.set("gain", value, "web")
+        params.apply()
+    last = params.last("gain")
+    assert last is not None
+    assert (last.sequence, last.value, last.who) == (2, 4.0, "web")
+    assert params.last("other") is None
+    with pytest.raises(UnknownName, match="parameter"):
+        params.last("nothing")

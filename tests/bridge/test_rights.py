@@ -288,3 +288,13 @@ def test_two_commanders_of_a_simulated_arm() -> None:
     assert np.all(np.abs(np.diff(table["q_sent"], axis=0)) <= 0.004 * limits.qd_max * 1.01 + 1e-9)
     assert np.all(np.abs(np.diff(table["qd_sent"], axis=0)) <= 0.004 * limits.qdd_max * 1.01 + 1e-6)
     assert sum("commands yumi_left." in text for text in events) > 40
+
+
+def test_a_stop_while_a_command_comes_into_force_wins() -> None:
+    """Requests are taken by the guard's and the servers' thread too: a stop may come between check and command."""
+    bench = Bench()
+    arbiter = bench.arbiter
+    arbiter._tell = lambda text, warn=False: arbiter.stop("local 1") if "commands yumi_left" in text else None
+    for _ in range(5):
+        assert bench(order()) is None
+        assert arbiter.stopped == "local 1"

@@ -286,7 +286,7 @@ def test_implausible_feedback_never_moves(bench: Bench) -> None:
 def test_implausible_feedback_of_a_restarted_session_is_not_sent_back(bench: Bench) -> None:
     """Radians taken for degrees one way only: the feedback sent back would be a jump."""
     bench.run()
-    assert bench(Command(bench.home), seqno=0, tm_ms=99, q=np.degrees(bench.home) + 100.0) is None
+    assert bench(Command(bench.home), seqno=0, tm_ms=99_000, q=np.degrees(bench.home) + 100.0) is None
     assert bench.mode is Mode.ENDED
     assert isinstance(bench.guide.failure, LinkError)
 
@@ -308,3 +308,13 @@ def test_clamps_are_counted_per_joint(bench: Bench) -> None:
     assert bench.guide.clamps[:, 3].tolist() == [0, 1, 1, 0, 0, 0]
     assert bench.guide.clamps.sum() == 2
     assert 0.0 < bench.guide.worst_ratio < 0.1
+
+
+def test_implausible_feedback_after_the_end_is_not_sent_back(bench: Bench) -> None:
+    """The arm has ended and is answered while another one stops; then its controller comes back in other units."""
+    bench.run()
+    bench.guide.stop("another arm failed")
+    while bench.mode is not Mode.ENDED:
+        bench.reply()
+    assert bench() is not None
+    assert bench(seqno=0, tm_ms=99_000, q=np.degrees(bench.home) + 100.0) is None

@@ -20,7 +20,16 @@ from typing import Any
 
 import msgspec
 
-from armlab.bridge.messages import Leave, Listening, Request, Subscribe, read_request, text_message
+from armlab.bridge.messages import (
+    CommandRequest,
+    Leave,
+    Listening,
+    Request,
+    SetRequest,
+    Subscribe,
+    read_request,
+    text_message,
+)
 from armlab.bridge.row import MAGIC, Row, RowSchema, read_row
 from armlab.bridge.status import Status
 from armlab.errors import ConfigError, LinkError
@@ -31,6 +40,8 @@ _CLIENTS = 8
 _LARGEST = 2**17
 _STATUS = 0.5  # s between two reports
 _EVENTS = 20  # that a new client gets
+_URGENT = 256  # requests that wait when the way to the loop is full
+_RETRY = 0.005  # s until they are tried again
 _TAKEN = 16  # messages of a client before the others have their turn
 
 
@@ -99,6 +110,7 @@ class LocalServer:
         self._clients: dict[socket.socket, _Client] = {}
         self._first: dict[str, bytes] = {}
         self._events: deque[bytes] = deque(maxlen=_EVENTS)
+        self._urgent: deque[Request] = deque(maxlen=_URGENT)
         self._status: Status | None = None
         self._count = 0
         self._reported = 0.0
@@ -120,7 +132,9 @@ class LocalServer:
             self._path.unlink(missing_ok=True)
 
     def _turn(self) -> bool:
-        for key, _ in self._selector.select(_STATUS):
+        while self._urgent and self._sent(self._urgent[0]):
+            self._urgent.popleft()
+        for key, _ in self._selector.select(_RETRY if self._urgent else _STATUS):
             if key.fileobj is self._feed:
                 if not self._hear():
                     return False
@@ -225,8 +239,18 @@ class LocalServer:
         self._ask(Leave(client.name))
 
     def _ask(self, request: Request) -> None:
-        with contextlib.suppress(OSError):  # full: who asks so much loses it
+        """Pass a request on. When the way is full, commands and settings are lost, but no stop and no release."""
+        if self._urgent or not self._sent(request):
+            lost = isinstance(request, CommandRequest | SetRequest) or request in self._urgent
+            if not lost:
+                self._urgent.append(request)
+
+    def _sent(self, request: Request) -> bool:
+        try:
             self._feed.send(msgspec.json.encode(request))
+        except OSError:
+            return False
+        return True
 
 
 def _listen(path: Path) -> socket.socket:

@@ -59,7 +59,7 @@ class Loop:
         self._controller, self._settings = controller, settings
         self._in_lockstep = settings.clock == "robot"
         self._lateness = Lateness()
-        self.interrupted = False
+        self.interrupted = self._has_failed = False
         self.reason = ""
         self._lock = threading.Lock()
         self._next_progress = 0.0
@@ -94,11 +94,17 @@ class Loop:
             try:
                 self._cycle()
             except Exception as error:
-                if self.failure is not None:
+                if self._has_failed or self.failure is not None:
                     raise
-                failure = LinkError(f"Expected a cycle without errors, got {type(error).__name__}: {error}.")
-                failure.__cause__ = error  # of a codec or a source of the user's, or ours: no arm goes on at its speed
-                self._stop("the bridge failed", failure)
+                with self._lock:
+                    self._fail(error)
+
+    def _fail(self, error: Exception) -> None:
+        """Stop after an error of a codec or a source of the user's, or ours: no arm goes on at its speed."""
+        self._has_failed = True
+        failure = LinkError(f"Expected a cycle without errors, got {type(error).__name__}: {error}.")
+        failure.__cause__ = error
+        self._stop("the bridge failed", failure)
 
     def _cycle(self) -> None:
         """Wait for one packet, answer it, record it."""
@@ -132,13 +138,20 @@ class Loop:
         with self._lock:
             if self.overdue() > 0.0:
                 return
-            pace = self._pace
-            turn = pace.take(pace.port.receive(), None if self._taken else self._turn)
-            self._taken = True
-            if turn is not None:
-                pace.reply(turn, None, pace.guide.hold(pace.period), late=True)
-            self._serve_others()
-            self._record()
+            try:
+                self._hold_for_controller()
+            except Exception as error:  # the guard must go on, and the run end
+                self._taken = True
+                self._fail(error)
+
+    def _hold_for_controller(self) -> None:
+        pace = self._pace
+        turn = pace.take(pace.port.receive(), None if self._taken else self._turn)
+        self._taken = True
+        if turn is not None:
+            pace.reply(turn, None, pace.guide.hold(pace.period), late=True)
+        self._serve_others()
+        self._record()
 
     def _record(self) -> None:
         for arm in self._arms:

@@ -122,11 +122,11 @@ def parameter_message(parameters: Parameters) -> bytes:
     ----------
     parameters : of the run.
     """
-    setters = {change.name: (change.who, change.sequence) for change in parameters.history()}
     about = []
     for name, value in parameters.values().items():
         declared = parameters.declared[name]
-        who, sequence = setters.get(name, ("", 0))
+        change = parameters.last(name)
+        who, sequence = ("", 0) if change is None else (change.who, change.sequence)
         about.append(
             {
                 "name": name,

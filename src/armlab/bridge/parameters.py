@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import sys
 from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -21,6 +22,7 @@ _NAME = re.compile(r"[a-zA-Z][a-zA-Z0-9_]{0,63}")
 _LONGEST = 1000  # characters of a text
 _WAITING = 256  # settings that wait for the next tick
 _HISTORY = 10_000
+_LARGEST = sys.float_info.max
 _INTEGERS = 2**53  # beyond it a JSON reader may round
 
 
@@ -98,6 +100,8 @@ class Parameter:
             raise self._refused("a whole number", value)
         if not self.minimum <= value <= self.maximum:
             raise self._refused(f"a number from {self.minimum:g} to {self.maximum:g}", value)
+        if abs(value) > _LARGEST:
+            raise self._refused("a number that a float can hold", value)
         return int(value) if self.type == "int" else float(value)
 
     def _vector(self, value: Any) -> np.ndarray:
@@ -115,7 +119,10 @@ class Parameter:
 
     def _refused(self, expected: str, value: Any) -> CommandRefused:
         unit = f" [{self.unit}]" if self.unit else ""
-        got = repr(value)[:80]
+        try:
+            got = repr(value)[:80]
+        except ValueError:  # an integer of too many digits
+            got = f"a {type(value).__name__} too long to show"
         return CommandRefused(f"Expected {expected} for the parameter {self.name}{unit}, got {got}. Its value stays.")
 
 
@@ -176,6 +183,7 @@ class Parameters:
         self._values = {parameter.name: parameter.default for parameter in found}
         self._waiting: deque[tuple[dict[str, Any], str]] = deque()
         self._history: deque[Change] = deque(maxlen=_HISTORY)
+        self._last: dict[str, Change] = {}
         self._sequence = 0
 
     def __getattr__(self, name: str) -> Any:
@@ -191,6 +199,21 @@ class Parameters:
     def history(self) -> tuple[Change, ...]:
         """Return what came into force so far, the oldest first."""
         return tuple(self._history)
+
+    def last(self, name: str) -> Change | None:
+        """Return the last change of a parameter, None while it has its default.
+
+        Parameters
+        ----------
+        name : of the parameter.
+
+        Raises
+        ------
+        UnknownName : no such parameter.
+        """
+        if name not in self.declared:
+            raise UnknownName.among("parameter", name, self.declared)
+        return self._last.get(name)
 
     def set(self, name: str, value: Any, who: str = "controller") -> None:
         """Set one parameter; it comes into force at the next `apply`.
@@ -242,6 +265,7 @@ class Parameters:
             for name, value in values.items():
                 self._sequence += 1
                 self._values[name] = value
-                changes.append(Change(self._sequence, name, value, who))
+                self._last[name] = Change(self._sequence, name, value, who)
+                changes.append(self._last[name])
         self._history.extend(changes)
         return tuple(changes)

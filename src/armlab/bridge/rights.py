@@ -158,8 +158,9 @@ class Arbiter:
         who : identity of the client, for the log.
         """
         if self.stopped:
-            self.stopped = ""
+            self.release(who)
             self._inbox.clear()
+            self.stopped = ""
             self._tell(f"Resumed by {who}.")
 
     def release(self, who: str, client: str = "") -> None:
@@ -202,7 +203,7 @@ class Arbiter:
         states = state.arms or (state,)
         by_name = dict(zip((robot.name for robot in self._robots), states, strict=True))
         fresh = set()
-        for came_ns, order in inbox.values():
+        for came_ns, order in tuple(inbox.values()):
             if now - came_ns <= self._lease_ns and self._judge(order, by_name[order.arm], now):
                 fresh.add(order.arm)
         commands = tuple(
@@ -243,7 +244,7 @@ class Arbiter:
 
     def _command(self, robot: Robot, state: State, is_fresh: bool) -> Command | None:
         holder = self._holders[robot.name]
-        if holder is None:
+        if holder is None or self.stopped:  # another thread may have taken the stop while a command came into force
             return None
         q = holder.command.q
         if not is_fresh and q is not None and np.any(np.abs(q - _sent(state)) > self._jumps[robot.name]):

@@ -321,4 +321,7 @@ class Guide:
         self._plausible = not problem
         if problem and self.mode is not Mode.LISTENING:
             self.stop("the feedback is not plausible", LinkError(problem))
-            self.mode = Mode.ENDED  # not even the feedback goes back: in wrong units it would be a jump
+            self._rested, self.mode = (
+                0.0,
+                Mode.ENDED,
+            )  # not even the feedback goes back: in wrong units it would be a jump

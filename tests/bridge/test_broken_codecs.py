@@ -1,0 +1,99 @@
+"""Codecs of the user's that raise, against their protocol: in the loop, in the guard, and while the arm stops."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab.errors import LinkError
+from armlab.state import Command, State
+from armlab.wire.egm import EgmCodec
+
+
+def test_an_error_outside_the_controller_stops_the_arm_first(play: Any, robot: Any) -> None:
+    """A codec of the user's that raises, against its protocol."""
+
+    class Broken(EgmCodec):
+        decoded = 0
+
+        def decode(self, data: bytes) -> Any:
+            self.decoded += 1
+            if self.decoded == 40:
+                raise ZeroDivisionError("division by zero")
+            return super().decode(data)
+
+    def script(peer: Any) -> None:
+        while not peer.over.is_set():  # one packet has no answer
+            peer.send()
+            with contextlib.suppress(TimeoutError):
+                peer.answer(0.05)
+
+    with pytest.raises(LinkError, match=r"without errors, got ZeroDivisionError: division by zero\.") as caught:
+        play(script, lambda state: Command(qd=np.full(7, 0.1)), play.link(codec=Broken(robot)))
+    sent = caught.value.table["qd_sent"]
+    assert sent.max() > 0.05
+    assert not sent[-1].any()
+
+
+def test_an_error_in_the_guard_stops_the_arm(play: Any, robot: Any) -> None:
+    """While the guard answers for a controller that sleeps, the codec raises: the run ends and says so."""
+    asleep, raised = threading.Event(), threading.Event()
+
+    class Broken(EgmCodec):
+        def encode(self, reference: Any) -> bytes:
+            if asleep.is_set() and not raised.is_set():
+                raised.set()
+                raise ZeroDivisionError("division by zero")
+            return super().encode(reference)
+
+    def controller(state: State) -> Command:
+        if state.t > 0.05 and not asleep.is_set():
+            asleep.set()
+            assert raised.wait(5.0)
+        return Command(qd=np.full(7, 0.1))
+
+    def script(peer: Any) -> None:
+        peer.begin()
+        while not peer.over.is_set():  # one packet has no answer
+            peer.send()
+            with contextlib.suppress(TimeoutError):
+                peer.answer(0.02)
+
+    with pytest.raises(LinkError, match=r"without errors, got ZeroDivisionError: division by zero\.") as caught:
+        play(script, controller, play.link(clock="wall", codec=Broken(robot)))
+    sent = caught.value.table["qd_sent"]
+    assert not sent[-1].any()
+
+
+def test_errors_while_the_arm_stops_end_the_run(play: Any, robot: Any) -> None:
+    """A codec that raises from then on: the loop must not go round for ever."""
+
+    class Broken(EgmCodec):
+        broken = False
+
+        def decode(self, data: bytes) -> Any:
+            if self.broken:
+                raise ZeroDivisionError("division by zero")
+            return super().decode(data)
+
+    codec = Broken(robot)
+
+    def controller(state: State) -> Command:
+        codec.broken = state.t > 0.1
+        return Command.stop() if codec.broken else Command(qd=np.full(7, 0.1))
+
+    def script(peer: Any) -> None:
+        until = time.monotonic() + 20.0
+        while not peer.over.is_set():
+            assert time.monotonic() < until
+            peer.send()
+            with contextlib.suppress(TimeoutError):
+                peer.answer(0.05)
+
+    with pytest.raises((LinkError, ZeroDivisionError), match="division by zero"):
+        play(script, controller, play.link(codec=codec))
