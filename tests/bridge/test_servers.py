@@ -62,7 +62,7 @@ def test_a_server_that_fails_is_left_dead() -> None:
     told: list[str] = []
     exchange.begin(lambda text, warn=False: told.append(text))
     with Servers(exchange, {"a": command(FAILS)}, restarts=(0.01, 0.01)) as servers:
-        assert servers.ready() == ["a: not listening"]
+        assert servers.ready() == ["a: not listening (no luck)"]
         assert servers.dead == {"a"}
         until(lambda: len(told) == 3)
     assert told[-1] == "The server a ended with status 3. It stays dead; the loop goes on. It said: no luck"
@@ -70,7 +70,7 @@ def test_a_server_that_fails_is_left_dead() -> None:
 
 def test_a_program_that_is_not_there() -> None:
     with Servers(Exchange([LEFT], ["a"]), {"a": ["/no/such/program"]}, restarts=()) as servers:
-        assert servers.ready() == ["a: not listening"]
+        assert servers.ready() == ["a: not listening ([Errno 2] No such file or directory: '/no/such/program')"]
 
 
 def test_times_and_command() -> None:

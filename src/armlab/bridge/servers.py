@@ -48,6 +48,7 @@ class _Child:
         self.ends = 0
         self.due: float | None = 0.0
         self.said = b""
+        self.last_words = ""
 
     def read(self) -> None:
         """Keep the end of what it writes to standard error."""
@@ -104,7 +105,7 @@ class Servers:
                 self._end(child, child.process)
 
     def ready(self, patience: float = 10.0) -> list[str]:
-        """Wait until every server listens or is dead, and return who listens where.
+        """Wait until every server listens or is dead, and return who listens where, or what it said when it ended.
 
         Parameters
         ----------
@@ -115,8 +116,13 @@ class Servers:
         while waiting and time.monotonic() < until:
             waiting = {name for name in waiting - self.dead if self._exchange.outlets[name].where is None}
             self._over.wait(_LOOK)
+        said = {child.name: f" ({child.last_words})" for child in self._children if child.last_words}
         outlets = self._exchange.outlets.values()
-        return [where for outlet in outlets for where in outlet.where or [f"{outlet.name}: not listening"]]
+        return [
+            where
+            for outlet in outlets
+            for where in outlet.where or [f"{outlet.name}: not listening{said.get(outlet.name, '')}"]
+        ]
 
     def processes(self) -> dict[str, int]:
         """Return the process id of each server that runs."""
@@ -176,6 +182,7 @@ class Servers:
             child.due, then = None, "It stays dead; the loop goes on."
             self.dead.add(child.name)
         child.ends += 1
+        child.last_words = child.words
         self._exchange.tell(f"The server {child.name} {what}. {then} It said: {child.words}", warn=True)
 
     def _end(self, child: _Child, process: subprocess.Popen[bytes]) -> None:

@@ -98,3 +98,13 @@ def test_what_goes_wrong_is_a_link_error() -> None:
         LabCommClient(port=port, types=RowTypes(order="chain"), patience=1.0)
     with pytest.raises(LinkError, match="Start it"):
         connected("127.0.0.1", port, 1.0)
+
+
+def test_a_client_that_is_closed_says_so(start: Start) -> None:
+    one = start(ArmChannel("left", 0))
+    client = LabCommClient(port=one.server.ports["left"])
+    client.close()
+    with pytest.raises(LinkError, match="closed here"):
+        client.rows(0.1)
+    with pytest.raises(LinkError, match="closed here"):
+        client.command(Row(0, np.zeros(7)))

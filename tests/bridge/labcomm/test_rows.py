@@ -53,6 +53,15 @@ def test_commands_that_are_refused(parts: dict[str, Any]) -> None:
         RowTypes().command(command(**parts))
 
 
+@pytest.mark.parametrize("wrong", [np.zeros(6), np.zeros(14), np.zeros((7, 1)), np.float64(0.0)])
+def test_a_row_of_another_number_of_joints_is_not_sent(wrong: np.ndarray) -> None:
+    """Fourteen numbers, of two arms, must not become a command of seven."""
+    with pytest.raises(LabCommError, match=r"Expected 7 numbers in pos of a row, got shape"):
+        RowTypes().value(Row(1, wrong))
+    with pytest.raises(LabCommError, match=r"Expected 7 numbers in vel of a row, got shape"):
+        RowTypes().value(Row(1, np.zeros(7), wrong))
+
+
 def test_accepted_types_are_the_command_row_or_less_of_it() -> None:
     types = RowTypes()
     for text, fits in (

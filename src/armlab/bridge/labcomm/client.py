@@ -225,8 +225,10 @@ class LabCommClient:
     def _push(self, packet: bytes, may_drop: bool = True) -> None:
         if packet:
             self._peer.push(packet, may_drop)
-        if not self._peer.flush():
+        if self._peer.socket.fileno() < 0 or not self._peer.flush():
             raise self._gone()
 
     def _gone(self) -> LinkError:
+        if self._peer.socket.fileno() < 0:
+            return LinkError(f"The connection to {self.host}:{self.port} was closed here. Make a new client.")
         return LinkError(f"The LabComm server at {self.host}:{self.port} closed the connection.")

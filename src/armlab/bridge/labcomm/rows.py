@@ -102,12 +102,16 @@ class RowTypes:
         Parameters
         ----------
         row : of the arm. sample : the type, `sent` by default.
+
+        Raises
+        ------
+        LabCommError : a wrong number of joints.
         """
         parts: dict[str, Any] = {"tm": signed(row.tm), "pos": row.q, "vel": row.qd, "trq": row.tau}
         value = {}
         for name in _fields(sample or self.sent):
             part = parts[name]
-            value[name] = part if name == "tm" else self._wired(part)
+            value[name] = part if name == "tm" else self._wired(name, part)
         return value
 
     def row(self, value: Mapping[str, Any]) -> Row:
@@ -145,10 +149,13 @@ class RowTypes:
             parts.append(None if part is None or not np.nan_to_num(part).any() else np.nan_to_num(part))
         return Row(row.tm, row.q, *parts)
 
-    def _wired(self, part: np.ndarray | None) -> list[float]:
+    def _wired(self, name: str, part: np.ndarray | None) -> list[float]:
         if part is None:
             return [math.nan] * self.n
-        return np.asarray(part, dtype=float)[self._to_wire].tolist()
+        numbers = np.asarray(part, dtype=float)
+        if numbers.shape != (self.n,):
+            raise LabCommError(f"Expected {self.n} numbers in {name} of a row, got shape {numbers.shape}.")
+        return numbers[self._to_wire].tolist()
 
     def _chained(self, name: str, part: Sequence[float] | None) -> np.ndarray | None:
         if part is None:
