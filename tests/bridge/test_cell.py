@@ -21,6 +21,7 @@ from armlab.bridge.labcomm import LabCommSource
 from armlab.bridge.local import LocalFeed
 from armlab.bridge.messages import CommandRequest, SetRequest, Stop, Subscribe
 from armlab.bridge.parameters import Parameters
+from armlab.bridge.rights import Arbiter
 from armlab.bridge.row import Row
 from armlab.cli import main
 from armlab.errors import ConfigError, UnknownName
@@ -159,6 +160,9 @@ def bound() -> set[str]:
     return found
 
 
+JOINT = np.eye(7)[3]
+
+
 class Bench:
     """Runs a cell in this thread while a script plays its clients in another."""
 
@@ -201,12 +205,22 @@ def rows(feed: LocalFeed) -> Iterator[Any]:
             yield message.values
 
 
-def test_a_local_client_commands_in_real_time(bench: Bench) -> None:
-    """It moves one joint; the parameter is set; what was sent is what it asked for."""
-    asked: list[float] = []
+def test_a_local_client_commands_in_real_time(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It moves one joint; the parameter is set; what was sent is what it asked for. The run ends when it has left."""
+    asked: list[np.ndarray] = []
+    there = threading.Event()
+    obey = Arbiter.__call__
+
+    def obey_or_end(arbiter: Arbiter, state: Any) -> Any:
+        command = obey(arbiter, state)
+        return Command.stop() if there.is_set() and not arbiter.commander("yumi_left") else command
+
+    monkeypatch.setattr(Arbiter, "__call__", obey_or_end)
 
     def script(ports: dict[str, int]) -> None:
-        with LocalFeed() as feed:
+        with contextlib.ExitStack() as stack:
+            stack.callback(there.set)
+            feed = stack.enter_context(LocalFeed())
             assert bound() == {"0100007F"}, "127.0.0.1 only, in a full run"
             feed.ask(Subscribe(rate=None))
             feed.ask(SetRequest(values={"gain": 3.0, "gentle": False}))
@@ -215,23 +229,25 @@ def test_a_local_client_commands_in_real_time(bench: Bench) -> None:
                 start = values["yumi_left.q"] if start is None else start
                 if values["yumi_left.mci"] != 3:
                     continue
-                asked.append(min(0.05, 0.0005 * len(asked)))
-                q = start.copy()
-                q[3] += asked[-1]
-                feed.ask(CommandRequest(arm="yumi_left", q=q.tolist(), seq=len(asked)))
-                if len(asked) > 150:
+                asked.append(start + min(0.04, 0.0005 * len(asked)) * JOINT)
+                feed.ask(CommandRequest(arm="yumi_left", q=asked[-1].tolist(), seq=len(asked)))
+                off = values["yumi_left.q_sent"] - start - 0.04 * JOINT
+                is_there = np.abs([off, values["yumi_left.qd_sent"]]).max() < 1e-9
+                if is_there and values["yumi_left.commander"]:
                     assert values["yumi_left.commander"].startswith("local ")
+                    assert len(asked) > 80
                     return
 
     cell = parse_cell(FILE.replace("?lockstep=true", ""))
-    run = bench(cell, script, seconds=1.2)
+    run = bench(cell, script, seconds=60.0)
     told = [text for _, text in run.events]
+    assert run.reason == "the controller ended the run"
     assert "yumi_left" in bench.line
     assert any(re.fullmatch(r"local \d+ commands yumi_left\.", text) for text in told)
     assert any("no longer commands yumi_left" in text for text in told)
     assert any("Parameter gain = 3.0, set by local " in text for text in told)
     sent = run.table["q_sent"][np.isfinite(run.table["q_sent"]).all(axis=1)]
-    assert np.abs(sent[-1] - sent[0])[3] == pytest.approx(asked[-1], abs=1e-6)
+    np.testing.assert_allclose(sent[-1], asked[-1], atol=1e-9)
     assert np.abs(np.delete(sent - sent[0], 3, axis=1)).max() < 1e-3
 
 
