@@ -31,6 +31,19 @@ def test_limits_of_each() -> None:
         checked_limits(Limits(*np.stack([-np.ones(6), *[np.ones(6)] * 5])), [RIGHT])
 
 
+def test_a_robot_without_limits_of_speed_is_not_commanded() -> None:
+    """Any jump would pass the limits, since it may be as large as the speed allows."""
+    robot = robots.load("dh_test")
+    with pytest.raises(ConfigError, match=r"speed and acceleration.* of dh_test.*qd_max"):
+        checked_limits(None, [robot])
+    with pytest.raises(ConfigError, match="of dh_test"):
+        checked_limits(Limits.of(robot), [robot])
+    assert len(checked_limits(None, [robot], commands=False)) == 1
+    ones = np.ones(robot.n)
+    slow = Limits(-np.inf * ones, np.inf * ones, ones, ones, ones, ones)
+    assert checked_limits(slow, [robot]) == [slow]
+
+
 def ends(*arms: Robot) -> list[End]:
     return [End(arm, Port("127.0.0.1", 0), EgmCodec(arm), None) for arm in arms]
 

@@ -118,6 +118,22 @@ def test_a_source_that_breaks_its_promises_grows_old() -> None:
     assert any("OSError: unplugged" in text for text in told)
 
 
+def test_a_reading_stamped_in_the_future_is_stale() -> None:
+    """A wall clock in place of the monotonic one: such a reading would be fresh for ever, also when its source died."""
+    told: list[str] = []
+
+    class Ahead(Source):
+        def newest(self) -> Reading:
+            return Reading(self.values({"p": 1.0}), 0, 10**18, 0)
+
+    fusion = Fusion([Ahead("s", P, 0.001, role="required")], lambda text, warn=False: told.append(text))
+    held = fusion.tick(10**12)["s"]
+    assert held.stale
+    assert np.isnan(held["p"])
+    assert fusion.missing == "s"
+    assert any("time.monotonic_ns()" in text for text in told)
+
+
 def test_a_restart_of_the_numbers_maps_the_clock_anew() -> None:
     told: list[str] = []
 

@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from armlab.bridge.arm import Arm
 from armlab.bridge.events import nobody
 from armlab.bridge.fusion import Fusion
@@ -47,20 +49,23 @@ class End(NamedTuple):
     admittance: Admittance | None = None
 
 
-def checked_limits(limits: Limits | Sequence[Limits] | None, robots: Sequence[Robot]) -> list[Limits]:
+def checked_limits(
+    limits: Limits | Sequence[Limits] | None, robots: Sequence[Robot], commands: bool = True
+) -> list[Limits]:
     """Return the limits of each arm.
 
     Parameters
     ----------
-    limits : one per arm; None gives the robots' own. robots : the arms.
+    limits : one per arm; None gives the robots' own. robots : the arms. commands : False when nothing is ever sent.
 
     Raises
     ------
-    ConfigError : another number of limits, or limits for another number of joints.
+    ConfigError : another number of limits, limits for another number of joints, or none on speed or acceleration.
     """
     if limits is None:
-        return [Limits.of(robot) for robot in robots]
-    given = [limits] if isinstance(limits, Limits) else list(limits)
+        given = [Limits.of(robot) for robot in robots]
+    else:
+        given = [limits] if isinstance(limits, Limits) else list(limits)
     if len(given) != len(robots):
         names = ", ".join(robot.name for robot in robots)
         raise ConfigError(f"Expected Limits for each of {names}, got {len(given)}. Use Limits.of(robot) for each.")
@@ -68,6 +73,11 @@ def checked_limits(limits: Limits | Sequence[Limits] | None, robots: Sequence[Ro
         if len(one.q_min) != robot.n:
             raise ConfigError(
                 f"Expected limits for the {robot.n} joints of {robot.name}, got {len(one.q_min)}. Use Limits.of(robot)."
+            )
+        if commands and not np.isfinite([one.qd_max, one.qdd_max, one.jump]).all():
+            raise ConfigError(
+                f"Expected limits on speed and acceleration of each joint of {robot.name}, got qd_max = {one.qd_max} "
+                f"and qdd_max = {one.qdd_max}: any jump would pass. Write them in the robot's file, or give `limits`."
             )
     return given
 

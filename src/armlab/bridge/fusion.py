@@ -20,6 +20,8 @@ from armlab.errors import ConfigError
 
 __all__ = ["Fusion", "Held"]
 
+_AHEAD = 1.0  # s that a reading may be younger than the packet of its tick: one that waited in the port
+
 
 @dataclass(frozen=True, slots=True)
 class Held:
@@ -184,11 +186,15 @@ class Fusion:
             if reading is None or reading is last:
                 return reading
             shapes = {field: np.shape(value) for field, value in reading.values.items()}
+            ahead = 1e-9 * (reading.receive_ns - source.now_ns)
         except Exception as error:  # a user's own source must not stop the loop
             source.problem = f"{type(error).__name__}: {error}"
             return last
         if shapes != {field: column.shape for field, column in source.fields.items()}:
             source.problem = f"expected the fields {', '.join(source.fields)} with their shapes, got {shapes}"
+            return last
+        if ahead > _AHEAD:  # its age would stay 0 when the source dies
+            source.problem = f"expected a stamp of time.monotonic_ns(), got one {ahead:.3g} s ahead of it"
             return last
         return reading
 

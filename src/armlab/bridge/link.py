@@ -212,7 +212,7 @@ class Link:
         softness = admittances(torque, damping, torque_model, self.robots)
         arms = assemble(
             [end._replace(admittance=one) for end, one in zip(self._ends, softness, strict=True)],
-            checked_limits(limits, self.robots),
+            checked_limits(limits, self.robots, controller is not None),
             settings,
             commands=controller is not None,
             answer_stream=self._answer_stream,
