@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import socket
@@ -9,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -146,6 +148,25 @@ def test_a_recording_that_is_ended_from_outside(tmp_path: Path, number: signal.S
         assert (seq[0], seq[-1], len(seq)) == (0, peer.sent - 1, peer.sent)
     assert peer.came_back() == 0
     peer.socket.close()
+
+
+@pytest.mark.parametrize("step", ["write", "finish"])
+def test_a_full_disk(tmp_path: Path, streaming: Any, capsys: Any, monkeypatch: pytest.MonkeyPatch, step: str) -> None:
+    """It is told while the robot still streams, at the latest at the end, and the exit code says that it failed."""
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(f"armlab.log.recording_file.RecordingFile.{step}", full)
+    (port,) = free_ports(1)
+    streaming(Streaming("yumi_left", port))
+    words = ["--port", str(port), "-o", str(tmp_path / "run.mcap"), "--seconds", "0.4"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the log is not finished
+        assert main(["record", "yumi_left", *words]) == 1
+    said = capsys.readouterr().err
+    assert said.count("The recording stopped: The log") == 1
+    assert "No space left on device" in said
 
 
 def test_no_robot(tmp_path: Path, capsys: Any) -> None:

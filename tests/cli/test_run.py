@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import subprocess
 import sys
 from pathlib import Path
@@ -55,6 +56,18 @@ def test_a_controller_of_a_file_moves_the_arm_and_is_recorded(folder: Path, caps
     assert np.ptp(table["q"][:, 0]) > 0.1
     assert np.nanmax(table["wish"]) == pytest.approx(0.1, abs=1e-3)
     assert run.__doc__
+
+
+def test_a_log_that_is_not_whole_is_a_failure(folder: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("armlab.log.recording_file.RecordingFile.write", full)
+    words = ["--link", "sim://yumi_left?lockstep=true", "--seconds", "0.5"]
+    assert main(["run", "yumi_left", *words]) == 1
+    said = capsys.readouterr()
+    assert "Ended: the time is up." in said.out
+    assert "warning: The recording stopped" in said.err
 
 
 def test_both_arms_without_a_file_hold(folder: Path, capsys: Any) -> None:

@@ -102,8 +102,8 @@ class Recording:
                 self.event(f"A row was kept without its command: {error}", warn=True)
             command = None
             self._log.row(state, None, tick)
-        if self._recorder is not None:
-            self._recorder.row(state, command, tick)
+        if self._recorder is not None and not self._recorder.row(state, command, tick):
+            self._tell_stop(self._recorder)
         if self._feeds:
             self._tell_feeds(lambda feed: feed.row(state, command, tick))
 
@@ -130,6 +130,12 @@ class Recording:
                     self._feeds.remove(feed)
                 self.event(f"A feed was dropped: it raised {type(error).__name__}: {error}.", warn=True)
 
+    def _tell_stop(self, recorder: Recorder) -> None:
+        """Say once, while there is still something to be done about it, that nothing is written any more."""
+        if recorder.failed is not None and recorder.failed not in self._told:
+            self._told.add(recorder.failed)
+            self.event(f"The recording stopped: {recorder.failed}", warn=True)
+
     def tail(self) -> Table:
         """Return the last ten seconds."""
         table = self._log.table()
@@ -154,7 +160,9 @@ class Recording:
         if recorder is None:
             return []
         recorder.close(dict(summary))
+        self._tell_stop(recorder)
         problems = [f"The recording stopped: {recorder.failed}"] if recorder.failed else []
         if recorder.dropped:
-            problems.append(f"The recording lost {recorder.dropped} rows: the disk was too slow.")
+            why = "they came after it stopped" if recorder.failed else "the disk was too slow"
+            problems.append(f"The recording lost {recorder.dropped} rows: {why}.")
         return problems

@@ -23,7 +23,7 @@ bridge = App(
 
 
 @bridge.default
-def start(*, config: Path, listen: list[str] | None = None, seconds: float | None = None) -> None:
+def start(*, config: Path, listen: list[str] | None = None, seconds: float | None = None) -> int:
     """Run the bridge of a cell until Ctrl-C. The first line says what listens where.
 
     Parameters
@@ -36,6 +36,7 @@ def start(*, config: Path, listen: list[str] | None = None, seconds: float | Non
         Robot time under guidance after which to end [s].
     """
     from armlab.bridge.cell import parse_cell, run_cell
+    from armlab.cli import FAILED
     from armlab.cli.output import note, result
 
     try:
@@ -44,9 +45,10 @@ def start(*, config: Path, listen: list[str] | None = None, seconds: float | Non
         raise ConfigError(f"Expected a cell file at {config}, but it cannot be read ({error}).") from error
     run = run_cell(parse_cell(text, str(config)), listen or (), seconds, ready=note)
     result(run.report())
+    return FAILED if run.statistics["problems"] else 0  # the log that was asked for is not whole
 
 
-@bridge.command(name="set")
+@bridge.command(name="set", help_epilogue="Example: armlab bridge set gain=2.5 force=[0,0,5]")
 def set_parameters(*setting: str, cell: str = "") -> None:
     """Set parameters of a bridge that runs, together or none of them; shows what is in force.
 
@@ -75,7 +77,7 @@ def set_parameters(*setting: str, cell: str = "") -> None:
     result(aligned([["parameter", "value", "unit", "", "set by"], *rows]) if rows else "This cell has no parameters.")
 
 
-@bridge.command
+@bridge.command(help_epilogue="Example: armlab bridge release")
 def release(*, cell: str = "") -> None:
     """Free the arms from whoever commands them; they hold.
 
@@ -89,7 +91,7 @@ def release(*, cell: str = "") -> None:
     _operate(Release(), cell)
 
 
-@bridge.command
+@bridge.command(help_epilogue="Example: armlab bridge resume")
 def resume(*, cell: str = "") -> None:
     """End a stop, so that an arm may be commanded again.
 

@@ -109,7 +109,7 @@ def _told(files: list[Path]) -> int:
     for path in files:
         table = logs.read(path)
         if len(table):
-            kept += 1
+            kept += bool(logs.inspect(path).summary)  # a log that was not finished misses what came last
             result(f"{path}: {len(table)} packets, {table.t[-1] - table.t[0]:.2f} s")
         else:
             path.unlink()

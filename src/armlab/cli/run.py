@@ -59,6 +59,7 @@ def run(
         Afterwards, a Python prompt with `log` (the table), `run` and `robot`.
     """
     from armlab import bridge, robots
+    from armlab.cli import FAILED
     from armlab.cli.narration import Narrator
     from armlab.cli.output import note, result
 
@@ -82,7 +83,7 @@ def run(
     result(done.report())
     if interactive:
         _prompt(done, end)
-    return 0
+    return FAILED if done.statistics["problems"] else 0  # the log that was asked for is not whole
 
 
 _CHECKS = """A real arm moves now: nobody in its reach, a hand on the emergency stop, slow at first (--speed 0.1).

@@ -116,8 +116,9 @@ class Recorder:
         return True
 
     def event(self, text: str, stamp_ns: int) -> None:
-        """Queue one line for the events of the recording."""
-        self._queue.put((text, stamp_ns))
+        """Queue one line for the events of the recording, unless it has stopped."""
+        if self.failed is None:
+            self._queue.put((text, stamp_ns))
 
     def close(self, summary: Mapping[str, Any] | None = None) -> None:
         """Write what is queued, the summary and the footer, and close the file. A second call does nothing.
