@@ -150,7 +150,7 @@ def test_stop_is_for_all_and_resume_for_operators(cell: Cell) -> None:
     cell.say("labcomm", "resume")
     cell.row()
     assert cell.exchange.arbiter.stopped == "labcomm 1"
-    assert cell.texts("labcomm", "answer") == ["Expected an operator to resume: armlab bridge resume."]
+    assert cell.texts("labcomm", "answer") == ["Done.", "Expected an operator to resume: armlab bridge resume."]
     cell.say(OPERATOR, "resume")
     cell.row()
     assert cell.exchange.arbiter.stopped == ""

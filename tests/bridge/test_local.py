@@ -103,6 +103,7 @@ def test_requests(bench: Bench) -> None:
         feed.ask(SetRequest(values={"gain": -5.0}))
         assert "from 0 to inf" in bench.until(feed, "answer")["text"]
         feed.ask(Stop())
+        assert bench.until(feed, "answer")["text"] == "Done."
         feed.ask(CommandRequest(arm="yumi_left", q=[0.0] * 7))
         assert "no commands through local" in bench.until(feed, "answer")["text"]
         assert bench.exchange.arbiter.stopped == "local 1"

@@ -17,9 +17,10 @@ import pytest
 from armlab import robots
 from armlab.bridge.feed import OPERATOR, Exchange
 from armlab.bridge.local import LocalServer, socket_path
+from armlab.bridge.messages import parameter_message
 from armlab.bridge.parameters import Parameter, Parameters
 from armlab.cli import main
-from armlab.cli.bridge import bridge, release, resume, set_parameters, start
+from armlab.cli.bridge import bridge, release, resume, set_parameters, start, stop
 
 CELL = """
 name = "small"
@@ -79,19 +80,48 @@ def test_refused(running: Exchange, capsys: Any, words: list[str], said: str) ->
     assert running.parameters.gain == 2.0
 
 
-def test_release_and_resume(running: Exchange, capsys: Any) -> None:
-    running.arbiter.stop("labcomm x")
+def test_stop_release_and_resume(running: Exchange, capsys: Any) -> None:
+    assert main(["bridge", "stop"]) == 0
+    assert running.arbiter.stopped.startswith("local ")
     assert main(["bridge", "release"]) == 0
     assert main(["bridge", "resume"]) == 0
-    assert capsys.readouterr().out == "Done.\nDone.\n"
+    assert capsys.readouterr().out == "Done.\n" * 3
     assert running.arbiter.stopped == ""
 
 
 def test_nothing_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    for words in (["set", "a=1"], ["release"], ["resume"]):
+    for words in (["set", "a=1"], ["stop"], ["release"], ["resume"]):
         assert main(["bridge", *words]) == 1
         assert "found none" in capsys.readouterr().err
+
+
+def test_others_may_set_parameters_meanwhile(running: Exchange, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    """What is shown is what this program set, not the first echo that comes."""
+    taken = running._take
+
+    def set_another_first(outlet: Any, data: bytes) -> None:
+        if b"gain" in data:
+            running.parameters.set("word", "other", "somebody")
+            for change in running.parameters.apply():
+                assert change.name == "word"
+            outlet.send(parameter_message(running.parameters))
+        taken(outlet, data)
+
+    monkeypatch.setattr(running, "_take", set_another_first)
+    assert main(["bridge", "set", "gain=3.5"]) == 0
+    assert re.search(r"gain +3.5", capsys.readouterr().out)
+
+
+def test_a_request_without_an_answer(running: Exchange, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    """Events and reports go on: it must not wait for ever."""
+    monkeypatch.setattr(running, "answer", lambda client, text: None)
+    monkeypatch.setattr("armlab.cli.bridge._PATIENCE", 0.05)
+    noise = threading.Timer(0.1, lambda: running.event("Still here."))
+    noise.start()
+    assert main(["bridge", "resume"]) == 1
+    assert "to answer within 0.05 s" in capsys.readouterr().err
+    noise.join()
 
 
 def test_wrong_cells(tmp_path: Path, capsys: Any) -> None:
@@ -105,7 +135,7 @@ def test_wrong_cells(tmp_path: Path, capsys: Any) -> None:
 
 def test_the_functions_are_the_commands() -> None:
     assert bridge.name == ("bridge",)
-    assert all(callable(one) for one in (start, set_parameters, release, resume))
+    assert all(callable(one) for one in (start, stop, set_parameters, release, resume))
 
 
 @pytest.mark.slow

@@ -292,6 +292,7 @@ class Exchange:
             self.arbiter.release(client, client)
         elif isinstance(request, Stop):
             self.arbiter.stop(client)
+            self.answer(client, "Done.")
         elif isinstance(request, Leave):
             self.arbiter.leave(client)
         else:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from armlab.bridge._seen import seen
 from armlab.bridge.commands import entry_refusal, refusal
 from armlab.bridge.events import Tell, nobody
 from armlab.bridge.limits import Limiter, Limits, Reply
@@ -85,10 +86,8 @@ class Guide:
         self.clamps = np.zeros((len(_BITS), robot.n), dtype=int)
         self.worst_ratio = 1.0
         self.refused = self._refused_in_a_row = 0
-        self._missing = np.full(robot.n, np.nan)
-        self._missing.flags.writeable = False
         self._packet: Packet | None = None
-        self._qd = self._missing
+        self._qd = self._last.qd
         self._guided = self._plausible = self._warned = False
 
     @property
@@ -139,39 +138,8 @@ class Guide:
         sample : from the session. t_receive : arrival, wall clock [ns].
         fused : `sources` and `wrench` of the State, where there are any.
         """
-        packet, last = sample.packet, self._last
-        return State(
-            t=self.t,
-            dt=sample.dt,
-            q=packet.q,
-            qd=sample.qd,
-            tau=self._missing if packet.tau is None else packet.tau,
-            seq=packet.seqno,
-            missed=sample.missed,
-            session=sample.session,
-            qd_source=sample.qd_source,
-            tau_source=packet.tau_source,
-            q_start=self.q_start if self._guided else packet.q,
-            q_planned=packet.q_planned,
-            q_sent=last.q,
-            qd_sent=last.qd,
-            clamped=last.clamped,
-            T_frame_tool=packet.T_frame_tool,
-            wrench_raw=packet.wrench_raw,
-            q_ext=packet.q_ext,
-            motors=packet.motors,
-            rapid=packet.rapid,
-            mci=packet.mci,
-            converged=packet.converged,
-            utilization=packet.utilization,
-            robotware=packet.robotware,
-            rapid_data=packet.rapid_data,
-            rapid_digital=packet.rapid_digital,
-            robot_ns=packet.robot_ns,
-            t_receive=t_receive,
-            robot=self._robot.name,
-            **fused,
-        )
+        q_start = self.q_start if self._guided else sample.packet.q
+        return seen(sample, self._last, self.t, q_start, t_receive, self._robot.name, fused)
 
     def answer(self, command: Command | None, period: float) -> Reply | None:
         """Return the reply to the newest packet observed, or None when nothing is sent.

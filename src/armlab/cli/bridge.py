@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import time
 import tomllib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +15,9 @@ from armlab.errors import ConfigError
 if TYPE_CHECKING:
     from armlab.bridge.messages import Request
 
-__all__ = ["bridge", "release", "resume", "set_parameters", "start"]
+__all__ = ["bridge", "release", "resume", "set_parameters", "start", "stop"]
+
+_PATIENCE = 10.0  # s for an answer: reports go on when a request was lost
 
 bridge = App(
     name="bridge",
@@ -70,11 +74,25 @@ def set_parameters(*setting: str, cell: str = "") -> None:
         if values:
             before = max((one["sequence"] for one in found), default=0)
             feed.ask(SetRequest(values=values))
-            while max((one["sequence"] for one in found), default=0) <= before:
+            while not _are_set(found, values, before):  # others may set other parameters meanwhile
                 found = _await(feed, "parameters")["parameters"]
     shown = [one for one in found if one["name"] in values or not values]
     rows = [[one["name"], str(one["value"]), one["unit"], one["text"], one["who"]] for one in shown]
     result(aligned([["parameter", "value", "unit", "", "set by"], *rows]) if rows else "This cell has no parameters.")
+
+
+@bridge.command(help_epilogue="Example: armlab bridge stop")
+def stop(*, cell: str = "") -> None:
+    """Let all arms come to rest and hold until somebody resumes. Not an emergency stop.
+
+    Parameters
+    ----------
+    cell
+        Name of the cell; needed when several run.
+    """
+    from armlab.bridge.messages import Stop
+
+    _operate(Stop(), cell)
 
 
 @bridge.command(help_epilogue="Example: armlab bridge release")
@@ -111,22 +129,28 @@ def _operate(request: Request, cell: str) -> None:
 
     with LocalFeed(cell) as feed:
         feed.ask(request)
-        while (message := feed.receive()) and not (isinstance(message, dict) and message["kind"] == "answer"):
-            pass
-    result(message["text"])
+        result(_await(feed, "answer")["text"])
 
 
 def _await(feed: Any, kind: str) -> dict[str, Any]:
-    """Return the next message of a kind; an answer meanwhile is a refusal."""
-    from armlab.errors import CommandRefused
+    """Return the next message of a kind; another answer meanwhile is a refusal."""
+    from armlab.errors import CommandRefused, LinkError
 
-    while True:
+    end = time.monotonic() + _PATIENCE
+    while time.monotonic() < end:
         message = feed.receive()
         if isinstance(message, dict):
-            if message["kind"] == "answer":
-                raise CommandRefused(message["text"])
             if message["kind"] == kind:
                 return message
+            if message["kind"] == "answer":
+                raise CommandRefused(message["text"])
+    raise LinkError(f"Expected the bridge to answer within {_PATIENCE:g} s, but it did not. Try again.")
+
+
+def _are_set(found: list[dict[str, Any]], names: Iterable[str], before: int) -> bool:
+    """Whether all these parameters have been set since a number of settings."""
+    later = [one["name"] for one in found if one["sequence"] > before]
+    return all(name in later for name in names)
 
 
 def _setting(word: str) -> tuple[str, Any]:
