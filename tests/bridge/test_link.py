@@ -131,6 +131,12 @@ def test_another_codec(play: Any, robot: Robot) -> None:
     assert codec.decoded >= run.statistics["packets"]
 
 
+@pytest.mark.parametrize("seconds", [-1.0, float("nan")])
+def test_a_time_that_would_never_come_is_refused(robot: Robot, seconds: float) -> None:
+    with connect("egm://127.0.0.1:0", robot) as link, pytest.raises(ConfigError, match="seconds of at least 0"):
+        link.run(sway, seconds=seconds)
+
+
 def test_two_runs_on_one_link(play: Any) -> None:
     link = play.link()
     first = play(lambda peer: peer.rest(), sway, link, seconds=0.1)

@@ -97,6 +97,12 @@ def test_an_arm_that_is_not_there() -> None:
         Watch("ur5e").take(row())
 
 
+@pytest.mark.parametrize("seconds", ["-1", "nan"])
+def test_a_time_that_is_none(capsys: Any, seconds: str) -> None:
+    assert main(["monitor", "--seconds", seconds]) == 1
+    assert "seconds of at least 0" in capsys.readouterr().err
+
+
 def test_plain_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     """Without a terminal: a line per arm and second, and the events."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from typing import Any
 
 import numpy as np
@@ -25,6 +27,16 @@ def test_events_become_messages(capsys: Any) -> None:
     said = capsys.readouterr()
     assert said.out == ""
     assert said.err == "Session 1 began.\nwarning: The robot is not ready.\n"
+
+
+def test_a_warning_is_written_once() -> None:
+    """Python's handler of last resort would write it again: seen in a process of its own, without pytest's handlers."""
+    program = (
+        "import logging; from armlab.cli.narration import Narrator; narrator = Narrator()\n"
+        "logging.getLogger('armlab.bridge').warning('Twice.'); narrator.event('Twice.', warn=True)"
+    )
+    said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stderr
+    assert said == "warning: Twice.\n"
 
 
 def test_what_a_listener_should_know_is_said_once(capsys: Any) -> None:

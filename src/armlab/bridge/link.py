@@ -205,6 +205,8 @@ class Link:
         NoRobot, SessionEnded, CommandRefused, ControllerLate, ControllerFailed : with the last ten seconds in `.table`.
         """
         self._check(controller, wait, reconnect)
+        if seconds is not None and not seconds >= 0.0:  # NaN would never end
+            raise ConfigError(f"Expected seconds of at least 0, or None for no end, got {seconds}.")
         paced = self._paced(pace)
         what = "listening" if controller is None else "moving"
         tell = None if progress is None else lambda done: progress(done, seconds or done, what)
@@ -239,7 +241,7 @@ class Link:
                     _enter_real_time(stack, loop, arms[0].recording.event, wait)
                 loop.run()
         finally:
-            run = finished(arms, loop.reason, feeds)
+            run = finished(arms, loop.reason or "interrupted", feeds)
         failure = loop.failure
         if failure is not None:
             tails = {arm.robot.name: arm.recording.tail() for arm in arms}

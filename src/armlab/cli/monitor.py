@@ -10,7 +10,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-from armlab.errors import LinkError, UnknownName
+from armlab.errors import ConfigError, LinkError, UnknownName
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -43,6 +43,8 @@ def monitor(robot: str | None = None, *, cell: str = "", seconds: float | None =
     from armlab.bridge.messages import Subscribe
     from armlab.cli.output import note, result
 
+    if seconds is not None and not seconds >= 0.0:
+        raise ConfigError(f"Expected seconds of at least 0 s, got {seconds}.")
     console = Console()
     watch = Watch(robot)
     end = math.inf if seconds is None else time.monotonic() + seconds

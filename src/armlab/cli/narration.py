@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from typing import TYPE_CHECKING
 
 from armlab.cli.output import note
@@ -14,6 +15,7 @@ __all__ = ["Narrator"]
 
 _MCI_RUNNING = 3
 _HOME = 0.05  # rad or m
+_QUIET = logging.NullHandler()
 
 
 class Narrator:
@@ -28,6 +30,8 @@ class Narrator:
     def __init__(self, listens: bool = False, q_home: dict[str, list[float]] | None = None) -> None:
         self._listens, self._q_home = listens, dict(q_home or {})
         self._guided: set[str] = set()
+        # Without a handler Python would write the warnings of the bridge to standard error, where they stand already.
+        logging.getLogger("armlab.bridge").addHandler(_QUIET)
 
     def row(self, state: State, command: Command | None, tick: Tick) -> None:
         """Look at one row.
