@@ -75,3 +75,9 @@ def test_parameters() -> None:
     gain, force = json.loads(parameter_message(parameters))["parameters"]
     assert (gain["value"], gain["default"], gain["who"], gain["sequence"], gain["maximum"]) == (3.0, 2.0, "a", 1, None)
     assert (force["value"], force["who"]) == ([1.0, 2.0], "")
+
+
+def test_a_command_is_no_longer_than_any_arm() -> None:
+    assert read_request(json.dumps({"kind": "command", "q": [0.0] * 64}).encode()) == CommandRequest(q=[0.0] * 64)
+    with pytest.raises(LinkError, match=r"Expected a request in JSON, but .*length <= 64"):
+        read_request(json.dumps({"kind": "command", "q": [0.0] * 65}).encode())

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -76,3 +78,25 @@ def test_a_program_that_is_not_there() -> None:
 def test_times_and_command() -> None:
     assert RESTARTS == (1.0, 5.0, 30.0)
     assert server_command("local", {"path": "x"})[-3:] == ["local", PLACE, '{"path": "x"}']
+
+
+def test_no_server_outlives_a_bridge_that_is_killed(tmp_path: Path) -> None:
+    """The system closes its end of the socket; the server removes its own socket when it ends."""
+    path = tmp_path / "x"
+    program = f"""
+import time
+from armlab import robots
+from armlab.bridge.feed import Exchange
+from armlab.bridge.servers import Servers, server_command
+
+command = server_command("local", {{"path": "{path}"}})
+with Servers(Exchange([robots.load("ur5e")], ["local"]), {{"local": command}}) as servers:
+    print(*servers.ready(60.0), flush=True)
+    time.sleep(60.0)
+"""
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) as bridge:
+        assert bridge.stdout is not None
+        assert bridge.stdout.readline() == f"{path} (local)\n"
+        assert path.exists()
+        bridge.kill()
+    until(lambda: not path.exists())

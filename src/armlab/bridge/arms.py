@@ -54,7 +54,7 @@ def fuse(states: Sequence[State], ages: Sequence[float], pace: int, t: float) ->
     )
 
 
-def _joints(states: Sequence[State]) -> dict[str, np.ndarray]:
+def _joints(states: Sequence[State]) -> dict[str, Any]:
     """Return the joint arrays as views of one: putting each together alone would take five times as long."""
     parts = [[getattr(state, name) for state in states] for name in _JOINTS]
     whole = np.concatenate([part for one in parts for part in one])

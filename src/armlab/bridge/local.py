@@ -193,7 +193,10 @@ class LocalServer:
             client.send(data)
 
     def _accept(self) -> None:
-        connection, _ = self._listener.accept()
+        try:
+            connection, _ = self._listener.accept()
+        except OSError:  # gone already, or too many files are open: the others are served
+            return
         connection.setblocking(False)
         if len(self._clients) >= _CLIENTS:
             text = f"Expected at most {_CLIENTS} clients of the local feed. Close one."

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -29,6 +29,9 @@ __all__ = [
 _LARGEST = 65536  # bytes of a request
 
 
+_Joints = Annotated[list[float | None], msgspec.Meta(max_length=64)]  # more would only cost the loop time
+
+
 class _Message(msgspec.Struct, frozen=True, tag_field="kind", forbid_unknown_fields=True):
     """One request; `client` is whatever tells the connections of a server apart."""
 
@@ -39,9 +42,9 @@ class CommandRequest(_Message, tag="command", frozen=True):
     """References for one arm; see `rights.Order`. A number that is not finite stands as null."""
 
     arm: str = ""
-    q: list[float | None] | None = None
-    qd: list[float | None] | None = None
-    tau: list[float | None] | None = None
+    q: _Joints | None = None
+    qd: _Joints | None = None
+    tau: _Joints | None = None
     seq: int | None = None
 
 
