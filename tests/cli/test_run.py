@@ -93,7 +93,10 @@ def test_a_prompt_afterwards(folder: Path) -> None:
 def test_a_controller_that_raises_is_one_sentence(folder: Path, capsys: Any) -> None:
     (folder / "bad.py").write_text("def controller(state):\n    return 1 / 0\n", encoding="utf-8")
     assert main(["run", "yumi_left", "bad.py", "--link", "sim://yumi_left?lockstep=true", "--log", "bad"]) == 1
-    assert "The controller raised ZeroDivisionError" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "The controller raised ZeroDivisionError" in said
+    assert "bad.py, line 2: return 1 / 0\n" in said
+    assert "loop.py" not in said
     assert len(list(folder.glob("bad-*.mcap"))) == 1
 
 

@@ -62,6 +62,7 @@ def run(
     from armlab.cli import FAILED
     from armlab.cli.narration import Narrator
     from armlab.cli.output import note, result
+    from armlab.errors import ControllerFailed
 
     arms = [robots.load(name) for name in robot.split("+")]
     step, extra = (_hold, None) if controller is None else load_controller(controller)
@@ -77,6 +78,9 @@ def run(
             done = end.run(step, seconds, record=base, **options)
         except KeyboardInterrupt:
             _report_of_logs(base, end)
+            raise
+        except ControllerFailed as error:
+            note(_raised_at(error))
             raise
         finally:
             _tell_files(base, end)
@@ -128,6 +132,16 @@ def load_controller(place: str) -> tuple[Callable[..., Any], Mapping[str, Any] |
             "Say which: FILE.py:NAME."
         )
     return found, getattr(module, "extra", None)
+
+
+def _raised_at(error: Exception) -> str:
+    """Return the lines of the user's own files that led to what a controller raised, the last one last."""
+    from traceback import extract_tb
+
+    own = Path(__file__).parents[1]
+    frames = extract_tb(error.__cause__.__traceback__ if error.__cause__ else None)
+    places = [one for one in frames if not Path(one.filename).is_relative_to(own)]
+    return "\n".join(f"{one.filename}, line {one.lineno}: {one.line}" for one in places)
 
 
 def _check_simulated(urls: list[str], names: list[str]) -> None:
