@@ -66,6 +66,7 @@ def test_losses_come_in_bursts_at_the_same_share() -> None:
     kept[numbers(FaultRates(loss=0.2, burst=10))] = True
     kept[N] = True
     assert 1 - kept[:N].mean() == pytest.approx(0.2, abs=0.06)
+    assert 1 - len(numbers(FaultRates(loss=0.6, burst=10))) / N == pytest.approx(0.6, abs=0.08)
     edges = np.flatnonzero(np.diff(kept.astype(int)))
     runs = np.diff(edges)[::2] if not kept[edges[0] + 1] else np.diff(edges)[1::2]
     assert runs[:-1].min() >= 10

@@ -91,6 +91,7 @@ def test_a_packet_without_a_reply_within_its_period_is_missed() -> None:
 
 def test_first_in_first_out_of_64_with_ages() -> None:
     box, statistics = inbox()
+    assert QUEUE_LENGTH == 64
     assert all(box.put(SensorMessage(k, None, 3), k) for k in range(QUEUE_LENGTH))
     assert not box.put(SensorMessage(99, None, 3), None)
     assert len(box) == QUEUE_LENGTH

@@ -12,6 +12,7 @@ from armlab.sim.statistics import Event, Statistics
 def test_round_trips_leave_out_the_first_second() -> None:
     statistics = Statistics()
     statistics.trip(0.024, uptime=0.5)
+    statistics.trip(0.024, uptime=0.999)
     for microseconds in range(1, 101):
         statistics.trip(microseconds * 1e-6, uptime=2.0)
     trips = statistics.as_dict()["round_trip_us"]

@@ -26,6 +26,7 @@ def pair() -> Iterator[tuple[Peer, socket.socket]]:
 
 def test_a_full_queue_loses_the_oldest_data_and_no_definition(pair: tuple[Peer, socket.socket]) -> None:
     peer, other = pair
+    assert QUEUE == 64
     peer.push(b"DEF0", may_drop=False)
     for k in range(QUEUE + 9):
         peer.push(b"%04d" % k)

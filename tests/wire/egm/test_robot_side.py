@@ -72,6 +72,14 @@ def test_feedback_of_old_versions_is_in_radians_and_commands_in_degrees(six: Any
     np.testing.assert_allclose(heard(old.decode_sensor(reply)).q, [np.pi / 2, 0, 0, 0, 0, 0])
 
 
+def test_references_of_external_axes_are_in_degrees(yumi: Any, wire: Any) -> None:
+    """The first external value is ABB's axis 7 of the arm, those behind it are axes beyond."""
+    planned = wire.m(2, wire.m(1, wire.d(1, *[0.0] * 6)), wire.m(3, wire.d(1, 180.0, 90.0, -45.0)))
+    message = heard(RobotSideCodec(yumi).decode_sensor(wire.header(mtype=3) + planned))
+    np.testing.assert_allclose(message.q, [0, 0, np.pi, 0, 0, 0, 0])
+    np.testing.assert_allclose(message.q_ext, [np.pi / 2, -np.pi / 4])
+
+
 def test_messages_of_another_program(yumi: Any, vector: Callable[[str], bytes]) -> None:
     codec = RobotSideCodec(yumi)
     message = heard(codec.decode_sensor(vector("sensor")))
