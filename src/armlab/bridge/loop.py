@@ -94,16 +94,17 @@ class Loop:
             try:
                 self._cycle()
             except Exception as error:
-                if self._has_failed or self.failure is not None:
-                    raise
                 with self._lock:
+                    if self._has_failed:  # again: the arms cannot be brought to rest
+                        self._pace.guide.failure = self.failure or _broken(error)
+                        return
                     self._fail(error)
 
     def _fail(self, error: Exception) -> None:
         """Stop after an error of a codec or a source of the user's, or ours: no arm goes on at its speed."""
         self._has_failed = True
-        failure = LinkError(f"Expected a cycle without errors, got {type(error).__name__}: {error}.")
-        failure.__cause__ = error
+        failure = _broken(error)
+        self._pace.recording.event(str(failure), warn=True)
         self._stop("the bridge failed", failure)
 
     def _cycle(self) -> None:
@@ -300,3 +301,9 @@ class Loop:
     def _stop_if_interrupted(self) -> None:
         if self.interrupted:
             self._stop("interrupted")
+
+
+def _broken(error: Exception) -> LinkError:
+    failure = LinkError(f"Expected a cycle without errors, got {type(error).__name__}: {error}.")
+    failure.__cause__ = error
+    return failure
