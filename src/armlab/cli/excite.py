@@ -103,6 +103,8 @@ def excite(
 
     if output is None and run is None:
         raise ConfigError("Expected a file for the motion (-o motion.csv) or a link to run it on (--run), got neither.")
+    if not noise > 0.0:
+        raise ConfigError(f"Expected --noise above 0 N m, got {noise:g}.")
     for path, endings in ((output, [".csv"]), (figure, FIGURES)):
         if path is not None:
             check_output(path, force, endings)
@@ -171,6 +173,8 @@ def _check_link(robot: Robot, url: str) -> None:
     from armlab.errors import ConfigError
 
     link = urlsplit(url)
+    if not link.netloc:
+        raise ConfigError(f"Expected a link like egm://127.0.0.1:6510 or sim://{robot.name}, got {url!r}.")
     if link.scheme == "sim" and link.netloc != robot.name:
         raise ConfigError(
             f"Expected a link to {robot.name!r}, got {url!r}, another arm. Name it as ROBOT, or give the link "

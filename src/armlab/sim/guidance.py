@@ -124,7 +124,9 @@ class Settings:
                 raise ConfigError(f"Expected {name} of the simulated controller in [{low:g}, {high:g}], got {value}.")
         for name, choices in _CHOICES.items():
             if getattr(self, name) not in choices:
-                raise UnknownName.among(f"{name} of the simulated controller", getattr(self, name), choices)
+                raise UnknownName.among(
+                    f"{name} of the simulated controller", getattr(self, name), filter(None, choices)
+                )
 
     @property
     def only_streams(self) -> bool:
