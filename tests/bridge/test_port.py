@@ -64,7 +64,7 @@ def test_errors_are_counted_not_raised() -> None:
 
 def test_a_port_in_use_names_its_holder() -> None:
     code = (
-        "import socket, sys; s = socket.socket(socket.AF_INET, socket.SOCK_DGRAM); s.bind(('127.0.0.1', 0)); "
+        "import socket, sys\ns = socket.socket(socket.AF_INET, socket.SOCK_DGRAM); s.bind(('127.0.0.1', 0)); "
         "print(s.getsockname()[1], flush=True); sys.stdin.read()"
     )
     command = [sys.executable, "-c", code]

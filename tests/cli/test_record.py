@@ -165,6 +165,7 @@ def test_a_full_disk(tmp_path: Path, streaming: Any, capsys: Any, monkeypatch: p
         warnings.simplefilter("ignore")  # the log is not finished
         assert main(["record", "yumi_left", *words]) == 1
     said = capsys.readouterr().err
+    assert "No packet came" not in said
     assert said.count("The recording stopped: The log") == 1
     assert "No space left on device" in said
 

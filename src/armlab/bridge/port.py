@@ -113,8 +113,8 @@ def holder(port: int) -> str:
         for process in Path("/proc").iterdir():
             if process.name.isdigit() and _has_socket(process, inodes):
                 with (process / "cmdline").open("rb") as file:
-                    command = file.read(200).replace(b"\0", b" ").decode(errors="replace").strip()
-                return f"process {process.name} ({command})"
+                    command = file.read(200).replace(b"\0", b" ").decode(errors="replace")
+                return f"process {process.name} ({' '.join(command.split())})"
     return ""
 
 

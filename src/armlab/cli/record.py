@@ -108,9 +108,10 @@ def _told(files: list[Path]) -> int:
     kept = 0
     for path in files:
         table = logs.read(path)
-        if len(table):
-            kept += bool(logs.inspect(path).summary)  # a log that was not finished misses what came last
-            result(f"{path}: {len(table)} packets, {table.t[-1] - table.t[0]:.2f} s")
+        is_whole = bool(logs.inspect(path).summary)  # one that was not finished misses what came last
+        if len(table) or not is_whole:
+            kept += is_whole
+            result(f"{path}: {len(table)} packets, {table.t[-1] - table.t[0] if len(table) else 0.0:.2f} s")
         else:
             path.unlink()
             note(f"No packet came for {path}: no file was kept. Ask: armlab doctor")
