@@ -32,6 +32,7 @@ __all__ = ["Physical", "physical", "physical_load", "pseudo_inertia"]
 
 LEAST = 1e-6  # eigenvalue of a pseudo-inertia [kg, kg m^2]
 PULLS = ("log-det", "euclidean")
+SOLVER = {"tol_gap_abs": 1e-11, "tol_gap_rel": 1e-11}  # the cost is flat about the bodies: its root is their error
 WIDTH = 0.05  # radius of gyration of a default prior, as a share of the reach
 
 
@@ -255,7 +256,7 @@ def _nearest(
 def _solve(cvxpy: Any, problem: Any) -> None:
     """Solve, or say that there is no solution."""
     try:
-        problem.solve(solver="CLARABEL")
+        problem.solve(solver="CLARABEL", **SOLVER)
     except cvxpy.SolverError as error:
         raise NotConverged(f"Expected bodies near the fit, got no solution: {error}. Try another strength.") from None
     if problem.status not in ("optimal", "optimal_inaccurate"):
