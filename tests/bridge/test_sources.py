@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from armlab.bridge import CallableSource, Reading, Source, TimerSource
-from armlab.bridge.sources import TICK_COLUMNS
+from armlab.bridge.sources import TICK_COLUMNS, ThreadSource
 from armlab.errors import ConfigError, ShapeError, UnknownName
 from armlab.log import Column
 
@@ -89,3 +89,27 @@ def test_timer() -> None:
     assert second.seq - first.seq >= 2
     assert second.receive_ns - first.receive_ns == (second.seq - first.seq) * 1_000_000
     assert second.values["count"] == second.seq
+
+
+def test_a_source_with_a_thread_of_its_own_ends_it_and_starts_again() -> None:
+    class Counting(ThreadSource):
+        def work(self) -> None:
+            seq = 0
+            while not self._over.wait(0.001):
+                self._newest, seq = Reading(self.values({"grip": seq}), 0, time.monotonic_ns(), seq), seq + 1
+
+    source = Counting("count", FIELDS, 0.001)
+    assert source.newest() is None
+    for _ in range(2):
+        before = source.newest()
+        source.start()
+        end = time.monotonic() + 5.0
+        while source.newest() is before and time.monotonic() < end:
+            time.sleep(0.001)
+        source.close()
+        assert source.newest() is not before
+        kept = source.newest()
+        time.sleep(0.01)
+        assert source.newest() is kept
+    with pytest.raises(NotImplementedError):
+        ThreadSource("none", FIELDS, 0.001).work()

@@ -6,11 +6,11 @@ import gc
 import os
 import signal
 import sys
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
 
+from armlab._interrupts import handling
 from armlab.bridge.events import Tell, nobody
 
 __all__ = [
@@ -97,10 +97,6 @@ def interrupts(stop: Callable[[], None]) -> Iterator[None]:
     ----------
     stop : called in the main thread between two instructions; what it raises is raised there.
     """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
     came: list[int] = []
 
     def handle(number: int, frame: FrameType | None) -> None:
@@ -109,12 +105,5 @@ def interrupts(stop: Callable[[], None]) -> Iterator[None]:
         if not again:
             stop()
 
-    numbers = [signal.SIGINT, signal.SIGTERM]
-    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
-        numbers.append(signal.SIGHUP)
-    before = {number: signal.signal(number, handle) for number in numbers}
-    try:
+    with handling(handle):
         yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -17,7 +17,7 @@ import numpy as np
 from armlab.errors import ConfigError, UnknownName
 from armlab.log import Column
 
-__all__ = ["TICK_COLUMNS", "CallableSource", "Reading", "Source", "TimerSource"]
+__all__ = ["TICK_COLUMNS", "CallableSource", "Reading", "Source", "ThreadSource", "TimerSource"]
 
 _DEFAULT_AGE = 0.02  # s
 _ROLES = ("pacing", "required", "optional")
@@ -135,7 +135,42 @@ class Source:
         return MappingProxyType(checked)
 
 
-class CallableSource(Source):
+class ThreadSource(Source):
+    """A source with a thread of its own, which does `work` until `_over` is set and leaves what it has in `_newest`.
+
+    Parameters
+    ----------
+    name, fields, period, options : see `Source`.
+    """
+
+    def __init__(self, name: str, fields: Mapping[str, Column], period: float, **options: Any) -> None:
+        super().__init__(name, fields, period, **options)
+        self._newest: Reading | None = None
+        self._over = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def work(self) -> None:
+        """Receive; in the thread."""
+        raise NotImplementedError
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._over.clear()
+        self._thread = threading.Thread(target=self.work, name=f"source {self.name}", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the thread; one that hangs is left behind."""
+        self._over.set()
+        if self._thread is not None:
+            self._thread.join(1.0)
+
+    def newest(self) -> Reading | None:
+        """Return the latest reading, None before the first."""
+        return self._newest
+
+
+class CallableSource(ThreadSource):
     """A Python function called in a thread of its own, once per period.
 
     Parameters
@@ -155,27 +190,9 @@ class CallableSource(Source):
     ) -> None:
         super().__init__(name, fields, period, **options)
         self._function = function
-        self._newest: Reading | None = None
-        self._over = threading.Event()
-        self._thread: threading.Thread | None = None
 
-    def start(self) -> None:
-        """Start the thread."""
-        self._over.clear()
-        self._thread = threading.Thread(target=self._run, name=f"source {self.name}", daemon=True)
-        self._thread.start()
-
-    def close(self) -> None:
-        """End the thread; one that hangs in its function is left behind."""
-        self._over.set()
-        if self._thread is not None:
-            self._thread.join(1.0)
-
-    def newest(self) -> Reading | None:
-        """Return the latest reading, None before the first."""
-        return self._newest
-
-    def _run(self) -> None:
+    def work(self) -> None:
+        """Call the function once per period."""
         due, seq = time.monotonic(), 0
         while not self._over.wait(max(due - time.monotonic(), 0.0)):
             due = max(due + self.period, time.monotonic())

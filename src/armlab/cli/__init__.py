@@ -10,13 +10,13 @@ from __future__ import annotations
 import os
 import signal
 import sys
-import threading
 import traceback
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from types import FrameType
 from typing import TYPE_CHECKING
+
+from armlab._interrupts import handling
 
 if TYPE_CHECKING:
     from cyclopts import App
@@ -147,7 +147,7 @@ def _short_warnings() -> Iterator[None]:
 def interrupts_deferred() -> Iterator[None]:
     """Let Ctrl-C and the like act when the block has ended: compiled modules that load may swallow an interrupt."""
     came: list[int] = []
-    with _handling(lambda number, _frame: came.append(number)):
+    with handling(lambda number, _frame: came.append(number)):
         yield
     for number in came[:1]:
         signal.raise_signal(number)
@@ -164,22 +164,5 @@ def _interruptible() -> Iterator[list[int]]:
         if not again:
             raise KeyboardInterrupt
 
-    with _handling(interrupt):
+    with handling(interrupt):
         yield came
-
-
-@contextmanager
-def _handling(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """Handle SIGINT, SIGTERM and, unless it is ignored (nohup), SIGHUP in another way for a while."""
-    if threading.current_thread() is not threading.main_thread():  # the process's owner handles signals
-        yield
-        return
-    numbers = [signal.SIGINT, signal.SIGTERM]
-    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
-        numbers.append(signal.SIGHUP)
-    before = {number: signal.signal(number, handler) for number in numbers}
-    try:
-        yield
-    finally:
-        for number, previous in before.items():
-            signal.signal(number, previous)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Mapping
 from typing import Any
 
 from armlab.bridge.labcomm.client import LabCommClient
-from armlab.bridge.sources import Reading, Source
+from armlab.bridge.sources import Reading, ThreadSource
 from armlab.errors import ArmlabError, LinkError
 from armlab.log import Column
 from armlab.wire.labcomm import Sample
@@ -20,7 +19,7 @@ _LOOK = 0.1  # s
 _STAMPS = {"t_us": 1000, "tm": 10**6}  # ns of one unit
 
 
-class LabCommSource(Source):
+class LabCommSource(ThreadSource):
     """The newest value of one sample type, received in a thread of its own; it connects again by itself.
 
     The type need not be known: the stream defines it. A field ``t_us`` or ``tm`` of the sample is its clock.
@@ -46,27 +45,9 @@ class LabCommSource(Source):
     ) -> None:
         super().__init__(name, fields, period, **options)
         self.host, self.port, self._sample, self._dialect = host, port, sample, dialect
-        self._newest: Reading | None = None
-        self._over = threading.Event()
-        self._thread: threading.Thread | None = None
 
-    def start(self) -> None:
-        """Start the thread that connects and reads."""
-        self._over.clear()
-        self._thread = threading.Thread(target=self._run, name=f"source {self.name}", daemon=True)
-        self._thread.start()
-
-    def close(self) -> None:
-        """End the thread."""
-        self._over.set()
-        if self._thread is not None:
-            self._thread.join()
-
-    def newest(self) -> Reading | None:
-        """Return the latest reading, None before the first."""
-        return self._newest
-
-    def _run(self) -> None:
+    def work(self) -> None:
+        """Connect and read, again and again."""
         while not self._over.is_set():
             try:
                 with LabCommClient(self.host, self.port, self._dialect, patience=_AGAIN) as client:
