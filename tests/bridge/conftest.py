@@ -117,8 +117,8 @@ class Peer:
         return [self.cycle(**fields) for _ in range(count)]
 
     def begin(self) -> None:
-        """Send until the bridge listens: it throws away what came before."""
-        while True:
+        """Send until the bridge listens (it throws away what came before) or has ended."""
+        while not self.over.is_set():
             self.send()
             with contextlib.suppress(TimeoutError):
                 self.answer(0.05)
