@@ -18,13 +18,13 @@ import pytest
 from armlab import robots
 from armlab.bridge.cell import Cell, listening, parse_cell, run_cell
 from armlab.bridge.labcomm import LabCommSource
-from armlab.bridge.local import LocalFeed
+from armlab.bridge.local import LocalFeed, _listen, socket_path
 from armlab.bridge.messages import CommandRequest, SetRequest, Stop, Subscribe
 from armlab.bridge.parameters import Parameters
 from armlab.bridge.rights import Arbiter
 from armlab.bridge.row import Row
 from armlab.cli import main
-from armlab.errors import ConfigError, UnknownName
+from armlab.errors import ConfigError, LinkError, UnknownName
 from armlab.state import Command
 
 FILE = """
@@ -158,6 +158,25 @@ def bound() -> set[str]:
             if f"socket:[{words[9]}]" in inodes and words[3] in ("0A", "07"):  # listening; bound UDP
                 found.add(words[1].partition(":")[0])
     return found
+
+
+def test_a_second_bridge_refuses_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It says which port and who has it, and no robot has been connected by then."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setattr("armlab.bridge.cell.connect", lambda *words, **options: pytest.fail("a robot was connected"))
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        cell = parse_cell(FILE.replace("{yumi_left = 0}", f"{{yumi_left = {port}}}"))
+        words = (
+            rf"server labcomm to listen.* TCP port 127.0.0.1:{port} for yumi_left .* by process {os.getpid()} \(.*\)"
+        )
+        with pytest.raises(LinkError, match=words) as caught:
+            run_cell(cell)
+    assert "\n" not in str(caught.value)
+    with contextlib.closing(_listen(socket_path("yumi"))):
+        words = rf"server local to listen.*yumi.sock, but one runs: process {os.getpid()} \("
+        with pytest.raises(LinkError, match=words):
+            run_cell(parse_cell(FILE))
 
 
 JOINT = np.eye(7)[3]

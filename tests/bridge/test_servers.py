@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from armlab import robots
 from armlab.bridge.feed import Exchange
 from armlab.bridge.servers import PLACE, RESTARTS, Servers, server_command
+from armlab.errors import LinkError
 
 LEFT = robots.load("yumi_left")
 QUIET = (
@@ -63,16 +66,69 @@ def test_a_server_that_fails_is_left_dead() -> None:
     exchange = Exchange([LEFT], ["a"])
     told: list[str] = []
     exchange.begin(lambda text, warn=False: told.append(text))
-    with Servers(exchange, {"a": command(FAILS)}, restarts=(0.01, 0.01)) as servers:
-        assert servers.ready() == ["a: not listening (no luck)"]
+    program = QUIET + "while b'Now.' not in s.recv(100000): pass\n" + FAILS
+    with Servers(exchange, {"a": command(program)}, restarts=(0.01, 0.01)) as servers:
+        for ends in range(3):
+            assert servers.ready() == ["here"]
+            exchange.event("Now.")
+            until(lambda ends=ends: len(told) > ends)
         assert servers.dead == {"a"}
-        until(lambda: len(told) == 3)
     assert told[-1] == "The server a ended with status 3. It stays dead; the loop goes on. It said: no luck"
 
 
-def test_a_program_that_is_not_there() -> None:
-    with Servers(Exchange([LEFT], ["a"]), {"a": ["/no/such/program"]}, restarts=()) as servers:
-        assert servers.ready() == ["a: not listening ([Errno 2] No such file or directory: '/no/such/program')"]
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (command(FAILS), "ended with status 3. It said: no luck"),
+        (["/no/such/program"], "could not be started. It said: [Errno 2] No such file"),
+    ],
+)
+def test_a_server_that_never_listens_refuses_at_once(words: list[str], said: str) -> None:
+    with Servers(Exchange([LEFT], ["a"]), {"a": words}) as servers:
+        began = time.monotonic()
+        with pytest.raises(LinkError, match=re.escape(f"Expected the server a to listen, but it {said}")):
+            servers.ready(60.0)
+        assert time.monotonic() - began < 30.0
+
+
+def test_a_server_that_says_nothing() -> None:
+    with Servers(Exchange([LEFT], ["a"]), {"a": command("import time; time.sleep(60)")}) as servers:
+        with pytest.raises(LinkError, match=r"Expected a to listen within 0.2 s"):
+            servers.ready(0.2)
+        os.kill(servers.processes()["a"], signal.SIGKILL)
+
+
+def test_an_error_of_the_watch_does_not_end_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A server that cannot be watched starts again as one that ended, as often and no oftener."""
+    exchange = Exchange([LEFT], ["a", "b"])
+    told: list[str] = []
+    exchange.begin(lambda text, warn=False: told.append(text))
+    look, idle, broken = Servers._look, exchange.idle, [False]
+
+    def fail(servers: Servers, child: Any) -> None:
+        if broken[0] and child.name == "a":
+            raise RuntimeError("odd")
+        look(servers, child)
+
+    def fail_to_idle(longer_ns: int) -> None:
+        if broken[0]:
+            broken[0] = len(told) < 3
+            idle(0)
+            raise ValueError("also odd")
+        idle(longer_ns)
+
+    monkeypatch.setattr(Servers, "_look", fail)
+    monkeypatch.setattr(exchange, "idle", fail_to_idle)
+    with Servers(exchange, {"a": command(WAITS), "b": command(WAITS)}, restarts=(0.01,)) as servers:
+        servers.ready()
+        other = servers.processes()["b"]
+        broken[0] = True
+        until(lambda: not broken[0])
+        os.kill(other, signal.SIGKILL)
+        until(lambda: any("The server b ended with status -9" in text for text in told))
+    assert "The server a could not be watched. It starts again in 0.01 s. It said: RuntimeError: odd" in told
+    assert sum("The server a" in text for text in told) == 2
+    assert any("Requests of clients were not taken, ValueError: also odd" in text for text in told)
 
 
 def test_times_and_command() -> None:

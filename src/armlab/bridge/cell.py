@@ -306,7 +306,8 @@ def run_cell(
 
     Raises
     ------
-    ConfigError, UnknownName, LinkError : see `listening`, `connect` and `Link.run`.
+    ConfigError, UnknownName, LinkError : see `listening`, `connect` and `Link.run`. LinkError also when a port or the
+        socket of a server is taken: before any robot is heard.
     """
     addresses = listening(listen, cell)
     sources = cell.sources()

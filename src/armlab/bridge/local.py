@@ -11,6 +11,7 @@ import select
 import selectors
 import socket
 import stat
+import struct
 import tempfile
 import time
 from collections import deque
@@ -20,6 +21,7 @@ from typing import Any
 
 import msgspec
 
+from armlab.bridge.holder import program
 from armlab.bridge.messages import (
     CommandRequest,
     Leave,
@@ -264,7 +266,10 @@ def _listen(path: Path) -> socket.socket:
         except OSError:
             path.unlink(missing_ok=True)  # nobody listens there any more
         else:
-            raise LinkError(f"Expected no other bridge at {path}, but one runs. Give the cell another name.")
+            process, _, _ = struct.unpack("3i", probe.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
+            raise LinkError(
+                f"Expected no other bridge at {path}, but one runs: {program(process)}. Give the cell another name."
+            )
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     before = os.umask(0o177)
     try:

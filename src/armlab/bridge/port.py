@@ -7,12 +7,12 @@ import errno
 import socket
 import struct
 import time
-from pathlib import Path
 from typing import NamedTuple
 
+from armlab.bridge.holder import holder
 from armlab.errors import LinkError
 
-__all__ = ["Arrival", "Port", "holder"]
+__all__ = ["Arrival", "Port"]
 
 _LARGEST = 65535
 _SO_TIMESTAMPNS = getattr(socket, "SO_TIMESTAMPNS", 35)  # Linux; absent from Python's socket module
@@ -97,37 +97,6 @@ class Port:
             self.errors += 1
             return False
         return True
-
-
-def holder(port: int) -> str:
-    """Return who holds a UDP port, "process 4711 (armlab sim ...)", or "" when that cannot be told.
-
-    Reads what Linux shows of the processes; those of other users stay hidden.
-
-    Parameters
-    ----------
-    port : number of the port.
-    """
-    with contextlib.suppress(OSError, ValueError, IndexError):
-        inodes = _inodes(port)
-        for process in Path("/proc").iterdir():
-            if process.name.isdigit() and _has_socket(process, inodes):
-                with (process / "cmdline").open("rb") as file:
-                    command = file.read(200).replace(b"\0", b" ").decode(errors="replace")
-                return f"process {process.name} ({' '.join(command.split())})"
-    return ""
-
-
-def _inodes(port: int) -> set[str]:
-    with Path("/proc/net/udp").open(encoding="ascii") as file:
-        rows = [line.split() for line in file.readlines()[1:]]
-    return {f"socket:[{row[9]}]" for row in rows if int(row[1].rpartition(":")[2], 16) == port}
-
-
-def _has_socket(process: Path, inodes: set[str]) -> bool:
-    with contextlib.suppress(OSError):
-        return any(str(entry.readlink()) in inodes for entry in (process / "fd").iterdir())
-    return False
 
 
 def _why_not(host: str, port: int, error: Exception) -> str:

@@ -14,6 +14,7 @@ from types import TracebackType
 from typing import Any
 
 from armlab.bridge.feed import Exchange
+from armlab.errors import LinkError
 
 __all__ = ["PLACE", "RESTARTS", "Servers", "server_command"]
 
@@ -25,7 +26,7 @@ RESTARTS = (1.0, 5.0, 30.0)
 
 _LOOK = 0.05  # s
 _IDLE = 200_000_000  # ns without a packet of a robot, after which requests are taken here
-_QUOTED = 400  # bytes of what a server said last
+_QUOTED = 1000  # bytes of what a server said last
 _PATIENCE = 3.0  # s to end by itself before it is killed
 
 
@@ -47,8 +48,9 @@ class _Child:
         self.process: subprocess.Popen[bytes] | None = None
         self.ends = 0
         self.due: float | None = 0.0
+        self.has_listened = False
         self.said = b""
-        self.last_words = ""
+        self.failure = ""
 
     def read(self) -> None:
         """Keep the end of what it writes to standard error."""
@@ -105,24 +107,26 @@ class Servers:
                 self._end(child, child.process)
 
     def ready(self, patience: float = 10.0) -> list[str]:
-        """Wait until every server listens or is dead, and return who listens where, or what it said when it ended.
+        """Wait until every server listens, and return who listens where.
 
         Parameters
         ----------
         patience : s to wait at most.
+
+        Raises
+        ------
+        LinkError : a server ended before it listened, with what it said; or one does not listen in time.
         """
         until = time.monotonic() + patience
-        waiting = {child.name for child in self._children}
-        while waiting and time.monotonic() < until:
-            waiting = {name for name in waiting - self.dead if self._exchange.outlets[name].where is None}
+        while silent := [child.name for child in self._children if self._exchange.outlets[child.name].where is None]:
+            failed = next((child for child in self._children if child.failure), None)
+            if failed is not None:
+                raise LinkError(f"Expected the server {failed.name} to listen, but it {failed.failure}")
+            if time.monotonic() > until:
+                names = ", ".join(silent)
+                raise LinkError(f"Expected {names} to listen within {patience:g} s, but nothing came. Start again.")
             self._over.wait(_LOOK)
-        said = {child.name: f" ({child.last_words})" for child in self._children if child.last_words}
-        outlets = self._exchange.outlets.values()
-        return [
-            where
-            for outlet in outlets
-            for where in outlet.where or [f"{outlet.name}: not listening{said.get(outlet.name, '')}"]
-        ]
+        return [where for outlet in self._exchange.outlets.values() for where in outlet.where or ()]
 
     def processes(self) -> dict[str, int]:
         """Return the process id of each server that runs."""
@@ -131,9 +135,16 @@ class Servers:
 
     def _watch(self) -> None:
         while not self._over.is_set():
-            for child in self._children:
-                self._look(child)
-            self._exchange.idle(_IDLE)
+            for child in [child for child in self._children if child.due is not None]:
+                try:
+                    self._look(child)
+                except Exception as error:  # of one server: the others are watched on
+                    self._fail(child, error)
+            try:
+                self._exchange.idle(_IDLE)
+            except Exception as error:
+                what = f"{type(error).__name__}: {error}"
+                self._exchange.tell(f"Requests of clients were not taken, {what}. The servers go on.", warn=True)
             self._over.wait(_LOOK)
 
     def _look(self, child: _Child) -> None:
@@ -143,6 +154,15 @@ class Servers:
                 self._ended(child, child.process)
         if child.process is None and child.due is not None and time.monotonic() >= child.due:
             self._start(child)
+
+    def _fail(self, child: _Child, error: Exception) -> None:
+        """End a server that cannot be watched; it starts again as one that ended by itself."""
+        if child.process is not None:
+            child.process.kill()
+            child.process.communicate()
+            child.process = None
+        child.said = f"{type(error).__name__}: {error}".encode()
+        self._plan(child, "could not be watched")
 
     def _start(self, child: _Child) -> None:
         child.said = b""
@@ -174,7 +194,13 @@ class Servers:
         self._plan(child, f"ended with status {process.returncode}")
 
     def _plan(self, child: _Child, what: str) -> None:
-        """Say when a server that is gone starts again."""
+        """Say when a server that is gone starts again: never, if it has not listened before."""
+        outlet = self._exchange.outlets[child.name]
+        child.has_listened |= outlet.where is not None
+        outlet.close()
+        if not child.has_listened:
+            child.due, child.failure = None, f"{what}. It said: {child.words}"
+            return
         if child.ends < len(self._restarts):
             delay = self._restarts[child.ends]
             child.due, then = time.monotonic() + delay, f"It starts again in {delay:g} s."
@@ -182,7 +208,6 @@ class Servers:
             child.due, then = None, "It stays dead; the loop goes on."
             self.dead.add(child.name)
         child.ends += 1
-        child.last_words = child.words
         self._exchange.tell(f"The server {child.name} {what}. {then} It said: {child.words}", warn=True)
 
     def _end(self, child: _Child, process: subprocess.Popen[bytes]) -> None:

@@ -7,6 +7,7 @@ silent, hostile or gone, is ever waited for. A fault closes the connection that 
 from __future__ import annotations
 
 import contextlib
+import errno
 import selectors
 import socket
 import threading
@@ -17,6 +18,7 @@ from types import TracebackType
 from typing import Any
 
 from armlab.bridge.events import Tell, nobody
+from armlab.bridge.holder import holder
 from armlab.bridge.labcomm.channels import Channel, FusedArm, FusedSource
 from armlab.bridge.labcomm.peer import Peer
 from armlab.bridge.labcomm.rows import Row
@@ -157,10 +159,7 @@ class LabCommServer:
             listener.bind((host, channel.port))
             listener.listen(2 * _CLIENTS)
         except (OSError, OverflowError) as error:
-            raise LinkError(
-                f"Expected TCP port {host}:{channel.port} for {channel.name} to be free, got: {error}. End the program "
-                "that has it or choose another port."
-            ) from error
+            raise LinkError(_why_not(host, channel, error)) from error
         listener.setblocking(False)
         self.ports[channel.name] = listener.getsockname()[1]
         self._selector.register(listener, selectors.EVENT_READ, channel)
@@ -297,3 +296,13 @@ class LabCommServer:
         for one in (*self._listeners, self._awake, self._waker):
             one.close()
         self._selector.close()
+
+
+def _why_not(host: str, channel: Channel, error: Exception) -> str:
+    is_taken = getattr(error, "errno", None) == errno.EADDRINUSE
+    who = holder(channel.port, "tcp") if is_taken else ""
+    why = f"it is in use{f' by {who}' if who else ''}" if is_taken else f"{error}"
+    return (
+        f"Expected TCP port {host}:{channel.port} for {channel.name} to be free, but {why}. End the program that has "
+        "it or choose another port."
+    )
