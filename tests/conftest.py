@@ -98,3 +98,15 @@ def fitted(truth: Truth, excited: Table) -> Fit[TorqueModel]:
 def model(fitted: Fit[TorqueModel]) -> TorqueModel:
     """The value of that fit."""
     return fitted.value
+
+
+@pytest.fixture(scope="session")
+def slow(truth: Truth) -> Table:
+    """A minute at a tenth of the speed limits."""
+    return truth.log(identify.excitation(truth.robot, seconds=60, f0=1 / 60, harmonics=3, speed=0.1, seed=3), seed=3)
+
+
+@pytest.fixture(scope="session")
+def gravity(truth: Truth, slow: Table) -> Fit[TorqueModel]:
+    """The model of slow motion identified from it: gravity, friction and offsets."""
+    return identify.fit_gravity(slow, truth.robot)

@@ -123,15 +123,18 @@ def test_the_model_is_that_of_the_fit(outcome: Outcome, fitted: Fit[TorqueModel]
     assert np.array_equal(models.load(outcome.folder / "model.toml").base_values, fitted.value.base_values)
 
 
-def test_gravity_only_is_a_model_of_slow_motion(truth, excited: Table, monkeypatch, tmp_path, capsys) -> None:
-    motion = identification.excitation(truth.robot, seconds=40, f0=1 / 60, harmonics=3, speed=0.07, seed=3)
-    tables = {"slow.mcap": truth.log(motion, seed=0), "fast.mcap": excited}
+def test_gravity_only_is_a_model_of_slow_motion(
+    slow: Table, gravity: Fit[TorqueModel], excited: Table, monkeypatch, tmp_path, capsys
+) -> None:
+    """The slow log goes to `fit_gravity`; its fit is that of the other tests."""
+    tables = {"slow.mcap": slow, "fast.mcap": excited}
     monkeypatch.setattr("armlab.log.read", lambda path: tables[path.name])
     monkeypatch.setattr("armlab.plots.png", lambda drawn: plt.close("all") or b"drawn")
     output, report = tmp_path / "model.toml", tmp_path / "id.html"
     words = ["identify", "yumi_left", "--gravity-only", "-o", str(output), "--report", str(report)]
     assert main([*words, "fast.mcap"]) == 1
     assert "Expected slow motion" in capsys.readouterr().err
+    monkeypatch.setattr("armlab.identify.fit_gravity", lambda given, *_, **__: gravity if given == [slow] else None)
     assert main([*words, "slow.mcap"]) == 0
     model = models.load(output)
     assert model.quasi_static

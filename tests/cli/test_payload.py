@@ -12,21 +12,27 @@ import pytest
 from armlab import identify, models
 from armlab.cli import main
 from armlab.cli.payload import payload
+from armlab.log import Table
 from armlab.robots import inertia
 
 
-@pytest.fixture
-def words(monkeypatch, truth, model, tmp_path: Path) -> list[str]:
-    """A log with 0.5 kg, one without, one with 5 g, and the model file."""
+@pytest.fixture(scope="module")
+def tables(truth) -> dict[str, Table]:
+    """A log with 0.5 kg, one without, one with 5 g."""
     motion = identify.excitation(truth.robot, seconds=12, speed=0.4, acceleration=8.0, seed=3)
 
-    def log(mass: float, seed: int):
+    def log(mass: float, seed: int) -> Table:
         links = truth.links.copy()
         pi = inertia.from_body(mass, [0.03, 0.0, 0.052], np.zeros((3, 3)))
         links[-1] += inertia.transform(truth.robot.links[-1], pi)
         return replace(truth, links=links).log(motion, seed=seed)
 
-    tables = {"full.mcap": log(0.5, 1), "empty.mcap": log(0.0, 2), "crumb.mcap": log(0.005, 3)}
+    return {"full.mcap": log(0.5, 1), "empty.mcap": log(0.0, 2), "crumb.mcap": log(0.005, 3)}
+
+
+@pytest.fixture
+def words(monkeypatch, tables: dict[str, Table], model, tmp_path: Path) -> list[str]:
+    """The logs by name, and the model file."""
     monkeypatch.setattr("armlab.log.read", lambda path: tables[path.name])
     saved = models.save(model, tmp_path / "model.toml")
     return ["payload", "yumi_left", "full.mcap", "--model", str(saved)]

@@ -62,7 +62,7 @@ def test_torque_agrees(batch: tuple[int, ...], sides: int) -> None:
 
 
 def test_model_torque_agrees(model: TorqueModel) -> None:
-    q, qd, qdd = record(7)
+    q, qd, qdd = record(7, 200)
     qd[50, 2] = np.nan
     qdd[0, 0] = np.inf
     found = []

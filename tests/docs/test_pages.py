@@ -55,7 +55,12 @@ def peers() -> dict[str, Any]:
 NAMES: dict[str, Callable[[], dict[str, Any]]] = {"conventions.md": peers}
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+SLOW = ("robotlab", "weigh_a_load")  # 5 s each: they identify a whole arm
+
+
+@pytest.mark.parametrize(
+    "page", [pytest.param(page, id=page.stem, marks=pytest.mark.slow if page.stem in SLOW else ()) for page in PAGES]
+)
 def test_programs_of_a_page_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     namespace = NAMES.get(page.name, dict)()

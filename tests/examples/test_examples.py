@@ -1,12 +1,16 @@
-"""Every example runs as a reader would run it, alone in a process, and prints something."""
+"""Every example runs and prints something: the long ones as a reader would run them, alone in a process, the short ones
+here, where what they import is there already."""
 
 from __future__ import annotations
 
 import ast
 import os
 import re
+import runpy
 import subprocess
 import sys
+from contextlib import chdir, redirect_stdout
+from io import StringIO
 from pathlib import Path
 
 import pytest
@@ -34,8 +38,15 @@ def run(name: str, folder: Path) -> str:
     if (folder, name) not in PRINTED:
         if name in NEEDS and not (folder / NEEDS[name][1]).exists():
             run(NEEDS[name][0], folder)
-        PRINTED[folder, name] = run_file(EXAMPLES[name], folder)
+        PRINTED[folder, name] = (run_file if name in LONG else run_here)(EXAMPLES[name], folder)
     return PRINTED[folder, name]
+
+
+def run_here(path: Path, folder: Path) -> str:
+    """Run a file in this process, in a namespace of its own."""
+    with chdir(folder), redirect_stdout(StringIO()) as printed:
+        runpy.run_path(str(path), run_name="__main__")
+    return printed.getvalue()
 
 
 def run_file(path: Path, folder: Path) -> str:

@@ -8,28 +8,16 @@ import pytest
 from armlab import models
 from armlab.contact import Estimator
 from armlab.errors import NotExcited, ShapeError
-from armlab.estimation import Fit, check_estimator
+from armlab.estimation import check_estimator
 from armlab.estimation.contract import PROPERTIES
-from armlab.identify import excitation, fit_gravity
+from armlab.identify import fit_gravity
 from armlab.log import Table
-from armlab.models import TorqueModel
 
 
-@pytest.fixture(scope="module")
-def slow(truth) -> Table:
-    """A minute at a tenth of the speed limits."""
-    return truth.log(excitation(truth.robot, seconds=60, f0=1 / 60, harmonics=3, speed=0.1, seed=3), seed=3)
-
-
-@pytest.fixture(scope="module")
-def fit(truth, slow) -> Fit[TorqueModel]:
-    return fit_gravity(slow, truth.robot)
-
-
-def test_gravity_of_other_poses_is_predicted(truth, fit) -> None:
+def test_gravity_of_other_poses_is_predicted(truth, gravity) -> None:
     """As it is read, to 3.5 % of its deviation over random poses in the range of the log, 3 % were every gain known;
     offsets but for the asymmetry of friction."""
-    model, robot = fit.value, truth.robot
+    model, robot = gravity.value, truth.robot
     rng = np.random.default_rng(0)
     q = rng.uniform(model.training.q_min, model.training.q_max, (500, 7))
     still = np.zeros_like(q)
@@ -42,8 +30,8 @@ def test_gravity_of_other_poses_is_predicted(truth, fit) -> None:
     assert np.all(np.abs(offset) < 0.08 * truth.friction.coulomb_pos)
 
 
-def test_the_model_has_no_torque_of_motion(truth, fit) -> None:
-    model = fit.value
+def test_the_model_has_no_torque_of_motion(truth, gravity) -> None:
+    model = gravity.value
     assert model.quasi_static
     assert len(model.base_names) == 14
     assert not model.rotor.any()
@@ -56,8 +44,8 @@ def test_the_model_has_no_torque_of_motion(truth, fit) -> None:
     np.testing.assert_allclose(model.rigid_torque(q, still, still), with_gravity, atol=1e-12)
 
 
-def test_it_is_saved_and_estimates(truth, fit, slow, tmp_path) -> None:
-    again = models.load(models.save(fit.value, tmp_path / "gravity.toml"))
+def test_it_is_saved_and_estimates(truth, gravity, slow, tmp_path) -> None:
+    again = models.load(models.save(gravity.value, tmp_path / "gravity.toml"))
     assert again.quasi_static
     estimate = Estimator(again, truth.robot).run(slow)
     force = estimate["wrench_hat"][500:, :3]

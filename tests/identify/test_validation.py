@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from armlab.errors import NotExcited, ShapeError
-from armlab.identify import dither, fit_dynamics, predict, prepare
+from armlab.identify import dither, predict, prepare
 from armlab.identify.parameter_table import parameter_text
 from armlab.identify.validation import FIFTHS, assess, assess_again, fold_of, held_out, report
 
@@ -99,8 +99,8 @@ def test_the_band_of_a_prediction_is_wide_where_the_arm_rested(truth, model) -> 
     assert np.all(np.median(table["tau_sigma"][500:1500], axis=0) < 0.2 * model.friction.static)
 
 
-def test_report_has_one_line_per_joint_and_the_bounds_that_hold(truth, excited) -> None:
-    fit = fit_dynamics(excited, truth.robot, method="wls")
+def test_report_has_one_line_per_joint_and_the_bounds_that_hold(truth, fitted) -> None:
+    fit = fitted
     text = report(fit)
     parameters, rest = text.split("\n\n")
     assert parameters == parameter_text(fit)
