@@ -16,15 +16,16 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.bridge.cell import Cell, listening, parse_cell, run_cell
+from armlab.bridge.cell import Cell, parse_cell, run_cell
 from armlab.bridge.labcomm import LabCommSource
-from armlab.bridge.local import LocalFeed, _listen, socket_path
+from armlab.bridge.local import LocalFeed, socket_path
+from armlab.bridge.local_server import _listen
 from armlab.bridge.messages import CommandRequest, SetRequest, Stop, Subscribe
 from armlab.bridge.parameters import Parameters
 from armlab.bridge.rights import Arbiter
 from armlab.bridge.row import Row
 from armlab.cli import main
-from armlab.errors import ConfigError, LinkError, UnknownName
+from armlab.errors import ConfigError, LinkError
 from armlab.state import Command
 
 FILE = """
@@ -110,21 +111,6 @@ def test_errors_are_one_line_with_the_path(old: str, new: str, words: str) -> No
 def test_a_server_that_commands_must_be_enabled() -> None:
     with pytest.raises(ConfigError, match=r"got labcomm. Add \[servers.labcomm\]"):
         parse_cell('commands=["labcomm"]\n[[robots]]\nname="ur5e"\nlink="egm://127.0.0.1:6510"')
-
-
-def test_listening() -> None:
-    cell = parse_cell(FILE)
-    assert listening([], cell) == {"labcomm": "127.0.0.1"}
-    assert listening(["labcomm=0.0.0.0"], cell) == {"labcomm": "0.0.0.0"}
-    assert listening(["labcomm=lo"], cell) == {"labcomm": "127.0.0.1"}
-    with pytest.raises(UnknownName, match="enabled server"):
-        listening(["ros=0.0.0.0"], cell)
-    with pytest.raises(ConfigError, match="IPv4 address or one of the interfaces"):
-        listening(["labcomm=nowhere"], cell)
-    commanding = parse_cell(FILE.replace('["local"]', '["labcomm"]'))
-    assert listening(["labcomm=127.0.0.2"], commanding) == {"labcomm": "127.0.0.2"}
-    with pytest.raises(ConfigError, match="no place for a secret and no encryption"):
-        listening(["labcomm=0.0.0.0"], commanding)
 
 
 def server_process(name: str) -> int:

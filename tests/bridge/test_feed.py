@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import json
-import socket
 from typing import Any
 
 import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.bridge.feed import OPERATOR, Exchange, Outlet, pair
+from armlab.bridge.feed import OPERATOR, Exchange
 from armlab.bridge.parameters import Parameter, Parameters
-from armlab.bridge.row import MAGIC, RowSchema, read_row
+from armlab.bridge.row import MAGIC, read_row
+from armlab.bridge.row_schema import RowSchema
 from armlab.log import Tick
 from armlab.state import Command, State
 
@@ -227,21 +227,3 @@ def test_the_summary_of_a_run(cell: Cell) -> None:
     assert cell.exchange.summary() == {"parameters": {"gain": 4.0, "open": 1.0}, "commands_refused": {"labcomm 1": 3}}
     assert "Parameter gain = 4.0" in cell.told[-1]
     assert not cell.params.running
-
-
-def test_a_pair_keeps_messages_whole() -> None:
-    ours, theirs = pair()
-    assert not ours.getblocking()
-    ours.send(b"one")
-    ours.send(b"two")
-    assert theirs.recv(100) == b"one"
-    assert isinstance(theirs, socket.socket)
-    ours.close()
-    theirs.close()
-
-
-def test_a_closed_outlet_is_silent() -> None:
-    outlet = Outlet("x")
-    assert not outlet.send(b"a")
-    assert outlet.receive() is None
-    outlet.close()

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.bridge.row import RowSchema, RowWriter
+from armlab.bridge.row import RowWriter
+from armlab.bridge.row_schema import RowSchema
 from armlab.bridge.status import Status
 from armlab.log import Tick
 from armlab.state import State

@@ -16,7 +16,8 @@ import pytest
 
 from armlab import robots
 from armlab.bridge.feed import OPERATOR, Exchange
-from armlab.bridge.local import LocalServer, socket_path
+from armlab.bridge.local import socket_path
+from armlab.bridge.local_server import LocalServer
 from armlab.bridge.messages import parameter_message
 from armlab.bridge.parameters import Parameter, Parameters
 from armlab.cli import main

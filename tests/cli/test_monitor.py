@@ -14,8 +14,10 @@ from rich.console import Console
 
 from armlab import robots
 from armlab.bridge.feed import OPERATOR, Exchange
-from armlab.bridge.local import LocalServer, socket_path
-from armlab.bridge.row import RowSchema, RowWriter, read_row
+from armlab.bridge.local import socket_path
+from armlab.bridge.local_server import LocalServer
+from armlab.bridge.row import RowWriter, read_row
+from armlab.bridge.row_schema import RowSchema
 from armlab.cli import main
 from armlab.cli.monitor import Watch, monitor
 from armlab.errors import UnknownName

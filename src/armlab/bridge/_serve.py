@@ -12,7 +12,7 @@ from armlab.errors import ArmlabError
 
 
 def _local(feed: socket.socket, options: dict[str, Any]) -> None:
-    from armlab.bridge.local import LocalServer
+    from armlab.bridge.local_server import LocalServer
 
     LocalServer(feed, Path(options["path"])).run()
 

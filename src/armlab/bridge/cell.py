@@ -5,21 +5,22 @@ from __future__ import annotations
 import ipaddress
 import math
 import re
-import socket
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import msgspec
 
 from armlab import robots
+from armlab.bridge._cell_file import File, LabCommTable, SourceTable
 from armlab.bridge.feed import OPERATOR, Exchange
 from armlab.bridge.labcomm import LabCommSource
 from armlab.bridge.labcomm.process import labcomm_options
 from armlab.bridge.limits import Limits
 from armlab.bridge.link import connect
+from armlab.bridge.listening import listening
 from armlab.bridge.local import socket_path
 from armlab.bridge.loop import Controller
 from armlab.bridge.parameters import Parameter, Parameters
@@ -33,91 +34,9 @@ from armlab.log import Column
 from armlab.robots import Robot
 from armlab.state import State
 
-__all__ = ["Cell", "listening", "parse_cell", "run_cell"]
+__all__ = ["Cell", "parse_cell", "run_cell"]
 
 _SIDES = {"left": 7511, "right": 7512}
-_Name = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_-]{1,40}$")]
-_Port = Annotated[int, msgspec.Meta(ge=0, le=65535)]
-
-
-class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A table of the file."""
-
-
-class _Robot(_Table, frozen=True):
-    """A robot: a name of the library or a file, and the url of its link."""
-
-    name: str
-    link: str
-    extension: bool = False
-    speed: float = 1.0
-
-
-class _Field(_Table, frozen=True):
-    """A field of a source; what the glossary knows needs no unit."""
-
-    shape: tuple[int, ...] = ()
-    unit: str | None = None
-    frame: str | None = None
-
-
-class _Source(_Table, frozen=True):
-    """A source of values beside the arms: datagrams of another program, or a sample of a LabComm server."""
-
-    fields: dict[_Name, _Field]
-    period: float
-    port: _Port
-    kind: Literal["udp", "labcomm"] = "udp"
-    sample: str | None = None
-    host: str = "127.0.0.1"
-    layout: dict[str, str] | Literal["json"] = "json"
-    max_age: float | None = None
-    role: Literal["required", "optional"] = "optional"
-    robot: str = ""
-
-
-class _Parameter(_Table, frozen=True):
-    """A parameter; see `Parameter`."""
-
-    default: bool | int | float | str | list[float]
-    type: str = "float"
-    unit: str = ""
-    minimum: float = -math.inf
-    maximum: float = math.inf
-    text: str = ""
-    rights: Literal["commander", "anyone"] = "commander"
-    live: bool = True
-
-
-class _LabComm(_Table, frozen=True):
-    """The LabComm server: a port per arm, for the parameters and for the fused rows."""
-
-    ports: dict[str, _Port] = {}
-    parameters: _Port = 7513
-    rows: _Port = 7514
-    order: Literal["abb", "chain"] = "abb"
-    dialect: str = "2014v1"
-    types: str | None = None
-    follows_client: bool = False
-
-
-class _Servers(_Table, frozen=True):
-    """Servers that are enabled besides the local one."""
-
-    labcomm: _LabComm | None = None
-
-
-class _File(_Table, frozen=True):
-    """The whole file."""
-
-    robots: Annotated[list[_Robot], msgspec.Meta(min_length=1)]
-    name: _Name = "cell"
-    commands: list[Literal["labcomm", "local"]] = []
-    pace: str | None = None
-    record: str | None = None
-    sources: dict[_Name, _Source] = {}
-    parameters: dict[str, _Parameter] = {}
-    servers: _Servers = _Servers()
 
 
 @dataclass(frozen=True)
@@ -141,7 +60,7 @@ class Cell:
     record: str | None
     parameters: tuple[Parameter, ...]
     servers: Mapping[str, Mapping[str, Any]]
-    _sources: Mapping[str, _Source]
+    _sources: Mapping[str, SourceTable]
 
     def sources(self) -> list[Source]:
         """Return the sources, not yet started."""
@@ -160,7 +79,7 @@ def parse_cell(text: str, path: str = "cell.toml") -> Cell:
     ConfigError : no TOML, an unknown or wrong entry, or entries that contradict each other; one line with the path.
     """
     try:
-        file = msgspec.convert(tomllib.loads(text), _File, strict=True)
+        file = msgspec.convert(tomllib.loads(text), File, strict=True)
         return _cell(file)
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"Expected TOML in {path}: {_line(error)}.") from None
@@ -168,7 +87,7 @@ def parse_cell(text: str, path: str = "cell.toml") -> Cell:
         raise ConfigError(f"Expected another cell in {path}: {_line(error)}.") from None
 
 
-def _cell(file: _File) -> Cell:
+def _cell(file: File) -> Cell:
     arms = tuple(robots.load(one.name) for one in file.robots)
     names = [arm.name for arm in arms]
     if len(set(names)) < len(names):
@@ -205,7 +124,7 @@ def _cell(file: _File) -> Cell:
     )
 
 
-def _labcomm(options: _LabComm, arms: Sequence[Robot]) -> dict[str, Any]:
+def _labcomm(options: LabCommTable, arms: Sequence[Robot]) -> dict[str, Any]:
     names = [arm.name for arm in arms]
     for name in options.ports:
         if name not in names:
@@ -227,59 +146,12 @@ def _labcomm(options: _LabComm, arms: Sequence[Robot]) -> dict[str, Any]:
     )
 
 
-def _source(name: str, one: _Source) -> Source:
+def _source(name: str, one: SourceTable) -> Source:
     fields = {field: Column(about.shape, about.unit, about.frame) for field, about in one.fields.items()}
     options = {"max_age": one.max_age, "role": one.role, "robot": one.robot}
     if one.kind == "labcomm":
         return LabCommSource(name, fields, one.period, one.port, one.host, one.sample, **options)
     return UdpSource(name, fields, one.period, one.port, one.layout, one.host, **options)
-
-
-def listening(listen: Iterable[str], cell: Cell) -> dict[str, str]:
-    """Return the address of each network server: loopback, or what the user asked for.
-
-    Parameters
-    ----------
-    listen : "labcomm=192.168.1.5", "labcomm=0.0.0.0" or "labcomm=eth0". cell : whose servers.
-
-    Raises
-    ------
-    ConfigError, UnknownName : another form, server or interface, or a server that may command beyond this computer.
-    """
-    found = {name: "127.0.0.1" for name in cell.servers if name != OPERATOR}
-    for word in listen:
-        server, _, place = word.partition("=")
-        if server not in found:
-            raise UnknownName.among("enabled server (--listen SERVER=ADDRESS)", server, found)
-        found[server] = _address(place)
-        if server in cell.commands and not ipaddress.ip_address(found[server]).is_loopback:
-            raise ConfigError(
-                f"Expected {server} on this computer only, since `commands` names it, got --listen {word}: it has no "
-                "place for a secret and no encryption. Take it out of `commands`, or let clients come through an "
-                "SSH tunnel."
-            )
-    return found
-
-
-def _address(place: str) -> str:
-    """Return the IPv4 address of an address or a network interface."""
-    try:
-        return str(ipaddress.IPv4Address(place))
-    except ValueError:
-        pass
-    if place not in [name for _, name in socket.if_nameindex()]:
-        known = ", ".join(name for _, name in socket.if_nameindex())
-        raise ConfigError(
-            f"Expected an IPv4 address or one of the interfaces {known} after --listen SERVER=, got {place!r}."
-        )
-    import fcntl
-
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            answer = fcntl.ioctl(probe.fileno(), 0x8915, place.encode().ljust(256, b"\0"))  # SIOCGIFADDR
-        except OSError as error:
-            raise ConfigError(f"Expected an interface with an IPv4 address, got {place} ({error.strerror}).") from error
-    return socket.inet_ntoa(answer[20:24])
 
 
 def run_cell(

@@ -1,4 +1,4 @@
-"""Between the loop and the server processes: `Outlet`, a socket that never blocks, and `Exchange`, which is a feed.
+"""`Exchange`: between the loop and the server processes; it is a feed of the loop.
 
 Rows and events go out; commands and settings of parameters come back by the same sockets. A server that does not read
 loses rows, which are counted; it never holds the loop up.
@@ -6,7 +6,6 @@ loses rows, which are counted; it never holds the loop up.
 
 from __future__ import annotations
 
-import contextlib
 import socket
 import threading
 import time
@@ -31,88 +30,24 @@ from armlab.bridge.messages import (
     read_request,
     text_message,
 )
+from armlab.bridge.outlet import Outlet
 from armlab.bridge.parameters import Parameters
 from armlab.bridge.rights import Arbiter, Order
-from armlab.bridge.row import RowSchema, RowWriter
+from armlab.bridge.row import RowWriter
+from armlab.bridge.row_schema import RowSchema
 from armlab.errors import ArmlabError, LinkError
 from armlab.log import Column, Tick
 from armlab.robots import Robot
 from armlab.state import Command, State
 
-__all__ = ["OPERATOR", "Exchange", "Outlet", "pair"]
+__all__ = ["OPERATOR", "Exchange"]
 
 OPERATOR = "local"
 """The server whose clients are operators: its socket is the user's own."""
 
-_BUFFER = 4 * 2**20  # bytes that wait for a server
-_SNDBUFFORCE = 32  # Linux: beyond the system's limit, where permitted
 _DRAINED = 16  # requests of a server per look
 _EVENTS = 1000  # that wait for a run to begin
-_LARGEST = 2**17
 _COMPLAINT = 200_000_000  # ns between two events about refused settings
-
-
-def pair() -> tuple[socket.socket, socket.socket]:
-    """Return two connected sockets that keep messages whole: ours, which never blocks, and the server's."""
-    ours, theirs = socket.socketpair(socket.AF_UNIX, getattr(socket, "SOCK_SEQPACKET", socket.SOCK_DGRAM))
-    ours.setblocking(False)
-    for option in (socket.SO_SNDBUF, _SNDBUFFORCE):
-        with contextlib.suppress(OSError):
-            ours.setsockopt(socket.SOL_SOCKET, option, _BUFFER)
-    return ours, theirs
-
-
-class Outlet:
-    """The way to one server process and back.
-
-    Parameters
-    ----------
-    name : of the server.
-
-    Attributes
-    ----------
-    sent, dropped : messages. where : what the server listens on; None until it says so.
-    """
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-        self.sent = self.dropped = 0
-        self.where: list[str] | None = None
-        self._socket: socket.socket | None = None
-
-    def open(self) -> socket.socket:
-        """Return a new socket for the server process; the old one, of a process that has ended, is closed."""
-        self.close()
-        ours, theirs = pair()
-        self._socket = ours
-        return theirs
-
-    def close(self) -> None:
-        """Close our end: the server process ends then."""
-        gone, self._socket, self.where = self._socket, None, None
-        if gone is not None:
-            gone.close()
-
-    def send(self, data: bytes) -> bool:
-        """Send one message; False when it was dropped. Never waits."""
-        connection = self._socket
-        if connection is None:
-            return False
-        try:
-            connection.send(data)
-        except OSError:  # full, or the process has gone: its supervisor sees to that
-            self.dropped += 1
-            return False
-        self.sent += 1
-        return True
-
-    def receive(self) -> bytes | None:
-        """Return one message, None when none waits."""
-        connection = self._socket
-        try:
-            return None if connection is None else connection.recv(_LARGEST) or None
-        except OSError:
-            return None
 
 
 class Exchange:

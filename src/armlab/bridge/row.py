@@ -1,4 +1,4 @@
-"""Rows as bytes for other programs: `RowSchema` says what is in one, `RowWriter` fills it, `read_row` takes it apart.
+"""Rows as bytes for other programs: `RowWriter` fills one, `read_row` takes it apart. `RowSchema` says what is in it.
 
 A row is little-endian: "ALR1", its length (uint32), the schema's id (8 bytes), its number (uint64), monotonic and wall
 clock (int64 ns), then the fields, each at a multiple of 8 bytes, at most 8 KiB together. The schema is canonical JSON;
@@ -7,177 +7,22 @@ its id is the first 8 bytes of its SHA-256.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 import struct
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from armlab.errors import ConfigError, LinkError, UnknownName
-from armlab.log import Column, Tick
-from armlab.robots import Robot
+from armlab.bridge._row_layout import ASKED, COUNTS, FIXED, HEAD, MEASURED, REALS, RECORDED, SENT, TYPES, WORDS
+from armlab.bridge.row_schema import RowSchema
+from armlab.errors import LinkError, UnknownName
+from armlab.log import Tick
 from armlab.state import Command, State
 
-__all__ = ["LARGEST", "MAGIC", "Row", "RowField", "RowSchema", "RowWriter", "read_row"]
+__all__ = ["MAGIC", "Row", "RowWriter", "read_row"]
 
 MAGIC = b"ALR1"
-LARGEST = 8192
-"""Bytes of a row."""
-
-VERSION = 1
-_HEAD = struct.Struct("<4sI8sQqq")
-_TYPES = {"float64": "<f8", "int64": "<i8", "text": "S1"}
-_WORDS = 40  # bytes of a commander's name
-_REALS = ("session_t", "dt", "utilization", "age")
-_COUNTS = (
-    "tick", "seq", "seq_sent", "session", "missed", "drops", "robot_ns", "receive_ns", "send_ns", "step_ns", "motors",
-    "mci", "rapid", "converged", "late", "fresh",
-)  # fmt: skip
-_UNITS = {"age": "s", "fresh": "1", "commander": "1"}
-_MEASURED = ("q", "qd", "tau", "q_planned")
-_ASKED = {"q_ref": "q", "qd_ref": "qd", "tau_ref": "tau"}
-_SENT = ("q_sent", "qd_sent", "tau_sent")
-_FIXED = {"wrench_raw": (6,), "wrench": (6,), "T_frame_tool": (4, 4), "q_ext": (6,)}
-_RECORDED = {"wrench_hat": (6,), "wrench_hat_cov": (6, 6)}
-
-
-@dataclass(frozen=True, slots=True)
-class RowField:
-    """One field of a row.
-
-    Attributes
-    ----------
-    name : "yumi_left.q". type : "float64", "int64", or "text" (UTF-8, filled up with zero bytes).
-    shape : of the values; of a text its bytes. unit, frame : as in the glossary. labels : of the first axis.
-    source : robot or source that it comes from. offset : bytes from the beginning of the row.
-    """
-
-    name: str
-    type: str
-    shape: tuple[int, ...]
-    unit: str
-    frame: str
-    labels: tuple[str, ...]
-    source: str
-    offset: int
-
-    @property
-    def size(self) -> int:
-        """Bytes, filled up to a multiple of 8."""
-        count = math.prod(self.shape)
-        return -(-count // 8) * 8 if self.type == "text" else 8 * count
-
-
-class RowSchema:
-    """What is in the rows of a run.
-
-    Parameters
-    ----------
-    robots : names of the robots. fields : see `RowField`.
-
-    Attributes
-    ----------
-    robots, fields : as given, `fields` by name. text : canonical JSON, bytes. id : 8 bytes. size : bytes of a row.
-
-    Raises
-    ------
-    ConfigError : fields of one name, overlapping, of an unknown type, or more than `LARGEST` bytes.
-    """
-
-    def __init__(self, robots: Sequence[str], fields: Iterable[RowField]) -> None:
-        self.robots = tuple(robots)
-        found = list(fields)
-        self.fields: Mapping[str, RowField] = {field.name: field for field in found}
-        self.size = _HEAD.size
-        for field in found:
-            if field.type not in _TYPES or field.offset != self.size or any(size < 0 for size in field.shape):
-                raise ConfigError(f"Expected the fields of a row one after another, got {str(field)[:200]}.")
-            self.size += field.size
-            if self.size > LARGEST:
-                raise ConfigError(f"Expected rows of at most {LARGEST} bytes, got {self.size} with {field.name[:60]}.")
-        if len(self.fields) < len(found):
-            raise ConfigError("Expected each field of a row once, got one name twice. Rename a source.")
-        about = {"version": VERSION, "robots": self.robots, "fields": [asdict(field) for field in found]}
-        self.text = json.dumps(about, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()
-        self.id = hashlib.sha256(self.text).digest()[:8]
-
-    @classmethod
-    def of(cls, robots: Sequence[Robot], sources: Mapping[str, Mapping[str, Column]] | None = None) -> RowSchema:
-        """Return the schema of a cell: per robot the columns of its log, its age and its commander; then the sources.
-
-        Parameters
-        ----------
-        robots : the arms. sources : fields by name of the source.
-        """
-        fields: list[RowField] = []
-        at = _HEAD.size
-
-        def add(owner: str, name: str, type_: str, column: Column, unit: str | None = None) -> None:
-            nonlocal at
-            known = column.resolved(name) if unit is None else column
-            fields.append(
-                RowField(
-                    f"{owner}.{name}",
-                    type_,
-                    column.shape,
-                    unit or known.unit or "1",
-                    known.frame or "",
-                    tuple(column.labels),
-                    owner,
-                    at,
-                )
-            )
-            at += fields[-1].size
-
-        for robot in robots:
-            for name in _REALS:
-                add(robot.name, name, "float64", Column(), _UNITS.get(name))
-            for name in (*_MEASURED, *_ASKED, *_SENT):
-                add(robot.name, name, "float64", Column((robot.n,), labels=robot.joint_names))
-            for name, shape in {**_FIXED, **_RECORDED}.items():
-                add(robot.name, name, "float64", Column(shape))
-            for name in _COUNTS:
-                add(robot.name, name, "int64", Column(), _UNITS.get(name))
-            add(robot.name, "clamped", "int64", Column((robot.n,), labels=robot.joint_names))
-            add(robot.name, "commander", "text", Column((_WORDS,)), "1")
-        for source, columns in (sources or {}).items():
-            for name, column in columns.items():
-                add(source, name, "float64", column)
-            add(source, "age", "float64", Column(), "s")
-        return cls([robot.name for robot in robots], fields)
-
-    @classmethod
-    def read(cls, text: bytes) -> RowSchema:
-        """Return the schema that was written as JSON.
-
-        Parameters
-        ----------
-        text : as in `RowSchema.text`.
-
-        Raises
-        ------
-        ConfigError : not such a text.
-        """
-        import msgspec
-
-        class Written(msgspec.Struct, forbid_unknown_fields=True):
-            version: int
-            robots: list[str]
-            fields: list[RowField]
-
-        try:
-            written = msgspec.json.decode(text, type=Written)
-        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-            raise ConfigError(
-                f"Expected the schema of rows as JSON, but {error}. Take it from the same feed."
-            ) from None
-        if written.version != VERSION:
-            raise ConfigError(f"Expected rows of version {VERSION}, got {written.version}. Install the same armlab.")
-        return cls(written.robots, written.fields)
 
 
 class Row(NamedTuple):
@@ -205,9 +50,9 @@ def read_row(schema: RowSchema, data: bytes) -> Row:
     ------
     LinkError : no row, one of another schema, or of another length.
     """
-    if len(data) < _HEAD.size or data[:4] != MAGIC:
+    if len(data) < HEAD.size or data[:4] != MAGIC:
         raise LinkError(f"Expected a row that begins with {MAGIC.decode()}, got {len(data)} bytes: {data[:8]!r}.")
-    _, size, id_, seq, mono_ns, wall_ns = _HEAD.unpack_from(data)
+    _, size, id_, seq, mono_ns, wall_ns = HEAD.unpack_from(data)
     if id_ != schema.id:
         raise LinkError(f"Expected a row of schema {schema.id.hex()}, got {id_.hex()}. Read the new schema first.")
     if size != len(data) or size != schema.size:
@@ -219,7 +64,7 @@ def read_row(schema: RowSchema, data: bytes) -> Row:
             raw = data[field.offset : field.offset + count]
             values[name] = raw.rstrip(b"\0").decode(errors="replace")
         else:
-            array = np.frombuffer(data, _TYPES[field.type], count, field.offset).reshape(field.shape)
+            array = np.frombuffer(data, TYPES[field.type], count, field.offset).reshape(field.shape)
             values[name] = array if field.shape else array[()].item()
     return Row(seq, mono_ns, wall_ns, values)
 
@@ -230,19 +75,19 @@ class _Part:
     def __init__(self, schema: RowSchema, robot: str) -> None:
         def place(name: str) -> slice:
             field = schema.fields[f"{robot}.{name}"]
-            start = (field.offset - _HEAD.size) // 8
+            start = (field.offset - HEAD.size) // 8
             return slice(start, start + field.size // 8)
 
         self.n = schema.fields[f"{robot}.q"].shape[0]
-        self.reals = schema.fields[f"{robot}.{_REALS[0]}"].offset
-        self.counts = schema.fields[f"{robot}.{_COUNTS[0]}"].offset
+        self.reals = schema.fields[f"{robot}.{REALS[0]}"].offset
+        self.counts = schema.fields[f"{robot}.{COUNTS[0]}"].offset
         self.age, self.fresh = place("age").start, place("fresh").start
-        self.measured = [(name, place(name)) for name in _MEASURED]
-        self.asked = [(place(name), attribute) for name, attribute in _ASKED.items()]
-        self.sent = [(name, place(name)) for name in _SENT]
-        self.fixed = [(name, place(name), math.prod(shape)) for name, shape in _FIXED.items() if name != "q_ext"]
+        self.measured = [(name, place(name)) for name in MEASURED]
+        self.asked = [(place(name), attribute) for name, attribute in ASKED.items()]
+        self.sent = [(name, place(name)) for name in SENT]
+        self.fixed = [(name, place(name), math.prod(shape)) for name, shape in FIXED.items() if name != "q_ext"]
         self.q_ext, self.clamped = place("q_ext"), place("clamped")
-        self.recorded = [(name, place(name), math.prod(shape)) for name, shape in _RECORDED.items()]
+        self.recorded = [(name, place(name), math.prod(shape)) for name, shape in RECORDED.items()]
         self.commander = schema.fields[f"{robot}.commander"].offset
         self.heard_ns = 0
 
@@ -258,11 +103,11 @@ class RowWriter:
     def __init__(self, schema: RowSchema) -> None:
         self._schema, self._seq = schema, 0
         self._buffer = bytearray(schema.size)
-        self._numbers = np.frombuffer(self._buffer, "<f8", offset=_HEAD.size)
-        self._integers = np.frombuffer(self._buffer, "<i8", offset=_HEAD.size)
+        self._numbers = np.frombuffer(self._buffer, "<f8", offset=HEAD.size)
+        self._integers = np.frombuffer(self._buffer, "<i8", offset=HEAD.size)
         for field in schema.fields.values():
             if field.type == "float64":
-                start = (field.offset - _HEAD.size) // 8
+                start = (field.offset - HEAD.size) // 8
                 self._numbers[start : start + field.size // 8] = np.inf if field.name.endswith(".age") else np.nan
         self._parts = {robot: _Part(schema, robot) for robot in schema.robots}
         self._sources = [field for field in schema.fields.values() if field.source not in schema.robots]
@@ -283,7 +128,7 @@ class RowWriter:
             raise UnknownName.among("robot of these rows", state.robot, self._parts)
         self._seq += 1
         buffer = self._buffer
-        _HEAD.pack_into(buffer, 0, MAGIC, len(buffer), self._schema.id, self._seq, mono_ns, tick.stamp_ns)
+        HEAD.pack_into(buffer, 0, MAGIC, len(buffer), self._schema.id, self._seq, mono_ns, tick.stamp_ns)
         struct.pack_into("<4d", buffer, part.reals, state.t, state.dt, state.utilization, 0.0)
         struct.pack_into(
             "<16q", buffer, part.counts, tick.number, state.seq, tick.seq_sent, state.session, state.missed, tick.drops,
@@ -291,8 +136,8 @@ class RowWriter:
             state.converged, tick.late, 1,
         )  # fmt: skip
         self._fill(part, state, command, tick)
-        word = commander.encode(errors="replace")[:_WORDS]
-        buffer[part.commander : part.commander + _WORDS] = word + bytes(_WORDS - len(word))
+        word = commander.encode(errors="replace")[:WORDS]
+        buffer[part.commander : part.commander + WORDS] = word + bytes(WORDS - len(word))
         part.heard_ns = tick.receive_ns
         for other in self._parts.values():
             if other is not part and other.heard_ns:
@@ -307,7 +152,7 @@ class RowWriter:
         for field in self._sources:
             held = state.sources.get(field.source)
             if held is not None:
-                name, start = field.name.removeprefix(f"{field.source}."), (field.offset - _HEAD.size) // 8
+                name, start = field.name.removeprefix(f"{field.source}."), (field.offset - HEAD.size) // 8
                 values = held.age if name == "age" else held.kept[name]
                 self._numbers[start : start + field.size // 8] = np.ravel(values)
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from armlab.bridge.row import RowSchema
+from armlab.bridge.row_schema import RowSchema
 
 __all__ = ["Status"]
 

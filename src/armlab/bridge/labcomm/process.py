@@ -21,7 +21,8 @@ from armlab.bridge.labcomm.peer import Peer
 from armlab.bridge.labcomm.rows import Order, Row
 from armlab.bridge.labcomm.server import LabCommServer
 from armlab.bridge.messages import CommandRequest, Leave, Listening, Request, SetRequest
-from armlab.bridge.row import MAGIC, RowSchema, read_row
+from armlab.bridge.row import MAGIC, read_row
+from armlab.bridge.row_schema import RowSchema
 from armlab.errors import ConfigError, LinkError
 from armlab.robots import Robot
 

@@ -1,0 +1,243 @@
+"""`LocalServer`: between the loop and the programs of this user, in a process of its own."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import selectors
+import socket
+import struct
+import time
+from collections import deque
+from pathlib import Path
+
+import msgspec
+
+from armlab.bridge.holder import program
+from armlab.bridge.messages import (
+    CommandRequest,
+    Leave,
+    Listening,
+    Request,
+    SetRequest,
+    Subscribe,
+    read_request,
+    text_message,
+)
+from armlab.bridge.row import MAGIC
+from armlab.bridge.row_schema import RowSchema
+from armlab.bridge.status import Status
+from armlab.errors import LinkError
+
+__all__ = ["LocalServer"]
+
+_CLIENTS = 8
+_LARGEST = 2**17
+_STATUS = 0.5  # s between two reports
+_EVENTS = 20  # that a new client gets
+_URGENT = 256  # requests that wait when the way to the loop is full
+_RETRY = 0.005  # s until they are tried again
+_TAKEN = 16  # messages of a client before the others have their turn
+
+
+class _Client:
+    """One connection: its name, how often it wants rows [s between two], and when the next is due."""
+
+    def __init__(self, connection: socket.socket, name: str) -> None:
+        self.connection, self.name = connection, name
+        self.every: float | None = None
+        self.due = 0.0
+        self.dropped = 0
+
+    def send(self, data: bytes) -> None:
+        try:
+            self.connection.send(data)
+        except OSError:  # full or gone: the next read tells which
+            self.dropped += 1
+
+
+class LocalServer:
+    """Passes rows and events on to at most 8 clients of this user, and their requests to the loop.
+
+    Parameters
+    ----------
+    feed : connected to the loop; see `feed.Exchange`. path : of the socket.
+
+    Raises
+    ------
+    LinkError : another bridge serves there.
+    """
+
+    def __init__(self, feed: socket.socket, path: Path) -> None:
+        self._feed, self._path = feed, path
+        self._selector = selectors.DefaultSelector()
+        self._listener = _listen(path)
+        self._clients: dict[socket.socket, _Client] = {}
+        self._first: dict[str, bytes] = {}
+        self._events: deque[bytes] = deque(maxlen=_EVENTS)
+        self._urgent: deque[Request] = deque(maxlen=_URGENT)
+        self._status: Status | None = None
+        self._count = 0
+        self._reported = 0.0
+
+    def run(self) -> None:
+        """Serve until the loop closes the feed."""
+        self._feed.setblocking(False)
+        self._listener.setblocking(False)
+        for one in (self._feed, self._listener):
+            self._selector.register(one, selectors.EVENT_READ)
+        self._ask(Listening(where=[f"{self._path} (local)"]))
+        try:
+            while self._turn():
+                pass
+        finally:
+            for one in (*self._clients, self._listener):
+                one.close()
+            self._selector.close()
+            self._path.unlink(missing_ok=True)
+
+    def _turn(self) -> bool:
+        while self._urgent and self._sent(self._urgent[0]):
+            self._urgent.popleft()
+        for key, _ in self._selector.select(_RETRY if self._urgent else _STATUS):
+            if key.fileobj is self._feed:
+                if not self._hear():
+                    return False
+            elif key.fileobj is self._listener:
+                self._accept()
+            elif key.fileobj in self._clients:
+                self._take(self._clients[key.fileobj])  # type: ignore[index]
+        return True
+
+    def _hear(self) -> bool:
+        """Pass on what the loop sent; False when it has gone."""
+        while True:
+            try:
+                data = self._feed.recv(_LARGEST)
+            except BlockingIOError:
+                return True
+            except OSError:
+                return False
+            if not data:
+                return False
+            if data[:4] == MAGIC:
+                self._row(data)
+            else:
+                self._text(data)
+
+    def _row(self, data: bytes) -> None:
+        now = time.monotonic()
+        if self._status is not None:
+            self._status.add(data)
+            if now - self._reported > _STATUS:
+                self._reported = now
+                self._tell_all(text_message("status", **self._status.summary()))
+        for client in self._clients.values():
+            if client.every is not None and now >= client.due:
+                client.due = max(client.due + client.every, now)
+                client.send(data)
+
+    def _text(self, data: bytes) -> None:
+        message = msgspec.json.decode(data)
+        kind = message["kind"]
+        if kind == "answer":
+            for client in self._clients.values():
+                if client.name == message["client"]:
+                    client.send(data)
+            return
+        if kind == "about":
+            self._status = Status(RowSchema.read(message["schema"].encode()))
+        if kind == "event":
+            self._events.append(data)
+        else:
+            self._first[kind] = data
+        self._tell_all(data)
+
+    def _tell_all(self, data: bytes) -> None:
+        for client in self._clients.values():
+            client.send(data)
+
+    def _accept(self) -> None:
+        try:
+            connection, _ = self._listener.accept()
+        except OSError:  # gone already, or too many files are open: the others are served
+            return
+        connection.setblocking(False)
+        if len(self._clients) >= _CLIENTS:
+            text = f"Expected at most {_CLIENTS} clients of the local feed. Close one."
+            with contextlib.suppress(OSError):
+                connection.send(text_message("answer", client="", text=text))
+            connection.close()
+            return
+        self._count += 1
+        client = self._clients[connection] = _Client(connection, str(self._count))
+        self._selector.register(connection, selectors.EVENT_READ)
+        for data in (*self._first.values(), *self._events):
+            client.send(data)
+
+    def _take(self, client: _Client) -> None:
+        for _ in range(_TAKEN):
+            try:
+                data = client.connection.recv(_LARGEST)
+            except BlockingIOError:
+                return
+            except OSError:
+                data = b""
+            if not data:
+                self._leave(client)
+                return
+            try:
+                request = read_request(data)
+            except LinkError as error:
+                client.send(text_message("answer", client=client.name, text=str(error)))
+                continue
+            if isinstance(request, Subscribe):
+                self._subscribe(client, request)
+            elif not isinstance(request, Listening):
+                self._ask(msgspec.structs.replace(request, client=client.name))
+
+    def _subscribe(self, client: _Client, request: Subscribe) -> None:
+        rate = request.rate
+        client.every = 0.0 if rate is None else (1.0 / rate if rate > 0.0 else None)
+
+    def _leave(self, client: _Client) -> None:
+        self._selector.unregister(client.connection)
+        del self._clients[client.connection]
+        client.connection.close()
+        self._ask(Leave(client.name))
+
+    def _ask(self, request: Request) -> None:
+        """Pass a request on. When the way is full, commands and settings are lost, but no stop and no release."""
+        if self._urgent or not self._sent(request):
+            lost = isinstance(request, CommandRequest | SetRequest) or request in self._urgent
+            if not lost:
+                self._urgent.append(request)
+
+    def _sent(self, request: Request) -> bool:
+        try:
+            self._feed.send(msgspec.json.encode(request))
+        except OSError:
+            return False
+        return True
+
+
+def _listen(path: Path) -> socket.socket:
+    """Return the listening socket, which only this user may open."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as probe:
+        try:
+            probe.connect(str(path))
+        except OSError:
+            path.unlink(missing_ok=True)  # nobody listens there any more
+        else:
+            process, _, _ = struct.unpack("3i", probe.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
+            raise LinkError(
+                f"Expected no other bridge at {path}, but one runs: {program(process)}. Give the cell another name."
+            )
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    before = os.umask(0o177)
+    try:
+        listener.bind(str(path))
+    finally:
+        os.umask(before)
+    listener.listen(_CLIENTS)
+    return listener

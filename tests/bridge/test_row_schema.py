@@ -1,0 +1,66 @@
+"""The schema of rows: its text says all of it, and nothing else is taken for one."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armlab import robots
+from armlab.bridge.row_schema import LARGEST, RowField, RowSchema
+from armlab.errors import ConfigError
+from armlab.log import Column
+
+LEFT, RIGHT = robots.load("yumi_left"), robots.load("yumi_right")
+BOTH = RowSchema.of([LEFT, RIGHT], {"force": {"wrench": Column((6,))}})
+
+
+def test_the_schema_is_its_own_text() -> None:
+    again = RowSchema.read(BOTH.text)
+    assert (again.text, again.id, again.size) == (BOTH.text, BOTH.id, BOTH.size)
+    assert json.loads(BOTH.text)["robots"] == ["yumi_left", "yumi_right"]
+    field = again.fields["yumi_left.tau"]
+    assert (field.unit, field.shape, field.labels[0]) == ("N m", (7,), LEFT.joint_names[0])
+    assert all(field.offset % 8 == 0 for field in again.fields.values())
+    assert RowSchema.of([LEFT]).id != BOTH.id
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ([RowField("a", "float32", (), "1", "", (), "a", 40)], "one after another"),
+        ([RowField("a", "float64", (), "1", "", (), "a", 44)], "one after another"),
+        ([RowField("a", "float64", (-1,), "1", "", (), "a", 40)], "one after another"),
+        ([RowField("a", "float64", (2000,), "1", "", (), "a", 40)], "at most 8192"),
+        (
+            [RowField("a", "float64", (), "1", "", (), "a", 40), RowField("a", "int64", (), "1", "", (), "a", 48)],
+            "once",
+        ),
+    ],
+)
+def test_wrong_schemas(fields: list[RowField], words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        RowSchema(["a"], fields)
+
+
+@pytest.mark.parametrize(
+    "text", [b"", b"[]", b"{", b'{"version":1}', b"\xff", BOTH.text.replace(b'"version":1', b'"version":2')]
+)
+def test_wrong_texts(text: bytes) -> None:
+    with pytest.raises(ConfigError):
+        RowSchema.read(text)
+
+
+@settings(deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 5000), st.integers(0, 255)), min_size=1, max_size=4))
+def test_mutated_schemas(changes: list[tuple[int, int]]) -> None:
+    text = bytearray(BOTH.text)
+    for place, value in changes:
+        text[place % len(text)] = value
+    try:
+        schema = RowSchema.read(bytes(text))
+    except ConfigError:
+        return
+    assert schema.size <= LARGEST
