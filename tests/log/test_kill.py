@@ -1,4 +1,4 @@
-"""A recording process killed with signal 9 at a random time loses less than a second of rows."""
+"""A recording process killed with signal 9 at a random time loses what lay in the queue: no row or a few."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 
 from armlab.log import inspect, read, recover
+
+MOST_ROWS = 25  # 0.1 s: the thread that writes may wait for a core; before, up to 200 rows were lost
 
 CHILD = """
 import sys, time
@@ -38,8 +40,8 @@ while True:
 """
 
 
-def kill_one(path: Path, seconds: float) -> tuple[int, float]:
-    """Record in real time at 250 Hz, kill after some seconds; return rows recorded and seconds lost."""
+def kill_one(path: Path, seconds: float) -> tuple[int, int]:
+    """Record in real time at 250 Hz, kill after some seconds; return rows recorded and rows lost."""
     with subprocess.Popen([sys.executable, "-c", CHILD, str(path)], stdout=subprocess.PIPE, text=True) as child:
         assert child.stdout is not None
         count = int(child.stdout.readline())
@@ -52,7 +54,7 @@ def kill_one(path: Path, seconds: float) -> tuple[int, float]:
     count = max([count, *whole[:-1]])
     with pytest.warns(UserWarning, match="was not finished"):
         table = read(path)
-    lost = (count - len(table)) * 0.004
+    lost = max(count - len(table), 0)
     assert np.array_equal(table["seq"], np.arange(len(table)))
     held = inspect(path)
     assert not held.finished
@@ -64,21 +66,24 @@ def kill_one(path: Path, seconds: float) -> tuple[int, float]:
     return count, lost
 
 
-def trials(tmp_path: Path, number: int, seed: int, longest: float) -> list[float]:
+def trials(tmp_path: Path, number: int, seed: int, longest: float) -> list[int]:
     rng = np.random.default_rng(seed)
     losses = []
     for trial in range(number):
-        count, lost = kill_one(tmp_path / f"run{trial}.mcap", rng.uniform(2.0, longest))
-        assert count > 100
+        count, lost = kill_one(tmp_path / f"run{trial}.mcap", rng.uniform(1.0, longest))
+        assert count > 50
         losses.append(lost)
-    print("seconds lost:", " ".join(f"{lost:.3f}" for lost in losses))
+    print("rows lost:", *losses)
     return losses
 
 
-def test_kill_9_loses_less_than_a_second(tmp_path: Path) -> None:
-    assert max(trials(tmp_path, 2, seed=1, longest=3.0)) < 1.0
+def test_kill_9_loses_a_few_rows(tmp_path: Path) -> None:
+    losses = trials(tmp_path, 2, seed=1, longest=2.0)
+    assert max(losses) < MOST_ROWS
 
 
 @pytest.mark.slow
-def test_kill_9_loses_less_than_a_second_in_20_trials(tmp_path: Path) -> None:
-    assert max(trials(tmp_path, 20, seed=2, longest=6.0)) < 1.0
+def test_kill_9_loses_a_few_rows_in_8_trials(tmp_path: Path) -> None:
+    losses = trials(tmp_path, 8, seed=2, longest=4.0)
+    assert max(losses) < MOST_ROWS
+    assert np.median(losses) <= 1

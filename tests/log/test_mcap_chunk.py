@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import zlib
+from dataclasses import replace
 
 import lz4.frame
 import pytest
 import zstandard
 
 from armlab.errors import LogError
-from armlab.log.mcap_chunk import Chunk, unpacked
+from armlab.log.mcap_chunk import Chunk, end_of_blocks, unpacked
 
 DATA = b"records " * 500
 
@@ -46,3 +47,25 @@ def test_damage_and_unknown_compression() -> None:
         unpacked(memoryview(b"nonsense"), chunk(b"nonsense", "lz4"))
     with pytest.raises(LogError, match="'brotli'"):
         unpacked(memoryview(DATA), chunk(DATA, "brotli"))
+
+
+def test_blocks_of_an_unfinished_frame() -> None:
+    frame = zstandard.ZstdCompressor().compressobj()
+    records = bytes([5]) + (200).to_bytes(8, "little") + bytes(range(200))
+    first = frame.compress(records) + frame.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK)
+    both = first + frame.compress(records) + frame.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK)
+    view = memoryview(b"before" + both)
+    assert end_of_blocks(view, 6) == len(view)
+    assert end_of_blocks(view[:-1], 6) == 6 + len(first)
+    assert end_of_blocks(view[:12], 6) == 6
+    with pytest.raises(LogError, match="Expected zstd data at byte 0"):
+        end_of_blocks(view, 0)
+    for packed, count in ((both, 2), (first, 1), (both[:-1], 1), (first[:-1], 0)):
+        one = replace(chunk(packed, "zstd"), is_open=True)
+        assert unpacked(memoryview(packed), one) == records * count
+
+
+def test_an_unfinished_frame_takes_no_memory_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("armlab.log.mcap_chunk._MAX_OPEN", 1 << 20)
+    bomb = zstandard.ZstdCompressor().compress(b"\5" + (91).to_bytes(8, "little") + bytes(91) + b"\0" * 100_000_000)
+    assert len(unpacked(memoryview(bomb), replace(chunk(bomb, "zstd"), is_open=True))) <= 2 << 20

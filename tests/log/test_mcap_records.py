@@ -9,7 +9,7 @@ import pytest
 
 from armlab.errors import LogError
 from armlab.log import mcap_records
-from armlab.log.mcap_records import DAMAGE, MAGIC, Attached, Channel, Contents, contents, records
+from armlab.log.mcap_records import DAMAGE, MAGIC, OPEN, Attached, Channel, Contents, contents, records
 
 
 def test_summary_and_walk_agree(recording: Callable[..., Path]) -> None:
@@ -72,3 +72,18 @@ def test_no_chunk_is_left_out_without_a_word(recording: Callable[..., Path], pla
     assert str(chunk.start) in sentence
     assert kind == (6 ^ 0x40 if place == -9 else 6)
     assert len(found.chunks) == whole - 1
+
+
+def test_a_chunk_that_was_never_finished_is_taken_as_far_as_it_goes(recording: Callable[..., Path]) -> None:
+    whole = recording(30).read_bytes()
+    chunk = contents(memoryview(whole)).chunks[-1]
+    begun = bytearray(whole[: chunk.stop])
+    begun[chunk.start + 1 : chunk.start + 45] = OPEN.to_bytes(8, "little") + bytes(28) + b"\4\0\0\0zstd"
+    begun[chunk.start + 45 : chunk.start + 53] = OPEN.to_bytes(8, "little")
+    found = contents(memoryview(bytes(begun)))
+    assert found.chunks[-1].is_open
+    assert (found.torn, found.chunks[-1].stop) == (0, chunk.stop)
+    cut = contents(memoryview(bytes(begun[:-5])))
+    assert cut.chunks[-1].stop + cut.torn == len(begun) - 5
+    begun[chunk.start + 41 : chunk.start + 45] = b"lz99"
+    assert not any(one.is_open for one in contents(memoryview(bytes(begun))).chunks)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -82,3 +83,20 @@ def test_a_chunk_whose_header_is_damaged_is_counted(recording: Callable[..., Pat
         rows = len(read(path))
     assert rows == 450
     assert recover(path).lost_chunks == 1
+
+
+@pytest.mark.parametrize("links", [True, False])
+def test_a_file_that_comes_while_it_works_is_not_overwritten(
+    torn: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, links: bool
+) -> None:
+    def no_links(*_: object) -> None:
+        raise OSError(errno.EPERM, "Operation not permitted")
+
+    if not links:
+        monkeypatch.setattr("os.link", no_links)
+    other = tmp_path / "other.mcap"
+    with pytest.raises(LogError, match="File exists"):
+        recover(torn, other, progress=lambda *_: other.write_bytes(b"another's") and None)
+    assert other.read_bytes() == b"another's"
+    assert recover(torn).path.exists()
+    assert not list(tmp_path.glob("*.part"))

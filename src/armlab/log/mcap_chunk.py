@@ -7,16 +7,20 @@ from dataclasses import dataclass, field
 
 from armlab.errors import LogError
 
-__all__ = ["Chunk", "unpacked"]
+__all__ = ["Chunk", "end_of_blocks", "unpacked"]
 
 _MAX_CHUNK = 1 << 31  # bytes; a larger size is a damaged one
+_MAX_OPEN = 1 << 28  # bytes; of a chunk that does not tell its size
+_PIECE = 1 << 20
+_REPEATED, _RESERVED = 1, 3  # kinds of zstd blocks
 
 
 @dataclass(slots=True)
 class Chunk:
     """A chunk of messages: where its record is [start, stop), its times, size and checksum, where its data are.
 
-    `indexes` maps channels to the place [start, stop) of the entries of their MessageIndex.
+    `indexes` maps channels to the place [start, stop) of the entries of their MessageIndex. `is_open`: its writer died
+    before it wrote times, size and checksum.
     """
 
     start: int
@@ -28,6 +32,34 @@ class Chunk:
     compression: str
     data: tuple[int, int]
     indexes: dict[int, tuple[int, int]] = field(default_factory=dict)
+    is_open: bool = False
+
+
+def end_of_blocks(view: memoryview, at: int) -> int:
+    """Return where the last whole block of the zstd frame at this place ends; `at` when there is none.
+
+    Raises
+    ------
+    LogError : no such frame begins there.
+    """
+    import zstandard
+
+    header = bytes(view[at : at + 18])
+    try:
+        zstandard.get_frame_parameters(header)  # the size alone does not look at the magic number
+        start = at + zstandard.frame_header_size(header)
+    except zstandard.ZstdError as error:
+        raise LogError(f"Expected zstd data at byte {at}, got: {error}.") from None
+    end, is_last = at, False
+    while not is_last and start + 3 <= len(view):
+        block = int.from_bytes(view[start : start + 3], "little")  # RFC 8878, 3.1.1.2: last, type, size
+        is_last = bool(block & 1)
+        kind, size = block >> 1 & 3, block >> 3
+        start += 3 + (1 if kind == _REPEATED else size)
+        if start > len(view) or kind == _RESERVED:
+            break
+        end = start
+    return end
 
 
 def unpacked(view: memoryview, chunk: Chunk) -> bytes:
@@ -38,6 +70,8 @@ def unpacked(view: memoryview, chunk: Chunk) -> bytes:
     LogError : the chunk is damaged (size, checksum) or compressed in an unknown way.
     """
     start, stop = chunk.data
+    if chunk.is_open:
+        return _unpacked_open(bytes(view[start:stop]))
     if chunk.size > _MAX_CHUNK:
         raise LogError(f"Expected a chunk of at most {_MAX_CHUNK} bytes at byte {chunk.start}, got {chunk.size}.")
     data = _decompressed(bytes(view[start:stop]), chunk)
@@ -46,6 +80,28 @@ def unpacked(view: memoryview, chunk: Chunk) -> bytes:
     if chunk.crc and zlib.crc32(data) != chunk.crc:
         raise LogError(f"Expected checksum {chunk.crc:08x} of the chunk at byte {chunk.start}, got another.")
     return data
+
+
+def _unpacked_open(packed: bytes) -> bytes:
+    """Return the whole records in the blocks of an unfinished zstd frame."""
+    import zstandard
+
+    pieces, size = [], 0
+    try:
+        with zstandard.ZstdDecompressor().stream_reader(packed) as reader:
+            while size < _MAX_OPEN and (piece := reader.read(_PIECE)):
+                pieces.append(piece)
+                size += len(piece)
+    except zstandard.ZstdError:  # what was read before stays
+        pass
+    data = b"".join(pieces)
+    end = 0
+    while end + 9 <= len(data):
+        length = int.from_bytes(data[end + 1 : end + 9], "little")
+        if length > len(data) - end - 9:
+            break
+        end += 9 + length
+    return data[:end]
 
 
 def _decompressed(packed: bytes, chunk: Chunk) -> bytes:

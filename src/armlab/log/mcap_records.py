@@ -8,14 +8,16 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from armlab.errors import LogError
-from armlab.log.mcap_chunk import Chunk, unpacked
+from armlab.log.mcap_chunk import Chunk, end_of_blocks, unpacked
 
-__all__ = ["DAMAGE", "MAGIC", "Attached", "Channel", "Contents", "contents", "records"]
+__all__ = ["DAMAGE", "MAGIC", "OPEN", "Attached", "Channel", "Contents", "contents", "records"]
 
 MAGIC = b"\x89MCAP0\r\n"
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
 ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = range(9, 16)
 _FOOTER_SIZE = 9 + 20
+OPEN = (1 << 64) - 1
+"""Length of a chunk that its writer never finished."""
 _PRIVATE = 128  # from here on kinds of records are the writer's own affair
 
 # What reading damaged bytes can raise.
@@ -148,9 +150,25 @@ def _by_walking(view: memoryview) -> Contents:
         if kind == FOOTER:
             found.finished = bytes(view[stop : stop + len(MAGIC)]) == MAGIC
             break
-    found.torn = 0 if found.finished else len(view) - at
+    if not found.finished:
+        found.torn = len(view) - _open_chunk(found, view, at)
     _find_channels(found, view)
     return found
+
+
+def _open_chunk(found: Contents, view: memoryview, at: int) -> int:
+    """Take the chunk at this place if its writer died over it; return where what can be read of the file ends."""
+    try:
+        kind, length = struct.unpack_from("<BQ", view, at)
+        compression, data = _text(view, at + 9 + 28)
+        (packed,) = struct.unpack_from("<Q", view, data)
+        if (kind, length, packed, compression) != (CHUNK, OPEN, OPEN, "zstd"):
+            return at
+        stop = end_of_blocks(view, data + 8)
+    except DAMAGE:
+        return at
+    found.chunks.append(Chunk(at, stop, 0, 0, 0, 0, compression, (data + 8, stop), is_open=True))
+    return stop
 
 
 def _take(found: Contents, view: memoryview, kind: int, body: int, stop: int) -> None:
@@ -158,7 +176,9 @@ def _take(found: Contents, view: memoryview, kind: int, body: int, stop: int) ->
         found.profile, at = _text(view, body)
         found.library, _ = _text(view, at)
     elif kind in (SCHEMA, CHANNEL):
-        _register(found, view, kind, body, stop)
+        number = int.from_bytes(view[body : body + 2], "little")
+        if number not in (found._schemas if kind == SCHEMA else found.channels):  # else the summary repeats it
+            _register(found, view, kind, body, stop)
     elif kind == CHUNK:
         found.chunks.append(_chunk(view, body, stop))
     elif kind == MESSAGE_INDEX and found.chunks:

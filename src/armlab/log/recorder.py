@@ -21,13 +21,13 @@ if TYPE_CHECKING:
 
 __all__ = ["Recorder"]
 
-FLUSH_PERIOD = 0.8  # s; the promise is to lose less than 1 s
+FLUSH_PERIOD = 0.8  # s; what a loss of power costs
 QUEUE_ROWS = 2500  # 10 s at 250 Hz
 MOST_COMPLAINTS = 100
 
 
 class Recorder:
-    """Recording of one arm: `row()` in the loop, a thread that writes, at most 0.8 s between disk and truth.
+    """Recording of one arm: `row()` in the loop, a thread that writes each row at once.
 
     Parameters
     ----------
@@ -50,8 +50,9 @@ class Recorder:
     Notes
     -----
     A row is packed into bytes and queued (10 s of rows). When the queue is full the arriving row is dropped and
-    counted, and two events mark the hole. The thread closes the chunk, flushes and syncs every 0.8 s. A write error
-    stops the recorder, never the loop.
+    counted, and two events mark the hole. The thread gives each row to the kernel, so that a killed process loses what
+    is queued, and syncs every 0.8 s, what a loss of power costs at most. A write error stops the recorder, never the
+    loop.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""The MCAP file of a recording: opened once, never over another, complete up to the last `sync` whatever happens."""
+"""The MCAP file of a recording: opened once, never over another, complete up to the last row when killed."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from armlab.errors import LogError
+from armlab.log.mcap_writer import McapWriter
 from armlab.log.messages import Pen, definition, event, topic_name, topics
 from armlab.log.rows import RowLayout
 
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
 __all__ = ["RecordingFile", "open_new"]
 
-MAX_CHUNK_ROWS = 250  # a second at 250 Hz: what a torn chunk can cost, also after a stall
+MAX_CHUNK_ROWS = 250  # a second at 250 Hz: what a damaged chunk can cost, also after a stall
 _SECRET = re.compile(r"(?i)(token|password|passwd|secret|api[-_]?key)")
 _EVENT_TYPE = "rcl_interfaces/msg/Log"
 
@@ -33,7 +34,7 @@ def open_new(path: str | Path) -> tuple[BinaryIO, Path]:
 
     Returns
     -------
-    The open file and its path.
+    The open file, not buffered, and its path.
 
     Raises
     ------
@@ -45,7 +46,7 @@ def open_new(path: str | Path) -> tuple[BinaryIO, Path]:
         path.parent.mkdir(parents=True, exist_ok=True)
         while True:
             try:
-                return candidate.open("xb"), candidate
+                return candidate.open("xb", buffering=0), candidate
             except FileExistsError:
                 number += 1
                 candidate = path.with_name(f"{path.stem}-{number}{path.suffix}")
@@ -69,8 +70,6 @@ class RecordingFile:
     def __init__(
         self, path: str | Path, robot: Robot, layout: RowLayout, attachments: Mapping[str, bytes], note: str
     ) -> None:
-        from mcap.writer import CompressionType, Writer
-
         from armlab import __version__
 
         self._file, self.path = open_new(path)
@@ -78,10 +77,9 @@ class RecordingFile:
         self._chunk_rows = 0
         self.rows = 0
         self.last_stamp_ns = time.time_ns()
-        self._writer = Writer(self._file, chunk_size=1 << 40, compression=CompressionType.ZSTD)
         try:
-            self._writer.start(profile="ros2", library=f"armlab {__version__}")
-            self._writer.add_metadata("armlab", _metadata(robot, attachments, note))
+            self._writer = McapWriter(self._file, "ros2", f"armlab {__version__}")
+            self._writer.metadata("armlab", _metadata(robot, attachments, note))
             for name, data in attachments.items():
                 self.attach(name, data)
             self._channels = self._register(robot)
@@ -97,23 +95,23 @@ class RecordingFile:
 
         def channel(name: str, message_type: str, metadata: dict[str, str]) -> int:
             if message_type not in schemas:
-                text = definition(message_type).encode()
-                schemas[message_type] = self._writer.register_schema(message_type, "ros2msg", text)
+                schemas[message_type] = self._writer.schema(message_type, "ros2msg", definition(message_type).encode())
             topic = f"/{topic_name(robot.name)}/{name}"
-            return self._writer.register_channel(topic, "cdr", schemas[message_type], metadata)
+            return self._writer.channel(topic, "cdr", schemas[message_type], metadata)
 
         self._events = channel("events", _EVENT_TYPE, {})
         found = topics(self._layout, robot.joint_names)
         return [(channel(t.name, t.type, t.metadata(self._layout.slots)), Pen(t, self._layout.slots)) for t in found]
 
     def write(self, row: bytes) -> None:
-        """Add the messages of one row to the chunk in progress."""
+        """Write the messages of one row: they survive the end of this process."""
         stamp_ns = int.from_bytes(row[:8], "little", signed=True)
         tick = int.from_bytes(row[8:12], "little")  # MCAP's sequence has 32 bits
         for channel, pen in self._channels:
             message = pen.message(row, stamp_ns)
             if message is not None:
-                self._writer.add_message(channel, stamp_ns, bytes(message), stamp_ns, tick)
+                self._writer.message(channel, tick, stamp_ns, stamp_ns, message)
+        self._writer.push()
         self.rows += 1
         self.last_stamp_ns = stamp_ns
         self._chunk_rows += 1
@@ -121,13 +119,14 @@ class RecordingFile:
             self._close_chunk()
 
     def event(self, text: str, stamp_ns: int, tick: int = 0) -> None:
-        """Add one line to the events."""
-        self._writer.add_message(self._events, stamp_ns, event(stamp_ns, text), stamp_ns, tick & 0xFFFFFFFF)
+        """Write one line for the events."""
+        self._writer.message(self._events, tick & 0xFFFFFFFF, stamp_ns, stamp_ns, event(stamp_ns, text))
+        self._writer.push()
 
     def attach(self, name: str, data: bytes) -> None:
         """Add an attachment."""
         media = "application/json" if name.endswith(".json") else "application/octet-stream"
-        self._writer.add_attachment(self.last_stamp_ns, self.last_stamp_ns, name, media, data)
+        self._writer.attach(self.last_stamp_ns, name, media, data)
 
     def sync(self) -> None:
         """Close the chunk and bring everything to the disk: what was written so far survives a power loss."""
@@ -139,7 +138,6 @@ class RecordingFile:
         self._close_chunk()
         self.attach("summary.json", json.dumps(summary, indent=1, default=_plain).encode())
         self._writer.finish()
-        self._file.flush()
         _fsync(self._file)
         self._file.close()
         with contextlib.suppress(OSError):
@@ -153,7 +151,7 @@ class RecordingFile:
             self._file.close()
 
     def _close_chunk(self) -> None:
-        self._writer.flush()
+        self._writer.close_chunk()
         self._chunk_rows = 0
 
 

@@ -8,16 +8,14 @@ import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import BinaryIO
 
 from armlab.errors import LogError
 from armlab.log.formats import check_readable
 from armlab.log.mcap_chunk import unpacked
 from armlab.log.mcap_records import CHUNK, MESSAGE, Contents, contents, records
+from armlab.log.mcap_writer import McapWriter
 from armlab.log.reading import opened
-
-if TYPE_CHECKING:
-    from mcap.writer import Writer
 
 __all__ = ["Recovery", "recover"]
 
@@ -68,14 +66,14 @@ def recover(path: str | Path, to: str | Path | None = None, *, progress: Progres
         if not found.channels:
             raise LogError(f"Expected messages in {path}, got none that can be read in {len(view)} bytes.")
         try:
-            file = part.open("xb")  # never over a file, which may be the one that is read
+            file = part.open("xb", buffering=0)  # never over a file, which may be the one that is read
         except OSError as error:
             raise LogError(f"Expected to create {part}, got: {error.strerror}.") from None
         try:
             with file:
                 messages, lost, seconds = _copy(view, found, file, progress)
                 os.fsync(file.fileno())
-            part.rename(target)
+            _rename(part, target)
         except OSError as error:
             raise LogError(f"Expected to write {target}, got: {error.strerror}.") from None
         finally:
@@ -85,19 +83,32 @@ def recover(path: str | Path, to: str | Path | None = None, *, progress: Progres
     return Recovery(target, messages, found.torn, lost, seconds)
 
 
+def _rename(part: Path, target: Path) -> None:
+    """Give the finished copy its name, unless something has got it in the meantime.
+
+    Raises
+    ------
+    FileExistsError : it has. OSError : the name cannot be given.
+    """
+    try:
+        os.link(part, target)  # never over a file, as a rename would
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without hard links
+        target.open("xb").close()
+        part.replace(target)
+
+
 def _copy(view: memoryview, found: Contents, file: BinaryIO, progress: Progress | None) -> tuple[int, int, float]:
     """Write all that can be read; return messages, chunks lost, and seconds between first and last message,
     events apart.
     """
-    from mcap.writer import Writer
-
-    writer = Writer(file, chunk_size=1 << 40)
-    writer.start(profile=found.profile, library=found.library)
+    writer = McapWriter(file, found.profile, found.library)
     for name, pairs in found.metadata.items():
-        writer.add_metadata(name, pairs)
+        writer.metadata(name, pairs)
     for attached in found.attachments:
         data = bytes(view[slice(*attached.data)])
-        writer.add_attachment(attached.log_ns, attached.log_ns, attached.name, attached.media_type, data)
+        writer.attach(attached.log_ns, attached.name, attached.media_type, data)
     numbers = _register(writer, found)
     count = lost = 0
     times: list[int] = []
@@ -110,27 +121,26 @@ def _copy(view: memoryview, found: Contents, file: BinaryIO, progress: Progress 
                 continue
             channel, sequence, log, publish = struct.unpack_from("<HIQQ", data, start)
             if channel in numbers:
-                writer.add_message(numbers[channel], log, data[start + 22 : stop], publish, sequence)
+                writer.message(numbers[channel], sequence, log, publish, data[start + 22 : stop])
                 if found.channels[channel].type != _EVENTS:
                     times = [min(log, *times), max(log, *times)] if times else [log, log]
                 count += 1
-        writer.flush()  # chunk for chunk, as the recorder wrote them
+        writer.close_chunk()  # chunk for chunk, as the recorder wrote them
         if progress:
             progress(at, len(view), "copied")
     writer.finish()
-    file.flush()
     return count, lost, (times[-1] - times[0]) / 1e9 if times else 0.0
 
 
-def _register(writer: Writer, found: Contents) -> dict[int, int]:
+def _register(writer: McapWriter, found: Contents) -> dict[int, int]:
     """Register the channels in the new file; return their numbers there by their old ones."""
     schemas: dict[tuple[str, str, str], int] = {}
     numbers = {}
     for number, channel in found.channels.items():
         key = (channel.type, channel.schema_encoding, channel.schema)
         if key not in schemas:
-            schemas[key] = writer.register_schema(channel.type, channel.schema_encoding, channel.schema.encode())
-        numbers[number] = writer.register_channel(channel.topic, channel.encoding, schemas[key], channel.metadata)
+            schemas[key] = writer.schema(channel.type, channel.schema_encoding, channel.schema.encode())
+        numbers[number] = writer.channel(channel.topic, channel.encoding, schemas[key], channel.metadata)
     return numbers
 
 

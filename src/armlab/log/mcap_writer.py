@@ -1,0 +1,241 @@
+"""`McapWriter`: an MCAP file that is readable up to the last `push`, whatever happens to the process.
+
+The chunk in progress is already in the file: its header says that it is open (length 2^64 - 1, as other writers do),
+behind it grows one zstd frame, block by block. What `push` has given to the kernel survives the end of the process;
+`close_chunk` then writes the true header over the open one. Follows the MCAP specification, version 0.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, BinaryIO
+
+from armlab.log.mcap_records import (
+    ATTACHMENT,
+    ATTACHMENT_INDEX,
+    CHANNEL,
+    CHUNK,
+    CHUNK_INDEX,
+    DATA_END,
+    FOOTER,
+    HEADER,
+    MAGIC,
+    MESSAGE,
+    MESSAGE_INDEX,
+    METADATA,
+    METADATA_INDEX,
+    OPEN,
+    SCHEMA,
+    STATISTICS,
+)
+
+__all__ = ["McapWriter"]
+
+_MESSAGE = struct.Struct("<BQHIQQ")
+_MESSAGE_PREFIX = 22
+_CHUNK = struct.Struct("<BQQQQII4sQ")  # record, times, size, checksum, "zstd", length of the data
+_CHUNK_BODY = _CHUNK.size - 9
+_ENTRY = struct.Struct("<QQ")
+
+
+@dataclass(slots=True)
+class _OpenChunk:
+    """The chunk in progress: where it begins, its zstd frame, and what its header and indexes will say."""
+
+    start: int
+    frame: Any
+    first_ns: int
+    last_ns: int = 0
+    size: int = 0
+    crc: int = 0
+    packed: int = 0
+    pending: list[bytes] = field(default_factory=list)
+    indexes: dict[int, bytearray] = field(default_factory=dict)
+
+
+class McapWriter:
+    """Writes an MCAP file with chunks in zstd, message indexes and a summary.
+
+    Parameters
+    ----------
+    file : opened for writing, at its beginning, and not buffered.
+    profile, library : for the header.
+
+    Raises
+    ------
+    OSError : by every method, when the file cannot be written.
+    """
+
+    def __init__(self, file: BinaryIO, profile: str, library: str) -> None:
+        import zstandard
+
+        self._file, self._at = file, 0
+        self._compressor = zstandard.ZstdCompressor(level=1)
+        self._block = zstandard.COMPRESSOBJ_FLUSH_BLOCK
+        self._chunk: _OpenChunk | None = None
+        self._schemas: list[bytes] = []
+        self._channels: list[bytes] = []
+        self._counts: dict[int, int] = {}
+        self._times: list[tuple[int, int]] = []  # of the chunks
+        self._chunks: list[bytes] = []
+        self._attachments: list[bytes] = []
+        self._metadata: list[bytes] = []
+        self._put(MAGIC + _record(HEADER, _text(profile), _text(library)))
+
+    def metadata(self, name: str, pairs: Mapping[str, str]) -> None:
+        """Write a map of texts under a name."""
+        self.close_chunk()
+        record = _record(METADATA, _text(name), _map(pairs))
+        self._metadata.append(_record(METADATA_INDEX, struct.pack("<QQ", self._at, len(record)), _text(name)))
+        self._put(record)
+
+    def attach(self, log_ns: int, name: str, media_type: str, data: bytes) -> None:
+        """Write an attachment.
+
+        Parameters
+        ----------
+        log_ns : its time [ns]. name, media_type, data : what it is.
+        """
+        self.close_chunk()
+        about = struct.pack("<QQ", log_ns, log_ns)
+        body = b"".join([about, _text(name), _text(media_type), struct.pack("<Q", len(data)), data])
+        record = _record(ATTACHMENT, body, struct.pack("<I", zlib.crc32(body)))
+        place = struct.pack("<QQ", self._at, len(record))
+        index = _record(ATTACHMENT_INDEX, place, about, struct.pack("<Q", len(data)), _text(name), _text(media_type))
+        self._attachments.append(index)
+        self._put(record)
+
+    def schema(self, name: str, encoding: str, text: bytes) -> int:
+        """Write a schema and return its number.
+
+        Parameters
+        ----------
+        name, encoding, text : of the message type, of the text, and the text.
+        """
+        self.close_chunk()
+        number = len(self._schemas) + 1
+        body = [struct.pack("<H", number), _text(name), _text(encoding), struct.pack("<I", len(text)), text]
+        self._schemas.append(_record(SCHEMA, *body))
+        self._put(self._schemas[-1])
+        return number
+
+    def channel(self, topic: str, encoding: str, schema: int, metadata: Mapping[str, str]) -> int:
+        """Write a channel and return its number.
+
+        Parameters
+        ----------
+        topic, metadata : of the channel. encoding : of its messages. schema : number of its schema.
+        """
+        self.close_chunk()
+        number = len(self._channels) + 1
+        self._channels.append(
+            _record(CHANNEL, struct.pack("<HH", number, schema), _text(topic), _text(encoding), _map(metadata))
+        )
+        self._put(self._channels[-1])
+        self._counts[number] = 0
+        return number
+
+    def message(self, channel: int, sequence: int, log_ns: int, publish_ns: int, data: bytes | bytearray) -> None:
+        """Add a message to the chunk in progress; it is in the file after `push`.
+
+        Parameters
+        ----------
+        channel, sequence : numbers. log_ns, publish_ns : its times [ns]. data : copied.
+        """
+        chunk = self._chunk
+        if chunk is None:
+            chunk = self._chunk = _OpenChunk(self._at, self._compressor.compressobj(), log_ns)
+            self._put(_CHUNK.pack(CHUNK, OPEN, 0, 0, 0, 0, 4, b"zstd", OPEN))
+        index = chunk.indexes.get(channel)
+        if index is None:
+            index = chunk.indexes[channel] = bytearray()
+        index += _ENTRY.pack(log_ns, chunk.size)
+        length = _MESSAGE_PREFIX + len(data)
+        chunk.pending += (_MESSAGE.pack(MESSAGE, length, channel, sequence, log_ns, publish_ns), bytes(data))
+        chunk.size += 9 + length
+        chunk.first_ns, chunk.last_ns = min(chunk.first_ns, log_ns), max(chunk.last_ns, log_ns)
+
+    def push(self) -> None:
+        """Give all messages to the kernel: they survive the end of this process (not of the machine)."""
+        if self._chunk is not None and self._chunk.pending:
+            self._push(self._chunk, self._block)
+
+    def close_chunk(self) -> None:
+        """Finish the chunk in progress, if any: its last bytes, its true header, its indexes."""
+        from zstandard import COMPRESSOBJ_FLUSH_FINISH
+
+        chunk, self._chunk = self._chunk, None
+        if chunk is None:
+            return
+        self._push(chunk, COMPRESSOBJ_FLUSH_FINISH)
+        times = struct.pack("<QQ", chunk.first_ns, chunk.last_ns)
+        length = _CHUNK_BODY + chunk.packed
+        self._file.seek(chunk.start)
+        header = (chunk.first_ns, chunk.last_ns, chunk.size, chunk.crc, 4, b"zstd", chunk.packed)
+        self._write(_CHUNK.pack(CHUNK, length, *header))
+        self._file.seek(self._at)
+        places, indexes, at = [], [], self._at
+        for channel, entries in chunk.indexes.items():
+            places.append(struct.pack("<HQ", channel, at))
+            indexes.append(_record(MESSAGE_INDEX, struct.pack("<HI", channel, len(entries)), bytes(entries)))
+            at += len(indexes[-1])
+            self._counts[channel] += len(entries) // _ENTRY.size
+        where = struct.pack("<QQI", chunk.start, length + 9, sum(map(len, places)))
+        sizes = struct.pack("<QI4sQQ", at - self._at, 4, b"zstd", chunk.packed, chunk.size)
+        self._chunks.append(_record(CHUNK_INDEX, times, where, *places, sizes))
+        self._times.append((chunk.first_ns, chunk.last_ns))
+        self._put(b"".join(indexes))
+
+    def finish(self) -> None:
+        """Write the chunk in progress, the summary and the footer."""
+        self.close_chunk()
+        self._put(_record(DATA_END, struct.pack("<I", 0)))
+        start = self._at
+        groups = (self._schemas, self._channels, [self._statistics()], self._chunks, self._attachments, self._metadata)
+        summary = b"".join(record for group in groups for record in group)
+        footer = struct.pack("<BQQQ", FOOTER, 20, start, 0)
+        crc = zlib.crc32(footer, zlib.crc32(summary))
+        self._put(b"".join([summary, footer, struct.pack("<I", crc), MAGIC]))
+
+    def _push(self, chunk: _OpenChunk, how: int) -> None:
+        data = b"".join(chunk.pending)
+        chunk.pending.clear()
+        chunk.crc = zlib.crc32(data, chunk.crc)
+        packed = chunk.frame.compress(data) + chunk.frame.flush(how)
+        chunk.packed += len(packed)
+        self._put(packed)
+
+    def _put(self, data: bytes) -> None:
+        self._write(data)
+        self._at += len(data)
+
+    def _write(self, data: bytes) -> None:
+        """Write all of it: a write that is not buffered may take less."""
+        done = self._file.write(data)
+        while done < len(data):
+            done += self._file.write(memoryview(data)[done:])
+
+    def _statistics(self) -> bytes:
+        first = min((first for first, _ in self._times), default=0)
+        last = max((last for _, last in self._times), default=0)
+        counts = [struct.pack("<HQ", channel, count) for channel, count in self._counts.items() if count]
+        numbers = (len(self._schemas), len(self._channels), len(self._attachments), len(self._metadata))
+        head = struct.pack("<QHIIIIQQ", sum(self._counts.values()), *numbers, len(self._chunks), first, last)
+        return _record(STATISTICS, head, struct.pack("<I", sum(map(len, counts))), *counts)
+
+
+def _record(kind: int, *parts: bytes) -> bytes:
+    return b"".join([struct.pack("<BQ", kind, sum(map(len, parts))), *parts])
+
+
+def _text(text: str) -> bytes:
+    raw = text.encode()
+    return struct.pack("<I", len(raw)) + raw
+
+
+def _map(pairs: Mapping[str, str]) -> bytes:
+    raw = b"".join(_text(key) + _text(value) for key, value in pairs.items())
+    return struct.pack("<I", len(raw)) + raw

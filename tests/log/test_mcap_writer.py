@@ -1,0 +1,107 @@
+"""The file is readable up to the last push at every length it ever has, and other readers open the finished one."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+
+from armlab.log.mcap_chunk import unpacked
+from armlab.log.mcap_decode import messages
+from armlab.log.mcap_records import contents
+from armlab.log.mcap_writer import McapWriter
+
+
+def begun(file: io.BufferedIOBase) -> tuple[McapWriter, int, int]:
+    writer = McapWriter(file, "ros2", "test")  # type: ignore[arg-type]
+    writer.metadata("about", {"note": "ü"})
+    writer.attach(5, "a.bin", "application/octet-stream", b"attached")
+    schema = writer.schema("pkg/msg/T", "ros2msg", b"int64 a")
+    return writer, writer.channel("/a", "cdr", schema, {"k": "v"}), writer.channel("/b", "cdr", schema, {})
+
+
+def test_other_readers_find_everything() -> None:
+    file = io.BytesIO()
+    writer, a, b = begun(file)
+    for i in range(10):
+        writer.message(a, i, 100 - i, 200 + i, b"\0" * i)
+        if i % 2:
+            writer.message(b, i, 100 + i, 200 + i, bytearray(b"b"))
+        if i % 3 == 0:
+            writer.push()
+        if i == 6:
+            writer.close_chunk()
+    writer.close_chunk()
+    writer.close_chunk()  # nothing in it: nothing is written
+    writer.finish()
+    for validated in (False, True):
+        reader = make_reader(io.BytesIO(file.getvalue()), validate_crcs=validated)
+        found = list(reader.iter_messages(log_time_order=False))
+        assert [(c.topic, m.sequence) for _, c, m in found if c.topic == "/a"] == [("/a", i) for i in range(10)]
+        assert [m.data for _, c, m in found if c.topic == "/b"] == [b"b"] * 5
+        assert found[3][2].publish_time == 200 + found[3][2].sequence
+    assert [m.log_time for _, _, m in reader.iter_messages(topics="/a")] == list(range(91, 101))  # by the indexes
+    summary = reader.get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    assert summary.statistics.message_count == 15
+    assert summary.statistics.channel_message_counts == {a: 10, b: 5}
+    assert summary.statistics.chunk_count == len(summary.chunk_indexes) == 2
+    assert (summary.statistics.message_start_time, summary.statistics.message_end_time) == (91, 109)
+    assert [(one.name, one.data) for one in reader.iter_attachments()] == [("a.bin", b"attached")]
+    assert [one.metadata for one in reader.iter_metadata()] == [{"note": "ü"}]
+    ours = contents(memoryview(file.getvalue()))
+    assert ours.finished
+    assert ours.indexed
+    assert not ours.damaged
+    assert ours.channels[a].metadata == {"k": "v"}
+
+
+def test_cut_at_every_byte_the_messages_pushed_before_are_there() -> None:
+    file = io.BytesIO()
+    writer, a, _ = begun(file)
+    pushed = []
+    for i in range(12):
+        writer.message(a, i, i, i, bytes([i]) * 50 * i)
+        if i == 5:
+            writer.close_chunk()
+        writer.push()
+        pushed.append((len(file.getvalue()), i + 1))
+    data = file.getvalue()
+    closed = pushed[5][0]
+    for length in range(closed, len(data) + 1):
+        view = memoryview(data[:length])
+        found = contents(view)
+        numbers = [sequence for sequence, _, _ in messages(view, found, a)]
+        assert numbers == list(range(max(count for size, count in pushed if size <= length)))
+        assert 0 <= found.torn < length - closed + 1
+        assert not found.damaged
+    assert found.chunks[-1].is_open
+    assert len(unpacked(view, found.chunks[-1])) == sum(31 + 50 * i for i in range(6, 12))
+
+
+@pytest.mark.parametrize("noise", [b"\0" * 5000, b"\xff" * 5000, bytes(range(256)) * 20])
+def test_what_follows_an_open_chunk_costs_nothing_before_it(noise: bytes) -> None:
+    """After a loss of power the last blocks may be anything."""
+    file = io.BytesIO()
+    writer, a, _ = begun(file)
+    for i in range(5):
+        writer.message(a, i, i, i, b"x" * 90)
+        writer.push()
+    view = memoryview(file.getvalue() + noise)
+    assert [sequence for sequence, _, _ in messages(view, contents(view), a)] == list(range(5))
+
+
+def test_a_file_that_takes_less_than_given_gets_the_rest(tmp_path: Path) -> None:
+    class Slow(io.BytesIO):
+        def write(self, data) -> int:  # type: ignore[override]
+            return super().write(bytes(data)[:7])
+
+    files = Slow(), io.BytesIO()
+    for file in files:
+        writer, a, _ = begun(file)
+        writer.message(a, 1, 2, 3, b"data")
+        writer.finish()
+    assert files[0].getvalue() == files[1].getvalue()
