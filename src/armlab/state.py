@@ -6,7 +6,7 @@ Values that the robot did not send are NaN arrays, NaN, None or empty, never zer
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
@@ -110,6 +110,10 @@ class Command:
     Attributes
     ----------
     q, qd, tau : (n,) references [rad, rad/s, N m] or None for "not commanded".
+    q_ext : (k,) references of the external axes beyond the robot's joints [rad or m], in the order of `State.q_ext`,
+        or None. Needs limits of these axes, see `bridge.Limits`.
+    rapid_data : at most 40 numbers for RAPID, or None. rapid_digital : the digital value for RAPID, or None. The
+        numbers go out with the one reply to this command (RobotWare 7).
     record : values of the controller's own, by column name, written to the log.
     ends : True for the command that ends the run.
     """
@@ -119,6 +123,9 @@ class Command:
     tau: np.ndarray | None = None
     record: Mapping[str, Any] = field(default_factory=dict)
     ends: bool = False
+    q_ext: np.ndarray | None = None
+    rapid_data: Sequence[float] | np.ndarray | None = None
+    rapid_digital: bool | None = None
 
     @classmethod
     def stop(cls) -> Command:

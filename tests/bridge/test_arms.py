@@ -54,6 +54,12 @@ def test_shares_of_a_common_command() -> None:
     assert all(one is not None and one.ends for one in shares(Command.stop(), [LEFT, RIGHT]))
 
 
+@pytest.mark.parametrize("name", ["q_ext", "rapid_data", "rapid_digital"])
+def test_what_is_for_one_arm_is_not_shared(name: str) -> None:
+    with pytest.raises(CommandRefused, match=f"no {name} in a Command of all joints"):
+        shares(Command(np.arange(14.0), **{name: np.zeros(1)}), [LEFT, RIGHT])  # type: ignore[arg-type]
+
+
 def test_shares_of_each() -> None:
     one = Command(np.zeros(7))
     assert shares((one, None), [LEFT, RIGHT]) == (one, None)

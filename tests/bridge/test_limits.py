@@ -231,3 +231,14 @@ def test_the_limiter_remembers_what_it_sent(robot: Robot) -> None:
     assert not limiter.hold(T).qd.any()
     with pytest.raises(ValueError, match="read-only"):
         first.q[0] = 0.0
+
+
+def test_limits_of_axes_beyond_the_robot(robot: Robot) -> None:
+    axes = Limits.of_axes([-1.0], [1.0], [0.5])
+    assert (axes.qdd_max.tolist(), axes.jump.tolist(), axes.entry.tolist()) == ([5.0], [0.1], [0.05])
+    assert Limits.of(robot).external is None
+    assert Limits.of(robot, external=axes).external is axes
+    with pytest.raises(ConfigError, match="q_min below q_max"):
+        Limits.of_axes([1.0], [-1.0], [0.5])
+    with pytest.raises(ConfigError, match="one shape"):
+        Limits.of_axes([-1.0], [1.0], [0.5, 0.5])

@@ -35,6 +35,13 @@ def test_names_or_axes() -> None:
         Content(axes="6").names(["yumi_left"], 1)
 
 
+def test_values_that_rapid_sends_back() -> None:
+    assert Content(rapid_data=40, robotware="7").rapid_data == 40
+    for content in ({"rapid_data": 1}, {"rapid_data": 41, "robotware": "7"}, {"rapid_data": -1, "robotware": "7"}):
+        with pytest.raises(ConfigError, match="--rapid-data from 0 to 40"):
+            Content(**content)
+
+
 def test_around_the_arms(tmp_path: Path) -> None:
     push = tmp_path / "push.csv"
     push.write_text("t,fx,fy,fz,mx,my,mz\n0,1,0,0,0,0,0\n9,1,0,0,0,0,0\n", encoding="utf-8")

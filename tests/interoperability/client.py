@@ -37,8 +37,12 @@ def main(package: str, port: int, duration: float) -> dict[str, Any]:
         if seen["restarts"] == 0:
             seen["error"] = max(seen["error"], abs(q[0] - wanted[0]))
         egm.send_to_robot(
-            joint_angles=np.array(wanted[:6]), external_joints=np.array(wanted[6:]) if len(wanted) > 6 else None
+            joint_angles=np.array(wanted[:6]),
+            external_joints=np.array(wanted[6:]) if len(wanted) > 6 else None,
+            rapid_to_robot=np.array([1.5, seen["packets"]]),
         )
+        if state.rapid_from_robot is not None and len(state.rapid_from_robot):
+            seen["rapid"] = [float(value) for value in state.rapid_from_robot]
         seen["last"], seen["wanted"] = q, wanted
         found, state = receive(egm, SILENCE)
     return seen

@@ -20,7 +20,7 @@ HERE = Path(__file__).parent
 CLIENTS = {"ABBRobotEGM": "abb_robot_egm.txt", "abb_robot_client": "abb_robot_client.txt"}
 SECONDS, MOTION = 10.0, 6.0
 GAIN = 5.0  # 1/s of the controller: without speeds a reference runs ahead by v / gain
-FLAVOURS = [("6", "6.07", ()), ("7", "6.10", ("--extension",)), ("7", "7", ("--force",))]
+FLAVOURS = [("6", "6.07", ()), ("7", "6.10", ("--extension",)), ("7", "7", ("--force", "--rapid-data", "2"))]
 RUNS = [(client, *flavour) for client in CLIENTS for flavour in FLAVOURS]
 
 pytestmark = pytest.mark.slow
@@ -88,6 +88,10 @@ def test_a_client_moves_the_simulated_robot(results: dict[Any, Any], run: Any) -
         assert seen["last"][k] == pytest.approx(seen["first"][k], abs=0.1)
     lag = 10.0 * 3.1416 / MOTION / GAIN  # degrees, at the fastest
     assert 0.8 * lag < seen["error"] < 1.5 * lag + 0.3
+    assert counted["rapid"]["1"] == 1.5
+    if run[2] == "7":
+        assert seen["rapid"][0] == 1.5, "RAPID sends back what it hears"
+        assert seen["packets"] - 8 < seen["rapid"][1] < seen["packets"]
     assert seen["restarts"] >= 1
     counts = counted["counts"]
     assert counts["sessions"] >= 2

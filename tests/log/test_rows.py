@@ -10,7 +10,7 @@ import pytest
 
 from armlab.errors import ShapeError, UnknownName
 from armlab.log import Column, Tick
-from armlab.log.rows import NO_CLOCK, NO_COUNT, NO_FLAG, RowLayout, Slot, with_holes
+from armlab.log.rows import NO_CLOCK, NO_COUNT, NO_FLAG, SELDOM, RowLayout, Slot, with_holes
 from armlab.robots import Robot
 from armlab.state import Command, State
 
@@ -95,3 +95,25 @@ def test_marks_become_nan_and_whole_columns_stay_whole(robot: Robot) -> None:
         NO_FLAG,
         NO_FLAG,
     ]
+
+
+def test_the_end_of_a_row_is_there_when_it_is_needed(robot: Robot) -> None:
+    """Rows of both kinds in one table; what RAPID never said is missing, not False."""
+    layout = RowLayout(robot)
+    state = State(0.0, 0.004, np.zeros(7), np.zeros(7), np.zeros(7))
+    tick = Tick(0, 1, 9, 0, 5, 0)
+    short = layout.pack(state, None, tick)
+    command = Command(q_ext=np.array([0.5, -0.5]))
+    sent = tick._replace(q_ext_sent=np.array([0.4]), rapid_data_sent=np.array([1.0, 2.0]), rapid_digital_sent=False)
+    long = layout.pack(replace(state, rapid_data=np.array([7.0])), command, sent)
+    assert len(long) == layout.size == len(short) + 8 * (6 + 6 + 40 + 40 + 2)
+    found = layout.unpack([short, long])
+    for name in SELDOM:
+        assert np.isnan(found[name][0]).all(), name
+    assert found["q_ext_ref"][1, :3].tolist()[:2] == [0.5, -0.5]
+    assert found["q_ext_sent"][1, 0] == 0.4
+    assert (found["rapid_data"][1, 0], found["rapid_digital"][1], found["rapid_digital_sent"][1]) == (7.0, 0.0, 0.0)
+    assert found["rapid_data_sent"][1, :2].tolist() == [1.0, 2.0]
+    alone = layout.unpack([short])
+    assert np.isnan(alone["rapid_data"]).all()
+    assert set(alone) == set(found)

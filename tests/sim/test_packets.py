@@ -12,8 +12,9 @@ from armlab.errors import UnknownName
 from armlab.sim.arm import Arm
 from armlab.sim.guidance import Guidance, Settings
 from armlab.sim.packets import EPOCH_NS, OPTIONAL_FIELDS, Condition, Packets
+from armlab.sim.target import Target
 from armlab.sim.truth import synthetic_truth
-from armlab.wire.egm import EgmCodec, Packet, RobotSideCodec
+from armlab.wire.egm import EgmCodec, Packet, RobotSideCodec, SensorMessage
 from armlab.wire.egm import armlab_egm_pb2 as pb
 
 ROBOT = robots.load("yumi_left")
@@ -77,6 +78,16 @@ def test_torque_reference_of_robotware_7() -> None:
 
 def test_external_axes_follow_the_seventh() -> None:
     np.testing.assert_allclose(decode(packet(external=2)).q_ext, 0.25)
+
+
+def test_rapid_sends_back_what_it_heard() -> None:
+    target = Target(ROBOT, Settings())
+    target.accept(SensorMessage(0, 1, 3, rapid_data=np.arange(5.0), rapid_digital=True), ROBOT.q_home, None)
+    condition = Condition(0, 1, 3, 2, False, 1, 0, 0)
+    for data in (0, 3):
+        packets = Packets(RobotSideCodec(ROBOT, "7"), 0.004, data=data)
+        found = decode(packets.encode(0, ARM, Guidance(ROBOT, Settings(), ROBOT.q_home), condition, (), target))
+        assert (found.rapid_data.tolist(), found.rapid_digital) == ([0.0, 1.0, 2.0][:data], data > 0)
 
 
 def test_time_is_exact_and_behind_by_the_phase() -> None:

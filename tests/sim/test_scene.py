@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import pytest
+
+from armlab import robots
+from armlab.errors import ShapeError
+from armlab.sim.hand import HandPath
 from armlab.sim.scene import Scene
 from armlab.sim.script import MOTORS, RAPID, Script
 
@@ -13,3 +18,12 @@ def test_readiness() -> None:
     assert not Scene(motors=Script("undefined", MOTORS)).is_ready(0.0)
     switched = Scene(motors=Script("0:off,1:on", MOTORS))
     assert [switched.is_ready(t) for t in (0.0, 0.99, 1.0)] == [False, False, True]
+
+
+def test_a_hand_leads_in_one_program_only_and_an_arm_of_as_many_joints() -> None:
+    hand = HandPath.random(robots.load("irb120"), 0)
+    scene = Scene(hand=hand)
+    assert scene.leads("loop", 7) is None
+    assert scene.leads("lead-through", 6) is hand
+    with pytest.raises(ShapeError, match="7 joints, got one of 6"):
+        scene.leads("lead-through", 7)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
 
 from armlab.sim.statistics import Event, Statistics
@@ -67,3 +68,14 @@ def test_text_has_a_line_per_kind() -> None:
     lines = statistics.text().splitlines()
     assert any(line.split() == ["mtypes", "3:", "2"] for line in lines)
     assert any("round trip us" in line and "nothing" in line for line in lines)
+
+
+def test_what_was_heard_beside_the_joints() -> None:
+    statistics = Statistics()
+    statistics.heard(None, None, None)
+    statistics.heard(np.array([7.0, 8.5]), True, None)
+    statistics.heard(None, None, np.array([0.5]))
+    data = statistics.as_dict()
+    assert data["rapid"] == {"1": 7.0, "2": 8.5, "digital": 1.0}
+    assert data["external_axes"] == {"1": 0.5}
+    assert data["counts"] == {"RAPID data": 1, "RAPID digital": 1, "external axes": 1}

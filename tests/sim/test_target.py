@@ -68,6 +68,24 @@ def test_what_is_absent_goes_back_to_its_default() -> None:
     assert target.q is None
 
 
+def test_what_rapid_heard_outlives_a_session() -> None:
+    target = Target(ROBOT, Settings())
+    assert (target.rapid_data.size, target.rapid_digital) == (0, None)
+    target.accept(SensorMessage(0, 1, 3, rapid_data=ONES, rapid_digital=True), HOME, None)
+    target.accept(SensorMessage(1, 1, 3), HOME, None)
+    target.begin(HOME)
+    np.testing.assert_array_equal(target.rapid_data, ONES)
+    assert target.rapid_digital is True
+
+
+def test_modes_of_the_drives() -> None:
+    target = Target(ROBOT, Settings())
+    assert target.drive_mode == 1
+    assert Target(ROBOT, Settings(position_gain=0.0)).drive_mode == 2
+    target.accept(SensorMessage(0, 1, 3, gain_q=0 * ONES), HOME, None)
+    assert target.drive_mode == 3
+
+
 def test_the_drives_get_their_part() -> None:
     drive, target = Drive(ONES, 50.0 * ONES, 0.9 * ONES, 1e-3), Target(ROBOT, Settings())
     rest = (np.zeros(7),) * 6

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from armlab.bridge.fusion import Fusion
 from armlab.bridge.latency import Latency
@@ -191,7 +191,8 @@ class Arm:
             packet = sample.packet
             tm_ms = 0 if packet.tm_ms is None else packet.tm_ms
             echoes = packet.seqno, packet.robot_mono_ns
-            data = self.codec.encode(Reference(reply.q, reply.qd, reply.tau, session.seq, tm_ms, *echoes, reply.free))
+            reference = Reference(reply.q, reply.qd, reply.tau, session.seq, tm_ms, *echoes, reply.free, reply.beside)
+            data = self.codec.encode(reference)
             now = time.monotonic_ns()
             if self.port.send(data, session.source):
                 seq, send_ns = session.seq, now
@@ -231,8 +232,21 @@ class Arm:
                 qd_sent=None if reply is None else reply.qd,
                 tau_sent=None if reply is None else reply.tau,
                 clamped=None if reply is None else reply.clamped,
+                **_beside(reply),
                 record=self._fusion.record(row.turn.state.sources, sample.arrival_ns),
             )
             self._ticks += 1
             self.recording.row(row.turn.state, row.command, tick)
         self._rows.clear()
+
+
+def _beside(reply: Reply | None) -> dict[str, Any]:
+    """Return what a reply said beside the joints, as fields of the Tick."""
+    if reply is None or reply.beside is None:
+        return {}
+    beside = reply.beside
+    return {
+        "q_ext_sent": beside.q_ext,
+        "rapid_data_sent": beside.rapid_data,
+        "rapid_digital_sent": beside.rapid_digital,
+    }

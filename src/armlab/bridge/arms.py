@@ -101,6 +101,12 @@ def shares(asked: Any, robots: Sequence[Robot], pace: int = 0) -> Sequence[Comma
             f"{type(asked).__name__}{f' of {len(asked)}' if isinstance(asked, Sequence) else ''}. "
             "Write Command(q) with all joints, or a tuple of one Command per arm."
         )
+    for name in ("q_ext", "rapid_data", "rapid_digital"):
+        if getattr(asked, name) is not None:
+            raise CommandRefused(
+                f"Expected no {name} in a Command of all joints: it does not say for which arm. "
+                "Return a tuple of one Command per arm."
+            )
     parts = [_parts(name, getattr(asked, name), robots) for name in ("q", "qd", "tau")]
     records = [asked.record if index == pace else {} for index in range(len(robots))]
     return [Command(q, qd, tau, record, asked.ends) for q, qd, tau, record in zip(*parts, records, strict=True)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -10,10 +11,12 @@ import numpy as np
 from armlab import kernels
 from armlab.errors import ConfigError
 from armlab.robots import Robot
+from armlab.wire.egm import Beside
 
 __all__ = ["Limiter", "Limits", "Reply"]
 
 _TORQUE_RISE = 0.1  # s from no torque to the largest
+_SPEED_RISE = 0.1  # s from rest to full speed, of axes of which no acceleration is known
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +29,8 @@ class Limits:
     jump : how far a position may be from the last one sent, besides ``qd_max dt``.
     entry : how far the first position may be from where the arm holds.
     tau_max, tau_rate : torque [N m or N] and its change per second; None where torques are refused.
+    external : of the external axes beyond the robot's joints, see `Limits.of_axes`; None where commands to them are
+        refused.
 
     Raises
     ------
@@ -41,6 +46,7 @@ class Limits:
     entry: np.ndarray
     tau_max: np.ndarray | None = None
     tau_rate: np.ndarray | None = None
+    external: Limits | None = None
 
     def __post_init__(self) -> None:
         shape = np.shape(self.q_min)
@@ -66,6 +72,7 @@ class Limits:
         speed: float = 1.0,
         entry: float = 0.05,
         tau_max: float | np.ndarray | None = None,
+        external: Limits | None = None,
     ) -> Limits:
         """Return the limits of a robot.
 
@@ -76,6 +83,7 @@ class Limits:
         entry : see `Limits`.
         tau_max : torque limits, one or (n,); the robot's own by default, none where it has none. The full torque is
             reached in 0.1 s at the earliest.
+        external : of external axes, see `of_axes`.
 
         Raises
         ------
@@ -92,7 +100,27 @@ class Limits:
         most = np.broadcast_to(robot.tau_max if tau_max is None else tau_max, (robot.n,)).astype(np.float64)
         torque = (most, most / _TORQUE_RISE) if np.isfinite(most).all() else (None, None)
         speeds = speed * robot.qd_max, speed * robot.qdd_max
-        return cls(q_min, q_max, *speeds, jump, np.full(robot.n, entry), *torque)
+        return cls(q_min, q_max, *speeds, jump, np.full(robot.n, entry), *torque, external)
+
+    @classmethod
+    def of_axes(
+        cls,
+        q_min: Sequence[float] | np.ndarray,
+        q_max: Sequence[float] | np.ndarray,
+        qd_max: Sequence[float] | np.ndarray,
+    ) -> Limits:
+        """Return the limits of external axes: full speed after 0.1 s, jumps up to 0.1, a first position within 0.05.
+
+        Parameters
+        ----------
+        q_min, q_max : (k,) positions [rad or m]. qd_max : (k,) speed.
+
+        Raises
+        ------
+        ConfigError : as `Limits`.
+        """
+        low, high, fastest = (np.asarray(values, dtype=np.float64) for values in (q_min, q_max, qd_max))
+        return cls(low, high, fastest, fastest / _SPEED_RISE, np.full(low.shape, 0.1), np.full(low.shape, 0.05))
 
 
 class Reply(NamedTuple):
@@ -105,6 +133,7 @@ class Reply(NamedTuple):
     ratio : of the velocity limit, 1 when it did not act.
     refused : 0, or i when joint i (from 1) is not finite, -i when it jumps; the reply then holds.
     tau : (n,) torque to send or None. free : the torque takes the place of the position loop.
+    beside : what goes to external axes and RAPID, None for nothing.
     """
 
     q: np.ndarray
@@ -114,6 +143,7 @@ class Reply(NamedTuple):
     refused: int = 0
     tau: np.ndarray | None = None
     free: bool = False
+    beside: Beside | None = None
 
 
 class Limiter:

@@ -47,5 +47,5 @@ class Rehearsal:
         if reply is not None:
             packet = sample.packet
             echoes = packet.tm_ms or 0, packet.seqno, 0
-            self._codec.encode(Reference(reply.q, reply.qd, reply.tau, session.seq, *echoes, reply.free))
+            self._codec.encode(Reference(reply.q, reply.qd, reply.tau, session.seq, *echoes, reply.free, reply.beside))
             session.replied(arrival.ns)

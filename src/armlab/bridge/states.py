@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from armlab.bridge._seen import seen
+from armlab.bridge.aside import Aside, joined
 from armlab.bridge.commands import entry_refusal, refusal
 from armlab.bridge.events import Tell, nobody
 from armlab.bridge.limits import Limiter, Limits, Reply
@@ -75,7 +76,7 @@ class Guide:
         self._robot, self._limits = robot, limits
         self._torques = Torques(robot, limits, capabilities, admittance)
         self._answer_stream, self._on_event = answer_stream, on_event
-        self._limiter = Limiter(limits)
+        self._limiter, self._aside = Limiter(limits), Aside(limits.external, capabilities)
         self._last = self._limiter.rest(np.full(robot.n, np.nan))
         self.mode = Mode.WAITING if commands else Mode.LISTENING
         self.ready = False
@@ -111,6 +112,7 @@ class Guide:
         self._packet = packet
         if sample.fresh:
             self.t, self._guided, self.ready = 0.0, False, False
+            self._aside.begin()
             self._check_plausible(packet)
             if self.mode is Mode.RUNNING:
                 self.mode = Mode.HOLDING
@@ -127,7 +129,8 @@ class Guide:
         elif ready:
             self._become_ready(packet)
         elif self.ready:
-            self._lose_ready(packet)
+            self._on_event(f"The robot is not ready: {obstacle(packet)}.", warn=True)
+            self.mode = Mode.HOLDING if self.mode is Mode.RUNNING else self.mode
         self.ready = ready
 
     def state(self, sample: Sample, t_receive: int, **fused: Any) -> State:
@@ -156,10 +159,10 @@ class Guide:
             if not (self._answer_stream or packet.mci == MCI_RUNNING):
                 return None
             self._torques.reset()
-            self._last = self._limiter.rest(packet.q)
+            self._last = joined(self._limiter.rest(packet.q), self._aside.rest(packet))
         elif self.mode in (Mode.STOPPING, Mode.ENDED):
             self._last = self._held(period)
-            if self._limiter.at_rest:
+            if self._limiter.at_rest and self._aside.at_rest:
                 self._rest(period)
         else:
             self._last = self._follow(Command() if command is None else command, packet, period)
@@ -211,18 +214,24 @@ class Guide:
 
     def _follow(self, command: Command, packet: Packet, period: float) -> Reply:
         try:
-            q, qd, tau = self._torques.wanted(command, packet.q, self._qd)
+            asked = self._torques.wanted(command, packet.q, self._qd)
+            if command.ends:
+                self.stop("the controller ended the run")
+                return self._held(period)
+            beside = self._aside.follow(command, packet, period)
         except CommandRefused as error:
             self.stop("a command was refused", error)
             return self._held(period)
-        if command.ends:
-            self.stop("the controller ended the run")
-            return self._held(period)
+        return joined(self._moved(asked, packet, period), beside)
+
+    def _moved(self, wanted: tuple[np.ndarray | None, ...], packet: Packet, period: float) -> Reply:
+        """Return the reply for the joints to a command that is well formed."""
+        q, qd, tau = wanted
         if q is None and qd is None:
             if tau is not None:
                 return self._free(tau, packet, period)
             self.mode, self._refused_in_a_row = Mode.HOLDING, 0
-            return self._held(period)
+            return self._still(period)
         before = self._limiter.q
         if self.mode is Mode.HOLDING and q is not None:
             problem = entry_refusal(q, before, self._limits.entry, self._robot)
@@ -241,11 +250,14 @@ class Guide:
         problem = self._torques.outside(packet.q, self._qd)
         if problem:
             self._refuse(problem)
-            return self._held(period)
+            return self._still(period)
         self.mode, self._refused_in_a_row, self._waited = Mode.RUNNING, 0, 0.0
         return self._torques.limited(self._limiter.follow(packet.q, self._qd), tau, period)
 
     def _held(self, period: float) -> Reply:
+        return joined(self._still(period), self._aside.hold(period))
+
+    def _still(self, period: float) -> Reply:
         return self._torques.limited(self._limiter.hold(period), None, period)
 
     def _refuse(self, problem: str) -> None:
@@ -262,7 +274,7 @@ class Guide:
         if self._waited >= _ENTRY_PATIENCE and not self._warned:
             self._warned = True
             self._on_event(problem, warn=True)
-        return self._held(period)
+        return self._still(period)
 
     def _rest(self, period: float) -> None:
         if self.mode is Mode.STOPPING:
@@ -278,18 +290,10 @@ class Guide:
             self._guided, self.t, self.q_start = True, 0.0, packet.q
         self._on_event("The robot is ready and holds.")
 
-    def _lose_ready(self, packet: Packet) -> None:
-        self._on_event(f"The robot is not ready: {obstacle(packet)}.", warn=True)
-        if self.mode is Mode.RUNNING:
-            self.mode = Mode.HOLDING
-
     def _check_plausible(self, packet: Packet) -> None:
         """A first feedback far outside the joint limits means wrong units or order: send nothing then."""
         problem = implausible(packet.q, self._robot)
         self._plausible = not problem
         if problem and self.mode is not Mode.LISTENING:
             self.stop("the feedback is not plausible", LinkError(problem))
-            self._rested, self.mode = (
-                0.0,
-                Mode.ENDED,
-            )  # not even the feedback goes back: in wrong units it would be a jump
+            self._rested, self.mode = 0.0, Mode.ENDED  # not even feedback goes back: in wrong units it would be a jump

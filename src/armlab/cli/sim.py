@@ -186,7 +186,14 @@ class _Cell:
         content, settings = self.content, self.settings
         robot = scara() if name == "scara" else robots.load(name)
         is_rw7 = content.robotware == "7"
-        codec = RobotSideCodec(robot, content.robotware, self.extension, force=content.force, external=content.external)
+        codec = RobotSideCodec(
+            robot,
+            content.robotware,
+            self.extension,
+            force=content.force,
+            external=content.external,
+            data=content.rapid_data,
+        )
         packets = Packets(
             codec,
             settings.period,
@@ -194,6 +201,7 @@ class _Cell:
             phase=index * self.phase,
             force=content.force,
             torque_reference=is_rw7 and settings.level == 0 and not settings.only_streams,
+            data=content.rapid_data,
         )
         scene = self.around.scene(robot, index, [*seed, 3], content.external)
         controller = Controller(self._arm(robot, seed), packets, settings, scene, self.tell)

@@ -81,6 +81,8 @@ class Content:
         A robot without a name: 6 for irb1200, 7 for yumi_right, scara for an invented robot of four axes.
     external : int
         External axes beyond those of the robot.
+    rapid_data : int
+        How many of the numbers that RAPID hears it sends back, with the digital value (RobotWare 7).
     fields : str
         Fields of EgmRobot to leave out, with commas between: tm, planned, cartesian, time, motorState, mciState,
         rapidExecState, mciConvergenceMet, utilizationRate.
@@ -94,9 +96,18 @@ class Content:
     robotware: Literal["6.06", "6.07", "6.10", "7"] = "6.10"
     axes: Literal["6", "7", "scara"] | None = None
     external: int = 0
+    rapid_data: int = 0
     fields: str = ""
     force: bool = False
     lagging: bool = False
+
+    def __post_init__(self) -> None:
+        """Check what RAPID sends back."""
+        if not 0 <= self.rapid_data <= 40 or (self.rapid_data and self.robotware != "7"):
+            raise ConfigError(
+                f"Expected --rapid-data from 0 to 40, with --robotware 7 only, got {self.rapid_data} and RobotWare "
+                f"{self.robotware}."
+            )
 
     def names(self, robots: Sequence[str], count: int) -> tuple[str, ...]:
         """Return the names of the robots.

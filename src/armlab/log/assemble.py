@@ -13,6 +13,8 @@ from armlab.log.table import Table
 
 __all__ = ["in_time_order", "recording_clock", "recording_table"]
 
+_PADDED = ("q_ext", "q_ext_ref", "q_ext_sent", "rapid_data", "rapid_data_sent")  # as many as a robot may have
+
 _MAX_DISAGREEMENT = 1.0  # s between two rows, robot clock against session time: beyond it the robot clock was set
 
 
@@ -48,8 +50,7 @@ def recording_table(
         rows = ", ".join(str(row) for row in np.flatnonzero(~keep)[:5])
         notes.append(f"{lost} rows dropped: their time does not advance (rows {rows}{', ...' if lost > 5 else ''})")
         warnings.warn(f"{notes[-1]}; log.read(..., raw=True) keeps them", stacklevel=2)
-    if "q_ext" in values:
-        values = {**values, "q_ext": _used_axes(values["q_ext"])}
+    values = {name: _used(array) if name in _PADDED else array for name, array in values.items()}
     if not keep.all():
         values = {name: array[keep] for name, array in values.items()}
         t, stamp_ns = t[keep], stamp_ns[keep]
@@ -124,7 +125,7 @@ def _absent(array: np.ndarray) -> bool:
     return array.dtype.kind == "f" and array.size > 0 and bool(np.isnan(array).all())
 
 
-def _used_axes(q_ext: np.ndarray) -> np.ndarray:
-    """Return the external axes up to the last that ever had a value."""
-    used = np.flatnonzero(~np.isnan(q_ext).all(axis=0))
-    return q_ext[:, : used[-1] + 1 if len(used) else 1]
+def _used(padded: np.ndarray) -> np.ndarray:
+    """Return the columns up to the last that ever had a value."""
+    used = np.flatnonzero(~np.isnan(padded).all(axis=0))
+    return padded[:, : used[-1] + 1 if len(used) else 1]

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from armlab.log.rows import RowLayout, Slot
+from armlab.log.rows import SELDOM, RowLayout, Slot
 from armlab.wire import cdr
 
 __all__ = ["CLOCK_KEY", "COLUMN_KEY", "Pen", "Topic", "definition", "event", "topic_name", "topics"]
@@ -105,7 +105,7 @@ def topics(layout: RowLayout, joint_names: Sequence[str]) -> list[Topic]:
             "base",
         ),
     ]
-    own = ["q_planned", "q_ext", "wrench", *(name for name in layout.extra if name not in found[-1].fields)]
+    own = ["q_planned", "q_ext", "wrench", *SELDOM, *(name for name in layout.extra if name not in found[-1].fields)]
     return found + [_column_topic(name) for name in own]
 
 
@@ -172,7 +172,7 @@ class Pen:
 
     def message(self, row: bytes, stamp_ns: int) -> bytearray | None:
         """Return the message of a row, valid until the next call; None when the row has none of its columns."""
-        present = tuple([row[start:stop] != nothing for start, stop, nothing in self._places])
+        present = tuple([row[start:stop] not in (nothing, b"") for start, stop, nothing in self._places])
         if not (self.topic.clock or any(present)):
             return None
         template = self._variants.get(present)

@@ -18,7 +18,7 @@ from armlab.state import Command, State
 if TYPE_CHECKING:
     from armlab.robots import Robot
 
-__all__ = ["NO_CLOCK", "NO_COUNT", "NO_FLAG", "RowLayout", "Slot", "Tick", "with_holes"]
+__all__ = ["NO_CLOCK", "NO_COUNT", "NO_FLAG", "SELDOM", "RowLayout", "Slot", "Tick", "with_holes"]
 
 # Marks of values that are not there, in counts and in flags. A clock that reads zero was not sent.
 NO_COUNT, NO_CLOCK, NO_FLAG = -1, 0, 255
@@ -32,6 +32,13 @@ _FLAGS = ("converged", "late")
 _SCALARS = struct.Struct(f"<{len(_COUNTS)}q{len(_REALS)}d{len(_FLAGS)}?")
 _JOINTS = ("q", "qd", "tau", "q_planned", "q_ref", "qd_ref", "tau_ref", "q_sent", "qd_sent", "tau_sent")
 _FIXED = {"wrench_raw": (6,), "wrench": (6,), "T_frame_tool": (4, 4), "q_ext": (6,)}
+_SELDOM = {
+    "q_ext_ref": (6,), "q_ext_sent": (6,), "rapid_data": (40,), "rapid_data_sent": (40,), "rapid_digital": (),
+    "rapid_digital_sent": (),
+}  # fmt: skip
+SELDOM = tuple(_SELDOM)
+"""Columns of axes that are commanded and of values from and to RAPID: the end of a row, which most rows lack."""
+
 _ESTIMATE = {"wrench_hat": Column((6,)), "wrench_hat_cov": Column((6, 6))}
 _QD_CODES = {name: code for code, name in enumerate(QD_SOURCES)}
 _TAU_CODES = {name: code for code, name in enumerate(TAU_SOURCES)}
@@ -51,6 +58,7 @@ class Tick(NamedTuple):
     q_sent, qd_sent, tau_sent : (n,) what went out after the limits, None when nothing did.
     clamped : (n,) bits of the limits that acted, None when there were none to apply.
     record : values of declared columns that the bridge knows, besides those of the Command.
+    q_ext_sent, rapid_data_sent, rapid_digital_sent : what went to external axes and to RAPID, None for nothing.
     """
 
     number: int
@@ -66,6 +74,9 @@ class Tick(NamedTuple):
     tau_sent: np.ndarray | None = None
     clamped: np.ndarray | None = None
     record: Mapping[str, Any] = MappingProxyType({})
+    q_ext_sent: np.ndarray | None = None
+    rapid_data_sent: np.ndarray | None = None
+    rapid_digital_sent: bool | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +111,7 @@ class RowLayout:
 
     Attributes
     ----------
-    slots : name -> `Slot`. size : bytes of a row. extra : the declared columns, resolved.
+    slots : name -> `Slot`. size : bytes of a row with all its parts. extra : the declared columns, resolved.
 
     Raises
     ------
@@ -133,6 +144,9 @@ class RowLayout:
                 raise ShapeError(f"Expected numeric columns with new names in `extra`, got {name!r} ({column.kind}).")
             self._add(name, column, "<f8")
         self._add("clamped", Column((robot.n,), labels=robot.joint_names), "u1", NO_FLAG)
+        self._short = self.size
+        for name, shape in _SELDOM.items():
+            self._add(name, Column(shape), "<f8")
         self._nan = {name: slot.nothing for name, slot in self.slots.items()}
         self._extra = [(name, self._nan[name]) for name in self.extra]
         self._empty = b"".join(self._nan.values())
@@ -176,13 +190,13 @@ class RowLayout:
             _raw("wrench_raw", state.wrench_raw, 6, nan["wrench_raw"]),
             _raw("wrench", state.wrench, 6, nan["wrench"]),
             _raw("T_frame_tool", state.T_frame_tool, 16, nan["T_frame_tool"]),
-            self._external(state.q_ext),
+            self._padded("q_ext", state.q_ext),
         ]  # fmt: skip
         parts += [_raw(name, record.get(name), len(empty) // 8, empty) for name, empty in self._extra]
         clamped = np.asarray(tick.clamped, dtype=np.uint8).tobytes() if tick.clamped is not None else nan["clamped"]
         if len(clamped) != n:
             raise ShapeError(f"Expected {n} values in clamped, got {len(clamped)}.")
-        return b"".join([*parts, clamped])
+        return b"".join([*parts, clamped, self._seldom(state, command, tick)])
 
     def pack_values(self, values: Mapping[str, Any]) -> bytes:
         """Return one row as bytes from values by column name; what is not given is missing.
@@ -205,17 +219,38 @@ class RowLayout:
 
     def unpack(self, rows: Iterable[bytes]) -> dict[str, np.ndarray]:
         """Return the columns (N, ...) of many rows; missing counts are NaN."""
-        block = np.frombuffer(b"".join(rows), dtype=np.uint8).reshape(-1, self.size)
+        rows = list(rows)
+        longest = max(map(len, rows), default=self._short)
+        rest = self._empty[self._short : longest]
+        whole = [row if len(row) == longest else row + rest for row in rows]
+        block = np.frombuffer(b"".join(whole), dtype=np.uint8).reshape(-1, longest)
         values = {}
         for name, slot in self.slots.items():
+            if slot.stop > longest:
+                values[name] = np.full((len(block), *slot.column.shape), np.nan)
+                continue
             raw = np.ascontiguousarray(block[:, slot.start : slot.stop]).view(slot.dtype)
             values[name] = with_holes(raw.reshape(len(block), *slot.column.shape), slot.missing)
         return values
 
-    def _external(self, q_ext: np.ndarray) -> bytes:
-        """Return up to six external axes, the rest NaN."""
-        empty = self._nan["q_ext"]
-        return empty if len(q_ext) == 0 else (np.asarray(q_ext, dtype="<f8").tobytes() + empty)[: len(empty)]
+    def _seldom(self, state: State, command: Command | None, tick: Tick) -> bytes:
+        """Return the part of a row that is there when external axes are commanded or data goes to or from RAPID."""
+        q_ext_ref = None if command is None else command.q_ext
+        hears = state.rapid_digital or len(state.rapid_data) > 0
+        given = (
+            q_ext_ref, tick.q_ext_sent, state.rapid_data, tick.rapid_data_sent, (state.rapid_digital,) if hears else (),
+            () if tick.rapid_digital_sent is None else (tick.rapid_digital_sent,),
+        )  # fmt: skip
+        if all(values is None or len(values) == 0 for values in given):
+            return b""
+        return b"".join([self._padded(name, values) for name, values in zip(_SELDOM, given, strict=True)])
+
+    def _padded(self, name: str, values: Any) -> bytes:
+        """Return as many values as the column has, NaN behind those given."""
+        empty = self._nan[name]
+        if values is None or len(values) == 0:
+            return empty
+        return (np.asarray(values, dtype="<f8").tobytes() + empty)[: len(empty)]
 
 
 def with_holes(values: np.ndarray, missing: int | None) -> np.ndarray:

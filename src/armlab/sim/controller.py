@@ -15,7 +15,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from armlab.errors import ShapeError
 from armlab.sim.arm import Arm
 from armlab.sim.external import ExternalAxes
 from armlab.sim.guidance import Guidance, Settings
@@ -33,7 +32,6 @@ __all__ = ["Controller"]
 
 _FAILING_TIME = 0.1  # s
 _MCI = {"streaming": 2, "guiding": 3, "failing": 1}
-_POSITION, _VELOCITY, _TORQUE = 1, 2, 3  # modes of the research extension
 _NO_DATA = (41822, "No data from the UdpUc device")
 _MISMATCH = (41826, "EGM mode mismatch")
 
@@ -73,10 +71,8 @@ class Controller:
         self.packets = wire if isinstance(wire, Packets) else Packets(wire, settings.period)
         self._settings, self._journal = settings, Journal(arm.robot.name, self.statistics, on_event)
         self._scene = scene if isinstance(scene, Scene) else Scene(scene or Operator.idle())
-        self._hand = self._scene.hand if settings.program == "lead-through" else None
+        self._hand = self._scene.leads(settings.program, arm.robot.n)
         if self._hand is not None:
-            if self._hand.n != arm.robot.n:
-                raise ShapeError(f"Expected a hand path of {arm.robot.n} joints, got one of {self._hand.n}.")
             arm.place(self._hand.at(0.0)[0])
         self._guidance, self._target = Guidance(arm.robot, settings, arm.sample.q), Target(arm.robot, settings)
         self._drive = arm.drive if isinstance(arm, Arm) else None  # without masses there are no torques
@@ -114,13 +110,13 @@ class Controller:
         if self.phase not in _MCI:
             return None
         scene, t, target = self._scene, self.uptime, self._target
-        mode = _TORQUE if not target.gain_q.any() else _POSITION if self._settings.position_gain else _VELOCITY
         states = scene.motors.at(t), _MCI[self.phase], scene.rapid.at(t)
-        condition = Condition(self.seq, *states, self._near, mode, self._used_seq, self._left)
+        condition = Condition(self.seq, *states, self._near, target.drive_mode, self._used_seq, self._left)
         self.inbox.note(Sent(self.seq, self.packets.tm_ms(self.cycle), self.cycle, self.phase == "guiding"))
         self.seq += 1
         self.statistics.counts["packets"] += 1
-        return self.packets.encode(self.cycle, self.arm, self._guidance, condition, self._external.q.tolist())
+        q_ext = self._external.q.tolist()
+        return self.packets.encode(self.cycle, self.arm, self._guidance, condition, q_ext, target)
 
     def accept(self, data: bytes, arrival_ns: int = 0) -> SensorMessage | None:
         """Decode an arrived datagram and queue it. Return the message, or None for what is no message to us.
@@ -195,10 +191,8 @@ class Controller:
         self._target.begin(self._guidance.q)
         streamed = math.ceil(self._settings.stream / self._settings.period - 1e-9)
         self._guided_since = first_cycle + (0 if self._settings.only_streams else streamed)
-        streams = (
-            streamed or self._settings.only_streams or not self._scene.is_ready(first_cycle * self._settings.period)
-        )
-        self._enter("streaming" if streams else "guiding")
+        ready = self._scene.is_ready(first_cycle * self._settings.period)
+        self._enter("guiding" if ready and not streamed and not self._settings.only_streams else "streaming")
 
     def _enter(self, phase: str) -> None:
         self.phase, self._in_phase, self._near, self._near_for = phase, 0, False, 0
@@ -281,6 +275,7 @@ class Controller:
             self._fail(refusal)
         else:
             self._target.accept(message, *found)
+            self.statistics.heard(message.rapid_data, message.rapid_digital, message.q_ext)
             self._used_seq = message.seqno or 0
             self._target.apply(self._drive)
 

@@ -12,6 +12,7 @@ from armlab.errors import UnknownName
 from armlab.sim.arm import Arm
 from armlab.sim.guidance import Guidance
 from armlab.sim.lagging import LaggingArm
+from armlab.sim.target import Target
 from armlab.wire.egm import RobotMessage, RobotSideCodec
 
 __all__ = ["EPOCH_NS", "OPTIONAL_FIELDS", "Condition", "Packets"]
@@ -66,6 +67,7 @@ class Packets:
     phase : delay of this task behind the robot's clock [s].
     force : send the wrench at the tool as measuredForce.
     torque_reference : send the torque of the drives as torqueRef (RobotWare 7).
+    data : how many of the numbers that RAPID hears it sends back, with the digital value (RobotWare 7).
 
     Raises
     ------
@@ -81,9 +83,10 @@ class Packets:
         phase: float = 0.0,
         force: bool = False,
         torque_reference: bool = False,
+        data: int = 0,
     ) -> None:
         self.codec, self._period, self._phase = codec, period, phase
-        self._force, self._torque_reference = force, torque_reference
+        self._force, self._torque_reference, self._data = force, torque_reference, data
         self._left_out: dict[str, Any] = {}
         for field in fields:
             if field not in OPTIONAL_FIELDS:
@@ -99,17 +102,24 @@ class Packets:
         return _UPTIME_MS + int((cycle * self._period + self._phase) * 1e3 + 1e-6)
 
     def encode(
-        self, cycle: int, arm: Arm | LaggingArm, guidance: Guidance, condition: Condition, q_ext: Sequence[float] = ()
+        self,
+        cycle: int,
+        arm: Arm | LaggingArm,
+        guidance: Guidance,
+        condition: Condition,
+        q_ext: Sequence[float] = (),
+        target: Target | None = None,
     ) -> bytes:
         """Return the bytes of a cycle's packet.
 
         Parameters
         ----------
         cycle : number of the cycle. arm, guidance : measured and planned motion. condition : see there.
-        q_ext : external axes [rad].
+        q_ext : external axes [rad]. target : what was asked for; RAPID sends back what it heard.
         """
         measured, sample, c = arm.measure(), arm.sample, condition
         feels = arm.has_torque
+        heard = target if self._data else None
         message = RobotMessage(
             seqno=c.seq,
             tm_ms=self.tm_ms(cycle),
@@ -124,6 +134,8 @@ class Packets:
             converged=c.converged,
             utilization=guidance.utilization,
             wrench_raw=np.array(sample.wrench) if self._force else None,
+            rapid_data=heard.rapid_data[: self._data].tolist() if heard else (),
+            rapid_digital=heard.rapid_digital if heard else None,
             tau_reference=sample.tau if self._torque_reference and feels else None,
             qd=measured.qd,
             tau=measured.tau if feels else None,

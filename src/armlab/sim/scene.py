@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from armlab.errors import ShapeError
 from armlab.sim.hand import HandPath
 from armlab.sim.operator import Operator
 from armlab.sim.script import MOTORS, RAPID, Script
@@ -28,6 +29,22 @@ class Scene:
     motors: Script = field(default_factory=lambda: Script("on", MOTORS))
     rapid: Script = field(default_factory=lambda: Script("running", RAPID))
     external: int = 0
+
+    def leads(self, program: str, n: int) -> HandPath | None:
+        """Return the hand that leads the arm in a program, None where nobody does.
+
+        Parameters
+        ----------
+        program : see `guidance.Settings`. n : number of joints.
+
+        Raises
+        ------
+        ShapeError : a hand for another number of joints.
+        """
+        hand = self.hand if program == "lead-through" else None
+        if hand is not None and hand.n != n:
+            raise ShapeError(f"Expected a hand path of {n} joints, got one of {hand.n}.")
+        return hand
 
     def is_ready(self, t: float) -> bool:
         """Return whether motors and RAPID let guidance run. RAPID that is stuck at UNDEFINED does.

@@ -40,6 +40,8 @@ class Statistics:
         number of the one before; how replies were matched. drops : datagrams by reason. mtypes : types of messages.
     queue : depth of the queue at each take. age : cycles between packet and take of the reply to it, 1 at best.
     last_age : of the newest reply taken, 0 before the first.
+    rapid : the values that RAPID heard last: "digital", and the numbers by their place from 1. external : references of
+        external axes, by their place from 1 [rad].
     events : the newest thousand.
     """
 
@@ -50,6 +52,8 @@ class Statistics:
         self.queue: Counter[int] = Counter()
         self.age: Counter[int] = Counter()
         self.last_age = 0
+        self.rapid: dict[str, float] = {}
+        self.external: dict[str, float] = {}
         self.events: deque[Event] = deque(maxlen=1000)
         self._round_trips: deque[float] = deque(maxlen=_KEPT)
         self._wake_ups: deque[float] = deque(maxlen=_KEPT)
@@ -74,6 +78,21 @@ class Statistics:
         """
         self.counts["missed"] += uptime > _WARM_UP
 
+    def heard(self, rapid_data: np.ndarray | None, rapid_digital: bool | None, q_ext: np.ndarray | None) -> None:
+        """Note what a reply that was taken says beside the joints.
+
+        Parameters
+        ----------
+        rapid_data, rapid_digital : for RAPID. q_ext : references of external axes [rad]. None for what it does not say.
+        """
+        for name, values, kept in (("RAPID data", rapid_data, self.rapid), ("external axes", q_ext, self.external)):
+            if values is not None:
+                self.counts[name] += 1
+                kept |= {str(k): value for k, value in enumerate(values.tolist(), start=1)}
+        if rapid_digital is not None:
+            self.counts["RAPID digital"] += 1
+            self.rapid["digital"] = float(rapid_digital)
+
     def late(self, seconds: float, uptime: float) -> None:
         """Note how late this process woke up for a cycle.
 
@@ -94,6 +113,8 @@ class Statistics:
             "reference_age": {str(k): v for k, v in sorted(self.age.items())} | {"last": self.last_age},
             "round_trip_us": _quantiles(self._round_trips),
             "wake_up_late_us": _quantiles(self._wake_ups),
+            "rapid": self.rapid,
+            "external_axes": self.external,
             "events": [event._asdict() for event in self.events],
         }
 

@@ -35,10 +35,13 @@ class Target:
     q, qd : (n,) references of the reference generator, None before the first.
     tau : (n,) torque to add [N m]. gain_q, gain_qd : (n,) scales of the drive's gains in [0, 2].
     q_ext : references of external axes [rad], None before the first.
+    rapid_data, rapid_digital : what RAPID heard last, empty and None before; its variables outlive a session.
     """
 
     def __init__(self, robot: Robot, settings: Settings) -> None:
-        self._robot, self._mode = robot, settings.mode
+        self._robot, self._mode, self._has_position_loop = robot, settings.mode, settings.position_gain > 0
+        self.rapid_data = np.zeros(0)
+        self.rapid_digital: bool | None = None
         self.begin(robot.q_home)
 
     def begin(self, q: np.ndarray) -> None:
@@ -54,6 +57,13 @@ class Target:
         self.q_ext: np.ndarray | None = None
         self.tau, self.gain_q, self.gain_qd = np.zeros(n), np.ones(n), np.ones(n)
         self._start = q
+
+    @property
+    def drive_mode(self) -> int:
+        """Mode of the drives as the research extension tells it: 1 position, 2 velocity, 3 torque."""
+        if not self.gain_q.any():
+            return 3
+        return 1 if self._has_position_loop else 2
 
     @property
     def is_plain(self) -> bool:
@@ -100,6 +110,10 @@ class Target:
         self.q, self.qd = q, qd
         if message.q_ext is not None:
             self.q_ext = message.q_ext
+        if message.rapid_data is not None:
+            self.rapid_data = message.rapid_data
+        if message.rapid_digital is not None:
+            self.rapid_digital = message.rapid_digital
         self.tau = np.zeros(n) if message.tau is None else message.tau
         self.gain_q = np.ones(n) if message.gain_q is None else message.gain_q.clip(0.0, _LARGEST_GAIN)
         self.gain_qd = np.ones(n) if message.gain_qd is None else message.gain_qd.clip(0.0, _LARGEST_GAIN)

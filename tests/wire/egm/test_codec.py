@@ -18,6 +18,7 @@ from armlab.wire.egm import Drop, EgmCodec, Packet, Reference, RobotMessage, Rob
 from armlab.wire.egm.types import DROP_REASONS
 
 RADIAN = math.pi / 180
+MOVES = {"position", "velocity", "external_axes", "rapid_data"}
 TEN = [10.0, 20.0, 30.0, 40.0, 50.0, 60.0]
 
 
@@ -161,11 +162,11 @@ def test_extension_reply_echoes(yumi: Any) -> None:
 
 
 def test_capabilities(six: Any, scara: Any) -> None:
-    assert EgmCodec(six).capabilities == {"position", "velocity"}
-    assert EgmCodec(six, extension=True).capabilities == {"position", "velocity", "measured_torque", "torque"}
+    assert EgmCodec(six).capabilities == MOVES
+    assert EgmCodec(six, extension=True).capabilities == {*MOVES, "measured_torque", "torque"}
     assert EgmCodec(scara).capabilities == frozenset()
     assert EgmCodec(scara, extension=True).capabilities == {"measured_torque"}
-    assert EgmCodec(scara, units=("deg",) * 4).capabilities == {"position", "velocity"}
+    assert EgmCodec(scara, units=("deg",) * 4).capabilities == MOVES
 
 
 def test_an_external_unit_alone(wire: Any) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from armlab.wire.egm import EgmCodec, Reference, RobotSideCodec
+from armlab.wire.egm import Beside, EgmCodec, Reference, RobotSideCodec
 from armlab.wire.egm.axes import AxisMap
 from armlab.wire.egm.replies import Replies, encode_path_correction, encode_pose
 
@@ -55,3 +55,30 @@ def test_joints_with_and_without_speed(scara: Any, wire: Any) -> None:
         2, wire.m(1, wire.d(1, 90.0, 0, 0, 0))
     )
     assert len(replies.encode(Reference(q, q, None, 1, 2))) > 60
+
+
+def test_everything_beside_the_joints_is_that_of_another_program(yumi: Any, wire: Any, vector: Any) -> None:
+    """Axis 7, speeds, the digital value and numbers for RAPID, as ABBRobotEGM writes them; only our `tm` is more."""
+    q, qd = np.radians([10, 20, 70, 30, 40, 50, 60]), np.radians([1.0, 2, 7, 3, 4, 5, 6])
+    beside = Beside(rapid_data=np.array([7.0, 8.0]), rapid_digital=True)
+    ours = RobotSideCodec(yumi).decode_sensor(EgmCodec(yumi).encode(Reference(q, qd, None, 5, 0, beside=beside)))
+    theirs = RobotSideCodec(yumi).decode_sensor(vector("sensor"))
+    for a, b in zip(ours[2:], theirs[2:], strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-14) if isinstance(a, np.ndarray) else None
+        assert isinstance(a, np.ndarray) or a == b
+
+
+def test_axes_beyond_the_robot_byte_by_byte(yumi: Any, wire: Any) -> None:
+    """ABB's axis 7, then the axes beyond in degrees, or in millimetres where the user says so."""
+    axes = AxisMap(yumi, ("deg",) * 7 + ("deg", "mm"))
+    beside = Beside(np.array([np.pi / 2, 0.25]), np.array([0.0, 0.5]), np.array([2.5]), False)
+    zeros = np.zeros(7)
+    expected = (
+        wire.header(1, 2, 3)
+        + wire.m(2, wire.m(1, wire.d(1, *zeros[:6])), wire.m(3, wire.d(1, 0.0, 90.0, 250.0)))
+        + wire.m(3, wire.m(1, wire.d(1, *zeros[:6])), wire.m(3, wire.d(1, 0.0, 0.0, 500.0)))
+        + wire.m(4, wire.u(1, 0), wire.d(2, 2.5))
+    )
+    replies = Replies(axes, extension=False)
+    assert replies.encode(Reference(zeros, zeros, None, 1, 2, beside=beside)) == expected
+    assert len(replies.encode(Reference(zeros, zeros, None, 1, 2))) < len(expected) - 20, "nothing is left over"

@@ -7,13 +7,13 @@ import pytest
 
 from armlab import robots
 from armlab.wire.egm import EgmCodec
-from armlab.wire.egm.types import DROP_REASONS, Arm, Codec, Drop, Packet, Reference, RobotMessage, SensorMessage
+from armlab.wire.egm.types import DROP_REASONS, Arm, Beside, Codec, Drop, Packet, Reference, RobotMessage, SensorMessage
 
 
 def test_a_robot_is_an_arm_and_the_codec_is_a_codec() -> None:
     arm: Arm = robots.load("yumi_right")
     codec: Codec = EgmCodec(arm)
-    assert codec.capabilities == {"position", "velocity"}
+    assert codec.capabilities == {"position", "velocity", "external_axes", "rapid_data"}
     assert arm.abb_axes == (1, 2, 7, 3, 4, 5, 6)
 
 
@@ -22,6 +22,7 @@ def test_a_robot_is_an_arm_and_the_codec_is_a_codec() -> None:
     [
         Drop("old", "packet 3 after 5"),
         Reference(np.zeros(1), None, None, 0, 0),
+        Beside(rapid_digital=True),
         RobotMessage(0, 0, np.zeros(1)),
         SensorMessage(0, None, 3),
     ],

@@ -2,10 +2,11 @@
 
 from armlab.wire.egm.codec import EgmCodec
 from armlab.wire.egm.robot_side import RobotSideCodec
-from armlab.wire.egm.types import Arm, Codec, Drop, Packet, Reference, RobotMessage, SensorMessage
+from armlab.wire.egm.types import Arm, Beside, Codec, Drop, Packet, Reference, RobotMessage, SensorMessage
 
 __all__ = [
     "Arm",
+    "Beside",
     "Codec",
     "Drop",
     "EgmCodec",

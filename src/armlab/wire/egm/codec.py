@@ -43,7 +43,8 @@ class EgmCodec:
     Attributes
     ----------
     capabilities : "position" and "velocity", unless a linear joint sits among ABB's first six axes and `units` does not
-        say how commands to it are measured. "measured_torque" and "torque" with the extension.
+        say how commands to it are measured; then "external_axes" and "rapid_data" too. "measured_torque" and "torque"
+        with the extension.
     robotware : flavour of this session, "" before its first packet.
     """
 
@@ -53,7 +54,7 @@ class EgmCodec:
         self._known: dict[int, tuple[Layout, Shape]] = {}
         self._learnt = 0
         self.robotware = ""
-        moves = ("position", "velocity") if self._axes.can_move else ()
+        moves = ("position", "velocity", "external_axes", "rapid_data") if self._axes.can_move else ()
         research = ("measured_torque", "torque") if extension and moves else ("measured_torque",) if extension else ()
         self.capabilities: frozenset[str] = frozenset((*moves, *research))
 

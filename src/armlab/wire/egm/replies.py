@@ -10,7 +10,7 @@ import numpy as np
 from armlab.wire.egm import armlab_egm_pb2 as pb
 from armlab.wire.egm.axes import RADIAN, AxisMap
 from armlab.wire.egm.pose import pose_from_matrix
-from armlab.wire.egm.types import Reference
+from armlab.wire.egm.types import Beside, Reference
 
 __all__ = ["Replies", "encode_path_correction", "encode_pose"]
 
@@ -22,7 +22,7 @@ _TWIST = np.array([1e-3, 1e-3, 1e-3, RADIAN, RADIAN, RADIAN])
 
 
 class Replies:
-    """Joint references to bytes. Two EgmSensor are kept and refilled: half the time of building them anew.
+    """Joint references to bytes. An EgmSensor of each kind is kept and refilled: half the time of building it anew.
 
     Parameters
     ----------
@@ -30,8 +30,10 @@ class Replies:
     """
 
     def __init__(self, axes: AxisMap, extension: bool) -> None:
+        self._axes, self._extension = axes, extension
         self._with_speed = _Reply(axes, extension, speed=True)
         self._without_speed = _Reply(axes, extension, speed=False)
+        self._others: dict[tuple[bool, int, bool], _Reply] = {}  # with external axes: (speed, how many, their speed)
 
     def encode(self, ref: Reference) -> bytes:
         """Return the bytes of an EgmSensor.
@@ -40,14 +42,25 @@ class Replies:
         ----------
         ref : finite values.
         """
+        if ref.beside is not None:
+            return self._with_more(ref, ref.beside)
         return self._without_speed.encode(ref) if ref.qd is None else self._with_speed.encode(ref)
+
+    def _with_more(self, ref: Reference, beside: Beside) -> bytes:
+        """Return the bytes of an EgmSensor with references of external axes and data for RAPID."""
+        kind = ref.qd is not None, 0 if beside.q_ext is None else len(beside.q_ext), beside.qd_ext is not None
+        if kind not in self._others:
+            speed, count, speed_beyond = kind
+            self._others[kind] = _Reply(self._axes, self._extension, speed, (count, count * speed_beyond))
+        return self._others[kind].encode(ref)
 
 
 class _Reply:
-    """One EgmSensor with handles on its arrays."""
+    """One EgmSensor with handles on its arrays; `beyond`: external axes beyond the robot's, of position and speed."""
 
-    def __init__(self, axes: AxisMap, extension: bool, speed: bool) -> None:
+    def __init__(self, axes: AxisMap, extension: bool, speed: bool, beyond: tuple[int, int] = (0, 0)) -> None:
         self._axes = axes
+        self._scale = axes.external_scale(beyond[0])
         self._zeros = (0.0,) * axes.n
         self._sensor = sensor = pb.EgmSensor()
         self._header = sensor.header
@@ -55,14 +68,16 @@ class _Reply:
         self._research = sensor.researchRef if extension else None
         if self._research is not None:
             self._research.order = _KINEMATIC
-        self._arrays = [self._handles(motion) for motion in (sensor.planned, sensor.speedRef)[: 1 + speed]]
+        motions = (sensor.planned, sensor.speedRef)[: 1 + speed]
+        self._arrays = [self._handles(motion, count) for motion, count in zip(motions, beyond)]
 
-    def _handles(self, motion: Any) -> tuple[Any, Any]:
+    def _handles(self, motion: Any, beyond: int) -> tuple[Any, Any]:
         """Return the arrays of joints and of external joints, with their final lengths."""
+        external = self._axes.tail + beyond
         motion.joints.joints.extend([0.0] * self._axes.head)
-        if self._axes.tail:
-            motion.externalJoints.joints.extend([0.0] * self._axes.tail)
-        return motion.joints.joints, motion.externalJoints.joints if self._axes.tail else None
+        if external:
+            motion.externalJoints.joints.extend([0.0] * external)
+        return motion.joints.joints, motion.externalJoints.joints if external else None
 
     def encode(self, ref: Reference) -> bytes:
         header, research, axes = self._header, self._research, self._axes
@@ -72,6 +87,8 @@ class _Reply:
             joints[:] = wire[: axes.head]
             for k in range(axes.tail):  # one value, if any: a slice would cost three times as much
                 external[k] = wire[axes.head + k]
+        if ref.beside is not None:
+            self._say(ref.beside)
         if research is not None:
             research.echoSeqno, research.echoTNs = ref.robot_seq & _UINT32, ref.robot_mono_ns & _UINT64
             loosened = self._zeros if ref.free else ()
@@ -79,6 +96,18 @@ class _Reply:
             research.posGainScale[:], research.velGainScale[:] = loosened, loosened
             research.validMask = (ref.tau is not None) | (_GAINS if ref.free else 0)
         return self._sensor.SerializeToString()
+
+    def _say(self, beside: Beside) -> None:
+        """Fill in the axes beyond the robot's own, and what goes to RAPID."""
+        for (_, external), values in zip(self._arrays, (beside.q_ext, beside.qd_ext)):
+            if values is not None:
+                external[self._axes.tail :] = (values / self._scale).tolist()
+        sensor = self._sensor
+        sensor.ClearField("rapidToRobot")
+        if beside.rapid_data is not None:
+            sensor.rapidToRobot.dnum.extend(beside.rapid_data.tolist())
+        if beside.rapid_digital is not None:
+            sensor.rapidToRobot.digVal = beside.rapid_digital
 
 
 def encode_pose(T_frame_tool: np.ndarray, twist: np.ndarray | None, seq: int, tm_ms: int) -> bytes:

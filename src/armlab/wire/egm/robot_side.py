@@ -209,7 +209,7 @@ class RobotSideCodec:
         pose = read_pose(sensor.planned.cartesian)
         speed = sensor.speedRef.cartesians.value
         twist_scale = (_MILLIMETRE, _MILLIMETRE, _MILLIMETRE, RADIAN, RADIAN, RADIAN)
-        has_data = sensor.HasField("rapidToRobot")
+        rapid = sensor.rapidToRobot
         beyond = sensor.planned.externalJoints.joints[axes.tail :]
         return SensorMessage(
             seqno=header.seqno if header.HasField("seqno") else None,
@@ -219,8 +219,8 @@ class RobotSideCodec:
             qd=qd,
             T_frame_tool=None if pose is None else np.reshape(pose_values(pose), (4, 4)),
             twist=np.multiply(speed, twist_scale) if len(speed) == 6 else None,
-            rapid_data=np.array(sensor.rapidToRobot.dnum) if has_data else None,
-            rapid_digital=sensor.rapidToRobot.digVal if has_data else None,
+            rapid_data=np.array(rapid.dnum) if rapid.dnum else None,
+            rapid_digital=rapid.digVal if rapid.HasField("digVal") else None,
             q_ext=RADIAN * np.array(beyond) if beyond else None,
             **_research_reference(axes, sensor.researchRef) if sensor.HasField("researchRef") else {},
         )

@@ -1,4 +1,4 @@
-"""What crosses the border of the EGM codec: `Packet`, `Drop`, `Reference`, `RobotMessage`, `SensorMessage`, `Codec`.
+"""What crosses the border of the EGM codec: `Packet`, `Drop`, `Reference`, `Beside`, messages of both sides, `Codec`.
 
 All values are SI and radians in kinematic joint order. They are named tuples: immutable, and five times cheaper to make
 than frozen dataclasses, which counts at one of each per control cycle.
@@ -11,7 +11,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-__all__ = ["DROP_REASONS", "Arm", "Codec", "Drop", "Packet", "Reference", "RobotMessage", "SensorMessage"]
+__all__ = ["DROP_REASONS", "Arm", "Beside", "Codec", "Drop", "Packet", "Reference", "RobotMessage", "SensorMessage"]
 
 DROP_REASONS = (
     "unparsable",
@@ -100,6 +100,21 @@ class Drop(NamedTuple):
     detail: str
 
 
+class Beside(NamedTuple):
+    """What a reply says beside the joints of the robot; None for what it does not.
+
+    Attributes
+    ----------
+    q_ext, qd_ext : (k,) position and speed of external axes beyond the robot's own [rad, rad/s or m, m/s].
+    rapid_data : numbers for RAPID. rapid_digital : the digital value for RAPID.
+    """
+
+    q_ext: np.ndarray | None = None
+    qd_ext: np.ndarray | None = None
+    rapid_data: np.ndarray | None = None
+    rapid_digital: bool | None = None
+
+
 class Reference(NamedTuple):
     """One reply to the robot.
 
@@ -109,6 +124,7 @@ class Reference(NamedTuple):
     seq : our own sequence number. tm_ms : the `tm` of the packet answered (0 when it had none).
     robot_seq, robot_mono_ns : echoes of the packet answered, sent with the extension only.
     free : the torque takes the place of the position loop: its gains are zero.
+    beside : what goes to external axes and RAPID, None for nothing.
     """
 
     q: np.ndarray
@@ -119,12 +135,14 @@ class Reference(NamedTuple):
     robot_seq: int = 0
     robot_mono_ns: int = 0
     free: bool = False
+    beside: Beside | None = None
 
 
 class Codec(Protocol):
     """The plug-in point of the bridge: bytes to SI and back. A site with another interface writes one of these.
 
-    `capabilities` is a subset of {"position", "velocity", "torque", "measured_torque"}.
+    `capabilities` is a subset of {"position", "velocity", "torque", "measured_torque", "external_axes", "rapid_data"}.
+    `encode` may leave out what the codec is not capable of: the bridge refuses such commands.
     """
 
     capabilities: frozenset[str]
@@ -196,7 +214,7 @@ class SensorMessage(NamedTuple):
     q : (n,) planned joints or None. qd : (n,) speed reference or None.
     T_frame_tool : (4, 4) planned pose or None. twist : (6,) speed reference of the pose, or None.
     path_yz, path_age : path correction in the sensor's tool frame [m] and its age [s], or None.
-    rapid_data, rapid_digital : RAPIDtoRobot.
+    rapid_data, rapid_digital : RAPIDtoRobot, None when absent.
     tau, qd_reference, q_reference, gain_q, gain_qd : (n,) valid arrays of the extension, else None.
     echo_mono_ns, echo_seq : echoes of the extension, None without it.
     q_ext : references of external axes beyond the robot's own [rad], None without any.
