@@ -3,7 +3,9 @@
 #include "arrays.h"
 
 void bind_chain(nb::module_ &m);
+void bind_datagrams(nb::module_ &m);
 void bind_drive(nb::module_ &m);
+void bind_egm(nb::module_ &m);
 void bind_estimator(nb::module_ &m);
 void bind_inverse(nb::module_ &m);
 void bind_lie(nb::module_ &m);
@@ -19,7 +21,9 @@ NB_MODULE(_native, m) {
   nb::set_leak_warnings(false);  // a robot that a module keeps until the interpreter ends is no leak, and nothing prints
   m.doc() = "Compiled kernels of armlab; armlab.kernels is their public face.";
   bind_chain(m);
+  bind_datagrams(m);
   bind_drive(m);
+  bind_egm(m);
   bind_estimator(m);
   bind_inverse(m);
   bind_lie(m);

@@ -5,20 +5,16 @@ from __future__ import annotations
 import contextlib
 import errno
 import socket
-import struct
-import time
 from typing import NamedTuple
 
+from armlab import kernels
 from armlab.bridge.holder import holder
 from armlab.errors import LinkError
 
 __all__ = ["Arrival", "Port"]
 
-_LARGEST = 65535
 _SO_TIMESTAMPNS = getattr(socket, "SO_TIMESTAMPNS", 35)  # Linux; absent from Python's socket module
-_TIMESPEC = struct.Struct("qq")
 _FLUSHED = 2000  # datagrams: more than a receive buffer holds
-_STALE_STAMP = 10**10  # ns: a stamp older than this is a clock that was set, not an age
 
 
 class Arrival(NamedTuple):
@@ -38,7 +34,7 @@ class Port:
 
     Attributes
     ----------
-    host, port : the address bound. errors : socket errors so far, for example a peer that went away.
+    host, port : the address bound.
 
     Raises
     ------
@@ -56,11 +52,16 @@ class Port:
         with contextlib.suppress(OSError):
             self._socket.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
         self.host, self.port = self._socket.getsockname()
-        self.errors = 0
+        self._datagrams = kernels.Datagrams(self._socket, Arrival)
+
+    @property
+    def errors(self) -> int:
+        """Socket errors so far."""
+        return self._datagrams.errors
 
     def close(self) -> None:
         """Close the socket."""
-        self._socket.close()
+        self._datagrams.close()
 
     def fileno(self) -> int:
         """Return the number by which the system knows the socket: one can wait on it."""
@@ -68,20 +69,7 @@ class Port:
 
     def receive(self) -> Arrival | None:
         """Return the next datagram, or None when there is none."""
-        try:
-            data, extra, _, source = self._socket.recvmsg(_LARGEST, 64)
-        except BlockingIOError:
-            return None
-        except OSError:
-            self.errors += 1
-            return None
-        now = time.monotonic_ns()
-        if extra and len(extra[0][2]) >= _TIMESPEC.size:
-            seconds, nanoseconds = _TIMESPEC.unpack_from(extra[0][2])
-            age = time.time_ns() - (seconds * 10**9 + nanoseconds)
-            if 0 <= age < _STALE_STAMP:
-                return Arrival(data, source, now - age)
-        return Arrival(data, source, now)
+        return self._datagrams.receive()
 
     def flush(self) -> None:
         """Throw away what arrived while nobody listened: replies to old packets would be references to old places."""
@@ -91,12 +79,7 @@ class Port:
 
     def send(self, data: bytes, to: tuple[str, int]) -> bool:
         """Send one datagram. Return whether the system took it."""
-        try:
-            self._socket.sendto(data, to)
-        except OSError:
-            self.errors += 1
-            return False
-        return True
+        return self._datagrams.send(data, to)
 
 
 def _why_not(host: str, port: int, error: Exception) -> str:

@@ -18,7 +18,10 @@ from armlab.errors import ConfigError
 if TYPE_CHECKING:
     from armlab.kernels._reference import (
         Chain,
+        Datagrams,
         Drive,
+        EgmReader,
+        EgmWriter,
         InverseSolver,
         MomentumEstimator,
         SignalOperator,
@@ -58,7 +61,10 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Chain",
+    "Datagrams",
     "Drive",
+    "EgmReader",
+    "EgmWriter",
     "InverseSolver",
     "MomentumEstimator",
     "SignalOperator",

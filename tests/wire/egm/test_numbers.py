@@ -35,7 +35,7 @@ def test_order_and_units_by_hand(yumi: Any) -> None:
         pose=(100.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0),
     )
     form = shape(AxisMap(yumi, ("deg",) * 7 + ("mm",)), of)
-    packet: Any = form.packet(form.arranged(of, 0.0), (5, 6, 1, 250000, 0, 0))
+    packet: Any = form.reader.packet(form.arranged(of, 0.0), (5, 6, 1, 250000, 0, 0))
     np.testing.assert_allclose(packet.q, np.radians([10, 20, 70, 30, 40, 50, 60]))
     np.testing.assert_array_equal(packet.tau, [1, 2, np.nan, 3, 4, 5, 6])
     np.testing.assert_allclose(packet.q_ext, [0.1])
@@ -46,7 +46,7 @@ def test_order_and_units_by_hand(yumi: Any) -> None:
 def test_old_versions_are_in_radians(six: Any) -> None:
     of = numbers(joints=(1.0,) * 6, external=(2.0,))
     form = shape(AxisMap(six), of, "6.06")
-    packet: Any = form.packet(form.arranged(of, 0.0), (0,) * len(INTEGERS))
+    packet: Any = form.reader.packet(form.arranged(of, 0.0), (0,) * len(INTEGERS))
     np.testing.assert_array_equal(packet.q, np.ones(6))
     np.testing.assert_array_equal(packet.q_ext, [2.0])
 
@@ -62,7 +62,7 @@ def test_offsets_are_arranged_as_values_are(yumi: Any) -> None:
 def test_what_is_not_finite_gives_no_packet(six: Any) -> None:
     of = numbers(joints=(1.0,) * 5 + (np.inf,))
     form = shape(AxisMap(six), of)
-    assert form.packet(form.arranged(of, 0.0), (0,) * 6) is None
+    assert form.reader.packet(form.arranged(of, 0.0), (0,) * 6) is None
 
 
 def test_wrong_counts(six: Any) -> None:
@@ -75,5 +75,5 @@ def test_a_signalling_nan_does_not_warn(six: Any) -> None:
     signalling = struct.unpack("<d", bytes.fromhex("010000000000f07f"))[0]
     of = numbers(joints=(1.0,) * 6, planned=(signalling,) * 6)
     form = shape(AxisMap(six), of)
-    packet: Any = form.packet(form.arranged(of, 0.0), (0,) * 6)
+    packet: Any = form.reader.packet(form.arranged(of, 0.0), (0,) * 6)
     assert np.isnan(packet.q_planned).all()

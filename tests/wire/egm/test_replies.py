@@ -5,6 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from armlab.wire.egm import Beside, EgmCodec, Reference, RobotSideCodec
 from armlab.wire.egm.axes import AxisMap
@@ -82,3 +85,16 @@ def test_axes_beyond_the_robot_byte_by_byte(yumi: Any, wire: Any) -> None:
     replies = Replies(axes, extension=False)
     assert replies.encode(Reference(zeros, zeros, None, 1, 2, beside=beside)) == expected
     assert len(replies.encode(Reference(zeros, zeros, None, 1, 2))) < len(expected) - 20, "nothing is left over"
+
+
+@given(st.data())
+def test_a_reply_written_is_the_reply_serialised(yumi: Any, data: st.DataObject) -> None:
+    """The second of a kind is written into the bytes of the first, where integers may have had other lengths."""
+    extension = data.draw(st.booleans())
+    kept = Replies(AxisMap(yumi), extension)
+    array = arrays(np.float64, 7, elements=st.floats(-1e3, 1e3))
+    integer = st.one_of(st.integers(0, 200), st.integers(0, 2**64 - 1))
+    for _ in range(4):
+        q, qd, tau = data.draw(array), data.draw(st.none() | array), data.draw(st.none() | array)
+        ref = Reference(q, qd, tau, *(data.draw(integer) for _ in range(4)), data.draw(st.booleans()))
+        assert kept.encode(ref) == Replies(AxisMap(yumi), extension).encode(ref)

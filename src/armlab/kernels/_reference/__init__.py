@@ -6,7 +6,9 @@ Every name here exists in `armlab.kernels._native` with the same signature and t
 from __future__ import annotations
 
 from armlab.kernels._reference.chain import Chain
+from armlab.kernels._reference.datagrams import Datagrams
 from armlab.kernels._reference.drive import Drive, basis_weights, model_torque, presliding
+from armlab.kernels._reference.egm import EgmReader, EgmWriter
 from armlab.kernels._reference.estimator import WrenchEstimator
 from armlab.kernels._reference.euler import euler_from_rpy, euler_to_rpy
 from armlab.kernels._reference.inverse import InverseSolver
@@ -41,7 +43,10 @@ from armlab.kernels._reference.wrench import solve_wrench, wrench_interval
 
 __all__ = [
     "Chain",
+    "Datagrams",
     "Drive",
+    "EgmReader",
+    "EgmWriter",
     "InverseSolver",
     "MomentumEstimator",
     "SignalOperator",

@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 from google.protobuf.message import DecodeError
 
+from armlab import kernels
 from armlab.wire.egm import armlab_egm_pb2 as pb
 from armlab.wire.egm.axes import AxisMap, Refused
 from armlab.wire.egm.force import NO_WRENCH, decode_force
-from armlab.wire.egm.layout import Layout, find_places
+from armlab.wire.egm.layout import find_places
 from armlab.wire.egm.numbers import INTEGERS, Numbers, Shape
 from armlab.wire.egm.pose import read_pose
 from armlab.wire.egm.replies import Replies, encode_path_correction, encode_pose
@@ -51,7 +52,7 @@ class EgmCodec:
     def __init__(self, arm: Arm, extension: bool = False, units: Sequence[str] = ()) -> None:
         self._axes = AxisMap(arm, units)
         self._replies = Replies(self._axes, extension)
-        self._known: dict[int, tuple[Layout, Shape]] = {}
+        self._known: dict[int, kernels.EgmReader] = {}
         self._learnt = 0
         self.robotware = ""
         moves = ("position", "velocity", "external_axes", "rapid_data") if self._axes.can_move else ()
@@ -73,9 +74,7 @@ class EgmCodec:
         """
         known = self._known.get(len(data))
         if known is not None:
-            layout, shape = known
-            read = layout.read(data)
-            packet = None if read is None else shape.packet(*read)
+            packet = known.read(data)
             if packet is not None:
                 return packet
         try:
@@ -85,7 +84,7 @@ class EgmCodec:
             return Drop("unparsable", f"{len(data)} bytes are no protobuf message")
         except Refused as refused:
             return refused.drop
-        packet = shape.packet(numbers, integers)
+        packet = shape.reader.packet(numbers, integers)
         if packet is None:
             return Drop("not finite", "a joint, a velocity or an external axis is no number")
         self.robotware = packet.robotware
@@ -164,10 +163,11 @@ class EgmCodec:
         places = find_places(data) if self._learnt <= _PATIENCE else None
         if places is None:
             return
-        layout = Layout(data, places, shape.arranged(Numbers.of_offsets(places.doubles), -1), INTEGERS)
-        read = layout.read(data)
-        if read is not None and _same(shape.packet(*read), packet):
-            self._known[len(data)] = layout, shape
+        reader, absent = shape.reader, (0, 0)
+        offsets = shape.arranged(Numbers.of_offsets(places.doubles), -1)
+        reader.learn(data, bytes(places.mask), offsets, [places.integers.get(name, absent) for name in INTEGERS])
+        if _same(reader.read(data), packet):
+            self._known[len(data)] = reader
 
 
 def _same(a: Any, b: Any) -> bool:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from math import isfinite, nan
-from struct import Struct
+from math import nan
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 
+from armlab import kernels
 from armlab.wire.egm.axes import AxisMap, Refused
-from armlab.wire.egm.pose import pose_values
 from armlab.wire.egm.types import Packet
 
 __all__ = ["INTEGERS", "Numbers", "Shape"]
@@ -25,13 +24,18 @@ INTEGERS = (
     "researchState.tNs",
     "researchState.queueDepth",
 )
-"""The integers of an EgmRobot that change from packet to packet, in the order of `Shape.packet`."""
+"""The integers of an EgmRobot that change from packet to packet, in the order of `kernels.EgmReader`."""
 
 _POSE = ("pos.x", "pos.y", "pos.z", "orient.u0", "orient.u1", "orient.u2", "orient.u3")
-_UINT32, _UINT64 = 2**32 - 1, 2**64 - 1
-_MAX_SECONDS = 9_000_000_000  # a later clock does not fit int64 nanoseconds: it counts as absent
+_SCALARS = ("seqno", "tm_ms", "robot_ns", "utilization", "robot_mono_ns", "queue_depth")
 _EMPTY = np.zeros(0)
 _EMPTY.flags.writeable = False
+_FIXED = Packet(
+    seqno=0, tm_ms=None, robot_ns=0, q=_EMPTY, q_planned=_EMPTY, q_ext=_EMPTY, qd=None, tau=None, tau_source="none",
+    T_frame_tool=_EMPTY, wrench_raw=_EMPTY, motors=0, mci=0, rapid=0, converged=False, utilization=nan, robotware="",
+    rapid_data=_EMPTY, rapid_digital=False, robot_mono_ns=0, queue_depth=-1,
+)  # fmt: skip
+"""A packet in which nothing was sent."""
 
 
 class Numbers(NamedTuple):
@@ -92,6 +96,10 @@ class Shape:
     has_tm, has_research : fields present. states : motors, mci, rapid.
     converged, robotware, rapid_digital : see `Packet`.
 
+    Attributes
+    ----------
+    reader : makes packets of numbers in the order of `arranged`; see `kernels.EgmReader`.
+
     Raises
     ------
     Refused : wrong number of joints.
@@ -113,24 +121,40 @@ class Shape:
         self._axes, self._is_kinematic = axes, is_kinematic
         axes.joints(numbers.joints, numbers.external)
         n, external, data = axes.n, len(numbers.external) - axes.tail, len(numbers.data)
-        self._has_tm, self._has_research = has_tm, has_research
-        self._has_qd = axes.array(numbers.velocities, is_kinematic) is not None
+        has_qd = axes.array(numbers.velocities, is_kinematic) is not None
         has_torque = axes.array(numbers.torques, is_kinematic) is not None
         has_reference = len(numbers.torque_reference) == axes.head > 0
         self._tau_source = "measured" if has_torque else "reference" if has_reference else "none"
-        self._states, self._converged, self._robotware = states, converged, robotware
-        self._rapid_digital = rapid_digital
-        self._n, self._moving = n, (2 if self._has_qd else 1) * n
-        self._ends = 4 * n, 4 * n + 6, 4 * n + 6 + external, 4 * n + 6 + external + data
+        self._n = n
         one, in_radians = np.ones(n), robotware == "6.06"
         scale = one if in_radians else axes.scale
         beyond = np.ones(external) if in_radians else axes.external_scale(external)
-        self._scale = np.concatenate((scale, axes.scale, scale, one, np.ones(6), beyond, np.ones(data + 16)))
+        scales = np.concatenate((scale, axes.scale, scale, one, np.ones(6), beyond, np.ones(data + 16)))
         present = np.array(self.arranged(Numbers(*((1.0,) * len(values) for values in numbers)), nan))
-        self._scale[:-16] *= present[:-8]  # what is absent is 0 among the numbers, and becomes NaN
-        self._has_utilization = bool(numbers.utilization)
-        # One array per packet, cut into all its vectors: five times cheaper than one array for each.
-        self._pack = Struct(f"={len(self._scale)}d").pack
+        scales[:-16] *= present[:-8]  # what is absent is 0 among the numbers, and becomes NaN
+        motors, mci, rapid = states
+        fixed = _FIXED._replace(
+            tau_source=self._tau_source, motors=motors, mci=mci, rapid=rapid, converged=converged,
+            robotware=robotware, rapid_digital=rapid_digital,
+        )  # fmt: skip
+        force, beyond_force = 4 * n, 4 * n + 6 + external
+        arrays = {"q": (0, n), "q_planned": (2 * n, 3 * n), "wrench_raw": (force, force + 6)}
+        arrays |= {"qd": (n, 2 * n)} if has_qd else {}
+        arrays |= {"tau": (3 * n, force)} if self._tau_source != "none" else {}
+        arrays |= {"q_ext": (force + 6, beyond_force)} if external else {}
+        arrays |= {"rapid_data": (beyond_force, beyond_force + data)} if data else {}
+        absent = () if has_tm else ("tm_ms",)
+        absent += () if numbers.utilization else ("utilization",)
+        absent += () if has_research else ("queue_depth",)
+        self.reader = kernels.EgmReader(
+            Packet,
+            tuple(fixed),
+            [(Packet._fields.index(name), *span) for name, span in arrays.items()],
+            Packet._fields.index("T_frame_tool"),
+            [-1 if name in absent else Packet._fields.index(name) for name in _SCALARS],
+            scales,
+            [(0, 2 * n if has_qd else n), (force + 6, beyond_force)],
+        )
 
     def arranged(self, numbers: Numbers, absent: T) -> list[T]:
         """Return numbers in the order q, qd, q_planned, tau, force, external axes, data, utilization, pose.
@@ -160,50 +184,3 @@ class Shape:
             *(numbers.utilization or (absent,)),
             *(numbers.pose or [absent] * 7),
         ]  # pyright: ignore[reportReturnType] - offsets when absent is an offset
-
-    def packet(self, numbers: Sequence[float], integers: Sequence[int]) -> Packet | None:
-        """Return the packet, None when a joint, a velocity or an external axis is not finite.
-
-        Parameters
-        ----------
-        numbers : in the order of `arranged`, 0 for what is absent. integers : values of `INTEGERS`.
-        """
-        n, (tau, force, external, data) = self._n, self._ends
-        values = np.frombuffer(self._pack(*numbers[:-8], *pose_values(numbers[-7:])))
-        if isfinite(sum(numbers)):
-            values = values * self._scale
-        elif isfinite(sum(numbers[: self._moving]) + sum(numbers[force:external])):
-            with np.errstate(invalid="ignore"):  # a signalling NaN from the wire would warn
-                values = values * self._scale
-        else:
-            return None
-        seqno, tm, seconds, microseconds, mono, queue = integers
-        values.setflags(write=False)
-        motors, mci, rapid = self._states
-        return Packet(  # in the order of its fields: keywords would cost another half microsecond
-            seqno & _UINT32,
-            tm & _UINT32 if self._has_tm else None,
-            _nanoseconds(seconds & _UINT64, microseconds & _UINT64),
-            values[:n],
-            values[2 * n : 3 * n],
-            values[force:external] if external > force else _EMPTY,
-            values[n : 2 * n] if self._has_qd else None,
-            values[3 * n : tau] if self._tau_source != "none" else None,
-            self._tau_source,
-            values[-16:].reshape(4, 4),
-            values[tau:force],
-            motors,
-            mci,
-            rapid,
-            self._converged,
-            numbers[-8] if self._has_utilization else nan,
-            self._robotware,
-            values[external:data] if data > external else _EMPTY,
-            self._rapid_digital,
-            mono & _UINT64,
-            queue & _UINT32 if self._has_research else -1,
-        )
-
-
-def _nanoseconds(seconds: int, microseconds: int) -> int:
-    return seconds * 10**9 + microseconds * 1000 if seconds < _MAX_SECONDS and microseconds < 10**9 else 0

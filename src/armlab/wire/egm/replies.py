@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from armlab import kernels
 from armlab.wire.egm import armlab_egm_pb2 as pb
 from armlab.wire.egm.axes import RADIAN, AxisMap
+from armlab.wire.egm.layout import find_places
 from armlab.wire.egm.pose import pose_from_matrix
 from armlab.wire.egm.types import Beside, Reference
 
@@ -17,12 +19,13 @@ __all__ = ["Replies", "encode_path_correction", "encode_pose"]
 _CORRECTION, _PATH_CORRECTION = 3, 4
 _KINEMATIC = 1
 _GAINS = 0b11000  # posGainScale and velGainScale are valid
+_INTEGERS = ("header.seqno", "header.tm", "researchRef.echoSeqno", "researchRef.echoTNs")
 _UINT32, _UINT64 = 2**32 - 1, 2**64 - 1
 _TWIST = np.array([1e-3, 1e-3, 1e-3, RADIAN, RADIAN, RADIAN])
 
 
 class Replies:
-    """Joint references to bytes. An EgmSensor of each kind is kept and refilled: half the time of building it anew.
+    """Joint references to bytes: serialised once for each kind of reply, then written into the bytes of the one before.
 
     Parameters
     ----------
@@ -31,9 +34,8 @@ class Replies:
 
     def __init__(self, axes: AxisMap, extension: bool) -> None:
         self._axes, self._extension = axes, extension
-        self._with_speed = _Reply(axes, extension, speed=True)
-        self._without_speed = _Reply(axes, extension, speed=False)
-        self._others: dict[tuple[bool, int, bool], _Reply] = {}  # with external axes: (speed, how many, their speed)
+        self._names = _INTEGERS if extension else _INTEGERS[:2]
+        self._writers: dict[tuple[bool, ...], kernels.EgmWriter] = {}
 
     def encode(self, ref: Reference) -> bytes:
         """Return the bytes of an EgmSensor.
@@ -42,72 +44,66 @@ class Replies:
         ----------
         ref : finite values.
         """
-        if ref.beside is not None:
-            return self._with_more(ref, ref.beside)
-        return self._without_speed.encode(ref) if ref.qd is None else self._with_speed.encode(ref)
+        q, qd, tau, seq, tm_ms, robot_seq, mono, free, beside = ref
+        if beside is not None:
+            return self._serialised(ref)
+        kind = qd is None, tau is None, free
+        sent = tau if self._extension else None
+        arrays = (q,) if qd is None else (q, qd)
+        arrays = arrays if sent is None else (*arrays, sent)
+        integers = (seq & _UINT32, tm_ms & _UINT32, robot_seq & _UINT32, mono & _UINT64)[: len(self._names)]
+        writer = self._writers.get(kind)
+        data = None if writer is None else writer.write(arrays, integers)
+        if data is None:
+            data = self._serialised(ref)
+            self._learn(kind, data, ref)
+        return data
 
-    def _with_more(self, ref: Reference, beside: Beside) -> bytes:
-        """Return the bytes of an EgmSensor with references of external axes and data for RAPID."""
-        kind = ref.qd is not None, 0 if beside.q_ext is None else len(beside.q_ext), beside.qd_ext is not None
-        if kind not in self._others:
-            speed, count, speed_beyond = kind
-            self._others[kind] = _Reply(self._axes, self._extension, speed, (count, count * speed_beyond))
-        return self._others[kind].encode(ref)
+    def _learn(self, kind: tuple[bool, ...], data: bytes, ref: Reference) -> None:
+        """Keep the bytes of a reply as the example of those of its kind."""
+        places = find_places(data, pb.EgmSensor.DESCRIPTOR)
+        if places is None:
+            return
+        axes, doubles = self._axes, places.doubles
+        motions = ("planned", "speedRef")[: 1 if ref.qd is None else 2]
+        offsets = [
+            at
+            for motion in motions
+            for at in axes.kinematic(
+                [*doubles.get(f"{motion}.joints.joints", ()), *doubles.get(f"{motion}.externalJoints.joints", ())]
+            )
+        ]
+        torques = doubles.get("researchRef.torqueFF", [])
+        divisors = np.concatenate((*[axes.scale] * len(motions), np.ones(len(torques))))
+        spans = [places.integers[name] for name in self._names]
+        self._writers[kind] = kernels.EgmWriter(data, [*offsets, *torques], divisors, spans)
 
-
-class _Reply:
-    """One EgmSensor with handles on its arrays; `beyond`: external axes beyond the robot's, of position and speed."""
-
-    def __init__(self, axes: AxisMap, extension: bool, speed: bool, beyond: tuple[int, int] = (0, 0)) -> None:
-        self._axes = axes
-        self._scale = axes.external_scale(beyond[0])
-        self._zeros = (0.0,) * axes.n
-        self._sensor = sensor = pb.EgmSensor()
-        self._header = sensor.header
-        self._header.mtype = _CORRECTION
-        self._research = sensor.researchRef if extension else None
-        if self._research is not None:
-            self._research.order = _KINEMATIC
-        motions = (sensor.planned, sensor.speedRef)[: 1 + speed]
-        self._arrays = [self._handles(motion, count) for motion, count in zip(motions, beyond)]
-
-    def _handles(self, motion: Any, beyond: int) -> tuple[Any, Any]:
-        """Return the arrays of joints and of external joints, with their final lengths."""
-        external = self._axes.tail + beyond
-        motion.joints.joints.extend([0.0] * self._axes.head)
-        if external:
-            motion.externalJoints.joints.extend([0.0] * external)
-        return motion.joints.joints, motion.externalJoints.joints if external else None
-
-    def encode(self, ref: Reference) -> bytes:
-        header, research, axes = self._header, self._research, self._axes
-        header.seqno, header.tm = ref.seq & _UINT32, ref.tm_ms & _UINT32
-        for (joints, external), values in zip(self._arrays, ref):  # Reference begins with q, qd
-            wire = axes.abb((values / axes.scale).tolist())
-            joints[:] = wire[: axes.head]
-            for k in range(axes.tail):  # one value, if any: a slice would cost three times as much
-                external[k] = wire[axes.head + k]
-        if ref.beside is not None:
-            self._say(ref.beside)
-        if research is not None:
-            research.echoSeqno, research.echoTNs = ref.robot_seq & _UINT32, ref.robot_mono_ns & _UINT64
-            loosened = self._zeros if ref.free else ()
-            research.torqueFF[:] = () if ref.tau is None else ref.tau.tolist()
-            research.posGainScale[:], research.velGainScale[:] = loosened, loosened
-            research.validMask = (ref.tau is not None) | (_GAINS if ref.free else 0)
-        return self._sensor.SerializeToString()
-
-    def _say(self, beside: Beside) -> None:
-        """Fill in the axes beyond the robot's own, and what goes to RAPID."""
-        for (_, external), values in zip(self._arrays, (beside.q_ext, beside.qd_ext)):
-            if values is not None:
-                external[self._axes.tail :] = (values / self._scale).tolist()
-        sensor = self._sensor
-        sensor.ClearField("rapidToRobot")
+    def _serialised(self, ref: Reference) -> bytes:
+        axes, beside = self._axes, ref.beside or Beside()
+        sensor = pb.EgmSensor(header=_header(_CORRECTION, ref.seq, ref.tm_ms))
+        planned, speeds = (sensor.planned, ref.q, beside.q_ext), (sensor.speedRef, ref.qd, beside.qd_ext)
+        for motion, values, beyond in (planned, speeds)[: 1 if ref.qd is None else 2]:
+            wire = axes.wire(values, axes.scale)
+            external = () if beyond is None else (beyond / axes.external_scale(len(beyond))).tolist()
+            motion.joints.joints.extend(wire[: axes.head])
+            if axes.tail or external:
+                motion.externalJoints.joints.extend((*wire[axes.head :], *external))
         if beside.rapid_data is not None:
             sensor.rapidToRobot.dnum.extend(beside.rapid_data.tolist())
         if beside.rapid_digital is not None:
             sensor.rapidToRobot.digVal = beside.rapid_digital
+        if self._extension:
+            self._say_more(sensor.researchRef, ref)
+        return sensor.SerializeToString()
+
+    def _say_more(self, research: Any, ref: Reference) -> None:
+        research.order = _KINEMATIC
+        research.echoSeqno, research.echoTNs = ref.robot_seq & _UINT32, ref.robot_mono_ns & _UINT64
+        research.torqueFF.extend(() if ref.tau is None else ref.tau.tolist())
+        loosened = (0.0,) * self._axes.n if ref.free else ()
+        research.posGainScale.extend(loosened)
+        research.velGainScale.extend(loosened)
+        research.validMask = (ref.tau is not None) | (_GAINS if ref.free else 0)
 
 
 def encode_pose(T_frame_tool: np.ndarray, twist: np.ndarray | None, seq: int, tm_ms: int) -> bytes:
