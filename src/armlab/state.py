@@ -6,7 +6,7 @@ Values that the robot did not send are NaN arrays, NaN, None or empty, never zer
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
@@ -25,6 +25,10 @@ def _nan(*shape: int) -> np.ndarray:
     array = np.full(shape, np.nan)
     array.flags.writeable = False
     return array
+
+
+def _nothing() -> None:
+    """Return None: a source that says no more than the State."""
 
 
 _NAN6 = _nan(6)
@@ -56,6 +60,8 @@ class State:
     robot_ns : controller clock, int64 nanoseconds. t_receive : arrival, int64 nanoseconds.
     sources : what each source has at this tick by name (`bridge.Held`): ``state.sources["tracker"]["p"]``.
     robot : name of the arm. age : seconds from arrival to this tick, 0 for the arm that paces.
+    details : called without arguments, returns what else the packet says (`wire.egm.Details`: planned pose, collision,
+        currents, ...), read then; None for a link or a log that has nothing more.
     arms : the State of each arm when several are fused; `q` and the other joint arrays are then one arm after another.
     """
 
@@ -92,6 +98,7 @@ class State:
     sources: Mapping[str, Any] = field(default_factory=lambda: _NO_SOURCES)
     robot: str = ""
     age: float = 0.0
+    details: Callable[[], Any] = _nothing
     arms: tuple[State, ...] = ()
 
     @property

@@ -291,3 +291,15 @@ def test_robots_that_egm_cannot_describe() -> None:
         bridge.connect("egm://127.0.0.1:0", robots.load("irb2400"))
     with pytest.raises(RobotError, match=r"Expected a Robot, got 'yumi_left'\. Load it first"):
         bridge.connect("egm://127.0.0.1:0", "yumi_left")  # type: ignore[arg-type]
+
+
+def test_what_else_a_packet_says_is_read_on_demand() -> None:
+    """The drive's gravity, its mode and the planned pose, of which a State has no field; None where nobody sent it."""
+    seen: list[Any] = []
+    with bridge.connect("sim://yumi_right?lockstep=true", robots.load("yumi_right")) as link:
+        link.run(lambda state: seen.append(state.details()), seconds=0.05)
+    assert len(seen) > 5
+    assert np.isfinite(seen[-1].tau_gravity).all()
+    assert np.isfinite(seen[-1].T_frame_planned).all()
+    assert (seen[-1].mode, seen[-1].move_index, seen[-1].used_seq > 0) == (1, None, True)
+    assert State(0.0, 0.004, np.zeros(1), np.zeros(1), np.zeros(1)).details() is None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from functools import partial
 from typing import Any, NamedTuple
 
 from armlab.bridge.fusion import Fusion
@@ -90,6 +91,7 @@ class Arm:
         self._surpassed: list[Turn] = []
         self._rows: list[_Row] = []
         self._rehearsal, self._arrival = rehearsal, None
+        self._details = getattr(codec, "details", None)  # a codec of the user's need not have it
         self._answered: Command | None = None
         self._given: Command | None = None
         self._given_age = 0.0
@@ -170,6 +172,8 @@ class Arm:
         self._heard_ns, self._robot_ns = sample.arrival_ns, sample.packet.robot_ns
         self.prediction.add(sample.arrival_ns, sample.missed + 1, self.period)
         fused = self._fusion.fields(sample.arrival_ns, self.robot.name)
+        if self._details is not None and self._arrival is not None:
+            fused = {**fused, "details": partial(self._details, self._arrival.data)}
         state = self.guide.state(sample, self._wall_ns + sample.arrival_ns, **fused)
         self.newest = Turn(sample, state)
         return self.newest

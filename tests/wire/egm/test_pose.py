@@ -59,3 +59,25 @@ def test_a_pose_without_position_or_quaternion_is_none() -> None:
     assert read_pose(pb.EgmPose(pos=where, orient=turn, euler=euler)) == (1, 2, 3, 1, 0, 0, 0)
     for message in (pb.EgmPose(), pb.EgmPose(pos=where, euler=euler), pb.EgmPose(orient=turn)):
         assert read_pose(message) is None
+
+
+def test_euler_angles_win_where_the_controller_reads() -> None:
+    """A rotation about x, then y, then z of the frame; without them, or for us, the quaternion counts."""
+    pose = pb.EgmPose(
+        pos=pb.EgmCartesian(x=1.0, y=2.0, z=3.0),
+        orient=pb.EgmQuaternion(u0=1.0, u1=0.0, u2=0.0, u3=0.0),
+        euler=pb.EgmEuler(x=30.0, y=-50.0, z=110.0),
+    )
+    assert read_pose(pose) == (1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0)
+    (cx, sx), (cy, sy), (cz, sz) = ((np.cos(a), np.sin(a)) for a in np.radians([30.0, -50.0, 110.0]))
+    turn_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+    turn_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+    turn_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
+    found = read_pose(pose, euler_wins=True)
+    assert found is not None
+    np.testing.assert_allclose(np.reshape(pose_values(found), (4, 4))[:3, :3], turn_z @ turn_y @ turn_x, atol=1e-15)
+    pose.ClearField("orient")
+    assert read_pose(pose) is None
+    assert read_pose(pose, euler_wins=True) == found
+    pose.euler.x = np.inf
+    assert np.isnan(read_pose(pose, euler_wins=True)[3:]).all()  # type: ignore[index]

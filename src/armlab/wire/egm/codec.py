@@ -15,6 +15,7 @@ from google.protobuf.message import DecodeError
 from armlab import kernels
 from armlab.wire.egm import armlab_egm_pb2 as pb
 from armlab.wire.egm.axes import AxisMap, Refused
+from armlab.wire.egm.details import Details, read_details
 from armlab.wire.egm.force import NO_WRENCH, decode_force
 from armlab.wire.egm.layout import find_places
 from armlab.wire.egm.numbers import INTEGERS, Numbers, Shape
@@ -90,6 +91,15 @@ class EgmCodec:
         self.robotware = packet.robotware
         self._learn(data, shape, packet)
         return packet
+
+    def details(self, data: bytes) -> Details | None:
+        """Return what a datagram says beside its `Packet`, None for what is none of this robot. Never raises.
+
+        Parameters
+        ----------
+        data : one datagram.
+        """
+        return read_details(self._axes, data, self.robotware)
 
     def encode(self, ref: Reference) -> bytes:
         """Return the bytes of an EgmSensor that holds a joint reference.

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import nan, sqrt
+from math import cos, isfinite, nan, sin, sqrt
 from typing import Any
 
 import numpy as np
+
+from armlab.wire.egm.axes import RADIAN
 
 __all__ = ["NO_POSE", "pose_from_matrix", "pose_values", "read_pose"]
 
@@ -39,13 +41,21 @@ def pose_values(pose: Sequence[float]) -> tuple[float, ...]:
     )  # fmt: skip
 
 
-def read_pose(pose: Any) -> tuple[float, ...] | None:
-    """Return x, y, z [mm] and u0 to u3 of an EgmPose, None without position and quaternion. Euler angles are not read.
+def read_pose(pose: Any, euler_wins: bool = False) -> tuple[float, ...] | None:
+    """Return x, y, z [mm] and u0 to u3 of an EgmPose, None without a position and an orientation.
 
     Parameters
     ----------
-    pose : an EgmPose message.
+    pose : an EgmPose message. euler_wins : read Euler angles where there are some, as ABB's controller does; they are
+        rotations about x, then y, then z of the frame: ``R = Rz Ry Rx``. Otherwise the quaternion alone counts.
     """
+    if euler_wins and pose.HasField("pos") and pose.HasField("euler"):
+        x, y, z = (0.5 * RADIAN * angle for angle in (pose.euler.x, pose.euler.y, pose.euler.z))
+        if not isfinite(x + y + z):
+            return pose.pos.x, pose.pos.y, pose.pos.z, nan, nan, nan, nan
+        (a, b), (c, d), (e, f) = ((cos(half), sin(half)) for half in (x, y, z))
+        turned = a * c * e + b * d * f, b * c * e - a * d * f, a * d * e + b * c * f, a * c * f - b * d * e
+        return (pose.pos.x, pose.pos.y, pose.pos.z, *turned)
     if not (pose.HasField("pos") and pose.HasField("orient")):
         return None
     where, turn = pose.pos, pose.orient

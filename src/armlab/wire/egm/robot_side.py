@@ -206,7 +206,7 @@ class RobotSideCodec:
         header, axes = sensor.header, self._axes
         q = _joints(axes, sensor.planned)
         qd = _joints(axes, sensor.speedRef)
-        pose = read_pose(sensor.planned.cartesian)
+        pose = read_pose(sensor.planned.cartesian, euler_wins=True)
         speed = sensor.speedRef.cartesians.value
         twist_scale = (_MILLIMETRE, _MILLIMETRE, _MILLIMETRE, RADIAN, RADIAN, RADIAN)
         rapid = sensor.rapidToRobot
