@@ -4,6 +4,9 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 STAMP := .venv/.armlab-installed
 
+# Tests start many programs: with bytecode kept none of them compiles the package again.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: help setup demo test check docs bench clean
 
 help:  ## list the commands

@@ -17,7 +17,7 @@ EXAMPLES = ("10_draw_an_arm.py", "12_source_report.py")
 
 
 def draw(app: Sphinx) -> None:
-    """Run every script that makes pictures."""
+    """Run every script that makes pictures, but those that ran after the last change of it and of the package."""
     import matplotlib as mpl
 
     mpl.use("agg")
@@ -26,10 +26,15 @@ def draw(app: Sphinx) -> None:
     docs = Path(app.srcdir)
     folder = docs / "_figures"
     folder.mkdir(exist_ok=True)
+    changed = max(path.stat().st_mtime for path in (docs.parent / "src").rglob("*.py"))
     for script in (*sorted((docs / "figures").glob("*.py")), *(docs.parent / "examples" / name for name in EXAMPLES)):
+        drawn = folder / f"{script.stem}.drawn"
+        if drawn.exists() and drawn.stat().st_mtime > max(changed, script.stat().st_mtime):
+            continue
         with contextlib.chdir(folder), contextlib.redirect_stdout(io.StringIO()):
             runpy.run_path(str(script), run_name="__main__")
         plt.close("all")
+        drawn.touch()
 
 
 def setup(app: Sphinx) -> dict[str, bool]:

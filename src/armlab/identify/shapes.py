@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -150,11 +151,7 @@ def _held_out(sums: list[tuple[np.ndarray, np.ndarray, float]], picks: np.ndarra
     ----------
     sums : of each fold A^T A, A^T y and y^T y. picks : (S, w) columns of A that each speed of Stribeck has.
     """
-    w = picks.shape[1]
-    T = np.zeros((len(TERMS), w, w))  # absent columns are zero and keep parameters of zero
-    for k, terms in enumerate(TERMS):
-        mixed = mixing(terms, w)
-        T[k, :, : mixed.shape[1]] = mixed
+    T = _mixings(picks.shape[1])
     grams = [(G[picks[:, :, None], picks[:, None, :]][:, None], v[picks][:, None, :, None]) for G, v, _ in sums]
     error, told = np.zeros((len(picks), len(TERMS))), np.ones((len(picks), len(TERMS)), dtype=bool)
     G, v = sum(G for G, _ in grams), sum(v for _, v in grams)
@@ -166,6 +163,17 @@ def _held_out(sums: list[tuple[np.ndarray, np.ndarray, float]], picks: np.ndarra
             told &= np.linalg.eigvalsh(_scaled(T.transpose(0, 2, 1) @ H @ T)[0])[..., 0] > TOLD
     total = sum(power for _, _, power in sums)
     return np.where(told, np.maximum(error / total if total > 0 else error, EXACT), np.inf)
+
+
+@cache
+def _mixings(width: int) -> np.ndarray:
+    """Return `mixing` of all TERMS (8, width, width): absent columns are zero and keep parameters of zero."""
+    T = np.zeros((len(TERMS), width, width))
+    for k, terms in enumerate(TERMS):
+        mixed = mixing(terms, width)
+        T[k, :, : mixed.shape[1]] = mixed
+    T.flags.writeable = False
+    return T
 
 
 def _scaled(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
