@@ -171,11 +171,11 @@ def test_release_and_leave(cell: Cell) -> None:
 def test_a_server_that_does_not_read_loses_rows(cell: Cell) -> None:
     for _ in range(20_000):
         cell.row()
-        if cell.exchange.outlets["labcomm"].dropped > 100:
+        if cell.exchange.outlets["labcomm"].lost > 100:
             break
     outlet = cell.exchange.outlets["labcomm"]
-    assert outlet.dropped > 100
-    assert len([m for m in cell.heard("labcomm") if isinstance(m, bytes)]) == outlet.sent - 2
+    assert outlet.lost > 100
+    assert len([m for m in cell.heard("labcomm") if isinstance(m, bytes)]) == outlet.rows
     cell.row()
     assert len(cell.heard("labcomm")) == 1
 
@@ -202,7 +202,7 @@ def test_a_server_that_is_gone_holds_nothing_up(cell: Cell) -> None:
     for _ in range(10):
         cell.row()
     outlet = cell.exchange.outlets["labcomm"]
-    assert outlet.dropped == 10
+    assert outlet.lost == 10
     cell.far["labcomm"] = cell.exchange.open("labcomm")
     cell.row()
     assert len(cell.heard("labcomm")) == 3
@@ -224,6 +224,18 @@ def test_the_summary_of_a_run(cell: Cell) -> None:
     assert cell.params.running
     cell.say(OPERATOR, "set", values={"gain": 4.0})
     cell.exchange.arbiter.refused["labcomm 1"] = 3
-    assert cell.exchange.summary() == {"parameters": {"gain": 4.0, "open": 1.0}, "commands_refused": {"labcomm 1": 3}}
+    cell.exchange.arbiter.obeyed["yumi_left"]["labcomm 2"] = 5
+    cell.row()
+    cell.say("labcomm", "counted", clients={"a": [7, 2]})
+    assert cell.exchange.summary() == {
+        "parameters": {"gain": 4.0, "open": 1.0},
+        "commands": {"yumi_left": {"labcomm 2": 5}},
+        "commands_refused": {"labcomm 1": 3},
+        "servers": {
+            OPERATOR: {"rows": 1, "lost": 0, "clients": None},
+            "labcomm": {"rows": 1, "lost": 0, "clients": {"a": (7, 2)}},
+        },
+    }
+    assert cell.heard("labcomm")[-1]["kind"] == "count"
     assert "Parameter gain = 4.0" in cell.told[-1]
     assert not cell.params.running

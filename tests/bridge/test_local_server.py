@@ -134,7 +134,7 @@ def test_a_client_that_never_reads_holds_nobody_up(bench: Bench) -> None:
         feed.ask(Subscribe(rate=None))
         for _ in range(2000):
             bench.until(feed, "row")
-        assert bench.exchange.outlets[OPERATOR].dropped == 0
+        assert bench.exchange.outlets[OPERATOR].lost == 0
 
 
 def test_noise_gets_an_answer(bench: Bench) -> None:

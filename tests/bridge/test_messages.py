@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from armlab.bridge.messages import (
     CommandRequest,
+    Counted,
     Leave,
     Listening,
     Release,
@@ -36,6 +37,7 @@ from armlab.errors import LinkError
         (b'{"kind":"leave","client":"a"}', Leave("a")),
         (b'{"kind":"listening","where":["x"]}', Listening(where=["x"])),
         (b'{"kind":"subscribe","rate":null}', Subscribe(rate=None)),
+        (b'{"kind":"counted","clients":{"a":[7,2]}}', Counted(clients={"a": (7, 2)})),
         (b'{"kind":"set","client":"a","values":{"gain":2.5}}', SetRequest("a", {"gain": 2.5})),
         (b'{"kind":"command","client":"a","arm":"b","q":[1,null]}', CommandRequest("a", "b", [1.0, None])),
     ],

@@ -21,5 +21,7 @@ def test_a_pair_keeps_messages_whole() -> None:
 def test_a_closed_outlet_is_silent() -> None:
     outlet = Outlet("x")
     assert not outlet.send(b"a")
+    outlet.row(b"b")
+    assert (outlet.rows, outlet.lost) == (0, 1)
     assert outlet.receive() is None
     outlet.close()

@@ -10,7 +10,7 @@ import pytest
 
 from armlab import log
 from armlab.bridge import Run
-from armlab.bridge.run import statistics, together
+from armlab.bridge.run import served, statistics, together
 from armlab.log import Column, Table
 from armlab.state import Command, State
 
@@ -45,6 +45,28 @@ def test_report_and_table(play: Any, tmp_path: Path, in_file: bool) -> None:
     assert texts[-1] == "Stopping: the time is up."
     if path is not None:
         assert log.read(path).sha256 == run.table.sha256
+
+
+def test_who_was_served() -> None:
+    servers = {
+        "labcomm": {"rows": 9, "lost": 2, "clients": {"left 127.0.0.1:7": (8, 0), "fused 127.0.0.1:8": [5, 4]}},
+        "local": {"rows": 9, "lost": 0, "clients": {}},
+        "other": {"rows": 1, "lost": 0, "clients": None},
+    }
+    commands: dict[str, dict[str, int]] = {"yumi_left": {"labcomm 127.0.0.1:7": 6}, "yumi_right": {}}
+    counted = {
+        "servers": servers, "commands": commands, "commands_refused": {"local 1": 3}, "parameters": {"gain": 2.0},
+    }  # fmt: skip
+    assert served(counted) == [
+        "Rows to the server labcomm: 9 (2 lost). To its clients: left 127.0.0.1:7 8, fused 127.0.0.1:8 5 (4 dropped).",
+        "Rows to the server local: 9. To its clients: none.",
+        "Rows to the server other: 1. To its clients: unknown, it did not answer.",
+        "Commands to yumi_left: labcomm 127.0.0.1:7 6.",
+        "Commands to yumi_right: none.",
+        "Commands of clients refused: local 1 3.",
+        "Parameters in force: gain = 2.0.",
+    ]
+    assert served({}) == []
 
 
 def test_the_table_and_the_wire_agree_on_clamps(play: Any) -> None:

@@ -16,9 +16,9 @@ import pytest
 
 from armlab import robots
 from armlab.bridge.feed import OPERATOR, Exchange
-from armlab.bridge.local import socket_path
+from armlab.bridge.local import LocalFeed, socket_path
 from armlab.bridge.local_server import LocalServer
-from armlab.bridge.messages import parameter_message
+from armlab.bridge.messages import Subscribe, parameter_message
 from armlab.bridge.parameters import Parameter, Parameters
 from armlab.cli import main
 from armlab.cli.bridge import bridge, release, resume, set_parameters, start, stop
@@ -139,9 +139,22 @@ def test_the_functions_are_the_commands() -> None:
     assert all(callable(one) for one in (start, stop, set_parameters, release, resume))
 
 
+def test_the_report_comes_also_with_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    """The code of the exit is that of the error."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setattr("armlab.bridge.link.Loop.run", lambda loop: loop._fail(ValueError("odd")))
+    path = tmp_path / "cell.toml"
+    path.write_text(CELL.replace("sim://yumi_left", "egm://127.0.0.1:0"))
+    assert main(["bridge", "--config", str(path)]) == 1
+    shown = capsys.readouterr()
+    assert "Ended: the bridge failed." in shown.out
+    assert "Rows to the server local: 0. To its clients: none." in shown.out
+    assert "ValueError: odd" in shown.err
+
+
 @pytest.mark.slow
 def test_the_whole_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It says who listens where, ends on Ctrl-C with 130 and leaves nothing behind. Takes 4 s."""
+    """It says who listens where, ends on Ctrl-C with 130 and a report, and leaves nothing behind. Takes 4 s."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     path = tmp_path / "cell.toml"
     path.write_text(CELL)
@@ -150,8 +163,14 @@ def test_the_whole_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
         assert program.stderr is not None
         line = next(line for line in program.stderr if not line.startswith("armlab: note"))  # of slow kernels
         assert re.fullmatch(r"Listening: 127\.0\.0\.1:\d+ \(egm yumi_left\), .*armlab/small\.sock \(local\)\.\n", line)
-        time.sleep(1.0)
+        with LocalFeed("small", patience=20.0) as feed:
+            feed.ask(Subscribe())
+            while isinstance(feed.receive(), dict):
+                pass
         program.send_signal(signal.SIGINT)
-        program.communicate(timeout=20.0)
+        said, _ = program.communicate(timeout=20.0)
     assert program.returncode == 130
+    assert said.startswith("Ended: interrupted.\nyumi_left, RobotWare")
+    assert re.search(r"Arrival to reply \[us\]: p50 (\d+|nan)", said)
+    assert re.search(r"Rows to the server local: \d+\. To its clients: (\d+ )+\d+\.", said)
     assert not socket_path("small").exists()

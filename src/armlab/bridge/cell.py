@@ -160,6 +160,7 @@ def run_cell(
     seconds: float | None = None,
     patience: float = math.inf,
     ready: Callable[[str], None] = lambda line: None,
+    ended: Callable[[Run], None] = lambda run: None,
     controller: Controller | None = None,
     parameters: Parameters | None = None,
 ) -> Run:
@@ -169,6 +170,7 @@ def run_cell(
     ----------
     cell : from `parse_cell`. listen : see `listening`. seconds : robot time under guidance after which to end.
     patience : s to wait for a robot. ready : told one line, who listens where, before the first packet is taken.
+    ended : told the run that ended, also when it then raises.
     controller : commands the arms in place of the clients, which then only read, set parameters and stop the arms.
     parameters : that the controller reads, made of `Cell.parameters`.
 
@@ -205,15 +207,19 @@ def run_cell(
         )
         egm = [f"{link.host}:{port} (egm {arm.name})" for arm, port in zip(cell.robots, link.ports, strict=True)]
         ready(f"Listening: {', '.join([*egm, *where])}.")
-        return link.run(
-            exchange.arbiter if controller is None else _stoppable(controller, exchange.arbiter),
-            seconds=seconds,
-            limits=list(cell.limits),
-            record=cell.record,
-            pace=cell.pace,
-            feeds=[exchange],
-            sources=sources,
-        )
+        try:
+            return link.run(
+                exchange.arbiter if controller is None else _stoppable(controller, exchange.arbiter),
+                seconds=seconds,
+                limits=list(cell.limits),
+                record=cell.record,
+                pace=cell.pace,
+                feeds=[exchange],
+                sources=sources,
+            )
+        finally:
+            if link.last is not None:
+                ended(link.last)
 
 
 def _stoppable(controller: Controller, arbiter: Arbiter) -> Controller:

@@ -19,6 +19,7 @@ import numpy as np
 from armlab.bridge.events import Tell
 from armlab.bridge.messages import (
     CommandRequest,
+    Counted,
     Leave,
     Listening,
     Release,
@@ -45,6 +46,7 @@ __all__ = ["OPERATOR", "Exchange"]
 OPERATOR = "local"
 """The server whose clients are operators: its socket is the user's own."""
 
+_PATIENCE = 0.5  # s for a server to say what its clients got, when the arms rest
 _DRAINED = 16  # requests of a server per look
 _EVENTS = 1000  # that wait for a run to begin
 _COMPLAINT = 200_000_000  # ns between two events about refused settings
@@ -127,14 +129,29 @@ class Exchange:
             self.tell(f"Parameters: {', '.join(f'{name} = {value}' for name, value in values.items())}.")
 
     def summary(self) -> dict[str, Any]:
-        """Return what is kept with the numbers of a run: parameters in force, commands refused by client."""
-        self.poll()
+        """Return what is kept with the numbers of a run: parameters, who commanded, rows by server and client."""
+        servers = {name: self._counted(outlet) for name, outlet in self.outlets.items()}
         self.parameters.running = False
         values = {
             name: getattr(value, "tolist", lambda value=value: value)()
             for name, value in self.parameters.values().items()
         }
-        return {"parameters": values, "commands_refused": dict(self.arbiter.refused)}
+        return {
+            "parameters": values,
+            "commands": {arm: dict(clients) for arm, clients in self.arbiter.obeyed.items()},
+            "commands_refused": dict(self.arbiter.refused),
+            "servers": servers,
+        }
+
+    def _counted(self, outlet: Outlet) -> dict[str, Any]:
+        """Ask a server what its clients got; it has little time to answer."""
+        outlet.clients, until = None, time.monotonic() + _PATIENCE
+        if outlet.send(text_message("count")):
+            while outlet.clients is None and time.monotonic() < until:
+                self.poll()
+                time.sleep(1e-3)
+        self.poll()
+        return {"rows": outlet.rows, "lost": outlet.lost, "clients": outlet.clients}
 
     def tell(self, text: str, warn: bool = False) -> None:
         """Keep a sentence for the events of the run; from any thread.
@@ -160,7 +177,7 @@ class Exchange:
         """Send a row to every server and see what came back."""
         data = self._writer.row(state, command, tick, time.monotonic_ns(), self.arbiter.commander(state.robot))
         for outlet in self.outlets.values():
-            outlet.send(data)
+            outlet.row(data)
         self.poll()
 
     def event(self, text: str, warn: bool = False) -> None:
@@ -211,6 +228,9 @@ class Exchange:
             return
         if isinstance(request, Listening):
             outlet.where = request.where
+            return
+        if isinstance(request, Counted):
+            outlet.clients = request.clients
             return
         client = f"{outlet.name} {request.client}"
         if outlet.name in self._read_only and not isinstance(request, Stop | Leave):

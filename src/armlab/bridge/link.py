@@ -121,6 +121,7 @@ class Link:
     Attributes
     ----------
     robots : the arms. robot : the first. host, port : the address bound for the first. ports : of each arm.
+    last : what the last run left behind, also one that raised; None before the first.
     """
 
     def __init__(
@@ -130,6 +131,7 @@ class Link:
         self.robot, self.host, self.port = ends[0].robot, ends[0].port.host, ends[0].port.port
         self._ends, self._answer_stream = tuple(ends), answer_stream
         self._settings, self._simulator = settings, simulator
+        self.last: Run | None = None
 
     def __enter__(self) -> Link:
         return self
@@ -241,7 +243,7 @@ class Link:
                     _enter_real_time(stack, loop, arms[0].recording.event, wait)
                 loop.run()
         finally:
-            run = finished(arms, loop.reason or "interrupted", feeds)
+            self.last = run = finished(arms, loop.reason or "interrupted", feeds)
         failure = loop.failure
         if failure is not None:
             tails = {arm.robot.name: arm.recording.tail() for arm in arms}

@@ -16,6 +16,7 @@ import msgspec
 from armlab.bridge.holder import program
 from armlab.bridge.messages import (
     CommandRequest,
+    Counted,
     Leave,
     Listening,
     Request,
@@ -35,6 +36,7 @@ _CLIENTS = 8
 _LARGEST = 2**17
 _STATUS = 0.5  # s between two reports
 _EVENTS = 20  # that a new client gets
+_KEPT = 100  # clients that have left, of which is known what they got
 _URGENT = 256  # requests that wait when the way to the loop is full
 _RETRY = 0.005  # s until they are tried again
 _TAKEN = 16  # messages of a client before the others have their turn
@@ -47,12 +49,18 @@ class _Client:
         self.connection, self.name = connection, name
         self.every: float | None = None
         self.due = 0.0
-        self.dropped = 0
+        self.rows = self.dropped = 0
 
-    def send(self, data: bytes) -> None:
+    def send(self, data: bytes) -> bool:
         try:
-            self.connection.send(data)
+            return self.connection.send(data) > 0
         except OSError:  # full or gone: the next read tells which
+            return False
+
+    def row(self, data: bytes) -> None:
+        if self.send(data):
+            self.rows += 1
+        else:
             self.dropped += 1
 
 
@@ -77,6 +85,7 @@ class LocalServer:
         self._events: deque[bytes] = deque(maxlen=_EVENTS)
         self._urgent: deque[Request] = deque(maxlen=_URGENT)
         self._status: Status | None = None
+        self._gone: dict[str, tuple[int, int]] = {}  # what clients got that have left, the last of them
         self._count = 0
         self._reported = 0.0
 
@@ -135,11 +144,15 @@ class LocalServer:
         for client in self._clients.values():
             if client.every is not None and now >= client.due:
                 client.due = max(client.due + client.every, now)
-                client.send(data)
+                client.row(data)
 
     def _text(self, data: bytes) -> None:
         message = msgspec.json.decode(data)
         kind = message["kind"]
+        if kind == "count":
+            here = {client.name: (client.rows, client.dropped) for client in self._clients.values()}
+            self._ask(Counted(clients={**self._gone, **here}))
+            return
         if kind == "answer":
             for client in self._clients.values():
                 if client.name == message["client"]:
@@ -193,7 +206,7 @@ class LocalServer:
                 continue
             if isinstance(request, Subscribe):
                 self._subscribe(client, request)
-            elif not isinstance(request, Listening):
+            elif not isinstance(request, Listening | Counted):
                 self._ask(msgspec.structs.replace(request, client=client.name))
 
     def _subscribe(self, client: _Client, request: Subscribe) -> None:
@@ -204,6 +217,9 @@ class LocalServer:
         self._selector.unregister(client.connection)
         del self._clients[client.connection]
         client.connection.close()
+        self._gone[client.name] = (client.rows, client.dropped)
+        if len(self._gone) > _KEPT:
+            del self._gone[next(iter(self._gone))]
         self._ask(Leave(client.name))
 
     def _ask(self, request: Request) -> None:

@@ -13,6 +13,7 @@ from armlab.errors import LinkError
 
 __all__ = [
     "CommandRequest",
+    "Counted",
     "Leave",
     "Listening",
     "Release",
@@ -76,13 +77,19 @@ class Listening(_Message, tag="listening", frozen=True):
     where: list[str] = []
 
 
+class Counted(_Message, tag="counted", frozen=True):
+    """What the server's clients got so far, asked for by the message "count": rows sent and dropped, by client."""
+
+    clients: dict[str, tuple[int, int]] = {}
+
+
 class Subscribe(_Message, tag="subscribe", frozen=True):
     """A client of the local feed wants this many rows a second, 0 for none; None for every row."""
 
     rate: float | None = 30.0
 
 
-Request = CommandRequest | SetRequest | Stop | Resume | Release | Leave | Listening | Subscribe
+Request = CommandRequest | SetRequest | Stop | Resume | Release | Leave | Listening | Counted | Subscribe
 """What a server process or a client of the local feed may ask for."""
 
 _DECODER = msgspec.json.Decoder(Request)
@@ -112,8 +119,8 @@ def text_message(kind: str, **fields: Any) -> bytes:
 
     Parameters
     ----------
-    kind : "event", "answer", "about", "parameters", "recording" or "status". fields : what it says; arrays become
-        lists, numbers that are not finite null.
+    kind : "event", "answer", "about", "parameters", "recording", "status" or "count".
+    fields : what it says; arrays become lists, numbers that are not finite null.
     """
     return msgspec.json.encode({"kind": kind, **fields}, enc_hook=_plain)
 

@@ -31,13 +31,16 @@ class Outlet:
 
     Attributes
     ----------
-    sent, dropped : messages. where : what the server listens on; None until it says so.
+    rows, lost : rows that the server was sent, and that it did not take in time.
+    where : what the server listens on; None until it says so.
+    clients : rows sent to each of its clients and dropped for it; None until it says so.
     """
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self.sent = self.dropped = 0
+        self.rows = self.lost = 0
         self.where: list[str] | None = None
+        self.clients: dict[str, tuple[int, int]] | None = None
         self._socket: socket.socket | None = None
 
     def open(self) -> socket.socket:
@@ -53,18 +56,19 @@ class Outlet:
         if gone is not None:
             gone.close()
 
+    def row(self, data: bytes) -> None:
+        """Send one row, or count it as lost. Never waits."""
+        if self.send(data):
+            self.rows += 1
+        else:
+            self.lost += 1
+
     def send(self, data: bytes) -> bool:
-        """Send one message; False when it was dropped. Never waits."""
-        connection = self._socket
-        if connection is None:
-            return False
+        """Send one message; False when it was dropped: no process, or one that does not read. Never waits."""
         try:
-            connection.send(data)
+            return self._socket is not None and self._socket.send(data) > 0
         except OSError:  # full, or the process has gone: its supervisor sees to that
-            self.dropped += 1
             return False
-        self.sent += 1
-        return True
 
     def receive(self) -> bytes | None:
         """Return one message, None when none waits."""

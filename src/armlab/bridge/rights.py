@@ -77,7 +77,8 @@ class Arbiter:
 
     Attributes
     ----------
-    poll : as given. refused : commands refused, by client. stopped : who stopped all arms, "" when nobody has.
+    poll : as given. refused : commands refused, by client. obeyed : commands taken, by arm and client.
+    stopped : who stopped all arms, "" when nobody has.
     """
 
     def __init__(
@@ -101,6 +102,7 @@ class Arbiter:
         self._inbox: dict[tuple[str, str], tuple[int, Order]] = {}
         self._answered: dict[str, int] = {}
         self.refused: Counter[str] = Counter()
+        self.obeyed: dict[str, Counter[str]] = {robot.name: Counter() for robot in robots}
         self.stopped = self._reserved = ""
 
     def commander(self, arm: str) -> str:
@@ -219,7 +221,7 @@ class Arbiter:
         if holder is not None and holder.client != order.client:
             return self._refuse(order.client, f"{order.arm} is commanded by {holder.client}. You may read.", now)
         if holder is not None and None not in (order.seq, holder.seq) and order.seq <= holder.seq:  # type: ignore[operator]
-            self.refused[order.client] += 1
+            _count(self.refused, order.client)
             return False
         values: dict[str, np.ndarray | None] = {}
         for name in ("q", "qd", "tau"):
@@ -240,6 +242,7 @@ class Arbiter:
         if holder is None:
             self._tell(f"{order.client} commands {order.arm}.")
         self._holders[order.arm] = _Holder(order.client, Command(q, values["qd"], tau), order.seq, now)
+        _count(self.obeyed[order.arm], order.client)
         return True
 
     def _command(self, robot: Robot, state: State, is_fresh: bool) -> Command | None:
@@ -257,10 +260,9 @@ class Arbiter:
             self._tell(f"{holder.client} no longer commands {arm}: {why}. The arm holds.")
 
     def _refuse(self, client: str, why: str, now: int) -> bool:
-        for table in (self.refused, self._answered):
-            if client not in table and len(table) >= _CLIENTS:
-                table.pop(next(iter(table)))
-        self.refused[client] += 1
+        _count(self.refused, client)
+        if client not in self._answered and len(self._answered) >= _CLIENTS:
+            self._answered.pop(next(iter(self._answered)))
         if now - self._answered.get(client, -_ANSWER_EVERY) >= _ANSWER_EVERY:
             self._answered[client] = now
             self._answer(client, f"{why} {self.refused[client]} commands refused so far.")
@@ -270,6 +272,13 @@ class Arbiter:
 
     def _robot(self, arm: str) -> Robot:
         return next(robot for robot in self._robots if robot.name == arm)
+
+
+def _count(counter: Counter[str], client: str) -> None:
+    """Count one; of too many clients the first is forgotten."""
+    if client not in counter and len(counter) >= _CLIENTS:
+        del counter[next(iter(counter))]
+    counter[client] += 1
 
 
 def _sent(state: State) -> np.ndarray:

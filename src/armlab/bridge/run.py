@@ -12,7 +12,7 @@ from armlab.bridge.arm import Arm
 from armlab.bridge.recording import Recording
 from armlab.log import Table
 
-__all__ = ["Run", "statistics", "together"]
+__all__ = ["Run", "served", "statistics", "together"]
 
 _CLAMPS = ("position", "velocity", "acceleration", "braking", "torque", "torque rate")
 
@@ -56,9 +56,12 @@ class Run:
         return together({arm.statistics["robot"]: arm.table for arm in self.arms})
 
     def report(self) -> str:
-        """Return the run in a few lines: packets, latency, late cycles, drops, clamps per joint."""
-        if self.arms:
-            return "\n".join(arm.report() for arm in self.arms)
+        """Return the run in a few lines: packets, latency, late cycles, drops, clamps per joint; see also `served`."""
+        arms = [line for arm in self.arms or (self,) for line in arm._lines()]
+        return "\n".join([*arms, *served((self.arms or (self,))[0].statistics)])
+
+    def _lines(self) -> list[str]:
+        """Return what there is to say of one arm."""
         s = self.statistics
         latency = ", ".join(f"{name} {value:.0f}" for name, value in s["latency_us"].items())
         lines = [
@@ -75,8 +78,7 @@ class Run:
             if any(counts):
                 worst = f", worst ratio {s['worst_ratio']:.2f}" if kind == "velocity" else ""
                 lines.append(f"Clamped by {kind}, times per joint: {', '.join(map(str, counts))}{worst}.")
-        lines += s["problems"]
-        return "\n".join(lines)
+        return lines + s["problems"]
 
 
 def statistics(arm: Arm, reason: str) -> dict[str, Any]:
@@ -107,6 +109,38 @@ def statistics(arm: Arm, reason: str) -> dict[str, Any]:
         "worst_ratio": guide.worst_ratio,
         "reason": reason,
     }
+
+
+def served(statistics: Mapping[str, Any]) -> list[str]:
+    """Return who was served and who commanded in a run with servers, and its parameters, in sentences.
+
+    Parameters
+    ----------
+    statistics : of the run, or of one of its arms.
+    """
+    lines = []
+    for name, server in statistics.get("servers", {}).items():
+        lost = f" ({server['lost']} lost)" if server["lost"] else ""
+        clients = [
+            f"{client} {sent}{f' ({dropped} dropped)' if dropped else ''}"
+            for client, (sent, dropped) in (server["clients"] or {}).items()
+        ]
+        unknown = "none" if server["clients"] is not None else "unknown, it did not answer"
+        lines.append(
+            f"Rows to the server {name}: {server['rows']}{lost}. To its clients: {', '.join(clients) or unknown}."
+        )
+    for arm, clients in statistics.get("commands", {}).items():
+        lines.append(f"Commands to {arm}: {_counted(clients)}.")
+    if statistics.get("commands_refused"):
+        lines.append(f"Commands of clients refused: {_counted(statistics['commands_refused'])}.")
+    if statistics.get("parameters"):
+        values = (f"{name} = {value}" for name, value in statistics["parameters"].items())
+        lines.append(f"Parameters in force: {', '.join(values)}.")
+    return lines
+
+
+def _counted(clients: Mapping[str, int]) -> str:
+    return ", ".join(f"{client} {number}" for client, number in clients.items()) or "none"
 
 
 def together(tables: Mapping[str, Table]) -> Table:

@@ -28,7 +28,7 @@ bridge = App(
 
 @bridge.default
 def start(*, config: Path, listen: list[str] | None = None, seconds: float | None = None) -> int:
-    """Run the bridge of a cell until Ctrl-C. The first line says what listens where.
+    """Run the bridge of a cell until Ctrl-C. The first line says what listens where, the last ones how it went.
 
     Parameters
     ----------
@@ -47,8 +47,8 @@ def start(*, config: Path, listen: list[str] | None = None, seconds: float | Non
         text = config.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"Expected a cell file at {config}, but it cannot be read ({error}).") from error
-    run = run_cell(parse_cell(text, str(config)), listen or (), seconds, ready=note)
-    result(run.report())
+    cell = parse_cell(text, str(config))
+    run = run_cell(cell, listen or (), seconds, ready=note, ended=lambda run: result(run.report()))
     return FAILED if run.statistics["problems"] else 0  # the log that was asked for is not whole
 
 

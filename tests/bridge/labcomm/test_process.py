@@ -77,6 +77,12 @@ def test_rows_go_out_and_commands_come_back(running: Running, robot: Robot) -> N
     with LabCommClient(port=running.where[robot.name], types=RowTypes(robot.abb_axes)) as client:
         until(lambda: running.exchange.row(now, None, TICK) or client.rows(0.0))
         client.command(Row(9, robot.q_home + 0.01))
+        counted = running.exchange.summary()["servers"]["labcomm"]
+        assert counted["rows"] > 0
+        ((name, (sent, dropped)),) = counted["clients"].items()
+        assert name.startswith(f"{robot.name} 127.0.0.1:")
+        assert 0 < sent <= counted["rows"]
+        assert dropped == 0
 
         def commanded() -> bool:
             running.exchange.row(now, None, TICK)

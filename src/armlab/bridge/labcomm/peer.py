@@ -29,7 +29,8 @@ class Peer:
 
     Attributes
     ----------
-    decoder : of what comes. dropped : data packets that a full queue lost. began : when it connected, monotonic [s].
+    decoder : of what comes. sent, dropped : data packets whose sending began, and that a full queue lost.
+    began : when it connected, monotonic [s].
     """
 
     def __init__(self, connection: socket.socket, address: str, encoder: Encoder | None) -> None:
@@ -38,7 +39,7 @@ class Peer:
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _KERNEL)
         with contextlib.suppress(OSError):
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self.decoder, self.dropped = Decoder(), 0
+        self.decoder, self.sent, self.dropped = Decoder(), 0, 0
         self.began = time.monotonic()
         self._queue: deque[tuple[bytes, bool]] = deque()  # packet, whether it may be dropped
         self._rest = b""  # of a packet that was sent in part
@@ -82,7 +83,8 @@ class Peer:
     def flush(self) -> bool:
         """Send what the system takes, one write per packet. Return False when the connection is gone."""
         while self._rest or self._queue:
-            data = self._rest or self._queue.popleft()[0]
+            data, is_row = (self._rest, False) if self._rest else self._queue.popleft()
+            self.sent += is_row
             try:
                 sent = self.socket.send(data)
             except (BlockingIOError, InterruptedError):

@@ -20,7 +20,7 @@ from armlab.bridge.labcomm.channels import ArmChannel, Channel, FusedArm, FusedC
 from armlab.bridge.labcomm.peer import Peer
 from armlab.bridge.labcomm.rows import Order, Row
 from armlab.bridge.labcomm.server import LabCommServer
-from armlab.bridge.messages import CommandRequest, Leave, Listening, Request, SetRequest
+from armlab.bridge.messages import CommandRequest, Counted, Leave, Listening, Request, SetRequest
 from armlab.bridge.row import MAGIC, read_row
 from armlab.bridge.row_schema import RowSchema
 from armlab.errors import ConfigError, LinkError
@@ -190,6 +190,8 @@ class LabCommProcess:
                     self._echo(name)
                     for names in self._asked.values():
                         names.discard(name)
+        elif kind == "count":
+            self.ask(Counted(clients={} if self._server is None else self._server.clients))
         elif kind == "answer":  # what this client set is not in force
             for name in self._asked.pop(message["client"], ()):
                 self._echo(name)

@@ -28,6 +28,7 @@ from armlab.wire.labcomm import Definition, Encoder
 __all__ = ["LabCommServer"]
 
 _CLIENTS = 8  # per port
+_KEPT = 100  # clients that have left, of which is known what they got
 _PUBLISHED = 256  # items that wait for the server's thread
 _LOOK = 0.05  # s between two looks at what is overdue
 _SNIFF = 0.2  # s that a port which follows its client waits for the first packets
@@ -61,6 +62,7 @@ class LabCommServer:
         self._waker.setblocking(False)
         self._listeners: list[socket.socket] = []
         self.ports: dict[str, int] = {}
+        self._gone: dict[str, tuple[int, int]] = {}
         self._unknown: list[tuple[Channel, Peer, float]] = []  # clients whose dialect is awaited
         self._closing = False
         try:
@@ -131,6 +133,16 @@ class LabCommServer:
             }
             for name, channel in self._channels.items()
         }
+
+    @property
+    def clients(self) -> dict[str, tuple[int, int]]:
+        """Data packets sent to each client and dropped for it, by channel and address; also of those that have left."""
+        here = {
+            f"{name} {peer.address}": (peer.sent, peer.dropped)
+            for name in self._channels
+            for peer in list(self._peers[name])
+        }
+        return {**self._gone, **here}
 
     def close(self) -> None:
         """Close all connections and ports."""
@@ -275,6 +287,9 @@ class LabCommServer:
         peers = self._peers[channel.name]
         if peer not in peers:
             return
+        self._gone[f"{channel.name} {peer.address}"] = (peer.sent, peer.dropped)
+        if len(self._gone) > _KEPT:
+            del self._gone[next(iter(self._gone))]
         peers.remove(peer)
         self._unknown = [entry for entry in self._unknown if entry[1] is not peer]
         with contextlib.suppress(KeyError, ValueError):
