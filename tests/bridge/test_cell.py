@@ -9,13 +9,14 @@ import signal
 import socket
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from armlab import robots
+from armlab import models, robots
 from armlab.bridge.cell import Cell, parse_cell, run_cell
 from armlab.bridge.labcomm import LabCommSource
 from armlab.bridge.local import LocalFeed, socket_path
@@ -26,6 +27,7 @@ from armlab.bridge.rights import Arbiter
 from armlab.bridge.row import Row
 from armlab.cli import main
 from armlab.errors import ConfigError, LinkError
+from armlab.models import ForceSensor
 from armlab.state import Command
 
 FILE = """
@@ -79,6 +81,22 @@ def test_two_arms_have_the_ports_of_the_ancestor() -> None:
     force, far = cell.sources()
     assert (force.name, force.fields["wrench_raw"].unit) == ("force", "N, N m")
     assert isinstance(far, LabCommSource)
+
+
+def test_a_force_sensor_with_its_calibration(tmp_path: Path) -> None:
+    arm, path = robots.load("yumi_left"), tmp_path / "force.toml"
+    sensor = ForceSensor(np.eye(3), 0.8, np.zeros(3), np.zeros(6), robot_name=arm.name, robot_hash=arm.hash)
+    models.save(sensor, path)
+    text = f"{FILE}[sources.force]\nperiod=0.004\nport=0\ncalibration='{path}'\nfields.wrench_raw.shape=[6]\n"
+    (source,) = parse_cell(text).sources()
+    assert source.calibration is not None
+    assert (source.calibration.mass, source.robot) == (0.8, "yumi_left")
+    models.save(replace(sensor, robot_hash="other"), path)
+    with pytest.raises(ConfigError, match=r"cell\.toml: .*to be of a robot of this run"):
+        parse_cell(text)
+    path.unlink()
+    with pytest.raises(ConfigError, match=r"cell\.toml: .*force\.toml, got: No such file"):
+        parse_cell(text)
 
 
 @pytest.mark.parametrize(

@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab import bridge
+from armlab import bridge, kinematics
 from armlab.bridge import CallableSource, Fusion, Held, Reading, ReplaySource, Source, TimerSource, UdpSource
 from armlab.errors import ConfigError, UnknownName
 from armlab.log import Column
+from armlab.models import ForceSensor
 from armlab.robots import Robot
 from armlab.state import Command, State
 
@@ -215,6 +216,53 @@ def test_in_a_run_and_replayed(play: Any) -> None:
             np.testing.assert_allclose(again[name], column[row], rtol=1e-12, atol=2e-9, err_msg=name)
     with pytest.raises(UnknownName, match="source in this recording"):
         ReplaySource("tracker", table, 0.03)
+
+
+def test_the_simulated_arm_turns_a_known_mass(robot: Robot) -> None:
+    """0.8 kg on a raw sensor: State.wrench is the push alone, wherever the wrist is; NaN when the sensor is silent."""
+    m, c, push = 0.8, np.array([0.01, -0.02, 0.06]), np.array([2.0, -1.0, 3.0, 0.1, 0.2, -0.3])
+    bias, p = np.array([5.0, -4.0, 3.0, 0.3, 0.2, 0.1]), np.array([0.0, 0.0, -0.04])
+    R_tool_sensor = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    sensor = ForceSensor(R_tool_sensor, m, c, bias, position=p, robot_name=robot.name, robot_hash=robot.hash)
+    states: list[State] = []
+
+    class Raw(Source):
+        """Reads at the posture of the packet before: what it says is exact once the arm stands."""
+
+        def newest(self) -> Reading | None:
+            if not states or len(states) > 500:
+                return self.last
+            R = (kinematics.forward(robot, states[-1].q)[:3, :3] @ R_tool_sensor).T
+            felt = m * R @ [0.0, 0.0, -9.80665]
+            moment = push[3:] - np.cross(R.T @ R_tool_sensor.T @ p, push[:3])  # at the sensor, not at the tool
+            raw = np.r_[R @ push[:3] + felt, R @ moment + np.cross(c, felt)] + bias
+            self.last = Reading(self.values({"wrench_raw": raw}), 0, self.now_ns, len(states))
+            return self.last
+
+        last: Reading | None = None
+
+    def controller(state: State) -> Command:
+        states.append(state)
+        turn = np.zeros(7)
+        turn[[4, 5]] = 0.5 * (1 - np.cos(2.0 * min(state.t, np.pi / 2)))
+        return Command(state.q_start + turn)
+
+    source = Raw("force", {"wrench_raw": Column((6,))}, 0.004, calibration=sensor)
+    assert source.robot == robot.name
+    with bridge.connect(f"sim://{robot.name}?lockstep=true", robot) as link:
+        run = link.run(controller, seconds=2.4, sources=[source])
+    q, wrench = np.array([s.q for s in states]), np.array([s.wrench for s in states])
+    assert np.isnan(wrench[0]).all()
+    moving = slice(5, 300)
+    assert np.ptp(q, axis=0)[4] > 0.7
+    assert np.abs(wrench[moving] - push).max() < 0.1  # 0.8 kg turned for one packet
+    assert np.abs(wrench[450:500] - push).max() < 1e-3  # at rest again, elsewhere, but for the noise of the joints
+    table = run.table
+    rows = np.isfinite(table["wrench"]).all(axis=1)
+    expected = sensor.wrench(table["force.wrench_raw"], kinematics.forward(robot, table["q"]))
+    np.testing.assert_allclose(table["wrench"][rows], expected[rows], atol=1e-12)
+    assert table.units["force.wrench_raw"] == "N, N m"
+    assert np.isnan(wrench[-1]).all()
 
 
 def test_a_required_source_that_is_stale_holds_the_arm(play: Any) -> None:

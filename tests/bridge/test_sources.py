@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import threading
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from armlab import robots
 from armlab.bridge import CallableSource, Reading, Source, TimerSource
 from armlab.bridge.sources import TICK_COLUMNS, ThreadSource
-from armlab.errors import ConfigError, ShapeError, UnknownName
+from armlab.errors import ConfigError, ModelMismatchError, ShapeError, UnknownName
 from armlab.log import Column
+from armlab.models import ForceSensor
 
 FIELDS = {"p": Column((3,), unit="m"), "grip": Column(unit="N")}
 
@@ -36,6 +39,39 @@ FIELDS = {"p": Column((3,), unit="m"), "grip": Column(unit="N")}
 def test_wrong_sources(options: dict[str, Any], error: type[Exception], words: str) -> None:
     with pytest.raises(error, match=words):
         Source(**{"name": "tracker", "fields": FIELDS, "period": 0.03, **options})
+
+
+RAW = {"wrench_raw": Column((6,))}
+SENSOR = ForceSensor(np.eye(3), 1.0, np.zeros(3), np.zeros(6))
+
+
+@pytest.mark.parametrize(
+    ("fields", "calibration"),
+    [
+        (RAW, "force.toml"),
+        (FIELDS, SENSOR),
+        ({**RAW, "wrench": Column((6,))}, SENSOR),
+    ],
+)
+def test_wrong_calibrations(fields: dict[str, Column], calibration: Any) -> None:
+    with pytest.raises(ConfigError, match="ForceSensor as the calibration of the source 'force'"):
+        Source("force", fields, 0.004, calibration=calibration)
+
+
+def test_a_calibration_belongs_to_an_arm_of_the_run() -> None:
+    arms = [robots.load("yumi_left"), robots.load("yumi_right")]
+    Source("tracker", FIELDS, 0.03).check(arms)
+    own = replace(SENSOR, robot_name="yumi_left", robot_hash=arms[0].hash)
+    source = Source("force", RAW, 0.004, calibration=own)
+    assert source.robot == "yumi_left"
+    source.check(arms)
+    Source("force", RAW, 0.004, calibration=SENSOR).check(arms[:1])
+    with pytest.raises(ConfigError, match=r"robot= of the force sensor 'force', one of yumi_left, yumi_right"):
+        Source("force", RAW, 0.004, calibration=SENSOR).check(arms)
+    with pytest.raises(ModelMismatchError, match="'force' to be of a robot of this run, got one of 'yumi_left'"):
+        source.check(arms[1:])
+    with pytest.raises(ModelMismatchError):
+        Source("force", RAW, 0.004, calibration=own, robot="yumi_right").check(arms)
 
 
 def test_values() -> None:

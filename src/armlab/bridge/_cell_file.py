@@ -45,6 +45,7 @@ class SourceTable(_Table, frozen=True):
     max_age: float | None = None
     role: Literal["required", "optional"] = "optional"
     robot: str = ""
+    calibration: str | None = None
 
 
 class ParameterTable(_Table, frozen=True):

@@ -171,7 +171,7 @@ class Arm:
         self.guide.observe(sample)
         self._heard_ns, self._robot_ns = sample.arrival_ns, sample.packet.robot_ns
         self.prediction.add(sample.arrival_ns, sample.missed + 1, self.period)
-        fused = self._fusion.fields(sample.arrival_ns, self.robot.name)
+        fused = self._fusion.fields(sample.arrival_ns, self.robot, sample.packet.q)
         if self._details is not None and self._arrival is not None:
             fused = {**fused, "details": partial(self._details, self._arrival.data)}
         state = self.guide.state(sample, self._wall_ns + sample.arrival_ns, **fused)

@@ -104,6 +104,8 @@ def assemble(
     wall_ns = time.time_ns() - time.monotonic_ns()
     told = list(feeds)  # one list: a feed that fails is dropped for all arms
     columns = {**Fusion(sources).columns, **(extra or {})}
+    for source in sources:
+        source.check([end.robot for end in ends])
     files = paths(record, [end.robot for end in ends])
     arms: list[Arm] = []
     try:

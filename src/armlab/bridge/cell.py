@@ -13,7 +13,7 @@ from typing import Any
 
 import msgspec
 
-from armlab import robots
+from armlab import models, robots
 from armlab.bridge._cell_file import File, LabCommTable, SourceTable
 from armlab.bridge.feed import OPERATOR, Exchange
 from armlab.bridge.labcomm import LabCommSource
@@ -108,7 +108,7 @@ def _cell(file: File) -> Cell:
         declared.append(Parameter(name, **fields))
     Parameters(declared)
     for name, source in file.sources.items():
-        _source(name, source)
+        _source(name, source).check(arms)
     return Cell(
         file.name,
         arms,
@@ -148,7 +148,9 @@ def _labcomm(options: LabCommTable, arms: Sequence[Robot]) -> dict[str, Any]:
 
 def _source(name: str, one: SourceTable) -> Source:
     fields = {field: Column(about.shape, about.unit, about.frame) for field, about in one.fields.items()}
-    options = {"max_age": one.max_age, "role": one.role, "robot": one.robot}
+    options: dict[str, Any] = {"max_age": one.max_age, "role": one.role, "robot": one.robot}
+    if one.calibration is not None:
+        options["calibration"] = models.load(one.calibration, kind="force_sensor")
     if one.kind == "labcomm":
         return LabCommSource(name, fields, one.period, one.port, one.host, one.sample, **options)
     return UdpSource(name, fields, one.period, one.port, one.layout, one.host, **options)

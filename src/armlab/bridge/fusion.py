@@ -17,6 +17,8 @@ from armlab.bridge.clock_map import ClockMap
 from armlab.bridge.events import Tell, nobody
 from armlab.bridge.sources import TICK_COLUMNS, Reading, Source
 from armlab.errors import ConfigError
+from armlab.kinematics import forward
+from armlab.robots import Robot
 
 __all__ = ["Fusion", "Held"]
 
@@ -121,20 +123,26 @@ class Fusion:
             elif before is self._last.get(pacing.name):
                 time.sleep(0.1 * pacing.period)
 
-    def fields(self, now_ns: int, robot: str) -> dict[str, Any]:
-        """Return the fields of a State at a tick: `sources`, and `wrench` where a source gives it calibrated.
+    def fields(self, now_ns: int, robot: Robot, q: np.ndarray) -> dict[str, Any]:
+        """Return the fields of a State at a tick: `sources`, and `wrench` where a source gives it calibrated or raw.
 
         Parameters
         ----------
-        now_ns : of the tick. robot : name of the arm.
+        now_ns : of the tick. robot : the arm. q : (n,) its joints, for the weight on a force sensor [rad].
         """
         if not self.sources:
             return {}
         held = self.tick(now_ns)
         found: dict[str, Any] = {"sources": held}
         for source in self.sources:
-            if "wrench" in source.fields and source.robot in ("", robot):
+            if source.robot not in ("", robot.name):
+                continue
+            if "wrench" in source.fields:
                 found["wrench"] = held[source.name].values["wrench"]
+            elif source.calibration is not None:
+                wrench = source.calibration.wrench(held[source.name].values["wrench_raw"], forward(robot, q))
+                wrench.flags.writeable = False
+                found["wrench"] = wrench
         return found
 
     def record(self, held: Mapping[str, Held], now_ns: int) -> dict[str, Any]:

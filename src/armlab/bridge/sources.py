@@ -8,14 +8,16 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from armlab.errors import ConfigError, UnknownName
+from armlab.errors import ConfigError, ModelMismatchError, UnknownName
 from armlab.log import Column
+from armlab.models import ForceSensor
+from armlab.robots import Robot
 
 __all__ = ["TICK_COLUMNS", "CallableSource", "Reading", "Source", "ThreadSource", "TimerSource"]
 
@@ -54,11 +56,13 @@ class Source:
     ----------
     name : of the source; its columns in the log are ``<name>.<field>``.
     fields : shape, unit and frame by field; names of the glossary mean what they mean there. A field ``wrench`` (6,),
-        calibrated, in base axes, becomes `State.wrench`; one in the sensor's own axes is a ``wrench_raw``.
+        calibrated, in base axes, becomes `State.wrench`; one in the sensor's own axes is a ``wrench_raw``, and becomes
+        `State.wrench` by its `calibration`.
     period : nominal time between two readings [s].
     max_age : age from which values are stale [s]; by default three periods or 20 ms, whichever is longer.
     role : "required": the arms hold while it is stale; "pacing": `Fusion.ticks` follows it; "optional".
-    robot : name of the arm that `wrench` belongs to, "" for any.
+    robot : name of the arm that the wrench belongs to, "" for any; by default that of the calibration.
+    calibration : of the force sensor whose ``wrench_raw`` (6,) this is: weight, bias, axes.
 
     Attributes
     ----------
@@ -66,7 +70,8 @@ class Source:
 
     Raises
     ------
-    ConfigError : a name with a dot or none, no fields, a period or an age that is not above 0, an unknown role.
+    ConfigError : a name with a dot or none, no fields, a period or an age that is not above 0, an unknown role, a
+        calibration without raw readings.
     ShapeError, UnknownName : a field contradicts the glossary or lacks its unit.
     """
 
@@ -78,6 +83,7 @@ class Source:
         max_age: float | None = None,
         role: Literal["pacing", "required", "optional"] = "optional",
         robot: str = "",
+        calibration: ForceSensor | None = None,
     ) -> None:
         if not name or "." in name or not fields:
             raise ConfigError(f"Expected a source with fields and a name without dots, got {name!r} with {[*fields]}.")
@@ -87,7 +93,10 @@ class Source:
             )
         if role not in _ROLES:
             raise UnknownName.among("role of a source", role, _ROLES)
-        self.name, self.period, self.role, self.robot = name, float(period), role, robot
+        if calibration is not None:
+            _check_calibration(name, fields, calibration)
+        self.name, self.period, self.role, self.calibration = name, float(period), role, calibration
+        self.robot = robot if robot or calibration is None else calibration.robot_name
         taken = [field for field in fields if field in TICK_COLUMNS]
         if taken:
             raise ConfigError(f"Expected other names than those of the log's own columns, got {', '.join(taken)}.")
@@ -101,6 +110,29 @@ class Source:
 
     def close(self) -> None:
         """End; called after the run, also one that failed."""
+
+    def check(self, robots: Sequence[Robot]) -> None:
+        """Check that a calibrated force sensor belongs to one of the arms of a run.
+
+        Parameters
+        ----------
+        robots : the arms.
+
+        Raises
+        ------
+        ConfigError : it does not say to which of several. ModelMismatchError : it was fitted on another robot.
+        """
+        if self.calibration is None:
+            return
+        if not self.robot and len(robots) > 1:
+            names = ", ".join(robot.name for robot in robots)
+            raise ConfigError(f"Expected robot= of the force sensor {self.name!r}, one of {names}, got none.")
+        hashes = [robot.hash for robot in robots if self.robot in ("", robot.name)]
+        if self.calibration.robot_hash and self.calibration.robot_hash not in hashes:
+            raise ModelMismatchError(
+                f"Expected the calibration of the source {self.name!r} to be of a robot of this run, got one of "
+                f"{self.calibration.robot_name!r} ({self.calibration.robot_hash[:12]}). Calibrate on this robot."
+            )
 
     def newest(self) -> Reading | None:
         """Return the latest reading, None before the first. Never waits, never raises."""
@@ -133,6 +165,15 @@ class Source:
             array.flags.writeable = False
             checked[name] = array
         return MappingProxyType(checked)
+
+
+def _check_calibration(name: str, fields: Mapping[str, Column], calibration: object) -> None:
+    raw = fields.get("wrench_raw")
+    if not isinstance(calibration, ForceSensor) or "wrench" in fields or raw is None or raw.shape != (6,):
+        raise ConfigError(
+            f"Expected a ForceSensor as the calibration of the source {name!r}, and a field wrench_raw (6,) but none "
+            f"called wrench, got {type(calibration).__name__} and the fields {', '.join(fields)}."
+        )
 
 
 class ThreadSource(Source):

@@ -1,7 +1,8 @@
-"""What is identified, saved, and later run: friction, ripple, torque covariance, the torque model and its file."""
+"""What is identified, saved, and later run: friction, ripple, torque covariance, the torque model, force sensors."""
 
 from armlab.models.coupled import CoupledMotors
 from armlab.models.files import load, load_statistics, save
+from armlab.models.force_sensor import ForceSensor
 from armlab.models.friction import Friction, FrictionBound, Ripple
 from armlab.models.momentum import FORCE_RATES, PRIOR, MomentumNoise
 from armlab.models.payload import Payload
@@ -19,6 +20,7 @@ __all__ = [
     "PRIOR",
     "SPEED_EDGES",
     "CoupledMotors",
+    "ForceSensor",
     "Friction",
     "FrictionBound",
     "FrictionMap",
@@ -48,3 +50,4 @@ register("warm_up", WarmUp)
 register("momentum_noise", MomentumNoise)
 register("coupled_motors", CoupledMotors)
 register("payload", Payload)
+register("force_sensor", ForceSensor)
