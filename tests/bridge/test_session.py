@@ -12,6 +12,7 @@ from armlab.robots import Robot
 from armlab.wire.egm import EgmCodec
 
 SILENCE = 600_000_000  # ns
+PERIOD_NS = 4_000_000
 
 
 def test_the_first_packet_of_all_begins_a_session(feed: Any) -> None:
@@ -66,7 +67,7 @@ def test_a_late_duplicate_of_the_first_packet_is_none(feed: Any) -> None:
     assert feed.session.number == 1
 
 
-@pytest.mark.parametrize("seqno", [0, 3, 40])
+@pytest.mark.parametrize("seqno", [3, 40])
 def test_a_late_packet_of_the_session_before_is_old(feed: Any, seqno: int) -> None:
     """Its number may be ahead of ours: only its tm tells."""
     feed(seqno=0, tm_ms=1000)
@@ -76,6 +77,71 @@ def test_a_late_packet_of_the_session_before_is_old(feed: Any, seqno: int) -> No
     assert feed.session.drops == {"old": 1}
     assert feed.sample(seqno=2, tm_ms=3008).missed == 0
     assert feed.session.number == 2
+
+
+def test_the_first_packet_of_the_session_before_is_old(feed: Any) -> None:
+    feed(seqno=0, tm_ms=1000)
+    feed(seqno=0, tm_ms=3000)
+    feed(seqno=1, tm_ms=3004)
+    assert feed(seqno=0, tm_ms=1000) is None
+    assert feed.session.drops == {"old": 1}
+    assert feed.session.number == 2
+
+
+@pytest.mark.parametrize("tm", [12, 50_000, 2**32 - 9])
+def test_number_zero_with_a_clock_that_went_back_is_a_robot_that_restarted(feed: Any, tm: int) -> None:
+    """Without waiting for half a second of silence, in which the controller would time out."""
+    for k in range(5):
+        feed(seqno=k, tm_ms=60_000 + 4 * k)
+    sample = feed.sample(seqno=0, tm_ms=tm)
+    assert (sample.session, sample.fresh, feed.session.seq) == (2, True, 0)
+    assert feed.sample(seqno=1, tm_ms=(tm + 4) % 2**32).missed == 0
+    assert not feed.session.drops
+
+
+@pytest.mark.parametrize(("seqno", "tm"), [(1, 200), (1, 60_050), (70, 200)])
+def test_a_session_whose_first_packet_was_lost_begins_after_five_periods(feed: Any, seqno: int, tm: int) -> None:
+    """Number or clock went back, and the packets go on from each other while nothing else comes."""
+    for k in range(50):
+        feed(seqno=k, tm_ms=60_000 + 4 * k)
+    found = [feed(seqno=seqno + k, tm_ms=tm + 4 * k) for k in range(7)]
+    assert found[:5] == [None] * 5
+    assert found[5].fresh
+    assert (found[6].missed, found[6].session) == (0, 2)
+    assert feed.session.drops == {"old": 5}
+
+
+def test_old_packets_in_a_row_do_not_take_over_from_a_session_that_goes_on(feed: Any) -> None:
+    """A stall that delayed many packets behind newer ones; and single packets after a pause."""
+    for k in range(50):
+        feed(seqno=k, tm_ms=60_000 + 4 * k)
+    for k in range(20):
+        assert feed(seqno=k, tm_ms=60_000 + 4 * k, after=1000) is None
+    assert feed.sample(seqno=50, tm_ms=60_200).session == 1
+    assert feed(seqno=1, tm_ms=60_004, after=8 * PERIOD_NS) is None
+    for k in range(2, 20):
+        assert feed(seqno=k, tm_ms=60_000 + 4 * k, after=1000) is None
+    for k in (7, 3, 9, 11):
+        assert feed(seqno=k, tm_ms=60_000 + 4 * k, after=12 * PERIOD_NS) is None
+    assert feed.sample(seqno=51, tm_ms=60_204).session == 1
+
+
+def test_replies_to_another_port_that_took_over_begin_at_zero(feed: Any) -> None:
+    """Each session has its own sequence of replies; what still comes from the old port is foreign."""
+    for _ in range(5):
+        feed()
+        feed.session.replied(feed.now)
+    assert feed.session.seq == 5
+    sample = feed(port=5001, after=6 * PERIOD_NS, seqno=0, tm_ms=4)
+    assert sample is not None
+    assert (sample.session, feed.session.seq) == (2, 0)
+    assert feed(port=5001, seqno=0, tm_ms=4) is None
+    feed.session.replied(feed.now)
+    assert feed(port=5000, seqno=5, tm_ms=10_020) is None
+    assert feed(port=5000, seqno=0, tm_ms=90_000) is None
+    assert feed.sample(port=5001, seqno=1, tm_ms=8).missed == 0
+    assert feed.session.seq == 1
+    assert feed.session.drops == {"duplicate": 1, "foreign source": 2}
 
 
 def test_tm_wraps(feed: Any) -> None:

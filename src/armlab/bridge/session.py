@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, deque
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +20,8 @@ _HALF = 2**31  # ms ahead: a tm that is further is one of the past
 _FAR = 2**16  # packets ahead: less than 2**31 of them do not fit into the silence that ends a session
 _FILTER = 30.0  # Hz, of velocities from differences
 _SILENT_PERIODS = 5  # of the old source, before another port of the same host may begin a session
+_FOLLOWERS = 3  # packets out of order that go on from each other are a session of their own
+_REMEMBERED = 8  # sessions whose first packet may come again
 _OWN_SILENCE = 150_000_000  # ns without a reply: shorter than any CommTimeout in use
 _FOREIGN = Drop("foreign source", "only the first sender of a session is answered, each motion task needs its own port")
 _MOTORS_OFF, _RAPID_STOPPED, _MCI_ERROR, _MCI_RUNNING = 2, 1, 1, 3
@@ -49,8 +51,11 @@ class Sample(NamedTuple):
 class Session:
     """Follows one robot controller: sequence numbers, sources, sessions.
 
-    Numbers compare modulo 2**32. A packet with number 0 begins a session, unless its `tm` is that of the first packet
-    of the current one (a late duplicate). So do the first packet of all and the first after a silence.
+    Numbers compare modulo 2**32. A packet with number 0 begins a session, also when its clock went back (the robot
+    restarted), unless its `tm` is that of the first packet of this session or one before: a late duplicate. So do the
+    first packet of all and the first after a silence. Packets that go on from each other but lie before the newest one
+    are a session whose beginning was lost: it begins with the third of them, once the others are silent for five
+    periods. Each session has replies from number 0, also when another port took over.
 
     Parameters
     ----------
@@ -77,6 +82,8 @@ class Session:
         self._clock = RobotClock()
         self._last: Sample | None = None
         self._first_tm: int | None = None
+        self._past_tms: deque[int | None] = deque(maxlen=_REMEMBERED)
+        self._stray: tuple[Packet, int, int] | None = None  # newest packet out of order, how many in a row, since when
         self._begun_ns = self._replied_ns = 0
 
     @property
@@ -103,7 +110,9 @@ class Session:
             return self._drop(_FOREIGN, arrival)
         missed = -1 if foreign or not self.active or self._last is None else self._count(packet, self._last.packet)
         if isinstance(missed, Drop):
-            return self._drop(missed, arrival)
+            if not self._goes_on(packet, arrival):
+                return self._drop(missed, arrival)
+            missed = -1
         return self._begin(arrival) if missed < 0 else self._sample(packet, arrival, missed)
 
     def silent(self, now_ns: int) -> bool:
@@ -140,9 +149,7 @@ class Session:
 
     def _may_replace(self, arrival: Arrival) -> bool:
         """RAPID restarts fast: the same host may come back from another port once the old one is silent."""
-        if self.source is None or self._last is None or arrival.source[0] != self.source[0]:
-            return False
-        return arrival.ns - self._last.arrival_ns > _SILENT_PERIODS * 1e9 * self.period.seconds
+        return self.source is not None and arrival.source[0] == self.source[0] and self._is_quiet(arrival)
 
     def _count(self, packet: Packet, last: Packet) -> int | Drop:
         """Return the packets lost between two, -1 for a new session, or why the later one does not count."""
@@ -150,16 +157,32 @@ class Session:
         is_late = now is not None and then is not None and (now - then) % _SEQUENCES >= _HALF  # of a session before
         ahead = (packet.seqno - last.seqno) % _SEQUENCES
         if packet.seqno == 0 and ahead != 1:
-            same_tm = packet.tm_ms == self._first_tm if packet.tm_ms is not None else last.seqno == 0
+            same_tm = now == self._first_tm if now is not None else last.seqno == 0
             if same_tm:
                 return Drop("duplicate", "the first packet of the session again")
-            if not is_late:
+            if now is None or now not in self._past_tms:
                 return -1
         if ahead == 0:
             return Drop("duplicate", f"packet {packet.seqno} again")
         if is_late or ahead > _FAR:
             return Drop("old", f"packet {packet.seqno} after {last.seqno}, at {now} after {then} ms")
         return ahead - 1
+
+    def _goes_on(self, packet: Packet, arrival: Arrival) -> bool:
+        """Whether packets out of order are a session whose first packet was lost."""
+        before, count, since_ns = self._stray or (None, 0, 0)
+        follows = before is not None and packet.seqno == (before.seqno + 1) % _SEQUENCES
+        if before is not None and packet.tm_ms is not None and before.tm_ms is not None:
+            follows = follows and 0 < (packet.tm_ms - before.tm_ms) % _SEQUENCES < _HALF
+        count, since_ns = (count + 1, since_ns) if follows else (1, arrival.ns)
+        self._stray = packet, count, since_ns
+        in_time = arrival.ns - since_ns > 0.5e9 * (_FOLLOWERS - 1) * self.period.seconds  # delayed ones come at once
+        return count >= _FOLLOWERS and in_time and self._is_quiet(arrival)
+
+    def _is_quiet(self, arrival: Arrival) -> bool:
+        """Whether the session has been silent for so long that another may take its place."""
+        last = self._last
+        return last is not None and arrival.ns - last.arrival_ns > _SILENT_PERIODS * 1e9 * self.period.seconds
 
     def _begin(self, arrival: Arrival) -> Sample | None:
         if self.active:
@@ -170,6 +193,7 @@ class Session:
             return self._drop(packet, arrival)
         self.number, self.active, self.source, self.seq = self.number + 1, True, arrival.source, 0
         self.period, self._clock, self._last = Period(), RobotClock(), None
+        self._past_tms.append(self._first_tm)
         self._first_tm, self._begun_ns = packet.tm_ms, arrival.ns
         self._told.clear()
         host, port = arrival.source
@@ -191,6 +215,7 @@ class Session:
             qd, source = _difference(packet.q, last, dt), "difference"
         self.received += 1
         self.missed += missed
+        self._stray = None
         self._last = Sample(packet, arrival.ns, dt, missed, self.number, last is None, qd, source)
         return self._last
 
