@@ -12,26 +12,10 @@ from armlab.contact import INFEASIBLE, INVALID, SINGULAR, STUCK, WEAK, Estimator
 from armlab.errors import ModelMismatchError, ShapeError, UnknownName
 from armlab.kernels import backend
 from armlab.log import Table
-from armlab.models import TorqueModel, velocity_covariance
+from armlab.models import velocity_covariance
 from armlab.state import State
 
 PRIOR_SD = np.array([20.0, 20, 20, 2, 2, 2])
-
-
-@pytest.fixture(scope="module")
-def perfect(truth, model) -> TorqueModel:
-    """The true parameters with a covariance of (5 % of the Coulomb torque)^2: only the estimator is under test."""
-    sd = 0.05 * truth.friction.coulomb_pos
-    return replace(
-        model,
-        link_parameters=truth.links,
-        rotor=truth.rotor,
-        friction=truth.friction,
-        ripple=replace(model.ripple, cosine=np.zeros(7), sine=np.zeros(7)),
-        gains=np.ones(7),
-        gain_cov=np.zeros((7, 7)),
-        covariance=velocity_covariance("const", sd**2, sd**2),
-    )
 
 
 def press(direction: np.ndarray):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -14,7 +14,6 @@ from armlab.contact import Estimator, Hypotheses, hypotheses
 from armlab.errors import ShapeError, UnknownName
 from armlab.estimation import correlation_time
 from armlab.log import Column, Table
-from armlab.models import velocity_covariance
 
 ROBOT = robots.load("yumi_left")
 SD = 0.01 * np.array([40.0, 40, 25, 25, 10, 10, 5])  # of the torque error [N m]
@@ -157,19 +156,8 @@ def test_evidence_is_the_density_of_the_torque_error() -> None:
     np.testing.assert_allclose(found.log_evidence[0, :3] - constant, expected, rtol=1e-9)
 
 
-def test_an_estimated_log(truth, model) -> None:
+def test_an_estimated_log(truth, perfect) -> None:
     """From the estimator's own table: a press at the tool point is one, and before it there is none."""
-    sd = 0.05 * truth.friction.coulomb_pos
-    perfect = replace(
-        model,
-        link_parameters=truth.links,
-        rotor=truth.rotor,
-        friction=truth.friction,
-        ripple=replace(model.ripple, cosine=np.zeros(7), sine=np.zeros(7)),
-        gains=np.ones(7),
-        gain_cov=np.zeros((7, 7)),
-        covariance=velocity_covariance("const", sd**2, sd**2),
-    )
     motion = identify.excitation(truth.robot, seconds=12, speed=0.3, seed=4)
     force = np.array([0.0, 12.0, -12.0, 0, 0, 0])
     log = truth.log(motion, seed=1, wrench=lambda t: np.outer((t > 6) & (t < 8), force))

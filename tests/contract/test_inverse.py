@@ -60,7 +60,7 @@ def test_same_solutions(name: str, task: int) -> None:
 def test_same_objectives(task: int, objective: int) -> None:
     """To 1e-9: second derivatives come from differences, whose rounding is not the same."""
     robot = robots.load("yumi_left")
-    _, T = goals("yumi_left", 15, seed=objective)
+    _, T = goals("yumi_left", 8, seed=objective)
     options = {
         "task": task,
         "axis": (0.3, 0.5, 0.8),  # about the last joint's own axis it would change nothing, and the optimum be a line

@@ -151,7 +151,7 @@ def moving_groups(robot: Robot, bodies: list[Body], base: int) -> list[set[int]]
     return groups
 
 
-@pytest.mark.parametrize("seed", range(200))
+@pytest.mark.parametrize("seed", range(100))  # about 900 chains
 def test_every_chain_of_a_random_tree(seed: int) -> None:
     """From the root to every link, and between some others: up, down and across."""
     rng = np.random.default_rng(seed)
