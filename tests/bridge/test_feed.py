@@ -118,7 +118,7 @@ def test_refused_settings(cell: Cell) -> None:
         cell.say("labcomm", "set", values={"gain": -1.0})
     cell.row()
     assert cell.params.gain == 2.0
-    assert sum("was refused" in text for text in cell.told) == 1
+    assert sum("was refused" in text for text in cell.told) == 5
     assert len(cell.texts("labcomm", "answer")) == 5
 
 
@@ -220,7 +220,8 @@ def test_listening(cell: Cell) -> None:
 
 
 def test_the_summary_of_a_run(cell: Cell) -> None:
-    cell.exchange.begin(lambda text, warn=False: cell.told.append(text))
+    kept: list[Any] = []
+    cell.exchange.begin(lambda text, warn=False: cell.told.append(text), (), kept.append)
     assert cell.params.running
     cell.say(OPERATOR, "set", values={"gain": 4.0})
     cell.exchange.arbiter.refused["labcomm 1"] = 3
@@ -238,4 +239,9 @@ def test_the_summary_of_a_run(cell: Cell) -> None:
     }
     assert cell.heard("labcomm")[-1]["kind"] == "count"
     assert "Parameter gain = 4.0" in cell.told[-1]
+    assert kept == [
+        (0, "gain", 2.0, "in force at the start"),
+        (0, "open", 1.0, "in force at the start"),
+        (1, "gain", 4.0, f"{OPERATOR} 1"),
+    ]
     assert not cell.params.running

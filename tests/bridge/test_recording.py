@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 
 from armlab import log, robots
+from armlab.bridge.parameters import Change
 from armlab.bridge.recording import Feed, Recording, paths
 from armlab.log import Column, Tick
+from armlab.log.inspection import Setting
 from armlab.robots import Robot
 from armlab.state import Command, State
 
@@ -42,6 +44,14 @@ def test_rows_and_events(robot: Robot, tmp_path: Path, in_file: bool) -> None:
     assert recording.path == path
     if path is not None:
         assert len(log.read(path)) == 1000
+
+
+def test_parameters(robot: Robot, tmp_path: Path) -> None:
+    for path in (None, tmp_path / "run.mcap"):
+        recording = Recording(robot, path, None, wait=True, clock=lambda: 5)
+        recording.parameter(Change(1, "gain", 3.0, "local 1"))
+        recording.close({})
+    assert log.inspect(tmp_path / "run.mcap").parameters == (Setting(5, 1, "gain", 3.0, "local 1"),)
 
 
 def test_a_command_of_any_shape_does_not_stop_the_rows(robot: Robot) -> None:

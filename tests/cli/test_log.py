@@ -32,13 +32,17 @@ def test_the_history_of_the_parameters(path: Path, tmp_path: Path, capsys: pytes
     assert cli.main(["log", "show", "--parameters", str(path)]) == 0
     assert capsys.readouterr().out == "This log has no parameters.\n"
     with Recorder(tmp_path / "set.mcap", robots.load("yumi_right")) as recorder:
-        for text in ("Parameters: gain = 2.0.", "Something else.", "Parameter gain = 3.0, set by local 1 (setting 1)."):
-            recorder.event(text, 1_700_000_000_000_000_000)
+        start = 1_700_000_000_000_000_000
+        recorder.parameter(0, "gain", 2.0, "in force at the start", start)
+        recorder.parameter(1, "gain", 3.0, "local 1", start + 2)
+        recorder.event("A setting of local 1 was refused: too large.", start + 1)
+        recorder.event("Something else.", start)
         recorder.close({"parameters": {"gain": 3.0}})
     assert cli.main(["log", "show", "--parameters", str(recorder.path)]) == 0
-    first, second, last = capsys.readouterr().out.splitlines()
-    assert first == "2023-11-14 22:13:20.000000 UTC  Parameters: gain = 2.0."
-    assert "set by local 1" in second
+    first, second, third, last = capsys.readouterr().out.splitlines()
+    assert first == "2023-11-14 22:13:20.000000 UTC  gain = 2.0, in force at the start"
+    assert second.endswith("A setting of local 1 was refused: too large.")
+    assert third.endswith("gain = 3.0, set by local 1 (1)")
     assert last == "At the end: gain = 3.0."
 
 

@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from armlab import robots
 from armlab.errors import LogError
-from armlab.log.inspection import Event, Inspection, Topic, inspect
+from armlab.log.inspection import Event, Inspection, Setting, Topic, inspect
+from armlab.log.recorder import Recorder
 
 
 def test_topics_events_and_sizes(recording: Callable[..., Path]) -> None:
@@ -31,3 +34,16 @@ def test_a_file_that_is_none_is_refused(tmp_path: Path) -> None:
     path.write_bytes(b"text")
     with pytest.raises(LogError, match="format text"):
         inspect(path)
+
+
+def test_settings_of_parameters(tmp_path: Path) -> None:
+    """Any value that a parameter may have comes back as it was, from a file that was cut off too."""
+    values = [2.5, -3, True, "a 'word' \u00e9", [0.0, 1.5e-300]]
+    with Recorder(tmp_path / "run.mcap", robots.load("yumi_right")) as recorder:
+        for k, value in enumerate(values):
+            recorder.parameter(k, f"p{k}", np.array(value) if k == 4 else value, "local 1", 10**18 + k)
+    found = [Setting(10**18 + k, k, f"p{k}", value, "local 1") for k, value in enumerate(values)]
+    assert list(inspect(recorder.path).parameters) == found
+    torn = tmp_path / "torn.mcap"
+    torn.write_bytes(recorder.path.read_bytes()[:-100])
+    assert list(inspect(torn).parameters) == found

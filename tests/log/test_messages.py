@@ -10,12 +10,13 @@ import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from armlab.log import Column, Tick
-from armlab.log.messages import CLOCK_KEY, COLUMN_KEY, Pen, Topic, definition, event, topic_name, topics
+from armlab.log.messages import CLOCK_KEY, COLUMN_KEY, Pen, Topic, definition, event, parameter, topic_name, topics
 from armlab.log.rows import RowLayout
 from armlab.robots import Robot
 from armlab.state import State
 
-TYPES = ("Tick", "Column", "WrenchEstimate")
+TYPES = ("Tick", "Column", "WrenchEstimate", "Parameter")
+PARAMETER = "armlab_msgs/msg/Parameter"
 
 
 @pytest.fixture(scope="module")
@@ -81,6 +82,12 @@ def test_absent_sequences_are_empty_and_absent_messages_none(robot: Robot, rows:
     tick = Pen(by_name["tick"], layout.slots).message(row, 5)
     assert tick is not None
     assert store.deserialize_cdr(bytes(tick), "armlab_msgs/msg/Tick").clamped.size == 0
+
+
+def test_parameters(store) -> None:
+    decoded = store.deserialize_cdr(parameter(2_000_000_001, 7, "gain", np.array([1.0, 2.0]), "local 1"), PARAMETER)
+    assert (decoded.sequence, decoded.name, decoded.value, decoded.who) == (7, "gain", "[1.0, 2.0]", "local 1")
+    assert (decoded.stamp.sec, decoded.stamp.nanosec) == (2, 1)
 
 
 def test_events_and_names(store) -> None:

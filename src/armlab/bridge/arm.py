@@ -123,6 +123,7 @@ class Arm:
     def look(self) -> None:
         """See whether the session or the run is over; see `Supervisor`."""
         self._supervisor.look(self._heard_ns)
+        self.recording.catch_up()
 
     def give(self, command: Command | None) -> None:
         """Keep what the controller commands this arm, which does not pace it, for the next packets.

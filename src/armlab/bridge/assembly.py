@@ -13,6 +13,7 @@ from armlab.bridge.arm import Arm
 from armlab.bridge.events import nobody
 from armlab.bridge.fusion import Fusion
 from armlab.bridge.limits import Limits
+from armlab.bridge.parameters import Change
 from armlab.bridge.port import Port
 from armlab.bridge.recording import Feed, Recording, paths
 from armlab.bridge.rehearsal import Rehearsal
@@ -128,8 +129,14 @@ def assemble(
     for feed in feeds:
         begin = getattr(feed, "begin", None)
         if begin is not None:
-            begin(arms[0].recording.note, [arm.recording.path for arm in arms if arm.recording.path is not None])
+            files = [arm.recording.path for arm in arms if arm.recording.path is not None]
+            begin(arms[0].recording.note, files, lambda change: _keep(arms, change))
     return arms
+
+
+def _keep(arms: Sequence[Arm], change: Change) -> None:
+    for arm in arms:
+        arm.recording.parameter(change)
 
 
 def _clock(arms: Sequence[Arm], index: int) -> Callable[[], int]:

@@ -10,7 +10,7 @@ import socket
 import threading
 import time
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +32,7 @@ from armlab.bridge.messages import (
     text_message,
 )
 from armlab.bridge.outlet import Outlet
-from armlab.bridge.parameters import Parameters
+from armlab.bridge.parameters import Change, Parameters
 from armlab.bridge.rights import Arbiter, Order
 from armlab.bridge.row import RowWriter
 from armlab.bridge.row_schema import RowSchema
@@ -49,7 +49,6 @@ OPERATOR = "local"
 _PATIENCE = 0.5  # s for a server to say what its clients got, when the arms rest
 _DRAINED = 16  # requests of a server per look
 _EVENTS = 1000  # that wait for a run to begin
-_COMPLAINT = 200_000_000  # ns between two events about refused settings
 
 
 class Exchange:
@@ -88,9 +87,10 @@ class Exchange:
         self._read_only = frozenset(read_only)
         self._told: deque[tuple[str, bool]] = deque(maxlen=_EVENTS)
         self._record: Tell | None = None
+        self._keep: Callable[[Change], None] = lambda change: None
         self._files = b""
         self._lock = threading.Lock()
-        self._polled_ns = self._complained_ns = 0
+        self._polled_ns = 0
         self.arbiter = Arbiter(robots, allowed, poll=self.poll, tell=self.tell, answer=self.answer, torque=torque)
 
     def open(self, name: str) -> socket.socket:
@@ -113,18 +113,22 @@ class Exchange:
         for outlet in self.outlets.values():
             outlet.close()
 
-    def begin(self, tell: Tell, files: Sequence[Path] = ()) -> None:
+    def begin(
+        self, tell: Tell, files: Sequence[Path] = (), keep: Callable[[Change], None] = lambda change: None
+    ) -> None:
         """Take where the events of a run are recorded; it gives them back to `event`.
 
         Parameters
         ----------
-        tell : of the recording. files : of the recording.
+        tell, files : of the recording. keep : records a parameter that came into force.
         """
         self._files = text_message("recording", files=[str(file.absolute()) for file in files])
         for outlet in self.outlets.values():
             outlet.send(self._files)
-        self._record, self.parameters.running = tell, True
+        self._record, self._keep, self.parameters.running = tell, keep, True
         values = self.parameters.values()
+        for name, value in values.items():
+            keep(Change(0, name, value, "in force at the start"))
         if values:
             self.tell(f"Parameters: {', '.join(f'{name} = {value}' for name, value in values.items())}.")
 
@@ -210,6 +214,7 @@ class Exchange:
                     self._take(outlet, data)
             changes = self.parameters.apply()
             for change in changes:
+                self._keep(change)
                 self.tell(change.sentence)
             if changes:
                 message = parameter_message(self.parameters)
@@ -259,10 +264,7 @@ class Exchange:
             self.parameters.set_together(request.values, client, commander=commander)
         except ArmlabError as error:
             self.answer(client, str(error))
-            now = time.monotonic_ns()
-            if now - self._complained_ns > _COMPLAINT:  # a client that repeats itself must not fill the log
-                self._complained_ns = now
-                self.tell(f"A setting of {client} was refused: {error}", warn=True)
+            self.tell(f"A setting of {client} was refused: {error}", warn=True)
 
     def _obey_operator(self, request: Request, client: str) -> None:
         if isinstance(request, Resume):

@@ -8,6 +8,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
+from armlab.bridge.events import Limited
+from armlab.bridge.parameters import Change
 from armlab.log import Column, Log, Recorder, Table, Tail, Tick
 from armlab.robots import Robot
 from armlab.state import Command, State
@@ -22,9 +24,9 @@ _logger = logging.getLogger("armlab.bridge")
 class Feed(Protocol):
     """What else takes the rows and events of a run: called in the loop after the reply was sent, so it must be quick.
 
-    A feed that raises is dropped, with an event. One that has a method ``begin(tell, files)`` gets at the start where
-    its own sentences are recorded, and the files of the recording. What ``summary()`` of one returns is kept with the
-    numbers of the run.
+    A feed that raises is dropped, with an event. One that has a method ``begin(tell, files, keep)`` gets at the start
+    where its own sentences are recorded, the files of the recording, and where changes of parameters are. What
+    ``summary()`` of one returns is kept with the numbers of the run.
     """
 
     def row(self, state: State, command: Command | None, tick: Tick) -> None:
@@ -84,6 +86,7 @@ class Recording:
         self._clock, self._label = clock, label
         self._feeds = [] if feeds is None else feeds
         self._told: set[str] = set()
+        self._limited = Limited(self._keep)
         self.path = None if self._recorder is None else self._recorder.path
         self.events: deque[tuple[int, str]] = deque(maxlen=_KEPT_EVENTS)
 
@@ -106,14 +109,31 @@ class Recording:
             self._tell_stop(self._recorder)
         if self._feeds:
             self._tell_feeds(lambda feed: feed.row(state, command, tick))
+        self.catch_up()
 
     def event(self, text: str, warn: bool = False) -> None:
         """Keep a sentence; it also goes to the logger ``armlab.bridge``, as a warning when something is wrong."""
         self.note(f"{self._label}: {text}" if self._label else text, warn)
 
     def note(self, text: str, warn: bool = False) -> None:
-        """Keep a sentence that concerns the whole run; see `event`."""
-        stamp = self._clock()
+        """Keep a sentence that concerns the whole run; see `event`, and `Limited` for those that come too often."""
+        self._limited(text, warn, self._clock())
+
+    def parameter(self, change: Change) -> None:
+        """Keep the value of a parameter that came into force.
+
+        Parameters
+        ----------
+        change : what, by whom.
+        """
+        if self._recorder is not None:
+            self._recorder.parameter(*change, self._clock())
+
+    def catch_up(self) -> None:
+        """Keep sentences that waited, since others of their kind had come."""
+        self._limited.due(self._clock())
+
+    def _keep(self, text: str, warn: bool, stamp: int) -> None:
         self.events.append((stamp, text))
         _logger.log(logging.WARNING if warn else logging.INFO, text)
         if self._recorder is not None:
@@ -156,6 +176,7 @@ class Recording:
         ----------
         summary : numbers kept in the file.
         """
+        self._limited.close()
         recorder = self._recorder
         if recorder is None:
             return []

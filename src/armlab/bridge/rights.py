@@ -266,8 +266,7 @@ class Arbiter:
         if now - self._answered.get(client, -_ANSWER_EVERY) >= _ANSWER_EVERY:
             self._answered[client] = now
             self._answer(client, f"{why} {self.refused[client]} commands refused so far.")
-            if self.refused[client] == 1:
-                self._tell(f"A command of {client} was refused: {why}", warn=True)
+            self._tell(f"A command of {client} was refused: {why}", warn=True)
         return False
 
     def _robot(self, arm: str) -> Robot:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -76,10 +77,14 @@ def _parameters(held: Inspection) -> str:
     """Return the history of the parameters."""
     from datetime import UTC, datetime
 
+    told = [
+        (one.stamp_ns, f"{one.name} = {one.value}, {f'set by {one.who} ({one.sequence})' if one.sequence else one.who}")
+        for one in held.parameters
+    ]
+    told += [(event.stamp_ns, event.text) for event in held.events if event.text.startswith("A setting of ")]
     lines = [
-        f"{datetime.fromtimestamp(event.stamp_ns / 1e9, UTC):%Y-%m-%d %H:%M:%S.%f} UTC  {event.text}"
-        for event in held.events
-        if event.text.startswith(("Parameter ", "Parameters: ", "A setting of "))
+        f"{datetime.fromtimestamp(stamp_ns / 1e9, UTC):%Y-%m-%d %H:%M:%S.%f} UTC  {text}"
+        for stamp_ns, text in sorted(told, key=itemgetter(0))
     ]
     last = (held.summary or {}).get("parameters") or {}
     ends = [f"At the end: {', '.join(f'{name} = {value}' for name, value in last.items())}."] if last else []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,9 +15,10 @@ from armlab.log.mcap_records import DAMAGE, Contents, contents
 from armlab.log.reading import opened
 from armlab.wire import cdr
 
-__all__ = ["Event", "Inspection", "Topic", "inspect"]
+__all__ = ["Event", "Inspection", "Setting", "Topic", "inspect"]
 
 _EVENTS = "rcl_interfaces/msg/Log"
+_PARAMETERS = "armlab_msgs/msg/Parameter"
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +27,17 @@ class Event:
 
     stamp_ns: int
     text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """A value of a parameter that came into force: wall clock [ns], number (0 at the start), what, and who set it."""
+
+    stamp_ns: int
+    sequence: int
+    name: str
+    value: Any
+    who: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +57,8 @@ class Inspection:
     ----------
     path, size : the file and its bytes. finished, torn : closed properly; bytes torn off at the end.
     metadata : records of string maps by name; "armlab" says what wrote the file, for which robot.
-    topics, events : in order. attachments : bytes by name. summary : counts written at the end, empty if there is none.
+    topics, events, parameters : in order. attachments : bytes by name.
+    summary : counts written at the end, empty if there is none.
     """
 
     path: Path
@@ -55,6 +68,7 @@ class Inspection:
     metadata: Mapping[str, Mapping[str, str]]
     topics: tuple[Topic, ...]
     events: tuple[Event, ...]
+    parameters: tuple[Setting, ...]
     attachments: Mapping[str, bytes]
     summary: Mapping[str, Any]
 
@@ -79,7 +93,8 @@ def inspect(path: str | Path) -> Inspection:
                 torn=found.torn,
                 metadata=found.metadata,
                 topics=_topics(view, found),
-                events=_events(view, found),
+                events=tuple(Event(stamp, str(one.texts["msg"])) for stamp, _, one in _texts(view, found, _EVENTS)),
+                parameters=tuple(_setting(*one) for one in _texts(view, found, _PARAMETERS)),
                 attachments=attachments,
                 summary=_summary(attachments),
             )
@@ -94,18 +109,24 @@ def _topics(view: memoryview, found: Contents) -> tuple[Topic, ...]:
     return tuple(Topic(channel.topic, channel.type, counts[number]) for number, channel in found.channels.items())
 
 
-def _events(view: memoryview, found: Contents) -> tuple[Event, ...]:
-    events = []
+def _texts(view: memoryview, found: Contents, type_: str) -> Iterator[tuple[int, bytes, cdr.Layout]]:
+    """Yield the messages of a type, with their stamps; damaged ones are left out."""
     for number, channel in found.channels.items():
-        if channel.type != _EVENTS or channel.encoding != "cdr":
+        if channel.type != type_ or channel.encoding != "cdr":
             continue
         types = cdr.definitions(channel.type, channel.schema)
         for _, stamp_ns, raw in messages(view, found, number):
             try:
-                events.append(Event(stamp_ns, str(cdr.layout(raw, channel.type, types).texts["msg"])))
+                yield stamp_ns, bytes(raw), cdr.layout(raw, channel.type, types)
             except DAMAGE:
                 continue
-    return tuple(events)
+
+
+def _setting(stamp_ns: int, raw: bytes, held: cdr.Layout) -> Setting:
+    place = held.field("sequence")
+    sequence = 0 if place is None else int.from_bytes(raw[place.start : place.stop], "little", signed=True)
+    name, value, who = (str(held.texts[key]) for key in ("name", "value", "who"))
+    return Setting(stamp_ns, sequence, name, json.loads(value), who)
 
 
 def _summary(attachments: Mapping[str, bytes]) -> Mapping[str, Any]:

@@ -15,7 +15,7 @@ import numpy as np
 from armlab.log.rows import SELDOM, RowLayout, Slot
 from armlab.wire import cdr
 
-__all__ = ["CLOCK_KEY", "COLUMN_KEY", "Pen", "Topic", "definition", "event", "topic_name", "topics"]
+__all__ = ["CLOCK_KEY", "COLUMN_KEY", "Pen", "Topic", "definition", "event", "parameter", "topic_name", "topics"]
 
 CLOCK_KEY = "armlab.clock"  # channel metadata: the messages of this channel are the rows of the table
 COLUMN_KEY = "column."  # channel metadata "column.<name>": JSON, how to rebuild the column <name>
@@ -37,6 +37,9 @@ _OWN_TYPES = {
         ]
     ),
     "armlab_msgs/msg/Column": "std_msgs/Header header\nfloat64[] values",
+    "armlab_msgs/msg/Parameter": (
+        "builtin_interfaces/Time stamp\nint64 sequence\nstring name\nstring value\nstring who"
+    ),
     "armlab_msgs/msg/WrenchEstimate": "std_msgs/Header header\nfloat64[6] wrench\nfloat64[36] covariance",
 }
 _WRENCH = tuple(f"wrench.{part}.{axis}" for part in ("force", "torque") for axis in "xyz")
@@ -143,6 +146,15 @@ def event(stamp_ns: int, text: str, level: int = 20) -> bytes:
         stamp=stamp, level=level, name="armlab", msg=text, file="", function="", line=0
     )
     return bytes(_store().serialize_cdr(log, "rcl_interfaces/msg/Log"))
+
+
+def parameter(stamp_ns: int, sequence: int, name: str, value: Any, who: str) -> bytes:
+    """Return an armlab_msgs/msg/Parameter message, its value as JSON."""
+    types = _store().types
+    stamp = types["builtin_interfaces/msg/Time"](sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
+    text = json.dumps(getattr(value, "tolist", lambda: value)())
+    setting = types["armlab_msgs/msg/Parameter"](stamp=stamp, sequence=sequence, name=name, value=text, who=who)
+    return bytes(_store().serialize_cdr(setting, "armlab_msgs/msg/Parameter"))
 
 
 @dataclass(slots=True)

@@ -6,6 +6,7 @@ import atexit
 import threading
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from types import TracebackType
@@ -76,7 +77,7 @@ class Recorder:
         self._hole: tuple[int, int, int] | None = None
         self._complained: set[str] = set()
         self._closed = False
-        self._queue: SimpleQueue[bytes | tuple[str, int] | None] = SimpleQueue()
+        self._queue: SimpleQueue[bytes | Callable[[], None] | None] = SimpleQueue()
         self._thread = threading.Thread(target=self._run, name=f"recorder {self.path.name}", daemon=True)
         self._thread.start()
         atexit.register(self.close)
@@ -119,7 +120,17 @@ class Recorder:
     def event(self, text: str, stamp_ns: int) -> None:
         """Queue one line for the events of the recording, unless it has stopped."""
         if self.failed is None:
-            self._queue.put((text, stamp_ns))
+            self._queue.put(partial(self._file.event, text, stamp_ns))
+
+    def parameter(self, sequence: int, name: str, value: Any, who: str, stamp_ns: int) -> None:
+        """Queue the value of a parameter that came into force, unless the recording has stopped.
+
+        Parameters
+        ----------
+        sequence : number of the setting. name, value : what. who : set it. stamp_ns : wall clock.
+        """
+        if self.failed is None:
+            self._queue.put(partial(self._file.parameter, sequence, name, value, who, stamp_ns))
 
     def close(self, summary: Mapping[str, Any] | None = None) -> None:
         """Write what is queued, the summary and the footer, and close the file. A second call does nothing.
@@ -155,8 +166,8 @@ class Recorder:
                 item = b""
             if item is None:
                 return
-            if isinstance(item, tuple):
-                self._file.event(*item)
+            if callable(item):
+                item()
             elif item:
                 self._file.write(item)
             if time.monotonic() >= due:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 from armlab.errors import LogError
 from armlab.log.mcap_writer import McapWriter
-from armlab.log.messages import Pen, definition, event, topic_name, topics
+from armlab.log.messages import Pen, definition, event, parameter, topic_name, topics
 from armlab.log.rows import RowLayout
 
 if TYPE_CHECKING:
@@ -27,6 +27,7 @@ __all__ = ["RecordingFile", "open_new"]
 MAX_CHUNK_ROWS = 250  # a second at 250 Hz: what a damaged chunk can cost, also after a stall
 _SECRET = re.compile(r"(?i)(token|password|passwd|secret|api[-_]?key)")
 _EVENT_TYPE = "rcl_interfaces/msg/Log"
+_PARAMETER_TYPE = "armlab_msgs/msg/Parameter"
 
 
 def open_new(path: str | Path) -> tuple[BinaryIO, Path]:
@@ -101,7 +102,9 @@ class RecordingFile:
 
         self._events = channel("events", _EVENT_TYPE, {})
         found = topics(self._layout, robot.joint_names)
-        return [(channel(t.name, t.type, t.metadata(self._layout.slots)), Pen(t, self._layout.slots)) for t in found]
+        pens = [(channel(t.name, t.type, t.metadata(self._layout.slots)), Pen(t, self._layout.slots)) for t in found]
+        self._parameters = channel("parameters", _PARAMETER_TYPE, {})
+        return pens
 
     def write(self, row: bytes) -> None:
         """Write the messages of one row: they survive the end of this process."""
@@ -121,6 +124,12 @@ class RecordingFile:
     def event(self, text: str, stamp_ns: int, tick: int = 0) -> None:
         """Write one line for the events."""
         self._writer.message(self._events, tick & 0xFFFFFFFF, stamp_ns, stamp_ns, event(stamp_ns, text))
+        self._writer.push()
+
+    def parameter(self, sequence: int, name: str, value: Any, who: str, stamp_ns: int) -> None:
+        """Write the value of a parameter that came into force."""
+        data = parameter(stamp_ns, sequence, name, value, who)
+        self._writer.message(self._parameters, sequence & 0xFFFFFFFF, stamp_ns, stamp_ns, data)
         self._writer.push()
 
     def attach(self, name: str, data: bytes) -> None:
