@@ -6,6 +6,7 @@ import numpy as np
 
 from armlab.robots import Robot
 from armlab.wire.egm import Packet
+from armlab.wire.egm.linkage import Linkage
 
 __all__ = ["MCI_RUNNING", "implausible", "obstacle"]
 
@@ -32,12 +33,16 @@ def obstacle(packet: Packet) -> str:
 
 
 def implausible(q: np.ndarray, robot: Robot) -> str:
-    """Return the sentence for feedback far outside the joint limits, "" when it can be true.
+    """Return the sentence for feedback far outside the limits, "" when it can be true.
+
+    Limits are those of ABB's axes, where these are not the joints.
 
     Parameters
     ----------
     q : (n,) feedback. robot : the arm.
     """
+    linkage = Linkage.of(robot)
+    q = q if linkage is None else linkage.axes(q)
     outside = np.maximum(robot.q_min - q, q - robot.q_max)
     i = int(np.argmax(outside))
     if outside[i] <= _PLAUSIBLE:

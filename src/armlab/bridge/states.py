@@ -16,7 +16,8 @@ from armlab.bridge._seen import seen
 from armlab.bridge.aside import Aside, joined
 from armlab.bridge.commands import entry_refusal, refusal
 from armlab.bridge.events import Tell, nobody
-from armlab.bridge.limits import Limiter, Limits, Reply
+from armlab.bridge.limits import Limits, Reply
+from armlab.bridge.linked import limiter_of
 from armlab.bridge.readiness import MCI_RUNNING, implausible, obstacle
 from armlab.bridge.session import Sample
 from armlab.bridge.torque import Admittance, Torques
@@ -76,7 +77,7 @@ class Guide:
         self._robot, self._limits = robot, limits
         self._torques = Torques(robot, limits, capabilities, admittance)
         self._answer_stream, self._on_event = answer_stream, on_event
-        self._limiter, self._aside = Limiter(limits), Aside(limits.external, capabilities)
+        self._limiter, self._aside = limiter_of(limits, robot), Aside(limits.external, capabilities)
         self._last = self._limiter.rest(np.full(robot.n, np.nan))
         self.mode = Mode.WAITING if commands else Mode.LISTENING
         self.ready = False

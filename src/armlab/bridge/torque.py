@@ -16,6 +16,7 @@ from armlab.bridge.limits import Limits, Reply
 from armlab.errors import CommandRefused, ConfigError
 from armlab.robots import Robot
 from armlab.state import Command
+from armlab.wire.egm.linkage import Linkage
 
 __all__ = ["Admittance", "TorqueModel", "Torques", "admittances"]
 
@@ -75,6 +76,7 @@ class Torques:
         self, robot: Robot, limits: Limits, capabilities: frozenset[str], admittance: Admittance | None = None
     ) -> None:
         self._robot, self._limits, self._capabilities = robot, limits, capabilities
+        self._linkage = Linkage.of(robot)
         self.admittance = admittance
         self.reset()
 
@@ -132,6 +134,8 @@ class Torques:
         q, qd : (n,) measured.
         """
         limits = self._limits
+        if self._linkage is not None:  # limits are those of axes
+            q, qd = self._linkage.axes(q), self._linkage.axes(qd)
         far = (q < limits.q_min) | (q > limits.q_max)
         fast = np.abs(qd) > limits.qd_max
         if not (far | fast).any():

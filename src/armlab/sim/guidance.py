@@ -21,6 +21,7 @@ import numpy as np
 
 from armlab.errors import ConfigError, UnknownName
 from armlab.robots import Robot
+from armlab.wire.egm.linkage import Linkage
 
 __all__ = ["Guidance", "Settings"]
 
@@ -153,7 +154,7 @@ class Guidance:
     """
 
     def __init__(self, robot: Robot, settings: Settings, q: np.ndarray) -> None:
-        self._robot, self._settings = robot, settings
+        self._robot, self._settings, self._linkage = robot, settings, Linkage.of(robot)
         self._pole = 1.0 - math.exp(-2.0 * math.pi * settings.filter * settings.period)
         self._stages = 1 if settings.level == 0 else 2
         self._brake = robot.qdd_max * settings.period
@@ -218,7 +219,7 @@ class Guidance:
 
     def violation(self) -> str:
         """Return in words which limit the reference has left, or nothing."""
-        outside = (self.q < self._robot.q_min - _OVERSHOOT) | (self.q > self._robot.q_max + _OVERSHOOT)
+        outside = self._outside(self.q, _OVERSHOOT)
         far = np.abs(self.q - self._start) > self._settings.max_deviation
         if outside.any():
             return f"reference of {self._joint(outside)} left the range of the joint"
@@ -233,8 +234,13 @@ class Guidance:
         ----------
         q_ref : (n,).
         """
-        outside = (q_ref < self._robot.q_min) | (q_ref > self._robot.q_max)
+        outside = self._outside(q_ref, 0.0)
         return f"reference of {self._joint(outside)} out of bounds" if outside.any() else ""
+
+    def _outside(self, q: np.ndarray, margin: float) -> np.ndarray:
+        """Return which of ABB's axes are out of their range; they are the joints, but for a robot with a rod."""
+        axes = q if self._linkage is None else self._linkage.axes(q)
+        return (axes < self._robot.q_min - margin) | (axes > self._robot.q_max + margin)
 
     def _joint(self, which: np.ndarray) -> str:
         i = int(np.argmax(which))

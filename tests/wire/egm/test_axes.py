@@ -89,15 +89,6 @@ def test_axes_that_are_no_permutation() -> None:
         AxisMap(SimpleNamespace(n=2, prismatic=np.zeros(2, bool), abb_axes=(1, 3), coupling=np.eye(2)))
 
 
-def test_axes_that_move_two_joints_are_refused() -> None:
-    """On the IRB 2400 ABB's axis 3 is q_2 + q_3. The gears of a YuMi are none of EGM's business."""
-    rod = np.eye(3)
-    rod[2, 1] = -1.0
-    with pytest.raises(RobotError, match=r"Expected a robot over EGM .* motor 2 also moves joint 3, .*\.$"):
-        AxisMap(SimpleNamespace(n=3, prismatic=np.zeros(3, bool), abb_axes=(1, 2, 3), coupling=rod))
-    AxisMap(SimpleNamespace(n=3, prismatic=np.zeros(3, bool), abb_axes=(1, 2, 3), coupling=np.diag([0.01, -0.01, 1])))
-
-
 def test_units_of_each_axis(scara: Any) -> None:
     """Where the user knows the units; external axes follow the joints, and the rest of them is in degrees."""
     axes = AxisMap(scara, ("deg", "deg", "mm", "deg", "mm"))

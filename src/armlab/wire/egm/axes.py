@@ -34,7 +34,7 @@ class AxisMap:
     (abb_libegm pull request 142), so its factor is the rotary one; beyond the sixth it is in millimetres.
 
     An arm without joints is an external unit alone: everything is in the external joints. Further external axes are
-    in degrees unless `units` says otherwise.
+    in degrees unless `units` says otherwise. Where a motor moves two joints, q are the axes of `linkage`.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class AxisMap:
 
     Raises
     ------
-    RobotError : when `abb_axes` is not a permutation of 1..n, or a motor moves two joints (IRB 2400).
+    RobotError : when `abb_axes` is not a permutation of 1..n.
     ConfigError : units that are none, or fewer than joints.
     """
 
@@ -56,14 +56,6 @@ class AxisMap:
         axes = tuple(int(axis) for axis in arm.abb_axes)
         if sorted(axes) != list(range(1, arm.n + 1)):
             raise RobotError(f"Expected abb_axes to hold each of 1 to {arm.n} once, got {axes}.")
-        coupled = np.argwhere(np.asarray(arm.coupling) * (1 - np.eye(arm.n)))
-        if coupled.size:  # a gear ratio alone is ABB's own business: EGM is behind the gears
-            moved, motor = coupled[0] + 1
-            raise RobotError(
-                f"Expected a robot over EGM whose axes each move one joint, got one whose motor {motor} also moves "
-                f"joint {moved}, so that ABB's angle of that axis is not the angle of the joint. Such a robot is not "
-                "supported over EGM; robots.couplings converts its logs."
-            )
         self.n = arm.n
         self.head = min(arm.n, _HEAD)
         self.tail = arm.n - self.head

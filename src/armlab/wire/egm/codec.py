@@ -18,6 +18,7 @@ from armlab.wire.egm.axes import AxisMap, Refused
 from armlab.wire.egm.details import Details, read_details
 from armlab.wire.egm.force import NO_WRENCH, decode_force
 from armlab.wire.egm.layout import find_places
+from armlab.wire.egm.linkage import Linkage
 from armlab.wire.egm.numbers import INTEGERS, Numbers, Shape
 from armlab.wire.egm.pose import read_pose
 from armlab.wire.egm.replies import Replies, encode_path_correction, encode_pose
@@ -51,7 +52,7 @@ class EgmCodec:
     """
 
     def __init__(self, arm: Arm, extension: bool = False, units: Sequence[str] = ()) -> None:
-        self._axes = AxisMap(arm, units)
+        self._axes, self._linkage = AxisMap(arm, units), Linkage.of(arm)
         self._replies = Replies(self._axes, extension)
         self._known: dict[int, kernels.EgmReader] = {}
         self._learnt = 0
@@ -77,7 +78,7 @@ class EgmCodec:
         if known is not None:
             packet = known.read(data)
             if packet is not None:
-                return packet
+                return packet if self._linkage is None else self._linkage.heard(packet)
         try:
             message = pb.EgmRobot.FromString(data)
             shape, numbers, integers = self._parsed(message)
@@ -90,7 +91,7 @@ class EgmCodec:
             return Drop("not finite", "a joint, a velocity or an external axis is no number")
         self.robotware = packet.robotware
         self._learn(data, shape, packet)
-        return packet
+        return packet if self._linkage is None else self._linkage.heard(packet)
 
     def details(self, data: bytes) -> Details | None:
         """Return what a datagram says beside its `Packet`, None for what is none of this robot. Never raises.
@@ -99,7 +100,8 @@ class EgmCodec:
         ----------
         data : one datagram.
         """
-        return read_details(self._axes, data, self.robotware)
+        found = read_details(self._axes, data, self.robotware)
+        return found if found is None or self._linkage is None else self._linkage.heard(found)
 
     def encode(self, ref: Reference) -> bytes:
         """Return the bytes of an EgmSensor that holds a joint reference.
@@ -108,7 +110,7 @@ class EgmCodec:
         ----------
         ref : finite values; the bridge has checked them.
         """
-        return self._replies.encode(ref)
+        return self._replies.encode(ref if self._linkage is None else self._linkage.said(ref))
 
     def encode_pose(self, T_frame_tool: np.ndarray, twist: np.ndarray | None, seq: int, tm_ms: int) -> bytes:
         """Return the bytes of an EgmSensor that holds a pose, for `EGMRunPose`. Never with Euler angles.

@@ -12,6 +12,7 @@ from armlab.errors import ConfigError, UnknownName
 from armlab.wire.egm import armlab_egm_pb2 as pb
 from armlab.wire.egm.axes import RADIAN, AxisMap, Refused
 from armlab.wire.egm.force import encode_force
+from armlab.wire.egm.linkage import Linkage
 from armlab.wire.egm.pose import pose_from_matrix, pose_values, read_pose
 from armlab.wire.egm.types import Arm, Drop, RobotMessage, SensorMessage
 
@@ -72,7 +73,7 @@ class RobotSideCodec:
     ) -> None:
         if robotware not in ROBOTWARE:
             raise ConfigError(f"Expected robotware to be one of {', '.join(ROBOTWARE)}, got {robotware!r}.")
-        self._axes = AxisMap(arm)
+        self._axes, self._linkage = AxisMap(arm), Linkage.of(arm)
         self._robotware = robotware
         self._arrays = DEFAULT_ARRAYS if extension is True else tuple(extension or ())
         for name in self._arrays:
@@ -88,6 +89,8 @@ class RobotSideCodec:
         ----------
         message : SI values, kinematic order.
         """
+        if self._linkage is not None:
+            message = self._linkage.said(message)
         robot = pb.EgmRobot()
         header = robot.header
         header.seqno, header.mtype = message.seqno & _UINT32, _DATA
@@ -127,7 +130,8 @@ class RobotSideCodec:
                 return _path_correction(pb.EgmSensorPathCorr.FromString(data))
             if header.mtype != _CORRECTION:
                 return Drop("wrong type", f"expected message type 3 or 4 (from a sensor), got {header.mtype}")
-            return self._sensor(sensor)
+            found = self._sensor(sensor)
+            return found if self._linkage is None else self._linkage.heard(found)
         except DecodeError:
             return Drop("unparsable", f"{len(data)} bytes are no protobuf message")
         except Refused as refused:

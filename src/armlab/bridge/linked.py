@@ -1,0 +1,62 @@
+"""`LinkedLimiter`: limits of a robot whose axes are not its joints, where they belong: on ABB's axes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from armlab.bridge.limits import Limiter, Limits, Reply
+from armlab.robots import Robot
+from armlab.wire.egm.linkage import Linkage
+
+__all__ = ["LinkedLimiter", "limiter_of"]
+
+
+class LinkedLimiter(Limiter):
+    """A `Limiter` of axes: ABB limits positions, speeds and accelerations of axes, the controller speaks of joints.
+
+    Parameters
+    ----------
+    limits : of the axes. linkage : between the two.
+    """
+
+    def __init__(self, limits: Limits, linkage: Linkage) -> None:
+        super().__init__(limits)
+        self._linkage = linkage
+
+    @property
+    def q(self) -> np.ndarray:
+        """(n,) position sent last, of the joints."""
+        return self._linkage.joints(super().q)
+
+    def rest(self, q: np.ndarray) -> Reply:
+        """Stand still at `q` (n,), as `Limiter.rest`."""
+        return self._linkage.heard(super().rest(self._linkage.axes(q)))
+
+    def follow(self, q: np.ndarray, qd: np.ndarray) -> Reply:
+        """Go along with an arm at `q` and `qd` (n,), as `Limiter.follow`."""
+        return self._linkage.heard(super().follow(self._linkage.axes(q), self._linkage.axes(qd)))
+
+    def step(self, q: np.ndarray | None, qd: np.ndarray | None, period: float) -> Reply:
+        """Return what may be sent, as `Limiter.step`.
+
+        Parameters
+        ----------
+        q, qd : (n,) references of the joints or None. period : cycle time of the robot [s].
+        """
+        wanted = (None if values is None else self._linkage.axes(values) for values in (q, qd))
+        return self._linkage.heard(super().step(*wanted, period))
+
+
+def limiter_of(limits: Limits, robot: Robot) -> Limiter:
+    """Return the limiter of a robot: of its joints, or of its axes where they differ.
+
+    Parameters
+    ----------
+    limits : of the robot. robot : the arm.
+
+    Raises
+    ------
+    RobotError : see `Linkage.of`.
+    """
+    linkage = Linkage.of(robot)
+    return Limiter(limits) if linkage is None else LinkedLimiter(limits, linkage)
