@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from armlab.errors import LogError
-from armlab.log.formats import check_readable, format_of, is_text
+from armlab.log.formats import check_readable, format_of, is_labcomm, is_text
 
 
 @pytest.mark.parametrize(
@@ -21,6 +21,10 @@ from armlab.log.formats import check_readable, format_of, is_text
         (b"MATLAB 5.0 MAT-file", "MAT v5"),
         (b"\x1f\x8b\x08", "gzip"),
         ("t [s],q1 [grå]\n".encode(), "text"),
+        (b"\x00\x00\x00\x02\x00\x00\x00\x40", "LabComm"),
+        (b"\x0bLabComm2013\x02", "LabComm"),
+        (b"\x01\x10\x0eLabComm2014.v1", "LabComm"),
+        (b"\x01LabComm", "unknown"),
         (b"\x00\x01", "unknown"),
         (b"", "empty"),
     ],
@@ -51,3 +55,11 @@ def test_text_is_told_from_recordings(tmp_path: Path) -> None:
     for first, expected in ((b"t,q1\n", True), (b"\x1f\x8b\x08", True), (b"\x89MCAP0\r\n", False), (b"", False)):
         path.write_bytes(first)
         assert is_text(path) is expected
+
+
+def test_labcomm_streams_are_told_from_others(tmp_path: Path) -> None:
+    path = tmp_path / "log"
+    assert not is_labcomm(path)
+    for first, expected in ((b"\x0bLabComm2013\x02", True), (b"t,q1\n", False), (b"", False)):
+        path.write_bytes(first)
+        assert is_labcomm(path) is expected

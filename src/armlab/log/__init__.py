@@ -6,6 +6,7 @@ from armlab.log.column import Column
 from armlab.log.delimited import read_csv
 from armlab.log.growing import Log, Tail
 from armlab.log.inspection import inspect
+from armlab.log.labcomm import read_labcomm
 from armlab.log.reading import read
 from armlab.log.recorder import Recorder
 from armlab.log.recovery import recover
@@ -25,6 +26,7 @@ __all__ = [
     "inspect",
     "read",
     "read_csv",
+    "read_labcomm",
     "recover",
     "write",
 ]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from armlab.errors import LogError
 
-__all__ = ["check_readable", "format_of", "is_text"]
+__all__ = ["check_readable", "format_of", "is_labcomm", "is_text"]
 
 _FIRST_BYTES = {
     b"\x89MCAP0\r\n": "MCAP",
@@ -22,26 +22,36 @@ _FIRST_BYTES = {
 
 
 def format_of(first: bytes) -> str:
-    """Return the name of the format that begins with these bytes: "MCAP", "HDF5", ..., "text", "empty" or "unknown"."""
+    """Return the name of the format that begins so: "MCAP", "LabComm", ..., "text", "empty" or "unknown"."""
     if not first:
         return "empty"
     for magic, name in _FIRST_BYTES.items():
         if first.startswith(magic):
             return name
+    if first.startswith((b"\0\0\0\2", b"\x0bLabComm2013")) or (first[0] == 1 and b"LabComm2014" in first[:20]):
+        return "LabComm"
     text = b"\0" not in first and sum(byte < 9 for byte in first) == 0
     return "text" if text else "unknown"
 
 
 def is_text(path: str | Path) -> bool:
     """Tell whether a file is there and begins as text or gzip, which `log.read_csv` reads."""
-    path = Path(path)
+    return _begins(Path(path)) in ("text", "gzip")
+
+
+def is_labcomm(path: str | Path) -> bool:
+    """Tell whether a file is there and begins as a LabComm stream, which `log.read_labcomm` reads."""
+    return _begins(Path(path)) == "LabComm"
+
+
+def _begins(path: Path) -> str:
     if not path.is_file():
-        return False
+        return ""
     try:
         with path.open("rb") as file:
-            return format_of(file.read(64)) in ("text", "gzip")
+            return format_of(file.read(64))
     except OSError:
-        return False
+        return ""
 
 
 def check_readable(path: str | Path) -> None:

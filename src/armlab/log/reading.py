@@ -18,7 +18,8 @@ from armlab.lie import quaternion, se3
 from armlab.log.assemble import recording_table
 from armlab.log.column import Column
 from armlab.log.delimited import read_csv
-from armlab.log.formats import check_readable, is_text
+from armlab.log.formats import check_readable, is_labcomm, is_text
+from armlab.log.labcomm import read_labcomm
 from armlab.log.mcap_decode import Decoded, decode
 from armlab.log.mcap_records import DAMAGE, Contents, contents
 from armlab.log.messages import CLOCK_KEY, COLUMN_KEY
@@ -46,7 +47,7 @@ class Source:
 def read(
     path: str | Path, columns: Sequence[str] | None = None, *, robot: str | None = None, raw: bool = False
 ) -> Table:
-    """Return the table that a recording, or a text file (`read_csv`), holds.
+    """Return the table that a recording, a text file (`read_csv`) or a LabComm stream (`read_labcomm`) holds.
 
     An unfinished or damaged file is read as far as it goes, with one warning and a note. Rows whose time does not
     advance are dropped and counted in the notes.
@@ -68,8 +69,8 @@ def read(
     UnknownName : a wanted column does not exist; lists those that do.
     """
     path = Path(path)
-    if is_text(path):
-        table = read_csv(path)
+    if is_text(path) or is_labcomm(path):
+        table = read_csv(path) if is_text(path) else read_labcomm(path)
         return table if columns is None else table.select(*columns)
     check_readable(path)
     with opened(path) as view, ThreadPoolExecutor(1) as background:

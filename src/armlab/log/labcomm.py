@@ -1,0 +1,202 @@
+"""`read_labcomm`: a LabComm stream in a file becomes a `Table`, whatever its dialect.
+
+Each leaf of a sample is a column, ``robot_row.pos`` (N, 7), ``irb2ext.robot[0].joint[2].posRawAbs`` (N,): arrays of
+numbers stay arrays, structs in arrays are numbered from 0. One sample paces the rows, the others are held.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from armlab.errors import ArmlabError, LabCommError, LogError, UnknownName
+from armlab.glossary import symbols
+from armlab.log.assemble import in_time_order
+from armlab.log.column import Column
+from armlab.log.formats import format_of
+from armlab.log.provenance import file_hash
+from armlab.log.table import Table
+from armlab.wire.labcomm import Array, Decoder, Limits, Prim, Sample, Struct
+
+__all__ = ["read_labcomm"]
+
+_PIECE = 1 << 20
+_CLOCKS = {"t_us": 1e-6, "tm": 1e-3, "t": 1.0, "time": 1.0}  # fields of a sample that are its clock, and their unit [s]
+_WRAP = 1 << 32  # of a tm: milliseconds in a signed int of 32 bits
+_BRIDGE = ("robot_row", "command_row")
+_UNITS = {"pos": "rad", "vel": "rad/s", "trq": "N m"}  # of these samples of the bridge
+_KINDS = {"b": "flag", "i": "count", "f": "real", "U": "text"}
+_TYPES = {"boolean": np.bool_, "float": np.float64, "double": np.float64, "string": np.str_}  # others are whole numbers
+
+
+@dataclass(slots=True)
+class _Leaf:
+    """The values of one column so far, and how many rows there were before each."""
+
+    dtype: Any
+    values: list[np.ndarray] = field(default_factory=list)
+    rows: list[int] = field(default_factory=list)
+
+
+def read_labcomm(path: str | Path, *, sample: str | None = None, rate: float | None = None) -> Table:
+    """Return the table in a file with a LabComm stream, as the ancestors' loggers wrote it.
+
+    A row per value of the sample that paces; the others are held, and missing before their first value. An array of
+    variable size has the columns of its largest, NaN where it was smaller. A stream that ends within a packet is read
+    up to there, with one warning and a note.
+
+    Parameters
+    ----------
+    path : the file: definitions and values, in any dialect that announces itself.
+    sample : name of the sample that paces; the one with most values when None.
+    rate : [Hz] of its values. When None their clock is a field t_us [us], tm [ms], t or time [s] of the sample.
+
+    Returns
+    -------
+    Table : t = 0 at the first row. LabComm has no units: those of the bridge's own rows are known, others are 1.
+
+    Raises
+    ------
+    LogError : no file, no LabComm stream, a stream that is malformed (says at which byte), no values, no clock.
+    UnknownName : no values of that sample; lists those that have some.
+    """
+    path = Path(path)
+    if rate is not None and not 0.0 < rate < np.inf:
+        raise LogError(f"Expected a rate above 0 Hz, got {rate}.")
+    samples, torn = _samples(path)
+    counts: dict[str, int] = {}
+    for one in samples:
+        counts[one.name] = counts.get(one.name, 0) + 1
+    if not counts:
+        raise LogError(f"Expected values of samples in the LabComm stream {path}, got definitions at most.")
+    if sample is not None and sample not in counts:
+        raise UnknownName.among("sample with values", sample, counts)
+    pace = max(counts, key=counts.__getitem__) if sample is None else sample
+    leaves = _leaves(samples, pace)
+    columns = {label: _column(leaf, counts[pace]) for label, leaf in leaves.items()}
+    t, keep, notes = _clock(path, columns, pace, counts[pace], rate)
+    if torn:
+        notes.insert(0, f"{path.name} ends within a packet: its last {torn} bytes are left out")
+    if notes:
+        warnings.warn("; ".join(notes), stacklevel=2)
+    try:
+        return Table(
+            t,
+            {label: values[keep] for label, values in columns.items()},
+            {label: Column(unit=_unit(label), kind=_KINDS[values.dtype.kind]) for label, values in columns.items()},
+            notes=tuple(notes),
+            source=(f"{path.name} sha256 {file_hash(path)}",),
+        )
+    except ArmlabError as error:
+        raise LogError(f"Expected samples that fit the glossary in {path}, got others: {error}") from None
+
+
+def _samples(path: Path) -> tuple[list[Sample], int]:
+    """Return the values in the file, in order, and how many bytes at its end are no whole packet."""
+    decoder, found = Decoder(limits=Limits.file()), []
+    try:
+        with path.open("rb") as file:
+            piece = file.read(_PIECE)
+            if format_of(piece[:64]) != "LabComm":
+                raise LogError(f"Expected a LabComm stream at {path}, got a file of format {format_of(piece[:64])}.")
+            while piece:
+                found += [event for event in decoder.feed(piece) if isinstance(event, Sample)]
+                piece = file.read(_PIECE)
+    except OSError as error:
+        raise LogError(f"Expected a log at {path}, got: {error.strerror}.") from None
+    except LabCommError as error:
+        raise LogError(
+            f"Expected a whole LabComm stream in {path}, got a fault at byte {error.offset}: {error}"
+        ) from None
+    return found, decoder.pending
+
+
+def _leaves(samples: Sequence[Sample], pace: str) -> dict[str, _Leaf]:
+    """Return the leaves of all samples by label, those of the sample that paces first."""
+    leaves: dict[str, _Leaf] = {}
+    row = 0
+    for one in sorted(samples, key=lambda one: one.name != pace)[:1]:
+        leaves.update({label: _Leaf(dtype) for label, dtype, _ in _parts(one.name, one.type, one.value)})
+    for one in samples:
+        for label, dtype, value in _parts(one.name, one.type, one.value):
+            leaf = leaves.setdefault(label, _Leaf(dtype))
+            leaf.values.append(np.asarray(value, dtype=dtype))
+            leaf.rows.append(row)
+        row += one.name == pace
+    return leaves
+
+
+def _parts(label: str, node: Any, value: Any) -> Iterator[tuple[str, Any, Any]]:
+    """Yield label, type and value of each leaf; an array of numbers is one."""
+    if isinstance(node, Struct):
+        for one in node.fields:
+            yield from _parts(f"{label}.{one.name}", one.type, value[one.name])
+    elif isinstance(node, Prim):
+        yield label, _TYPES.get(node.name, np.int64), value
+    elif isinstance(node, Array) and isinstance(node.elem, Prim) and node.elem.name != "string":
+        value = np.frombuffer(value, dtype=np.uint8) if isinstance(value, bytes) else value
+        yield label, _TYPES.get(node.elem.name, np.int64), value
+    elif isinstance(node, Array):
+        for place, element in _elements(value, len(node.dims)):
+            yield from _parts(label + place, node.elem, element)
+
+
+def _elements(value: Any, depth: int) -> Iterator[tuple[str, Any]]:
+    if not depth:
+        yield "", value
+        return
+    for number, part in enumerate(value):
+        for place, element in _elements(part, depth - 1):
+            yield f"[{number}]{place}", element
+
+
+def _column(leaf: _Leaf, rows: int) -> np.ndarray:
+    """Return the values (rows, ...) of a leaf, each held until the next; whole numbers with holes are real."""
+    axes = max(value.ndim for value in leaf.values)
+    shape = tuple(max(value.shape[axis] if value.ndim == axes else 0 for value in leaf.values) for axis in range(axes))
+    whole = leaf.rows[0] == 0 and all(value.shape == shape for value in leaf.values)
+    if whole or leaf.dtype is np.str_:
+        block = np.array(leaf.values, dtype=leaf.dtype)
+    else:
+        block = np.full((len(leaf.values), *shape), np.nan)
+        for row, value in enumerate(leaf.values):
+            if value.ndim == axes:
+                block[(row, *(slice(size) for size in value.shape))] = value
+    newest = np.searchsorted(leaf.rows, np.arange(rows), side="right") - 1
+    held = block[np.maximum(newest, 0)]
+    if newest[0] < 0:
+        held[newest < 0] = "" if leaf.dtype is np.str_ else np.nan
+    return held
+
+
+def _clock(
+    path: Path, columns: dict[str, np.ndarray], pace: str, rows: int, rate: float | None
+) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Return the times [s] of the rows that are kept, which those are, and notes."""
+    if rate is not None:
+        return np.arange(rows) / rate, np.ones(rows, dtype=bool), []
+    name = next((name for name in _CLOCKS if f"{pace}.{name}" in columns), None)
+    stamps = columns[f"{pace}.{name}"] if name else np.zeros(0)
+    if name is None or stamps.ndim != 1 or stamps.dtype.kind not in "if" or not np.isfinite(stamps).all():
+        raise LogError(
+            f"Expected a clock ({', '.join(_CLOCKS)}) in the sample {pace!r} of {path}, got {', '.join(columns)}. "
+            f"Give the rate of its values: log.read_labcomm(path, rate=250.0)."
+        )
+    steps = np.diff(stamps, prepend=stamps[:1])
+    if name == "tm":
+        steps = (steps + _WRAP // 2) % _WRAP - _WRAP // 2
+    t = np.cumsum(steps) * _CLOCKS[name]
+    keep, lost = in_time_order(t)
+    return t[keep], keep, [f"{lost} rows dropped: their {pace}.{name} does not advance"] if lost else []
+
+
+def _unit(label: str) -> str | None:
+    name, _, leaf = label.partition(".")
+    if label in symbols():
+        return None
+    return _UNITS.get(leaf, "1") if name in _BRIDGE else "1"
