@@ -36,7 +36,7 @@ def test_an_error_outside_the_controller_stops_the_arm_first(play: Any, robot: A
     with pytest.raises(LinkError, match=r"without errors, got ZeroDivisionError: division by zero\.") as caught:
         play(script, lambda state: Command(qd=np.full(7, 0.1)), play.link(codec=Broken(robot)))
     sent = caught.value.table["qd_sent"]
-    assert sent.max() > 0.05
+    assert np.nanmax(sent) > 0.05
     assert not sent[-1].any()
 
 

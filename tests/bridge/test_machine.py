@@ -47,13 +47,13 @@ def test_packages() -> None:
     assert packages().verdict == "ok"
     assert "numpy" in packages().value
 
-    def without_mcap(name: str) -> str:
-        if name in ("mcap", "viser"):
+    def without_zstandard(name: str) -> str:
+        if name in ("zstandard", "viser"):
             raise importlib.metadata.PackageNotFoundError(name)
         return "1.0"
 
-    found = packages(without_mcap)
-    assert (found.verdict, found.value, found.advice) == ("failure", "missing: mcap", "pip install mcap")
+    found = packages(without_zstandard)
+    assert (found.verdict, found.value, found.advice) == ("failure", "missing: zstandard", "pip install zstandard")
 
 
 def test_packages_that_do_not_go_together() -> None:
