@@ -1,8 +1,9 @@
-"""One EGM client for `bench_egm`, in a process of its own: `python egm_client.py NAME PORT [MODEL]`.
+"""One EGM client for `bench_egm`, in a process of its own: `python egm_client.py NAME PORT[,PORT] [MODEL]`.
 
-NAME is "ahead" or "spin" for armlab's bridge with an empty controller, "estimator" for the contact-force estimator in
-the loop with the model file MODEL, or the name of a package from PyPI, which sends back what it received. All run with
-real-time priority where the system permits it, but for "spin", which never yields. Prints "ready" when it listens.
+NAME is "ahead" or "spin" for armlab's bridge with an empty controller, "both" for two arms in one loop, "estimator" for
+the contact-force estimator in the loop with the model file MODEL, or the name of a package from PyPI, which sends back
+what it received. All run with real-time priority where the system permits it, but for "spin", which never yields.
+Prints "ready" when it listens.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ def answer(package: str, port: int) -> None:
         found, state = egm.receive_from_robot(timeout=SILENCE)
 
 
-def bridge(way: str, port: int, file: Path | None) -> None:
+def bridge(way: str, ports: list[int], file: Path | None) -> None:
     """Run armlab's bridge until the robot is silent."""
     from armlab import models, robots
     from armlab.bridge import connect
@@ -40,13 +41,13 @@ def bridge(way: str, port: int, file: Path | None) -> None:
     from armlab.models import TorqueModel
     from armlab.state import Command, State
 
-    robot = robots.load("yumi_right")
+    arms = [robots.load(name) for name in ("yumi_right", "yumi_left")[: len(ports)]][::-1]
     estimator: Any = None
     if file is not None:
         model = models.load(file)
         if not isinstance(model, TorqueModel):
             raise SystemExit(f"Expected a torque model in {file}.")
-        estimator = Estimator(model, robot)
+        estimator = Estimator(model, arms[0])
 
     def controller(state: State) -> Command:
         if estimator is not None:
@@ -54,7 +55,7 @@ def bridge(way: str, port: int, file: Path | None) -> None:
         return Command(state.q_start)
 
     try:
-        with connect(f"egm://127.0.0.1:{port}", robot, extension=True, patience=60.0) as link:
+        with connect([f"egm://127.0.0.1:{port}" for port in ports], arms, extension=True, patience=60.0) as link:
             print("ready", flush=True)
             link.run(controller, wait="spin" if way == "spin" else "ahead", reconnect="stop")
     except SessionEnded:
@@ -63,7 +64,7 @@ def bridge(way: str, port: int, file: Path | None) -> None:
 
 if __name__ == "__main__":
     name, at, *more = sys.argv[1:]
-    if name in ("ahead", "spin", "estimator"):
-        bridge(name, int(at), Path(more[0]) if more else None)
+    if name in ("ahead", "spin", "estimator", "both"):
+        bridge(name, [int(port) for port in at.split(",")], Path(more[0]) if more else None)
     else:
         answer(name, int(at))

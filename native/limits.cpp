@@ -133,6 +133,8 @@ nb::object limit_reference(nb::handle sent_, nb::handle bounds_, double T, nb::h
     moved[i] = std::min(std::max(free, std::min(joint.q_min, joint.q)), std::max(joint.q_max, joint.q));
     if (moved[i] != free) v[i] = (moved[i] - joint.q) / T;
   }
+  for (const nb::object &array : {out, bits_array})
+    PyArray_CLEARFLAGS(reinterpret_cast<PyArrayObject *>(array.ptr()), NPY_ARRAY_WRITEABLE);
   return nb::make_tuple(out, bits_array, ratio, refused);
 }
 

@@ -13,6 +13,7 @@ void bind_nearest(nb::module_ &m);
 void bind_limits(nb::module_ &m);
 void bind_momentum(nb::module_ &m);
 void bind_path(nb::module_ &m);
+void bind_records(nb::module_ &m);
 void bind_signals(nb::module_ &m);
 void bind_wrench(nb::module_ &m);
 
@@ -31,6 +32,7 @@ NB_MODULE(_native, m) {
   bind_limits(m);
   bind_momentum(m);
   bind_path(m);
+  bind_records(m);
   bind_signals(m);
   bind_wrench(m);
 }

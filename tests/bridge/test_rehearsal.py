@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from armlab.bridge.limits import Limits
-from armlab.bridge.port import Arrival
+from armlab.bridge.port import Arrival, Port
 from armlab.bridge.rehearsal import Rehearsal
 from armlab.robots import Robot
 from armlab.state import Command, State
@@ -27,7 +27,8 @@ class Recorded(EgmCodec):
 def test_it_encodes_what_the_loop_would(robot: Robot, packets: Any) -> None:
     codec = Recorded(robot)
     codec.encoded = []
-    rehearsal = Rehearsal(robot, Limits.of(robot), codec)
+    port = Port("127.0.0.1", 0, to_itself=True)
+    rehearsal = Rehearsal(robot, Limits.of(robot), codec, port)
     for k in range(10):
         arrival = Arrival(packets(), ("127.0.0.1", 5), 4_000_000 * k)
         rehearsal(arrival, Command(robot.q_home + 1e-4 * k))
@@ -35,6 +36,7 @@ def test_it_encodes_what_the_loop_would(robot: Robot, packets: Any) -> None:
     np.testing.assert_allclose(codec.encoded[-1].q, robot.q_home + 9e-4)
     rehearsal(Arrival(b"garbage", ("127.0.0.1", 5), 0), None)
     assert len(codec.encoded) == 10
+    port.close()
 
 
 def test_it_never_sends_and_changes_no_reference(play: Any) -> None:

@@ -3,14 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import fields
 from functools import cache
 from typing import Any
 
 import numpy as np
 
+from armlab import kernels
 from armlab.bridge.limits import Reply
 from armlab.bridge.session import Sample
 from armlab.state import State
+
+_PLAIN = State(0.0, 0.0, *(np.zeros(0),) * 3)  # for the values that few packets have
+_NAMES = (
+    "t", "dt", "q", "qd", "tau", "seq", "missed", "session", "qd_source", "tau_source", "q_start", "q_planned",
+    "q_sent", "qd_sent", "clamped", "T_frame_tool", "wrench_raw", "q_ext", "motors", "rapid", "mci", "converged",
+    "utilization", "robotware", "rapid_data", "rapid_digital", "robot_ns", "t_receive", "robot", "wrench", "sources",
+)  # fmt: skip
+_OTHERS = tuple(field.name for field in fields(State) if field.name not in _NAMES)
+_make = kernels.RecordMaker(State, _NAMES + _OTHERS).make
+_others = tuple(getattr(_PLAIN, name) for name in _OTHERS)
 
 
 def seen(
@@ -23,39 +35,19 @@ def seen(
     fused: Mapping[str, Any],
 ) -> State:
     """Return the state: the packet of a sample, the reply `last` to the one before, and what is `fused` with them."""
-    packet = sample.packet
-    return State(
-        t=t,
-        dt=sample.dt,
-        q=packet.q,
-        qd=sample.qd,
-        tau=_missing(len(packet.q)) if packet.tau is None else packet.tau,
-        seq=packet.seqno,
-        missed=sample.missed,
-        session=sample.session,
-        qd_source=sample.qd_source,
-        tau_source=packet.tau_source,
-        q_start=q_start,
-        q_planned=packet.q_planned,
-        q_sent=last.q,
-        qd_sent=last.qd,
-        clamped=last.clamped,
-        T_frame_tool=packet.T_frame_tool,
-        wrench_raw=packet.wrench_raw,
-        q_ext=packet.q_ext,
-        motors=packet.motors,
-        rapid=packet.rapid,
-        mci=packet.mci,
-        converged=packet.converged,
-        utilization=packet.utilization,
-        robotware=packet.robotware,
-        rapid_data=packet.rapid_data,
-        rapid_digital=packet.rapid_digital,
-        robot_ns=packet.robot_ns,
-        t_receive=t_receive,
-        robot=robot,
-        **fused,
-    )
+    packet, _, dt, missed, session, _, qd, qd_source = sample
+    (
+        seqno, _, robot_ns, q, q_planned, q_ext, _, tau, tau_source, T_frame_tool, wrench_raw, motors, mci, rapid,
+        converged, utilization, robotware, rapid_data, rapid_digital, _, _,
+    ) = packet  # fmt: skip
+    return _make(
+        (
+            t, dt, q, qd, _missing(len(q)) if tau is None else tau, seqno, missed, session, qd_source, tau_source,
+            q_start, q_planned, last.q, last.qd, last.clamped, T_frame_tool, wrench_raw, q_ext, motors, rapid, mci,
+            converged, utilization, robotware, rapid_data, rapid_digital, robot_ns, t_receive, robot,
+            fused.get("wrench", _PLAIN.wrench), fused.get("sources", _PLAIN.sources), *_others,
+        )
+    )  # fmt: skip
 
 
 @cache

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -11,7 +12,6 @@ from armlab.bridge.latency import Latency
 from armlab.bridge.limits import Reply
 from armlab.bridge.port import Arrival, Port
 from armlab.bridge.recording import Recording
-from armlab.bridge.rehearsal import Rehearsal
 from armlab.bridge.session import Sample, Session
 from armlab.bridge.states import Guide
 from armlab.bridge.supervision import Settings, Supervisor
@@ -55,7 +55,7 @@ class Arm:
     ----------
     robot, port, codec, session, guide, recording : the parts.
     settings : of the run. wall_ns : wall clock minus monotonic clock [ns]. fusion : of the sources.
-    rehearsal : see `rehearsal`.
+    rehearsal : called with the last packet and its command; see `rehearsal`.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class Arm:
         settings: Settings,
         wall_ns: int,
         fusion: Fusion,
-        rehearsal: Rehearsal | None = None,
+        rehearsal: Callable[[Arrival, Command | None], None] | None = None,
     ) -> None:
         self.robot, self.port, self.codec, self.session = robot, port, codec, session
         self.guide, self.recording = guide, recording

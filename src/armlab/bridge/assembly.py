@@ -39,7 +39,7 @@ class End(NamedTuple):
     Attributes
     ----------
     robot, port : the arm and its port. codec : of its session.
-    spare : one more for rehearsals, None where the codec is the user's.
+    spare, aside : a codec and a port that sends to itself for rehearsals, None where the codec is the user's.
     admittance : makes velocities of torque commands, None where torques are sent or refused.
     """
 
@@ -47,7 +47,14 @@ class End(NamedTuple):
     port: Port
     codec: Codec
     spare: Codec | None
+    aside: Port | None = None
     admittance: Admittance | None = None
+
+    def close(self) -> None:
+        """Close the ports."""
+        self.port.close()
+        if self.aside is not None:
+            self.aside.close()
 
 
 def checked_limits(
@@ -164,7 +171,9 @@ def _arm(
         admittance=end.admittance,
     )
     session = Session(end.codec, float("inf") if settings.clock == "robot" else _SILENCE, recording.event)
-    rehearsal = None if end.spare is None else Rehearsal(robot, limits, end.spare, end.admittance)
+    rehearsal = None
+    if commands and end.spare is not None and end.aside is not None:
+        rehearsal = Rehearsal(robot, limits, end.spare, end.aside, end.admittance)
     return Arm(robot, end.port, end.codec, session, guide, recording, settings, wall_ns, fusion, rehearsal)
 
 

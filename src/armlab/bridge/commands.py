@@ -12,6 +12,7 @@ from armlab.state import Command
 
 __all__ = ["entry_refusal", "refusal", "wanted"]
 
+_DOUBLE = np.dtype(np.float64)
 _CAUSES = "Usual causes are degrees instead of radians and another joint order."
 
 
@@ -38,6 +39,8 @@ def wanted(command: Command, robot: Robot) -> tuple[np.ndarray | None, np.ndarra
 def _vector(name: str, values: Any, robot: Robot) -> np.ndarray | None:
     if values is None:
         return None
+    if type(values) is np.ndarray and values.dtype == _DOUBLE and values.shape == (robot.n,):
+        return np.ascontiguousarray(values)
     try:
         array = np.ascontiguousarray(values, dtype=np.float64)
     except Exception as error:  # what a controller returned may be anything

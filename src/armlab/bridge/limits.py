@@ -197,8 +197,6 @@ class Limiter:
         q, qd : references or None. period : cycle time of the robot [s].
         """
         sent, clamped, ratio, refused = kernels.limit_reference(self._sent, self._bounds, period, q, self._asked, qd)
-        sent.flags.writeable = False
-        clamped.flags.writeable = False
         self._sent = sent
         self._asked = None if q is None or refused else q.copy()
         return Reply(sent[0], sent[2], clamped, ratio, refused)

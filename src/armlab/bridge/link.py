@@ -80,10 +80,12 @@ def connect(
             if address.scheme == "labcomm":
                 from armlab.bridge.labcomm.far import far_end
 
-                ends.append(End(one, *far_end(one, address.host, address.port, address.options), None))
+                ends.append(End(one, *far_end(one, address.host, address.port, address.options), None, None))
             else:
-                ends.append(End(one, Port(address.host, address.port), *wires))
-            opened.callback(ends[-1].port.close)
+                port = Port(address.host, address.port)
+                opened.callback(port.close)
+                ends.append(End(one, port, *wires, None if wires[1] is None else Port("127.0.0.1", 0, to_itself=True)))
+            opened.callback(ends[-1].close)
         simulator = None
         if is_simulated:
             simulator = Simulator([one.robot for one in where], [end.port.port for end in ends], where[0].options)
@@ -144,7 +146,7 @@ class Link:
     def close(self) -> None:
         """Close the ports and stop the simulated robots."""
         for end in self._ends:
-            end.port.close()
+            end.close()
         if self._simulator is not None:
             self._simulator.stop()
 
@@ -229,6 +231,8 @@ class Link:
         mode: Wait = "block" if in_lockstep else wait
         waiting = Waiting([arm.port for arm in arms], [arm.prediction for arm in arms], mode)
         loop = Loop(arms, waiting, controller, settings, paced)
+        rehearsals = [arm.rehearse for arm in arms]
+        waiting.rehearse = lambda index: rehearsals[index]()
         arms.insert(0, arms.pop(paced))
         try:
             with ExitStack() as stack:

@@ -10,19 +10,19 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 from armlab.bridge.arm import Arm, Turn
 from armlab.bridge.arms import fuse, shares
 from armlab.bridge.conditions import collect_if_due
+from armlab.bridge.port import Arrival
 from armlab.bridge.states import Mode
 from armlab.bridge.supervision import Settings
-from armlab.bridge.waiting import Waiting
 from armlab.bridge.watchdog import Lateness
 from armlab.errors import CommandRefused, ControllerFailed, ControllerLate, LinkError
 from armlab.state import Command, State
 
-__all__ = ["Controller", "Loop"]
+__all__ = ["Controller", "Loop", "Packets"]
 
 Controller = Callable[[State], Command | Sequence[Command | None] | None]
 """What decides: called with each state, returns a command or None for hold; with several arms also one per arm."""
@@ -37,12 +37,20 @@ _STALE_PERIODS, _STALE = 3.0, 0.02  # an arm unheard for longer, the larger of t
 _SERVES = 2.5  # periods of the pacing arm for which a command serves another arm
 
 
+class Packets(Protocol):
+    """Where packets come from: `Waiting`."""
+
+    def next(self, seconds: float) -> tuple[int, Arrival] | None:
+        """Return the next datagram with the index of its arm, or None when none came in the time."""
+        ...
+
+
 class Loop:
     """Runs the arms of a link until all have ended.
 
     Parameters
     ----------
-    arms : see `Arm`. waiting : on their ports. controller : see `Controller`; None listens only.
+    arms : see `Arm`. waiting : gives their packets, see `Packets`. controller : see `Controller`; None listens only.
     settings : see `Settings`. pace : index of the arm on whose packets the controller is called.
 
     Attributes
@@ -51,7 +59,7 @@ class Loop:
     """
 
     def __init__(
-        self, arms: Sequence[Arm], waiting: Waiting, controller: Controller | None, settings: Settings, pace: int = 0
+        self, arms: Sequence[Arm], waiting: Packets, controller: Controller | None, settings: Settings, pace: int = 0
     ) -> None:
         self._arms, self._pace, self._waiting = tuple(arms), arms[pace], waiting
         self._others = tuple(arm for arm in arms if arm is not self._pace)
@@ -70,7 +78,6 @@ class Loop:
         self._calling = self._taken = False
         self._deadline_ns = 0.0
         self._turn: Turn | None = None
-        waiting.rehearse = lambda index: self._arms[index].rehearse()
 
     @property
     def elapsed(self) -> float:
@@ -92,7 +99,7 @@ class Loop:
         """Run until every guide has ended."""
         while not self._have_ended():
             try:
-                self._cycle()
+                self.cycle()
             except Exception as error:
                 with self._lock:
                     if self._has_failed:  # again: the arms cannot be brought to rest
@@ -107,7 +114,7 @@ class Loop:
         self._pace.recording.event(str(failure), warn=True)
         self._stop("the bridge failed", failure)
 
-    def _cycle(self) -> None:
+    def cycle(self) -> None:
         """Wait for one packet, answer it, record it."""
         found = self._waiting.next(_LOOK)
         turn, asks = None, False

@@ -30,7 +30,7 @@ class Port:
 
     Parameters
     ----------
-    host, port : where to listen; port 0 lets the system choose.
+    host, port : where to listen; port 0 lets the system choose. to_itself : send there, whatever the address.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class Port:
     LinkError : the address cannot be bound; names who holds the port where that can be told.
     """
 
-    def __init__(self, host: str, port: int) -> None:
+    def __init__(self, host: str, port: int, to_itself: bool = False) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.bind((host, port))
@@ -52,6 +52,7 @@ class Port:
         with contextlib.suppress(OSError):
             self._socket.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
         self.host, self.port = self._socket.getsockname()
+        self._always_to = (self.host, self.port) if to_itself else None
         self._datagrams = kernels.Datagrams(self._socket, Arrival)
 
     @property
@@ -79,7 +80,7 @@ class Port:
 
     def send(self, data: bytes, to: tuple[str, int]) -> bool:
         """Send one datagram. Return whether the system took it."""
-        return self._datagrams.send(data, to)
+        return self._datagrams.send(data, self._always_to or to)
 
 
 def _why_not(host: str, port: int, error: Exception) -> str:

@@ -45,6 +45,10 @@ class Mode(Enum):
     ENDED = "ended"
 
 
+_ASKED, _UNANSWERED = (Mode.HOLDING, Mode.RUNNING), (Mode.WAITING, Mode.LISTENING)
+_LAST = (Mode.STOPPING, Mode.ENDED)
+
+
 class Guide:
     """Decides, packet by packet, whether the controller is asked and what is sent.
 
@@ -95,7 +99,7 @@ class Guide:
     @property
     def calls(self) -> bool:
         """Whether the controller is asked for this packet."""
-        return self.ready and self.mode in (Mode.HOLDING, Mode.RUNNING)
+        return self.ready and self.mode in _ASKED
 
     @property
     def _is_silent(self) -> bool:
@@ -153,7 +157,7 @@ class Guide:
         command : what the controller returned; None holds. period : cycle time of the robot [s].
         """
         packet = self._packet
-        if packet is None or self.mode in (Mode.WAITING, Mode.LISTENING) or self._is_silent:
+        if packet is None or self.mode in _UNANSWERED or self._is_silent:
             return None
         if not self.ready:
             self._rest(period)
@@ -161,13 +165,13 @@ class Guide:
                 return None
             self._torques.reset()
             self._last = joined(self._limiter.rest(packet.q), self._aside.rest(packet))
-        elif self.mode in (Mode.STOPPING, Mode.ENDED):
+        elif self.mode in _LAST:
             self._last = self._held(period)
             if self._limiter.at_rest and self._aside.at_rest:
                 self._rest(period)
         else:
             self._last = self._follow(Command() if command is None else command, packet, period)
-        if self._last.clamped.any():
+        if any(self._last.clamped.tobytes()):  # a tenth of the time of its method `any`
             self.clamps += [(self._last.clamped & bit) != 0 for bit in _BITS.values()]
             self.worst_ratio = min(self.worst_ratio, self._last.ratio)
         return self._last
@@ -191,11 +195,11 @@ class Guide:
         ----------
         reason : in words. failure : what `run` raises in the end.
         """
-        if self.mode in (Mode.STOPPING, Mode.ENDED):
+        if self.mode in _LAST:
             return
         self.reason, self.failure = reason, failure
         self._on_event(f"Stopping: {reason}.")
-        self.mode = Mode.ENDED if self.mode in (Mode.WAITING, Mode.LISTENING) else Mode.STOPPING
+        self.mode = Mode.ENDED if self.mode in _UNANSWERED else Mode.STOPPING
 
     def lose(self, reason: str, resume: bool) -> None:
         """Take note that the session ended.

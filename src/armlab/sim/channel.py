@@ -85,11 +85,12 @@ class Channel:
         datagrams = [(controller.cycle, self._packet)] if self._packet is not None else []
         if self._outgoing is not None:
             datagrams = self._outgoing.through(datagrams, controller.uptime)
+        # the newest first: then a peer answers one of them, whether it looks before or after the others have come
+        datagrams = sorted(datagrams, key=lambda item: -item[0])
+        self._awaited = False
         if self._packet is not None:
             controller.inbox.stamp(time.time_ns(), controller.uptime)
-        self._awaited = False
-        # the newest first: then a peer answers one of them, whether it looks before or after the others have come
-        for number, datagram in sorted(datagrams, key=lambda item: -item[0]):
+        for number, datagram in datagrams:
             self._put(datagram)
             if number > self._newest:  # a peer answers what is newer than all before
                 self._awaited, self._newest, self._expected = True, number, controller.packets.tm_ms(number)

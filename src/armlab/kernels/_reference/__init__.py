@@ -38,6 +38,7 @@ from armlab.kernels._reference.momentum import momentum_step
 from armlab.kernels._reference.momentum_estimator import MomentumEstimator
 from armlab.kernels._reference.nearest import so3_nearest
 from armlab.kernels._reference.path import follow_path
+from armlab.kernels._reference.records import RecordMaker
 from armlab.kernels._reference.signals import SignalOperator
 from armlab.kernels._reference.wrench import solve_wrench, wrench_interval
 
@@ -49,6 +50,7 @@ __all__ = [
     "EgmWriter",
     "InverseSolver",
     "MomentumEstimator",
+    "RecordMaker",
     "SignalOperator",
     "WrenchEstimator",
     "euler_from_rpy",

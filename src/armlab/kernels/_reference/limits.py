@@ -43,9 +43,9 @@ def limit_reference(
 
     Returns
     -------
-    (3, n) new `sent`; (n,) uint8 bits (1 position, 2 velocity, 4 acceleration, 8 braking); velocity ratio in (0, 1];
-    0, or i when joint i (from 1) is not finite, or -i when it jumps by more than ``jump + qd_max T``. A refused
-    reference holds instead.
+    (3, n) new `sent`; (n,) uint8 bits (1 position, 2 velocity, 4 acceleration, 8 braking); both are read-only;
+    velocity ratio in (0, 1]; 0, or i when joint i (from 1) is not finite, or -i when it jumps by more than
+    ``jump + qd_max T``. A refused reference holds instead.
     """
     q, v_last, f_last = sent
     q_min, q_max, qd_max, qdd_max, jump = bounds
@@ -74,7 +74,9 @@ def limit_reference(
         moved = np.where(reached & (v == wanted), q_ref, moved)
     inside = np.clip(moved, np.minimum(q_min, q), np.maximum(q_max, q))
     v = np.where(inside == moved, v, (inside - q) / period)
-    return np.stack((inside, v, f)), bits, ratio, refused
+    sent = np.stack((inside, v, f))
+    sent.flags.writeable = bits.flags.writeable = False
+    return sent, bits, ratio, refused
 
 
 def _refusal(
