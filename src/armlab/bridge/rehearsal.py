@@ -75,3 +75,6 @@ class _Nobody:
 
     def event(self, *_: Any, **__: Any) -> None:
         """Forget a sentence."""
+
+    def catch_up(self) -> None:
+        """Nothing waits."""
