@@ -73,7 +73,7 @@ def test_one_joint_at_constant_speeds(tmp_path, monkeypatch, capsys) -> None:
     for wrong in ("0", "8", "elbow"):
         assert main(["excite", "yumi_left", "--joint", wrong, "-o", str(tmp_path / "none.csv")]) == 1
         assert "joint" in capsys.readouterr().err
-    assert [entry.name for entry in tmp_path.iterdir()] == ["friction.csv"]
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["friction.csv", "friction.csv.toml"]
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,7 @@ def row(k: int, tm: int | None = None) -> dict[str, object]:
     return {"tm": 1000 + 4 * k if tm is None else tm, "pos": pos, "vel": [0.0] * 7, "trq": [float("nan")] * 7}
 
 
-def stream(dialect: str, values: list[tuple[str, object]]) -> bytes:
+def stream(dialect: str, values: Sequence[tuple[str, object]]) -> bytes:
     encoder = Encoder(dialect)
     data = encoder.version()
     for name in dict.fromkeys(name for name, _ in values):

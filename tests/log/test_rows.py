@@ -49,8 +49,9 @@ def test_what_is_not_there_is_missing(robot: Robot) -> None:
     layout = RowLayout(robot)
     state = State(0.0, 0.004, np.zeros(7), np.zeros(7), np.full(7, np.nan), q_ext=np.array([0.5]))
     found = layout.unpack([layout.pack(state, None, Tick(0, NO_COUNT, 9, 0, NO_COUNT, 0))])
-    for name in ("q_ref", "tau", "seq_sent", "send_ns", "robot_ns", "clamped", "wrench_hat", "utilization"):
+    for name in ("q_ref", "tau", "seq_sent", "send_ns", "clamped", "wrench_hat", "utilization"):
         assert np.isnan(found[name]).all(), name
+    assert (found["robot_ns"].dtype, found["robot_ns"][0]) == (np.int64, 0)  # a clock keeps its mark
     assert found["q_ext"][0, 0] == 0.5
     assert np.isnan(found["q_ext"][0, 1:]).all()
     assert np.array_equal(found["q"], np.zeros((1, 7)))

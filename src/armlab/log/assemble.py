@@ -31,7 +31,7 @@ def recording_table(
 
     Parameters
     ----------
-    values : column name -> (N, ...), missing values NaN.
+    values : column name -> (N, ...), missing values NaN, of clocks in ns 0.
     columns : their descriptions.
     stamp_ns : (N,) wall clock of each row.
     notes, source : as in `Table`.
@@ -54,7 +54,7 @@ def recording_table(
     if not keep.all():
         values = {name: array[keep] for name, array in values.items()}
         t, stamp_ns = t[keep], stamp_ns[keep]
-    present = {name: array for name, array in values.items() if name != "t" and not _absent(array)}
+    present = {name: array for name, array in values.items() if name != "t" and not _absent(array, columns[name])}
     present = dict(sorted(present.items(), key=lambda item: item[1].ndim == 1))  # q qd tau before the counters
     described = {name: replace(columns[name], shape=()) for name in present}
     for name, array in present.items():
@@ -86,7 +86,7 @@ def recording_clock(values: Mapping[str, np.ndarray], stamp_ns: np.ndarray) -> t
     session = values.get("session", np.ones(len(stamps)))
     robot = values.get("robot_ns")
     same = np.diff(session) == 0
-    if robot is not None and len(robot) and robot.dtype.kind == "i":
+    if robot is not None and len(robot) and robot.dtype.kind == "i" and (robot != 0).all():
         steps = np.diff(robot) / 1e9
         expected = np.diff(session_t) if session_t is not None else np.diff(stamps)
         if (steps > 0).all() and (np.abs(steps - expected)[same] <= _MAX_DISAGREEMENT).all():
@@ -121,7 +121,9 @@ def _fits(array: np.ndarray, kind: str | None) -> bool:
         return bool(np.array_equal(array.astype(bool if kind == "flag" else np.int64), array))
 
 
-def _absent(array: np.ndarray) -> bool:
+def _absent(array: np.ndarray, column: Column) -> bool:
+    if array.dtype.kind == "i" and column.unit == "ns":
+        return array.size > 0 and not (array > 0).any()  # a clock that was never sent
     return array.dtype.kind == "f" and array.size > 0 and bool(np.isnan(array).all())
 
 

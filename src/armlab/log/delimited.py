@@ -19,6 +19,7 @@ from armlab.glossary import symbols
 from armlab.log.column import Column
 from armlab.log.formats import format_of
 from armlab.log.provenance import file_hash
+from armlab.log.sidecar import Sidecar, read_sidecar
 from armlab.log.table import Table
 
 __all__ = ["read_csv"]
@@ -57,6 +58,7 @@ UNITS = {
     "": ("", 1.0),
 }
 CLOCKS = ("t", "time")
+_EXACT = 2.0**53  # whole numbers up to here are exact as floats
 HEADING = re.compile(r"^(?P<label>.*?)(?:\s+\[(?P<unit>[^\[\]]*)\]|\[(?P<tight>[^\[\]\d][^\[\]]*)\])?$")
 NUMBERED = re.compile(
     r"^(?P<name>[A-Za-z]\w*?)(?:_?(?P<number>\d+(?:_\d+)*)|\[(?P<index>\d+)\])$"
@@ -68,6 +70,8 @@ def read_csv(
     path: str | Path, *, rate: float | None = None, skip: int = 0, separator: str = ",", every: int = 1
 ) -> Table:
     """Return the table in a text file with one header line; gzip is unpacked.
+
+    A file that `write` made comes back as it was, by the file beside it, ``run.csv.toml``. Of others:
 
     Empty fields and "nan" are missing (NaN). Rows that repeat a time are dropped and counted in the notes. A column
     with a word in it is text. Leading "- " of a label, as some ROS exports have, is dropped.
@@ -96,7 +100,12 @@ def read_csv(
             f"{every} and {separator!r}."
         )
     labels, fields = _lines(path, skip, separator)
+    beside = read_sidecar(path)
+    if beside is not None and beside.labels() == labels and rate is None:
+        return _as_written(path, beside, fields[::every])
     values, columns, notes = _columns(path, labels, fields, skip)
+    if beside is not None:
+        notes.append(f"{path.name}.toml describes other columns and is not used")
     t, notes = _clock(path, values, columns, len(fields), rate, skip, notes)
     kept = np.flatnonzero(np.diff(t, prepend=-np.inf) > 0)
     if len(kept) < len(t):
@@ -145,6 +154,33 @@ def _lines(path: Path, skip: int, separator: str) -> tuple[list[str], list[list[
     return labels, fields
 
 
+def _as_written(path: Path, beside: Sidecar, fields: list[list[str]]) -> Table:
+    """Return the table that `write` has written."""
+    texts = list(zip(*fields))
+    values, at = {}, 1
+    described = beside.described()
+    try:
+        t = _typed("real", texts[0])
+        for name, column in described.items():
+            size = int(np.prod(column.shape, dtype=int))
+            parts = [_typed(column.kind or "real", part) for part in texts[at : at + size]]
+            whole = np.stack(parts, axis=1) if size else np.zeros((len(t), 0))
+            values[name], at = whole.reshape(len(t), *column.shape), at + size
+        source = (f"{path.name} sha256 {file_hash(path)}", *beside.source)
+        return Table(t, values, described, t0_ns=beside.t0_ns, clock=beside.clock, notes=beside.notes, source=source)
+    except (ArmlabError, ValueError, OverflowError) as error:
+        what = str(error).rstrip(".")
+        raise LogError(f"Expected the columns that {path.name}.toml describes in {path}, got: {what}.") from None
+
+
+def _typed(kind: str, texts: Sequence[str]) -> np.ndarray:
+    if kind == "text":
+        return np.array(texts, dtype=np.str_)
+    if kind in ("count", "flag"):
+        return np.array([int(text) for text in texts], dtype=np.int64)
+    return np.array([text or "nan" for text in texts], dtype=np.float64)
+
+
 def _columns(
     path: Path, labels: list[str], fields: list[list[str]], skip: int
 ) -> tuple[dict[str, np.ndarray], dict[str, Column], list[str]]:
@@ -158,7 +194,9 @@ def _columns(
         if not name or name in values:
             what = f"{name!r} twice" if name else "a column without a name"
             raise LogError(f"Expected names that come once in the header of {path}, got {what}.")
-        known = UNITS.get(unit) or ((unit, 1.0) if unit in _glossary_units() else None)
+        symbol = symbols().get(name)
+        kept = (unit, 1.0) if unit in _glossary_units() else None
+        known = kept if symbol is not None and symbol.unit == unit else UNITS.get(unit) or kept
         if known is None:
             raise LogError(
                 f"Expected a unit that armlab knows for {name!r} in {path}, got {unit!r}. Known: "
@@ -169,7 +207,10 @@ def _columns(
             notes.append(f"{name}: text, because of {next(x for x in texts if not _is_number(x))!r}")
             values[name], columns[name] = array, Column(unit=known[0], kind="text")
         else:
-            values[name], columns[name] = array if known[1] == 1.0 else array * known[1], Column(unit=known[0])
+            if name in CLOCKS and array.dtype.kind == "i":
+                array = array - array[0]  # before digits are lost
+            values[name] = array if known[1] == 1.0 else array * known[1]
+            columns[name] = Column(unit=known[0], kind="count" if values[name].dtype.kind == "i" else None)
     return values, columns, notes
 
 
@@ -178,9 +219,10 @@ def _glossary_units() -> set[str]:
 
 
 def _numbers(path: Path, name: str, texts: Sequence[str], skip: int) -> np.ndarray:
-    """Return the numbers (N,) of a column, NaN where empty; words where it has one."""
+    """Return the numbers (N,) of a column, NaN where empty; words where it has one. Large whole ones stay whole."""
     try:
-        return np.array(texts, dtype=float)
+        array = np.array(texts, dtype=float)
+        return array if not array.size or np.abs(array).max() < _EXACT else _whole_numbers(texts, array)
     except ValueError:
         filled = ["nan" if not text.strip() else text for text in texts]
     try:
@@ -193,6 +235,13 @@ def _numbers(path: Path, name: str, texts: Sequence[str], skip: int) -> np.ndarr
                     f"{row + skip + 2}. Export with points."
                 ) from None
         return np.array(texts, dtype=np.str_)
+
+
+def _whole_numbers(texts: Sequence[str], array: np.ndarray) -> np.ndarray:
+    try:
+        return np.array([int(text) for text in texts], dtype=np.int64)
+    except (ValueError, OverflowError):
+        return array
 
 
 def _is_number(text: str) -> bool:

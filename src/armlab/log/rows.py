@@ -218,7 +218,7 @@ class RowLayout:
         return bytes(row)
 
     def unpack(self, rows: Iterable[bytes]) -> dict[str, np.ndarray]:
-        """Return the columns (N, ...) of many rows; missing counts are NaN."""
+        """Return the columns (N, ...) of many rows; missing counts are NaN, missing clocks 0."""
         rows = list(rows)
         longest = max(map(len, rows), default=self._short)
         rest = self._empty[self._short : longest]
@@ -254,8 +254,11 @@ class RowLayout:
 
 
 def with_holes(values: np.ndarray, missing: int | None) -> np.ndarray:
-    """Return the values with NaN (so as floats) where they equal the mark for missing."""
-    if missing is None:
+    """Return the values with NaN (so as floats) where they equal the mark for missing.
+
+    A clock keeps its mark, zero: as floats its nanoseconds would be wrong by a hundred.
+    """
+    if missing is None or missing == NO_CLOCK:
         return values
     holes = values == missing
     return np.where(holes, np.nan, values) if holes.any() else values

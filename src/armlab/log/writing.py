@@ -14,6 +14,7 @@ from armlab.errors import ConfigError, LogError, ShapeError
 from armlab.log.column import Column
 from armlab.log.recording_file import RecordingFile
 from armlab.log.rows import RowLayout
+from armlab.log.sidecar import describe, headings, sidecar_path
 from armlab.log.table import Table
 
 if TYPE_CHECKING:
@@ -27,7 +28,8 @@ def write(table: Table, path: str | Path, robot: Robot | None = None) -> Path:
 
     MCAP keeps everything: units, kinds, frames, labels; `read` gives the same table back. CSV has one column per
     component and the unit in the header, ``t [s],q1 [rad],...``; the shortest digits that read back equal; nothing
-    between the commas where a value is missing.
+    between the commas where a value is missing. Kinds, frames and labels go to a file beside it, ``run.csv.toml``, with
+    which `read` gives the same table back; without it, all that a header can say.
 
     Parameters
     ----------
@@ -46,9 +48,12 @@ def write(table: Table, path: str | Path, robot: Robot | None = None) -> Path:
     if path.suffix.lower() not in (".mcap", ".csv"):
         raise ConfigError(f"Expected a file name that ends in .mcap or .csv, got {path}. Change the ending.")
     temporary = path.with_name(f".{path.name}.part")
+    beside = sidecar_path(temporary)
     try:
         if path.suffix.lower() == ".csv":
             _write_csv(table, temporary)
+            beside.write_text(describe(table), encoding="utf-8")
+            beside.replace(sidecar_path(path))
         elif robot is None:
             raise ConfigError(f"Expected the robot of the table for {path}, got none. Give robot=, or write a .csv.")
         else:
@@ -57,30 +62,22 @@ def write(table: Table, path: str | Path, robot: Robot | None = None) -> Path:
     except OSError as error:
         raise LogError(f"Expected to create the file {path}, got: {error.strerror}.") from None
     finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
+        for part in (temporary, beside):
+            with contextlib.suppress(OSError):
+                part.unlink(missing_ok=True)
     return path
 
 
 def _write_csv(table: Table, path: Path) -> None:
     header, columns = ["t [s]"], [table.t]
     for name in table.names:
-        column, values = table.columns[name], table[name]
-        places = list(np.ndindex(values.shape[1:]))
-        header += [_heading(name, column, place) for place in places]
-        columns += [values[(slice(None), *place)] for place in places]
+        values = table[name]
+        header += headings(name, replace(table.columns[name], shape=values.shape[1:]))
+        columns += [values[(slice(None), *place)] for place in np.ndindex(values.shape[1:])]
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(header)
         writer.writerows(zip(*(_words(column) for column in columns), strict=True))
-
-
-def _heading(name: str, column: Column, place: tuple[int, ...]) -> str:
-    """Return the name of one component: "q2 [rad]", "wrench_hat_cov1_4 [N^2 m]"."""
-    units = (column.unit or "1").split(", ")
-    if len(units) > 1:  # forces first, then moments: of a matrix, the more moments, the later
-        units = [units[min(sum(index >= 3 for index in place), len(units) - 1)]]
-    return replace(column, unit=units[0]).heading(name + "_".join(str(index + 1) for index in place))
 
 
 def _words(values: np.ndarray) -> list[str]:
