@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from armlab import bridge, robots
-from armlab.bridge.labcomm import ArmChannel, Commander, LabCommServer, Row, RowFeed, RowTypes
+from armlab.bridge.labcomm import ArmChannel, LabCommServer, Row, RowFeed, RowTypes, to_arbiter
 from armlab.bridge.labcomm.far import RowCodec, RowPort, far_end
 from armlab.errors import ConfigError, LinkError, UnknownName
 from armlab.robots import Robot
@@ -31,7 +31,7 @@ def robot() -> Robot:
 @pytest.mark.slow
 def test_a_controller_far_away_moves_a_simulated_robot_over_egm(robot: Robot) -> None:
     """Simulated controller, EGM, bridge, LabComm, a second loop, and back. About 5 s."""
-    commander, far_runs = Commander(), []
+    arbiter, far_runs = bridge.Arbiter([robot], ["labcomm"]), []
 
     def controller(state: State) -> Command:
         q = state.q_start.copy()
@@ -42,11 +42,11 @@ def test_a_controller_far_away_moves_a_simulated_robot_over_egm(robot: Robot) ->
         with bridge.connect(f"labcomm://127.0.0.1:{port}", robot) as link:
             far_runs.append(link.run(controller, seconds=2.0, wait="block"))
 
-    channel = ArmChannel("right", 0, commander.take, robot.abb_axes)
+    channel = ArmChannel("right", 0, to_arbiter(arbiter, robot.name), robot.abb_axes)
     with LabCommServer([channel]) as server, bridge.connect("sim://yumi_right", robot) as link:
         thread = threading.Thread(target=far_away, args=(server.ports["right"],))
         thread.start()
-        run = link.run(commander, seconds=4.0, feeds=[RowFeed(server, {"yumi_right": "right"})], wait="block")
+        run = link.run(arbiter, seconds=4.0, feeds=[RowFeed(server, {"yumi_right": "right"})], wait="block")
         thread.join()
     assert far_runs[0].reason == "the time is up"
     moved, told = run.table["q"][:, 0], far_runs[0].table["q"][:, 0]

@@ -6,12 +6,11 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import pytest
 
+from armlab import bridge, robots
 from armlab.bridge.labcomm import ArmChannel, FusedChannel, Row
-from armlab.bridge.labcomm import feed as module
-from armlab.bridge.labcomm.feed import Commander, RowFeed
-from armlab.state import State
+from armlab.bridge.labcomm.feed import RowFeed, to_arbiter
+from armlab.state import Command, State
 from armlab.wire.labcomm import Sample
 
 from .conftest import Started
@@ -40,31 +39,17 @@ def test_rows_of_a_run_are_published(start: Callable[..., Started]) -> None:
     assert event.value["arm"][0]["tm"] == 1500
 
 
-def test_a_command_is_given_until_it_is_stale(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Clock:
-        now = 10.0
-
-        def monotonic(self) -> float:
-            return self.now
-
-    clock = Clock()
-    monkeypatch.setattr(module, "time", clock)
-    commander, now = Commander(), state("a")
-    assert commander(now) is None
-    commander.take("left", Row(1, now.q + 0.06, np.zeros(7)), "client")
-    assert (commander(now), commander.refused) == (None, 1), "too far to begin"
-    commander.take("left", Row(1, now.q + 0.04), "client")
-    assert commander(now) is not None
-    commander.take("left", Row(1, now.q + 0.5), "client")
-    command = commander(now)
-    assert command is not None
-    assert command.q is not None
-    assert np.allclose(command.q, now.q + 0.5), "the limits of the loop see to the rest"
-    commander.take("left", Row(1, now.q + 0.5), "another client")
-    assert commander(now) is None
-    commander.take("left", Row(1, now.q), "client")
-    clock.now += 0.11
-    assert commander(now) is None
-    commander.take("left", Row(1, now.q + 0.06), "client")
-    assert commander(now) is None
-    assert commander.refused == 3
+def test_commands_pass_the_rights_of_an_arbiter() -> None:
+    arm = robots.load("yumi_left")
+    arbiter, home = bridge.Arbiter([arm], ["labcomm"]), np.array(arm.q_home)
+    here = State(0.0, 0.004, home, 0 * home, 0 * home, robot=arm.name)
+    take = to_arbiter(arbiter, arm.name)
+    assert arbiter(here) is None
+    take("left", Row(1, home + 0.06), "far")
+    assert arbiter(here) is None, "too far to begin"
+    take("left", Row(1, home + 0.01, 0 * home), "near")
+    command = arbiter(here)
+    assert isinstance(command, Command)
+    assert np.allclose(command.q, home + 0.01)
+    assert arbiter.commander(arm.name) == "labcomm near"
+    assert arbiter.refused == {"labcomm far": 1}

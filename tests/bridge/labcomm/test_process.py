@@ -40,7 +40,12 @@ class Running:
     """The process's work in a thread, at the other end of an exchange."""
 
     def __init__(self, robot: Robot) -> None:
-        declared = [Parameter("gain", 0.5, minimum=0.0, maximum=1.0, rights="anyone"), Parameter("note", "a", "text")]
+        declared = [
+            Parameter("gain", 0.5, minimum=0.0, maximum=1.0, rights="anyone"),
+            Parameter("note", "a", "text", rights="anyone"),
+        ]
+        declared += [Parameter("gentle", True, "bool", rights="anyone"), Parameter("n", 2, "int", rights="anyone")]
+        declared.append(Parameter("push", [0.0, 1.0, 2.0], "float[3]", rights="anyone"))
         self.exchange = Exchange(
             [robot], ["labcomm"], Parameters(declared), ["labcomm"], sources={"force": {"f": Column((3,), "N")}}
         )
@@ -130,6 +135,31 @@ def test_parameters_are_echoed_as_the_loop_decides(running: Running) -> None:
         until(lambda: told(3))
     assert values == [0.5, 0.75, 0.75]
     assert running.exchange.parameters.gain == 0.75
+
+
+def test_parameters_of_every_type(running: Running) -> None:
+    text = "sample boolean gentle; sample string note; sample double n; sample double push[3];"
+    with LabCommClient(port=running.where["parameters"]) as client:
+        for one, value in zip(parse_lc(text), (False, "h\u00e9", 5.0, [3.0, 4.0, 5.0]), strict=True):
+            client.send(one, value)  # type: ignore[arg-type]
+        params = running.exchange.parameters
+        until(lambda: running.exchange.poll() or params.push[0] == 3.0)
+        assert (params.gentle, params.note, params.n, params.push.tolist()) == (False, "h\u00e9", 5, [3.0, 4.0, 5.0])
+        seen: dict[str, Any] = {}
+
+        def echoed() -> bool:
+            seen.update({event.name: event.value for event in client.events(0.01) if isinstance(event, Sample)})
+            return seen == {"gentle": False, "note": "h\u00e9", "n": 5.0, "push": [3.0, 4.0, 5.0]}
+
+        until(echoed)
+
+
+@pytest.mark.parametrize("port", ["yumi_right", "parameters", "fused"])
+def test_stop_from_any_client_on_any_port(running: Running, port: str) -> None:
+    with LabCommClient(port=running.where[port]) as client:
+        client.stop()
+        until(lambda: running.exchange.poll() or running.exchange.arbiter.stopped)
+    assert running.exchange.arbiter.stopped.startswith("labcomm 127.0.0.1:")
 
 
 def test_options() -> None:

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.bridge.labcomm.rows import Order, Row, RowTypes, signed
+from armlab.bridge.labcomm.rows import STOP, Order, Row, RowTypes, signed
 from armlab.errors import ConfigError, LabCommError
-from armlab.wire.labcomm import SampleType, parse_lc
+from armlab.wire.labcomm import Decoder, Encoder, SampleType, parse_lc
 
 CHAIN = np.array([1.0, 2.0, 7.0, 3.0, 4.0, 5.0, 6.0])  # number of each joint from base to tool
 
@@ -95,3 +95,12 @@ def test_arms_of_six_joints() -> None:
     for axes, order in (((1, 2, 2), "abb"), ((1, 2), "kinematic")):
         with pytest.raises(ConfigError, match="axis numbers"):
             RowTypes(axes, order)  # type: ignore[arg-type]
+
+
+def test_stop_has_no_value() -> None:
+    """Every dialect can say it."""
+    assert (STOP.name, STOP.type.fixed_size) == ("stop", 0)
+    for dialect in ("2014v1", "2014", "2014i", "2013", "2006"):
+        encoder, decoder = Encoder(dialect), Decoder()
+        events = decoder.feed(encoder.version() + encoder.define(STOP) + encoder.data(STOP, {}))
+        assert (events[-1].name, events[-1].type) == (STOP.name, STOP.type)  # type: ignore[union-attr]

@@ -12,7 +12,7 @@ from armlab.wire.labcomm import idl, parse_lc
 
 def test_files() -> None:
     assert idl.FILES == ("armlab", "extctrl")
-    assert set(idl.samples("armlab")) == {"robot_row", "command_row", "fused_row"}
+    assert set(idl.samples("armlab")) == {"robot_row", "command_row", "fused_row", "stop"}
     assert "force_torque_net" in idl.text("extctrl")
     with pytest.raises(UnknownName, match="extctrl"):
         idl.samples("orca")

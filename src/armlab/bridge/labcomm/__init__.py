@@ -4,16 +4,16 @@
 `LabCommClient` is the other side; ``bridge.connect("labcomm://host:7511", robot)`` runs a controller over it.
 """
 
-from armlab.bridge.labcomm.channels import ArmChannel, FusedArm, FusedChannel, FusedSource, ParameterChannel
+from armlab.bridge.labcomm.channels import ArmChannel, FusedArm, FusedChannel, FusedSource
 from armlab.bridge.labcomm.client import LabCommClient
-from armlab.bridge.labcomm.feed import Commander, RowFeed
+from armlab.bridge.labcomm.feed import RowFeed, to_arbiter
+from armlab.bridge.labcomm.parameter_channel import ParameterChannel
 from armlab.bridge.labcomm.rows import Row, RowTypes
 from armlab.bridge.labcomm.server import LabCommServer
 from armlab.bridge.labcomm.source import LabCommSource
 
 __all__ = [
     "ArmChannel",
-    "Commander",
     "FusedArm",
     "FusedChannel",
     "FusedSource",
@@ -24,4 +24,5 @@ __all__ = [
     "Row",
     "RowFeed",
     "RowTypes",
+    "to_arbiter",
 ]

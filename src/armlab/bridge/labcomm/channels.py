@@ -1,31 +1,23 @@
-"""What each port of a LabComm server sends and accepts: `ArmChannel`, `ParameterChannel`, `FusedChannel`."""
+"""What each port of a LabComm server sends and accepts: `ArmChannel`, `FusedChannel`; see also `parameter_channel`."""
 
 from __future__ import annotations
 
-import math
-import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, Literal, NamedTuple
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from armlab.bridge.labcomm.peer import Peer
 from armlab.bridge.labcomm.rows import Order, Row, RowTypes
 from armlab.errors import ConfigError, LabCommError
-from armlab.wire.labcomm import PRIMS, Array, Definition, Event, Sample, SampleType, idl
+from armlab.wire.labcomm import Event, Sample, SampleType, idl
 from armlab.wire.labcomm.dialects import dialect_named
 
-__all__ = ["ArmChannel", "Channel", "FusedArm", "FusedChannel", "FusedSource", "OnCommand", "OnSet", "ParameterChannel"]
-
-_LEASE = 0.1  # s of silence after which an arm is free
+__all__ = ["ArmChannel", "Channel", "FusedArm", "FusedChannel", "FusedSource", "OnCommand"]
 
 OnCommand = Callable[[str, Row, str], None]
-"""Called with the name of the channel, the command and the address of the client that holds the arm."""
-
-OnSet = Callable[[str, Any, str], Any]
-"""Called with the name of a parameter, the value asked for and who asks. Returns the value now in force, or None when
-`LabCommServer.parameter` will tell it later."""
+"""Called with the name of the channel, a valid command and the address of its client."""
 
 
 class Channel:
@@ -97,11 +89,12 @@ def _send(sample: SampleType, value: Any, peers: Iterable[Peer]) -> None:
 class ArmChannel(Channel):
     """Rows of one arm out, commands in.
 
-    The first client with a valid command holds the arm until it closes or is silent for 100 ms.
+    Which client may command is not decided here: see `rights.Arbiter`.
 
     Parameters
     ----------
-    name : of the arm. port : 7511 for a left arm, 7512 for a right one. on_command : called in the server's thread.
+    name : of the arm. port : 7511 for a left arm, 7512 for a right one.
+    on_command, on_left : called in the server's thread; the second with the address of a client that is gone.
     axes, order, types : see `RowTypes`. dialect, follows_client : see `Channel`.
     """
 
@@ -115,12 +108,11 @@ class ArmChannel(Channel):
         types: str | None = None,
         dialect: str = "2014v1",
         follows_client: bool = False,
+        on_left: Callable[[str], None] = lambda client: None,
     ) -> None:
         super().__init__(name, port, dialect, follows_client)
         self.types = RowTypes(axes, order, types)
-        self._on_command = on_command
-        self._holder: Peer | None = None
-        self._held = 0.0
+        self._on_command, self._on_left = on_command, on_left
 
     def greet(self, peer: Peer) -> None:
         """Queue VERSION and the definition of the row; rows follow."""
@@ -139,25 +131,18 @@ class ArmChannel(Channel):
         if not self.types.accepts(SampleType(event.name, event.type)):
             self.counts["other type"] += 1
             return
-        now = time.monotonic()
-        holder = self._holder if now - self._held <= _LEASE else None
-        if holder is not None and holder is not peer:
-            self.counts["held by another client"] += 1
-            return
         try:
             row = self.types.command(event.value)
         except LabCommError:
             self.counts["refused"] += 1
             return
-        self._holder, self._held = peer, now
         self.counts["commands"] += 1
         if self._on_command is not None:
             self._on_command(self.name, row, peer.address)
 
     def left(self, peer: Peer) -> None:
-        """Free the arm when its holder is gone."""
-        if self._holder is peer:
-            self._holder = None
+        """Tell that a client is gone."""
+        self._on_left(peer.address)
 
 
 class FusedArm(NamedTuple):
@@ -215,86 +200,3 @@ class FusedChannel(Channel):
             ],
         }
         _send(self._sample, value, peers)
-
-
-class ParameterChannel(Channel):
-    """Parameters: one sample each, ``double name`` or ``double name[_]``, set by sending, echoed to all who asked.
-
-    Parameters
-    ----------
-    values : a number or a list per name, in force at the start. port : 7513 by default. on_set : asked before a value
-        is in force; None takes every finite one. mode : "asked" sends a parameter to a client that has defined or
-        referred to it, "all" sends all on accept. dialect, follows_client : see `Channel`.
-    """
-
-    def __init__(
-        self,
-        values: Mapping[str, float | Sequence[float]],
-        port: int = 7513,
-        on_set: OnSet | None = None,
-        mode: Literal["asked", "all"] = "asked",
-        dialect: str = "2014v1",
-        follows_client: bool = False,
-    ) -> None:
-        super().__init__("parameters", port, dialect, follows_client)
-        if mode not in ("asked", "all"):
-            raise ConfigError(f'Expected mode to be "asked" or "all", got {mode!r}.')
-        self._values, self._on_set, self._mode = dict(values), on_set, mode
-        self._asked: dict[Peer, set[str]] = {}
-
-    def greet(self, peer: Peer) -> None:
-        """Queue VERSION, and in mode "all" every parameter."""
-        super().greet(peer)
-        if self._mode == "all":
-            for name in self._values:
-                self._ask(peer, name)
-
-    def put(self, item: tuple[str, float | Sequence[float]], peers: Iterable[Peer]) -> None:
-        """Queue the value now in force, (name, value), for all who asked for it."""
-        name, value = item
-        self._values[name] = value
-        for peer in peers:
-            if name in self._asked.get(peer, ()):
-                self._tell(peer, name)
-
-    def take(self, peer: Peer, event: Event, peers: Iterable[Peer]) -> None:
-        """Take a definition of, a reference to, or a value for a parameter."""
-        if not isinstance(event, Definition | Sample) or (isinstance(event, Definition) and event.kind == "type"):
-            return
-        if self._type(event.name) != event.type:
-            self.counts["other type" if event.name in self._values else "unknown"] += 1
-            return
-        if isinstance(event, Definition):
-            self._ask(peer, event.name)
-            return
-        value, now = event.value, self._values[event.name]
-        numbers = value if isinstance(value, list) else [value]
-        if not all(math.isfinite(one) for one in numbers):
-            self.counts["refused"] += 1
-            self.put((event.name, now), peers)
-            return
-        taken = value if self._on_set is None else self._on_set(event.name, value, peer.address)
-        if taken is not None:
-            self.counts["set" if taken == value else "refused"] += 1
-            self.put((event.name, taken), peers)
-
-    def left(self, peer: Peer) -> None:
-        """Forget what a client asked for."""
-        self._asked.pop(peer, None)
-
-    def _type(self, name: str) -> Any:
-        if name not in self._values:
-            return None
-        is_list = isinstance(self._values[name], Sequence | np.ndarray)
-        return Array((0,), PRIMS["double"]) if is_list else PRIMS["double"]
-
-    def _ask(self, peer: Peer, name: str) -> None:
-        asked = self._asked.setdefault(peer, set())
-        if peer.encoder is not None and name not in asked:
-            asked.add(name)
-            peer.push(peer.encoder.define(SampleType(name, self._type(name))), may_drop=False)
-            self._tell(peer, name)
-
-    def _tell(self, peer: Peer, name: str) -> None:
-        if peer.encoder is not None:
-            peer.push(peer.encoder.data(SampleType(name, self._type(name)), self._values[name]))

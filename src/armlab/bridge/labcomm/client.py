@@ -7,10 +7,10 @@ import socket
 import time
 from collections.abc import Callable
 from types import TracebackType
-from typing import Any
+from typing import Any, TypeGuard
 
 from armlab.bridge.labcomm.peer import Peer
-from armlab.bridge.labcomm.rows import Row, RowTypes
+from armlab.bridge.labcomm.rows import STOP, Row, RowTypes
 from armlab.errors import LabCommError, LinkError
 from armlab.wire.labcomm import Encoder, Event, Sample, SampleType
 
@@ -125,6 +125,16 @@ class LabCommClient:
         self._peer.clear()
         self.send(self._types.accepted, self._types.value(row, self._types.accepted))
 
+    def stop(self) -> None:
+        """Bring all arms of the bridge to rest, whoever commands them; only its operator ends that.
+
+        Raises
+        ------
+        LinkError : the connection is gone.
+        """
+        self._peer.clear()
+        self.send(STOP, {})
+
     def events(self, seconds: float) -> list[Event]:
         """Return what has come, waiting for the first event if there is none.
 
@@ -136,18 +146,7 @@ class LabCommClient:
         ------
         LinkError : the server has closed the connection, or its stream is malformed.
         """
-        end = time.monotonic() + seconds
-        while True:
-            self._push(b"", may_drop=True)
-            select.select([self._peer.socket], [], [], max(end - time.monotonic(), 0.0))
-            try:
-                events = self._peer.read()
-            except LabCommError as error:
-                raise LinkError(f"The stream of {self.host}:{self.port} is malformed. {error}") from error
-            if events is None:
-                raise self._gone()
-            if events or time.monotonic() >= end:
-                return events
+        return self._awaited(seconds, lambda events: events)
 
     def rows(self, seconds: float) -> list[Row]:
         """Return the rows of the arm that have come, waiting for the first if there is none.
@@ -160,13 +159,25 @@ class LabCommClient:
         ------
         LinkError : the server has closed the connection, or its stream is malformed.
         """
+        return self._awaited(
+            seconds, lambda events: [self._types.row(one.value) for one in events if self._is_row(one)]
+        )
+
+    def _awaited(self, seconds: float, wanted: Callable[[list[Event]], list[Any]]) -> list[Any]:
+        """Return what is wanted of what came, once there is any or the time is up."""
         end = time.monotonic() + seconds
         while True:
-            left = max(end - time.monotonic(), 0.0)
-            samples = [event for event in self.events(left) if isinstance(event, Sample)]
-            rows = [self._types.row(one.value) for one in samples if self._is_row(one)]
-            if rows or time.monotonic() >= end:
-                return rows
+            self._push(b"", may_drop=True)
+            select.select([self._peer.socket], [], [], max(end - time.monotonic(), 0.0))
+            try:
+                events = self._peer.read()
+            except LabCommError as error:
+                raise LinkError(f"The stream of {self.host}:{self.port} is malformed. {error}") from error
+            if events is None:
+                raise self._gone()
+            found = wanted(events)
+            if found or time.monotonic() >= end:
+                return found
 
     def run(self, on_row: Callable[[Row], Row | None], seconds: float | None = None, reconnects: bool = True) -> int:
         """Call a function with each newest row; what it returns is sent as the command. Return the number of calls.
@@ -219,8 +230,9 @@ class LabCommClient:
                     raise
                 time.sleep(0.1)
 
-    def _is_row(self, sample: Sample) -> bool:
-        return (sample.name, sample.type) == (self._types.sent.name, self._types.sent.type)
+    def _is_row(self, event: Event) -> TypeGuard[Sample]:
+        sent = self._types.sent
+        return isinstance(event, Sample) and (event.name, event.type) == (sent.name, sent.type)
 
     def _push(self, packet: bytes, may_drop: bool = True) -> None:
         if packet:

@@ -1,22 +1,17 @@
-"""Between a loop and a LabComm server: `RowFeed` publishes rows, `Commander` is a controller that clients command."""
+"""Between a loop and a LabComm server: `RowFeed` publishes rows, `to_arbiter` passes commands on."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 
-import numpy as np
-
-from armlab.bridge.labcomm.channels import FusedArm
+from armlab.bridge.labcomm.channels import FusedArm, OnCommand
 from armlab.bridge.labcomm.rows import Row
 from armlab.bridge.labcomm.server import LabCommServer
+from armlab.bridge.rights import Arbiter, Order
 from armlab.log import Tick
 from armlab.state import Command, State
 
-__all__ = ["Commander", "RowFeed"]
-
-_LEASE = 0.1  # s after which a command is stale
-_ENTRY = 0.05  # rad between the arm and the first command of a client
+__all__ = ["RowFeed", "to_arbiter"]
 
 
 class RowFeed:
@@ -61,41 +56,15 @@ class RowFeed:
         """
 
 
-class Commander:
-    """A controller whose commands come from the client that holds the arm; it holds while there is none.
+def to_arbiter(arbiter: Arbiter, arm: str) -> OnCommand:
+    """Return what an `ArmChannel` calls so that its clients command an arm by the rights of an arbiter.
 
-    A client that begins, or begins again after 100 ms of silence, must do so within 0.05 rad of where the arm is.
-    Pass `take` to an `ArmChannel` as `on_command`, and the object itself to ``Link.run``.
-
-    Attributes
+    Parameters
     ----------
-    refused : commands that would have begun too far away.
+    arbiter : the controller of the run; it must allow the server "labcomm". arm : name of the robot.
     """
 
-    def __init__(self) -> None:
-        self._newest: tuple[Row, str, float] | None = None
-        self._obeyed = ""
-        self.refused = 0
+    def submit(name: str, row: Row, client: str) -> None:
+        arbiter.submit(Order(f"labcomm {client}", arm, row.q, row.qd, row.tau))
 
-    def take(self, name: str, row: Row, client: str) -> None:
-        """Take a command; only the newest counts.
-
-        Parameters
-        ----------
-        name : of the channel. row : the command. client : who holds the arm.
-        """
-        self._newest = (row, client, time.monotonic())
-
-    def __call__(self, state: State) -> Command | None:
-        """Return the newest command, None when it is older than 100 ms or begins too far away."""
-        newest = self._newest
-        if newest is None or time.monotonic() - newest[2] > _LEASE:
-            self._obeyed = ""
-            return None
-        row, client, _ = newest
-        if client != self._obeyed:
-            if row.q is None or np.abs(row.q - state.q).max() > _ENTRY:
-                self.refused += 1
-                return None
-            self._obeyed = client
-        return Command(row.q, row.qd, row.tau)
+    return submit

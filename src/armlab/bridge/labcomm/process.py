@@ -16,11 +16,11 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from armlab.bridge.labcomm.channels import ArmChannel, Channel, FusedArm, FusedChannel, FusedSource, ParameterChannel
-from armlab.bridge.labcomm.peer import Peer
+from armlab.bridge.labcomm.channels import ArmChannel, Channel, FusedArm, FusedChannel, FusedSource
+from armlab.bridge.labcomm.parameter_channel import ParameterChannel, Value
 from armlab.bridge.labcomm.rows import Order, Row
 from armlab.bridge.labcomm.server import LabCommServer
-from armlab.bridge.messages import CommandRequest, Counted, Leave, Listening, Request, SetRequest
+from armlab.bridge.messages import CommandRequest, Counted, Leave, Listening, Request, SetRequest, Stop
 from armlab.bridge.row import MAGIC, read_row
 from armlab.bridge.row_schema import RowSchema
 from armlab.errors import ConfigError, LinkError
@@ -80,17 +80,6 @@ def labcomm_options(
     }
 
 
-class _Arm(ArmChannel):
-    """The port of an arm, which also tells the loop of clients that leave."""
-
-    process: LabCommProcess
-
-    def left(self, peer: Peer) -> None:
-        """Free the arm here and in the loop."""
-        super().left(peer)
-        self.process.ask(Leave(peer.address))
-
-
 class LabCommProcess:
     """Serves until the loop closes the feed.
 
@@ -119,7 +108,7 @@ class LabCommProcess:
                 raise LinkError("Expected the loop to say what its rows hold, but it closed the feed. Start it again.")
             if data[:4] != MAGIC:
                 said.add(self._text(data))
-        with LabCommServer(self._channels(), self._options["host"], self._event) as self._server:
+        with LabCommServer(self._channels(), self._options["host"], self._event, self._stop) as self._server:
             host, ports = self._options["host"], self._server.ports
             self.ask(Listening(where=[f"{host}:{port} (labcomm, {name})" for name, port in ports.items()]))
             while (data := self._hear()) is not None:
@@ -138,6 +127,14 @@ class LabCommProcess:
         with contextlib.suppress(OSError):
             self._feed.send(msgspec.json.encode(request), socket.MSG_DONTWAIT)
 
+    def _left(self, client: str) -> None:
+        self.ask(Leave(client))
+
+    def _stop(self, client: str) -> None:
+        """Ask the loop to stop all arms: this request waits for room."""
+        with contextlib.suppress(OSError):
+            self._feed.send(msgspec.json.encode(Stop(client)))
+
     def _hear(self) -> bytes | None:
         try:
             return self._feed.recv(_LARGEST) or None
@@ -149,14 +146,13 @@ class LabCommProcess:
         common = {name: options[name] for name in ("dialect", "follows_client")}
         channels: list[Channel] = []
         for name, arm in options["arms"].items():
-            one = _Arm(name, arm["port"], self._command, arm["axes"], options["order"], options["types"], **common)
-            one.process = self
-            channels.append(one)
+            where = name, arm["port"], self._command, arm["axes"], options["order"], options["types"]
+            channels.append(ArmChannel(*where, **common, on_left=self._left))
         if options["fused"] is not None:
             axes = next(iter(options["arms"].values()))["axes"]
             channels.append(FusedChannel(options["fused"], axes, options["order"], **common))
         if options["parameters"] is not None:
-            values = {name: value for name in self._parameters if (value := self._value(name)) is not None}
+            values = {name: self._value(name) for name in self._parameters}
             channels.append(ParameterChannel(values, options["parameters"], self._set, **common))
         return channels
 
@@ -166,17 +162,17 @@ class LabCommProcess:
 
     def _set(self, name: str, value: Any, client: str) -> None:
         """Ask the loop; it answers with the values in force, or with why not."""
-        if self._parameters[name]["type"] in ("int", "bool") and float(value).is_integer():
-            value = int(value) if self._parameters[name]["type"] == "int" else bool(value)
+        if self._parameters[name]["type"] == "int" and float(value).is_integer():
+            value = int(value)
         self._asked.setdefault(client, set()).add(name)
         self.ask(SetRequest(client, {name: value}))
 
-    def _value(self, name: str) -> float | list[float] | None:
-        """Return a parameter as LabComm has it; texts it has not."""
+    def _value(self, name: str) -> Value:
+        """Return a parameter as LabComm has it: all numbers are double."""
         value = self._parameters[name]["value"]
         if isinstance(value, list):
             return [float(one) for one in value]
-        return float(value) if isinstance(value, int | float) else None
+        return value if isinstance(value, bool | str) else float(value)
 
     def _text(self, data: bytes) -> str:
         message = msgspec.json.decode(data)
@@ -198,9 +194,8 @@ class LabCommProcess:
         return kind
 
     def _echo(self, name: str) -> None:
-        value = self._value(name)
-        if self._server is not None and "parameters" in self._server.ports and value is not None:
-            self._server.parameter(name, value)
+        if self._server is not None and "parameters" in self._server.ports:
+            self._server.parameter(name, self._value(name))
 
     def _row(self, data: bytes) -> None:
         server, schema = self._server, self._schema

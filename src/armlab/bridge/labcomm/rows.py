@@ -15,10 +15,13 @@ import numpy as np
 from armlab.errors import ConfigError, LabCommError
 from armlab.wire.labcomm import Array, Prim, SampleType, Struct, idl, parse_lc
 
-__all__ = ["Order", "Row", "RowTypes", "signed"]
+__all__ = ["STOP", "Order", "Row", "RowTypes", "signed"]
 
 Order = Literal["abb", "chain"]
 """Order of the joints on the wire."""
+
+STOP = idl.samples("armlab")["stop"]
+"""``sample void stop``: what any client sends on any port to bring all arms to rest."""
 
 _YUMI = (1, 2, 7, 3, 4, 5, 6)
 _VECTORS = ("pos", "vel", "trq")

@@ -13,17 +13,18 @@ import socket
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Any
 
 from armlab.bridge.events import Tell, nobody
 from armlab.bridge.holder import holder
 from armlab.bridge.labcomm.channels import Channel, FusedArm, FusedSource
+from armlab.bridge.labcomm.parameter_channel import Value
 from armlab.bridge.labcomm.peer import Peer
-from armlab.bridge.labcomm.rows import Row
+from armlab.bridge.labcomm.rows import STOP, Row
 from armlab.errors import LabCommError, LinkError, UnknownName
-from armlab.wire.labcomm import Definition, Encoder
+from armlab.wire.labcomm import Definition, Encoder, Sample
 
 __all__ = ["LabCommServer"]
 
@@ -40,7 +41,8 @@ class LabCommServer:
     Parameters
     ----------
     channels : the ports. host : address to listen on, this computer only by default. on_event : told who connects, who
-        is closed and why, from the server's thread.
+        is closed and why, from the server's thread. on_stop : called there with the address of a client that sent the
+        sample ``void stop``, on any port.
 
     Attributes
     ----------
@@ -51,10 +53,16 @@ class LabCommServer:
     LinkError : a port cannot be bound.
     """
 
-    def __init__(self, channels: Sequence[Channel], host: str = "127.0.0.1", on_event: Tell = nobody) -> None:
+    def __init__(
+        self,
+        channels: Sequence[Channel],
+        host: str = "127.0.0.1",
+        on_event: Tell = nobody,
+        on_stop: Callable[[str], None] = lambda client: None,
+    ) -> None:
         self._channels = {channel.name: channel for channel in channels}
         self._peers: dict[str, list[Peer]] = {name: [] for name in self._channels}
-        self._on_event, self.lost = on_event, 0
+        self._on_event, self._on_stop, self.lost = on_event, on_stop, 0
         self._published: deque[tuple[str, Any]] = deque()
         self._selector = selectors.DefaultSelector()
         self._awake, self._waker = socket.socketpair()
@@ -109,7 +117,7 @@ class LabCommServer:
         """
         self._publish("fused", (t_us, tuple(arms), tuple(sources)))
 
-    def parameter(self, name: str, value: float | Sequence[float]) -> None:
+    def parameter(self, name: str, value: Value) -> None:
         """Publish the value of a parameter that is now in force. Never waits.
 
         Parameters
@@ -226,7 +234,10 @@ class LabCommServer:
             for event in events or ():
                 self._settle(channel, peer, isinstance(event, Definition))
                 try:
-                    channel.take(peer, event, self._peers[channel.name])
+                    if isinstance(event, Sample) and (event.name, event.type) == (STOP.name, STOP.type):
+                        self._on_stop(peer.address)
+                    else:
+                        channel.take(peer, event, self._peers[channel.name])
                 except Exception as error:  # of the user's callback: the thread serves other clients too
                     what = f"{type(error).__name__}: {error}"
                     self._tell(f"{channel.name}: what {peer.address} sent was not taken, {what}", warn=True)
