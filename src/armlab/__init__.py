@@ -19,6 +19,7 @@ _SUBPACKAGES = (
     "contact",
     "errors",
     "estimation",
+    "frames",
     "glossary",
     "identify",
     "kernels",

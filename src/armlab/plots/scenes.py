@@ -1,4 +1,4 @@
-"""Anything with a place in space: named frames, paths of poses, points."""
+"""Anything with a place in space: named frames, paths of poses, points, lines, planes, circles, spheres."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ import numpy as np
 
 from armlab._numbers import numbers
 from armlab.errors import ShapeError
+from armlab.frames import Circle, Line, Plane, Sphere
 from armlab.lie import se3
-from armlab.plots import space
+from armlab.plots import features, space
 from armlab.plots.style import JOINT_STYLES, look
 
 if TYPE_CHECKING:
@@ -23,12 +24,14 @@ _NAMED = 0.15  # length of a named frame over the size of the scene, when none i
 
 
 def scene(*items: Any, frames: float = 0.0, ax: Any = None) -> Axes3D:
-    """Draw frames, paths and points in one set of axes of equal scale [m].
+    """Draw frames, paths, points and features in one set of axes of equal scale [m].
 
     Parameters
     ----------
     *items : each is a mapping {name: T_a_x (4, 4)} of named frames; or poses (N, 4, 4), drawn as a path from a dot to
-        a square; or points (N, 3), coloured from first to last. All in the same frame a. NaN leaves a gap.
+        a square; or points (N, 3), coloured from first to last; or a `frames.Line` with its foot where that is near, a
+        `frames.Plane` as a patch with its normal, a `frames.Circle` or a `frames.Sphere`. All in the same frame a. NaN
+        leaves a gap.
     frames : length [m] of the frames along paths (at most 12 of each, evenly spaced) and of the named ones. With 0
         paths have none, and the named ones a length that fits.
     ax : three-dimensional Axes to draw into, for example those of `robot`; a new figure when None.
@@ -51,7 +54,7 @@ def scene(*items: Any, frames: float = 0.0, ax: Any = None) -> Axes3D:
         _, panel = space.space(ax)
         paths = 0
         for item in checked:
-            if isinstance(item, dict):
+            if not isinstance(item, np.ndarray):
                 continue
             if item.ndim == 3:
                 _path(panel, item, frames, JOINT_STYLES[paths % len(JOINT_STYLES)][0])
@@ -61,7 +64,11 @@ def scene(*items: Any, frames: float = 0.0, ax: Any = None) -> Axes3D:
                 order = np.flatnonzero(np.isfinite(item).all(axis=1))
                 panel.scatter(*shown.T, c=order, cmap="viridis", s=8, depthshade=False, gid="points")
         named = {name: T for item in checked if isinstance(item, dict) for name, T in item.items()}
-        length = frames or _NAMED * _size(panel, named)
+        shapes = [item for item in checked if isinstance(item, (Line, Plane, Circle, Sphere))]
+        size = _size(panel, named)
+        for k, item in enumerate(shapes):
+            features.feature(panel, item, size, JOINT_STYLES[(paths + k) % len(JOINT_STYLES)][0])
+        length = frames or _NAMED * size
         for name, T in named.items():
             space.frame(panel, T, length, name)
         space.equal_scale(panel)
@@ -87,8 +94,10 @@ def pose_stack(T: Any, name: str = "T") -> np.ndarray:
     return T
 
 
-def _checked(item: Any) -> dict[str, np.ndarray] | np.ndarray:
-    """Return named frames, poses (N, 4, 4) or points (N, 3)."""
+def _checked(item: Any) -> dict[str, np.ndarray] | np.ndarray | Line | Plane | Circle | Sphere:
+    """Return named frames, poses (N, 4, 4), points (N, 3) or a feature."""
+    if isinstance(item, (Line, Plane, Circle, Sphere)):
+        return item
     if isinstance(item, Mapping):
         return {str(name): _named(T, name) for name, T in item.items()}
     array = numbers(item, "what is drawn", ShapeError)
@@ -97,7 +106,9 @@ def _checked(item: Any) -> dict[str, np.ndarray] | np.ndarray:
     if array.ndim == 2 and array.shape[1] == 3:
         return array
     hint = " Transpose it." if array.ndim == 2 and array.shape[0] == 3 else ""
-    raise ShapeError(f"Expected {{name: pose}}, poses (N, 4, 4) or points (N, 3) to draw, got {array.shape}.{hint}")
+    raise ShapeError(
+        f"Expected {{name: pose}}, poses (N, 4, 4), points (N, 3) or a feature to draw, got {array.shape}.{hint}"
+    )
 
 
 def _named(T: Any, name: Any) -> np.ndarray:

@@ -1,0 +1,29 @@
+"""Geometry of measured points: planes, lines, circles and spheres with covariance, frames built from them."""
+
+from armlab.frames.building import BuiltFrame, build
+from armlab.frames.features import Circle, Line, Plane, Sphere
+from armlab.frames.flat import fit_line, fit_plane
+from armlab.frames.offset import OffsetCheck, check_offset
+from armlab.frames.projection import distance, intersect, project
+from armlab.models import register
+
+__all__ = [
+    "BuiltFrame",
+    "Circle",
+    "Line",
+    "OffsetCheck",
+    "Plane",
+    "Sphere",
+    "build",
+    "check_offset",
+    "distance",
+    "fit_line",
+    "fit_plane",
+    "intersect",
+    "project",
+]
+
+register("plane", Plane)
+register("line", Line)
+register("circle", Circle)
+register("sphere", Sphere)

@@ -1,0 +1,121 @@
+"""Points, vectors and poses as the functions of frames take them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armlab._numbers import number, numbers
+from armlab.errors import NotExcited, ShapeError
+from armlab.lie import se3
+
+UNIT = 1e-9  # deviation of a length from 1 that is rounding
+
+
+def points(p: ArrayLike, what: str = "points") -> np.ndarray:
+    """Return points (N, 3), refusing other shapes and rows that are not finite."""
+    array = numbers(p, what, ShapeError)
+    if array.ndim != 2 or array.shape[1] != 3:
+        hint = " Transpose them." if array.ndim == 2 and array.shape[0] == 3 else ""
+        raise ShapeError(f"Expected {what} of shape (N, 3) [m], got {array.shape}.{hint}")
+    bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
+    if len(bad):
+        shown = ", ".join(str(i) for i in bad[:10]) + (" and more" if len(bad) > 10 else "")
+        raise ShapeError(f"Expected finite {what}, got NaN or Inf in rows {shown}. Drop these rows.")
+    return array
+
+
+def enough(count: int, needed: int, what: str) -> None:
+    """Refuse fewer points than a feature needs."""
+    if count < needed:
+        raise NotExcited(
+            f"Expected at least {needed} points to fit a {what} and its noise, got {count}. Measure more points, or "
+            "give noise= where it is known.",
+            ["everything"],
+            [f"{count} points"],
+        )
+
+
+def noise_of(noise: Any) -> float | None:
+    """Return the deviation of one coordinate [m], or None where it is to be estimated."""
+    if noise is None:
+        return None
+    sigma = number(noise, "noise [m]")
+    if not 0.0 < sigma < np.inf:
+        raise ShapeError(
+            f"Expected noise to be a deviation above zero [m], got {sigma:g}. Leave it out to estimate it."
+        )
+    return sigma
+
+
+def limit_of(limit: Any) -> float:
+    """Return the largest standard deviation [rad] that is accepted."""
+    value = number(limit, "limit [rad]")
+    if not value > 0.0:
+        raise ShapeError(f"Expected limit to be a deviation above zero [rad], got {value:g}. 0.2 is the usual one.")
+    return value
+
+
+def vector(v: ArrayLike, what: str) -> np.ndarray:
+    """Return a finite vector (3,) as a read-only copy."""
+    array = np.array(numbers(v, what, ShapeError))
+    if array.shape != (3,) or not np.isfinite(array).all():
+        raise ShapeError(f"Expected {what} to be a finite vector (3,), got {array.tolist()}.")
+    array.flags.writeable = False
+    return array
+
+
+def direction(v: ArrayLike, what: str) -> np.ndarray:
+    """Return the unit vector (3,) of a vector that is not zero."""
+    array = vector(v, what)
+    length = float(np.linalg.norm(array))
+    if not length > 0.0:
+        raise ShapeError(f"Expected {what} to have a direction, got a vector of length zero.")
+    return array / length
+
+
+def unit(v: ArrayLike, what: str) -> np.ndarray:
+    """Return a vector (3,) that has length 1 already."""
+    array = vector(v, what)
+    off = abs(float(np.linalg.norm(array)) - 1.0)
+    if off > UNIT:
+        raise ShapeError(
+            f"Expected {what} to have length 1, got one off by {off:.2g}. Make it from any vector by of()."
+        )
+    return array
+
+
+def pose(T: ArrayLike, what: str) -> np.ndarray:
+    """Return a pose (4, 4)."""
+    array = numbers(T, what, ShapeError)
+    if array.shape != (4, 4) or not se3.is_pose(array):
+        raise ShapeError(
+            f"Expected {what} to be a pose (4, 4), got shape {array.shape} or a matrix that is none. "
+            "Project it first if its rotation is nearly one (lie.se3.project)."
+        )
+    return array
+
+
+def covariance(cov: ArrayLike | None, size: int, what: str) -> np.ndarray | None:
+    """Return a symmetric covariance (size, size) that is not negative as a read-only copy, or None."""
+    if cov is None:
+        return None
+    C = np.array(numbers(cov, what, ShapeError))
+    fits = C.shape == (size, size) and np.isfinite(C).all() and np.allclose(C, C.T, rtol=1e-9, atol=0.0)
+    if not fits or np.linalg.eigvalsh(C)[0] < -1e-9 * np.trace(C):
+        raise ShapeError(
+            f"Expected {what} to be a symmetric covariance ({size}, {size}) that is not negative, got shape {C.shape}. "
+            "Deviations go squared on its diagonal."
+        )
+    C.flags.writeable = False
+    return C
+
+
+def across(v: np.ndarray) -> np.ndarray:
+    """Return two unit vectors (2, 3) that make a right-handed frame with v (3,) as the third."""
+    e = np.eye(3)[np.argmin(np.abs(v))]
+    first = np.cross(e, v)
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(v, first)])

@@ -1,0 +1,281 @@
+"""Planes, lines, circles and spheres as values: unit directions, invariants that survive a move, what is known of them.
+
+A feature that was fitted carries the covariance of its small errors, in the order of its `names`; a feature that was
+typed in carries none and counts as exact.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armlab._numbers import number
+from armlab.errors import ShapeError
+from armlab.frames import _check
+from armlab.lie import so3
+
+__all__ = ["Circle", "Line", "Plane", "Sphere"]
+
+
+@dataclass(frozen=True, eq=False)
+class Plane:
+    """A plane with a side: ``n . x = d``.
+
+    Attributes
+    ----------
+    n : (3,) unit normal. d : distance from the origin along n [m], negative where n points at the origin.
+    centroid : (3,) a point of it [m]: that of the measured points, otherwise the one closest to the origin.
+    axes : (2, 3) unit vectors in it, the measured points reaching furthest along the first.
+    cov : (3, 3) covariance of the `names`: tilt about each of the axes [rad], offset at the centroid along n [m]; None
+        when the plane is exact.
+    """
+
+    n: np.ndarray
+    d: float
+    centroid: np.ndarray
+    axes: np.ndarray
+    cov: np.ndarray | None = field(default=None, repr=False)
+
+    names: ClassVar[tuple[str, ...]] = ("tilt about axis 1", "tilt about axis 2", "offset at the centroid")
+    units: ClassVar[tuple[str, ...]] = ("rad", "rad", "m")
+
+    def __post_init__(self) -> None:
+        """Check that everything fits together, and freeze it."""
+        n, c = _check.unit(self.n, "the normal of a plane"), _check.vector(self.centroid, "the centroid of a plane")
+        d = number(self.d, "the distance of a plane [m]")
+        if not abs(n @ c - d) <= _check.UNIT * (1.0 + np.linalg.norm(c)):
+            raise ShapeError(
+                f"Expected a centroid in the plane, got one {n @ c - d:.2g} m away. Plane.of makes a plane from any "
+                "normal and a point."
+            )
+        _freeze(self, n=n, d=d, centroid=c, axes=_axes(self.axes, n), cov=_check.covariance(self.cov, 3, "cov"))
+
+    @classmethod
+    def of(cls, normal: ArrayLike, point: ArrayLike) -> Plane:
+        """Return the plane through a point.
+
+        Parameters
+        ----------
+        normal : (3,) of any length above zero. point : (3,) of the plane [m]; its centroid.
+        """
+        n, p = _check.direction(normal, "normal"), _check.vector(point, "point")
+        return cls(n, float(n @ p), p, _check.across(n))
+
+    def __neg__(self) -> Plane:
+        """Return the same plane with the normal on its other side."""
+        cov = None if self.cov is None else self.cov * np.outer([1, 1, -1], [1, 1, -1])
+        return replace(self, n=-self.n, d=-self.d, cov=cov)
+
+    def moved(self, T_a_b: ArrayLike) -> Plane:
+        """Return the plane in the axes of frame a, given in those of frame b.
+
+        Parameters
+        ----------
+        T_a_b : (4, 4) pose of b in a.
+        """
+        R, c = _moved(T_a_b, self.centroid)
+        n = R @ self.n
+        return Plane(n, float(n @ c), c, self.axes @ R.T, self.cov)
+
+    def distance(self, p: ArrayLike) -> np.ndarray:
+        """Return the signed distance (N,) of points (N, 3) [m]: ``n . x - d``.
+
+        Parameters
+        ----------
+        p : (N, 3) [m].
+        """
+        return (_check.points(p) - self.centroid) @ self.n
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """A line with a direction: ``x = r + s v``.
+
+    Attributes
+    ----------
+    v : (3,) unit direction. r : (3,) foot: its point closest to the origin [m].
+    centroid : (3,) a point of it [m]: that of the measured points, otherwise the foot.
+    axes : (2, 3) unit vectors across it; axis 1, axis 2 and v are right-handed.
+    cov : (4, 4) covariance of the `names`: tilt about each of the axes [rad], offset of the centroid along each [m];
+        None when the line is exact.
+    """
+
+    v: np.ndarray
+    r: np.ndarray
+    centroid: np.ndarray
+    axes: np.ndarray
+    cov: np.ndarray | None = field(default=None, repr=False)
+
+    names: ClassVar[tuple[str, ...]] = (
+        "tilt about axis 1",
+        "tilt about axis 2",
+        "offset along axis 1",
+        "offset along axis 2",
+    )
+    units: ClassVar[tuple[str, ...]] = ("rad", "rad", "m", "m")
+
+    def __post_init__(self) -> None:
+        """Check that everything fits together, and freeze it."""
+        v, c = _check.unit(self.v, "the direction of a line"), _check.vector(self.centroid, "the centroid of a line")
+        r = _check.vector(self.r, "the foot of a line")
+        off = np.linalg.norm(np.cross(v, c - r))
+        if not off + abs(r @ v) <= _check.UNIT * (1.0 + np.linalg.norm(c)):
+            raise ShapeError(
+                f"Expected the foot of a line on it and closest to the origin, got one {off:.2g} m off and "
+                f"{r @ v:.2g} m along it. Line.of makes a line from any direction and a point."
+            )
+        _freeze(self, v=v, r=r, centroid=c, axes=_axes(self.axes, v), cov=_check.covariance(self.cov, 4, "cov"))
+
+    @classmethod
+    def of(cls, direction: ArrayLike, point: ArrayLike) -> Line:
+        """Return the line through a point.
+
+        Parameters
+        ----------
+        direction : (3,) of any length above zero. point : (3,) of the line [m]; its centroid.
+        """
+        v, p = _check.direction(direction, "direction"), _check.vector(point, "point")
+        return cls(v, _foot(v, p), p, _check.across(v))
+
+    def __neg__(self) -> Line:
+        """Return the same line in the other direction."""
+        flip = np.array([-1.0, 1.0])
+        signs = np.array([-1.0, 1.0, -1.0, 1.0])  # axis 1 turns over, so that the three stay right-handed
+        cov = None if self.cov is None else self.cov * np.outer(signs, signs)
+        return replace(self, v=-self.v, axes=self.axes * flip[:, None], cov=cov)
+
+    def moved(self, T_a_b: ArrayLike) -> Line:
+        """Return the line in the axes of frame a, given in those of frame b; its foot is found again.
+
+        Parameters
+        ----------
+        T_a_b : (4, 4) pose of b in a.
+        """
+        R, c = _moved(T_a_b, self.centroid)
+        v = R @ self.v
+        return Line(v, _foot(v, c), c, self.axes @ R.T, self.cov)
+
+    def offset(self, p: ArrayLike) -> np.ndarray:
+        """Return the vectors (N, 3) from the line to points (N, 3), across it [m].
+
+        Parameters
+        ----------
+        p : (N, 3) [m].
+        """
+        away = _check.points(p) - self.centroid
+        return away - np.outer(away @ self.v, self.v)
+
+
+@dataclass(frozen=True, eq=False)
+class Circle:
+    """A circle in space: the points at distance `radius` from `centre` in the plane across `n`.
+
+    Attributes
+    ----------
+    centre : (3,) [m]. n : (3,) unit normal. radius : [m].
+    axes : (2, 3) unit vectors in its plane.
+    cov : (6, 6) covariance of the `names`; None when the circle is exact.
+    """
+
+    centre: np.ndarray
+    n: np.ndarray
+    radius: float
+    axes: np.ndarray
+    cov: np.ndarray | None = field(default=None, repr=False)
+
+    names: ClassVar[tuple[str, ...]] = (
+        "centre x",
+        "centre y",
+        "centre z",
+        "tilt about axis 1",
+        "tilt about axis 2",
+        "radius",
+    )
+    units: ClassVar[tuple[str, ...]] = ("m", "m", "m", "rad", "rad", "m")
+
+    def __post_init__(self) -> None:
+        """Check that everything fits together, and freeze it."""
+        n = _check.unit(self.n, "the normal of a circle")
+        _freeze(
+            self,
+            centre=_check.vector(self.centre, "the centre of a circle"),
+            n=n,
+            radius=_positive(self.radius, "circle"),
+            axes=_axes(self.axes, n),
+            cov=_check.covariance(self.cov, 6, "cov"),
+        )
+
+    @property
+    def plane(self) -> Plane:
+        """The plane that it lies in, with the covariance of its tilt and of its offset at the centre."""
+        n, cov = self.n, self.cov
+        if cov is not None:
+            S = np.zeros((3, 6))
+            S[0, 3] = S[1, 4] = 1.0
+            S[2, :3] = n
+            cov = S @ cov @ S.T
+            cov = 0.5 * (cov + cov.T)
+        return Plane(n, float(n @ self.centre), self.centre, self.axes, cov)
+
+
+@dataclass(frozen=True, eq=False)
+class Sphere:
+    """A sphere: the points at distance `radius` from `centre`.
+
+    Attributes
+    ----------
+    centre : (3,) [m]. radius : [m].
+    cov : (4, 4) covariance of the `names`; None when the sphere is exact.
+    """
+
+    centre: np.ndarray
+    radius: float
+    cov: np.ndarray | None = field(default=None, repr=False)
+
+    names: ClassVar[tuple[str, ...]] = ("centre x", "centre y", "centre z", "radius")
+    units: ClassVar[tuple[str, ...]] = ("m", "m", "m", "m")
+
+    def __post_init__(self) -> None:
+        """Check that everything fits together, and freeze it."""
+        centre = _check.vector(self.centre, "the centre of a sphere")
+        cov = _check.covariance(self.cov, 4, "cov")
+        _freeze(self, centre=centre, radius=_positive(self.radius, "sphere"), cov=cov)
+
+
+def _freeze(value: object, **fields: object) -> None:
+    for name, content in fields.items():
+        object.__setattr__(value, name, content)
+
+
+def _positive(radius: object, what: str) -> float:
+    r = number(radius, f"the radius of a {what} [m]")
+    if not 0.0 < r < np.inf:
+        raise ShapeError(f"Expected the radius of a {what} to be above zero [m], got {r:g}.")
+    return r
+
+
+def _axes(axes: np.ndarray, third: np.ndarray) -> np.ndarray:
+    """Return two unit vectors (2, 3) across the third, read-only."""
+    axes = np.array(axes, dtype=float)
+    whole = np.vstack([axes, third]) if axes.shape == (2, 3) else np.zeros((3, 3))
+    if not np.allclose(whole @ whole.T, np.eye(3), rtol=0.0, atol=_check.UNIT):
+        raise ShapeError(
+            f"Expected axes of a feature to be two unit vectors (2, 3) across its direction, got shape {axes.shape}. "
+            "of() makes a feature that fits together."
+        )
+    axes.flags.writeable = False
+    return axes
+
+
+def _moved(T_a_b: ArrayLike, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rotation of a pose, which may be off by 1e-6, as one that keeps lengths, and a point in frame a."""
+    T = _check.pose(T_a_b, "T_a_b")
+    return so3.project(T[:3, :3])[0], T[:3, :3] @ p + T[:3, 3]
+
+
+def _foot(v: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """Return the point closest to the origin of the line along v through p."""
+    return p - v * (v @ p)

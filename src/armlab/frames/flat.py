@@ -1,0 +1,311 @@
+"""Maximum-likelihood planes and lines through measured points, with covariance and a rule for their direction.
+
+The noise of a point is the same in all directions, so the most likely plane is across the weakest principal direction
+of the centred points, the most likely line along the strongest. With lambda_k the sum of squares along principal
+direction k of N points and sigma the noise of a coordinate,
+
+    plane: tilt about axis 1  sigma^2 / lambda_2,  about axis 2  sigma^2 / lambda_1,  offset at centroid  sigma^2 / N
+    line:  tilt about each axis  sigma^2 / lambda_1,  offset of the centroid along each axis  sigma^2 / N
+
+and no two of them are correlated. A direction of which the points tell no more than the noise is refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armlab.errors import NotExcited, ShapeError
+from armlab.estimation import Fit, check_spread
+from armlab.frames import _check
+from armlab.frames._consensus import chosen, rounding
+from armlab.frames.features import Line, Plane
+
+__all__ = ["LIMIT", "fit_line", "fit_plane", "upward"]
+
+LIMIT = 0.2  # rad, the largest standard deviation of a tilt that is accepted
+SURE = 3.0  # deviations from which a side is sure
+CHANCE = 1e-3  # of a spread that noise alone would show
+JUDGED = 10  # points from which the spread is held against that chance; fewer cannot tell
+
+
+def fit_plane(
+    p: ArrayLike,
+    *,
+    noise: float | None = None,
+    robust: bool = False,
+    toward: ArrayLike | None = None,
+    normal: ArrayLike | None = None,
+    limit: float = LIMIT,
+) -> Fit[Plane]:
+    """Fit a plane ``n . x = d`` to points.
+
+    The normal points away from the origin of the frame of the points, unless `toward` or `normal` says otherwise.
+
+    Parameters
+    ----------
+    p : (N, 3) points [m], N >= 4; 3 are enough where the noise is known, 5 are needed to find an outlier.
+    noise : standard deviation of each coordinate [m]; estimated when left out.
+    robust : find points that do not belong to the plane; `outliers` marks them.
+    toward : (3,) a point on the side that the normal points to [m].
+    normal : (3,) roughly the normal.
+    limit : largest standard deviation of a tilt that is accepted [rad].
+
+    Returns
+    -------
+    Fit of a `Plane`: `residuals` (N,) are signed distances, `cov` (3, 3) that of `Plane.names`.
+
+    Raises
+    ------
+    ShapeError : points are no (N, 3) or not finite, with their rows; both hints are given, or one that does not tell
+        the side.
+    NotExcited : too few points; points along a line, with its direction; a plane through the origin without a hint.
+    """
+    p, sigma, limit = _check.points(p), _check.noise_of(noise), _check.limit_of(limit)
+    needed = 3 if sigma else 4
+    _check.enough(len(p), needed, "plane")
+    kept = np.ones(len(p), dtype=bool)
+    if robust:
+        kept = chosen(p, 3, 1, _planes, lambda which: _plane_distances(p, which), sigma, "plane")
+        _check.enough(int(kept.sum()), needed, "plane")
+    c, axes, squares = _principal(p[kept])
+    freedom = int(kept.sum()) - 3
+    found = float(np.sqrt(squares[2] / freedom)) if freedom else float(sigma or 0.0)
+    used = max(sigma or found, rounding(p))
+    n = axes[2]
+    cov = used**2 * np.diag([1.0 / max(squares[1], 1e-300), 1.0 / max(squares[0], 1e-300), 1.0 / kept.sum()])
+    told = _told(squares[1], squares[2], used, int(kept.sum()) - 3), _told(squares[0], squares[2], used, 0)
+    names = (f"tilt about the line through the points, along {_text(axes[0])}", f"tilt about {_text(axes[1])}")
+    excitation = _judge(told, used, kept.sum(), squares, limit, Plane, names)
+    reach = float(np.sqrt(cov[2, 2] + (axes[1] @ c) ** 2 * cov[0, 0] + (axes[0] @ c) ** 2 * cov[1, 1]))
+    n = upward(n, c, reach, toward, normal, "plane")
+    value = Plane(n, float(n @ c), c, axes[:2], cov)
+    return Fit(
+        value=value,
+        names=Plane.names,
+        units=Plane.units,
+        parameters=np.array([0.0, 0.0, value.d]),
+        cov=cov,
+        sigma=np.array([found]),
+        residuals=value.distance(p),
+        n=int(kept.sum()),
+        excitation=excitation,
+        summary=_plane_report,
+        outliers=~kept,
+        classes=("distance [m]",),
+    )
+
+
+def fit_line(
+    p: ArrayLike,
+    *,
+    noise: float | None = None,
+    robust: bool = False,
+    along: ArrayLike | None = None,
+    limit: float = LIMIT,
+) -> Fit[Line]:
+    """Fit a line ``x = r + s v`` to points.
+
+    It points from the first to the last point (that is no outlier), unless `along` says otherwise.
+
+    Parameters
+    ----------
+    p : (N, 3) points [m], N >= 3; 2 are enough where the noise is known, 4 are needed to find an outlier.
+    noise : standard deviation of each coordinate [m]; estimated when left out.
+    robust : find points that do not belong to the line; `outliers` marks them.
+    along : (3,) roughly its direction.
+    limit : largest standard deviation of a tilt that is accepted [rad].
+
+    Returns
+    -------
+    Fit of a `Line`: `residuals` (N, 3) are vectors from the line to the points, `cov` (4, 4) that of `Line.names`.
+
+    Raises
+    ------
+    ShapeError : points are no (N, 3) or not finite, with their rows; `along` is across the line.
+    NotExcited : too few points; points in one place; a first and a last point in one place without a hint.
+    """
+    p, sigma, limit = _check.points(p), _check.noise_of(noise), _check.limit_of(limit)
+    needed = 2 if sigma else 3
+    _check.enough(len(p), needed, "line")
+    kept = np.ones(len(p), dtype=bool)
+    if robust:
+        kept = chosen(p, 2, 2, _lines, lambda which: _line_distances(p, which), sigma, "line")
+        _check.enough(int(kept.sum()), needed, "line")
+    cloud = p[kept]
+    c, axes, squares = _principal(cloud)
+    freedom = 2 * len(cloud) - 4
+    found = float(np.sqrt((squares[1] + squares[2]) / freedom)) if freedom else float(sigma or 0.0)
+    used = max(sigma or found, rounding(p))
+    tilt, offset = used**2 / max(squares[0], 1e-300), used**2 / len(cloud)
+    told = _told(squares[0], squares[1], used, len(cloud) - 2)
+    names = ("direction of the line: its points are in one place, tilt about axis 1", "tilt about axis 2")
+    excitation = _judge((told, told), used, len(cloud), squares, limit, Line, names)
+    v = _forward(axes[0], cloud[-1] - cloud[0], float(np.sqrt(2.0)) * used, along)
+    cov = np.diag([tilt, tilt, offset, offset])
+    value = Line(v, c - v * (v @ c), c, _check.across(v), cov)
+    return Fit(
+        value=value,
+        names=Line.names,
+        units=Line.units,
+        parameters=np.concatenate([np.zeros(2), value.axes @ c]),
+        cov=cov,
+        sigma=np.array([found]),
+        residuals=value.offset(p),
+        n=len(cloud),
+        excitation=excitation,
+        summary=_line_report,
+        outliers=~kept,
+        classes=("distance [m]",),
+    )
+
+
+def upward(
+    n: np.ndarray, c: np.ndarray, reach: float, toward: ArrayLike | None, normal: ArrayLike | None, what: str
+) -> np.ndarray:
+    """Return a normal with the sign that the rule gives it.
+
+    Parameters
+    ----------
+    n : (3,) unit normal of any sign. c : (3,) a point in the plane [m].
+    reach : standard deviation of the distance of the plane from the origin [m].
+    toward, normal : the hints of `fit_plane`. what : name of the feature.
+
+    Raises
+    ------
+    ShapeError : both hints, or one that does not tell. NotExcited : no hint, and the origin is in the plane.
+    """
+    if toward is not None and normal is not None:
+        raise ShapeError("Expected toward= or normal=, got both. Either says on which side the normal is.")
+    if normal is not None:
+        side, least = float(n @ _check.direction(normal, "normal")), 1e-6
+    elif toward is not None:
+        side, least = float(n @ (_check.vector(toward, "toward") - c)), SURE * reach
+    else:
+        side, least = float(n @ c), SURE * reach
+        if not abs(side) > least:
+            raise NotExcited(
+                f"Expected the {what} away from the origin to tell its side, got it at {abs(side):.2g} m, uncertain by "
+                f"{reach:.2g} m. Say the side by toward=, a point on it, or by normal=.",
+                [f"side of the {what}"],
+                [f"{abs(side):.2g} m from the origin"],
+            )
+    if not abs(side) > least:
+        raise ShapeError(
+            f"Expected a hint that tells the side of the {what}, got one that lies in it. Give another point or normal."
+        )
+    return n if side > 0 else -n
+
+
+def _forward(v: np.ndarray, step: np.ndarray, sigma: float, along: ArrayLike | None) -> np.ndarray:
+    """Return the direction of a line with the sign of the rule."""
+    if along is not None:
+        side = float(v @ _check.direction(along, "along"))
+        if abs(side) <= 1e-6:
+            raise ShapeError("Expected along= roughly along the line, got a direction across it. Give another one.")
+        return v if side > 0 else -v
+    side = float(v @ step)
+    if abs(side) <= SURE * sigma:
+        raise NotExcited(
+            f"Expected the last point away from the first to tell the direction of the line, got them {abs(side):.2g} "
+            "m apart along it. Say the direction by along=.",
+            ["sense of the line"],
+            [f"{abs(side):.2g} m"],
+        )
+    return v if side > 0 else -v
+
+
+def _principal(p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return centroid, principal directions (3, 3) as rows, strongest first, and sums of squares (3,) along them.
+
+    Their signs are chosen, not left to the decomposition: the largest component is positive.
+    """
+    c = p.mean(axis=0)
+    _, singular, axes = np.linalg.svd(p - c, full_matrices=True)
+    axes = axes * np.where(axes[np.arange(3), np.abs(axes).argmax(axis=1)] < 0, -1.0, 1.0)[:, None]
+    squares = np.zeros(3)
+    squares[: len(singular)] = singular**2
+    return c, axes, squares
+
+
+def _told(strong: float, weak: float, sigma: float, points: int) -> float:
+    """Return how far the larger of two sums of squares tells its direction from the other: 1 over the deviation.
+
+    The deviation is ``sigma sqrt(strong) / (strong - weak)``, which is ``sigma / sqrt(strong)`` for a clear one. Noise
+    alone shows a ratio q with the chance ``(2 sqrt(q) / (1 + q))^points``, the test of sphericity in two dimensions.
+    """
+    gap = strong - weak
+    if points + 3 >= JUDGED:
+        chance = (2.0 * np.sqrt(strong * weak) / max(strong + weak, 1e-300)) ** points
+        gap = gap if chance < CHANCE else 0.0
+    return float(gap / (sigma * np.sqrt(max(strong, 1e-300))))
+
+
+def _judge(
+    told: tuple[float, float],
+    sigma: float,
+    count: int,
+    squares: np.ndarray,
+    limit: float,
+    kind: type[Plane] | type[Line],
+    words: Sequence[str],
+) -> Any:
+    """Return the excitation, refusing tilts beyond the limit by name."""
+    names, tilts = kind.names, len(told)
+    offsets = len(names) - tilts
+    size = 0.2 * max(float(np.sqrt(squares.sum() / count)), 1e-300)
+    J = np.diag([*told, *[np.sqrt(count) / sigma] * offsets])
+    limits = np.array([limit] * tilts + [size] * offsets)
+
+    def describe(reach: np.ndarray) -> str:
+        i = int(np.argmax(np.abs(reach) / limits))
+        return f"{words[i]} ({abs(reach[i]):.2g} rad)" if i < tilts else f"{names[i]} ({abs(reach[i]):.2g} m)"
+
+    return check_spread(J, names, kind.units, limits, kind.__name__.lower(), describe=describe)
+
+
+def _planes(sets: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """Return squared distances (S, N) from the planes through sets (S, 3, 3)."""
+    n = np.cross(sets[:, 1] - sets[:, 0], sets[:, 2] - sets[:, 0])
+    length = np.linalg.norm(n, axis=1, keepdims=True)
+    n = np.divide(n, length, out=np.full_like(n, np.nan), where=length > 0)
+    return (n @ p.T - np.sum(n * sets[:, 0], axis=1)[:, None]) ** 2
+
+
+def _lines(sets: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """Return squared distances (S, N) from the lines through sets (S, 2, 3)."""
+    v = sets[:, 1] - sets[:, 0]
+    length = np.linalg.norm(v, axis=1, keepdims=True)
+    v = np.divide(v, length, out=np.full_like(v, np.nan), where=length > 0)
+    away = p - sets[:, :1]
+    return np.sum(np.cross(away, v[:, None]) ** 2, axis=2)
+
+
+def _plane_distances(p: np.ndarray, kept: np.ndarray) -> tuple[float, np.ndarray]:
+    c, axes, squares = _principal(p[kept])
+    return float(np.sqrt(squares[2] / max(kept.sum() - 3, 1))), ((p - c) @ axes[2]) ** 2
+
+
+def _line_distances(p: np.ndarray, kept: np.ndarray) -> tuple[float, np.ndarray]:
+    c, axes, squares = _principal(p[kept])
+    sigma = np.sqrt((squares[1] + squares[2]) / max(2 * kept.sum() - 4, 1))
+    return float(sigma), np.sum(((p - c) @ axes[1:].T) ** 2, axis=1)
+
+
+def _text(v: np.ndarray) -> str:
+    return "(" + ", ".join(f"{x:.4f}" for x in v) + ")"
+
+
+def _plane_report(fit: Fit[Plane]) -> str:
+    value = fit.value
+    head = f"plane n . x = d with n = {_text(value.n)}, d = {value.d:.6g} m, centroid {_text(value.centroid)} m"
+    return f"{head}\naxis 1 {_text(value.axes[0])}, axis 2 {_text(value.axes[1])}\n{fit.table()}"
+
+
+def _line_report(fit: Fit[Line]) -> str:
+    value = fit.value
+    head = f"line x = r + s v with v = {_text(value.v)}, r = {_text(value.r)} m, centroid {_text(value.centroid)} m"
+    return f"{head}\naxis 1 {_text(value.axes[0])}, axis 2 {_text(value.axes[1])}\n{fit.table()}"

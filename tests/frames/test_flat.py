@@ -1,0 +1,268 @@
+"""Planes and lines: exact on exact data, honest on noisy data, sure of their direction, or refused by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from armlab.errors import NotExcited, ShapeError
+from armlab.estimation import Experiment, Fit, Gauge, check_estimator
+from armlab.frames import Line, Plane, fit_line, fit_plane
+from armlab.frames.flat import LIMIT, upward
+from armlab.lie import se3, so3
+
+SIGMA = 5e-5
+SEED = 5000
+Draw = Callable[[np.random.Generator], np.ndarray]
+
+
+def sheet(n: int = 20, seed: int = 0, sigma: float = SIGMA) -> np.ndarray:
+    """Points of the plane z = 2."""
+    rng = np.random.default_rng(seed)
+    p = np.column_stack([rng.uniform(-0.15, 0.15, n), rng.uniform(-0.1, 0.1, n), np.full(n, 2.0)])
+    return p + sigma * rng.standard_normal((n, 3))
+
+
+def rod(n: int = 20, seed: int = 0, sigma: float = SIGMA) -> np.ndarray:
+    """Points of the line through (0, 1, 2) along x, in its order."""
+    rng = np.random.default_rng(seed)
+    p = np.column_stack([np.sort(rng.uniform(-0.15, 0.15, n)), np.ones(n), np.full(n, 2.0)])
+    return p + sigma * rng.standard_normal((n, 3))
+
+
+def test_fit_plane_on_exact_points() -> None:
+    plane = fit_plane(sheet(sigma=0.0)).value
+    np.testing.assert_allclose(plane.n, [0, 0, 1], rtol=0, atol=1e-12)
+    assert plane.d == pytest.approx(2.0, abs=1e-12)
+
+
+def test_fit_line_on_exact_points() -> None:
+    line = fit_line(rod(sigma=0.0)).value
+    np.testing.assert_allclose(line.v, [1, 0, 0], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(line.r, [0, 1, 2], rtol=0, atol=1e-12)
+
+
+def test_residuals_and_report() -> None:
+    p = sheet()
+    fit = fit_plane(p)
+    np.testing.assert_allclose(fit.residuals, p @ fit.value.n - fit.value.d, rtol=0, atol=1e-15)
+    assert fit.sigma[0] == pytest.approx(SIGMA, rel=0.4)
+    assert "n . x = d" in fit.report()
+    line = fit_line(rod())
+    assert line.residuals.shape == (20, 3)
+    np.testing.assert_allclose(line.residuals @ line.value.v, 0.0, atol=1e-16)
+    assert "x = r + s v" in line.report()
+
+
+def test_the_covariance_is_that_of_the_text() -> None:
+    """sigma^2 over the sum of squares along each axis; a tilt about one axis lifts points along the other."""
+    p = sheet(60)
+    fit = fit_plane(p, noise=1e-4)
+    along = np.sum(((p - p.mean(axis=0)) @ fit.value.axes.T) ** 2, axis=0)
+    assert along[0] > along[1]
+    np.testing.assert_allclose(np.diag(fit.cov), 1e-8 / np.array([along[1], along[0], 60]), rtol=1e-12)
+    np.testing.assert_array_equal(fit.value.cov, fit.cov)
+
+
+def test_directions_follow_the_rule_in_every_orientation(cube: list[np.ndarray]) -> None:
+    """Turned data give the turned answer: no sign of a decomposition is left in it."""
+    plane, line = fit_plane(sheet()).value, fit_line(rod()).value
+    assert len(cube) == 24
+    for R in cube:
+        np.testing.assert_allclose(fit_plane(sheet() @ R.T).value.n, R @ plane.n, atol=1e-12)
+        turned = fit_line(rod() @ R.T).value
+        np.testing.assert_allclose(turned.v, R @ line.v, atol=1e-12)
+        np.testing.assert_allclose(turned.r, R @ line.r, atol=1e-12)
+        np.testing.assert_allclose(fit_line(rod()[::-1] @ R.T).value.v, -R @ line.v, atol=1e-12)
+
+
+def test_hints_choose_the_side() -> None:
+    p = sheet()
+    away = fit_plane(p).value.n
+    np.testing.assert_allclose(fit_plane(p, toward=[0, 0, 0]).value.n, -away, atol=1e-15)
+    np.testing.assert_allclose(fit_plane(p, normal=[0.3, 0, -1]).value.n, -away, atol=1e-15)
+    np.testing.assert_allclose(fit_line(rod(), along=[-1, 0.4, 0]).value.v, -fit_line(rod()).value.v, atol=1e-15)
+
+
+def test_upward_needs_a_side() -> None:
+    n = np.array([0.0, 0.0, 1.0])
+    np.testing.assert_array_equal(upward(n, np.array([0.0, 0, -2]), 1e-3, None, None, "plane"), -n)
+    with pytest.raises(NotExcited, match="toward="):
+        upward(n, np.array([3.0, 0, 2e-3]), 1e-3, None, None, "plane")
+    with pytest.raises(NotExcited) as caught:
+        fit_plane(sheet() - [0, 0, 2.0])
+    assert caught.value.directions == ("side of the plane",)
+    assert fit_plane(sheet() - [0, 0, 2.0], normal=[0, 0, 1]).value.n[2] > 0.99
+    with pytest.raises(ShapeError, match="lies in it"):
+        fit_plane(sheet(), toward=[0.1, 0, 2.0])
+    with pytest.raises(ShapeError, match="got both"):
+        fit_plane(sheet(), toward=[0.1, 0, 0], normal=[0, 0, 1])
+    closed = rod()
+    closed[-1] = closed[0]
+    with pytest.raises(NotExcited, match="along="):
+        fit_line(closed)
+    with pytest.raises(ShapeError, match="across it"):
+        fit_line(rod(sigma=0.0), along=[0, 1, 0])
+
+
+@pytest.mark.parametrize("sigma", [0.0, SIGMA])
+@pytest.mark.parametrize("n", [4, 20, 500])
+def test_points_along_a_line_are_no_plane(n: int, sigma: float) -> None:
+    refused = 0
+    for seed in range(20):
+        try:
+            fit_plane(rod(n, seed, sigma), normal=[0, 0, 1])
+        except NotExcited as error:
+            refused += "tilt about the line through the points, along (1.0000" in error.directions[0]
+    assert refused >= (20 if n > 4 or not sigma else 8), "four points can look like a plane"
+
+
+@pytest.mark.parametrize("sigma", [0.0, SIGMA])
+def test_points_in_one_place_are_no_line(sigma: float) -> None:
+    for seed in range(20):
+        p = np.ones(3) + sigma * np.random.default_rng(seed).standard_normal((20, 3))
+        with pytest.raises(NotExcited, match="in one place"):
+            fit_line(p, along=[1, 0, 0])
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "sentence"),
+    [
+        (lambda: fit_plane(sheet(3)), NotExcited, "at least 4 points"),
+        (lambda: fit_plane(sheet(4), robust=True), NotExcited, "at least 5 points"),
+        (lambda: fit_line(rod(2)), NotExcited, "at least 3 points"),
+        (lambda: fit_plane(sheet().T), ShapeError, "Transpose"),
+        (lambda: fit_plane([["a"] * 3] * 5), ShapeError, "real numbers"),
+        (lambda: fit_plane(sheet(), noise=0.0), ShapeError, "above zero"),
+        (lambda: fit_plane(sheet(), limit=-1.0), ShapeError, "limit"),
+        (lambda: fit_line(np.vstack([rod(), [np.nan, 0, 0]])), ShapeError, "rows 20"),
+    ],
+)
+def test_bad_input_is_refused(call, error, sentence: str) -> None:
+    with pytest.raises(error, match=sentence):
+        call()
+    assert LIMIT == 0.2
+
+
+def test_minimal_sets_find_outliers() -> None:
+    """One of five points is no point of the plane, one of four none of the line; 40 % of many neither."""
+    p = sheet(5, 3)
+    p[2, 2] += 0.02
+    assert fit_plane(p, robust=True).outliers.tolist() == [False, False, True, False, False]
+    q = rod(4, 1)
+    q[3, 1] += 0.02
+    assert fit_line(q, robust=True).outliers.tolist() == [False, False, False, True]
+    for n in (50, 200):  # all sets, and seeded ones
+        bad = np.arange(n) < 0.4 * n
+        many = sheet(n, 7)
+        many[bad, 2] += np.random.default_rng(1).uniform(0.005, 0.1, int(bad.sum()))
+        fit = fit_plane(many, robust=True, noise=SIGMA)
+        np.testing.assert_array_equal(fit.outliers[bad], True)
+        assert fit.outliers[~bad].sum() <= 1
+        assert fit.n == n - fit.outliers.sum()
+        assert abs(fit.value.n[2]) > 1 - 1e-6
+
+
+def drawn(seed: int, n: int, draw: Draw) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Rotation, centre, cloud and rod as section 7 of the specification draws them."""
+    rng = np.random.default_rng([SEED, seed])
+    R, c = draw(rng), rng.standard_normal(3)
+    flat = c + rng.uniform(-1, 1, (n, 2)) * [0.15, 0.10] @ R[:, :2].T
+    measured = flat + SIGMA * rng.standard_normal((n, 3))
+    thin = c + np.outer(rng.uniform(-0.15, 0.15, n), R[:, 0])
+    return R, c, measured, thin + SIGMA * rng.standard_normal((n, 3))
+
+
+def plane_error(fit: Fit[Plane], truth: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    n, c = truth
+    value = fit.value
+    return np.array([*(value.axes @ np.cross(n, value.n)), n @ (value.centroid - c)])
+
+
+def line_error(fit: Fit[Line], truth: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    v, c = truth
+    value = fit.value
+    return np.concatenate([value.axes @ np.cross(v, value.v), value.axes @ (value.centroid - c)])
+
+
+MOVE = se3.from_rp(so3.exp([0.4, 1.0, -0.3]), [3.0, -1.0, 2.0])
+
+
+def plane_experiment(draw: Draw) -> Callable[[int, int], Experiment]:
+    def experiment(seed: int, n: int) -> Experiment:
+        R, c, p, _ = drawn(seed, n, draw)
+        return Experiment({"p": p, "noise": SIGMA, "normal": R[:, 2]}, (R[:, 2], c))
+
+    return experiment
+
+
+def line_experiment(draw: Draw) -> Callable[[int, int], Experiment]:
+    def experiment(seed: int, n: int) -> Experiment:
+        R, c, _, p = drawn(seed, n, draw)
+        return Experiment({"p": p, "noise": SIGMA, "along": R[:, 0]}, (R[:, 0], c))
+
+    return experiment
+
+
+def spoil(data: dict, rng: np.random.Generator) -> tuple[dict, np.ndarray]:
+    bad = np.zeros(len(data["p"]), dtype=bool)
+    bad[rng.choice(len(bad), len(bad) // 20, replace=False)] = True
+    away = rng.standard_normal((len(bad), 3))
+    side = np.asarray(data.get("normal", np.cross(data.get("along", [0, 0, 1]), [0.3, 0.5, 0.8])))
+    away = 0.01 * np.sign(away @ side)[:, None] * side / np.linalg.norm(side)
+    return {**data, "p": data["p"] + bad[:, None] * away, "robust": True}, bad
+
+
+def moved(hint: str) -> Callable[[dict], dict]:
+    return lambda data: {**data, "p": data["p"] @ MOVE[:3, :3].T + MOVE[:3, 3], hint: MOVE[:3, :3] @ data[hint]}
+
+
+def scaled(data: dict) -> dict:
+    return {**data, "p": 1000.0 * data["p"], "noise": 1000.0 * data["noise"]}
+
+
+def here(which: str, scale: float = 1.0, T: np.ndarray | None = None) -> Callable[[Fit], tuple]:
+    def expect(fit: Fit) -> tuple:
+        value = fit.value if T is None else fit.value.moved(T)
+        return getattr(value, which), scale * value.centroid
+
+    return expect
+
+
+def test_fit_plane_keeps_the_contract(uniform_rotation: Draw) -> None:
+    contract = check_estimator(
+        fit_plane,
+        plane_experiment(uniform_rotation),
+        100,
+        n=20,
+        error=plane_error,
+        gauges=[
+            Gauge("frame", moved("normal"), here("n", T=MOVE)),
+            Gauge("millimetres", scaled, here("n", 1000.0)),
+        ],
+        refusals={"tilt about the line": {"p": rod(), "noise": SIGMA, "normal": [0, 0, 1]}},
+        spoil=spoil,
+        skip={"efficient": "benchmarks/bench_calibrate_frames.py judges it on 2000 runs"},
+    )
+    assert contract.passed, contract.text()
+
+
+def test_fit_line_keeps_the_contract(uniform_rotation: Draw) -> None:
+    one_place = np.ones((20, 3)) + SIGMA * np.random.default_rng(0).standard_normal((20, 3))
+    contract = check_estimator(
+        fit_line,
+        line_experiment(uniform_rotation),
+        100,
+        n=20,
+        error=line_error,
+        gauges=[
+            Gauge("frame", moved("along"), here("v", T=MOVE)),
+            Gauge("millimetres", scaled, here("v", 1000.0)),
+        ],
+        refusals={"in one place": {"p": one_place, "noise": SIGMA, "along": [1, 0, 0]}},
+        spoil=spoil,
+        skip={"efficient": "benchmarks/bench_calibrate_frames.py judges it on 2000 runs"},
+    )
+    assert contract.passed, contract.text()
