@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from armlab.log import nikon
 from armlab.log.column import Column
 from armlab.log.delimited import read_csv
 from armlab.log.growing import Log, Tail
 from armlab.log.inspection import inspect
 from armlab.log.labcomm import read_labcomm
+from armlab.log.mat_file import read_mat
 from armlab.log.reading import read
 from armlab.log.recorder import Recorder
 from armlab.log.recovery import recover
@@ -24,9 +26,11 @@ __all__ = [
     "Tick",
     "concat",
     "inspect",
+    "nikon",
     "read",
     "read_csv",
     "read_labcomm",
+    "read_mat",
     "recover",
     "write",
 ]

@@ -1,0 +1,221 @@
+"""Files of a Nikon tracker: clouds of points, planes, and the poses that were saved beside them. Metres out.
+
+    [0.000000 , -453.375092 , 310.983154 , -2630.958496 , -96.618225 , 46.868734 , -77.823094 ;
+    ...
+    0.000000 , -453.825226 , 292.506348 , -2717.404053 , -86.801871 , 48.349143 , -57.017544]
+
+    // MEAS_OBJECT = CloudSeam2
+
+A row of a cloud is an index, x, y, z [mm] and three angles [deg] of the convention xyz. A plane is a pose whose third
+column is its normal and whose fourth is a point of it.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from armlab.errors import LogError, ShapeError
+from armlab.lie import euler, se3, so3
+from armlab.log.mat_file import read_mat
+
+__all__ = ["Cloud", "PlaneFile", "PoseFile", "read_cloud", "read_matrix", "read_plane"]
+
+MM = 1e-3  # m
+NORMAL = 1e-4  # most that the length of a normal with a few decimals is off 1
+LONGEST = 16_000_000  # bytes; a cloud has a hundred or so per point
+DECORATION = re.compile(r"[\[\];\"']")
+SEPARATOR = re.compile(r"[\s,]+")
+NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+(?:[eE][+-]?\d+)?|nan|inf|infinity)", re.IGNORECASE)
+COMMENT = re.compile(r"^\s*(?://|%|#)?\s*(\w+)\s*=\s*(.*?)\s*$")
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """Measured points of a tracker.
+
+    Attributes
+    ----------
+    p : (N, 3) points in the tracker's frame [m]. index : (N,) as in the file.
+    R : (N, 3, 3) orientation of the probe at each point.
+    stopped : line, from 1, that was no row any more; 0 when the file ended with its rows.
+    comments : names and values behind the rows, for example {"MEAS_OBJECT": "CloudSeam"}.
+    """
+
+    p: np.ndarray
+    index: np.ndarray
+    R: np.ndarray
+    stopped: int
+    comments: dict[str, str]
+
+
+@dataclass(frozen=True, eq=False)
+class PlaneFile:
+    """A plane of a tracker: `frames.Plane.of(normal, point)` makes one of it.
+
+    Attributes
+    ----------
+    normal : (3,) of length 1, or with the file's decimals when read raw. point : (3,) of the plane [m].
+    stopped, comments : as those of `Cloud`.
+    """
+
+    normal: np.ndarray
+    point: np.ndarray
+    stopped: int
+    comments: dict[str, str]
+
+
+@dataclass(frozen=True, eq=False)
+class PoseFile:
+    """A pose from a file.
+
+    Attributes
+    ----------
+    T : (4, 4) [m]. name : of the variable.
+    distance : of the rotation in the file from the nearest rotation (Frobenius norm).
+    """
+
+    T: np.ndarray
+    name: str
+    distance: float
+
+
+def read_cloud(path: str | Path) -> Cloud:
+    """Read a cloud of points.
+
+    Commas or spaces separate numbers; brackets, semicolons and quotes are decoration, empty lines nothing. The first
+    line that is no row of numbers ends the cloud.
+
+    Parameters
+    ----------
+    path : of the text file.
+
+    Raises
+    ------
+    LogError : no text, no rows, a row with another number of columns, or NaN, with line and column.
+    """
+    rows, stopped, comments = _rows(Path(path), 7)
+    values = np.array(rows)
+    R = euler.from_rpy(np.deg2rad(values[:, 4:7]), "xyz")
+    return Cloud(*(_frozen(x) for x in (MM * values[:, 1:4], values[:, 0], R)), stopped, comments)
+
+
+def read_plane(path: str | Path, raw: bool = False) -> PlaneFile:
+    """Read a plane.
+
+    Parameters
+    ----------
+    path : of the text file, a 4x4 matrix [mm].
+    raw : leave the normal as it is in the file, with a few decimals; otherwise its length is made 1.
+
+    Raises
+    ------
+    LogError : no text, no 4x4 matrix with the last row (0, 0, 0, 1), or a normal whose length is not near 1.
+    """
+    path = Path(path)
+    rows, stopped, comments = _rows(path, 4)
+    M = np.array(rows)
+    if M.shape != (4, 4) or M[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
+        raise LogError(
+            f"Expected a 4x4 matrix with the last row 0 0 0 1 in {path}, got {len(rows)} rows, the last "
+            f"{[float(x) for x in M[-1]]}. Is it a plane?"
+        )
+    length = float(np.linalg.norm(M[:3, 2]))
+    if not abs(length - 1.0) <= NORMAL:
+        raise LogError(f"Expected a normal of length 1 in column 3 of {path}, got {length:.6g}. Is it a plane?")
+    return PlaneFile(_frozen(M[:3, 2] / (1.0 if raw else length)), _frozen(MM * M[:3, 3]), stopped, comments)
+
+
+def read_matrix(path: str | Path, name: str | None = None, project: bool = False) -> PoseFile:
+    """Read a pose [mm] from a MAT file of any version.
+
+    Parameters
+    ----------
+    path : of the file. name : of the variable; the only 4x4 array of the file when left out.
+    project : take the rotation nearest to the one in the file when that is off by more than 1e-6.
+
+    Raises
+    ------
+    LogError : no MAT file, a damaged one, no 4x4 array or several, one that is no pose, or whose rotation is off by
+        more than 1e-6 without `project`. UnknownName : no variable of that name. MissingExtra : v7.3 without h5py.
+    """
+    path = Path(path)
+    found = read_mat(path, name)
+    fitting = {key: M for key, M in found.items() if M.shape == (4, 4)}
+    if len(fitting) != 1:
+        have = ", ".join(f"{key} {M.shape}" for key, M in found.items())
+        raise LogError(f"Expected one 4x4 array in {path}, got {have}. Say which by name=.")
+    key, M = next(iter(fitting.items()))
+    if not np.isfinite(M).all():
+        raise LogError(f"Expected a pose in {key} of {path}, got NaN or Inf in row {1 + _first_bad(M)}.")
+    if np.linalg.det(M[:3, :3]) < 0:
+        raise LogError(f"Expected a rotation in {key} of {path}, got a left-handed matrix. Is an axis mirrored?")
+    M[:3, 3] *= MM
+    try:
+        nearest, distance = se3.project(M)
+    except ShapeError as error:
+        raise LogError(f"Expected a pose in {key} of {path}, got another matrix: {str(error).rstrip('.')}.") from None
+    off = float(np.abs(M[:3, :3].T @ M[:3, :3] - np.eye(3)).max())
+    if off > so3.ROTATION_TOLERANCE:
+        if not project:
+            raise LogError(
+                f"Expected a rotation in {key} of {path}, got a matrix {float(distance):.3g} away from the nearest one "
+                f"(RᵀR off by {off:.3g}). Say project=True to take that one."
+            )
+        M = nearest
+    return PoseFile(_frozen(M), key, float(distance))
+
+
+def _rows(path: Path, columns: int) -> tuple[list[list[float]], int, dict[str, str]]:
+    """Return rows of numbers, the line that ended them (0 at the end of the file), and the comments behind them."""
+    lines = _text(path).splitlines()
+    rows: list[list[float]] = []
+    for k, line in enumerate(lines, start=1):
+        words = [word for word in SEPARATOR.split(DECORATION.sub(" ", line)) if word]
+        if not words:
+            continue
+        if not all(NUMBER.fullmatch(word) for word in words):
+            break
+        values = [float(word) for word in words]
+        if len(values) != columns:
+            raise LogError(
+                f"Expected {columns} columns in {path}, got {len(values)} in line {k}. Is the file cut, or another one?"
+            )
+        bad = [i for i, value in enumerate(values, start=1) if not math.isfinite(value)]
+        if bad:
+            raise LogError(f"Expected numbers in {path}, got {words[bad[0] - 1]!r} in line {k}, column {bad[0]}.")
+        rows.append(values)
+    else:
+        k = 0
+    if not rows:
+        shown = f"{lines[k - 1][:40]!r} in line {k}" if k else "an empty file"
+        raise LogError(f"Expected rows of {columns} numbers in {path}, got {shown}. Is it a file of the tracker?")
+    found = (COMMENT.match(line) for line in (lines[k - 1 :] if k else []))
+    return rows, k, {match[1]: match[2] for match in found if match}
+
+
+def _text(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            data = file.read(LONGEST + 1)
+    except OSError as error:
+        raise LogError(f"Expected a file of a tracker at {path}, got: {error.strerror}.") from None
+    if len(data) > LONGEST:
+        raise LogError(f"Expected a file of a tracker of at most {LONGEST} bytes at {path}, got more. Split it.")
+    if b"\0" in data:
+        raise LogError(f"Expected text at {path}, got bytes that are none. read_matrix reads MAT files.")
+    return data.decode("utf-8", errors="replace").lstrip("\ufeff")
+
+
+def _first_bad(M: np.ndarray) -> int:
+    return int(np.flatnonzero(~np.isfinite(M).all(axis=1))[0])
+
+
+def _frozen(values: np.ndarray) -> np.ndarray:
+    values = np.array(values)
+    values.flags.writeable = False
+    return values
