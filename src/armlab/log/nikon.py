@@ -122,11 +122,13 @@ def read_plane(path: str | Path, raw: bool = False) -> PlaneFile:
     if M.shape != (4, 4) or M[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
         raise LogError(
             f"Expected a 4x4 matrix with the last row 0 0 0 1 in {path}, got {len(rows)} rows, the last "
-            f"{[float(x) for x in M[-1]]}. Is it a plane?"
+            f"{[float(x) for x in M[-1]]}. Name the file of a plane."
         )
     length = float(np.linalg.norm(M[:3, 2]))
     if not abs(length - 1.0) <= NORMAL:
-        raise LogError(f"Expected a normal of length 1 in column 3 of {path}, got {length:.6g}. Is it a plane?")
+        raise LogError(
+            f"Expected a normal of length 1 in column 3 of {path}, got {length:.6g}. Name the file of a plane."
+        )
     return PlaneFile(_frozen(M[:3, 2] / (1.0 if raw else length)), _frozen(MM * M[:3, 3]), stopped, comments)
 
 
@@ -153,7 +155,7 @@ def read_matrix(path: str | Path, name: str | None = None, project: bool = False
     if not np.isfinite(M).all():
         raise LogError(f"Expected a pose in {key} of {path}, got NaN or Inf in row {1 + _first_bad(M)}.")
     if np.linalg.det(M[:3, :3]) < 0:
-        raise LogError(f"Expected a rotation in {key} of {path}, got a left-handed matrix. Is an axis mirrored?")
+        raise LogError(f"Expected a rotation in {key} of {path}, got a left-handed matrix. One axis of it is mirrored.")
     M[:3, 3] *= MM
     try:
         nearest, distance = se3.project(M)
@@ -183,7 +185,7 @@ def _rows(path: Path, columns: int) -> tuple[list[list[float]], int, dict[str, s
         values = [float(word) for word in words]
         if len(values) != columns:
             raise LogError(
-                f"Expected {columns} columns in {path}, got {len(values)} in line {k}. Is the file cut, or another one?"
+                f"Expected {columns} columns in {path}, got {len(values)} in line {k}. The file is cut, or another one."
             )
         bad = [i for i, value in enumerate(values, start=1) if not math.isfinite(value)]
         if bad:
@@ -193,7 +195,7 @@ def _rows(path: Path, columns: int) -> tuple[list[list[float]], int, dict[str, s
         k = 0
     if not rows:
         shown = f"{lines[k - 1][:40]!r} in line {k}" if k else "an empty file"
-        raise LogError(f"Expected rows of {columns} numbers in {path}, got {shown}. Is it a file of the tracker?")
+        raise LogError(f"Expected rows of {columns} numbers in {path}, got {shown}. Name a file of the tracker.")
     found = (COMMENT.match(line) for line in (lines[k - 1 :] if k else []))
     return rows, k, {match[1]: match[2] for match in found if match}
 
