@@ -3,6 +3,9 @@
 from armlab.frames.building import BuiltFrame, build
 from armlab.frames.features import Circle, Line, Plane, Sphere
 from armlab.frames.flat import fit_line, fit_plane
+from armlab.frames.graph import Graph
+from armlab.frames.loops import Edge, Loop, LoopCheck
+from armlab.frames.network import FrameSet
 from armlab.frames.offset import OffsetCheck, check_offset
 from armlab.frames.projection import distance, intersect, project
 from armlab.models import register
@@ -10,7 +13,12 @@ from armlab.models import register
 __all__ = [
     "BuiltFrame",
     "Circle",
+    "Edge",
+    "FrameSet",
+    "Graph",
     "Line",
+    "Loop",
+    "LoopCheck",
     "OffsetCheck",
     "Plane",
     "Sphere",
@@ -27,3 +35,4 @@ register("plane", Plane)
 register("line", Line)
 register("circle", Circle)
 register("sphere", Sphere)
+register("frame_set", FrameSet)
