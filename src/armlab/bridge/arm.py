@@ -171,7 +171,6 @@ class Arm:
     def _observe(self, sample: Sample) -> Turn:
         self.guide.observe(sample)
         self._heard_ns, self._robot_ns = sample.arrival_ns, sample.packet.robot_ns
-        self.prediction.add(sample.arrival_ns, sample.missed + 1, self.period)
         fused = self._fusion.fields(sample.arrival_ns, self.robot, sample.packet.q)
         if self._details is not None and self._arrival is not None:
             fused = {**fused, "details": partial(self._details, self._arrival.data)}
@@ -224,6 +223,7 @@ class Arm:
         """Record what was answered or overtaken since the last call: when no reply has to wait for that."""
         for row in self._rows:
             sample, reply, wall_ns = row.turn.sample, row.reply, self._wall_ns
+            self.prediction.add(sample.arrival_ns, sample.missed + 1, self.period)
             tick = Tick(
                 number=self._ticks,
                 seq_sent=row.seq,
