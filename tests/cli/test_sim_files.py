@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from armlab.cli.sim_files import read_hand, read_operator
-from armlab.errors import ConfigError
+from armlab.cli.sim_files import Written, read_hand, read_operator
+from armlab.errors import ConfigError, LogError
 
 HEADER = "t,fx,fy,fz,mx,my,mz\n"
 
@@ -54,3 +54,22 @@ def test_read_hand_refuses(tmp_path: Path, text: str, what: str) -> None:
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError, match=what):
         read_hand(path, 2)
+
+
+def test_a_file_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match=r"Expected to write .*none/x\.json, got: No such file"):
+        Written(tmp_path / "none" / "x.json")
+    with Written(tmp_path / "x.json") as file:
+        file.write("1\n")
+    assert (tmp_path / "x.json").read_text() == "1\n"
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no file that is always full")
+def test_a_full_disk_is_named_also_when_the_last_bytes_do_not_fit() -> None:
+    full = Path("/dev/full")
+    with pytest.raises(LogError, match=r"Expected to write /dev/full, got: No space left"), Written(full) as file:
+        file.write("1\n")
+    with pytest.raises(LogError, match="/dev/full"), Written(full) as file:
+        file.write("1" * 1_000_000)
+    with pytest.raises(KeyError), Written(full) as file:
+        raise KeyError

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from armlab import robots
 from armlab.cli.sim_options import Around, Content, FaultOptions, pair
 from armlab.errors import ConfigError, UnknownName
+from armlab.sim.faults import FaultRates
 
 ROBOT = robots.load("yumi_right")
 
@@ -53,3 +55,13 @@ def test_around_the_arms(tmp_path: Path) -> None:
     assert (first.motors.at(3.0), first.rapid.at(3.0), first.external) == (2, 0, 1)
     with pytest.raises(UnknownName, match="off"):
         Around(motors="aus").scene(ROBOT, 0, [0], 0)
+
+
+def test_the_help_of_faults_is_that_of_the_rates() -> None:
+    """Written once, with the same defaults."""
+    assert FaultOptions().rates() == FaultRates()
+    assert [field.name for field in fields(FaultOptions)] == [field.name for field in fields(FaultRates)]
+    text = FaultOptions.__doc__ or ""
+    for field in fields(FaultRates):
+        assert f"    {field.name} : " in text
+    assert "Raises" not in text

@@ -161,6 +161,51 @@ def test_missed_cycles_are_skipped_not_sent_in_a_burst(make_peer: MakePeer) -> N
     assert [p.seqno for p in peer.packets] == list(range(len(peer.packets))), "what was not sent has no number"
 
 
+def test_a_listener_hears_a_stream_in_lockstep_at_the_pace_of_the_robot(make_peer: MakePeer) -> None:
+    """It never answers, so there is nothing to wait for; a peer that answers is waited for as ever."""
+    silent = make_peer(RIGHT, lambda k, packet, reply: [])
+    begin = time.monotonic()
+    assert run([channel(silent.port, program="stream")], Pace(lockstep=True, seconds=0.4)) == "the time is up"
+    assert 0.4 <= time.monotonic() - begin < 5.0
+    assert [p.seqno for p in silent.packets] == list(range(100))
+
+    def slowly(k: int, packet: Any, reply: bytes) -> list[bytes]:
+        time.sleep(0.1 if k == 5 else 0.0)
+        return [reply]
+
+    slow = make_peer(RIGHT, slowly)
+    client = channel(slow.port, program="stream")
+    run([client], Pace(lockstep=True, seconds=0.4))
+    assert client.controller.statistics.counts["replies"] == len(slow.packets) == 100
+
+
+def test_what_the_machine_skips_is_told_from_what_the_simulator_skips(make_peer: MakePeer) -> None:
+    """A process that waits, as for a processor that others have, is not one that computes too long."""
+    counts = []
+    for stall in (time.sleep, _compute):
+        client = channel(make_peer(RIGHT).port)
+        done: list[float] = []
+
+        def observe(_: Channel, client: Any = client, stall: Any = stall, done: list[float] = done) -> None:
+            if client.controller.seq == 280 and not done:
+                done.append(stall(0.03) or 0.0)
+
+        run([client], Pace(seconds=1.3), observe=observe)
+        found = client.controller.statistics.as_dict()
+        counts.append((found["counts"].get("overruns", 0), found["counts"]["skipped"], found["work_us"]["max"]))
+    waited, computed = counts
+    assert waited[0] == 0
+    assert waited[1] >= 6
+    assert computed[0] >= 6
+    assert computed[2] > 30_000 > waited[2]
+
+
+def _compute(seconds: float) -> None:
+    until = time.thread_time() + seconds
+    while time.thread_time() < until:
+        pass
+
+
 def test_two_arms_share_the_clock_and_keep_their_phase(make_peer: MakePeer) -> None:
     peers = [make_peer(RIGHT), make_peer(LEFT)]
     clients = [channel(peers[0].port), channel(peers[1].port, 1, LEFT, phase=0.002)]

@@ -79,3 +79,13 @@ def test_what_was_heard_beside_the_joints() -> None:
     assert data["rapid"] == {"1": 7.0, "2": 8.5, "digital": 1.0}
     assert data["external_axes"] == {"1": 0.5}
     assert data["counts"] == {"RAPID data": 1, "RAPID digital": 1, "external axes": 1}
+
+
+def test_work_and_overruns_leave_out_the_first_second() -> None:
+    statistics = Statistics()
+    statistics.worked(0.5, 3, 0.5)
+    statistics.worked(0.001, 0, 1.5)
+    statistics.worked(0.005, 1, 2.5)
+    data = statistics.as_dict()
+    assert data["counts"] == {"overruns": 1}
+    assert data["work_us"]["max"] == pytest.approx(5000.0)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from armlab.cli import FAILED, INTERRUPTED, interrupts_deferred
-from armlab.cli.sim_files import truth_writer
+from armlab.cli.sim_files import Written, truth_writer
 from armlab.cli.sim_options import Around, Content, FaultOptions
 from armlab.errors import ConfigError
 from armlab.sim.guidance import Settings
@@ -122,7 +122,7 @@ def sim(
             with interrupts_deferred():  # MuJoCo loads here
                 channels.append(cell.channel(name, address, i, [seed, i]))
             opened.callback(channels[-1].close)
-        summary, exact = (path and opened.enter_context(path.open("w", encoding="utf-8")) for path in (stats, truth))
+        summary, exact = (path and opened.enter_context(Written(path)) for path in (stats, truth))
         observe = truth_writer(exact, channels[0].controller) if exact else None
         try:
             # never outlive the program that started us

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 import numpy as np
 
-from armlab.errors import ConfigError
+from armlab.errors import ConfigError, LogError
 from armlab.sim.hand import HandPath
 from armlab.sim.operator import Operator
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from armlab.sim.channel import Channel
     from armlab.sim.controller import Controller
 
-__all__ = ["read_hand", "read_operator", "truth_writer"]
+__all__ = ["Written", "read_hand", "read_operator", "truth_writer"]
 
 _OPERATOR = ("t", "fx", "fy", "fz", "mx", "my", "mz")
 _SHOWN = 80  # characters of a wrong line that a message quotes
@@ -87,7 +88,52 @@ def _numbers(words: Iterable[str]) -> list[float]:
         return []
 
 
-def truth_writer(file: TextIO, controller: Controller) -> Callable[[Channel], None]:
+class Written:
+    """A text file that is written from its beginning; what goes wrong names it.
+
+    Parameters
+    ----------
+    path : the file.
+
+    Raises
+    ------
+    LogError : it cannot be opened, written or closed, as on a full disk; also from its methods.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        with self._named():
+            self._file: TextIO = path.open("w", encoding="utf-8")
+
+    def __enter__(self) -> Written:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        with self._named(quiet=kind is not None):  # an error that is on its way already says more
+            self._file.close()
+
+    def write(self, text: str) -> None:
+        """Add a text.
+
+        Parameters
+        ----------
+        text : with its line ends.
+        """
+        with self._named():
+            self._file.write(text)
+
+    @contextlib.contextmanager
+    def _named(self, quiet: bool = False) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            if not quiet:
+                raise LogError(
+                    f"Expected to write {self._path}, got: {error.strerror}. Make room there or choose another file."
+                ) from None
+
+
+def truth_writer(file: Written, controller: Controller) -> Callable[[Channel], None]:
     """Write the header of the truth file and return what writes a row per packet.
 
     Parameters

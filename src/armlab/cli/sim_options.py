@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Literal
 
@@ -24,49 +23,25 @@ _AXES = {"6": "irb1200", "7": "yumi_right", "scara": "scara"}
 
 @dataclass(frozen=True)
 class FaultOptions:
-    """What goes wrong, with pairs as text.
+    """What goes wrong: `FaultRates`, with pairs as text."""
 
-    Attributes
-    ----------
-    loss : float
-        Probability that a datagram is lost.
-    duplicate : float
-        Probability that it arrives twice.
-    reorder : float
-        Probability that it arrives one cycle later, behind its successor.
-    corrupt : float
-        Probability that it arrives damaged, so that nobody can read it.
-    delay : str
-        MEAN,SIGMA of a normal delay [s], to the nearest cycle.
-    pause : str
-        START,LENGTH [s] in robot time; what is sent meanwhile arrives when the pause is over.
-    burst : int
-        Losses come this many in a row, at the same share of all datagrams.
-    until : float
-        Robot time from which on nothing goes wrong any more [s].
-    """
-
-    loss: float = 0.0
-    duplicate: float = 0.0
-    reorder: float = 0.0
-    corrupt: float = 0.0
+    loss: float = FaultRates.loss
+    duplicate: float = FaultRates.duplicate
+    reorder: float = FaultRates.reorder
+    corrupt: float = FaultRates.corrupt
     delay: str = "0,0"
     pause: str = "0,0"
-    burst: int = 1
-    until: float = math.inf
+    burst: int = FaultRates.burst
+    until: float = FaultRates.until
 
     def rates(self) -> FaultRates:
         """Return the rates, or raise ConfigError for what makes no sense."""
-        return FaultRates(
-            loss=self.loss,
-            duplicate=self.duplicate,
-            reorder=self.reorder,
-            corrupt=self.corrupt,
-            delay=pair("delay", self.delay),
-            pause=pair("pause", self.pause),
-            burst=self.burst,
-            until=self.until,
-        )
+        given = {field.name: getattr(self, field.name) for field in fields(self)}
+        return FaultRates(**{name: pair(name, x) if isinstance(x, str) else x for name, x in given.items()})
+
+
+_, _, _attributes = (FaultRates.__doc__ or "").partition("    Attributes\n")  # the help is written once, there
+FaultOptions.__doc__ = f"{FaultOptions.__doc__}\n\n    Attributes\n{_attributes.partition('    Raises')[0]}"
 
 
 @dataclass(frozen=True)

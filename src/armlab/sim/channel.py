@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import select
 import socket
 import struct
@@ -19,6 +20,7 @@ _LARGEST = 65535
 _DRAINED = 64  # datagrams read per cycle: a flood cannot hold the cycle up
 _SO_TIMESTAMPNS = 35  # Linux: the kernel stamps arrivals; the constant is not in Python's socket module
 _LOOK = 0.25  # s between two looks whether to go on waiting
+_FIRST = 0.5  # s that a peer has for its first reply to a stream; later it is taken for a listener
 _REFUSED_PAUSE = 0.05  # s before a packet is sent again to a port that nobody has bound yet
 
 
@@ -66,7 +68,8 @@ class Channel:
         self._poll.register(self._socket, select.POLLIN)
         self._packet: bytes | None = None
         self._expected, self._newest, self._arrival = 0, -1, 0
-        self._refused = self._awaited = False
+        self._refused = self._awaited = self._has_answered = False
+        self._is_first = True
         self._arrived: list[tuple[int, bytes]] = []
         self.heard = time.monotonic()
 
@@ -107,7 +110,8 @@ class Channel:
     def wait(self, patience: float, alive: Callable[[], bool]) -> bool:
         """Wait for the reply to the packet just sent. Return False when none came.
 
-        Packets that the faults removed are not waited for. While nobody has bound the port, the packet is sent again.
+        Packets that the faults removed are not waited for. While nobody has bound the port, the packet is sent again. A
+        stream needs no replies: a peer that has never sent one is waited for once, then it hears a packet per period.
 
         Parameters
         ----------
@@ -116,12 +120,16 @@ class Channel:
         if self._packet is None and not self._awaited:
             self.drain()  # what comes between two sessions must not wait in the socket for the next one
             return True
-        deadline = time.monotonic() + patience
+        bound = time.monotonic()
+        deadline, listens = bound + patience, self._listens()
         while self._awaited:
             data = self._get()
             if data is not None and self._receive(data):
                 break
-            left = deadline - time.monotonic()
+            now = time.monotonic()
+            left = deadline - now
+            if not self._refused and now - bound >= listens:
+                break
             if left <= 0 or not alive():  # also under a flood of what is no answer
                 return False
             if data is not None:
@@ -129,10 +137,18 @@ class Channel:
             if self._refused and self._packet is not None:
                 time.sleep(_REFUSED_PAUSE)
                 self._put(self._packet)
+                bound = time.monotonic()
             else:
-                self._poll.poll(1e3 * min(left, _LOOK))
+                self._poll.poll(1e3 * min(left, bound + listens - now, _LOOK))
         self._deliver()
         return True
+
+    def _listens(self) -> float:
+        """Return how long to wait for a peer that may be a listener [s]; for ever for one that answers or has to."""
+        if self._has_answered or self.controller.phase != "streaming":
+            return math.inf
+        first, self._is_first = self._is_first, False
+        return _FIRST if first else self.controller.arm.period
 
     def _receive(self, data: bytes) -> bool:
         """Take one datagram from the socket. Return whether it is what lockstep waits for."""
@@ -143,7 +159,7 @@ class Channel:
             message = self.controller.accept(data, self._arrival)
         if not isinstance(message, SensorMessage):
             return False
-        self.heard = time.monotonic()
+        self.heard, self._has_answered = time.monotonic(), True
         # a peer that does not echo tm (None, or 0 as abb_libegm sends) gets the benefit of the doubt
         return not message.tm_ms or message.tm_ms == self._expected
 

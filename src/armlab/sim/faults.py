@@ -34,9 +34,9 @@ class FaultRates:
     corrupt : float
         Probability that it arrives damaged, so that nobody can read it.
     delay : tuple
-        Mean and standard deviation of a normal delay [s], never below 0, to the nearest cycle.
+        MEAN,SIGMA of a normal delay [s], never below 0, to the nearest cycle.
     pause : tuple
-        Start and length [s] in robot time: what is sent meanwhile arrives when the pause is over.
+        START,LENGTH [s] in robot time: what is sent meanwhile arrives when the pause is over.
     burst : int
         Losses come this many in a row; `loss` stays the share of all datagrams.
     until : float

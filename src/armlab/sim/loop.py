@@ -130,6 +130,7 @@ def _real_time(
         if reason:
             return reason
         beat = min(beats, key=lambda beat: beat.due)
+        begun = time.thread_time()
         _prepare(beat.channels, observe)
         left = beat.due - time.monotonic()
         if left > 0:
@@ -142,6 +143,9 @@ def _real_time(
         for channel in beat.channels:
             channel.controller.advance()
         missed = int((time.monotonic() - beat.due) / period)
+        work = time.thread_time() - begun
+        for channel in beat.channels:
+            channel.controller.statistics.worked(work, missed if work > period else 0, channel.controller.uptime)
         if missed:
             _miss(beat.channels, missed)
         beat.due += (1 + missed) * period

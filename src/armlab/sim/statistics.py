@@ -36,6 +36,7 @@ class Statistics:
     Attributes
     ----------
     counts : packets, replies, sessions; starved cycles, in which the queue was empty; skipped cycles of this process;
+        overruns: those of them that it skipped because its own computing, not the machine, took longer than a period;
         missed: packets of guidance without a usable reply within one period; duplicates: replies that repeat the
         number of the one before; how replies were matched. drops : datagrams by reason. mtypes : types of messages.
     queue : depth of the queue at each take. age : cycles between packet and take of the reply to it, 1 at best.
@@ -57,6 +58,7 @@ class Statistics:
         self.events: deque[Event] = deque(maxlen=1000)
         self._round_trips: deque[float] = deque(maxlen=_KEPT)
         self._wake_ups: deque[float] = deque(maxlen=_KEPT)
+        self._work: deque[float] = deque(maxlen=_KEPT)
 
     def trip(self, seconds: float, uptime: float) -> None:
         """Note one round trip.
@@ -103,6 +105,18 @@ class Statistics:
         if uptime > _WARM_UP:
             self._wake_ups.append(seconds)
 
+    def worked(self, seconds: float, overruns: int, uptime: float) -> None:
+        """Note how long this process computed for a cycle.
+
+        Parameters
+        ----------
+        seconds : of processor time, in which it was not interrupted. overruns : cycles skipped because of that.
+        uptime : robot time; the first second does not count.
+        """
+        if uptime > _WARM_UP:
+            self._work.append(seconds)
+            self.counts["overruns"] += overruns
+
     def as_dict(self) -> dict[str, Any]:
         """Return everything as plain numbers, for a JSON file; times in microseconds."""
         return {
@@ -113,6 +127,7 @@ class Statistics:
             "reference_age": {str(k): v for k, v in sorted(self.age.items())} | {"last": self.last_age},
             "round_trip_us": _quantiles(self._round_trips),
             "wake_up_late_us": _quantiles(self._wake_ups),
+            "work_us": _quantiles(self._work),
             "rapid": self.rapid,
             "external_axes": self.external,
             "events": [event._asdict() for event in self.events],

@@ -1,8 +1,8 @@
 """`Linkage`: robots on which ABB's angle of an axis is not the angle of a joint, because a motor moves two joints.
 
 On an IRB 2400 a parallel rod turns the upper arm, and ABB counts axis 3 from the foot: axis 3 = q_2 + q_3. EGM speaks
-of axes, armlab of joints: ``q = C q_axis``, ``qd = C qd_axis``, ``tau = C^-T tau_axis``. C is the coupling of the robot's
-description without its gear ratios, which are ABB's own business: EGM is behind the gears.
+of axes, armlab of joints: ``q = C q_axis``, ``qd = C qd_axis``, ``tau = C^-T tau_axis``. C is the coupling of the
+robot's description without its gear ratios, which are ABB's own business: EGM is behind the gears.
 """
 
 from __future__ import annotations
