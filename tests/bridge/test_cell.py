@@ -1,17 +1,12 @@
-"""Cells: the file and its errors, and whole bridges with the simulated robot, LabComm clients and the local feed."""
+"""Cells: the file and its errors. Whole bridges are in `test_cell_runs`."""
 
 from __future__ import annotations
 
 import contextlib
 import os
-import re
-import signal
 import socket
-import threading
-from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,16 +14,10 @@ import pytest
 from armlab import models, robots
 from armlab.bridge.cell import Cell, parse_cell, run_cell
 from armlab.bridge.labcomm import LabCommSource
-from armlab.bridge.local import LocalFeed, socket_path
+from armlab.bridge.local import socket_path
 from armlab.bridge.local_server import _listen
-from armlab.bridge.messages import CommandRequest, SetRequest, Stop, Subscribe
-from armlab.bridge.parameters import Parameters
-from armlab.bridge.rights import Arbiter
-from armlab.bridge.row import Row
-from armlab.cli import main
 from armlab.errors import ConfigError, LinkError
 from armlab.models import ForceSensor
-from armlab.state import Command
 
 FILE = """
 name = "yumi"
@@ -110,6 +99,15 @@ def test_a_force_sensor_with_its_calibration(tmp_path: Path) -> None:
         ('"local"]', '"labcomm", "local"]\npace = "ur5e"', "robot of this cell"),
         ('name = "yumi_left"', 'name = "yumi_lef"', "yumi_left"),
         ("speed = 0.5", "speed = 2.0", r"speed in \(0, 1\]"),
+        ("speed = 0.5", "torque = true", r"got `bool` - at `\$.robots\[0\].torque`"),
+        ("speed = 0.5", "torque = -1.0", "positive and within its limits, got -1.0"),
+        ("speed = 0.5", "torque = [1.0, 2.0]", "one number or 7"),
+        (
+            'sim://yumi_left?lockstep=true"',
+            'egm://127.0.0.1:6510"\ntorque = 5.0',
+            "carries torques to yumi_left.*extension",
+        ),
+        ('sim://yumi_left?lockstep=true"', 'labcomm://h"\nextension = true\ntorque = 5.0', "carries torques"),
         ("speed = 0.5", 'speed = "fast"', r"Expected `float`, got `str` - at `\$.robots\[0\].speed`"),
         ("default = 2.0", "default = 20.0", "from 0 to 10"),
         ("{yumi_left = 0}", "{yumi_right = 0}", "robot of this cell"),
@@ -131,39 +129,6 @@ def test_a_server_that_commands_must_be_enabled() -> None:
         parse_cell('commands=["labcomm"]\n[[robots]]\nname="ur5e"\nlink="egm://127.0.0.1:6510"')
 
 
-def server_process(name: str) -> int:
-    """Number of the newest process that serves under a name."""
-    found = []
-    for folder in Path("/proc").iterdir():
-        with contextlib.suppress(OSError):
-            words = (folder / "cmdline").read_bytes().split(b"\0")
-            if b"armlab.bridge._serve" in words and name.encode() in words and folder.name.isdigit():
-                parent = (folder / "stat").read_text().rpartition(")")[2].split()[1]
-                found += [int(folder.name)] if int(parent) == os.getpid() else []
-    return max(found)
-
-
-def bound() -> set[str]:
-    """Addresses on which this process and those it started wait for others, as /proc writes them."""
-    parents = {}
-    for folder in Path("/proc").iterdir():
-        with contextlib.suppress(OSError, ValueError, IndexError):
-            parents[int(folder.name)] = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
-    family, inodes = {os.getpid()}, set()
-    for _ in range(5):
-        family |= {child for child, parent in parents.items() if parent in family}
-    for process in family:
-        with contextlib.suppress(OSError):
-            inodes |= {str(entry.readlink()) for entry in Path(f"/proc/{process}/fd").iterdir()}
-    found = set()
-    for table in ("tcp", "tcp6", "udp", "udp6"):
-        for line in Path(f"/proc/net/{table}").read_text().splitlines()[1:]:
-            words = line.split()
-            if f"socket:[{words[9]}]" in inodes and words[3] in ("0A", "07"):  # listening; bound UDP
-                found.add(words[1].partition(":")[0])
-    return found
-
-
 def test_a_second_bridge_refuses_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It says which port and who has it, and no robot has been connected by then."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
@@ -183,203 +148,17 @@ def test_a_second_bridge_refuses_at_once(tmp_path: Path, monkeypatch: pytest.Mon
             run_cell(parse_cell(FILE))
 
 
-JOINT = np.eye(7)[3]
-
-
-class Bench:
-    """Runs a cell in this thread while a script plays its clients in another."""
-
-    def __call__(self, cell: Cell, script: Callable[[dict[str, int]], None], seconds: float, **options: Any) -> Any:
-        failures: list[BaseException] = []
-        threads: list[threading.Thread] = []
-        self.line = ""
-
-        def play(ports: dict[str, int]) -> None:
-            try:
-                script(ports)
-            except BaseException as error:
-                failures.append(error)
-
-        def ready(line: str) -> None:
-            self.line = line
-            ports = {name: int(port) for port, name in re.findall(r":(\d+) \(labcomm, (\w+)\)", line)}
-            threads.append(threading.Thread(target=play, args=(ports,), daemon=True))
-            threads[0].start()
-
-        try:
-            return run_cell(cell, seconds=seconds, ready=ready, patience=10.0, **options)
-        finally:
-            threads[0].join(20.0)
-            assert not threads[0].is_alive()
-            if failures:
-                raise failures[0]
-
-
-@pytest.fixture
-def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    return Bench()  # type: ignore[return-value]
-
-
-def rows(feed: LocalFeed) -> Iterator[Any]:
-    while True:
-        message = feed.receive()
-        if isinstance(message, Row):
-            yield message.values
-
-
-def test_a_local_client_commands_in_real_time(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It moves one joint; the parameter is set; what was sent is what it asked for. The run ends when it has left."""
-    asked: list[np.ndarray] = []
-    there = threading.Event()
-    obey = Arbiter.__call__
-
-    def obey_or_end(arbiter: Arbiter, state: Any) -> Any:
-        command = obey(arbiter, state)
-        return Command.stop() if there.is_set() and not arbiter.commander("yumi_left") else command
-
-    monkeypatch.setattr(Arbiter, "__call__", obey_or_end)
-
-    def script(ports: dict[str, int]) -> None:
-        with contextlib.ExitStack() as stack:
-            stack.callback(there.set)
-            feed = stack.enter_context(LocalFeed())
-            assert bound() == {"0100007F"}, "127.0.0.1 only, in a full run"
-            feed.ask(Subscribe(rate=None))
-            feed.ask(SetRequest(values={"gain": 3.0, "gentle": False}))
-            start = None
-            for values in rows(feed):
-                start = values["yumi_left.q"] if start is None else start
-                if values["yumi_left.mci"] != 3:
-                    continue
-                asked.append(start + min(0.04, 0.0005 * len(asked)) * JOINT)
-                feed.ask(CommandRequest(arm="yumi_left", q=asked[-1].tolist(), seq=len(asked)))
-                off = values["yumi_left.q_sent"] - start - 0.04 * JOINT
-                is_there = np.abs([off, values["yumi_left.qd_sent"]]).max() < 1e-9
-                if is_there and values["yumi_left.commander"]:
-                    assert values["yumi_left.commander"].startswith("local ")
-                    assert len(asked) > 80
-                    return
-
-    cell = parse_cell(FILE.replace("?lockstep=true", ""))
-    run = bench(cell, script, seconds=60.0)
-    told = [text for _, text in run.events]
-    assert run.reason == "the controller ended the run"
-    assert "yumi_left" in bench.line
-    assert any(re.fullmatch(r"local \d+ commands yumi_left\.", text) for text in told)
-    assert any("no longer commands yumi_left" in text for text in told)
-    assert any("Parameter gain = 3.0, set by local " in text for text in told)
-    sent = run.table["q_sent"][np.isfinite(run.table["q_sent"]).all(axis=1)]
-    np.testing.assert_allclose(sent[-1], asked[-1], atol=1e-9)
-    assert np.abs(np.delete(sent - sent[0], 3, axis=1)).max() < 1e-3
-
-
-@pytest.mark.slow
-def test_a_controller_of_its_own_reads_parameters_and_listens_to_a_stop(bench: Bench, tmp_path: Path) -> None:
-    """Two arms; the history of the parameters is in both logs. Takes 4 s."""
-    both = FILE.replace("?lockstep=true", "").replace(
-        "[parameters.gain]", '[[robots]]\nname = "yumi_right"\nlink = "sim://yumi_right"\n[parameters.gain]'
+def test_torque_is_allowed_arm_by_arm_with_a_bound() -> None:
+    cell = parse_cell(FILE)
+    assert (cell.torque, cell.limits[0].tau_max) == ((), None)
+    cell = parse_cell(FILE.replace("speed = 0.5", "speed = 0.5\ntorque = 5.0"))
+    assert cell.torque == ("yumi_left",)
+    np.testing.assert_array_equal(cell.limits[0].tau_max, np.full(7, 5.0))  # type: ignore[arg-type]
+    each = "extension = true\ntorque = [8, 8, 8, 4, 2, 2, 2]"
+    cell = parse_cell(
+        FILE.replace("sim://yumi_left?lockstep=true", "egm://127.0.0.1:6510").replace("speed = 0.5", each)
     )
-    both = both.replace("ports = {yumi_left = 0}", "ports = {yumi_left = 0, yumi_right = 0}")
-    cell = parse_cell(both.replace('name = "yumi"', f'name = "yumi"\nrecord = "{tmp_path / "run.mcap"}"'))
-    params = Parameters(cell.parameters)
-    seen: list[float] = []
-
-    def controller(state: Any) -> Any:
-        seen.append(params.gain)
-        return Command(qd=np.full(14, 0.01))
-
-    def script(ports: dict[str, int]) -> None:
-        with LocalFeed() as feed:
-            feed.ask(Subscribe(rate=None))
-            for values in rows(feed):
-                if values["yumi_right.qd_sent"][0] > 0.009:
-                    break
-            feed.ask(CommandRequest(arm="yumi_left", qd=[0.0] * 7))
-            feed.ask(SetRequest(values={"gain": 7.0}))
-            for _ in rows(feed):
-                if seen[-1] == 7.0:
-                    break
-            feed.ask(Stop())
-
-    run = bench(cell, script, seconds=1.5, controller=controller, parameters=params)
-    assert (seen[0], seen[-1]) == (2.0, 7.0)
-    for arm in run.arms:
-        assert np.abs(arm.table["qd_sent"][-20:]).max() < 1e-9
-        assert arm.statistics["parameters"]["gain"] == 7.0
-    assert main(["log", "show", "--parameters", str(tmp_path / "runleft.mcap")]) == 0
-
-
-@pytest.mark.slow
-def test_stop_holds_all_arms(bench: Bench) -> None:
-    """Takes 4 s."""
-
-    def script(ports: dict[str, int]) -> None:
-        with LocalFeed() as feed, LocalFeed() as other:
-            feed.ask(Subscribe(rate=None))
-            for k, values in enumerate(rows(feed)):
-                if values["yumi_left.mci"] != 3:
-                    continue
-                feed.ask(CommandRequest(arm="yumi_left", qd=[0.02] * 7))
-                if values["yumi_left.commander"] and k > 50:
-                    other.ask(Stop())
-                    break
-            for values in rows(feed):
-                if not values["yumi_left.commander"]:
-                    return
-
-    run = bench(parse_cell(FILE.replace("?lockstep=true", "")), script, seconds=1.0)
-    assert any("Stopped by local" in text for _, text in run.events)
-    assert np.abs(run.table["qd_sent"][-20:]).max() < 1e-9
-
-
-@pytest.mark.slow
-def test_a_controller_over_labcomm(bench: Bench) -> None:
-    """A controller elsewhere, through the LabComm port of the arm. Takes 6 s."""
-    from armlab import bridge
-
-    seen: list[Any] = []
-
-    def script(ports: dict[str, int]) -> None:
-        url = f"labcomm://127.0.0.1:{ports['yumi_left']}"
-
-        def sway(state: Any) -> Any:
-            seen.append(state.q)
-            return Command(state.q_start + 0.02 * np.sin(3.0 * state.t))
-
-        with bridge.connect(url, robots.load("yumi_left"), patience=5.0) as link:
-            link.run(sway, seconds=0.8)
-
-    cell = parse_cell(FILE.replace("?lockstep=true", "").replace('["local"]', '["labcomm"]'))
-    run = bench(cell, script, seconds=2.5)
-    assert len(seen) > 100
-    assert any("labcomm 127.0.0.1:" in text and "commands yumi_left." in text for _, text in run.events)
-    assert np.nanmax(run.table["q_sent"][:, 2]) - np.nanmin(run.table["q_sent"][:, 2]) > 0.005
-
-
-@pytest.mark.slow
-def test_ten_idle_clients_and_one_that_never_reads(bench: Bench) -> None:
-    """Nor does the loop notice that the server of LabComm is killed; it starts again. Takes 5 s."""
-
-    def script(ports: dict[str, int]) -> None:
-        idle = [
-            socket.create_connection(("127.0.0.1", ports[name])) for name in ("yumi_left", "fused") for _ in range(5)
-        ]
-        with LocalFeed() as silent, LocalFeed() as feed:
-            silent.ask(Subscribe(rate=None))
-            feed.ask(Subscribe(rate=None))
-            numbers = []
-            for values in rows(feed):
-                numbers.append(values["yumi_left.tick"])
-                if len(numbers) == 200:
-                    os.kill(server_process("labcomm"), signal.SIGKILL)
-                if len(numbers) == 600:
-                    break
-            assert np.all(np.diff(numbers) > 0)
-        for one in idle:
-            one.close()
-
-    run = bench(parse_cell(FILE.replace("?lockstep=true", "")), script, seconds=3.5)
-    assert run.statistics["missed"] == 0
-    told = [text for _, text in run.events]
-    assert any("The server labcomm ended with status -9. It starts again in 1 s." in text for text in told)
+    assert cell.extension
+    np.testing.assert_array_equal(cell.limits[0].tau_max, [8, 8, 8, 4, 2, 2, 2])  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match="positive and within its limits, got 200"):
+        parse_cell('[[robots]]\nname = "ur5e"\nlink = "sim://ur5e"\ntorque = 200.0')

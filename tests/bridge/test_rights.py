@@ -123,7 +123,7 @@ def test_refused(wrong: Order, words: str) -> None:
 
 
 def test_torque_where_the_link_carries_it() -> None:
-    command = Bench(torque=True)(Order("labcomm a", "yumi_left", tau=np.ones(7)))
+    command = Bench(torque=["yumi_left"])(Order("labcomm a", "yumi_left", tau=np.ones(7)))
     np.testing.assert_array_equal(command.tau, np.ones(7))
 
 

@@ -22,6 +22,7 @@ class RobotTable(_Table, frozen=True):
     link: str
     extension: bool = False
     speed: float = 1.0
+    torque: float | list[float] | None = None  # largest that is sent, of all joints or of each [N m]
 
 
 class FieldTable(_Table, frozen=True):

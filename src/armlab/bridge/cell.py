@@ -12,9 +12,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from armlab import models, robots
-from armlab.bridge._cell_file import File, LabCommTable, SourceTable
+from armlab.bridge._cell_file import File, LabCommTable, RobotTable, SourceTable
 from armlab.bridge.feed import OPERATOR, Exchange
 from armlab.bridge.labcomm import LabCommSource
 from armlab.bridge.labcomm.process import labcomm_options
@@ -46,7 +47,8 @@ class Cell:
     Attributes
     ----------
     name : of the cell. robots, links : the arms and their urls. extension : send the research extension.
-    limits : of each arm. commands : servers that may command. pace, record : see `Link.run`.
+    limits : of each arm. torque : names of arms that clients may command by torque.
+    commands : servers that may command. pace, record : see `Link.run`.
     parameters : declared. servers : options by name of the server.
     """
 
@@ -55,6 +57,7 @@ class Cell:
     links: tuple[str, ...]
     extension: bool
     limits: tuple[Limits, ...]
+    torque: tuple[str, ...]
     commands: tuple[str, ...]
     pace: str | None
     record: str | None
@@ -109,12 +112,15 @@ def _cell(file: File) -> Cell:
     Parameters(declared)
     for name, source in file.sources.items():
         _source(name, source).check(arms)
+    extension = any(one.extension for one in file.robots)
+    limits = tuple(_limits(arm, one, extension) for arm, one in zip(arms, file.robots, strict=True))
     return Cell(
         file.name,
         arms,
         tuple(one.link for one in file.robots),
-        any(one.extension for one in file.robots),
-        tuple(Limits.of(arm, speed=one.speed) for arm, one in zip(arms, file.robots, strict=True)),
+        extension,
+        limits,
+        tuple(arm.name for arm, one in zip(arms, file.robots, strict=True) if one.torque is not None),
         tuple(file.commands),
         file.pace,
         file.record,
@@ -122,6 +128,24 @@ def _cell(file: File) -> Cell:
         servers,
         file.sources,
     )
+
+
+def _limits(arm: Robot, one: RobotTable, extension: bool) -> Limits:
+    """Return the limits of an arm; torques only where the link carries them."""
+    if one.torque is None:
+        return Limits.of(arm, speed=one.speed)
+    if not (one.link.startswith("sim:") or (extension and one.link.startswith("egm:"))):
+        raise ConfigError(
+            f"Expected a link that carries torques to {arm.name}, since `torque` is given, got {one.link}. Set "
+            "extension = true, if the robot's controller understands it, or take `torque` out."
+        )
+    most = np.asarray(one.torque, dtype=float)
+    if most.shape not in ((), (arm.n,)) or not np.all(most > 0.0) or np.any(most > arm.tau_max):
+        raise ConfigError(
+            f"Expected `torque` of {arm.name} as one number or {arm.n}, positive and within its limits, got "
+            f"{one.torque}."
+        )
+    return Limits.of(arm, speed=one.speed, tau_max=most)
 
 
 def _labcomm(options: LabCommTable, arms: Sequence[Robot]) -> dict[str, Any]:
@@ -195,6 +219,7 @@ def run_cell(
         cell.commands,
         sources={source.name: source.fields for source in sources},
         about=about,
+        torque=cell.torque,
         read_only=[name for name, host in addresses.items() if not ipaddress.ip_address(host).is_loopback],
     )
     if controller is not None:

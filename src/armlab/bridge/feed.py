@@ -57,8 +57,8 @@ class Exchange:
     Parameters
     ----------
     robots : the arms. servers : names. parameters : of the run. allowed : servers that may command.
-    sources : fields by source. about : told every client first, for example the name of the cell. torque : whether the
-        link carries torques. read_only : servers whose clients may stop the arms and nothing else.
+    sources : fields by source. about : told every client first, for example the name of the cell. torque : names of
+        arms that take torques. read_only : servers whose clients may stop the arms and nothing else.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class Exchange:
         *,
         sources: Mapping[str, Mapping[str, Column]] | None = None,
         about: Mapping[str, Any] | None = None,
-        torque: bool = False,
+        torque: Iterable[str] = (),
         read_only: Iterable[str] = (),
     ) -> None:
         self.parameters = Parameters() if parameters is None else parameters

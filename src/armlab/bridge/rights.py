@@ -73,7 +73,7 @@ class Arbiter:
     robots : the arms, in the order of the link. allowed : servers that may command.
     poll : called first in each tick; it fetches what clients sent. tell : takes events.
     answer : takes (client, sentence), at most once a second for each client.
-    lease : s. entry : rad or m. torque : whether the link carries torques. clock : monotonic [ns].
+    lease : s. entry : rad or m. torque : names of arms that take torques. clock : monotonic [ns].
 
     Attributes
     ----------
@@ -91,12 +91,12 @@ class Arbiter:
         answer: Callable[[str, str], None] = lambda client, text: None,
         lease: float = LEASE,
         entry: float = 0.05,
-        torque: bool = False,
+        torque: Iterable[str] = (),
         clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self._robots, self._allowed = tuple(robots), frozenset(allowed)
         self.poll, self._tell, self._answer, self._clock = poll, tell, answer, clock
-        self._lease_ns, self._entry, self._torque = int(1e9 * lease), entry, torque
+        self._lease_ns, self._entry, self._torque = int(1e9 * lease), entry, frozenset(torque)
         self._jumps = {robot.name: Limits.of(robot).jump for robot in robots}
         self._holders: dict[str, _Holder | None] = {robot.name: None for robot in robots}
         self._inbox: dict[tuple[str, str], tuple[int, Order]] = {}
@@ -229,7 +229,9 @@ class Arbiter:
             if problem:
                 return self._refuse(order.client, problem, now)
         q, tau = values["q"], values["tau"]
-        problem = "" if tau is None or self._torque else f"Expected no torque: this link to {order.arm} carries none."
+        problem = ""
+        if tau is not None and order.arm not in self._torque:
+            problem = f"Expected no torque: {order.arm} takes none here. A cell allows it by `torque` of the robot."
         if q is not None and not problem:
             if holder is None:
                 problem = _distance(q, state.q, np.full(robot.n, self._entry), "first position", "measured", robot)
