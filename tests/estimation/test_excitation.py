@@ -124,11 +124,13 @@ def test_unseen_directions_are_missing_unless_they_are_gauge() -> None:
 
 
 def test_directions_are_put_into_the_words_of_the_caller() -> None:
-    def words(step: np.ndarray) -> str:
-        return f"along tool axis {'xyz'[int(np.argmax(np.abs(step)))]}"
+    def words(step: np.ndarray, deviations: float) -> str:
+        return f"along tool axis {'xyz'[int(np.argmax(np.abs(step)))]}, {deviations * np.linalg.norm(step):.3g} m"
 
-    with pytest.raises(NotExcited, match="along tool axis z"):
+    with pytest.raises(NotExcited, match=r"along tool axis z, 1 m"):
         check_spread(np.diag([1e3, 1e3, 1.0]), NAMES, UNITS, LIMITS, "model", describe=words)
+    with pytest.raises(NotExcited, match=r"along tool axis z, inf m"):
+        check_spread(np.diag([1e3, 1e3, 0.0]), NAMES, UNITS, LIMITS, "model", describe=words)
 
 
 def test_check_spread_refuses_what_does_not_fit() -> None:

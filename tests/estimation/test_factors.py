@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from armlab.errors import ShapeError
 from armlab.estimation import Factors, Rows, factorise
-from armlab.estimation.factors import stack
+from armlab.estimation.factors import stack, triangle
 
 RNG = np.random.default_rng(0)
 A = RNG.standard_normal((90, 2, 4))
@@ -121,3 +121,12 @@ def test_rows_that_are_not_finite_are_refused_by_number() -> None:
 
 def test_stack_of_nothing_is_empty() -> None:
     assert stack([]).shape == (0, 0)
+
+
+def test_the_triangle_of_many_rows_has_their_gram_matrix() -> None:
+    rng = np.random.default_rng(0)
+    A, y = rng.standard_normal((2500, 4)), rng.standard_normal(2500)
+    R, both = triangle(A), triangle(A, y)
+    np.testing.assert_allclose(R.T @ R, A.T @ A, rtol=1e-12, atol=1e-10)
+    np.testing.assert_allclose(both[:, 4] @ both[:, 4], y @ y, rtol=1e-12)
+    assert triangle(A[:2]).shape == (4, 4)

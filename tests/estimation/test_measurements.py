@@ -29,13 +29,24 @@ def test_whitened_squares_are_mahalanobis_distances() -> None:
     np.testing.assert_allclose(cost([one], [one.roots({})], np.ones(5)), 0.5 * expected.sum(), rtol=1e-12)
 
 
+def test_variances_alone_are_a_diagonal_covariance() -> None:
+    whole = poses(np.diag([4.0, 9.0]))
+    short = Measurement(whole.r, whole.J, np.array([4.0, 9.0]), whole.classes)
+    assert short.roots({}).tolist() == [0.5, 1.0 / 3.0]
+    first, second = (whiten([one], [one.roots({})]) for one in (whole, short))
+    np.testing.assert_allclose(first.J, second.J, rtol=1e-15)
+    np.testing.assert_allclose(first.r, second.r, rtol=1e-15)
+    with pytest.raises(ShapeError, match="positive definite"):
+        Measurement(whole.r, whole.J, np.array([4.0, 0.0]), whole.classes).roots({})
+
+
 def test_estimated_noise_is_a_deviation_per_class() -> None:
     one = poses(None)
     rows = whiten([one], [one.roots({"t": 2.0, "R": 0.5})])
     np.testing.assert_allclose(rows.r.reshape(5, 2), one.r / [2.0, 0.5])
-    np.testing.assert_allclose(rows.factor.reshape(5, 2)[0], [0.5, 2.0])
+    np.testing.assert_allclose(rows.label.reshape(5, 2)[0], [0, 1])
+    np.testing.assert_array_equal(rows.raw, one.r.ravel())
     assert rows.names == ("t", "R")
-    assert rows.estimated == {"t", "R"}
 
 
 def test_weights_act_on_samples_and_spare_priors() -> None:

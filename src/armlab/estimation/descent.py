@@ -14,7 +14,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from armlab.errors import NotConverged
-from armlab.estimation.factors import stack
+from armlab.estimation.factors import triangle
 from armlab.estimation.measurements import Measurement, Whitened, cost, whiten
 
 __all__ = ["Descent", "Problem", "descend"]
@@ -28,7 +28,6 @@ IDLE, PATIENCE = 1e-3, 5  # steps so short that get no shorter, or lower nothing
 MAX_DAMPING = 1e15
 NULL = 1e-9  # relative singular value of the scaled Jacobian below which data see nothing
 DAMPING = 1e-3  # first damping, relative to the largest singular value squared
-ROWS_AT_ONCE = 1024
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,14 +122,16 @@ def descend(
             trial = problem.retract(value, x)
             then = problem.evaluate(trial)
             fall = height - cost(then, roots, weight)
-            if fall > 0:
+            if (
+                fall > 0 or promise < ROUNDING * height
+            ):  # too little for the cost to tell: the steps do, by their length
                 break
-            if promise < ROUNDING * height or (here.step < IDLE and damping > 1.0):
+            if here.step < IDLE and damping > 1.0:
                 return here
             damping, growth = max(damping * growth, DAMPING), 2.0 * growth
             if damping > MAX_DAMPING:
                 raise _stuck(problem, value, history)
-        gain = fall / float(slope @ (shrink * (1.0 - 0.5 * shrink) * slope))
+        gain = fall / float(slope @ (shrink * (1.0 - 0.5 * shrink) * slope)) if fall > 0 else 1.0
         damping, growth = damping * max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3), 2.0
         damping = damping if damping > 1e-12 else 0.0
         value, now = trial, then
@@ -151,8 +152,7 @@ def _stuck(problem: Problem[Any], value: Any, history: list[float]) -> NotConver
 def _directions(problem: Problem[Any], rows: Whitened) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return basis (d, r), singular values (r,), null space (d, d - r), and slope (r,) of the cost along the basis."""
     d = rows.J.shape[1]
-    whole = np.column_stack([rows.J, rows.r])
-    R = stack(whole[a : a + ROWS_AT_ONCE] for a in range(0, len(whole), ROWS_AT_ONCE))
+    R = triangle(rows.J, rows.r)
     norms = np.linalg.norm(R[:, :d], axis=0)
     scale = problem.scale if problem.scale is not None else 1.0 / np.where(norms > 0, norms, 1.0)
     U, singular, V = np.linalg.svd(R[:d, :d] * scale)

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from armlab.errors import NotExcited, ShapeError
+from armlab.estimation.factors import triangle
 
 __all__ = ["Excitation", "Prior", "check_excitation", "check_spread"]
 
@@ -25,7 +26,7 @@ WARN_CONDITION = 300.0
 NULL = 1e-9  # relative singular value below which a direction is not weak but unseen
 NAMED = 0.3  # share of the largest component above which a component is named
 
-Describe = Callable[[np.ndarray], str]
+Describe = Callable[[np.ndarray, float], str]
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,8 +200,8 @@ def check_spread(
     limits : (p,) standard deviation of each parameter that is the most accepted.
     what : what is fitted, for the message.
     gauge : (p, g) directions, in units of the limits, that no data of this kind tell; they are not judged.
-    describe : puts a direction (p,) of the parameters, one standard deviation long, into words; the names of the
-        largest components otherwise.
+    describe : (step (p,), deviations) -> words; a step of the parameters as long as the limits, and how many of it the
+        standard deviation is, infinite where nothing is seen. The names of the largest components otherwise.
     hold : list what exceeds its limit in `held`, because a prior holds it, and do not refuse it.
 
     Raises
@@ -214,9 +215,9 @@ def check_spread(
             " Give one name, unit and limit per parameter."
         )
     fixed = np.zeros((p, 0)) if gauge is None else np.linalg.qr(gauge)[0]
-    rest = np.linalg.svd(np.eye(p) - fixed @ fixed.T)[0][:, : p - fixed.shape[1]]
+    rest = np.linalg.svd(np.eye(p) - fixed @ fixed.T)[0][:, : p - fixed.shape[1]] if fixed.size else np.eye(p)
     scaled = (J * limits) @ rest
-    _, found, rows = np.linalg.svd(np.linalg.qr(scaled, mode="r") if len(scaled) > p else scaled, full_matrices=True)
+    _, found, rows = np.linalg.svd(triangle(scaled) if len(scaled) > p else scaled, full_matrices=True)
     singular = np.zeros(rest.shape[1])
     singular[: len(found)] = found
     vectors = rest @ rows.T
@@ -224,9 +225,9 @@ def check_spread(
     spread = np.divide(1.0, singular, out=np.full_like(singular, np.inf), where=~unseen)
 
     def words(i: int) -> str:
-        reach = limits * vectors[:, i] * (1.0 if unseen[i] else spread[i])
         if describe is not None:
-            return describe(reach)
+            return describe(limits * vectors[:, i], float(spread[i]))
+        reach = limits * vectors[:, i] * (1.0 if unseen[i] else spread[i])
         return f"{_in_words(vectors[:, i], names)}{'' if unseen[i] else ' ' + _largest(reach, vectors[:, i], units)}"
 
     missing = np.flatnonzero(unseen)

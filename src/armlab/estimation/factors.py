@@ -19,7 +19,7 @@ import numpy as np
 
 from armlab.errors import ShapeError
 
-__all__ = ["Factors", "Rows", "factorise", "stack"]
+__all__ = ["Factors", "Rows", "factorise", "stack", "triangle"]
 
 PANEL = 8  # columns that LAPACK reflects at once; fastest for 20 to 100 columns
 CHUNK = 1024  # rows reflected at once: they stay in the cache
@@ -153,6 +153,14 @@ def stack(parts: Iterable[np.ndarray]) -> np.ndarray:
         R = R if R.size else np.zeros((part.shape[1], part.shape[1]), order="F")
         R = _reflect(R, np.array(part, dtype=float, order="F"))
     return R
+
+
+def triangle(A: np.ndarray, y: np.ndarray | None = None) -> np.ndarray:
+    """Return the triangle R (w, w) of A (m, p), or of ``[A y]``, in pieces that stay in the cache."""
+    pieces = range(0, max(len(A), 1), CHUNK)
+    if y is None:
+        return stack(A[a : a + CHUNK] for a in pieces)
+    return stack(np.column_stack([A[a : a + CHUNK], y[a : a + CHUNK]]) for a in pieces)
 
 
 def _append(R: np.ndarray | None, piece: Rows, start: int, stop: int) -> np.ndarray:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -20,7 +21,8 @@ class Measurement:
     ----------
     r : (m, k) residuals in SI, k numbers for each of m measurements.
     J : (m, k, d) their derivatives with respect to a step of `retract`.
-    cov : (k, k) or (m, k, k) covariance of r; None when the noise is to be estimated, a deviation per class.
+    cov : (k,) variances, or (k, k) or (m, k, k) covariance of r; None when the noise is to be estimated, a deviation
+        per class.
     classes : name of the noise class of each of the k numbers, for example ("t", "t", "t", "R", "R", "R").
     sample : (m,) number of the sample (pose, scan, point) that each measurement belongs to; 0 to m - 1 when left out.
         Outliers are found by samples.
@@ -41,9 +43,9 @@ class Measurement:
         if not self.sample.size:
             object.__setattr__(self, "sample", np.arange(m))
         fits = self.r.ndim == 2 and self.J.shape[:2] == (m, k) and self.J.ndim == 3 and len(self.classes) == k
-        if not fits or given not in (None, (k, k), (m, k, k)) or self.sample.shape != (m,):
+        if not fits or given not in (None, (k,), (k, k), (m, k, k)) or self.sample.shape != (m,):
             raise ShapeError(
-                "Expected r (m, k), J (m, k, d), cov (k, k) or (m, k, k), k classes and sample (m,), got "
+                "Expected r (m, k), J (m, k, d), cov (k,), (k, k) or (m, k, k), k classes and sample (m,), got "
                 f"{self.r.shape}, {self.J.shape}, {given}, {len(self.classes)} and {self.sample.shape}. "
                 "This is a fault of the residual."
             )
@@ -51,21 +53,29 @@ class Measurement:
             raise ShapeError("Expected the covariance of a prior, got None. Say how surely it is known.")
 
     def roots(self, sigma: dict[str, float]) -> np.ndarray:
-        """Return the whitening factor (k, k) or (m, k, k): the inverse of the Cholesky factor of the covariance.
+        """Return the whitening factor: the inverse of the Cholesky factor of the covariance.
+
+        (k, k) or (m, k, k); (k,), its diagonal, where the numbers are independent.
 
         Parameters
         ----------
         sigma : deviation of each class whose noise is estimated.
         """
         if self.cov is None:
-            return np.diag([1.0 / sigma[name] for name in self.classes])
+            return np.array([1.0 / sigma[name] for name in self.classes])
+        if self.cov.ndim == 1 and np.all(self.cov > 0):
+            return 1.0 / np.sqrt(self.cov)
         try:
-            return np.linalg.inv(np.linalg.cholesky(self.cov))
+            return np.linalg.inv(np.linalg.cholesky(np.diag(self.cov) if self.cov.ndim == 1 else self.cov))
         except np.linalg.LinAlgError:
             raise ShapeError(
                 "Expected noise with a positive definite covariance, got one that is not. Give standard deviations "
                 "above zero."
             ) from None
+
+    def whitened(self, root: np.ndarray) -> np.ndarray:
+        """Return the residuals (m, k) times their whitening factor, from `roots`."""
+        return self.r * root if root.ndim == 1 else (root @ self.r[:, :, None])[:, :, 0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,33 +85,49 @@ class Whitened:
     Attributes
     ----------
     r : (M,) residuals. J : (M, d) derivatives.
-    sample : (M,) sample of each row, -1 for priors. label : (M,) number of its noise class, -1 for priors.
-    raw : (M,) residuals in SI. factor : (M,) 1 / sd of each row.
-    names : of the noise classes. estimated : those without given noise.
+    measurements : that they come from, in this order.
+    kept : (M of all measurements,) rows that were not left out; None where all are here.
     """
 
     r: np.ndarray
     J: np.ndarray
-    sample: np.ndarray
-    label: np.ndarray
-    raw: np.ndarray
-    factor: np.ndarray
-    names: tuple[str, ...]
-    estimated: frozenset[str]
+    measurements: tuple[Measurement, ...]
+    kept: np.ndarray | None = None
 
-    @property
-    def data(self) -> np.ndarray:
-        """Mask (M,) of the rows that are no prior."""
-        return self.sample >= 0
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the noise classes."""
+        return tuple(dict.fromkeys(name for one in self.measurements if not one.prior for name in one.classes))
+
+    @cached_property
+    def sample(self) -> np.ndarray:
+        """Sample (M,) of each row, -1 for priors."""
+        return self._rows(lambda one: np.repeat(np.full(len(one.r), -1) if one.prior else one.sample, one.r.shape[1]))
+
+    @cached_property
+    def label(self) -> np.ndarray:
+        """Number (M,) of the noise class of each row, -1 for priors."""
+        number = {name: i for i, name in enumerate(self.names)}
+        return self._rows(lambda one: np.tile([-1 if one.prior else number[n] for n in one.classes], len(one.r)))
+
+    @cached_property
+    def raw(self) -> np.ndarray:
+        """Residuals (M,) in SI."""
+        return self._rows(lambda one: one.r.ravel())
+
+    def _rows(self, of: Callable[[Measurement], np.ndarray]) -> np.ndarray:
+        found = [of(one) for one in self.measurements]
+        whole = found[0] if len(found) == 1 else np.concatenate(found)
+        return whole if self.kept is None else whole[self.kept]
 
     def squares(self, count: int) -> np.ndarray:
         """Return the squared whitened residual (count,) of each sample."""
-        rows = self.data
+        rows = self.sample >= 0
         return np.bincount(self.sample[rows], self.r[rows] ** 2, minlength=count)
 
     def numbers(self, count: int) -> np.ndarray:
         """Return how many numbers (count,) each sample has."""
-        return np.bincount(self.sample[self.data], minlength=count)
+        return np.bincount(self.sample[self.sample >= 0], minlength=count)
 
     def times(self, weight: np.ndarray) -> Whitened:
         """Return it with a weight per sample (N,): rows times its root, rows of weight 0 left out; priors as they are.
@@ -112,19 +138,12 @@ class Whitened:
         """
         if np.all(weight == 1.0):
             return self
-        root = np.where(self.data, np.sqrt(weight[self.sample]), 1.0)
+        root = np.sqrt(np.append(weight, 1.0))[self.sample]
+        if np.all(weight > 0):
+            return replace(self, r=self.r * root, J=self.J * root[:, None])
         kept = root > 0
         root = root[kept]
-        return Whitened(
-            self.r[kept] * root,
-            self.J[kept] * root[:, None],
-            self.sample[kept],
-            self.label[kept],
-            self.raw[kept],
-            self.factor[kept],
-            self.names,
-            self.estimated,
-        )
+        return Whitened(self.r[kept] * root, self.J[kept] * root[:, None], self.measurements, kept)
 
 
 def whiten(measurements: Sequence[Measurement], roots: Sequence[np.ndarray]) -> Whitened:
@@ -134,19 +153,13 @@ def whiten(measurements: Sequence[Measurement], roots: Sequence[np.ndarray]) -> 
     ----------
     measurements : at one value. roots : their whitening factors, from `Measurement.roots`.
     """
-    names = tuple(dict.fromkeys(name for one in measurements if not one.prior for name in one.classes))
-    r, J, sample, label, raw, factor = [], [], [], [], [], []
+    r, J = [], []
     for one, root in zip(measurements, roots):
-        m, k = one.r.shape
-        r.append((root @ one.r[:, :, None]).ravel())
-        J.append((root @ one.J).reshape(m * k, -1))
-        sample.append(np.repeat(np.full(m, -1) if one.prior else one.sample, k))
-        label.append(np.tile([-1 if one.prior else names.index(name) for name in one.classes], m))
-        raw.append(one.r.ravel())
-        factor.append(np.broadcast_to(np.diagonal(root, axis1=-2, axis2=-1), (m, k)).ravel())
-    free = frozenset(name for one in measurements if one.cov is None for name in one.classes)
-    first, second = (np.concatenate(r), np.concatenate(J)), (np.concatenate(sample), np.concatenate(label))
-    return Whitened(*first, *second, np.concatenate(raw), np.concatenate(factor), names, free)
+        r.append(one.whitened(root).ravel())
+        J.append((one.J * root[:, None] if root.ndim == 1 else root @ one.J).reshape(r[-1].size, -1))
+    if len(r) == 1:
+        return Whitened(r[0], J[0], tuple(measurements))
+    return Whitened(np.concatenate(r), np.concatenate(J), tuple(measurements))
 
 
 def cost(measurements: Sequence[Measurement], roots: Sequence[np.ndarray], weight: np.ndarray) -> float:
@@ -159,7 +172,8 @@ def cost(measurements: Sequence[Measurement], roots: Sequence[np.ndarray], weigh
     """
     total = 0.0
     for one, root in zip(measurements, roots):
-        squares = np.sum((root @ one.r[:, :, None]) ** 2, axis=(1, 2))
+        r = one.whitened(root)
+        squares = np.einsum("ij,ij->i", r, r)
         total += float(np.sum(squares) if one.prior else squares @ weight[one.sample])
     return 0.5 * total
 

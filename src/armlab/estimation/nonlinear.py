@@ -219,7 +219,7 @@ def _solution(
         classes=rows.names,
         sigma=_class_sigma(found),
         outliers=weight == 0,
-        squares=_rows(problem, found.value, sigma).squares(len(weight)),
+        squares=(rows if np.all(weight == 1.0) else _rows(problem, found.value, sigma)).squares(len(weight)),
         rows=rows,
         null=found.null,
         cost=found.history[-1],
