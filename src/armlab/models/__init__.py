@@ -4,6 +4,7 @@ from armlab.models.coupled import CoupledMotors
 from armlab.models.files import load, load_statistics, save
 from armlab.models.force_sensor import ForceSensor
 from armlab.models.friction import Friction, FrictionBound, Ripple
+from armlab.models.hand_eye import HandEye
 from armlab.models.momentum import FORCE_RATES, PRIOR, MomentumNoise
 from armlab.models.payload import Payload
 from armlab.models.quality import Quality
@@ -24,6 +25,7 @@ __all__ = [
     "Friction",
     "FrictionBound",
     "FrictionMap",
+    "HandEye",
     "MomentumNoise",
     "Payload",
     "Quality",
@@ -51,3 +53,4 @@ register("momentum_noise", MomentumNoise)
 register("coupled_motors", CoupledMotors)
 register("payload", Payload)
 register("force_sensor", ForceSensor)
+register("hand_eye", HandEye)

@@ -1,0 +1,5 @@
+"""Calibration of what is on and around a robot: every `fit_*` returns a `Fit` with covariance, outliers, excitation."""
+
+from armlab.calibrate.hand_eye import fit_hand_eye
+
+__all__ = ["fit_hand_eye"]

@@ -1,0 +1,203 @@
+"""What hand-eye data do not tell, or why they do not fit, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from armlab.calibrate._hand_eye_equation import Equation
+from armlab.errors import NotConverged, NotExcited
+from armlab.estimation import NonlinearSolution
+
+FIXED = 1e-6  # rad: an orientation that moves less does not move
+NOISE = 3.0  # an orientation that moves less than this many deviations of the noise does not either
+ALIGNED = 0.996  # cosine beyond which an axis is called by its letter
+SHARED = 0.3  # length, relative to the largest, from which a part of a direction is told
+APART = 0.5  # residual over spread beyond which two records do not belong together
+THINNED = 2000
+FAR = 30.0  # m: no arm measures over that, but one of 30 cm does in millimetres
+FIRST_ORDER = 0.05  # rad: beyond it a covariance is a first-order statement
+ROUGH = 0.05  # rad: what is worse is no noise of a sensor
+
+
+@dataclass(frozen=True)
+class Part:
+    """Three of the unknowns.
+
+    Attributes
+    ----------
+    what : "translation of T_tool_marker". axes : whose axes, "tool". rotation : True for a rotation vector.
+    """
+
+    what: str
+    axes: str
+    rotation: bool
+
+    @classmethod
+    def of(cls, names: Sequence[str]) -> tuple[Part, ...]:
+        """Return the parts of poses T_a_b: translation in axes of a, rotation in axes of b."""
+        found: list[Part] = []
+        for name in names:
+            _, parent, child = name.split("_")
+            found += [cls(f"translation of {name}", parent, False), cls(f"rotation of {name}", child, True)]
+        return tuple(found)
+
+
+def axis_text(u: np.ndarray, axes: str) -> str:
+    """Return "tool axis z", or "tool axis (0.60, 0.00, 0.80)": a line, without sense."""
+    u = u / np.linalg.norm(u)
+    k = int(np.argmax(np.abs(u)))
+    if abs(u[k]) > ALIGNED:
+        return f"{axes} axis {'xyz'[k]}"
+    u = u * np.sign(u[k])
+    return f"{axes} axis ({', '.join(f'{x + 0.0:.2f}' for x in u)})"
+
+
+@dataclass(frozen=True, eq=False)
+class Words:
+    """Puts a direction of the unknowns into words; see `estimation.check_spread`.
+
+    Attributes
+    ----------
+    parts : of the unknowns, three each. limits : (p,) of them.
+    """
+
+    parts: Sequence[Part]
+    limits: np.ndarray
+
+    def __call__(self, step: np.ndarray, deviations: float) -> str:
+        """Return for example "translation of T_tool_marker along tool axis z (T_base_cam moves with it)"."""
+        blocks = step.reshape(-1, 3)
+        sizes = np.linalg.norm(blocks / self.limits.reshape(-1, 3), axis=1)
+        first = int(np.flatnonzero(sizes > 0.5 * sizes.max())[0])  # of poses that move together, the first
+        part = self.parts[first]
+        text = f"{part.what} {'about' if part.rotation else 'along'} {axis_text(blocks[first], part.axes)}"
+        others = {p.what.split()[-1] for p, size in zip(self.parts, sizes) if size > SHARED * sizes.max()}
+        others -= {part.what.split()[-1]}
+        text += f" ({' and '.join(sorted(others))} moves with it)" if others else ""
+        size = deviations * np.linalg.norm(blocks[first])
+        return text + (f", {size:.2g} {'rad' if part.rotation else 'm'}" if np.isfinite(size) else "")
+
+
+def require_samples(N: int, least: int, what: str) -> None:
+    """Refuse fewer samples than any such fit needs."""
+    if least > N:
+        raise NotExcited(
+            f"Expected at least {least} pairs of {what}, got {N}. Measure at poses that turn the tool about two axes.",
+            [f"everything: {N} poses"],
+            [f"{N} of at least {least} poses"],
+        )
+
+
+def require_two_axes(RA: np.ndarray, noise: float, moved: Sequence[str]) -> None:
+    """Refuse rotations about one axis, and none.
+
+    ``e_u^2 = 1 - |mean(R_A) u|^2`` is the mean square by which a tool axis u turns; noise alone makes it 2 sigma^2.
+
+    Parameters
+    ----------
+    RA : (N, 3, 3). noise : sigma of a rotation [rad]; more than 0.05 is none, but records that do not fit.
+    moved : names of what is on the tool, and of what moves with it.
+    """
+    M = RA.mean(axis=0)
+    squares, u = np.linalg.eigh(np.eye(3) - M.T @ M)
+    turned = np.sqrt(np.maximum(squares, 0.0))
+    limit = max(FIXED, NOISE * noise) if noise < ROUGH else FIXED
+    if turned[0] > limit:
+        return
+    _, carrier, _ = moved[0].split("_")
+    axes = [u[:, 0]] if turned[1] > limit else list(np.eye(3))
+    where = [f"translation of {moved[0]} along {axis_text(v, carrier)} ({moved[1]} moves with it)" for v in axes]
+    turn = "about one axis only" if turned[1] > limit else "nowhere"
+    largest = largest_rotation(RA)
+    raise NotExcited(
+        f"Expected poses that turn the tool about two axes, got rotations {turn} (largest between two poses "
+        f"{largest:.3g} rad): not told is the {'; '.join(where)}. Turn the wrist about a second axis.",
+        where,
+        [f"turned by {t:.2g} rad, noise {noise:.2g} rad" for t in turned[: len(where)]],
+    )
+
+
+def largest_rotation(R: np.ndarray) -> float:
+    """Return the largest angle between two of the rotations (N, 3, 3) [rad]; of many, of 2000 of them."""
+    flat = R[:: 1 + len(R) // THINNED].reshape(-1, 9)
+    return float(np.arccos(np.clip(0.5 * ((flat @ flat.T).min() - 1.0), -1.0, 1.0)))
+
+
+def require_match(equation: Equation, r: np.ndarray, kept: np.ndarray, best: Any) -> None:
+    """Refuse records that do not belong together, with what would make them fit where that can be said.
+
+    Parameters
+    ----------
+    equation : all pairs. r : (N, 6) residuals at the best value. kept : (N,) pairs that were not left out.
+    best : for the error.
+    """
+    M = equation.RA.mean(axis=0)
+    turned = np.sqrt(np.trace(np.eye(3) - M.T @ M))
+    moved = equation.spread
+    position, rotation = (np.sqrt(np.mean(np.sum(part[kept] ** 2, axis=1))) for part in (r[:, :3], r[:, 3:]))
+    few = 2 * np.count_nonzero(kept) <= len(kept)
+    if (rotation <= APART * turned or rotation < ROUGH) and position <= APART * moved and not few:
+        return
+    left_out = f", {np.count_nonzero(~kept)} of {len(kept)} left out" if few else ""
+    raise NotConverged(
+        f"Expected two records of poses that belong together, got {position:.3g} m and {rotation:.3g} rad between them "
+        f"(RMS{left_out}) where the poses spread over {moved:.3g} m and {turned:.3g} rad. {_cause(equation)}",
+        best=best,
+    )
+
+
+def _cause(equation: Equation) -> str:
+    """Return what is wrong with the records, as far as another reading of them fits much better."""
+    now = _misfit(equation.RA, equation.RB)
+    RA, RB = equation.RA, equation.RB
+    other = {
+        "One of the records holds the inverse of what was expected, or the setup is the other one.": _misfit(
+            RA.transpose(0, 2, 1), RB
+        ),
+        "One of the records is in reverse order.": _misfit(RA, RB[::-1]),
+    }
+    for k in (1, 2, 3):
+        if 2 * k + 3 < equation.N:
+            text = f"The records are shifted by {k} samples against each other."
+            other[text] = min(_misfit(RA[k:], RB[:-k]), _misfit(RA[:-k], RB[k:]))
+    cause = min(other, key=lambda text: other[text])
+    if now > 1e-3 and other[cause] < 0.1 * now:
+        return cause
+    scale = _scale(equation)
+    if scale is not None:
+        return f"Lengths of the measured poses times {scale:.3g} would fit: perhaps millimetres were given as metres."
+    return "Check that sample i of both is the same moment, and which frame each is in."
+
+
+def _misfit(RA: np.ndarray, RB: np.ndarray) -> float:
+    """Return 1 minus the largest singular value of the mean of R_A (x) R_B: 0 where they belong together."""
+    still = np.zeros((len(RA), 3))
+    return float(1.0 - np.linalg.svd(Equation(RA, still, RB, still).product(), compute_uv=False)[0])
+
+
+def _scale(equation: Equation) -> float | None:
+    """Return the factor on t_B that makes the positions fit, or None where none does."""
+    RY = equation.start().RY
+    turned = equation.tB @ RY.T
+    A = np.concatenate([equation.RA, -turned[:, :, None], np.broadcast_to(-np.eye(3), (equation.N, 3, 3))], axis=2)
+    x = np.linalg.lstsq(A.reshape(-1, 7), -equation.tA.ravel(), rcond=None)[0]
+    left = float(np.sqrt(np.mean((A.reshape(-1, 7) @ x + equation.tA.ravel()) ** 2) * 3.0))
+    fits = left < 0.1 * float(equation.tA.std(axis=0).max()) and x[3] > 0 and abs(np.log(x[3])) > np.log(2.0)
+    return float(x[3]) if fits else None
+
+
+def remarks(equation: Equation, found: NonlinearSolution[Any]) -> list[str]:
+    """Return what a report says beyond the values."""
+    turn = largest_rotation(equation.RA)
+    lines = [f"largest rotation between two poses {turn:.3g} rad"]
+    if equation.noise is not None and found.freedom:
+        lines.append(f"residuals {np.sqrt(2.0 * found.cost / found.freedom):.3g} times the noise that was given")
+    if equation.spread > FAR:
+        lines.append(f"positions spread over {equation.spread:.3g} m: millimetres given as metres?")
+    if np.sqrt(np.diag(found.cov).reshape(-1, 2, 3)[:, 1].max()) > FIRST_ORDER:
+        lines.append("rotations are known to worse than 3 degrees: deviations are first-order statements there")
+    return lines

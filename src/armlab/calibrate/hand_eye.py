@@ -1,0 +1,149 @@
+"""Hand-eye and robot-world calibration: where the camera stands and where the marker sits, from pairs of poses.
+
+Maximum likelihood on two poses for ``A_i X = Y B_i``, with the noise of the camera and, when it is told, of the robot:
+
+    r_t = t_B - R_Y^T (R_A t_X + t_A - t_Y),    r_R = Log((R_Y^T R_A R_X)^T R_B)
+
+Theory: Shiu and Ahmad (1989); Park and Martin (1994); Dornaika and Horaud (1998); Strobl and Hirzinger (2006).
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armlab.calibrate._arguments import pose_noise, poses
+from armlab.calibrate._hand_eye_equation import Equation, full, inverse_noise
+from armlab.calibrate._hand_eye_words import (
+    Part,
+    Words,
+    remarks,
+    require_match,
+    require_samples,
+    require_two_axes,
+)
+from armlab.errors import NotConverged, ShapeError, UnknownName
+from armlab.estimation import Fit, check_spread, nonlinear_least_squares
+from armlab.models import HandEye
+from armlab.models.hand_eye import FRAMES
+
+__all__ = ["LIMITS", "fit_hand_eye"]
+
+LIMITS = (0.2, 0.2)
+CLASSES = ("position [m]", "rotation [rad]")
+COMPONENTS = {"x": "m", "y": "m", "z": "m", "rx": "rad", "ry": "rad", "rz": "rad"}
+
+
+def fit_hand_eye(
+    T_base_tool: ArrayLike,
+    T_cam_marker: ArrayLike,
+    *,
+    setup: Literal["eye_to_hand", "eye_in_hand"] = "eye_to_hand",
+    noise: ArrayLike | None = None,
+    noise_robot: ArrayLike | None = None,
+    robust: bool = False,
+    limits: tuple[float, float] = LIMITS,
+) -> Fit[HandEye]:
+    """Find where camera and marker are from poses of the robot and of the marker seen at the same moments.
+
+        eye_to_hand:  T_base_tool T_tool_marker    = T_base_cam T_cam_marker
+        eye_in_hand:  T_base_tool^-1 T_base_marker = T_tool_cam T_cam_marker
+
+    No guess is needed, and order of samples, frames and unit of length do not matter.
+
+    Parameters
+    ----------
+    T_base_tool : (N, 4, 4) poses of the robot, N >= 3, that turn the tool about at least two axes.
+    T_cam_marker : (N, 4, 4) poses of the marker in the camera.
+    setup : "eye_to_hand": the camera stands, the marker is on the tool. "eye_in_hand": the other way round.
+    noise : of T_cam_marker: (sd of each axis of the position [m], of the rotation vector [rad]), or covariance (6, 6)
+        or (N, 6, 6) of [v; w], v in camera axes, w in marker axes. Estimated when left out.
+    noise_robot : the same of T_base_tool, v in base axes, w in tool axes; data cannot separate the two, so it needs
+        `noise`. Exact when left out or zero.
+    robust : find wrong samples; `Fit.outliers` marks them, and they do not count.
+    limits : largest standard deviation accepted along any direction: share of the spread of the positions, and [rad].
+
+    Returns
+    -------
+    Fit of a `models.HandEye`. Parameters and covariance: X, then Y; the position and the rotation vector of each. The
+    covariance is that of (R Exp(w), t + v): v in the parent's axes, w in the child's. Residuals (N, 6): [r_t; r_R].
+
+    Raises
+    ------
+    ShapeError : another shape, NaN rows, no rotations, left-handed axes. UnknownName : another setup.
+    NotExcited : too few poses; a direction that they do not tell, by name.
+    NotConverged : records that do not belong together: pairing, inverse poses, millimetres.
+
+    References
+    ----------
+    Shah, J. Mech. Robotics 5(3), 2013 (start); Strobl and Hirzinger, IROS 2006 (weights).
+    """
+    if setup not in FRAMES:
+        raise UnknownName.among("setup", setup, FRAMES)
+    equation, notes = _equation(T_base_tool, T_cam_marker, setup, noise, noise_robot)
+    names = FRAMES[setup]
+    require_samples(equation.N, 3, "poses")
+    require_two_axes(equation.RA, _rotation_noise(equation, robust), names)
+    try:
+        found = nonlinear_least_squares(equation.problem(), equation.start(), robust=robust)
+    except NotConverged as error:
+        rest = equation.evaluate(error.best)[0].r
+        require_match(equation, rest, np.ones(equation.N, dtype=bool), error.best)
+        raise
+    residuals = equation.evaluate(found.value)[0].r
+    value = HandEye(setup, *found.value.poses())
+    require_match(equation, residuals, ~found.outliers, value)
+    if equation.noise is None:
+        require_two_axes(equation.RA, float(found.sigma[1]), names)
+    widths = np.tile(np.repeat([limits[0] * equation.spread, limits[1]], 3), 2)
+    columns = tuple(f"{name} {part}" for name in names for part in COMPONENTS)
+    units = tuple(COMPONENTS.values()) * 2
+    words = Words(Part.of(names), widths)
+    excitation = check_spread(found.rows.J, columns, units, widths, "hand-eye calibration", describe=words)
+
+    def summary(fit: Fit[HandEye]) -> str:
+        return "\n".join([fit.table(), *notes, *remarks(equation, found)])
+
+    return Fit(
+        value, columns, units, found.value.parameters(), found.cov, found.sigma, residuals, equation.N, excitation,
+        summary, found.outliers, CLASSES,
+    )  # fmt: skip
+
+
+def _equation(
+    T_base_tool: ArrayLike, T_cam_marker: ArrayLike, setup: str, noise: Any, noise_robot: Any
+) -> tuple[Equation, list[str]]:
+    """Return the checked equation, and what must be reported of its poses."""
+    RA, tA, first = poses(T_base_tool, "T_base_tool")
+    RB, tB, second = poses(T_cam_marker, "T_cam_marker")
+    if len(RA) != len(RB):
+        raise ShapeError(
+            f"Expected as many poses of the robot as of the marker, got {len(RA)} and {len(RB)}. "
+            "Pair them by their time first."
+        )
+    N = len(RA)
+    of_camera, of_robot = pose_noise(noise, N), pose_noise(noise_robot, N, "noise_robot")
+    if of_camera is None and of_robot is not None and of_robot.any():
+        raise ShapeError(
+            "Expected noise of the camera together with noise_robot, got noise_robot alone. Give both: data cannot "
+            "separate them."
+        )
+    if of_camera is not None and not np.all(np.diagonal(full(of_camera), axis1=-2, axis2=-1) > 0):
+        raise ShapeError("Expected noise above zero, got zero. Leave it out to have it estimated.")
+    of_robot = of_robot if of_robot is not None and of_robot.any() else None
+    if setup == "eye_in_hand":
+        of_robot = None if of_robot is None else inverse_noise(of_robot, RA, tA)
+        RA = np.ascontiguousarray(RA.transpose(0, 2, 1))
+        tA = -(RA @ tA[:, :, None])[:, :, 0]
+    return Equation(RA, tA, RB, tB, of_camera, of_robot), [note for note in (first, second) if note]
+
+
+def _rotation_noise(equation: Equation, robust: bool) -> float:
+    """Return what is known of the deviation of rotations before the fit [rad]."""
+    if equation.noise is None:
+        largest = 1.0 if robust else np.linalg.svd(equation.product(), compute_uv=False)[0]
+        return float(np.sqrt(max(1.0 - largest, 0.0)))
+    both = [full(part)[..., 3:, 3:] for part in (equation.noise, equation.noise_A) if part is not None]
+    return float(np.sqrt(sum(np.mean(np.trace(part, axis1=-2, axis2=-1)) / 3.0 for part in both)))

@@ -1,0 +1,80 @@
+"""Experiments of known truth that several test files share; the draws are in the order of the specification."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab.lie import quaternion, se3, so3
+
+CAMERA = (0.5e-3, np.radians(0.05))
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """Poses of a robot and of a marker, with the truth behind them."""
+
+    A: np.ndarray
+    B: np.ndarray
+    X: np.ndarray
+    Y: np.ndarray
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """Arguments of the fit."""
+        return {"T_base_tool": self.A, "T_cam_marker": self.B}
+
+
+class HandEyeData:
+    """Generators H1 to H4."""
+
+    camera = CAMERA
+
+    def rotations(self, rng: np.random.Generator, count: int) -> np.ndarray:
+        q = rng.standard_normal((count, 4))
+        return quaternion.to_matrix(q / np.linalg.norm(q, axis=1, keepdims=True))
+
+    def tilted(self, rng: np.random.Generator, count: int, angle: float) -> np.ndarray:
+        axes = rng.standard_normal((count, 3))
+        axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+        middle = self.rotations(rng, 1)[0]
+        return middle @ so3.exp(axes * rng.uniform(0.0, angle, count)[:, None])
+
+    def noisy(self, rng: np.random.Generator, T: np.ndarray, noise: tuple[float, float]) -> np.ndarray:
+        R = T[:, :3, :3] @ so3.exp(noise[1] * rng.standard_normal((len(T), 3)))
+        return se3.from_rp(R, T[:, :3, 3] + noise[0] * rng.standard_normal((len(T), 3)))
+
+    def draw(
+        self,
+        seed: Any,
+        N: int = 30,
+        tilt: float | None = None,
+        camera: tuple[float, float] = CAMERA,
+        robot: tuple[float, float] | None = None,
+    ) -> Poses:
+        """H1; H2 with tilt [rad]; H4 with noise of the robot."""
+        rng = np.random.default_rng(seed)
+        RX, tX = self.rotations(rng, 1)[0], 0.1 * rng.standard_normal(3)
+        RY, tY = self.rotations(rng, 1)[0], rng.standard_normal(3)
+        X, Y = se3.from_rp(RX, tX), se3.from_rp(RY, tY)
+        R = self.rotations(rng, N) if tilt is None else self.tilted(rng, N, tilt)
+        A = se3.from_rp(R, rng.uniform(-0.5, 0.5, (N, 3)))
+        B = self.noisy(rng, se3.inv(Y) @ A @ X, camera)
+        return Poses(A if robot is None else self.noisy(rng, A, robot), B, X, Y)
+
+    def spoilt(self, rng: np.random.Generator, B: np.ndarray, bad: list[int]) -> np.ndarray:
+        """H3: some poses of the marker turned by 10 degrees and moved by 50 mm."""
+        B = B.copy()
+        for i in bad:
+            u, v = rng.standard_normal(3), rng.standard_normal(3)
+            B[i, :3, :3] = B[i, :3, :3] @ so3.exp(np.radians(10.0) * u / np.linalg.norm(u))
+            B[i, :3, 3] += 0.05 * v / np.linalg.norm(v)
+        return B
+
+
+@pytest.fixture(scope="session")
+def hand_eye() -> HandEyeData:
+    return HandEyeData()
