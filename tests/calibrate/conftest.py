@@ -78,3 +78,45 @@ class HandEyeData:
 @pytest.fixture(scope="session")
 def hand_eye() -> HandEyeData:
     return HandEyeData()
+
+
+@dataclass(frozen=True, eq=False)
+class Sights:
+    """Poses of a robot and points of a marker, with the truth behind them."""
+
+    A: np.ndarray
+    p: np.ndarray
+    X: np.ndarray
+    Y: np.ndarray
+    visible: np.ndarray
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """Arguments of the fit."""
+        return {"T_base_tool": self.A, "p_cam": self.p}
+
+
+class MarkerData:
+    """Generator H5: three LEDs."""
+
+    marker = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]])
+    sigma = 0.5e-3
+
+    def draw(self, seed: Any, N: int = 100, sigma: float = 0.5e-3) -> Sights:
+        rng = np.random.default_rng(seed)
+
+        def pose(size: float) -> np.ndarray:
+            R = so3.project(rng.standard_normal((3, 3)))[0]
+            return se3.from_rp(R, size * rng.standard_normal(3))
+
+        A = np.stack([pose(0.5) for _ in range(N)])
+        Y, X = pose(1.0), pose(0.1)
+        T = se3.inv(Y) @ A @ X
+        p = np.einsum("nij,kj->nki", T[:, :3, :3], self.marker) + T[:, None, :3, 3]
+        p = p + sigma * rng.standard_normal((N, 3, 3))
+        return Sights(A, p, X, Y, rng.random((N, 3)) >= 0.2)
+
+
+@pytest.fixture(scope="session")
+def leds() -> MarkerData:
+    return MarkerData()

@@ -1,5 +1,6 @@
 """Calibration of what is on and around a robot: every `fit_*` returns a `Fit` with covariance, outliers, excitation."""
 
 from armlab.calibrate.hand_eye import fit_hand_eye
+from armlab.calibrate.hand_eye_points import fit_hand_eye_points
 
-__all__ = ["fit_hand_eye"]
+__all__ = ["fit_hand_eye", "fit_hand_eye_points"]

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from armlab._numbers import numbers
 from armlab.calibrate._hand_eye_equation import Equation
-from armlab.errors import NotConverged, NotExcited
+from armlab.errors import NotConverged, NotExcited, ShapeError
 from armlab.estimation import NonlinearSolution
 
 FIXED = 1e-6  # rad: an orientation that moves less does not move
@@ -58,28 +59,56 @@ def axis_text(u: np.ndarray, axes: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Words:
-    """Puts a direction of the unknowns into words; see `estimation.check_spread`.
+    """Names, units and limits of the unknowns; puts a direction of them into words, see `estimation.check_spread`.
 
     Attributes
     ----------
-    parts : of the unknowns, three each. limits : (p,) of them.
+    parts : of the unknowns, three each. spread : of the measured positions [m].
+    limits : largest deviation accepted: share of the spread, and [rad].
     """
 
     parts: Sequence[Part]
-    limits: np.ndarray
+    spread: float
+    limits: tuple[float, float]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name of each unknown, for example "T_base_cam rx"."""
+        return tuple(f"{p.what.split()[-1]} {'r' * p.rotation}{axis}" for p in self.parts for axis in "xyz")
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each unknown."""
+        return tuple("rad" if p.rotation else "m" for p in self.parts for _ in range(3))
+
+    @property
+    def widths(self) -> np.ndarray:
+        """Largest deviation accepted of each unknown."""
+        return np.repeat([self.limits[1] if p.rotation else self.limits[0] * self.spread for p in self.parts], 3)
 
     def __call__(self, step: np.ndarray, deviations: float) -> str:
         """Return for example "translation of T_tool_marker along tool axis z (T_base_cam moves with it)"."""
         blocks = step.reshape(-1, 3)
-        sizes = np.linalg.norm(blocks / self.limits.reshape(-1, 3), axis=1)
+        sizes = np.linalg.norm(blocks / self.widths.reshape(-1, 3), axis=1)
         first = int(np.flatnonzero(sizes > 0.5 * sizes.max())[0])  # of poses that move together, the first
         part = self.parts[first]
         text = f"{part.what} {'about' if part.rotation else 'along'} {axis_text(blocks[first], part.axes)}"
         others = {p.what.split()[-1] for p, size in zip(self.parts, sizes) if size > SHARED * sizes.max()}
         others -= {part.what.split()[-1]}
-        text += f" ({' and '.join(sorted(others))} moves with it)" if others else ""
+        text += f" ({' and '.join(sorted(others))} move{'s' * (len(others) == 1)} with it)" if others else ""
         size = deviations * np.linalg.norm(blocks[first])
         return text + (f", {size:.2g} {'rad' if part.rotation else 'm'}" if np.isfinite(size) else "")
+
+
+def limits_of(limits: Any) -> tuple[float, float]:
+    """Return the two limits, refusing others than numbers above zero."""
+    values = numbers(limits, "limits", ShapeError)
+    if values.shape != (2,) or not np.all(values > 0):
+        raise ShapeError(
+            f"Expected limits as two numbers above zero, a share of the spread of the positions and an angle [rad], "
+            f"got {limits!r}. (0.2, 0.2) are the usual ones."
+        )
+    return float(values[0]), float(values[1])
 
 
 def require_samples(N: int, least: int, what: str) -> None:
@@ -92,7 +121,7 @@ def require_samples(N: int, least: int, what: str) -> None:
         )
 
 
-def require_two_axes(RA: np.ndarray, noise: float, moved: Sequence[str]) -> None:
+def require_two_axes(RA: np.ndarray, noise: float, carrier: str, moved: Sequence[str]) -> None:
     """Refuse rotations about one axis, and none.
 
     ``e_u^2 = 1 - |mean(R_A) u|^2`` is the mean square by which a tool axis u turns; noise alone makes it 2 sigma^2.
@@ -100,7 +129,7 @@ def require_two_axes(RA: np.ndarray, noise: float, moved: Sequence[str]) -> None
     Parameters
     ----------
     RA : (N, 3, 3). noise : sigma of a rotation [rad]; more than 0.05 is none, but records that do not fit.
-    moved : names of what is on the tool, and of what moves with it.
+    carrier : whose axes turn, "tool". moved : names of what is on it, and of what moves with that.
     """
     M = RA.mean(axis=0)
     squares, u = np.linalg.eigh(np.eye(3) - M.T @ M)
@@ -108,7 +137,6 @@ def require_two_axes(RA: np.ndarray, noise: float, moved: Sequence[str]) -> None
     limit = max(FIXED, NOISE * noise) if noise < ROUGH else FIXED
     if turned[0] > limit:
         return
-    _, carrier, _ = moved[0].split("_")
     axes = [u[:, 0]] if turned[1] > limit else list(np.eye(3))
     where = [f"translation of {moved[0]} along {axis_text(v, carrier)} ({moved[1]} moves with it)" for v in axes]
     turn = "about one axis only" if turned[1] > limit else "nowhere"
@@ -190,14 +218,19 @@ def _scale(equation: Equation) -> float | None:
     return float(x[3]) if fits else None
 
 
-def remarks(equation: Equation, found: NonlinearSolution[Any]) -> list[str]:
-    """Return what a report says beyond the values."""
-    turn = largest_rotation(equation.RA)
-    lines = [f"largest rotation between two poses {turn:.3g} rad"]
-    if equation.noise is not None and found.freedom:
+def remarks(RA: np.ndarray, spread: float, given: bool, found: NonlinearSolution[Any], turns: np.ndarray) -> list[str]:
+    """Return what a report says beyond the values.
+
+    Parameters
+    ----------
+    RA : (N, 3, 3). spread : of the positions [m]. given : whether the noise was. found : the fit.
+    turns : deviations of rotations [rad].
+    """
+    lines = [f"largest rotation between two poses {largest_rotation(RA):.3g} rad"]
+    if given and found.freedom:
         lines.append(f"residuals {np.sqrt(2.0 * found.cost / found.freedom):.3g} times the noise that was given")
-    if equation.spread > FAR:
-        lines.append(f"positions spread over {equation.spread:.3g} m: millimetres given as metres?")
-    if np.sqrt(np.diag(found.cov).reshape(-1, 2, 3)[:, 1].max()) > FIRST_ORDER:
+    if spread > FAR:
+        lines.append(f"positions spread over {spread:.3g} m: millimetres given as metres?")
+    if turns.max() > FIRST_ORDER:
         lines.append("rotations are known to worse than 3 degrees: deviations are first-order statements there")
     return lines

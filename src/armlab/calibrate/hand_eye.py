@@ -19,6 +19,7 @@ from armlab.calibrate._hand_eye_equation import Equation, full, inverse_noise
 from armlab.calibrate._hand_eye_words import (
     Part,
     Words,
+    limits_of,
     remarks,
     require_match,
     require_samples,
@@ -33,7 +34,7 @@ __all__ = ["LIMITS", "fit_hand_eye"]
 
 LIMITS = (0.2, 0.2)
 CLASSES = ("position [m]", "rotation [rad]")
-COMPONENTS = {"x": "m", "y": "m", "z": "m", "rx": "rad", "ry": "rad", "rz": "rad"}
+WHAT = "hand-eye calibration"
 
 
 def fit_hand_eye(
@@ -84,8 +85,9 @@ def fit_hand_eye(
         raise UnknownName.among("setup", setup, FRAMES)
     equation, notes = _equation(T_base_tool, T_cam_marker, setup, noise, noise_robot)
     names = FRAMES[setup]
+    carrier = names[0].split("_")[1]
     require_samples(equation.N, 3, "poses")
-    require_two_axes(equation.RA, _rotation_noise(equation, robust), names)
+    require_two_axes(equation.RA, _rotation_noise(equation, robust), carrier, names)
     try:
         found = nonlinear_least_squares(equation.problem(), equation.start(), robust=robust)
     except NotConverged as error:
@@ -96,19 +98,17 @@ def fit_hand_eye(
     value = HandEye(setup, *found.value.poses())
     require_match(equation, residuals, ~found.outliers, value)
     if equation.noise is None:
-        require_two_axes(equation.RA, float(found.sigma[1]), names)
-    widths = np.tile(np.repeat([limits[0] * equation.spread, limits[1]], 3), 2)
-    columns = tuple(f"{name} {part}" for name in names for part in COMPONENTS)
-    units = tuple(COMPONENTS.values()) * 2
-    words = Words(Part.of(names), widths)
-    excitation = check_spread(found.rows.J, columns, units, widths, "hand-eye calibration", describe=words)
+        require_two_axes(equation.RA, float(found.sigma[1]), carrier, names)
+    words = Words(Part.of(names), equation.spread, limits_of(limits))
+    excitation = check_spread(found.rows.J, words.names, words.units, words.widths, WHAT, describe=words)
 
     def summary(fit: Fit[HandEye]) -> str:
-        return "\n".join([fit.table(), *notes, *remarks(equation, found)])
+        given, turns = equation.noise is not None, fit.sd.reshape(4, 3)[1::2]
+        return "\n".join([fit.table(), *notes, *remarks(equation.RA, equation.spread, given, found, turns)])
 
     return Fit(
-        value, columns, units, found.value.parameters(), found.cov, found.sigma, residuals, equation.N, excitation,
-        summary, found.outliers, CLASSES,
+        value, words.names, words.units, found.value.parameters(), found.cov, found.sigma, residuals, equation.N,
+        excitation, summary, found.outliers, CLASSES,
     )  # fmt: skip
 
 

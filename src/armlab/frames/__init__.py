@@ -5,6 +5,7 @@ from armlab.frames.features import Circle, Line, Plane, Sphere
 from armlab.frames.flat import fit_line, fit_plane
 from armlab.frames.graph import Graph
 from armlab.frames.loops import Edge, Loop, LoopCheck
+from armlab.frames.marker_pose import MarkerPoses, marker_pose
 from armlab.frames.network import FrameSet
 from armlab.frames.offset import OffsetCheck, check_offset
 from armlab.frames.projection import distance, intersect, project
@@ -19,6 +20,7 @@ __all__ = [
     "Line",
     "Loop",
     "LoopCheck",
+    "MarkerPoses",
     "OffsetCheck",
     "Plane",
     "Sphere",
@@ -28,6 +30,7 @@ __all__ = [
     "fit_line",
     "fit_plane",
     "intersect",
+    "marker_pose",
     "project",
 ]
 
