@@ -19,6 +19,7 @@ ALIGNED = 0.996  # cosine beyond which an axis is called by its letter
 SHARED = 0.3  # length, relative to the largest, from which a part of a direction is told
 APART = 0.5  # residual over spread beyond which two records do not belong together
 THINNED = 2000
+UNSEEN = 1e-9  # a direction as long as its limits has no deviation: nothing is seen of it
 FAR = 30.0  # m: no arm measures over that, but one of 30 cm does in millimetres
 FIRST_ORDER = 0.05  # rad: beyond it a covariance is a first-order statement
 ROUGH = 0.05  # rad: what is worse is no noise of a sensor
@@ -86,8 +87,8 @@ class Words:
         """Largest deviation accepted of each unknown."""
         return np.repeat([self.limits[1] if p.rotation else self.limits[0] * self.spread for p in self.parts], 3)
 
-    def __call__(self, step: np.ndarray, deviations: float) -> str:
-        """Return for example "translation of T_tool_marker along tool axis z (T_base_cam moves with it)"."""
+    def __call__(self, step: np.ndarray) -> str:
+        """Return for example "translation of T_tool_marker along tool axis z (T_base_cam moves with it), 0.4 m"."""
         blocks = step.reshape(-1, 3)
         sizes = np.linalg.norm(blocks / self.widths.reshape(-1, 3), axis=1)
         first = int(np.flatnonzero(sizes > 0.5 * sizes.max())[0])  # of poses that move together, the first
@@ -96,8 +97,9 @@ class Words:
         others = {p.what.split()[-1] for p, size in zip(self.parts, sizes) if size > SHARED * sizes.max()}
         others -= {part.what.split()[-1]}
         text += f" ({' and '.join(sorted(others))} move{'s' * (len(others) == 1)} with it)" if others else ""
-        size = deviations * np.linalg.norm(blocks[first])
-        return text + (f", {size:.2g} {'rad' if part.rotation else 'm'}" if np.isfinite(size) else "")
+        if abs(np.linalg.norm(step / self.widths) - 1.0) < UNSEEN:
+            return text
+        return f"{text}, {np.linalg.norm(blocks[first]):.2g} {'rad' if part.rotation else 'm'}"
 
 
 def limits_of(limits: Any) -> tuple[float, float]:

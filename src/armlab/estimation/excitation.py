@@ -26,7 +26,7 @@ WARN_CONDITION = 300.0
 NULL = 1e-9  # relative singular value below which a direction is not weak but unseen
 NAMED = 0.3  # share of the largest component above which a component is named
 
-Describe = Callable[[np.ndarray, float], str]
+Describe = Callable[[np.ndarray], str]
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,8 +200,8 @@ def check_spread(
     limits : (p,) standard deviation of each parameter that is the most accepted.
     what : what is fitted, for the message.
     gauge : (p, g) directions, in units of the limits, that no data of this kind tell; they are not judged.
-    describe : (step (p,), deviations) -> words; a step of the parameters as long as the limits, and how many of it the
-        standard deviation is, infinite where nothing is seen. The names of the largest components otherwise.
+    describe : puts a direction (p,) of the parameters into words: one standard deviation long, or as long as the limits
+        where nothing is seen. The names of the largest components otherwise.
     hold : list what exceeds its limit in `held`, because a prior holds it, and do not refuse it.
 
     Raises
@@ -225,9 +225,9 @@ def check_spread(
     spread = np.divide(1.0, singular, out=np.full_like(singular, np.inf), where=~unseen)
 
     def words(i: int) -> str:
-        if describe is not None:
-            return describe(limits * vectors[:, i], float(spread[i]))
         reach = limits * vectors[:, i] * (1.0 if unseen[i] else spread[i])
+        if describe is not None:
+            return describe(reach)
         return f"{_in_words(vectors[:, i], names)}{'' if unseen[i] else ' ' + _largest(reach, vectors[:, i], units)}"
 
     missing = np.flatnonzero(unseen)
