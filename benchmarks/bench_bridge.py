@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 import re
-import socket
 import subprocess
 import sys
 import tempfile
+import threading
+import time
+from collections.abc import Iterator
 from contextlib import ExitStack
 
 import numpy as np
@@ -15,20 +17,37 @@ from blocks import Contender, Table, table
 
 from armlab import bridge, robots
 from armlab.bridge.cell import parse_cell, run_cell
+from armlab.bridge.local import LocalFeed
+from armlab.bridge.messages import Subscribe
 
 ROBOT = "yumi_right"
 IDLE = 10
-SECONDS = 3.0
-READERS = """
+BLOCK = 0.5  # s with clients or without, one after the other
+SETTLE = 0.2  # s after each change that do not count
+CLIENTS = """
 import selectors, socket, sys
-selector = selectors.DefaultSelector()
-for port in sys.argv[1:]:
-    selector.register(socket.create_connection(("127.0.0.1", int(port))), selectors.EVENT_READ)
-while sys.argv[1:]:
+idle, ports = int(sys.argv[1]), [int(port) for port in sys.argv[2:]]
+selector, held = selectors.DefaultSelector(), []
+selector.register(sys.stdin, selectors.EVENT_READ)
+while True:
     for key, _ in selector.select():
-        key.fileobj.recv(65536)
+        if key.fileobj is not sys.stdin:
+            if key.fileobj.fileno() >= 0 and not key.fileobj.recv(65536):
+                selector.unregister(key.fileobj)
+            continue
+        word = sys.stdin.readline()
+        if not word:
+            sys.exit()
+        for one in held:
+            if one in selector.get_map():
+                selector.unregister(one)
+            one.close()
+        held = []
+        if word == "on\\n":
+            held = [socket.create_connection(("127.0.0.1", ports[k % len(ports)])) for k in range(idle + 1)]
+            for one in held[:idle]:
+                selector.register(one, selectors.EVENT_READ)
 """
-SETTLE = 250  # packets at the beginning that do not count
 BAR = 1.05  # of the median without clients
 CELL = f"""
 [[robots]]
@@ -42,40 +61,68 @@ rows = 0
 
 
 def run(quick: bool) -> list[Table]:
-    """Measure runs of the same controller: with clients of the LabComm server, without any, and without servers."""
+    """Measure one run of a cell whose LabComm clients come and go in blocks, and the loop without servers."""
+    rounds = 8 if quick else 80
+    busy, free = _bridge(rounds + 1)  # one to warm up
+    alone = iter(np.array_split(_alone(3.0 if quick else 15.0), rounds + 1))
     contenders = [
-        Contender("ten idle clients and one that never reads", lambda: _bridge(IDLE, 1), "armlab"),
-        Contender("no clients", lambda: _bridge(0, 0), bar=BAR, note="servers run"),
-        Contender("no servers", _alone, note="the loop alone"),
+        Contender("ten idle clients and one that never reads", lambda: next(busy), "armlab"),
+        Contender("no clients", lambda: next(free), bar=BAR, note="servers run"),
+        Contender("no servers", lambda: next(alone), note="the loop alone, in a run of its own"),
     ]
     text = (
-        f"Median time from the arrival of a packet to its reply, {ROBOT} simulated in real time at 250 Hz, "
-        f"{SECONDS:g} s per block, by kernel stamps; the arm holds. LabComm clients on the ports of the arm and of the "
-        "fused rows; all but one read what comes. Simulator, servers, clients and loop share the machine's cores."
+        f"Median time from the arrival of a packet to its reply, {ROBOT} simulated in real time at 250 Hz, by kernel "
+        f"stamps; the arm holds. In one run LabComm clients, on the ports of the arm and of the fused rows, come "
+        f"and go: blocks of {BLOCK:g} s with and without them alternate, and each is compared with the one beside it. "
+        "All but one client read what comes. Simulator, servers, clients and loop share the machine's cores."
     )
-    return [table("Bridge: what clients cost the loop", text, "µs", contenders, 3 if quick else 15)]
+    return [table("Bridge: what clients cost the loop", text, "µs", contenders, rounds)]
 
 
-def _bridge(idle: int, deaf: int) -> np.ndarray:
+def _bridge(rounds: int) -> tuple[Iterator[np.ndarray], Iterator[np.ndarray]]:
+    """Return the latencies of each block with clients and of each without, from one run."""
+    rng, began = np.random.default_rng(1), []
+    order = [state for _ in range(rounds) for state in rng.permutation(["on", "off"])]
     with ExitStack() as opened:
         os.environ["XDG_RUNTIME_DIR"] = opened.enter_context(tempfile.TemporaryDirectory())
 
+        def change(clients: subprocess.Popen[str]) -> None:
+            assert clients.stdin is not None
+            with LocalFeed(patience=20.0) as feed:  # until the robot sends
+                feed.ask(Subscribe())
+                while isinstance(feed.receive(), dict):
+                    pass
+            time.sleep(1.0)
+            for state in order:
+                clients.stdin.write(f"{state}\n")
+                clients.stdin.flush()
+                began.append(time.time_ns())
+                time.sleep(SETTLE + BLOCK)
+
         def connect(line: str) -> None:
             ports = [port for port, name in re.findall(r":(\d+) \(labcomm, (\w+)\)", line) if name != "parameters"]
-            words = [ports[k % len(ports)] for k in range(idle)]
-            reader = opened.enter_context(subprocess.Popen([sys.executable, "-S", "-c", READERS, *words]))
-            opened.callback(reader.kill)
-            for _ in range(deaf):
-                opened.enter_context(socket.create_connection(("127.0.0.1", ports[0])))
+            words = [sys.executable, "-S", "-c", CLIENTS, str(IDLE), *ports]
+            clients = opened.enter_context(subprocess.Popen(words, stdin=subprocess.PIPE, text=True))
+            opened.callback(clients.kill)
+            threading.Thread(target=change, args=(clients,), daemon=True).start()
 
-        return _latencies(run_cell(parse_cell(CELL), seconds=SECONDS, patience=20.0, ready=connect))
+        seconds = 4.0 + (SETTLE + BLOCK) * len(order)
+        found = run_cell(parse_cell(CELL), seconds=seconds, patience=20.0, ready=connect)
+    came, taken = found.table["receive_ns"], _latencies(found)
+    blocks: dict[str, list[np.ndarray]] = {"on": [], "off": []}
+    for state, start in zip(order, began, strict=True):
+        inside = (came > start + 1e9 * SETTLE) & (came < start + 1e9 * (SETTLE + BLOCK)) & np.isfinite(taken)
+        blocks[state].append(taken[inside])
+    return iter(blocks["on"]), iter(blocks["off"])
 
 
-def _alone() -> np.ndarray:
+def _alone(seconds: float) -> np.ndarray:
     with bridge.connect(f"sim://{ROBOT}", robots.load(ROBOT), patience=20.0) as link:
-        return _latencies(link.run(lambda state: None, seconds=SECONDS))
+        found = _latencies(link.run(lambda state: None, seconds=seconds))[500:]
+    return found[np.isfinite(found)]
 
 
 def _latencies(run: bridge.Run) -> np.ndarray:
+    """Return seconds from arrival to reply, NaN where there was none."""
     seconds = 1e-9 * (run.table["send_ns"] - run.table["receive_ns"])
-    return seconds[SETTLE:][run.table["send_ns"][SETTLE:] > 0]
+    return np.where(run.table["send_ns"] > 0, seconds, np.nan)
