@@ -13,6 +13,7 @@ from armlab.estimation.measurements import Measurement
 from armlab.estimation.nonlinear import NonlinearSolution, nonlinear_least_squares
 from armlab.estimation.robust import huber, mad, trimmed
 from armlab.estimation.solution import ActiveBound, LinearSolution, Question, solve
+from armlab.estimation.total import TotalSolution, total_least_squares
 
 __all__ = [
     "ActiveBound",
@@ -34,6 +35,7 @@ __all__ = [
     "Property",
     "Question",
     "Rows",
+    "TotalSolution",
     "block_bootstrap",
     "block_cv",
     "block_seconds",
@@ -50,6 +52,7 @@ __all__ = [
     "nonlinear_least_squares",
     "shrinkage",
     "solve",
+    "total_least_squares",
     "trimmed",
     "within_bounds",
 ]

@@ -9,6 +9,7 @@ from armlab.frames.marker_pose import MarkerPoses, marker_pose
 from armlab.frames.network import FrameSet
 from armlab.frames.offset import OffsetCheck, check_offset
 from armlab.frames.projection import distance, intersect, project
+from armlab.frames.round import fit_circle, fit_sphere
 from armlab.models import register
 
 __all__ = [
@@ -27,8 +28,10 @@ __all__ = [
     "build",
     "check_offset",
     "distance",
+    "fit_circle",
     "fit_line",
     "fit_plane",
+    "fit_sphere",
     "intersect",
     "marker_pose",
     "project",

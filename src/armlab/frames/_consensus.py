@@ -1,13 +1,14 @@
 """Which points belong to a feature: the best of many features through as few points as make one.
 
 Each minimal set of points makes a feature; its scale is the h-th smallest distance of all points from it,
-``h = (N + size + 1) / 2``, so that nearly half of the points may be anywhere. The feature of smallest scale decides
-which points are refitted (Rousseeuw 1984, least median of squares); flags then follow the refit.
+``h = (N + size + 1) / 2``, so that nearly half of the points may be anywhere (Rousseeuw 1984, least median of squares).
+The h points nearest to the feature of smallest scale are refitted; flags then follow the refit.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from itertools import combinations
 from math import comb
 
@@ -66,6 +67,10 @@ def chosen(
         squares = np.zeros(len(p))  # no set makes a feature: the refit says why
     limit = float(chdtri(numbers, 1.0 - FLAGGED))
     spread = (1.0 + 5.0 / (len(p) - size)) * np.sqrt(scale) / median_norm(numbers)
+    with suppress(NotExcited):  # half of the points may tell too little
+        half = np.zeros(len(p), dtype=bool)
+        half[np.argsort(squares, kind="stable")[:height]] = True
+        squares = refit(half)[1]
     kept = squares <= limit * max(sigma or spread, rounding(p)) ** 2
     for _ in range(ROUNDS):
         noise, squares = refit(kept)

@@ -24,7 +24,7 @@ from armlab.frames import _check
 from armlab.frames._consensus import chosen, rounding
 from armlab.frames.features import Line, Plane
 
-__all__ = ["LIMIT", "fit_line", "fit_plane", "upward"]
+__all__ = ["LIMIT", "fit_line", "fit_plane", "text", "upward"]
 
 LIMIT = 0.2  # rad, the largest standard deviation of a tilt that is accepted
 SURE = 3.0  # deviations from which a side is sure
@@ -78,7 +78,7 @@ def fit_plane(
     n = axes[2]
     cov = used**2 * np.diag([1.0 / max(squares[1], 1e-300), 1.0 / max(squares[0], 1e-300), 1.0 / kept.sum()])
     told = _told(squares[1], squares[2], used, int(kept.sum()) - 3), _told(squares[0], squares[2], used, 0)
-    names = (f"tilt about the line through the points, along {_text(axes[0])}", f"tilt about {_text(axes[1])}")
+    names = (f"tilt about the line through the points, along {text(axes[0])}", f"tilt about {text(axes[1])}")
     excitation = _judge(told, used, kept.sum(), squares, limit, Plane, names)
     reach = float(np.sqrt(cov[2, 2] + (axes[1] @ c) ** 2 * cov[0, 0] + (axes[0] @ c) ** 2 * cov[1, 1]))
     n = upward(n, c, reach, toward, normal, "plane")
@@ -295,17 +295,18 @@ def _line_distances(p: np.ndarray, kept: np.ndarray) -> tuple[float, np.ndarray]
     return float(sigma), np.sum(((p - c) @ axes[1:].T) ** 2, axis=1)
 
 
-def _text(v: np.ndarray) -> str:
+def text(v: np.ndarray) -> str:
+    """Return a vector (3,) as a report shows it."""
     return "(" + ", ".join(f"{x:.4f}" for x in v) + ")"
 
 
 def _plane_report(fit: Fit[Plane]) -> str:
     value = fit.value
-    head = f"plane n . x = d with n = {_text(value.n)}, d = {value.d:.6g} m, centroid {_text(value.centroid)} m"
-    return f"{head}\naxis 1 {_text(value.axes[0])}, axis 2 {_text(value.axes[1])}\n{fit.table()}"
+    head = f"plane n . x = d with n = {text(value.n)}, d = {value.d:.6g} m, centroid {text(value.centroid)} m"
+    return f"{head}\naxis 1 {text(value.axes[0])}, axis 2 {text(value.axes[1])}\n{fit.table()}"
 
 
 def _line_report(fit: Fit[Line]) -> str:
     value = fit.value
-    head = f"line x = r + s v with v = {_text(value.v)}, r = {_text(value.r)} m, centroid {_text(value.centroid)} m"
-    return f"{head}\naxis 1 {_text(value.axes[0])}, axis 2 {_text(value.axes[1])}\n{fit.table()}"
+    head = f"line x = r + s v with v = {text(value.v)}, r = {text(value.r)} m, centroid {text(value.centroid)} m"
+    return f"{head}\naxis 1 {text(value.axes[0])}, axis 2 {text(value.axes[1])}\n{fit.table()}"

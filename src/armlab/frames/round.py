@@ -1,0 +1,297 @@
+"""Maximum-likelihood circles and spheres through measured points: the sum of squared geometric distances is least.
+
+    sphere: e = |p - c| - r                          circle: e = (|q| - r, z),  z = n . (p - c),  q = p - c - n z
+
+A start comes from the linear equation ``|p|^2 = 2 c . p + (r^2 - |c|^2)``; Gauss-Newton does the rest. Short arcs and
+flat caps, which do not tell where the centre is, are refused by name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armlab.errors import NotConverged, NotExcited
+from armlab.estimation import Excitation, Fit, Measurement, NonlinearSolution, Problem, check_spread
+from armlab.estimation import nonlinear_least_squares as solve
+from armlab.frames import _check
+from armlab.frames._consensus import chosen, rounding
+from armlab.frames.features import Circle, Sphere
+from armlab.frames.flat import LIMIT, text, upward
+from armlab.lie import so3
+
+__all__ = ["fit_circle", "fit_sphere"]
+
+SCALE = 0.3  # of the radius: the largest deviation of centre and radius that is accepted
+Round = TypeVar("Round", Circle, Sphere)
+
+
+def fit_circle(
+    p: ArrayLike,
+    *,
+    noise: float | None = None,
+    robust: bool = False,
+    toward: ArrayLike | None = None,
+    normal: ArrayLike | None = None,
+) -> Fit[Circle]:
+    """Fit a circle in space to points.
+
+    Its normal points away from the origin of the frame of the points, unless `toward` or `normal` says otherwise.
+
+    Parameters
+    ----------
+    p : (N, 3) points [m], N >= 4; 3 are enough where the noise is known, 5 are needed to find an outlier.
+    noise : standard deviation of each coordinate [m]; estimated when left out.
+    robust : find points that do not belong to the circle; `outliers` marks them.
+    toward, normal : (3,) hints for the side of the normal, as those of `fit_plane`.
+
+    Returns
+    -------
+    Fit of a `Circle`: `residuals` (N, 2) are distances in its plane from it and from its plane, `cov` (6, 6) that of
+    `Circle.names`.
+
+    Raises
+    ------
+    ShapeError : points are no (N, 3) or not finite, with their rows; hints that do not tell the side.
+    NotExcited : too few points; points on a short arc, or in a line; a plane through the origin without a hint.
+    """
+    p, sigma = _check.points(p), _check.noise_of(noise)
+    needed = 3 if sigma else 4
+    _check.enough(len(p), needed, "circle")
+
+    def fit(q: np.ndarray) -> NonlinearSolution[Circle]:
+        return _descend(q, _circle_start(q), _circle_residuals, _circle_step, sigma)
+
+    kept = _kept(p, 3, 2, _circles, fit, _circle_residuals, sigma, "circle") if robust else np.ones(len(p), dtype=bool)
+    _check.enough(int(kept.sum()), needed, "circle")
+    found = fit(p[kept])
+    value = found.value
+    excitation = _judge(found, value)
+    slope = np.concatenate([value.n, np.cross(value.axes, value.n) @ value.centre, [0.0]])
+    n = upward(value.n, value.centre, float(np.sqrt(slope @ found.cov @ slope)), toward, normal, "circle")
+    value = Circle(value.centre, n, value.radius, value.axes, found.cov)
+    parameters = np.array([*value.centre, 0.0, 0.0, value.radius])
+    residuals = _circle_residuals(value, p)[0]
+    return _result(value, parameters, found, residuals, kept, excitation)
+
+
+def fit_sphere(p: ArrayLike, *, noise: float | None = None, robust: bool = False) -> Fit[Sphere]:
+    """Fit a sphere to points.
+
+    Parameters
+    ----------
+    p : (N, 3) points [m], N >= 5; 4 are enough where the noise is known, 6 are needed to find an outlier.
+    noise : standard deviation of each coordinate [m]; estimated when left out.
+    robust : find points that do not belong to the sphere; `outliers` marks them.
+
+    Returns
+    -------
+    Fit of a `Sphere`: `residuals` (N, 1) are signed distances, positive outside, `cov` (4, 4) that of `Sphere.names`.
+
+    Raises
+    ------
+    ShapeError : points are no (N, 3) or not finite, with their rows.
+    NotExcited : too few points; points in a plane or on a small cap.
+    """
+    p, sigma = _check.points(p), _check.noise_of(noise)
+    needed = 4 if sigma else 5
+    _check.enough(len(p), needed, "sphere")
+
+    def fit(q: np.ndarray) -> NonlinearSolution[Sphere]:
+        return _descend(q, Sphere(*_ball(q, np.eye(3))), _sphere_residuals, _sphere_step, sigma)
+
+    kept = _kept(p, 4, 1, _spheres, fit, _sphere_residuals, sigma, "sphere") if robust else np.ones(len(p), dtype=bool)
+    _check.enough(int(kept.sum()), needed, "sphere")
+    found = fit(p[kept])
+    excitation = _judge(found, found.value)
+    value = Sphere(found.value.centre, found.value.radius, found.cov)
+    parameters = np.array([*value.centre, value.radius])
+    return _result(value, parameters, found, _sphere_residuals(value, p)[0], kept, excitation)
+
+
+def _result(
+    value: Round,
+    parameters: np.ndarray,
+    found: NonlinearSolution[Round],
+    residuals: np.ndarray,
+    kept: np.ndarray,
+    excitation: Excitation,
+) -> Fit[Round]:
+    return Fit(
+        value=value,
+        names=value.names,
+        units=value.units,
+        parameters=parameters,
+        cov=found.cov,
+        sigma=found.sigma,
+        residuals=residuals,
+        n=int(kept.sum()),
+        excitation=excitation,
+        summary=_report,
+        outliers=~kept,
+        classes=("distance [m]",),
+    )
+
+
+def _descend(
+    p: np.ndarray,
+    start: Round,
+    residuals: Callable[[Round, np.ndarray], tuple[np.ndarray, np.ndarray]],
+    step: Callable[[Round, np.ndarray], Round],
+    sigma: float | None,
+) -> NonlinearSolution[Round]:
+    """Return the most likely circle or sphere of points (N, 3)."""
+    what = type(start).__name__.lower()
+    k = residuals(start, p)[0].shape[1]
+    cov = None if sigma is None else np.eye(k) * sigma**2
+
+    def evaluate(value: Round) -> list[Measurement]:
+        r, J = residuals(value, p)
+        return [Measurement(r, J, cov, ("distance",) * k)]
+
+    try:
+        found = solve(Problem(evaluate, step, what=what), start)
+    except NotConverged:
+        raise NotExcited(
+            f"Expected points that tell where the {what} is, got a descent without end. They cover too little of it.",
+            ["centre and radius"],
+            ["no minimum"],
+        ) from None
+    rest = -found.cov @ (found.rows.J.T @ found.rows.r)  # the descent ends where the cost can no longer tell
+    return replace(found, value=step(found.value, rest))
+
+
+def _judge(found: NonlinearSolution[Any], value: Circle | Sphere) -> Excitation:
+    """Return the excitation; refuse centres, radii and tilts beyond their limits, in words."""
+    limits = np.array([LIMIT if unit == "rad" else SCALE * value.radius for unit in value.units])
+    what = type(value).__name__.lower()
+
+    def describe(reach: np.ndarray) -> str:
+        share = np.abs(reach) / limits
+        if isinstance(value, Circle) and share[3:5].max() > max(share[:3].max(), share[5]):
+            return f"tilt of the circle about {text(reach[3:5] @ value.axes / np.linalg.norm(reach[3:5]))}"
+        along = text(reach[:3] / max(float(np.linalg.norm(reach[:3])), 1e-300))
+        return f"centre along {along} with the radius: the points cover too little of the {what}"
+
+    return check_spread(found.rows.J, value.names, value.units, limits, what, describe=describe)
+
+
+def _kept(
+    p: np.ndarray,
+    size: int,
+    numbers: int,
+    through: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    fit: Callable[[np.ndarray], NonlinearSolution[Round]],
+    residuals: Callable[[Round, np.ndarray], tuple[np.ndarray, np.ndarray]],
+    sigma: float | None,
+    what: str,
+) -> np.ndarray:
+    """Return which points (N,) belong to the feature."""
+
+    def refit(which: np.ndarray) -> tuple[float, np.ndarray]:
+        _check.enough(int(which.sum()), size + 1, what)
+        found = fit(p[which])
+        return float(found.sigma[0]), np.sum(residuals(found.value, p)[0] ** 2, axis=1)
+
+    return chosen(p, size, numbers, through, refit, sigma, what)
+
+
+def _circle_residuals(value: Circle, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return residuals (N, 2) and their derivatives (N, 2, 6)."""
+    away = p - value.centre
+    z = away @ value.n
+    q = away - np.outer(z, value.n)
+    rho = np.linalg.norm(q, axis=1)
+    rho = np.maximum(rho, 1e-300)
+    lift = away @ np.cross(value.axes, value.n).T  # of a point out of the plane, per tilt
+    J = np.zeros((len(p), 2, 6))
+    J[:, 0, :3], J[:, 1, :3] = -q / rho[:, None], -value.n
+    J[:, 0, 3:5], J[:, 1, 3:5] = -(z / rho)[:, None] * lift, lift
+    J[:, 0, 5] = -1.0
+    return np.stack([rho - value.radius, z], axis=1), J
+
+
+def _circle_step(value: Circle, x: np.ndarray) -> Circle:
+    R = so3.exp(x[3:5] @ value.axes)
+    n = R @ value.n
+    n = n / np.linalg.norm(n)
+    first = R @ value.axes[0]
+    first = first - n * (n @ first)
+    first = first / np.linalg.norm(first)
+    side = 1.0 if np.cross(value.axes[0], value.axes[1]) @ value.n > 0 else -1.0
+    axes = np.stack([first, side * np.cross(n, first)])
+    return Circle(value.centre + x[:3], n, max(value.radius + x[5], 1e-3 * value.radius), axes)
+
+
+def _sphere_residuals(value: Sphere, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return residuals (N, 1) and their derivatives (N, 1, 4)."""
+    away = p - value.centre
+    rho = np.maximum(np.linalg.norm(away, axis=1), 1e-300)
+    J = np.hstack([-away / rho[:, None], -np.ones((len(p), 1))])
+    return (rho - value.radius)[:, None], J[:, None]
+
+
+def _sphere_step(value: Sphere, x: np.ndarray) -> Sphere:
+    return Sphere(value.centre + x[:3], max(value.radius + x[3], 1e-3 * value.radius))
+
+
+def _ball(p: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return centre and radius of the linear fit, the centre within the span of the axes (k, 3) through the mean."""
+    middle = p.mean(axis=0)
+    q = (p - middle) @ axes.T
+    size = max(float(np.sqrt(np.mean(np.sum(q**2, axis=1)))), 1e-300)
+    q = q / size
+    A = np.column_stack([2.0 * q, np.ones(len(q))])
+    x = np.linalg.lstsq(A, np.sum(q**2, axis=1), rcond=1e-12)[0]
+    return middle + size * x[:-1] @ axes, size * float(np.sqrt(max(x[-1] + x[:-1] @ x[:-1], 1e-300)))
+
+
+def _circle_start(p: np.ndarray) -> Circle:
+    _, singular, axes = np.linalg.svd(p - p.mean(axis=0), full_matrices=True)
+    if not singular[1] > max(1e-9 * singular[0], rounding(p)):
+        raise NotExcited(
+            "Expected points around a circle, got points in a line or in one place. Measure more of the circle.",
+            ["centre and radius: the points are in a line"],
+            ["no spread"],
+        )
+    axes = axes * np.where(axes[np.arange(3), np.abs(axes).argmax(axis=1)] < 0, -1.0, 1.0)[:, None]
+    centre, radius = _ball(p, axes[:2])
+    return Circle(centre, axes[2], radius, axes[:2])
+
+
+def _circles(sets: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """Return squared distances (S, N) from the circles through sets (S, 3, 3)."""
+    a, b = sets[:, 1] - sets[:, 0], sets[:, 2] - sets[:, 0]
+    n = np.cross(a, b)
+    twice = np.sum(n**2, axis=1, keepdims=True)
+    aa, bb = np.sum(a**2, axis=1, keepdims=True), np.sum(b**2, axis=1, keepdims=True)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        to_centre = (np.cross(n, a) * bb + np.cross(b, n) * aa) / (2.0 * twice)
+        unit = n / np.sqrt(twice)
+        away = p - (sets[:, 0] + to_centre)[:, None]
+        z = np.einsum("snk,sk->sn", away, unit)
+        rho = np.sqrt(np.maximum(np.sum(away**2, axis=2) - z**2, 0.0))
+        return (rho - np.linalg.norm(to_centre, axis=1)[:, None]) ** 2 + z**2
+
+
+def _spheres(sets: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """Return squared distances (S, N) from the spheres through sets (S, 4, 3)."""
+    edges = sets[:, 1:] - sets[:, :1]
+    volume = np.abs(np.linalg.det(edges)) > 1e-12 * np.linalg.norm(edges, axis=2).prod(axis=1)
+    squares = np.full((len(sets), len(p)), np.nan)
+    to_centre = np.linalg.solve(edges[volume], 0.5 * np.sum(edges[volume] ** 2, axis=2)[..., None])[..., 0]
+    away = p - (sets[volume, 0] + to_centre)[:, None]
+    squares[volume] = (np.linalg.norm(away, axis=2) - np.linalg.norm(to_centre, axis=1)[:, None]) ** 2
+    return squares
+
+
+def _report(fit: Fit[Any]) -> str:
+    value = fit.value
+    head = f"{type(value).__name__.lower()} of radius {value.radius:.6g} m about {text(value.centre)} m"
+    if isinstance(value, Circle):
+        head += f", normal {text(value.n)}\naxis 1 {text(value.axes[0])}, axis 2 {text(value.axes[1])}"
+    return f"{head}\n{fit.table()}"
