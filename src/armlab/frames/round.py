@@ -9,7 +9,6 @@ flat caps, which do not tell where the centre is, are refused by name.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -154,15 +153,13 @@ def _descend(
         return [Measurement(r, J, cov, ("distance",) * k)]
 
     try:
-        found = solve(Problem(evaluate, step, what=what), start)
+        return solve(Problem(evaluate, step, what=what), start)
     except NotConverged:
         raise NotExcited(
             f"Expected points that tell where the {what} is, got a descent without end. They cover too little of it.",
             ["centre and radius"],
             ["no minimum"],
         ) from None
-    rest = -found.cov @ (found.rows.J.T @ found.rows.r)  # the descent ends where the cost can no longer tell
-    return replace(found, value=step(found.value, rest))
 
 
 def _judge(found: NonlinearSolution[Any], value: Circle | Sphere) -> Excitation:
