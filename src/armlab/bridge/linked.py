@@ -43,8 +43,8 @@ class LinkedLimiter(Limiter):
         ----------
         q, qd : (n,) references of the joints or None. period : cycle time of the robot [s].
         """
-        wanted = (None if values is None else self._linkage.axes(values) for values in (q, qd))
-        return self._linkage.heard(super().step(*wanted, period))
+        wanted, speed = (None if values is None else self._linkage.axes(values) for values in (q, qd))
+        return self._linkage.heard(super().step(wanted, speed, period))
 
 
 def limiter_of(limits: Limits, robot: Robot) -> Limiter:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from armlab.cli.sim_files import read_hand, read_operator
 from armlab.errors import ConfigError
@@ -36,8 +36,8 @@ class FaultOptions:
 
     def rates(self) -> FaultRates:
         """Return the rates, or raise ConfigError for what makes no sense."""
-        given = {field.name: getattr(self, field.name) for field in fields(self)}
-        return FaultRates(**{name: pair(name, x) if isinstance(x, str) else x for name, x in given.items()})
+        given: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(self)}
+        return FaultRates(**{**given, "delay": pair("delay", self.delay), "pause": pair("pause", self.pause)})
 
 
 _, _, _attributes = (FaultRates.__doc__ or "").partition("    Attributes\n")  # the help is written once, there
