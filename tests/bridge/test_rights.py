@@ -12,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armlab import bridge, robots
-from armlab.bridge.rights import LEASE, Arbiter, Order
+from armlab.bridge.order import Order
+from armlab.bridge.rights import LEASE, Arbiter
 from armlab.state import Command, State
 
 LEFT, RIGHT = robots.load("yumi_left"), robots.load("yumi_right")

@@ -3,9 +3,10 @@
 from armlab.bridge.fusion import Fusion, Held
 from armlab.bridge.limits import Limits
 from armlab.bridge.link import Link, connect
+from armlab.bridge.order import Order
 from armlab.bridge.parameters import Parameter, Parameters
 from armlab.bridge.replay import ReplaySource
-from armlab.bridge.rights import Arbiter, Order
+from armlab.bridge.rights import Arbiter
 from armlab.bridge.run import Run
 from armlab.bridge.sources import CallableSource, Reading, Source, TimerSource
 from armlab.bridge.udp import UdpSource

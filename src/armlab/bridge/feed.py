@@ -31,9 +31,10 @@ from armlab.bridge.messages import (
     read_request,
     text_message,
 )
+from armlab.bridge.order import Order
 from armlab.bridge.outlet import Outlet
 from armlab.bridge.parameters import Change, Parameters
-from armlab.bridge.rights import Arbiter, Order
+from armlab.bridge.rights import Arbiter
 from armlab.bridge.row import RowWriter
 from armlab.bridge.row_schema import RowSchema
 from armlab.errors import ArmlabError, LinkError

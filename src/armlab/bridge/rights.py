@@ -1,4 +1,4 @@
-"""Who may command: one commander per arm with a lease, all others read. `Order`, and `Arbiter`, which is a controller.
+"""Who may command: one commander per arm with a lease, all others read. `Arbiter` is a controller.
 
 Not a safety function: emergency stop and the robot's own supervision stay in charge.
 """
@@ -9,16 +9,16 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
 
 import numpy as np
 
 from armlab.bridge.events import Tell, nobody
 from armlab.bridge.limits import Limits
+from armlab.bridge.order import Order, read_order
 from armlab.robots import Robot
 from armlab.state import Command, State
 
-__all__ = ["LEASE", "Arbiter", "Order"]
+__all__ = ["LEASE", "Arbiter"]
 
 LEASE = 0.1
 """Seconds of silence after which an arm is free again, the same for all servers."""
@@ -26,28 +26,6 @@ LEASE = 0.1
 _ANSWER_EVERY = 1_000_000_000  # ns between two answers to one client
 _CLIENTS = 256  # that are counted or wait; more are a flood
 _CAUSES = "Usual causes are degrees instead of radians and another joint order."
-
-
-class Order(NamedTuple):
-    """What a client wants an arm to do next.
-
-    Attributes
-    ----------
-    client : identity of the connection, first its server: "labcomm 127.0.0.1:40312". arm : name of the robot.
-    q, qd, tau : (n,) references, None for not commanded. seq : number in the client's order, None without one.
-    """
-
-    client: str
-    arm: str
-    q: Any = None
-    qd: Any = None
-    tau: Any = None
-    seq: int | None = None
-
-    @property
-    def server(self) -> str:
-        """Name of the server it came through."""
-        return self.client.partition(" ")[0]
 
 
 @dataclass(slots=True)
@@ -223,27 +201,18 @@ class Arbiter:
         if holder is not None and None not in (order.seq, holder.seq) and order.seq <= holder.seq:  # type: ignore[operator]
             _count(self.refused, order.client)
             return False
-        values: dict[str, np.ndarray | None] = {}
-        for name in ("q", "qd", "tau"):
-            values[name], problem = _vector(getattr(order, name), name, robot)
-            if problem:
-                return self._refuse(order.client, problem, now)
-        q, tau = values["q"], values["tau"]
-        problem = ""
-        if tau is not None and order.arm not in self._torque:
-            problem = f"Expected no torque: {order.arm} takes none here. A cell allows it by `torque` of the robot."
+        command, problem = read_order(order, robot, order.arm in self._torque)
+        q = command.q
         if q is not None and not problem:
             if holder is None:
                 problem = _distance(q, state.q, np.full(robot.n, self._entry), "first position", "measured", robot)
             else:
                 problem = _distance(q, _sent(state), self._jumps[order.arm], "position", "last sent", robot)
-        if not problem and all(value is None for value in values.values()):
-            problem = f"Expected a position, a velocity or a torque for {order.arm}, got none."
         if problem:
             return self._refuse(order.client, problem, now)
         if holder is None:
             self._tell(f"{order.client} commands {order.arm}.")
-        self._holders[order.arm] = _Holder(order.client, Command(q, values["qd"], tau), order.seq, now)
+        self._holders[order.arm] = _Holder(order.client, command, order.seq, now)
         _count(self.obeyed[order.arm], order.client)
         return True
 
@@ -286,24 +255,6 @@ def _sent(state: State) -> np.ndarray:
     """Return the position that was sent last, the measured one before anything was."""
     q = state.q_sent
     return q if len(q) and not np.isnan(q).any() else state.q
-
-
-def _vector(values: Any, name: str, robot: Robot) -> tuple[np.ndarray | None, str]:
-    """Return the (n,) numbers of a command, and what is wrong with them."""
-    if values is None:
-        return None, ""
-    try:
-        array = np.array(values, dtype=np.float64)
-    except (ValueError, TypeError, OverflowError):
-        array = np.empty(0)
-    if array.shape != (robot.n,):
-        return None, f"Expected {robot.n} numbers in {name} for {robot.name}, got {np.shape(array)}."
-    if not np.isfinite(array).all():
-        i = int(np.argmin(np.isfinite(array)))
-        joint = f"joint {i + 1} ({robot.joint_names[i]})"
-        return None, f"Expected finite numbers in {name} for {robot.name}, got {array[i]} for {joint}."
-    array.flags.writeable = False
-    return array, ""
 
 
 def _distance(q: np.ndarray, near: np.ndarray, bound: np.ndarray, what: str, where: str, robot: Robot) -> str:

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from armlab.bridge.labcomm.channels import FusedArm, OnCommand
 from armlab.bridge.labcomm.rows import Row
 from armlab.bridge.labcomm.server import LabCommServer
-from armlab.bridge.rights import Arbiter, Order
+from armlab.bridge.order import Order
+from armlab.bridge.rights import Arbiter
 from armlab.log import Tick
 from armlab.state import Command, State
 

@@ -7,7 +7,6 @@ silent, hostile or gone, is ever waited for. A fault closes the connection that 
 from __future__ import annotations
 
 import contextlib
-import errno
 import selectors
 import socket
 import threading
@@ -18,8 +17,8 @@ from types import TracebackType
 from typing import Any
 
 from armlab.bridge.events import Tell, nobody
-from armlab.bridge.holder import holder
 from armlab.bridge.labcomm.channels import Channel, FusedArm, FusedSource
+from armlab.bridge.labcomm.listening_socket import listening_socket
 from armlab.bridge.labcomm.parameter_channel import Value
 from armlab.bridge.labcomm.peer import Peer
 from armlab.bridge.labcomm.rows import STOP, Row
@@ -172,15 +171,8 @@ class LabCommServer:
             self._waker.send(b"\0")
 
     def _listen(self, channel: Channel, host: str) -> None:
-        listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        listener = listening_socket(host, channel.port, channel.name, 2 * _CLIENTS)
         self._listeners.append(listener)
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            listener.bind((host, channel.port))
-            listener.listen(2 * _CLIENTS)
-        except (OSError, OverflowError) as error:
-            raise LinkError(_why_not(host, channel, error)) from error
-        listener.setblocking(False)
         self.ports[channel.name] = listener.getsockname()[1]
         self._selector.register(listener, selectors.EVENT_READ, channel)
 
@@ -322,13 +314,3 @@ class LabCommServer:
         for one in (*self._listeners, self._awake, self._waker):
             one.close()
         self._selector.close()
-
-
-def _why_not(host: str, channel: Channel, error: Exception) -> str:
-    is_taken = getattr(error, "errno", None) == errno.EADDRINUSE
-    who = holder(channel.port, "tcp") if is_taken else ""
-    why = f"it is in use{f' by {who}' if who else ''}" if is_taken else f"{error}"
-    return (
-        f"Expected TCP port {host}:{channel.port} for {channel.name} to be free, but {why}. End the program that has "
-        "it or choose another port."
-    )

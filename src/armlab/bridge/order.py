@@ -1,0 +1,72 @@
+"""`Order`: what a client wants an arm to do, and `read_order`, which tells whether it can be a command at all."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from armlab.robots import Robot
+from armlab.state import Command
+
+__all__ = ["Order", "read_order"]
+
+
+class Order(NamedTuple):
+    """What a client wants an arm to do next.
+
+    Attributes
+    ----------
+    client : identity of the connection, first its server: "labcomm 127.0.0.1:40312". arm : name of the robot.
+    q, qd, tau : (n,) references, None for not commanded. seq : number in the client's order, None without one.
+    """
+
+    client: str
+    arm: str
+    q: Any = None
+    qd: Any = None
+    tau: Any = None
+    seq: int | None = None
+
+    @property
+    def server(self) -> str:
+        """Name of the server it came through."""
+        return self.client.partition(" ")[0]
+
+
+def read_order(order: Order, robot: Robot, has_torque: bool = False) -> tuple[Command, str]:
+    """Return the command of an order, and what is wrong with it, "" when nothing is; one bad number refuses it whole.
+
+    Parameters
+    ----------
+    order : of a client. robot : the arm. has_torque : whether it takes torques.
+    """
+    values: dict[str, np.ndarray | None] = {}
+    for name in ("q", "qd", "tau"):
+        values[name], problem = _vector(getattr(order, name), name, robot)
+        if problem:
+            return Command(), problem
+    if values["tau"] is not None and not has_torque:
+        problem = f"Expected no torque: {robot.name} takes none here. A cell allows it by `torque` of the robot."
+        return Command(), problem
+    if all(value is None for value in values.values()):
+        return Command(), f"Expected a position, a velocity or a torque for {robot.name}, got none."
+    return Command(**values), ""
+
+
+def _vector(values: Any, name: str, robot: Robot) -> tuple[np.ndarray | None, str]:
+    """Return the (n,) numbers of a command, and what is wrong with them."""
+    if values is None:
+        return None, ""
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (ValueError, TypeError, OverflowError):
+        array = np.empty(0)
+    if array.shape != (robot.n,):
+        return None, f"Expected {robot.n} numbers in {name} for {robot.name}, got {np.shape(array)}."
+    if not np.isfinite(array).all():
+        i = int(np.argmin(np.isfinite(array)))
+        joint = f"joint {i + 1} ({robot.joint_names[i]})"
+        return None, f"Expected finite numbers in {name} for {robot.name}, got {array[i]} for {joint}."
+    array.flags.writeable = False
+    return array, ""
