@@ -2,5 +2,6 @@
 
 from armlab.calibrate.hand_eye import fit_hand_eye
 from armlab.calibrate.hand_eye_points import fit_hand_eye_points
+from armlab.calibrate.kinematics import fit_kinematics
 
-__all__ = ["fit_hand_eye", "fit_hand_eye_points"]
+__all__ = ["fit_hand_eye", "fit_hand_eye_points", "fit_kinematics"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from armlab.kinematics.derivative import jacobian_derivative
 from armlab.kinematics.forward import forward, link_transforms
+from armlab.kinematics.frame_jacobian import frame_jacobian, frame_poses, twist_jacobian
 from armlab.kinematics.inverse import Inverse, inverse
 from armlab.kinematics.jacobian import forward_jacobian, jacobian
 from armlab.kinematics.manipulability import (
@@ -24,6 +25,8 @@ __all__ = [
     "ellipsoid",
     "forward",
     "forward_jacobian",
+    "frame_jacobian",
+    "frame_poses",
     "inverse",
     "inverse_path",
     "jacobian",
@@ -33,4 +36,5 @@ __all__ = [
     "manipulability_gradient",
     "null_motion",
     "singular_values",
+    "twist_jacobian",
 ]

@@ -5,6 +5,7 @@ from armlab.models.files import load, load_statistics, save
 from armlab.models.force_sensor import ForceSensor
 from armlab.models.friction import Friction, FrictionBound, Ripple
 from armlab.models.hand_eye import HandEye
+from armlab.models.kinematic_correction import DualArmCorrection, KinematicCorrection, harmonic_basis
 from armlab.models.momentum import FORCE_RATES, PRIOR, MomentumNoise
 from armlab.models.payload import Payload
 from armlab.models.quality import Quality
@@ -15,6 +16,7 @@ from armlab.models.torque import TorqueModel
 from armlab.models.training import SPEED_EDGES, Training
 from armlab.models.velocity_covariance import VelocityCovariance, velocity_covariance
 from armlab.models.warm_up import WarmUp
+from armlab.robots import Mesh, Robot
 
 __all__ = [
     "FORCE_RATES",
@@ -22,10 +24,12 @@ __all__ = [
     "SPEED_EDGES",
     "CoupledMotors",
     "ForceSensor",
+    "DualArmCorrection",
     "Friction",
     "FrictionBound",
     "FrictionMap",
     "HandEye",
+    "KinematicCorrection",
     "MomentumNoise",
     "Payload",
     "Quality",
@@ -36,6 +40,7 @@ __all__ = [
     "Training",
     "VelocityCovariance",
     "WarmUp",
+    "harmonic_basis",
     "load",
     "load_statistics",
     "register",
@@ -54,3 +59,7 @@ register("coupled_motors", CoupledMotors)
 register("payload", Payload)
 register("force_sensor", ForceSensor)
 register("hand_eye", HandEye)
+register("robot", Robot)
+register("mesh", Mesh)
+register("kinematic_correction", KinematicCorrection)
+register("dual_arm_correction", DualArmCorrection)

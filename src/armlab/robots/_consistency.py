@@ -60,8 +60,9 @@ def _check_poses(robot: Robot) -> None:
     """Links, mount and tool are poses; G can be inverted; gravity is finite."""
     poses = {f"links[{i}]": link for i, link in enumerate(robot.links)}
     poses |= {"T_base_mount": robot.T_base_mount, "T_flange_tool": robot.T_flange_tool}
-    for field, pose in poses.items():
-        if not se3.is_pose(pose, POSE_TOLERANCE):
+    good = se3.is_pose(np.stack(list(poses.values())), POSE_TOLERANCE)
+    for (field, pose), fits in zip(poses.items(), good):
+        if not fits:
             rows = "; ".join(" ".join(f"{x:.9g}" for x in row) for row in pose)
             raise RobotError(
                 f"Expected {field} of robot {robot.name!r} to be a pose with a rotation orthonormal to "

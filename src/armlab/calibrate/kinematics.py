@@ -1,0 +1,187 @@
+"""Kinematic calibration: the frames of an arm, its tool and its foot from what an instrument saw of them.
+
+    T(q) = E_0 Z_1(q_1) E_1 ... Z_n(q_n) E_n,        E_j <- E_j Exp(x_j)
+
+Every frame may move by a twist, so that no arm is special, parallel axes included. Maximum likelihood over all kinds of
+measurement together; what they cannot see is in `excitation`, by name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armlab._numbers import numbers
+from armlab.calibrate._arm import Arm
+from armlab.calibrate._kinematic_data import check_harmonics, check_joints, check_terms, measured_kinds
+from armlab.calibrate._kinematic_problem import KinematicProblem, State
+from armlab.calibrate._kinematic_solution import Question
+from armlab.calibrate._kinematic_start import check_scale, start_arm
+from armlab.errors import ConfigError, NotExcited, ShapeError, UnknownName
+from armlab.estimation import Fit
+from armlab.models import KinematicCorrection
+from armlab.robots import Robot
+
+__all__ = ["LIMITS", "fit_kinematics"]
+
+LIMITS = (0.05, 0.05)
+"""Standard deviation [m, rad] along any direction that is the most accepted."""
+
+MODELS, CHOICES, WEAK = ("local_poe", "poe"), ("all", "offsets", "base_tool"), ("refuse", "prior")
+
+
+def fit_kinematics(
+    robot: Robot,
+    q: ArrayLike,
+    *,
+    pose: ArrayLike | None = None,
+    position: ArrayLike | None = None,
+    distance: ArrayLike | None = None,
+    pair_distance: tuple[ArrayLike, ArrayLike, ArrayLike] | None = None,
+    anchor: ArrayLike | None = None,
+    length_offset: bool = False,
+    length_scale: bool = False,
+    visible: ArrayLike | Mapping[str, ArrayLike] | None = None,
+    noise: Any = None,
+    model: str = "local_poe",
+    free: str | ArrayLike = "all",
+    harmonics: Sequence[int] = (),
+    joint_terms: ArrayLike | None = None,
+    prior: float | tuple[float, float] = 0.1,
+    weak: str = "refuse",
+    robust: bool = False,
+    limits: tuple[float, float] = LIMITS,
+) -> Fit[KinematicCorrection]:
+    """Calibrate an arm: base, links, joint offsets, tool, and errors of the joints if asked.
+
+    Parameters
+    ----------
+    robot : nominal arm, where the fit starts. A measurement frame far from its base is found first.
+    q : (N, n) joint positions [rad or m].
+    pose : (N, 4, 4) measured poses of the tool.
+    position : (N, 3) of the tool point, or (N, K, 3) of K points that are fixed to the tool at unknown places [m].
+    distance : (N,) from `anchor`, a fixed point that is known roughly and estimated, to the tool point [m].
+    pair_distance : (i, j, d): samples i and j (M,), and the distances d (M,) of their tool points [m].
+    anchor : (3,) first guess of the fixed point, measurement frame [m].
+    length_offset, length_scale : estimate ``measured = scale * true + offset`` of distances.
+    visible : (N,) or (N, K), False where a measurement is missing; by kind where masks differ: {"position": mask}.
+    noise : of a pose (sd [m], sd [rad]) or 6 sd; of a position one sd or 3 [m]; of a distance one sd; covariances (k, k)
+        or (N, k, k). An infinite sd drops a component. Several kinds: {"pose": ..., "distance": ...}. None: estimated.
+    model : "local_poe": steps of the frames; "poe": of the screws in the base and the home pose. The same robot results.
+    free : "all"; "offsets": joint offsets, base and tool; "base_tool"; or a mask (n+1, 6) of the twists [v; w] of the
+        frames, joint j + 1 being the z axis of frame j.
+    harmonics : orders k of ``a_jk cos k q_j + b_jk sin k q_j`` added to q, amplitudes known before to 0.1 deg.
+    joint_terms : phi (N, n, L), for example gravity torques: ``sum_l c_l phi_l`` is added to q.
+    prior : standard deviation of the links [m and rad, or a pair] for `weak="prior"`; none for base and tool.
+    weak : "refuse" directions that the data tell worse than `limits`, or hold them by the "prior".
+    robust : find outliers among the samples.
+    limits : standard deviation [m, rad] that is the most accepted.
+
+    Returns
+    -------
+    Fit of `models.KinematicCorrection`. The parameters are the twists of the frames from the start, of equal ones the
+    smallest, then amplitudes, coefficients, points, anchor and what else was asked. `residuals` and `outliers` have a
+    row for each sample, then one for each pair; components that were not measured are NaN.
+
+    Raises
+    ------
+    NotExcited : directions that the data do not tell, by name. NotConverged : samples that do not belong together.
+    ShapeError : wrong shapes, NaN that is not masked, what is no rotation, millimetres, degrees.
+    ConfigError, UnknownName : options that do not exist.
+
+    References
+    ----------
+    Okamura and Park (1996); Chen, Yang, Tan and Yeo (2001); He et al. (2010); Hollerbach and Wampler (1996).
+    """
+    q = check_joints(robot, q)
+    if len(q) == 0:
+        raise NotExcited("Expected samples, got none. Measure poses of the arm.", ["everything"], ["no samples"])
+    _check_options(model, free, weak)
+    orders, terms = check_harmonics(harmonics), check_terms(joint_terms, q.shape)
+    given = {"pose": pose, "position": position, "distance": distance, "pair_distance": pair_distance}
+    kinds, notes = measured_kinds(len(q), given, visible, noise)
+    arm, points = start_arm(Arm.of(robot, q, orders, terms, model), tuple(kinds))
+    held = _pair_of(prior, "prior") if weak == "prior" else None
+    problem = KinematicProblem(arm, tuple(kinds), np.zeros(0, dtype=bool), len(points), held)
+    start = State(arm.first(), points, _anchor(anchor, distance is not None), np.array([0.0, 1.0]))
+    _check_lengths(problem, start)
+    used = _used(problem, free, distance is not None, (length_offset, length_scale))
+    reduced = isinstance(free, str) and free == "all" and held is None
+    active = used & _with_rest(arm.unbound, problem.size) if reduced else used
+    problem = KinematicProblem(arm, tuple(kinds), active, len(points), held)
+    question = Question(problem, used, _pair_of(limits, "limits"), weak == "prior")
+    solution = question.solve(start, robust)
+    return question.fit(solution, isinstance(free, str) and free == "all", notes)
+
+
+def _check_options(model: str, free: Any, weak: str) -> None:
+    for value, what, known in ((model, "model", MODELS), (weak, "way to treat weak directions", WEAK)):
+        if value not in known:
+            raise UnknownName.among(what, value, known)
+    if isinstance(free, str) and free not in CHOICES:
+        raise UnknownName.among("choice of free frames", free, CHOICES)
+    if model == "poe" and not (isinstance(free, str) and free == "all"):
+        raise ConfigError("Expected free='all' with model='poe', got a part of it. Parts are told by model='local_poe'.")
+
+
+def _pair_of(value: Any, what: str) -> tuple[float, float]:
+    """Return (metres, radians) from one number or two."""
+    pair = numbers(value, what, ConfigError)
+    if pair.shape not in ((), (2,)) or not np.all(pair > 0) or not np.isfinite(pair).all():
+        raise ConfigError(f"Expected {what} as one or two numbers above zero [m, rad], got {value!r}.")
+    length, angle = np.broadcast_to(pair, (2,))
+    return float(length), float(angle)
+
+
+def _anchor(anchor: ArrayLike | None, needed: bool) -> np.ndarray:
+    if anchor is None:
+        if needed:
+            raise ConfigError("Expected a first guess of the fixed point for distances, got none. Give anchor=(x, y, z).")
+        return np.zeros(3)
+    found = numbers(anchor, "anchor", ShapeError)
+    if found.shape != (3,) or not np.isfinite(found).all():
+        raise ShapeError(f"Expected anchor as three finite numbers [m], got {anchor!r}.")
+    return found
+
+
+def _check_lengths(problem: KinematicProblem, start: State) -> None:
+    """Refuse distances in millimetres."""
+    nominal = [one for one in problem.measurements(start) if one.classes[0] in ("distance [m]", "pair distance [m]")]
+    lengths = [kind for kind in problem.kinds if "distance" in kind.name]
+    for kind, one in zip(lengths, nominal):
+        measured = kind.values[kind.visible]
+        if len(measured):
+            check_scale(float(np.mean(np.abs(measured - one.r[:, 0]))), float(np.mean(measured)), kind.name)
+
+
+def _used(problem: KinematicProblem, free: Any, anchored: bool, length: tuple[bool, bool]) -> np.ndarray:
+    """Return which unknowns (d,) there are, gauge included."""
+    arm = problem.arm
+    frames = _free_frames(arm, free)
+    if problem.tool_held:
+        frames[-1] = False
+    rest = [np.ones(3 * problem.points, dtype=bool), np.full(3, anchored), np.array(length, dtype=bool)]
+    mask = np.concatenate([frames.ravel(), np.ones(arm.size - frames.size, dtype=bool), *rest])
+    return mask & _with_rest(arm.existing, problem.size)
+
+
+def _with_rest(mask: np.ndarray, size: int) -> np.ndarray:
+    return np.concatenate([mask, np.ones(size - len(mask), dtype=bool)])
+
+
+def _free_frames(arm: Arm, free: Any) -> np.ndarray:
+    """Return the mask (n+1, 6) of what is free."""
+    mask = np.ones((arm.n + 1, 6), dtype=bool)
+    if not isinstance(free, str):
+        mask = np.asarray(free)
+        if mask.dtype != bool or mask.shape != (arm.n + 1, 6):
+            raise ShapeError(f"Expected free as True and False of shape ({arm.n + 1}, 6), got {mask.shape}.")
+        return mask.copy()
+    if free != "all":
+        mask[1:-1] = False
+    if free == "offsets":
+        mask[np.arange(arm.n), np.where(arm.robot.prismatic, 2, 5)] = True
+    return mask

@@ -1,0 +1,240 @@
+"""A calibrated arm: its constant frames as measurements found them, and what its joints do besides turning."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armlab._numbers import numbers
+from armlab.errors import ModelMismatchError, RobotError, ShapeError
+from armlab.kinematics import forward, frame_jacobian
+from armlab.lie import se3
+from armlab.robots import Robot
+
+__all__ = ["DualArmCorrection", "KinematicCorrection", "harmonic_basis"]
+
+COMMAND_ROUNDS = 50
+
+
+def harmonic_basis(q: np.ndarray, harmonics: tuple[int, ...]) -> np.ndarray:
+    """Return ``cos k q_j, sin k q_j`` for each k of `harmonics`: (..., n, 2 m).
+
+    Parameters
+    ----------
+    q : (..., n) joint positions [rad]. harmonics : m orders.
+    """
+    angles = q[..., None] * np.array(harmonics, dtype=float)
+    return np.stack([np.cos(angles), np.sin(angles)], axis=-1).reshape(*q.shape, 2 * len(harmonics))
+
+
+@dataclass(frozen=True, eq=False)
+class KinematicCorrection:
+    """What `calibrate.fit_kinematics` found.
+
+    Attributes
+    ----------
+    robot : the corrected arm. Its frame ``base`` is the one that was measured in, its tool the one that was measured;
+        gravity has turned with the foot. It goes wherever a `Robot` goes.
+    robot_name, robot_hash : the arm before.
+    harmonics : orders k of the joint errors ``a_jk cos k q_j + b_jk sin k q_j``.
+    amplitudes : (n, 2 m) ``a_j1 b_j1 a_j2 b_j2 ...`` [rad].
+    coefficients : (L,) of the joint terms.
+    cov : (d, d) covariance of 6 (n+1) frame errors, frame by frame [v; w] in its own axes, n 2 m amplitudes, L
+        coefficients.
+    points : (K, 3) tool points in tool axes [m], where several were measured.
+    anchor : (3,) fixed point of measured distances, base axes [m], or None.
+    length_offset, length_scale : of the instrument of distances: measured = scale * true + offset.
+    sources : SHA-256 and name of each log.
+    """
+
+    robot: Robot
+    robot_name: str
+    robot_hash: str
+    harmonics: tuple[int, ...]
+    amplitudes: np.ndarray
+    coefficients: np.ndarray
+    cov: np.ndarray
+    points: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    anchor: np.ndarray | None = None
+    length_offset: float = 0.0
+    length_scale: float = 1.0
+    sources: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check shapes and freeze the arrays."""
+        if not isinstance(self.robot, Robot):
+            raise RobotError.no_robot(self.robot)
+        n, L = self.robot.n, len(self.coefficients)
+        d = 6 * (n + 1) + 2 * n * len(self.harmonics) + L
+        shapes = {
+            "amplitudes": (n, 2 * len(self.harmonics)),
+            "coefficients": (L,),
+            "cov": (d, d),
+            "points": (len(self.points), 3),
+            "anchor": (3,),
+        }
+        for name, shape in shapes.items():
+            if getattr(self, name) is None:
+                continue
+            values = np.array(getattr(self, name), dtype=float)
+            if values.shape != shape or not np.isfinite(values).all():
+                raise ShapeError(
+                    f"Expected finite {name} of shape {shape} of a kinematic correction, got shape {values.shape}."
+                )
+            values.flags.writeable = False
+            object.__setattr__(self, name, values)
+
+    @property
+    def frames(self) -> np.ndarray:
+        """(n+1, 4, 4) constant frames ``E_0 ... E_n`` of the corrected arm, see `robots.Robot`."""
+        return self.robot.frames
+
+    def check_robot(self, robot: Robot) -> None:
+        """Refuse a robot that is not the one that was calibrated.
+
+        Parameters
+        ----------
+        robot : the arm before its calibration.
+
+        Raises
+        ------
+        ModelMismatchError : another arm. RobotError : no robot.
+        """
+        if not isinstance(robot, Robot):
+            raise RobotError.no_robot(robot)
+        if robot.hash != self.robot_hash:
+            raise ModelMismatchError(
+                f"Expected robot {self.robot_name!r} ({self.robot_hash[:12]}), got {robot.name!r} ({robot.hash[:12]}). "
+                "Calibrate this robot, or load the one that was calibrated."
+            )
+
+    def joints(self, q: ArrayLike, joint_terms: ArrayLike | None = None) -> np.ndarray:
+        """Return where the joints really are: ``q_j + sum_k (a_jk cos k q_j + b_jk sin k q_j) + sum_l c_l phi_l,j``.
+
+        Parameters
+        ----------
+        q : (..., n) joint positions that the robot tells [rad or m].
+        joint_terms : phi (..., n, L), where the fit had some.
+
+        Raises
+        ------
+        ShapeError : another number of joints or of terms.
+        """
+        q = numbers(q, "q", ShapeError)
+        n, L = self.robot.n, len(self.coefficients)
+        if q.shape[-1:] != (n,):
+            raise ShapeError(f"Expected q of shape (..., {n}) for robot {self.robot.name!r}, got {q.shape}.")
+        found = q + np.sum(harmonic_basis(q, self.harmonics) * self.amplitudes, axis=-1)
+        if not L and joint_terms is None:
+            return found
+        terms = numbers(np.zeros(0) if joint_terms is None else joint_terms, "joint_terms", ShapeError)
+        if terms.shape != (*q.shape, L):
+            raise ShapeError(
+                f"Expected joint_terms of shape {(*q.shape, L)}, got {terms.shape}. The correction was fitted with "
+                f"{L} of them: give the same for these positions."
+            )
+        return found + terms @ self.coefficients
+
+    def command(self, q: ArrayLike) -> np.ndarray:
+        """Return the positions to ask for so that the joints really are at q; the inverse of `joints`.
+
+        Parameters
+        ----------
+        q : (..., n) where the joints shall be [rad or m].
+
+        Raises
+        ------
+        ShapeError : another number of joints, or a correction with joint terms, which depend on more than q.
+        """
+        target = numbers(q, "q", ShapeError)
+        asked = target
+        for _ in range(COMMAND_ROUNDS):
+            before, asked = asked, asked + target - self.joints(asked)
+            if np.array_equal(before, asked):
+                break
+        return asked
+
+    def forward(self, q: ArrayLike, joint_terms: ArrayLike | None = None) -> np.ndarray:
+        """Return T_base_tool (..., 4, 4) of the corrected arm, errors of its joints included.
+
+        Parameters
+        ----------
+        q : (..., n) joint positions that the robot tells [rad or m].
+        joint_terms : phi (..., n, L), where the fit had some.
+        """
+        return forward(self.robot, self.joints(q, joint_terms))
+
+    def pose_cov(self, q: ArrayLike, joint_terms: ArrayLike | None = None) -> np.ndarray:
+        """Return the covariance (..., 6, 6) of `forward`, [v; w]: v in base axes, w in tool axes [m, rad].
+
+        ``C(q) = J(q) cov J(q)^T``. Directions that nothing told count as exactly known.
+
+        Parameters
+        ----------
+        q : (..., n) joint positions that the robot tells [rad or m].
+        joint_terms : phi (..., n, L), where the fit had some.
+        """
+        J = self.pose_jacobian(q, joint_terms)
+        return J @ self.cov @ np.swapaxes(J, -1, -2)
+
+    def pose_jacobian(self, q: ArrayLike, joint_terms: ArrayLike | None = None) -> np.ndarray:
+        """Return how `forward` depends on the numbers whose covariance is `cov`: (..., 6, d).
+
+        Parameters
+        ----------
+        q : (..., n) joint positions that the robot tells [rad or m].
+        joint_terms : phi (..., n, L), where the fit had some.
+        """
+        q = np.asarray(q, dtype=float)
+        there = self.joints(q, joint_terms)
+        J = frame_jacobian(self.robot, there)
+        J[..., 3:, :, :] = np.einsum("...ji,...jab->...iab", forward(self.robot, there)[..., :3, :3], J[..., 3:, :, :])
+        turning = J[..., np.arange(self.robot.n), np.where(self.robot.prismatic, 2, 5)]
+        parts = [J.reshape(*J.shape[:-2], -1)]
+        if self.harmonics:
+            waves = turning[..., None] * harmonic_basis(q, self.harmonics)[..., None, :, :]
+            parts.append(waves.reshape(*waves.shape[:-2], -1))
+        if len(self.coefficients):
+            parts.append(turning @ np.asarray(joint_terms, dtype=float))
+        return np.concatenate(parts, axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class DualArmCorrection:
+    """What `calibrate.fit_dual_arm` found: two arms and how they stand to each other.
+
+    Attributes
+    ----------
+    arm_a, arm_b : both arms, corrected. T_basea_baseb : (4, 4) the base of b in that of a.
+    cov : (d, d) joint covariance of the numbers of arm a, of arm b and of the twist [v; w] of T_basea_baseb in its own
+        axes.
+    sources : SHA-256 and name of each log.
+    """
+
+    arm_a: KinematicCorrection
+    arm_b: KinematicCorrection
+    T_basea_baseb: np.ndarray
+    cov: np.ndarray
+    sources: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check shapes and freeze the arrays."""
+        d = len(self.arm_a.cov) + len(self.arm_b.cov) + 6
+        for name, shape in (("T_basea_baseb", (4, 4)), ("cov", (d, d))):
+            values = np.array(getattr(self, name), dtype=float)
+            if values.shape != shape or not np.isfinite(values).all():
+                raise ShapeError(f"Expected finite {name} of shape {shape} of two arms, got shape {values.shape}.")
+            values.flags.writeable = False
+            object.__setattr__(self, name, values)
+
+    def forward(self, q_a: ArrayLike, q_b: ArrayLike) -> np.ndarray:
+        """Return the tool of b seen from the tool of a: ``Z = T_a^-1 T_basea_baseb T_b`` (..., 4, 4).
+
+        Parameters
+        ----------
+        q_a, q_b : (..., n) joint positions that the robots tell [rad or m].
+        """
+        T_toola_basea, T_baseb_toolb = se3.inv(self.arm_a.forward(q_a)), self.arm_b.forward(q_b)
+        return T_toola_basea @ self.T_basea_baseb @ T_baseb_toolb
