@@ -168,20 +168,32 @@ class Arm:
         """Return the twists (n+1, 6) that lead from the start to the frames."""
         return se3.log(se3.inv(self.start) @ frames)
 
-    def smallest(self, state: ArmState) -> ArmState:
-        """Return equal frames that are as near to the start as the gauge allows."""
-        frames = np.array(state.frames)
+    def smallest(self, frames: np.ndarray, base: np.ndarray, tool: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return equal frames that are as near to the start as can be, and how the base was moved (4, 4).
+
+        Parameters
+        ----------
+        frames : (n+1, 4, 4). base, tool : twists (6, b), (6, t) of the foot, in its own axes of measurement, and of the
+            tool that nothing sees either.
+        """
+        frames, whole = np.array(frames), np.eye(4)
         parts = [GAUGE[bool(slides)] for slides in self.robot.prismatic]
+        rows, columns = [j for j, part in enumerate(parts) for _ in part], [k for part in parts for k in part]
         for _ in range(SMALLEST_ROUNDS):
-            G = self.gauge(frames)[0][: 6 * (self.n + 1)]
-            step = -np.linalg.lstsq(G, self.corrections(frames).ravel(), rcond=None)[0]
-            twists = np.zeros((self.n, 6))
-            twists[[j for j, part in enumerate(parts) for _ in part], [k for part in parts for k in part]] = step
+            foot, end = np.zeros((6 * len(frames), base.shape[1])), np.zeros((6 * len(frames), tool.shape[1]))
+            foot[:6], end[-6:] = se3.adjoint_inv(frames[0]) @ base, tool
+            G = np.hstack([self.gauge(frames)[0][: len(foot)], foot, end])
+            step = -np.linalg.lstsq(G, self.corrections(frames).ravel(), rcond=1e-9)[0]
+            twists, turned = np.zeros((self.n, 6)), len(rows) + base.shape[1]
+            twists[rows, columns] = step[: len(rows)]
             frames[:-1] = frames[:-1] @ se3.exp(twists)
             frames[1:] = se3.exp(-twists) @ frames[1:]
+            move = se3.exp(base @ step[len(rows) : turned])
+            frames[0], whole = move @ frames[0], move @ whole
+            frames[-1] = frames[-1] @ se3.exp(tool @ step[turned:])
             if np.abs(step).max() < SMALLEST_STEP:
                 break
-        return replace_frames(state, frames)
+        return frames, whole
 
     def corrected(self, frames: np.ndarray) -> Robot:
         """Return the robot with these frames; gravity turns with the foot."""
@@ -198,11 +210,6 @@ class Arm:
             gravity=turn @ robot.gravity,
             source=f"{robot.source}; corrected by armlab.calibrate".lstrip("; "),
         )
-
-
-def replace_frames(state: ArmState, frames: np.ndarray) -> ArmState:
-    """Return the state with other frames."""
-    return ArmState(frames, state.amplitudes, state.coefficients)
 
 
 def frame_steps(frames: np.ndarray) -> np.ndarray:

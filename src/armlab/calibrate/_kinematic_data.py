@@ -134,7 +134,7 @@ def _by_kind(value: Any, names: list[str], what: str) -> dict[str, Any]:
         return dict(value)
     if value is not None and what == "noise" and len(names) > 1:
         raise ConfigError(
-            f"Expected the noise of each kind, such as noise={{{names[0]!r}: ..., {names[1]!r}: ...}}, got one for all. "
+            f"Expected the noise of each kind, such as noise={{{names[0]!r}: ..., {names[1]!r}: ...}}, got one. "
             "Leave a kind out to have its noise estimated."
         )
     return dict.fromkeys(names, value)
@@ -177,6 +177,8 @@ def _mask(value: Any, values: np.ndarray, name: str) -> np.ndarray:
 
 def _finite(values: np.ndarray, seen: np.ndarray, name: str) -> None:
     """Refuse NaN and infinity where something is visible, with their rows."""
+    if not values.size:
+        return
     good = np.isfinite(values.reshape(*seen.shape, -1)).all(axis=-1) | ~seen
     if not good.all():
         bad = np.flatnonzero(~good.reshape(len(good), -1).all(axis=1))
@@ -193,7 +195,7 @@ def _poses(T: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, str]:
     if len(bad):
         raise ShapeError(
             f"Expected (0, 0, 0, 1) as the last row of every pose, got others in rows {rows_text(bad)}. "
-            "Are the matrices transposed?"
+            "The matrices seem to be transposed."
         )
     R = T[:, :3, :3]
     off = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).reshape(len(R), 9).max(axis=1)
@@ -232,8 +234,8 @@ def _noise(value: Any, name: str, shape: tuple[int, ...]) -> tuple[np.ndarray, n
         return np.arange(k), noise
     wanted = {6: "(sd of position [m], sd of rotation [rad]), 6 sd", 3: "one sd [m], 3 sd", 1: "one sd [m]"}[k]
     raise ShapeError(
-        f"Expected noise of {name} as {wanted}, or a positive definite covariance ({k}, {k}) or ({shape[0]}, {k}, {k}), "
-        f"got {np.array2string(noise, threshold=8)}. An infinite sd drops a component, but not all."
+        f"Expected noise of {name} as {wanted}, or a positive definite covariance ({k}, {k}) or "
+        f"({shape[0]}, {k}, {k}), got {np.array2string(noise, threshold=8)}. An infinite sd drops a component, not all."
     )
 
 

@@ -102,7 +102,9 @@ class KinematicProblem:
         x[self.active] = y
         a, b = self.arm.size, self.arm.size + 3 * self.points
         moved = self.arm.plus(state.arm, x[:a])
-        return State(moved, state.points + x[a:b].reshape(-1, 3), state.anchor + x[b : b + 3], state.length + x[b + 3 :])
+        return State(
+            moved, state.points + x[a:b].reshape(-1, 3), state.anchor + x[b : b + 3], state.length + x[b + 3 :]
+        )
 
     def evaluate(self, state: State) -> list[Measurement]:
         """Return residuals with their derivatives by the active components."""
@@ -130,7 +132,9 @@ class KinematicProblem:
         if arm.orders:
             first = 6 * (arm.n + 1)
             J = np.eye(d)[first : first + state.arm.amplitudes.size, None]
-            yield Measurement(state.arm.amplitudes.reshape(-1, 1), J, np.eye(1) * HARMONIC_PRIOR**2, ("prior",), prior=True)
+            yield Measurement(
+                state.arm.amplitudes.reshape(-1, 1), J, np.eye(1) * HARMONIC_PRIOR**2, ("prior",), prior=True
+            )
         if self.prior is not None and arm.n > 1:
             yield link_prior(arm, state.arm, self.prior, d, local=local)
 
@@ -191,8 +195,10 @@ def pose_residual(T: np.ndarray, measured: np.ndarray, J: np.ndarray) -> tuple[n
     return r, np.concatenate([-J[:, :3], turned], axis=1)
 
 
-def link_prior(arm: Arm, state: ArmState, prior: tuple[float, float], size: int, at: int = 0, local: bool = False) -> Measurement:
-    """Return the prior on the frames between the joints; none on base and tool. `at` is the first unknown of the arm."""
+def link_prior(
+    arm: Arm, state: ArmState, prior: tuple[float, float], size: int, at: int = 0, local: bool = False
+) -> Measurement:
+    """Return the prior on the frames between the joints, none on base and tool; the arm's unknowns begin at `at`."""
     twists = arm.corrections(state.frames)[1:-1]
     steps = np.eye(6 * (arm.n + 1)) if local or arm.chart == "local_poe" else frame_steps(state.frames)
     J = np.zeros((arm.n - 1, 6, size))

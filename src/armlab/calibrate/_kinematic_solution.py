@@ -59,7 +59,7 @@ class Question:
         """
         problem, state = self.problem, found.value
         if smallest:
-            state = state._replace(arm=problem.arm.smallest(state.arm))
+            state = self._smallest(state)
         sigma = dict(zip(found.classes, found.sigma.tolist()))
         data = problem.measurements(state, local=True)
         residuals = _table(data, problem)
@@ -82,6 +82,17 @@ class Question:
             outliers=found.outliers,
             classes=found.classes,
         )
+
+    def _smallest(self, state: State) -> State:
+        """Return the state, of those that no measurement tells from it, that is nearest to the start."""
+        problem, foot, tool = self.problem, [], []
+        if not any(kind.name == "pose" and len(kind.kept) == 6 for kind in problem.kinds):
+            unseen = [_counts(suspect, problem, state, self.used) for suspect in never_seen(problem, state)]
+            foot, tool = unseen[:6], [False] * 3 + unseen[6:9] * (not problem.points)
+        base, end = (np.eye(6)[:, np.flatnonzero(unseen)] for unseen in (foot, tool))
+        frames, move = problem.arm.smallest(state.arm.frames, base, end)
+        anchor = move[:3, :3] @ state.anchor + move[:3, 3]
+        return state._replace(arm=state.arm._replace(frames=frames), anchor=anchor)
 
     def _check_count(self, start: State) -> None:
         """Refuse fewer numbers than unknowns."""
@@ -153,8 +164,9 @@ class Question:
             rms = float(np.sqrt(np.nanmean(off**2))) if len(self.problem.kinds) == 1 and off.size else 0.0
             if rms > MISFIT * size and len(kept) > 3:
                 raise NotConverged(
-                    f"Expected an arm that fits the measurements, got residuals of {rms:.3g} m in a space of {size:.3g} "
-                    "m. Check units, order of the joints, and whether samples and joint positions belong together.",
+                    f"Expected an arm that fits the measurements, got residuals of {rms:.3g} m in a space of "
+                    f"{size:.3g} m. Check units, the order of the joints, and whether samples and joint positions "
+                    "belong together.",
                     best=found.value,
                     history=found.history,
                 )

@@ -43,7 +43,7 @@ def arm_scale(arm: Arm, frames: np.ndarray) -> np.ndarray:
 def never_seen(problem: KinematicProblem, state: State) -> list[Suspect]:
     """Return what a kind of measurement may never see: where the base stands, how the tool is turned, all positions."""
     arm, size = problem.arm, problem.size
-    frames, a, b = state.arm.frames, arm.size, arm.size + 3 * problem.points
+    frames, b = state.arm.frames, arm.size + 3 * problem.points
     shifts = np.zeros((size, 6))
     shifts[:6] = se3.adjoint_inv(frames[0])
     shifts[b : b + 3] = np.hstack([np.eye(3), -so3.hat(state.anchor)])  # the anchor goes with the base

@@ -25,7 +25,7 @@ from armlab.estimation import Fit
 from armlab.models import KinematicCorrection
 from armlab.robots import Robot
 
-__all__ = ["LIMITS", "fit_kinematics"]
+__all__ = ["fit_kinematics"]
 
 LIMITS = (0.05, 0.05)
 """Standard deviation [m, rad] along any direction that is the most accepted."""
@@ -68,9 +68,10 @@ def fit_kinematics(
     anchor : (3,) first guess of the fixed point, measurement frame [m].
     length_offset, length_scale : estimate ``measured = scale * true + offset`` of distances.
     visible : (N,) or (N, K), False where a measurement is missing; by kind where masks differ: {"position": mask}.
-    noise : of a pose (sd [m], sd [rad]) or 6 sd; of a position one sd or 3 [m]; of a distance one sd; covariances (k, k)
-        or (N, k, k). An infinite sd drops a component. Several kinds: {"pose": ..., "distance": ...}. None: estimated.
-    model : "local_poe": steps of the frames; "poe": of the screws in the base and the home pose. The same robot results.
+    noise : of a pose (sd [m], sd [rad]) or 6 sd; of a position one sd or 3 [m]; of a distance one sd; covariances
+        (k, k) or (N, k, k). An infinite sd drops a component. Several kinds: {"pose": ..., "distance": ...}. What is
+        left out is estimated.
+    model : "local_poe": steps of the frames; "poe": of the screws in the base and the home pose. The robot is the same.
     free : "all"; "offsets": joint offsets, base and tool; "base_tool"; or a mask (n+1, 6) of the twists [v; w] of the
         frames, joint j + 1 being the z axis of frame j.
     harmonics : orders k of ``a_jk cos k q_j + b_jk sin k q_j`` added to q, amplitudes known before to 0.1 deg.
@@ -124,7 +125,7 @@ def _check_options(model: str, free: Any, weak: str) -> None:
     if isinstance(free, str) and free not in CHOICES:
         raise UnknownName.among("choice of free frames", free, CHOICES)
     if model == "poe" and not (isinstance(free, str) and free == "all"):
-        raise ConfigError("Expected free='all' with model='poe', got a part of it. Parts are told by model='local_poe'.")
+        raise ConfigError("Expected free='all' with model='poe', got a part of it. Use model='local_poe' for parts.")
 
 
 def _pair_of(value: Any, what: str) -> tuple[float, float]:
@@ -139,7 +140,9 @@ def _pair_of(value: Any, what: str) -> tuple[float, float]:
 def _anchor(anchor: ArrayLike | None, needed: bool) -> np.ndarray:
     if anchor is None:
         if needed:
-            raise ConfigError("Expected a first guess of the fixed point for distances, got none. Give anchor=(x, y, z).")
+            raise ConfigError(
+                "Expected a first guess of the fixed point for distances, got none. Give anchor=(x, y, z)."
+            )
         return np.zeros(3)
     found = numbers(anchor, "anchor", ShapeError)
     if found.shape != (3,) or not np.isfinite(found).all():
