@@ -194,7 +194,7 @@ def test_the_statistical_contract() -> None:
          0.0557, 0.00541, 60),
         (lambda i: (kinematic_run(i, 2200, 100, tool=True, harmonics=True), {"kind": "position", "harmonics": (1, 2)}),
          0.0793, None, 60),
-        (lambda i: (outlier_run(i, 5), {"kind": "pose", "robust": True}), 0.0683, None, 60),
+        (lambda i: (outlier_run(i, 5), {"kind": "pose", "robust": True}), 0.0683, None, 20),
     ],
     ids=["K1", "K1 dh", "K2", "K4", "K4 position", "K7"],
 )  # fmt: skip

@@ -209,7 +209,7 @@ def link_prior(
 
 def _mixture(row: np.ndarray, names: Sequence[str]) -> str:
     """Name a combination by its largest parts."""
-    order = np.argsort(-np.abs(row))
+    order = [int(i) for i in np.argsort(-np.abs(row))]
     return " with ".join(names[i] for i in order[:3] if abs(row[i]) > 0.3 * abs(row[order[0]]))
 
 

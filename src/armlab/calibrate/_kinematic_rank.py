@@ -71,7 +71,9 @@ class Judgement:
                     v = v / length
                     fixed = np.column_stack([fixed, v - fixed @ (fixed.T @ v)])
                     names.append(f"missing: {suspect.name}")
-        rest = np.linalg.svd(fixed, full_matrices=True)[0][:, fixed.shape[1] :] if fixed.shape[1] else np.eye(len(A.T))
+        rest = (
+            np.linalg.svd(fixed, full_matrices=True)[0][:, fixed.shape[1] :] if fixed.shape[1] else np.eye(A.shape[1])
+        )
         _, found, rows = np.linalg.svd(A @ rest, full_matrices=len(A) < rest.shape[1])
         singular = np.zeros(rest.shape[1])
         singular[: len(found)] = found
@@ -96,7 +98,7 @@ class Judgement:
 
     def words(self, v: np.ndarray, spread: float) -> str:
         """Name a direction by its largest components, with their deviation."""
-        order = np.argsort(-np.abs(v))[:3]
+        order = [int(i) for i in np.argsort(-np.abs(v))[:3]]
         kept = [i for i in order if abs(v[i]) > PART * abs(v[order[0]])]
         text, i = " and ".join(self.names[i] for i in kept), order[0]
         if not np.isfinite(spread):

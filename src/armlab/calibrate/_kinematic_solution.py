@@ -16,6 +16,7 @@ from armlab.models import KinematicCorrection
 
 SCHEDULE = (1000.0, 300.0, 100.0, 30.0, 10.0)
 UNIT = 1e-3  # 1 mm and 1 mrad: of equal steps the smallest is taken
+NOBODY = np.zeros(0, dtype=int)
 MISFIT = 0.1  # of the size of what was measured: these samples do not belong together
 
 
@@ -114,7 +115,7 @@ class Question:
             )
 
     def _judge(
-        self, data: Sequence[Measurement], state: State, sigma: dict[str, float], outside: Sequence[int] = ()
+        self, data: Sequence[Measurement], state: State, sigma: dict[str, float], outside: np.ndarray = NOBODY
     ) -> Excitation:
         """Return what the data tell at a state, or refuse."""
         problem, used = self.problem, self.used
@@ -209,7 +210,7 @@ def _counts(suspect: Suspect, problem: KinematicProblem, state: State, used: np.
     return all(np.abs(one.J @ v).max(initial=0.0) < 1e-9 for one in problem.measurements(state, local=True))
 
 
-def _whitened(data: Sequence[Measurement], sigma: dict[str, float], outside: Sequence[int]) -> Iterator[np.ndarray]:
+def _whitened(data: Sequence[Measurement], sigma: dict[str, float], outside: np.ndarray) -> Iterator[np.ndarray]:
     """Yield whitened derivatives (m, d) of the samples that are kept."""
     for one in data:
         kept = np.ones(len(one.r), dtype=bool) if one.prior else ~np.isin(one.sample, outside)

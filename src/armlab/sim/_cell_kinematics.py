@@ -6,7 +6,7 @@ arm. The truth is computed frame by frame here, not by the kernels that the fits
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -200,6 +200,5 @@ def dual_run(run: int, seed: int = 2400, n: int = 60) -> DualRun:
     T_basea_baseb = NOMINAL_PAIR @ se3.from_rp(turn, 5e-3 * rng.standard_normal(3))
     q_a, q_b, q_valid_a, q_valid_b = (rng.uniform(-np.pi, np.pi, (m, 6)) for m in (n, n, VALIDATION, VALIDATION))
     robots = [as_robot(dh_arm(tool=True), name) for name in ("arm_a", "arm_b")]
-    found = DualRun(*robots, *arms, T_basea_baseb, q_a, q_b, np.zeros(0), q_valid_a, q_valid_b)
-    pose = noisy(found.relative(q_a, q_b), rng)
-    return DualRun(*robots, *arms, T_basea_baseb, q_a, q_b, pose, q_valid_a, q_valid_b)
+    found = DualRun(robots[0], robots[1], arms[0], arms[1], T_basea_baseb, q_a, q_b, np.zeros(0), q_valid_a, q_valid_b)
+    return replace(found, pose=noisy(found.relative(q_a, q_b), rng))
