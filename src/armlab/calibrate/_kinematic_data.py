@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from armlab._numbers import numbers
+from armlab.calibrate._arguments import rows_text
 from armlab.errors import ConfigError, RobotError, ShapeError, UnknownName
 from armlab.lie import so3
 from armlab.robots import Robot
@@ -31,7 +32,7 @@ class Kind:
     Attributes
     ----------
     name : one of KINDS. values : (N, 4, 4), (N, K, 3), (N,), or (M,) for pairs.
-    visible : (N,), or (N, K) for positions. kept : components that are used. cov : of these, (k, k) or (N, k, k), or
+    visible : (N,), or (N, K) for positions. kept : components that are used. cov : of these, (k,), (k, k) or (N, k, k), or
         None when the noise is to be estimated.
     pairs : (2, M) samples of a pair distance.
     """
@@ -55,13 +56,7 @@ class Kind:
 
     def noise(self, rows: np.ndarray) -> np.ndarray | None:
         """Return the covariance of some rows."""
-        return self.cov if self.cov is None or self.cov.ndim == 2 else self.cov[rows]
-
-
-def rows_text(rows: np.ndarray) -> str:
-    """Return the numbers of rows, the first twenty of many."""
-    shown = ", ".join(str(i) for i in rows[:20])
-    return shown if len(rows) <= 20 else f"{shown} and {len(rows) - 20} more"
+        return self.cov if self.cov is None or self.cov.ndim < 3 else self.cov[rows]
 
 
 def check_joints(robot: Robot, q: Any, name: str = "q") -> np.ndarray:
@@ -229,7 +224,7 @@ def _noise(value: Any, name: str, shape: tuple[int, ...]) -> tuple[np.ndarray, n
     if noise.shape == (k,) and np.all(noise > 0):
         kept = np.flatnonzero(np.isfinite(noise))
         if len(kept):
-            return kept, np.diag(noise[kept] ** 2)
+            return kept, noise[kept] ** 2
     if noise.shape in ((k, k), (*shape[:1], k, k)) and np.isfinite(noise).all() and _definite(noise):
         return np.arange(k), noise
     wanted = {6: "(sd of position [m], sd of rotation [rad]), 6 sd", 3: "one sd [m], 3 sd", 1: "one sd [m]"}[k]

@@ -203,7 +203,7 @@ def link_prior(
     steps = np.eye(6 * (arm.n + 1)) if local or arm.chart == "local_poe" else frame_steps(state.frames)
     J = np.zeros((arm.n - 1, 6, size))
     J[:, :, at : at + len(steps)] = se3.left_jacobian_inv(-twists) @ steps[6:-6].reshape(arm.n - 1, 6, -1)
-    cov = np.diag(np.repeat(np.square(prior), 3))
+    cov = np.repeat(np.square(prior), 3)
     return Measurement(twists, J, cov, ("prior",) * 6, prior=True)
 
 

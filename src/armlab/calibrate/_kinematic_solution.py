@@ -214,8 +214,8 @@ def _whitened(data: Sequence[Measurement], sigma: dict[str, float], outside: np.
     """Yield whitened derivatives (m, d) of the samples that are kept."""
     for one in data:
         kept = np.ones(len(one.r), dtype=bool) if one.prior else ~np.isin(one.sample, outside)
-        roots = one.roots(sigma)
-        white = (roots if roots.ndim == 2 else roots[kept]) @ one.J[kept]
+        roots, J = one.roots(sigma), one.J[kept]
+        white = roots[:, None] * J if roots.ndim == 1 else (roots if roots.ndim == 2 else roots[kept]) @ J
         yield white.reshape(-1, one.J.shape[2])
 
 
