@@ -51,7 +51,7 @@ def read_order(order: Order, robot: Robot, has_torque: bool = False) -> tuple[Co
         return Command(), problem
     if all(value is None for value in values.values()):
         return Command(), f"Expected a position, a velocity or a torque for {robot.name}, got none."
-    return Command(**values), ""
+    return Command(values["q"], values["qd"], values["tau"]), ""
 
 
 def _vector(values: Any, name: str, robot: Robot) -> tuple[np.ndarray | None, str]:
