@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -31,7 +32,7 @@ def arm(robot: Robot) -> Iterator[Arm]:
         "feeds": (),
         "sources": (),
     }
-    [made] = assemble([End(robot, port, EgmCodec(robot), None)], [Limits.of(robot)], Settings(), **options)
+    [made] = assemble([End(robot, port, EgmCodec(robot), ())], [Limits.of(robot)], Settings(), **options)
     yield made
     port.close()
 
@@ -66,3 +67,17 @@ def test_a_command_that_was_given_serves_for_a_time(arm: Arm, packets: Any) -> N
     assert arm.given(take(arm, packets, 4).sample, 0.0101) is command
     arm.give(None)
     assert arm.given(take(arm, packets, 5).sample, 0.0101) is None
+
+
+@pytest.mark.parametrize(("ahead_ns", "times"), [(PERIOD_NS // 2, 2), (50_000, 1)])
+def test_another_rehearsal_needs_time_before_the_packet(arm: Arm, packets: Any, ahead_ns: int, times: int) -> None:
+    rehearsed: list[Arrival] = []
+    arm._rehearsals = [lambda arrival, _: rehearsed.append(arrival)] * 2
+    arm.rehearse()
+    assert not rehearsed  # nothing has come
+    turn = take(arm, packets, 0)
+    arm.prediction.add(time.monotonic_ns() - PERIOD_NS + ahead_ns, 1, 1e-9 * PERIOD_NS)
+    arm.rehearse()
+    assert [one.ns for one in rehearsed] == [turn.sample.arrival_ns] * times
+    arm.rehearse()
+    assert len(rehearsed) == times  # once for each packet

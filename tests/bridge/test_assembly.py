@@ -45,7 +45,7 @@ def test_a_robot_without_limits_of_speed_is_not_commanded() -> None:
 
 
 def ends(*arms: Robot) -> list[End]:
-    return [End(arm, Port("127.0.0.1", 0), EgmCodec(arm), None) for arm in arms]
+    return [End(arm, Port("127.0.0.1", 0), EgmCodec(arm), ()) for arm in arms]
 
 
 OPTIONS: dict[str, Any] = {"commands": True, "answer_stream": True, "extra": None, "feeds": (), "sources": ()}

@@ -14,15 +14,14 @@ from armlab.bridge.limits import Reply
 from armlab.bridge.session import Sample
 from armlab.state import State
 
-_PLAIN = State(0.0, 0.0, *(np.zeros(0),) * 3)  # for the values that few packets have
 _NAMES = (
     "t", "dt", "q", "qd", "tau", "seq", "missed", "session", "qd_source", "tau_source", "q_start", "q_planned",
     "q_sent", "qd_sent", "clamped", "T_frame_tool", "wrench_raw", "q_ext", "motors", "rapid", "mci", "converged",
-    "utilization", "robotware", "rapid_data", "rapid_digital", "robot_ns", "t_receive", "robot", "wrench", "sources",
+    "utilization", "robotware", "rapid_data", "rapid_digital", "robot_ns", "t_receive", "robot",
 )  # fmt: skip
-_OTHERS = tuple(field.name for field in fields(State) if field.name not in _NAMES)
-_make = kernels.RecordMaker(State, _NAMES + _OTHERS).make
-_others = tuple(getattr(_PLAIN, name) for name in _OTHERS)
+_PLAIN = State(0.0, 0.0, *(np.zeros(0),) * 3)
+_OTHERS = tuple((field.name, getattr(_PLAIN, field.name)) for field in fields(State) if field.name not in _NAMES)
+_make = kernels.RecordMaker(State, (*_NAMES, *(name for name, _ in _OTHERS))).make
 
 
 def seen(
@@ -45,7 +44,7 @@ def seen(
             t, dt, q, qd, _missing(len(q)) if tau is None else tau, seqno, missed, session, qd_source, tau_source,
             q_start, q_planned, last.q, last.qd, last.clamped, T_frame_tool, wrench_raw, q_ext, motors, rapid, mci,
             converged, utilization, robotware, rapid_data, rapid_digital, robot_ns, t_receive, robot,
-            fused.get("wrench", _PLAIN.wrench), fused.get("sources", _PLAIN.sources), *_others,
+            *[fused.get(name, plain) for name, plain in _OTHERS],
         )
     )  # fmt: skip
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -26,6 +26,7 @@ __all__ = ["Arm", "Turn"]
 
 _DROPS = 64  # refused datagrams per wake-up: a flood cannot hold the loop up
 _BACKLOG = 1000  # datagrams per wake-up, more than wait after any stall: all but the newest packet are overtaken
+_REHEARSED = 200_000  # ns before the next packet at which no rehearsal begins but the first
 _DEADLINE = 0.75  # of a period, from arrival to reply
 
 
@@ -55,7 +56,7 @@ class Arm:
     ----------
     robot, port, codec, session, guide, recording : the parts.
     settings : of the run. wall_ns : wall clock minus monotonic clock [ns]. fusion : of the sources.
-    rehearsal : called with the last packet and its command; see `rehearsal`.
+    rehearsals : called with the last packet and its command, each when there is time; see `rehearsal`.
 
     Attributes
     ----------
@@ -75,7 +76,7 @@ class Arm:
         settings: Settings,
         wall_ns: int,
         fusion: Fusion,
-        rehearsal: Callable[[Arrival, Command | None], None] | None = None,
+        rehearsals: Sequence[Callable[[Arrival, Command | None], None]] = (),
     ) -> None:
         self.robot, self.port, self.codec, self.session = robot, port, codec, session
         self.guide, self.recording = guide, recording
@@ -90,7 +91,7 @@ class Arm:
         self._wall_ns, self._heard_ns, self._robot_ns = wall_ns, time.monotonic_ns(), 0
         self._surpassed: list[Turn] = []
         self._rows: list[_Row] = []
-        self._rehearsal, self._arrival = rehearsal, None
+        self._rehearsals, self._arrival = rehearsals, None
         self._details = getattr(codec, "details", None)  # a codec of the user's need not have it
         self._answered: Command | None = None
         self._given: Command | None = None
@@ -215,9 +216,13 @@ class Arm:
 
     def rehearse(self) -> None:
         """Do the work of the last packet once more; see `rehearsal`."""
-        if self._rehearsal is not None and self._arrival is not None:
-            self._rehearsal(self._arrival, self._answered)
-            self._arrival = None
+        arrival, self._arrival = self._arrival, None
+        if arrival is None:
+            return
+        for rehearsal in self._rehearsals:
+            rehearsal(arrival, self._answered)
+            if time.monotonic_ns() > (self.prediction.next_ns or 0.0) - _REHEARSED:
+                break
 
     def record(self) -> None:
         """Record what was answered or overtaken since the last call: when no reply has to wait for that."""

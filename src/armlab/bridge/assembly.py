@@ -39,14 +39,14 @@ class End(NamedTuple):
     Attributes
     ----------
     robot, port : the arm and its port. codec : of its session.
-    spare, aside : a codec and a port that sends to itself for rehearsals, None where the codec is the user's.
+    spares, aside : codecs and a port that sends to itself for rehearsals, none where the codec is the user's.
     admittance : makes velocities of torque commands, None where torques are sent or refused.
     """
 
     robot: Robot
     port: Port
     codec: Codec
-    spare: Codec | None
+    spares: tuple[Codec, ...]
     aside: Port | None = None
     admittance: Admittance | None = None
 
@@ -171,10 +171,10 @@ def _arm(
         admittance=end.admittance,
     )
     session = Session(end.codec, float("inf") if settings.clock == "robot" else _SILENCE, recording.event)
-    rehearsal = None
-    if commands and end.spare is not None and end.aside is not None:
-        rehearsal = Rehearsal(robot, limits, end.spare, end.aside, end.admittance)
-    return Arm(robot, end.port, end.codec, session, guide, recording, settings, wall_ns, fusion, rehearsal)
+    rehearsals: list[Rehearsal] = []
+    if commands and end.aside is not None:
+        rehearsals = [Rehearsal(robot, limits, spare, end.aside, end.admittance) for spare in end.spares]
+    return Arm(robot, end.port, end.codec, session, guide, recording, settings, wall_ns, fusion, rehearsals)
 
 
 def finished(arms: Sequence[Arm], reason: str, feeds: Sequence[Feed] = ()) -> Run:

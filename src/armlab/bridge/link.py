@@ -34,6 +34,8 @@ from armlab.wire.egm import Codec
 
 __all__ = ["Link", "connect"]
 
+_REHEARSALS = 2  # before a packet, when there is time: the first fills the caches, the second finds them warm
+
 
 def connect(
     url: str | Sequence[str],
@@ -80,11 +82,11 @@ def connect(
             if address.scheme == "labcomm":
                 from armlab.bridge.labcomm.far import far_end
 
-                ends.append(End(one, *far_end(one, address.host, address.port, address.options), None, None))
+                ends.append(End(one, *far_end(one, address.host, address.port, address.options), (), None))
             else:
                 port = Port(address.host, address.port)
                 opened.callback(port.close)
-                ends.append(End(one, port, *wires, None if wires[1] is None else Port("127.0.0.1", 0, to_itself=True)))
+                ends.append(End(one, port, *wires, None if not wires[1] else Port("127.0.0.1", 0, to_itself=True)))
             opened.callback(ends[-1].close)
         simulator = None
         if is_simulated:
@@ -107,14 +109,15 @@ def _robots(robot: Any) -> list[Robot]:
 
 def _codecs(
     codec: str | Codec | Sequence[Codec], robots: Sequence[Robot], extension: bool
-) -> list[tuple[Codec, Codec | None]]:
-    """Return the codec of each arm and one more for rehearsals, which an object of the user's does not have."""
+) -> list[tuple[Codec, tuple[Codec, ...]]]:
+    """Return the codec of each arm and those of its rehearsals, which an object of the user's does not have."""
     if not isinstance(codec, str):
         given = list(codec) if isinstance(codec, Sequence) else [codec]
         if len(given) != len(robots):
             raise ConfigError(f"Expected one codec per arm, since each follows one session, got {len(given)}.")
-        return [(one, None) for one in given]
-    return [(codec_named(codec, one, extension), codec_named(codec, one, extension)) for one in robots]
+        return [(one, ()) for one in given]
+    made = [[codec_named(codec, one, extension) for _ in range(1 + _REHEARSALS)] for one in robots]
+    return [(own, tuple(spares)) for own, *spares in made]
 
 
 class Link:

@@ -17,7 +17,7 @@ __all__ = ["Prediction", "Wait", "Waiting"]
 Wait = Literal["block", "ahead", "spin"]
 """Ways of waiting."""
 
-_AHEAD = 350_000  # ns before the predicted arrival at which rehearsing and polling begin
+_AHEAD = 400_000  # ns before the predicted arrival at which rehearsing and polling begin
 _AFTER = 600_000  # ns after it at which blocking begins
 _LATE_SHARE = 0.02  # of a late arrival that moves the prediction
 _LOST = 5  # periods: a prediction further off than this starts anew
