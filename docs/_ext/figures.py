@@ -13,7 +13,7 @@ from pathlib import Path
 
 from sphinx.application import Sphinx
 
-EXAMPLES = ("10_draw_an_arm.py", "12_source_report.py")
+EXAMPLES = ("10_draw_an_arm.py", "12_source_report.py", "20_weld_seam.py")
 
 
 def draw(app: Sphinx) -> None:

@@ -115,7 +115,7 @@ def test_points_along_a_line_are_no_plane(n: int, sigma: float) -> None:
         try:
             fit_plane(rod(n, seed, sigma), normal=[0, 0, 1])
         except NotExcited as error:
-            refused += "tilt about the line through the points, along (1.0000" in error.directions[0]
+            refused += "tilt about the long axis of the points, (1.0000" in error.directions[0]
     assert refused >= (20 if n > 4 or not sigma else 8), "four points can look like a plane"
 
 
@@ -242,7 +242,7 @@ def test_fit_plane_keeps_the_contract(uniform_rotation: Draw) -> None:
             Gauge("frame", moved("normal"), here("n", T=MOVE)),
             Gauge("millimetres", scaled, here("n", 1000.0)),
         ],
-        refusals={"tilt about the line": {"p": rod(), "noise": SIGMA, "normal": [0, 0, 1]}},
+        refusals={"tilt about the long axis": {"p": rod(), "noise": SIGMA, "normal": [0, 0, 1]}},
         spoil=spoil,
         skip={"efficient": "benchmarks/bench_calibrate_frames.py judges it on 2000 runs"},
     )

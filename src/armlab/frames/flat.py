@@ -78,7 +78,7 @@ def fit_plane(
     n = axes[2]
     cov = used**2 * np.diag([1.0 / max(squares[1], 1e-300), 1.0 / max(squares[0], 1e-300), 1.0 / kept.sum()])
     told = _told(squares[1], squares[2], used, int(kept.sum()) - 3), _told(squares[0], squares[2], used, 0)
-    names = (f"tilt about the line through the points, along {text(axes[0])}", f"tilt about {text(axes[1])}")
+    names = (f"tilt about the long axis of the points, {text(axes[0])}", f"tilt about {text(axes[1])}")
     excitation = _judge(told, used, kept.sum(), squares, limit, Plane, names)
     reach = float(np.sqrt(cov[2, 2] + (axes[1] @ c) ** 2 * cov[0, 0] + (axes[0] @ c) ** 2 * cov[1, 1]))
     n = upward(n, c, reach, toward, normal, "plane")

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 __all__ = ["feature"]
 
 _ROUND = np.linspace(0.0, 2.0 * np.pi, 73)
-_PATCH = 0.35  # half side of a plane over the size of the scene
+_PATCH = 0.5  # half side of a plane over the size of the scene
 _NORMAL = 0.3  # length of a normal over the size of the scene
 
 

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["pose_stack", "scene"]
 
 _MOST_FRAMES = 12  # along one path
+_MARKS = (("o", 8.0), ("^", 22.0), ("s", 14.0), ("D", 14.0))  # of one cloud after the other, with their areas
 _NAMED = 0.15  # length of a named frame over the size of the scene, when none is given
 
 
@@ -29,9 +30,9 @@ def scene(*items: Any, frames: float = 0.0, ax: Any = None) -> Axes3D:
     Parameters
     ----------
     *items : each is a mapping {name: T_a_x (4, 4)} of named frames; or poses (N, 4, 4), drawn as a path from a dot to
-        a square; or points (N, 3), coloured from first to last; or a `frames.Line` with its foot where that is near, a
-        `frames.Plane` as a patch with its normal, a `frames.Circle` or a `frames.Sphere`. All in the same frame a. NaN
-        leaves a gap.
+        a square; or points (N, 3), coloured from first to last, with other marks in each set; or a `frames.Line` with
+        its foot where that is near, a `frames.Plane` as a patch with its normal, a `frames.Circle` or a
+        `frames.Sphere`. All in the same frame a. NaN leaves a gap.
     frames : length [m] of the frames along paths (at most 12 of each, evenly spaced) and of the named ones. With 0
         paths have none, and the named ones a length that fits.
     ax : three-dimensional Axes to draw into, for example those of `robot`; a new figure when None.
@@ -52,7 +53,7 @@ def scene(*items: Any, frames: float = 0.0, ax: Any = None) -> Axes3D:
     checked = [_checked(item) for item in items]
     with look():
         _, panel = space.space(ax)
-        paths = 0
+        paths, clouds = 0, 0
         for item in checked:
             if not isinstance(item, np.ndarray):
                 continue
@@ -62,7 +63,9 @@ def scene(*items: Any, frames: float = 0.0, ax: Any = None) -> Axes3D:
             else:
                 shown = item[np.isfinite(item).all(axis=1)]
                 order = np.flatnonzero(np.isfinite(item).all(axis=1))
-                panel.scatter(*shown.T, c=order, cmap="viridis", s=8, depthshade=False, gid="points")
+                mark, area = _MARKS[clouds % len(_MARKS)]
+                panel.scatter(*shown.T, c=order, cmap="viridis", s=area, marker=mark, depthshade=False, gid="points")
+                clouds += 1
         named = {name: T for item in checked if isinstance(item, dict) for name, T in item.items()}
         shapes = [item for item in checked if isinstance(item, (Line, Plane, Circle, Sphere))]
         size = _size(panel, named)
