@@ -87,8 +87,20 @@ def skip(_app: Sphinx, _what: str, _name: str, thing: Any, is_skipped: bool, _op
     return True if isinstance(thing, TUPLE_FIELD) else None
 
 
+def sign(
+    _app: Sphinx, what: str, _name: str, thing: Any, _options: Any, signature: str | None, returned: str | None
+) -> tuple[str | None, str | None] | None:
+    """Show no arguments of classes that others make: their docstring names none, or not all of them."""
+    if what != "class" or not signature or not isinstance(thing, type):
+        return None
+    text = thing.__doc__ or ""
+    named = re.findall(r"[(,] *\*{0,2}([A-Za-z_]\w*)", signature)
+    return None if all(re.search(rf"\b{name}\b", text) for name in named if name != "self") else ("", None)
+
+
 def setup(app: Sphinx) -> dict[str, bool]:
     """Connect to autodoc."""
     app.connect("autodoc-process-docstring", rewrite)
+    app.connect("autodoc-process-signature", sign)
     app.connect("autodoc-skip-member", skip)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

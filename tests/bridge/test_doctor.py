@@ -6,7 +6,7 @@ import socket
 
 import pytest
 
-from armlab.bridge.doctor import DEFAULT_PORTS, examine
+from armlab.bridge.doctor import DEFAULT_PORTS, LONGEST, examine
 from armlab.errors import ConfigError
 from armlab.robots import Robot
 
@@ -30,7 +30,7 @@ def test_ports_that_cannot_be(ports: list[int]) -> None:
         examine(ports, 0.1)
 
 
-@pytest.mark.parametrize("seconds", [0.0, -1.0, float("nan"), float("inf")])
+@pytest.mark.parametrize("seconds", [0.0, -1.0, float("nan"), float("inf"), LONGEST + 1.0])
 def test_seconds_that_cannot_be(seconds: float) -> None:
     with pytest.raises(ConfigError, match="Expected seconds"):
         examine([6510], seconds)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab import log, robots
+from armlab import bridge, log, robots
 from armlab.bridge.parameters import Change
 from armlab.bridge.recording import Feed, Recording, paths
 from armlab.log import Column, Tick
@@ -81,7 +81,7 @@ def test_a_feed_that_raises_is_dropped(robot: Robot) -> None:
             raise ValueError("full too")
 
     feeds: list[Feed] = [Broken(), Broken()]
-    recording = Recording(robot, None, None, wait=False, clock=lambda: 0, feeds=feeds, label="arm")
+    recording = Recording(robot, None, None, wait=False, clock=lambda: 1, feeds=feeds, label="arm")
     state, tick = row(robot, 0)
     recording.row(state, None, tick)
     assert not feeds
@@ -116,3 +116,34 @@ def test_sentences_of_the_whole_run_have_no_label(robot: Robot) -> None:
     recording.event("Late.")
     recording.note("Stopped.")
     assert list(recording.events) == [(7, "yumi_left: Late."), (7, "Stopped.")]
+
+
+@pytest.mark.parametrize("in_file", [False, True])
+def test_sentences_before_the_clock_is_known_get_the_stamp_of_the_first_row(
+    robot: Robot, tmp_path: Path, in_file: bool
+) -> None:
+    now = [0]
+    path = tmp_path / "run.mcap" if in_file else None
+    recording = Recording(robot, path, None, wait=True, clock=lambda: now[0])
+    recording.event("before")
+    assert not recording.events
+    state, tick = row(robot, 0)
+    recording.row(state, None, tick)
+    now[0] = tick.stamp_ns + 5
+    recording.event("after")
+    recording.close({})
+    assert list(recording.events) == [(tick.stamp_ns, "before"), (tick.stamp_ns + 5, "after")]
+    if path is not None:
+        told = [(one.stamp_ns, one.text) for one in log.inspect(path).events]
+        assert told == [(tick.stamp_ns, f"recording {robot.name}"), *recording.events]
+
+
+def test_a_run_in_lockstep_is_on_one_clock(robot: Robot, tmp_path: Path) -> None:
+    """Also what was said before the first packet: the wall clock is years away from the simulated one."""
+    with bridge.connect(f"sim://{robot.name}?lockstep=true", robot) as link:
+        run = link.run(lambda state: Command(state.q_start), seconds=0.05, record=tmp_path / "run.mcap")
+    events = log.inspect(tmp_path / "run.mcap").events
+    assert len(events) > 1
+    begin = run.table.t0_ns
+    assert all(begin <= one.stamp_ns <= begin + 10**9 for one in events)
+    assert all(begin <= stamp <= begin + 10**9 for stamp, _ in run.events)

@@ -79,7 +79,11 @@ def test_ports_follow_the_robots(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 
 @pytest.mark.parametrize(
     ("words", "sentence"),
-    [(["--port", "egm"], "such as --port"), (["--seconds", "-1"], "Expected seconds"), (["yumi"], "Did you mean")],
+    [
+        (["--port", "egm"], "such as --port"),
+        (["--seconds", "-1"], "armlab: Expected --seconds above 0"),
+        (["yumi"], "Did you mean"),
+    ],
 )
 def test_refusals(words: list[str], sentence: str, capsys: Any) -> None:
     assert main(["doctor", *words]) == 1

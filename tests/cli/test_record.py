@@ -120,7 +120,7 @@ def test_an_arm_that_waits_for_references_gets_none_but_is_told_of(tmp_path: Pat
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
 def test_a_recording_that_is_ended_from_outside(tmp_path: Path, number: signal.Signals) -> None:
-    """Only a process that is killed outright loses packets, of less than a second."""
+    """Only a process that is killed outright may lose packets, those that it had not taken up."""
     (port,), path = free_ports(1), tmp_path / "run.mcap"
     command = [sys.executable, "-m", "armlab", "record", "yumi_left", "--port", str(port), "-o", str(path)]
     peer = Streaming("yumi_left", port)
@@ -142,7 +142,7 @@ def test_a_recording_that_is_ended_from_outside(tmp_path: Path, number: signal.S
     if number == signal.SIGKILL:
         table = log.recover(path).path
         assert log.read(table)["seq"][0] == 0
-        assert len(log.read(table)) > peer.sent - 450
+        assert len(log.read(table)) >= peer.sent - 1  # the others were idle for 0.2 s: all had been taken up
     else:
         seq = log.read(path)["seq"]
         assert (seq[0], seq[-1], len(seq)) == (0, peer.sent - 1, peer.sent)
@@ -189,6 +189,8 @@ def test_no_robot(tmp_path: Path, capsys: Any) -> None:
         (["yumi_left", "-o", "run.csv"], ".mcap"),
         (["yumi_left", "-o", "there.mcap"], "exists"),
         (["yumi_lefft", "-o", "run.mcap"], "Did you mean"),
+        (["yumi_left", "-o", "there.mcap", "--force", "--patience", "-1"], "Expected --patience above 0 s, got -1"),
+        (["yumi_left", "-o", "there.mcap", "--force", "--seconds", "nan"], "Expected --seconds above 0 s, got nan"),
     ],
 )
 def test_refusals(

@@ -19,9 +19,14 @@ def test_everything_but_rows_is_on_the_disk_after_construction(tmp_path: Path, r
     held = inspect(file.path)
     assert held.metadata["armlab"]["note"] == "mine"
     assert held.attachments == {"a.toml": b"a"}
-    assert [event.text for event in held.events] == ["recording yumi_right"]
+    assert not held.events
     assert len(held.topics) == 18
+    file.event("first", 5)
     file.finish({})
+    assert [(event.stamp_ns, event.text) for event in inspect(file.path).events] == [
+        (5, "recording yumi_right"),
+        (5, "first"),
+    ]
 
 
 def test_each_row_is_there_at_once_and_no_chunk_is_longer_than_a_second(
@@ -37,7 +42,7 @@ def test_each_row_is_there_at_once_and_no_chunk_is_longer_than_a_second(
     file.event("the last word", 1)
     file.abandon()
     assert inspect(file.path).events[-1].text == "the last word"
-    assert [chunk.is_open for chunk in contents(memoryview(file.path.read_bytes())).chunks] == [False, False, True]
+    assert [chunk.is_open for chunk in contents(memoryview(file.path.read_bytes())).chunks] == [False, True]
 
 
 def test_open_new(tmp_path: Path) -> None:

@@ -109,7 +109,9 @@ class Arm:
 
     @property
     def stamp_ns(self) -> int:
-        """Now: wall clock at the start plus monotonic time since [ns]; in lockstep the robot's clock."""
+        """Now: wall clock at the start plus monotonic time since [ns]; in lockstep the robot's clock, at first 0."""
+        if self._in_lockstep and self.newest is None:
+            return 0
         return self._robot_ns if self._in_lockstep and self._robot_ns else self._wall_ns + time.monotonic_ns()
 
     def stamp(self, sample: Sample) -> int:

@@ -10,12 +10,13 @@ from armlab.bridge.network import addresses, firewall, listen, local_addresses
 from armlab.errors import ConfigError
 from armlab.robots import Robot
 
-__all__ = ["DEFAULT_PORTS", "examine"]
+__all__ = ["DEFAULT_PORTS", "LONGEST", "examine"]
 
 DEFAULT_PORTS = (6510, 6511, 6512)
 """Of one arm, of the left and of the right arm."""
 
-_MOST = 3600.0  # s
+LONGEST = 3600.0
+"""To listen [s]."""
 
 
 def examine(
@@ -39,8 +40,8 @@ def examine(
     numbers = list(DEFAULT_PORTS if ports is None else ports)
     if not numbers or any(not 0 <= number < 65536 for number in numbers) or len(set(numbers)) < len(numbers):
         raise ConfigError(f"Expected different UDP ports from 0 to 65535, got {numbers}.")
-    if not 0.0 < seconds <= _MOST:
-        raise ConfigError(f"Expected seconds in (0, {_MOST:g}], got {seconds}.")
+    if not 0.0 < seconds <= LONGEST:
+        raise ConfigError(f"Expected seconds in (0, {LONGEST:g}], got {seconds}.")
     if robots and len(robots) != len(numbers):
         raise ConfigError(f"Expected one robot per port, got {len(robots)} robots and {len(numbers)} ports.")
     arms: list[Robot | None] = list(robots) if robots else [None] * len(numbers)

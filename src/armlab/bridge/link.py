@@ -72,6 +72,8 @@ def connect(
     where = addresses([url] if isinstance(url, str) else list(url), len(robots))
     if clock not in ("wall", "robot"):
         raise ConfigError(f'Expected clock to be "wall" or "robot", got {clock!r}.')
+    if not patience > 0.0:
+        raise ConfigError(f"Expected patience above 0 s, got {patience}.")
     is_simulated = where[0].scheme == "sim"
     codecs = _codecs(codec, robots, extension or is_simulated)
     in_lockstep = is_simulated and where[0].options.get("lockstep", "false").lower() in ("", "true")

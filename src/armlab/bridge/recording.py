@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -62,7 +63,8 @@ class Recording:
     Parameters
     ----------
     robot : the arm. path : file to write, None keeps the rows in memory. extra : the controller's own columns.
-    wait : never drop a row (a link in lockstep keeps no real time). clock : stamps of events, wall clock [ns].
+    wait : never drop a row (a link in lockstep keeps no real time).
+    clock : stamps of events, wall clock [ns]; 0 while it is not known yet.
     feeds : told too; a list that the recordings of a run share. label : put before each event when several arms run.
 
     Attributes
@@ -89,6 +91,7 @@ class Recording:
         self._limited = Limited(self._keep)
         self.path = None if self._recorder is None else self._recorder.path
         self.events: deque[tuple[int, str]] = deque(maxlen=_KEPT_EVENTS)
+        self._early: list[Callable[[int], None]] = []  # what waits for its stamp
 
     def row(self, state: State, command: Command | None, tick: Tick) -> None:
         """Keep one row.
@@ -97,6 +100,8 @@ class Recording:
         ----------
         state : what the controller saw. command : what it returned. tick : what the bridge knows.
         """
+        if self._early:
+            self._stamp_early(tick.stamp_ns)
         try:
             self._log.row(state, command, tick)
         except Exception as error:  # what a controller returned may be anything
@@ -126,20 +131,36 @@ class Recording:
         ----------
         change : what, by whom.
         """
-        if self._recorder is not None:
-            self._recorder.parameter(*change, self._clock())
+        recorder = self._recorder
+        if recorder is not None:
+            self._stamped(lambda stamp: recorder.parameter(*change, stamp), self._clock())
 
     def catch_up(self) -> None:
         """Keep sentences that waited, since others of their kind had come."""
         self._limited.due(self._clock())
 
     def _keep(self, text: str, warn: bool, stamp: int) -> None:
-        self.events.append((stamp, text))
         _logger.log(logging.WARNING if warn else logging.INFO, text)
-        if self._recorder is not None:
-            self._recorder.event(text, stamp)
+        self._stamped(lambda stamp: self._write_event(text, stamp), stamp)
         if self._feeds:
             self._tell_feeds(lambda feed: feed.event(text, warn))
+
+    def _write_event(self, text: str, stamp: int) -> None:
+        self.events.append((stamp, text))
+        if self._recorder is not None:
+            self._recorder.event(text, stamp)
+
+    def _stamped(self, write: Callable[[int], None], stamp: int) -> None:
+        """Write with a stamp; in lockstep, before the first packet, there is none: the first row gives it."""
+        if stamp:
+            write(stamp)
+        else:
+            self._early.append(write)
+
+    def _stamp_early(self, stamp: int) -> None:
+        waiting, self._early = self._early, []
+        for write in waiting:
+            write(stamp)
 
     def _tell_feeds(self, tell: Callable[[Feed], None]) -> None:
         for feed in tuple(self._feeds):
@@ -177,6 +198,7 @@ class Recording:
         summary : numbers kept in the file.
         """
         self._limited.close()
+        self._stamp_early(time.time_ns())  # no packet came
         recorder = self._recorder
         if recorder is None:
             return []

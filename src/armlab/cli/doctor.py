@@ -46,12 +46,15 @@ def doctor(
         Print JSON for scripts.
     """
     from armlab import robots
-    from armlab.bridge.doctor import examine
+    from armlab.bridge.doctor import LONGEST, examine
     from armlab.cli import FAILED, SKIPPED
     from armlab.cli.output import note, print_json, result
+    from armlab.errors import ConfigError
 
     arms = [robots.load(name) for name in robot]
     ports = _ports(port, len(arms))
+    if not 0.0 < seconds <= LONGEST:
+        raise ConfigError(f"Expected --seconds above 0 and at most {LONGEST:g}, got {seconds:g}.")
     note(f"Listening for {seconds:g} s; nothing is sent to a robot.")
     findings = [*examine(ports, seconds, arms), disk(Path.cwd())]
     if json:

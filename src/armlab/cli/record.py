@@ -48,10 +48,13 @@ def record(
     from armlab.bridge.recording import paths
     from armlab.cli.narration import Narrator
     from armlab.cli.output import check_output, note
-    from armlab.errors import NoRobot, SessionEnded
+    from armlab.errors import ConfigError, NoRobot, SessionEnded
 
     arms = [robots.load(name) for name in robot]
     urls = _urls(port, arms)
+    for option, value in (("seconds", seconds), ("patience", patience)):
+        if value is not None and not value > 0.0:
+            raise ConfigError(f"Expected --{option} above 0 s, got {value:g}.")
     files = [path for path in paths(output, arms) if path is not None]
     for path in files:
         check_output(path, force, [".mcap"])

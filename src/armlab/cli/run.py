@@ -67,12 +67,12 @@ def run(
     arms = [robots.load(name) for name in robot.split("+")]
     step, extra = (_hold, None) if controller is None else load_controller(controller)
     urls = [f"sim://{'+'.join(arm.name for arm in arms)}"] if link is None else link.split(",")
-    _check_simulated(urls, [arm.name for arm in arms])
+    _check_links(urls, [arm.name for arm in arms])
     base = _base(log, no_log, robot)
+    limits = [bridge.Limits.of(arm, speed=speed) for arm in arms]
     if not all(url.startswith("sim:") for url in urls):
         note(_CHECKS)
     with bridge.connect(urls, arms) as end:
-        limits = [bridge.Limits.of(arm, speed=speed) for arm in arms]
         options: dict[str, Any] = {"wait": wait, "limits": limits, "extra": extra, "feeds": [Narrator()]}
         try:
             done = end.run(step, seconds, record=base, **options)
@@ -144,10 +144,11 @@ def _raised_at(error: Exception) -> str:
     return "\n".join(f"{one.filename}, line {one.lineno}: {one.line}" for one in places)
 
 
-def _check_simulated(urls: list[str], names: list[str]) -> None:
-    """Refuse simulated arms of other names: the log would say that it is of these."""
+def _check_links(urls: list[str], names: list[str]) -> None:
+    """Refuse links that cannot be, and simulated arms of other names: the log would say that it is of these."""
     from urllib.parse import urlsplit
 
+    from armlab.bridge.address import addresses
     from armlab.errors import ConfigError
 
     links = [urlsplit(url) for url in urls]
@@ -157,6 +158,7 @@ def _check_simulated(urls: list[str], names: list[str]) -> None:
             f"Expected a link to {'+'.join(names)}, got {','.join(urls)}, other arms. Name the arms as ROBOT, or give "
             f"the link sim://{'+'.join(names)}."
         )
+    addresses(urls, len(names))
 
 
 def _hold(state: object) -> None:

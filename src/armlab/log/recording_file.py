@@ -84,7 +84,7 @@ class RecordingFile:
             for name, data in attachments.items():
                 self.attach(name, data)
             self._channels = self._register(robot)
-            self.event(f"recording {robot.name}", self.last_stamp_ns)
+            self._opening = f"recording {robot.name}"  # an event too, stamped with whatever comes first
             self.sync()
         except OSError as error:
             self.abandon()
@@ -110,6 +110,8 @@ class RecordingFile:
         """Write the messages of one row: they survive the end of this process."""
         stamp_ns = int.from_bytes(row[:8], "little", signed=True)
         tick = int.from_bytes(row[8:12], "little")  # MCAP's sequence has 32 bits
+        if self._opening:
+            self._open(stamp_ns)
         for channel, pen in self._channels:
             message = pen.message(row, stamp_ns)
             if message is not None:
@@ -123,8 +125,14 @@ class RecordingFile:
 
     def event(self, text: str, stamp_ns: int, tick: int = 0) -> None:
         """Write one line for the events."""
+        if self._opening:
+            self._open(stamp_ns)
         self._writer.message(self._events, tick & 0xFFFFFFFF, stamp_ns, stamp_ns, event(stamp_ns, text))
         self._writer.push()
+
+    def _open(self, stamp_ns: int) -> None:
+        text, self._opening = self._opening, ""
+        self.event(text, stamp_ns)
 
     def parameter(self, sequence: int, name: str, value: Any, who: str, stamp_ns: int) -> None:
         """Write the value of a parameter that came into force."""
@@ -144,6 +152,8 @@ class RecordingFile:
 
     def finish(self, summary: Mapping[str, Any]) -> None:
         """Write the summary and the footer, bring file and folder to the disk, and close."""
+        if self._opening:
+            self._open(self.last_stamp_ns)
         self._close_chunk()
         self.attach("summary.json", json.dumps(summary, indent=1, default=_plain).encode())
         self._writer.finish()
