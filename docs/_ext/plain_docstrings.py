@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -91,11 +92,14 @@ def sign(
     _app: Sphinx, what: str, _name: str, thing: Any, _options: Any, signature: str | None, returned: str | None
 ) -> tuple[str | None, str | None] | None:
     """Show no arguments of classes that others make: their docstring names none, or not all of them."""
-    if what != "class" or not signature or not isinstance(thing, type):
+    if what != "class" or not signature or not isinstance(thing, type) or issubclass(thing, tuple):
         return None
     text = thing.__doc__ or ""
-    named = re.findall(r"[(,] *\*{0,2}([A-Za-z_]\w*)", signature)
-    return None if all(re.search(rf"\b{name}\b", text) for name in named if name != "self") else ("", None)
+    try:
+        names = list(inspect.signature(thing).parameters)
+    except (TypeError, ValueError):
+        return None
+    return None if all(re.search(rf"\b{name}\b", text) for name in names) else ("", None)
 
 
 def setup(app: Sphinx) -> dict[str, bool]:

@@ -18,7 +18,7 @@ class ReplaySource(Source):
 
     Parameters
     ----------
-    name : of the recorded source. table : a recording with its columns. options : see `Source`.
+    name : of the recorded source. table : a recording with its columns. period, options : see `Source`.
 
     Raises
     ------
