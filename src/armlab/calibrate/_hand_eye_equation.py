@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from armlab import kernels
 from armlab.estimation import Measurement, Problem
 from armlab.lie import so3
 
@@ -62,6 +63,16 @@ class Equation:
         return len(self.tA)
 
     @cached_property
+    def _flat(self) -> tuple[np.ndarray, np.ndarray]:
+        """R_A^T below each other (3 N, 3), and the numbers of the pairs (N,): what every evaluation needs."""
+        return np.ascontiguousarray(self.RA.transpose(0, 2, 1)).reshape(-1, 3), np.arange(self.N)
+
+    @cached_property
+    def mean(self) -> np.ndarray:
+        """Mean of R_A (3, 3): no rotation, and the shorter the more they turn."""
+        return self.RA.sum(axis=0) / self.N
+
+    @cached_property
     def spread(self) -> float:
         """Length by which positions are judged [m]: their RMS distance from their mean, of the record that has more."""
         both = (t - t.mean(axis=0) for t in (self.tA, self.tB))
@@ -79,30 +90,32 @@ class Equation:
         """Return rotations by the singular vectors of K, positions by least squares: no units, no guess."""
         U, _, V = np.linalg.svd(self.product())
         RX, RY = V[0].reshape(3, 3), U[:, 0].reshape(3, 3)
-        sign = np.sign(np.linalg.det(RX))
-        (RX, RY), _ = so3.project(np.stack([sign * RX, sign * RY]))
-        M, c = self.RA.mean(axis=0), self.tB @ RY.T - self.tA
-        pulled = self.RA.reshape(-1, 3).T @ c.ravel() / self.N - M.T @ c.mean(axis=0)
-        tX = np.linalg.lstsq(np.eye(3) - M.T @ M, pulled, rcond=None)[0]
-        return Pair(RX, tX, RY, M @ tX - c.mean(axis=0))
+        (RX, RY), _ = kernels.so3_nearest(np.sign(np.linalg.det(RX)) * np.stack([RX, RY]))
+        M, c = self.mean, self.tB @ RY.T - self.tA
+        middle = c.sum(axis=0) / self.N
+        pulled = c.ravel() @ self.RA.reshape(-1, 3) / self.N - M.T @ middle
+        tX = np.linalg.solve(np.eye(3) - M.T @ M, pulled)
+        return Pair(RX, tX, RY, M @ tX - middle)
 
     def evaluate(self, pair: Pair) -> list[Measurement]:
         """Return r_t = t_B - t_h in camera axes and r_R = Log(R_h^T R_B) in marker axes, where h = Y^-1 A X."""
         RX, tX, RY, tY = pair
-        C = (self.RA.transpose(0, 2, 1).reshape(-1, 3) @ RY).reshape(-1, 3, 3).transpose(0, 2, 1)  # R_Y^T R_A
+        turned, sample = self._flat
+        C = (turned @ RY).reshape(-1, 3, 3).transpose(0, 2, 1)  # R_Y^T R_A
         Rh = C @ RX
         th = C @ tX + (self.tA - tY) @ RY
         r, J = np.empty((self.N, 6)), np.zeros((self.N, 6, 12))
         r[:, :3] = self.tB - th
-        r[:, 3:] = rotation = so3.log(Rh.transpose(0, 2, 1) @ self.RB)
+        back = Rh.transpose(0, 2, 1)
+        r[:, 3:] = rotation = so3.log(back @ self.RB)
         J[:, :3, :3] = -C
         J[:, :3, 6:9] = RY.T
         J[:, 0, 10], J[:, 1, 11], J[:, 2, 9] = th[:, 2], th[:, 0], th[:, 1]  # -hat(th)
         J[:, 0, 11], J[:, 1, 9], J[:, 2, 10] = -th[:, 1], -th[:, 2], -th[:, 0]
         bent = so3.left_jacobian_inv(rotation)
         J[:, 3:, 3:6] = -bent
-        J[:, 3:, 9:] = bent @ Rh.transpose(0, 2, 1)
-        return [Measurement(r, J, self._covariance(pair, C), CLASSES)]
+        J[:, 3:, 9:] = bent @ back
+        return [Measurement(r, J, self._covariance(pair, C), CLASSES, sample)]
 
     def _covariance(self, pair: Pair, C: np.ndarray) -> np.ndarray | None:
         """Return S_B + G S_A G^T, G = [[-R_Y^T, R_Y^T R_A hat(t_X)], [0, -R_X^T]]; the lever t_X couples the two."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -72,17 +73,17 @@ class Words:
     spread: float
     limits: tuple[float, float]
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Name of each unknown, for example "T_base_cam rx"."""
         return tuple(f"{p.what.split()[-1]} {'r' * p.rotation}{axis}" for p in self.parts for axis in "xyz")
 
-    @property
+    @cached_property
     def units(self) -> tuple[str, ...]:
         """Unit of each unknown."""
         return tuple("rad" if p.rotation else "m" for p in self.parts for _ in range(3))
 
-    @property
+    @cached_property
     def widths(self) -> np.ndarray:
         """Largest deviation accepted of each unknown."""
         return np.repeat([self.limits[1] if p.rotation else self.limits[0] * self.spread for p in self.parts], 3)
@@ -133,7 +134,7 @@ def require_two_axes(RA: np.ndarray, noise: float, carrier: str, moved: Sequence
     RA : (N, 3, 3). noise : sigma of a rotation [rad]; more than 0.05 is none, but records that do not fit.
     carrier : whose axes turn, "tool". moved : names of what is on it, and of what moves with that.
     """
-    M = RA.mean(axis=0)
+    M = RA.sum(axis=0) / len(RA)
     squares, u = np.linalg.eigh(np.eye(3) - M.T @ M)
     turned = np.sqrt(np.maximum(squares, 0.0))
     limit = max(FIXED, NOISE * noise) if noise < ROUGH else FIXED
@@ -165,11 +166,10 @@ def require_match(equation: Equation, r: np.ndarray, kept: np.ndarray, best: Any
     equation : all pairs. r : (N, 6) residuals at the best value. kept : (N,) pairs that were not left out.
     best : for the error.
     """
-    M = equation.RA.mean(axis=0)
-    turned = np.sqrt(np.trace(np.eye(3) - M.T @ M))
-    moved = equation.spread
-    position, rotation = (np.sqrt(np.mean(np.sum(part[kept] ** 2, axis=1))) for part in (r[:, :3], r[:, 3:]))
-    few = 2 * np.count_nonzero(kept) <= len(kept)
+    turned, moved = np.sqrt(3.0 - np.vdot(equation.mean, equation.mean)), equation.spread
+    squares, count = (r[kept] ** 2).sum(axis=0), np.count_nonzero(kept)
+    position, rotation = np.sqrt(squares.reshape(2, 3).sum(axis=1) / count)
+    few = 2 * count <= len(kept)
     if (rotation <= APART * turned or rotation < ROUGH) and position <= APART * moved and not few:
         return
     left_out = f", {np.count_nonzero(~kept)} of {len(kept)} left out" if few else ""

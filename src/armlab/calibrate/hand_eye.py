@@ -94,7 +94,7 @@ def fit_hand_eye(
         rest = equation.evaluate(error.best)[0].r
         require_match(equation, rest, np.ones(equation.N, dtype=bool), error.best)
         raise
-    residuals = equation.evaluate(found.value)[0].r
+    residuals = equation.evaluate(found.value)[0].r if found.outliers.any() else found.rows.raw.reshape(-1, 6)
     value = HandEye(setup, *found.value.poses())
     require_match(equation, residuals, ~found.outliers, value)
     if equation.noise is None:

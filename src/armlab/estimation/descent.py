@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -26,6 +27,7 @@ STEP = 1e-9  # in deviations of the estimate
 ROUNDING = 1e-13  # relative change of the cost that is rounding
 IDLE, PATIENCE = 1e-3, 5  # steps so short that get no shorter, or lower nothing, are rounding too: exact data
 MAX_DAMPING = 1e15
+WELL = 1e7  # condition of a triangle below which its inverse serves
 NULL = 1e-9  # relative singular value of the scaled Jacobian below which data see nothing
 DAMPING = 1e-3  # first damping, relative to the largest singular value squared
 
@@ -109,29 +111,26 @@ def descend(
         rows = whiten(now, roots).times(weight)
         height = 0.5 * float(rows.r @ rows.r)
         history.append(height)
-        basis, singular, null, slope = _directions(problem, rows)
-        promise = 0.5 * float(slope @ slope)
-        here = Descent(value, rows, basis, null, np.sqrt(2.0 * promise), tuple(history))
+        slope = _Slope.of(problem, rows)
+        here = Descent(value, rows, slope.basis, slope.null, float(np.linalg.norm(slope.along)), tuple(history))
         waited = waited + 1 if here.step > 0.5 * shortest else 0
         shortest = min(shortest, here.step)
         if here.step < STEP or (here.step < IDLE and waited > PATIENCE):
             return here
+        rounding = 0.5 * here.step**2 < ROUNDING * height  # the cost cannot tell; the steps do, by their length
         while True:
-            shrink = singular**2 / (singular**2 + damping * singular[0] ** 2)
-            x = -basis @ (shrink * slope)
+            x, promise = slope.step(damping)
             trial = problem.retract(value, x)
             then = problem.evaluate(trial)
             fall = height - cost(then, roots, weight)
-            if (
-                fall > 0 or promise < ROUNDING * height
-            ):  # too little for the cost to tell: the steps do, by their length
+            if fall > 0 or rounding:
                 break
             if here.step < IDLE and damping > 1.0:
                 return here
             damping, growth = max(damping * growth, DAMPING), 2.0 * growth
             if damping > MAX_DAMPING:
                 raise _stuck(problem, value, history)
-        gain = fall / float(slope @ (shrink * (1.0 - 0.5 * shrink) * slope)) if fall > 0 else 1.0
+        gain = fall / promise if fall > 0 else 1.0
         damping, growth = damping * max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3), 2.0
         damping = damping if damping > 1e-12 else 0.0
         value, now = trial, then
@@ -149,13 +148,66 @@ def _stuck(problem: Problem[Any], value: Any, history: list[float]) -> NotConver
     )
 
 
-def _directions(problem: Problem[Any], rows: Whitened) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return basis (d, r), singular values (r,), null space (d, d - r), and slope (r,) of the cost along the basis."""
-    d = rows.J.shape[1]
-    R = triangle(rows.J, rows.r)
-    norms = np.linalg.norm(R[:, :d], axis=0)
-    scale = problem.scale if problem.scale is not None else 1.0 / np.where(norms > 0, norms, 1.0)
-    U, singular, V = np.linalg.svd(R[:d, :d] * scale)
-    rank = int(np.count_nonzero(singular > NULL * singular[0]))
-    basis = (scale * V[:rank]).T / singular[:rank]
-    return basis, singular[:rank], V[rank:].T, U[:, :rank].T @ R[:d, d]
+@dataclass(frozen=True, eq=False)
+class _Slope:
+    """The linear problem at one value: what its rows tell, and the way down.
+
+    The inverse of the triangle spans what the rows tell, at a third of the cost of singular values; these are for
+    triangles that are nearly singular, and for damping.
+    """
+
+    R: np.ndarray
+    scale: np.ndarray
+
+    @classmethod
+    def of(cls, problem: Problem[Any], rows: Whitened) -> _Slope:
+        R = triangle(rows.J, rows.r)
+        norms = np.sqrt(np.einsum("ij,ij->j", R[:, :-1], R[:, :-1]))
+        return cls(R, problem.scale if problem.scale is not None else 1.0 / np.where(norms > 0, norms, 1.0))
+
+    @cached_property
+    def _inverse(self) -> np.ndarray | None:
+        """Inverse of the scaled triangle, or None where it is nearly singular."""
+        from scipy.linalg import lapack
+
+        scaled = self.R[:-1, :-1] * self.scale
+        inverse, fault = lapack.dtrtri(scaled)  # pyright: ignore
+        if fault or not np.linalg.norm(scaled) * np.linalg.norm(inverse) < WELL:
+            return None
+        return inverse
+
+    @cached_property
+    def _singular(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Basis (d, r), singular values (r,), null space (d, d - r), and slope (r,) of the cost along the basis."""
+        U, singular, V = np.linalg.svd(self.R[:-1, :-1] * self.scale)
+        rank = int(np.count_nonzero(singular > NULL * singular[0]))
+        basis = (self.scale * V[:rank]).T / singular[:rank]
+        return basis, singular[:rank], V[rank:].T, U[:, :rank].T @ self.R[:-1, -1]
+
+    @property
+    def basis(self) -> np.ndarray:
+        """Directions (d, r) that the rows tell: J times them is orthonormal."""
+        return self._singular[0] if self._inverse is None else self.scale[:, None] * self._inverse
+
+    @property
+    def null(self) -> np.ndarray:
+        """Directions (d, d - r), in units of the scale, that they do not."""
+        return self._singular[2] if self._inverse is None else np.zeros((len(self.scale), 0))
+
+    @property
+    def along(self) -> np.ndarray:
+        """Slope (r,) of the cost along the basis."""
+        return self._singular[3] if self._inverse is None else self.R[:-1, -1]
+
+    def step(self, damping: float) -> tuple[np.ndarray, float]:
+        """Return the step (d,), and by how much it should lower the cost.
+
+        Parameters
+        ----------
+        damping : relative to the largest singular value squared.
+        """
+        if damping == 0.0:
+            return -self.basis @ self.along, 0.5 * float(self.along @ self.along)
+        basis, singular, _, slope = self._singular
+        shrink = singular**2 / (singular**2 + damping * singular[0] ** 2)
+        return -basis @ (shrink * slope), float(slope @ (shrink * (1.0 - 0.5 * shrink) * slope))

@@ -214,13 +214,15 @@ def check_spread(
             f"Expected a finite Jacobian (m, {p}) and {p} limits above zero, got shapes {J.shape} and {limits.shape}."
             " Give one name, unit and limit per parameter."
         )
-    fixed = np.zeros((p, 0)) if gauge is None else np.linalg.qr(gauge)[0]
-    rest = np.linalg.svd(np.eye(p) - fixed @ fixed.T)[0][:, : p - fixed.shape[1]] if fixed.size else np.eye(p)
-    scaled = (J * limits) @ rest
-    _, found, rows = np.linalg.svd(triangle(scaled) if len(scaled) > p else scaled, full_matrices=True)
-    singular = np.zeros(rest.shape[1])
+    scaled = (triangle(J) if len(J) > p else J) * limits
+    fixed, rest = np.zeros((p, 0)), None
+    if gauge is not None:
+        fixed = np.linalg.qr(gauge)[0]
+        rest = np.linalg.svd(np.eye(p) - fixed @ fixed.T)[0][:, : p - fixed.shape[1]]
+    _, found, rows = np.linalg.svd(scaled if rest is None else scaled @ rest, full_matrices=True)
+    singular = np.zeros(p - fixed.shape[1])
     singular[: len(found)] = found
-    vectors = rest @ rows.T
+    vectors = rows.T if rest is None else rest @ rows.T
     unseen = singular <= NULL * singular.max(initial=0.0)
     spread = np.divide(1.0, singular, out=np.full_like(singular, np.inf), where=~unseen)
 

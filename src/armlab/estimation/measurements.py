@@ -122,12 +122,11 @@ class Whitened:
 
     def squares(self, count: int) -> np.ndarray:
         """Return the squared whitened residual (count,) of each sample."""
-        rows = self.sample >= 0
-        return np.bincount(self.sample[rows], self.r[rows] ** 2, minlength=count)
+        return np.bincount(self.sample + 1, self.r**2, minlength=count + 1)[1:]  # priors are sample -1
 
     def numbers(self, count: int) -> np.ndarray:
         """Return how many numbers (count,) each sample has."""
-        return np.bincount(self.sample[self.sample >= 0], minlength=count)
+        return np.bincount(self.sample + 1, minlength=count + 1)[1:]
 
     def times(self, weight: np.ndarray) -> Whitened:
         """Return it with a weight per sample (N,): rows times its root, rows of weight 0 left out; priors as they are.

@@ -191,14 +191,10 @@ def _with_noise(
 
 def _class_sigma(found: Descent) -> np.ndarray:
     """Return the deviation (classes,) of the residuals in SI, each class with the degrees of freedom it has left."""
-    rows = found.rows
-    own = np.sum((rows.J @ found.basis) ** 2, axis=1)
-    sizes = []
-    for label in range(len(rows.names)):
-        mine = rows.label == label
-        left = max(np.count_nonzero(mine) - float(own[mine].sum()), np.finfo(float).eps)
-        sizes.append(np.sqrt(np.sum(rows.raw[mine] ** 2) / left))
-    return np.array(sizes)
+    rows, count = found.rows, 1 + len(found.rows.names)
+    label, seen = rows.label + 1, rows.J @ found.basis  # priors are class 0
+    left = np.bincount(label, minlength=count) - np.bincount(label, np.einsum("ij,ij->i", seen, seen), count)
+    return np.sqrt(np.bincount(label, rows.raw**2, count) / np.maximum(left, np.finfo(float).eps))[1:]
 
 
 def _solution(
