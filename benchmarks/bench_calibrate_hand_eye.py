@@ -1,0 +1,156 @@
+"""Hand-eye calibration beside OpenCV: times, and errors over the Cramér-Rao bound on the same samples.
+
+OpenCV is pinned below 5: opencv-contrib-python-headless 5.0.0.93 exports the constants of hand-eye calibration but not
+the functions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import cv2
+import hand_eye_bars as bars
+import numpy as np
+from blocks import Contender, Table, agree, loop, table
+
+from armlab.calibrate import fit_hand_eye, fit_hand_eye_points
+from armlab.lie import se3, so3
+
+BAR, BAR_MANY, BAR_ROBUST = 1.0e-3, 10.0e-3, 6.0e-3  # s
+BOTH = {"SHAH": cv2.CALIB_ROBOT_WORLD_HAND_EYE_SHAH, "LI": cv2.CALIB_ROBOT_WORLD_HAND_EYE_LI}
+HAND = {
+    "HORAUD": cv2.CALIB_HAND_EYE_HORAUD,
+    "PARK": cv2.CALIB_HAND_EYE_PARK,
+    "DANIILIDIS": cv2.CALIB_HAND_EYE_DANIILIDIS,
+    "TSAI": cv2.CALIB_HAND_EYE_TSAI,
+}
+Solve = Callable[[bars.Poses], tuple[np.ndarray, np.ndarray]]
+
+
+def run(quick: bool) -> list[Table]:
+    """Measure 30 and 1000 pairs of poses, with outliers, and points; then 1000 runs of every case for the errors."""
+    rounds, runs = (5, 50) if quick else (40, 1000)
+    few = [bars.poses(1000, k)[0] for k in range(20)]
+    many = [bars.poses(1000, k, N=1000)[0] for k in range(2)]
+    wrong = [bars.poses(1000, k, bad=3)[0] for k in range(20)]
+    worst = _agreement()
+    text = f"Noise of the camera given. On exact data all agree to {worst:.1g}."
+    return [
+        table("Hand-eye, 30 pairs of poses", f"{text}\n\n{_errors(runs)}", "ms", _contenders(few, BAR, ""), rounds),
+        table("Hand-eye, 1000 pairs of poses", text, "ms", _contenders(many, BAR_MANY, ""), max(rounds // 8, 2)),
+        table("Hand-eye, 10 % of 30 pairs wrong", "OpenCV has no means against them: its errors are 18 to 346 bounds.",
+              "ms", _contenders(wrong, BAR_ROBUST, "robust"), rounds),
+        table("Hand-eye from points of a marker", "100 samples of three LEDs; no peer measures them.", "ms",
+              _points(), rounds),
+    ]  # fmt: skip
+
+
+def _contenders(data: list[bars.Poses], bar: float, robust: str) -> list[Contender]:
+    def ours(sample: bars.Poses) -> object:
+        return fit_hand_eye(sample.A, sample.B, noise=bars.CAMERA, robust=bool(robust))
+
+    def estimated(sample: bars.Poses) -> object:
+        return fit_hand_eye(sample.A, sample.B, robust=bool(robust))
+
+    peers = [Contender(f"OpenCV {name}", loop(solve, data), note=note) for name, solve, note in _peers()]
+    name = f"armlab fit_hand_eye{', robust' if robust else ''}"
+    note = "value, covariance, residuals, excitation"
+    return [
+        Contender(name, loop(ours, data), "armlab", bar, note),
+        Contender(f"{name}, noise estimated", loop(estimated, data), "armlab"),
+        *peers,
+    ]
+
+
+def _points() -> list[Contender]:
+    data = []
+    for k in range(10):
+        sample, _ = bars.poses(1500, k, N=100)
+        T = se3.inv(sample.Y) @ sample.A @ sample.X
+        data.append((sample.A, np.einsum("nij,kj->nki", T[:, :3, :3], bars.LEDS) + T[:, None, :3, 3]))
+
+    def known(sample: tuple[np.ndarray, np.ndarray]) -> object:
+        return fit_hand_eye_points(*sample, marker=bars.LEDS, noise=5e-4)
+
+    def free(sample: tuple[np.ndarray, np.ndarray]) -> object:
+        return fit_hand_eye_points(*sample, noise=5e-4)
+
+    return [
+        Contender("armlab fit_hand_eye_points, known marker", loop(known, data), "armlab"),
+        Contender("armlab fit_hand_eye_points, unknown marker", loop(free, data), "armlab"),
+    ]
+
+
+def _peers() -> list[tuple[str, Solve, str]]:
+    both = [(name, _both(method), "X and Y, no covariance") for name, method in BOTH.items()]
+    return both + [(name, _hand(method), "X; Y by the mean, no covariance") for name, method in HAND.items()]
+
+
+def _both(method: int) -> Solve:
+    """A X = Z B, in OpenCV's names world2cam X = Z base2gripper."""
+
+    def solve(data: bars.Poses) -> tuple[np.ndarray, np.ndarray]:
+        RX, tX, RY, tY = cv2.calibrateRobotWorldHandEye(
+            list(data.A[:, :3, :3]), list(data.A[:, :3, 3]), list(data.B[:, :3, :3]), list(data.B[:, :3, 3]),
+            method=method,
+        )  # fmt: skip
+        return _pose(RX, tX), _pose(RY, tY)
+
+    return solve
+
+
+def _hand(method: int) -> Solve:
+    """A_i X B_i^-1 is the same for all i: X is OpenCV's cam2gripper; Y is the mean of the products."""
+
+    def solve(data: bars.Poses) -> tuple[np.ndarray, np.ndarray]:
+        inverse = se3.inv(data.B)
+        R, t = cv2.calibrateHandEye(
+            list(data.A[:, :3, :3]), list(data.A[:, :3, 3]), list(inverse[:, :3, :3]), list(inverse[:, :3, 3]),
+            method=method,
+        )  # fmt: skip
+        X = _pose(R, t)
+        products = data.A @ X @ inverse
+        RY = so3.project(products[:, :3, :3].mean(axis=0))[0]
+        return X, se3.from_rp(RY, products[:, :3, 3].mean(axis=0))
+
+    return solve
+
+
+def _pose(R: np.ndarray, t: np.ndarray) -> np.ndarray:
+    return se3.from_rp(so3.project(R)[0], np.ravel(t))
+
+
+def _agreement() -> float:
+    """Return the largest difference of any method from the truth of exact data."""
+    _, clean = bars.poses(1000, 0)
+    worst = 0.0
+    for name, solve, _ in _peers():
+        for pose, truth in zip(solve(clean), (clean.X, clean.Y)):
+            worst = max(worst, agree(name, pose, truth, 1e-6))
+    return worst
+
+
+def _errors(runs: int) -> str:
+    """Return tables of errors over the bound: armlab in every case, OpenCV with good samples."""
+    ours = [bars.HEAD, "|---|---|---|---|---|---|", *(bar.text() for bar in bars.bars(runs))]
+    head = ["| OpenCV, error over the bound | H1: X rotation, position, Y rotation, position | H2 (tilt 30 degrees) |",
+            "|---|---|---|"]  # fmt: skip
+    theirs = []
+    for name, solve, _ in _peers():
+        both = [" ".join(f"{x:.2f}" for x in _ratios(solve, runs, tilt)) for tilt in (False, True)]
+        theirs.append(f"| {name} | {both[0]} | {both[1]} |")
+    deviation = 1.0 / np.sqrt(6.0 * runs)
+    what = f"Errors over the Cramér-Rao bound in {runs} runs; the standard error of a ratio is {deviation:.3f}."
+    return "\n".join([what, "", *ours, "", *head, *theirs])
+
+
+def _ratios(solve: Solve, runs: int, tilt: bool) -> np.ndarray:
+    """Return the errors of a peer over the bounds of H1 or H2."""
+    e = []
+    for k in range(runs):
+        data, _ = bars.poses(1000, k, tilt=tilt)
+        X, Y = solve(data)
+        e.append([*bars.pose_error(X, data.X), *bars.pose_error(Y, data.Y)])
+    squares = np.array(e).reshape(runs, 4, 3) ** 2
+    rms = np.sqrt(squares.sum(axis=2).mean(axis=0))[[1, 0, 3, 2]] * [np.degrees(1.0), 1e3, np.degrees(1.0), 1e3]
+    return rms / bars.pose_case("bound", 1000, min(runs, 200), tilt=tilt).crb

@@ -1,0 +1,208 @@
+"""Errors of hand-eye calibration over the Cramér-Rao bound, by Monte Carlo with known truth.
+
+The generators draw in the order of the specification: H1 uniform rotations, H2 tilts of at most 30 degrees, H3 outliers
+in the first poses, H4 noise of the robot too, H5 three LEDs. Error ratios are RMS error over runs by the root mean
+square of the bound; NEES is e^T C^-1 e over its dimension with the covariance that the fit states.
+
+    python benchmarks/hand_eye_bars.py 1000
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from armlab.calibrate import fit_hand_eye, fit_hand_eye_points
+from armlab.calibrate._hand_eye_equation import Equation, Pair
+from armlab.calibrate._marker_equation import Points, Sight, marked_start
+from armlab.lie import quaternion, se3, so3
+
+CAMERA = (0.5e-3, np.radians(0.05))
+ROBOTS = ((0.2e-3, np.radians(0.03)), (0.5e-3, np.radians(0.05)))
+LEDS = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]])
+TILT = np.radians(30.0)
+BLOCKS = ("X rotation", "X position", "Y rotation", "Y position")
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """Poses of robot and marker, and the truth."""
+
+    A: np.ndarray
+    B: np.ndarray
+    X: np.ndarray
+    Y: np.ndarray
+
+
+def uniform(rng: np.random.Generator, count: int) -> np.ndarray:
+    """Return rotations (count, 3, 3) of random quaternions."""
+    q = rng.standard_normal((count, 4))
+    return quaternion.to_matrix(q / np.linalg.norm(q, axis=1, keepdims=True))
+
+
+def tilted(rng: np.random.Generator, count: int) -> np.ndarray:
+    """Return rotations (count, 3, 3) at most 30 degrees from one."""
+    axes = rng.standard_normal((count, 3))
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    middle = uniform(rng, 1)[0]
+    return middle @ so3.exp(axes * rng.uniform(0.0, TILT, count)[:, None])
+
+
+def noisy(rng: np.random.Generator, T: np.ndarray, noise: tuple[float, float]) -> np.ndarray:
+    """Return poses (N, 4, 4) with noise: all rotations first."""
+    R = T[:, :3, :3] @ so3.exp(noise[1] * rng.standard_normal((len(T), 3)))
+    return se3.from_rp(R, T[:, :3, 3] + noise[0] * rng.standard_normal((len(T), 3)))
+
+
+def poses(
+    seed: int, run: int, N: int = 30, tilt: bool = False, bad: int = 0, robot: tuple[float, float] | None = None
+) -> tuple[Poses, Poses]:
+    """Return H1 to H4, and the same without noise and outliers."""
+    rng = np.random.default_rng([seed, run])
+    RX, tX = uniform(rng, 1)[0], 0.1 * rng.standard_normal(3)
+    RY, tY = uniform(rng, 1)[0], rng.standard_normal(3)
+    X, Y = se3.from_rp(RX, tX), se3.from_rp(RY, tY)
+    A = se3.from_rp((tilted if tilt else uniform)(rng, N), rng.uniform(-0.5, 0.5, (N, 3)))
+    clean = Poses(A, se3.inv(Y) @ A @ X, X, Y)
+    B = noisy(rng, clean.B, CAMERA).copy()
+    for i in range(bad):
+        u, v = rng.standard_normal(3), rng.standard_normal(3)
+        B[i, :3, :3] = B[i, :3, :3] @ so3.exp(np.radians(10.0) * u / np.linalg.norm(u))
+        B[i, :3, 3] += 0.05 * v / np.linalg.norm(v)
+    return Poses(A if robot is None else noisy(rng, A, robot), B, X, Y), clean
+
+
+def pose_error(T: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Return [v; w] with T = (R Exp(w), t + v) of the truth."""
+    return np.concatenate([T[:3, 3] - truth[:3, 3], so3.log(truth[:3, :3].T @ T[:3, :3])])
+
+
+@dataclass(frozen=True)
+class Bar:
+    """What one case gave.
+
+    Attributes
+    ----------
+    name : of the case. crb : of X rotation [deg], position [mm], Y rotation, position. ratios : error over them.
+    nees : over its dimension. missed : gross outliers that were not flagged. false : share of good samples that were.
+    """
+
+    name: str
+    crb: np.ndarray
+    ratios: np.ndarray
+    nees: float
+    missed: int
+    false: float
+
+    def text(self) -> str:
+        """Return one row of a table."""
+        crb = " ".join(f"{x:.4f}" for x in self.crb)
+        ratios = " ".join(f"{x:.3f}" for x in self.ratios)
+        return f"| {self.name} | {crb} | {ratios} | {self.nees:.3f} | {self.missed} | {100 * self.false:.2f} % |"
+
+
+class Tally:
+    """Collects runs of one case."""
+
+    def __init__(self, name: str) -> None:
+        self.name, self.e, self.variance, self.nees = name, [], [], []
+        self.missed = self.false = self.good = 0
+
+    def add(self, fit: Any, e: np.ndarray, bound: np.ndarray, bad: np.ndarray) -> None:
+        """Take one run: error (d,), bound (d, d), which samples are wrong (N,); without X, d is not 12 and Y comes last."""
+        missing = np.full(6, np.nan) if len(e) != 12 else e[:6]
+        self.e.append(np.concatenate([missing, e[-6:]]))
+        self.variance.append(np.diag(bound)[-12:])
+        self.nees.append(e @ np.linalg.solve(fit.cov, e) / len(e))
+        self.missed += int(np.sum(bad & ~fit.outliers))
+        self.false += int(np.sum(~bad & fit.outliers))
+        self.good += int(np.sum(~bad))
+
+    def bar(self) -> Bar:
+        """Return the ratios."""
+        e, variance = np.array(self.e) ** 2, np.array(self.variance)
+        order = [slice(3, 6), slice(0, 3), slice(9, 12), slice(6, 9)]
+        bound = np.sqrt([(variance + 0.0 * e)[:, part].sum(axis=1).mean() for part in order])
+        rms = np.sqrt([e[:, part].sum(axis=1).mean() for part in order])
+        crb = bound * np.array([np.degrees(1.0), 1e3, np.degrees(1.0), 1e3])
+        return Bar(self.name, crb, rms / bound, float(np.mean(self.nees)), self.missed, self.false / self.good)
+
+
+def pose_case(name: str, seed: int, runs: int, given: bool = True, **how: Any) -> Bar:
+    """Return H1 to H4: noise given or estimated, robust where there are outliers."""
+    tally, bad, robot = Tally(name), how.get("bad", 0), how.get("robot")
+    for run in range(runs):
+        data, clean = poses(seed, run, **how)
+        told = {"noise": CAMERA, "noise_robot": robot} if given else {}
+        fit = fit_hand_eye(data.A, data.B, robust=bool(bad), **told)
+        good = slice(bad, None)
+        A, B = clean.A[good], clean.B[good]
+        of_robot = None if robot is None else np.repeat(robot, 3) ** 2
+        equation = Equation(A[:, :3, :3], A[:, :3, 3], B[:, :3, :3], B[:, :3, 3], np.repeat(CAMERA, 3) ** 2, of_robot)
+        (truth,) = equation.evaluate(Pair(data.X[:3, :3], data.X[:3, 3], data.Y[:3, :3], data.Y[:3, 3]))
+        cov = np.diag(truth.cov) if truth.cov.ndim == 1 else truth.cov
+        bound = np.linalg.inv(np.sum(np.swapaxes(truth.J, 1, 2) @ np.linalg.solve(cov, truth.J), axis=0))
+        e = np.concatenate([pose_error(fit.value.X, data.X), pose_error(fit.value.Y, data.Y)])
+        tally.add(fit, e, bound, np.arange(len(data.A)) < bad)
+    return tally.bar()
+
+
+def led_case(name: str, runs: int, sigma: float = 0.5e-3, missing: bool = False, known: bool = True) -> Bar:
+    """Return H5: three LEDs, 100 samples; NaN for X where the marker is unknown."""
+    tally = Tally(name)
+    for run in range(runs):
+        rng = np.random.default_rng([1500, run])
+
+        def pose(size: float, rng: np.random.Generator = rng) -> np.ndarray:
+            R = so3.project(rng.standard_normal((3, 3)))[0]
+            return se3.from_rp(R, size * rng.standard_normal(3))
+
+        A = np.stack([pose(0.5) for _ in range(100)])
+        Y, X = pose(1.0), pose(0.1)
+        T = se3.inv(Y) @ A @ X
+        clean = np.einsum("nij,kj->nki", T[:, :3, :3], LEDS) + T[:, None, :3, 3]
+        p = clean + sigma * rng.standard_normal(clean.shape)
+        seen = rng.random((100, 3)) >= (0.2 if missing else 0.0)
+        fit = fit_hand_eye_points(A, p, marker=LEDS if known else None, visible=seen, noise=sigma)
+        sight = Sight(A[:, :3, :3], A[:, :3, 3], clean[seen], *np.nonzero(seen), 3, None)
+        points = LEDS @ X[:3, :3].T + X[:3, 3]
+        at = Points(points, Y[:3, :3], Y[:3, 3])
+        (truth,) = sight.marked(LEDS).evaluate(marked_start(at, LEDS)) if known else sight.free().evaluate(at)
+        J = truth.J.reshape(-1, truth.J.shape[2])
+        first = pose_error(fit.value.X, X) if known else (fit.value.points - points).ravel()
+        e = np.concatenate([first, pose_error(fit.value.Y, Y)])
+        tally.add(fit, e, sigma**2 * np.linalg.inv(J.T @ J), np.zeros(100, dtype=bool))
+    return tally.bar()
+
+
+def bars(runs: int) -> Iterator[Bar]:
+    """Yield every case of the specification."""
+    yield pose_case("H1 uniform", 1000, runs)
+    yield pose_case("H2 tilt 30 degrees", 1000, runs, tilt=True)
+    yield pose_case("H1, noise estimated", 1000, runs, given=False)
+    yield pose_case("H2, noise estimated", 1000, runs, given=False, tilt=True)
+    for bad, share in ((2, 5), (3, 10), (6, 20), (9, 30)):
+        yield pose_case(f"H3 {share} % outliers", 1000, runs, bad=bad)
+    yield pose_case("H3 30 %, noise estimated", 1000, runs, given=False, bad=9)
+    for robot, size in zip(ROBOTS, ("smaller", "larger")):
+        yield pose_case(f"H4 {size} noise of the robot", 1100, runs, robot=robot)
+        yield pose_case(f"H4 {size}, tilt", 1100, runs, robot=robot, tilt=True)
+    yield led_case("H5 LEDs", runs)
+    yield led_case("H5, 20 % missing", runs, missing=True)
+    yield led_case("H5, 50 mm of noise", runs, sigma=0.05)
+    yield led_case("H5, unknown marker", runs, known=False)
+
+
+HEAD = (
+    "| case | bound [deg mm deg mm] | error over it: X rotation, position, Y rotation, position "
+    "| NEES/d | missed | false |"
+)
+
+if __name__ == "__main__":
+    print(HEAD)
+    for bar in bars(int(sys.argv[1]) if len(sys.argv) > 1 else 1000):
+        print(bar.text(), flush=True)
