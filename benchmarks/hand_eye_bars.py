@@ -113,7 +113,7 @@ class Tally:
         self.missed = self.false = self.good = 0
 
     def add(self, fit: Any, e: np.ndarray, bound: np.ndarray, bad: np.ndarray) -> None:
-        """Take one run: error (d,), bound (d, d), which samples are wrong (N,); without X, d is not 12 and Y comes last."""
+        """Take one run: error and bound of X and Y (12,), or of points and Y, and which samples (N,) are wrong."""
         missing = np.full(6, np.nan) if len(e) != 12 else e[:6]
         self.e.append(np.concatenate([missing, e[-6:]]))
         self.variance.append(np.diag(bound)[-12:])
