@@ -119,3 +119,14 @@ def across(v: np.ndarray) -> np.ndarray:
     first = np.cross(e, v)
     first /= np.linalg.norm(first)
     return np.stack([first, np.cross(v, first)])
+
+
+def turned(R: np.ndarray, third: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return a unit direction (3,) and the axes (2, 3) across it, turned; rounding does not add up over many turns."""
+    v = R @ third
+    v = v / np.linalg.norm(v)
+    first = R @ axes[0]
+    first = first - v * (v @ first)
+    first = first / np.linalg.norm(first)
+    second = np.cross(v, first)
+    return v, np.stack([first, second if second @ (R @ axes[1]) > 0 else -second])

@@ -77,8 +77,8 @@ class Plane:
         T_a_b : (4, 4) pose of b in a.
         """
         R, c = _moved(T_a_b, self.centroid)
-        n = R @ self.n
-        return Plane(n, float(n @ c), c, self.axes @ R.T, self.cov)
+        n, axes = _check.turned(R, self.n, self.axes)
+        return Plane(n, float(n @ c), c, axes, self.cov)
 
     def distance(self, p: ArrayLike) -> np.ndarray:
         """Return the signed distance (N,) of points (N, 3) [m]: ``n . x - d``.
@@ -155,8 +155,8 @@ class Line:
         T_a_b : (4, 4) pose of b in a.
         """
         R, c = _moved(T_a_b, self.centroid)
-        v = R @ self.v
-        return Line(v, _foot(v, c), c, self.axes @ R.T, self.cov)
+        v, axes = _check.turned(R, self.v, self.axes)
+        return Line(v, _foot(v, c), c, axes, self.cov)
 
     def offset(self, p: ArrayLike) -> np.ndarray:
         """Return the vectors (N, 3) from the line to points (N, 3), across it [m].

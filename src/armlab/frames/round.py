@@ -213,14 +213,7 @@ def _circle_residuals(value: Circle, p: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def _circle_step(value: Circle, x: np.ndarray) -> Circle:
-    R = so3.exp(x[3:5] @ value.axes)
-    n = R @ value.n
-    n = n / np.linalg.norm(n)
-    first = R @ value.axes[0]
-    first = first - n * (n @ first)
-    first = first / np.linalg.norm(first)
-    side = 1.0 if np.cross(value.axes[0], value.axes[1]) @ value.n > 0 else -1.0
-    axes = np.stack([first, side * np.cross(n, first)])
+    n, axes = _check.turned(so3.exp(x[3:5] @ value.axes), value.n, value.axes)
     return Circle(value.centre + x[:3], n, max(value.radius + x[5], 1e-3 * value.radius), axes)
 
 
