@@ -81,7 +81,9 @@ def solve(edges: Sequence[Edge], names: Sequence[str], robust: bool = False) -> 
     size = float(np.linalg.norm(found.value[:, :3, 3].std(axis=0)))
     labels = [(f"{name} {part}", unit) for name in names[1:] for part, unit in PARTS]
     limits = np.array([LIMIT * (1.0 if unit == "rad" else size or 1.0) for _, unit in labels])
-    excitation = check_spread(found.rows.J, *zip(*labels), limits, "frames")
+    excitation = check_spread(
+        found.rows.J, [name for name, _ in labels], [unit for _, unit in labels], limits, "frames"
+    )
     R = found.value[1:, :3, :3]
     parameters = np.hstack([found.value[1:, :3, 3], so3.log(R)]).ravel()
     residuals = problem.evaluate(found.value)[0].r
@@ -155,5 +157,5 @@ def _problem(edges: Sequence[Edge], names: Sequence[str]) -> Problem[np.ndarray]
 def _report(fit: Fit[FrameSet], words: Sequence[str]) -> str:
     """Return the table with the poses that were left out by name."""
     lines = [fit.table()]
-    lines += [f"left out: {words[k]}" for k in np.flatnonzero(fit.outliers)]
+    lines += [f"left out: {words[k]}" for k in np.flatnonzero(fit.outliers).tolist()]
     return "\n".join(lines)

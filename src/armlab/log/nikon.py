@@ -101,7 +101,7 @@ def read_cloud(path: str | Path) -> Cloud:
     rows, stopped, comments = _rows(Path(path), 7)
     values = np.array(rows)
     R = euler.from_rpy(np.deg2rad(values[:, 4:7]), "xyz")
-    return Cloud(*(_frozen(x) for x in (MM * values[:, 1:4], values[:, 0], R)), stopped, comments)
+    return Cloud(_frozen(MM * values[:, 1:4]), _frozen(values[:, 0]), _frozen(R), stopped, comments)
 
 
 def read_plane(path: str | Path, raw: bool = False) -> PlaneFile:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["pose_stack", "scene"]
 
 _MOST_FRAMES = 12  # along one path
-_MARKS = (("o", 8.0), ("^", 22.0), ("s", 14.0), ("D", 14.0))  # of one cloud after the other, with their areas
+_MARKS = (("o", 8), ("^", 22), ("s", 14), ("D", 14))  # of one cloud after the other, with their areas
 _NAMED = 0.15  # length of a named frame over the size of the scene, when none is given
 
 
