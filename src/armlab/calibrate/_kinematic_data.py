@@ -32,8 +32,8 @@ class Kind:
     Attributes
     ----------
     name : one of KINDS. values : (N, 4, 4), (N, K, 3), (N,), or (M,) for pairs.
-    visible : (N,), or (N, K) for positions. kept : components that are used. cov : of these, (k,), (k, k) or (N, k, k), or
-        None when the noise is to be estimated.
+    visible : (N,), or (N, K) for positions. kept : components that are used.
+    cov : of these, (k,), (k, k) or (N, k, k), or None when the noise is to be estimated.
     pairs : (2, M) samples of a pair distance.
     """
 

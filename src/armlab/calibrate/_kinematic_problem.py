@@ -51,6 +51,11 @@ class KinematicProblem:
         return self.arm.size + 3 * self.points + 5
 
     @property
+    def waves(self) -> int:
+        """Number of amplitudes."""
+        return self.arm.waves[0].size
+
+    @property
     def tool_held(self) -> bool:
         """True where several tool points are all that is known of the tool: they move, its frame does not."""
         return self.points > 0 and all(kind.name == "position" for kind in self.kinds)
@@ -108,8 +113,8 @@ class KinematicProblem:
 
     def evaluate(self, state: State) -> list[Measurement]:
         """Return residuals with their derivatives by the active components."""
-        found = [_chosen(one, self.active) for one in self.measurements(state)]
-        return [*found, *(_chosen(one, self.active) for one in self.priors(state))]
+        found = [chosen(one, self.active) for one in self.measurements(state)]
+        return [*found, *(chosen(one, self.active) for one in self.priors(state))]
 
     def measurements(self, state: State, local: bool = False) -> list[Measurement]:
         """Return residuals of the data with their derivatives by all components.
@@ -130,11 +135,7 @@ class KinematicProblem:
         """Yield what is known before: amplitudes are small; links are nearly nominal, if they are to be held."""
         arm, d = self.arm, self.size
         if arm.orders:
-            first = 6 * (arm.n + 1)
-            J = np.eye(d)[first : first + state.arm.amplitudes.size, None]
-            yield Measurement(
-                state.arm.amplitudes.reshape(-1, 1), J, np.eye(1) * HARMONIC_PRIOR**2, ("prior",), prior=True
-            )
+            yield amplitude_prior(arm, state.arm, d)
         if self.prior is not None and arm.n > 1:
             yield link_prior(arm, state.arm, self.prior, d, local=local)
 
@@ -195,6 +196,14 @@ def pose_residual(T: np.ndarray, measured: np.ndarray, J: np.ndarray) -> tuple[n
     return r, np.concatenate([-J[:, :3], turned], axis=1)
 
 
+def amplitude_prior(arm: Arm, state: ArmState, size: int, at: int = 0) -> Measurement:
+    """Return the prior on the amplitudes of harmonics; the arm's unknowns begin at `at`."""
+    first = at + 6 * (arm.n + 1)
+    J = np.eye(size)[first : first + state.amplitudes.size, None]
+    cov = np.full(1, HARMONIC_PRIOR**2)
+    return Measurement(state.amplitudes.reshape(-1, 1), J, cov, ("prior",), prior=True)
+
+
 def link_prior(
     arm: Arm, state: ArmState, prior: tuple[float, float], size: int, at: int = 0, local: bool = False
 ) -> Measurement:
@@ -213,7 +222,7 @@ def _mixture(row: np.ndarray, names: Sequence[str]) -> str:
     return " with ".join(names[i] for i in order[:3] if abs(row[i]) > 0.3 * abs(row[order[0]]))
 
 
-def _chosen(one: Measurement, active: np.ndarray) -> Measurement:
+def chosen(one: Measurement, active: np.ndarray) -> Measurement:
     return Measurement(one.r, one.J[:, :, active], one.cov, one.classes, one.sample, one.prior)
 
 

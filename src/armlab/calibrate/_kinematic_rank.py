@@ -131,7 +131,8 @@ class _Named:
         parts, left, worst = [], W, float(np.max(spread))
         for suspect in judgement.suspects:
             D = suspect.directions / judgement.limits[:, None]
-            Q = _independent(D - fixed @ (fixed.T @ D))
+            known = np.column_stack([fixed, *parts])
+            Q = _independent(D - known @ (known.T @ D))
             if not Q.shape[1] or not left.shape[1]:
                 continue
             _, cosine, turn = np.linalg.svd(Q.T @ left, full_matrices=True)

@@ -90,14 +90,14 @@ def _from_poses(arm: Arm, T: np.ndarray, kind: Kind) -> Arm:
     away = np.linalg.norm(nominal[:, :3, 3] - measured[:, :3, 3], axis=1) * positions
     if np.sqrt(np.mean(turn**2)) < FAR and np.sqrt(np.mean(away**2)) < FAR:
         return arm
-    RX, tX, RY, tY = _hand_eye(nominal, measured)
+    RX, tX, RY, tY = hand_eye(nominal, measured)
     moved = _moved(arm, se3.from_rp(RY, tY if positions else arm.start[0, :3, 3] - RY @ arm.start[0, :3, 3]))
     start = np.array(moved.start)
     start[-1] = se3.project(start[-1] @ se3.from_rp(RX, tX if positions else np.zeros(3)))[0]
     return replace(moved, start=start)
 
 
-def _hand_eye(A: np.ndarray, B: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def hand_eye(A: np.ndarray, B: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return X and Y of ``B_i = Y A_i X``: rotations from the mean of ``R_A (x) R_B``, translations linear."""
     RA, RB = A[:, :3, :3], B[:, :3, :3]
     K = np.einsum("iab,icd->acbd", RA, RB).reshape(9, 9) / len(A)

@@ -18,7 +18,8 @@ from armlab._numbers import numbers
 from armlab.calibrate._arm import Arm
 from armlab.calibrate._kinematic_data import check_harmonics, check_joints, check_terms, measured_kinds
 from armlab.calibrate._kinematic_problem import KinematicProblem, State
-from armlab.calibrate._kinematic_solution import Question
+from armlab.calibrate._kinematic_question import check_weak, length_angle
+from armlab.calibrate._kinematic_solution import ArmQuestion
 from armlab.calibrate._kinematic_start import check_scale, start_arm
 from armlab.errors import ConfigError, NotExcited, ShapeError, UnknownName
 from armlab.estimation import Fit
@@ -30,7 +31,7 @@ __all__ = ["fit_kinematics"]
 LIMITS = (0.05, 0.05)
 """Standard deviation [m, rad] along any direction that is the most accepted."""
 
-MODELS, CHOICES, WEAK = ("local_poe", "poe"), ("all", "offsets", "base_tool"), ("refuse", "prior")
+MODELS, CHOICES = ("local_poe", "poe"), ("all", "offsets", "base_tool")
 
 
 def fit_kinematics(
@@ -105,7 +106,7 @@ def fit_kinematics(
     given = {"pose": pose, "position": position, "distance": distance, "pair_distance": pair_distance}
     kinds, notes = measured_kinds(len(q), given, visible, noise)
     arm, points = start_arm(Arm.of(robot, q, orders, terms, model), tuple(kinds))
-    held = _pair_of(prior, "prior") if weak == "prior" else None
+    held = length_angle(prior, "prior") if weak == "prior" else None
     problem = KinematicProblem(arm, tuple(kinds), np.zeros(0, dtype=bool), len(points), held)
     start = State(arm.first(), points, _anchor(anchor, distance is not None), np.array([0.0, 1.0]))
     _check_lengths(problem, start)
@@ -113,28 +114,19 @@ def fit_kinematics(
     reduced = isinstance(free, str) and free == "all" and held is None
     active = used & _with_rest(arm.unbound, problem.size) if reduced else used
     problem = KinematicProblem(arm, tuple(kinds), active, len(points), held)
-    question = Question(problem, used, _pair_of(limits, "limits"), weak == "prior")
+    question = ArmQuestion(problem, used, length_angle(limits, "limits"), weak == "prior")
     solution = question.solve(start, robust)
     return question.fit(solution, isinstance(free, str) and free == "all", notes)
 
 
 def _check_options(model: str, free: Any, weak: str) -> None:
-    for value, what, known in ((model, "model", MODELS), (weak, "way to treat weak directions", WEAK)):
-        if value not in known:
-            raise UnknownName.among(what, value, known)
+    check_weak(weak)
+    if model not in MODELS:
+        raise UnknownName.among("model", model, MODELS)
     if isinstance(free, str) and free not in CHOICES:
         raise UnknownName.among("choice of free frames", free, CHOICES)
     if model == "poe" and not (isinstance(free, str) and free == "all"):
         raise ConfigError("Expected free='all' with model='poe', got a part of it. Use model='local_poe' for parts.")
-
-
-def _pair_of(value: Any, what: str) -> tuple[float, float]:
-    """Return (metres, radians) from one number or two."""
-    pair = numbers(value, what, ConfigError)
-    if pair.shape not in ((), (2,)) or not np.all(pair > 0) or not np.isfinite(pair).all():
-        raise ConfigError(f"Expected {what} as one or two numbers above zero [m, rad], got {value!r}.")
-    length, angle = np.broadcast_to(pair, (2,))
-    return float(length), float(angle)
 
 
 def _anchor(anchor: ArrayLike | None, needed: bool) -> np.ndarray:

@@ -1,0 +1,182 @@
+"""What is asked of kinematic measurements: descent, what the data tell, covariance without the gauge."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Generic, Protocol, TypeVar
+
+import numpy as np
+
+from armlab._numbers import numbers
+from armlab.calibrate._kinematic_data import Kind
+from armlab.calibrate._kinematic_rank import Judgement, Suspect, spread_covariance
+from armlab.errors import ConfigError, NotConverged, NotExcited, UnknownName
+from armlab.estimation import Excitation, Measurement, NonlinearSolution, Problem, nonlinear_least_squares
+
+SCHEDULE = (1000.0, 300.0, 100.0, 30.0, 10.0)
+UNIT = 1e-3  # 1 mm and 1 mrad: of equal steps the smallest is taken
+WEAK = ("refuse", "prior")
+NOBODY = np.zeros(0, dtype=int)
+
+S = TypeVar("S")
+
+
+class Residuals(Protocol[S]):
+    """Residuals of kinematic measurements at a state, with named unknowns; see `KinematicProblem`."""
+
+    @property
+    def kinds(self) -> tuple[Kind, ...]: ...
+    @property
+    def active(self) -> np.ndarray: ...
+    @property
+    def names(self) -> tuple[str, ...]: ...
+    @property
+    def units(self) -> tuple[str, ...]: ...
+    @property
+    def waves(self) -> int: ...
+    def sizes(self, length: float, angle: float) -> np.ndarray: ...
+    def gauge(self, state: S, used: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]: ...
+    def evaluate(self, state: S) -> list[Measurement]: ...
+    def retract(self, state: S, y: np.ndarray) -> S: ...
+    def measurements(self, state: S, local: bool = False) -> list[Measurement]: ...
+    def priors(self, state: S, local: bool = False) -> Iterator[Measurement]: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Question(ABC, Generic[S]):
+    """What is asked of the data.
+
+    Attributes
+    ----------
+    problem : residuals. used : (d,) unknowns there are, gauge included. limits : (metres, radians) that are accepted.
+    hold : go on where they are exceeded.
+    """
+
+    problem: Residuals[S]
+    used: np.ndarray
+    limits: tuple[float, float]
+    hold: bool
+
+    @abstractmethod
+    def nature(self, state: S) -> list[Suspect]:
+        """Return directions that these kinds of measurement may never see."""
+
+    @abstractmethod
+    def suspects(self, state: S) -> list[Suspect]:
+        """Return directions that the data may fail to see."""
+
+    def solve(self, start: S, robust: bool) -> NonlinearSolution[S]:
+        """Descend; where that fails say which direction the data do not tell, if there is one.
+
+        Raises
+        ------
+        NotConverged, NotExcited : see `fit_kinematics`.
+        """
+        problem = self.problem
+        self._check_count(start)
+        task = Problem(problem.evaluate, problem.retract, problem.sizes(UNIT, UNIT)[problem.active], "arm")
+        try:
+            return nonlinear_least_squares(task, start, robust=robust, schedule=SCHEDULE)
+        except NotConverged:
+            self.judge(problem.measurements(start, local=True), start, dict.fromkeys(_classes(problem), UNIT))
+            raise
+
+    def _check_count(self, start: S) -> None:
+        """Refuse fewer numbers than unknowns."""
+        problem, used = self.problem, self.used
+        got, each = sum(kind.numbers for kind in problem.kinds), sum(len(kind.kept) for kind in problem.kinds)
+        if self.hold or got > np.count_nonzero(used):
+            return
+        G, _ = problem.gauge(start, used)
+        needed = int(np.count_nonzero(used)) - int(np.linalg.matrix_rank(G[used]))
+        needed -= sum(never_moves(suspect, problem, start, used) for suspect in self.nature(start))
+        needed -= problem.waves  # their prior is enough
+        needed += any(kind.cov is None for kind in problem.kinds)
+        if got < needed:
+            raise NotExcited(
+                f"Expected at least {needed} numbers for the unknowns of the arm, got {got}. Measure at least "
+                f"{-(-needed // each)} samples, better twice as many.",
+                ["everything"],
+                [f"{got} of {needed} numbers"],
+            )
+
+    def judge(
+        self, data: Sequence[Measurement], state: S, sigma: dict[str, float], outside: np.ndarray = NOBODY
+    ) -> Excitation:
+        """Return what the data tell at a state, or refuse."""
+        problem, used = self.problem, self.used
+        G, gauge_names = problem.gauge(state, used)
+        judgement = Judgement(
+            names=[name for name, mine in zip(problem.names, used) if mine],
+            units=[unit for unit, mine in zip(problem.units, used) if mine],
+            limits=problem.sizes(*self.limits)[used],
+            gauge=G[used],
+            gauge_names=gauge_names,
+            nature=_inside(self.nature(state), used),
+            suspects=_inside(self.suspects(state), used),
+            what="arm",
+        )
+        return judgement.excitation(np.concatenate(list(_whitened(data, sigma, outside)))[:, used], self.hold)
+
+    def covariance(
+        self,
+        data: Sequence[Measurement],
+        state: S,
+        sigma: dict[str, float],
+        outside: np.ndarray,
+        excitation: Excitation,
+    ) -> np.ndarray:
+        """Return the covariance (p, p) of what is used, zero along gauge and along what nothing tells."""
+        priors, limits = list(self.problem.priors(state, local=True)), self.problem.sizes(*self.limits)[self.used]
+        if not priors:
+            return spread_covariance(excitation.vectors, excitation.spread, limits)
+        rows = np.concatenate(list(_whitened([*data, *priors], sigma, outside)))[:, self.used] * limits
+        G = self.problem.gauge(state, self.used)[0][self.used] / limits[:, None]
+        whole = np.eye(len(limits)) if not G.shape[1] else np.linalg.svd(G, full_matrices=True)[0][:, G.shape[1] :]
+        _, singular, V = np.linalg.svd(np.linalg.qr(rows @ whole, mode="r"))
+        seen = singular > 1e-9 * singular[0]
+        return spread_covariance(whole @ V[seen].T, 1.0 / singular[seen], limits)
+
+
+def _classes(problem: Residuals[Any]) -> list[str]:
+    return [name for kind in problem.kinds for name in kind.classes]
+
+
+def _inside(suspects: Sequence[Suspect], used: np.ndarray) -> list[Suspect]:
+    """Return directions that move something that is used, cut to it."""
+    found = [Suspect(one.name, one.directions[used], one.advice) for one in suspects]
+    return [one for one in found if np.abs(one.directions).max(initial=0.0) > 0]
+
+
+def never_moves(suspect: Suspect, problem: Residuals[Any], state: Any, used: np.ndarray) -> bool:
+    """Tell whether a direction of the used unknowns is one that these kinds never see."""
+    v = suspect.directions[:, 0] * used
+    if not v.any():
+        return False
+    return all(np.abs(one.J @ v).max(initial=0.0) < 1e-9 for one in problem.measurements(state, local=True))
+
+
+def _whitened(data: Sequence[Measurement], sigma: dict[str, float], outside: np.ndarray) -> Iterator[np.ndarray]:
+    """Yield whitened derivatives (m, d) of the samples that are kept."""
+    for one in data:
+        kept = np.ones(len(one.r), dtype=bool) if one.prior else ~np.isin(one.sample, outside)
+        roots, J = one.roots(sigma), one.J[kept]
+        white = roots[:, None] * J if roots.ndim == 1 else (roots if roots.ndim == 2 else roots[kept]) @ J
+        yield white.reshape(-1, one.J.shape[2])
+
+
+def check_weak(weak: str) -> None:
+    """Refuse a way to treat weak directions that there is not."""
+    if weak not in WEAK:
+        raise UnknownName.among("way to treat weak directions", weak, WEAK)
+
+
+def length_angle(value: Any, what: str) -> tuple[float, float]:
+    """Return (metres, radians) from one number or two."""
+    pair = numbers(value, what, ConfigError)
+    if pair.shape not in ((), (2,)) or not np.all(pair > 0) or not np.isfinite(pair).all():
+        raise ConfigError(f"Expected {what} as one or two numbers above zero [m, rad], got {value!r}.")
+    length, angle = np.broadcast_to(pair, (2,))
+    return float(length), float(angle)

@@ -1,0 +1,193 @@
+"""Two arms that measure each other: the truth, the ranks, the bound, and what a closed chain cannot tell."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab.calibrate import fit_dual_arm
+from armlab.errors import ConfigError, NotExcited, ShapeError
+from armlab.estimation import Fit
+from armlab.kinematics import inverse
+from armlab.lie import se3, so3
+from armlab.models import DualArmCorrection
+from armlab.sim._cell_kinematics import DEGREE, NOISE, NOMINAL_PAIR, DualRun, dh_arm, dual_run, noisy, spoilt
+
+
+@pytest.fixture(scope="module")
+def case() -> DualRun:
+    return dual_run(0)
+
+
+@pytest.fixture(scope="module")
+def exact(case: DualRun) -> DualRun:
+    return replace(case, pose=case.relative(case.q_a, case.q_b))
+
+
+@pytest.fixture(scope="module")
+def closed(case: DualRun) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return joint positions of both arms whose tools are joined, and how."""
+    q_a = np.random.default_rng(0).uniform(-0.6, 0.6, (200, 6))
+    Z = se3.from_rp(so3.exp([3.0, 0.2, 0.1]), [0.05, 0.02, 0.3])
+    found = inverse(case.robot_b, se3.inv(NOMINAL_PAIR) @ dh_arm(tool=True).forward(q_a) @ Z)
+    return q_a[found.success][:80], found.q[found.success][:80], Z
+
+
+def fit_of(run: DualRun, **options: Any) -> Fit[DualArmCorrection]:
+    return fit_dual_arm(run.robot_a, run.robot_b, run.q_a, run.q_b, **options)
+
+
+def errors(fit: Fit[DualArmCorrection], run: DualRun) -> tuple[float, float]:
+    """Return mean squares over the validation poses: distance [mm^2], angle [deg^2]."""
+    Z, truth = fit.value.forward(run.q_valid_a, run.q_valid_b), run.relative(run.q_valid_a, run.q_valid_b)
+    turn = so3.angle(Z[:, :3, :3], truth[:, :3, :3]) / DEGREE
+    return 1e6 * float(np.mean(np.sum((Z - truth)[:, :3, 3] ** 2, axis=1))), float(np.mean(turn**2))
+
+
+def test_exact_poses_and_positions(exact: DualRun) -> None:
+    truth = exact.relative(exact.q_valid_a, exact.q_valid_b)
+    for data in ({"pose": exact.pose, "noise": NOISE}, {"position": exact.pose[:, :3, 3], "noise": 1e-4}):
+        Z = fit_of(exact, **data).value.forward(exact.q_valid_a, exact.q_valid_b)
+        np.testing.assert_allclose(Z[:, :3, 3], truth[:, :3, 3], rtol=0, atol=1e-9)
+
+
+def test_ranks(case: DualRun) -> None:
+    """With 6 + 6 joints: 4 R + 6, 4 R + 3, 4 R + 12."""
+    outside = noisy(case.truth_a.forward(case.q_a), np.random.default_rng(1))
+    pose = fit_of(case, pose=case.pose, noise=NOISE)
+    position = fit_of(case, position=case.pose[:, :3, 3], noise=1e-4)
+    absolute = fit_of(case, pose=case.pose, noise=NOISE, absolute_a=outside, noise_absolute=NOISE)
+    for fit, rank in ((pose, 54), (position, 51), (absolute, 60)):
+        assert fit.excitation.rank == fit.excitation.expected == fit.rank == rank
+        assert len(fit.names) == 90
+    lost = [name for name in position.excitation.null_names if name.startswith("missing")]
+    assert lost == [f"missing: orientation of the tool of arm b about {axis}" for axis in "xyz"]
+    assert sum("foot of arm" in name for name in pose.excitation.null_names) == 12
+    assert sum("foot of arm" in name for name in absolute.excitation.null_names) == 6
+    away = absolute.value.arm_a.forward(case.q_valid_a) - case.truth_a.forward(case.q_valid_a)
+    assert 1e3 * np.sqrt(np.mean(np.sum(away[:, :3, 3] ** 2, axis=1))) < 0.1
+    assert absolute.residuals.shape == (60, 12)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_closed_chain_names_what_it_cannot_tell(case: DualRun, closed, known: bool) -> None:
+    q_a, q_b, Z = closed
+    data = {"closed": True, "noise": NOISE, "pose": Z if known else None}
+    with pytest.raises(NotExcited, match="overall scale") as caught:
+        fit_dual_arm(case.robot_a, case.robot_b, q_a, q_b, **data)
+    assert caught.value.directions == ("common change of both tools", "overall scale")
+    fit = fit_dual_arm(case.robot_a, case.robot_b, q_a, q_b, weak="prior", **data)
+    assert (fit.excitation.rank, fit.excitation.expected) == (47, 54)
+    assert fit.excitation.held == ("common change of both tools", "overall scale")
+    assert [name for name in fit.excitation.null_names if "scale" in name] == ["missing: overall scale"]
+    there = fit.value.forward(q_a, q_b)
+    np.testing.assert_allclose(there - there[:1], np.zeros_like(there), rtol=0, atol=1e-6)
+
+
+def test_a_joint_at_rest_is_named_with_its_arm(exact: DualRun) -> None:
+    q_b = exact.q_b.copy()
+    q_b[:, 2] = 0.4
+    with pytest.raises(NotExcited, match="joint 3 of arm b did not move"):
+        fit_dual_arm(exact.robot_a, exact.robot_b, exact.q_a, q_b, pose=exact.relative(exact.q_a, q_b), noise=NOISE)
+
+
+def test_outliers_missing_samples_and_unknown_noise(case: DualRun) -> None:
+    wrong = spoilt(case.pose, np.random.default_rng(0), 4, 2 * DEGREE, 0.02)
+    seen = np.arange(60) != 50
+    wrong[50] = np.nan
+    fit = fit_of(case, pose=wrong, visible=seen, robust=True)
+    assert np.flatnonzero(fit.outliers).tolist()[:4] == [0, 1, 2, 3]
+    assert np.count_nonzero(fit.outliers) <= 5
+    assert np.isnan(fit.residuals[50]).all()
+    np.testing.assert_allclose(fit.sigma, NOISE, rtol=0.5)
+    assert np.sqrt(errors(fit, case)[0]) < 0.2
+
+
+def test_the_bound_and_the_covariance() -> None:
+    """K6, 12 runs: 0.0949 mm and 0.00475 deg from poses, 0.1091 mm from positions."""
+    found, point = [], []
+    for i in range(12):
+        run = dual_run(i)
+        found.append(errors(fit_of(run, pose=run.pose, noise=NOISE), run))
+        point.append(errors(fit_of(run, position=run.pose[:, :3, 3], noise=NOISE[0]), run)[0])
+    mm, degrees = np.sqrt(np.mean(found, axis=0))
+    slack = 1.05 + 3.0 / np.sqrt(2 * 54 * 12)
+    assert mm < 0.0949 * slack
+    assert degrees < 0.00475 * slack
+    assert np.sqrt(np.mean(point)) < 0.1091 * slack
+
+
+def test_harmonics_of_both_arms(exact: DualRun) -> None:
+    a = 3e-4 * np.random.default_rng(2).standard_normal((2, 6, 2))
+    arms = [replace(arm, amplitudes=x) for arm, x in zip((exact.truth_a, exact.truth_b), a)]
+    run = replace(dual_run(0, n=150), truth_a=arms[0], truth_b=arms[1])
+    fit = fit_of(run, pose=run.relative(run.q_a, run.q_b), noise=(1e-6, 1e-6), harmonics=(1,))
+    assert fit.excitation.rank == 54 + 24
+    np.testing.assert_allclose(fit.value.arm_b.amplitudes, a[1], rtol=0, atol=1e-6)
+
+
+def test_files(case: DualRun, tmp_path: Path) -> None:
+    fit = fit_of(case, pose=case.pose, noise=NOISE)
+    again = Fit.load(fit.save(tmp_path / "arms.toml"), kind="dual_arm_correction")
+    assert again.value.forward(case.q_a, case.q_b).tobytes() == fit.value.forward(case.q_a, case.q_b).tobytes()
+    assert again.cov.tobytes() == fit.cov.tobytes()
+    assert "a: link 3 wx" in fit.report()
+
+
+class TestAncestor:
+    """What calibLPOEdual of Robotlib.jl 1.1.15 does wrong, and is gone."""
+
+    def test_all_samples_count(self, exact: DualRun) -> None:
+        """The original judges steps by the first seven poses only: here the last one matters as much."""
+        wrong = exact.pose.copy()
+        wrong[-1, :3, 3] += 1e-3
+        good, bad = (fit_of(exact, pose=pose, noise=NOISE) for pose in (exact.pose, wrong))
+        moved = bad.value.forward(exact.q_a[-1:], exact.q_b[-1:]) - good.value.forward(exact.q_a[-1:], exact.q_b[-1:])
+        assert np.linalg.norm(moved[0, :3, 3]) > 1e-4
+
+    def test_whole_steps_of_both_arms_at_once(self, exact: DualRun) -> None:
+        """Exact data are fitted to the last digits, whichever arm is called a."""
+        swapped = fit_dual_arm(
+            exact.robot_b, exact.robot_a, exact.q_b, exact.q_a, pose=se3.inv(exact.pose), noise=NOISE
+        ).value.forward(exact.q_valid_b, exact.q_valid_a)
+        truth = exact.relative(exact.q_valid_a, exact.q_valid_b)
+        np.testing.assert_allclose(se3.inv(swapped), truth, rtol=0, atol=1e-9)
+
+    def test_where_the_arms_stand_is_estimated(self, exact: DualRun) -> None:
+        """Anywhere: nothing has to be said of it."""
+        there = se3.from_rp(so3.exp([0.3, -2.0, 1.0]), [-2.0, 0.5, 1.0])
+        run = replace(exact, T_basea_baseb=there)
+        for data in (
+            {"pose": run.relative(run.q_a, run.q_b), "noise": NOISE},
+            {"position": run.relative(run.q_a, run.q_b)[:, :3, 3], "noise": 1e-4},
+        ):
+            fit = fit_of(run, **data)
+            assert np.abs(fit.value.T_basea_baseb - there).max() < 0.05
+            truth = run.relative(run.q_valid_a, run.q_valid_b)
+            Z = fit.value.forward(run.q_valid_a, run.q_valid_b)
+            np.testing.assert_allclose(Z[:, :3, 3], truth[:, :3, 3], rtol=0, atol=1e-9)
+
+
+def test_sentences(case: DualRun) -> None:
+    with pytest.raises(ConfigError, match="either pose or position"):
+        fit_of(case)
+    with pytest.raises(ConfigError, match="no position for a closed chain"):
+        fit_of(case, position=case.pose[:, :3, 3], closed=True)
+    with pytest.raises(ConfigError, match="noise and noise_absolute together"):
+        fit_of(case, pose=case.pose, noise=NOISE, absolute_a=case.pose)
+    with pytest.raises(ShapeError, match="as many rows of q_a"):
+        fit_dual_arm(case.robot_a, case.robot_b, case.q_a, case.q_b[:-1], pose=case.pose)
+    q_b = case.q_b.copy()
+    q_b[3] = np.nan
+    with pytest.raises(ShapeError, match="finite q_b, got NaN or Inf in 1 rows: 3"):
+        fit_dual_arm(case.robot_a, case.robot_b, case.q_a, q_b, pose=case.pose)
+    with pytest.raises(ShapeError, match="millimetres"):
+        fit_of(case, position=1000.0 * case.pose[:, :3, 3], noise=0.1)
+    with pytest.raises(NotExcited, match="at least 3 samples"):
+        fit_of(case, pose=case.pose, visible=np.arange(60) < 2)
+    with pytest.raises(NotExcited, match=r"at least 54 numbers .* got 48"):
+        fit_dual_arm(case.robot_a, case.robot_b, case.q_a[:8], case.q_b[:8], pose=case.pose[:8], noise=NOISE)
