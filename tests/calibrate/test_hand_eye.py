@@ -152,6 +152,20 @@ def test_two_deviations_of_noise_are_found(hand_eye) -> None:
     np.testing.assert_allclose(np.mean(found, axis=0), CAMERA, rtol=0.05)
 
 
+def test_noise_of_the_camera_is_found_beside_that_of_the_robot(hand_eye) -> None:
+    sigma, nees = [], []
+    for run in range(30):
+        data = hand_eye.draw([1100, run], robot=ROBOT)
+        fit = fit_hand_eye(**data.given, noise_robot=ROBOT)
+        e = error(fit, (data.X, data.Y))
+        sigma.append(fit.sigma)
+        nees.append(e @ np.linalg.solve(fit.cov, e) / 12)
+    np.testing.assert_allclose(np.mean(sigma, axis=0), CAMERA, rtol=0.07)
+    assert 0.8 < np.mean(nees) < 1.25
+    spoilt = hand_eye.spoilt(np.random.default_rng(0), data.B, [1, 7, 20])
+    assert np.flatnonzero(fit_hand_eye(data.A, spoilt, noise_robot=ROBOT, robust=True).outliers).tolist() == [1, 7, 20]
+
+
 def experiment_of(hand_eye, tilt: float | None = None, robot: tuple[float, float] | None = None):
     def experiment(seed: int, n: int) -> Experiment:
         data = hand_eye.draw([1000, seed], n, tilt, robot=robot)
@@ -337,7 +351,7 @@ def test_bad_input_is_refused_by_name(hand_eye) -> None:
         (data.A, data.B, {"noise": (0.0, 0.001)}, "noise above zero"),
         (data.A, data.B, {"noise": (np.nan, 0.001)}, "Metres and radians"),
         (data.A, data.B, {"noise": -np.eye(6)}, "without negative eigenvalues"),
-        (data.A, data.B, {"noise_robot": ROBOT}, "data cannot separate them"),
+        (data.A, data.B, {"noise_robot": 0.001}, "noise_robot of poses as"),
     ]  # fmt: skip
     for A, B, more, words in cases:
         with pytest.raises(ShapeError, match=words):

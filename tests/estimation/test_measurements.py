@@ -83,5 +83,7 @@ def test_faults_are_refused() -> None:
         Measurement(np.ones((3, 2)), np.ones((3, 2, 2)), COV, ("t",))
     with pytest.raises(ShapeError, match="positive definite"):
         poses(np.zeros((2, 2))).roots({})
+    with pytest.raises(ShapeError, match="beside noise that is estimated"):
+        Measurement(np.ones((3, 2)), np.ones((3, 2, 2)), COV, ("t", "R"), added=COV)
     with pytest.raises(ShapeError, match="Say how surely it is known"):
         Measurement(np.ones((1, 1)), np.ones((1, 1, 3)), None, ("p",), prior=True)

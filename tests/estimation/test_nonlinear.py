@@ -138,6 +138,37 @@ def test_two_classes_of_noise_find_their_own_deviation() -> None:
     np.testing.assert_allclose(found.value, weighted, rtol=1e-6)
 
 
+def test_noise_is_found_beside_a_part_that_is_known() -> None:
+    """y = A x + noise, its covariance sigma^2 I + S_i with S_i known: both the answer and sigma are honest."""
+    rng = np.random.default_rng(1)
+    found, plain = [], []
+    for _ in range(40):
+        A = rng.standard_normal((100, 2, 3))
+        known = np.einsum("n,ij->nij", rng.uniform(0.0, 2.0, 100), np.array([[0.02, 0.01], [0.01, 0.02]]))
+        noise = 0.1 * rng.standard_normal((100, 2)) + np.einsum(
+            "nij,nj->ni", np.linalg.cholesky(known), rng.standard_normal((100, 2))
+        )
+        y = A @ [1.0, 2.0, 3.0] + noise
+
+        def evaluate(x, A=A, y=y, known=known) -> list[Measurement]:
+            return [Measurement(A @ x - y, A, None, ("y", "y"), added=known)]
+
+        fit = nonlinear_least_squares(Problem(evaluate, lambda x, step: x + step), np.zeros(3))
+        e = fit.value - [1.0, 2.0, 3.0]
+        found.append([fit.sigma[0], e @ np.linalg.solve(fit.cov, e) / 3])
+        without = nonlinear_least_squares(
+            Problem(lambda x, A=A, y=y: [Measurement(A @ x - y, A, None, ("y", "y"), added=np.zeros((2, 2)))],
+                    lambda x, step: x + step), np.zeros(3))  # fmt: skip
+        none = nonlinear_least_squares(
+            Problem(lambda x, A=A, y=y: [Measurement(A @ x - y, A, None, ("y", "y"))], lambda x, step: x + step),
+            np.zeros(3),
+        )
+        plain.append(abs(without.sigma[0] / none.sigma[0] - 1.0))
+    assert np.mean(found, axis=0) == pytest.approx([0.1, 1.0], rel=0.3)
+    assert np.mean([one[0] for one in found]) == pytest.approx(0.1, rel=0.04)
+    assert max(plain) < 1e-5
+
+
 def test_priors_hold_what_the_data_do_not_tell_and_are_no_samples() -> None:
     y = np.array([1.0, 1.1, 0.9])
     J = np.zeros((3, 1, 2))

@@ -115,17 +115,20 @@ class Equation:
         bent = so3.left_jacobian_inv(rotation)
         J[:, 3:, 3:6] = -bent
         J[:, 3:, 9:] = bent @ back
-        return [Measurement(r, J, self._covariance(pair, C), CLASSES, sample)]
+        of_A = self._noise_of_A(pair, C)
+        if self.noise is None:
+            return [Measurement(r, J, None, CLASSES, sample, added=of_A)]
+        return [Measurement(r, J, self.noise if of_A is None else full(self.noise) + of_A, CLASSES, sample)]
 
-    def _covariance(self, pair: Pair, C: np.ndarray) -> np.ndarray | None:
-        """Return S_B + G S_A G^T, G = [[-R_Y^T, R_Y^T R_A hat(t_X)], [0, -R_X^T]]; the lever t_X couples the two."""
-        if self.noise_A is None or self.noise is None:
-            return self.noise
+    def _noise_of_A(self, pair: Pair, C: np.ndarray) -> np.ndarray | None:
+        """Return G S_A G^T (N, 6, 6), G = [[-R_Y^T, R_Y^T R_A hat(t_X)], [0, -R_X^T]]: the lever t_X couples both."""
+        if self.noise_A is None:
+            return None
         G = np.zeros((self.N, 6, 6))
         G[:, :3, :3] = -pair.RY.T
         G[:, :3, 3:] = C @ so3.hat(pair.tX)
         G[:, 3:, 3:] = -pair.RX.T
-        return full(self.noise) + G @ full(self.noise_A) @ G.transpose(0, 2, 1)
+        return G @ full(self.noise_A) @ G.transpose(0, 2, 1)
 
     def problem(self) -> Problem[Pair]:
         """Return what the solver needs."""

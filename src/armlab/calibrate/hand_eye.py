@@ -61,8 +61,8 @@ def fit_hand_eye(
     setup : "eye_to_hand": the camera stands, the marker is on the tool. "eye_in_hand": the other way round.
     noise : of T_cam_marker: (sd of each axis of the position [m], of the rotation vector [rad]), or covariance (6, 6)
         or (N, 6, 6) of [v; w], v in camera axes, w in marker axes. Estimated when left out.
-    noise_robot : the same of T_base_tool, v in base axes, w in tool axes; data cannot separate the two, so it needs
-        `noise`. Exact when left out or zero.
+    noise_robot : the same of T_base_tool, v in base axes, w in tool axes. It is never estimated: data cannot separate
+        the two. Exact when left out or zero.
     robust : find wrong samples; `Fit.outliers` marks them, and they do not count.
     limits : largest standard deviation accepted along any direction: share of the spread of the positions, and [rad].
 
@@ -98,7 +98,7 @@ def fit_hand_eye(
     value = HandEye(setup, *found.value.poses())
     require_match(equation, residuals, ~found.outliers, value)
     if equation.noise is None:
-        require_two_axes(equation.RA, float(found.sigma[1]), carrier, names)
+        require_two_axes(equation.RA, float(np.hypot(found.sigma[1], _robot_noise(equation))), carrier, names)
     words = Words(Part.of(names), equation.spread, limits_of(limits))
     excitation = check_spread(found.rows.J, words.names, words.units, words.widths, WHAT, describe=words)
 
@@ -125,11 +125,6 @@ def _equation(
         )
     N = len(RA)
     of_camera, of_robot = pose_noise(noise, N), pose_noise(noise_robot, N, "noise_robot")
-    if of_camera is None and of_robot is not None and of_robot.any():
-        raise ShapeError(
-            "Expected noise of the camera together with noise_robot, got noise_robot alone. Give both: data cannot "
-            "separate them."
-        )
     if of_camera is not None and not np.all(np.diagonal(full(of_camera), axis1=-2, axis2=-1) > 0):
         raise ShapeError("Expected noise above zero, got zero. Leave it out to have it estimated.")
     of_robot = of_robot if of_robot is not None and of_robot.any() else None
@@ -142,8 +137,18 @@ def _equation(
 
 def _rotation_noise(equation: Equation, robust: bool) -> float:
     """Return what is known of the deviation of rotations before the fit [rad]."""
-    if equation.noise is None:
-        largest = 1.0 if robust else np.linalg.svd(equation.product(), compute_uv=False)[0]
-        return float(np.sqrt(max(1.0 - largest, 0.0)))
-    both = [full(part)[..., 3:, 3:] for part in (equation.noise, equation.noise_A) if part is not None]
-    return float(np.sqrt(sum(np.mean(np.trace(part, axis1=-2, axis2=-1)) / 3.0 for part in both)))
+    if equation.noise is not None:
+        return float(np.hypot(_rotation_sd(equation.noise), _robot_noise(equation)))
+    if robust:
+        return _robot_noise(equation)
+    return float(np.sqrt(max(1.0 - np.linalg.svd(equation.product(), compute_uv=False)[0], 0.0)))
+
+
+def _robot_noise(equation: Equation) -> float:
+    return 0.0 if equation.noise_A is None else _rotation_sd(equation.noise_A)
+
+
+def _rotation_sd(noise: np.ndarray) -> float:
+    """Return the deviation of one component of a rotation [rad]."""
+    variance = noise if noise.ndim == 1 else np.diagonal(noise, axis1=-2, axis2=-1)
+    return float(np.sqrt(np.mean(variance[..., 3:])))

@@ -27,6 +27,8 @@ class Measurement:
     sample : (m,) number of the sample (pose, scan, point) that each measurement belongs to; 0 to m - 1 when left out.
         Outliers are found by samples.
     prior : True for what was known before: it is no sample, cannot be an outlier and tells nothing of the noise.
+    added : (k, k) or (m, k, k) covariance of a part of the noise that is known, beside the part that is to be
+        estimated; None for none.
     """
 
     r: np.ndarray
@@ -35,6 +37,7 @@ class Measurement:
     classes: tuple[str, ...]
     sample: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
     prior: bool = False
+    added: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         """Check the shapes."""
@@ -49,6 +52,12 @@ class Measurement:
                 f"{self.r.shape}, {self.J.shape}, {given}, {len(self.classes)} and {self.sample.shape}. "
                 "This is a fault of the residual."
             )
+        beside = None if self.added is None else self.added.shape
+        if beside not in (None, (k, k), (m, k, k)) or (beside is not None and self.cov is not None):
+            raise ShapeError(
+                f"Expected added ({k}, {k}) or ({m}, {k}, {k}) beside noise that is estimated, got {beside}. "
+                "This is a fault of the residual."
+            )
         if self.prior and self.cov is None:
             raise ShapeError("Expected the covariance of a prior, got None. Say how surely it is known.")
 
@@ -61,8 +70,10 @@ class Measurement:
         ----------
         sigma : deviation of each class whose noise is estimated.
         """
-        if self.cov is None:
+        if self.cov is None and self.added is None:
             return np.array([1.0 / sigma[name] for name in self.classes])
+        if self.cov is None:
+            return np.linalg.inv(np.linalg.cholesky(self.added + np.diag([sigma[name] ** 2 for name in self.classes])))
         if self.cov.ndim == 1 and np.all(self.cov > 0):
             return 1.0 / np.sqrt(self.cov)
         try:

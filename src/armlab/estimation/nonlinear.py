@@ -31,6 +31,7 @@ REWEIGHTED = 20  # iterations per c
 NEXT = 1e-2  # step in deviations below which c shrinks
 SETTLED = 1e-6  # relative change of sigma
 NOISE_ROUNDS = 20
+MIXED_ROUNDS = 100  # it converges the slower, the larger the part that is known
 FLAGGED = 0.999  # quantile of chi^2 beyond which a sample is an outlier
 FLAG_ROUNDS = 3
 RESIDUE = 1e-12  # deviation in SI below which residuals are rounding
@@ -179,9 +180,10 @@ def _with_noise(
 ) -> tuple[Descent[Value], dict[str, float]]:
     """Alternate between the value and the noise of its classes."""
     found = descend(problem, value, sigma, weight)
-    for _ in range(NOISE_ROUNDS if sigma else 0):
+    mixed = _is_mixed(found)
+    for _ in range((MIXED_ROUNDS if mixed else NOISE_ROUNDS) if sigma else 0):
         before = sigma
-        sizes = _class_sigma(found)
+        sizes = _mixed_sigma(found, sigma) if mixed else _class_sigma(found)
         sigma = {name: max(sizes[found.rows.names.index(name)], RESIDUE) for name in before}
         found = descend(problem, found.value, sigma, weight)
         if all(abs(sigma[name] - before[name]) <= SETTLED * before[name] for name in sigma):
@@ -195,6 +197,41 @@ def _class_sigma(found: Descent) -> np.ndarray:
     label, seen = rows.label + 1, rows.J @ found.basis  # priors are class 0
     left = np.bincount(label, minlength=count) - np.bincount(label, np.einsum("ij,ij->i", seen, seen), count)
     return np.sqrt(np.bincount(label, rows.raw**2, count) / np.maximum(left, np.finfo(float).eps))[1:]
+
+
+def _is_mixed(found: Descent) -> bool:
+    return any(one.added is not None for one in found.rows.measurements)
+
+
+def _mixed_sigma(found: Descent, sigma: dict[str, float]) -> np.ndarray:
+    """Return the next deviation (classes,) where another part of the noise, S_i - diag(sigma^2), is known.
+
+        sigma_c^2 <- sigma_c^2 sum_c (S^-1 r)^2 / (sum_c diag(S^-1) - |S^-1 J basis|^2)
+
+    It is the law of whole classes where no other part is there; r of the last minimum, sums over the rows of class c.
+    """
+    rows, start = found.rows, 0
+    kept = slice(None) if rows.kept is None else rows.kept
+    whole = np.zeros((sum(one.r.size for one in rows.measurements), 1 + found.basis.shape[1]))
+    whole[kept, 0], whole[kept, 1:] = rows.r, rows.J @ found.basis
+    there = np.zeros(len(whole), dtype=bool)
+    there[kept] = True
+    above, below = (dict.fromkeys(rows.names, 0.0) for _ in range(2))
+    for one in rows.measurements:
+        m, k = one.r.shape
+        part, used = whole[start : start + m * k].reshape(m, k, -1), there[start : start + m * k].reshape(m, k)
+        start += m * k
+        if one.cov is not None:
+            continue
+        root = one.roots(sigma)
+        root = np.diag(root) if root.ndim == 1 else root
+        back = np.swapaxes(root, -1, -2) @ part
+        trace = np.broadcast_to(np.sum(root**2, axis=-2), (m, k)) * used.any(axis=1, keepdims=True)
+        for column, name in enumerate(one.classes):
+            above[name] += float(np.sum(back[:, column, 0] ** 2))
+            below[name] += float(np.sum(trace[:, column]) - np.sum(back[:, column, 1:] ** 2))
+    ratio = [above[name] / max(below[name], np.finfo(float).tiny) for name in rows.names]
+    return np.array([sigma.get(name, np.nan) for name in rows.names]) * np.sqrt(ratio)
 
 
 def _solution(
@@ -213,7 +250,7 @@ def _solution(
         value=found.value,
         cov=found.basis @ found.basis.T,
         classes=rows.names,
-        sigma=_class_sigma(found),
+        sigma=np.array([sigma.get(n, np.nan) for n in rows.names]) if _is_mixed(found) else _class_sigma(found),
         outliers=weight == 0,
         squares=(rows if np.all(weight == 1.0) else _rows(problem, found.value, sigma)).squares(len(weight)),
         rows=rows,
