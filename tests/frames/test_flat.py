@@ -266,3 +266,51 @@ def test_fit_line_keeps_the_contract(uniform_rotation: Draw) -> None:
         skip={"efficient": "benchmarks/bench_calibrate_frames.py judges it on 2000 runs"},
     )
     assert contract.passed, contract.text()
+
+
+def uneven(seed: int, n: int = 20) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Places, errors, and covariances as a tracker's: worse along its ray."""
+    rng = np.random.default_rng([8, seed])
+    root = np.linalg.qr(rng.standard_normal((n, 3, 3)))[0] * np.array([2e-4, 5e-5, 2e-5])
+    return (
+        rng.uniform(-0.15, 0.15, (n, 3)),
+        (root @ rng.standard_normal((n, 3, 1)))[..., 0],
+        root @ root.transpose(0, 2, 1),
+    )
+
+
+@pytest.mark.parametrize("what", ["plane", "line"])
+def test_points_of_their_own_covariance(what: str) -> None:
+    """NEES over the dimension is 1, and the error smaller than with one deviation for all."""
+    nees, weighted, plain = [], [], []
+    fit, error, mask, truth, hint = (
+        (fit_plane, plane_error, [1, 1, 0], (np.eye(3)[2], np.array([0.0, 0, 1])), {"normal": [0, 0, 1]})
+        if what == "plane"
+        else (fit_line, line_error, [1, 0, 0], (np.eye(3)[0], np.array([0.0, 0, 1])), {"along": [1, 0, 0]})
+    )
+    for seed in range(100):
+        p, e, cov = uneven(seed)
+        p = p * mask + [0, 0, 1.0] + e
+        found = fit(p, noise=cov, **hint)
+        d = error(found, truth)
+        nees.append(d @ np.linalg.solve(found.cov, d) / len(d))
+        weighted.append(d[0] ** 2 + d[1] ** 2)
+        plain.append(np.sum(error(fit(p, **hint), truth)[:2] ** 2))
+    assert 0.8 < np.mean(nees) < 1.25
+    assert np.sqrt(np.mean(weighted) / np.mean(plain)) < 0.8
+    same = np.eye(3) * SIGMA**2
+    one, other = fit(p, noise=same, **hint), fit(p, noise=SIGMA, **hint)
+    assert np.abs(error(one, truth) - error(other, truth)).max() < 1e-12
+    np.testing.assert_allclose(np.sort(np.diag(one.cov)), np.sort(np.diag(other.cov)), rtol=1e-6)
+
+
+def test_outliers_among_points_of_their_own_covariance() -> None:
+    p, e, cov = uneven(3)
+    p = p * [1, 1, 0] + [0, 0, 1.0] + e
+    p[[4, 11], 2] += 0.003
+    found = fit_plane(p, noise=cov, robust=True)
+    assert np.flatnonzero(found.outliers).tolist() == [4, 11]
+    with pytest.raises(ShapeError, match=r"\(20, 3, 3\)"):
+        fit_plane(p, noise=cov[:5])
+    with pytest.raises(ShapeError, match="at point 2"):
+        fit_line(p, noise=np.where(np.arange(20)[:, None, None] == 2, -cov, cov))

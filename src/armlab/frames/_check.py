@@ -50,6 +50,26 @@ def noise_of(noise: Any) -> float | None:
     return sigma
 
 
+def noises_of(noise: Any, count: int) -> tuple[float | None, np.ndarray | None]:
+    """Return the deviation of a coordinate [m] and, where directions or points differ, covariances (N, 3, 3)."""
+    if noise is None or np.ndim(noise) == 0:
+        return noise_of(noise), None
+    C = numbers(noise, "noise", ShapeError)
+    if C.shape not in ((3, 3), (count, 3, 3)) or not np.isfinite(C).all():
+        raise ShapeError(
+            f"Expected noise as a deviation [m] or a covariance (3, 3) or ({count}, 3, 3) [m^2], got shape {C.shape}."
+        )
+    each = np.broadcast_to(C, (count, 3, 3))
+    skew = np.abs(each - np.swapaxes(each, 1, 2)).max(axis=(1, 2)) > 1e-9 * np.abs(each).max(axis=(1, 2))
+    bad = np.flatnonzero(skew | (np.linalg.eigvalsh(each)[:, 0] <= 0))
+    if len(bad):
+        raise ShapeError(
+            f"Expected noise with symmetric, positive definite covariances, got another one at point {bad[0]}. "
+            "Deviations go squared on the diagonal."
+        )
+    return float(np.sqrt(np.trace(each, axis1=1, axis2=2).mean() / 3.0)), each
+
+
 def limit_of(limit: Any) -> float:
     """Return the largest standard deviation [rad] that is accepted."""
     value = number(limit, "limit [rad]")

@@ -23,6 +23,7 @@ ALL_SETS = comb(60, 3)  # up to here every set is tried
 SOME_SETS = 500
 FLAGGED = 0.999  # quantile of chi^2 beyond which a point is an outlier
 ROUNDS = 3
+ROOM = 2.0  # for points at first: the half that was refitted leans towards its own noise
 AT_ONCE = 2048  # sets whose distances to all points are held at once
 
 Squares = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -71,7 +72,7 @@ def chosen(
         half = np.zeros(len(p), dtype=bool)
         half[np.argsort(squares, kind="stable")[:height]] = True
         squares = refit(half)[1]
-    kept = squares <= limit * max(sigma or spread, rounding(p)) ** 2
+    kept = squares <= limit * (ROOM * max(sigma or spread, rounding(p))) ** 2
     for _ in range(ROUNDS):
         noise, squares = refit(kept)
         fresh = squares <= limit * max(sigma or noise, rounding(p)) ** 2

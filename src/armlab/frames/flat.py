@@ -13,18 +13,21 @@ and no two of them are correlated. A direction of which the points tell no more 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import replace
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation import Fit, check_spread
-from armlab.frames import _check
+from armlab.frames import _check, _minimal, _weighted
 from armlab.frames._consensus import chosen, rounding
 from armlab.frames.features import Line, Plane
 
 __all__ = ["LIMIT", "fit_line", "fit_plane", "text", "upward"]
+
+Flat = TypeVar("Flat", Plane, Line)
 
 LIMIT = 0.2  # rad, the largest standard deviation of a tilt that is accepted
 SURE = 3.0  # deviations from which a side is sure
@@ -35,7 +38,7 @@ JUDGED = 10  # points from which the spread is held against that chance; fewer c
 def fit_plane(
     p: ArrayLike,
     *,
-    noise: float | None = None,
+    noise: ArrayLike | None = None,
     robust: bool = False,
     toward: ArrayLike | None = None,
     normal: ArrayLike | None = None,
@@ -48,7 +51,8 @@ def fit_plane(
     Parameters
     ----------
     p : (N, 3) points [m], N >= 4; 3 are enough where the noise is known, 5 are needed to find an outlier.
-    noise : standard deviation of each coordinate [m]; estimated when left out.
+    noise : standard deviation of each coordinate [m], or covariance (3, 3) or (N, 3, 3) of the points [m^2]; one
+        deviation for all is estimated when left out.
     robust : find points that do not belong to the plane; `outliers` marks them.
     toward : (3,) a point on the side that the normal points to [m].
     normal : (3,) roughly the normal.
@@ -64,12 +68,13 @@ def fit_plane(
         the side.
     NotExcited : too few points; points along a line, with its direction; a plane through the origin without a hint.
     """
-    p, sigma, limit = _check.points(p), _check.noise_of(noise), _check.limit_of(limit)
+    p, limit = _check.points(p), _check.limit_of(limit)
+    sigma, each = _check.noises_of(noise, len(p))
     needed = 3 if sigma else 4
     _check.enough(len(p), needed, "plane")
     kept = np.ones(len(p), dtype=bool)
     if robust:
-        kept = chosen(p, 3, 1, _planes, lambda which: _plane_distances(p, which), sigma, "plane")
+        kept = chosen(p, 3, 1, _minimal.planes, lambda which: _plane_distances(p, which), sigma, "plane")
         _check.enough(int(kept.sum()), needed, "plane")
     c, axes, squares = _principal(p[kept])
     freedom = int(kept.sum()) - 3
@@ -83,26 +88,27 @@ def fit_plane(
     reach = float(np.sqrt(cov[2, 2] + (axes[1] @ c) ** 2 * cov[0, 0] + (axes[0] @ c) ** 2 * cov[1, 1]))
     n = upward(n, c, reach, toward, normal, "plane")
     value = Plane(n, float(n @ c), c, axes[:2], cov)
-    return Fit(
+    fit = Fit(
         value=value,
         names=Plane.names,
         units=Plane.units,
-        parameters=np.array([0.0, 0.0, value.d]),
+        parameters=_parameters(value),
         cov=cov,
         sigma=np.array([found]),
         residuals=value.distance(p),
         n=int(kept.sum()),
         excitation=excitation,
-        summary=_plane_report,
+        summary=_report,
         outliers=~kept,
         classes=("distance [m]",),
     )
+    return fit if each is None else _reweighted(fit, p, each, robust, limit)
 
 
 def fit_line(
     p: ArrayLike,
     *,
-    noise: float | None = None,
+    noise: ArrayLike | None = None,
     robust: bool = False,
     along: ArrayLike | None = None,
     limit: float = LIMIT,
@@ -114,7 +120,8 @@ def fit_line(
     Parameters
     ----------
     p : (N, 3) points [m], N >= 3; 2 are enough where the noise is known, 4 are needed to find an outlier.
-    noise : standard deviation of each coordinate [m]; estimated when left out.
+    noise : standard deviation of each coordinate [m], or covariance (3, 3) or (N, 3, 3) of the points [m^2]; one
+        deviation for all is estimated when left out.
     robust : find points that do not belong to the line; `outliers` marks them.
     along : (3,) roughly its direction.
     limit : largest standard deviation of a tilt that is accepted [rad].
@@ -128,12 +135,13 @@ def fit_line(
     ShapeError : points are no (N, 3) or not finite, with their rows; `along` is across the line.
     NotExcited : too few points; points in one place; a first and a last point in one place without a hint.
     """
-    p, sigma, limit = _check.points(p), _check.noise_of(noise), _check.limit_of(limit)
+    p, limit = _check.points(p), _check.limit_of(limit)
+    sigma, each = _check.noises_of(noise, len(p))
     needed = 2 if sigma else 3
     _check.enough(len(p), needed, "line")
     kept = np.ones(len(p), dtype=bool)
     if robust:
-        kept = chosen(p, 2, 2, _lines, lambda which: _line_distances(p, which), sigma, "line")
+        kept = chosen(p, 2, 2, _minimal.lines, lambda which: _line_distances(p, which), sigma, "line")
         _check.enough(int(kept.sum()), needed, "line")
     cloud = p[kept]
     c, axes, squares = _principal(cloud)
@@ -147,20 +155,21 @@ def fit_line(
     v = _forward(axes[0], cloud[-1] - cloud[0], float(np.sqrt(2.0)) * used, along)
     cov = np.diag([tilt, tilt, offset, offset])
     value = Line(v, c - v * (v @ c), c, _check.across(v), cov)
-    return Fit(
+    fit = Fit(
         value=value,
         names=Line.names,
         units=Line.units,
-        parameters=np.concatenate([np.zeros(2), value.axes @ c]),
+        parameters=_parameters(value),
         cov=cov,
         sigma=np.array([found]),
         residuals=value.offset(p),
         n=len(cloud),
         excitation=excitation,
-        summary=_line_report,
+        summary=_report,
         outliers=~kept,
         classes=("distance [m]",),
     )
+    return fit if each is None else _reweighted(fit, p, each, robust, limit)
 
 
 def upward(
@@ -267,23 +276,6 @@ def _judge(
     return check_spread(J, names, kind.units, limits, kind.__name__.lower(), describe=describe)
 
 
-def _planes(sets: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """Return squared distances (S, N) from the planes through sets (S, 3, 3)."""
-    n = np.cross(sets[:, 1] - sets[:, 0], sets[:, 2] - sets[:, 0])
-    length = np.linalg.norm(n, axis=1, keepdims=True)
-    n = np.divide(n, length, out=np.full_like(n, np.nan), where=length > 0)
-    return (n @ p.T - np.sum(n * sets[:, 0], axis=1)[:, None]) ** 2
-
-
-def _lines(sets: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """Return squared distances (S, N) from the lines through sets (S, 2, 3)."""
-    v = sets[:, 1] - sets[:, 0]
-    length = np.linalg.norm(v, axis=1, keepdims=True)
-    v = np.divide(v, length, out=np.full_like(v, np.nan), where=length > 0)
-    away = p - sets[:, :1]
-    return np.sum(np.cross(away, v[:, None]) ** 2, axis=2)
-
-
 def _plane_distances(p: np.ndarray, kept: np.ndarray) -> tuple[float, np.ndarray]:
     c, axes, squares = _principal(p[kept])
     return float(np.sqrt(squares[2] / max(kept.sum() - 3, 1))), ((p - c) @ axes[2]) ** 2
@@ -300,13 +292,39 @@ def text(v: np.ndarray) -> str:
     return "(" + ", ".join(f"{x:.4f}" for x in v) + ")"
 
 
-def _plane_report(fit: Fit[Plane]) -> str:
-    value = fit.value
-    head = f"plane n . x = d with n = {text(value.n)}, d = {value.d:.6g} m, centroid {text(value.centroid)} m"
-    return f"{head}\naxis 1 {text(value.axes[0])}, axis 2 {text(value.axes[1])}\n{fit.table()}"
+def _parameters(value: Plane | Line) -> np.ndarray:
+    """Return tilts, which are zero by definition, and offsets."""
+    offsets = [value.d] if isinstance(value, Plane) else value.axes @ value.centroid
+    return np.array([0.0, 0.0, *offsets])
 
 
-def _line_report(fit: Fit[Line]) -> str:
+def _reweighted(fit: Fit[Flat], p: np.ndarray, cov: np.ndarray, robust: bool, limit: float) -> Fit[Flat]:
+    """Return the fit of points with covariances (N, 3, 3), starting at one that takes them for equal."""
+    solve: Any = _weighted.plane if isinstance(fit.value, Plane) else _weighted.line
+    found = solve(p, cov, fit.value, robust)
+    value = replace(found.value, cov=found.cov)
+    kept = ~found.outliers
+    size = 0.2 * float(np.linalg.norm(p[kept].std(axis=0)))
+    limits = np.array([limit if unit == "rad" else size for unit in value.units])
+    typical = float(np.sqrt(np.trace(cov, axis1=1, axis2=2).mean() / 3.0))
+    return replace(
+        fit,
+        value=value,
+        parameters=_parameters(value),
+        cov=found.cov,
+        sigma=found.sigma * typical,  # what was found, in deviations, times the typical one
+        residuals=value.distance(p) if isinstance(value, Plane) else value.offset(p),
+        n=int(kept.sum()),
+        excitation=check_spread(found.rows.J, value.names, value.units, limits, type(value).__name__.lower()),
+        outliers=found.outliers,
+    )
+
+
+def _report(fit: Fit[Any]) -> str:
     value = fit.value
-    head = f"line x = r + s v with v = {text(value.v)}, r = {text(value.r)} m, centroid {text(value.centroid)} m"
-    return f"{head}\naxis 1 {text(value.axes[0])}, axis 2 {text(value.axes[1])}\n{fit.table()}"
+    if isinstance(value, Plane):
+        head = f"plane n . x = d with n = {text(value.n)}, d = {value.d:.6g} m"
+    else:
+        head = f"line x = r + s v with v = {text(value.v)}, r = {text(value.r)} m"
+    head += f", centroid {text(value.centroid)} m\naxis 1 {text(value.axes[0])}, axis 2 {text(value.axes[1])}"
+    return f"{head}\n{fit.table()}"

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from armlab.errors import NotConverged, NotExcited
 from armlab.estimation import Excitation, Fit, Measurement, NonlinearSolution, Problem, check_spread
 from armlab.estimation import nonlinear_least_squares as solve
-from armlab.frames import _check
+from armlab.frames import _check, _minimal
 from armlab.frames._consensus import chosen, rounding
 from armlab.frames.features import Circle, Sphere
 from armlab.frames.flat import LIMIT, text, upward
@@ -65,7 +65,11 @@ def fit_circle(
     def fit(q: np.ndarray) -> NonlinearSolution[Circle]:
         return _descend(q, _circle_start(q), _circle_residuals, _circle_step, sigma)
 
-    kept = _kept(p, 3, 2, _circles, fit, _circle_residuals, sigma, "circle") if robust else np.ones(len(p), dtype=bool)
+    kept = (
+        _kept(p, 3, 2, _minimal.circles, fit, _circle_residuals, sigma, "circle")
+        if robust
+        else np.ones(len(p), dtype=bool)
+    )
     _check.enough(int(kept.sum()), needed, "circle")
     found = fit(p[kept])
     value = found.value
@@ -103,7 +107,11 @@ def fit_sphere(p: ArrayLike, *, noise: float | None = None, robust: bool = False
     def fit(q: np.ndarray) -> NonlinearSolution[Sphere]:
         return _descend(q, Sphere(*_ball(q, np.eye(3))), _sphere_residuals, _sphere_step, sigma)
 
-    kept = _kept(p, 4, 1, _spheres, fit, _sphere_residuals, sigma, "sphere") if robust else np.ones(len(p), dtype=bool)
+    kept = (
+        _kept(p, 4, 1, _minimal.spheres, fit, _sphere_residuals, sigma, "sphere")
+        if robust
+        else np.ones(len(p), dtype=bool)
+    )
     _check.enough(int(kept.sum()), needed, "sphere")
     found = fit(p[kept])
     excitation = _judge(found, found.value)
@@ -251,32 +259,6 @@ def _circle_start(p: np.ndarray) -> Circle:
     axes = axes * np.where(axes[np.arange(3), np.abs(axes).argmax(axis=1)] < 0, -1.0, 1.0)[:, None]
     centre, radius = _ball(p, axes[:2])
     return Circle(centre, axes[2], radius, axes[:2])
-
-
-def _circles(sets: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """Return squared distances (S, N) from the circles through sets (S, 3, 3)."""
-    a, b = sets[:, 1] - sets[:, 0], sets[:, 2] - sets[:, 0]
-    n = np.cross(a, b)
-    twice = np.sum(n**2, axis=1, keepdims=True)
-    aa, bb = np.sum(a**2, axis=1, keepdims=True), np.sum(b**2, axis=1, keepdims=True)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        to_centre = (np.cross(n, a) * bb + np.cross(b, n) * aa) / (2.0 * twice)
-        unit = n / np.sqrt(twice)
-        away = p - (sets[:, 0] + to_centre)[:, None]
-        z = np.einsum("snk,sk->sn", away, unit)
-        rho = np.sqrt(np.maximum(np.sum(away**2, axis=2) - z**2, 0.0))
-        return (rho - np.linalg.norm(to_centre, axis=1)[:, None]) ** 2 + z**2
-
-
-def _spheres(sets: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """Return squared distances (S, N) from the spheres through sets (S, 4, 3)."""
-    edges = sets[:, 1:] - sets[:, :1]
-    volume = np.abs(np.linalg.det(edges)) > 1e-12 * np.linalg.norm(edges, axis=2).prod(axis=1)
-    squares = np.full((len(sets), len(p)), np.nan)
-    to_centre = np.linalg.solve(edges[volume], 0.5 * np.sum(edges[volume] ** 2, axis=2)[..., None])[..., 0]
-    away = p - (sets[volume, 0] + to_centre)[:, None]
-    squares[volume] = (np.linalg.norm(away, axis=2) - np.linalg.norm(to_centre, axis=1)[:, None]) ** 2
-    return squares
 
 
 def _report(fit: Fit[Any]) -> str:
