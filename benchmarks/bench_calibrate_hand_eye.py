@@ -29,6 +29,7 @@ Solve = Callable[[bars.Poses], tuple[np.ndarray, np.ndarray]]
 
 def run(quick: bool) -> list[Table]:
     """Measure 30 and 1000 pairs of poses, with outliers, and points; then 1000 runs of every case for the errors."""
+    cv2.setNumThreads(1)  # as armlab: one of them must not wait for the other's threads
     rounds, runs = (5, 50) if quick else (40, 1000)
     few = [bars.poses(1000, k)[0] for k in range(20)]
     many = [bars.poses(1000, k, N=1000)[0] for k in range(2)]

@@ -75,8 +75,8 @@ class Equation:
     @cached_property
     def spread(self) -> float:
         """Length by which positions are judged [m]: their RMS distance from their mean, of the record that has more."""
-        both = (t - t.mean(axis=0) for t in (self.tA, self.tB))
-        return max(float(np.sqrt(np.vdot(t, t) / len(t))) for t in both) or 1.0
+        both = (t - t.sum(axis=0) / self.N for t in (self.tA, self.tB))
+        return max(float(np.sqrt(np.vdot(t, t) / self.N)) for t in both) or 1.0
 
     def product(self) -> np.ndarray:
         """Return K = mean of R_A (x) R_B (9, 9), for which K vec(R_X) = vec(R_Y), row by row.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from math import hypot
 from typing import Any
 
 import numpy as np
@@ -51,12 +52,13 @@ class Part:
 
 def axis_text(u: np.ndarray, axes: str) -> str:
     """Return "tool axis z", or "tool axis (0.60, 0.00, 0.80)": a line, without sense."""
-    u = u / np.linalg.norm(u)
-    k = int(np.argmax(np.abs(u)))
-    if abs(u[k]) > ALIGNED:
+    parts = u.tolist()
+    length = hypot(*parts)
+    k = max(range(3), key=lambda i: abs(parts[i]))
+    if abs(parts[k]) > ALIGNED * length:
         return f"{axes} axis {'xyz'[k]}"
-    u = u * np.sign(u[k])
-    return f"{axes} axis ({', '.join(f'{x + 0.0:.2f}' for x in u)})"
+    scale = length if parts[k] > 0 else -length
+    return f"{axes} axis ({', '.join(f'{round(x / scale, 2) + 0.0:.2f}' for x in parts)})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,16 +93,19 @@ class Words:
     def __call__(self, step: np.ndarray) -> str:
         """Return for example "translation of T_tool_marker along tool axis z (T_base_cam moves with it), 0.4 m"."""
         blocks = step.reshape(-1, 3)
-        sizes = np.linalg.norm(blocks / self.widths.reshape(-1, 3), axis=1)
-        first = int(np.flatnonzero(sizes > 0.5 * sizes.max())[0])  # of poses that move together, the first
+        sizes = [hypot(*block) for block in (blocks / self.widths.reshape(-1, 3)).tolist()]
+        largest = max(sizes)
+        first = next(
+            i for i, size in enumerate(sizes) if size > 0.5 * largest
+        )  # of poses that move together, the first
         part = self.parts[first]
         text = f"{part.what} {'about' if part.rotation else 'along'} {axis_text(blocks[first], part.axes)}"
-        others = {p.what.split()[-1] for p, size in zip(self.parts, sizes) if size > SHARED * sizes.max()}
+        others = {p.what.split()[-1] for p, size in zip(self.parts, sizes) if size > SHARED * largest}
         others -= {part.what.split()[-1]}
         text += f" ({' and '.join(sorted(others))} move{'s' * (len(others) == 1)} with it)" if others else ""
-        if abs(np.linalg.norm(step / self.widths) - 1.0) < UNSEEN:
+        if abs(hypot(*sizes) - 1.0) < UNSEEN:
             return text
-        return f"{text}, {np.linalg.norm(blocks[first]):.2g} {'rad' if part.rotation else 'm'}"
+        return f"{text}, {hypot(*blocks[first].tolist()):.2g} {'rad' if part.rotation else 'm'}"
 
 
 def limits_of(limits: Any) -> tuple[float, float]:

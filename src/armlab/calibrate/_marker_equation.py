@@ -71,14 +71,14 @@ class Sight:
         noise = self.noise[keep] if self.noise is not None and self.noise.ndim == 3 else self.noise
         return replace(self, p=self.p[keep], sample=self.sample[keep], point=self.point[keep], noise=noise)
 
-    def linear(self, RA: np.ndarray | None = None, tA: np.ndarray | None = None) -> Linear:
-        """Return the linear solution, of all samples or with other poses of the robot.
+    @cached_property
+    def solution(self) -> Linear:
+        """Linear solution of all samples."""
+        return self.linear(self.RA, self.tA)
 
-        Parameters
-        ----------
-        RA, tA : poses to take instead of those of the samples.
-        """
-        A, t = (self.RA if RA is None else RA)[self.sample], (self.tA if tA is None else tA)[self.sample]
+    def linear(self, RA: np.ndarray, tA: np.ndarray) -> Linear:
+        """Return the linear solution with these poses of the robot, (N, 3, 3) and (N, 3)."""
+        A, t = RA[self.sample], tA[self.sample]
         m, n = len(self.p), 3 * self.K
         rows = np.zeros((m, 3, n + 13))
         rows[:, :, :n].reshape(m, 3, self.K, 3)[np.arange(m), :, self.point] = A
@@ -95,7 +95,7 @@ class Sight:
 
     def start(self) -> Points:
         """Return Y with the rotation nearest to the linear solution, and points and position that go with it."""
-        RY = so3.project(self.linear().M)[0]
+        RY = so3.project(self.solution.M)[0]
         m, n = len(self.p), 3 * self.K
         rows = np.zeros((m, 3, n + 4))
         rows[:, :, :n].reshape(m, 3, self.K, 3)[np.arange(m), :, self.point] = self.RA[self.sample]

@@ -20,7 +20,7 @@ def require_sight(sight: Sight, rms: float | None = None, left_out: float = 0.0)
     sight : what was seen. rms : of the residuals of the fit, without outliers [m]; before the fit, None.
     left_out : share of the samples that are outliers.
     """
-    found = sight.linear()
+    found = sight.solution
     if rms is None:
         cause = _unit_or_hand(sight, found)
     else:

@@ -87,7 +87,7 @@ def fit_hand_eye_points(
             X, Y = found.value.poses()
             value, parts = HandEye(setup, X, Y, body @ X[:3, :3].T + X[:3, 3]), Part.of(names)
     except NotConverged:
-        require_sight(sight, sight.linear().misfit)
+        require_sight(sight, sight.solution.misfit)
         raise
     residuals = np.full((*seen.shape, 3), np.nan)
     residuals[seen] = sight.residuals(value)

@@ -112,7 +112,7 @@ def descend(
         height = 0.5 * float(rows.r @ rows.r)
         history.append(height)
         slope = _Slope.of(problem, rows)
-        here = Descent(value, rows, slope.basis, slope.null, float(np.linalg.norm(slope.along)), tuple(history))
+        here = Descent(value, rows, slope.basis, slope.null, float(np.sqrt(slope.along @ slope.along)), tuple(history))
         waited = waited + 1 if here.step > 0.5 * shortest else 0
         shortest = min(shortest, here.step)
         if here.step < STEP or (here.step < IDLE and waited > PATIENCE):
@@ -172,9 +172,8 @@ class _Slope:
 
         scaled = self.R[:-1, :-1] * self.scale
         inverse, fault = lapack.dtrtri(scaled)  # pyright: ignore
-        if fault or not np.linalg.norm(scaled) * np.linalg.norm(inverse) < WELL:
-            return None
-        return inverse
+        size = np.vdot(scaled, scaled) * np.vdot(inverse, inverse)
+        return inverse if not fault and size < WELL**2 else None
 
     @cached_property
     def _singular(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -184,7 +183,7 @@ class _Slope:
         basis = (self.scale * V[:rank]).T / singular[:rank]
         return basis, singular[:rank], V[rank:].T, U[:, :rank].T @ self.R[:-1, -1]
 
-    @property
+    @cached_property
     def basis(self) -> np.ndarray:
         """Directions (d, r) that the rows tell: J times them is orthonormal."""
         return self._singular[0] if self._inverse is None else self.scale[:, None] * self._inverse

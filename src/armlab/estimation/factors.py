@@ -157,10 +157,16 @@ def stack(parts: Iterable[np.ndarray]) -> np.ndarray:
 
 def triangle(A: np.ndarray, y: np.ndarray | None = None) -> np.ndarray:
     """Return the triangle R (w, w) of A (m, p), or of ``[A y]``, in pieces that stay in the cache."""
-    pieces = range(0, max(len(A), 1), CHUNK)
-    if y is None:
-        return stack(A[a : a + CHUNK] for a in pieces)
-    return stack(np.column_stack([A[a : a + CHUNK], y[a : a + CHUNK]]) for a in pieces)
+    w = A.shape[1]
+    wide = w + (y is not None)
+    R = np.zeros((wide, wide), order="F")
+    for a in range(0, len(A), CHUNK):
+        below = np.empty((min(CHUNK, len(A) - a), wide), order="F")
+        below[:, :w] = A[a : a + CHUNK]
+        if y is not None:
+            below[:, w] = y[a : a + CHUNK]
+        R = _reflect(R, below)
+    return R
 
 
 def _append(R: np.ndarray | None, piece: Rows, start: int, stop: int) -> np.ndarray:
