@@ -314,3 +314,13 @@ def test_outliers_among_points_of_their_own_covariance() -> None:
         fit_plane(p, noise=cov[:5])
     with pytest.raises(ShapeError, match="at point 2"):
         fit_line(p, noise=np.where(np.arange(20)[:, None, None] == 2, -cov, cov))
+
+
+def test_a_hundred_thousand_points() -> None:
+    """No square of their number is ever stored."""
+    p = sheet(100_000)
+    p[:20_000, 2] += 0.01
+    fit = fit_plane(p, robust=True)
+    assert fit.outliers[:20_000].all()
+    assert fit.n > 79_000
+    assert fit_line(rod(100_000), robust=True).n > 99_000

@@ -179,3 +179,22 @@ def test_fit_sphere_keeps_the_contract() -> None:
         skip=SKIP,
     )
     assert contract.passed, contract.text()
+
+
+def test_points_of_their_own_covariance() -> None:
+    """NEES/4 is 1, and the error smaller than with one deviation for all."""
+    nees, weighted, plain = [], [], []
+    for seed in range(40):
+        rng = np.random.default_rng([9, seed])
+        root = np.linalg.qr(rng.standard_normal((30, 3, 3)))[0] * np.array([2e-4, 5e-5, 2e-5])
+        p = ball(rng, 30, 2.0, 0.0) + (root @ rng.standard_normal((30, 3, 1)))[..., 0]
+        fit = fit_sphere(p, noise=root @ root.transpose(0, 2, 1))
+        d = sphere_error(fit, (np.array([0, 0, 1]), 0.2))
+        nees.append(d @ np.linalg.solve(fit.cov, d) / 4)
+        weighted.append(d @ d)
+        plain.append(np.sum(sphere_error(fit_sphere(p), (np.array([0, 0, 1]), 0.2)) ** 2))
+    assert 0.7 < np.mean(nees) < 1.35
+    assert np.sqrt(np.mean(weighted) / np.mean(plain)) < 0.9
+    same = fit_circle(ring(np.random.default_rng(0), 20), noise=np.eye(3) * SIGMA**2)
+    one = fit_circle(ring(np.random.default_rng(0), 20), noise=SIGMA)
+    np.testing.assert_allclose(same.value.centre, one.value.centre, atol=1e-13)

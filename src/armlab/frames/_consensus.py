@@ -16,23 +16,20 @@ import numpy as np
 
 from armlab.errors import NotExcited
 from armlab.estimation.measurements import median_norm
+from armlab.frames._cloud import rounding
 
-__all__ = ["chosen", "rounding"]
+__all__ = ["chosen"]
 
 ALL_SETS = comb(60, 3)  # up to here every set is tried
 SOME_SETS = 500
 FLAGGED = 0.999  # quantile of chi^2 beyond which a point is an outlier
 ROUNDS = 3
+JURY = 1000  # points that judge the sets, where there are more
 ROOM = 2.0  # for points at first: the half that was refitted leans towards its own noise
-AT_ONCE = 2048  # sets whose distances to all points are held at once
+AT_ONCE = 200_000  # distances that are held at once
 
 Squares = Callable[[np.ndarray, np.ndarray], np.ndarray]
 Refit = Callable[[np.ndarray], tuple[float, np.ndarray]]
-
-
-def rounding(p: np.ndarray) -> float:
-    """Return the size of rounding in points (N, 3): no deviation is known to be smaller."""
-    return 1e-14 * max(float(np.abs(p).max(initial=0.0)), 1e-300)
 
 
 def chosen(
@@ -55,24 +52,18 @@ def chosen(
             ["outliers"],
             [f"{len(p)} points"],
         )
-    height = (len(p) + size + 1) // 2
-    scale, squares = np.inf, np.zeros(0)
-    sets = _sets(len(p), size)
-    for a in range(0, len(sets), AT_ONCE):
-        found = np.nan_to_num(through(p[sets[a : a + AT_ONCE]], p), nan=np.inf)
-        level = np.partition(found, height - 1, axis=1)[:, height - 1]
-        best = int(np.argmin(level))
-        if level[best] < scale:
-            scale, squares = float(level[best]), found[best]
-    if not squares.size:
-        squares = np.zeros(len(p))  # no set makes a feature: the refit says why
+    jury = np.arange(len(p))
+    if len(p) > JURY:
+        jury = np.sort(np.random.default_rng([len(p), size]).choice(len(p), JURY, replace=False))
+    height = (len(jury) + size + 1) // 2
+    scale, squares = _best(p[jury], size, height, through)
     limit = float(chdtri(numbers, 1.0 - FLAGGED))
     spread = (1.0 + 5.0 / (len(p) - size)) * np.sqrt(scale) / median_norm(numbers)
+    half = np.zeros(len(p), dtype=bool)
+    half[jury[np.argsort(squares, kind="stable")[:height]]] = True
+    kept = half
     with suppress(NotExcited):  # half of the points may tell too little
-        half = np.zeros(len(p), dtype=bool)
-        half[np.argsort(squares, kind="stable")[:height]] = True
-        squares = refit(half)[1]
-    kept = squares <= limit * (ROOM * max(sigma or spread, rounding(p))) ** 2
+        kept = refit(half)[1] <= limit * (ROOM * max(sigma or spread, rounding(p))) ** 2
     for _ in range(ROUNDS):
         noise, squares = refit(kept)
         fresh = squares <= limit * max(sigma or noise, rounding(p)) ** 2
@@ -80,6 +71,20 @@ def chosen(
             break
         kept = fresh
     return kept
+
+
+def _best(p: np.ndarray, size: int, height: int, through: Squares) -> tuple[float, np.ndarray]:
+    """Return the scale of the best feature through a minimal set, and squared distances (N,) from it."""
+    scale, squares = np.inf, np.zeros(len(p))
+    sets = _sets(len(p), size)
+    some = 1 + AT_ONCE // len(p)
+    for a in range(0, len(sets), some):
+        found = np.nan_to_num(through(p[sets[a : a + some]], p), nan=np.inf)
+        level = np.partition(found, height - 1, axis=1)[:, height - 1]
+        best = int(np.argmin(level))
+        if level[best] < scale:
+            scale, squares = float(level[best]), found[best]
+    return scale, squares
 
 
 def _sets(count: int, size: int) -> np.ndarray:

@@ -22,7 +22,8 @@ from numpy.typing import ArrayLike
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation import Fit, check_spread
 from armlab.frames import _check, _minimal, _weighted
-from armlab.frames._consensus import chosen, rounding
+from armlab.frames._cloud import principal, rounding
+from armlab.frames._consensus import chosen
 from armlab.frames.features import Line, Plane
 
 __all__ = ["LIMIT", "fit_line", "fit_plane", "text", "upward"]
@@ -76,7 +77,7 @@ def fit_plane(
     if robust:
         kept = chosen(p, 3, 1, _minimal.planes, lambda which: _plane_distances(p, which), sigma, "plane")
         _check.enough(int(kept.sum()), needed, "plane")
-    c, axes, squares = _principal(p[kept])
+    c, axes, squares = principal(p[kept])
     freedom = int(kept.sum()) - 3
     found = float(np.sqrt(squares[2] / freedom)) if freedom else float(sigma or 0.0)
     used = max(sigma or found, rounding(p))
@@ -144,7 +145,7 @@ def fit_line(
         kept = chosen(p, 2, 2, _minimal.lines, lambda which: _line_distances(p, which), sigma, "line")
         _check.enough(int(kept.sum()), needed, "line")
     cloud = p[kept]
-    c, axes, squares = _principal(cloud)
+    c, axes, squares = principal(cloud)
     freedom = 2 * len(cloud) - 4
     found = float(np.sqrt((squares[1] + squares[2]) / freedom)) if freedom else float(sigma or 0.0)
     used = max(sigma or found, rounding(p))
@@ -227,19 +228,6 @@ def _forward(v: np.ndarray, step: np.ndarray, sigma: float, along: ArrayLike | N
     return v if side > 0 else -v
 
 
-def _principal(p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return centroid, principal directions (3, 3) as rows, strongest first, and sums of squares (3,) along them.
-
-    Their signs are chosen, not left to the decomposition: the largest component is positive.
-    """
-    c = p.mean(axis=0)
-    _, singular, axes = np.linalg.svd(p - c, full_matrices=True)
-    axes = axes * np.where(axes[np.arange(3), np.abs(axes).argmax(axis=1)] < 0, -1.0, 1.0)[:, None]
-    squares = np.zeros(3)
-    squares[: len(singular)] = singular**2
-    return c, axes, squares
-
-
 def _told(strong: float, weak: float, sigma: float, points: int) -> float:
     """Return how far the larger of two sums of squares tells its direction from the other: 1 over the deviation.
 
@@ -277,12 +265,12 @@ def _judge(
 
 
 def _plane_distances(p: np.ndarray, kept: np.ndarray) -> tuple[float, np.ndarray]:
-    c, axes, squares = _principal(p[kept])
+    c, axes, squares = principal(p[kept])
     return float(np.sqrt(squares[2] / max(kept.sum() - 3, 1))), ((p - c) @ axes[2]) ** 2
 
 
 def _line_distances(p: np.ndarray, kept: np.ndarray) -> tuple[float, np.ndarray]:
-    c, axes, squares = _principal(p[kept])
+    c, axes, squares = principal(p[kept])
     sigma = np.sqrt((squares[1] + squares[2]) / max(2 * kept.sum() - 4, 1))
     return float(sigma), np.sum(((p - c) @ axes[1:].T) ** 2, axis=1)
 

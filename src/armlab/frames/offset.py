@@ -9,7 +9,8 @@ from numpy.typing import ArrayLike
 
 from armlab.errors import NotExcited, ShapeError
 from armlab.frames import _check
-from armlab.frames._consensus import chosen, rounding
+from armlab.frames._cloud import rounding
+from armlab.frames._consensus import chosen
 from armlab.frames.features import Plane
 
 __all__ = ["OffsetCheck", "check_offset"]

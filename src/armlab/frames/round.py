@@ -18,7 +18,8 @@ from armlab.errors import NotConverged, NotExcited
 from armlab.estimation import Excitation, Fit, Measurement, NonlinearSolution, Problem, check_spread
 from armlab.estimation import nonlinear_least_squares as solve
 from armlab.frames import _check, _minimal
-from armlab.frames._consensus import chosen, rounding
+from armlab.frames._cloud import principal, rounding
+from armlab.frames._consensus import chosen
 from armlab.frames.features import Circle, Sphere
 from armlab.frames.flat import LIMIT, text, upward
 from armlab.lie import so3
@@ -32,7 +33,7 @@ Round = TypeVar("Round", Circle, Sphere)
 def fit_circle(
     p: ArrayLike,
     *,
-    noise: float | None = None,
+    noise: ArrayLike | None = None,
     robust: bool = False,
     toward: ArrayLike | None = None,
     normal: ArrayLike | None = None,
@@ -44,7 +45,8 @@ def fit_circle(
     Parameters
     ----------
     p : (N, 3) points [m], N >= 4; 3 are enough where the noise is known, 5 are needed to find an outlier.
-    noise : standard deviation of each coordinate [m]; estimated when left out.
+    noise : standard deviation of each coordinate [m], or covariance (3, 3) or (N, 3, 3) of the points [m^2]; one
+        deviation for all is estimated when left out.
     robust : find points that do not belong to the circle; `outliers` marks them.
     toward, normal : (3,) hints for the side of the normal, as those of `fit_plane`.
 
@@ -58,12 +60,14 @@ def fit_circle(
     ShapeError : points are no (N, 3) or not finite, with their rows; hints that do not tell the side.
     NotExcited : too few points; points on a short arc, or in a line; a plane through the origin without a hint.
     """
-    p, sigma = _check.points(p), _check.noise_of(noise)
+    p = _check.points(p)
+    sigma, each = _check.noises_of(noise, len(p))
     needed = 3 if sigma else 4
     _check.enough(len(p), needed, "circle")
 
-    def fit(q: np.ndarray) -> NonlinearSolution[Circle]:
-        return _descend(q, _circle_start(q), _circle_residuals, _circle_step, sigma)
+    def fit(which: np.ndarray) -> NonlinearSolution[Circle]:
+        cov = None if each is None else each[which]
+        return _descend(p[which], _circle_start(p[which]), _circle_residuals, _circle_step, sigma, cov)
 
     kept = (
         _kept(p, 3, 2, _minimal.circles, fit, _circle_residuals, sigma, "circle")
@@ -71,7 +75,7 @@ def fit_circle(
         else np.ones(len(p), dtype=bool)
     )
     _check.enough(int(kept.sum()), needed, "circle")
-    found = fit(p[kept])
+    found = fit(kept)
     value = found.value
     excitation = _judge(found, value)
     slope = np.concatenate([value.n, np.cross(value.axes, value.n) @ value.centre, [0.0]])
@@ -82,13 +86,14 @@ def fit_circle(
     return _result(value, parameters, found, residuals, kept, excitation)
 
 
-def fit_sphere(p: ArrayLike, *, noise: float | None = None, robust: bool = False) -> Fit[Sphere]:
+def fit_sphere(p: ArrayLike, *, noise: ArrayLike | None = None, robust: bool = False) -> Fit[Sphere]:
     """Fit a sphere to points.
 
     Parameters
     ----------
     p : (N, 3) points [m], N >= 5; 4 are enough where the noise is known, 6 are needed to find an outlier.
-    noise : standard deviation of each coordinate [m]; estimated when left out.
+    noise : standard deviation of each coordinate [m], or covariance (3, 3) or (N, 3, 3) of the points [m^2]; one
+        deviation for all is estimated when left out.
     robust : find points that do not belong to the sphere; `outliers` marks them.
 
     Returns
@@ -100,12 +105,14 @@ def fit_sphere(p: ArrayLike, *, noise: float | None = None, robust: bool = False
     ShapeError : points are no (N, 3) or not finite, with their rows.
     NotExcited : too few points; points in a plane or on a small cap.
     """
-    p, sigma = _check.points(p), _check.noise_of(noise)
+    p = _check.points(p)
+    sigma, each = _check.noises_of(noise, len(p))
     needed = 4 if sigma else 5
     _check.enough(len(p), needed, "sphere")
 
-    def fit(q: np.ndarray) -> NonlinearSolution[Sphere]:
-        return _descend(q, Sphere(*_ball(q, np.eye(3))), _sphere_residuals, _sphere_step, sigma)
+    def fit(which: np.ndarray) -> NonlinearSolution[Sphere]:
+        cov = None if each is None else each[which]
+        return _descend(p[which], Sphere(*_ball(p[which], np.eye(3))), _sphere_residuals, _sphere_step, sigma, cov)
 
     kept = (
         _kept(p, 4, 1, _minimal.spheres, fit, _sphere_residuals, sigma, "sphere")
@@ -113,7 +120,7 @@ def fit_sphere(p: ArrayLike, *, noise: float | None = None, robust: bool = False
         else np.ones(len(p), dtype=bool)
     )
     _check.enough(int(kept.sum()), needed, "sphere")
-    found = fit(p[kept])
+    found = fit(kept)
     excitation = _judge(found, found.value)
     value = Sphere(found.value.centre, found.value.radius, found.cov)
     parameters = np.array([*value.centre, value.radius])
@@ -150,14 +157,18 @@ def _descend(
     residuals: Callable[[Round, np.ndarray], tuple[np.ndarray, np.ndarray]],
     step: Callable[[Round, np.ndarray], Round],
     sigma: float | None,
+    each: np.ndarray | None,
 ) -> NonlinearSolution[Round]:
-    """Return the most likely circle or sphere of points (N, 3)."""
+    """Return the most likely circle or sphere of points (N, 3), with covariances (N, 3, 3) when they have their own."""
     what = type(start).__name__.lower()
     k = residuals(start, p)[0].shape[1]
     cov = None if sigma is None else np.eye(k) * sigma**2
 
     def evaluate(value: Round) -> list[Measurement]:
         r, J = residuals(value, p)
+        if each is not None:
+            D = J[:, :, :3]  # a point moves a distance as the centre does, the other way
+            return [Measurement(r, J, D @ each @ np.swapaxes(D, 1, 2), ("distance",) * k)]
         return [Measurement(r, J, cov, ("distance",) * k)]
 
     try:
@@ -199,7 +210,7 @@ def _kept(
 
     def refit(which: np.ndarray) -> tuple[float, np.ndarray]:
         _check.enough(int(which.sum()), size + 1, what)
-        found = fit(p[which])
+        found = fit(which)
         return float(found.sigma[0]), np.sum(residuals(found.value, p)[0] ** 2, axis=1)
 
     return chosen(p, size, numbers, through, refit, sigma, what)
@@ -249,14 +260,13 @@ def _ball(p: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def _circle_start(p: np.ndarray) -> Circle:
-    _, singular, axes = np.linalg.svd(p - p.mean(axis=0), full_matrices=True)
-    if not singular[1] > max(1e-9 * singular[0], rounding(p)):
+    _, axes, squares = principal(p)
+    if not squares[1] > max(1e-18 * squares[0], rounding(p) ** 2):
         raise NotExcited(
             "Expected points around a circle, got points in a line or in one place. Measure more of the circle.",
             ["centre and radius: the points are in a line"],
             ["no spread"],
         )
-    axes = axes * np.where(axes[np.arange(3), np.abs(axes).argmax(axis=1)] < 0, -1.0, 1.0)[:, None]
     centre, radius = _ball(p, axes[:2])
     return Circle(centre, axes[2], radius, axes[:2])
 
