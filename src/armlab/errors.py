@@ -169,12 +169,14 @@ class NotConverged(ArmlabError, RuntimeError):
     ----------
     best : the best result found.
     history : the cost after each iteration.
+    reason : one word where the cause is known, for example "left_handed".
     """
 
-    def __init__(self, message: str, best: Any = None, history: Sequence[float] = ()) -> None:
+    def __init__(self, message: str, best: Any = None, history: Sequence[float] = (), reason: str = "") -> None:
         super().__init__(message)
         self.best = best
         self.history = tuple(history)
+        self.reason = reason
 
 
 class SingularPoseError(ArmlabError, ValueError):

@@ -120,3 +120,50 @@ class MarkerData:
 @pytest.fixture(scope="session")
 def leds() -> MarkerData:
     return MarkerData()
+
+
+@dataclass(frozen=True, eq=False)
+class Weighed:
+    """Orientations of a tool and readings of what hangs on it, with the truth behind them."""
+
+    RA: np.ndarray
+    y: np.ndarray
+    R: np.ndarray
+    bias: np.ndarray
+    centre: np.ndarray
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """Arguments of the fit."""
+        return {"T_base_tool": self.RA, "wrench": self.y, "gravity": ForceData.gravity}
+
+
+class ForceData(HandEyeData):
+    """Generators F1, F2 and F4: 1 kg."""
+
+    gravity = np.array([0.0, 0.0, -9.82])
+
+    def draw(  # type: ignore[override]
+        self, seed: Any, N: int = 100, sigma: float = 0.1, tilt: float | None = None, torque: float | None = None
+    ) -> Weighed:
+        """F1; F2 with tilt [rad]; F4 with the noise of the torque [N m]. Biases are -R^T o of the specification."""
+        rng = np.random.default_rng(seed)
+        R, o = self.rotations(rng, 1)[0], rng.standard_normal(3)
+        RA = self.rotations(rng, N) if tilt is None or torque is not None else self.tilted(rng, N, tilt)
+        r, o_tau = (0.1 * rng.standard_normal((2, 3))) if torque is not None else (np.full(3, np.nan), np.zeros(0))
+        u = self.gravity @ RA @ R
+        y = u - o @ R + sigma * rng.standard_normal((N, 3))
+        if torque is not None:
+            y = np.hstack([y, np.cross(r, u) - o_tau + torque * rng.standard_normal((N, 3))])
+        return Weighed(RA, y, R, np.concatenate([-o @ R, -o_tau]), r)
+
+    def touched(self, rng: np.random.Generator, y: np.ndarray, rows: Any) -> np.ndarray:
+        """F3: contacts of 20 N."""
+        y = y.copy()
+        y[rows, :3] += 20.0 * self.rotations(rng, len(y[rows]))[:, 0]
+        return y
+
+
+@pytest.fixture(scope="session")
+def weights() -> ForceData:
+    return ForceData()

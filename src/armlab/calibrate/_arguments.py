@@ -48,7 +48,31 @@ def poses(value: ArrayLike, name: str) -> tuple[np.ndarray, np.ndarray, str]:
             f"Expected (0, 0, 0, 1) as the last row of every pose of {name}, got others in rows {rows_text(bad)}. "
             "Perhaps the matrices are transposed."
         )
-    R = T[:, :3, :3].copy()
+    R, note = _rotations(T[:, :3, :3].copy(), name)
+    return R, T[:, :3, 3].copy(), note
+
+
+def orientations(value: ArrayLike, name: str) -> tuple[np.ndarray, str]:
+    """Return rotations (N, 3, 3) of poses (N, 4, 4) or of rotations (N, 3, 3), and what must be reported of them.
+
+    Raises
+    ------
+    ShapeError : another shape, NaN, what is no rotation, each with its rows.
+    """
+    values = numbers(value, name, ShapeError)
+    if values.ndim == 3 and values.shape[1:] == (4, 4):
+        R, _, note = poses(values, name)
+        return R, note
+    if values.ndim != 3 or values.shape[1:] != (3, 3):
+        raise ShapeError(
+            f"Expected {name} of shape (N, 4, 4) or (N, 3, 3), got {values.shape}. Give one orientation per sample."
+        )
+    finite(values, name)
+    return _rotations(values.copy(), name)
+
+
+def _rotations(R: np.ndarray, name: str) -> tuple[np.ndarray, str]:
+    """Return R (N, 3, 3) projected where it is slightly off, and a note of that."""
     off = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).reshape(len(R), 9).max(axis=1)
     wrong = off > NO_ROTATION
     if wrong.any():
@@ -66,7 +90,7 @@ def poses(value: ArrayLike, name: str) -> tuple[np.ndarray, np.ndarray, str]:
     if near.any():
         R[near] = so3.project(R[near])[0]
         note = f"{np.count_nonzero(near)} rotations of {name} were projected, off by up to {off.max():.2g}"
-    return R, T[:, :3, 3].copy(), note
+    return R, note
 
 
 def pose_noise(noise: Any, N: int, name: str = "noise") -> np.ndarray | None:
@@ -88,7 +112,7 @@ def pose_noise(noise: Any, N: int, name: str = "noise") -> np.ndarray | None:
             f"Expected {name} of poses as (sd of position [m], sd of rotation [rad]) or as a covariance (6, 6) or "
             f"({N}, 6, 6), got shape {values.shape}. Metres and radians need a number each."
         )
-    return _covariance(values, name)
+    return covariance(values, name)
 
 
 def point_noise(noise: Any, shape: tuple[int, ...], name: str = "noise") -> np.ndarray | None:
@@ -109,10 +133,10 @@ def point_noise(noise: Any, shape: tuple[int, ...], name: str = "noise") -> np.n
             f"Expected {name} of points as one standard deviation above zero [m] or as a covariance (3, 3) or "
             f"({wide}), got shape {values.shape}. Correct it."
         )
-    return _covariance(values, name)
+    return covariance(values, name)
 
 
-def _covariance(values: np.ndarray, name: str) -> np.ndarray:
+def covariance(values: np.ndarray, name: str) -> np.ndarray:
     """Refuse what is not symmetric or has a negative eigenvalue."""
     size = np.abs(values).max()
     even = np.abs(values - np.swapaxes(values, -1, -2)).max() <= 1e-9 * size

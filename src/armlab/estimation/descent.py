@@ -43,12 +43,14 @@ class Problem(Generic[Value]):
     scale : (d,) unit of each component of x, in which the smallest of equal steps is taken; the inverse norm of the
         columns when None.
     what : what is fitted, for messages.
+    residue : deviation in SI below which residuals are rounding.
     """
 
     evaluate: Callable[[Value], Sequence[Measurement]]
     retract: Callable[[Value, np.ndarray], Value]
     scale: np.ndarray | None = None
     what: str = "model"
+    residue: float = 1e-12
 
 
 @dataclass(frozen=True, eq=False)

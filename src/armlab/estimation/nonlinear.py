@@ -34,7 +34,6 @@ NOISE_ROUNDS = 20
 MIXED_ROUNDS = 100  # it converges the slower, the larger the part that is known
 FLAGGED = 0.999  # quantile of chi^2 beyond which a sample is an outlier
 FLAG_ROUNDS = 3
-RESIDUE = 1e-12  # deviation in SI below which residuals are rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +94,7 @@ def nonlinear_least_squares(
     problem = replace(problem, evaluate=_remembering(problem.evaluate))
     now = problem.evaluate(start)
     count = 1 + max(int(one.sample.max(initial=-1)) for one in now if not one.prior)
-    sigma = _first_noise(now)
+    sigma = _first_noise(now, problem.residue)
     weight = np.ones(count)
     if robust:
         start, sigma, weight = _graduate(problem, start, sigma, weight, UNKNOWN_NOISE if sigma else schedule)
@@ -121,14 +120,14 @@ def _remembering(evaluate: Callable[[Value], Sequence[Measurement]]) -> Callable
     return remembered
 
 
-def _first_noise(now: Sequence[Measurement]) -> dict[str, float]:
+def _first_noise(now: Sequence[Measurement], residue: float) -> dict[str, float]:
     """Return the root mean square of each class whose noise is not given."""
     found: dict[str, list[np.ndarray]] = {}
     for one in now:
         for column, name in enumerate(one.classes if one.cov is None else ()):
             found.setdefault(name, []).append(one.r[:, column])
     parts = {name: np.concatenate(part) for name, part in found.items()}
-    return {name: max(float(np.sqrt(np.mean(part**2))), RESIDUE) for name, part in parts.items()}
+    return {name: max(float(np.sqrt(np.mean(part**2))), residue) for name, part in parts.items()}
 
 
 def _graduate(
@@ -140,7 +139,7 @@ def _graduate(
         for _ in range(REWEIGHTED):
             rows = _rows(problem, value, sigma)
             if sigma:
-                sigma = _median_noise(rows, sigma)
+                sigma = _median_noise(rows, sigma, problem.residue)
                 rows = _rows(problem, value, sigma)
             weight = (c * c / (c * c + rows.squares(count))) ** 2
             found = descend(problem, value, sigma, weight, iterations=1, strict=False)
@@ -155,7 +154,7 @@ def _rows(problem: Problem[Value], value: Value, sigma: dict[str, float]) -> Whi
     return whiten(now, [one.roots(sigma) for one in now])
 
 
-def _median_noise(rows: Whitened, sigma: dict[str, float]) -> dict[str, float]:
+def _median_noise(rows: Whitened, sigma: dict[str, float], residue: float) -> dict[str, float]:
     """Return the deviation of each class from the median length of its residual, which outliers do not move."""
     found = {}
     for name in sigma:
@@ -163,7 +162,7 @@ def _median_noise(rows: Whitened, sigma: dict[str, float]) -> dict[str, float]:
         numbers = np.bincount(rows.sample[mine])
         length = np.sqrt(np.bincount(rows.sample[mine], rows.raw[mine] ** 2))[numbers > 0]
         typical = median_norm(int(np.median(numbers[numbers > 0])))
-        found[name] = max(float(np.median(length)) / typical, RESIDUE)
+        found[name] = max(float(np.median(length)) / typical, residue)
     return found
 
 
@@ -184,7 +183,7 @@ def _with_noise(
     for _ in range((MIXED_ROUNDS if mixed else NOISE_ROUNDS) if sigma else 0):
         before = sigma
         sizes = _mixed_sigma(found, sigma) if mixed else _class_sigma(found)
-        sigma = {name: max(sizes[found.rows.names.index(name)], RESIDUE) for name in before}
+        sigma = {name: max(sizes[found.rows.names.index(name)], problem.residue) for name in before}
         found = descend(problem, found.value, sigma, weight)
         if all(abs(sigma[name] - before[name]) <= SETTLED * before[name] for name in sigma):
             break

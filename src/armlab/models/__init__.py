@@ -1,5 +1,6 @@
 """What is identified, saved, and later run: friction, ripple, torque covariance, the torque model, force sensors."""
 
+from armlab.models.accelerometer import Accelerometer
 from armlab.models.coupled import CoupledMotors
 from armlab.models.files import load, load_statistics, save
 from armlab.models.force_sensor import ForceSensor
@@ -22,6 +23,7 @@ __all__ = [
     "FORCE_RATES",
     "PRIOR",
     "SPEED_EDGES",
+    "Accelerometer",
     "CoupledMotors",
     "ForceSensor",
     "DualArmCorrection",
@@ -63,3 +65,4 @@ register("robot", Robot)
 register("mesh", Mesh)
 register("kinematic_correction", KinematicCorrection)
 register("dual_arm_correction", DualArmCorrection)
+register("accelerometer", Accelerometer)

@@ -1,0 +1,207 @@
+"""What a sensor reads of a weight that turns with the tool: closed forms, residuals with their Jacobian.
+
+    f_i = R^T R_base_tool,i^T gamma + b_f,        tau_i = c x (R^T R_base_tool,i^T gamma) + b_tau
+
+with gamma = s m g in base axes. An accelerometer reads the same with gamma = -(scale) g.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from armlab.estimation import Measurement, Problem
+from armlab.lie import so3
+
+ROUNDING = 1e-11  # of the largest reading
+FLOOR = 1e-6  # noise relative to the readings below which it is rounding
+
+
+class Load(NamedTuple):
+    """R (3, 3) from sensor to tool, gamma (3,) base axes, bias (k,), centre (3,)."""
+
+    R: np.ndarray
+    gamma: np.ndarray
+    bias: np.ndarray
+    centre: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Equation:
+    """Readings at known orientations.
+
+    Attributes
+    ----------
+    RA : (N, 3, 3) R_base_tool. y : (N, 3) forces, or (N, 6) with torques.
+    pull : (3,) s g, what one unit of mass adds to gamma; None when gamma itself is unknown.
+    bias : whether there is one. mass : known mass; None when it is to be found.
+    noise : variances (k,), or covariance (k, k) or (N, k, k); None when it is to be estimated.
+    classes : name of the noise class of each column of y.
+    """
+
+    RA: np.ndarray
+    y: np.ndarray
+    pull: np.ndarray | None
+    bias: bool
+    mass: float | None
+    noise: np.ndarray | None
+    classes: tuple[str, ...]
+    what: str
+
+    @property
+    def N(self) -> int:
+        """Number of samples."""
+        return len(self.y)
+
+    @property
+    def torque(self) -> bool:
+        """True where torques were measured."""
+        return self.y.shape[1] == 6
+
+    @cached_property
+    def widths(self) -> dict[str, int]:
+        """How many unknowns there are of each kind, in their order."""
+        mass = 3 if self.pull is None else int(self.mass is None)
+        found = {"rotation": 3, "mass": mass, "force bias": 3 * self.bias, "centre": 3 * self.torque}
+        found["torque bias"] = 3 * (self.bias and self.torque)
+        return {kind: count for kind, count in found.items() if count}
+
+    @cached_property
+    def places(self) -> dict[str, slice]:
+        """Where the unknowns of each kind are."""
+        ends = np.cumsum([0, *self.widths.values()])
+        return {kind: slice(int(a), int(b)) for kind, a, b in zip(self.widths, ends[:-1], ends[1:])}
+
+    def plus(self, load: Load, x: np.ndarray) -> Load:
+        """Return the load after a step x."""
+        at, bias = self.places, load.bias.copy()
+        gamma, centre = load.gamma, load.centre
+        if "mass" in at:
+            gamma = gamma + (x[at["mass"]] if self.pull is None else x[at["mass"]] * self.pull)
+        if self.bias:
+            bias[:3] += x[at["force bias"]]
+        if self.torque:
+            centre = centre + x[at["centre"]]
+            if self.bias:
+                bias[3:] += x[at["torque bias"]]
+        return Load(load.R @ so3.exp(x[:3]), gamma, bias, centre)
+
+    def evaluate(self, load: Load) -> list[Measurement]:
+        """Return measured minus expected readings."""
+        M = self.RA @ load.R
+        u = load.gamma @ M
+        turned = so3.hat(u)
+        size = sum(self.widths.values())
+        at, J = self.places, np.zeros((self.N, self.y.shape[1], size))
+        J[:, :3, at["rotation"]] = -turned
+        if "mass" in at:
+            per = M.transpose(0, 2, 1) if self.pull is None else (self.pull @ M)[:, :, None]
+            J[:, :3, at["mass"]] = -per
+        expected = u
+        if self.torque:
+            lever = so3.hat(load.centre)
+            J[:, 3:] = lever @ J[:, :3]
+            J[:, 3:, at["centre"]] = turned
+            expected = np.concatenate([u, np.cross(load.centre, u)], axis=1)
+        if self.bias:
+            J[:, :3, at["force bias"]] = -np.eye(3)
+            if self.torque:
+                J[:, 3:, at["torque bias"]] = -np.eye(3)
+        return [Measurement(self.y - expected - load.bias, J, self.noise, self.classes)]
+
+    def problem(self) -> Problem[Load]:
+        """Return what the solver needs."""
+        return Problem(
+            self.evaluate, self.plus, what=self.what, residue=ROUNDING * (float(np.abs(self.y).max()) or 1.0)
+        )
+
+    @cached_property
+    def weights(self) -> np.ndarray:
+        """1 over the mean variance (N,) of the force of each sample; 1 where noise is not given."""
+        if self.noise is None:
+            return np.ones(self.N)
+        variances = self.noise if self.noise.ndim == 1 else np.diagonal(self.noise, axis1=-2, axis2=-1)
+        return np.broadcast_to(1.0 / np.mean(variances[..., :3], axis=-1), (self.N,))
+
+    def start(self) -> Load:
+        """Return the load in closed form; without torques and with isotropic noise the most likely one."""
+        if self.pull is None:
+            R, gamma = self._unknown_gravity()
+        else:
+            turn = Turn.of(self)
+            R, gamma = turn.R, turn.m * self.pull
+        u = gamma @ (self.RA @ R)
+        w = self.weights[:, None] / self.weights.sum()
+        bias = np.zeros(self.y.shape[1])
+        if self.bias:
+            bias[:3] = np.sum(w * (self.y[:, :3] - u), axis=0)
+        if not self.torque:
+            return Load(R, gamma, bias, np.zeros(3))
+        rows = [-so3.hat(u).reshape(-1, 3)]
+        if self.bias:
+            rows.append(np.tile(np.eye(3), (self.N, 1)))
+        found = np.linalg.lstsq(np.hstack(rows), self.y[:, 3:].ravel(), rcond=None)[0]
+        bias[3:] = found[3:] if self.bias else 0.0
+        return Load(R, gamma, bias, found[:3])
+
+    def centred(self, values: np.ndarray) -> np.ndarray:
+        """Return values (N, ...) minus their weighted mean when there is a bias that takes it."""
+        if not self.bias:
+            return values
+        return values - np.tensordot(self.weights / self.weights.sum(), values, axes=1)
+
+    def _unknown_gravity(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return R and gamma from R f_i = R_i^T gamma, linear in both, centred where there is a bias."""
+        root = np.sqrt(self.weights)
+        D = (self.centred(self.RA.transpose(0, 2, 1)) * root[:, None, None]).reshape(-1, 3)
+        f = self.centred(self.y[:, :3]) * root[:, None]
+        F = np.einsum("nk,ij->nikj", f, np.eye(3)).reshape(-1, 9)  # times vec(R), column by column
+        (QD, _), (QF, RF) = np.linalg.qr(D), np.linalg.qr(F)
+        v = np.linalg.svd(QD.T @ QF)[2][0]
+        R = np.linalg.lstsq(RF, v, rcond=None)[0].reshape(3, 3).T
+        U, _, V = np.linalg.svd(R * np.sign(np.linalg.det(R)))
+        R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ V)]) @ V
+        return R, np.linalg.lstsq(D, (f @ R.T).ravel(), rcond=None)[0]
+
+
+@dataclass(frozen=True, eq=False)
+class Turn:
+    """The rotation and the mass that turn gravity into forces, known gravity.
+
+    ``S = sum h f^T = U diag(s) V^T``, ``R = U diag(1, 1, d) V^T``, ``m = (s1 + s2 + d s3) / sum |h|^2``, weighted.
+
+    Attributes
+    ----------
+    R : (3, 3). m : mass. mirrored : (3, 3) the best of the other hand, with mirrored_m.
+    difference : Delta, chi^2 of the best of the other hand minus that of the best rotation.
+    """
+
+    R: np.ndarray
+    m: float
+    mirrored: np.ndarray
+    mirrored_m: float
+    difference: float
+
+    @classmethod
+    def of(cls, equation: Equation, kept: np.ndarray | None = None) -> Turn:
+        """Solve for the samples (N,) that are kept."""
+        kept = np.ones(equation.N, dtype=bool) if kept is None else kept
+        w, pull = equation.weights[kept][:, None], equation.pull
+        h = (np.zeros(3) if pull is None else pull) @ equation.RA[kept]
+        f = equation.y[kept, :3]
+        if equation.bias:
+            h, f = h - (w * h).sum(axis=0) / w.sum(), f - (w * f).sum(axis=0) / w.sum()
+        U, s, V = np.linalg.svd(h.T @ (w * f))
+        d = 1.0 if np.linalg.det(U @ V) > 0 else -1.0
+        H, F = float(np.sum(w * h * h)), float(np.sum(w * f * f))
+        sums = np.array([s[0] + s[1] + d * s[2], s[0] + s[1] - d * s[2]])
+        m = np.full(2, equation.mass) if equation.mass is not None else sums / H
+        chi2 = np.maximum(F - 2.0 * m * sums + m * m * H, 0.0)
+        scale = 1.0
+        if equation.noise is None:
+            scale = max(chi2.min() / max(3 * len(f) - 7, 1), FLOOR**2 * F / len(f))
+        U2 = U * [1.0, 1.0, -d]
+        return cls((U * [1.0, 1.0, d]) @ V, float(m[0]), U2 @ V, float(m[1]), float((chi2[1] - chi2[0]) / scale))

@@ -1,0 +1,91 @@
+"""The fit that force sensors and accelerometers share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+
+from armlab.calibrate._weight_equation import Equation, Load, Turn
+from armlab.calibrate._weight_words import (
+    MANY,
+    Words,
+    remarks,
+    require_match,
+    require_motion,
+    require_right_hand,
+)
+from armlab.calibrate._weight_words import mirrored as mirrored_error
+from armlab.errors import NotExcited
+from armlab.estimation import Fit, check_spread, nonlinear_least_squares
+
+Value = TypeVar("Value")
+
+SCHEDULE = (200.0, 60.0, 20.0, 10.0, 5.0)
+
+
+def fit_weight(
+    equation: Equation,
+    value: Callable[[Load], Value],
+    limits: tuple[float, float, float],
+    robust: bool,
+    notes: list[str],
+    scale: str = "mass",
+) -> Fit[Value]:
+    """Fit readings of a turned weight.
+
+    Parameters
+    ----------
+    equation : the readings. value : makes the result. limits : see `Words`. robust : find outliers.
+    notes : for the report. scale : name of the mass.
+    """
+    moved = require_motion(equation)
+    found = nonlinear_least_squares(equation.problem(), equation.start(), robust=robust, schedule=SCHEDULE)
+    kept = ~found.outliers
+    if robust and equation.pull is not None and np.mean(found.outliers) > MANY:
+        _try_other_hand(equation)
+    hand = require_right_hand(equation, kept)
+    load = found.value
+    residuals = equation.evaluate(load)[0].r
+    require_match(equation, load, residuals, kept, moved)
+    _require_weight(equation, load)
+    words = Words(equation, load, limits, scale)
+    excitation = check_spread(found.rows.J, words.names, words.units, words.widths, equation.what, describe=words)
+    squares = 2.0 * found.cost / found.freedom if equation.noise is not None and found.freedom else None
+    lines = [*notes, hand, *remarks(words, np.sqrt(np.diag(found.cov)), squares, moved)]
+
+    def summary(fit: Fit[Value]) -> str:
+        return "\n".join([fit.table(), *(line for line in lines if line)])
+
+    return Fit(
+        value(load), words.names, words.units, words.parameters(), found.cov, found.sigma, residuals, equation.N,
+        excitation, summary, found.outliers, found.classes,
+    )  # fmt: skip
+
+
+def _try_other_hand(equation: Equation) -> None:
+    """Refuse where the mirror image of the forces leaves out far fewer samples than the forces do."""
+    noise = equation.noise
+    if noise is not None:
+        noise = noise[:3] if noise.ndim == 1 else noise[..., :3, :3]
+    forces = replace(equation, y=equation.y[:, :3], classes=equation.classes[:3], noise=noise)
+    sides = [forces, replace(forces, y=-forces.y)]
+    this, other = (
+        nonlinear_least_squares(one.problem(), one.start(), robust=True, schedule=SCHEDULE).outliers for one in sides
+    )
+    if 2 * np.count_nonzero(other) < np.count_nonzero(this):
+        raise mirrored_error(forces, Turn.of(forces, ~other))
+
+
+def _require_weight(equation: Equation, load: Load) -> None:
+    """Refuse readings in which there is no weight."""
+    along = load.gamma @ equation.pull if equation.pull is not None else load.gamma @ load.gamma
+    if along <= 0.0:
+        raise NotExcited(
+            f"Expected a weight in the readings of the {equation.what}, got none above zero. Check sign and units of "
+            "the readings, and that the tool turns about a horizontal axis.",
+            ["mass"],
+            ["no weight"],
+        )

@@ -1,0 +1,220 @@
+"""What readings of a turned weight do not tell, or why they do not fit, in words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from armlab._numbers import numbers
+from armlab.calibrate._hand_eye_words import axis_text
+from armlab.calibrate._weight_equation import Equation, Load, Turn
+from armlab.errors import NotConverged, NotExcited, ShapeError
+
+STILL = 1e-6  # share of gravity that counts as none, in its way over the tool axes
+HAND = 20.0  # Delta from which a hand is decided
+RICH = 0.1  # share of gravity over two directions from which readings must follow it
+UNEXPLAINED = 0.5
+UNSEEN = 1e-9
+ROUGH = 5.0  # noise given, times which residuals are called none
+FIRST_ORDER = 0.05  # rad: beyond it a covariance is a first-order statement
+FAR = 1.0  # m: a centre of mass farther away is a mistake of units
+MANY = 1.0 / 3.0  # share of outliers from which the other hand is tried
+STANDARD = 9.80665
+
+
+@dataclass(frozen=True, eq=False)
+class Words:
+    """Names, units and limits of the unknowns; puts a direction of them into words, see `estimation.check_spread`.
+
+    Attributes
+    ----------
+    equation : of the fit. load : that was found. limits : (angle [rad], share of the weight, length [m]).
+    scale : what a unit of mass is called: "mass" in kg, or "scale" of an accelerometer.
+    """
+
+    equation: Equation
+    load: Load
+    limits: tuple[float, float, float]
+    scale: str = "mass"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name of each unknown."""
+        found: list[str] = []
+        quantity = "acceleration" if self.scale == "scale" else "force"
+        for kind, count in self.equation.widths.items():
+            label = {"rotation": "R_tool_sensor r", "mass": "weight ", "centre": "centre "}.get(kind, "")
+            label = label or f"{kind.replace('force', quantity)} "
+            found += [self.scale] if count == 1 else [f"{label}{axis}" for axis in "xyz"]
+        return tuple(found)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each unknown."""
+        weight = "m/s^2" if self.scale == "scale" else "N"
+        one = {"rotation": "rad", "centre": "m", "torque bias": "N m"}
+        single = "" if self.scale == "scale" else "kg"
+        return tuple(
+            single if count == 1 else one.get(kind, weight)
+            for kind, count in self.equation.widths.items()
+            for _ in range(count)
+        )
+
+    @property
+    def widths(self) -> np.ndarray:
+        """Largest deviation accepted of each unknown."""
+        angle, share, length = self.limits
+        weight = float(np.linalg.norm(self.load.gamma))
+        mass = share * (weight if self.equation.pull is None else weight / np.linalg.norm(self.equation.pull))
+        one = {"rotation": angle, "mass": mass, "centre": length, "torque bias": length * weight}
+        return np.concatenate([np.full(n, one.get(kind, share * weight)) for kind, n in self.equation.widths.items()])
+
+    def parameters(self) -> np.ndarray:
+        """Return the values of the unknowns."""
+        from armlab.lie import so3
+
+        load, pull = self.load, self.equation.pull
+        mass = load.gamma if pull is None else np.array([load.gamma @ pull / (pull @ pull)])
+        all_ = {"rotation": so3.log(load.R), "mass": mass, "force bias": load.bias[:3], "centre": load.centre}
+        all_["torque bias"] = load.bias[3:]
+        return np.concatenate([all_[kind] for kind in self.equation.widths])
+
+    def __call__(self, step: np.ndarray) -> str:
+        """Return for example "rotation about tool axis z, bias along it, 0.4 rad"."""
+        parts = {kind: step[at] for kind, at in self.equation.places.items()}
+        sizes = {kind: np.linalg.norm(step[at] / self.widths[at]) for kind, at in self.equation.places.items()}
+        first = next(kind for kind in parts if sizes[kind] > 0.5 * max(sizes.values()))
+        part = parts[first]
+        unit = dict(zip(self.names, self.units))[self.names[self.equation.places[first].start]]
+        if first == "rotation":
+            text = f"rotation about {axis_text(self.load.R @ part, 'tool')}"
+            text += ", bias along it" if self.equation.bias else ""
+        elif len(part) == 1:
+            text = self.scale
+        else:
+            axes = "base" if first == "mass" else "sensor"
+            kind = {"mass": "weight", "centre": "centre of mass", "torque bias": "bias of torque"}.get(first, "bias")
+            text = f"{kind} along {axis_text(part, axes)}"
+        if abs(np.linalg.norm(step / self.widths) - 1.0) < UNSEEN:
+            return text
+        return f"{text}, {np.linalg.norm(part):.2g} {unit}".rstrip()
+
+
+def limits_of(limits: Any) -> tuple[float, float, float]:
+    """Return the three limits, refusing others than numbers above zero."""
+    values = numbers(limits, "limits", ShapeError)
+    if values.shape != (3,) or not np.all(values > 0):
+        raise ShapeError(
+            f"Expected limits as three numbers above zero, an angle [rad], a share of the weight and a length [m], got "
+            f"{limits!r}. (0.2, 0.3, 0.1) are the usual ones."
+        )
+    return float(values[0]), float(values[1]), float(values[2])
+
+
+def require_motion(equation: Equation) -> float:
+    """Refuse too few samples, and orientations that cannot tell; return how far gravity moves (share of it).
+
+    That is the second singular value of gravity over the tool axes, or of the rotations where gravity is unknown.
+    """
+    needed = (2 + equation.bias) if equation.pull is not None else (4 + equation.bias)
+    if needed > equation.N:
+        raise NotExcited(
+            f"Expected at least {needed} samples to fit the {equation.what}, got {equation.N}. Turn the tool about two "
+            "horizontal axes and measure again.",
+            [f"everything: {equation.N} samples"],
+            [f"{equation.N} of at least {needed} samples"],
+        )
+    if equation.pull is None:
+        M = equation.RA.mean(axis=0)
+        squares, axes = np.linalg.eigh(np.eye(3) - M.T @ M)
+        moved, u = np.sqrt(np.maximum(squares[[2, 0]], 0.0)), axes[:, 0]
+        still = "orientation of the tool does not change"
+        line = f"rotation about {axis_text(u, 'tool')}, weight and bias along it"
+    else:
+        h = equation.centred(equation.pull @ equation.RA) / np.linalg.norm(equation.pull)
+        _, moved, axes = np.linalg.svd(h, full_matrices=False)
+        moved, u = moved[:2] / np.sqrt(equation.N), axes[0]
+        still = "gravity seen from the tool does not move (rotations about the vertical only)"
+        line = f"rotation about {axis_text(u, 'tool')}" + (", bias along it" if equation.bias else "")
+    if moved[1] > STILL:
+        return float(moved[1])
+    direction = still if moved[0] <= STILL else line
+    raise NotExcited(
+        f"Expected orientations that move gravity over the tool in two directions, got less: {direction}. "
+        "Turn the tool about a second horizontal axis.",
+        [direction],
+        [f"gravity moves by {moved[1]:.1e} of itself"],
+    )
+
+
+def require_match(equation: Equation, load: Load, r: np.ndarray, kept: np.ndarray, moved: float) -> None:
+    """Refuse readings that do not follow gravity though it moves well.
+
+    Parameters
+    ----------
+    load : the best. r : (N, k) its residuals. kept : (N,) samples that count. moved : from `require_motion`.
+    """
+    w = equation.weights[kept][:, None]
+    f = equation.y[kept, :3]
+    f = f - (w * f).sum(axis=0) / w.sum() if equation.bias else f
+    share = float(np.sum(w * r[kept, :3] ** 2) / max(float(np.sum(w * f * f)), np.finfo(float).tiny))
+    noise = np.sqrt(np.mean(w * r[kept, :3] ** 2)) if equation.noise is not None else np.inf
+    if moved < RICH or share < UNEXPLAINED or noise < ROUGH or 2 * np.count_nonzero(kept) < 3:
+        return
+    raise NotConverged(
+        f"Expected readings that follow gravity as the tool turns, got {share:.0%} of their variation unexplained. "
+        "Check that sample i of both records is the same moment, and that the poses are those of the tool.",
+        best=load,
+        reason="mismatch",
+    )
+
+
+def require_right_hand(equation: Equation, kept: np.ndarray) -> str:
+    """Refuse sensors with a mirrored axis or a reversed sign; return a remark where that cannot be told."""
+    if equation.pull is None:
+        return ""
+    turn = Turn.of(equation, kept)
+    if turn.difference >= HAND:
+        return ""
+    if turn.difference > -HAND:
+        return (
+            f"undecided whether an axis of the sensor is mirrored or its sign reversed (Delta {turn.difference:.1f}, "
+            f"decided from {HAND:.0f}): turn the tool farther"
+        )
+    raise mirrored(equation, turn)
+
+
+def mirrored(equation: Equation, turn: Turn) -> NotConverged:
+    """Return the refusal of a left-handed sensor with the fit that would be its."""
+    pull = np.zeros(3) if equation.pull is None else equation.pull
+    gamma = turn.mirrored_m * pull
+    bias = np.mean(equation.y[:, :3] - gamma @ (equation.RA @ turn.mirrored), axis=0) * equation.bias
+    return NotConverged(
+        "Expected readings in right-handed axes with the sign that was told, got the opposite: an axis is mirrored or "
+        f"the sign is reversed (Delta {turn.difference:.3g}), and data cannot tell which. Correct the axis that the "
+        "sensor's manual turns round, or give the other sign.",
+        best=Load(turn.mirrored, gamma, bias, np.full(3, np.nan)),
+        reason="left_handed",
+    )
+
+
+def remarks(words: Words, sd: np.ndarray, squares: float | None, moved: float) -> list[str]:
+    """Return what a report says beyond the values.
+
+    Parameters
+    ----------
+    sd : of the parameters. squares : chi^2 over its degrees of freedom where noise was given. moved : by gravity.
+    """
+    equation, load = words.equation, words.load
+    lines = [f"gravity moves over the tool by {moved:.2g} of itself in its second direction"]
+    if squares is not None:
+        lines.append(f"residuals {np.sqrt(squares):.3g} times the noise that was given")
+    if equation.pull is None:
+        lines.append("gravity unknown: the sign of the sensor cannot be seen and is the one that was given")
+    if equation.torque and np.linalg.norm(load.centre) > FAR:
+        lines.append(f"centre of mass {np.linalg.norm(load.centre):.3g} m away: N mm given as N m?")
+    if sd[:3].max() > FIRST_ORDER:
+        lines.append("the rotation is known to worse than 3 degrees: deviations are first-order statements there")
+    return lines
