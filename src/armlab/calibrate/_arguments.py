@@ -93,6 +93,17 @@ def _rotations(R: np.ndarray, name: str) -> tuple[np.ndarray, str]:
     return R, note
 
 
+def gravity_of(gravity: Any) -> np.ndarray:
+    """Return gravity (3,), refusing what is none."""
+    g = numbers(gravity, "gravity", ShapeError)
+    if g.shape != (3,) or not np.isfinite(g).all() or not g.any():
+        raise ShapeError(
+            f"Expected gravity as three finite numbers in base axes, not all zero [m/s^2], got {gravity!r}. "
+            "Give (0, 0, -9.80665) for a base that stands upright."
+        )
+    return g
+
+
 def pose_noise(noise: Any, N: int, name: str = "noise") -> np.ndarray | None:
     """Return variances (6,) or covariance (6, 6) or (N, 6, 6) of poses; None for None.
 

@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab._numbers import numbers
-from armlab.calibrate._arguments import finite, orientations, point_noise
+from armlab.calibrate._arguments import finite, gravity_of, orientations, point_noise
 from armlab.calibrate._weight_equation import Equation, Load
 from armlab.calibrate._weight_fit import fit_weight
 from armlab.calibrate._weight_words import STANDARD, limits_of
-from armlab.calibrate.force_sensor import LIMITS, gravity_of
+from armlab.calibrate.force_sensor import LIMITS
 from armlab.errors import ShapeError
 from armlab.estimation import Fit
 from armlab.models import Accelerometer

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab._numbers import numbers
-from armlab.calibrate._arguments import covariance, finite, orientations
+from armlab.calibrate._arguments import covariance, finite, gravity_of, orientations
 from armlab.calibrate._weight_equation import Equation, Load
 from armlab.calibrate._weight_fit import fit_weight
 from armlab.calibrate._weight_words import STANDARD, limits_of
@@ -94,17 +94,6 @@ def fit_force_sensor(
         return ForceSensor(load.R, found, *moments, sign=sign, gravity=g)
 
     return fit_weight(equation, value, limits_of(limits), robust, [note])
-
-
-def gravity_of(gravity: Any) -> np.ndarray:
-    """Return gravity (3,), refusing what is none."""
-    g = numbers(gravity, "gravity", ShapeError)
-    if g.shape != (3,) or not np.isfinite(g).all() or not g.any():
-        raise ShapeError(
-            f"Expected gravity as three finite numbers in base axes, not all zero [m/s^2], got {gravity!r}. "
-            "Give (0, 0, -9.80665) for a base that stands upright."
-        )
-    return g
 
 
 def _readings(wrench: ArrayLike, N: int) -> np.ndarray:
