@@ -10,6 +10,9 @@ import numpy as np
 import pytest
 
 from armlab.calibrate import fit_dual_arm
+from armlab.calibrate._arm import Arm
+from armlab.calibrate._dual_problem import DualProblem, DualState
+from armlab.calibrate._kinematic_data import measured_kinds
 from armlab.errors import ConfigError, NotExcited, ShapeError
 from armlab.estimation import Fit
 from armlab.kinematics import inverse
@@ -191,3 +194,27 @@ def test_sentences(case: DualRun) -> None:
         fit_of(case, pose=case.pose, visible=np.arange(60) < 2)
     with pytest.raises(NotExcited, match=r"at least 54 numbers .* got 48"):
         fit_dual_arm(case.robot_a, case.robot_b, case.q_a[:8], case.q_b[:8], pose=case.pose[:8], noise=NOISE)
+
+
+@pytest.mark.parametrize("kind", ["pose", "position"])
+def test_derivatives_are_those_of_the_residuals(case: DualRun, kind: str) -> None:
+    """Central differences, away from the solution, with one arm measured from outside, harmonics and priors."""
+    N, rng = 5, np.random.default_rng(7)
+    measured = {"pose": case.pose[:N]} if kind == "pose" else {"position": case.pose[:N, :3, 3]}
+    kinds, _ = measured_kinds(N, measured, None, None)
+    kinds += measured_kinds(N, {"pose": case.truth_a.forward(case.q_a[:N])}, None, None)[0]
+    terms = np.zeros((N, 6, 0))
+    arms = [
+        Arm.of(robot, q[:N], (1,), terms, "local_poe")
+        for robot, q in ((case.robot_a, case.q_a), (case.robot_b, case.q_b))
+    ]
+    problem = DualProblem(arms[0], arms[1], tuple(kinds), True, False, np.zeros(0, dtype=bool), (0.1, 0.2))
+    problem = replace(problem, active=np.ones(problem.size, dtype=bool))
+    first = DualState(arms[0].first(), arms[1].first(), case.T_basea_baseb)
+    state = problem.retract(first, 0.05 * rng.standard_normal(problem.size))
+    found = problem.evaluate(state)
+    for k in range(problem.size):
+        step = 1e-6 * np.eye(problem.size)[k]
+        ends = [problem.evaluate(problem.retract(state, sign * step)) for sign in (1.0, -1.0)]
+        for here, up, down in zip(found, *ends, strict=True):
+            np.testing.assert_allclose(here.J[:, :, k], (up.r - down.r) / 2e-6, rtol=0, atol=1e-6)

@@ -1,0 +1,145 @@
+"""Kinematic calibration beside pybotics and robotkinecal: times, and errors on the same samples.
+
+robotkinecal 0.1.0 asks for NumPy below 2, which the environment of the benchmarks is not: it is measured where it is
+installed by hand (`pip install --no-deps robotkinecal==0.1.0`), and left out elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import kinematics_bars as bars
+import numpy as np
+from blocks import Contender, Table, agree, loop, once, table
+from pybotics.optimization import OptimizationHandler, optimize_accuracy
+from pybotics.robot import Robot as Pybotics
+from scipy.optimize import least_squares
+
+from armlab.calibrate import fit_dual_arm, fit_kinematics
+from armlab.lie import so3
+from armlab.sim import _cell_kinematics as cell
+
+BAR_POSE, BAR_POSITION = 5.0e-3, 5.0e-3  # s
+Forward = Callable[[np.ndarray], np.ndarray]
+
+
+def run(quick: bool) -> list[Table]:
+    """Measure 50 poses, 50 positions, outliers, many samples, two arms; then 1000 runs of every case for the errors."""
+    rounds, runs, tries = (5, 20, 1) if quick else (30, 1000, 3)
+    few = [cell.kinematic_run(k) for k in range(10)]
+    tool = [cell.kinematic_run(k, tool=True) for k in range(10)]
+    many = [cell.kinematic_run(0, n=1000, tool=True)]
+    text = f"Noise given: {1e3 * cell.NOISE[0]:.1f} mm, 0.01 degrees. {_errors(tries)}"
+    return [
+        table("Kinematic calibration", f"{text}\n\n{_bars(runs)}", "ms",
+              [_ours("fit_kinematics, 50 poses", few, BAR_POSE), _ours("the same, model=poe", few, model="poe"),
+               _ours("the same, noise estimated", few, noise=None),
+               _ours("50 positions", tool, BAR_POSITION, position=True),
+               _ours("5 of 50 poses wrong, robust", [cell.outlier_run(k, 5) for k in range(5)], robust=True),
+               _ours("harmonics 1 and 2, 100 poses", [bars.waves(k) for k in range(5)], harmonics=(1, 2)),
+               _ours("1000 positions", many, position=True),
+               Contender("armlab fit_dual_arm, 60 relative poses",
+                         loop(_dual, [cell.dual_run(k) for k in range(5)]), "armlab")], rounds),
+        table("Kinematic calibration, 50 poses", "", "ms", [_ours("fit_kinematics", few), *_kinecal(few, False)], 2),
+        table("Kinematic calibration, 50 positions", "", "ms",
+              [_ours("fit_kinematics", tool, position=True), _pybotics(tool[0]), *_kinecal(tool, True)], 2),
+    ]  # fmt: skip
+
+
+def _ours(name: str, data: list[cell.KinematicRun], bar: float | None = None, position: bool = False,
+          **options: object) -> Contender:  # fmt: skip
+    def fit(run: cell.KinematicRun) -> object:
+        return _fit(run, position, **options)
+
+    return Contender(f"armlab {name}", loop(fit, data), "armlab", bar, "value, covariance, residuals, null space")
+
+
+def _fit(run: cell.KinematicRun, position: bool, **options: object) -> object:
+    given: dict = {"noise": cell.NOISE[0] if position else cell.NOISE, **options}
+    data = {"position": run.pose[:, :3, 3]} if position else {"pose": run.pose}
+    return fit_kinematics(run.robot, run.q, **data, **given)
+
+
+def _dual(run: cell.DualRun) -> object:
+    return fit_dual_arm(run.robot_a, run.robot_b, run.q_a, run.q_b, pose=run.pose, noise=cell.NOISE)
+
+
+def _pybotics(run: cell.KinematicRun) -> Contender:
+    note = "modified table and tool by scipy, no weights, no covariance"
+    return Contender("pybotics", once(lambda: solve_pybotics(run)), note=note)
+
+
+def solve_pybotics(run: cell.KinematicRun) -> Forward:
+    """Fit its 24 parameters and the tool to positions, as its documentation does; return its forward kinematics."""
+    alpha, a = np.concatenate([[0.0], cell.ALPHA[:-1]]), np.concatenate([[0.0], cell.A[:-1]])
+    robot = Pybotics.from_parameters(np.stack([alpha, a, cell.OFFSET, cell.D], axis=1))
+    robot.tool.position = cell.TOOL
+    agree("pybotics at its start", np.array(robot.fk(run.q[0]))[:3, 3], cell.dh_arm(tool=True).forward(run.q)[0, :3, 3])
+    handler = OptimizationHandler(robot, kinematic_chain_mask=True, tool_mask=[True] * 3 + [False] * 3)
+    start = handler.generate_optimization_vector()
+    found = least_squares(optimize_accuracy, start, args=(handler, run.q, run.pose[:, :3, 3]))
+    handler.apply_optimization_vector(found.x)
+    return lambda q: np.stack([np.array(handler.robot.fk(row)) for row in q])
+
+
+def _kinecal(data: list[cell.KinematicRun], position: bool) -> list[Contender]:
+    try:
+        import robotkinecal  # noqa: F401
+    except ImportError:
+        return []
+    note = "twist in the base frame, no weights"
+    return [Contender("robotkinecal", loop(lambda run: solve_kinecal(run, position), data[:1]), note=note)]
+
+
+def solve_kinecal(run: cell.KinematicRun, position: bool) -> Forward:
+    """Fit robotkinecal's screws to poses or positions; return its forward kinematics."""
+    import roboticstoolbox as rtb
+    from robotkinecal import SerialRobotKineCal
+    from spatialmath import SE3
+
+    links, steps = [], [rtb.ET.SE3(run.robot.frames[0])]
+    for j, frame in enumerate(run.robot.frames[1:]):
+        links.append(rtb.Link(rtb.ETS([*steps, rtb.ET.Rz()]), name=f"link{j}", parent=links[-1] if links else None))
+        steps = [rtb.ET.SE3(frame)]
+    links.append(rtb.Link(rtb.ETS(steps), name="tool", parent=links[-1]))
+    arm = rtb.Robot(links)
+    peer = SerialRobotKineCal(arm, ee_name="tool")
+    seen = [T[:3, 3].reshape(3) if position else SE3(T, check=False) for T in run.pose]
+    peer.set_observations(list(run.q), seen)
+    peer.solve()
+    return lambda q: np.stack([peer.forward_kinematics(peer.N_JOINTS + 1, row).A for row in q])
+
+
+def _errors(tries: int) -> str:
+    """Return errors over validation poses of armlab and of its peers on the same samples."""
+    found: dict[str, list[tuple[float, float]]] = {}
+    for k in range(tries):
+        pose, point = cell.kinematic_run(k), cell.kinematic_run(k, tool=True)
+        ways: list[tuple[str, cell.KinematicRun, Forward]] = [
+            ("armlab, poses", pose, _fit(pose, False).value.forward),
+            ("armlab, positions", point, _fit(point, True).value.forward),
+            ("pybotics, positions", point, solve_pybotics(point)),
+        ]
+        if _kinecal([pose], False):
+            ways.append(("robotkinecal, poses", pose, solve_kinecal(pose, False)))
+            ways.append(("robotkinecal, positions", point, solve_kinecal(point, True)))
+        for name, run, forward in ways:
+            found.setdefault(name, []).append(_error(run, forward))
+    rms = {name: np.sqrt(np.mean(np.square(errors), axis=0)) for name, errors in found.items()}
+    parts = [
+        f"{name} {e[0]:.4f} mm" + ("" if "positions" in name else f" {e[1]:.5f} degrees") for name, e in rms.items()
+    ]
+    return f"Errors at validation poses over {tries} runs: {'; '.join(parts)}."
+
+
+def _error(run: cell.KinematicRun, forward: Forward) -> tuple[float, float]:
+    T = forward(run.q_valid)
+    T[:, :3, :3] = so3.project(T[:, :3, :3])[0]
+    return run.error(T)
+
+
+def _bars(runs: int) -> str:
+    rows = [bars.HEAD, "|---|---|---|---|---|---|---|", *(bar.text() for bar in bars.bars(runs))]
+    deviation = 1.0 / np.sqrt(2.0 * 30.0 * runs)
+    what = f"Errors over the Cramér-Rao bound in {runs} runs; the standard error of a ratio is about {deviation:.3f}."
+    return "\n".join([what, "", *rows])
