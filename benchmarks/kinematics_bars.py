@@ -1,8 +1,8 @@
 """Errors of kinematic calibration over the Cramér-Rao bound, by Monte Carlo with known truth.
 
 An IRB 2400 with every frame (or every number of its table) wrong; generators of `armlab.sim`. The error is that of
-validation poses that the fit has not seen, against the noise-free truth; its bound ``J_v (J^T S^-1 J)^+ J_v^T`` is taken
-at the truth. NEES: e^T C^-1 e over the rank, C the covariance that the fit states for twelve or more of these poses.
+validation poses that the fit has not seen, against the noise-free truth; its bound ``J_v (J^T S^-1 J)^+ J_v^T`` is
+taken at the truth. NEES: e^T C^-1 e over the rank, C the covariance that the fit states for twenty of these poses.
 
     python benchmarks/kinematics_bars.py 1000
 """
