@@ -185,6 +185,23 @@ def test_a_session_that_ends_ends_the_run_when_asked(play: Any) -> None:
     assert run.reason == "the motors were switched off"
 
 
+def test_a_session_that_begins_anew_at_once_ends_the_run_when_asked(play: Any) -> None:
+    """The controller's program loops: the next session begins before the silence of the last one is seen."""
+
+    def script(peer: Any) -> None:
+        peer.begin()
+        peer.cycles(20)
+        peer.cycle(converged=True)
+        peer.packets.seq, peer.packets.cycle = 0, peer.packets.cycle + 50
+        peer.send()
+        peer.over.wait(10.0)
+
+    run = play(script, sway, reconnect="stop")
+    assert "convergence" in run.reason
+    assert run.statistics["replies"] == run.statistics["packets"] - 1
+    assert play.peer.surplus() == 0  # the next session heard nothing
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_ctrl_c_stops_the_arm_first_and_completes_the_log(play: Any, tmp_path: Path, number: signal.Signals) -> None:
     path = tmp_path / "run.mcap"

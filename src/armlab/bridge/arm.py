@@ -84,7 +84,7 @@ class Arm:
         self.replies = self.overtaken = self.late = self._ticks = 0
         self.was_late = False
         self.newest: Turn | None = None
-        self._in_lockstep = settings.clock == "robot"
+        self._in_lockstep, self._resumes = settings.clock == "robot", settings.resume
         self._fusion = fusion
         self.surplus = Surplus()
         self._supervisor = Supervisor(port, session, guide, settings, recording.event)
@@ -172,7 +172,10 @@ class Arm:
         return turn
 
     def _observe(self, sample: Sample) -> Turn:
-        self.guide.observe(sample)
+        if sample.fresh and sample.session > 1 and not self._resumes:  # restarted before anyone saw the silence
+            self.guide.lose(self.session.reason, resume=False)
+        else:
+            self.guide.observe(sample)
         self._heard_ns, self._robot_ns = sample.arrival_ns, sample.packet.robot_ns
         fused = self._fusion.fields(sample.arrival_ns, self.robot, sample.packet.q)
         if self._details is not None and self._arrival is not None:
