@@ -9,6 +9,7 @@ import numpy as np
 from armlab.bridge.limits import Limits
 from armlab.bridge.port import Arrival, Port
 from armlab.bridge.rehearsal import Rehearsal
+from armlab.bridge.torque import Admittance
 from armlab.robots import Robot
 from armlab.state import Command, State
 from armlab.wire.egm import EgmCodec, Reference
@@ -36,6 +37,18 @@ def test_it_encodes_what_the_loop_would(robot: Robot, packets: Any) -> None:
     np.testing.assert_allclose(codec.encoded[-1].q, robot.q_home + 9e-4)
     rehearsal(Arrival(b"garbage", ("127.0.0.1", 5), 0), None)
     assert len(codec.encoded) == 10
+    port.close()
+
+
+def test_it_asks_no_model_of_the_user(robot: Robot, packets: Any) -> None:
+    """The model of an admittance may remember its calls, as a filter does: the rehearsal is none of them."""
+    calls = []
+    admittance = Admittance(np.ones(robot.n), lambda q, qd: np.array(calls.append(0) or np.zeros(robot.n)))
+    port = Port("127.0.0.1", 0, to_itself=True)
+    rehearsal = Rehearsal(robot, Limits.of(robot), EgmCodec(robot), port, admittance)
+    for k in range(3):
+        rehearsal(Arrival(packets(), ("127.0.0.1", 5), 4_000_000 * k), Command(tau=np.ones(robot.n)))
+    assert not calls
     port.close()
 
 

@@ -6,6 +6,7 @@ What is rehearsed is the loop's own code, from the datagram to the reply: a seco
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from armlab.bridge.arm import Arm
@@ -36,7 +37,8 @@ class Rehearsal:
     def __init__(
         self, robot: Robot, limits: Limits, codec: Codec, port: Port, admittance: Admittance | None = None
     ) -> None:
-        guide = Guide(robot, limits, capabilities=codec.capabilities, admittance=admittance)
+        softness = None if admittance is None else replace(admittance, model=None)  # the user's may remember its calls
+        guide = Guide(robot, limits, capabilities=codec.capabilities, admittance=softness)
         session, settings, nobody = Session(codec, float("inf")), Settings(patience=float("inf")), _Nobody()
         self._port, self._stage = port, _Stage()
         self._arm = Arm(robot, port, codec, session, guide, nobody, settings, 0, Fusion(()))
