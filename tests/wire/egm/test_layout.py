@@ -99,6 +99,15 @@ def test_mutations_of_what_was_learnt(yumi: Any, data: st.DataObject) -> None:
     alike(codec.decode(bytes(mutated)), parsed(codec, yumi, bytes(mutated)))
 
 
+@pytest.mark.parametrize("tag", [b"\x1a", b"\x0a\x00\x22"])
+def test_lengths_beyond_a_force_allocate_nothing(six: Any, wire: Any, tag: bytes) -> None:
+    """measuredForce is bytes for a parser: what a length inside it says, nobody has checked."""
+    length = b"\xff\xff\xff\xff\xff\xff\xff\x7f"
+    data = wire.robot(wire.joints(*range(6)), wire.m(9, tag, length))
+    assert find_places(data) is None
+    assert isinstance(EgmCodec(six).decode(data), Packet)
+
+
 def test_places(wire: Any) -> None:
     data = wire.header(300, 5) + wire.m(2, wire.m(1, wire.d(1, 1.0, 2.0))) + wire.u(6, 1)
     places = find_places(data)

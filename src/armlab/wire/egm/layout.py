@@ -62,6 +62,8 @@ class Places:
             raise ValueError
         length, at = _varint(data, at) if kind == _BYTES else ({_EIGHT_BYTES: 8, _FOUR_BYTES: 4}[kind], at)
         end = at + length
+        if end > len(data):  # of what a parser has not looked into: nothing of that size is allocated
+            raise ValueError
         is_double = field is not None and field.type == field.TYPE_DOUBLE
         if kind == _BYTES and name == "measuredForce":
             is_rw7 = is_layout_of_rw7(data[at:end])
