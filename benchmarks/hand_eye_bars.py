@@ -157,12 +157,12 @@ def led_case(name: str, runs: int, sigma: float = 0.5e-3, missing: bool = False,
     for run in range(runs):
         rng = np.random.default_rng([1500, run])
 
-        def pose(size: float, rng: np.random.Generator = rng) -> np.ndarray:
-            R = so3.project(rng.standard_normal((3, 3)))[0]
-            return se3.from_rp(R, size * rng.standard_normal(3))
+        def pose(count: int, size: float, rng: np.random.Generator = rng) -> np.ndarray:
+            n = rng.standard_normal((count, 12))  # per pose nine numbers, then three
+            return se3.from_rp(so3.project(n[:, :9].reshape(-1, 3, 3))[0], size * n[:, 9:])
 
-        A = np.stack([pose(0.5) for _ in range(100)])
-        Y, X = pose(1.0), pose(0.1)
+        A = pose(100, 0.5)
+        Y, X = pose(1, 1.0)[0], pose(1, 0.1)[0]
         T = se3.inv(Y) @ A @ X
         clean = np.einsum("nij,kj->nki", T[:, :3, :3], LEDS) + T[:, None, :3, 3]
         p = clean + sigma * rng.standard_normal(clean.shape)

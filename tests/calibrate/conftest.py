@@ -105,12 +105,12 @@ class MarkerData:
     def draw(self, seed: Any, N: int = 100, sigma: float = 0.5e-3) -> Sights:
         rng = np.random.default_rng(seed)
 
-        def pose(size: float) -> np.ndarray:
-            R = so3.project(rng.standard_normal((3, 3)))[0]
-            return se3.from_rp(R, size * rng.standard_normal(3))
+        def poses(count: int, size: float) -> np.ndarray:
+            n = rng.standard_normal((count, 12))  # per pose nine numbers, then three
+            return se3.from_rp(so3.project(n[:, :9].reshape(-1, 3, 3))[0], size * n[:, 9:])
 
-        A = np.stack([pose(0.5) for _ in range(N)])
-        Y, X = pose(1.0), pose(0.1)
+        A = poses(N, 0.5)
+        Y, X = poses(1, 1.0)[0], poses(1, 0.1)[0]
         T = se3.inv(Y) @ A @ X
         p = np.einsum("nij,kj->nki", T[:, :3, :3], self.marker) + T[:, None, :3, 3]
         p = p + sigma * rng.standard_normal((N, 3, 3))

@@ -257,7 +257,7 @@ def test_the_statistical_contract_in_short(hand_eye) -> None:
     assert found.passed, found.text()
 
 
-@pytest.mark.slow  # 8 s
+@pytest.mark.slow  # 3 s each
 @pytest.mark.parametrize(("robot", "tilt"), [(None, None), (ROBOT, None), (None, np.radians(30.0))],
                          ids=["uniform", "noise of the robot", "tilt 30 degrees"])  # fmt: skip
 def test_the_statistical_contract(hand_eye, robot, tilt) -> None:

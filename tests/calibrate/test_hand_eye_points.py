@@ -177,7 +177,7 @@ def contract(leds, runs: int, known: bool = True, missing: bool = False):
         return {**data, "p_cam": p, "robust": True}, bad
 
     return check_estimator(
-        fit_hand_eye_points, experiment_of(leds, known, missing), runs, n=100, error=error, gauges=gauges,
+        fit_hand_eye_points, experiment_of(leds, known, missing), runs, n=40, error=error, gauges=gauges,
         refusals=refusals(leds, known), spoil=spoil,
         skip={"clean": "NaN is allowed where visible says so"} if missing else None,
     )  # fmt: skip
@@ -211,7 +211,7 @@ def test_the_statistical_contract_in_short(leds) -> None:
     assert found.passed, found.text()
 
 
-@pytest.mark.slow  # 15 s each
+@pytest.mark.slow  # 5 s each
 @pytest.mark.parametrize(("known", "missing"), [(True, False), (True, True), (False, False)],
                          ids=["known marker", "20 % missing", "unknown marker"])  # fmt: skip
 def test_the_statistical_contract(leds, known, missing) -> None:
