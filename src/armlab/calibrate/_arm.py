@@ -7,6 +7,7 @@ The frames are those of `robots.Robot`, whose joint axes are z: ``T = E_0 Z_1 E_
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from armlab.models.kinematic_correction import harmonic_basis
 from armlab.robots import Robot
 
 GAUGE = {False: (2, 5), True: (0, 1, 2, 5)}  # components of [v; w] that commute with Rz, with Tz
-SMALLEST_ROUNDS, SMALLEST_STEP = 20, 1e-13
+SMALLEST_ROUNDS, SMALLEST_STEP = 20, 1e-12
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 
 
@@ -65,17 +66,17 @@ class Arm:
         """Return the arm at its nominal frames."""
         return cls(robot, np.array(robot.frames), q, harmonic_basis(q, orders), terms, orders, chart)
 
-    @property
+    @cached_property
     def n(self) -> int:
         """Number of joints."""
         return self.robot.n
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Number of unknowns, gauge included."""
         return 6 * (self.n + 1) + self.waves[0].size + self.terms.shape[2]
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Name of every unknown."""
         places = ["base", *(f"link {j}" for j in range(1, self.n)), "tool"]
@@ -84,7 +85,7 @@ class Arm:
         joints = [f"joint {j + 1} {wave}" for j in range(self.n) for wave in waves]
         return (*frames, *joints, *(f"joint term {i + 1}" for i in range(self.terms.shape[2])))
 
-    @property
+    @cached_property
     def units(self) -> tuple[str, ...]:
         """Unit of every unknown; that of a joint term is rad (or m) per unit of the term."""
         twists = (*("m",) * 3, *("rad",) * 3) * (self.n + 1)
@@ -98,7 +99,7 @@ class Arm:
             [twists, np.full(self.waves[0].size, angle), angle / np.where(rms > 0, rms, 1.0)],
         )
 
-    @property
+    @cached_property
     def unbound(self) -> np.ndarray:
         """Mask (d,) of unknowns that remain when the gauge is left out: every frame but along the axis after it."""
         kept = np.ones(self.size, dtype=bool)
@@ -106,7 +107,7 @@ class Arm:
             kept[[6 * j + k for k in GAUGE[bool(slides)]]] = False
         return kept & self.existing
 
-    @property
+    @cached_property
     def existing(self) -> np.ndarray:
         """Mask (d,) without the harmonics of joints that slide."""
         kept = np.ones(self.size, dtype=bool)
@@ -152,17 +153,24 @@ class Arm:
 
     def gauge(self, frames: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
         """Return directions (d, g) that nothing sees at these frames, and their names."""
-        columns, names = [], []
-        back = se3.adjoint_inv(frames[1:])
+        joints, parts, names = self.moving
+        back, count = se3.adjoint_inv(frames[1:]), np.arange(len(joints))
+        G = np.zeros((self.size, len(joints)))
+        G[6 * joints + parts, count] = 1.0
+        G[6 * (joints + 1)[:, None] + np.arange(6), count[:, None]] = -back[joints, :, parts]
+        return G, names
+
+    @cached_property
+    def moving(self) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+        """Joint and component (g,) of each twist that goes through a joint, and its name."""
+        joints, parts, names = [], [], []
         for j, slides in enumerate(self.robot.prismatic):
             for k in GAUGE[bool(slides)]:
-                column = np.zeros(self.size)
-                column[6 * j + k] = 1.0
-                column[6 * (j + 1) : 6 * (j + 2)] = -back[j, :, k]
-                columns.append(column)
                 verb = "turn about" if k == 5 else "slide along" if k == 2 else f"shift {'xy'[k]} of"
+                joints.append(j)
+                parts.append(k)
                 names.append(f"{verb} the axis of joint {j + 1}")
-        return np.stack(columns, axis=1), tuple(names)
+        return np.array(joints), np.array(parts), tuple(names)
 
     def corrections(self, frames: np.ndarray) -> np.ndarray:
         """Return the twists (n+1, 6) that lead from the start to the frames."""
@@ -177,8 +185,7 @@ class Arm:
             tool that nothing sees either.
         """
         frames, whole = np.array(frames), np.eye(4)
-        parts = [GAUGE[bool(slides)] for slides in self.robot.prismatic]
-        rows, columns = [j for j, part in enumerate(parts) for _ in part], [k for part in parts for k in part]
+        rows, columns, _ = self.moving
         for _ in range(SMALLEST_ROUNDS):
             foot, end = np.zeros((6 * len(frames), base.shape[1])), np.zeros((6 * len(frames), tool.shape[1]))
             foot[:6], end[-6:] = se3.adjoint_inv(frames[0]) @ base, tool

@@ -91,7 +91,8 @@ class Question(ABC, Generic[S]):
             return
         G, _ = problem.gauge(start, used)
         needed = int(np.count_nonzero(used)) - int(np.linalg.matrix_rank(G[used]))
-        needed -= sum(never_moves(suspect, problem, start, used) for suspect in self.nature(start))
+        data = problem.measurements(start, local=True)
+        needed -= sum(never_moves(suspect, data, used) for suspect in self.nature(start))
         needed -= problem.waves  # their prior is enough
         needed += any(kind.cov is None for kind in problem.kinds)
         if got < needed:
@@ -150,12 +151,12 @@ def _inside(suspects: Sequence[Suspect], used: np.ndarray) -> list[Suspect]:
     return [one for one in found if np.abs(one.directions).max(initial=0.0) > 0]
 
 
-def never_moves(suspect: Suspect, problem: Residuals[Any], state: Any, used: np.ndarray) -> bool:
-    """Tell whether a direction of the used unknowns is one that these kinds never see."""
+def never_moves(suspect: Suspect, data: Sequence[Measurement], used: np.ndarray) -> bool:
+    """Tell whether a direction of the used unknowns moves nothing that was measured."""
     v = suspect.directions[:, 0] * used
     if not v.any():
         return False
-    return all(np.abs(one.J @ v).max(initial=0.0) < 1e-9 for one in problem.measurements(state, local=True))
+    return all(np.abs(one.J @ v).max(initial=0.0) < 1e-9 for one in data)
 
 
 def _whitened(data: Sequence[Measurement], sigma: dict[str, float], outside: np.ndarray) -> Iterator[np.ndarray]:

@@ -69,7 +69,8 @@ class ArmQuestion(Question[State]):
         """Return the state, of those that no measurement tells from it, that is nearest to the start."""
         problem, foot, tool = self.problem, [], []
         if not any(kind.name == "pose" and len(kind.kept) == 6 for kind in problem.kinds):
-            unseen = [never_moves(suspect, problem, state, self.used) for suspect in self.nature(state)]
+            data = problem.measurements(state, local=True)
+            unseen = [never_moves(suspect, data, self.used) for suspect in self.nature(state)]
             foot, tool = unseen[:6], [False] * 3 + unseen[6:9] * (not problem.points)
         base, end = (np.eye(6)[:, np.flatnonzero(unseen)] for unseen in (foot, tool))
         frames, move = problem.arm.smallest(state.arm.frames, base, end)

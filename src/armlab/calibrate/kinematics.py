@@ -144,8 +144,10 @@ def _anchor(anchor: ArrayLike | None, needed: bool) -> np.ndarray:
 
 def _check_lengths(problem: KinematicProblem, start: State) -> None:
     """Refuse distances in millimetres."""
-    nominal = [one for one in problem.measurements(start) if one.classes[0] in ("distance [m]", "pair distance [m]")]
     lengths = [kind for kind in problem.kinds if "distance" in kind.name]
+    if not lengths:
+        return
+    nominal = [one for one in problem.measurements(start) if one.classes[0] in ("distance [m]", "pair distance [m]")]
     for kind, one in zip(lengths, nominal):
         measured = kind.values[kind.visible]
         if len(measured):
