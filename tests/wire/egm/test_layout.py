@@ -108,6 +108,19 @@ def test_lengths_beyond_a_force_allocate_nothing(six: Any, wire: Any, tag: bytes
     assert isinstance(EgmCodec(six).decode(data), Packet)
 
 
+@pytest.mark.parametrize("missing", range(7))
+def test_a_pose_that_lacks_a_number_reads_as_parsed(six: Any, wire: Any, missing: int) -> None:
+    """Learnt from a packet whose quaternion is unusable, so that its pose is NaN wherever its numbers lie."""
+    codec = EgmCodec(six)
+    for first in (np.nan, 1.0):
+        numbers = [1.0, 2.0, 3.0, first, first, first, first]
+        parts = [wire.d(k + 1 if k < 3 else k - 2, x) for k, x in enumerate(numbers)]
+        parts[missing] = b""
+        pose = wire.m(2, wire.m(1, *parts[:3]), wire.m(2, *parts[3:]))
+        data = wire.header(5, 7) + wire.m(2, wire.m(1, wire.joints(*range(6))), pose)
+        alike(codec.decode(data), parsed(codec, six, data))
+
+
 def test_places(wire: Any) -> None:
     data = wire.header(300, 5) + wire.m(2, wire.m(1, wire.d(1, 1.0, 2.0))) + wire.u(6, 1)
     places = find_places(data)

@@ -83,7 +83,7 @@ class Numbers(NamedTuple):
         return cls(
             *(tuple(doubles.get(name, ())) for name in names),
             utilization=doubles.get("utilizationRate", ())[-1:],
-            pose=[offset[0] for offset in pose] if all(pose) else (),
+            pose=[offset[0] if offset else -1 for offset in pose],
         )
 
 
@@ -118,7 +118,7 @@ class Shape:
         robotware: str,
         rapid_digital: bool,
     ) -> None:
-        self._axes, self._is_kinematic = axes, is_kinematic
+        self._axes, self._is_kinematic, self._has_pose = axes, is_kinematic, bool(numbers.pose)
         axes.joints(numbers.joints, numbers.external)
         n, external, data = axes.n, len(numbers.external) - axes.tail, len(numbers.data)
         has_qd = axes.array(numbers.velocities, is_kinematic) is not None
@@ -182,5 +182,5 @@ class Shape:
             *numbers.external[axes.tail :],
             *numbers.data,
             *(numbers.utilization or (absent,)),
-            *(numbers.pose or [absent] * 7),
+            *(numbers.pose if self._has_pose else [absent] * 7),
         ]  # pyright: ignore[reportReturnType] - offsets when absent is an offset
