@@ -167,3 +167,67 @@ class ForceData(HandEyeData):
 @pytest.fixture(scope="session")
 def weights() -> ForceData:
     return ForceData()
+
+
+@dataclass(frozen=True, eq=False)
+class Scanned:
+    """Scans of plates, with the truth behind them."""
+
+    A: np.ndarray
+    scans: np.ndarray
+    plane: np.ndarray
+    X: np.ndarray
+    n: np.ndarray
+    d: np.ndarray
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """Arguments of the fit."""
+        return {"T_base_tool": self.A, "scans": self.scans, "plane": self.plane}
+
+
+class LaserData:
+    """Generator L1, with many draws at once: plates e_j.x = 1, scans that hit them within 0.2 m."""
+
+    sigma = 0.5e-3
+    angle = 0.5e-3 * np.sqrt(12.0) / 0.2
+
+    def turns(self, angles: np.ndarray) -> np.ndarray:
+        """Rz(r) Ry(p) Rx(y)."""
+        r, p, y = (so3.exp(angles[..., i, None] * np.eye(3)[2 - i]) for i in range(3))
+        return r @ p @ y
+
+    def draw(self, seed: Any, N: int = 60, size: float = 1.0, plates: int = 3) -> Scanned:
+        rng = np.random.default_rng(seed)
+        X = se3.from_rp(self.turns(rng.standard_normal(3)), 0.5 * rng.standard_normal(3))
+        poses, scans, plane = [], [], np.arange(N) % plates
+        for j in range(plates):
+            need = int(np.sum(plane == j))
+            while need:
+                A, scan = self.hits(rng, X, j)
+                poses.append((A[:need], np.flatnonzero(plane == j)[-need:][: len(A)]))
+                scans.append(scan[:need])
+                need -= len(A[:need])
+        order = np.argsort(np.concatenate([at for _, at in poses]))
+        A, scan = np.concatenate([T for T, _ in poses])[order], np.concatenate(scans)[order]
+        turn = size * self.angle * rng.standard_normal(N)
+        p = scan[:, :2] + size * self.sigma * rng.standard_normal((N, 2))
+        c, s = np.cos(turn), np.sin(turn)
+        line = np.column_stack([c * scan[:, 2] - s * scan[:, 3], s * scan[:, 2] + c * scan[:, 3]])
+        return Scanned(A, np.hstack([p, line]), plane, X, np.eye(3)[:plates], np.ones(plates))
+
+    def hits(self, rng: np.random.Generator, X: np.ndarray, j: int) -> tuple[np.ndarray, np.ndarray]:
+        e = np.eye(3)[j]
+        A = se3.from_rp(self.turns(1.5 * rng.standard_normal((1500, 3))), 0.6 * rng.standard_normal((1500, 3)) + 2 * e)
+        S = A @ X
+        line = np.cross(e, S[:, :3, 2])
+        line /= np.linalg.norm(line, axis=1, keepdims=True)
+        local = np.einsum("nij,ni->nj", S[:, :3, :3], line)
+        reach = (1.0 - S[:, j, 3]) / S[:, j, 1]
+        good = (reach >= 0) & (reach <= 0.2) & (local[:, 1] >= -0.5)
+        return A[good], np.column_stack([np.zeros(good.sum()), reach[good], local[good, :2]])
+
+
+@pytest.fixture(scope="session")
+def laser() -> LaserData:
+    return LaserData()

@@ -6,6 +6,7 @@ from armlab.calibrate.force_sensor import fit_force_sensor
 from armlab.calibrate.hand_eye import fit_hand_eye
 from armlab.calibrate.hand_eye_points import fit_hand_eye_points
 from armlab.calibrate.kinematics import fit_kinematics
+from armlab.calibrate.laser_plane import fit_laser_plane
 
 __all__ = [
     "fit_accelerometer",
@@ -14,4 +15,5 @@ __all__ = [
     "fit_hand_eye",
     "fit_hand_eye_points",
     "fit_kinematics",
+    "fit_laser_plane",
 ]

@@ -7,6 +7,7 @@ from armlab.models.force_sensor import ForceSensor
 from armlab.models.friction import Friction, FrictionBound, Ripple
 from armlab.models.hand_eye import HandEye
 from armlab.models.kinematic_correction import DualArmCorrection, KinematicCorrection, harmonic_basis
+from armlab.models.laser_sensor import LaserSensor
 from armlab.models.momentum import FORCE_RATES, PRIOR, MomentumNoise
 from armlab.models.payload import Payload
 from armlab.models.quality import Quality
@@ -32,6 +33,7 @@ __all__ = [
     "FrictionMap",
     "HandEye",
     "KinematicCorrection",
+    "LaserSensor",
     "MomentumNoise",
     "Payload",
     "Quality",
@@ -66,3 +68,4 @@ register("mesh", Mesh)
 register("kinematic_correction", KinematicCorrection)
 register("dual_arm_correction", DualArmCorrection)
 register("accelerometer", Accelerometer)
+register("laser_sensor", LaserSensor)

@@ -1,0 +1,172 @@
+"""Force sensors and accelerometers: error over the Cramér-Rao bound, hands, outliers, honesty, time.
+
+Cases F1 to F6 of the specification: 100 orientations, uniform or tilted by at most 30 degrees, 1 kg. The bounds are
+those at the true values. Offsets are compared as o = -R b, tool axes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from blocks import Contender, Table, loop, table
+
+from armlab.calibrate import fit_accelerometer, fit_force_sensor
+from armlab.errors import NotConverged
+from armlab.lie import quaternion, so3
+
+G = np.array([0.0, 0.0, -9.82])
+BAR, TILT = 1.05, np.radians(30.0)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A case: seed, noise of force and torque, what is drawn, share of contacts [%]."""
+
+    name: str
+    seed: int
+    sigma: float
+    tilt: bool = False
+    torque: float | None = None
+    unknown: bool = False
+    bias: bool = True
+    contacts: int = 0
+    accelerometer: bool = False
+
+    @property
+    def N(self) -> int:
+        """Number of samples."""
+        return 50 if self.accelerometer else 100
+
+
+CASES = (
+    Case("F1, 0.1 N", 3000, 0.1),
+    Case("F1, 1 N", 3000, 1.0),
+    Case("F2, 0.1 N", 3000, 0.1, tilt=True),
+    Case("F2, 1 N", 3000, 1.0, tilt=True),
+    *(Case(f"F3, {k} %{', tilt' * t}", 3400, 0.1, bool(t), contacts=k) for t in (0, 1) for k in (5, 10, 30)),
+    Case("F4, 0.1 N, 5 mN m", 3300, 0.1, torque=0.005),
+    Case("F4, 1 N, 10 mN m", 3300, 1.0, torque=0.01),
+    Case("F5, no bias, 1 N", 3100, 1.0, unknown=True, bias=False),
+    Case("F5, bias, 0.1 N", 3200, 0.1, unknown=True),
+    Case("F5, tilt, 0.1 N", 3200, 0.1, tilt=True, unknown=True),
+    Case("F5, tilt, 1 N (report only)", 3200, 1.0, tilt=True, unknown=True),
+    Case("F6, accelerometer", 3500, 0.02, accelerometer=True),
+)
+
+
+def run(quick: bool) -> list[Table]:
+    """Judge every case on many runs, then time fits of one experiment."""
+    runs = 100 if quick else 1000
+    lines = [f"{runs} runs each; error over the bound per part, bar {BAR}; NEES over its dimension; refused as mirrored."]
+    lines += [_judged(case, runs) for case in CASES]
+    contenders = []
+    for case, bar in ((CASES[0], 1e-4), (CASES[5], None), (CASES[10], None), (CASES[13], None)):
+        data = [_draw(case, i)[0] for i in range(20)]
+        fit = loop(lambda one, case=case: _fit(case, one), data)
+        contenders.append(Contender(f"armlab {case.name}", fit, "armlab", bar))
+    clouds = [(G @ one["T_base_tool"], one["wrench"]) for one in (_draw(CASES[0], i)[0] for i in range(20))]
+    contenders.append(Contender("the decomposition alone", loop(_decomposition, clouds), "limit"))
+    return [table("Force sensors by gravity", "\n\n".join(lines), "us", contenders, 3 if quick else 20)]
+
+
+def _decomposition(cloud: tuple[np.ndarray, np.ndarray]) -> Any:
+    h, f = (part - part.mean(axis=0) for part in cloud)
+    return np.linalg.svd(h.T @ f)
+
+
+def _rotations(rng: np.random.Generator, count: int) -> np.ndarray:
+    q = rng.standard_normal((count, 4))
+    return quaternion.to_matrix(q / np.linalg.norm(q, axis=1, keepdims=True))
+
+
+def _draw(case: Case, run: int) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any], np.ndarray]:
+    """Return arguments, the same with exact readings, truth, and which samples had contact."""
+    rng = np.random.default_rng([case.seed, run])
+    N, none = case.N, np.zeros(0)
+    R = _rotations(rng, 1)[0]
+    gamma, g = G, G
+    if case.unknown:
+        gamma = rng.standard_normal(3)
+        gamma *= 9.82 / np.linalg.norm(gamma)
+    o = rng.standard_normal(3) if case.bias else np.zeros(3)
+    if case.accelerometer:
+        g = np.array([0.0, 0.0, -9.80665])
+        gamma, o = -g, -0.2 * R @ o
+    RA = _rotations(rng, N)
+    if case.tilt:
+        axes = rng.standard_normal((N, 3))
+        axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+        middle = _rotations(rng, 1)[0]
+        RA = middle @ so3.exp(axes * rng.uniform(0.0, TILT, N)[:, None])
+    r, o_tau = 0.1 * rng.standard_normal((2, 3)) if case.torque is not None else (none, none)
+    u = gamma @ RA @ R
+    exact = u - o @ R
+    y = exact + case.sigma * rng.standard_normal((N, 3))
+    touched = np.arange(N) < case.contacts
+    y[touched] += 20.0 * _rotations(rng, N)[touched, 0]
+    if case.torque is not None:
+        torque = np.cross(r, u) - o_tau
+        exact = np.hstack([exact, torque])
+        y = np.hstack([y, torque + case.torque * rng.standard_normal((N, 3))])
+    noise = case.sigma if case.torque is None else (case.sigma, case.torque)
+    data: dict[str, Any] = {"T_base_tool": RA, "wrench": y, "gravity": g, "noise": noise}
+    if case.unknown:
+        data |= {"gravity": "unknown", "bias": case.bias}
+    truth = {"R": R, "b": -o @ R, "gamma": gamma, "r": r, "b_tau": -o_tau}
+    clean = {name: value[~touched] if name == "T_base_tool" else value for name, value in data.items()}
+    return data | {"robust": case.contacts > 0}, clean | {"wrench": exact[~touched]}, truth, touched
+
+
+def _fit(case: Case, data: dict[str, Any]) -> Any:
+    if not case.accelerometer:
+        return fit_force_sensor(**data)
+    names = {"T_base_tool": "T_base_tool", "wrench": "acc", "gravity": "gravity", "noise": "noise"}
+    return fit_accelerometer(**{new: data[old] for old, new in names.items()})
+
+
+def _error(case: Case, fit: Any, truth: dict[str, Any]) -> tuple[dict[str, slice], np.ndarray]:
+    """Return where the parts are and the error in the coordinates of the covariance."""
+    value = fit.value
+    parts = {"rotation": so3.log(truth["R"].T @ value.R_tool_sensor)}
+    if case.unknown:
+        parts["weight"] = value.mass * value.gravity - truth["gamma"]
+    elif not case.accelerometer:
+        parts["mass"] = np.array([value.mass - 1.0])
+    if case.bias:
+        parts["offset"] = value.bias[:3] - truth["b"]
+    if case.torque is not None:
+        parts |= {"centre": value.centre - truth["r"], "offset of torque": value.bias[3:] - truth["b_tau"]}
+    ends = np.cumsum([0, *(len(part) for part in parts.values())])
+    places = {name: slice(int(a), int(b)) for name, a, b in zip(parts, ends[:-1], ends[1:])}
+    return places, np.concatenate(list(parts.values()))
+
+
+def _judged(case: Case, runs: int) -> str:
+    errors: dict[str, float] = {}
+    bounds: dict[str, float] = {}
+    nees, refused, missed, false = [], 0, 0, 0
+    for run in range(runs):
+        data, clean, truth, touched = _draw(case, run)
+        try:
+            fit = _fit(case, data)
+        except NotConverged:
+            refused += 1
+            continue
+        C = _fit(case, clean).cov
+        places, e = _error(case, fit, truth)
+        nees.append(e @ np.linalg.solve(fit.cov, e) / len(e))
+        if "offset" in places:  # o = -R b turns with R
+            T = np.eye(len(e))
+            T[places["offset"], places["rotation"]] = -so3.hat(truth["b"])
+            e, C = T @ e, T @ C @ T.T
+        for name, at in places.items():
+            errors[name] = errors.get(name, 0.0) + float(e[at] @ e[at])
+            bounds[name] = bounds.get(name, 0.0) + float(np.trace(C[at, at]))
+        if case.contacts:
+            missed += int(np.sum(touched & ~fit.outliers))
+            false += int(np.sum(~touched & fit.outliers))
+    ratios = ", ".join(f"{name} {np.sqrt(errors[name] / bounds[name]):.3f}" for name in errors)
+    flags = f"; {missed} contacts missed, {100.0 * false / (runs * case.N):.2f} % false" if case.contacts else ""
+    return f"{case.name}: {ratios}; NEES {np.mean(nees):.3f}; {refused} refused{flags}."
