@@ -59,7 +59,9 @@ CASES = (
 def run(quick: bool) -> list[Table]:
     """Judge every case on many runs, then time fits of one experiment."""
     runs = 100 if quick else 1000
-    lines = [f"{runs} runs each; error over the bound per part, bar {BAR}; NEES over its dimension; refused as mirrored."]
+    lines = [
+        f"{runs} runs each; error over the bound per part, bar {BAR}; NEES over its dimension; refused as mirrored."
+    ]
     lines += [_judged(case, runs) for case in CASES]
     contenders = []
     for case, bar in ((CASES[0], 1e-4), (CASES[5], None), (CASES[10], None), (CASES[13], None)):

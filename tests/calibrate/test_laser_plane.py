@@ -10,7 +10,7 @@ import pytest
 from armlab import models
 from armlab.calibrate import fit_laser_plane
 from armlab.calibrate._laser_equation import Scans, Scene, tangents
-from armlab.errors import ArmlabError, NotConverged, NotExcited, ShapeError
+from armlab.errors import ArmlabError, NotConverged, ShapeError
 from armlab.estimation import Experiment, Fit, Gauge, check_estimator
 from armlab.lie import se3, so3
 
@@ -190,6 +190,7 @@ def contract(laser, runs: int):
         bad[rng.choice(60, 3, replace=False)] = True
         scans = data["scans"].copy()
         scans[bad, 1] += 0.02
+        scans[bad, 2:] = scans[bad, 2:] @ so3.exp([0.0, 0.0, np.radians(-10.0)])[:2, :2]
         return {**data, "scans": scans, "robust": True}, bad
 
     about_z = laser.draw(12)
@@ -222,8 +223,13 @@ def test_what_does_not_belong_together_is_refused(laser) -> None:
     short = data.scans * [1000.0, 1000.0, 1.0, 1.0]
     with pytest.raises(NotConverged, match=r"times 0\.001 would fit: perhaps millimetres"):
         fit_laser_plane(data.A, short, data.plane, noise=NOISE)
+
+
+@pytest.mark.slow  # 10 s: everything is tried
+def test_wrong_labels_are_refused(laser) -> None:
+    data = laser.draw(13)
     with pytest.raises(ArmlabError):
-        fit_laser_plane(data.A, data.scans, np.roll(data.plane, 1), noise=NOISE)
+        fit_laser_plane(data.A, data.scans, np.random.default_rng(0).permutation(data.plane), noise=NOISE)
 
 
 def test_bad_input_is_refused_by_name(laser) -> None:

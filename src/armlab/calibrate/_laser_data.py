@@ -55,7 +55,9 @@ def _lines(scans: Any, N: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | Non
         )
     short = np.array([i for i, one in enumerate(profiles) if len(one) < 2 or not np.ptp(one, axis=0).any()], dtype=int)
     if len(short):
-        raise ShapeError(f"Expected profiles of two points or more, got fewer in rows {rows_text(short)}. Leave them out.")
+        raise ShapeError(
+            f"Expected profiles of two points or more, got fewer in rows {rows_text(short)}. Leave them out."
+        )
     p = np.array([one.mean(axis=0) for one in profiles])
     shapes = [np.linalg.svd(one - middle, full_matrices=False) for one, middle in zip(profiles, p)]
     fat = np.array([i for i, (_, s, _) in enumerate(shapes) if s[1] > FAT * s[0]], dtype=int)

@@ -14,6 +14,7 @@ from armlab.errors import NotConverged, NotExcited, ShapeError
 
 FLAT = 0.05  # sine of the angle between plate and laser plane below which a scan is not one
 UNITS = 2.0  # factor between units of length from which it is told
+FAR = 20.0  # factor from which nothing is tried
 ROUGH = 0.1  # residual over the spread of the points from which scans do not fit
 
 
@@ -101,12 +102,25 @@ def require_slant(scans: Scans, scene: Scene) -> None:
         )
 
 
+def require_units(scans: Scans, ratio: float) -> None:
+    """Refuse scans and poses in units of length that are far apart, before a search for what cannot be found."""
+    size = _unit(scans, ratio)
+    if not 1.0 / FAR < size < FAR:
+        raise misfit(scans, ratio, None, f"lengths that are {size:.2g} of those of the poses")
+
+
+def _unit(scans: Scans, ratio: float) -> float:
+    """Return the unit of the poses over that of the scans, 1 where plates do not agree on it."""
+    sizes = [linear_rotations(scans, j, ratio)[1] for j in range(scans.P)]
+    agreed = np.ptp(np.log(np.maximum(sizes, 1e-300))) < np.log(UNITS)
+    return float(np.median(sizes)) if agreed else 1.0
+
+
 def misfit(scans: Scans, ratio: float, best: Scene | None, text: str) -> NotConverged:
     """Return the refusal of scans that no start fits, with the cause where it can be told."""
+    size = _unit(scans, ratio)
     cause = "Check the labels of the plates and that scan i and pose i are of the same moment, or look for wrong scans "
     cause += "with robust=True."
-    sizes = [linear_rotations(scans, j, ratio)[1] for j in range(scans.P)]
-    size = float(np.median(sizes))
-    if not 1.0 / UNITS < size < UNITS and np.ptp(np.log(np.maximum(sizes, 1e-300))) < np.log(UNITS):
-        cause = f"Lengths of the scans times {size:.3g} would fit: perhaps millimetres were given as metres."
+    if not 1.0 / UNITS < size < UNITS:
+        cause = f"Lengths of the scans times {size:.2g} would fit: perhaps millimetres were given as metres."
     return NotConverged(f"Expected scans of flat plates by one sensor, got {text}. {cause}", best=best, reason="misfit")

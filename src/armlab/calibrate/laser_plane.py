@@ -20,7 +20,7 @@ from armlab.calibrate._hand_eye_words import limits_of
 from armlab.calibrate._laser_data import scans_of
 from armlab.calibrate._laser_equation import Scans, Scene
 from armlab.calibrate._laser_start import scene_of, starts
-from armlab.calibrate._laser_words import ROUGH, Words, misfit, require_motion, require_slant
+from armlab.calibrate._laser_words import ROUGH, Words, misfit, require_motion, require_slant, require_units
 from armlab.errors import NotConverged, NotExcited, ShapeError
 from armlab.estimation import Fit, NonlinearSolution, check_spread, nonlinear_least_squares
 from armlab.lie import se3, so3
@@ -32,6 +32,8 @@ LIMITS = (0.2, 0.2)
 SCHEDULE = (100.0, 30.0, 10.0, 5.0)
 USUAL = (0.5e-3, 9e-3)  # noise of a search where none is given [m, rad]
 REFUSED = 1e-4  # probability of a chi^2 as large as that of a fit that is not taken
+CUBE = 24  # starts after which no others are tried where noise is not given
+CLEAR = 2e-3  # residual over the spread of the points from which other starts are not tried
 MANY = 0.35  # share of outliers from which another start is tried
 CLASSES = {"p": "point [m]", "l": "line [rad]"}
 
@@ -86,7 +88,9 @@ def fit_laser_plane(
     lines = [note, *(f"plane {a}: n {np.round(n, 6)}, d {d:.6g} m" for a, n, d in zip(planes, scene.n, scene.d))]
 
     def summary(fit: Fit[LaserSensor]) -> str:
-        chi2 = "" if data.noise is None else f"residuals {np.sqrt(2.0 * found.cost / found.freedom):.3g} times the noise"
+        chi2 = (
+            "" if data.noise is None else f"residuals {np.sqrt(2.0 * found.cost / found.freedom):.3g} times the noise"
+        )
         return "\n".join(line for line in [fit.table(), *lines, chi2] if line)
 
     tilts = np.column_stack([np.zeros((len(planes), 2)), scene.d]).ravel()
@@ -105,6 +109,7 @@ def _best(scans: Scans, guess: np.ndarray | None, robust: bool) -> NonlinearSolu
     nominal = scans if scans.noise is not None else replace(scans, noise=np.square(USUAL[:count]))
     assumed = np.sqrt(np.asarray(nominal.noise))
     ratio = _ratio(scans, float(assumed[0]), float(assumed[-1]))
+    require_units(scans, ratio)
     best: NonlinearSolution[Scene] | None = None
     for group in _groups(scans, guess, ratio):
         for scene in group:
@@ -115,7 +120,7 @@ def _best(scans: Scans, guess: np.ndarray | None, robust: bool) -> NonlinearSolu
                 return _finished(scans, found, robust)
             if best is None or _rank(found) < _rank(best):
                 best = found
-        if scans.noise is None and best is not None and len(group) >= 24:
+        if best is not None and (_is_clear(scans, best) or (scans.noise is None and len(group) >= CUBE)):
             break
     if best is None or scans.noise is not None:
         text = "none that converge"
@@ -167,6 +172,13 @@ def _agrees(found: NonlinearSolution[Any]) -> bool:
 
     free = found.freedom
     return (free == 0 or 2.0 * found.cost < chdtri(free, REFUSED)) and np.mean(found.outliers) <= MANY
+
+
+def _is_clear(scans: Scans, found: NonlinearSolution[Scene]) -> bool:
+    """Return whether what is left is small beside the scene, which no wrong minimum has."""
+    (one,) = scans.evaluate(found.value)
+    left = float(np.sqrt(np.median(one.r[:, 0] ** 2)))
+    return left < CLEAR * Words(scans, found.value, (), LIMITS).spread and np.mean(found.outliers) <= MANY
 
 
 def _rank(found: NonlinearSolution[Any]) -> tuple[int, float]:
