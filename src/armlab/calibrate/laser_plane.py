@@ -33,7 +33,7 @@ SCHEDULE = (100.0, 30.0, 10.0, 5.0)
 USUAL = (0.5e-3, 9e-3)  # noise of a search where none is given [m, rad]
 REFUSED = 1e-4  # probability of a chi^2 as large as that of a fit that is not taken
 CUBE = 24  # starts after which no others are tried where noise is not given
-CLEAR = 2e-3  # residual over the spread of the points from which other starts are not tried
+CLEAR = (2e-3, 0.03)  # residual over the spread of the points, and [rad], from which no other starts are tried
 MANY = 0.35  # share of outliers from which another start is tried
 CLASSES = {"p": "point [m]", "l": "line [rad]"}
 
@@ -88,9 +88,7 @@ def fit_laser_plane(
     lines = [note, *(f"plane {a}: n {np.round(n, 6)}, d {d:.6g} m" for a, n, d in zip(planes, scene.n, scene.d))]
 
     def summary(fit: Fit[LaserSensor]) -> str:
-        chi2 = (
-            "" if data.noise is None else f"residuals {np.sqrt(2.0 * found.cost / found.freedom):.3g} times the noise"
-        )
+        chi2 = "" if data.noise is None else f"residuals {_times(found):.3g} times the noise"
         return "\n".join(line for line in [fit.table(), *lines, chi2] if line)
 
     tilts = np.column_stack([np.zeros((len(planes), 2)), scene.d]).ravel()
@@ -125,7 +123,7 @@ def _best(scans: Scans, guess: np.ndarray | None, robust: bool) -> NonlinearSolu
     if best is None or scans.noise is not None:
         text = "none that converge"
         if best is not None:
-            text = f"residuals {np.sqrt(2.0 * best.cost / max(best.freedom, 1)):.3g} times the noise at best"
+            text = f"residuals {_times(best):.3g} times the noise at best"
             text += f" and {int(best.outliers.sum())} of {scans.N} scans left out" if robust else ""
         raise misfit(scans, ratio, None if best is None else best.value, text)
     found = _finished(scans, best, robust)
@@ -175,10 +173,16 @@ def _agrees(found: NonlinearSolution[Any]) -> bool:
 
 
 def _is_clear(scans: Scans, found: NonlinearSolution[Scene]) -> bool:
-    """Return whether what is left is small beside the scene, which no wrong minimum has."""
+    """Return whether what is left is small beside the scene: points and angles."""
     (one,) = scans.evaluate(found.value)
-    left = float(np.sqrt(np.median(one.r[:, 0] ** 2)))
-    return left < CLEAR * Words(scans, found.value, (), LIMITS).spread and np.mean(found.outliers) <= MANY
+    left = np.median(np.abs(one.r), axis=0)
+    near = left[0] < CLEAR[0] * Words(scans, found.value, (), LIMITS).spread
+    return bool(near and left[-1] < CLEAR[1] and np.mean(found.outliers) <= MANY)
+
+
+def _times(found: NonlinearSolution[Any]) -> float:
+    """Return the residuals over the noise that was given."""
+    return float(np.sqrt(2.0 * found.cost / max(found.freedom, 1)))
 
 
 def _rank(found: NonlinearSolution[Any]) -> tuple[int, float]:
