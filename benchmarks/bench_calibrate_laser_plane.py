@@ -1,7 +1,8 @@
 """Laser line scanners on plates: error over the Cramér-Rao bound, how often without a guess, outliers, honesty, time.
 
 Cases L1 to L4 of the specification: three plates, 20 scans each, 0.5 mm. The draws of scans that hit a plate are made
-many at once, so that the experiments have the distribution of the specification, not its samples.
+many at once, so that the experiments have the distribution of the specification, not its samples; scans whose plate is nearly parallel to the laser
+plane, which the fit refuses, are drawn again.
 """
 
 from __future__ import annotations
@@ -55,7 +56,8 @@ def _plate(rng: np.random.Generator, X: np.ndarray, j: int) -> tuple[np.ndarray,
         line /= np.linalg.norm(line, axis=1, keepdims=True)
         local = np.einsum("nij,ni->nj", S[:, :3, :3], line)
         reach = (1.0 - S[:, j, 3]) / S[:, j, 1]
-        good = (reach >= 0) & (reach <= 0.2) & (local[:, 1] >= np.cos(np.radians(120.0)))
+        steep = np.hypot(S[:, j, 0], S[:, j, 1]) > 0.06  # flatter scans are refused
+        good = steep & (reach >= 0) & (reach <= 0.2) & (local[:, 1] >= np.cos(np.radians(120.0)))
         parts.append((A[good], np.column_stack([np.zeros(good.sum()), reach[good]]), local[good, :2]))
         found += int(good.sum())
     A, p, line = (np.concatenate([part[i] for part in parts])[:SCANS] for i in range(3))

@@ -118,7 +118,9 @@ def _best(scans: Scans, guess: np.ndarray | None, robust: bool) -> NonlinearSolu
                 return _finished(scans, found, robust)
             if best is None or _rank(found) < _rank(best):
                 best = found
-        if best is not None and (_is_clear(scans, best) or (scans.noise is None and len(group) >= CUBE)):
+        if best is None or len(group) == 1:  # one guess proves nothing
+            continue
+        if _is_clear(scans, best) or (scans.noise is None and len(group) >= CUBE):
             break
     if best is None or scans.noise is not None:
         text = "none that converge"
