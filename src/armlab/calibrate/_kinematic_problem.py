@@ -231,7 +231,7 @@ def _lengths(away: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return length, away / np.where(length > 0, length, 1.0)[:, None]
 
 
-def _instrument(wide: np.ndarray, measured: np.ndarray, length: np.ndarray, known: Sequence[float]) -> np.ndarray:
+def _instrument(wide: np.ndarray, measured: np.ndarray, length: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Write the derivatives by offset and scale into the last two columns; return the residuals (N, 1)."""
     wide[:, 0, -2], wide[:, 0, -1] = -1.0, -length
     return (measured - known[1] * length - known[0])[:, None]

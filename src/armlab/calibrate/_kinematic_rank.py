@@ -71,9 +71,8 @@ class Judgement:
                     v = v / length
                     fixed = np.column_stack([fixed, v - fixed @ (fixed.T @ v)])
                     names.append(f"missing: {suspect.name}")
-        rest = (
-            np.linalg.svd(fixed, full_matrices=True)[0][:, fixed.shape[1] :] if fixed.shape[1] else np.eye(A.shape[1])
-        )
+        whole = np.linalg.svd(fixed, full_matrices=True)[0] if fixed.shape[1] else np.eye(len(self.limits))
+        rest = whole[:, fixed.shape[1] :]
         _, found, rows = np.linalg.svd(A @ rest, full_matrices=len(A) < rest.shape[1])
         singular = np.zeros(rest.shape[1])
         singular[: len(found)] = found
