@@ -1,8 +1,8 @@
 """Laser line scanners on plates: error over the Cramér-Rao bound, how often without a guess, outliers, honesty, time.
 
 Cases L1 to L4 of the specification: three plates, 20 scans each, 0.5 mm. The draws of scans that hit a plate are made
-many at once, so that the experiments have the distribution of the specification, not its samples; scans whose plate is nearly parallel to the laser
-plane, which the fit refuses, are drawn again.
+many at once, so that the experiments have the distribution of the specification, not its samples; scans whose plate is
+nearly parallel to the laser plane, which the fit refuses, are drawn again.
 """
 
 from __future__ import annotations
