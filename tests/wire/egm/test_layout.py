@@ -108,6 +108,13 @@ def test_lengths_beyond_a_force_allocate_nothing(six: Any, wire: Any, tag: bytes
     assert isinstance(EgmCodec(six).decode(data), Packet)
 
 
+def test_a_number_in_bytes_that_are_none_is_not_learnt(six: Any, wire: Any) -> None:
+    """A parser takes it for a field that it does not know; its place lies beyond the datagram."""
+    codec, data = EgmCodec(six), wire.robot(wire.joints(*range(6)), wire.m(10, b"abc"))
+    alike(codec.decode(data), parsed(codec, six, data))
+    assert isinstance(codec.decode(data), Packet)
+
+
 @pytest.mark.parametrize("missing", range(7))
 def test_a_pose_that_lacks_a_number_reads_as_parsed(six: Any, wire: Any, missing: int) -> None:
     """Learnt from a packet whose quaternion is unusable, so that its pose is NaN wherever its numbers lie."""

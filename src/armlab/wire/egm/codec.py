@@ -13,6 +13,7 @@ import numpy as np
 from google.protobuf.message import DecodeError
 
 from armlab import kernels
+from armlab.errors import ShapeError
 from armlab.wire.egm import armlab_egm_pb2 as pb
 from armlab.wire.egm.axes import AxisMap, Refused
 from armlab.wire.egm.details import Details, read_details
@@ -176,8 +177,12 @@ class EgmCodec:
         if places is None:
             return
         reader, absent = shape.reader, (0, 0)
-        offsets = shape.arranged(Numbers.of_offsets(places.doubles), -1)
-        reader.learn(data, bytes(places.mask), offsets, [places.integers.get(name, absent) for name in INTEGERS])
+        spans = [places.integers.get(name, absent) for name in INTEGERS]
+        try:
+            offsets = shape.arranged(Numbers.of_offsets(places.doubles), -1)
+            reader.learn(data, bytes(places.mask), offsets, spans)
+        except (Refused, ShapeError):  # a field in a form that the parser does not take for it
+            return
         if _same(reader.read(data), packet):
             self._known[len(data)] = reader
 
