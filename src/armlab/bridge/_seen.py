@@ -19,7 +19,7 @@ _NAMES = (
     "q_sent", "qd_sent", "clamped", "T_frame_tool", "wrench_raw", "q_ext", "motors", "rapid", "mci", "converged",
     "utilization", "robotware", "rapid_data", "rapid_digital", "robot_ns", "t_receive", "robot",
 )  # fmt: skip
-_PLAIN = State(0.0, 0.0, *(np.zeros(0),) * 3)
+_PLAIN = State(0.0, 0.0, np.zeros(0), np.zeros(0), np.zeros(0))
 _OTHERS = tuple((field.name, getattr(_PLAIN, field.name)) for field in fields(State) if field.name not in _NAMES)
 _make = kernels.RecordMaker(State, (*_NAMES, *(name for name, _ in _OTHERS))).make
 

@@ -39,7 +39,8 @@ class Rehearsal:
     ) -> None:
         softness = None if admittance is None else replace(admittance, model=None)  # the user's may remember its calls
         guide = Guide(robot, limits, capabilities=codec.capabilities, admittance=softness)
-        session, settings, nobody = Session(codec, float("inf")), Settings(patience=float("inf")), _Nobody()
+        session, settings = Session(codec, float("inf")), Settings(patience=float("inf"))
+        nobody: Any = _Nobody()
         self._port, self._stage = port, _Stage()
         self._arm = Arm(robot, port, codec, session, guide, nobody, settings, 0, Fusion(()))
         self._loop = Loop([self._arm], self._stage, self._obey, settings)

@@ -60,7 +60,7 @@ class Judgement:
         ------
         NotExcited : a direction that is missing by the data, unless a prior holds it.
         """
-        A = np.linalg.qr(J, mode="r") * self.limits if len(J) > J.shape[1] else J * self.limits
+        A = np.asarray(np.linalg.qr(J, mode="r")) * self.limits if len(J) > J.shape[1] else J * self.limits
         fixed, names = _independent(self.gauge / self.limits[:, None]), [f"gauge: {name}" for name in self.gauge_names]
         largest = float(np.linalg.norm(A))
         for suspect in self.nature:

@@ -67,7 +67,7 @@ class Replies:
         axes, doubles = self._axes, places.doubles
         motions = ("planned", "speedRef")[: 1 if ref.qd is None else 2]
         offsets = [
-            at
+            int(at)
             for motion in motions
             for at in axes.kinematic(
                 [*doubles.get(f"{motion}.joints.joints", ()), *doubles.get(f"{motion}.externalJoints.joints", ())]
@@ -81,8 +81,10 @@ class Replies:
     def _serialised(self, ref: Reference) -> bytes:
         axes, beside = self._axes, ref.beside or Beside()
         sensor = pb.EgmSensor(header=_header(_CORRECTION, ref.seq, ref.tm_ms))
-        planned, speeds = (sensor.planned, ref.q, beside.q_ext), (sensor.speedRef, ref.qd, beside.qd_ext)
-        for motion, values, beyond in (planned, speeds)[: 1 if ref.qd is None else 2]:
+        motions: list[tuple[Any, np.ndarray, np.ndarray | None]] = [(sensor.planned, ref.q, beside.q_ext)]
+        if ref.qd is not None:
+            motions.append((sensor.speedRef, ref.qd, beside.qd_ext))
+        for motion, values, beyond in motions:
             wire = axes.wire(values, axes.scale)
             external = () if beyond is None else (beyond / axes.external_scale(len(beyond))).tolist()
             motion.joints.joints.extend(wire[: axes.head])
