@@ -224,7 +224,8 @@ class LaserData:
         line /= np.linalg.norm(line, axis=1, keepdims=True)
         local = np.einsum("nij,ni->nj", S[:, :3, :3], line)
         reach = (1.0 - S[:, j, 3]) / S[:, j, 1]
-        good = (reach >= 0) & (reach <= 0.2) & (local[:, 1] >= -0.5)
+        steep = np.hypot(S[:, j, 0], S[:, j, 1]) > 0.06  # flatter scans are refused
+        good = steep & (reach >= 0) & (reach <= 0.2) & (local[:, 1] >= -0.5)
         return A[good], np.column_stack([np.zeros(good.sum()), reach[good], local[good, :2]])
 
 
