@@ -31,7 +31,9 @@ def error(fit: Fit[Any], truth: dict[str, Any]) -> np.ndarray:
     """In the coordinates of the covariance: R = truth Exp(w), mass or weight, bias, centre, bias."""
     value = fit.value
     parts = [so3.log(truth["R"].T @ value.R_tool_sensor)]
-    parts.append(value.mass * value.gravity - truth["gamma"] if "weight x" in fit.names else [value.mass - 1.0])
+    parts.append(
+        value.mass * value.gravity - truth["gamma"] if "weight x" in fit.names else np.array([value.mass - 1.0])
+    )
     parts.append(value.bias[:3] - truth["bias"][:3])
     if len(truth["bias"]) == 6:
         parts += [value.centre - truth["centre"], value.bias[3:] - truth["bias"][3:]]
@@ -172,7 +174,7 @@ def test_contacts_are_flagged_by_index(weights, tilt, bad) -> None:
             assert fit.outliers.sum() <= bad + 2
             e = error(fit, truth_of(data))
             assert e @ np.linalg.solve(fit.cov, e) / 7 < 4.5
-    assert "outliers left out" in fit.report()
+            assert "outliers left out" in fit.report()
 
 
 def test_two_deviations_of_noise_are_found(weights) -> None:
@@ -285,7 +287,7 @@ def test_the_statistical_contract(weights, torque, tilt, unknown) -> None:
 
 def test_what_is_not_excited_stays_so_with_noise_on_the_poses() -> None:
     for RA in (about_the_vertical(), short_arc(), about_the_vertical() @ so3.exp([0.5, 0.2, 0.1])):
-        given = readings(RA) | {"T_base_tool": noisy(RA)}
+        given: dict[str, Any] = {**readings(RA), "T_base_tool": noisy(RA)}
         with pytest.raises(NotExcited):
             fit_force_sensor(**given, noise=0.1)
         with pytest.raises(NotExcited):

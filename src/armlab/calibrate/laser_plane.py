@@ -171,7 +171,7 @@ def _agrees(found: NonlinearSolution[Any]) -> bool:
     from scipy.special import chdtri
 
     free = found.freedom
-    return (free == 0 or 2.0 * found.cost < chdtri(free, REFUSED)) and np.mean(found.outliers) <= MANY
+    return bool((free == 0 or 2.0 * found.cost < chdtri(free, REFUSED)) and np.mean(found.outliers) <= MANY)
 
 
 def _is_clear(scans: Scans, found: NonlinearSolution[Scene]) -> bool:
