@@ -9,6 +9,7 @@ from armlab import bridge, robots
 from armlab.bridge.limits import Limiter, Limits
 from armlab.bridge.linked import LinkedLimiter, limiter_of
 from armlab.bridge.readiness import implausible
+from armlab.bridge.torque import Torques
 from armlab.state import Command, State
 from armlab.wire.egm.linkage import Linkage
 
@@ -52,6 +53,13 @@ def test_feedback_is_plausible_where_the_axes_are_within_their_limits() -> None:
     """Lower arm forward by 60 degrees, upper arm level: joint 3 is at -60 - 50 degrees, and that is no mistake."""
     assert implausible(np.radians([0, 60.0, -110, 0, 30, 0]), ROBOT) == ""
     assert "joint 3" in implausible(np.radians([0, 60.0, 40, 0, 30, 0]), ROBOT)
+
+
+def test_a_torque_alone_is_judged_by_the_axes() -> None:
+    """Joint 3 at -110 degrees is axis 3 at -50, within its limits; joints 2 and 3 together may be beyond theirs."""
+    torques = Torques(ROBOT, Limits.of(ROBOT, tau_max=1.0), frozenset(("torque",)))
+    assert torques.outside(np.radians([0, 60.0, -110, 0, 30, 0]), np.zeros(6)) == ""
+    assert "joint 3" in torques.outside(np.radians([0, 48.0, 20, 0, 30, 0]), np.zeros(6))
 
 
 @pytest.mark.parametrize("lagging", [True, False])
