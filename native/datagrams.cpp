@@ -70,6 +70,7 @@ class Datagrams {
   }
 
   bool send(nb::bytes data, nb::tuple to) {
+    if (to.size() != 2) throw nb::type_error("Expected the address and the port to send to.");
     sockaddr_in address{};
     address.sin_family = AF_INET;
     address.sin_port = htons(nb::cast<std::uint16_t>(to[1]));

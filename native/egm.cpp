@@ -90,8 +90,10 @@ class EgmReader {
     const std::size_t words = (bytes.size() + 7) / 8;
     size_ = bytes.size();
     masks_.assign(words, 0), shape_.assign(words, 0);
-    std::memcpy(masks_.data(), bits.data(), size_);
-    std::memcpy(shape_.data(), bytes.data(), size_);
+    if (size_) {
+      std::memcpy(masks_.data(), bits.data(), size_);
+      std::memcpy(shape_.data(), bytes.data(), size_);
+    }
     for (std::size_t k = 0; k < words; ++k) shape_[k] &= masks_[k];
     offsets_ = std::move(offsets), spans_ = std::move(spans);
   }
