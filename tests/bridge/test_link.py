@@ -131,10 +131,32 @@ def test_another_codec(play: Any, robot: Robot) -> None:
     assert codec.decoded >= run.statistics["packets"]
 
 
-@pytest.mark.parametrize("seconds", [-1.0, float("nan")])
-def test_a_time_that_would_never_come_is_refused(robot: Robot, seconds: float) -> None:
+@pytest.mark.parametrize("seconds", [-1.0, float("nan"), "3"])
+def test_a_time_that_would_never_come_is_refused(robot: Robot, seconds: Any) -> None:
     with connect("egm://127.0.0.1:0", robot) as link, pytest.raises(ConfigError, match="seconds of at least 0"):
         link.run(sway, seconds=seconds)
+
+
+@pytest.mark.parametrize(
+    ("controller", "options", "words"),
+    [
+        (5, {}, "controller to call"),
+        (sway, {"limits": 3}, r"Expected Limits, .* got 3\. Use Limits\.of"),
+        (sway, {"extra": {"a": 3}}, r"extra=\{'a': Column"),
+    ],
+)
+def test_what_a_run_cannot_use_is_refused_before_it_begins(
+    robot: Robot, controller: Any, options: Any, words: str
+) -> None:
+    with connect("egm://127.0.0.1:0", robot) as link, pytest.raises(ConfigError, match=words):
+        link.run(controller, **options)
+
+
+def test_a_closed_link_does_not_run(robot: Robot) -> None:
+    with connect("egm://127.0.0.1:0", robot) as link:
+        pass
+    with pytest.raises(LinkError, match=r"closed\. Connect again"):
+        link.run(sway)
 
 
 def test_two_runs_on_one_link(play: Any) -> None:

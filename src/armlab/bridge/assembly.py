@@ -73,7 +73,10 @@ def checked_limits(
     if limits is None:
         given = [Limits.of(robot) for robot in robots]
     else:
-        given = [limits] if isinstance(limits, Limits) else list(limits)
+        given = list(limits) if isinstance(limits, list | tuple) else [limits]
+    for one in given:
+        if not isinstance(one, Limits):
+            raise ConfigError(f"Expected Limits, or one per arm in a list, got {one!r}. Use Limits.of(robot).")
     if len(given) != len(robots):
         names = ", ".join(robot.name for robot in robots)
         raise ConfigError(f"Expected Limits for each of {names}, got {len(given)}. Use Limits.of(robot) for each.")
@@ -111,7 +114,7 @@ def assemble(
     """
     wall_ns = time.time_ns() - time.monotonic_ns()
     told = list(feeds)  # one list: a feed that fails is dropped for all arms
-    columns = {**Fusion(sources).columns, **(extra or {})}
+    columns = {**Fusion(sources).columns, **_columns(extra)}
     for source in sources:
         source.check([end.robot for end in ends])
     files = paths(record, [end.robot for end in ends])
@@ -139,6 +142,13 @@ def assemble(
             files = [arm.recording.path for arm in arms if arm.recording.path is not None]
             begin(arms[0].recording.note, files, lambda change: _keep(arms, change))
     return arms
+
+
+def _columns(extra: Mapping[str, Column] | None) -> Mapping[str, Column]:
+    for name, column in (extra or {}).items():
+        if not isinstance(column, Column):
+            raise ConfigError(f"Expected `extra` to name columns, as extra={{'{name}': Column('N')}}, got {column!r}.")
+    return extra or {}
 
 
 def _keep(arms: Sequence[Arm], change: Change) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from armlab.bridge.address import addresses
 from armlab.bridge.assembly import End, assemble, checked_limits, finished
-from armlab.bridge.codecs import codec_named
+from armlab.bridge.codecs import codecs_of
 from armlab.bridge.conditions import LOOP_PRIORITY, interrupts, priority, quiet_memory, short_switches
 from armlab.bridge.events import Tell
 from armlab.bridge.limits import Limits
@@ -27,7 +27,7 @@ from armlab.bridge.supervision import Settings
 from armlab.bridge.torque import TorqueModel, admittances
 from armlab.bridge.waiting import Wait, Waiting
 from armlab.bridge.watchdog import Guard
-from armlab.errors import ConfigError, RobotError, UnknownName
+from armlab.errors import ConfigError, LinkError, RobotError, UnknownName
 from armlab.log import Column
 from armlab.robots import Robot
 from armlab.wire.egm import Codec
@@ -75,7 +75,7 @@ def connect(
     if not patience > 0.0:
         raise ConfigError(f"Expected patience above 0 s, got {patience}.")
     is_simulated = where[0].scheme == "sim"
-    codecs = _codecs(codec, robots, extension or is_simulated)
+    codecs = codecs_of(codec, robots, extension or is_simulated, _REHEARSALS)
     in_lockstep = is_simulated and where[0].options.get("lockstep", "false").lower() in ("", "true")
     settings = Settings(clock="robot" if in_lockstep else clock, patience=patience)
     with ExitStack() as opened:
@@ -109,19 +109,6 @@ def _robots(robot: Any) -> list[Robot]:
     return found
 
 
-def _codecs(
-    codec: str | Codec | Sequence[Codec], robots: Sequence[Robot], extension: bool
-) -> list[tuple[Codec, tuple[Codec, ...]]]:
-    """Return the codec of each arm and those of its rehearsals, which an object of the user's does not have."""
-    if not isinstance(codec, str):
-        given = list(codec) if isinstance(codec, Sequence) else [codec]
-        if len(given) != len(robots):
-            raise ConfigError(f"Expected one codec per arm, since each follows one session, got {len(given)}.")
-        return [(one, ()) for one in given]
-    made = [[codec_named(codec, one, extension) for _ in range(1 + _REHEARSALS)] for one in robots]
-    return [(own, tuple(spares)) for own, *spares in made]
-
-
 class Link:
     """A bound port for each arm. Made by `connect`; several runs after one another are allowed.
 
@@ -139,6 +126,7 @@ class Link:
         self._ends, self._answer_stream = tuple(ends), answer_stream
         self._settings, self._simulator = settings, simulator
         self.last: Run | None = None
+        self._closed = False
 
     def __enter__(self) -> Link:
         return self
@@ -150,6 +138,7 @@ class Link:
 
     def close(self) -> None:
         """Close the ports and stop the simulated robots."""
+        self._closed = True
         for end in self._ends:
             end.close()
         if self._simulator is not None:
@@ -214,8 +203,8 @@ class Link:
         NoRobot, SessionEnded, CommandRefused, ControllerLate, ControllerFailed : with the last ten seconds in `.table`.
         """
         self._check(controller, wait, reconnect)
-        if seconds is not None and not seconds >= 0.0:  # NaN would never end
-            raise ConfigError(f"Expected seconds of at least 0, or None for no end, got {seconds}.")
+        if seconds is not None and not (isinstance(seconds, int | float) and seconds >= 0.0):  # NaN would never end
+            raise ConfigError(f"Expected seconds of at least 0, or None for no end, got {seconds!r}.")
         paced = self._paced(pace)
         what = "listening" if controller is None else "moving"
         tell = None if progress is None else lambda done: progress(done, seconds or done, what)
@@ -269,6 +258,10 @@ class Link:
         return 0 if pace is None else names.index(pace)
 
     def _check(self, controller: Controller | None, wait: str, reconnect: str) -> None:
+        if self._closed:
+            raise LinkError("Expected an open link, got one that was closed. Connect again.")
+        if controller is not None and not callable(controller):
+            raise ConfigError(f"Expected a controller to call with each State, or None to listen, got {controller!r}.")
         for name, value, known in (
             ("wait", wait, ("ahead", "block", "spin")),
             ("reconnect", reconnect, ("resume", "stop")),
