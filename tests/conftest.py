@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import signal
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,6 +55,19 @@ class Truth:
         if noise:
             q = np.round(q / (noise * 1e-5)) * noise * 1e-5
         return Table(t, {"q": q, "qd": qd, "tau": tau})
+
+
+@pytest.fixture(scope="session", autouse=True)
+def signals() -> Iterator[None]:
+    """Heed what the shell had us ignore, SIGHUP after nohup, SIGINT after &: programs that tests start inherit it."""
+    handlers = {signal.SIGHUP: lambda *_: None, signal.SIGINT: signal.default_int_handler}
+    before = {number: signal.getsignal(number) for number in handlers}
+    for number, handler in handlers.items():
+        if before[number] is signal.SIG_IGN:
+            signal.signal(number, handler)
+    yield
+    for number, previous in before.items():
+        signal.signal(number, previous)
 
 
 @pytest.fixture(scope="session")

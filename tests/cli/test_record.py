@@ -136,7 +136,10 @@ def test_a_recording_that_is_ended_from_outside(tmp_path: Path, number: signal.S
             time.sleep(0.002)
         time.sleep(0.2)  # the last packet is on its way through the kernel no longer
         os.kill(process.pid, number)
-        process.communicate(timeout=30)
+        try:
+            process.communicate(timeout=30)
+        finally:
+            process.kill()
     expected = -number if number == signal.SIGKILL else 0
     assert process.returncode == expected
     if number == signal.SIGKILL:
