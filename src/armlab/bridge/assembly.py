@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -70,9 +70,8 @@ def checked_limits(
     ------
     ConfigError : another number of limits, limits for another number of joints, or none on speed or acceleration.
     """
-    if limits is None:
-        given = [Limits.of(robot) for robot in robots]
-    else:
+    given: list[Any] = [Limits.of(robot) for robot in robots]
+    if limits is not None:
         given = list(limits) if isinstance(limits, list | tuple) else [limits]
     for one in given:
         if not isinstance(one, Limits):
