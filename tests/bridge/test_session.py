@@ -267,3 +267,12 @@ def test_the_flavour_is_decided_anew_in_each_session(robot: Robot, feed: Any) ->
     sample = feed.sample(seqno=0)
     assert sample.packet.robotware == "6.06"
     np.testing.assert_allclose(sample.packet.q, robot.q_home)
+
+
+def test_a_first_packet_that_was_overtaken_begins_no_session(feed: Any) -> None:
+    assert feed(seqno=1, tm_ms=10_004) is not None
+    assert feed(seqno=0, tm_ms=10_000) is None
+    assert feed(seqno=2, tm_ms=10_008) is not None
+    assert feed.session.number == 1
+    assert feed(seqno=0, tm_ms=500) is not None
+    assert feed.session.number == 2

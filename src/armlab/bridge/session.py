@@ -19,6 +19,7 @@ _SEQUENCES = 2**32
 _HALF = 2**31  # ms ahead: a tm that is further is one of the past
 _FAR = 2**16  # packets ahead: less than 2**31 of them do not fit into the silence that ends a session
 _FILTER = 30.0  # Hz, of velocities from differences
+_OVERTAKEN_MS = 100  # a first packet that is older by less was overtaken on the way: it begins no session
 _SILENT_PERIODS = 5  # of the old source, before another port of the same host may begin a session
 _FOLLOWERS = 3  # packets out of order that go on from each other are a session of their own
 _REMEMBERED = 8  # sessions whose first packet may come again
@@ -160,7 +161,8 @@ class Session:
             same_tm = now == self._first_tm if now is not None else last.seqno == 0
             if same_tm:
                 return Drop("duplicate", "the first packet of the session again")
-            if now is None or now not in self._past_tms:
+            is_own = now is not None and self._first_tm is not None and 0 < self._first_tm - now < _OVERTAKEN_MS
+            if not is_own and (now is None or now not in self._past_tms):
                 return -1
         if ahead == 0:
             return Drop("duplicate", f"packet {packet.seqno} again")
