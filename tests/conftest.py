@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from hypothesis import settings
 
 from armlab import identify, robots
 from armlab.estimation import Fit
@@ -15,6 +16,11 @@ from armlab.kernels import presliding
 from armlab.log import Table
 from armlab.models import Friction, TorqueModel
 from armlab.robots import Robot
+
+# The same examples each time, so that a change fails only for what it did; `--hypothesis-profile=default` looks for
+# new ones. No deadline: the machines are shared.
+settings.register_profile("armlab", derandomize=True, deadline=None)
+settings.load_profile("armlab")
 
 PERIOD = 0.004
 SUBSTEPS = 4  # friction runs finer than the log, as in nature

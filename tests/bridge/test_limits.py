@@ -122,7 +122,7 @@ def commands(draw: st.DrawFn) -> list[tuple[np.ndarray | None, np.ndarray | None
 
 
 @given(commands(), st.sampled_from(KERNELS))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_no_command_steps_above_the_limits(
     script: list[tuple[np.ndarray | None, np.ndarray | None]], name: str
 ) -> None:
@@ -152,7 +152,7 @@ def test_an_arm_outside_its_limits_may_only_come_back(kernel: ModuleType) -> Non
 
 
 @given(st.integers(0, 2**32))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_native_is_the_reference(seed: int) -> None:
     if "_native" not in KERNELS:
         pytest.skip("the extension is not built")

@@ -206,7 +206,7 @@ def test_a_flood_of_clients_is_bounded() -> None:
 step = st.tuples(st.booleans(), st.booleans(), st.sampled_from([0.0, 0.0, 0.01, 0.03, 0.2, np.nan]))
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(st.lists(step, min_size=50, max_size=400), st.randoms(use_true_random=False))
 def test_two_commanders_that_die_at_random(steps: list[tuple[bool, bool, float]], chance: Any) -> None:
     """The outcome is one of them or hold at each tick, no step is above the bound, each takeover has an event."""

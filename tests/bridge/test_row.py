@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from armlab import robots
@@ -85,7 +85,6 @@ def test_odd_commands_leave_holes() -> None:
 ROW = RowWriter(BOTH).row(state(), None, tick(), 5)
 
 
-@settings(deadline=None)
 @given(st.binary(max_size=200))
 def test_noise_is_no_row(noise: bytes) -> None:
     for data in (noise, MAGIC + noise, ROW[: len(noise)], ROW[:16] + noise):
@@ -93,7 +92,6 @@ def test_noise_is_no_row(noise: bytes) -> None:
             read_row(BOTH, data)
 
 
-@settings(deadline=None)
 @given(st.lists(st.tuples(st.integers(0, len(ROW) - 1), st.integers(0, 255)), min_size=1, max_size=8))
 def test_mutated_rows(changes: list[tuple[int, int]]) -> None:
     """A row is refused or has the fields of its schema; nothing else happens."""

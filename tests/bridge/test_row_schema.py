@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from armlab import robots
@@ -53,7 +53,6 @@ def test_wrong_texts(text: bytes) -> None:
         RowSchema.read(text)
 
 
-@settings(deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 5000), st.integers(0, 255)), min_size=1, max_size=4))
 def test_mutated_schemas(changes: list[tuple[int, int]]) -> None:
     text = bytearray(BOTH.text)

@@ -75,7 +75,7 @@ def test_json() -> None:
     sender.close()
 
 
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 @given(data=st.binary(max_size=200))
 def test_any_datagram_is_a_reading_or_a_drop(data: bytes) -> None:
     for layout in (LAYOUT, "json"):

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from armlab.errors import ShapeError
@@ -60,6 +60,7 @@ integer = st.integers(0, 2**64 - 1)
 
 
 @given(st.lists(number, min_size=13, max_size=13), st.lists(integer, min_size=6, max_size=6), st.booleans())
+@example([1e308] * 5 + [0.0] * 8, [0] * 6, False)  # scaled, it is too large
 def test_packets_of_numbers(numbers: list[float], integers: list[int], bare: bool) -> None:
     scalars = [0, -1, 2, -1, 7, -1] if bare else PLAN[2]
     alike(*(reader(backend, scalars).packet(numbers, integers) for backend in BACKENDS))

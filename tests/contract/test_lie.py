@@ -96,7 +96,7 @@ def batch() -> dict[str, np.ndarray]:
 
 
 @given(cases())
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_native_is_the_reference(case: dict[str, np.ndarray]) -> None:
     for name, kinds in FUNCTIONS.items():
         arguments = [case[kind] for kind in kinds]
@@ -122,7 +122,7 @@ def test_angles_of_half_turns_agree(name: str) -> None:
 
 
 @given(cases())
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_logarithms_of_poses_agree(case: dict[str, np.ndarray]) -> None:
     """Apart from the sign at a half turn: both lead back to the same pose."""
     T = case["T"]
@@ -207,7 +207,7 @@ def test_leading_axes_broadcast(module: Any, batch: dict[str, np.ndarray], name:
 
 
 @given(cases(), st.sampled_from([0.0, 1e-12, 0.1, 1.0]), st.sampled_from([1e-200, 1.0, 3e5]))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_nearest_rotations_agree(case: dict[str, np.ndarray], noise: float, scale: float) -> None:
     """To 1e-12, and where the rotation is hardly determined to that over how well it is."""
     R = case["R"]

@@ -51,7 +51,7 @@ def test_merged_factor_is_that_of_dense_qr() -> None:
 
 
 @given(cuts=st.lists(st.integers(1, 89), max_size=6, unique=True), order=st.randoms())
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_pieces_and_their_order_change_nothing_but_rounding(cuts: list[int], order) -> None:
     edges = [0, *sorted(cuts), 90]
     pieces = [rows for a, b in pairwise(edges) for rows in _pieces(a, b)]

@@ -27,7 +27,7 @@ def van_loan(G: np.ndarray, Qp: np.ndarray, q: np.ndarray, a: np.ndarray, h: flo
 
 
 @given(st.integers(0, 2**32), st.sampled_from([0.0, 1e-9, 1e-3, 0.5, 4.9, 5.1, 80.0, 900.0]), st.booleans())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_a_step_without_information_is_van_loans(seed: int, leak: float, mixed: bool) -> None:
     """A measurement that says nothing leaves the prediction: transition and noise to 1e-12 of their scale."""
     rng = np.random.default_rng(seed)

@@ -256,7 +256,7 @@ def chains(draw: st.DrawFn) -> tuple[Robot, np.ndarray]:
 
 
 @given(chains(), st.sampled_from(TASKS), st.booleans())
-@settings(max_examples=60 if NATIVE else 15, deadline=None)
+@settings(max_examples=60 if NATIVE else 15)
 def test_any_chain(case: tuple[Robot, np.ndarray], task: str, moved: bool) -> None:
     """The result is finite, inside the limits and tells the truth; the posture itself is found again."""
     robot, q = case

@@ -115,7 +115,7 @@ def test_files_that_are_no_text(tmp_path: Path) -> None:
         read_csv(path, separator="tab")
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(values=arrays(float, (5, 3), elements=st.floats(allow_infinity=False)), scalar=arrays(float, 5))
 def test_what_is_written_reads_back_to_the_last_bit(tmp_path_factory, values, scalar) -> None:
     """Per joint, wrench with two units, covariance with three,and a column that the glossary does not know."""

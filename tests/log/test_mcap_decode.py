@@ -101,7 +101,7 @@ def test_big_endian(store) -> None:
     assert found.fields["position"].dtype.isnative
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     st.lists(
         st.tuples(st.sampled_from([["a", "b", "c"], ["a", "b", "d"], ["long name", "b", "c"], []]), st.integers(0, 3)),

@@ -35,7 +35,7 @@ def ramp(rows: int = 101, rate: float = 100.0, t0_ns: int = 0) -> Table:
     )
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=30, unique=True))
 def test_motion_at_constant_speed_is_exact_at_any_time(times: list[float]) -> None:
     t = np.sort(np.array(times))

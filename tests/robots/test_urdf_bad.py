@@ -210,14 +210,14 @@ DATA = ARM.encode()
 NUMBERS = [match.span() for match in re.finditer(r'(?<=[ "])-?[\d.]+(?=[ "])', ARM)]
 
 
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(st.integers(0, len(DATA)), st.integers(0, len(DATA)), st.binary(max_size=8))
 def test_fuzz_cuts(i: int, j: int, junk: bytes) -> None:
     i, j = sorted((i, j))
     survives(DATA[:i] + junk + DATA[j:])
 
 
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(st.lists(st.tuples(st.integers(0, len(DATA) - 1), st.integers(0, 255)), min_size=1, max_size=4))
 def test_fuzz_bytes(changes: list[tuple[int, int]]) -> None:
     data = bytearray(DATA)
@@ -229,7 +229,7 @@ def test_fuzz_bytes(changes: list[tuple[int, int]]) -> None:
 number_like = st.floats().map(repr) | st.integers().map(str) | st.text("0123456789.e+-_naif ", max_size=12)
 
 
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(st.lists(st.tuples(st.sampled_from(NUMBERS), number_like), min_size=1, max_size=4))
 def test_fuzz_numbers(changes: list[tuple[tuple[int, int], str]]) -> None:
     text = ARM
@@ -241,7 +241,7 @@ def test_fuzz_numbers(changes: list[tuple[tuple[int, int], str]]) -> None:
 LINES = ARM.splitlines(keepends=True)
 
 
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(st.lists(st.integers(0, len(LINES) - 1), max_size=2 * len(LINES)))
 def test_fuzz_lines(order: list[int]) -> None:
     """Lines lost, doubled and in another order, inside the outermost element."""

@@ -82,7 +82,7 @@ def test_differentiator_first_steps() -> None:
 
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=30))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_euler_integral_of_the_derivative_gives_the_signal_back(values: list[float]) -> None:
     x = np.array(values)
     derivative = Differentiator(DT, init=x[0]).run(x)

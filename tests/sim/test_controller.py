@@ -320,7 +320,7 @@ def planned_after(garbage: list[bytes]) -> np.ndarray:
     return np.array([p.q_planned for p in peer.packets])
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(st.lists(st.binary(max_size=60), max_size=4))
 def test_garbage_never_moves_the_robot(noise: list[bytes]) -> None:
     peer = start()

@@ -56,7 +56,7 @@ def mixed(store, name: str, few: list[int], names: list[str], inner: list[float]
     return bytes(store.serialize_cdr(message, "test_msgs/msg/Mixed", little_endian=little))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.text(max_size=9),
     st.lists(st.integers(-100, 100), max_size=5),
@@ -88,7 +88,7 @@ def test_fields_are_where_rosbags_wrote_them(
     assert found.field("nothing") is None
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.integers(0, 200), st.integers(0, 10_000), st.integers(0, 255))
 def test_damaged_messages_fit_or_are_refused(store, cut: int, place: int, value: int) -> None:
     raw = bytearray(mixed(store, "joint", [1, 2], ["a", "bc"], [1.0], True))

@@ -87,7 +87,7 @@ def streams(draw: st.DrawFn) -> tuple[str, SampleType, Any]:
     return dialect, SampleType("it", node), draw(values(node))
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(streams(), st.lists(st.integers(1, 30), max_size=8))
 def test_decode_inverts_encode(stream: tuple[str, SampleType, Any], cuts: list[int]) -> None:
     dialect, sample, value = stream

@@ -122,7 +122,7 @@ class EgmReader:
             )
         if not all(isfinite(x) for start, stop in self._finite for x in numbers[start:stop]):
             return None
-        with np.errstate(invalid="ignore"):  # a signalling NaN from the wire would warn
+        with np.errstate(invalid="ignore", over="ignore"):  # a signalling NaN, or 1e308 degrees, from the wire
             scaled = np.array(numbers[: -_POSE - 1]) * self._scale
         values = np.concatenate((scaled, _matrix(numbers[-_POSE:])))
         values.setflags(write=False)

@@ -92,7 +92,7 @@ def _changed(message: Message, motion: np.ndarray, torque: np.ndarray) -> Messag
 
 def _times(matrix: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return the product; NaN in one value spoils only what depends on it."""
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):
         product = np.where(matrix, matrix * values, 0.0).sum(axis=1)
     product.flags.writeable = False
     return product
