@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from armlab.errors import NotExcited, ShapeError
-from armlab.estimation import Excitation, Prior, check_excitation, check_spread
+from armlab.estimation import Excitation, Prior, check_excitation, check_spread, unhurried
 
 NAMES = ("mass", "offset", "viscous")
 
@@ -147,3 +147,26 @@ def test_an_estimate_without_a_design_matrix_tells_the_same_by_its_covariance() 
     nothing = Excitation.of_covariance(np.zeros((0, 0)), ())
     assert nothing.condition == 1.0
     assert "rank 0 of 0" in nothing.text()
+
+
+@pytest.mark.parametrize(
+    ("size", "unseen", "made"), [(0.5, 0, False), (0.5, 1, True), (0.6, 0, True), (np.nan, 0, True)]
+)
+def test_only_a_judgement_that_must_be_good_is_put_off(size: float, unseen: int, made: bool) -> None:
+    limits, calls = np.array([1.0, 2.0, 3.0]), []
+
+    def judge() -> Excitation:
+        calls.append(1)
+        return Excitation(3, 3, np.ones(3), "mass")
+
+    found = unhurried(judge, np.diag((size * limits) ** 2), limits, unseen)
+    assert isinstance(found, Excitation) == made == bool(calls)
+
+
+def test_what_is_put_off_would_not_have_been_refused() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(50):
+        J, limits = rng.standard_normal((20, 3)) @ rng.standard_normal((3, 3)), rng.uniform(0.1, 2.0, 3)
+        found = unhurried(lambda: Excitation(0, 3, np.zeros(3), ""), np.linalg.inv(J.T @ J), limits)
+        if callable(found):
+            assert check_spread(J, NAMES, ("",) * 3, limits, "model").spread.max() < 1.0

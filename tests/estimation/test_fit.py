@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -47,6 +47,22 @@ def test_fit_is_frozen_and_reports_value_deviation_and_unit() -> None:
         result.cov[0, 0] = 1.0
     with pytest.raises(ValueError, match="read-only"):
         result.outliers[0] = True
+
+
+def test_an_excitation_is_made_once_when_it_is_asked_for() -> None:
+    calls: list[int] = []
+
+    def make() -> Excitation:
+        calls.append(1)
+        return Excitation(2, 2, np.array([2.0, 1.0]), "b")
+
+    result = replace(fit(np.eye(2)), excitation=make)
+    assert not calls
+    assert result.excitation is result.excitation
+    assert result.excitation.weakest == "b"
+    assert len(calls) == 1
+    with pytest.raises(AttributeError):
+        result.excitation = make  # pyright: ignore
 
 
 def test_many_outliers_are_not_all_listed() -> None:

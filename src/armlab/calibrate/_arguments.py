@@ -67,13 +67,15 @@ def orientations(value: ArrayLike, name: str) -> tuple[np.ndarray, str]:
         raise ShapeError(
             f"Expected {name} of shape (N, 4, 4) or (N, 3, 3), got {values.shape}. Give one orientation per sample."
         )
-    finite(values, name)
     return _rotations(values.copy(), name)
 
 
 def _rotations(R: np.ndarray, name: str) -> tuple[np.ndarray, str]:
     """Return R (N, 3, 3) projected where it is slightly off, and a note of that."""
-    off = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).reshape(len(R), 9).max(axis=1)
+    if _are_rotations(R):
+        return R, ""
+    finite(R, name)
+    off = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).reshape(len(R), 9).max(axis=1, initial=0.0)
     wrong = off > NO_ROTATION
     if wrong.any():
         raise ShapeError(
@@ -93,10 +95,18 @@ def _rotations(R: np.ndarray, name: str) -> tuple[np.ndarray, str]:
     return R, note
 
 
+def _are_rotations(R: np.ndarray) -> bool:
+    """Tell whether R = Exp(Log(R)), which only rotations do: the cheapest proof, whatever else is to be said."""
+    try:
+        return bool(np.abs(so3.exp(so3.log(R)) - R).max(initial=0.0) < 0.1 * ROUNDING)
+    except ShapeError:
+        return False
+
+
 def gravity_of(gravity: Any) -> np.ndarray:
     """Return gravity (3,), refusing what is none."""
     g = numbers(gravity, "gravity", ShapeError)
-    if g.shape != (3,) or not np.isfinite(g).all() or not g.any():
+    if g.shape != (3,) or not 0.0 < g @ g < np.inf:
         raise ShapeError(
             f"Expected gravity as three finite numbers in base axes, not all zero [m/s^2], got {gravity!r}. "
             "Give (0, 0, -9.80665) for a base that stands upright."

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
@@ -72,8 +73,8 @@ class Equation:
     @cached_property
     def places(self) -> dict[str, slice]:
         """Where the unknowns of each kind are."""
-        ends = np.cumsum([0, *self.widths.values()])
-        return {kind: slice(int(a), int(b)) for kind, a, b in zip(self.widths, ends[:-1], ends[1:])}
+        ends = list(accumulate(self.widths.values(), initial=0))
+        return {kind: slice(a, b) for kind, a, b in zip(self.widths, ends[:-1], ends[1:])}
 
     def plus(self, load: Load, x: np.ndarray) -> Load:
         """Return the load after a step x."""
@@ -118,6 +119,11 @@ class Equation:
             self.evaluate, self.plus, what=self.what, residue=ROUNDING * (float(np.abs(self.y).max()) or 1.0)
         )
 
+    @property
+    def even(self) -> bool:
+        """True where all samples have the same noise."""
+        return self.noise is None or self.noise.ndim < 3
+
     @cached_property
     def weights(self) -> np.ndarray:
         """1 over the mean variance (N,) of the force of each sample; 1 where noise is not given."""
@@ -126,13 +132,49 @@ class Equation:
         variances = self.noise if self.noise.ndim == 1 else np.diagonal(self.noise, axis1=-2, axis2=-1)
         return np.broadcast_to(1.0 / np.mean(variances[..., :3], axis=-1), (self.N,))
 
+    @cached_property
+    def seen(self) -> np.ndarray:
+        """What one unit of mass adds to the readings (N, 3), tool axes; known gravity."""
+        return (np.zeros(3) if self.pull is None else self.pull) @ self.RA
+
+    @cached_property
+    def products(self) -> np.ndarray:
+        """Products (6, 6) of all samples, see `sums`."""
+        return self.sums()
+
+    @cached_property
+    def moved(self) -> tuple[np.ndarray, np.ndarray]:
+        """Mean squares (3,) by which gravity moves over the tool, ascending, and its axes (3, 3) as columns."""
+        return np.linalg.eigh(self.products[:3, :3] / self.weights.sum())
+
+    @cached_property
+    def turn(self) -> Turn:
+        """The rotation and the mass from all samples."""
+        return Turn.of(self)
+
+    def sums(self, kept: np.ndarray | None = None) -> np.ndarray:
+        """Return the products (6, 6) of gravity and forces side by side, centred where there is a bias, weighted.
+
+        Parameters
+        ----------
+        kept : (N,) samples that count; all when left out.
+        """
+        both = np.concatenate([self.seen, self.y[:, :3]], axis=1)
+        if kept is not None:
+            both = both[kept]
+        if self.even:
+            both = both - both.sum(axis=0) / len(both) if self.bias else both
+            return self.weights[0] * (both.T @ both)
+        w = self.weights if kept is None else self.weights[kept]
+        both = both - w @ both / w.sum() if self.bias else both
+        return (both.T * w) @ both
+
     def start(self) -> Load:
         """Return the load in closed form; without torques and with isotropic noise the most likely one."""
         if self.pull is None:
             R, gamma = self._unknown_gravity()
         else:
-            turn = Turn.of(self)
-            R, gamma = turn.R, turn.m * self.pull
+            R, gamma = self.turn.R, self.turn.m * self.pull
         u = gamma @ (self.RA @ R)
         w = self.weights[:, None] / self.weights.sum()
         bias = np.zeros(self.y.shape[1])
@@ -151,6 +193,8 @@ class Equation:
         """Return values (N, ...) minus their weighted mean when there is a bias that takes it."""
         if not self.bias:
             return values
+        if self.even:
+            return values - values.sum(axis=0) / self.N
         return values - np.tensordot(self.weights / self.weights.sum(), values, axes=1)
 
     def _unknown_gravity(self) -> tuple[np.ndarray, np.ndarray]:
@@ -188,20 +232,19 @@ class Turn:
     @classmethod
     def of(cls, equation: Equation, kept: np.ndarray | None = None) -> Turn:
         """Solve for the samples (N,) that are kept."""
-        kept = np.ones(equation.N, dtype=bool) if kept is None else kept
-        w, pull = equation.weights[kept][:, None], equation.pull
-        h = (np.zeros(3) if pull is None else pull) @ equation.RA[kept]
-        f = equation.y[kept, :3]
-        if equation.bias:
-            h, f = h - (w * h).sum(axis=0) / w.sum(), f - (w * f).sum(axis=0) / w.sum()
-        U, s, V = np.linalg.svd(h.T @ (w * f))
-        d = 1.0 if np.linalg.det(U @ V) > 0 else -1.0
-        H, F = float(np.sum(w * h * h)), float(np.sum(w * f * f))
-        sums = np.array([s[0] + s[1] + d * s[2], s[0] + s[1] - d * s[2]])
-        m = np.full(2, equation.mass) if equation.mass is not None else sums / H
-        chi2 = np.maximum(F - 2.0 * m * sums + m * m * H, 0.0)
+        G = equation.products if kept is None else equation.sums(kept)
+        U, s, V = np.linalg.svd(G[:3, 3:])
+        R = U @ V
+        d = 1.0 if np.linalg.det(R) > 0 else -1.0
+        mirrored = R - 2.0 * U[:, 2:] * V[2]  # (3, 3) the same with the third axis turned round
+        R, mirrored = (R, mirrored) if d > 0 else (mirrored, R)
+        diagonal, (a, b, c) = G.diagonal().tolist(), s.tolist()
+        H, F = sum(diagonal[:3]), sum(diagonal[3:])
+        sums = a + b + d * c, a + b - d * c
+        m = [part / H for part in sums] if equation.mass is None else [equation.mass] * 2
+        chi2 = [max(F - 2.0 * x * part + x * x * H, 0.0) for x, part in zip(m, sums)]
         scale = 1.0
         if equation.noise is None:
-            scale = max(chi2.min() / max(3 * len(f) - 7, 1), FLOOR**2 * F / len(f))
-        U2 = U * [1.0, 1.0, -d]
-        return cls((U * [1.0, 1.0, d]) @ V, float(m[0]), U2 @ V, float(m[1]), float((chi2[1] - chi2[0]) / scale))
+            N = equation.N if kept is None else int(np.count_nonzero(kept))
+            scale = max(min(chi2) / max(3 * N - 7, 1), FLOOR**2 * F / N)
+        return cls(R, m[0], mirrored, m[1], (chi2[1] - chi2[0]) / scale)

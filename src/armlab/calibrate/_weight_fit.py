@@ -8,6 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from armlab.calibrate._weight_closed import Found, closed_form, is_closed
 from armlab.calibrate._weight_equation import Equation, Load, Turn
 from armlab.calibrate._weight_words import (
     MANY,
@@ -19,11 +20,12 @@ from armlab.calibrate._weight_words import (
 )
 from armlab.calibrate._weight_words import mirrored as mirrored_error
 from armlab.errors import NotExcited
-from armlab.estimation import Fit, check_spread, nonlinear_least_squares
+from armlab.estimation import Excitation, Fit, check_spread, nonlinear_least_squares, unhurried
 
 Value = TypeVar("Value")
 
 SCHEDULE = (200.0, 60.0, 20.0, 10.0, 5.0)
+RICH = 0.01  # share of gravity over two directions from which the closed form keeps 12 digits
 
 
 def fit_weight(
@@ -42,27 +44,36 @@ def fit_weight(
     notes : for the report. scale : name of the mass.
     """
     moved = require_motion(equation)
-    found = nonlinear_least_squares(equation.problem(), equation.start(), robust=robust, schedule=SCHEDULE)
-    kept = ~found.outliers
-    if robust and equation.pull is not None and np.mean(found.outliers) > MANY:
-        _try_other_hand(equation)
+    if not robust and moved > RICH and is_closed(equation):
+        found = closed_form(equation)
+    else:
+        found = _descended(equation, robust)
+    load, kept = found.load, ~found.outliers
     hand = require_right_hand(equation, kept)
-    load = found.value
-    residuals = equation.evaluate(load)[0].r
-    require_match(equation, load, residuals, kept, moved)
+    require_match(equation, load, found.residuals, kept, moved)
     _require_weight(equation, load)
     words = Words(equation, load, limits, scale)
-    excitation = check_spread(found.rows.J, words.names, words.units, words.widths, equation.what, describe=words)
-    squares = 2.0 * found.cost / found.freedom if equation.noise is not None and found.freedom else None
-    lines = [*notes, hand, *remarks(words, np.sqrt(np.diag(found.cov)), squares, moved)]
+
+    def excitation() -> Excitation:
+        J = found.jacobian(equation)
+        return check_spread(J, words.names, words.units, words.widths, equation.what, describe=words)
 
     def summary(fit: Fit[Value]) -> str:
+        squares = 2.0 * found.cost / found.freedom if equation.noise is not None and found.freedom else None
+        lines = [*notes, hand, *remarks(words, np.sqrt(np.diag(found.cov)), squares, moved)]
         return "\n".join([fit.table(), *(line for line in lines if line)])
 
     return Fit(
-        value(load), words.names, words.units, words.parameters(), found.cov, found.sigma, residuals, equation.N,
-        excitation, summary, found.outliers, found.classes,
+        value(load), words.names, words.units, words.parameters(), found.cov, found.sigma, found.residuals, equation.N,
+        unhurried(excitation, found.cov, words.widths), summary, found.outliers, tuple(dict.fromkeys(equation.classes)),
     )  # fmt: skip
+
+
+def _descended(equation: Equation, robust: bool) -> Found:
+    found = nonlinear_least_squares(equation.problem(), equation.start(), robust=robust, schedule=SCHEDULE)
+    if robust and equation.pull is not None and np.mean(found.outliers) > MANY:
+        _try_other_hand(equation)
+    return Found.of(equation, found)
 
 
 def _try_other_hand(equation: Equation) -> None:

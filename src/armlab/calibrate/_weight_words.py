@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -39,7 +40,7 @@ class Words:
     limits: tuple[float, float, float]
     scale: str = "mass"
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Name of each unknown."""
         found: list[str] = []
@@ -50,7 +51,7 @@ class Words:
             found += [self.scale] if count == 1 else [f"{label}{axis}" for axis in "xyz"]
         return tuple(found)
 
-    @property
+    @cached_property
     def units(self) -> tuple[str, ...]:
         """Unit of each unknown."""
         weight = "m/s^2" if self.scale == "scale" else "N"
@@ -62,14 +63,15 @@ class Words:
             for _ in range(count)
         )
 
-    @property
+    @cached_property
     def widths(self) -> np.ndarray:
         """Largest deviation accepted of each unknown."""
         angle, share, length = self.limits
-        weight = float(np.linalg.norm(self.load.gamma))
-        mass = share * (weight if self.equation.pull is None else weight / np.linalg.norm(self.equation.pull))
+        gamma, pull = self.load.gamma, self.equation.pull
+        weight = float(np.sqrt(gamma @ gamma))
+        mass = share * (weight if pull is None else weight / float(np.sqrt(pull @ pull)))
         one = {"rotation": angle, "mass": mass, "centre": length, "torque bias": length * weight}
-        return np.concatenate([np.full(n, one.get(kind, share * weight)) for kind, n in self.equation.widths.items()])
+        return np.array([one.get(kind, share * weight) for kind, n in self.equation.widths.items() for _ in range(n)])
 
     def parameters(self) -> np.ndarray:
         """Return the values of the unknowns."""
@@ -133,9 +135,10 @@ def require_motion(equation: Equation) -> float:
         still = "orientation of the tool does not change"
         line = f"rotation about {axis_text(u, 'tool')}, weight and bias along it"
     else:
-        h = equation.centred(equation.pull @ equation.RA) / np.linalg.norm(equation.pull)
-        _, moved, axes = np.linalg.svd(h, full_matrices=False)
-        moved, u = moved[:2] / np.sqrt(equation.N), axes[0]
+        squares, axes = equation.moved
+        moved, u = np.sqrt(np.maximum(squares[[2, 1]], 0.0) / (equation.pull @ equation.pull)), axes[:, 2]
+        if moved[1] > STILL:
+            return float(moved[1])
         still = "gravity seen from the tool does not move (rotations about the vertical only)"
         line = f"rotation about {axis_text(u, 'tool')}" + (", bias along it" if equation.bias else "")
     if moved[1] > STILL:
@@ -156,12 +159,14 @@ def require_match(equation: Equation, load: Load, r: np.ndarray, kept: np.ndarra
     ----------
     load : the best. r : (N, k) its residuals. kept : (N,) samples that count. moved : from `require_motion`.
     """
-    w = equation.weights[kept][:, None]
+    w, r = equation.weights[kept], r[kept, :3]
+    power, count = float(w @ np.einsum("ij,ij->i", r, r)), len(r)
+    if moved < RICH or 2 * count < 3 or (equation.noise is not None and power < 3 * count * ROUGH**2):
+        return
     f = equation.y[kept, :3]
-    f = f - (w * f).sum(axis=0) / w.sum() if equation.bias else f
-    share = float(np.sum(w * r[kept, :3] ** 2) / max(float(np.sum(w * f * f)), np.finfo(float).tiny))
-    noise = np.sqrt(np.mean(w * r[kept, :3] ** 2)) if equation.noise is not None else np.inf
-    if moved < RICH or share < UNEXPLAINED or noise < ROUGH or 2 * np.count_nonzero(kept) < 3:
+    f = f - w @ f / w.sum() if equation.bias else f
+    share = power / max(float(np.sum(w[:, None] * f * f)), np.finfo(float).tiny)
+    if share < UNEXPLAINED:
         return
     raise NotConverged(
         f"Expected readings that follow gravity as the tool turns, got {share:.0%} of their variation unexplained. "
@@ -175,7 +180,7 @@ def require_right_hand(equation: Equation, kept: np.ndarray) -> str:
     """Refuse sensors with a mirrored axis or a reversed sign; return a remark where that cannot be told."""
     if equation.pull is None:
         return ""
-    turn = Turn.of(equation, kept)
+    turn = equation.turn if kept.all() else Turn.of(equation, kept)
     if turn.difference >= HAND:
         return ""
     if turn.difference > -HAND:

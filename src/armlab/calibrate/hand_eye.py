@@ -9,6 +9,7 @@ Theory: Shiu and Ahmad (1989); Park and Martin (1994); Dornaika and Horaud (1998
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -26,7 +27,7 @@ from armlab.calibrate._hand_eye_words import (
     require_two_axes,
 )
 from armlab.errors import NotConverged, ShapeError, UnknownName
-from armlab.estimation import Fit, check_spread, nonlinear_least_squares
+from armlab.estimation import Fit, check_spread, nonlinear_least_squares, unhurried
 from armlab.models import HandEye
 from armlab.models.hand_eye import FRAMES
 
@@ -100,7 +101,8 @@ def fit_hand_eye(
     if equation.noise is None:
         require_two_axes(equation.RA, float(np.hypot(found.sigma[1], _robot_noise(equation))), carrier, names)
     words = Words(Part.of(names), equation.spread, limits_of(limits))
-    excitation = check_spread(found.rows.J, words.names, words.units, words.widths, WHAT, describe=words)
+    judge = partial(check_spread, found.rows.J, words.names, words.units, words.widths, WHAT, describe=words)
+    excitation = unhurried(judge, found.cov, words.widths, found.null.shape[1])
 
     def summary(fit: Fit[HandEye]) -> str:
         given, turns = equation.noise is not None, fit.sd.reshape(4, 3)[1::2]

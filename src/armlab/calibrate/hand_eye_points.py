@@ -8,6 +8,7 @@ a point is missing still counts.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -20,7 +21,7 @@ from armlab.calibrate._marker_equation import Sight, marked_start
 from armlab.calibrate._marker_match import require_sight
 from armlab.calibrate.hand_eye import LIMITS, WHAT
 from armlab.errors import NotConverged, NotExcited, ShapeError, UnknownName
-from armlab.estimation import Fit, check_spread, nonlinear_least_squares
+from armlab.estimation import Fit, check_spread, nonlinear_least_squares, unhurried
 from armlab.lie import se3
 from armlab.models import HandEye
 from armlab.models.hand_eye import FRAMES
@@ -95,7 +96,8 @@ def fit_hand_eye_points(
     outliers[: len(found.outliers)] = found.outliers
     require_sight(sight, float(np.sqrt(3.0 * np.nanmean(residuals[~outliers] ** 2))), float(np.mean(outliers)))
     words = Words(parts, sight.spread, limits_of(limits))
-    excitation = check_spread(found.rows.J, words.names, words.units, words.widths, WHAT, describe=words)
+    judge = partial(check_spread, found.rows.J, words.names, words.units, words.widths, WHAT, describe=words)
+    excitation = unhurried(judge, found.cov, words.widths, found.null.shape[1])
 
     def summary(fit: Fit[HandEye]) -> str:
         turns = fit.sd[[unit == "rad" for unit in fit.units]]

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from armlab.calibrate._laser_equation import Scans, Scene
 from armlab.calibrate._laser_start import scene_of, starts
 from armlab.calibrate._laser_words import ROUGH, Words, misfit, require_motion, require_slant, require_units
 from armlab.errors import NotConverged, NotExcited, ShapeError
-from armlab.estimation import Fit, NonlinearSolution, check_spread, nonlinear_least_squares
+from armlab.estimation import Fit, NonlinearSolution, check_spread, nonlinear_least_squares, unhurried
 from armlab.lie import se3, so3
 from armlab.models import LaserSensor
 
@@ -84,7 +85,8 @@ def fit_laser_plane(
     scene = found.value
     require_slant(data, scene)
     words = Words(data, scene, planes, limits_of(limits))
-    excitation = check_spread(found.rows.J, words.names, words.units, words.widths, "laser scanner", describe=words)
+    judge = partial(check_spread, found.rows.J, words.names, words.units, words.widths, "laser scanner", describe=words)
+    excitation = unhurried(judge, found.cov, words.widths, found.null.shape[1])
     lines = [note, *(f"plane {a}: n {np.round(n, 6)}, d {d:.6g} m" for a, n, d in zip(planes, scene.n, scene.d))]
 
     def summary(fit: Fit[LaserSensor]) -> str:

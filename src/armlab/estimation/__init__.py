@@ -5,7 +5,7 @@ from armlab.estimation.bounds import within_bounds
 from armlab.estimation.contract import Contract, Experiment, Gauge, Limits, Property, check_estimator, difference
 from armlab.estimation.correlation import block_seconds, correlation_time, effective_samples
 from armlab.estimation.descent import Problem
-from armlab.estimation.excitation import Excitation, Prior, check_excitation, check_spread
+from armlab.estimation.excitation import Excitation, Prior, check_excitation, check_spread, unhurried
 from armlab.estimation.factors import Factors, Rows, factorise
 from armlab.estimation.fit import Fit
 from armlab.estimation.linear import least_squares
@@ -54,5 +54,6 @@ __all__ = [
     "solve",
     "total_least_squares",
     "trimmed",
+    "unhurried",
     "within_bounds",
 ]

@@ -22,6 +22,21 @@ SAVED = ("names", "units", "parameters", "cov", "classes", "sigma", "outliers", 
 EXCITATION = ("expected", "singular_values", "weakest", "held", "null_names")
 
 
+class _WhenAsked:
+    """A field that may hold what makes the excitation; it is made once, when it is first asked for."""
+
+    def __get__(self, fit: Any, owner: Any = None) -> Excitation:
+        if fit is None:
+            raise AttributeError("excitation")  # there is no default
+        held = fit.__dict__["excitation"]
+        if callable(held):
+            held = fit.__dict__["excitation"] = held()
+        return held
+
+    def __set__(self, fit: Any, value: Excitation | Callable[[], Excitation]) -> None:
+        fit.__dict__["excitation"] = value
+
+
 @dataclass(frozen=True, eq=False)
 class Fit(Generic[Value]):
     """A fitted value with its covariance, residuals and excitation.
@@ -35,7 +50,7 @@ class Fit(Generic[Value]):
     sigma : noise found per class of measurement, in its unit.
     residuals : (N, ...) in SI, unwhitened; empty when the fit was read from a file.
     n : number of samples used.
-    excitation : what the data could tell.
+    excitation : what the data could tell; it may be given as what makes it, and is made when it is first asked for.
     summary : makes the text of `report`.
     outliers : (N,) samples that were left out; empty for fits that look for none.
     classes : names of the classes of measurement, with their units: "position [m]".
@@ -51,7 +66,7 @@ class Fit(Generic[Value]):
     sigma: np.ndarray
     residuals: np.ndarray
     n: int
-    excitation: Excitation
+    excitation: _WhenAsked = _WhenAsked()
     summary: Callable[[Fit[Value]], str] | None = field(default=None, repr=False)
     outliers: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     classes: tuple[str, ...] = ()

@@ -58,9 +58,9 @@ class ForceSensor:
         """Check the fields and freeze the arrays."""
         for name, shape in _SHAPES.items():
             values = np.array(getattr(self, name), dtype=np.float64)
-            known = values.copy()
-            if values.shape == shape and name in _MOMENTS and np.isnan(values[_MOMENTS[name]]).all():
-                known[_MOMENTS[name]] = 0.0
+            known = values
+            if name in _MOMENTS and values.shape == shape and np.isnan(values[_MOMENTS[name]]).all():
+                known = values[: 3 * (name == "bias")]
             if values.shape != shape or not np.isfinite(known).all():
                 raise ShapeError(f"Expected finite {name} of shape {shape} of a force sensor, got {values.tolist()}.")
             values.flags.writeable = False
