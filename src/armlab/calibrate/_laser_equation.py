@@ -8,7 +8,8 @@ With g = R_i^T n, c = R_X^T g, h = d - n.t_i - g.t_X and k = hypot(c_x, c_y):
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -41,10 +42,9 @@ class Scene(NamedTuple):
 
 def tangents(n: np.ndarray) -> np.ndarray:
     """Return bases (P, 3, 2) of the planes across unit normals (P, 3)."""
-    e = np.eye(3)[np.argmin(np.abs(n), axis=1)]
-    first = np.cross(e, n)
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    return np.stack([first, np.cross(n, first)], axis=2)
+    first = so3.hat(-n)[np.arange(len(n)), :, np.argmin(np.abs(n), axis=1)]  # e x n, e the axis farthest from n
+    first /= np.sqrt(np.einsum("ji,ji->j", first, first))[:, None]
+    return np.stack([first, np.einsum("jab,jb->ja", so3.hat(n), first)], axis=2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +73,12 @@ class Scans:
         """Number of scans."""
         return len(self.tA)
 
-    @property
+    @cached_property
+    def linear(self) -> dict[float, Any]:
+        """What was found of each plate alone, see `linear_rotations`: asked for units and for starts."""
+        return {}
+
+    @cached_property
     def P(self) -> int:
         """Number of plates."""
         return int(self.plane.max()) + 1
@@ -100,7 +105,7 @@ class Scans:
         dc, dh = np.zeros((self.N, 3, 6 + 3 * self.P)), np.zeros((self.N, 6 + 3 * self.P))
         dc[:, :, 3:6] = so3.hat(c)
         B = tangents(scene.n)[self.plane]
-        turned = np.einsum("ab,nca,ncd->nbd", scene.R, self.RA, B)
+        turned = scene.R.T @ (self.RA.transpose(0, 2, 1) @ B)
         dh[:, :3] = -g
         arm = self.tA + self.RA @ scene.t
         tilt = -np.einsum("na,nab->nb", arm, B)
@@ -111,15 +116,29 @@ class Scans:
         k = np.maximum(np.hypot(c[:, 0], c[:, 1]), TINY)
         dk = (c[:, :1] * dc[:, 0] + c[:, 1:2] * dc[:, 1]) / k[:, None]
         own, p = (rows, self.p) if self.points is None else (self.owner, self.points)
-        e1 = (np.sum(c[own, :2] * p, axis=1) - h[own]) / k[own]
-        J1 = p[:, :1] * dc[own, 0] + p[:, 1:] * dc[own, 1] - dh[own] - e1[:, None] * dk[own]
+        r = self._off(c, h, k)
+        J1 = p[:, :1] * dc[own, 0] + p[:, 1:] * dc[own, 1] - dh[own] - r[:, :1] * dk[own]
         J1 /= k[own, None]
         if self.points is not None:
-            return [Measurement(e1[:, None], J1[:, None], self.noise, ("p",), own)]
-        e2 = np.arcsin(np.clip(np.sum(c[:, :2] * self.line, axis=1) / k, -1.0, 1.0))
+            return [Measurement(r, J1[:, None], self.noise, ("p",), own)]
         side = np.sign(c[:, 0] * self.line[:, 1] - c[:, 1] * self.line[:, 0])
         J2 = (side / k**2)[:, None] * (c[:, :1] * dc[:, 1] - c[:, 1:2] * dc[:, 0])
-        return [Measurement(np.stack([e1, e2], axis=1), np.stack([J1, J2], axis=1), self.noise, ("p", "l"))]
+        return [Measurement(r, np.stack([J1, J2], axis=1), self.noise, ("p", "l"), own)]
+
+    def residuals(self, scene: Scene) -> np.ndarray:
+        """Return the residuals (N, 2), or (M, 1) of raw points, of `evaluate`."""
+        _, c, h = self.seen(scene)
+        return self._off(c, h, np.maximum(np.hypot(c[:, 0], c[:, 1]), TINY))
+
+    def _off(self, c: np.ndarray, h: np.ndarray, k: np.ndarray) -> np.ndarray:
+        if self.points is not None:
+            own = self.owner
+            return ((np.einsum("ni,ni->n", c[own, :2], self.points) - h[own]) / k[own])[:, None]
+        r = np.empty((self.N, 2))
+        r[:, 0] = (np.einsum("ni,ni->n", c[:, :2], self.p) - h) / k
+        sine = np.einsum("ni,ni->n", c[:, :2], self.line) / k
+        r[:, 1] = np.arcsin(np.minimum(np.maximum(sine, -1.0), 1.0))
+        return r
 
     def problem(self) -> Problem[Scene]:
         """Return what the solver needs."""

@@ -21,7 +21,7 @@ def starts(scans: Scans, ratio: float) -> Iterator[list[Scene]]:
     ----------
     scans : of plates. ratio : deviation of points over that of angles.
     """
-    linear = [R for j in range(scans.P) for R in linear_rotations(scans, j, ratio)[0]]
+    linear = [R for found, _ in linear_rotations(scans, ratio) for R in found]
     if linear:
         yield _sorted(scans, linear, ratio)
     yield _sorted(scans, list(cube()), ratio)
@@ -45,17 +45,24 @@ def _sorted(scans: Scans, rotations: list[np.ndarray], ratio: float) -> list[Sce
 
 
 def _cost(scans: Scans, scene: Scene, ratio: float) -> float:
-    (one,) = scans.evaluate(scene)
-    r = one.r * np.array([1.0, ratio])[: one.r.shape[1]]
-    return float(np.sum(r * r))
+    r = scans.residuals(scene)
+    r = r * np.array([1.0, ratio])[: r.shape[1]]
+    return float(np.vdot(r, r))
 
 
-def linear_rotations(scans: Scans, j: int, ratio: float) -> tuple[list[np.ndarray], float]:
-    """Return rotations from the scans of plate j alone, and the unit of length of the scans over that of the poses.
+def linear_rotations(scans: Scans, ratio: float) -> tuple[tuple[list[np.ndarray], float], ...]:
+    """Return rotations from the scans of each plate alone, and the unit of length of the scans over that of the poses.
 
     p_x n.R_i r1 + p_y n.R_i r2 + n.R_i t + n.t_i - d = 0 and l_x n.R_i r1 + l_y n.R_i r2 = 0 are linear in
     [n (x) r1, n (x) r2, n (x) t, n, d], up to scale.
     """
+    known = scans.linear
+    if ratio not in known:
+        known[ratio] = tuple(_linear(scans, j, ratio) for j in range(scans.P))
+    return known[ratio]
+
+
+def _linear(scans: Scans, j: int, ratio: float) -> tuple[list[np.ndarray], float]:
     mine = scans.plane == j
     if np.count_nonzero(mine) < ENOUGH:
         return [], 1.0
@@ -81,7 +88,8 @@ def linear_rotations(scans: Scans, j: int, ratio: float) -> tuple[list[np.ndarra
 def scene_of(scans: Scans, R: np.ndarray) -> Scene:
     """Return planes and position that go best with a rotation R of the sensor: lines give normals, points the rest."""
     lines = np.einsum("nij,nj->ni", scans.RA, scans.line @ R[:, :2].T)
-    n = np.stack([np.linalg.svd(lines[scans.plane == j])[2][-1] for j in range(scans.P)])
+    across = (lines[scans.plane == j] for j in range(scans.P))
+    n = np.linalg.eigh(np.stack([one.T @ one for one in across]))[1][:, :, 0]
     own = n[scans.plane]
     A = np.zeros((scans.N, 3 + scans.P))
     A[:, :3] = np.einsum("ni,nij->nj", own, scans.RA)

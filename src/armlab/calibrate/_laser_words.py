@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -32,24 +33,24 @@ class Words:
     planes: tuple[str, ...]
     limits: tuple[float, float]
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Name of each unknown."""
         pose = [f"T_tool_sensor {'r' * turn}{axis}" for turn in (0, 1) for axis in "xyz"]
         return (*pose, *(f"plane {label} {what}" for label in self.planes for what in ("tilt 1", "tilt 2", "offset")))
 
-    @property
+    @cached_property
     def units(self) -> tuple[str, ...]:
         """Unit of each unknown."""
         return (*("m",) * 3, *("rad",) * 3, *("rad", "rad", "m") * len(self.planes))
 
-    @property
+    @cached_property
     def spread(self) -> float:
         """RMS distance of the measured points from their mean [m]."""
         q = self.scans.base_points(self.scene)
         return float(np.sqrt(np.mean(np.sum((q - q.mean(axis=0)) ** 2, axis=1)))) or 1.0
 
-    @property
+    @cached_property
     def widths(self) -> np.ndarray:
         """Largest deviation accepted of each unknown."""
         return np.array([self.limits[0] * self.spread if unit == "m" else self.limits[1] for unit in self.units])
@@ -111,7 +112,7 @@ def require_units(scans: Scans, ratio: float) -> None:
 
 def _unit(scans: Scans, ratio: float) -> float:
     """Return the unit of the poses over that of the scans, 1 where plates do not agree on it."""
-    sizes = [linear_rotations(scans, j, ratio)[1] for j in range(scans.P)]
+    sizes = [size for _, size in linear_rotations(scans, ratio)]
     agreed = np.ptp(np.log(np.maximum(sizes, 1e-300))) < np.log(UNITS)
     return float(np.median(sizes)) if agreed else 1.0
 

@@ -87,16 +87,16 @@ def fit_laser_plane(
     words = Words(data, scene, planes, limits_of(limits))
     judge = partial(check_spread, found.rows.J, words.names, words.units, words.widths, "laser scanner", describe=words)
     excitation = unhurried(judge, found.cov, words.widths, found.null.shape[1])
-    lines = [note, *(f"plane {a}: n {np.round(n, 6)}, d {d:.6g} m" for a, n, d in zip(planes, scene.n, scene.d))]
 
     def summary(fit: Fit[LaserSensor]) -> str:
+        found_planes = (f"plane {a}: n {np.round(n, 6)}, d {d:.6g} m" for a, n, d in zip(planes, scene.n, scene.d))
         chi2 = "" if data.noise is None else f"residuals {_times(found):.3g} times the noise"
-        return "\n".join(line for line in [fit.table(), *lines, chi2] if line)
+        return "\n".join(line for line in [fit.table(), note, *found_planes, chi2] if line)
 
     tilts = np.column_stack([np.zeros((len(planes), 2)), scene.d]).ravel()
     parameters = np.concatenate([scene.t, so3.log(scene.R), tilts])
     value = LaserSensor(se3.from_rp(scene.R, scene.t), scene.n, scene.d, planes)
-    residuals = data.evaluate(scene)[0].r
+    residuals = data.residuals(scene)
     return Fit(
         value, words.names, words.units, parameters, found.cov, found.sigma, residuals, data.N, excitation, summary,
         found.outliers, tuple(CLASSES[name] for name in found.classes),
@@ -178,8 +178,7 @@ def _agrees(found: NonlinearSolution[Any]) -> bool:
 
 def _is_clear(scans: Scans, found: NonlinearSolution[Scene]) -> bool:
     """Return whether what is left is small beside the scene: points and angles."""
-    (one,) = scans.evaluate(found.value)
-    left = np.median(np.abs(one.r), axis=0)
+    left = np.median(np.abs(scans.residuals(found.value)), axis=0)
     near = left[0] < CLEAR[0] * Words(scans, found.value, (), LIMITS).spread
     return bool(near and left[-1] < CLEAR[1] and np.mean(found.outliers) <= MANY)
 
