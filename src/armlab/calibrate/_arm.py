@@ -20,6 +20,7 @@ from armlab.robots import Robot
 
 GAUGE = {False: (2, 5), True: (0, 1, 2, 5)}  # components of [v; w] that commute with Rz, with Tz
 SMALLEST_ROUNDS, SMALLEST_STEP = 20, 1e-12
+SAME = 1e-2  # m and rad: after a step as short the gauge has hardly turned
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 
 
@@ -94,10 +95,11 @@ class Arm:
     def sizes(self, length: float, angle: float) -> np.ndarray:
         """Return (d,) a length for metres, an angle for radians, what turns a joint by the angle for joint terms."""
         twists = np.tile([*(length,) * 3, *(angle,) * 3], self.n + 1)
-        rms = np.sqrt(np.mean(self.terms**2, axis=(0, 1)))
-        return np.concatenate(
-            [twists, np.full(self.waves[0].size, angle), angle / np.where(rms > 0, rms, 1.0)],
-        )
+        parts = [twists, np.full(self.waves[0].size, angle)]
+        if self.terms.shape[2]:
+            rms = np.sqrt(np.mean(self.terms**2, axis=(0, 1)))
+            parts.append(angle / np.where(rms > 0, rms, 1.0))
+        return np.concatenate(parts)
 
     @cached_property
     def unbound(self) -> np.ndarray:
@@ -186,11 +188,15 @@ class Arm:
         """
         frames, whole = np.array(frames), np.eye(4)
         rows, columns, _ = self.moving
+        length, W = np.inf, np.zeros((0, 0))
         for _ in range(SMALLEST_ROUNDS):
             foot, end = np.zeros((6 * len(frames), base.shape[1])), np.zeros((6 * len(frames), tool.shape[1]))
             foot[:6], end[-6:] = se3.adjoint_inv(frames[0]) @ base, tool
             G = np.hstack([self.gauge(frames)[0][: len(foot)], foot, end])
-            step = -np.linalg.lstsq(G, self.corrections(frames).ravel(), rcond=1e-9)[0]
+            if length > SAME:  # nearer, the same W W^T = (G^T G)^+ serves
+                _, s, V = np.linalg.svd(G, full_matrices=False)
+                W = V[s > 1e-9 * s[0]].T / s[s > 1e-9 * s[0]]
+            step = -W @ (W.T @ (G.T @ self.corrections(frames).ravel()))
             twists, turned = np.zeros((self.n, 6)), len(rows) + base.shape[1]
             twists[rows, columns] = step[: len(rows)]
             frames[:-1] = frames[:-1] @ se3.exp(twists)
@@ -198,7 +204,8 @@ class Arm:
             move = se3.exp(base @ step[len(rows) : turned])
             frames[0], whole = move @ frames[0], move @ whole
             frames[-1] = frames[-1] @ se3.exp(tool @ step[turned:])
-            if np.abs(step).max() < SMALLEST_STEP:
+            length = np.abs(step).max()
+            if length < SMALLEST_STEP:
                 break
         return frames, whole
 

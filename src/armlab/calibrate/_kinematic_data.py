@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from armlab._numbers import numbers
-from armlab.calibrate._arguments import rows_text
+from armlab.calibrate._arguments import are_rotations, rows_text
 from armlab.errors import ConfigError, RobotError, ShapeError, UnknownName
 from armlab.lie import so3
 from armlab.robots import Robot
@@ -193,6 +193,8 @@ def _poses(T: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, str]:
             "The matrices seem to be transposed."
         )
     R = T[:, :3, :3]
+    if are_rotations(R):
+        return T, ""
     off = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).reshape(len(R), 9).max(axis=1)
     wrong = np.flatnonzero((off > NO_ROTATION) | (np.linalg.det(R) < 0))
     if len(wrong):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -45,7 +46,7 @@ class KinematicProblem:
     points: int
     prior: tuple[float, float] | None
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Number of unknowns, gauge included: arm, points, anchor, offset and scale of lengths."""
         return self.arm.size + 3 * self.points + 5
@@ -140,9 +141,13 @@ class KinematicProblem:
             yield link_prior(arm, state.arm, self.prior, d, local=local)
 
     def _pose(self, kind: Kind, state: State, motion: Motion, J: np.ndarray, local: bool) -> list[Measurement]:
-        rows = np.flatnonzero(kind.visible)
-        r, J = pose_residual(motion.T[rows], kind.values[rows], J[rows])
-        return [Measurement(r[:, kind.kept], self._wide(J[:, kind.kept]), kind.noise(rows), kind.classes, rows)]
+        rows, T, measured = np.flatnonzero(kind.visible), motion.T, kind.values
+        if len(rows) < len(T):
+            T, measured, J = T[rows], measured[rows], J[rows]
+        r, J = pose_residual(T, measured, J)
+        if len(kind.kept) < 6:
+            r, J = r[:, kind.kept], J[:, kind.kept]
+        return [Measurement(r, self._wide(J), kind.noise(rows), kind.classes, rows)]
 
     def _position(self, kind: Kind, state: State, motion: Motion, J: np.ndarray, local: bool) -> list[Measurement]:
         found = []
@@ -184,7 +189,9 @@ class KinematicProblem:
 
     def _wide(self, J: np.ndarray) -> np.ndarray:
         """Return derivatives by the arm with zeros for the other unknowns."""
-        return np.concatenate([J, np.zeros((*J.shape[:2], self.size - J.shape[2]))], axis=2)
+        wide = np.zeros((*J.shape[:2], self.size))
+        wide[:, :, : J.shape[2]] = J
+        return wide
 
 
 def pose_residual(T: np.ndarray, measured: np.ndarray, J: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -192,8 +199,10 @@ def pose_residual(T: np.ndarray, measured: np.ndarray, J: np.ndarray) -> tuple[n
     R = T[:, :3, :3].transpose(0, 2, 1)
     turn = so3.log(R @ measured[:, :3, :3])
     r = np.concatenate([measured[:, :3, 3] - T[:, :3, 3], turn], axis=1)
-    turned = -(so3.left_jacobian_inv(turn) @ R) @ J[:, 3:]
-    return r, np.concatenate([-J[:, :3], turned], axis=1)
+    moved = np.empty_like(J)
+    np.negative(J[:, :3], out=moved[:, :3])
+    np.matmul(-(so3.left_jacobian_inv(turn) @ R), J[:, 3:], out=moved[:, 3:])
+    return r, moved
 
 
 def amplitude_prior(arm: Arm, state: ArmState, size: int, at: int = 0) -> Measurement:

@@ -116,7 +116,7 @@ class Question(ABC, Generic[S]):
             gauge=G[used],
             gauge_names=gauge_names,
             nature=_inside(self.nature(state), used),
-            suspects=_inside(self.suspects(state), used),
+            suspects=lambda: _inside(self.suspects(state), used),
             what="arm",
         )
         return judgement.excitation(np.concatenate(list(_whitened(data, sigma, outside)))[:, used], self.hold)

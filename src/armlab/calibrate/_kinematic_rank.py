@@ -8,7 +8,7 @@ so is every direction that the data tell worse than the limit.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,7 +40,7 @@ class Judgement:
     ----------
     names, units : of the d unknowns. limits : (d,) the largest deviation that is accepted.
     gauge : (d, g) directions that nothing sees, with their names. nature : what this kind of data may never see.
-    suspects : what data may fail to see.
+    suspects : returns what data may fail to see; asked where something is weak.
     what : is fitted.
     """
 
@@ -50,7 +50,7 @@ class Judgement:
     gauge: np.ndarray
     gauge_names: Sequence[str]
     nature: Sequence[Suspect]
-    suspects: Sequence[Suspect]
+    suspects: Callable[[], Sequence[Suspect]]
     what: str
 
     def excitation(self, J: np.ndarray, hold: bool) -> Excitation:
@@ -63,7 +63,7 @@ class Judgement:
         A = np.asarray(np.linalg.qr(J, mode="r")) * self.limits if len(J) > J.shape[1] else J * self.limits
         fixed, names = _independent(self.gauge / self.limits[:, None]), [f"gauge: {name}" for name in self.gauge_names]
         largest = float(np.linalg.norm(A))
-        for suspect in self.nature:
+        for suspect in self.nature if self._may_be_dark(A, fixed, largest) else ():
             for v in (suspect.directions / self.limits[:, None]).T:
                 v = v - fixed @ (fixed.T @ v)
                 length = np.linalg.norm(v)
@@ -94,6 +94,15 @@ class Judgement:
             null_names=(*names, *(f"missing: {name}" for name in missing.each)),
             spread=spread,
         )
+
+    def _may_be_dark(self, A: np.ndarray, fixed: np.ndarray, largest: float) -> bool:
+        """Tell whether any direction of `nature` is unseen: all at once, as few ever are."""
+        if not self.nature:
+            return False
+        V = np.concatenate([suspect.directions for suspect in self.nature], axis=1) / self.limits[:, None]
+        V = V - fixed @ (fixed.T @ V)
+        lengths, seen = np.linalg.norm(V, axis=0), np.linalg.norm(A @ V, axis=0)
+        return bool(np.any((lengths > SEEN) & (seen <= SEEN * largest * lengths)))
 
     def words(self, v: np.ndarray, spread: float) -> str:
         """Name a direction by its largest components, with their deviation."""
@@ -128,7 +137,7 @@ class _Named:
         if not W.shape[1]:
             return cls(words, spreads, advice, each, W)
         parts, left, worst = [], W, float(np.max(spread))
-        for suspect in judgement.suspects:
+        for suspect in judgement.suspects():
             D = suspect.directions / judgement.limits[:, None]
             known = np.column_stack([fixed, *parts])
             Q = _independent(D - known @ (known.T @ D))

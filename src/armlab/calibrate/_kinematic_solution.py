@@ -88,7 +88,9 @@ class ArmQuestion(Question[State]):
             else:
                 size, columns = float(np.mean(kind.values[kind.visible])), range(kept.shape[1])
             off = kept[:, list(columns)]
-            rms = float(np.sqrt(np.nanmean(off**2))) if len(self.problem.kinds) == 1 and off.size else 0.0
+            square = float(np.vdot(off, off)) / max(off.size, 1)
+            square = square if np.isfinite(square) else float(np.nanmean(off**2))  # NaN is what was not measured
+            rms = float(np.sqrt(square)) if len(self.problem.kinds) == 1 else 0.0
             if rms > MISFIT * size and len(kept) > 3:
                 raise NotConverged(
                     f"Expected an arm that fits the measurements, got residuals of {rms:.3g} m in a space of "
