@@ -7,12 +7,15 @@ Centred, rotation, mass and bias do not mix (u x u = 0), with u_i = R^T R_i^T ga
 
 from __future__ import annotations
 
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
 
 from armlab.calibrate._weight_equation import ROUNDING, Equation, Load
 from armlab.estimation import NonlinearSolution
+
+NOTHING = np.zeros(3)
 
 
 class Found(NamedTuple):
@@ -25,6 +28,7 @@ class Found(NamedTuple):
     residuals: np.ndarray
     cost: float
     freedom: int
+    unseen: int
     rows: np.ndarray | None
 
     @classmethod
@@ -32,7 +36,15 @@ class Found(NamedTuple):
         """Return what the solver found."""
         residuals = equation.evaluate(found.value)[0].r
         return cls(
-            found.value, found.cov, found.sigma, found.outliers, residuals, found.cost, found.freedom, found.rows.J
+            found.value,
+            found.cov,
+            found.sigma,
+            found.outliers,
+            residuals,
+            found.cost,
+            found.freedom,
+            found.null.shape[1],
+            found.rows.J,
         )
 
     def jacobian(self, equation: Equation) -> np.ndarray:
@@ -56,16 +68,15 @@ def closed_form(equation: Equation) -> Found:
     turn, N = equation.turn, equation.N
     v = equation.seen @ turn.R
     r = equation.y - turn.m * v
-    bias = r.sum(axis=0) / N if equation.bias else np.zeros(3)
+    bias = r.sum(axis=0) / N if equation.bias else NOTHING
     r -= bias
     power, freedom = float(np.vdot(r, r)), 3 * N - sum(equation.widths.values())
-    sigma = float(np.sqrt(power / freedom))
+    sigma = sqrt(power / freedom)
     variance = _variance(equation, sigma)
-    gamma = turn.m * np.zeros(3) if equation.pull is None else turn.m * equation.pull
-    load = Load(turn.R, gamma, bias, np.zeros(3))
+    load = Load(turn.R, turn.m * (NOTHING if equation.pull is None else equation.pull), bias, NOTHING)
     cov = _covariance(equation, variance, v.sum(axis=0) / N)
     none = np.zeros(N, dtype=bool)
-    return Found(load, cov, np.array([sigma]), none, r, 0.5 * power / variance, freedom, None)
+    return Found(load, cov, np.array([sigma]), none, r, 0.5 * power / variance, freedom, 0, None)
 
 
 def _variance(equation: Equation, sigma: float) -> float:
@@ -87,8 +98,8 @@ def _covariance(equation: Equation, variance: float, mean: np.ndarray) -> np.nda
     C = np.zeros((free, free))
     total = float(squares.sum())
     each = variance / equation.N
-    with np.errstate(all="ignore"):  # no weight at all is told by its deviation
-        C[:3, :3] = V * (each / (turn.m**2 * (total - squares))) @ V.T
+    m2 = max(turn.m * turn.m, np.finfo(float).tiny)  # no weight at all is told by its deviation
+    C[:3, :3] = V * (each / m2 / (total - squares)) @ V.T
     if free == 4:
         C[3, 3] = each / total
     if not equation.bias:

@@ -132,6 +132,14 @@ class Equation:
         variances = self.noise if self.noise.ndim == 1 else np.diagonal(self.noise, axis1=-2, axis2=-1)
         return np.broadcast_to(1.0 / np.mean(variances[..., :3], axis=-1), (self.N,))
 
+    @property
+    def variance(self) -> float:
+        """Mean variance of a force where noise is given and the same for all samples; 1 where it is not given."""
+        if self.noise is None:
+            return 1.0
+        a, b, c = (self.noise if self.noise.ndim == 1 else self.noise.diagonal())[:3].tolist()
+        return (a + b + c) / 3.0
+
     @cached_property
     def seen(self) -> np.ndarray:
         """What one unit of mass adds to the readings (N, 3), tool axes; known gravity."""
@@ -145,7 +153,7 @@ class Equation:
     @cached_property
     def moved(self) -> tuple[np.ndarray, np.ndarray]:
         """Mean squares (3,) by which gravity moves over the tool, ascending, and its axes (3, 3) as columns."""
-        return np.linalg.eigh(self.products[:3, :3] / self.weights.sum())
+        return np.linalg.eigh(self.products[:3, :3] / (self.N if self.even else self.weights.sum()))
 
     @cached_property
     def turn(self) -> Turn:
@@ -153,7 +161,9 @@ class Equation:
         return Turn.of(self)
 
     def sums(self, kept: np.ndarray | None = None) -> np.ndarray:
-        """Return the products (6, 6) of gravity and forces side by side, centred where there is a bias, weighted.
+        """Return the products (6, 6) of gravity and forces side by side, centred where there is a bias.
+
+        They are weighted where the noise of samples differs.
 
         Parameters
         ----------
@@ -164,7 +174,7 @@ class Equation:
             both = both[kept]
         if self.even:
             both = both - both.sum(axis=0) / len(both) if self.bias else both
-            return self.weights[0] * (both.T @ both)
+            return both.T @ both
         w = self.weights if kept is None else self.weights[kept]
         both = both - w @ both / w.sum() if self.bias else both
         return (both.T * w) @ both
@@ -219,32 +229,43 @@ class Turn:
 
     Attributes
     ----------
-    R : (3, 3). m : mass. mirrored : (3, 3) the best of the other hand, with mirrored_m.
+    R : (3, 3). m : mass. third : (3, 3) its part ``d u3 v3^T``, which the other hand reverses. mirrored_m : mass of it.
     difference : Delta, chi^2 of the best of the other hand minus that of the best rotation.
     """
 
     R: np.ndarray
     m: float
-    mirrored: np.ndarray
+    third: np.ndarray
     mirrored_m: float
     difference: float
+
+    @property
+    def mirrored(self) -> np.ndarray:
+        """The best of the other hand (3, 3)."""
+        return self.R - 2.0 * self.third
 
     @classmethod
     def of(cls, equation: Equation, kept: np.ndarray | None = None) -> Turn:
         """Solve for the samples (N,) that are kept."""
         G = equation.products if kept is None else equation.sums(kept)
         U, s, V = np.linalg.svd(G[:3, 3:])
-        R = U @ V
-        d = 1.0 if np.linalg.det(R) > 0 else -1.0
-        mirrored = R - 2.0 * U[:, 2:] * V[2]  # (3, 3) the same with the third axis turned round
-        R, mirrored = (R, mirrored) if d > 0 else (mirrored, R)
+        R, third = U @ V, U[:, 2:] * V[2]
+        d = 1.0
+        if _determinant(R) < 0.0:
+            R, third, d = R - 2.0 * third, -third, -1.0
         diagonal, (a, b, c) = G.diagonal().tolist(), s.tolist()
         H, F = sum(diagonal[:3]), sum(diagonal[3:])
         sums = a + b + d * c, a + b - d * c
         m = [part / H for part in sums] if equation.mass is None else [equation.mass] * 2
         chi2 = [max(F - 2.0 * x * part + x * x * H, 0.0) for x, part in zip(m, sums)]
-        scale = 1.0
         if equation.noise is None:
             N = equation.N if kept is None else int(np.count_nonzero(kept))
             scale = max(min(chi2) / max(3 * N - 7, 1), FLOOR**2 * F / N)
-        return cls(R, m[0], mirrored, m[1], (chi2[1] - chi2[0]) / scale)
+        else:
+            scale = equation.variance if equation.even else 1.0
+        return cls(R, m[0], third, m[1], (chi2[1] - chi2[0]) / scale)
+
+
+def _determinant(R: np.ndarray) -> float:
+    (a, b, c), (d, e, f), (g, h, i) = R.tolist()
+    return a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g)

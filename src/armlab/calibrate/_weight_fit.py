@@ -65,7 +65,8 @@ def fit_weight(
 
     return Fit(
         value(load), words.names, words.units, words.parameters(), found.cov, found.sigma, found.residuals, equation.N,
-        unhurried(excitation, found.cov, words.widths), summary, found.outliers, tuple(dict.fromkeys(equation.classes)),
+        unhurried(excitation, found.cov, words.widths, found.unseen), summary, found.outliers,
+        tuple(dict.fromkeys(equation.classes)),
     )  # fmt: skip
 
 

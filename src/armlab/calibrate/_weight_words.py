@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -40,28 +40,15 @@ class Words:
     limits: tuple[float, float, float]
     scale: str = "mass"
 
-    @cached_property
+    @property
     def names(self) -> tuple[str, ...]:
         """Name of each unknown."""
-        found: list[str] = []
-        quantity = "acceleration" if self.scale == "scale" else "force"
-        for kind, count in self.equation.widths.items():
-            label = {"rotation": "R_tool_sensor r", "mass": "weight ", "centre": "centre "}.get(kind, "")
-            label = label or f"{kind.replace('force', quantity)} "
-            found += [self.scale] if count == 1 else [f"{label}{axis}" for axis in "xyz"]
-        return tuple(found)
+        return _labels(tuple(self.equation.widths.items()), self.scale)[0]
 
-    @cached_property
+    @property
     def units(self) -> tuple[str, ...]:
         """Unit of each unknown."""
-        weight = "m/s^2" if self.scale == "scale" else "N"
-        one = {"rotation": "rad", "centre": "m", "torque bias": "N m"}
-        single = "" if self.scale == "scale" else "kg"
-        return tuple(
-            single if count == 1 else one.get(kind, weight)
-            for kind, count in self.equation.widths.items()
-            for _ in range(count)
-        )
+        return _labels(tuple(self.equation.widths.items()), self.scale)[1]
 
     @cached_property
     def widths(self) -> np.ndarray:
@@ -104,10 +91,24 @@ class Words:
         return f"{text}, {np.linalg.norm(part):.2g} {unit}".rstrip()
 
 
+@cache
+def _labels(widths: tuple[tuple[str, int], ...], scale: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return names and units of the unknowns, see `Words`."""
+    names, units = [], []
+    quantity, weight, single = ("acceleration", "m/s^2", "") if scale == "scale" else ("force", "N", "kg")
+    for kind, count in widths:
+        label = {"rotation": "R_tool_sensor r", "mass": "weight ", "centre": "centre "}.get(kind, "")
+        label = label or f"{kind.replace('force', quantity)} "
+        unit = {"rotation": "rad", "centre": "m", "torque bias": "N m"}.get(kind, weight)
+        names += [scale] if count == 1 else [f"{label}{axis}" for axis in "xyz"]
+        units += [single] if count == 1 else [unit] * count
+    return tuple(names), tuple(units)
+
+
 def limits_of(limits: Any) -> tuple[float, float, float]:
     """Return the three limits, refusing others than numbers above zero."""
     values = numbers(limits, "limits", ShapeError)
-    if values.shape != (3,) or not np.all(values > 0):
+    if values.shape != (3,) or not values.min() > 0:
         raise ShapeError(
             f"Expected limits as three numbers above zero, an angle [rad], a share of the weight and a length [m], got "
             f"{limits!r}. (0.2, 0.3, 0.1) are the usual ones."
@@ -159,8 +160,11 @@ def require_match(equation: Equation, load: Load, r: np.ndarray, kept: np.ndarra
     ----------
     load : the best. r : (N, k) its residuals. kept : (N,) samples that count. moved : from `require_motion`.
     """
+    count = np.count_nonzero(kept)
+    if equation.noise is not None and equation.even and np.vdot(r, r) < 3 * count * ROUGH**2 * equation.variance:
+        return  # all residuals, torques too, are more than those of the forces kept
     w, r = equation.weights[kept], r[kept, :3]
-    power, count = float(w @ np.einsum("ij,ij->i", r, r)), len(r)
+    power = float(w @ np.einsum("ij,ij->i", r, r))
     if moved < RICH or 2 * count < 3 or (equation.noise is not None and power < 3 * count * ROUGH**2):
         return
     f = equation.y[kept, :3]

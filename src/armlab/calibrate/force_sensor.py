@@ -8,6 +8,7 @@ everything is then fitted together. Umeyama (1991) for the closed form.
 
 from __future__ import annotations
 
+from math import hypot
 from typing import Any, Literal
 
 import numpy as np
@@ -25,6 +26,7 @@ from armlab.models import ForceSensor
 __all__ = ["fit_force_sensor"]
 
 LIMITS = (0.2, 0.3, 0.1)
+UNKNOWN = np.full(3, np.nan)
 CLASSES = ("force [N]",) * 3 + ("torque [N m]",) * 3
 
 
@@ -86,11 +88,10 @@ def fit_force_sensor(
     )  # fmt: skip
 
     def value(load: Load) -> ForceSensor:
-        weight = float(np.linalg.norm(load.gamma))
-        found = weight / (STANDARD if pull is None else float(np.linalg.norm(pull)))
+        weight = hypot(*load.gamma.tolist())
+        found = weight / (STANDARD if pull is None else hypot(*pull.tolist()))
         g = sign * (load.gamma / found if pull is None else pull)
-        nothing = np.full(3, np.nan)
-        moments = (load.centre, load.bias) if equation.torque else (nothing, np.append(load.bias, nothing))
+        moments = (load.centre, load.bias) if equation.torque else (UNKNOWN, np.append(load.bias, UNKNOWN))
         return ForceSensor(load.R, found, *moments, sign=sign, gravity=g)
 
     return fit_weight(equation, value, limits_of(limits), robust, [note])

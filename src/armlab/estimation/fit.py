@@ -82,11 +82,13 @@ class Fit(Generic[Value]):
             )
         object.__setattr__(self, "names", tuple(self.names))
         object.__setattr__(self, "units", tuple(self.units))
-        for name in (name for name in READ_ONLY if getattr(self, name) is not None):
+        for name in READ_ONLY:
+            if getattr(self, name) is None:
+                continue
             values = np.array(getattr(self, name), dtype=bool if name == "outliers" else float)
             values.flags.writeable = False
             object.__setattr__(self, name, values)
-        if not np.isfinite(self.cov).all() or np.any(np.diag(self.cov) < 0):
+        if not np.isfinite(self.cov).all() or (d and self.cov.diagonal().min() < 0):
             raise ShapeError(
                 "Expected a finite covariance with a diagonal that is not negative, got another one. "
                 "This is a fault of the fit."

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import isfinite
 from typing import Literal
 
 import numpy as np
 
 from armlab.errors import ShapeError, UnknownName
+from armlab.lie import so3
 
 __all__ = ["ForceSensor"]
 
@@ -61,13 +63,15 @@ class ForceSensor:
             known = values
             if name in _MOMENTS and values.shape == shape and np.isnan(values[_MOMENTS[name]]).all():
                 known = values[: 3 * (name == "bias")]
-            if values.shape != shape or not np.isfinite(known).all():
+            if values.shape != shape or not all(map(isfinite, known.ravel().tolist())):
                 raise ShapeError(f"Expected finite {name} of shape {shape} of a force sensor, got {values.tolist()}.")
             values.flags.writeable = False
             object.__setattr__(self, name, values)
-        R = self.R_tool_sensor
-        if np.abs(R.T @ R - np.eye(3)).max() > 1e-6 or np.linalg.det(R) < 0.0:
-            raise ShapeError(f"Expected a rotation as R_tool_sensor of a force sensor, got {R.tolist()}.")
+        try:
+            so3.log(self.R_tool_sensor)
+        except ShapeError:
+            R = self.R_tool_sensor.tolist()
+            raise ShapeError(f"Expected a rotation as R_tool_sensor of a force sensor, got {R}.") from None
         if self.sign not in (1, -1):
             raise ShapeError(f"Expected the sign +1 or -1 of a force sensor, got {self.sign!r}.")
         if not 0.0 <= self.mass < np.inf:
