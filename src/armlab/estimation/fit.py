@@ -28,8 +28,8 @@ class _WhenAsked:
     def __get__(self, fit: Any, owner: Any = None) -> Excitation:
         if fit is None:
             raise AttributeError("excitation")  # there is no default
-        held = fit.__dict__["excitation"]
-        if callable(held):
+        held: Excitation | Callable[[], Excitation] = fit.__dict__["excitation"]
+        if not isinstance(held, Excitation):
             held = fit.__dict__["excitation"] = held()
         return held
 
