@@ -14,7 +14,8 @@ from blocks import Contender, Table, loop, table
 
 from armlab.calibrate import fit_accelerometer, fit_force_sensor
 from armlab.errors import NotConverged
-from armlab.lie import quaternion, so3
+from armlab.lie import so3
+from armlab.sim import cell
 
 G = np.array([0.0, 0.0, -9.82])
 BAR, TILT = 1.05, np.radians(30.0)
@@ -78,47 +79,26 @@ def _decomposition(cloud: tuple[np.ndarray, np.ndarray]) -> Any:
     return np.linalg.svd(h.T @ f)
 
 
-def _rotations(rng: np.random.Generator, count: int) -> np.ndarray:
-    q = rng.standard_normal((count, 4))
-    return quaternion.to_matrix(q / np.linalg.norm(q, axis=1, keepdims=True))
-
-
 def _draw(case: Case, run: int) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any], np.ndarray]:
     """Return arguments, the same with exact readings, truth, and which samples had contact."""
-    rng = np.random.default_rng([case.seed, run])
-    N, none = case.N, np.zeros(0)
-    R = _rotations(rng, 1)[0]
-    gamma, g = G, G
-    if case.unknown:
-        gamma = rng.standard_normal(3)
-        gamma *= 9.82 / np.linalg.norm(gamma)
-    o = rng.standard_normal(3) if case.bias else np.zeros(3)
+    made = cell(case.seed)
     if case.accelerometer:
-        g = np.array([0.0, 0.0, -9.80665])
-        gamma, o = -g, -0.2 * R @ o
-    RA = _rotations(rng, N)
-    if case.tilt:
-        axes = rng.standard_normal((N, 3))
-        axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-        middle = _rotations(rng, 1)[0]
-        RA = middle @ so3.exp(axes * rng.uniform(0.0, TILT, N)[:, None])
-    r, o_tau = 0.1 * rng.standard_normal((2, 3)) if case.torque is not None else (none, none)
-    u = gamma @ RA @ R
-    exact = u - o @ R
-    y = exact + case.sigma * rng.standard_normal((N, 3))
-    touched = np.arange(N) < case.contacts
-    y[touched] += 20.0 * _rotations(rng, N)[touched, 0]
-    if case.torque is not None:
-        torque = np.cross(r, u) - o_tau
-        exact = np.hstack([exact, torque])
-        y = np.hstack([y, torque + case.torque * rng.standard_normal((N, 3))])
+        drawn = made.accelerometer(run, case.N, sigma=case.sigma)
+    else:
+        tilt = TILT if case.tilt else None
+        drawn = made.force(
+            run, case.N, sigma=case.sigma, tilt=tilt, torque=case.torque, unknown=case.unknown, bias=case.bias,
+            contacts=case.contacts,
+        )  # fmt: skip
     noise = case.sigma if case.torque is None else (case.sigma, case.torque)
-    data: dict[str, Any] = {"T_base_tool": RA, "wrench": y, "gravity": g, "noise": noise}
+    g = -drawn.weight if case.accelerometer else G
+    data: dict[str, Any] = {"T_base_tool": drawn.RA, "wrench": drawn.y, "gravity": g, "noise": noise}
     if case.unknown:
         data |= {"gravity": "unknown", "bias": case.bias}
-    truth = {"R": R, "b": -o @ R, "gamma": gamma, "r": r, "b_tau": -o_tau}
-    clean = {name: value[~touched] if name == "T_base_tool" else value for name, value in data.items()}
-    return data | {"robust": case.contacts > 0}, clean | {"wrench": exact[~touched]}, truth, touched
+    truth = {"R": drawn.R, "b": drawn.bias[:3], "gamma": drawn.weight, "r": drawn.centre, "b_tau": drawn.bias[3:]}
+    free = ~drawn.touched
+    clean = data | {"T_base_tool": drawn.RA[free], "wrench": drawn.exact[free]}
+    return data | {"robust": case.contacts > 0}, clean, truth, drawn.touched
 
 
 def _fit(case: Case, data: dict[str, Any]) -> Any:

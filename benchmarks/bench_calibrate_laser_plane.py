@@ -1,8 +1,8 @@
 """Laser line scanners on plates: error over the Cramér-Rao bound, how often without a guess, outliers, honesty, time.
 
-Cases L1 to L4 of the specification: three plates, 20 scans each, 0.5 mm. The draws of scans that hit a plate are made
-many at once, so that the experiments have the distribution of the specification, not its samples; scans whose plate is
-nearly parallel to the laser plane, which the fit refuses, are drawn again.
+Cases L1 to L4 of the specification, drawn by `sim.cell`: three plates, 20 scans each, 0.5 mm. Scans are tried many at
+once, so that the experiments have the distribution of the specification, not its samples; scans whose plate is nearly
+parallel to the laser plane, which the fit refuses, are drawn again.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from blocks import Contender, Table, loop, table
 from armlab.calibrate import fit_laser_plane
 from armlab.errors import ArmlabError
 from armlab.lie import se3, so3
+from armlab.sim import cell
+from armlab.sim._cell_laser import ANGLE, SIGMA, turns
 
-SIGMA, BAR, SCANS = 0.5e-3, 1.05, 20
-ANGLE = SIGMA * np.sqrt(12.0) / 0.2
-TRIES = 2000
+BAR, WRONG = 1.05, 3
 
 
 def run(quick: bool) -> list[Table]:
@@ -39,52 +39,19 @@ def run(quick: bool) -> list[Table]:
     return [table("Laser scanners on plates", "\n\n".join(lines), "ms", contenders, 2 if quick else 10)]
 
 
-def _turns(angles: np.ndarray) -> np.ndarray:
-    """Return Rz(r) Ry(p) Rx(y) of angles (..., 3)."""
-    r, p, y = (so3.exp(angles[..., i, None] * np.eye(3)[2 - i]) for i in range(3))
-    return r @ p @ y
-
-
-def _plate(rng: np.random.Generator, X: np.ndarray, j: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return poses (20, 4, 4), points and directions (20, 2) of scans that hit plate j, exact."""
-    e, found = np.eye(3)[j], 0
-    parts: list[tuple[np.ndarray, ...]] = []
-    while found < SCANS:
-        A = se3.from_rp(_turns(1.5 * rng.standard_normal((TRIES, 3))), 0.6 * rng.standard_normal((TRIES, 3)) + 2 * e)
-        S = A @ X
-        line = np.cross(e, S[:, :3, 2])
-        line /= np.linalg.norm(line, axis=1, keepdims=True)
-        local = np.einsum("nij,ni->nj", S[:, :3, :3], line)
-        reach = (1.0 - S[:, j, 3]) / S[:, j, 1]
-        steep = np.hypot(S[:, j, 0], S[:, j, 1]) > 0.06  # flatter scans are refused
-        good = steep & (reach >= 0) & (reach <= 0.2) & (local[:, 1] >= np.cos(np.radians(120.0)))
-        parts.append((A[good], np.column_stack([np.zeros(good.sum()), reach[good]]), local[good, :2]))
-        found += int(good.sum())
-    A, p, line = (np.concatenate([part[i] for part in parts])[:SCANS] for i in range(3))
-    return A, p, line
-
-
 def _draw(run: int, lines: bool = True, wrong: bool = False, origin: bool = False) -> tuple[dict[str, Any], Any, Any]:
     """Return arguments, those of exact scans, and the pose of the sensor."""
-    rng = np.random.default_rng([4000, run])
-    X = se3.from_rp(_turns(rng.standard_normal(3)), 0.5 * rng.standard_normal(3))
-    A, p, line = (np.concatenate(parts) for parts in zip(*(_plate(rng, X, j) for j in range(3))))
-    turn = rng.standard_normal(len(p)) * (ANGLE if lines else 0.0)
-    measured = p + SIGMA * rng.standard_normal((len(p), 2))
-    if wrong:
-        measured[::20, 1] += 0.02
-        turn[::20] += np.radians(10.0)
-    c, s = np.cos(turn), np.sin(turn)
-    turned = np.column_stack([c * line[:, 0] - s * line[:, 1], s * line[:, 0] + c * line[:, 1]])
+    bad = WRONG if wrong else 0
+    drawn = cell(4000).laser(run, wrong=bad)
+    A, scans = drawn.A.copy(), drawn.scans.copy()
+    if not lines:
+        scans[:, 2:] = drawn.exact[:, 2:]
     if origin:
         A[:, :3, 3] -= 1.0
-    data = {
-        "T_base_tool": A, "scans": np.hstack([measured, turned]), "plane": np.repeat([0, 1, 2], SCANS),
-        "noise": (SIGMA, ANGLE if lines else 1e-5), "robust": wrong,
-    }  # fmt: skip
-    kept = np.arange(len(p)) % 20 > 0 if wrong else np.ones(len(p), dtype=bool)
-    exact = {"T_base_tool": A[kept], "scans": np.hstack([p, line])[kept], "plane": data["plane"][kept]}
-    return data, exact | {"noise": data["noise"]}, X
+    noise = (SIGMA, ANGLE if lines else 1e-5)
+    data = {"T_base_tool": A, "scans": scans, "plane": drawn.plane, "noise": noise, "robust": wrong}
+    exact = {"T_base_tool": A[bad:], "scans": drawn.exact[bad:], "plane": drawn.plane[bad:], "noise": noise}
+    return data, exact, drawn.X
 
 
 def _judged(name: str, runs: int, guess: bool = False, lines: bool = True, wrong: bool = False) -> str:
@@ -95,7 +62,7 @@ def _judged(name: str, runs: int, guess: bool = False, lines: bool = True, wrong
         if guess:
             rng = np.random.default_rng([4000, run, 1])
             angles = np.radians(60.0) * (rng.random(3) - 0.5)
-            data["start"] = se3.from_rp(_turns(angles), 0.4 * (rng.random(3) - 0.5)) @ X
+            data["start"] = se3.from_rp(turns(angles), 0.4 * (rng.random(3) - 0.5)) @ X
         try:
             fit = fit_laser_plane(**data)
         except ArmlabError:
@@ -109,8 +76,8 @@ def _judged(name: str, runs: int, guess: bool = False, lines: bool = True, wrong
         bound += [np.trace(C[3:, 3:]), np.trace(C[:3, :3])]
         lengths.append(np.linalg.norm(e[:3]))
         if wrong:
-            missed += int(np.sum(~fit.outliers[::20]))
-            false += int(fit.outliers.sum() - fit.outliers[::20].sum())
+            missed += int(np.sum(~fit.outliers[:WRONG]))
+            false += int(fit.outliers[WRONG:].sum())
     rotation, position = np.sqrt(e2 / bound)
     flags = f"; {missed} wrong scans missed, {100.0 * false / (runs * 60):.2f} % false" if wrong else ""
     size = np.sqrt(bound / len(nees))

@@ -1,6 +1,6 @@
 """Errors of hand-eye calibration over the Cramér-Rao bound, by Monte Carlo with known truth.
 
-The generators draw in the order of the specification: H1 uniform rotations, H2 tilts of at most 30 degrees, H3 outliers
+Experiments of `sim.cell`: H1 uniform rotations, H2 tilts of at most 30 degrees, H3 outliers
 in the first poses, H4 noise of the robot too, H5 three LEDs. Error ratios are RMS error over runs by the root mean
 square of the bound; NEES is e^T C^-1 e over its dimension with the covariance that the fit states.
 
@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,61 +19,21 @@ import numpy as np
 from armlab.calibrate import fit_hand_eye, fit_hand_eye_points
 from armlab.calibrate._hand_eye_equation import Equation, Pair
 from armlab.calibrate._marker_equation import Points, Sight, marked_start
-from armlab.lie import quaternion, se3, so3
+from armlab.lie import so3
+from armlab.sim import cell
+from armlab.sim._cell_hand_eye import CAMERA, MARKER, Poses
 
-CAMERA = (0.5e-3, np.radians(0.05))
 ROBOTS = ((0.2e-3, np.radians(0.03)), (0.5e-3, np.radians(0.05)))
-LEDS = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]])
 TILT = np.radians(30.0)
 BLOCKS = ("X rotation", "X position", "Y rotation", "Y position")
-
-
-@dataclass(frozen=True, eq=False)
-class Poses:
-    """Poses of robot and marker, and the truth."""
-
-    A: np.ndarray
-    B: np.ndarray
-    X: np.ndarray
-    Y: np.ndarray
-
-
-def uniform(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Return rotations (count, 3, 3) of random quaternions."""
-    q = rng.standard_normal((count, 4))
-    return quaternion.to_matrix(q / np.linalg.norm(q, axis=1, keepdims=True))
-
-
-def tilted(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Return rotations (count, 3, 3) at most 30 degrees from one."""
-    axes = rng.standard_normal((count, 3))
-    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-    middle = uniform(rng, 1)[0]
-    return middle @ so3.exp(axes * rng.uniform(0.0, TILT, count)[:, None])
-
-
-def noisy(rng: np.random.Generator, T: np.ndarray, noise: tuple[float, float]) -> np.ndarray:
-    """Return poses (N, 4, 4) with noise: all rotations first."""
-    R = T[:, :3, :3] @ so3.exp(noise[1] * rng.standard_normal((len(T), 3)))
-    return se3.from_rp(R, T[:, :3, 3] + noise[0] * rng.standard_normal((len(T), 3)))
 
 
 def poses(
     seed: int, run: int, N: int = 30, tilt: bool = False, bad: int = 0, robot: tuple[float, float] | None = None
 ) -> tuple[Poses, Poses]:
     """Return H1 to H4, and the same without noise and outliers."""
-    rng = np.random.default_rng([seed, run])
-    RX, tX = uniform(rng, 1)[0], 0.1 * rng.standard_normal(3)
-    RY, tY = uniform(rng, 1)[0], rng.standard_normal(3)
-    X, Y = se3.from_rp(RX, tX), se3.from_rp(RY, tY)
-    A = se3.from_rp((tilted if tilt else uniform)(rng, N), rng.uniform(-0.5, 0.5, (N, 3)))
-    clean = Poses(A, se3.inv(Y) @ A @ X, X, Y)
-    B = noisy(rng, clean.B, CAMERA).copy()
-    for i in range(bad):
-        u, v = rng.standard_normal(3), rng.standard_normal(3)
-        B[i, :3, :3] = B[i, :3, :3] @ so3.exp(np.radians(10.0) * u / np.linalg.norm(u))
-        B[i, :3, 3] += 0.05 * v / np.linalg.norm(v)
-    return Poses(A if robot is None else noisy(rng, A, robot), B, X, Y), clean
+    data = cell(seed).hand_eye(run, N, tilt=TILT if tilt else None, robot=robot, wrong=bad)
+    return data, replace(data, A=data.A_exact, B=data.B_exact)
 
 
 def pose_error(T: np.ndarray, truth: np.ndarray) -> np.ndarray:
@@ -155,23 +115,13 @@ def led_case(name: str, runs: int, sigma: float = 0.5e-3, missing: bool = False,
     """Return H5: three LEDs, 100 samples; NaN for X where the marker is unknown."""
     tally = Tally(name)
     for run in range(runs):
-        rng = np.random.default_rng([1500, run])
-
-        def pose(count: int, size: float, rng: np.random.Generator = rng) -> np.ndarray:
-            n = rng.standard_normal((count, 12))  # per pose nine numbers, then three
-            return se3.from_rp(so3.project(n[:, :9].reshape(-1, 3, 3))[0], size * n[:, 9:])
-
-        A = pose(100, 0.5)
-        Y, X = pose(1, 1.0)[0], pose(1, 0.1)[0]
-        T = se3.inv(Y) @ A @ X
-        clean = np.einsum("nij,kj->nki", T[:, :3, :3], LEDS) + T[:, None, :3, 3]
-        p = clean + sigma * rng.standard_normal(clean.shape)
-        seen = rng.random((100, 3)) >= (0.2 if missing else 0.0)
-        fit = fit_hand_eye_points(A, p, marker=LEDS if known else None, visible=seen, noise=sigma)
+        data = cell(1500).marker_points(run, sigma=sigma, missing=0.2 if missing else 0.0)
+        A, X, Y, seen, clean = data.A, data.X, data.Y, data.visible, data.p_exact
+        fit = fit_hand_eye_points(A, data.p, marker=MARKER if known else None, visible=seen, noise=sigma)
         sight = Sight(A[:, :3, :3], A[:, :3, 3], clean[seen], *np.nonzero(seen), 3, None)
-        points = LEDS @ X[:3, :3].T + X[:3, 3]
+        points = MARKER @ X[:3, :3].T + X[:3, 3]
         at = Points(points, Y[:3, :3], Y[:3, 3])
-        (truth,) = sight.marked(LEDS).evaluate(marked_start(at, LEDS)) if known else sight.free().evaluate(at)
+        (truth,) = sight.marked(MARKER).evaluate(marked_start(at, MARKER)) if known else sight.free().evaluate(at)
         J = truth.J.reshape(-1, truth.J.shape[2])
         first = pose_error(fit.value.X, X) if known else (fit.value.points - points).ravel()
         e = np.concatenate([first, pose_error(fit.value.Y, Y)])

@@ -1,6 +1,7 @@
 """The simulated arm and its EGM controller: the only place that knows a truth. All else sees what the wire carries."""
 
 from armlab.sim.arm import Arm, Sample
+from armlab.sim.cell import Cell, cell
 from armlab.sim.channel import Channel
 from armlab.sim.controller import Controller
 from armlab.sim.faults import FaultRates, Faults
@@ -21,6 +22,7 @@ __all__ = [
     "MOTORS",
     "RAPID",
     "Arm",
+    "Cell",
     "Channel",
     "Controller",
     "FaultRates",
@@ -38,6 +40,7 @@ __all__ = [
     "Script",
     "Settings",
     "Truth",
+    "cell",
     "record",
     "run",
     "synthetic_truth",
