@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -111,3 +112,8 @@ def test_a_value_without_a_file_format_is_not_saved(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="float"):
         bare.save(tmp_path / "x.toml")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_saved_fit_names_its_sources(tmp_path) -> None:
+    path = fit(np.eye(2)).save(tmp_path / "a.toml", ("run.csv sha256 00",))
+    assert tomllib.loads(path.read_text(encoding="utf-8"))["meta"]["sources"] == ["run.csv sha256 00"]

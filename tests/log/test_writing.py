@@ -171,3 +171,14 @@ def test_csv_alone_keeps_whole_nanoseconds(tmp_path) -> None:
     found = log.read(other)
     np.testing.assert_array_equal(found.t, [0.0, 2e-9])
     assert found["id"].tolist() == [9007199254740993, 9007199254740995]
+
+
+def test_poses_of_the_user_come_back_from_a_recording(tmp_path) -> None:
+    T = np.tile(np.eye(4), (3, 1, 1))
+    T[:, :3, 3] = np.arange(9.0).reshape(3, 3)
+    T[1] = np.nan
+    table = Table(
+        np.arange(3.0), {"q": np.zeros((3, 6)), "T_cam_marker": T}, {"T_cam_marker": Column(unit="1", kind="pose")}
+    )
+    found = log.read(write(table, tmp_path / "run.mcap", robots.load("irb2400")))
+    np.testing.assert_array_equal(found["T_cam_marker"], T)

@@ -120,11 +120,17 @@ class Fit(Generic[Value]):
             lines.append(f"{len(left_out)} outliers left out: {_listed(left_out.tolist())}")
         return "\n".join([*lines, f"{self.n} samples", self.excitation.text()])
 
-    def save(self, path: str | Path) -> Path:
-        """Write value, covariance, noise and flags to a model file and return its path; see `armlab.models.save`."""
+    def save(self, path: str | Path, sources: Sequence[str] = ()) -> Path:
+        """Write value, covariance, noise and flags to a model file and return its path; see `armlab.models.save`.
+
+        Parameters
+        ----------
+        path : ends in ``.toml``.
+        sources : names of files that the samples come from, with their SHA-256.
+        """
         statistics = {name: getattr(self, name) for name in SAVED}
         statistics |= {f"excitation_{name}": getattr(self.excitation, name) for name in EXCITATION}
-        return models.save(self.value, path, {**statistics, "excitation_rank": self.excitation.rank})
+        return models.save(self.value, path, {**statistics, "excitation_rank": self.excitation.rank}, sources)
 
     @classmethod
     def load(cls, path: str | Path, kind: str | None = None) -> Fit[Any]:

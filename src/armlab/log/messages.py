@@ -77,7 +77,7 @@ class Topic:
             about |= {"frame": column.frame, "kind": column.kind, "labels": list(column.labels)}
             if missing is not None:
                 about["missing"] = missing
-            if column.kind == "pose":
+            if paths == _POSE:  # a pose of the user's own is kept as its 16 numbers
                 about["encoding"] = "position xyz, quaternion xyzw"
             data[COLUMN_KEY + name] = json.dumps(about)
         return data

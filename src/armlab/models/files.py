@@ -8,7 +8,7 @@ has tables that are made to be read by people; other values are written by `arml
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,9 @@ from armlab.models.torque import TorqueModel
 __all__ = ["load", "load_statistics", "save"]
 
 
-def save(value: Any, path: str | Path, statistics: Mapping[str, Any] | None = None) -> Path:
+def save(
+    value: Any, path: str | Path, statistics: Mapping[str, Any] | None = None, sources: Sequence[str] = ()
+) -> Path:
     """Write a model file and return its path; an existing file is replaced in one step or not at all.
 
     Parameters
@@ -30,6 +32,7 @@ def save(value: Any, path: str | Path, statistics: Mapping[str, Any] | None = No
     value : a `TorqueModel`, or an instance of a class that `registry.register` knows.
     path : ends in ``.toml``.
     statistics : what a fit knew of the value, kept in the table [fit].
+    sources : names of files that it comes from, with their SHA-256, besides those that the value knows.
 
     Raises
     ------
@@ -39,6 +42,7 @@ def save(value: Any, path: str | Path, statistics: Mapping[str, Any] | None = No
     if path.suffix != ".toml":
         raise ConfigError(f"Expected a model file name that ends in .toml, got {path}. Add the ending.")
     content = torque_tables(value) if isinstance(value, TorqueModel) else value_file(value)
+    content["meta"]["sources"] = [*content["meta"]["sources"], *sources]
     if statistics is not None:
         content["fit"] = {name: encode(part) for name, part in statistics.items()}
     temporary = path.with_name(path.name + ".part")

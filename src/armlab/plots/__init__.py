@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from armlab.plots.arms import robot
 from armlab.plots.beliefs import hypotheses
+from armlab.plots.calibrations import calibration
 from armlab.plots.columns import table
 from armlab.plots.covariances import velocity_covariance
 from armlab.plots.coverages import coverage, observability
@@ -23,6 +24,7 @@ from armlab.plots.wrenches import wrench, wrenches
 __all__ = [
     "hypotheses",
     "autocorrelation",
+    "calibration",
     "coverage",
     "excitation",
     "friction",

@@ -1,0 +1,167 @@
+"""The samples of a calibration from CSV, MAT or MCAP: poses, vectors, numbers, each by its name.
+
+A pose NAME is 16 numbers NAME1_1 ... NAME4_4, or NAME_x NAME_y NAME_z [m or mm] and NAME_qw NAME_qx NAME_qy NAME_qz; a
+vector NAME is NAME1 NAME2 ...; in a MAT file a pose is (N, 4, 4) or (4, 4, N), a vector (N, k).
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from armlab.errors import LogError
+
+__all__ = ["Samples", "read_samples"]
+
+_QUATERNION_LENGTH = 1e-3  # difference from one
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """What files of samples hold.
+
+    Attributes
+    ----------
+    path : of the file, for messages. values : name -> array (N, ...). source : name of the file and its SHA-256.
+    """
+
+    path: Path
+    values: Mapping[str, np.ndarray]
+    source: str
+
+    def __contains__(self, name: object) -> bool:
+        text = str(name)
+        return any(key in self.values for key in (text, f"{text}1", f"{text}1_1", f"{text}_x"))
+
+    def numbers(self, name: str) -> np.ndarray:
+        """Return the column (N,) of a name.
+
+        Raises
+        ------
+        LogError : it is not there, or has several numbers per sample.
+        """
+        array = self._found(name)
+        array = array.reshape(-1) if max(array.shape, default=0) == array.size else array
+        if array.ndim != 1:
+            raise LogError(f"Expected one number per sample of {name} in {self.path}, got shape {array.shape}.")
+        return array
+
+    def vectors(self, name: str, sizes: Sequence[int] = ()) -> np.ndarray:
+        """Return the vectors (N, k) of a name.
+
+        Parameters
+        ----------
+        name : of the column. sizes : numbers per sample that make sense; any when empty.
+
+        Raises
+        ------
+        LogError : it is not there, or of another size.
+        """
+        if name not in self.values and f"{name}1" in self.values:
+            count = next(k for k in range(1, len(self.values) + 2) if f"{name}{k}" not in self.values)
+            array = np.stack([self.values[f"{name}{k}"] for k in range(1, count)], axis=1)
+        else:
+            array = self._found(name)
+        if array.ndim == 2 and sizes and array.shape[1] not in sizes and array.shape[0] in sizes:
+            array = array.T
+        if array.ndim != 2 or (sizes and array.shape[1] not in sizes):
+            words = " or ".join(f"(N, {k})" for k in sizes) or "(N, k)"
+            raise LogError(f"Expected {name} of shape {words} in {self.path}, got {array.shape}. Name another column.")
+        return array
+
+    def poses(self, name: str) -> np.ndarray:
+        """Return the poses (N, 4, 4) of a name.
+
+        Raises
+        ------
+        LogError : it is not there, or what is there are no poses.
+        """
+        if name not in self.values and f"{name}_x" in self.values:
+            return self._quaternions(name)
+        if name not in self.values and f"{name}1_1" in self.values:
+            places = [f"{name}{i}_{j}" for i in range(1, 5) for j in range(1, 5)]
+            array = np.stack([self._found(place) for place in places], axis=1)
+        else:
+            array = self._found(name)
+        for T in _readings(array):
+            rows = T[np.isfinite(T).all(axis=(1, 2))]
+            if len(rows) and np.abs(rows[:, 3] - [0.0, 0.0, 0.0, 1.0]).max() < 1e-6:
+                return T
+        raise LogError(
+            f"Expected poses {name} of shape (N, 4, 4) or (4, 4, N) with the last row 0 0 0 1 in {self.path}, got "
+            f"shape {array.shape} without. Save homogeneous transformations."
+        )
+
+    def _quaternions(self, name: str) -> np.ndarray:
+        from armlab.lie import quaternion, se3
+
+        p, q = (
+            np.stack([self._found(f"{name}_{end}") for end in ends], axis=1)
+            for ends in (("x", "y", "z"), ("qw", "qx", "qy", "qz"))
+        )
+        length = np.linalg.norm(q, axis=1)
+        bad = np.flatnonzero(np.abs(length - 1.0) > _QUATERNION_LENGTH)
+        if len(bad):
+            raise LogError(
+                f"Expected quaternions of length 1 in {name}_qw ... {name}_qz of {self.path}, got {length[bad[0]]:.6g} "
+                f"in sample {bad[0]} ({len(bad)} such samples). Mend the file."
+            )
+        return se3.from_rp(quaternion.to_matrix(q / length[:, None]), p)
+
+    def _found(self, name: str) -> np.ndarray:
+        if name not in self.values:
+            have = ", ".join(self.values) or "none"
+            raise LogError(f"Expected {name} in {self.path}, got {have}. Name its columns so; --help tells how.")
+        array = self.values[name]
+        if array.dtype.kind not in "biuf":
+            raise LogError(f"Expected numbers in {name} of {self.path}, got words such as {str(array.flat[0])!r}.")
+        return array.astype(float)
+
+
+def read_samples(path: Path) -> Samples:
+    """Return the columns of a CSV file, a MAT file, or a recording.
+
+    Parameters
+    ----------
+    path : of the file; its format is told by its ending where it is a MAT file, else by its first bytes.
+
+    Raises
+    ------
+    LogError : no such file, damaged, or of another format.
+    """
+    from armlab import log as logs
+    from armlab.log.formats import is_text
+    from armlab.log.mat_file import read_mat
+    from armlab.log.provenance import file_hash
+
+    if path.suffix.lower() == ".mat":
+        values: Mapping[str, np.ndarray] = read_mat(path)
+    else:
+        table = logs.read_csv(path, rate=1.0) if is_text(path) and not _timed(path) else logs.read(path)
+        values = {"t": table.t, **table.values}
+    return Samples(path, values, f"{path.name} sha256 {file_hash(path)}")
+
+
+def _timed(path: Path) -> bool:
+    """Tell whether a text file has a clock; samples of a calibration need none."""
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            labels = next(csv.reader(file), [])
+    except (OSError, UnicodeDecodeError):
+        return True  # `log.read` says what is wrong
+    return any(label.split("[")[0].strip() in ("t", "time") for label in labels)
+
+
+def _readings(array: np.ndarray) -> list[np.ndarray]:
+    """Return how numbers may be read as poses: samples first or last, rows or columns first."""
+    if array.ndim == 3:
+        found = [array] if array.shape[1:] == (4, 4) else []
+        return [*found, np.moveaxis(array, -1, 0)] if array.shape[:2] == (4, 4) else found
+    if array.ndim == 2 and array.shape[1] == 16:
+        rows = array.reshape(-1, 4, 4)
+        return [rows, np.swapaxes(rows, 1, 2)]
+    return [array[None]] if array.shape == (4, 4) else []

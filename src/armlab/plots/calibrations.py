@@ -1,0 +1,139 @@
+"""How good a calibration is: what is left per sample, whether it is noise, and how far the answer may be off."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armlab.errors import ShapeError
+from armlab.plots.excitations import excitation
+from armlab.plots.style import GREY, JOINT_STYLES, look, panels
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from armlab.estimation import Fit
+
+__all__ = ["calibration"]
+
+_SMALL = {"m": ("mm", 1e3), "rad": ("mrad", 1e3), "kg": ("g", 1e3)}
+_MOST = 3  # ellipses in one panel
+
+
+def calibration(fit: Fit[Any], truth: ArrayLike | None = None, ax: Any = None) -> Figure:
+    """Draw a calibration: residuals per sample, their quantiles, ellipses of two sigma, and the excitation.
+
+    Residuals are in standard deviations of their class of noise; a straight line of quantiles says that they are
+    normal. The ellipse of two parameters holds both in 86 % of the experiments.
+
+    Parameters
+    ----------
+    fit : of a `fit_*` of `calibrate`, with its residuals.
+    truth : (d,) true parameters where they are known; drawn as crosses into the ellipses.
+    ax : four Axes; a new figure when None.
+
+    Returns
+    -------
+    The figure of four panels.
+
+    Raises
+    ------
+    ShapeError : a fit without residuals (from a file), another number of true parameters or of Axes.
+    """
+    if not fit.residuals.size:
+        raise ShapeError("Expected a fit with residuals to draw, got none: files keep none. Draw it when fitted.")
+    true = None if truth is None else np.asarray(truth, dtype=float)
+    if true is not None and true.shape != fit.parameters.shape:
+        raise ShapeError(f"Expected {len(fit.parameters)} true parameters to draw, got shape {true.shape}.")
+    groups = _groups(fit)
+    with look():
+        figure, axes = panels(2, 2, ax, width=10.0, height=3.4)
+        over, normal, ellipses, told = axes.ravel()
+        _per_sample(over, groups, fit.outliers)
+        _quantiles(normal, groups, fit.outliers)
+        _ellipses(ellipses, fit, true)
+        excitation(fit.excitation, told)
+    return figure
+
+
+def _groups(fit: Fit[Any]) -> dict[str, np.ndarray]:
+    """Return the residuals (N, k) of each class of noise, in its standard deviations."""
+    rows = fit.residuals.reshape(len(fit.residuals), -1)
+    count = len(fit.classes)
+    if not count or rows.shape[1] % count or fit.sigma.size != count or not np.all(fit.sigma > 0):
+        size = np.sqrt(np.nanmean(rows**2, axis=0))
+        return {"residual": rows / np.where(size > 0, size, 1.0)}
+    parts = np.split(rows, count, axis=1)
+    return {name: part / sigma for name, part, sigma in zip(fit.classes, parts, fit.sigma.ravel(), strict=True)}
+
+
+def _per_sample(panel: Axes, groups: dict[str, np.ndarray], outliers: np.ndarray) -> None:
+    """Draw the norm per sample and class, wrong samples as crosses."""
+    for (name, part), (color, _) in zip(groups.items(), JOINT_STYLES, strict=False):
+        size = np.sqrt(np.nanmean(part**2, axis=1))
+        bad = outliers if len(outliers) == len(size) else np.zeros(len(size), dtype=bool)
+        good = ~bad & np.isfinite(size)
+        panel.plot(np.flatnonzero(good), size[good], "o", color=color, markersize=3.0, label=name)
+        if bad.any():
+            panel.plot(np.flatnonzero(bad), size[bad], "x", color=GREY, markersize=5.0, label="left out")
+    panel.set_yscale("log" if outliers.any() else "linear")
+    panel.set_xlabel("sample")
+    panel.set_ylabel("residual / sigma")
+    handles, labels = panel.get_legend_handles_labels()
+    once = dict(zip(labels, handles, strict=True))
+    panel.legend(once.values(), once.keys(), loc="best")
+    panel.set_title("residuals")
+
+
+def _quantiles(panel: Axes, groups: dict[str, np.ndarray], outliers: np.ndarray) -> None:
+    """Draw the sorted residuals of the samples that count over the quantiles of the normal distribution."""
+    from scipy.special import ndtri
+
+    widest = 1.0
+    for (name, part), (color, _) in zip(groups.items(), JOINT_STYLES, strict=False):
+        kept = part[~outliers] if len(outliers) == len(part) else part
+        values = np.sort(kept[np.isfinite(kept)])
+        at = ndtri((np.arange(len(values)) + 0.5) / len(values)) if len(values) else values
+        panel.plot(at, values, ".", color=color, markersize=3.0, label=name)
+        widest = max([widest, *np.abs(at[:1])])
+    panel.plot([-widest, widest], [-widest, widest], color=GREY, linestyle="--", label="normal")
+    panel.set_xlabel("normal quantile")
+    panel.set_ylabel("residual / sigma")
+    panel.legend(loc="upper left")
+    panel.set_title("quantiles")
+
+
+def _ellipses(panel: Axes, fit: Fit[Any], true: np.ndarray | None) -> None:
+    """Draw the ellipses of two sigma of the first pairs of neighbours of one unit, around what was found."""
+    round_ = np.linspace(0.0, 2.0 * np.pi, 91)
+    circle = np.stack([np.cos(round_), np.sin(round_)])
+    for at, (color, _) in zip(_pairs(fit), JOINT_STYLES, strict=False):
+        unit, scale = _SMALL.get(fit.units[at[0]], (fit.units[at[0]], 1.0))
+        size, axes = np.linalg.eigh(fit.cov[np.ix_(at, at)])
+        x, y = 2.0 * scale * (axes * np.sqrt(np.maximum(size, 0.0))) @ circle
+        names = " and ".join(fit.names[i] for i in at)
+        panel.plot(x, y, color=color, label=f"{names} [{unit}]")
+        if true is not None:
+            off = scale * (true - fit.parameters)[at]
+            panel.plot(off[0], off[1], "x", color=color, label="_truth")
+    panel.axhline(0.0, color=GREY, linewidth=0.5)
+    panel.axvline(0.0, color=GREY, linewidth=0.5)
+    panel.set_aspect("equal", adjustable="datalim")
+    panel.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), fontsize=8.0)
+    panel.set_title("two sigma, around what was found")
+
+
+def _pairs(fit: Fit[Any]) -> list[list[int]]:
+    """Return numbers of neighbouring parameters of one unit, each parameter once; of blocks of three the first two."""
+    found: list[list[int]] = []
+    i = 0
+    while i + 1 < len(fit.names) and len(found) < _MOST:
+        if fit.units[i] == fit.units[i + 1] and fit.sd[i] > 0 and fit.sd[i + 1] > 0:
+            found.append([i, i + 1])
+            i += 3
+        else:
+            i += 1
+    return found

@@ -1,0 +1,115 @@
+"""Samples of calibrations: the same numbers from every format, and sentences for files that have none."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from armlab import log as logs
+from armlab import robots, sim
+from armlab.cli.calibrate_input import Samples, read_samples
+from armlab.errors import LogError
+from armlab.lie import quaternion
+from armlab.log import Column, Table
+
+
+def written(path: Path, columns: dict[str, np.ndarray]) -> Path:
+    np.savetxt(path, np.column_stack(list(columns.values())), "%.17g", ",", header=",".join(columns), comments="")
+    return path
+
+
+def as_numbers(name: str, T: np.ndarray) -> dict[str, np.ndarray]:
+    return {f"{name}{i + 1}_{j + 1}": T[:, i, j] for i in range(4) for j in range(4)}
+
+
+def as_quaternions(name: str, T: np.ndarray, unit: str = "") -> dict[str, np.ndarray]:
+    scale = 1e3 if unit == " [mm]" else 1.0
+    found = {f"{name}_{axis}{unit}": scale * T[:, k, 3] for k, axis in enumerate("xyz")}
+    q = quaternion.from_matrix(T[:, :3, :3])
+    return found | {f"{name}_q{axis}": q[:, k] for k, axis in enumerate("wxyz")}
+
+
+@pytest.fixture(scope="module")
+def T() -> np.ndarray:
+    return sim.cell(1).hand_eye(N=7).B
+
+
+def test_a_pose_is_the_same_from_every_format(T: np.ndarray, tmp_path: Path) -> None:
+    one, two, three = (tmp_path / f"{k}.csv" for k in range(3))
+    found = [written(one, as_numbers("pose", T)), written(two, as_quaternions("pose", T))]
+    found.append(written(three, {"t [ms]": np.arange(7.0), **as_quaternions("pose", T, " [mm]")}))
+    for k, layout in enumerate((T, np.moveaxis(T, 0, -1), T.reshape(7, 16), np.swapaxes(T, 1, 2).reshape(7, 16))):
+        savemat(tmp_path / f"{k}.mat", {"pose": layout})
+        found.append(tmp_path / f"{k}.mat")
+    column = Column(unit="1", kind="pose")
+    table = Table(np.arange(7.0), {"q": np.zeros((7, 6)), "pose": T}, {"pose": column})
+    found.append(logs.write(table, tmp_path / "one.mcap", robots.load("irb2400")))
+    for path in found:
+        read = read_samples(path)
+        assert "pose" in read
+        np.testing.assert_allclose(read.poses("pose"), T, atol=1e-12, err_msg=path.name)
+        assert read.source.startswith(f"{path.name} sha256 ")
+
+
+def test_four_poses_of_a_mat_file_are_told_by_their_last_rows(T: np.ndarray, tmp_path: Path) -> None:
+    for layout in (T[:4], np.moveaxis(T[:4], 0, -1)):
+        savemat(tmp_path / "four.mat", {"pose": layout})
+        np.testing.assert_array_equal(read_samples(tmp_path / "four.mat").poses("pose"), T[:4])
+
+
+def test_vectors_and_numbers(tmp_path: Path) -> None:
+    f = np.arange(12.0).reshape(4, 3)
+    path = written(tmp_path / "f.csv", {"force1": f[:, 0],
+                                        "force2": f[:, 1], "force3": f[:, 2], "plane": np.arange(4)})  # fmt: skip
+    read = read_samples(path)
+    np.testing.assert_array_equal(read.vectors("force", (3, 6)), f)
+    np.testing.assert_array_equal(read.numbers("plane"), np.arange(4))
+    assert "torque" not in read
+    for layout in (f, f.T):
+        savemat(tmp_path / "f.mat", {"force": layout, "plane": np.arange(4.0)[:, None]})
+        read = read_samples(tmp_path / "f.mat")
+        np.testing.assert_array_equal(read.vectors("force", (3,)), f)
+        np.testing.assert_array_equal(read.numbers("plane"), np.arange(4))
+
+
+def test_what_is_not_there_is_told(T: np.ndarray, tmp_path: Path) -> None:
+    longer = as_quaternions("pose", T)
+    longer["pose_qw"] = longer["pose_qw"] * np.where(np.arange(7) == 2, 1.1, 1.0) + (np.arange(7) == 2)
+    turned = T.copy()
+    turned[:, 3, 0] = 1.0
+    empty = Samples(tmp_path / "x.csv", {"a": np.zeros(3), "word": np.array(["one", "two", "six"])}, "")
+    cases = [
+        (lambda: empty.poses("pose"), "Expected pose in .*x.csv, got a, word"),
+        (lambda: empty.vectors("a", (3,)), r"a of shape \(N, 3\) in .*, got \(3,\)"),
+        (lambda: empty.numbers("word"), "numbers in word of .* words such as 'one'"),
+        (
+            lambda: Samples(empty.path, {"a": np.zeros((3, 2))}, "").numbers("a"),
+            r"one number per sample of a .*\(3, 2\)",
+        ),
+        (lambda: Samples(empty.path, {"pose": turned}, "").poses("pose"), "last row 0 0 0 1"),
+        (lambda: read_samples(written(tmp_path / "q.csv", longer)).poses("pose"), "length 1 in pose_qw .* in sample 2"),
+        (lambda: read_samples(tmp_path / "none.csv"), "none.csv"),
+        (lambda: read_samples(tmp_path / "none.mat"), "MAT file at .*none.mat"),
+    ]
+    for case, words in cases:
+        with pytest.raises(LogError, match=words):
+            case()
+
+
+@pytest.mark.parametrize("content", [b"", b"\x00\x01\x02\xff" * 40, b"a,b\n1\n", "a,b\n1;5,2\n".encode("utf-16")])
+@pytest.mark.parametrize("ending", [".csv", ".mat", ".mcap"])
+def test_files_of_something_else_are_refused_by_a_sentence(content: bytes, ending: str, tmp_path: Path) -> None:
+    path = tmp_path / f"bad{ending}"
+    path.write_bytes(content)
+    with pytest.raises(LogError, match="Expected"):
+        read_samples(path)
+
+
+def test_missing_poses_stay_missing(T: np.ndarray) -> None:
+    holes = T.copy()
+    holes[[1, 4]] = np.nan
+    found = Samples(Path("x"), {"pose": holes}, "").poses("pose")
+    np.testing.assert_array_equal(found, holes)
