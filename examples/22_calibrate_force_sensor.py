@@ -1,0 +1,21 @@
+"""A force sensor under 1 kg in a hundred orientations: its axes, load and bias, and who touched it."""
+
+import numpy as np
+
+from armlab import calibrate, models, plots, sim
+from armlab.lie import so3
+
+
+def main() -> None:
+    weighed = sim.cell(seed=1).force(torque=0.005, contacts=5)  # orientations and raw readings; the truth is known here
+    fit = calibrate.fit_force_sensor(weighed.RA, weighed.y, gravity=[0.0, 0.0, -9.82], robust=True)
+    print(fit.report())
+    fit.save("force_sensor.toml")
+    sensor = models.load("force_sensor.toml")
+    turned = 1e3 * so3.angle(sensor.R_tool_sensor, weighed.R)
+    print(f"\ncontact in {np.flatnonzero(fit.outliers)}; axes off by {turned:.2f} mrad, mass {sensor.mass:.4f} kg")
+    plots.calibration(fit).savefig("force_sensor.png", dpi=120)
+
+
+if __name__ == "__main__":
+    main()
