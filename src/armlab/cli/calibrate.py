@@ -110,7 +110,7 @@ def force_sensor(
 
     if gravity is not None and unknown_gravity:
         raise ConfigError("Expected --gravity or --unknown-gravity, got both. Leave one out.")
-    more = {"gravity": "unknown"} if unknown_gravity else {} if gravity is None else {"gravity": gravity}
+    more: dict[str, Any] = {"gravity": "unknown"} if unknown_gravity else {} if gravity is None else {"gravity": gravity}
 
     def fit(read: Samples) -> Any:
         name = wrench or ("force" if "force" in read else "wrench_raw")
