@@ -110,7 +110,8 @@ def force_sensor(
 
     if gravity is not None and unknown_gravity:
         raise ConfigError("Expected --gravity or --unknown-gravity, got both. Leave one out.")
-    more: dict[str, Any] = {"gravity": "unknown"} if unknown_gravity else {} if gravity is None else {"gravity": gravity}
+    told = "unknown" if unknown_gravity else gravity
+    more: dict[str, Any] = {} if told is None else {"gravity": told}
 
     def fit(read: Samples) -> Any:
         name = wrench or ("force" if "force" in read else "wrench_raw")
