@@ -29,6 +29,33 @@ def robot() -> Robot:
     return robots.load("yumi_right")
 
 
+@pytest.fixture
+def cell_text() -> str:
+    """A cell of one arm in lockstep, two parameters and a LabComm server, as in its file."""
+    return """
+name = "yumi"
+commands = ["local"]
+[[robots]]
+name = "yumi_left"
+link = "sim://yumi_left?lockstep=true"
+speed = 0.5
+[parameters.gain]
+default = 2.0
+unit = "N/m"
+minimum = 0.0
+maximum = 10.0
+text = "Stiffness."
+[parameters.gentle]
+default = true
+type = "bool"
+rights = "anyone"
+[servers.labcomm]
+ports = {yumi_left = 0}
+parameters = 0
+rows = 0
+"""
+
+
 class Packets:
     """The robot's side: messages with their own sequence, one period apart."""
 

@@ -19,33 +19,11 @@ from armlab.bridge.local_server import _listen
 from armlab.errors import ConfigError, LinkError
 from armlab.models import ForceSensor
 
-FILE = """
-name = "yumi"
-commands = ["local"]
-[[robots]]
-name = "yumi_left"
-link = "sim://yumi_left?lockstep=true"
-speed = 0.5
-[parameters.gain]
-default = 2.0
-unit = "N/m"
-minimum = 0.0
-maximum = 10.0
-text = "Stiffness."
-[parameters.gentle]
-default = true
-type = "bool"
-rights = "anyone"
-[servers.labcomm]
-ports = {yumi_left = 0}
-parameters = 0
-rows = 0
-"""
 HOME = np.array(robots.load("yumi_left").q_home)
 
 
-def test_a_cell() -> None:
-    cell = parse_cell(FILE)
+def test_a_cell(cell_text: str) -> None:
+    cell = parse_cell(cell_text)
     assert isinstance(cell, Cell)
     assert (cell.name, cell.commands, cell.links) == ("yumi", ("local",), ("sim://yumi_left?lockstep=true",))
     assert [one.name for one in cell.parameters] == ["gain", "gentle"]
@@ -72,11 +50,11 @@ def test_two_arms_have_the_ports_of_the_ancestor() -> None:
     assert isinstance(far, LabCommSource)
 
 
-def test_a_force_sensor_with_its_calibration(tmp_path: Path) -> None:
+def test_a_force_sensor_with_its_calibration(cell_text: str, tmp_path: Path) -> None:
     arm, path = robots.load("yumi_left"), tmp_path / "force.toml"
     sensor = ForceSensor(np.eye(3), 0.8, np.zeros(3), np.zeros(6), robot_name=arm.name, robot_hash=arm.hash)
     models.save(sensor, path)
-    text = f"{FILE}[sources.force]\nperiod=0.004\nport=0\ncalibration='{path}'\nfields.wrench_raw.shape=[6]\n"
+    text = f"{cell_text}[sources.force]\nperiod=0.004\nport=0\ncalibration='{path}'\nfields.wrench_raw.shape=[6]\n"
     (source,) = parse_cell(text).sources()
     assert source.calibration is not None
     assert (source.calibration.mass, source.robot) == (0.8, "yumi_left")
@@ -117,9 +95,9 @@ def test_a_force_sensor_with_its_calibration(tmp_path: Path) -> None:
         ("[servers.labcomm]", '[sources.a]\nperiod=0.0\nport=0\nfields.x.unit="1"\n[servers.labcomm]', "above 0 s"),
     ],
 )
-def test_errors_are_one_line_with_the_path(old: str, new: str, words: str) -> None:
+def test_errors_are_one_line_with_the_path(cell_text: str, old: str, new: str, words: str) -> None:
     with pytest.raises(ConfigError, match=words) as caught:
-        parse_cell(FILE.replace(old, new))
+        parse_cell(cell_text.replace(old, new))
     assert "\n" not in str(caught.value)
     assert "cell.toml" in str(caught.value)
 
@@ -129,13 +107,13 @@ def test_a_server_that_commands_must_be_enabled() -> None:
         parse_cell('commands=["labcomm"]\n[[robots]]\nname="ur5e"\nlink="egm://127.0.0.1:6510"')
 
 
-def test_a_second_bridge_refuses_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_second_bridge_refuses_at_once(cell_text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It says which port and who has it, and no robot has been connected by then."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.setattr("armlab.bridge.cell.connect", lambda *words, **options: pytest.fail("a robot was connected"))
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
-        cell = parse_cell(FILE.replace("{yumi_left = 0}", f"{{yumi_left = {port}}}"))
+        cell = parse_cell(cell_text.replace("{yumi_left = 0}", f"{{yumi_left = {port}}}"))
         words = (
             rf"server labcomm to listen.* TCP port 127.0.0.1:{port} for yumi_left .* by process {os.getpid()} \(.*\)"
         )
@@ -145,18 +123,18 @@ def test_a_second_bridge_refuses_at_once(tmp_path: Path, monkeypatch: pytest.Mon
     with contextlib.closing(_listen(socket_path("yumi"))):
         words = rf"server local to listen.*yumi.sock, but one runs: process {os.getpid()} \("
         with pytest.raises(LinkError, match=words):
-            run_cell(parse_cell(FILE))
+            run_cell(parse_cell(cell_text))
 
 
-def test_torque_is_allowed_arm_by_arm_with_a_bound() -> None:
-    cell = parse_cell(FILE)
+def test_torque_is_allowed_arm_by_arm_with_a_bound(cell_text: str) -> None:
+    cell = parse_cell(cell_text)
     assert (cell.torque, cell.limits[0].tau_max) == ((), None)
-    cell = parse_cell(FILE.replace("speed = 0.5", "speed = 0.5\ntorque = 5.0"))
+    cell = parse_cell(cell_text.replace("speed = 0.5", "speed = 0.5\ntorque = 5.0"))
     assert cell.torque == ("yumi_left",)
     np.testing.assert_array_equal(cell.limits[0].tau_max, np.full(7, 5.0))  # type: ignore[arg-type]
     each = "extension = true\ntorque = [8, 8, 8, 4, 2, 2, 2]"
     cell = parse_cell(
-        FILE.replace("sim://yumi_left?lockstep=true", "egm://127.0.0.1:6510").replace("speed = 0.5", each)
+        cell_text.replace("sim://yumi_left?lockstep=true", "egm://127.0.0.1:6510").replace("speed = 0.5", each)
     )
     assert cell.extension
     np.testing.assert_array_equal(cell.limits[0].tau_max, [8, 8, 8, 4, 2, 2, 2])  # type: ignore[arg-type]

@@ -25,29 +25,6 @@ from armlab.bridge.row import Row
 from armlab.cli import main
 from armlab.state import Command
 
-FILE = """
-name = "yumi"
-commands = ["local"]
-[[robots]]
-name = "yumi_left"
-link = "sim://yumi_left?lockstep=true"
-speed = 0.5
-[parameters.gain]
-default = 2.0
-unit = "N/m"
-minimum = 0.0
-maximum = 10.0
-text = "Stiffness."
-[parameters.gentle]
-default = true
-type = "bool"
-rights = "anyone"
-[servers.labcomm]
-ports = {yumi_left = 0}
-parameters = 0
-rows = 0
-"""
-
 
 def server_process(name: str) -> int:
     """Number of the newest process that serves under a name."""
@@ -127,7 +104,7 @@ def rows(feed: LocalFeed) -> Iterator[Any]:
             yield message.values
 
 
-def test_a_local_client_commands_in_real_time(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_local_client_commands_in_real_time(cell_text: str, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     """It moves one joint; the parameter is set; what was sent is what it asked for. The run ends when it has left."""
     asked: list[np.ndarray] = []
     there = threading.Event()
@@ -160,7 +137,7 @@ def test_a_local_client_commands_in_real_time(bench: Bench, monkeypatch: pytest.
                     assert len(asked) > 80
                     return
 
-    cell = parse_cell(FILE.replace("?lockstep=true", ""))
+    cell = parse_cell(cell_text.replace("?lockstep=true", ""))
     run = bench(cell, script, seconds=60.0)
     told = [text for _, text in run.events]
     assert run.reason == "the controller ended the run"
@@ -174,9 +151,11 @@ def test_a_local_client_commands_in_real_time(bench: Bench, monkeypatch: pytest.
 
 
 @pytest.mark.slow
-def test_a_controller_of_its_own_reads_parameters_and_listens_to_a_stop(bench: Bench, tmp_path: Path) -> None:
+def test_a_controller_of_its_own_reads_parameters_and_listens_to_a_stop(
+    cell_text: str, bench: Bench, tmp_path: Path
+) -> None:
     """Two arms; the history of the parameters is in both logs. Takes 4 s."""
-    both = FILE.replace("?lockstep=true", "").replace(
+    both = cell_text.replace("?lockstep=true", "").replace(
         "[parameters.gain]", '[[robots]]\nname = "yumi_right"\nlink = "sim://yumi_right"\n[parameters.gain]'
     )
     both = both.replace("ports = {yumi_left = 0}", "ports = {yumi_left = 0, yumi_right = 0}")
@@ -210,7 +189,7 @@ def test_a_controller_of_its_own_reads_parameters_and_listens_to_a_stop(bench: B
 
 
 @pytest.mark.slow
-def test_stop_holds_all_arms(bench: Bench) -> None:
+def test_stop_holds_all_arms(cell_text: str, bench: Bench) -> None:
     """Takes 4 s."""
 
     def script(ports: dict[str, int]) -> None:
@@ -227,13 +206,13 @@ def test_stop_holds_all_arms(bench: Bench) -> None:
                 if not values["yumi_left.commander"]:
                     return
 
-    run = bench(parse_cell(FILE.replace("?lockstep=true", "")), script, seconds=1.0)
+    run = bench(parse_cell(cell_text.replace("?lockstep=true", "")), script, seconds=1.0)
     assert any("Stopped by local" in text for _, text in run.events)
     assert np.abs(run.table["qd_sent"][-20:]).max() < 1e-9
 
 
 @pytest.mark.slow
-def test_torques_of_a_client_reach_the_arm_within_the_bound(bench: Bench) -> None:
+def test_torques_of_a_client_reach_the_arm_within_the_bound(cell_text: str, bench: Bench) -> None:
     """Torques are clipped at the bound. Takes 4 s."""
 
     def push(ports: dict[str, int]) -> None:
@@ -245,14 +224,14 @@ def test_torques_of_a_client_reach_the_arm_within_the_bound(bench: Bench) -> Non
                 if values["yumi_left.tau_sent"][0] == 1.5:
                     return
 
-    text = FILE.replace("?lockstep=true", "").replace("speed = 0.5", "speed = 0.5\ntorque = 1.5")
+    text = cell_text.replace("?lockstep=true", "").replace("speed = 0.5", "speed = 0.5\ntorque = 1.5")
     run = bench(parse_cell(text), push, seconds=0.8)
     assert np.nanmax(run.table["tau_sent"]) == 1.5
     assert run.statistics["clamps"]["torque"][0] > 0
 
 
 @pytest.mark.slow
-def test_a_controller_over_labcomm(bench: Bench) -> None:
+def test_a_controller_over_labcomm(cell_text: str, bench: Bench) -> None:
     """A controller elsewhere, through the LabComm port of the arm. Takes 6 s."""
     from armlab import bridge
 
@@ -268,7 +247,7 @@ def test_a_controller_over_labcomm(bench: Bench) -> None:
         with bridge.connect(url, robots.load("yumi_left"), patience=5.0) as link:
             link.run(sway, seconds=0.8)
 
-    cell = parse_cell(FILE.replace("?lockstep=true", "").replace('["local"]', '["labcomm"]'))
+    cell = parse_cell(cell_text.replace("?lockstep=true", "").replace('["local"]', '["labcomm"]'))
     run = bench(cell, script, seconds=2.5)
     assert len(seen) > 100
     assert any("labcomm 127.0.0.1:" in text and "commands yumi_left." in text for _, text in run.events)
@@ -276,7 +255,7 @@ def test_a_controller_over_labcomm(bench: Bench) -> None:
 
 
 @pytest.mark.slow
-def test_ten_idle_clients_and_one_that_never_reads(bench: Bench) -> None:
+def test_ten_idle_clients_and_one_that_never_reads(cell_text: str, bench: Bench) -> None:
     """Nor does the loop notice that the server of LabComm is killed; it starts again. Takes 5 s."""
 
     def script(ports: dict[str, int]) -> None:
@@ -297,7 +276,7 @@ def test_ten_idle_clients_and_one_that_never_reads(bench: Bench) -> None:
         for one in idle:
             one.close()
 
-    run = bench(parse_cell(FILE.replace("?lockstep=true", "")), script, seconds=3.5)
+    run = bench(parse_cell(cell_text.replace("?lockstep=true", "")), script, seconds=3.5)
     assert run.statistics["missed"] == 0
     told = [text for _, text in run.events]
     assert any("The server labcomm ended with status -9. It starts again in 1 s." in text for text in told)
