@@ -15,6 +15,7 @@ void bind_momentum(nb::module_ &m);
 void bind_path(nb::module_ &m);
 void bind_records(nb::module_ &m);
 void bind_signals(nb::module_ &m);
+void bind_two_dof(nb::module_ &m);
 void bind_wrench(nb::module_ &m);
 
 NB_MODULE(_native, m) {
@@ -34,5 +35,6 @@ NB_MODULE(_native, m) {
   bind_path(m);
   bind_records(m);
   bind_signals(m);
+  bind_two_dof(m);
   bind_wrench(m);
 }

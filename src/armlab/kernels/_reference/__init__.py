@@ -40,6 +40,7 @@ from armlab.kernels._reference.nearest import so3_nearest
 from armlab.kernels._reference.path import follow_path
 from armlab.kernels._reference.records import RecordMaker
 from armlab.kernels._reference.signals import SignalOperator
+from armlab.kernels._reference.two_dof import TwoDof
 from armlab.kernels._reference.wrench import solve_wrench, wrench_interval
 
 __all__ = [
@@ -52,6 +53,7 @@ __all__ = [
     "MomentumEstimator",
     "RecordMaker",
     "SignalOperator",
+    "TwoDof",
     "WrenchEstimator",
     "euler_from_rpy",
     "euler_to_rpy",
