@@ -1,5 +1,6 @@
 """The simulated arm and its EGM controller: the only place that knows a truth. All else sees what the wire carries."""
 
+from armlab.sim import two_link
 from armlab.sim.arm import Arm, Sample
 from armlab.sim.cell import Cell, cell
 from armlab.sim.channel import Channel
@@ -45,4 +46,5 @@ __all__ = [
     "run",
     "synthetic_truth",
     "truth_names",
+    "two_link",
 ]
