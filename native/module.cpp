@@ -16,6 +16,7 @@ void bind_path(nb::module_ &m);
 void bind_records(nb::module_ &m);
 void bind_signals(nb::module_ &m);
 void bind_two_dof(nb::module_ &m);
+void bind_weight(nb::module_ &m);
 void bind_wrench(nb::module_ &m);
 
 NB_MODULE(_native, m) {
@@ -36,5 +37,6 @@ NB_MODULE(_native, m) {
   bind_records(m);
   bind_signals(m);
   bind_two_dof(m);
+  bind_weight(m);
   bind_wrench(m);
 }

@@ -334,6 +334,12 @@ def test_readings_that_do_not_follow_gravity_are_refused(weights) -> None:
             fit_force_sensor(data.RA, shuffled, gravity=G, noise=noise)
 
 
+@pytest.mark.parametrize("options", [{}, {"noise": 0.1}, {"robust": True}, {"bias": False}, {"gravity": "unknown"}])
+def test_readings_without_weight_are_refused(weights, options) -> None:
+    with pytest.raises(NotExcited, match="Expected a weight in the readings of the force sensor, got none"):
+        fit_force_sensor(weights.draw(9).RA, np.zeros((100, 3)), **options)
+
+
 def test_torques_in_newton_millimetres_are_suspected(weights) -> None:
     data = weights.draw(10, torque=0.005)
     y = data.y * np.repeat([1.0, 1000.0], 3)

@@ -1,9 +1,4 @@
-"""The most likely load in closed form with its covariance: forces of a known gravity, noise the same along all axes.
-
-Centred, rotation, mass and bias do not mix (u x u = 0), with u_i = R^T R_i^T gamma and v_i that of one unit of mass:
-
-    C_w = s^2 (sum |u|^2 1 - u u^T)^-1,    C_m = s^2 / sum |v|^2,    b = b_0 - mean(hat(u)) w - mean(v) m
-"""
+"""The most likely load in closed form: forces of a known gravity, noise the same along all axes."""
 
 from __future__ import annotations
 
@@ -66,47 +61,15 @@ def is_closed(equation: Equation) -> bool:
 def closed_form(equation: Equation) -> Found:
     """Return the most likely load; only where `is_closed`."""
     turn, N = equation.turn, equation.N
-    v = equation.seen @ turn.R
-    r = equation.y - turn.m * v
-    bias = r.sum(axis=0) / N if equation.bias else NOTHING
-    r -= bias
-    power, freedom = float(np.vdot(r, r)), 3 * N - sum(equation.widths.values())
-    sigma = sqrt(power / freedom)
+    freedom = 3 * N - sum(equation.widths.values())
+    sigma = sqrt(turn.power / freedom)
     variance = _variance(equation, sigma)
-    load = Load(turn.R, turn.m * (NOTHING if equation.pull is None else equation.pull), bias, NOTHING)
-    cov = _covariance(equation, variance, v.sum(axis=0) / N)
-    none = np.zeros(N, dtype=bool)
-    return Found(load, cov, np.array([sigma]), none, r, 0.5 * power / variance, freedom, 0, None)
+    load = Load(turn.R, turn.m * (NOTHING if equation.pull is None else equation.pull), turn.bias, NOTHING)
+    none, cost = np.zeros(N, dtype=bool), 0.5 * turn.power / variance
+    return Found(load, variance * turn.cov, np.array([sigma]), none, turn.residuals, cost, freedom, 0, None)
 
 
 def _variance(equation: Equation, sigma: float) -> float:
     if equation.noise is not None:
         return float(equation.noise[0])
     return max(sigma, ROUNDING * (float(np.abs(equation.y).max()) or 1.0)) ** 2
-
-
-def _covariance(equation: Equation, variance: float, mean: np.ndarray) -> np.ndarray:
-    """Return the covariance (d, d) of rotation, mass and bias, as far as they are sought.
-
-    Parameters
-    ----------
-    variance : of a force. mean : (3,) of v.
-    """
-    turn, free = equation.turn, 3 + (equation.mass is None)
-    squares, axes = equation.moved
-    V = turn.R.T @ axes
-    C = np.zeros((free, free))
-    total = float(squares.sum())
-    each = variance / equation.N
-    m2 = max(turn.m * turn.m, np.finfo(float).tiny)  # no weight at all is told by its deviation
-    C[:3, :3] = V * (each / m2 / (total - squares)) @ V.T
-    if free == 4:
-        C[3, 3] = each / total
-    if not equation.bias:
-        return C
-    (a, b, c), m = mean.tolist(), turn.m
-    A = np.array([[0.0, -m * c, m * b, a], [m * c, 0.0, -m * a, b], [-m * b, m * a, 0.0, c]])[:, :free]
-    cov, B = np.empty((free + 3, free + 3)), -A @ C
-    cov[:free, :free], cov[free:, :free], cov[:free, free:] = C, B, B.T
-    cov[free:, free:] = each * np.eye(3) - B @ A.T
-    return cov

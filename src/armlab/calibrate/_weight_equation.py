@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from armlab import kernels
 from armlab.estimation import Measurement, Problem
 from armlab.lie import so3
 
@@ -141,50 +142,13 @@ class Equation:
         return (a + b + c) / 3.0
 
     @cached_property
-    def seen(self) -> np.ndarray:
-        """What one unit of mass adds to the readings (N, 3), tool axes; known gravity."""
-        return (np.zeros(3) if self.pull is None else self.pull) @ self.RA
-
-    @cached_property
-    def products(self) -> np.ndarray:
-        """Products (6, 6) of all samples, see `sums`."""
-        return self.sums()
-
-    @cached_property
-    def moved(self) -> tuple[np.ndarray, np.ndarray]:
-        """Mean squares (3,) by which gravity moves over the tool, ascending, and its axes (3, 3) as columns."""
-        return np.linalg.eigh(self.products[:3, :3] / (self.N if self.even else self.weights.sum()))
-
-    @cached_property
     def turn(self) -> Turn:
-        """The rotation and the mass from all samples."""
+        """The rotation and the mass from all samples; known gravity."""
         return Turn.of(self)
-
-    def sums(self, kept: np.ndarray | None = None) -> np.ndarray:
-        """Return the products (6, 6) of gravity and forces side by side, centred where there is a bias.
-
-        They are weighted where the noise of samples differs.
-
-        Parameters
-        ----------
-        kept : (N,) samples that count; all when left out.
-        """
-        both = np.concatenate([self.seen, self.y[:, :3]], axis=1)
-        if kept is not None:
-            both = both[kept]
-        if self.even:
-            both = both - both.sum(axis=0) / len(both) if self.bias else both
-            return both.T @ both
-        w = self.weights if kept is None else self.weights[kept]
-        both = both - w @ both / w.sum() if self.bias else both
-        return (both.T * w) @ both
 
     def start(self) -> Load:
         """Return the load in closed form; without torques and with isotropic noise the most likely one."""
-        if self.pull is None:
-            R, gamma = self._unknown_gravity()
-        else:
-            R, gamma = self.turn.R, self.turn.m * self.pull
+        R, gamma = self._unknown_gravity() if self.pull is None else (self.turn.R, self.turn.m * self.pull)
         u = gamma @ (self.RA @ R)
         w = self.weights[:, None] / self.weights.sum()
         bias = np.zeros(self.y.shape[1])
@@ -221,51 +185,54 @@ class Equation:
         return R, np.linalg.lstsq(D, (f @ R.T).ravel(), rcond=None)[0]
 
 
-@dataclass(frozen=True, eq=False)
-class Turn:
-    """The rotation and the mass that turn gravity into forces, known gravity.
-
-    ``S = sum h f^T = U diag(s) V^T``, ``R = U diag(1, 1, d) V^T``, ``m = (s1 + s2 + d s3) / sum |h|^2``, weighted.
+class Turn(NamedTuple):
+    """The rotation and the mass that turn gravity into forces, known gravity: see `kernels.turned_weight`.
 
     Attributes
     ----------
-    R : (3, 3). m : mass. third : (3, 3) its part ``d u3 v3^T``, which the other hand reverses. mirrored_m : mass of it.
+    R : (3, 3). bias : (3,). residuals : (N, 3) of the forces. cov : (d, d), times a variance where noise is even.
+    H, S : (3, 3) products of gravity over the tool with itself and with the forces.
+    m : mass. other_m : that of the best of the other hand.
+    power : squares that are left. signal : those that were there. Both times the variance where noise is even.
+    moved : by which share of itself gravity moves over the tool, along three axes, ascending.
     difference : Delta, chi^2 of the best of the other hand minus that of the best rotation.
     """
 
     R: np.ndarray
+    bias: np.ndarray
+    residuals: np.ndarray
+    cov: np.ndarray
+    H: np.ndarray
+    S: np.ndarray
     m: float
-    third: np.ndarray
-    mirrored_m: float
+    other_m: float
+    power: float
+    signal: float
+    moved: list[float]
     difference: float
 
     @property
     def mirrored(self) -> np.ndarray:
         """The best of the other hand (3, 3)."""
-        return self.R - 2.0 * self.third
+        U, _, V = np.linalg.svd(self.S)
+        third = U[:, 2:] * V[2]
+        return self.R - 2.0 * np.vdot(third, self.R) * third
 
     @classmethod
     def of(cls, equation: Equation, kept: np.ndarray | None = None) -> Turn:
-        """Solve for the samples (N,) that are kept."""
-        G = equation.products if kept is None else equation.sums(kept)
-        U, s, V = np.linalg.svd(G[:3, 3:])
-        R, third = U @ V, U[:, 2:] * V[2]
-        d = 1.0
-        if _determinant(R) < 0.0:
-            R, third, d = R - 2.0 * third, -third, -1.0
-        diagonal, (a, b, c) = G.diagonal().tolist(), s.tolist()
-        H, F = sum(diagonal[:3]), sum(diagonal[3:])
-        sums = a + b + d * c, a + b - d * c
-        m = [part / H for part in sums] if equation.mass is None else [equation.mass] * 2
-        chi2 = [max(F - 2.0 * x * part + x * x * H, 0.0) for x, part in zip(m, sums)]
+        """Solve for the samples (N,) that are kept; all when None."""
+        weight = None if equation.even else equation.weights
+        if kept is not None:
+            weight = kept.astype(float) if weight is None else weight * kept
+        pull = np.zeros(3) if equation.pull is None else equation.pull
+        R, bias, residuals, cov, (H, S), numbers = kernels.turned_weight(
+            equation.RA, equation.y[:, :3], pull, weight, equation.mass, equation.bias
+        )
+        m, other_m, power, other_power, signal, *moved = numbers.tolist()
         if equation.noise is None:
             N = equation.N if kept is None else int(np.count_nonzero(kept))
-            scale = max(min(chi2) / max(3 * N - 7, 1), FLOOR**2 * F / N)
+            floor = max(FLOOR**2 * signal / N, np.finfo(float).tiny)  # of exact readings; of none
+            scale = max(min(power, other_power) / max(3 * N - 7, 1), floor)
         else:
             scale = equation.variance if equation.even else 1.0
-        return cls(R, m[0], third, m[1], (chi2[1] - chi2[0]) / scale)
-
-
-def _determinant(R: np.ndarray) -> float:
-    (a, b, c), (d, e, f), (g, h, i) = R.tolist()
-    return a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g)
+        return cls(R, bias, residuals, cov, H, S, m, other_m, power, signal, moved, (other_power - power) / scale)

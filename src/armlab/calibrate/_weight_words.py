@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache, cached_property
+from math import hypot
 from typing import Any
 
 import numpy as np
@@ -54,9 +55,8 @@ class Words:
     def widths(self) -> np.ndarray:
         """Largest deviation accepted of each unknown."""
         angle, share, length = self.limits
-        gamma, pull = self.load.gamma, self.equation.pull
-        weight = float(np.sqrt(gamma @ gamma))
-        mass = share * (weight if pull is None else weight / float(np.sqrt(pull @ pull)))
+        weight, pull = hypot(*self.load.gamma.tolist()), self.equation.pull
+        mass = share * (weight if pull is None else weight / hypot(*pull.tolist()))
         one = {"rotation": angle, "mass": mass, "centre": length, "torque bias": length * weight}
         return np.array([one.get(kind, share * weight) for kind, n in self.equation.widths.items() for _ in range(n)])
 
@@ -136,10 +136,10 @@ def require_motion(equation: Equation) -> float:
         still = "orientation of the tool does not change"
         line = f"rotation about {axis_text(u, 'tool')}, weight and bias along it"
     else:
-        squares, axes = equation.moved
-        moved, u = np.sqrt(np.maximum(squares[[2, 1]], 0.0) / (equation.pull @ equation.pull)), axes[:, 2]
+        moved = equation.turn.moved[:0:-1]  # the largest first
         if moved[1] > STILL:
-            return float(moved[1])
+            return moved[1]
+        u = np.linalg.eigh(equation.turn.H)[1][:, 2]
         still = "gravity seen from the tool does not move (rotations about the vertical only)"
         line = f"rotation about {axis_text(u, 'tool')}" + (", bias along it" if equation.bias else "")
     if moved[1] > STILL:
@@ -161,8 +161,9 @@ def require_match(equation: Equation, load: Load, r: np.ndarray, kept: np.ndarra
     load : the best. r : (N, k) its residuals. kept : (N,) samples that count. moved : from `require_motion`.
     """
     count = np.count_nonzero(kept)
-    if equation.noise is not None and equation.even and np.vdot(r, r) < 3 * count * ROUGH**2 * equation.variance:
-        return  # all residuals, torques too, are more than those of the forces kept
+    whole = equation.pull is not None and not equation.torque and count == equation.N
+    if whole and equation.turn.power < UNEXPLAINED * equation.turn.signal:
+        return
     w, r = equation.weights[kept], r[kept, :3]
     power = float(w @ np.einsum("ij,ij->i", r, r))
     if moved < RICH or 2 * count < 3 or (equation.noise is not None and power < 3 * count * ROUGH**2):
@@ -198,13 +199,14 @@ def require_right_hand(equation: Equation, kept: np.ndarray) -> str:
 def mirrored(equation: Equation, turn: Turn) -> NotConverged:
     """Return the refusal of a left-handed sensor with the fit that would be its."""
     pull = np.zeros(3) if equation.pull is None else equation.pull
-    gamma = turn.mirrored_m * pull
-    bias = np.mean(equation.y[:, :3] - gamma @ (equation.RA @ turn.mirrored), axis=0) * equation.bias
+    gamma = turn.other_m * pull
+    R = turn.mirrored
+    bias = np.mean(equation.y[:, :3] - gamma @ (equation.RA @ R), axis=0) * equation.bias
     return NotConverged(
         "Expected readings in right-handed axes with the sign that was told, got the opposite: an axis is mirrored or "
         f"the sign is reversed (Delta {turn.difference:.3g}), and data cannot tell which. Correct the axis that the "
         "sensor's manual turns round, or give the other sign.",
-        best=Load(turn.mirrored, gamma, bias, np.full(3, np.nan)),
+        best=Load(R, gamma, bias, np.full(3, np.nan)),
         reason="left_handed",
     )
 

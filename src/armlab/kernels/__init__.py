@@ -58,6 +58,7 @@ if TYPE_CHECKING:
         so3_log,
         so3_nearest,
         solve_wrench,
+        turned_weight,
         wrench_interval,
     )
 
@@ -104,6 +105,7 @@ __all__ = [
     "so3_log",
     "so3_nearest",
     "solve_wrench",
+    "turned_weight",
     "wrench_interval",
 ]
 

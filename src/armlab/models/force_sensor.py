@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import isfinite
+from math import isfinite, isnan
 from typing import Literal
 
 import numpy as np
@@ -60,10 +60,10 @@ class ForceSensor:
         """Check the fields and freeze the arrays."""
         for name, shape in _SHAPES.items():
             values = np.array(getattr(self, name), dtype=np.float64)
-            known = values
-            if name in _MOMENTS and values.shape == shape and np.isnan(values[_MOMENTS[name]]).all():
-                known = values[: 3 * (name == "bias")]
-            if values.shape != shape or not all(map(isfinite, known.ravel().tolist())):
+            known = values.ravel().tolist()
+            if name in _MOMENTS and values.shape == shape and all(map(isnan, known[_MOMENTS[name]])):
+                known = known[: 3 * (name == "bias")]
+            if values.shape != shape or not all(map(isfinite, known)):
                 raise ShapeError(f"Expected finite {name} of shape {shape} of a force sensor, got {values.tolist()}.")
             values.flags.writeable = False
             object.__setattr__(self, name, values)

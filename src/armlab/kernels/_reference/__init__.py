@@ -41,6 +41,7 @@ from armlab.kernels._reference.path import follow_path
 from armlab.kernels._reference.records import RecordMaker
 from armlab.kernels._reference.signals import SignalOperator
 from armlab.kernels._reference.two_dof import TwoDof
+from armlab.kernels._reference.weight import turned_weight
 from armlab.kernels._reference.wrench import solve_wrench, wrench_interval
 
 __all__ = [
@@ -85,5 +86,6 @@ __all__ = [
     "so3_log",
     "so3_nearest",
     "solve_wrench",
+    "turned_weight",
     "wrench_interval",
 ]
