@@ -7,19 +7,28 @@ installed by hand (`pip install --no-deps robotkinecal==0.1.0`), and left out el
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib.util import find_spec
+from typing import Any
 
 import kinematics_bars as bars
 import numpy as np
 from blocks import Contender, Table, agree, loop, once, table
-from pybotics.optimization import OptimizationHandler, optimize_accuracy
-from pybotics.robot import Robot as Pybotics
 from scipy.optimize import least_squares
 
 from armlab.calibrate import fit_dual_arm, fit_kinematics
+from armlab.kinematics import forward
 from armlab.lie import so3
-from armlab.sim import _cell_kinematics as cell
+from armlab.sim import cell
 
 BAR_POSE, BAR_POSITION = 5.0e-3, 5.0e-3  # s
+HALF = np.pi / 2
+TOOL = (0.1, 0.05, 0.1)
+MODIFIED_TABLE = np.array(
+    [  # alpha before, a before, theta, d of the IRB 2400
+        [0.0, 0.0, 0.0, 0.615], [-HALF, 0.1, -HALF, 0.0], [0.0, 0.705, 0.0, 0.0],
+        [-HALF, 0.135, np.pi, 0.755], [-HALF, 0.0, 0.0, 0.0], [HALF, 0.0, 0.0, 0.085],
+    ]
+)  # fmt: skip
 PYBOTICS_STEPS = 20  # of lengths of errors, which fall slowly: it is far from its minimum for minutes
 Forward = Callable[[np.ndarray], np.ndarray]
 
@@ -27,55 +36,61 @@ Forward = Callable[[np.ndarray], np.ndarray]
 def run(quick: bool) -> list[Table]:
     """Measure 50 poses, 50 positions, outliers, many samples, two arms; then 1000 runs of every case for the errors."""
     rounds, runs, tries = (5, 20, 1) if quick else (30, 1000, 2)
-    few = [cell.kinematic_run(k) for k in range(10)]
-    tool = [cell.kinematic_run(k, tool=True) for k in range(10)]
-    many = [cell.kinematic_run(0, n=1000, tool=True)]
-    text = f"Noise given: {1e3 * cell.NOISE[0]:.1f} mm, 0.01 degrees. {_errors(tries)}"
+    one, waves, two = (cell(bars.SEEDS[name]) for name in ("K1", "K4", "K6"))
+    few, tool = [one.kinematics(k, tool=False) for k in range(10)], [one.kinematics(k) for k in range(10)]
+    text = f"Noise given: {1e3 * few[0].noise[0]:.1f} mm, 0.01 degrees. {_errors(tries)}"
     return [
         table("Kinematic calibration", f"{text}\n\n{_bars(runs)}", "ms",
               [_ours("fit_kinematics, 50 poses", few, BAR_POSE), _ours("the same, model=poe", few, model="poe"),
                _ours("the same, noise estimated", few, noise=None),
                _ours("50 positions", tool, BAR_POSITION, position=True),
-               _ours("5 of 50 poses wrong, robust", [cell.outlier_run(k, 5) for k in range(5)], robust=True),
-               _ours("harmonics 1 and 2, 100 poses", [bars.waves(k) for k in range(5)], harmonics=(1, 2)),
-               _ours("1000 positions", many, position=True),
+               _ours("5 of 50 poses wrong, robust", [one.kinematics(k, wrong=5) for k in range(5)], robust=True),
+               _ours("harmonics 1 and 2, 100 poses", [waves.kinematics(k, 100, harmonics=True) for k in range(5)],
+                     harmonics=(1, 2)),
+               _ours("1000 positions", [one.kinematics(0, 1000)], position=True),
                Contender("armlab fit_dual_arm, 60 relative poses",
-                         loop(_dual, [cell.dual_run(k) for k in range(5)]), "armlab")], rounds),
+                         loop(_dual, [two.two_arms(k) for k in range(5)]), "armlab")], rounds),
         table("Kinematic calibration, 50 poses", "", "ms", [_ours("fit_kinematics", few), *_kinecal(few, False)], 2),
         table("Kinematic calibration, 50 positions", "", "ms",
-              [_ours("fit_kinematics", tool, position=True), _pybotics(tool[0]), *_kinecal(tool, True)], 2),
+              [_ours("fit_kinematics", tool, position=True), *_pybotics(tool[0]), *_kinecal(tool, True)], 2),
     ]  # fmt: skip
 
 
-def _ours(name: str, data: list[cell.KinematicRun], bar: float | None = None, position: bool = False,
+def _ours(name: str, data: list[Any], bar: float | None = None, position: bool = False,
           **options: object) -> Contender:  # fmt: skip
-    def fit(run: cell.KinematicRun) -> object:
+    def fit(run: Any) -> object:
         return _fit(run, position, **options)
 
     return Contender(f"armlab {name}", loop(fit, data), "armlab", bar, "value, covariance, residuals, null space")
 
 
-def _fit(run: cell.KinematicRun, position: bool, **options: object) -> object:
-    given: dict = {"noise": cell.NOISE[0] if position else cell.NOISE, **options}
-    data = {"position": run.pose[:, :3, 3]} if position else {"pose": run.pose}
-    return fit_kinematics(run.robot, run.q, **data, **given)
+def _fit(run: Any, position: bool, **options: object) -> object:
+    return fit_kinematics(run.robot, run.q, **{**bars.measured(run, position), **options})
 
 
-def _dual(run: cell.DualRun) -> object:
-    return fit_dual_arm(run.robot_a, run.robot_b, run.q_a, run.q_b, pose=run.pose, noise=cell.NOISE)
+def _dual(run: Any) -> object:
+    return fit_dual_arm(**run.given, noise=run.noise)
 
 
-def _pybotics(run: cell.KinematicRun) -> Contender:
+def _has(name: str) -> bool:
+    return find_spec(name) is not None
+
+
+def _pybotics(run: Any) -> list[Contender]:
+    if not _has("pybotics"):
+        return []
     note = "modified table and tool by scipy, 20 steps, no covariance"
-    return Contender("pybotics", once(lambda: solve_pybotics(run)), note=note)
+    return [Contender("pybotics", once(lambda: solve_pybotics(run)), note=note)]
 
 
-def solve_pybotics(run: cell.KinematicRun) -> Forward:
+def solve_pybotics(run: Any) -> Forward:
     """Fit its 24 parameters and the tool to positions, as its documentation does; return its forward kinematics."""
-    alpha, a = np.concatenate([[0.0], cell.ALPHA[:-1]]), np.concatenate([[0.0], cell.A[:-1]])
-    robot = Pybotics.from_parameters(np.stack([alpha, a, cell.OFFSET, cell.D], axis=1))
-    robot.tool.position = cell.TOOL
-    agree("pybotics at its start", np.array(robot.fk(run.q[0]))[:3, 3], cell.dh_arm(tool=True).forward(run.q)[0, :3, 3])
+    from pybotics.optimization import OptimizationHandler, optimize_accuracy
+    from pybotics.robot import Robot as Pybotics
+
+    robot = Pybotics.from_parameters(MODIFIED_TABLE)
+    robot.tool.position = TOOL
+    agree("pybotics at its start", np.array(robot.fk(run.q[0]))[:3, 3], forward(run.robot, run.q[0])[:3, 3])
     handler = OptimizationHandler(robot, kinematic_chain_mask=True, tool_mask=[True] * 3 + [False] * 3)
     start = handler.generate_optimization_vector()
     seen = run.pose[:, :3, 3]
@@ -84,16 +99,14 @@ def solve_pybotics(run: cell.KinematicRun) -> Forward:
     return lambda q: np.stack([np.array(handler.robot.fk(row)) for row in q])
 
 
-def _kinecal(data: list[cell.KinematicRun], position: bool) -> list[Contender]:
-    try:
-        import robotkinecal  # noqa: F401
-    except ImportError:
+def _kinecal(data: list[Any], position: bool) -> list[Contender]:
+    if not _has("robotkinecal"):
         return []
     note = "twist in the base frame, no weights"
     return [Contender("robotkinecal", loop(lambda run: solve_kinecal(run, position), data[:1]), note=note)]
 
 
-def solve_kinecal(run: cell.KinematicRun, position: bool) -> Forward:
+def solve_kinecal(run: Any, position: bool) -> Forward:
     """Fit robotkinecal's screws to poses or positions; return its forward kinematics."""
     import roboticstoolbox as rtb
     from robotkinecal import SerialRobotKineCal
@@ -116,17 +129,18 @@ def _errors(tries: int) -> str:
     """Return errors over validation poses of armlab and of its peers on the same samples."""
     found: dict[str, list[tuple[float, float]]] = {}
     for k in range(tries):
-        pose, point = cell.kinematic_run(k), cell.kinematic_run(k, tool=True)
-        ways: list[tuple[str, cell.KinematicRun, Forward]] = [
+        pose, point = cell(bars.SEEDS["K1"]).kinematics(k, tool=False), cell(bars.SEEDS["K1"]).kinematics(k)
+        ways: list[tuple[str, Any, Forward]] = [
             ("armlab, poses", pose, _fit(pose, False).value.forward),
             ("armlab, positions", point, _fit(point, True).value.forward),
-            ("pybotics, positions", point, solve_pybotics(point)),
         ]
-        if _kinecal([pose], False):
+        if _has("pybotics"):
+            ways.append(("pybotics, positions", point, solve_pybotics(point)))
+        if _has("robotkinecal"):
             ways.append(("robotkinecal, poses", pose, solve_kinecal(pose, False)))
             ways.append(("robotkinecal, positions", point, solve_kinecal(point, True)))
-        for name, run, forward in ways:
-            found.setdefault(name, []).append(_error(run, forward))
+        for name, run, solved in ways:
+            found.setdefault(name, []).append(_error(run, solved))
     rms = {name: np.sqrt(np.mean(np.square(errors), axis=0)) for name, errors in found.items()}
     parts = [
         f"{name} {e[0]:.4f} mm" + ("" if "positions" in name else f" {e[1]:.5f} degrees") for name, e in rms.items()
@@ -134,8 +148,8 @@ def _errors(tries: int) -> str:
     return f"Errors at validation poses over {tries} runs: {'; '.join(parts)}."
 
 
-def _error(run: cell.KinematicRun, forward: Forward) -> tuple[float, float]:
-    T = forward(run.q_valid)
+def _error(run: Any, solved: Forward) -> tuple[float, float]:
+    T = solved(run.q_valid)
     T[:, :3, :3] = so3.project(T[:, :3, :3])[0]
     return run.error(T)
 

@@ -13,17 +13,18 @@ from armlab.calibrate import fit_dual_arm
 from armlab.calibrate._arm import Arm
 from armlab.calibrate._dual_problem import DualProblem, DualState
 from armlab.calibrate._kinematic_data import measured_kinds
-from armlab.errors import ConfigError, NotExcited, ShapeError
+from armlab.errors import ConfigError, NotConverged, NotExcited, ShapeError
 from armlab.estimation import Fit
 from armlab.kinematics import inverse
 from armlab.lie import se3, so3
 from armlab.models import DualArmCorrection
-from armlab.sim._cell_kinematics import DEGREE, NOISE, NOMINAL_PAIR, DualRun, dh_arm, dual_run, noisy, spoilt
+from armlab.sim import cell
+from armlab.sim._cell_kinematics import DEGREE, NOISE, NOMINAL_PAIR, DualRun, dh_arm, noisy, spoilt
 
 
 @pytest.fixture(scope="module")
 def case() -> DualRun:
-    return dual_run(0)
+    return cell(2400).two_arms(0)
 
 
 @pytest.fixture(scope="module")
@@ -110,11 +111,21 @@ def test_outliers_missing_samples_and_unknown_noise(case: DualRun) -> None:
     assert np.sqrt(errors(fit, case)[0]) < 0.2
 
 
+@pytest.mark.parametrize("noise", [NOISE, None], ids=["noise given", "noise estimated"])
+def test_samples_that_do_not_belong_together_are_refused(noise) -> None:
+    run = cell(2400).two_arms(0, 100)
+    wrong = run.pose[np.random.default_rng(0).permutation(100)]
+    with pytest.raises((NotConverged, NotExcited), match="belong together"):
+        fit_of(run, pose=wrong, noise=noise, robust=True)
+    with pytest.raises(NotConverged, match=r"residuals of .* m in a space of .* m"):
+        fit_of(run, pose=wrong, weak="prior")
+
+
 def test_the_bound_and_the_covariance() -> None:
     """K6, 12 runs: 0.0949 mm and 0.00475 deg from poses, 0.1091 mm from positions."""
     found, point = [], []
     for i in range(12):
-        run = dual_run(i)
+        run = cell(2400).two_arms(i)
         found.append(errors(fit_of(run, pose=run.pose, noise=NOISE), run))
         point.append(errors(fit_of(run, position=run.pose[:, :3, 3], noise=NOISE[0]), run)[0])
     mm, degrees = np.sqrt(np.mean(found, axis=0))
@@ -127,10 +138,34 @@ def test_the_bound_and_the_covariance() -> None:
 def test_harmonics_of_both_arms(exact: DualRun) -> None:
     a = 3e-4 * np.random.default_rng(2).standard_normal((2, 6, 2))
     arms = [replace(arm, amplitudes=x) for arm, x in zip((exact.truth_a, exact.truth_b), a)]
-    run = replace(dual_run(0, n=150), truth_a=arms[0], truth_b=arms[1])
+    run = replace(cell(2400).two_arms(0, 150), truth_a=arms[0], truth_b=arms[1])
     fit = fit_of(run, pose=run.relative(run.q_a, run.q_b), noise=(1e-6, 1e-6), harmonics=(1,))
     assert fit.excitation.rank == 54 + 24
     np.testing.assert_allclose(fit.value.arm_b.amplitudes, a[1], rtol=0, atol=1e-6)
+
+
+def test_gears_of_both_arms(exact: DualRun, tmp_path: Path) -> None:
+    """phi = q of each joint: the scale of its gear; one term for arm b that several joints share, as gravity makes."""
+    run, rng = cell(2400).two_arms(0, 80), np.random.default_rng(3)
+    phi_a, phi_b = run.q_a[:, :, None] * np.eye(6), rng.standard_normal((80, 6, 1))
+    gears, c = 1e-3 * rng.standard_normal(6), 2e-3
+    pose = run.relative(run.q_a + phi_a @ gears, run.q_b + c * phi_b[:, :, 0])
+    fit = fit_of(run, pose=pose, noise=(1e-6, 1e-6), joint_terms_a=phi_a, joint_terms_b=phi_b)
+    assert fit.excitation.rank == fit.excitation.expected == 54 + 6 + 1
+    np.testing.assert_allclose(fit.value.arm_a.coefficients, gears, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(fit.value.arm_b.coefficients, [c], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(fit.value.forward(run.q_a, run.q_b, phi_a, phi_b), pose, rtol=0, atol=1e-9)
+    assert "a: joint term 6" in fit.names
+    assert fit.parameters[fit.names.index("b: joint term 1")] == fit.value.arm_b.coefficients[0]
+    again = Fit.load(fit.save(tmp_path / "arms.toml"), kind="dual_arm_correction")
+    assert (
+        again.value.forward(run.q_a, run.q_b, phi_a, phi_b).tobytes()
+        == fit.value.forward(run.q_a, run.q_b, phi_a, phi_b).tobytes()
+    )
+    with pytest.raises(ShapeError, match=r"joint_terms_b of shape \(80, 6, L\), got \(79, 6, 1\)"):
+        fit_of(run, pose=pose, joint_terms_b=phi_b[1:])
+    with pytest.raises(ShapeError, match="fitted with 6 of them"):
+        fit.value.forward(run.q_a, run.q_b)
 
 
 def test_files(case: DualRun, tmp_path: Path) -> None:

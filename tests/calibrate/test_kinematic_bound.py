@@ -18,16 +18,13 @@ from armlab.estimation import Experiment, Fit, Gauge, check_estimator
 from armlab.kinematics import forward
 from armlab.lie import se3, so3
 from armlab.models import KinematicCorrection
+from armlab.sim import cell
 from armlab.sim._cell_kinematics import (
-    ANCHOR,
     DEGREE,
     NOISE,
     KinematicRun,
     as_robot,
     dh_arm,
-    distance_run,
-    kinematic_run,
-    outlier_run,
     spoilt,
 )
 
@@ -36,7 +33,7 @@ DATA = Path(__file__).resolve().parents[3] / "shared/data/calib/ur5_wam"
 
 @pytest.fixture(scope="module")
 def case() -> KinematicRun:
-    return kinematic_run(0, n=150, tool=True)
+    return cell(2000).kinematics(0, 150)
 
 
 def errors(T: np.ndarray, truth: np.ndarray) -> np.ndarray:
@@ -50,7 +47,7 @@ class TestUncertainty:
         """NEES of six validation poses over 40 runs, and with unknown noise."""
         total, free = [], []
         for run in range(40):
-            data = kinematic_run(run, tool=True)
+            data = cell(2000).kinematics(run)
             for noise, found in ((NOISE, total), (None, free)):
                 fit = fit_kinematics(data.robot, data.q, pose=data.pose, noise=noise)
                 q, T = data.q_valid[:6], fit.value.forward(data.q_valid[:6])
@@ -68,7 +65,7 @@ class TestUncertainty:
     @pytest.mark.parametrize("known", [True, False])
     def test_outliers_are_flagged(self, known: bool) -> None:
         """K7: five of fifty poses wrong by 2 deg and 20 mm."""
-        run = outlier_run(0, 5)
+        run = cell(2000).kinematics(0, wrong=5)
         fit = fit_kinematics(run.robot, run.q, pose=run.pose, noise=NOISE if known else None, robust=True)
         assert fit.outliers[:5].all()
         assert np.count_nonzero(fit.outliers[5:]) <= 1
@@ -86,7 +83,7 @@ class TestAncestor:
         """The twist in the base frame, unweighted, is 1.69 times the bound in position: here 1.00."""
         mm, original = [], []
         for run in range(25):
-            data = kinematic_run(run)
+            data = cell(2000).kinematics(run, tool=False)
             fit = fit_kinematics(data.robot, data.q, pose=data.pose, noise=NOISE)
             mm.append(data.error(fit.value.forward(data.q_valid))[0] ** 2)
             original.append(data.error(forward(unweighted(data), data.q_valid))[0] ** 2)
@@ -150,7 +147,7 @@ def validation_error(
 @pytest.mark.slow  # 15 s
 def test_the_statistical_contract() -> None:
     def experiment(seed: int, n: int) -> Experiment:
-        run = kinematic_run(seed, n=n, tool=True)
+        run = cell(2000).kinematics(seed, n)
         data = {"robot": run.robot, "q": run.q, "pose": run.pose, "noise": NOISE}
         return Experiment(data, (run.q_valid[:12], run.pose_valid[:12]))
 
@@ -159,7 +156,7 @@ def test_the_statistical_contract() -> None:
         bad[: len(bad) // 20] = True
         return {**data, "pose": spoilt(data["pose"], rng, int(bad.sum()), 2.0 * DEGREE, 0.02), "robust": True}, bad
 
-    still = kinematic_run(0, tool=True)
+    still = cell(2000).kinematics(0)
     q = still.q.copy()
     q[:, 3] = 0.3
     refusals = {"joint 4 did not move": {"robot": still.robot, "q": q, "pose": still.truth.forward(q), "noise": NOISE}}
@@ -187,14 +184,14 @@ def test_the_statistical_contract() -> None:
 @pytest.mark.parametrize(
     ("make", "bound_mm", "bound_deg", "runs"),
     [
-        (lambda i: (kinematic_run(i), {"kind": "pose"}), 0.0648, 0.00494, 200),
-        (lambda i: (kinematic_run(i, truth="dh"), {"kind": "pose"}), 0.0648, 0.00494, 100),
-        (lambda i: (kinematic_run(i, tool=True), {"kind": "position"}), 0.0810, None, 200),
-        (lambda i: (kinematic_run(i, 2200, 100, tool=True, harmonics=True), {"kind": "pose", "harmonics": (1, 2)}),
+        (lambda i: (cell(2000).kinematics(i, tool=False), {"kind": "pose"}), 0.0648, 0.00494, 200),
+        (lambda i: (cell(2000).kinematics(i, truth="dh", tool=False), {"kind": "pose"}), 0.0648, 0.00494, 100),
+        (lambda i: (cell(2000).kinematics(i), {"kind": "position"}), 0.0810, None, 200),
+        (lambda i: (cell(2200).kinematics(i, 100, harmonics=True), {"kind": "pose", "harmonics": (1, 2)}),
          0.0557, 0.00541, 60),
-        (lambda i: (kinematic_run(i, 2200, 100, tool=True, harmonics=True), {"kind": "position", "harmonics": (1, 2)}),
+        (lambda i: (cell(2200).kinematics(i, 100, harmonics=True), {"kind": "position", "harmonics": (1, 2)}),
          0.0793, None, 60),
-        (lambda i: (outlier_run(i, 5), {"kind": "pose", "robust": True}), 0.0683, None, 20),
+        (lambda i: (cell(2000).kinematics(i, wrong=5), {"kind": "pose", "robust": True}), 0.0683, None, 20),
     ],
     ids=["K1", "K1 dh", "K2", "K4", "K4 position", "K7"],
 )  # fmt: skip
@@ -218,12 +215,12 @@ def test_distances_to_an_unknown_point() -> None:
     """K5, 20 runs: distances from the anchor to validation poses at 0.0250 mm, the bound."""
     found = []
     for i in range(20):
-        run, anchor, distance = distance_run(i)
-        fit = fit_kinematics(run.robot, run.q, distance=distance, anchor=ANCHOR, noise=5e-5)
+        run = cell(2300).distances(i)
+        fit = fit_kinematics(**run.given, noise=run.noise_distance)
         assert fit.excitation.rank == 24
         assert fit.value.anchor is not None
         ends = fit.value.forward(run.q_valid)[:, :3, 3] - fit.value.anchor
-        true = run.pose_valid[:, :3, 3] - anchor
+        true = run.pose_valid[:, :3, 3] - run.anchor
         found.append(np.mean((np.linalg.norm(ends, axis=1) - np.linalg.norm(true, axis=1)) ** 2))
     assert 1e3 * np.sqrt(np.mean(found)) < 0.0250 * (1.05 + 3.0 / np.sqrt(2 * 24 * 20))
 

@@ -16,19 +16,21 @@ from armlab.calibrate._kinematic_problem import KinematicProblem, State
 from armlab.errors import ConfigError, NotConverged, NotExcited, RobotError, ShapeError, UnknownName
 from armlab.kinematics import forward
 from armlab.lie import se3
+from armlab.sim import cell
 from armlab.sim._cell_kinematics import (
+    ANCHOR,
     NOISE,
     KinematicRun,
     as_robot,
     dh_arm,
-    kinematic_run,
     sliding_robot,
+    spoilt,
 )
 
 
 @pytest.fixture(scope="module")
 def case() -> KinematicRun:
-    return kinematic_run(0, n=150, tool=True)
+    return cell(2000).kinematics(0, 150)
 
 
 @pytest.mark.parametrize("model", ["local_poe", "poe"])
@@ -110,6 +112,34 @@ class TestBadInput:
         data = {"q": case.q, "pose": case.pose, "noise": NOISE}
         with pytest.raises(error, match=words):
             fit_kinematics(case.robot, **change(data))
+
+    @pytest.mark.parametrize("noise", [NOISE, None], ids=["noise given", "noise estimated"])
+    @pytest.mark.parametrize("weak", ["refuse", "prior"])
+    def test_samples_that_do_not_belong_together_are_not_called_outliers(self, case, noise, weak: str) -> None:
+        """Five poses always fit exactly: a robust fit that keeps these and leaves out all others has found nothing."""
+        rng = np.random.default_rng(0)
+        mixed = case.pose[rng.permutation(150)]
+        for q, pose in ((case.q, mixed), (case.q[:, ::-1], case.pose)):
+            with pytest.raises((NotConverged, NotExcited), match=r"belong together|better start|more different"):
+                fit_kinematics(case.robot, q, pose=pose, noise=noise, robust=True, weak=weak)
+        distance = rng.uniform(1.0, 2.0, 150)
+        given = None if noise is None else {"pose": noise, "distance": 1e-4}
+        with pytest.raises((NotConverged, NotExcited)):
+            fit_kinematics(
+                case.robot, case.q, pose=mixed, distance=distance, anchor=ANCHOR, noise=given, robust=True, weak=weak
+            )
+
+    def test_most_samples_must_agree(self, case) -> None:
+        """Half of them wrong are found; one more than half is refused by their number."""
+        pose = spoilt(case.pose, np.random.default_rng(0), 75, 0.3, 0.2)
+        fit = fit_kinematics(case.robot, case.q, pose=pose, noise=NOISE, robust=True)
+        assert np.flatnonzero(fit.outliers).tolist() == list(range(75))
+        with pytest.raises(NotConverged, match=r"most samples to fit one arm, got 1[0-9][0-9] of 150 that do not"):
+            fit_kinematics(
+                case.robot, case.q, pose=case.pose[np.random.default_rng(0).permutation(150)], noise=NOISE, robust=True
+            )
+        with pytest.raises(NotConverged, match="noise that was given is not too small"):
+            fit_kinematics(case.robot, case.q, pose=case.pose, noise=(1e-6, 1e-6), robust=True)
 
     def test_another_order_of_the_joints(self, case) -> None:
         with pytest.raises((NotConverged, NotExcited), match=r"order of the joints|better start|more different"):

@@ -13,12 +13,12 @@ from armlab.errors import NotExcited
 from armlab.estimation import Fit
 from armlab.kinematics import forward
 from armlab.lie import se3
+from armlab.sim import cell
 from armlab.sim._cell_kinematics import (
     ANCHOR,
     NOISE,
     KinematicRun,
     dh_arm,
-    kinematic_run,
     sliding_robot,
     spoilt,
 )
@@ -26,7 +26,7 @@ from armlab.sim._cell_kinematics import (
 
 @pytest.fixture(scope="module")
 def case() -> KinematicRun:
-    return kinematic_run(0, n=150, tool=True)
+    return cell(2000).kinematics(0, 150)
 
 
 def missing(fit: Fit[Any]) -> list[str]:
@@ -132,7 +132,7 @@ class TestRank:
 class TestRefusals:
     @pytest.mark.parametrize("noisy", [False, True])
     def test_a_joint_that_did_not_move(self, noisy: bool) -> None:
-        run = kinematic_run(0, tool=True)
+        run = cell(2000).kinematics(0)
         q = run.q.copy()
         q[:, 3] = 0.3
         pose = run.truth.forward(q)
@@ -149,7 +149,7 @@ class TestRefusals:
         assert np.abs(held.value.forward(there) - run.truth.forward(there)).max() < 3e-4
 
     def test_a_joint_that_hardly_moved(self) -> None:
-        run = kinematic_run(0, tool=True)
+        run = cell(2000).kinematics(0)
         q = run.q.copy()
         q[:, 3] = 0.3 + 6e-4 * np.sin(np.arange(50.0))
         with pytest.raises(NotExcited, match=r"joint 4 moved by only 0.069 deg"):
@@ -157,7 +157,7 @@ class TestRefusals:
 
     @pytest.mark.parametrize("sd", [0.0, 1e-4])
     def test_a_tool_point_on_the_last_axis(self, sd: float) -> None:
-        run = kinematic_run(0, n=100)
+        run = cell(2000).kinematics(0, 100, tool=False)
         arm = dh_arm()
         p = arm.forward(run.q)[:, :3, 3] + sd * np.random.default_rng(1).standard_normal((100, 3))
         with pytest.raises(NotExcited, match="tool point lies on the axis of joint 6") as caught:

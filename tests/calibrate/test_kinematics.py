@@ -16,25 +16,25 @@ from armlab.estimation import Fit
 from armlab.kinematics import forward, inverse, jacobian
 from armlab.lie import se3, so3
 from armlab.models import KinematicCorrection
+from armlab.sim import cell
 from armlab.sim._cell_kinematics import (
     ANCHOR,
     DEGREE,
     NOISE,
     KinematicRun,
     dh_arm,
-    kinematic_run,
     sliding_robot,
 )
 
 
 @pytest.fixture(scope="module")
 def case() -> KinematicRun:
-    return kinematic_run(0, n=150, tool=True)
+    return cell(2000).kinematics(0, 150)
 
 
 @pytest.fixture(scope="module")
 def exact() -> KinematicRun:
-    run = kinematic_run(3, n=60, tool=True)
+    run = cell(2000).kinematics(3, 60)
     return replace(run, pose=run.truth.forward(run.q))
 
 
@@ -75,7 +75,7 @@ class TestExactData:
 
     def test_parallel_axes_need_no_special_case(self) -> None:
         """Axes 2 and 3 of this arm are parallel; tilted against each other by 0.01 deg a table would need a huge d."""
-        run = kinematic_run(1)
+        run = cell(2000).kinematics(1, tool=False)
         tilt = np.zeros((7, 3))
         tilt[2, 1] = 0.01 * DEGREE
         arm = replace(run.truth, frames=dh_arm().frames @ se3.from_rp(so3.exp(tilt)))

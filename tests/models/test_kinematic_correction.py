@@ -92,6 +92,34 @@ def test_two_arms(value, q, tmp_path: Path) -> None:
         replace(both, cov=np.eye(3))
 
 
+def test_the_pose_between_two_arms_moves_as_its_jacobian_says(value, q) -> None:
+    """Central differences of v in axes of tool a and w in axes of tool b; the covariance follows."""
+    T = se3.exp([1.0, 0.2, 0.3, 0.1, 0.2, 3.0])
+    terms = np.random.default_rng(2).standard_normal((2, 4, 6, 2))
+    half = 1e-4 * np.random.default_rng(4).standard_normal((142, 30))
+    both = DualArmCorrection(value, replace(value, amplitudes=-value.amplitudes), T, half @ half.T)
+    q_b, J = q[::-1], both.pose_jacobian(q, q[::-1], *terms)
+    Z = both.forward(q, q_b, *terms)
+    for k in (0, 4, 20, 41, 50, 67, 68, 73, 99, 111, 120, 134, 136, 138, 141):
+        ends = []
+        for step in (1e-6, -1e-6):
+            x = step * np.eye(142)[k]
+            arms = shifted(both.arm_a, x[:68]), shifted(both.arm_b, x[68:136])
+            moved = DualArmCorrection(*arms, T @ se3.exp(x[136:]), both.cov).forward(q, q_b, *terms)
+            turn = so3.log(np.swapaxes(Z[:, :3, :3], 1, 2) @ moved[:, :3, :3])
+            ends.append(np.concatenate([moved[:, :3, 3], turn], axis=1))
+        np.testing.assert_allclose(J[:, :, k], (ends[0] - ends[1]) / 2e-6, rtol=0, atol=2e-8)
+    np.testing.assert_allclose(both.pose_cov(q, q_b, *terms), J @ both.cov @ J.swapaxes(1, 2), rtol=0, atol=1e-15)
+    assert both.pose_cov(q[0], q_b[0], *terms[:, 0]).shape == (6, 6)
+
+
+def shifted(arm: KinematicCorrection, x: np.ndarray) -> KinematicCorrection:
+    frames = arm.frames @ se3.exp(x[:42].reshape(7, 6))
+    robot = robots.from_local_poe("arm", frames, np.tile([0.0, 0, 0, 0, 0, 1], (6, 1)))
+    amplitudes = arm.amplitudes + x[42:66].reshape(6, 4)
+    return replace(arm, robot=robot, amplitudes=amplitudes, coefficients=arm.coefficients + x[66:])
+
+
 def test_sentences(value, q) -> None:
     value.check_robot(robots.load("irb2400"))
     with pytest.raises(ModelMismatchError, match="got 'irb120'"):

@@ -77,12 +77,30 @@ def test_the_fits_find_the_truth_of_every_experiment() -> None:
 
 def test_arms_are_near_their_table_and_not_on_it() -> None:
     made = cell(5)
-    for drawn in (made.kinematics(), made.kinematics(truth="dh"), made.distances()[0]):
+    for drawn in (made.kinematics(), made.kinematics(truth="dh"), made.distances()):
         off = np.abs(drawn.pose[:, :3, 3] - drawn.truth.forward(drawn.q)[:, :3, 3]).max()
         assert off < 1e-3
         assert 1e-3 < np.abs(drawn.truth.forward(drawn.q) - _nominal(drawn)).max() < 3e-2
     dual = made.two_arms()
     np.testing.assert_allclose(dual.pose, dual.relative(dual.q_a, dual.q_b), atol=2e-3)
+
+
+def test_the_fits_find_the_truth_of_arms() -> None:
+    made = cell(5)
+    arm = made.kinematics(wrong=3)
+    one = calibrate.fit_kinematics(**arm.given, noise=arm.noise, robust=True)
+    assert np.flatnonzero(one.outliers)[:3].tolist() == [0, 1, 2]
+    assert arm.error(one.value.forward(arm.q_valid))[0] < 0.2
+    for T_a, T_b in zip(made.kinematics().pose[:3], arm.pose[:3]):
+        np.testing.assert_allclose(distance(T_a, T_b), (0.02, np.radians(2.0)), rtol=1e-9)
+    seen = made.distances()
+    far = calibrate.fit_kinematics(**seen.given, noise=seen.noise_distance)
+    np.testing.assert_allclose(np.linalg.norm(far.value.anchor - seen.guess), 0.0, atol=0.05)
+    dual = made.two_arms(wrong=3)
+    two = calibrate.fit_dual_arm(**dual.given, noise=dual.noise, robust=True)
+    assert np.flatnonzero(two.outliers)[:3].tolist() == [0, 1, 2]
+    Z = two.value.forward(dual.q_valid_a, dual.q_valid_b)
+    np.testing.assert_allclose(Z, dual.relative(dual.q_valid_a, dual.q_valid_b), atol=1e-3)
 
 
 def _nominal(drawn) -> np.ndarray:

@@ -81,7 +81,7 @@ class DualProblem:
         """Return all unknowns (d,); frames by the twists that lead to them from the start, that of T as zero."""
         parts = []
         for arm, one in ((self.arm_a, state.a), (self.arm_b, state.b)):
-            parts += [arm.corrections(one.frames).ravel(), one.amplitudes.ravel()]
+            parts += [arm.corrections(one.frames).ravel(), one.amplitudes.ravel(), one.coefficients]
         return np.concatenate([*parts, np.zeros(6)])
 
     def gauge(self, state: DualState, used: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from armlab.calibrate._arm import Arm, ArmState
 from armlab.calibrate._dual_problem import DualProblem, DualState
-from armlab.calibrate._kinematic_question import Question
+from armlab.calibrate._kinematic_question import Question, check_misfit, spread_of
 from armlab.calibrate._kinematic_rank import Suspect
 from armlab.estimation import Fit, NonlinearSolution
 from armlab.lie import se3
@@ -38,6 +38,7 @@ class DualQuestion(Question[DualState]):
         state = DualState(state.a._replace(frames=a), state.b._replace(frames=b), se3.project(state.T)[0])
         sigma, outside = dict(zip(found.classes, found.sigma.tolist())), np.flatnonzero(found.outliers)
         data = problem.measurements(state)
+        check_misfit(found, data, self._sizes())
         excitation = self.judge(data, state, sigma, outside)
         cov = self.covariance(data, state, sigma, outside, excitation)
         residuals = np.full((len(problem.arm_a.q), sum(one.r.shape[1] for one in data)), np.nan)
@@ -57,6 +58,14 @@ class DualQuestion(Question[DualState]):
             outliers=found.outliers,
             classes=found.classes,
         )
+
+    def _sizes(self) -> list[float]:
+        """Return the size [m] of the space in which each measurement was made; of a closed chain, in which a moved."""
+        problem = self.problem
+        places = [kind.values[kind.visible.reshape(len(kind.values), -1)[:, 0]] for kind in problem.kinds]
+        if problem.closed:
+            places[0] = problem.arm_a.move(problem.arm_a.first()).T
+        return [spread_of(seen[:, 0] if seen.shape[1:] == (1, 3) else seen[:, :3, 3]) for seen in places]
 
     def _value(self, state: DualState, cov: np.ndarray) -> DualArmCorrection:
         problem, a = self.problem, self.problem.arm_a.size

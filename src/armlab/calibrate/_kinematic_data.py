@@ -78,14 +78,14 @@ def check_joints(robot: Robot, q: Any, name: str = "q") -> np.ndarray:
     return q
 
 
-def check_terms(value: Any, shape: tuple[int, int]) -> np.ndarray:
+def check_terms(value: Any, shape: tuple[int, int], name: str = "joint_terms") -> np.ndarray:
     """Return joint terms (N, n, L); L = 0 for None."""
     if value is None:
         return np.zeros((*shape, 0))
-    terms = numbers(value, "joint_terms", ShapeError)
+    terms = numbers(value, name, ShapeError)
     if terms.ndim != 3 or terms.shape[:2] != shape:
-        raise ShapeError(f"Expected joint_terms of shape ({shape[0]}, {shape[1]}, L), got {terms.shape}.")
-    _finite(terms, np.ones(len(terms), dtype=bool), "joint_terms")
+        raise ShapeError(f"Expected {name} of shape ({shape[0]}, {shape[1]}, L), got {terms.shape}.")
+    _finite(terms, np.ones(len(terms), dtype=bool), name)
     return terms
 
 

@@ -18,6 +18,7 @@ from armlab.estimation import Excitation, Measurement, NonlinearSolution, Proble
 SCHEDULE = (1000.0, 300.0, 100.0, 30.0, 10.0)
 UNIT = 1e-3  # 1 mm and 1 mrad: of equal steps the smallest is taken
 WEAK = ("refuse", "prior")
+MISFIT = 0.1  # of the size of what was measured, or of half a turn: these samples do not belong together
 NOBODY = np.zeros(0, dtype=int)
 
 S = TypeVar("S")
@@ -78,10 +79,25 @@ class Question(ABC, Generic[S]):
         self._check_count(start)
         task = Problem(problem.evaluate, problem.retract, problem.sizes(UNIT, UNIT)[problem.active], "arm")
         try:
-            return nonlinear_least_squares(task, start, robust=robust, schedule=SCHEDULE)
+            found = nonlinear_least_squares(task, start, robust=robust, schedule=SCHEDULE)
         except NotConverged:
             self.judge(problem.measurements(start, local=True), start, dict.fromkeys(_classes(problem), UNIT))
             raise
+        self._check_majority(found)
+        return found
+
+    def _check_majority(self, found: NonlinearSolution[S]) -> None:
+        """Refuse an arm that most samples contradict: as few of them as there are unknowns always fit exactly."""
+        seen = np.unique(np.concatenate([one.sample for one in self.problem.measurements(found.value)]))
+        out = int(np.count_nonzero(found.outliers))
+        if 2 * out > len(seen):
+            raise NotConverged(
+                f"Expected most samples to fit one arm, got {out} of {len(seen)} that do not. Check that samples and "
+                "joint positions belong together, units, the order of the joints, and that the noise that was given is "
+                "not too small.",
+                best=found.value,
+                history=found.history,
+            )
 
     def _check_count(self, start: S) -> None:
         """Refuse fewer numbers than unknowns."""
@@ -149,6 +165,34 @@ def _inside(suspects: Sequence[Suspect], used: np.ndarray) -> list[Suspect]:
     """Return directions that move something that is used, cut to it."""
     found = [Suspect(one.name, one.directions[used], one.advice) for one in suspects]
     return [one for one in found if np.abs(one.directions).max(initial=0.0) > 0]
+
+
+def check_misfit(found: NonlinearSolution[Any], data: Sequence[Measurement], sizes: Sequence[float]) -> None:
+    """Refuse samples that do not belong together.
+
+    Parameters
+    ----------
+    data : residuals at the value that was found. sizes : of the space [m] in which each of them was measured.
+    """
+    outside = np.flatnonzero(found.outliers)
+    for one, size in zip(data, sizes):
+        kept = one.r[~np.isin(one.sample, outside)]
+        for unit, space in (("m", size), ("rad", np.pi)):
+            off = kept[:, [name.endswith(f"[{unit}]") for name in one.classes]]
+            rms = float(np.sqrt(np.mean(off**2))) if off.size else 0.0
+            if rms > MISFIT * space and len(kept) > 3:
+                raise NotConverged(
+                    f"Expected an arm that fits the measurements, got residuals of {rms:.3g} {unit} in a space of "
+                    f"{space:.3g} {unit}. Check units, the order of the joints, and whether samples and joint "
+                    "positions belong together.",
+                    best=found.value,
+                    history=found.history,
+                )
+
+
+def spread_of(points: np.ndarray) -> float:
+    """Return the root mean square distance of points (N, 3) from their mean."""
+    return float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=-1)))) if len(points) else 0.0
 
 
 def never_moves(suspect: Suspect, data: Sequence[Measurement], used: np.ndarray) -> bool:

@@ -8,14 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from armlab.calibrate._kinematic_problem import KinematicProblem, State
-from armlab.calibrate._kinematic_question import Question, never_moves
+from armlab.calibrate._kinematic_question import Question, check_misfit, never_moves, spread_of
 from armlab.calibrate._kinematic_rank import Suspect
 from armlab.calibrate._kinematic_words import may_be_missing, never_seen
-from armlab.errors import NotConverged
 from armlab.estimation import Fit, Measurement, NonlinearSolution
 from armlab.models import KinematicCorrection
-
-MISFIT = 0.1  # of the size of what was measured: these samples do not belong together
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +41,7 @@ class ArmQuestion(Question[State]):
             state = self._smallest(state)
         sigma = dict(zip(found.classes, found.sigma.tolist()))
         data = problem.measurements(state, local=True)
-        residuals = _table(data, problem)
-        self._check_fit(found, residuals)
+        check_misfit(found, data, self._sizes())
         outside = np.flatnonzero(found.outliers)
         excitation = self.judge(data, state, sigma, outside)
         cov = self.covariance(data, state, sigma, outside, excitation)
@@ -57,7 +53,7 @@ class ArmQuestion(Question[State]):
             parameters=problem.values(state)[self.used],
             cov=cov,
             sigma=found.sigma,
-            residuals=residuals,
+            residuals=_table(data, problem),
             n=len(problem.arm.q),
             excitation=excitation,
             summary=lambda fit: "\n".join([fit.table(), *notes]),
@@ -77,28 +73,16 @@ class ArmQuestion(Question[State]):
         anchor = move[:3, :3] @ state.anchor + move[:3, 3]
         return state._replace(arm=state.arm._replace(frames=frames), anchor=anchor)
 
-    def _check_fit(self, found: NonlinearSolution[State], residuals: np.ndarray) -> None:
-        """Refuse samples that do not belong together."""
-        kept = residuals[: len(found.outliers)][~found.outliers]
+    def _sizes(self) -> list[float]:
+        """Return the size [m] of the space in which each measurement was made."""
+        sizes = []
         for kind in self.problem.kinds:
-            if kind.name == "pose":
-                size, columns = _spread(kind.values[kind.visible][:, :3, 3]), range(np.count_nonzero(kind.kept < 3))
-            elif kind.name == "position":
-                size, columns = _spread(kind.values[kind.visible]), range(kept.shape[1])
+            seen = kind.values[kind.visible]
+            if kind.name == "position":
+                sizes += [spread_of(seen)] * kind.values.shape[1]
             else:
-                size, columns = float(np.mean(kind.values[kind.visible])), range(kept.shape[1])
-            off = kept[:, list(columns)]
-            square = float(np.vdot(off, off)) / max(off.size, 1)
-            square = square if np.isfinite(square) else float(np.nanmean(off**2))  # NaN is what was not measured
-            rms = float(np.sqrt(square)) if len(self.problem.kinds) == 1 else 0.0
-            if rms > MISFIT * size and len(kept) > 3:
-                raise NotConverged(
-                    f"Expected an arm that fits the measurements, got residuals of {rms:.3g} m in a space of "
-                    f"{size:.3g} m. Check units, the order of the joints, and whether samples and joint positions "
-                    "belong together.",
-                    best=found.value,
-                    history=found.history,
-                )
+                sizes.append(spread_of(seen[:, :3, 3]) if kind.name == "pose" else float(np.mean(seen)))
+        return sizes
 
     def _value(self, state: State, cov: np.ndarray) -> KinematicCorrection:
         arm, problem = self.problem.arm, self.problem
@@ -129,7 +113,3 @@ def _table(data: Sequence[Measurement], problem: KinematicProblem) -> np.ndarray
         table[one.sample, first : first + one.r.shape[1]] = one.r
         first += one.r.shape[1]
     return table
-
-
-def _spread(points: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))

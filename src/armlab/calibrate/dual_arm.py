@@ -46,6 +46,8 @@ def fit_dual_arm(
     noise: Any = None,
     noise_absolute: Any = None,
     harmonics: Sequence[int] = (),
+    joint_terms_a: ArrayLike | None = None,
+    joint_terms_b: ArrayLike | None = None,
     prior: float | tuple[float, float] = 0.1,
     weak: str = "refuse",
     robust: bool = False,
@@ -65,6 +67,7 @@ def fit_dual_arm(
     noise : of the relative measurement, as in `fit_kinematics`. None: estimated.
     noise_absolute : of `absolute_a`, (sd [m], sd [rad]) or a covariance; given where `noise` is.
     harmonics : orders of joint errors of both arms, see `fit_kinematics`.
+    joint_terms_a, joint_terms_b : phi (N, n, L) of an arm, see `fit_kinematics`.
     prior, weak, robust, limits : see `fit_kinematics`.
 
     Returns
@@ -91,8 +94,11 @@ def fit_dual_arm(
     check_weak(weak)
     orders = check_harmonics(harmonics)
     arms = [
-        Arm.of(robot, q, orders, check_terms(None, q.shape), "local_poe")
-        for robot, q in ((robot_a, q_a), (robot_b, q_b))
+        Arm.of(robot, q, orders, check_terms(terms, q.shape, name), "local_poe")
+        for robot, q, terms, name in (
+            (robot_a, q_a, joint_terms_a, "joint_terms_a"),
+            (robot_b, q_b, joint_terms_b, "joint_terms_b"),
+        )
     ]
     kinds, T = _measured(arms[0], arms[1], pose, position, closed, visible, noise)
     if absolute_a is not None:

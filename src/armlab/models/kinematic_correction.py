@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from armlab._numbers import numbers
 from armlab.errors import ModelMismatchError, RobotError, ShapeError
 from armlab.kinematics import forward, frame_jacobian
-from armlab.lie import se3
+from armlab.lie import se3, so3
 from armlab.robots import Robot
 
 __all__ = ["DualArmCorrection", "KinematicCorrection", "harmonic_basis"]
@@ -229,12 +229,72 @@ class DualArmCorrection:
             values.flags.writeable = False
             object.__setattr__(self, name, values)
 
-    def forward(self, q_a: ArrayLike, q_b: ArrayLike) -> np.ndarray:
+    def forward(
+        self,
+        q_a: ArrayLike,
+        q_b: ArrayLike,
+        joint_terms_a: ArrayLike | None = None,
+        joint_terms_b: ArrayLike | None = None,
+    ) -> np.ndarray:
         """Return the tool of b seen from the tool of a: ``Z = T_a^-1 T_basea_baseb T_b`` (..., 4, 4).
 
         Parameters
         ----------
         q_a, q_b : (..., n) joint positions that the robots tell [rad or m].
+        joint_terms_a, joint_terms_b : phi (..., n, L), where the fit had some.
         """
-        T_toola_basea, T_baseb_toolb = se3.inv(self.arm_a.forward(q_a)), self.arm_b.forward(q_b)
+        T_toola_basea = se3.inv(self.arm_a.forward(q_a, joint_terms_a))
+        T_baseb_toolb = self.arm_b.forward(q_b, joint_terms_b)
         return T_toola_basea @ self.T_basea_baseb @ T_baseb_toolb
+
+    def pose_cov(
+        self,
+        q_a: ArrayLike,
+        q_b: ArrayLike,
+        joint_terms_a: ArrayLike | None = None,
+        joint_terms_b: ArrayLike | None = None,
+    ) -> np.ndarray:
+        """Return the covariance (..., 6, 6) of `forward`, [v; w]: v in axes of tool a, w in axes of tool b [m, rad].
+
+        ``C = J cov J^T``. Directions that nothing told count as exactly known.
+
+        Parameters
+        ----------
+        q_a, q_b : (..., n) joint positions that the robots tell [rad or m].
+        joint_terms_a, joint_terms_b : phi (..., n, L), where the fit had some.
+        """
+        J = self.pose_jacobian(q_a, q_b, joint_terms_a, joint_terms_b)
+        return J @ self.cov @ np.swapaxes(J, -1, -2)
+
+    def pose_jacobian(
+        self,
+        q_a: ArrayLike,
+        q_b: ArrayLike,
+        joint_terms_a: ArrayLike | None = None,
+        joint_terms_b: ArrayLike | None = None,
+    ) -> np.ndarray:
+        """Return how `forward` depends on the numbers whose covariance is `cov`: (..., 6, d).
+
+        With errors (v, w) of both tools and of the base of b, ``v_Z = R_a^T (R_ab v_b - v_a + R_ab (v_ab - [p_b] w_ab))
+        + [p_Z] w_a`` and ``w_Z = w_b + R_b^T w_ab - R_Z^T w_a``.
+
+        Parameters
+        ----------
+        q_a, q_b : (..., n) joint positions that the robots tell [rad or m].
+        joint_terms_a, joint_terms_b : phi (..., n, L), where the fit had some.
+        """
+        T_a, T_b = self.arm_a.forward(q_a, joint_terms_a), self.arm_b.forward(q_b, joint_terms_b)
+        J_a, J_b = self.arm_a.pose_jacobian(q_a, joint_terms_a), self.arm_b.pose_jacobian(q_b, joint_terms_b)
+        Z = se3.inv(T_a) @ self.T_basea_baseb @ T_b
+        back = np.swapaxes(T_a[..., :3, :3], -1, -2)
+        turned, to_tool = back @ self.T_basea_baseb[:3, :3], np.swapaxes(T_b[..., :3, :3], -1, -2)
+        by_a = [
+            so3.hat(Z[..., :3, 3]) @ J_a[..., 3:, :] - back @ J_a[..., :3, :],
+            -np.swapaxes(Z[..., :3, :3], -1, -2) @ J_a[..., 3:, :],
+        ]
+        by_b = [turned @ J_b[..., :3, :], J_b[..., 3:, :]]
+        by_base = [
+            np.concatenate([turned, -turned @ so3.hat(T_b[..., :3, 3])], axis=-1),
+            np.concatenate([np.zeros_like(to_tool), to_tool], axis=-1),
+        ]
+        return np.concatenate([np.concatenate(part, axis=-2) for part in (by_a, by_b, by_base)], axis=-1)

@@ -7,6 +7,7 @@ arm. The truth is computed frame by frame here, not by the kernels that the fits
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -50,12 +51,18 @@ class LocalArm:
 class KinematicRun:
     """One experiment: nominal robot, truth, joint positions, noisy and true poses, and the same for validation."""
 
+    noise: ClassVar[tuple[float, float]] = NOISE  # of the poses (m, rad)
     robot: Robot
     truth: LocalArm
     q: np.ndarray
     pose: np.ndarray
     q_valid: np.ndarray
     pose_valid: np.ndarray
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """Arguments of `calibrate.fit_kinematics`."""
+        return {"robot": self.robot, "q": self.q, "pose": self.pose}
 
     def error(self, T: np.ndarray) -> tuple[float, float]:
         """Return the error of validation poses (200, 4, 4): root mean square of distance [mm] and angle [deg]."""
@@ -117,34 +124,58 @@ def perturbed(rng: np.random.Generator, truth: str, tool: bool) -> LocalArm:
 
 
 def kinematic_run(
-    run: int, seed: int = 2000, n: int = 50, truth: str = "lpoe", tool: bool = False, harmonics: bool = False
+    run: int,
+    seed: int = 2000,
+    n: int = 50,
+    truth: str = "lpoe",
+    tool: bool = False,
+    harmonics: bool = False,
+    wrong: int = 0,
 ) -> KinematicRun:
-    """Return experiments K1 to K4: poses, of which positions may be used alone.
+    """Return experiments K1 to K4 and K7: poses, of which positions may be used alone.
 
     Parameters
     ----------
     run : number of the experiment. seed : of the series. n : samples.
     truth : "lpoe" or "dh". tool : nominal tool away from the flange.
     harmonics : joints with errors of orders 1 and 2, 0.02 deg.
+    wrong : how many of the first poses are turned by 2 deg and moved by 20 mm.
     """
     rng = np.random.default_rng([seed, run])
     arm = perturbed(rng, truth, tool)
     q, q_valid = (rng.uniform(-np.pi, np.pi, (m, 6)) for m in (n, VALIDATION))
     if harmonics:
         arm = LocalArm(arm.frames, arm.screws, 0.02 * DEGREE * rng.standard_normal((6, 4)))
-    pose = noisy(arm.forward(q), rng)
+    pose = spoilt(noisy(arm.forward(q), rng), rng, wrong, 2.0 * DEGREE, 0.02)
     return KinematicRun(as_robot(dh_arm(tool=tool)), arm, q, pose, q_valid, arm.forward(q_valid))
 
 
-def distance_run(run: int, seed: int = 2300, n: int = 120) -> tuple[KinematicRun, np.ndarray, np.ndarray]:
-    """Return experiment K5: an arm with tool, its fixed point (3,) and distances (N,) with 0.05 mm of noise."""
+@dataclass(frozen=True, eq=False)
+class DistanceRun(KinematicRun):
+    """The same with a fixed point (3,) and its distances (N,) from the tool; `guess` is where it was thought to be."""
+
+    noise_distance: ClassVar[float] = 5e-5  # m
+    anchor: np.ndarray
+    guess: np.ndarray
+    distance: np.ndarray
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """Arguments of `calibrate.fit_kinematics`."""
+        return {"robot": self.robot, "q": self.q, "distance": self.distance, "anchor": self.guess}
+
+
+def distance_run(run: int, seed: int = 2300, n: int = 120) -> DistanceRun:
+    """Return experiment K5: an arm with tool, its fixed point and distances with 0.05 mm of noise."""
     rng = np.random.default_rng([seed, run])
     arm = perturbed(rng, "lpoe", True)
     q, q_valid = (rng.uniform(-np.pi, np.pi, (m, 6)) for m in (n, VALIDATION))
     anchor = ANCHOR + 0.01 * rng.standard_normal(3)
     pose = arm.forward(q)
-    distance = np.linalg.norm(pose[:, :3, 3] - anchor, axis=1) + 5e-5 * rng.standard_normal(n)
-    return KinematicRun(as_robot(dh_arm(tool=True)), arm, q, pose, q_valid, arm.forward(q_valid)), anchor, distance
+    away = np.linalg.norm(pose[:, :3, 3] - anchor, axis=1)
+    distance = away + DistanceRun.noise_distance * rng.standard_normal(n)
+    robot = as_robot(dh_arm(tool=True))
+    return DistanceRun(robot, arm, q, pose, q_valid, arm.forward(q_valid), anchor, ANCHOR.copy(), distance)
 
 
 def spoilt(pose: np.ndarray, rng: np.random.Generator, wrong: int, angle: float, length: float) -> np.ndarray:
@@ -157,19 +188,11 @@ def spoilt(pose: np.ndarray, rng: np.random.Generator, wrong: int, angle: float,
     return pose
 
 
-def outlier_run(run: int, wrong: int, seed: int = 2000, n: int = 50) -> KinematicRun:
-    """Return experiment K7: K1 with tool, the first poses wrong by 2 deg and 20 mm."""
-    rng = np.random.default_rng([seed, run])
-    arm = perturbed(rng, "lpoe", True)
-    q, q_valid = (rng.uniform(-np.pi, np.pi, (m, 6)) for m in (n, VALIDATION))
-    pose = spoilt(noisy(arm.forward(q), rng), rng, wrong, 2.0 * DEGREE, 0.02)
-    return KinematicRun(as_robot(dh_arm(tool=True)), arm, q, pose, q_valid, arm.forward(q_valid))
-
-
 @dataclass(frozen=True, eq=False)
 class DualRun:
     """One experiment with two arms: nominal robots, truths, joint positions, poses of tool b seen from tool a."""
 
+    noise: ClassVar[tuple[float, float]] = NOISE  # of the poses (m, rad)
     robot_a: Robot
     robot_b: Robot
     truth_a: LocalArm
@@ -181,6 +204,12 @@ class DualRun:
     q_valid_a: np.ndarray
     q_valid_b: np.ndarray
 
+    @property
+    def given(self) -> dict[str, Any]:
+        """Arguments of `calibrate.fit_dual_arm`."""
+        names = ("robot_a", "robot_b", "q_a", "q_b", "pose")
+        return {name: getattr(self, name) for name in names}
+
     def relative(self, q_a: np.ndarray, q_b: np.ndarray) -> np.ndarray:
         """Return ``T_a^-1 T_basea_baseb T_b`` (N, 4, 4)."""
         return se3.inv(self.truth_a.forward(q_a)) @ self.T_basea_baseb @ self.truth_b.forward(q_b)
@@ -189,8 +218,8 @@ class DualRun:
 NOMINAL_PAIR = se3.from_rp(so3.exp([0.0, 0.0, np.pi]), [1.8, 0.0, 0.0])
 
 
-def dual_run(run: int, seed: int = 2400, n: int = 60) -> DualRun:
-    """Return experiment K6: two arms with tools that face each other."""
+def dual_run(run: int, seed: int = 2400, n: int = 60, wrong: int = 0) -> DualRun:
+    """Return experiment K6: two arms with tools that face each other; the first poses wrong as in K7."""
     rng = np.random.default_rng([seed, run])
     arms = []
     for _ in range(2):
@@ -201,4 +230,5 @@ def dual_run(run: int, seed: int = 2400, n: int = 60) -> DualRun:
     q_a, q_b, q_valid_a, q_valid_b = (rng.uniform(-np.pi, np.pi, (m, 6)) for m in (n, n, VALIDATION, VALIDATION))
     robots = [as_robot(dh_arm(tool=True), name) for name in ("arm_a", "arm_b")]
     found = DualRun(robots[0], robots[1], arms[0], arms[1], T_basea_baseb, q_a, q_b, np.zeros(0), q_valid_a, q_valid_b)
-    return replace(found, pose=noisy(found.relative(q_a, q_b), rng))
+    pose = noisy(found.relative(q_a, q_b), rng)
+    return replace(found, pose=spoilt(pose, rng, wrong, 2.0 * DEGREE, 0.02))

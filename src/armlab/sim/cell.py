@@ -14,7 +14,7 @@ from armlab.errors import ConfigError
 from armlab.sim import _cell_force, _cell_hand_eye, _cell_kinematics, _cell_laser
 from armlab.sim._cell_force import Weighed
 from armlab.sim._cell_hand_eye import CAMERA, Poses, Sights
-from armlab.sim._cell_kinematics import DualRun, KinematicRun
+from armlab.sim._cell_kinematics import DistanceRun, DualRun, KinematicRun
 from armlab.sim._cell_laser import Scanned
 
 __all__ = ["Cell", "cell"]
@@ -98,7 +98,14 @@ class Cell:
         return _cell_force.accelerated([self.seed, run], N, sigma)
 
     def kinematics(
-        self, run: int = 0, N: int = 50, *, truth: str = "lpoe", tool: bool = True, harmonics: bool = False
+        self,
+        run: int = 0,
+        N: int = 50,
+        *,
+        truth: str = "lpoe",
+        tool: bool = True,
+        harmonics: bool = False,
+        wrong: int = 0,
     ) -> KinematicRun:
         """Draw joint positions (q) of an IRB 2400 that is not quite its table, and measured poses of its tool (pose).
 
@@ -107,6 +114,7 @@ class Cell:
         run : number of the experiment. N : samples.
         truth : "lpoe", every frame of the arm moved; "dh", every number of its table.
         tool : the nominal tool is away from the flange. harmonics : joints with errors of orders 1 and 2, 0.02 deg.
+        wrong : how many of the first poses are turned by 2 degrees and moved by 20 mm.
 
         Raises
         ------
@@ -114,10 +122,10 @@ class Cell:
         """
         if truth not in ("lpoe", "dh"):
             raise ConfigError(f"Expected the truth 'lpoe' or 'dh' of an arm, got {truth!r}. Take one of the two.")
-        return _cell_kinematics.kinematic_run(run, self.seed, N, truth, tool, harmonics)
+        return _cell_kinematics.kinematic_run(run, self.seed, N, truth, tool, harmonics, wrong)
 
-    def distances(self, run: int = 0, N: int = 120) -> tuple[KinematicRun, np.ndarray, np.ndarray]:
-        """Draw the same, a fixed point (3,) and its distances (N,) from the tool, with 0.05 mm of noise.
+    def distances(self, run: int = 0, N: int = 120) -> DistanceRun:
+        """Draw the same, a fixed point (anchor) and its distances from the tool (distance), with 0.05 mm of noise.
 
         Parameters
         ----------
@@ -125,14 +133,15 @@ class Cell:
         """
         return _cell_kinematics.distance_run(run, self.seed, N)
 
-    def two_arms(self, run: int = 0, N: int = 60) -> DualRun:
+    def two_arms(self, run: int = 0, N: int = 60, *, wrong: int = 0) -> DualRun:
         """Draw joint positions of two arms that face each other and poses of the one tool seen from the other.
 
         Parameters
         ----------
         run : number of the experiment. N : samples.
+        wrong : how many of the first poses are turned by 2 degrees and moved by 20 mm.
         """
-        return _cell_kinematics.dual_run(run, self.seed, N)
+        return _cell_kinematics.dual_run(run, self.seed, N, wrong)
 
     def laser(self, run: int = 0, N: int = 60, *, size: float = 1.0, plates: int = 3, wrong: int = 0) -> Scanned:
         """Draw poses of a tool (A) and lines (scans) that a scanner on it sees on flat plates (plane).
