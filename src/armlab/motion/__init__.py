@@ -1,0 +1,5 @@
+"""Motion: profiles from point to point."""
+
+from armlab.motion import profiles
+
+__all__ = ["profiles"]
