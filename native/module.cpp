@@ -13,6 +13,7 @@ void bind_nearest(nb::module_ &m);
 void bind_limits(nb::module_ &m);
 void bind_momentum(nb::module_ &m);
 void bind_path(nb::module_ &m);
+void bind_primitive(nb::module_ &m);
 void bind_records(nb::module_ &m);
 void bind_signals(nb::module_ &m);
 void bind_two_dof(nb::module_ &m);
@@ -34,6 +35,7 @@ NB_MODULE(_native, m) {
   bind_limits(m);
   bind_momentum(m);
   bind_path(m);
+  bind_primitive(m);
   bind_records(m);
   bind_signals(m);
   bind_two_dof(m);

@@ -78,9 +78,12 @@ def provenance(kind: str, value: object) -> dict[str, Any]:
 
 
 def value_file(value: object) -> dict[str, Any]:
-    """Return the tables [meta] and [value] of a registered value."""
+    """Return the tables [meta] and [value] of a registered value, with the UNITS of its fields where its class has them."""
     kind = kind_of(value)
-    return {"meta": provenance(kind, value), "value": encode(value)["fields"]}
+    meta, units = provenance(kind, value), getattr(type(value), "UNITS", None)
+    if units is not None:
+        meta["units"] = dict(units)
+    return {"meta": meta, "value": encode(value)["fields"]}
 
 
 def read_value(raw: Mapping[str, Any], path: Path) -> Any:

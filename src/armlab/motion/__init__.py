@@ -1,5 +1,11 @@
-"""Motion: profiles from point to point."""
+"""Motion: movement primitives that are taught by showing them once, and profiles from point to point."""
 
+from armlab.models import register
 from armlab.motion import profiles
+from armlab.motion.dmp import Dmp
+from armlab.motion.rollout import Rollout
+from armlab.motion.stepper import Stepper
 
-__all__ = ["profiles"]
+__all__ = ["Dmp", "Rollout", "Stepper", "profiles"]
+
+register("dmp", Dmp)

@@ -38,6 +38,8 @@ from armlab.kernels._reference.momentum import momentum_step
 from armlab.kernels._reference.momentum_estimator import MomentumEstimator
 from armlab.kernels._reference.nearest import so3_nearest
 from armlab.kernels._reference.path import follow_path
+from armlab.kernels._reference.primitive import Primitive
+from armlab.kernels._reference.primitive_stepper import PrimitiveStepper
 from armlab.kernels._reference.records import RecordMaker
 from armlab.kernels._reference.signals import SignalOperator
 from armlab.kernels._reference.two_dof import TwoDof
@@ -52,6 +54,8 @@ __all__ = [
     "EgmWriter",
     "InverseSolver",
     "MomentumEstimator",
+    "Primitive",
+    "PrimitiveStepper",
     "RecordMaker",
     "SignalOperator",
     "TwoDof",

@@ -1,0 +1,439 @@
+#include "primitive.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "lanes.h"
+
+namespace armlab {
+namespace {
+
+constexpr double faded = 40.0;     // exponents further than this below the largest are left out: exp(-40) = 4e-18
+constexpr double gate_width = 0.1;  // of the duration, over which the forcing of a time phase fades
+
+// integral of G(r - s) s^k over s from 0 to r, for k = 1 and 2, G the impulse response; by its series, for short steps
+void short_moments(double alpha, double stiffness, double r, double &first, double &second) {
+  double g = 1.0, before = 0.0, power = r * r * r / 6.0;  // G = sum g_j r^j / j!
+  first = power;
+  second = 0.0;
+  for (int j = 1; j < 60; ++j) {
+    const double term = 2.0 * power * r / (j + 3) * g;  // of the second moment, whose powers lag by one
+    second += term;
+    const double next = -(alpha * g + stiffness * before);
+    before = g;
+    g = next;
+    power *= r / (j + 3);
+    first += power * g;
+    if (std::fabs(term) < 1e-18 * second && std::fabs(power * g) < 1e-18 * first) break;
+  }
+}
+
+// The impulse response and its derivative where r is not short.
+void long_response(double alpha, double stiffness, double r, double &G, double &slope) {
+  const double sigma = 0.5 * alpha, square = sigma * sigma - stiffness;
+  const double mu = std::sqrt(std::fabs(square)), angle = mu * r;
+  double even, odd;  // e^(-sigma r) cosh(mu r), e^(-sigma r) sinh(mu r) / mu
+  if (angle < 1e-3) {
+    const double decay = std::exp(-sigma * r), a = square * r * r;
+    even = decay * (1.0 + a / 2.0 * (1.0 + a / 12.0));
+    odd = decay * r * (1.0 + a / 6.0 * (1.0 + a / 20.0));
+  } else if (square > 0.0) {
+    const double slow = std::exp((mu - sigma) * r), fast = std::exp(-(mu + sigma) * r);
+    even = 0.5 * (slow + fast);
+    odd = 0.5 * (slow - fast) / mu;
+  } else {
+    const double decay = std::exp(-sigma * r);
+    even = decay * std::cos(angle);
+    odd = decay * std::sin(angle) / mu;
+  }
+  G = odd;
+  slope = even - sigma * odd;
+}
+
+}  // namespace
+
+SpringStep::SpringStep(double alpha, double stiffness, double r) {
+  double G, slope, zeroth, first, second;  // impulse response, its derivative, its moments
+  if (std::max(alpha, std::sqrt(stiffness)) * r < 1.0) {
+    short_moments(alpha, stiffness, r, first, second);
+    zeroth = 0.5 * (r * r - stiffness * second) - alpha * first;
+    G = r - alpha * zeroth - stiffness * first;
+    slope = 1.0 - alpha * G - stiffness * zeroth;
+  } else {
+    long_response(alpha, stiffness, r, G, slope);
+    zeroth = (1.0 - slope - alpha * G) / stiffness;
+    first = (r - alpha * zeroth - G) / stiffness;
+    second = (r * r - 2.0 * alpha * first - 2.0 * zeroth) / stiffness;
+  }
+  yy = slope + alpha * G;
+  yz = G;
+  zy = -stiffness * G;
+  zz = slope;
+  const double linear = first / r, quadratic = second / (r * r);
+  f0 = zeroth - 3.0 * linear + 2.0 * quadratic;
+  fm = 4.0 * (linear - quadratic);
+  f1 = 2.0 * quadratic - linear;
+  const double rate = zeroth / r, curve = first / (r * r);
+  vf0 = G - 3.0 * rate + 4.0 * curve;
+  vfm = 4.0 * rate - 8.0 * curve;
+  vf1 = 4.0 * curve - rate;
+}
+
+void SpringStep::advance(std::ptrdiff_t count, const double *start, const double *middle, const double *end,
+                         const double *g, double *y, double *z) const {
+  for (std::ptrdiff_t i = 0; i < count; ++i) {
+    const double d = y[i] - g[i], v = z[i];
+    y[i] = g[i] + (yy * d + yz * v) + (f0 * start[i] + fm * middle[i] + f1 * end[i]);
+    z[i] = (zy * d + zz * v) + (vf0 * start[i] + vfm * middle[i] + vf1 * end[i]);
+  }
+}
+
+double Primitive::phase_at(double s) const { return phase == PhaseKind::canonical ? std::exp(-decay * s) : pace * s; }
+
+double Primitive::share(double x) const {
+  if (phase != PhaseKind::time) return x;
+  const double late = std::min(std::max((x - 1.0) / gate_width, 0.0), 1.0);
+  return 1.0 - late * late * late * (late * (6.0 * late - 15.0) + 10.0);
+}
+
+int Primitive::kernels(double x, double factor, int *index, double *psi) const {
+  double top = -std::numeric_limits<double>::infinity();
+  for (int j = 0; j < m; ++j) {
+    const double off = x - centres[j];
+    psi[j] = -off * off * curvatures[j];
+    top = std::max(top, psi[j]);
+  }
+  int count = 0;
+  double sum = 0.0;
+  for (int j = 0; j < m; ++j) {
+    if (psi[j] < top - faded) continue;
+    const double value = std::exp(psi[j] - top);
+    sum += value;
+    index[count] = j;
+    psi[count++] = value;
+  }
+  for (int k = 0; k < count; ++k) psi[k] *= factor / sum;
+  return count;
+}
+
+void Primitive::forcing(double x, int *index, double *psi, double *f) const {
+  const int count = kernels(x, share(x), index, psi);
+  std::fill(f, f + n, 0.0);
+  for (int k = 0; k < count; ++k) {
+    const double *w = weights.data() + static_cast<std::ptrdiff_t>(n) * index[k];
+    for (int i = 0; i < n; ++i) f[i] += psi[k] * w[i];
+  }
+}
+
+void Primitive::forcing_each(const double *x, int *index, double *psi, double *f) const {
+  for (int i = 0; i < n; ++i) {
+    const int count = kernels(x[i], x[i], index, psi);
+    f[i] = 0.0;
+    for (int k = 0; k < count; ++k) f[i] += psi[k] * weights[static_cast<std::ptrdiff_t>(n) * index[k] + i];
+  }
+}
+
+PrimitiveStepper::PrimitiveStepper(const Primitive &p) : primitive(p), work_(6 * p.n), psi_(p.m), index_(p.m) {
+  for (auto *part : {&y_, &z_, &y0_, &g_, &target_, &scale_, &f0_, &fm_, &f1_, &goal_, &limit_, &side_, &braking_})
+    part->assign(p.n, 0.0);
+}
+
+void PrimitiveStepper::start(const double *y0, const double *v0, const double *g, const double *scale, double tau) {
+  const int n = primitive.n;
+  tau_ = tau;
+  s_ = 0.0;
+  moving_ = false;
+  for (int i = 0; i < n; ++i) {
+    y_[i] = y0_[i] = y0[i];
+    z_[i] = tau * v0[i];
+    g_[i] = target_[i] = g[i];
+    scale_[i] = scale[i];
+    limit_[i] = side_[i] = braking_[i] = 0.0;
+  }
+  force(0.0, y_.data(), f0_.data());
+}
+
+void PrimitiveStepper::force(double s, const double *y, double *f) {
+  const int n = primitive.n;
+  if (primitive.phase == PhaseKind::position) {
+    double *p = work_.data() + 5 * n;
+    for (int i = 0; i < n; ++i) {
+      const double way = g_[i] - y0_[i];
+      p[i] = way == 0.0 ? 0.0 : std::min(std::max((g_[i] - y[i]) / way, 0.0), 1.0);
+    }
+    primitive.forcing_each(p, index_.data(), psi_.data(), f);
+  } else {
+    primitive.forcing(primitive.phase_at(s), index_.data(), psi_.data(), f);
+  }
+  for (int i = 0; i < n; ++i) f[i] *= scale_[i];
+}
+
+void PrimitiveStepper::step(double dt) {
+  const double r = dt / tau_;
+  if (primitive.phase == PhaseKind::position)
+    step_position(r);
+  else
+    step_spring(r);
+  brake();
+}
+
+void PrimitiveStepper::step_spring(double r) {
+  const int n = primitive.n;
+  if (r != r_) spring_ = SpringStep(primitive.alpha, primitive.stiffness, r_ = r);
+  force(s_ + 0.5 * r, nullptr, fm_.data());
+  force(s_ += r, nullptr, f1_.data());
+  if (!moving_) {
+    spring_.advance(n, f0_.data(), fm_.data(), f1_.data(), g_.data(), y_.data(), z_.data());
+  } else {  // the spring is measured from where the goal will be; how far it still has to go pulls as a force
+    double *start = work_.data(), *middle = start + n, *end = middle + n;
+    const double half = std::exp(-0.5 * filter * r), k = primitive.stiffness;
+    for (int i = 0; i < n; ++i) {
+      const double ahead = k * (g_[i] - target_[i]);
+      start[i] = f0_[i] + ahead;
+      middle[i] = fm_[i] + ahead * half;
+      end[i] = f1_[i] + ahead * half * half;
+      g_[i] = target_[i] + (g_[i] - target_[i]) * half * half;
+    }
+    spring_.advance(n, start, middle, end, target_.data(), y_.data(), z_.data());
+  }
+  f0_.swap(f1_);
+}
+
+// Runge and Kutta, in steps that the spring allows: the forcing depends on where the motion is.
+void PrimitiveStepper::step_position(double r) {
+  const int n = primitive.n;
+  const double alpha = primitive.alpha, k = primitive.stiffness;
+  const double parts = std::ceil(std::max(alpha, std::sqrt(k)) * r), h = r / std::max(parts, 1.0);
+  double *y = work_.data(), *z = y + n, *sum_y = z + n, *sum_z = sum_y + n, *f = sum_z + n;
+  for (double part = 0.0; part < std::max(parts, 1.0); part += 1.0) {
+    for (int stage = 0; stage < 4; ++stage) {
+      const double reach = stage == 3 ? h : 0.5 * h, weight = stage == 0 || stage == 3 ? h / 6.0 : h / 3.0;
+      if (stage == 0) {
+        for (int i = 0; i < n; ++i) {
+          y[i] = sum_y[i] = y_[i];
+          z[i] = sum_z[i] = z_[i];
+        }
+      }
+      const double now = s_ + (stage == 0 ? 0.0 : reach);
+      if (moving_)
+        for (int i = 0; i < n; ++i) g_[i] = target_[i] + goal_[i] * std::exp(-filter * (now - moved_));
+      force(0.0, y, f);
+      for (int i = 0; i < n; ++i) {
+        const double dy = z[i], dz = k * (g_[i] - y[i]) - alpha * z[i] + f[i];
+        sum_y[i] += weight * dy;
+        sum_z[i] += weight * dz;
+        const double next = stage == 2 ? h : 0.5 * h;
+        y[i] = y_[i] + next * dy;
+        z[i] = z_[i] + next * dz;
+      }
+    }
+    std::copy_n(sum_y, n, y_.data());
+    std::copy_n(sum_z, n, z_.data());
+    s_ += h;
+    if (moving_)
+      for (int i = 0; i < n; ++i) g_[i] = target_[i] + goal_[i] * std::exp(-filter * (s_ - moved_));
+  }
+  force(0.0, y_.data(), f0_.data());
+}
+
+// Keeps v^2 <= 2 a |g - y| on the way to a goal that has changed, and y on its side of it.
+void PrimitiveStepper::brake() {
+  for (int i = 0; i < primitive.n; ++i) {
+    if (side_[i] == 0.0) continue;
+    const double left = side_[i] * (target_[i] - y_[i]), v = side_[i] * z_[i] / tau_;
+    braking_[i] = 0.0;
+    if (left <= 0.0) {
+      y_[i] = target_[i];
+      if (v > 0.0) z_[i] = 0.0;
+      braking_[i] = 1.0;
+    } else if (v > 0.0 && v * v > 2.0 * limit_[i] * left) {
+      z_[i] = side_[i] * tau_ * std::sqrt(2.0 * limit_[i] * left);
+      braking_[i] = 1.0;
+    }
+  }
+}
+
+void PrimitiveStepper::change_goal(const double *g, const double *scale, const double *limit) {
+  for (int i = 0; i < primitive.n; ++i) {
+    scale_[i] = scale[i];
+    target_[i] = g[i];
+    if (filter == 0.0) g_[i] = g[i];
+    goal_[i] = g_[i] - target_[i];
+    const double way = g[i] - y_[i], v = z_[i] / tau_;
+    const bool brakes = limit && limit[i] > 0.0 && way * v >= 0.0 && way != 0.0 && v * v <= 2.0 * limit[i] * std::fabs(way);
+    side_[i] = brakes ? std::copysign(1.0, way) : 0.0;
+    limit_[i] = limit ? limit[i] : 0.0;
+    braking_[i] = 0.0;
+  }
+  moving_ = filter > 0.0;
+  moved_ = s_;
+  force(s_, y_.data(), f0_.data());
+}
+
+void PrimitiveStepper::change_tau(double tau) {
+  for (double &z : z_) z *= tau / tau_;
+  tau_ = tau;
+}
+
+void PrimitiveStepper::outputs(double *y, double *yd, double *ydd, double *f) const {
+  for (int i = 0; i < primitive.n; ++i) {
+    y[i] = y_[i];
+    yd[i] = z_[i] / tau_;
+    ydd[i] = (primitive.stiffness * (g_[i] - y_[i]) - primitive.alpha * z_[i] + f0_[i]) / (tau_ * tau_);
+    if (braking_[i] != 0.0) ydd[i] = yd[i] == 0.0 ? 0.0 : -side_[i] * limit_[i];
+    if (f) f[i] = f0_[i];
+  }
+}
+
+namespace {
+
+constexpr std::ptrdiff_t together = 16;  // runs side by side: their states and weights stay in the first cache
+
+// What all runs over one clock share: steps, and the forcing at starts and middles of them.
+struct Course {
+  std::vector<SpringStep> steps;
+  std::vector<double> forces;  // (2 N - 1, n) of the primitive's own weights
+  std::vector<double> psi;     // (2 N - 1, m) the kernels, where runs have weights of their own: the first `counts`
+  std::vector<int> index, counts;
+};
+
+ARMLAB_VECTORISED void plan(const Primitive &p, std::ptrdiff_t N, const double *t, double tau, bool own, Course &course) {
+  const std::ptrdiff_t points = 2 * N - 1;
+  std::vector<double> values(p.m);
+  std::vector<int> numbers(p.m);
+  course.steps.resize(N - 1);
+  course.forces.resize(own ? 0 : points * p.n);
+  course.psi.resize(own ? points * p.m : 0);
+  course.index.resize(own ? points * p.m : 0);
+  course.counts.resize(own ? points : 0);
+  for (std::ptrdiff_t k = 0; k < points; ++k) {
+    const double at = k % 2 ? 0.5 * (t[k / 2] + t[k / 2 + 1]) : t[k / 2], x = p.phase_at((at - t[0]) / tau);
+    if (own)
+      course.counts[k] = p.kernels(x, p.share(x), course.index.data() + k * p.m, course.psi.data() + k * p.m);
+    else
+      p.forcing(x, numbers.data(), values.data(), course.forces.data() + k * p.n);
+  }
+  for (std::ptrdiff_t k = 0; k + 1 < N; ++k) {
+    const double r = (t[k + 1] - t[k]) / tau;
+    course.steps[k] = SpringStep(p.alpha, p.stiffness, r);
+  }
+}
+
+ARMLAB_VECTORISED void run_together(const Primitive &p, const Course &course, std::ptrdiff_t N, double tau, std::ptrdiff_t K,
+                  std::ptrdiff_t begin, std::ptrdiff_t runs, const double *y0, const double *v0, const double *g,
+                  const double *scale, const double *weights, double *Y, double *V, double *A, double *F) {
+  const std::ptrdiff_t n = p.n, count = runs * n;
+  std::vector<double> state(5 * count);
+  double *y = state.data(), *z = y + count, *f0 = z + count, *fm = f0 + count, *f1 = fm + count;
+  y0 += begin * n;
+  v0 += begin * n;
+  g += begin * n;
+  scale += begin * n;
+  const auto force = [&](std::ptrdiff_t k, double *f) {
+    if (!weights) {
+      const double *shared = course.forces.data() + k * n;
+      for (std::ptrdiff_t run = 0; run < runs; ++run)
+        for (std::ptrdiff_t i = 0; i < n; ++i) f[run * n + i] = scale[run * n + i] * shared[i];
+      return;
+    }
+    for (std::ptrdiff_t run = 0; run < runs; ++run) {
+      const double *own = weights + (begin + run) * p.m * n;
+      double *to = f + run * n;
+      std::fill(to, to + n, 0.0);
+      for (std::ptrdiff_t l = k * p.m; l < k * p.m + course.counts[k]; ++l) {
+        const double *w = own + n * course.index[l], psi = course.psi[l];
+        for (std::ptrdiff_t i = 0; i < n; ++i) to[i] += psi * w[i];
+      }
+      for (std::ptrdiff_t i = 0; i < n; ++i) to[i] *= scale[run * n + i];
+    }
+  };
+  for (std::ptrdiff_t i = 0; i < count; ++i) {
+    y[i] = y0[i];
+    z[i] = tau * v0[i];
+  }
+  force(0, f0);
+  for (std::ptrdiff_t k = 0; k < N; ++k) {
+    const std::ptrdiff_t at = (k * K + begin) * n;
+    if (k > 0) {
+      force(2 * k - 1, fm);
+      force(2 * k, f1);
+      course.steps[k - 1].advance(count, f0, fm, f1, g, y, z);
+      std::swap(f0, f1);
+    }
+    for (std::ptrdiff_t i = 0; i < count; ++i) {
+      Y[at + i] = y[i];
+      V[at + i] = z[i] / tau;
+      A[at + i] = (p.stiffness * (g[i] - y[i]) - p.alpha * z[i] + f0[i]) / (tau * tau);
+      F[at + i] = f0[i];
+    }
+  }
+}
+
+void run_position(const Primitive &p, std::ptrdiff_t N, const double *t, double tau, std::ptrdiff_t K,
+                  std::ptrdiff_t number, const double *y0, const double *v0, const double *g, const double *scale,
+                  const double *weights, double *Y, double *V, double *A, double *F) {
+  PrimitiveStepper run(p);
+  const std::ptrdiff_t n = p.n, first = number * n;
+  if (weights) std::copy_n(weights + number * p.m * n, p.m * n, run.primitive.weights.begin());
+  run.start(y0 + first, v0 + first, g + first, scale + first, tau);
+  for (std::ptrdiff_t k = 0; k < N; ++k) {
+    if (k > 0) run.step(t[k] - t[k - 1]);
+    const std::ptrdiff_t at = k * K * n + first;
+    run.outputs(Y + at, V + at, A + at, F + at);
+  }
+}
+
+}  // namespace
+
+void rollout(const Primitive &p, std::ptrdiff_t N, const double *t, double tau, std::ptrdiff_t K, const double *y0,
+             const double *v0, const double *g, const double *scale, const double *weights, double *y, double *yd,
+             double *ydd, double *x, double *f) {
+  for (std::ptrdiff_t k = 0; k < N; ++k) x[k] = p.phase_at((t[k] - t[0]) / tau);
+  if (p.phase == PhaseKind::position) {
+    for (std::ptrdiff_t run = 0; run < K; ++run) run_position(p, N, t, tau, K, run, y0, v0, g, scale, weights, y, yd, ydd, f);
+    return;
+  }
+  Course course;
+  plan(p, N, t, tau, weights != nullptr, course);
+  for (std::ptrdiff_t begin = 0; begin < K; begin += together)
+    run_together(p, course, N, tau, K, begin, std::min(together, K - begin), y0, v0, g, scale, weights, y, yd, ydd, f);
+}
+
+void response(const Primitive &p, std::ptrdiff_t N, const double *t, double tau, double longest, double *Y, double *V) {
+  const std::ptrdiff_t m = p.m, columns = m + 3;
+  std::vector<double> state(6 * columns), psi(m);
+  std::vector<int> index(m);
+  double *y = state.data(), *z = y + columns, *f0 = z + columns, *fm = f0 + columns, *f1 = fm + columns, *g = f1 + columns;
+  y[m] = 1.0;
+  z[m + 1] = tau;
+  g[m + 2] = 1.0;
+  const auto force = [&](double s, double *f) {
+    std::fill(f, f + m, 0.0);
+    const double x = p.phase_at(s);
+    const int count = p.kernels(x, p.share(x), index.data(), psi.data());
+    for (int k = 0; k < count; ++k) f[index[k]] = psi[k];
+  };
+  force(0.0, f0);
+  SpringStep step;
+  double last = -1.0;
+  for (std::ptrdiff_t k = 0; k < N; ++k) {
+    if (k > 0) {
+      const double parts = std::max(std::ceil((t[k] - t[k - 1]) / longest), 1.0), r = (t[k] - t[k - 1]) / parts / tau;
+      if (r != last) step = SpringStep(p.alpha, p.stiffness, last = r);
+      for (double part = 0.0; part < parts; part += 1.0) {
+        const double s = (t[k - 1] - t[0]) / tau + part * r;
+        force(s + 0.5 * r, fm);
+        force(s + r, f1);
+        step.advance(columns, f0, fm, f1, g, y, z);
+        std::swap(f0, f1);
+      }
+    }
+    for (std::ptrdiff_t j = 0; j < columns; ++j) {
+      Y[k * columns + j] = y[j];
+      V[k * columns + j] = z[j] / tau;
+    }
+  }
+}
+
+}  // namespace armlab

@@ -1,0 +1,424 @@
+"""The dynamic movement primitive: a spring that a learned force bends on its way to the goal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import cached_property
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armlab import kernels, models
+from armlab._numbers import number, numbers
+from armlab.errors import ConfigError, ShapeError, UnknownName
+from armlab.motion._basis import CONVENTIONS, SCHEDULES
+from armlab.motion._setting import UNSCALED, Setting, vector
+from armlab.motion._solving import progress, solved
+from armlab.motion.rollout import Rollout
+from armlab.motion.stepper import Stepper
+
+__all__ = ["SCALINGS", "Dmp"]
+
+SCALINGS = ("goal", "none", "amplitude", "rotate")
+PER_COORDINATE = ("y0", "v0", "g", "extent", "peak_acceleration", "monotone")
+
+
+@dataclass(frozen=True, eq=False)
+class Dmp:
+    """A movement primitive of n coordinates that share one phase.
+
+    ``tau_d^2 ydd = alpha_z (beta_z (g - y) - tau_d yd) + s (psi(x) w) x``, ``tau_d x' = -alpha_x x``: a critically
+    damped spring to the goal and a forcing term that fades. The weights are in the size of the demonstration; s scales
+    the forcing with the goal (`scaling`). With `schedule` "time" the phase is time over duration and the forcing fades
+    over the tenth after it; with "position" each coordinate's own progress is its phase.
+
+    Attributes
+    ----------
+    weights : (n_basis, n) of the kernels, in the unit of y. centres, widths : (n_basis,) of them in the phase; widths
+        are standard deviations.
+    tau_d, duration : time constant and duration of the demonstration [s].
+    y0, v0, g : (n,) its start, velocity at the start, and goal.
+    extent : (n,) its range. peak_acceleration : (n,) its largest acceleration. monotone : (n,) whether it never turned.
+    alpha_z, beta_z, alpha_x : constants of the spring and of the phase.
+    schedule : "canonical", "time" or "position". scaling : of the forcing: "goal", "none", "amplitude" or "rotate".
+    convention : of alpha_x and tau_d: "lund" (1, a third of the duration) or "ijspeert" (alpha_z / 3, the duration).
+    demo_weights : (M, n_basis, n) of each of M >= 3 demonstrations; empty where there were fewer.
+
+    References
+    ----------
+    Ijspeert, Nakanishi, Hoffmann, Pastor and Schaal (2013), Neural Computation 25(2), 328-373. Derivations:
+    docs/theory/dmp.md.
+    """
+
+    weights: np.ndarray
+    centres: np.ndarray
+    widths: np.ndarray
+    tau_d: float
+    duration: float
+    y0: np.ndarray
+    v0: np.ndarray
+    g: np.ndarray
+    extent: np.ndarray
+    peak_acceleration: np.ndarray
+    monotone: np.ndarray
+    alpha_z: float = 25.0
+    beta_z: float = 6.25
+    alpha_x: float = 1.0
+    schedule: str = "canonical"
+    scaling: str = "goal"
+    convention: str = "lund"
+    demo_weights: np.ndarray | None = None
+
+    UNITS: ClassVar[dict[str, str]] = {
+        **dict.fromkeys(("weights", "demo_weights", "y0", "g", "extent"), "unit of y, rad or m"),
+        "v0": "unit of y per s",
+        "peak_acceleration": "unit of y per s^2",
+        "tau_d": "s",
+        "duration": "s",
+        **dict.fromkeys(("centres", "widths", "alpha_z", "beta_z", "alpha_x"), "1"),
+    }
+
+    def __post_init__(self) -> None:
+        """Check and freeze."""
+        for name in ("weights", "centres", "widths", *PER_COORDINATE, "demo_weights"):
+            given = getattr(self, name)
+            if given is None:
+                continue
+            values = np.array(given, dtype=bool) if name == "monotone" else np.array(numbers(given, name, ShapeError))
+            if name != "monotone" and not np.isfinite(values).all():
+                raise ShapeError(f"Expected finite {name} of a Dmp, got NaN or Inf. Fit it again.")
+            values.flags.writeable = False
+            object.__setattr__(self, name, values)
+        self._check_shapes()
+        for name in ("tau_d", "duration", "alpha_z", "beta_z", "alpha_x"):
+            value = number(getattr(self, name), name)
+            if not 0.0 < value < np.inf:
+                raise ShapeError(f"Expected a finite {name} above zero, got {value:g}.")
+            object.__setattr__(self, name, value)
+        known = {"schedule": SCHEDULES, "scaling": SCALINGS, "convention": CONVENTIONS}
+        for name, names in known.items():
+            if getattr(self, name) not in names:
+                raise UnknownName.among(name, getattr(self, name), names)
+        if self.scaling == "rotate" and (self.n != 3 or self.schedule == "position"):
+            raise ConfigError(
+                f"Expected three coordinates with one phase for scaling 'rotate', got {self.n} with schedule "
+                f"{self.schedule!r}. Use scaling 'goal'."
+            )
+
+    def _check_shapes(self) -> None:
+        if self.weights.ndim != 2 or min(self.weights.shape) < 1:
+            raise ShapeError(f"Expected weights of shape (n_basis, n), got {self.weights.shape}.")
+        m, n = self.weights.shape
+        wanted = {"centres": (m,), "widths": (m,), **dict.fromkeys(PER_COORDINATE, (n,))}
+        for name, shape in wanted.items():
+            if getattr(self, name).shape != shape:
+                raise ShapeError(
+                    f"Expected {name} of shape {shape} with weights {self.weights.shape}, got "
+                    f"{getattr(self, name).shape}."
+                )
+        if (self.widths <= 0).any():
+            raise ShapeError("Expected widths above zero, got another. They are standard deviations.")
+        if self.demo_weights is not None and self.demo_weights.shape[1:] != (m, n):
+            raise ShapeError(f"Expected demo_weights of shape (M, {m}, {n}), got {self.demo_weights.shape}.")
+
+    def __eq__(self, other: object) -> bool:
+        """Tell whether every field is the same, to the last bit."""
+        if not isinstance(other, Dmp):
+            return NotImplemented
+        return all(_same(getattr(self, f.name), getattr(other, f.name)) for f in fields(self))
+
+    __hash__ = None  # type: ignore[assignment]
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates."""
+        return self.weights.shape[1]
+
+    @property
+    def n_basis(self) -> int:
+        """Number of kernels."""
+        return self.weights.shape[0]
+
+    @property
+    def unscaled(self) -> tuple[int, ...]:
+        """Coordinates that scaling "goal" leaves alone: their displacement was below a twentieth of their range."""
+        if self.scaling != "goal":
+            return ()
+        return tuple(np.flatnonzero(abs(self.g - self.y0) <= UNSCALED * self.extent).tolist())
+
+    @cached_property
+    def primitive(self) -> Any:
+        """The `armlab.kernels.Primitive` of the weights."""
+        return self.primitive_of(self.weights)
+
+    def primitive_of(self, weights: np.ndarray) -> Any:
+        """Return an `armlab.kernels.Primitive` with other weights.
+
+        Parameters
+        ----------
+        weights : (n_basis, n).
+        """
+        stiffness, pace = self.alpha_z * self.beta_z, self.tau_d / self.duration
+        return kernels.Primitive(
+            self.centres, self.widths, weights, self.alpha_z, stiffness, self.alpha_x, pace, self.schedule
+        )
+
+    def phase(self, t: ArrayLike, tau_d: float | None = None) -> np.ndarray:
+        """Return the phase (...) at times (...) since the start: ``exp(-alpha_x t / tau_d)``, or time over duration.
+
+        Parameters
+        ----------
+        t : times [s]. tau_d : time constant [s] of the run; that of the demonstration when left out.
+
+        Raises
+        ------
+        ConfigError : schedule "position", whose phase is the motion's own.
+        """
+        if self.schedule == "position":
+            raise ConfigError("Expected a phase of time, got schedule 'position': see Rollout.x.")
+        s = numbers(t, "t", ShapeError) / (self.tau_d if tau_d is None else tau_d)
+        return np.exp(-self.alpha_x * s) if self.schedule == "canonical" else s * (self.tau_d / self.duration)
+
+    def kernels(self, x: ArrayLike) -> np.ndarray:
+        """Return the normalised kernels (..., n_basis) at phases (...): ``exp(-(x - c)^2 / (2 sd^2))`` over their sum.
+
+        Parameters
+        ----------
+        x : phases.
+        """
+        return self.primitive.basis(numbers(x, "x", ShapeError))
+
+    def forcing(self, x: ArrayLike) -> np.ndarray:
+        """Return the forcing (..., n) of the demonstration at phases: ``(psi(x) w)`` times x, or the gate of time.
+
+        Parameters
+        ----------
+        x : (...) phases; (..., n) with schedule "position".
+        """
+        return self.primitive.forcing(numbers(x, "x", ShapeError))
+
+    def acceleration(self, y: ArrayLike, yd: ArrayLike, x: ArrayLike) -> np.ndarray:
+        """Return ydd (..., n) of a state: ``(alpha_z (beta_z (g - y) - tau_d yd) + f(x)) / tau_d^2``.
+
+        Parameters
+        ----------
+        y, yd : (..., n). x : phases as for `forcing`.
+        """
+        y, yd = vector(y, "y", self.n), vector(yd, "yd", self.n)
+        spring = self.alpha_z * (self.beta_z * (self.g - y) - self.tau_d * yd)
+        return (spring + self.forcing(x)) / self.tau_d**2
+
+    def linearise(self, x: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return A (2n + 1, 2n + 1) and B (2n + 1, n) of ``d/dt [y, yd, x] = A [y, yd, x] + B g`` around a phase.
+
+        Parameters
+        ----------
+        x : phase. The spring is linear; of the forcing the slope in x is taken.
+
+        Raises
+        ------
+        ConfigError : schedule "position".
+        """
+        if self.schedule == "position":
+            raise ConfigError("Expected a phase of time to linearise around, got schedule 'position'.")
+        n, tau, step = self.n, self.tau_d, 1e-6
+        A, B = np.zeros((2 * n + 1, 2 * n + 1)), np.zeros((2 * n + 1, n))
+        A[:n, n : 2 * n] = np.eye(n)
+        A[n : 2 * n, :n] = -self.alpha_z * self.beta_z / tau**2 * np.eye(n)
+        A[n : 2 * n, n : 2 * n] = -self.alpha_z / tau * np.eye(n)
+        A[n : 2 * n, 2 * n] = (self.forcing(x + step) - self.forcing(x - step)) / (2 * step * tau**2)
+        A[2 * n, 2 * n] = -self.alpha_x / tau if self.schedule == "canonical" else 0.0
+        B[n : 2 * n] = self.alpha_z * self.beta_z / tau**2 * np.eye(n)
+        return A, B
+
+    def times(self, dt: float, duration: float | None = None) -> np.ndarray:
+        """Return times from 0 in steps of `dt` to the end of a motion [s].
+
+        Parameters
+        ----------
+        dt : step [s]. duration : of the motion [s]; that of the demonstration when left out.
+
+        Raises
+        ------
+        ShapeError : no finite step above zero.
+        """
+        step = number(dt, "dt [s]")
+        if not 0.0 < step < np.inf:
+            raise ShapeError(f"Expected a finite dt above zero, got {step:g}. At 250 Hz it is 0.004.")
+        end = self.duration if duration is None else duration
+        return step * np.arange(int(np.floor(end / step * (1 + 1e-12))) + 1)
+
+    def _grid(self, t: ArrayLike, duration: float | None, tau_d: float | None) -> np.ndarray:
+        times = numbers(t, "t", ShapeError)
+        if times.ndim:
+            return times
+        end = duration if tau_d is None else number(tau_d, "tau_d [s]") * self.duration / self.tau_d
+        return self.times(float(times), end)
+
+    def rollout(
+        self,
+        t: ArrayLike,
+        *,
+        duration: float | None = None,
+        tau_d: float | None = None,
+        y0: ArrayLike | None = None,
+        v0: ArrayLike | None = None,
+        g: ArrayLike | None = None,
+        amplitude: ArrayLike | None = None,
+    ) -> Rollout:
+        """Run the primitive with one step per interval: the spring exactly, the forcing to fourth order.
+
+        What is left out is that of the demonstration. Where the times are far apart, compared with the kernels, use
+        `solve`.
+
+        Parameters
+        ----------
+        t : (N,) increasing times [s], the motion starts at the first; or one step [s] until the end of the motion.
+        duration, tau_d : of the run [s], one of them. y0, v0, g : (n,) start, velocity at it, goal.
+        amplitude : (n,) factors on the forcing, with scaling "amplitude".
+
+        Raises
+        ------
+        ShapeError : times that do not increase, other shapes, NaN. ConfigError : both duration and tau_d.
+        """
+        run = Setting.of(self, duration, tau_d, y0, v0, g, amplitude)
+        if run.y0.ndim != 1:
+            raise ShapeError(f"Expected y0 and g of shape ({self.n},), got {run.y0.shape}. Use rollout_batch for many.")
+        return self._run(run, self._grid(t, duration, tau_d))
+
+    def rollout_batch(
+        self,
+        t: ArrayLike,
+        *,
+        duration: float | None = None,
+        tau_d: float | None = None,
+        y0: ArrayLike | None = None,
+        v0: ArrayLike | None = None,
+        g: ArrayLike | None = None,
+        amplitude: ArrayLike | None = None,
+        weights: ArrayLike | None = None,
+    ) -> Rollout:
+        """Run the primitive K times over one clock; arrays (N, K, n), equal to K rollouts.
+
+        Parameters
+        ----------
+        t, duration, tau_d : as in `rollout`. y0, v0, g, amplitude : (K, n) or (n,).
+        weights : (K, n_basis, n) of each run; its own when left out.
+
+        Raises
+        ------
+        ShapeError, ConfigError : as in `rollout`, or scaling "rotate".
+        """
+        if self.scaling == "rotate":
+            raise ConfigError("Expected another scaling than 'rotate' in a batch, got it. Use rollout one by one.")
+        own = None if weights is None else numbers(weights, "weights", ShapeError)
+        if own is not None and own.shape[1:] != self.weights.shape:
+            raise ShapeError(
+                f"Expected weights of shape (K, {self.n_basis}, {self.n}), got {own.shape}. Fit with as many kernels."
+            )
+        given = {"y0": y0, "v0": v0, "g": g, "amplitude": amplitude}
+        parts = {k: vector(a, k, self.n) for k, a in given.items() if a is not None}
+        try:
+            shape = np.broadcast_shapes(
+                *(a.shape for a in parts.values()), (len(own) if own is not None else 1, self.n)
+            )
+        except ValueError:
+            shapes = ", ".join(f"{k} {a.shape}" for k, a in parts.items())
+            raise ShapeError(f"Expected arrays of one number K of runs, got {shapes}. Give (K, n) or (n,).") from None
+        parts.setdefault("y0", self.y0)
+        parts["y0"] = np.broadcast_to(parts["y0"], shape)
+        return self._run(Setting.of(self, duration, tau_d, **parts), self._grid(t, duration, tau_d), own)
+
+    def _run(self, run: Setting, t: np.ndarray, weights: np.ndarray | None = None) -> Rollout:
+        y, yd, ydd, x, f = run.primitive.rollout(t, run.tau, run.y0, run.v0, run.g, run.scale, weights)
+        if self.schedule == "position":
+            x = progress(y, run.y0, run.g)
+        return Rollout(t, y, yd, ydd, x, f)
+
+    def solve(
+        self,
+        t: ArrayLike,
+        *,
+        rtol: float = 1e-10,
+        atol: float = 1e-12,
+        duration: float | None = None,
+        tau_d: float | None = None,
+        y0: ArrayLike | None = None,
+        v0: ArrayLike | None = None,
+        g: ArrayLike | None = None,
+        amplitude: ArrayLike | None = None,
+    ) -> Rollout:
+        """Solve the primitive adaptively (Dormand and Prince, order 8): the reference of `rollout`, a hundred times slower.
+
+        Parameters
+        ----------
+        t, duration, tau_d, y0, v0, g, amplitude : as in `rollout`. rtol, atol : tolerances.
+
+        Raises
+        ------
+        ShapeError, ConfigError : as in `rollout`.
+        """
+        run = Setting.of(self, duration, tau_d, y0, v0, g, amplitude)
+        return solved(self, run, self._grid(t, duration, tau_d), rtol, atol)
+
+    def stepper(
+        self,
+        *,
+        duration: float | None = None,
+        tau_d: float | None = None,
+        y0: ArrayLike | None = None,
+        v0: ArrayLike | None = None,
+        g: ArrayLike | None = None,
+        amplitude: ArrayLike | None = None,
+        goal_forcing: str | None = None,
+        goal_rate: float = 0.0,
+        brake: bool = False,
+    ) -> Stepper:
+        """Return what runs the primitive sample by sample, with a goal and a duration that may change on the way.
+
+        Parameters
+        ----------
+        duration, tau_d, y0, v0, g, amplitude : as in `rollout`.
+        goal_forcing : of a goal that changes: "shift" leaves the forcing, "scale" scales it with the displacement;
+            "scale" where the scaling is "goal", otherwise "shift".
+        goal_rate : of a first-order filter of the goal, times tau_d; 0 for none.
+        brake : keep ``v^2 <= 2 a |g - y|`` in monotone coordinates after a change of goal, a 1.05 times the largest
+            acceleration of the demonstration.
+
+        Raises
+        ------
+        ShapeError, ConfigError : as in `rollout`. UnknownName : another goal_forcing.
+        """
+        run = Setting.of(self, duration, tau_d, y0, v0, g, amplitude)
+        return Stepper(self, run, goal_forcing, goal_rate, brake)
+
+    def save(self, path: str | Path) -> Path:
+        """Write a TOML file that comes back bit for bit, and return its path.
+
+        Parameters
+        ----------
+        path : ends in ``.toml``.
+        """
+        return models.save(self, path)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Dmp:
+        """Read what `save` wrote.
+
+        Parameters
+        ----------
+        path : of the file.
+
+        Raises
+        ------
+        ConfigError : damaged or with unknown fields. ModelMismatchError : of another kind.
+        """
+        return models.load(path, "dmp")
+
+
+def _same(a: Any, b: Any) -> bool:
+    if a is None or b is None or isinstance(a, str):
+        return a is b or a == b
+    return np.array_equal(a, b)

@@ -1,0 +1,35 @@
+"""What a movement primitive does over time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+__all__ = ["Rollout"]
+
+
+@dataclass(frozen=True, eq=False)
+class Rollout:
+    """A motion over N times; of K runs at once the arrays are (N, K, n).
+
+    Attributes
+    ----------
+    t : (N,) times [s]. y, yd, ydd : (N, n) position, velocity, acceleration in the unit of the demonstration, per s and
+        s^2.
+    x : (N,) phase; (N, n) where every coordinate has its own. forcing : (N, n) the forcing term f, in the unit of y.
+    """
+
+    t: np.ndarray
+    y: np.ndarray
+    yd: np.ndarray
+    ydd: np.ndarray
+    x: np.ndarray
+    forcing: np.ndarray
+
+    def __post_init__(self) -> None:
+        """Freeze the arrays."""
+        for field in fields(self):
+            values = getattr(self, field.name).view()
+            values.flags.writeable = False
+            object.__setattr__(self, field.name, values)
