@@ -27,7 +27,7 @@ def test_steps_are_the_rollout(primitive: Primitive, schedule: str, seed: int) -
         for got, wanted in zip(np.array(rows).swapaxes(0, 1), (run.y, run.yd, run.ydd)):
             np.testing.assert_allclose(got, wanted, atol=1e-12 * (1 + abs(wanted).max()))
         np.testing.assert_allclose(stepper.x, run.x[-1], atol=1e-12)
-        assert stepper.t == pytest.approx(t[-1] - t[0]) and stepper.duration == pytest.approx(3.0)
+        assert [stepper.t, stepper.duration] == pytest.approx([t[-1] - t[0], 3.0])
         stepper.reset()
 
 
@@ -38,7 +38,7 @@ def test_the_velocity_stays_when_the_pace_changes(primitive: Primitive) -> None:
     stepper.change_duration(5.0)
     np.testing.assert_allclose(stepper.state[1], before, rtol=1e-14)
     for _ in range(5000):
-        y, yd, _ = stepper.step(0.004)
+        y, _, _ = stepper.step(0.004)
     np.testing.assert_allclose(y, stepper.goal, atol=1e-3)
 
 

@@ -78,7 +78,7 @@ def provenance(kind: str, value: object) -> dict[str, Any]:
 
 
 def value_file(value: object) -> dict[str, Any]:
-    """Return the tables [meta] and [value] of a registered value, with the UNITS of its fields where its class has them."""
+    """Return the tables [meta] and [value] of a registered value, with the UNITS of its fields where it has them."""
     kind = kind_of(value)
     meta, units = provenance(kind, value), getattr(type(value), "UNITS", None)
     if units is not None:

@@ -35,7 +35,7 @@ def solved(dmp: Dmp, run: Setting, t: np.ndarray, rtol: float, atol: float) -> R
         raise ConfigError(f"Expected tolerances above zero, got rtol {rtol:g} and atol {atol:g}. 1e-10 is fine.")
     if t.ndim != 1 or not len(t) or not np.isfinite(t).all() or (np.diff(t) <= 0).any():
         raise ShapeError(f"Expected increasing times (N,), got shape {t.shape}. Drop repeated samples.")
-    n, s, way = dmp.n, (t - t[0]) / run.tau, run.g - run.y0
+    n, s = dmp.n, (t - t[0]) / run.tau
     alpha, stiffness, pace = dmp.alpha_z, dmp.alpha_z * dmp.beta_z, dmp.tau_d / dmp.duration
 
     def phase(s: np.ndarray, y: np.ndarray) -> np.ndarray:

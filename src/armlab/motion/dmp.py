@@ -2,31 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from functools import cached_property
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab import kernels, models
+from armlab import models
 from armlab._numbers import number, numbers
-from armlab.errors import ConfigError, ShapeError, UnknownName
-from armlab.motion._basis import CONVENTIONS, SCHEDULES
-from armlab.motion._setting import UNSCALED, Setting, vector
+from armlab.errors import ConfigError, ShapeError
+from armlab.motion._equation import SCALINGS, Equation
+from armlab.motion._setting import Setting, vector
 from armlab.motion._solving import progress, solved
 from armlab.motion.rollout import Rollout
 from armlab.motion.stepper import Stepper
 
 __all__ = ["SCALINGS", "Dmp"]
 
-SCALINGS = ("goal", "none", "amplitude", "rotate")
-PER_COORDINATE = ("y0", "v0", "g", "extent", "peak_acceleration", "monotone")
-
 
 @dataclass(frozen=True, eq=False)
-class Dmp:
+class Dmp(Equation):
     """A movement primitive of n coordinates that share one phase.
 
     ``tau_d^2 ydd = alpha_z (beta_z (g - y) - tau_d yd) + s (psi(x) w) x``, ``tau_d x' = -alpha_x x``: a critically
@@ -51,187 +46,6 @@ class Dmp:
     Ijspeert, Nakanishi, Hoffmann, Pastor and Schaal (2013), Neural Computation 25(2), 328-373. Derivations:
     docs/theory/dmp.md.
     """
-
-    weights: np.ndarray
-    centres: np.ndarray
-    widths: np.ndarray
-    tau_d: float
-    duration: float
-    y0: np.ndarray
-    v0: np.ndarray
-    g: np.ndarray
-    extent: np.ndarray
-    peak_acceleration: np.ndarray
-    monotone: np.ndarray
-    alpha_z: float = 25.0
-    beta_z: float = 6.25
-    alpha_x: float = 1.0
-    schedule: str = "canonical"
-    scaling: str = "goal"
-    convention: str = "lund"
-    demo_weights: np.ndarray | None = None
-
-    UNITS: ClassVar[dict[str, str]] = {
-        **dict.fromkeys(("weights", "demo_weights", "y0", "g", "extent"), "unit of y, rad or m"),
-        "v0": "unit of y per s",
-        "peak_acceleration": "unit of y per s^2",
-        "tau_d": "s",
-        "duration": "s",
-        **dict.fromkeys(("centres", "widths", "alpha_z", "beta_z", "alpha_x"), "1"),
-    }
-
-    def __post_init__(self) -> None:
-        """Check and freeze."""
-        for name in ("weights", "centres", "widths", *PER_COORDINATE, "demo_weights"):
-            given = getattr(self, name)
-            if given is None:
-                continue
-            values = np.array(given, dtype=bool) if name == "monotone" else np.array(numbers(given, name, ShapeError))
-            if name != "monotone" and not np.isfinite(values).all():
-                raise ShapeError(f"Expected finite {name} of a Dmp, got NaN or Inf. Fit it again.")
-            values.flags.writeable = False
-            object.__setattr__(self, name, values)
-        self._check_shapes()
-        for name in ("tau_d", "duration", "alpha_z", "beta_z", "alpha_x"):
-            value = number(getattr(self, name), name)
-            if not 0.0 < value < np.inf:
-                raise ShapeError(f"Expected a finite {name} above zero, got {value:g}.")
-            object.__setattr__(self, name, value)
-        known = {"schedule": SCHEDULES, "scaling": SCALINGS, "convention": CONVENTIONS}
-        for name, names in known.items():
-            if getattr(self, name) not in names:
-                raise UnknownName.among(name, getattr(self, name), names)
-        if self.scaling == "rotate" and (self.n != 3 or self.schedule == "position"):
-            raise ConfigError(
-                f"Expected three coordinates with one phase for scaling 'rotate', got {self.n} with schedule "
-                f"{self.schedule!r}. Use scaling 'goal'."
-            )
-
-    def _check_shapes(self) -> None:
-        if self.weights.ndim != 2 or min(self.weights.shape) < 1:
-            raise ShapeError(f"Expected weights of shape (n_basis, n), got {self.weights.shape}.")
-        m, n = self.weights.shape
-        wanted = {"centres": (m,), "widths": (m,), **dict.fromkeys(PER_COORDINATE, (n,))}
-        for name, shape in wanted.items():
-            if getattr(self, name).shape != shape:
-                raise ShapeError(
-                    f"Expected {name} of shape {shape} with weights {self.weights.shape}, got "
-                    f"{getattr(self, name).shape}."
-                )
-        if (self.widths <= 0).any():
-            raise ShapeError("Expected widths above zero, got another. They are standard deviations.")
-        if self.demo_weights is not None and self.demo_weights.shape[1:] != (m, n):
-            raise ShapeError(f"Expected demo_weights of shape (M, {m}, {n}), got {self.demo_weights.shape}.")
-
-    def __eq__(self, other: object) -> bool:
-        """Tell whether every field is the same, to the last bit."""
-        if not isinstance(other, Dmp):
-            return NotImplemented
-        return all(_same(getattr(self, f.name), getattr(other, f.name)) for f in fields(self))
-
-    __hash__ = None  # type: ignore[assignment]
-
-    @property
-    def n(self) -> int:
-        """Number of coordinates."""
-        return self.weights.shape[1]
-
-    @property
-    def n_basis(self) -> int:
-        """Number of kernels."""
-        return self.weights.shape[0]
-
-    @property
-    def unscaled(self) -> tuple[int, ...]:
-        """Coordinates that scaling "goal" leaves alone: their displacement was below a twentieth of their range."""
-        if self.scaling != "goal":
-            return ()
-        return tuple(np.flatnonzero(abs(self.g - self.y0) <= UNSCALED * self.extent).tolist())
-
-    @cached_property
-    def primitive(self) -> Any:
-        """The `armlab.kernels.Primitive` of the weights."""
-        return self.primitive_of(self.weights)
-
-    def primitive_of(self, weights: np.ndarray) -> Any:
-        """Return an `armlab.kernels.Primitive` with other weights.
-
-        Parameters
-        ----------
-        weights : (n_basis, n).
-        """
-        stiffness, pace = self.alpha_z * self.beta_z, self.tau_d / self.duration
-        return kernels.Primitive(
-            self.centres, self.widths, weights, self.alpha_z, stiffness, self.alpha_x, pace, self.schedule
-        )
-
-    def phase(self, t: ArrayLike, tau_d: float | None = None) -> np.ndarray:
-        """Return the phase (...) at times (...) since the start: ``exp(-alpha_x t / tau_d)``, or time over duration.
-
-        Parameters
-        ----------
-        t : times [s]. tau_d : time constant [s] of the run; that of the demonstration when left out.
-
-        Raises
-        ------
-        ConfigError : schedule "position", whose phase is the motion's own.
-        """
-        if self.schedule == "position":
-            raise ConfigError("Expected a phase of time, got schedule 'position': see Rollout.x.")
-        s = numbers(t, "t", ShapeError) / (self.tau_d if tau_d is None else tau_d)
-        return np.exp(-self.alpha_x * s) if self.schedule == "canonical" else s * (self.tau_d / self.duration)
-
-    def kernels(self, x: ArrayLike) -> np.ndarray:
-        """Return the normalised kernels (..., n_basis) at phases (...): ``exp(-(x - c)^2 / (2 sd^2))`` over their sum.
-
-        Parameters
-        ----------
-        x : phases.
-        """
-        return self.primitive.basis(numbers(x, "x", ShapeError))
-
-    def forcing(self, x: ArrayLike) -> np.ndarray:
-        """Return the forcing (..., n) of the demonstration at phases: ``(psi(x) w)`` times x, or the gate of time.
-
-        Parameters
-        ----------
-        x : (...) phases; (..., n) with schedule "position".
-        """
-        return self.primitive.forcing(numbers(x, "x", ShapeError))
-
-    def acceleration(self, y: ArrayLike, yd: ArrayLike, x: ArrayLike) -> np.ndarray:
-        """Return ydd (..., n) of a state: ``(alpha_z (beta_z (g - y) - tau_d yd) + f(x)) / tau_d^2``.
-
-        Parameters
-        ----------
-        y, yd : (..., n). x : phases as for `forcing`.
-        """
-        y, yd = vector(y, "y", self.n), vector(yd, "yd", self.n)
-        spring = self.alpha_z * (self.beta_z * (self.g - y) - self.tau_d * yd)
-        return (spring + self.forcing(x)) / self.tau_d**2
-
-    def linearise(self, x: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return A (2n + 1, 2n + 1) and B (2n + 1, n) of ``d/dt [y, yd, x] = A [y, yd, x] + B g`` around a phase.
-
-        Parameters
-        ----------
-        x : phase. The spring is linear; of the forcing the slope in x is taken.
-
-        Raises
-        ------
-        ConfigError : schedule "position".
-        """
-        if self.schedule == "position":
-            raise ConfigError("Expected a phase of time to linearise around, got schedule 'position'.")
-        n, tau, step = self.n, self.tau_d, 1e-6
-        A, B = np.zeros((2 * n + 1, 2 * n + 1)), np.zeros((2 * n + 1, n))
-        A[:n, n : 2 * n] = np.eye(n)
-        A[n : 2 * n, :n] = -self.alpha_z * self.beta_z / tau**2 * np.eye(n)
-        A[n : 2 * n, n : 2 * n] = -self.alpha_z / tau * np.eye(n)
-        A[n : 2 * n, 2 * n] = (self.forcing(x + step) - self.forcing(x - step)) / (2 * step * tau**2)
-        A[2 * n, 2 * n] = -self.alpha_x / tau if self.schedule == "canonical" else 0.0
-        B[n : 2 * n] = self.alpha_z * self.beta_z / tau**2 * np.eye(n)
-        return A, B
 
     def times(self, dt: float, duration: float | None = None) -> np.ndarray:
         """Return times from 0 in steps of `dt` to the end of a motion [s].
@@ -350,7 +164,7 @@ class Dmp:
         g: ArrayLike | None = None,
         amplitude: ArrayLike | None = None,
     ) -> Rollout:
-        """Solve the primitive adaptively (Dormand and Prince, order 8): the reference of `rollout`, a hundred times slower.
+        """Solve the primitive adaptively (Dormand and Prince, order 8): the reference of `rollout`, and slow.
 
         Parameters
         ----------
@@ -416,9 +230,3 @@ class Dmp:
         ConfigError : damaged or with unknown fields. ModelMismatchError : of another kind.
         """
         return models.load(path, "dmp")
-
-
-def _same(a: Any, b: Any) -> bool:
-    if a is None or b is None or isinstance(a, str):
-        return a is b or a == b
-    return np.array_equal(a, b)

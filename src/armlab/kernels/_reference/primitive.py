@@ -212,7 +212,8 @@ class Primitive:
         own = weights if weights is None else finite(weights, "weights", (len(np.atleast_2d(y0)), *self.weights.shape))
         x = self.phase_at((t - t[0]) / tau)
         y, yd, ydd, f = many(self, t, tau, *(np.atleast_2d(a) for a in (y0, v0, g, scale)), own)
-        return tuple(a.reshape(len(t), *y0.shape) for a in (y, yd, ydd)) + (x, f.reshape(len(t), *y0.shape))
+        y, yd, ydd, f = (a.reshape(len(t), *y0.shape) for a in (y, yd, ydd, f))
+        return y, yd, ydd, x, f
 
     def response(self, t: Any, tau: float, longest: float) -> tuple[np.ndarray, np.ndarray]:
         """Return position and velocity (N, m + 3) that each kernel alone, then y0, v0 and g, make.

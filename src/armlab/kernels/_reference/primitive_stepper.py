@@ -1,8 +1,8 @@
 """One run of a movement primitive, sample by sample (specification; the twin is in native/primitive.cpp).
 
 A goal that has moved is reached at once, or by ``g' = filter (target - g)``, exactly. Where a coordinate brakes,
-``v^2 <= 2 limit |target - y|`` on the way to the new goal, and y stays on the side of it where it was; it brakes only if
-that holds already when the goal changes.
+``v^2 <= 2 limit |target - y|`` on the way to the new goal, and y stays on the side of it where it was; it brakes only
+if that holds already when the goal changes.
 """
 
 from __future__ import annotations
