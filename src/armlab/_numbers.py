@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from armlab.errors import ArmlabError, RobotError, ShapeError
 
-__all__ = ["frozen", "generator", "members", "number", "numbers"]
+__all__ = ["frozen", "generator", "members", "number", "numbers", "rows_text"]
 
 
 def numbers(value: ArrayLike, what: str, error: type[ArmlabError] = RobotError) -> np.ndarray:
@@ -107,3 +107,14 @@ def generator(seed: Any) -> np.random.Generator:
     if not whole and not isinstance(seed, np.random.Generator):
         raise ShapeError(f"Expected a whole number from 0 as seed, got {shortened(seed)}. Each gives other numbers.")
     return np.random.default_rng(seed)
+
+
+def rows_text(rows: np.ndarray) -> str:
+    """Return the numbers of rows for a message, the first twenty of many.
+
+    Parameters
+    ----------
+    rows : (n,) whole numbers.
+    """
+    shown = ", ".join(str(i) for i in rows[:20])
+    return shown if len(rows) <= 20 else f"{shown} and {len(rows) - 20} more"

@@ -10,7 +10,7 @@ import pytest
 from armlab import models
 from armlab.calibrate import fit_laser_plane
 from armlab.calibrate._laser_equation import Scans, Scene, tangents
-from armlab.errors import ArmlabError, NotConverged, ShapeError
+from armlab.errors import NotConverged, ShapeError
 from armlab.estimation import Experiment, Fit, Gauge, check_estimator
 from armlab.lie import se3, so3
 
@@ -101,13 +101,14 @@ def test_raw_profiles_and_their_lines_agree(laser) -> None:
     assert fit_laser_plane(data.A, raw, data.plane).sigma[0] == pytest.approx(SIGMA, rel=0.05)
 
 
-def test_a_guess_may_be_wrong(laser) -> None:
+@pytest.mark.parametrize("noise", [NOISE, None], ids=["noise given", "noise estimated"])
+def test_a_guess_may_be_wrong(laser, noise) -> None:
     """Defect of the original: without a good guess it went astray in silence."""
     data = laser.draw(8)
-    best = fit_laser_plane(**data.given, noise=NOISE)
-    for turn in ([3.1, 0, 0], [0, 3.1, 0], [0.5, -0.4, 0.3]):
+    best = fit_laser_plane(**data.given, noise=noise)
+    for turn in ([np.pi, 0, 0], [0, np.pi, 0], [0, 0, np.pi], [0.5, -0.4, 0.3]):
         guess = se3.from_rp(so3.exp(turn), np.ones(3)) @ data.X
-        found = fit_laser_plane(**data.given, noise=NOISE, start=guess)
+        found = fit_laser_plane(**data.given, noise=noise, start=guess)
         np.testing.assert_allclose(found.value.T_tool_sensor, best.value.T_tool_sensor, atol=1e-9)
 
 
@@ -225,11 +226,20 @@ def test_what_does_not_belong_together_is_refused(laser) -> None:
         fit_laser_plane(data.A, short, data.plane, noise=NOISE)
 
 
-@pytest.mark.slow  # 10 s: everything is tried
-def test_wrong_labels_are_refused(laser) -> None:
+@pytest.mark.parametrize(
+    ("noise", "robust"),
+    [
+        (NOISE, False),
+        pytest.param(NOISE, True, marks=pytest.mark.slow),  # each 1 s: everything is tried
+        pytest.param(None, False, marks=pytest.mark.slow),
+        pytest.param(None, True, marks=pytest.mark.slow),
+    ],
+)
+def test_wrong_labels_are_refused_with_the_cause(laser, noise, robust) -> None:
     data = laser.draw(13)
-    with pytest.raises(ArmlabError):
-        fit_laser_plane(data.A, data.scans, np.random.default_rng(0).permutation(data.plane), noise=NOISE)
+    mixed = np.random.default_rng(0).permutation(data.plane)
+    with pytest.raises(NotConverged, match=r"Check the labels of the plates"):
+        fit_laser_plane(data.A, data.scans, mixed, noise=noise, robust=robust)
 
 
 def test_bad_input_is_refused_by_name(laser) -> None:

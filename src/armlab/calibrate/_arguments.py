@@ -7,18 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab._numbers import numbers
+from armlab._numbers import numbers, rows_text
 from armlab.errors import ShapeError
 from armlab.lie import so3
 
 NO_ROTATION = 1e-5  # largest entry of |R^T R - I| that is projected, not refused
 ROUNDING = 1e-9  # what is below it is left as it is
-
-
-def rows_text(rows: np.ndarray) -> str:
-    """Return the numbers of rows, the first twenty of many."""
-    shown = ", ".join(str(i) for i in rows[:20])
-    return shown if len(rows) <= 20 else f"{shown} and {len(rows) - 20} more"
 
 
 def finite(values: np.ndarray, name: str) -> None:

@@ -42,9 +42,12 @@ class Scene(NamedTuple):
 
 def tangents(n: np.ndarray) -> np.ndarray:
     """Return bases (P, 3, 2) of the planes across unit normals (P, 3)."""
-    first = so3.hat(-n)[np.arange(len(n)), :, np.argmin(np.abs(n), axis=1)]  # e x n, e the axis farthest from n
-    first /= np.sqrt(np.einsum("ji,ji->j", first, first))[:, None]
-    return np.stack([first, np.einsum("jab,jb->ja", so3.hat(n), first)], axis=2)
+    cross = so3.hat(n)
+    B = np.empty((len(n), 3, 2))
+    first = -cross[np.arange(len(n)), :, np.argmin(np.abs(n), axis=1)]  # e x n, e the axis farthest from n
+    B[:, :, 0] = first / np.sqrt(np.einsum("ji,ji->j", first, first))[:, None]
+    B[:, :, 1:] = cross @ B[:, :, :1]
+    return B
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,31 +102,34 @@ class Scans:
         return np.hypot(*self.seen(scene)[1][:, :2].T)
 
     def evaluate(self, scene: Scene) -> list[Measurement]:
-        """Return the distance of points from the plate in the laser plane, and the angle of lines."""
+        """Return the distance of points from the plate in the laser plane, and the angle of lines.
+
+        With a = p - e1 c / k and b = (-c_y, c_x) / k^2, in the laser plane: de1 = (a . dc - dh) / k, de2 = +- b . dc.
+        """
         g, c, h = self.seen(scene)
-        rows, at = np.arange(self.N), 6 + 3 * self.plane
-        dc, dh = np.zeros((self.N, 3, 6 + 3 * self.P)), np.zeros((self.N, 6 + 3 * self.P))
-        dc[:, :, 3:6] = so3.hat(c)
-        B = tangents(scene.n)[self.plane]
-        turned = scene.R.T @ (self.RA.transpose(0, 2, 1) @ B)
-        dh[:, :3] = -g
-        arm = self.tA + self.RA @ scene.t
-        tilt = -np.einsum("na,nab->nb", arm, B)
-        for i in range(2):
-            dc[rows, :, at + i] = turned[:, :, i]
-            dh[rows, at + i] = tilt[:, i]
-        dh[rows, at + 2] = 1.0
         k = np.maximum(np.hypot(c[:, 0], c[:, 1]), TINY)
-        dk = (c[:, :1] * dc[:, 0] + c[:, 1:2] * dc[:, 1]) / k[:, None]
-        own, p = (rows, self.p) if self.points is None else (self.owner, self.points)
         r = self._off(c, h, k)
-        J1 = p[:, :1] * dc[own, 0] + p[:, 1:] * dc[own, 1] - dh[own] - r[:, :1] * dk[own]
-        J1 /= k[own, None]
-        if self.points is not None:
-            return [Measurement(r, J1[:, None], self.noise, ("p",), own)]
-        side = np.sign(c[:, 0] * self.line[:, 1] - c[:, 1] * self.line[:, 0])
-        J2 = (side / k**2)[:, None] * (c[:, :1] * dc[:, 1] - c[:, 1:2] * dc[:, 0])
-        return [Measurement(r, np.stack([J1, J2], axis=1), self.noise, ("p", "l"), own)]
+        own, p = (slice(None), self.p) if self.points is None else (self.owner, self.points)
+        c, k, classes = c[own], k[own, None], ("p", "l")[: r.shape[1]]
+        levers = np.empty((len(r), r.shape[1], 2))  # of dc in the laser plane
+        levers[:, 0] = (p - r[:, :1] * c[:, :2] / k) / k
+        if self.points is None:
+            across = np.stack([-c[:, 1], c[:, 0]], axis=1)
+            levers[:, 1] = across * np.sign(np.einsum("ni,ni->n", across, self.line))[:, None] / k**2
+        B = tangents(scene.n)[self.plane]
+        J = np.zeros((len(r), r.shape[1], 6 + 3 * self.P))
+        J[:, 0, :3] = g[own] / k
+        J[:, :, 3] = levers[..., 1] * c[:, None, 2]
+        J[:, :, 4] = -levers[..., 0] * c[:, None, 2]
+        J[:, :, 5] = levers[..., 0] * c[:, None, 1] - levers[..., 1] * c[:, None, 0]
+        tilts = np.zeros((len(r), r.shape[1], 3))
+        tilts[:, :, :2] = levers @ ((self.RA @ scene.R[:, :2]).transpose(0, 2, 1) @ B)[own]
+        arm = self.tA + self.RA @ scene.t
+        tilts[:, 0, :2] += np.einsum("na,nab->nb", arm, B)[own] / k
+        tilts[:, 0, 2:] = -1.0 / k
+        at = 6 + 3 * self.plane[own][:, None] + np.arange(3)
+        J[np.arange(len(r))[:, None], :, at] = tilts.transpose(0, 2, 1)
+        return [Measurement(r, J, self.noise, classes, np.arange(self.N) if self.points is None else self.owner)]
 
     def residuals(self, scene: Scene) -> np.ndarray:
         """Return the residuals (N, 2), or (M, 1) of raw points, of `evaluate`."""

@@ -12,6 +12,7 @@ from armlab.lie import quaternion
 
 ENOUGH = 15  # scans of a plate that a linear start needs
 RESTARTS = 20
+PRODUCT = 0.3  # second singular value over the first beyond which what should be a product is none
 
 
 def starts(scans: Scans, ratio: float) -> Iterator[list[Scene]]:
@@ -53,6 +54,8 @@ def _cost(scans: Scans, scene: Scene, ratio: float) -> float:
 def linear_rotations(scans: Scans, ratio: float) -> tuple[tuple[list[np.ndarray], float], ...]:
     """Return rotations from the scans of each plate alone, and the unit of length of the scans over that of the poses.
 
+    The unit is 1 where the scans do not tell it: it counts only if the products are products.
+
     p_x n.R_i r1 + p_y n.R_i r2 + n.R_i t + n.t_i - d = 0 and l_x n.R_i r1 + l_y n.R_i r2 = 0 are linear in
     [n (x) r1, n (x) r2, n (x) t, n, d], up to scale.
     """
@@ -82,7 +85,8 @@ def _linear(scans: Scans, j: int, ratio: float) -> tuple[list[np.ndarray], float
         r1, r2 = (U @ W).T
         found.append(np.stack([r1, r2, np.cross(r1, r2)], axis=1))
     size = float(np.linalg.norm(z[27:30]))
-    return found, float(s[0] / np.sqrt(2.0) / size) if size > 0 else 1.0
+    told = size > 0 and s[1] < PRODUCT * s[0]
+    return found, float(s[0] / np.sqrt(2.0) / size) if told else 1.0
 
 
 def scene_of(scans: Scans, R: np.ndarray) -> Scene:

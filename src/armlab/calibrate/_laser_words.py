@@ -13,10 +13,12 @@ from armlab.calibrate._laser_equation import Scans, Scene
 from armlab.calibrate._laser_start import linear_rotations
 from armlab.errors import NotConverged, NotExcited, ShapeError
 
+LIMITS = (0.2, 0.2)  # largest deviations accepted: share of the spread of the points, and [rad]
 FLAT = 0.05  # sine of the angle between plate and laser plane below which a scan is not one
 UNITS = 2.0  # factor between units of length from which it is told
 FAR = 20.0  # factor from which nothing is tried
 ROUGH = 0.1  # residual over the spread of the points from which scans do not fit
+TURNED = 0.2  # rad between lines and plates from which they do not
 
 
 @dataclass(frozen=True, eq=False)

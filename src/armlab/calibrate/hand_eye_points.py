@@ -14,14 +14,15 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab._numbers import numbers
-from armlab.calibrate._arguments import point_noise, poses, rows_text
+from armlab._numbers import rows_text
+from armlab.calibrate._arguments import point_noise, poses
 from armlab.calibrate._hand_eye_words import Part, Words, limits_of, remarks, require_samples, require_two_axes
 from armlab.calibrate._marker_equation import Sight, marked_start
 from armlab.calibrate._marker_match import require_sight
 from armlab.calibrate.hand_eye import LIMITS, WHAT
 from armlab.errors import NotConverged, NotExcited, ShapeError, UnknownName
 from armlab.estimation import Fit, check_spread, nonlinear_least_squares, unhurried
+from armlab.frames._check import marker_points, sightings
 from armlab.lie import se3
 from armlab.models import HandEye
 from armlab.models.hand_eye import FRAMES
@@ -71,7 +72,7 @@ def fit_hand_eye_points(
     if setup not in FRAMES:
         raise UnknownName.among("setup", setup, FRAMES)
     sight, seen, notes = _sight(T_base_tool, p_cam, visible, setup, noise)
-    body = None if marker is None else _marker(marker, sight.K)
+    body = None if marker is None else marker_points(marker, sight.K, "p_cam")
     names, carrier = FRAMES[setup], FRAMES[setup][0].split("_")[1]
     require_samples(len(np.unique(sight.sample)), 3 if sight.K >= 3 else 5, "poses with points that were seen")
     held = "the points" if body is None else names[0]
@@ -131,22 +132,8 @@ def _sight(
 
 
 def _points(p_cam: ArrayLike, visible: ArrayLike | None) -> tuple[np.ndarray, np.ndarray]:
-    """Return the points (N, K, 3) and which are visible (N, K)."""
-    p = numbers(p_cam, "p_cam", ShapeError)
-    if p.ndim != 3 or p.shape[2] != 3 or not p.shape[1]:
-        raise ShapeError(f"Expected p_cam of shape (N, K, 3), got {p.shape}. Give every point in every sample.")
-    seen = np.ones(p.shape[:2], dtype=bool) if visible is None else np.asarray(visible)
-    if seen.shape != p.shape[:2] or seen.dtype != bool:
-        raise ShapeError(
-            f"Expected visible as truth values of shape {p.shape[:2]}, got {seen.dtype} of shape {seen.shape}. "
-            "Say of every point in every sample whether it was seen."
-        )
-    bad = np.flatnonzero((seen & ~np.isfinite(p).all(axis=2)).any(axis=1))
-    if len(bad):
-        raise ShapeError(
-            f"Expected finite p_cam where points are visible, got NaN or Inf in {len(bad)} rows: {rows_text(bad)}. "
-            "Say which points are missing: visible=np.isfinite(p_cam).all(axis=2)."
-        )
+    """Return the points (N, K, 3) and which are visible (N, K), each of them somewhere."""
+    p, seen = sightings(p_cam, visible, "p_cam")
     never = np.flatnonzero(~seen.any(axis=0))
     if len(never):
         raise NotExcited(
@@ -155,11 +142,3 @@ def _points(p_cam: ArrayLike, visible: ArrayLike | None) -> tuple[np.ndarray, np
             ["never visible"] * len(never),
         )
     return p, seen
-
-
-def _marker(marker: ArrayLike, K: int) -> np.ndarray:
-    """Return the marker's points (K, 3)."""
-    body = numbers(marker, "marker", ShapeError)
-    if body.shape != (K, 3) or not np.isfinite(body).all():
-        raise ShapeError(f"Expected the marker as ({K}, 3) finite numbers, as p_cam has {K} points, got {body.shape}.")
-    return body

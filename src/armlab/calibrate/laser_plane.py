@@ -8,10 +8,8 @@ guess is needed. Bagge Carlson, Johansson and Robertsson (2015) posed the proble
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,23 +17,14 @@ from numpy.typing import ArrayLike
 from armlab.calibrate._arguments import poses
 from armlab.calibrate._hand_eye_words import limits_of
 from armlab.calibrate._laser_data import scans_of
-from armlab.calibrate._laser_equation import Scans, Scene
-from armlab.calibrate._laser_start import scene_of, starts
-from armlab.calibrate._laser_words import ROUGH, Words, misfit, require_motion, require_slant, require_units
-from armlab.errors import NotConverged, NotExcited, ShapeError
-from armlab.estimation import Fit, NonlinearSolution, check_spread, nonlinear_least_squares, unhurried
+from armlab.calibrate._laser_search import searched, times
+from armlab.calibrate._laser_words import LIMITS, Words, require_motion, require_slant
+from armlab.estimation import Fit, check_spread, unhurried
 from armlab.lie import se3, so3
 from armlab.models import LaserSensor
 
 __all__ = ["fit_laser_plane"]
 
-LIMITS = (0.2, 0.2)
-SCHEDULE = (100.0, 30.0, 10.0, 5.0)
-USUAL = (0.5e-3, 9e-3)  # noise of a search where none is given [m, rad]
-REFUSED = 1e-4  # probability of a chi^2 as large as that of a fit that is not taken
-CUBE = 24  # starts after which no others are tried where noise is not given
-CLEAR = (2e-3, 0.03)  # residual over the spread of the points, and [rad], from which no other starts are tried
-MANY = 0.35  # share of outliers from which another start is tried
 CLASSES = {"p": "point [m]", "l": "line [rad]"}
 
 
@@ -81,7 +70,7 @@ def fit_laser_plane(
     data, planes, note = scans_of(T_base_tool, scans, plane, noise)
     require_motion(data, planes)
     guess = None if start is None else poses(np.asarray(start, dtype=float)[None], "start")[0][0]
-    found = _best(data, guess, robust)
+    found = searched(data, guess, robust)
     scene = found.value
     require_slant(data, scene)
     words = Words(data, scene, planes, limits_of(limits))
@@ -90,7 +79,7 @@ def fit_laser_plane(
 
     def summary(fit: Fit[LaserSensor]) -> str:
         found_planes = (f"plane {a}: n {np.round(n, 6)}, d {d:.6g} m" for a, n, d in zip(planes, scene.n, scene.d))
-        chi2 = "" if data.noise is None else f"residuals {_times(found):.3g} times the noise"
+        chi2 = "" if data.noise is None else f"residuals {times(found):.3g} times the noise"
         return "\n".join(line for line in [fit.table(), note, *found_planes, chi2] if line)
 
     tilts = np.column_stack([np.zeros((len(planes), 2)), scene.d]).ravel()
@@ -101,92 +90,3 @@ def fit_laser_plane(
         value, words.names, words.units, parameters, found.cov, found.sigma, residuals, data.N, excitation, summary,
         found.outliers, tuple(CLASSES[name] for name in found.classes),
     )  # fmt: skip
-
-
-def _best(scans: Scans, guess: np.ndarray | None, robust: bool) -> NonlinearSolution[Scene]:
-    """Return the first fit that agrees with its noise, or the best of all where noise is not given."""
-    count = 2 if scans.points is None else 1
-    nominal = scans if scans.noise is not None else replace(scans, noise=np.square(USUAL[:count]))
-    assumed = np.sqrt(np.asarray(nominal.noise))
-    ratio = _ratio(scans, float(assumed[0]), float(assumed[-1]))
-    require_units(scans, ratio)
-    best: NonlinearSolution[Scene] | None = None
-    for group in _groups(scans, guess, ratio):
-        for scene in group:
-            found = _tried(nominal, scene, robust)
-            if found is None:
-                continue
-            if scans.noise is not None and _agrees(found):
-                return _finished(scans, found, robust)
-            if best is None or _rank(found) < _rank(best):
-                best = found
-        if best is None or len(group) == 1:  # one guess proves nothing
-            continue
-        if _is_clear(scans, best) or (scans.noise is None and len(group) >= CUBE):
-            break
-    if best is None or scans.noise is not None:
-        text = "none that converge"
-        if best is not None:
-            text = f"residuals {_times(best):.3g} times the noise at best"
-            text += f" and {int(best.outliers.sum())} of {scans.N} scans left out" if robust else ""
-        raise misfit(scans, ratio, None if best is None else best.value, text)
-    found = _finished(scans, best, robust)
-    size, spread = float(found.sigma[0]), Words(scans, found.value, (), LIMITS).spread
-    if size > ROUGH * spread or np.mean(found.outliers) > MANY:
-        raise misfit(
-            scans, ratio, found.value,
-            f"{size:.3g} m between points and plates (RMS) where they spread over {spread:.3g} m, "
-            f"{int(found.outliers.sum())} of {scans.N} scans left out",
-        )  # fmt: skip
-    return found
-
-
-def _groups(scans: Scans, guess: np.ndarray | None, ratio: float) -> Iterator[list[Scene]]:
-    if guess is not None:
-        yield [scene_of(scans, guess)]
-    yield from starts(scans, ratio)
-
-
-def _ratio(scans: Scans, point: float, angle: float) -> float:
-    """Return the deviation of points over that of angles [m/rad]; of raw profiles the spread of a typical one."""
-    if scans.points is None:
-        return point / angle
-    off = scans.points - scans.p[scans.owner]
-    return float(np.sqrt(np.median(np.bincount(scans.owner, np.sum(off * off, axis=1)) / np.bincount(scans.owner))))
-
-
-def _tried(scans: Scans, scene: Scene, robust: bool) -> NonlinearSolution[Scene] | None:
-    try:
-        return nonlinear_least_squares(scans.problem(), scene, robust=robust, schedule=SCHEDULE)
-    except (NotConverged, NotExcited, ShapeError, np.linalg.LinAlgError):
-        return None
-
-
-def _finished(scans: Scans, found: NonlinearSolution[Scene], robust: bool) -> NonlinearSolution[Scene]:
-    """Return the fit with its own noise, and normals away from the origin."""
-    if scans.noise is not None and np.all(found.value.d >= 0):
-        return found
-    return nonlinear_least_squares(scans.problem(), found.value.oriented(), robust=robust, schedule=SCHEDULE)
-
-
-def _agrees(found: NonlinearSolution[Any]) -> bool:
-    from scipy.special import chdtri
-
-    free = found.freedom
-    return bool((free == 0 or 2.0 * found.cost < chdtri(free, REFUSED)) and np.mean(found.outliers) <= MANY)
-
-
-def _is_clear(scans: Scans, found: NonlinearSolution[Scene]) -> bool:
-    """Return whether what is left is small beside the scene: points and angles."""
-    left = np.median(np.abs(scans.residuals(found.value)), axis=0)
-    near = left[0] < CLEAR[0] * Words(scans, found.value, (), LIMITS).spread
-    return bool(near and left[-1] < CLEAR[1] and np.mean(found.outliers) <= MANY)
-
-
-def _times(found: NonlinearSolution[Any]) -> float:
-    """Return the residuals over the noise that was given."""
-    return float(np.sqrt(2.0 * found.cost / max(found.freedom, 1)))
-
-
-def _rank(found: NonlinearSolution[Any]) -> tuple[int, float]:
-    return int(found.outliers.sum()), found.cost

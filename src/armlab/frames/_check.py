@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab._numbers import number, numbers
+from armlab._numbers import number, numbers, rows_text
 from armlab.errors import NotExcited, ShapeError
 from armlab.lie import se3
 
@@ -22,8 +22,38 @@ def points(p: ArrayLike, what: str = "points") -> np.ndarray:
         raise ShapeError(f"Expected {what} of shape (N, 3) [m], got {array.shape}.{hint}")
     bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
     if len(bad):
-        shown = ", ".join(str(i) for i in bad[:10]) + (" and more" if len(bad) > 10 else "")
-        raise ShapeError(f"Expected finite {what}, got NaN or Inf in rows {shown}. Drop these rows.")
+        raise ShapeError(f"Expected finite {what}, got NaN or Inf in rows {rows_text(bad)}. Drop these rows.")
+    return array
+
+
+def sightings(p: ArrayLike, visible: ArrayLike | None, what: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return points (N, K, 3) seen in N frames and which are visible (N, K), refusing NaN where they are."""
+    array = numbers(p, what, ShapeError)
+    if array.ndim != 3 or array.shape[2] != 3 or not array.shape[1]:
+        raise ShapeError(f"Expected {what} of shape (N, K, 3), got {array.shape}. Give every point in every frame.")
+    seen = np.ones(array.shape[:2], dtype=bool) if visible is None else np.asarray(visible)
+    if seen.shape != array.shape[:2] or seen.dtype != bool:
+        raise ShapeError(
+            f"Expected visible as truth values of shape {array.shape[:2]}, got {seen.dtype} of shape {seen.shape}. "
+            "Say of every point in every frame whether it was seen."
+        )
+    bad = np.flatnonzero((seen & ~np.isfinite(array).all(axis=2)).any(axis=1))
+    if len(bad):
+        raise ShapeError(
+            f"Expected finite {what} where points are visible, got NaN or Inf in {len(bad)} rows: {rows_text(bad)}. "
+            f"Say which points are missing: visible=np.isfinite({what}).all(axis=2)."
+        )
+    return array, seen
+
+
+def marker_points(marker: ArrayLike, K: int, what: str) -> np.ndarray:
+    """Return the points (K, 3) of a marker of which K points were seen."""
+    array = numbers(marker, "marker", ShapeError)
+    if array.shape != (K, 3) or not np.isfinite(array).all():
+        raise ShapeError(
+            f"Expected the marker as ({K}, 3) finite numbers, as {what} has {K} points, got {array.shape}. "
+            "Give the points in the order of the records."
+        )
     return array
 
 

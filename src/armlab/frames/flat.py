@@ -23,15 +23,13 @@ from armlab.errors import NotExcited, ShapeError
 from armlab.estimation import Fit, check_spread
 from armlab.frames import _check, _minimal, _weighted
 from armlab.frames._cloud import principal, rounding
-from armlab.frames._consensus import chosen
+from armlab.frames._fitting import LIMIT, SURE, Cloud, result, text, upward
 from armlab.frames.features import Line, Plane
 
-__all__ = ["LIMIT", "fit_line", "fit_plane", "text", "upward"]
+__all__ = ["fit_line", "fit_plane"]
 
 Flat = TypeVar("Flat", Plane, Line)
 
-LIMIT = 0.2  # rad, the largest standard deviation of a tilt that is accepted
-SURE = 3.0  # deviations from which a side is sure
 CHANCE = 1e-3  # of a spread that noise alone would show
 JUDGED = 10  # points from which the spread is held against that chance; fewer cannot tell
 
@@ -69,14 +67,11 @@ def fit_plane(
         the side.
     NotExcited : too few points; points along a line, with its direction; a plane through the origin without a hint.
     """
-    p, limit = _check.points(p), _check.limit_of(limit)
-    sigma, each = _check.noises_of(noise, len(p))
-    needed = 3 if sigma else 4
-    _check.enough(len(p), needed, "plane")
-    kept = np.ones(len(p), dtype=bool)
+    limit, cloud = _check.limit_of(limit), Cloud(p, noise, 3, "plane")
+    p, sigma = cloud.p, cloud.sigma
     if robust:
-        kept = chosen(p, 3, 1, _minimal.planes, lambda which: _plane_distances(p, which), sigma, "plane")
-        _check.enough(int(kept.sum()), needed, "plane")
+        cloud.choose(3, 1, _minimal.planes, lambda which: _plane_distances(cloud.p, which))
+    kept = cloud.kept
     c, axes, squares = principal(p[kept])
     freedom = int(kept.sum()) - 3
     found = float(np.sqrt(squares[2] / freedom)) if freedom else float(sigma or 0.0)
@@ -89,21 +84,8 @@ def fit_plane(
     reach = float(np.sqrt(cov[2, 2] + (axes[1] @ c) ** 2 * cov[0, 0] + (axes[0] @ c) ** 2 * cov[1, 1]))
     n = upward(n, c, reach, toward, normal, "plane")
     value = Plane(n, float(n @ c), c, axes[:2], cov)
-    fit = Fit(
-        value=value,
-        names=Plane.names,
-        units=Plane.units,
-        parameters=_parameters(value),
-        cov=cov,
-        sigma=np.array([found]),
-        residuals=value.distance(p),
-        n=int(kept.sum()),
-        excitation=excitation,
-        summary=_report,
-        outliers=~kept,
-        classes=("distance [m]",),
-    )
-    return fit if each is None else _reweighted(fit, p, each, robust, limit)
+    fit = result(value, _parameters(value), cov, np.array([found]), value.distance(p), kept, excitation, _report)
+    return fit if cloud.each is None else _reweighted(fit, p, cloud.each, robust, limit)
 
 
 def fit_line(
@@ -136,78 +118,24 @@ def fit_line(
     ShapeError : points are no (N, 3) or not finite, with their rows; `along` is across the line.
     NotExcited : too few points; points in one place; a first and a last point in one place without a hint.
     """
-    p, limit = _check.points(p), _check.limit_of(limit)
-    sigma, each = _check.noises_of(noise, len(p))
-    needed = 2 if sigma else 3
-    _check.enough(len(p), needed, "line")
-    kept = np.ones(len(p), dtype=bool)
+    limit, cloud = _check.limit_of(limit), Cloud(p, noise, 2, "line")
     if robust:
-        kept = chosen(p, 2, 2, _minimal.lines, lambda which: _line_distances(p, which), sigma, "line")
-        _check.enough(int(kept.sum()), needed, "line")
-    cloud = p[kept]
-    c, axes, squares = principal(cloud)
-    freedom = 2 * len(cloud) - 4
+        cloud.choose(2, 2, _minimal.lines, lambda which: _line_distances(cloud.p, which))
+    p, sigma = cloud.p[cloud.kept], cloud.sigma
+    c, axes, squares = principal(p)
+    freedom = 2 * len(p) - 4
     found = float(np.sqrt((squares[1] + squares[2]) / freedom)) if freedom else float(sigma or 0.0)
-    used = max(sigma or found, rounding(p))
-    tilt, offset = used**2 / max(squares[0], 1e-300), used**2 / len(cloud)
-    told = _told(squares[0], squares[1], used, len(cloud) - 2)
+    used = max(sigma or found, rounding(cloud.p))
+    tilt, offset = used**2 / max(squares[0], 1e-300), used**2 / len(p)
+    told = _told(squares[0], squares[1], used, len(p) - 2)
     names = ("direction of the line: its points are in one place, tilt about axis 1", "tilt about axis 2")
-    excitation = _judge((told, told), used, len(cloud), squares, limit, Line, names)
-    v = _forward(axes[0], cloud[-1] - cloud[0], float(np.sqrt(2.0)) * used, along)
+    excitation = _judge((told, told), used, len(p), squares, limit, Line, names)
+    v = _forward(axes[0], p[-1] - p[0], float(np.sqrt(2.0)) * used, along)
     cov = np.diag([tilt, tilt, offset, offset])
     value = Line(v, c - v * (v @ c), c, _check.across(v), cov)
-    fit = Fit(
-        value=value,
-        names=Line.names,
-        units=Line.units,
-        parameters=_parameters(value),
-        cov=cov,
-        sigma=np.array([found]),
-        residuals=value.offset(p),
-        n=len(cloud),
-        excitation=excitation,
-        summary=_report,
-        outliers=~kept,
-        classes=("distance [m]",),
-    )
-    return fit if each is None else _reweighted(fit, p, each, robust, limit)
-
-
-def upward(
-    n: np.ndarray, c: np.ndarray, reach: float, toward: ArrayLike | None, normal: ArrayLike | None, what: str
-) -> np.ndarray:
-    """Return a normal with the sign that the rule gives it.
-
-    Parameters
-    ----------
-    n : (3,) unit normal of any sign. c : (3,) a point in the plane [m].
-    reach : standard deviation of the distance of the plane from the origin [m].
-    toward, normal : the hints of `fit_plane`. what : name of the feature.
-
-    Raises
-    ------
-    ShapeError : both hints, or one that does not tell. NotExcited : no hint, and the origin is in the plane.
-    """
-    if toward is not None and normal is not None:
-        raise ShapeError("Expected toward= or normal=, got both. Either says on which side the normal is.")
-    if normal is not None:
-        side, least = float(n @ _check.direction(normal, "normal")), 1e-6
-    elif toward is not None:
-        side, least = float(n @ (_check.vector(toward, "toward") - c)), SURE * reach
-    else:
-        side, least = float(n @ c), SURE * reach
-        if not abs(side) > least:
-            raise NotExcited(
-                f"Expected the {what} away from the origin to tell its side, got it at {abs(side):.2g} m, uncertain by "
-                f"{reach:.2g} m. Say the side by toward=, a point on it, or by normal=.",
-                [f"side of the {what}"],
-                [f"{abs(side):.2g} m from the origin"],
-            )
-    if not abs(side) > least:
-        raise ShapeError(
-            f"Expected a hint that tells the side of the {what}, got one that lies in it. Give another point or normal."
-        )
-    return n if side > 0 else -n
+    away = value.offset(cloud.p)
+    fit = result(value, _parameters(value), cov, np.array([found]), away, cloud.kept, excitation, _report)
+    return fit if cloud.each is None else _reweighted(fit, cloud.p, cloud.each, robust, limit)
 
 
 def _forward(v: np.ndarray, step: np.ndarray, sigma: float, along: ArrayLike | None) -> np.ndarray:
@@ -273,11 +201,6 @@ def _line_distances(p: np.ndarray, kept: np.ndarray) -> tuple[float, np.ndarray]
     c, axes, squares = principal(p[kept])
     sigma = np.sqrt((squares[1] + squares[2]) / max(2 * kept.sum() - 4, 1))
     return float(sigma), np.sum(((p - c) @ axes[1:].T) ** 2, axis=1)
-
-
-def text(v: np.ndarray) -> str:
-    """Return a vector (3,) as a report shows it."""
-    return "(" + ", ".join(f"{x:.4f}" for x in v) + ")"
 
 
 def _parameters(value: Plane | Line) -> np.ndarray:

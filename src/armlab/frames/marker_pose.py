@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab import kernels
-from armlab._numbers import number, numbers
+from armlab._numbers import number
 from armlab.errors import NotExcited, ShapeError
+from armlab.frames._check import marker_points, sightings
 from armlab.lie import so3
 
 __all__ = ["MarkerPoses", "marker_pose"]
@@ -82,8 +83,9 @@ def marker_pose(
     ----------
     Kabsch (1976), Acta Crystallographica A32; Umeyama (1991), PAMI 13(4).
     """
-    p, seen = _points(p, visible)
-    shape = _template(p, seen) if marker is None else _marker(marker, p.shape[1])
+    p, seen = sightings(p, visible, "p")
+    p = np.where(seen[:, :, None], p, 0.0)
+    shape = _template(p, seen) if marker is None else marker_points(marker, p.shape[1], "p")
     _require_breadth(shape)
     sd = np.nan if noise is None else number(noise, "noise [m]")
     if noise is not None and not 0.0 < sd < np.inf:
@@ -118,35 +120,6 @@ def _information(R: np.ndarray, marker: np.ndarray, seen: np.ndarray) -> np.ndar
     J *= seen[:, :, None, None]
     flat = J.reshape(len(J), -1, 6)
     return np.swapaxes(flat, 1, 2) @ flat
-
-
-def _points(p: ArrayLike, visible: ArrayLike | None) -> tuple[np.ndarray, np.ndarray]:
-    """Return points (N, K, 3), zero where not visible, and which are visible (N, K)."""
-    points = numbers(p, "p", ShapeError)
-    if points.ndim != 3 or points.shape[2] != 3:
-        raise ShapeError(f"Expected p of shape (N, K, 3), got {points.shape}. Give every point in every frame.")
-    seen = np.ones(points.shape[:2], dtype=bool) if visible is None else np.asarray(visible)
-    if seen.shape != points.shape[:2] or seen.dtype != bool:
-        raise ShapeError(
-            f"Expected visible as truth values of shape {points.shape[:2]}, got {seen.dtype} of shape {seen.shape}. "
-            "Say of every point in every frame whether it was seen."
-        )
-    missing = np.flatnonzero((seen & ~np.isfinite(points).all(axis=2)).any(axis=1))
-    if len(missing):
-        shown = ", ".join(str(i) for i in missing[:20]) + ("" if len(missing) <= 20 else " and more")
-        raise ShapeError(
-            f"Expected finite p where points are visible, got NaN or Inf in {len(missing)} rows: {shown}. "
-            "Say which points are missing: visible=np.isfinite(p).all(axis=2)."
-        )
-    return np.where(seen[:, :, None], points, 0.0), seen
-
-
-def _marker(marker: ArrayLike, K: int) -> np.ndarray:
-    """Return the marker's points (K, 3)."""
-    points = numbers(marker, "marker", ShapeError)
-    if points.shape != (K, 3) or not np.isfinite(points).all():
-        raise ShapeError(f"Expected the marker as ({K}, 3) finite numbers, as p has {K} points, got {points.shape}.")
-    return points
 
 
 def _template(p: np.ndarray, seen: np.ndarray) -> np.ndarray:

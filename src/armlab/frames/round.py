@@ -19,9 +19,8 @@ from armlab.estimation import Excitation, Fit, Measurement, NonlinearSolution, P
 from armlab.estimation import nonlinear_least_squares as solve
 from armlab.frames import _check, _minimal
 from armlab.frames._cloud import principal, rounding
-from armlab.frames._consensus import chosen
+from armlab.frames._fitting import LIMIT, Cloud, result, text, upward
 from armlab.frames.features import Circle, Sphere
-from armlab.frames.flat import LIMIT, text, upward
 from armlab.lie import so3
 
 __all__ = ["fit_circle", "fit_sphere"]
@@ -60,30 +59,22 @@ def fit_circle(
     ShapeError : points are no (N, 3) or not finite, with their rows; hints that do not tell the side.
     NotExcited : too few points; points on a short arc, or in a line; a plane through the origin without a hint.
     """
-    p = _check.points(p)
-    sigma, each = _check.noises_of(noise, len(p))
-    needed = 3 if sigma else 4
-    _check.enough(len(p), needed, "circle")
+    cloud = Cloud(p, noise, 3, "circle")
 
     def fit(which: np.ndarray) -> NonlinearSolution[Circle]:
-        cov = None if each is None else each[which]
-        return _descend(p[which], _circle_start(p[which]), _circle_residuals, _circle_step, sigma, cov)
+        return _descend(cloud, which, _circle_start(cloud.p[which]), _circle_residuals, _circle_step)
 
-    kept = (
-        _kept(p, 3, 2, _minimal.circles, fit, _circle_residuals, sigma, "circle")
-        if robust
-        else np.ones(len(p), dtype=bool)
-    )
-    _check.enough(int(kept.sum()), needed, "circle")
-    found = fit(kept)
+    if robust:
+        cloud.choose(3, 2, _minimal.circles, lambda which: _refit(cloud, 4, fit, _circle_residuals, which))
+    found = fit(cloud.kept)
     value = found.value
     excitation = _judge(found, value)
     slope = np.concatenate([value.n, np.cross(value.axes, value.n) @ value.centre, [0.0]])
     n = upward(value.n, value.centre, float(np.sqrt(slope @ found.cov @ slope)), toward, normal, "circle")
     value = Circle(value.centre, n, value.radius, value.axes, found.cov)
     parameters = np.array([*value.centre, 0.0, 0.0, value.radius])
-    residuals = _circle_residuals(value, p)[0]
-    return _result(value, parameters, found, residuals, kept, excitation)
+    residuals = _circle_residuals(value, cloud.p)[0]
+    return result(value, parameters, found.cov, found.sigma, residuals, cloud.kept, excitation, _report)
 
 
 def fit_sphere(p: ArrayLike, *, noise: ArrayLike | None = None, robust: bool = False) -> Fit[Sphere]:
@@ -105,64 +96,34 @@ def fit_sphere(p: ArrayLike, *, noise: ArrayLike | None = None, robust: bool = F
     ShapeError : points are no (N, 3) or not finite, with their rows.
     NotExcited : too few points; points in a plane or on a small cap.
     """
-    p = _check.points(p)
-    sigma, each = _check.noises_of(noise, len(p))
-    needed = 4 if sigma else 5
-    _check.enough(len(p), needed, "sphere")
+    cloud = Cloud(p, noise, 4, "sphere")
 
     def fit(which: np.ndarray) -> NonlinearSolution[Sphere]:
-        cov = None if each is None else each[which]
-        return _descend(p[which], Sphere(*_ball(p[which], np.eye(3))), _sphere_residuals, _sphere_step, sigma, cov)
+        start = Sphere(*_ball(cloud.p[which], np.eye(3)))
+        return _descend(cloud, which, start, _sphere_residuals, _sphere_step)
 
-    kept = (
-        _kept(p, 4, 1, _minimal.spheres, fit, _sphere_residuals, sigma, "sphere")
-        if robust
-        else np.ones(len(p), dtype=bool)
-    )
-    _check.enough(int(kept.sum()), needed, "sphere")
-    found = fit(kept)
+    if robust:
+        cloud.choose(4, 1, _minimal.spheres, lambda which: _refit(cloud, 5, fit, _sphere_residuals, which))
+    found = fit(cloud.kept)
     excitation = _judge(found, found.value)
     value = Sphere(found.value.centre, found.value.radius, found.cov)
     parameters = np.array([*value.centre, value.radius])
-    return _result(value, parameters, found, _sphere_residuals(value, p)[0], kept, excitation)
-
-
-def _result(
-    value: Round,
-    parameters: np.ndarray,
-    found: NonlinearSolution[Round],
-    residuals: np.ndarray,
-    kept: np.ndarray,
-    excitation: Excitation,
-) -> Fit[Round]:
-    return Fit(
-        value=value,
-        names=value.names,
-        units=value.units,
-        parameters=parameters,
-        cov=found.cov,
-        sigma=found.sigma,
-        residuals=residuals,
-        n=int(kept.sum()),
-        excitation=excitation,
-        summary=_report,
-        outliers=~kept,
-        classes=("distance [m]",),
-    )
+    residuals = _sphere_residuals(value, cloud.p)[0]
+    return result(value, parameters, found.cov, found.sigma, residuals, cloud.kept, excitation, _report)
 
 
 def _descend(
-    p: np.ndarray,
+    cloud: Cloud,
+    which: np.ndarray,
     start: Round,
     residuals: Callable[[Round, np.ndarray], tuple[np.ndarray, np.ndarray]],
     step: Callable[[Round, np.ndarray], Round],
-    sigma: float | None,
-    each: np.ndarray | None,
 ) -> NonlinearSolution[Round]:
-    """Return the most likely circle or sphere of points (N, 3), with covariances (N, 3, 3) when they have their own."""
-    what = type(start).__name__.lower()
+    """Return the most likely circle or sphere of some of the points, with covariances when they have their own."""
+    what, p = type(start).__name__.lower(), cloud.p[which]
+    each = None if cloud.each is None else cloud.each[which]
     k = residuals(start, p)[0].shape[1]
-    cov = None if sigma is None else np.eye(k) * sigma**2
+    cov = None if cloud.sigma is None else np.eye(k) * cloud.sigma**2
 
     def evaluate(value: Round) -> list[Measurement]:
         r, J = residuals(value, p)
@@ -196,24 +157,17 @@ def _judge(found: NonlinearSolution[Any], value: Circle | Sphere) -> Excitation:
     return check_spread(found.rows.J, value.names, value.units, limits, what, describe=describe)
 
 
-def _kept(
-    p: np.ndarray,
-    size: int,
-    numbers: int,
-    through: Callable[[np.ndarray, np.ndarray], np.ndarray],
+def _refit(
+    cloud: Cloud,
+    least: int,
     fit: Callable[[np.ndarray], NonlinearSolution[Round]],
     residuals: Callable[[Round, np.ndarray], tuple[np.ndarray, np.ndarray]],
-    sigma: float | None,
-    what: str,
-) -> np.ndarray:
-    """Return which points (N,) belong to the feature."""
-
-    def refit(which: np.ndarray) -> tuple[float, np.ndarray]:
-        _check.enough(int(which.sum()), size + 1, what)
-        found = fit(which)
-        return float(found.sigma[0]), np.sum(residuals(found.value, p)[0] ** 2, axis=1)
-
-    return chosen(p, size, numbers, through, refit, sigma, what)
+    which: np.ndarray,
+) -> tuple[float, np.ndarray]:
+    """Return the noise of some of the points, and squared distances (N,) of all from their feature."""
+    _check.enough(int(which.sum()), least, "circle or sphere")
+    found = fit(which)
+    return float(found.sigma[0]), np.sum(residuals(found.value, cloud.p)[0] ** 2, axis=1)
 
 
 def _circle_residuals(value: Circle, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

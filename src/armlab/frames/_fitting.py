@@ -1,0 +1,113 @@
+"""What the fits of all features have in common: points and noise as given, points that belong, the side, the result."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armlab.errors import NotExcited, ShapeError
+from armlab.estimation import Excitation, Fit
+from armlab.frames import _check
+from armlab.frames._consensus import Refit, Squares, chosen
+from armlab.frames.features import Circle, Line, Plane, Sphere
+
+__all__ = ["LIMIT", "SURE", "Cloud", "result", "text", "upward"]
+
+Feature = TypeVar("Feature", Plane, Line, Circle, Sphere)
+
+LIMIT = 0.2  # rad, the largest standard deviation of a tilt that is accepted
+SURE = 3.0  # deviations from which a side is sure
+
+
+class Cloud:
+    """Points (N, 3) with their noise, checked: enough of them to fit a feature, and its noise where it is not given.
+
+    Attributes
+    ----------
+    p : (N, 3). sigma : deviation of a coordinate, or None. each : (N, 3, 3) covariances, or None. kept : (N,) points
+        that belong to the feature.
+    """
+
+    def __init__(self, p: ArrayLike, noise: Any, least: int, what: str) -> None:
+        self.p = _check.points(p)
+        self.sigma, self.each = _check.noises_of(noise, len(self.p))
+        self.kept = np.ones(len(self.p), dtype=bool)
+        self._needed, self._what = least + (self.sigma is None), what
+        _check.enough(len(self.p), self._needed, what)
+
+    def choose(self, size: int, numbers: int, through: Squares, refit: Refit) -> None:
+        """Keep the points that belong to the feature, see `_consensus.chosen`."""
+        self.kept = chosen(self.p, size, numbers, through, refit, self.sigma, self._what)
+        _check.enough(int(self.kept.sum()), self._needed, self._what)
+
+
+def result(
+    value: Feature,
+    parameters: np.ndarray,
+    cov: np.ndarray,
+    sigma: np.ndarray,
+    residuals: np.ndarray,
+    kept: np.ndarray,
+    excitation: Excitation,
+    summary: Callable[[Fit[Any]], str],
+) -> Fit[Feature]:
+    """Return the fit of a feature, its residuals in metres, what is not kept as its outliers."""
+    return Fit(
+        value=value,
+        names=value.names,
+        units=value.units,
+        parameters=parameters,
+        cov=cov,
+        sigma=sigma,
+        residuals=residuals,
+        n=int(kept.sum()),
+        excitation=excitation,
+        summary=summary,
+        outliers=~kept,
+        classes=("distance [m]",),
+    )
+
+
+def upward(
+    n: np.ndarray, c: np.ndarray, reach: float, toward: ArrayLike | None, normal: ArrayLike | None, what: str
+) -> np.ndarray:
+    """Return a normal with the sign that the rule gives it.
+
+    Parameters
+    ----------
+    n : (3,) unit normal of any sign. c : (3,) a point in the plane [m].
+    reach : standard deviation of the distance of the plane from the origin [m].
+    toward, normal : the hints of `fit_plane`. what : name of the feature.
+
+    Raises
+    ------
+    ShapeError : both hints, or one that does not tell. NotExcited : no hint, and the origin is in the plane.
+    """
+    if toward is not None and normal is not None:
+        raise ShapeError("Expected toward= or normal=, got both. Either says on which side the normal is.")
+    if normal is not None:
+        side, least = float(n @ _check.direction(normal, "normal")), 1e-6
+    elif toward is not None:
+        side, least = float(n @ (_check.vector(toward, "toward") - c)), SURE * reach
+    else:
+        side, least = float(n @ c), SURE * reach
+        if not abs(side) > least:
+            raise NotExcited(
+                f"Expected the {what} away from the origin to tell its side, got it at {abs(side):.2g} m, uncertain by "
+                f"{reach:.2g} m. Say the side by toward=, a point on it, or by normal=.",
+                [f"side of the {what}"],
+                [f"{abs(side):.2g} m from the origin"],
+            )
+    if not abs(side) > least:
+        raise ShapeError(
+            f"Expected a hint that tells the side of the {what}, got one that lies in it. Give another point or normal."
+        )
+    return n if side > 0 else -n
+
+
+def text(v: np.ndarray) -> str:
+    """Return a vector (3,) as a report shows it."""
+    return "(" + ", ".join(f"{x:.4f}" for x in v) + ")"
