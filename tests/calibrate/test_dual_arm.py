@@ -14,12 +14,14 @@ from armlab.calibrate._arm import Arm
 from armlab.calibrate._dual_problem import DualProblem, DualState
 from armlab.calibrate._kinematic_data import measured_kinds
 from armlab.errors import ConfigError, NotConverged, NotExcited, ShapeError
-from armlab.estimation import Fit
+from armlab.estimation import Experiment, Fit, Gauge, check_estimator
 from armlab.kinematics import inverse
 from armlab.lie import se3, so3
 from armlab.models import DualArmCorrection
 from armlab.sim import cell
 from armlab.sim._cell_kinematics import DEGREE, NOISE, NOMINAL_PAIR, DualRun, dh_arm, noisy, spoilt
+
+TOOL = se3.from_rp(so3.exp([0.2, -0.1, 0.3]), [0.02, -0.03, 0.01])
 
 
 @pytest.fixture(scope="module")
@@ -253,3 +255,48 @@ def test_derivatives_are_those_of_the_residuals(case: DualRun, kind: str) -> Non
         ends = [problem.evaluate(problem.retract(state, sign * step)) for sign in (1.0, -1.0)]
         for here, up, down in zip(found, *ends, strict=True):
             np.testing.assert_allclose(here.J[:, :, k], (up.r - down.r) / 2e-6, rtol=0, atol=1e-6)
+
+
+def validation(fit: Fit[DualArmCorrection], truth: DualRun) -> tuple[np.ndarray, np.ndarray]:
+    """Return errors [v; w] of twenty validation poses (120,), at least twice the rank, and their covariance."""
+    q_a, q_b = truth.q_valid_a[:20], truth.q_valid_b[:20]
+    Z, true = fit.value.forward(q_a, q_b), truth.relative(q_a, q_b)
+    back = np.swapaxes(true[:, :3, :3], 1, 2)
+    J = fit.value.pose_jacobian(q_a, q_b).reshape(120, -1)
+    return np.hstack([(Z - true)[:, :3, 3], so3.log(back @ Z[:, :3, :3])]).ravel(), J @ fit.value.cov @ J.T
+
+
+@pytest.mark.slow  # 8 s
+def test_the_statistical_contract() -> None:
+    def experiment(seed: int, n: int) -> Experiment:
+        run = cell(2400).two_arms(seed, n)
+        return Experiment({**run.given, "noise": NOISE}, run)
+
+    def spoil(data: dict[str, Any], rng: np.random.Generator) -> tuple[dict[str, Any], np.ndarray]:
+        bad = np.arange(len(data["q_a"])) < len(data["q_a"]) // 20
+        return {**data, "pose": spoilt(data["pose"], rng, int(bad.sum()), 2 * DEGREE, 0.02), "robust": True}, bad
+
+    def moved(data: dict[str, Any]) -> dict[str, Any]:
+        """Return the data with frames at both tools moved: tool a turned, so that what it sees turns."""
+        return {**data, "pose": se3.project(se3.inv(TOOL) @ data["pose"])[0]}
+
+    def seen(fit: Fit[DualArmCorrection]) -> Any:
+        class Moved:
+            q_valid_a, q_valid_b = still.q_valid_a, still.q_valid_b
+
+            @staticmethod
+            def relative(q_a: np.ndarray, q_b: np.ndarray) -> np.ndarray:
+                return se3.inv(TOOL) @ fit.value.forward(q_a, q_b)
+
+        return Moved
+
+    still = cell(2400).two_arms(0)
+    q = still.q_a.copy()
+    q[:, 2] = 0.4
+    rest = {**still.given, "q_a": q, "pose": still.relative(q, still.q_b), "noise": NOISE}
+    found = check_estimator(
+        fit_dual_arm, experiment, 40, n=60, error=validation, spoil=spoil, gauges=[Gauge("tool of a", moved, seen)],
+        refusals={"joint 3 of arm a did not move": rest},
+        skip={"efficient": "held to the bound by the benchmark and by test_the_bound_and_the_covariance"},
+    )  # fmt: skip
+    assert found.passed, found.text()

@@ -101,3 +101,11 @@ def test_words_stay_above_solids() -> None:
     solid(ax, np.eye(3)[None], "red")
     ax.figure.canvas.draw()
     assert ax.texts[0].zorder > ax.collections[0].zorder
+
+
+def test_the_box_has_all_its_edges() -> None:
+    """Without those of the panes nothing ends the box on the left, where no axis is."""
+    _, ax = space()
+    for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
+        assert axis.pane.get_edgecolor()[3] == 1.0
+        assert axis.pane.get_facecolor()[3] == 0.0

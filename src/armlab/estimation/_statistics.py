@@ -92,20 +92,28 @@ def _rms(runs: list[Run], W: np.ndarray) -> float:
     return float(np.sqrt(np.mean([r.e @ W @ r.e for r in runs])))
 
 
+def _bound(runs: list[Run], W: np.ndarray) -> float:
+    return float(np.mean([np.vdot(W, r.bound) for r in runs if r.bound is not None]))
+
+
 def _se(runs: list[Run]) -> float:
     """Return the relative standard error of an RMS over these runs."""
     return 1.0 / np.sqrt(2.0 * runs[0].rank * len(runs))
 
 
 def consistent(trial: Trial) -> Verdict:
-    """Four times the samples must halve the error."""
+    """Four times the samples must halve the error; of experiments drawn at random, as far as it halves the bound."""
     few, many = _runs(trial, 1), _runs(trial, 4)
     W = _weight(few)
-    ratio = _rms(many, W) / _rms(few, W)
+    ratio, found = _rms(many, W) / _rms(few, W), ""
+    if all(r.bound is not None and r.bound.shape == W.shape for r in (*few, *many)):
+        least = np.sqrt(_bound(many, W) / _bound(few, W))
+        ratio, found = 0.5 * ratio / least, f" ({ratio:.3f}, of the bound {least:.3f})"
     low, high = trial.limits.consistent
     slack = STANDARD_ERRORS * np.sqrt(2.0) * _se(few) * 0.5
     low, high = min(low, 0.5 - slack), max(high, 0.5 + slack)
-    return bool(low <= ratio <= high), f"error of 4 N over that of N: {ratio:.3f}, accepted {low:.2f} to {high:.2f}"
+    text = f"error of 4 N over that of N: {ratio:.3f}{found}, accepted {low:.2f} to {high:.2f}"
+    return bool(low <= ratio <= high), text
 
 
 def honest(trial: Trial) -> Verdict:

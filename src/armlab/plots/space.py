@@ -23,6 +23,7 @@ PROJECTION: dict[str, Any] = {"projection": "3d", "proj_type": "ortho", "elev": 
 AWAY, AHEAD = (-0.3, -0.3, 0.0), (0.0, 0.0, 1.45)
 """Places of the name of a frame: beside it, away from x and y; or beyond z, where no arm comes from."""
 _SOLID, _ARROW, _WORD = 5, 6, 7  # order of drawing; lines have 2
+_EDGE = "#B0B0B0"  # as the grid of three dimensions
 _FLATTEST = 0.3  # smallest side of the box over its largest: a planar robot still has a box
 _HALF_SIDE = 0.0925  # of the axes on paper, in the units of matplotlib
 _LABELS, _OFFSET = (20.0, 20.0, 24.0), 21.0  # distances of the names of axes in a cube; matplotlib's own
@@ -51,7 +52,8 @@ def space(ax: Any = None, *, width: float = 6.4, height: float = 5.4) -> tuple[F
         raise ShapeError(f'Expected one Axes with projection="3d" in ax=, got {kind}.')
     ax.computed_zorder = False  # matplotlib would put solids above the words on them
     for axis, letter in zip((ax.xaxis, ax.yaxis, ax.zaxis), "xyz", strict=True):
-        axis.set_pane_color((1.0, 1.0, 1.0, 0.0))
+        axis.pane.set_alpha(None)
+        axis.pane.set(closed=True, facecolor=(1.0, 1.0, 1.0, 0.0), edgecolor=_EDGE, linewidth=0.6)
         axis.line.set_color(GREY)
         axis.set_label_text(f"{letter} [m]")
         axis.set_tick_params(pad=1.0 if letter == "z" else -1.0)

@@ -1,0 +1,63 @@
+"""Every public `fit_*` is held to the statistical contract by a test, in the directory of its package."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PACKAGE, TESTS = ROOT / "src" / "armlab", ROOT / "tests"
+
+
+def fits() -> Iterator[tuple[str, str]]:
+    """Yield package and name of every function `fit_*` that a package exports."""
+    for path in sorted(PACKAGE.glob("*/__init__.py")):
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "__all__":
+                names = (name for name in ast.literal_eval(node.value) if name.startswith("fit_"))
+                yield from ((path.parent.name, name) for name in names)
+
+
+def judged(source: str) -> set[str]:
+    """Return the names in a test that calls `check_estimator`, and in what it calls of the same module."""
+    functions = {node.name: node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.FunctionDef)}
+    names = {one: set(words(node)) for one, node in functions.items()}
+    found: set[str] = set()
+    for inside in names.values():
+        if "check_estimator" in inside:
+            found |= inside.union(*(names[one] for one in inside & names.keys()))
+    return found
+
+
+def words(node: ast.AST) -> Iterator[str]:
+    for part in ast.walk(node):
+        if isinstance(part, ast.Name):
+            yield part.id
+        elif isinstance(part, ast.Attribute):
+            yield part.attr
+
+
+FITS = sorted(fits())
+
+
+def test_there_are_fits() -> None:
+    assert len(FITS) > 15
+    assert {package for package, _ in FITS} >= {"calibrate", "frames", "identify"}
+
+
+@pytest.mark.parametrize(("package", "name"), FITS, ids=[name for _, name in FITS])
+def test_every_fit_is_held_to_the_contract(package: str, name: str) -> None:
+    modules = sorted((TESTS / package).glob("test_*.py"))
+    covered = set().union(*(judged(path.read_text(encoding="utf-8")) for path in modules))
+    assert name in covered, f"no test in tests/{package} hands {name} to estimation.check_estimator"
+
+
+def test_the_reader_sees_what_it_must_see() -> None:
+    source = (
+        "def a(): check_estimator(fit_x)\ndef b(): return check_estimator(c)\ndef c(): frames.fit_y()\ndef d(): fit_z()"
+    )
+    assert judged(source) >= {"fit_x", "fit_y"}
+    assert "fit_z" not in judged(source)
