@@ -140,6 +140,30 @@ def full(noise: np.ndarray) -> np.ndarray:
     return np.diag(noise) if noise.ndim == 1 else noise
 
 
+def rotation_sd(noise: np.ndarray | None) -> float:
+    """Return the deviation of one component of a rotation [rad] of a covariance of poses; 0 for None."""
+    if noise is None:
+        return 0.0
+    variance = noise if noise.ndim == 1 else np.diagonal(noise, axis1=-2, axis2=-1)
+    return float(np.sqrt(np.mean(variance[..., 3:])))
+
+
+def robot_side(
+    R: np.ndarray, t: np.ndarray, noise: np.ndarray | None, setup: str
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Return rotations, positions and noise of A: of the robot's poses, or of their inverses with the eye in the hand.
+
+    Parameters
+    ----------
+    R, t : (N, 3, 3), (N, 3) of T_base_tool. noise : of it; None or all zero where it is exact.
+    """
+    noise = noise if noise is not None and noise.any() else None
+    if setup == "eye_to_hand":
+        return R, t, noise
+    inverse = np.ascontiguousarray(R.transpose(0, 2, 1))
+    return inverse, -(inverse @ t[:, :, None])[:, :, 0], None if noise is None else inverse_noise(noise, R, t)
+
+
 def inverse_noise(noise: np.ndarray, R: np.ndarray, t: np.ndarray) -> np.ndarray:
     """Return the covariance (N, 6, 6) of the inverses of noisy poses: v' = hat(p') w - R^T v, w' = -R w.
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from armlab.calibrate._hand_eye_equation import Pair
+from armlab.calibrate._hand_eye_equation import Pair, full
 from armlab.estimation import Measurement, Problem
 from armlab.estimation.factors import triangle
 from armlab.frames import marker_pose
@@ -50,6 +50,7 @@ class Sight:
     p : (m, 3) measured points in camera axes. sample, point : (m,) which of them.
     K : number of points.
     noise : variances (3,) or covariance (3, 3) or (m, 3, 3); None when it is to be estimated.
+    noise_A : of the poses of the samples: variances (6,) or covariance (6, 6) or (N, 6, 6); None when they are exact.
     """
 
     RA: np.ndarray
@@ -59,6 +60,7 @@ class Sight:
     point: np.ndarray
     K: int
     noise: np.ndarray | None
+    noise_A: np.ndarray | None = None
 
     @cached_property
     def spread(self) -> float:
@@ -125,7 +127,7 @@ class Sight:
             J = np.zeros((len(ph), 3, 3 * self.K + 6))
             J[:, :, : 3 * self.K].reshape(-1, 3, self.K, 3)[np.arange(len(ph)), :, self.point] = -C
             J[:, :, -6:] = JY
-            return [self._measured(ph, J)]
+            return self._measured(ph, J, C, value.s, value.RY)
 
         return Problem(evaluate, Points.plus, what="hand-eye calibration from points")
 
@@ -134,16 +136,54 @@ class Sight:
         body = so3.hat(marker)
 
         def evaluate(value: Pair) -> list[Measurement]:
-            C, ph, JY = self.seen(marker @ value.RX.T + value.tX, value.RY, value.tY)
+            s = marker @ value.RX.T + value.tX
+            C, ph, JY = self.seen(s, value.RY, value.tY)
             J = np.empty((len(ph), 3, 12))
             J[:, :, :3], J[:, :, 3:6] = -C, C @ (value.RX @ body)[self.point]
             J[:, :, 6:] = JY
-            return [self._measured(ph, J)]
+            return self._measured(ph, J, C, s, value.RY)
 
         return Problem(evaluate, Pair.plus, what="hand-eye calibration from points")
 
-    def _measured(self, ph: np.ndarray, J: np.ndarray) -> Measurement:
-        return Measurement(self.p - ph, J, self.noise, ("p",) * 3, self.sample)
+    def _measured(
+        self, ph: np.ndarray, J: np.ndarray, C: np.ndarray, s: np.ndarray, RY: np.ndarray
+    ) -> list[Measurement]:
+        """Return measured minus expected points; by sample with noise of the robot, which the points of a sample share.
+
+        Parameters
+        ----------
+        ph : (m, 3) expected. J : (m, 3, d). C : (m, 3, 3) R_Y^T R_A. s : (K, 3) points in tool axes. RY : (3, 3).
+        """
+        r = self.p - ph
+        if self.noise_A is None:
+            return [Measurement(r, J, self.noise, ("p",) * 3, self.sample)]
+        G = np.concatenate([np.broadcast_to(-RY.T, C.shape), C @ so3.hat(s[self.point])], axis=2)
+        found = []
+        for rows in self._together:
+            n, width = len(rows), 3 * rows.shape[1]
+            sample, lever = self.sample[rows[:, 0]], G[rows].reshape(n, width, 6)
+            of_A = self.noise_A[sample] if self.noise_A.ndim == 3 else full(self.noise_A)
+            shared = lever @ of_A @ lever.transpose(0, 2, 1)
+            cov = None if self.noise is None else shared + self._apart(rows)
+            one = (r[rows].reshape(n, width), J[rows].reshape(n, width, -1), cov, ("p",) * width, sample)
+            found.append(Measurement(*one, added=shared if cov is None else None))
+        return found
+
+    @cached_property
+    def _together(self) -> list[np.ndarray]:
+        """Rows (n, v) of the samples that have v points, for every such v."""
+        counts = np.bincount(self.sample)
+        first = np.cumsum(counts) - counts
+        return [first[counts == v][:, None] + np.arange(v) for v in np.unique(counts[counts > 0])]
+
+    def _apart(self, rows: np.ndarray) -> np.ndarray:
+        """Return the covariance (n, 3 v, 3 v) of noise that no two points share; rows (n, v)."""
+        noise = np.zeros(3) if self.noise is None else self.noise
+        n, v = rows.shape
+        cov = np.zeros((n, v, 3, v, 3))
+        for k in range(v):
+            cov[:, k, :, k, :] = noise[rows[:, k]] if noise.ndim == 3 else full(noise)
+        return cov.reshape(n, 3 * v, 3 * v)
 
 
 def marked_start(free: Points, marker: np.ndarray) -> Pair:

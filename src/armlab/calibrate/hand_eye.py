@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab.calibrate._arguments import pose_noise, poses
-from armlab.calibrate._hand_eye_equation import Equation, full, inverse_noise
+from armlab.calibrate._hand_eye_equation import Equation, full, robot_side, rotation_sd
 from armlab.calibrate._hand_eye_words import (
     Part,
     Words,
@@ -99,7 +99,7 @@ def fit_hand_eye(
     value = HandEye(setup, *found.value.poses())
     require_match(equation, residuals, ~found.outliers, value)
     if equation.noise is None:
-        require_two_axes(equation.RA, float(np.hypot(found.sigma[1], _robot_noise(equation))), carrier, names)
+        require_two_axes(equation.RA, float(np.hypot(found.sigma[1], rotation_sd(equation.noise_A))), carrier, names)
     words = Words(Part.of(names), equation.spread, limits_of(limits))
     judge = partial(check_spread, found.rows.J, words.names, words.units, words.widths, WHAT, describe=words)
     excitation = unhurried(judge, found.cov, words.widths, found.null.shape[1])
@@ -129,28 +129,14 @@ def _equation(
     of_camera, of_robot = pose_noise(noise, N), pose_noise(noise_robot, N, "noise_robot")
     if of_camera is not None and not np.all(np.diagonal(full(of_camera), axis1=-2, axis2=-1) > 0):
         raise ShapeError("Expected noise above zero, got zero. Leave it out to have it estimated.")
-    of_robot = of_robot if of_robot is not None and of_robot.any() else None
-    if setup == "eye_in_hand":
-        of_robot = None if of_robot is None else inverse_noise(of_robot, RA, tA)
-        RA = np.ascontiguousarray(RA.transpose(0, 2, 1))
-        tA = -(RA @ tA[:, :, None])[:, :, 0]
+    RA, tA, of_robot = robot_side(RA, tA, of_robot, setup)
     return Equation(RA, tA, RB, tB, of_camera, of_robot), [note for note in (first, second) if note]
 
 
 def _rotation_noise(equation: Equation, robust: bool) -> float:
     """Return what is known of the deviation of rotations before the fit [rad]."""
     if equation.noise is not None:
-        return float(np.hypot(_rotation_sd(equation.noise), _robot_noise(equation)))
+        return float(np.hypot(rotation_sd(equation.noise), rotation_sd(equation.noise_A)))
     if robust:
-        return _robot_noise(equation)
+        return rotation_sd(equation.noise_A)
     return float(np.sqrt(max(1.0 - np.linalg.svd(equation.product(), compute_uv=False)[0], 0.0)))
-
-
-def _robot_noise(equation: Equation) -> float:
-    return 0.0 if equation.noise_A is None else _rotation_sd(equation.noise_A)
-
-
-def _rotation_sd(noise: np.ndarray) -> float:
-    """Return the deviation of one component of a rotation [rad]."""
-    variance = noise if noise.ndim == 1 else np.diagonal(noise, axis1=-2, axis2=-1)
-    return float(np.sqrt(np.mean(variance[..., 3:])))

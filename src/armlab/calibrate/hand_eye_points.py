@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab._numbers import rows_text
-from armlab.calibrate._arguments import point_noise, poses
+from armlab.calibrate._arguments import point_noise, pose_noise, poses
+from armlab.calibrate._hand_eye_equation import robot_side, rotation_sd
 from armlab.calibrate._hand_eye_words import Part, Words, limits_of, remarks, require_samples, require_two_axes
 from armlab.calibrate._marker_equation import Sight, marked_start
 from armlab.calibrate._marker_match import require_sight
@@ -40,6 +41,7 @@ def fit_hand_eye_points(
     visible: ArrayLike | None = None,
     setup: Literal["eye_to_hand", "eye_in_hand"] = "eye_to_hand",
     noise: ArrayLike | None = None,
+    noise_robot: ArrayLike | None = None,
     robust: bool = False,
     limits: tuple[float, float] = LIMITS,
 ) -> Fit[HandEye]:
@@ -55,6 +57,7 @@ def fit_hand_eye_points(
     visible : (N, K) which points were seen; all when left out.
     setup : as in `fit_hand_eye`.
     noise : deviation of each coordinate of a point [m], or covariance (3, 3) or (N, K, 3, 3). Estimated when left out.
+    noise_robot : of T_base_tool, as in `fit_hand_eye`: all points of a sample share it. Exact when left out or zero.
     robust : find wrong samples; `Fit.outliers` marks them, and they do not count.
     limits : largest standard deviation accepted along any direction: share of the spread of the points, and [rad].
 
@@ -71,12 +74,12 @@ def fit_hand_eye_points(
     """
     if setup not in FRAMES:
         raise UnknownName.among("setup", setup, FRAMES)
-    sight, seen, notes = _sight(T_base_tool, p_cam, visible, setup, noise)
+    sight, seen, notes = _sight(T_base_tool, p_cam, visible, setup, noise, noise_robot)
     body = None if marker is None else marker_points(marker, sight.K, "p_cam")
     names, carrier = FRAMES[setup], FRAMES[setup][0].split("_")[1]
     require_samples(len(np.unique(sight.sample)), 3 if sight.K >= 3 else 5, "poses with points that were seen")
     held = "the points" if body is None else names[0]
-    require_two_axes(sight.RA, TURNED, carrier, (held, names[1]))
+    require_two_axes(sight.RA, max(TURNED, rotation_sd(sight.noise_A)), carrier, (held, names[1]))
     require_sight(sight)
     start = sight.start()
     try:
@@ -111,7 +114,7 @@ def fit_hand_eye_points(
 
 
 def _sight(
-    T_base_tool: ArrayLike, p_cam: ArrayLike, visible: ArrayLike | None, setup: str, noise: Any
+    T_base_tool: ArrayLike, p_cam: ArrayLike, visible: ArrayLike | None, setup: str, noise: Any, noise_robot: Any
 ) -> tuple[Sight, np.ndarray, list[str]]:
     """Return what was seen, checked, which points were visible (N, K), and what must be reported of the poses."""
     RA, tA, note = poses(T_base_tool, "T_base_tool")
@@ -121,14 +124,12 @@ def _sight(
             f"Expected as many poses of the robot as samples of points, got {len(RA)} and {len(p)}. Pair them by "
             "their time first, and give points that are missing by visible=."
         )
-    if setup == "eye_in_hand":
-        RA = np.ascontiguousarray(RA.transpose(0, 2, 1))
-        tA = -(RA @ tA[:, :, None])[:, :, 0]
+    RA, tA, of_robot = robot_side(RA, tA, pose_noise(noise_robot, len(RA), "noise_robot"), setup)
     cov = point_noise(noise, seen.shape)
     if cov is not None and cov.ndim == 4:
         cov = cov[seen]
     sample, point = np.nonzero(seen)
-    return Sight(RA, tA, p[seen], sample, point, seen.shape[1], cov), seen, [note] if note else []
+    return Sight(RA, tA, p[seen], sample, point, seen.shape[1], cov, of_robot), seen, [note] if note else []
 
 
 def _points(p_cam: ArrayLike, visible: ArrayLike | None) -> tuple[np.ndarray, np.ndarray]:

@@ -32,13 +32,14 @@ class Poses:
 
 @dataclass(frozen=True, eq=False)
 class Sights:
-    """Poses of a robot and points (N, 3, 3) of a marker, with the truth behind them."""
+    """Poses of a robot and points (N, 3, 3) of a marker, and the truth behind them: X, Y, both without noise."""
 
     A: np.ndarray
     p: np.ndarray
     X: np.ndarray
     Y: np.ndarray
     visible: np.ndarray
+    A_exact: np.ndarray
     p_exact: np.ndarray
 
     @property
@@ -97,8 +98,14 @@ def seen_poses(
     return Poses(A if robot is None else noisy(rng, A, robot), B, X, Y, A, exact)
 
 
-def seen_points(seed: Any, N: int = 100, sigma: float = 0.5e-3, missing: float = 0.2) -> Sights:
-    """Return experiment H5: three LEDs, some not seen."""
+def seen_points(
+    seed: Any,
+    N: int = 100,
+    sigma: float = 0.5e-3,
+    missing: float = 0.2,
+    robot: tuple[float, float] | None = None,
+) -> Sights:
+    """Return experiment H5: three LEDs, some not seen; with noise of the robot."""
     rng = np.random.default_rng(seed)
 
     def poses(count: int, size: float) -> np.ndarray:
@@ -110,4 +117,5 @@ def seen_points(seed: Any, N: int = 100, sigma: float = 0.5e-3, missing: float =
     T = se3.inv(Y) @ A @ X
     exact = np.einsum("nij,kj->nki", T[:, :3, :3], MARKER) + T[:, None, :3, 3]
     p = exact + sigma * rng.standard_normal((N, 3, 3))
-    return Sights(A, p, X, Y, rng.random((N, 3)) >= missing, exact)
+    visible = rng.random((N, 3)) >= missing
+    return Sights(A if robot is None else noisy(rng, A, robot), p, X, Y, visible, A, exact)

@@ -55,14 +55,23 @@ class Cell:
         """
         return _cell_hand_eye.seen_poses([self.seed, run], N, tilt, camera, robot, wrong)
 
-    def marker_points(self, run: int = 0, N: int = 100, *, sigma: float = 0.5e-3, missing: float = 0.2) -> Sights:
+    def marker_points(
+        self,
+        run: int = 0,
+        N: int = 100,
+        *,
+        sigma: float = 0.5e-3,
+        missing: float = 0.2,
+        robot: tuple[float, float] | None = None,
+    ) -> Sights:
         """Draw poses of a robot and three points of a marker that a camera sees.
 
         Parameters
         ----------
         run : number of the experiment. N : poses. sigma : noise of each coordinate [m]. missing : share not seen.
+        robot : noise of the robot's poses (position [m], rotation [rad]); exact when None.
         """
-        return _cell_hand_eye.seen_points([self.seed, run], N, sigma, missing)
+        return _cell_hand_eye.seen_points([self.seed, run], N, sigma, missing, robot)
 
     def force(
         self,
