@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,6 @@ from armlab.calibrate._marker_equation import Points, Sight
 from armlab.errors import NotConverged, NotExcited, ShapeError, UnknownName
 from armlab.estimation import Experiment, Fit, Gauge, check_estimator
 from armlab.lie import se3, so3
-from armlab.sim._cell_hand_eye import noisy
 
 SIGMA = 0.5e-3
 
@@ -279,75 +277,3 @@ def test_noise_in_three_forms_is_the_same_noise(leds) -> None:
         np.testing.assert_allclose(other.parameters, first.parameters, atol=1e-12)
         np.testing.assert_allclose(other.cov, first.cov, rtol=1e-9)
     assert "times the noise that was given" in first.report()
-
-
-ROBOT = (0.5e-3, np.radians(0.05))
-
-
-def test_noise_of_the_robot_reaches_all_points_of_a_sample(leds) -> None:
-    """The covariance of a sample's residuals, against differences of the poses; one sample misses a point."""
-    data, seen = leds.draw(11, 3), np.ones((3, 3), dtype=bool)
-    seen[1, 0] = False
-    S = np.diag(np.arange(1.0, 7.0))
-    points = leds.marker @ data.X[:3, :3].T + data.X[:3, 3]
-    at = Points(points, data.Y[:3, :3], data.Y[:3, 3])
-    sight = replace(sight_of(data, seen), noise_A=S)
-    columns = []
-    for step in np.eye(6) * 1e-6:
-        moved = sight_of(
-            replace(data, A=se3.from_rp(data.A[:, :3, :3] @ so3.exp(step[3:]), data.A[:, :3, 3] + step[:3])), seen
-        )
-        columns.append((moved.free().evaluate(at)[0].r - sight_of(data, seen).free().evaluate(at)[0].r) / 1e-6)
-    G = np.stack(columns, axis=2)
-    two, three = sight.free().evaluate(at)
-    for one, parts in ((two, [[3, 4]]), (three, [[0, 1, 2], [5, 6, 7]])):
-        for cov, rows in zip(one.added, parts, strict=True):
-            M = G[rows].reshape(-1, 6)
-            np.testing.assert_allclose(cov, M @ S @ M.T, rtol=1e-4, atol=1e-4)
-    np.testing.assert_array_equal(two.sample, [1])
-    np.testing.assert_array_equal(three.sample, [0, 2])
-
-
-@pytest.mark.parametrize("known", [True, False], ids=["known marker", "unknown marker"])
-def test_a_robot_without_noise_is_the_same_as_none_told(leds, known) -> None:
-    data, more = leds.draw(12), {"marker": leds.marker} if known else {}
-    given = {**data.given, "visible": data.visible, "noise": SIGMA, **more}
-    plain, zero = (fit_hand_eye_points(**given, noise_robot=told) for told in (None, 0.0))
-    for name in ("parameters", "cov", "sigma"):
-        assert getattr(plain, name).tobytes() == getattr(zero, name).tobytes()
-    little = fit_hand_eye_points(**given, noise_robot=(1e-9, 1e-9))  # the other way of whitening
-    np.testing.assert_allclose(little.parameters, plain.parameters, atol=1e-9)
-    np.testing.assert_allclose(little.cov, plain.cov, rtol=1e-6, atol=1e-6 * np.abs(plain.cov).max())
-
-
-@pytest.mark.parametrize("setup", ["eye_to_hand", "eye_in_hand"])
-@pytest.mark.parametrize("known", [True, False], ids=["known marker", "unknown marker"])
-def test_noise_of_the_robot_makes_the_covariance_honest(leds, setup, known) -> None:
-    nees: dict[bool, list[float]] = {True: [], False: []}
-    for run in range(15):
-        data = leds.draw([1100, run], 40, robot=ROBOT)
-        A = data.A
-        if setup == "eye_in_hand":  # the robot reads the inverse of A, with noise of its own
-            A = noisy(np.random.default_rng([1100, run, 1]), se3.inv(data.A_exact), ROBOT)
-        points = leds.marker @ data.X[:3, :3].T + data.X[:3, 3]
-        for told, values in nees.items():
-            fit = fit_hand_eye_points(
-                A, data.p, visible=data.visible, marker=leds.marker if known else None, setup=setup, noise=SIGMA,
-                noise_robot=ROBOT if told else None,
-            )  # fmt: skip
-            e = error(fit, (data.X, data.Y, points))
-            values.append(e @ np.linalg.solve(fit.cov, e) / len(e))
-    assert 0.75 < np.mean(nees[True]) < 1.3
-    assert np.mean(nees[False]) > 1.5
-
-
-def test_noise_of_the_camera_is_found_beside_that_of_the_robot(leds) -> None:
-    found = []
-    for run in range(5):
-        data = leds.draw([1101, run], robot=ROBOT)
-        p = data.p.copy()
-        p[:5] += 0.02
-        fit = fit_hand_eye_points(data.A, p, visible=data.visible, marker=leds.marker, noise_robot=ROBOT, robust=True)
-        assert fit.outliers[:5][data.visible[:5].any(axis=1)].all()
-        found.append(fit.sigma[0])
-    assert np.mean(found) == pytest.approx(SIGMA, rel=0.05)

@@ -200,3 +200,17 @@ def test_results_are_frozen_and_the_schedule_shrinks() -> None:
     with pytest.raises(ValueError, match="read-only"):
         found.cov[0, 0] = 1.0
     assert list(SCHEDULE) == sorted(SCHEDULE, reverse=True)
+
+
+def test_a_start_that_is_near_is_not_left() -> None:
+    """Two crowds: a loss that begins wide finds the larger one, a narrow one that at which it begins."""
+    y = np.concatenate([np.zeros(60), np.ones(40)]) + SIGMA * np.random.default_rng(0).standard_normal(100)
+
+    def evaluate(b: np.ndarray) -> list[Measurement]:
+        return [Measurement((b - y)[:, None], np.ones((100, 1, 1)), np.array([SIGMA**2]), ("y",))]
+
+    problem = Problem(evaluate, lambda b, step: b + step)
+    wide, narrow = (nonlinear_least_squares(problem, np.ones(1), robust=True, near=near) for near in (False, True))
+    np.testing.assert_allclose([wide.value[0], narrow.value[0]], [0.0, 1.0], atol=0.01)
+    assert wide.outliers[60:].all()
+    assert narrow.outliers[:60].all()

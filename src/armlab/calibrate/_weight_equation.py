@@ -7,7 +7,7 @@ with gamma = s m g in base axes. An accelerometer reads the same with gamma = -(
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate
 from typing import NamedTuple
@@ -119,6 +119,11 @@ class Equation:
         return Problem(
             self.evaluate, self.plus, what=self.what, residue=ROUNDING * (float(np.abs(self.y).max()) or 1.0)
         )
+
+    def only(self, kept: np.ndarray) -> Equation:
+        """Return it with some of its samples (N,)."""
+        noise = self.noise[kept] if self.noise is not None and self.noise.ndim == 3 else self.noise
+        return replace(self, RA=self.RA[kept], y=self.y[kept], noise=noise)
 
     @property
     def even(self) -> bool:

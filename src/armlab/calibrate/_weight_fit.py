@@ -10,6 +10,7 @@ import numpy as np
 
 from armlab.calibrate._weight_closed import Found, closed_form, is_closed
 from armlab.calibrate._weight_equation import Equation, Load, Turn
+from armlab.calibrate._weight_start import likely, twin
 from armlab.calibrate._weight_words import (
     MANY,
     Words,
@@ -19,8 +20,8 @@ from armlab.calibrate._weight_words import (
     require_right_hand,
 )
 from armlab.calibrate._weight_words import mirrored as mirrored_error
-from armlab.errors import NotExcited
-from armlab.estimation import Excitation, Fit, check_spread, nonlinear_least_squares, unhurried
+from armlab.errors import NotConverged, NotExcited
+from armlab.estimation import Excitation, Fit, NonlinearSolution, check_spread, nonlinear_least_squares, unhurried
 
 Value = TypeVar("Value")
 
@@ -71,10 +72,31 @@ def fit_weight(
 
 
 def _descended(equation: Equation, robust: bool) -> Found:
-    found = nonlinear_least_squares(equation.problem(), equation.start(), robust=robust, schedule=SCHEDULE)
-    if robust and equation.pull is not None and np.mean(found.outliers) > MANY:
+    start = equation.only(likely(equation)).start() if robust else equation.start()
+    found = _solved(equation, start, robust)
+    if equation.pull is None:
+        found = _better_of_twins(equation, found, robust)
+    elif robust and np.mean(found.outliers) > MANY:
         _try_other_hand(equation)
     return Found.of(equation, found)
+
+
+def _solved(equation: Equation, start: Load, robust: bool) -> NonlinearSolution[Load]:
+    return nonlinear_least_squares(equation.problem(), start, robust=robust, schedule=SCHEDULE, near=True)
+
+
+def _better_of_twins(equation: Equation, found: NonlinearSolution[Load], robust: bool) -> NonlinearSolution[Load]:
+    """Return the better of a minimum and of that from its `twin`: fewer outliers, then smaller residuals."""
+    try:
+        other = _solved(equation, twin(equation, found.value), robust)
+    except (NotConverged, NotExcited):
+        return found
+
+    def badness(one: NonlinearSolution[Load]) -> tuple[int, float]:
+        rest = one.cost if equation.noise is not None else float(np.prod(one.sigma))
+        return np.count_nonzero(one.outliers), rest
+
+    return min((found, other), key=badness)
 
 
 def _try_other_hand(equation: Equation) -> None:

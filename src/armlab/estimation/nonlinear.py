@@ -27,6 +27,7 @@ Value = TypeVar("Value")
 
 SCHEDULE = (200.0, 60.0, 20.0, 10.0)
 UNKNOWN_NOISE = (1000.0, 10.0, 5.0, 5.0)
+NARROW = 3  # last values of c that are left of a start that is near
 REWEIGHTED = 20  # iterations per c
 NEXT = 1e-2  # step in deviations below which c shrinks
 SETTLED = 1e-6  # relative change of sigma
@@ -72,7 +73,12 @@ class NonlinearSolution(Generic[Value]):
 
 
 def nonlinear_least_squares(
-    problem: Problem[Value], start: Value, *, robust: bool = False, schedule: Sequence[float] = SCHEDULE
+    problem: Problem[Value],
+    start: Value,
+    *,
+    robust: bool = False,
+    schedule: Sequence[float] = SCHEDULE,
+    near: bool = False,
 ) -> NonlinearSolution[Value]:
     """Fit a value on a manifold by maximum likelihood.
 
@@ -82,6 +88,7 @@ def nonlinear_least_squares(
     start : first value.
     robust : find outliers among the samples; `outliers` marks them.
     schedule : values of c of the graduated loss, in deviations, for given noise.
+    near : the start is that of the good samples: the loss begins narrow, where outliers cannot lead away from it.
 
     Raises
     ------
@@ -97,7 +104,8 @@ def nonlinear_least_squares(
     sigma = _first_noise(now, problem.residue)
     weight = np.ones(count)
     if robust:
-        start, sigma, weight = _graduate(problem, start, sigma, weight, UNKNOWN_NOISE if sigma else schedule)
+        steps = UNKNOWN_NOISE if sigma else schedule
+        start, sigma, weight = _graduate(problem, start, sigma, weight, steps[-NARROW:] if near else steps)
     found, sigma = _with_noise(problem, start, sigma, weight)
     for _ in range(FLAG_ROUNDS if robust else 0):
         fresh = _fits(problem, found.value, sigma, count)
