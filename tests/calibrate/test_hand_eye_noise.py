@@ -17,11 +17,11 @@ SIGMA = 0.5e-3
 ROBOT = (0.5e-3, np.radians(0.05))
 
 
-def pose_error(T: np.ndarray, truth: np.ndarray) -> np.ndarray:
+def pose_error(T: Any, truth: np.ndarray) -> np.ndarray:
     return np.concatenate([T[:3, 3] - truth[:3, 3], so3.log(truth[:3, :3].T @ T[:3, :3])])
 
 
-def error(fit: Fit[Any], truth: tuple[np.ndarray, np.ndarray, np.ndarray]) -> np.ndarray:
+def error(fit: Fit[Any], truth: tuple[Any, Any, Any]) -> np.ndarray:
     """Error of X and Y, or of the points and Y."""
     X, Y, points = truth
     first = (fit.value.points - points).ravel() if fit.value.X is None else pose_error(fit.value.X, X)
@@ -50,6 +50,7 @@ def test_noise_of_the_robot_reaches_all_points_of_a_sample(leds) -> None:
     G = np.stack(columns, axis=2)
     two, three = sight.free().evaluate(at)
     for one, parts in ((two, [[3, 4]]), (three, [[0, 1, 2], [5, 6, 7]])):
+        assert one.added is not None
         for cov, rows in zip(one.added, parts, strict=True):
             M = G[rows].reshape(-1, 6)
             np.testing.assert_allclose(cov, M @ S @ M.T, rtol=1e-4, atol=1e-4)
@@ -85,7 +86,7 @@ def test_noise_of_the_robot_makes_the_covariance_honest(hand_eye, leds, setup, k
                 noise_robot=ROBOT if told else None,
             )  # fmt: skip
             e = error(fit, (data.X, data.Y, points))
-            values.append(e @ np.linalg.solve(fit.cov, e) / len(e))
+            values.append(float(e @ np.linalg.solve(fit.cov, e)) / len(e))
     assert 0.75 < np.mean(nees[True]) < 1.3
     assert np.mean(nees[False]) > 1.5
 

@@ -94,7 +94,7 @@ def _better_of_twins(equation: Equation, found: NonlinearSolution[Load], robust:
 
     def badness(one: NonlinearSolution[Load]) -> tuple[int, float]:
         rest = one.cost if equation.noise is not None else float(np.prod(one.sigma))
-        return np.count_nonzero(one.outliers), rest
+        return int(np.count_nonzero(one.outliers)), rest
 
     return min((found, other), key=badness)
 
