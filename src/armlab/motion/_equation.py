@@ -43,9 +43,10 @@ class Equation:
     scaling: str = "goal"
     convention: str = "lund"
     demo_weights: np.ndarray | None = None
+    limits: np.ndarray | None = None
 
     UNITS: ClassVar[dict[str, str]] = {
-        **dict.fromkeys(("weights", "demo_weights", "y0", "g", "extent"), "unit of y, rad or m"),
+        **dict.fromkeys(("weights", "demo_weights", "y0", "g", "extent", "limits"), "unit of y, rad or m"),
         "v0": "unit of y per s",
         "peak_acceleration": "unit of y per s^2",
         "tau_d": "s",
@@ -55,7 +56,7 @@ class Equation:
 
     def __post_init__(self) -> None:
         """Check and freeze."""
-        for name in ("weights", "centres", "widths", *PER_COORDINATE, "demo_weights"):
+        for name in ("weights", "centres", "widths", *PER_COORDINATE, "demo_weights", "limits"):
             given = getattr(self, name)
             if given is None:
                 continue
@@ -93,6 +94,8 @@ class Equation:
                 )
         if (self.widths <= 0).any():
             raise ShapeError("Expected widths above zero, got another. They are standard deviations.")
+        if self.limits is not None and (self.limits.shape != (2, n) or (self.limits[0] > self.limits[1]).any()):
+            raise ShapeError(f"Expected limits (2, {n}), lowest before highest, got shape {self.limits.shape}.")
         if self.demo_weights is not None and self.demo_weights.shape[1:] != (m, n):
             raise ShapeError(f"Expected demo_weights of shape (M, {m}, {n}), got {self.demo_weights.shape}.")
 

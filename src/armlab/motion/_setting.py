@@ -15,7 +15,7 @@ from armlab.lie import so3
 if TYPE_CHECKING:
     from armlab.motion.dmp import Dmp
 
-__all__ = ["Setting", "goal_scale", "rotation", "vector"]
+__all__ = ["Setting", "check_goal", "goal_scale", "rotation", "vector"]
 
 UNSCALED = 0.05  # of the range of the demonstration: displacement below which the goal does not scale a coordinate
 HALF_TURN = 1e-6  # sine and cosine of an angle that no rotation between two directions is told from
@@ -59,6 +59,7 @@ class Setting:
                 "fit with scaling='amplitude'."
             )
         start, goal = np.broadcast_arrays(start, goal)
+        check_goal(dmp, goal)
         scale, primitive, turn = np.ones(start.shape), dmp.primitive, None
         if dmp.scaling == "goal":
             scale = goal_scale(dmp, start, goal)
@@ -100,6 +101,24 @@ def vector(value: ArrayLike, what: str, n: int) -> np.ndarray:
     if not np.isfinite(array).all():
         raise ShapeError(f"Expected a finite {what}, got {array}. Leave it out to take that of the demonstration.")
     return array
+
+
+def check_goal(dmp: Dmp, g: np.ndarray) -> None:
+    """Refuse a goal outside the limits of the primitive.
+
+    Raises
+    ------
+    ShapeError : it is, with its coordinates.
+    """
+    if dmp.limits is None:
+        return
+    low, high = dmp.limits
+    outside = np.unique(np.nonzero((g < low) | (g > high))[-1])
+    if len(outside):
+        raise ShapeError(
+            f"Expected a goal within limits, got coordinates {outside.tolist()} of {g} outside {low[outside]} to "
+            f"{high[outside]}. Choose another goal."
+        )
 
 
 def goal_scale(dmp: Dmp, y0: np.ndarray, g: np.ndarray) -> np.ndarray:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab import models
-from armlab._numbers import number, numbers
+from armlab._numbers import generator, number, numbers
 from armlab.errors import ConfigError, ShapeError
 from armlab.motion._equation import SCALINGS, Equation
 from armlab.motion._setting import Setting, vector
@@ -39,13 +39,53 @@ class Dmp(Equation):
     alpha_z, beta_z, alpha_x : constants of the spring and of the phase.
     schedule : "canonical", "time" or "position". scaling : of the forcing: "goal", "none", "amplitude" or "rotate".
     convention : of alpha_x and tau_d: "lund" (1, a third of the duration) or "ijspeert" (alpha_z / 3, the duration).
-    demo_weights : (M, n_basis, n) of each of M >= 3 demonstrations; empty where there were fewer.
+    demo_weights : (M, n_basis, n) of each of M >= 3 demonstrations; None where there were fewer.
+    limits : (2, n) lowest and highest goal that is accepted; None for any.
 
     References
     ----------
     Ijspeert, Nakanishi, Hoffmann, Pastor and Schaal (2013), Neural Computation 25(2), 328-373. Derivations:
     docs/theory/dmp.md.
     """
+
+    @property
+    def weight_covariance(self) -> np.ndarray:
+        """Covariance (n_basis n, n_basis n) of the weights between demonstrations, weights in C order.
+
+        Raises
+        ------
+        ConfigError : it was fitted to fewer than three demonstrations.
+        """
+        apart = self._apart().reshape(len(self._apart()), -1)
+        return apart.T @ apart
+
+    def sample(self, rng: np.random.Generator) -> Dmp:
+        """Return the primitive with weights drawn from ``N(mean, weight_covariance)`` of its demonstrations.
+
+        Parameters
+        ----------
+        rng : of the random numbers.
+
+        Raises
+        ------
+        ConfigError : it was fitted to fewer than three demonstrations.
+        """
+        apart = self._apart()
+        drawn = np.tensordot(generator(rng).standard_normal(len(apart)), apart, 1)
+        return replace(self, weights=self.mean_weights + drawn)
+
+    @property
+    def mean_weights(self) -> np.ndarray:
+        """Mean (n_basis, n) of the weights of the demonstrations; the weights where there were fewer than three."""
+        return self.weights if self.demo_weights is None else self.demo_weights.mean(axis=0)
+
+    def _apart(self) -> np.ndarray:
+        """Return a root of the covariance: deviations of the demonstrations over the root of their number less one."""
+        if self.demo_weights is None:
+            raise ConfigError(
+                "Expected a primitive of at least three demonstrations, got one without demo_weights. Fit it to more."
+            )
+        return (self.demo_weights - self.mean_weights) / np.sqrt(len(self.demo_weights) - 1)
 
     def times(self, dt: float, duration: float | None = None) -> np.ndarray:
         """Return times from 0 in steps of `dt` to the end of a motion [s].

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from armlab import kernels
 from armlab._numbers import number
 from armlab.errors import ConfigError, ShapeError, UnknownName
-from armlab.motion._setting import Setting, goal_scale, vector
+from armlab.motion._setting import Setting, check_goal, goal_scale, vector
 from armlab.motion._solving import progress
 
 if TYPE_CHECKING:
@@ -116,9 +116,10 @@ class Stepper:
 
         Raises
         ------
-        ShapeError : another shape, not finite.
+        ShapeError : another shape, not finite, outside the limits of the primitive.
         """
         goal = vector(g, "g", self._dmp.n)
+        check_goal(self._dmp, goal)
         scale = goal_scale(self._dmp, self._run.y0, goal) if self._scales else self._run.scale
         self._kernel.change_goal(goal, scale, self._limit)
         self._goal = np.array(goal)

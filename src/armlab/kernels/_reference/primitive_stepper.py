@@ -65,7 +65,7 @@ class PrimitiveStepper:
     def _goal(self, s: float) -> np.ndarray:
         return self.g if self.moved is None else self.target + self.ahead * np.exp(-self.filter * (s - self.moved))
 
-    def step(self, dt: float) -> tuple[np.ndarray, ...]:
+    def step(self, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Advance by dt and return y, yd, ydd.
 
         Parameters
@@ -149,7 +149,7 @@ class PrimitiveStepper:
         positive(np.array([tau]), "tau")
         self.z, self.tau = self.z * (tau / self.tau), tau
 
-    def outputs(self) -> tuple[np.ndarray, ...]:
+    def outputs(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return y, yd, ydd as they are now."""
         p, yd = self.primitive, self.z / self.tau
         ydd = (p.stiffness * (self.g - self.y) - p.alpha * self.z + self.forcing) / self.tau**2

@@ -1,0 +1,125 @@
+"""Demonstrations: what is accepted, and what a primitive takes from each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armlab._numbers import numbers
+from armlab.errors import ShapeError
+
+__all__ = ["Demo", "differences", "read_demos"]
+
+FEWEST = 3  # samples
+EVEN = 1e-9  # relative deviation of a step below which it is the rounding of the clock
+LISTED = 10  # row numbers that a message names
+BACK = 1e-3  # of the displacement: a step back or a rest that is no turn
+PAUSE = 0.05  # of the duration without progress that is a pause
+
+
+@dataclass(frozen=True)
+class Demo:
+    """One demonstration: t (N,) from 0 [s], y (N, n), and weights of the samples (N,), of mean 1."""
+
+    t: np.ndarray
+    y: np.ndarray
+    weights: np.ndarray
+
+    @property
+    def duration(self) -> float:
+        """From the first to the last sample [s]."""
+        return float(self.t[-1])
+
+    @property
+    def velocity(self) -> np.ndarray:
+        """Central differences on the true time stamps (N, n), one-sided at the ends."""
+        return differences(self.y, self.t)
+
+    @property
+    def acceleration(self) -> np.ndarray:
+        """Differences of the velocity (N, n)."""
+        return differences(self.velocity, self.t)
+
+    def progress(self, i: int) -> np.ndarray:
+        """Return how far coordinate i has come (N,), from 0 to 1; NaN where it ends where it began."""
+        y = self.y[:, i]
+        way = y[-1] - y[0]
+        return (y - y[0]) / (way if way != 0.0 else np.nan)
+
+    def steps_back(self, i: int) -> int | None:
+        """Return the first sample at which coordinate i is behind by more than BACK of its way, or None."""
+        p = self.progress(i)
+        back = np.flatnonzero(~(np.maximum.accumulate(p) - p <= BACK))
+        return int(back[0]) if len(back) else None
+
+    def pauses(self, i: int) -> int | None:
+        """Return the first sample of a pause of coordinate i on its way, None where there is none."""
+        p = np.maximum.accumulate(self.progress(i))
+        inside = np.flatnonzero((p > BACK) & (p < 1.0 - BACK))
+        later = np.searchsorted(self.t, self.t[inside] + PAUSE * self.duration).clip(max=len(p) - 1)
+        still = np.flatnonzero(p[later] - p[inside] < BACK)
+        return int(inside[still[0]]) if len(still) else None
+
+
+def differences(y: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Return central differences along axis 0 on true time stamps, one-sided at the ends.
+
+    Parameters
+    ----------
+    y : (N, n). t : (N,) increasing [s].
+    """
+    steps = np.diff(t)
+    mean = t[-1] / len(steps) if t[0] == 0.0 else (t[-1] - t[0]) / len(steps)
+    return np.gradient(y, mean if np.ptp(steps) < EVEN * mean else t, axis=0)
+
+
+def read_demos(t: Any, y: Any, sample_weights: Any) -> list[Demo]:
+    """Return the demonstrations of one or of lists of arrays.
+
+    Raises
+    ------
+    ShapeError : lists of different length, other shapes, NaN with its rows, times that do not increase, few samples.
+    """
+    many = isinstance(t, Sequence) and len(t) > 0 and np.ndim(t[0]) == 1
+    if not many:
+        return [_demo(t, y, sample_weights, "")]
+    weights = [None] * len(t) if sample_weights is None else sample_weights
+    if not isinstance(y, Sequence) or len(y) != len(t) or len(weights) != len(t):
+        raise ShapeError(f"Expected as many y and sample_weights as the {len(t)} t, got others. Give equal lists.")
+    demos = [_demo(*parts, f" of demonstration {k}") for k, parts in enumerate(zip(t, y, weights))]
+    widths = {demo.y.shape[1] for demo in demos}
+    if len(widths) > 1:
+        raise ShapeError(f"Expected demonstrations of as many coordinates, got {sorted(widths)}. Fit them apart.")
+    return demos
+
+
+def _demo(t: ArrayLike, y: ArrayLike, weights: ArrayLike | None, which: str) -> Demo:
+    times, values = numbers(t, f"t{which}", ShapeError), numbers(y, f"y{which}", ShapeError)
+    values = values[:, None] if values.ndim == 1 else values
+    if times.ndim != 1 or values.ndim != 2 or len(values) != len(times) or not values.shape[1]:
+        raise ShapeError(
+            f"Expected t (N,) and y (N, n){which}, got shapes {times.shape} and {np.shape(y)}. Put time on axis 0."
+        )
+    if len(times) < FEWEST:
+        raise ShapeError(f"Expected at least {FEWEST} samples{which}, got {len(times)}. Record the whole motion.")
+    rows = np.flatnonzero(~(np.isfinite(times) & np.isfinite(values).all(axis=1)))
+    if len(rows):
+        raise ShapeError(f"Expected finite t and y{which}, got NaN or Inf in rows {_listed(rows)}. Drop them.")
+    rows = np.flatnonzero(np.diff(times) <= 0) + 1
+    if len(rows):
+        raise ShapeError(
+            f"Expected times that increase{which}, got repeated or earlier ones in rows {_listed(rows)}. Drop them."
+        )
+    given = np.ones(len(times)) if weights is None else numbers(weights, f"sample_weights{which}", ShapeError)
+    if given.shape != times.shape or not np.isfinite(given).all() or given.min() < 0 or not given.any():
+        raise ShapeError(f"Expected sample_weights (N,){which}, finite and not negative, got others. 1 is usual.")
+    return Demo(times - times[0], values, given / given.mean())
+
+
+def _listed(rows: np.ndarray) -> str:
+    text = ", ".join(map(str, rows[:LISTED]))
+    return text if len(rows) <= LISTED else f"{text} and {len(rows) - LISTED} more"

@@ -1,0 +1,54 @@
+"""Least squares by an orthogonal factor of the column-scaled matrix; the normal matrix is never formed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["Solution", "solve"]
+
+RCOND = 1e-11  # relative singular value below which a direction is left at zero
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Solution x (p, q) of ``A x = b``, the inverse G (p, p) of the normal matrix, and the triangle (p, p) of A."""
+
+    x: np.ndarray
+    G: np.ndarray
+    triangle: np.ndarray
+
+
+def solve(A: np.ndarray, b: np.ndarray, ridge: np.ndarray | None = None) -> Solution:
+    """Minimise ``||A x - b||^2 + sum ridge x^2``.
+
+    Parameters
+    ----------
+    A : (N, p). b : (N, q). ridge : (p,) penalties of the unknowns.
+    """
+    from scipy.linalg import get_lapack_funcs, solve_triangular
+
+    p, q = A.shape[1], b.shape[1]
+    if ridge is not None and ridge.any():
+        A, b = np.vstack([A, np.diag(np.sqrt(ridge))]), np.vstack([b, np.zeros((p, q))])
+    if len(A) < p:
+        A, b = np.vstack([A, np.zeros((p - len(A), p))]), np.vstack([b, np.zeros((p - len(b), q))])
+    norms = np.sqrt(np.einsum("ij,ij->j", A, A))
+    scale = np.where(norms > 0, norms, 1.0)
+    joined = np.empty((len(A), p + q), order="F")
+    np.divide(A, scale, out=joined[:, :p])
+    joined[:, p:] = b
+    geqrf, trcon = get_lapack_funcs(("geqrf", "trcon"), (joined,))
+    factor = geqrf(joined, overwrite_a=True)[0]
+    R, rotated = np.triu(factor[:p, :p]), factor[:p, p:]
+    if trcon(R)[0] > RCOND:
+        inverse = solve_triangular(R, np.eye(p))
+        x = solve_triangular(R, rotated)
+    else:
+        U, s, V = np.linalg.svd(R)
+        told = s > RCOND * s[0]
+        inverse = V.T * np.where(told, 1.0 / np.where(told, s, 1.0), 0.0)
+        x = inverse @ (U.T @ rotated)
+    inverse = inverse / scale[:, None]
+    return Solution(x / scale[:, None], inverse @ inverse.T, R * scale)
