@@ -12,6 +12,7 @@ from armlab.errors import ConfigError, ShapeError, UnknownName
 from armlab.estimation import Experiment, Fit, Gauge, check_estimator
 from armlab.lie import so3
 from armlab.motion import Dmp, fit_dmp
+from armlab.motion.fit import METHODS
 
 U = np.linspace(0, 1, 1001)
 S = 10 * U**3 - 15 * U**4 + 6 * U**5
@@ -120,7 +121,7 @@ def test_position_phase() -> None:
 
 @pytest.mark.parametrize("schedule", ["canonical", "time", "position"])
 @pytest.mark.parametrize("convention", ["lund", "ijspeert"])
-@pytest.mark.parametrize("method", ["trajectory", "acceleration", "lwr"])
+@pytest.mark.parametrize("method", METHODS)
 def test_every_method_follows(schedule: str, convention: str, method: str) -> None:
     t = np.linspace(0, 2, 101)
     u = t / 2
