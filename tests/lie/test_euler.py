@@ -93,6 +93,14 @@ def test_an_unknown_convention_is_refused() -> None:
         euler.from_rpy((0, 0, 0), [0, 1, 2])  # type: ignore[arg-type]
 
 
+def test_the_convention_has_no_default() -> None:
+    """The ancestor had one for each direction, and they were not the same."""
+    with pytest.raises(TypeError, match="convention"):
+        euler.from_rpy((0.1, 0.2, 0.3))  # type: ignore[call-arg]
+    with pytest.raises(TypeError, match="convention"):
+        euler.to_rpy(np.eye(3))  # type: ignore[call-arg]
+
+
 def test_bad_input_is_a_sentence() -> None:
     with pytest.raises(ShapeError, match="Expected rpy of shape"):
         euler.from_rpy((0, 0), "zyx")

@@ -86,6 +86,15 @@ class Scans:
         """Number of plates."""
         return int(self.plane.max()) + 1
 
+    def without(self, i: int) -> Scans:
+        """Return all scans but one."""
+        keep, rows = np.arange(self.N) != i, self.owner != i
+        owner = self.owner[rows] - (self.owner[rows] > i)
+        points = None if self.points is None else self.points[rows]
+        return Scans(
+            self.RA[keep], self.tA[keep], self.plane[keep], self.p[keep], self.line[keep], points, owner, self.noise
+        )
+
     @property
     def numbers(self) -> int:
         """How many numbers were measured."""

@@ -29,6 +29,7 @@ MANY = 0.35  # share of outliers from which another start is tried
 STEPS, TUNING, SETTLED = 9, 5.0, 1e-2  # of a short descent: most steps, c, last step in deviations
 BEST, WORSE, SAME = 2, 5.0, 1e-3  # of a group: how many are fitted, how much worse than the best, how alike
 CLEAR = (2e-3, 0.03)  # residual over the spread of the points, and [rad], from which no other starts are tried
+HELD = 0.6  # of a scan's two numbers: the share of what they say that they say alone, from which it is doubted
 TINY = 1e-12  # m, rad: rounding
 
 
@@ -49,7 +50,7 @@ def searched(scans: Scans, guess: np.ndarray | None, robust: bool) -> NonlinearS
     for group in _groups(scans, guess, ratio):
         for found in _fitted(scans, group, ratio, robust):
             if scans.noise is not None and agrees(found):
-                return _oriented(scans, found, robust)
+                return _oriented(scans, _doubted(scans, found, ratio) if robust else found, robust)
             if best is None or _rank(scans, found, ratio, robust) < _rank(scans, best, ratio, robust):
                 best = found
         if best is not None and len(group) > 1 and scans.noise is None and _is_clear(scans, best):
@@ -149,11 +150,30 @@ def _tried(scans: Scans, scene: Scene, robust: bool) -> NonlinearSolution[Scene]
         return None
 
 
+def _doubted(scans: Scans, found: NonlinearSolution[Scene], ratio: float) -> NonlinearSolution[Scene]:
+    """Return the fit, or a better one without a scan that holds it: a wrong one may have others left out in its place.
+
+    Where a plate is nearly parallel to the laser plane, one scan tells more of the rotation than all others.
+    """
+    held = np.einsum("ij,jk,ik->i", found.rows.J, found.cov, found.rows.J)
+    numbers = np.bincount(found.rows.sample, minlength=scans.N)
+    strong = np.bincount(found.rows.sample, held, minlength=scans.N) > HELD * np.minimum(numbers, 2)
+    for i in np.flatnonzero(strong & ~found.outliers).tolist():
+        try:
+            rest = nonlinear_least_squares(scans.without(i).problem(), found.value, robust=True, schedule=SCHEDULE)
+            other = nonlinear_least_squares(scans.problem(), rest.value, robust=True, schedule=SCHEDULE[-1:])
+        except (NotConverged, NotExcited, ShapeError, np.linalg.LinAlgError):
+            continue
+        if agrees(other) and _rank(scans, other, ratio, True) < _rank(scans, found, ratio, True):
+            found = other
+    return found
+
+
 def _oriented(scans: Scans, found: NonlinearSolution[Scene], robust: bool) -> NonlinearSolution[Scene]:
     """Return the fit with normals away from the origin."""
     if np.all(found.value.d >= 0):
         return found
-    return nonlinear_least_squares(scans.problem(), found.value.oriented(), robust=robust, schedule=SCHEDULE)
+    return nonlinear_least_squares(scans.problem(), found.value.oriented(), robust=robust, schedule=SCHEDULE[-1:])
 
 
 def _is_clear(scans: Scans, found: NonlinearSolution[Scene]) -> bool:
