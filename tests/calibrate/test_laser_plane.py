@@ -131,7 +131,7 @@ def test_wrong_scans_are_flagged_by_index(laser) -> None:
 
 
 def test_a_wrong_scan_that_holds_the_fit_is_found(laser) -> None:
-    """Scan 0 lies on a plate nearly parallel to the laser plane and tells more than the rest: 52 was left out for it."""
+    """Scan 0, its plate nearly parallel to the laser plane, tells more than the rest: 52 was left out for it."""
     data = cell(4000).laser(849, wrong=3)
     fit = fit_laser_plane(**data.given, noise=NOISE, robust=True)
     assert np.flatnonzero(fit.outliers).tolist() == [0, 1, 2]
