@@ -7,6 +7,7 @@ void bind_datagrams(nb::module_ &m);
 void bind_drive(nb::module_ &m);
 void bind_egm(nb::module_ &m);
 void bind_estimator(nb::module_ &m);
+void bind_hand_eye(nb::module_ &m);
 void bind_inverse(nb::module_ &m);
 void bind_lie(nb::module_ &m);
 void bind_nearest(nb::module_ &m);
@@ -29,6 +30,7 @@ NB_MODULE(_native, m) {
   bind_drive(m);
   bind_egm(m);
   bind_estimator(m);
+  bind_hand_eye(m);
   bind_inverse(m);
   bind_lie(m);
   bind_nearest(m);

@@ -2,6 +2,7 @@
 // armlab/kernels/_reference/weight.py.
 #pragma once
 
+#include "lie_arguments.h"
 #include "nearest.h"
 
 namespace armlab {
@@ -20,9 +21,6 @@ struct Weighing {
 struct Weighed {
   double *R, *bias, *residuals, *cov, *products, *numbers;
 };
-
-inline Vec3<double> vector_at(const double *m) { return {m[0], m[1], m[2]}; }
-inline void write_vector(const Vec3<double> &a, double *m) { m[0] = a.x, m[1] = a.y, m[2] = a.z; }
 
 // total += w a b^T, row by row.
 inline void add_product(double *total, double w, const Vec3<double> &a, const Vec3<double> &b) {
@@ -80,7 +78,7 @@ inline void turned_weight(const Weighing &in, const Weighed &out) {
   Vec3<double> h_mean{0.0, 0.0, 0.0}, f_mean{0.0, 0.0, 0.0};
   for (std::ptrdiff_t i = 0; i < in.N; ++i) {
     const Vec3<double> h = Rotation<double>::read(in.R + 9 * i, 3).turn_back(g);
-    write_vector(h, out.residuals + 3 * i);  // for a while
+    write(h, out.residuals + 3 * i);  // for a while
     weights += weight(i);
     h_mean = h_mean + weight(i) * h;
     f_mean = f_mean + weight(i) * vector_at(in.force + 3 * i);
@@ -90,7 +88,7 @@ inline void turned_weight(const Weighing &in, const Weighed &out) {
   double *H = out.products, *S = out.products + 9, F = 0.0;
   std::fill(H, H + 18, 0.0);
   for (std::ptrdiff_t i = 0; i < in.N; ++i) {
-    const Vec3<double> h = vector_at(out.residuals + 3 * i) - h_mean, f = vector_at(in.force + 3 * i) - f_mean;
+    const Vec3<double> h = vector_at<double>(out.residuals + 3 * i) - h_mean, f = vector_at(in.force + 3 * i) - f_mean;
     add_product(H, weight(i), h, h);
     add_product(S, weight(i), h, f);
     F += weight(i) * dot(f, f);
@@ -102,14 +100,14 @@ inline void turned_weight(const Weighing &in, const Weighed &out) {
   const double m = in.free_mass ? along / total : in.mass, m_other = in.free_mass ? other / total : in.mass;
   double power = 0.0;
   for (std::ptrdiff_t i = 0; i < in.N; ++i) {
-    const Vec3<double> h = vector_at(out.residuals + 3 * i) - h_mean, f = vector_at(in.force + 3 * i) - f_mean;
+    const Vec3<double> h = vector_at<double>(out.residuals + 3 * i) - h_mean, f = vector_at(in.force + 3 * i) - f_mean;
     const Vec3<double> r = f - m * R.turn_back(h);
     power += weight(i) * dot(r, r);
-    write_vector(r, out.residuals + 3 * i);
+    write(r, out.residuals + 3 * i);
   }
   const Vec3<double> mean = R.turn_back(h_mean);
   R.write(out.R, 3);
-  write_vector(f_mean - m * mean, out.bias);
+  write(f_mean - m * mean, out.bias);
   write_covariance(in, R, m, H, total, mean, weights, out.cov);
   const double other_power = std::max(F - 2.0 * m_other * other + m_other * m_other * total, 0.0);
   const double numbers[5] = {m, m_other, power, other_power, F};

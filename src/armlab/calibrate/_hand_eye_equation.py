@@ -63,9 +63,9 @@ class Equation:
         return len(self.tA)
 
     @cached_property
-    def _flat(self) -> tuple[np.ndarray, np.ndarray]:
-        """R_A^T below each other (3 N, 3), and the numbers of the pairs (N,): what every evaluation needs."""
-        return np.ascontiguousarray(self.RA.transpose(0, 2, 1)).reshape(-1, 3), np.arange(self.N)
+    def _sample(self) -> np.ndarray:
+        """The numbers of the pairs (N,)."""
+        return np.arange(self.N)
 
     @cached_property
     def mean(self) -> np.ndarray:
@@ -99,29 +99,19 @@ class Equation:
 
     def evaluate(self, pair: Pair) -> list[Measurement]:
         """Return r_t = t_B - t_h in camera axes and r_R = Log(R_h^T R_B) in marker axes, where h = Y^-1 A X."""
-        RX, tX, RY, tY = pair
-        turned, sample = self._flat
-        C = (turned @ RY).reshape(-1, 3, 3).transpose(0, 2, 1)  # R_Y^T R_A
-        Rh = C @ RX
-        th = C @ tX + (self.tA - tY) @ RY
-        r, J = np.empty((self.N, 6)), np.zeros((self.N, 6, 12))
-        r[:, :3] = self.tB - th
-        back = Rh.transpose(0, 2, 1)
-        r[:, 3:] = rotation = so3.log(back @ self.RB)
-        J[:, :3, :3] = -C
-        J[:, :3, 6:9] = RY.T
-        J[:, 0, 10], J[:, 1, 11], J[:, 2, 9] = th[:, 2], th[:, 0], th[:, 1]  # -hat(th)
-        J[:, 0, 11], J[:, 1, 9], J[:, 2, 10] = -th[:, 1], -th[:, 2], -th[:, 0]
-        bent = so3.left_jacobian_inv(rotation)
-        J[:, 3:, 3:6] = -bent
-        J[:, 3:, 9:] = bent @ back
-        of_A = self._noise_of_A(pair, C)
+        r, J = kernels.hand_eye_rows(self.RA, self.tA, self.RB, self.tB, *pair)
+        of_A = self._noise_of_A(pair, -J[:, :3, :3])
         if self.noise is None:
-            return [Measurement(r, J, None, CLASSES, sample, added=of_A)]
-        return [Measurement(r, J, self.noise if of_A is None else full(self.noise) + of_A, CLASSES, sample)]
+            return [Measurement(r, J, None, CLASSES, self._sample, added=of_A)]
+        return [Measurement(r, J, self.noise if of_A is None else full(self.noise) + of_A, CLASSES, self._sample)]
 
     def _noise_of_A(self, pair: Pair, C: np.ndarray) -> np.ndarray | None:
-        """Return G S_A G^T (N, 6, 6), G = [[-R_Y^T, R_Y^T R_A hat(t_X)], [0, -R_X^T]]: the lever t_X couples both."""
+        """Return G S_A G^T (N, 6, 6), G = [[-R_Y^T, C hat(t_X)], [0, -R_X^T]]: the lever t_X couples both.
+
+        Parameters
+        ----------
+        C : (N, 3, 3) R_Y^T R_A.
+        """
         if self.noise_A is None:
             return None
         G = np.zeros((self.N, 6, 6))

@@ -11,6 +11,7 @@ from armlab.kernels._reference.drive import Drive, basis_weights, model_torque, 
 from armlab.kernels._reference.egm import EgmReader, EgmWriter
 from armlab.kernels._reference.estimator import WrenchEstimator
 from armlab.kernels._reference.euler import euler_from_rpy, euler_to_rpy
+from armlab.kernels._reference.hand_eye import hand_eye_rows
 from armlab.kernels._reference.inverse import InverseSolver
 from armlab.kernels._reference.lie import (
     quaternion_from_matrix,
@@ -64,6 +65,7 @@ __all__ = [
     "euler_to_rpy",
     "basis_weights",
     "follow_path",
+    "hand_eye_rows",
     "limit_reference",
     "model_torque",
     "momentum_step",
