@@ -2,18 +2,13 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <utility>
 
 namespace armlab {
 namespace {
 
-constexpr double gate_share = 0.1, thaw = 0.8;
-constexpr double least = -40.0;  // kernels this far below the largest exponent add less than rounding
-
-double gate(double u) {
-  const double s = std::min(std::max((u - 1.0) / gate_share, 0.0), 1.0);
-  return 1.0 - s * s * s * (10.0 + s * (6.0 * s - 15.0));
-}
+constexpr double thaw = 0.8;
 
 bool finite(const double *values, int n) {
   return std::all_of(values, values + n, [](double x) { return std::isfinite(x); });
@@ -25,63 +20,39 @@ struct TwoDof::Law {
   double ycd[max_joints], ycdd[max_joints], yadd[max_joints], zd[max_joints], ed[max_joints], xd;
 };
 
-TwoDof::TwoDof(Parameters parameters) : p_(std::move(parameters)), exponents_(p_.m) {}
-
-void TwoDof::basis(double x, int first, int last, double *sums) {
-  const int m = p_.m, n = p_.n;
-  double *exponents = exponents_.data();
-  double largest = -HUGE_VAL, total = 0.0;
-  for (int j = 0; j < m; ++j) {
-    const double u = (x - p_.centres[j]) / p_.widths[j];
-    exponents[j] = -0.5 * (u * u);
-    largest = std::max(largest, exponents[j]);
-  }
-  std::fill(sums + first, sums + last, 0.0);
-  for (int j = 0; j < m; ++j) {
-    const double below = exponents[j] - largest;
-    if (below < least) continue;
-    const double psi = std::exp(below);
-    const double *w = &p_.weights[j * n];
-    total += psi;
-    for (int i = first; i < last; ++i) sums[i] += psi * w[i];
-  }
-  for (int i = first; i < last; ++i) sums[i] /= total;
-}
+TwoDof::TwoDof(Parameters parameters)
+    : p_(std::move(parameters)), index_(p_.primitive.m), psi_(p_.primitive.m) {}
 
 void TwoDof::forcing(double x, const double *yc, double *f) {
-  const int n = p_.n;
-  if (p_.phase != Phase::position) {
-    basis(x, 0, n, f);
-    const double share = p_.phase == Phase::canonical ? x : gate(x);
-    for (int i = 0; i < n; ++i) f[i] *= share;
-    return;
-  }
-  for (int i = 0; i < n; ++i) {
+  const Primitive &primitive = p_.primitive;
+  if (primitive.phase != PhaseKind::position) return primitive.forcing(x, index_.data(), psi_.data(), f);
+  double left[max_joints];
+  for (int i = 0; i < n(); ++i) {
     const double way = p_.g[i] - p_.y0[i];
-    const double p = way == 0.0 ? 0.0 : std::min(std::max((p_.g[i] - yc[i]) / way, 0.0), 1.0);
-    basis(p, i, i + 1, f);
-    f[i] *= p;
+    left[i] = way == 0.0 ? 0.0 : std::min(std::max((p_.g[i] - yc[i]) / way, 0.0), 1.0);
   }
+  primitive.forcing_each(left, index_.data(), psi_.data(), f);
 }
 
 double TwoDof::frozen(const double *state) const {
-  const int n = p_.n;
+  const int n = this->n();
   double worst = 0.0;
-  for (int i = 0; i < n; ++i) worst = std::max(worst, std::fabs(state[3 * n + i] - state[i]) / p_.scale[i]);
+  for (int i = 0; i < n; ++i) worst = std::max(worst, std::fabs(state[3 * n + i] - state[i]) / p_.unit[i]);
   return worst > (state[5 * n + 1] != 0.0 ? thaw * p_.e_max : p_.e_max) ? 1.0 : 0.0;
 }
 
 double TwoDof::time_constant(const double *state) const {
   double sum = 0.0;
-  for (int i = 0; i < p_.n; ++i) {
-    const double d = std::max(std::fabs(state[2 * p_.n + i]) - p_.dead_zone[i], 0.0) / p_.scale[i];
+  for (int i = 0; i < n(); ++i) {
+    const double d = std::max(std::fabs(state[2 * n() + i]) - p_.dead_zone[i], 0.0) / p_.unit[i];
     sum += d * d;
   }
   return p_.tau * (1.0 + p_.kc * sum);
 }
 
 void TwoDof::law(const double *state, double v, double rate, Law &law) {
-  const int n = p_.n;
+  const Primitive &primitive = p_.primitive;
+  const int n = this->n();
   const double *yc = state, *z = yc + n, *e = z + n, *ya = e + n, *yad = ya + n, x = state[5 * n];
   if (state[5 * n + 1] != 0.0) v = rate = 0.0;
   const double tau_a = time_constant(state);
@@ -89,21 +60,21 @@ void TwoDof::law(const double *state, double v, double rate, Law &law) {
   for (int i = 0; i < n; ++i) {
     const double d = std::copysign(std::max(std::fabs(e[i]) - p_.dead_zone[i], 0.0), e[i]);
     law.ed[i] = p_.alpha_e * (ya[i] - yc[i] - e[i]);
-    turned += d / (p_.scale[i] * p_.scale[i]) * law.ed[i];
+    turned += d / (p_.unit[i] * p_.unit[i]) * law.ed[i];
   }
   const double tau_ad = 2.0 * p_.tau * p_.kc * turned;
   forcing(x, yc, f);
   for (int i = 0; i < n; ++i) {
     law.ycd[i] = v * z[i] / tau_a;
-    law.zd[i] = v * (p_.alpha_z * (p_.beta_z * (p_.g[i] - yc[i]) - z[i]) + f[i]) / tau_a;
+    law.zd[i] = v * (primitive.stiffness * (p_.g[i] - yc[i]) - primitive.alpha * z[i] + p_.scale[i] * f[i]) / tau_a;
     law.ycdd[i] = (v * law.zd[i] - law.ycd[i] * tau_ad + rate * z[i]) / tau_a;
     law.yadd[i] = p_.kp * (yc[i] - ya[i]) + p_.kv * (law.ycd[i] - yad[i]) + law.ycdd[i];
   }
-  law.xd = p_.phase == Phase::time ? v * p_.tau / (p_.duration * tau_a) : -v * p_.alpha_x * x / tau_a;
+  law.xd = v * (primitive.phase == PhaseKind::time ? primitive.pace : -primitive.decay * x) / tau_a;
 }
 
 void TwoDof::rates(const double *state, double v, double rate, const double *driven, double *out) {
-  const int n = p_.n;
+  const int n = this->n();
   Law now;
   law(state, v, rate, now);
   for (int i = 0; i < n; ++i) {
@@ -118,12 +89,15 @@ void TwoDof::rates(const double *state, double v, double rate, const double *dri
 }
 
 void TwoDof::advance(double *state, double dt, long steps, const double *driven, const Speed &speed) {
-  if (dt == 0.0) return;
-  const int n = p_.n, N = size();
+  const int n = this->n(), N = size();
   const double h = dt / steps, rate = (speed.end - speed.start) / dt;
   double k1[most], k2[most], k3[most], k4[most], stage[most];
   for (int i = 0; i < n; ++i)
     if (std::isfinite(driven[i])) state[4 * n + i] = driven[i];
+  if (dt == 0.0) {
+    state[N - 1] = frozen(state);
+    return;
+  }
   for (long step = 0; step < steps; ++step) {
     state[N - 1] = frozen(state);
     const double start = speed.start + rate * (step * h), middle = start + 0.5 * h * rate;
@@ -138,8 +112,14 @@ void TwoDof::advance(double *state, double dt, long steps, const double *driven,
   }
 }
 
+void TwoDof::slopes(const double *state, const Speed &speed, double *out) {
+  double nothing[max_joints];
+  std::fill_n(nothing, n(), std::numeric_limits<double>::quiet_NaN());
+  rates(state, speed.end, speed.rate, nothing, out);
+}
+
 void TwoDof::reference(const double *state, const Speed &speed, double *out) {
-  const int n = p_.n;
+  const int n = this->n();
   Law now;
   law(state, speed.end, speed.rate, now);
   std::copy_n(now.ycd, n, out);
@@ -149,7 +129,7 @@ void TwoDof::reference(const double *state, const Speed &speed, double *out) {
 
 void TwoDof::follow(double *state, double dt, long steps, const Speed &speed, const double *ya, const double *yad,
                     double *out) {
-  const int n = p_.n;
+  const int n = this->n();
   double driven[max_joints];
   std::copy_n(state + 4 * n, n, driven);
   advance(state, dt, steps, driven, speed);

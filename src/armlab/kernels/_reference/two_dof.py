@@ -4,17 +4,15 @@ One phase x and one time constant tau_a for all n coordinates, after Karlsson et
 instead of yc', which would be stiff::
 
     e'  = alpha_e (ya - yc - e),   d = sign(e) max(|e| - dead_zone, 0),   d' = e' where d is not 0, else 0
-    tau_a = tau (1 + kc sum (d / scale)^2),   tau_a' = 2 tau kc sum d d' / scale^2
-    yc' = v z / tau_a,   z' = v (alpha_z (beta_z (g - yc) - z) + f) / tau_a
-    x'  = -v alpha_x x / tau_a (canonical, position),   v tau / (duration tau_a) (time)
+    tau_a = tau (1 + kc sum (d / unit)^2),   tau_a' = 2 tau kc sum d d' / unit^2
+    yc' = v z / tau_a,   z' = v (stiffness (g - yc) - alpha z + scale f) / tau_a
+    x'  = -v decay x / tau_a (canonical, position),   v pace / tau_a (time)
     yc'' = (v z' - yc' tau_a') / tau_a + v' z / tau_a
     ya_ref'' = kp (yc - ya) + kv (yc' - ya') + yc''
 
-v is the speed: 1 as the primitive says, 0 for a stop; all rates have it, so the path stays the same. Where
-``max |ya - yc| / scale > e_max`` at the beginning of a step, yc, z and x stand still until it is below ``0.8 e_max``.
-
-The forcing is ``f = sum psi_j w_j`` times x, times the gate over time, or times the position phase
-``p = (g - yc) / (g - y0)`` of each coordinate; ``psi_j = exp(-(x - c_j)^2 / (2 sd_j^2))`` divided by their sum.
+with the forcing f of `primitive.py`. v is the speed: 1 as the primitive says, 0 for a stop; all rates have it, so the
+path stays the same. Where ``max |ya - yc| / unit > e_max`` at the beginning of a step, yc, z and x stand still until it
+is below ``0.8 e_max``.
 
 The state is ``[yc, z, e, ya, ya', x, frozen]``. Steps are Runge and Kutta's of fourth order, of all of it at once.
 """
@@ -25,11 +23,11 @@ import numpy as np
 
 from armlab.errors import ShapeError
 from armlab.kernels._reference.arrays import not_negative, positive, read
+from armlab.kernels._reference.primitive import Primitive, finite
 
 __all__ = ["TwoDof"]
 
-PHASES = ("canonical", "time", "position")
-GATE = 0.1  # of the time phase: share of the duration after its end in which the forcing falls to 0
+MOST = 32  # coordinates
 THAW = 0.8
 
 
@@ -38,48 +36,39 @@ class TwoDof:
 
     Parameters
     ----------
-    phase : "canonical", "time" or "position".
-    centres, widths : (m,) c and sd of the basis. weights : (m, n) of the forcing, with the scaling of this run in them.
-    y0, g : (n,) start, from which the position phase counts, and goal.
-    spring : (5,) alpha_z, beta_z, alpha_x, tau [s], duration [s].
+    primitive : spring, basis and weights. tau : its time constant [s].
+    y0, g, scale : (n,) start, from which the position phase counts, goal, and factor of the forcing.
     gains : (5,) kp [1/s^2], kv [1/s], kc, alpha_e [1/s], e_max, which may be infinite.
-    dead_zone, scale : (n,) of the error e.
+    dead_zone, unit : (n,) of the error e.
 
     Raises
     ------
-    ShapeError : another phase, wrong shapes, or numbers that are not finite or out of their range.
+    ShapeError : wrong shapes, more than 32 coordinates, or numbers that are not finite or out of their range.
     """
 
     def __init__(
         self,
-        phase: str,
-        centres: np.ndarray,
-        widths: np.ndarray,
-        weights: np.ndarray,
+        primitive: Primitive,
+        tau: float,
         y0: np.ndarray,
         g: np.ndarray,
-        spring: np.ndarray,
+        scale: np.ndarray,
         gains: np.ndarray,
         dead_zone: np.ndarray,
-        scale: np.ndarray,
+        unit: np.ndarray,
     ) -> None:
-        if phase not in PHASES:
-            raise ShapeError(f"Expected the phase canonical, time or position, got '{phase}'.")
-        self._phase = phase
-        self._weights = read(weights, "weights", np.shape(weights)[:2], exact=True).copy()
-        if self._weights.ndim != 2 or 0 in self._weights.shape:
-            raise ShapeError(f"Expected weights of shape (m, n), got {self._weights.shape}.")
-        m, self.n = self._weights.shape
-        self._centres = read(centres, "centres", (m,), exact=True).copy()
-        self._widths = read(widths, "widths", (m,), exact=True).copy()
-        self._y0 = read(y0, "y0", (self.n,), exact=True).copy()
-        self._g = read(g, "g", (self.n,), exact=True).copy()
-        self._spring = read(spring, "spring", (5,), exact=True).copy()
+        self._primitive, self._tau = primitive, tau
+        n = self.n = primitive.weights.shape[1]
+        if n > MOST:
+            raise ShapeError(f"Expected at most {MOST} coordinates, got {n}.")
+        self._y0, self._g, self._scale = (
+            finite(value, name, (n,)).copy() for value, name in ((y0, "y0"), (g, "g"), (scale, "scale"))
+        )
         self._gains = read(gains, "gains", (5,), exact=True).copy()
-        self._dead_zone = read(dead_zone, "dead_zone", (self.n,), exact=True).copy()
-        self._scale = read(scale, "scale", (self.n,), exact=True).copy()
-        for values, name in ((self._widths, "widths"), (self._spring, "spring"), (self._scale, "scale")):
-            positive(values, name)
+        self._dead_zone = read(dead_zone, "dead_zone", (n,), exact=True).copy()
+        self._unit = read(unit, "unit", (n,), exact=True).copy()
+        positive(np.array([tau]), "tau")
+        positive(self._unit, "unit")
         not_negative(self._gains[:4], "gains")
         not_negative(self._dead_zone, "dead_zone")
         if not self._gains[4] > 0.0:
@@ -104,10 +93,11 @@ class TwoDof:
         speed = read(speed, "speed", (3,), exact=True)
         if not 0.0 <= dt < np.inf or steps < 1:
             raise ShapeError("Expected a finite dt from 0 in at least one step, got others.")
-        if dt == 0.0:
-            return y
         moved = np.isfinite(driven)
         y[4 * n : 5 * n] = np.where(moved, driven, y[4 * n : 5 * n])
+        if dt == 0.0:
+            y[-1] = self._frozen(y)
+            return y
         h, rate = dt / steps, (speed[1] - speed[0]) / dt
         for k in range(steps):
             y[-1] = self._frozen(y)
@@ -129,6 +119,17 @@ class TwoDof:
         y = read(state, "state", (5 * self.n + 2,), exact=True)
         speed = read(speed, "speed", (3,), exact=True)
         return self._law(y, speed[1], speed[2])[:3].copy()
+
+    def slopes(self, state: np.ndarray, speed: np.ndarray) -> np.ndarray:
+        """Return the time derivative (5 n + 2,) of a state whose ya'' is ya_ref'', at the end of `speed` (3,).
+
+        Raises
+        ------
+        ShapeError : wrong shapes.
+        """
+        y = read(state, "state", (5 * self.n + 2,), exact=True)
+        speed = read(speed, "speed", (3,), exact=True)
+        return self._rates(y, speed[1], speed[2], np.zeros(self.n, dtype=bool))
 
     def follow(
         self, state: np.ndarray, dt: float, steps: int, speed: np.ndarray, ya: np.ndarray, yad: np.ndarray
@@ -162,20 +163,20 @@ class TwoDof:
 
     def _frozen(self, y: np.ndarray) -> float:
         n, e_max = self.n, self._gains[4]
-        worst = np.max(np.abs(y[3 * n : 4 * n] - y[:n]) / self._scale)
+        worst = np.max(np.abs(y[3 * n : 4 * n] - y[:n]) / self._unit)
         return 1.0 if worst > (THAW * e_max if y[-1] else e_max) else 0.0
 
     def _slowed(self, e: np.ndarray) -> tuple[float, np.ndarray]:
-        """Return tau_a and d / scale^2."""
+        """Return tau_a and d / unit^2."""
         d = np.sign(e) * np.maximum(np.abs(e) - self._dead_zone, 0.0)
-        weighted = d / self._scale**2
-        return self._spring[3] * (1.0 + self._gains[2] * float(d @ weighted)), weighted
+        weighted = d / self._unit**2
+        return self._tau * (1.0 + self._gains[2] * float(d @ weighted)), weighted
 
     def _law(self, y: np.ndarray, v: float, rate: float) -> np.ndarray:
         """Return yc', yc'', ya_ref'', z', e', and x' in every column: (6, n)."""
         n = self.n
         yc, z, e, ya, yad, x = *y[: 5 * n].reshape(5, n), y[-2]
-        alpha_z, beta_z, alpha_x, tau, duration = self._spring
+        p, tau = self._primitive, self._tau
         kp, kv, kc, alpha_e, _ = self._gains
         if y[-1]:
             v = rate = 0.0
@@ -183,9 +184,9 @@ class TwoDof:
         ed = alpha_e * (ya - yc - e)
         tau_ad = 2.0 * tau * kc * float(weighted @ ed)
         ycd = v * z / tau_a
-        zd = v * (alpha_z * (beta_z * (self._g - yc) - z) + self._forcing(x, yc)) / tau_a
+        zd = v * (p.stiffness * (self._g - yc) - p.alpha * z + self._scale * self._forcing(x, yc)) / tau_a
         ycdd = (v * zd - ycd * tau_ad + rate * z) / tau_a
-        xd = v * tau / (duration * tau_a) if self._phase == "time" else -v * alpha_x * x / tau_a
+        xd = v * (p.pace if p.phase == "time" else -p.decay * x) / tau_a
         return np.array([ycd, ycdd, kp * (yc - ya) + kv * (ycd - yad) + ycdd, zd, ed, np.full(n, xd)])
 
     def _rates(self, y: np.ndarray, v: float, rate: float, moved: np.ndarray) -> np.ndarray:
@@ -194,21 +195,9 @@ class TwoDof:
         return np.concatenate((ycd, zd, ed, yad, np.where(moved, 0.0, yadd), xd[:1], [0.0]))
 
     def _forcing(self, x: float, yc: np.ndarray) -> np.ndarray:
-        if self._phase == "canonical":
-            return self._basis(x) @ self._weights * x
-        if self._phase == "time":
-            return self._basis(x) @ self._weights * _gate(x)
+        p = self._primitive
+        if p.phase != "position":
+            return (p.basis(x) @ p.weights) * p.share(x)
         way = self._g - self._y0
-        p = np.clip(np.where(way == 0.0, 0.0, (self._g - yc) / np.where(way == 0.0, 1.0, way)), 0.0, 1.0)
-        return np.array([self._basis(p[i]) @ self._weights[:, i] * p[i] for i in range(self.n)])
-
-    def _basis(self, x: float) -> np.ndarray:
-        exponents = -0.5 * ((x - self._centres) / self._widths) ** 2
-        psi = np.exp(exponents - exponents.max())
-        return psi / psi.sum()
-
-
-def _gate(u: float) -> float:
-    """Return 1 up to u = 1, then a smooth step of fifth order down to 0."""
-    s = min(max((u - 1.0) / GATE, 0.0), 1.0)
-    return 1.0 - s * s * s * (10.0 + s * (6.0 * s - 15.0))
+        left = np.clip(np.where(way == 0.0, 0.0, (self._g - yc) / np.where(way == 0.0, 1.0, way)), 0.0, 1.0)
+        return np.einsum("ij,ji->i", p.basis(left), p.weights) * left
