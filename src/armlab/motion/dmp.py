@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,6 +17,10 @@ from armlab.motion._setting import Setting, vector
 from armlab.motion._solving import progress, solved
 from armlab.motion.rollout import Rollout
 from armlab.motion.stepper import Stepper
+
+if TYPE_CHECKING:
+    from armlab.motion.control import Controller, Limits
+    from armlab.robots import Robot
 
 __all__ = ["SCALINGS", "Dmp"]
 
@@ -247,6 +252,33 @@ class Dmp(Equation):
         """
         run = Setting.of(self, duration, tau_d, y0, v0, g, amplitude)
         return Stepper(self, run, goal_forcing, goal_rate, brake)
+
+    def controller(
+        self,
+        robot: Robot,
+        *,
+        limits: Limits | None = None,
+        duration: float | None = None,
+        g: ArrayLike | None = None,
+        amplitude: ArrayLike | None = None,
+    ) -> Controller:
+        """Return a controller ``State -> Command`` for `armlab.bridge`, which starts where the arm is, at rest.
+
+        It tells the arm the path, whatever the arm does; `TwoDofDmp.controller` waits for an arm that was held up.
+
+        Parameters
+        ----------
+        robot : the arm whose joints the coordinates are.
+        limits : what has q_min, q_max, qd_max and qdd_max (n,), such as `bridge.Limits`; those of the robot when None.
+        duration, g, amplitude : as in `rollout`.
+
+        Raises
+        ------
+        ShapeError : a primitive of another number of joints, a goal outside the limits. ConfigError : as in `rollout`.
+        """
+        from armlab.motion.controllers import DmpController
+
+        return DmpController(robot, self, {"duration": duration, "g": g, "amplitude": amplitude}, limits)
 
     def save(self, path: str | Path) -> Path:
         """Write a TOML file that comes back bit for bit, and return its path.

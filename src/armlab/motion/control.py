@@ -1,0 +1,224 @@
+"""What every motion does as a controller of the bridge: no jump, within limits, at the pace of the robot."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from math import ceil
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armlab import kernels
+from armlab._numbers import number
+from armlab.errors import ConfigError, ShapeError
+from armlab.log import Column
+from armlab.motion._setting import vector
+from armlab.robots import Robot
+from armlab.state import Command, State
+
+__all__ = ["LONGEST_STEP", "Controller", "Limits", "steps_in"]
+
+LONGEST_STEP = 0.004
+"""Longest step of integration [s]."""
+LONGEST_GAP = 0.05  # s between two packets
+_SLACK = 0.02  # of a step
+NEAR, SLOW = 0.01, 0.02  # rad or m, and per second: arrived, when it lasts
+RESTS = 0.1  # s
+RAMP = 4.0  # 1/s, of the speed: from full speed to a stop in 0.25 s
+
+
+class Limits(Protocol):
+    """What a reference may do, per joint (n,): a `Robot` is one, and so is `bridge.Limits`."""
+
+    @property
+    def q_min(self) -> np.ndarray:
+        """Least position [rad or m]."""
+        ...
+
+    @property
+    def q_max(self) -> np.ndarray:
+        """Largest position [rad or m]."""
+        ...
+
+    @property
+    def qd_max(self) -> np.ndarray:
+        """Largest velocity."""
+        ...
+
+    @property
+    def qdd_max(self) -> np.ndarray:
+        """Largest acceleration."""
+        ...
+
+
+class Controller(ABC):
+    """A motion as a controller: a callable ``State -> Command``; made by the `controller` of what moves.
+
+    It starts anew from the measured position, at rest, when a session of the robot begins. Time is what lies between
+    packets. Position, velocity and acceleration limits act last; what they cut off is not caught up with later. At the
+    goal it holds, for the goal may change. A gap of more than 50 ms between packets, and a state that is not finite,
+    end the run; `reason` says why.
+
+    Parameters
+    ----------
+    robot : the arm. limits : of the reference; those of the robot when None. goal : (n,) first goal.
+
+    Raises
+    ------
+    ShapeError : limits or goal of another number of joints, or a goal outside the limits.
+
+    Attributes
+    ----------
+    done : the arm has been near the goal and slow for 0.1 s, and the motion is over.
+    frozen : the path stands still because the arm is too far from it.
+    clamped : (n,) limits that acted on this reference: bits 1 position, 2 velocity, 4 acceleration, 8 braking.
+    reason : why it ended the run, "" before.
+    """
+
+    def __init__(self, robot: Robot, limits: Limits | None, goal: np.ndarray) -> None:
+        within = robot if limits is None else limits
+        bounds = (within.q_min, within.q_max, within.qd_max, within.qdd_max)
+        if any(np.shape(bound) != (robot.n,) for bound in bounds):
+            raise ShapeError(
+                f"Expected limits of {robot.n} joints of {robot.name}, got {[np.shape(b) for b in bounds]}."
+            )
+        self._robot, self._bounds = robot, np.array([*bounds, np.full(robot.n, np.inf)])
+        self._none = np.zeros(robot.n, dtype=np.uint8)
+        self._session: int | None = None
+        self._wanted = self._speed = 1.0
+        self.done = self.frozen = False
+        self.clamped, self.reason = self._none, ""
+        self._goal = self._checked(goal)
+
+    @property
+    def goal(self) -> np.ndarray:
+        """Where it goes (n,); may be set while it runs."""
+        return self._goal
+
+    @goal.setter
+    def goal(self, g: ArrayLike) -> None:
+        """Go for another goal (n,) from now on."""
+        self._goal = self._checked(g)
+        if self._session is not None:
+            self._change_goal(self._goal)
+
+    @property
+    def speed(self) -> float:
+        """Speed as a share of the motion's own, from 0; may be set while it runs, and is reached at 4 per second.
+
+        The path stays the same at every speed.
+        """
+        return self._wanted
+
+    @speed.setter
+    def speed(self, share: float) -> None:
+        """Go on faster or slower."""
+        if not 0.0 <= number(share, "speed", ConfigError) < np.inf:
+            raise ConfigError(f"Expected a speed of at least 0, got {share}. 1 is that of the motion.")
+        self._wanted = float(share)
+
+    def stop(self) -> None:
+        """Come to rest on the path within 0.25 s at full speed; setting `speed` goes on."""
+        self._wanted = 0.0
+
+    def columns(self) -> dict[str, Column]:
+        """Return what it records, for ``link.run(extra=...)``."""
+        joints = {"qdd_ref": "rad/s^2", "path": "rad"}
+        flags = {"done": "1", "frozen": "1"}
+        found = {name: Column((self._robot.n,), unit=unit) for name, unit in joints.items()}
+        found["limited"] = Column((self._robot.n,), unit="1", kind="count")
+        return found | {name: Column((), unit=unit, kind="flag") for name, unit in flags.items()}
+
+    def __call__(self, state: State) -> Command:
+        """Return the reference for a packet.
+
+        Parameters
+        ----------
+        state : of the arm.
+        """
+        begins = state.session != self._session
+        dt = 0.0 if begins else state.dt
+        if not self._is_usable(state, dt):
+            return Command.stop()
+        if begins:
+            self._start(state)
+        speed = self._ramp(dt)
+        q, qd, qdd, path = self._next(state, dt, speed)
+        if dt > 0.0:
+            q, qd = self._limited(q, qd, dt)
+        self._judge(state, dt)
+        record = {"qdd_ref": qdd, "path": path, "limited": self.clamped, "done": self.done, "frozen": self.frozen}
+        return Command(q, qd, record=record)
+
+    @abstractmethod
+    def _begin(self, state: State) -> None:
+        """Start the motion where the arm is."""
+
+    @abstractmethod
+    def _next(
+        self, state: State, dt: float, speed: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return q, qd and qdd of the reference before limits, and the path (n,); dt is 0 at the first call."""
+
+    @abstractmethod
+    def _change_goal(self, g: np.ndarray) -> None:
+        """Go for another goal."""
+
+    @property
+    @abstractmethod
+    def _is_over(self) -> bool:
+        """Whether the motion has run through."""
+
+    def _start(self, state: State) -> None:
+        self._session, self._rested, self._speed = state.session, 0.0, self._wanted
+        self.done, self.frozen, self.clamped = False, False, self._none
+        self._sent = np.stack((state.q, np.zeros_like(state.q), np.zeros_like(state.q)))
+        self._begin(state)
+
+    def _is_usable(self, state: State, dt: float) -> bool:
+        if not 0.0 <= dt <= LONGEST_GAP:
+            self.reason = f"Expected packets at most {1e3 * LONGEST_GAP:.0f} ms apart, got {1e3 * dt:.1f} ms."
+        elif state.session != self._session and not np.isfinite(state.q).all():
+            self.reason = "Expected a finite position to start from, got NaN."
+        return not self.reason
+
+    def _ramp(self, dt: float) -> np.ndarray:
+        """Return the speed at the last packet and now, and its change per second from now."""
+        before, room = self._speed, self._wanted - self._speed
+        self._speed = before + min(max(room, -RAMP * dt), RAMP * dt)
+        left = self._wanted - self._speed
+        return np.array([before, self._speed, RAMP * float(np.sign(left)) if abs(left) > 1e-9 else 0.0])
+
+    def _limited(self, q: np.ndarray, qd: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
+        sent, self.clamped, _, refused = kernels.limit_reference(self._sent, self._bounds, dt, q, self._sent[0], qd)
+        if refused:
+            self.reason = f"Expected a finite reference, got NaN or Inf for joint {abs(refused)}."
+        self._sent = sent
+        return sent[0], sent[2]
+
+    def _judge(self, state: State, dt: float) -> None:
+        near = np.abs(state.q - self._goal).max() < NEAR and np.abs(state.qd).max() < SLOW
+        self._rested = self._rested + dt if near and self._is_over else 0.0
+        self.done = self._rested >= RESTS
+
+    def _checked(self, g: ArrayLike) -> np.ndarray:
+        goal = vector(g, "g", self._robot.n)
+        outside = (goal < self._bounds[0]) | (goal > self._bounds[1])
+        if outside.any():
+            i = int(np.argmax(outside))
+            raise ShapeError(
+                f"Expected a goal within the limits, got {goal[i]:g} for joint {i + 1} of {self._robot.name}, which "
+                f"goes from {self._bounds[0, i]:g} to {self._bounds[1, i]:g}."
+            )
+        return np.array(goal)
+
+
+def steps_in(dt: float) -> int:
+    """Return in how many steps of at most 4 ms to integrate; a cycle of ABB's controller, 4.032 ms, is one.
+
+    Parameters
+    ----------
+    dt : seconds.
+    """
+    return max(1, ceil(dt / LONGEST_STEP - _SLACK)) if dt < np.inf else 1

@@ -1,0 +1,113 @@
+"""A plain movement primitive, and one with two degrees of freedom, as controllers of the bridge."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from armlab.errors import ShapeError
+from armlab.motion.control import Controller, Limits, steps_in
+from armlab.robots import Robot
+from armlab.state import State
+
+if TYPE_CHECKING:
+    from armlab.motion.dmp import Dmp
+    from armlab.motion.two_dof import TwoDofDmp
+
+__all__ = ["DmpController", "TwoDofController"]
+
+
+def _check_joints(robot: Robot, n: int) -> None:
+    if n != robot.n:
+        raise ShapeError(f"Expected a motion of {robot.n} joints for {robot.name}, got one of {n} coordinates.")
+
+
+class DmpController(Controller):
+    """A plain `Dmp`: the arm is told the path and its velocity, whatever it does.
+
+    Parameters
+    ----------
+    robot, limits : as of `Controller`. dmp : the primitive. settings : duration, g, amplitude of its stepper.
+
+    Raises
+    ------
+    ShapeError : another number of joints, a goal outside the limits. ConfigError : as `Dmp.stepper`.
+    """
+
+    def __init__(self, robot: Robot, dmp: Dmp, settings: Mapping[str, Any], limits: Limits | None = None) -> None:
+        _check_joints(robot, dmp.n)
+        self._dmp, self._settings = dmp, settings
+        self._stepper = dmp.stepper(**settings)
+        super().__init__(robot, limits, self._stepper.goal)
+
+    def _begin(self, state: State) -> None:
+        given = {**self._settings, "g": self._goal, "y0": state.q, "v0": np.zeros_like(state.q)}
+        self._stepper = self._dmp.stepper(**given)
+
+    def _next(
+        self, state: State, dt: float, speed: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        parts, way = steps_in(dt), 0.5 * (speed[0] + speed[1]) * dt
+        for _ in range(parts if way > 0.0 else 0):
+            self._stepper.step(way / parts)
+        y, yd, ydd = self._stepper.state
+        return y, speed[1] * yd, speed[1] ** 2 * ydd + speed[2] * yd, y
+
+    def _change_goal(self, g: np.ndarray) -> None:
+        self._stepper.change_goal(g)
+
+    @property
+    def _is_over(self) -> bool:
+        return self._stepper.t >= self._stepper.duration
+
+
+class TwoDofController(Controller):
+    """A `TwoDofDmp`: the reference is the twice integrated acceleration of its law, with the arm as measured.
+
+    Parameters
+    ----------
+    robot, limits : as of `Controller`. two_dof : the law. settings : duration, g, amplitude of its stepper.
+    give_way : acceleration (n,) that a contact adds.
+
+    Raises
+    ------
+    ShapeError : another number of joints, a goal outside the limits. ConfigError : as `Dmp.stepper`.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        two_dof: TwoDofDmp,
+        settings: Mapping[str, Any],
+        limits: Limits | None = None,
+        give_way: Callable[[State], np.ndarray] | None = None,
+    ) -> None:
+        _check_joints(robot, two_dof.dmp.n)
+        self._two_dof, self._settings, self._give_way = two_dof, settings, give_way
+        self.stepper = two_dof.stepper(**settings)
+        super().__init__(robot, limits, self.stepper.goal)
+
+    def _begin(self, state: State) -> None:
+        given = {**self._settings, "g": self._goal, "y0": state.q, "v0": np.zeros_like(state.q)}
+        self.stepper = self._two_dof.stepper(**given)
+        self._qdd = np.zeros_like(state.q)
+
+    def _next(
+        self, state: State, dt: float, speed: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        found = self.stepper.step(dt, state.q, state.qd, speed)
+        q, _, qd = self._sent
+        if dt > 0.0:
+            q, qd = q + dt * (qd + 0.5 * dt * self._qdd), qd + dt * self._qdd
+        self._qdd = found.ydd_ref if self._give_way is None else found.ydd_ref + self._give_way(state)
+        self.frozen = self.stepper.frozen
+        return q, qd, self._qdd, found.yc
+
+    def _change_goal(self, g: np.ndarray) -> None:
+        self.stepper.change_goal(g)
+
+    @property
+    def _is_over(self) -> bool:
+        return self.stepper.has_ended

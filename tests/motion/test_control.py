@@ -1,0 +1,217 @@
+"""Motions as controllers: no jump, true time, limits that act last, goal, speed and stop on the way, bad input."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab import Command, State, bridge, robots
+from armlab.errors import ConfigError, ShapeError
+from armlab.log import Column
+from armlab.motion import Dmp, TwoDofDmp
+from armlab.motion.control import LONGEST_STEP, Controller, Limits, steps_in
+
+PERIOD = 0.004032
+ROBOT = robots.load("yumi_right")
+REACH = 0.3 * np.array([1, 1, 1, 1, -1, 1, 1])
+
+
+@pytest.fixture(scope="module")
+def reach(primitive: Callable[..., Dmp]) -> Dmp:
+    """Two seconds from the home posture, starting softly."""
+    parts = {"y0": ROBOT.q_home, "g": ROBOT.q_home + REACH, "v0": np.zeros(7)}
+    draw = np.random.default_rng(3)
+    return primitive(n=7, weights=(10 * draw.normal(size=(20, 7)) - 156.25) * REACH, **parts)
+
+
+def made(dmp: Dmp, kind: str, **more: Any) -> Controller:
+    return dmp.controller(ROBOT, **more) if kind == "plain" else TwoDofDmp(dmp, e0=0.02).controller(ROBOT, **more)
+
+
+@dataclass
+class Ideal:
+    """An arm that is where it was told to be one packet ago; a hand may hold it."""
+
+    q: np.ndarray
+    qd: np.ndarray
+    t: float = 0.0
+    held: bool = False
+
+    def packet(self, controller: Controller, dt: float = PERIOD, **state: Any) -> Command:
+        command = controller(State(self.t, dt, self.q, self.qd, self.q, **state))
+        self.t += dt
+        if command.ends:
+            return command
+        assert command.q is not None
+        assert command.qd is not None
+        self.q, self.qd = (self.q, np.zeros(7)) if self.held else (command.q, command.qd)
+        return command
+
+    def run(self, controller: Controller, seconds: float) -> tuple[np.ndarray, np.ndarray]:
+        commands = [self.packet(controller) for _ in range(round(seconds / PERIOD))]
+        return np.array([c.q for c in commands]), np.array([c.qd for c in commands])
+
+
+def arm(q: np.ndarray = ROBOT.q_home) -> Ideal:
+    return Ideal(q.copy(), np.zeros(7))
+
+
+KINDS = pytest.mark.parametrize("kind", ["plain", "two_dof"])
+
+
+@KINDS
+def test_from_where_the_arm_is_to_the_goal_without_a_jump(reach: Dmp, kind: str) -> None:
+    controller, start = made(reach, kind), arm(ROBOT.q_home + 0.05)
+    q, qd = start.run(controller, 3.0)
+    np.testing.assert_array_equal(q[0], ROBOT.q_home + 0.05)
+    np.testing.assert_array_equal(qd[0], 0.0)
+    assert np.abs(np.diff(q, axis=0)).max() < 0.01
+    np.testing.assert_allclose(np.diff(q, axis=0) / PERIOD, 0.5 * (qd[1:] + qd[:-1]), atol=5e-3)
+    np.testing.assert_allclose(q[-1], reach.g, atol=5e-3)
+    assert controller.done
+    assert not controller.clamped.any()
+    assert controller.reason == ""
+
+
+@KINDS
+def test_packets_that_come_late_do_not_bend_the_path(reach: Dmp, kind: str) -> None:
+    """Packets are lost again and again, up to nine in a row: the motion is in time nevertheless.
+
+    The arm keeps the acceleration it was given last, so with two degrees of freedom it is only near.
+    """
+    even, q = made(reach, kind), arm()
+    path, _ = q.run(even, 2.5)
+    late, other, k, draw = made(reach, kind), arm(), 0, np.random.default_rng(0)
+    other.packet(late)
+    while k < len(path) - 12:
+        skip = int(draw.choice([1, 1, 1, 2, 10 if kind == "plain" else 3]))
+        k += skip
+        command = other.packet(late, skip * PERIOD)
+        np.testing.assert_allclose(command.q, path[k], atol=1e-8 if kind == "plain" else 0.02)
+
+
+@KINDS
+def test_a_gap_ends_the_run_and_says_so(reach: Dmp, kind: str) -> None:
+    controller, yumi = made(reach, kind), arm()
+    yumi.run(controller, 0.5)
+    command = yumi.packet(controller, 0.06)
+    assert command.ends
+    assert controller.reason == "Expected packets at most 50 ms apart, got 60.0 ms."
+    assert yumi.packet(controller).ends
+    lost = made(reach, kind)
+    assert arm(np.full(7, np.nan)).packet(lost).ends
+    assert "NaN" in lost.reason
+
+
+@KINDS
+def test_a_new_session_begins_anew_where_the_arm_is(reach: Dmp, kind: str) -> None:
+    controller, yumi = made(reach, kind), arm()
+    yumi.run(controller, 1.0)
+    yumi.q = ROBOT.q_home - 0.02
+    command = yumi.packet(controller, 0.5, session=2)
+    np.testing.assert_array_equal(command.q, yumi.q)
+    np.testing.assert_array_equal(command.qd, 0.0)
+
+
+@KINDS
+def test_limits_act_last_and_are_told(reach: Dmp, kind: str) -> None:
+    slow = bridge.Limits.of(ROBOT, speed=0.05)
+    controller, yumi, bits = made(reach, kind, limits=slow), arm(), 0
+    q, qd = [], []
+    for _ in range(round(6 / PERIOD)):
+        command = yumi.packet(controller)
+        bits |= int(np.bitwise_or.reduce(controller.clamped))
+        np.testing.assert_array_equal(command.record["limited"], controller.clamped)
+        q.append(command.q)
+        qd.append(command.qd)
+    assert bits & 2
+    assert (np.abs(qd) <= slow.qd_max * (1 + 1e-9)).all()
+    assert (np.abs(np.diff(qd, axis=0)) <= slow.qdd_max * PERIOD * (1 + 1e-9)).all()
+    if kind == "two_dof":  # it waits for itself
+        np.testing.assert_allclose(q[-1], reach.g, atol=5e-3)
+        assert controller.done
+
+
+@KINDS
+def test_speed_and_stop_keep_the_path(reach: Dmp, kind: str) -> None:
+    """Slower, to a stop, and on: the same curve in joint space, other times."""
+    plain, _ = arm().run(made(reach, kind), 3.0)
+    controller, yumi = made(reach, kind), arm()
+    first, _ = yumi.run(controller, 0.6)
+    controller.speed = 0.4
+    second, _ = yumi.run(controller, 0.6)
+    controller.stop()
+    third, qd = yumi.run(controller, 1.5)
+    assert np.abs(qd[-1]).max() < 1e-3
+    assert controller.speed == 0.0
+    assert not controller.done
+    controller.speed = 1.5
+    fourth, _ = yumi.run(controller, 2.5)
+    assert controller.done
+    walked = np.concatenate([first, second, third, fourth])
+    apart = np.abs(walked[:, None] - plain).max(axis=2).min(axis=1)
+    assert apart.max() < (5e-3 if kind == "plain" else 0.03)
+    np.testing.assert_allclose(walked[-1], plain[-1], atol=5e-3)
+
+
+@KINDS
+def test_the_goal_may_change_on_the_way(reach: Dmp, kind: str) -> None:
+    controller, yumi = made(reach, kind), arm()
+    yumi.run(controller, 0.8)
+    goal = reach.g + np.array([0.2, 0, -0.1, 0, 0.1, 0, 0])
+    before = yumi.q
+    controller.goal = goal
+    assert np.abs(yumi.packet(controller).q - before).max() < 0.01
+    q, _ = yumi.run(controller, 3.0)
+    np.testing.assert_allclose(q[-1], goal, atol=5e-3)
+    np.testing.assert_array_equal(controller.goal, goal)
+    assert controller.done
+
+
+def test_what_it_records_is_declared(reach: Dmp) -> None:
+    controller = made(reach, "two_dof")
+    record, columns = arm().packet(controller).record, controller.columns()
+    assert record.keys() == columns.keys()
+    for name, column in columns.items():
+        assert isinstance(column, Column)
+        assert np.shape(record[name]) == column.resolved(name).shape
+
+
+def test_late_packets_are_made_in_short_steps() -> None:
+    assert [steps_in(dt) for dt in (0.0, 0.004, PERIOD, 0.008, 0.05, np.inf)] == [1, 1, 1, 2, 13, 1]
+    assert LONGEST_STEP == 0.004
+
+
+def test_a_robot_is_limits(reach: Dmp) -> None:
+    limits: Limits = ROBOT
+    assert isinstance(reach.controller(ROBOT, limits=limits), Controller)
+
+
+@pytest.mark.parametrize(
+    ("error", "misuse"),
+    [
+        (ShapeError, lambda d: d.controller(robots.load("ur5e"))),
+        (ShapeError, lambda d: TwoDofDmp(d).controller(robots.load("ur5e"))),
+        (ShapeError, lambda d: d.controller(ROBOT, g=ROBOT.q_max + 0.1)),
+        (ShapeError, lambda d: TwoDofDmp(d).controller(ROBOT, g=np.full(7, np.nan))),
+        (ShapeError, lambda d: d.controller(ROBOT, limits=bridge.Limits.of(robots.load("ur5e")))),
+        (ShapeError, lambda d: d.controller(ROBOT, duration=0.0)),
+        (ShapeError, lambda d: setattr(d.controller(ROBOT), "goal", ROBOT.q_min - 1)),
+        (ConfigError, lambda d: setattr(d.controller(ROBOT), "speed", -0.1)),
+        (ConfigError, lambda d: setattr(d.controller(ROBOT), "speed", np.nan)),
+        (ConfigError, lambda d: d.controller(ROBOT, amplitude=np.ones(7))),
+    ],
+)
+def test_bad_input_gets_a_sentence(reach: Dmp, error: type[Exception], misuse: Any) -> None:
+    with pytest.raises(error, match=r"^Expected .*\.$"):
+        misuse(reach)
+
+
+def test_a_goal_outside_names_the_joint(reach: Dmp) -> None:
+    far = replace(reach, g=reach.g + 9.0 * np.eye(7)[2])
+    with pytest.raises(ShapeError, match="joint 3 of yumi_right"):
+        far.controller(ROBOT)

@@ -1,0 +1,98 @@
+"""Two-degree-of-freedom control sample by sample: the simulation, uneven steps, goals that change."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab.motion import Dmp
+from armlab.motion._setting import Setting
+from armlab.motion.events import Hold
+from armlab.motion.two_dof import TwoDofDmp
+from armlab.motion.two_dof_stepper import Reference, TwoDofStepper, starting
+
+H = 0.004
+
+
+def plain(weights: Any, centres: Any, widths: Any, duration: float, y0: np.ndarray, g: np.ndarray, **more: Any) -> Dmp:
+    """A Dmp of the convention "lund" from its weights."""
+    n = len(y0)
+    parts = {"v0": np.zeros(n), "extent": np.abs(g - y0) + 1e-9, "peak_acceleration": np.ones(n)}
+    return Dmp(
+        weights=weights,
+        centres=centres,
+        widths=widths,
+        tau_d=duration / 3,
+        duration=duration,
+        y0=y0,
+        g=g,
+        monotone=np.ones(n, dtype=bool),
+        **parts,
+        **more,
+    )
+
+
+def smooth(n: int = 2, seed: int = 0, force: float = 40.0, **more: Any) -> Any:
+    """A primitive with random weights; unless told otherwise its coordinates are multiples of the first."""
+    draw = np.random.default_rng(seed)
+    centres = np.exp(-3 * np.linspace(0, 1, 20))
+    shares = 0.5 ** np.arange(n)
+    weights = (force * draw.normal(size=(20, 1)) - 156.25) * shares  # the constant lets the spring start softly
+    return plain(weights, centres, 0.8 * np.abs(np.gradient(centres)), 2.0, np.zeros(n), shares, **more)
+
+
+def test_it_starts_with_the_arm_on_the_path() -> None:
+    dmp = smooth(schedule="time")
+    run = Setting.of(dmp, y0=np.array([0.1, 0.2]), v0=np.array([0.3, 0.4]))
+    z = run.tau * run.v0
+    np.testing.assert_array_equal(starting(dmp, run), [0.1, 0.2, *z, 0, 0, 0.1, 0.2, 0.3, 0.4, 0, 0])
+    assert starting(smooth(), run)[-2] == 1.0
+
+
+def test_stepper_is_the_simulation() -> None:
+    """With the arm of the simulation measured at every step the path is the same to the accuracy of sampling."""
+    dmp = smooth()
+    two_dof = TwoDofDmp(dmp)
+    run = two_dof.simulate(two_dof.dmp.times(0.002, 4.0), [Hold(0.5, 0.9)], dt=0.002)
+    stepper = two_dof.stepper()
+    assert isinstance(stepper, TwoDofStepper)
+    found = [
+        stepper.step(0.002 if k else 0.0, ya, yad) for k, (ya, yad) in enumerate(zip(run.ya, run.yad, strict=True))
+    ]
+    assert isinstance(found[0], Reference)
+    assert np.abs([r.yc for r in found] - run.yc).max() < 2e-3
+    assert stepper.has_ended
+    assert (stepper.x, stepper.tau_a) == (pytest.approx(run.x[-1], abs=1e-3), pytest.approx(run.tau_a[-1], rel=1e-3))
+    stepper.reset()
+    assert (stepper.x, stepper.frozen, stepper.e.tolist()) == (1.0, False, [0.0, 0.0])
+
+
+def test_uneven_steps_and_lost_samples_do_not_matter_much() -> None:
+    two_dof = TwoDofDmp(smooth(force=4.0), e0=0.01)
+    run = two_dof.simulate(0.001, dt=0.001)
+    stepper, k, draw = two_dof.stepper(), 0, np.random.default_rng(0)
+    stepper.step(0.0, run.ya[0], run.yad[0])
+    while k < len(run.t) - 45:
+        skip = int(draw.integers(1, 45))
+        k += skip
+        lost = draw.random() < 0.1
+        found = stepper.step(1e-3 * skip, run.ya[k] * (np.nan if lost else 1), run.yad[k])
+        assert np.abs(found.yc - run.yc[k]).max() < 0.02
+        assert np.isfinite(found.ydd_ref).all()
+
+
+def test_goal_changes_on_the_way() -> None:
+    dmp = smooth()
+    stepper, ya, yad = TwoDofDmp(dmp).stepper(), np.zeros(2), np.zeros(2)
+    goal = np.array([1.3, -0.2])
+    for k in range(2500):
+        if k == 200:
+            before = stepper.step(0.0, ya, yad).yc
+            stepper.change_goal(goal)
+            np.testing.assert_array_equal(stepper.step(0.0, ya, yad).yc, before)
+        found = stepper.step(H if k else 0.0, ya, yad)
+        ya, yad = ya + H * yad + 0.5 * H**2 * found.ydd_ref, yad + H * found.ydd_ref
+    np.testing.assert_allclose(ya, goal, atol=1e-3)
+    np.testing.assert_array_equal(stepper.goal, goal)
