@@ -340,10 +340,13 @@ def test_readings_without_weight_are_refused(weights, options) -> None:
         fit_force_sensor(weights.draw(9).RA, np.zeros((100, 3)), **options)
 
 
-def test_torques_in_newton_millimetres_are_suspected(weights) -> None:
+def test_torques_in_newton_millimetres_are_refused_or_suspected(weights) -> None:
     data = weights.draw(10, torque=0.005)
-    y = data.y * np.repeat([1.0, 1000.0], 3)
     given = {"T_base_tool": data.RA, "gravity": G, "limits": (0.2, 0.3, 100.0)}
+    with pytest.raises(NotConverged, match="Torques seem to be in N mm") as caught:
+        fit_force_sensor(wrench=data.y * np.repeat([1.0, 1000.0], 3), **given)
+    assert caught.value.reason == "units"
+    y = data.y * np.repeat([1.0, 50.0], 3)
     assert "N mm given as N m?" in fit_force_sensor(wrench=y, **given).report()
     assert "N mm" not in fit_force_sensor(wrench=data.y, **given).report()
 

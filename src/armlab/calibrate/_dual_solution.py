@@ -10,6 +10,7 @@ from armlab.calibrate._arm import Arm, ArmState
 from armlab.calibrate._dual_problem import DualProblem, DualState
 from armlab.calibrate._kinematic_question import Question, check_misfit, spread_of
 from armlab.calibrate._kinematic_rank import Suspect
+from armlab.calibrate._kinematic_words import far_links
 from armlab.estimation import Fit, NonlinearSolution
 from armlab.lie import se3
 from armlab.models import DualArmCorrection, KinematicCorrection
@@ -38,7 +39,7 @@ class DualQuestion(Question[DualState]):
         state = DualState(state.a._replace(frames=a), state.b._replace(frames=b), se3.project(state.T)[0])
         sigma, outside = dict(zip(found.classes, found.sigma.tolist())), np.flatnonzero(found.outliers)
         data = problem.measurements(state)
-        check_misfit(found, data, self._sizes())
+        check_misfit(data, self.spaces(), found.value, np.flatnonzero(found.outliers))
         excitation = self.judge(data, state, sigma, outside)
         cov = self.covariance(data, state, sigma, outside, excitation)
         residuals = np.full((len(problem.arm_a.q), sum(one.r.shape[1] for one in data)), np.nan)
@@ -55,17 +56,22 @@ class DualQuestion(Question[DualState]):
             residuals=residuals,
             n=len(residuals),
             excitation=excitation,
+            summary=lambda fit: "\n".join([fit.table(), *self._far(state)]),
             outliers=found.outliers,
             classes=found.classes,
         )
 
-    def _sizes(self) -> list[float]:
+    def spaces(self) -> list[float]:
         """Return the size [m] of the space in which each measurement was made; of a closed chain, in which a moved."""
         problem = self.problem
         places = [kind.values[kind.visible.reshape(len(kind.values), -1)[:, 0]] for kind in problem.kinds]
         if problem.closed:
             places[0] = problem.arm_a.move(problem.arm_a.first()).T
         return [spread_of(seen[:, 0] if seen.shape[1:] == (1, 3) else seen[:, :3, 3]) for seen in places]
+
+    def _far(self, state: DualState) -> list[str]:
+        a, b = self.problem.arm_a, self.problem.arm_b
+        return far_links(a, state.a.frames, " of arm a") + far_links(b, state.b.frames, " of arm b")
 
     def _value(self, state: DualState, cov: np.ndarray) -> DualArmCorrection:
         problem, a = self.problem, self.problem.arm_a.size

@@ -20,6 +20,8 @@ NOISE = 3.0  # an orientation that moves less than this many deviations of the n
 ALIGNED = 0.996  # cosine beyond which an axis is called by its letter
 SHARED = 0.3  # length, relative to the largest, from which a part of a direction is told
 APART = 0.5  # residual over spread beyond which two records do not belong together
+SUSPECT = 0.02  # rad: residual beyond which another reading of the records is tried
+NOTHING, MUCH_BETTER = 1e-4, 0.1  # mean square of a rotation [rad^2] that is no misfit; share that is left of one
 THINNED = 2000
 UNSEEN = 1e-9  # a direction as long as its limits has no deviation: nothing is seen of it
 FAR = 30.0  # m: no arm measures over that, but one of 30 cm does in millimetres
@@ -176,17 +178,33 @@ def require_match(equation: Equation, r: np.ndarray, kept: np.ndarray, best: Any
     position, rotation = np.sqrt(squares.reshape(2, 3).sum(axis=1) / count)
     few = 2 * count <= len(kept)
     if (rotation <= APART * turned or rotation < ROUGH) and position <= APART * moved and not few:
-        return
+        cause = _other_reading(equation) if rotation > SUSPECT else ""
+        if not cause:
+            return
     left_out = f", {np.count_nonzero(~kept)} of {len(kept)} left out" if few else ""
     raise NotConverged(
         f"Expected two records of poses that belong together, got {position:.3g} m and {rotation:.3g} rad between them "
         f"(RMS{left_out}) where the poses spread over {moved:.3g} m and {turned:.3g} rad. {_cause(equation)}",
         best=best,
+        reason="mismatch",
     )
 
 
 def _cause(equation: Equation) -> str:
     """Return what is wrong with the records, as far as another reading of them fits much better."""
+    cause = _other_reading(equation)
+    if cause:
+        return cause
+    scale = _scale(equation)
+    if scale is not None and scale < 0.0:
+        return "Positions and rotations are of different hands: one axis of the camera or of the robot is reversed."
+    if scale is not None:
+        return f"Lengths of the measured poses times {scale:.3g} would fit: perhaps millimetres were given as metres."
+    return "Check that sample i of both is the same moment, and which frame each is in."
+
+
+def _other_reading(equation: Equation) -> str:
+    """Return the reading of the records whose rotations fit much better, "" where none does."""
     now = _misfit(equation.RA, equation.RB)
     RA, RB = equation.RA, equation.RB
     other = {
@@ -200,12 +218,7 @@ def _cause(equation: Equation) -> str:
             text = f"The records are shifted by {k} samples against each other."
             other[text] = min(_misfit(RA[k:], RB[:-k]), _misfit(RA[:-k], RB[k:]))
     cause = min(other, key=lambda text: other[text])
-    if now > 1e-3 and other[cause] < 0.1 * now:
-        return cause
-    scale = _scale(equation)
-    if scale is not None:
-        return f"Lengths of the measured poses times {scale:.3g} would fit: perhaps millimetres were given as metres."
-    return "Check that sample i of both is the same moment, and which frame each is in."
+    return cause if now > NOTHING and other[cause] < MUCH_BETTER * now else ""
 
 
 def _misfit(RA: np.ndarray, RB: np.ndarray) -> float:
@@ -215,13 +228,14 @@ def _misfit(RA: np.ndarray, RB: np.ndarray) -> float:
 
 
 def _scale(equation: Equation) -> float | None:
-    """Return the factor on t_B that makes the positions fit, or None where none does."""
+    """Return the factor on t_B that makes the positions fit, below 0 for a mirror image; None where none does."""
     RY = equation.start().RY
     turned = equation.tB @ RY.T
     A = np.concatenate([equation.RA, -turned[:, :, None], np.broadcast_to(-np.eye(3), (equation.N, 3, 3))], axis=2)
     x = np.linalg.lstsq(A.reshape(-1, 7), -equation.tA.ravel(), rcond=None)[0]
     left = float(np.sqrt(np.mean((A.reshape(-1, 7) @ x + equation.tA.ravel()) ** 2) * 3.0))
-    fits = left < 0.1 * float(equation.tA.std(axis=0).max()) and x[3] > 0 and abs(np.log(x[3])) > np.log(2.0)
+    odd = x[3] < 0 or abs(np.log(max(x[3], 1e-300))) > np.log(2.0)
+    fits = left < 0.1 * float(equation.tA.std(axis=0).max()) and odd
     return float(x[3]) if fits else None
 
 

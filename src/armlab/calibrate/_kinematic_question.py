@@ -19,6 +19,8 @@ SCHEDULE = (1000.0, 300.0, 100.0, 30.0, 10.0)
 UNIT = 1e-3  # 1 mm and 1 mrad: of equal steps the smallest is taken
 WEAK = ("refuse", "prior")
 MISFIT = 0.1  # of the size of what was measured, or of half a turn: these samples do not belong together
+NO_NOISE = 1e-12  # m or rad: records that repeat themselves have none
+ROUNDING = 1e-9  # of the largest coordinate: what moves less does not move
 NOBODY = np.zeros(0, dtype=int)
 
 S = TypeVar("S")
@@ -68,6 +70,10 @@ class Question(ABC, Generic[S]):
     def suspects(self, state: S) -> list[Suspect]:
         """Return directions that the data may fail to see."""
 
+    @abstractmethod
+    def spaces(self) -> list[float]:
+        """Return the size [m] of the space in which each measurement was made."""
+
     def solve(self, start: S, robust: bool) -> NonlinearSolution[S]:
         """Descend; where that fails say which direction the data do not tell, if there is one.
 
@@ -80,8 +86,9 @@ class Question(ABC, Generic[S]):
         task = Problem(problem.evaluate, problem.retract, problem.sizes(UNIT, UNIT)[problem.active], "arm")
         try:
             found = nonlinear_least_squares(task, start, robust=robust, schedule=SCHEDULE)
-        except NotConverged:
+        except NotConverged as error:
             self.judge(problem.measurements(start, local=True), start, dict.fromkeys(_classes(problem), UNIT))
+            check_misfit(problem.measurements(error.best), self.spaces(), error.best)
             raise
         self._check_majority(found)
         return found
@@ -97,6 +104,7 @@ class Question(ABC, Generic[S]):
                 "not too small.",
                 best=found.value,
                 history=found.history,
+                reason="mismatch",
             )
 
     def _check_count(self, start: S) -> None:
@@ -124,6 +132,7 @@ class Question(ABC, Generic[S]):
     ) -> Excitation:
         """Return what the data tell at a state, or refuse."""
         problem, used = self.problem, self.used
+        sigma = {name: max(size, NO_NOISE) for name, size in sigma.items()}
         G, gauge_names = problem.gauge(state, used)
         judgement = Judgement(
             names=[name for name, mine in zip(problem.names, used) if mine],
@@ -167,32 +176,37 @@ def _inside(suspects: Sequence[Suspect], used: np.ndarray) -> list[Suspect]:
     return [one for one in found if np.abs(one.directions).max(initial=0.0) > 0]
 
 
-def check_misfit(found: NonlinearSolution[Any], data: Sequence[Measurement], sizes: Sequence[float]) -> None:
+def check_misfit(
+    data: Sequence[Measurement], sizes: Sequence[float], best: Any, outside: np.ndarray = NOBODY
+) -> None:
     """Refuse samples that do not belong together.
 
     Parameters
     ----------
-    data : residuals at the value that was found. sizes : of the space [m] in which each of them was measured.
+    data : residuals at the best value. sizes : of the space [m] in which each of them was measured; 0 of one that did
+        not move. best : for the error. outside : samples left out.
     """
-    outside = np.flatnonzero(found.outliers)
     for one, size in zip(data, sizes):
         kept = one.r[~np.isin(one.sample, outside)]
         for unit, space in (("m", size), ("rad", np.pi)):
             off = kept[:, [name.endswith(f"[{unit}]") for name in one.classes]]
             rms = float(np.sqrt(np.mean(off**2))) if off.size else 0.0
-            if rms > MISFIT * space and len(kept) > 3:
+            if rms > MISFIT * space > 0.0 and len(kept) > 3:
                 raise NotConverged(
                     f"Expected an arm that fits the measurements, got residuals of {rms:.3g} {unit} in a space of "
                     f"{space:.3g} {unit}. Check units, the order of the joints, and whether samples and joint "
                     "positions belong together.",
-                    best=found.value,
-                    history=found.history,
+                    best=best,
+                    reason="mismatch",
                 )
 
 
 def spread_of(points: np.ndarray) -> float:
-    """Return the root mean square distance of points (N, 3) from their mean."""
-    return float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=-1)))) if len(points) else 0.0
+    """Return the root mean square distance of points (N, 3) from their mean; 0 where that is rounding."""
+    if not len(points):
+        return 0.0
+    spread = float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=-1))))
+    return spread if spread > ROUNDING * float(np.abs(points).max()) else 0.0
 
 
 def never_moves(suspect: Suspect, data: Sequence[Measurement], used: np.ndarray) -> bool:

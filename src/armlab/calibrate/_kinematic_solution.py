@@ -10,7 +10,7 @@ import numpy as np
 from armlab.calibrate._kinematic_problem import KinematicProblem, State
 from armlab.calibrate._kinematic_question import Question, check_misfit, never_moves, spread_of
 from armlab.calibrate._kinematic_rank import Suspect
-from armlab.calibrate._kinematic_words import may_be_missing, never_seen
+from armlab.calibrate._kinematic_words import far_links, may_be_missing, never_seen
 from armlab.estimation import Fit, Measurement, NonlinearSolution
 from armlab.models import KinematicCorrection
 
@@ -41,8 +41,8 @@ class ArmQuestion(Question[State]):
             state = self._smallest(state)
         sigma = dict(zip(found.classes, found.sigma.tolist()))
         data = problem.measurements(state, local=True)
-        check_misfit(found, data, self._sizes())
         outside = np.flatnonzero(found.outliers)
+        check_misfit(data, self.spaces(), found.value, outside)
         excitation = self.judge(data, state, sigma, outside)
         cov = self.covariance(data, state, sigma, outside, excitation)
         names = tuple(name for name, mine in zip(problem.names, self.used) if mine)
@@ -56,7 +56,7 @@ class ArmQuestion(Question[State]):
             residuals=_table(data, problem),
             n=len(problem.arm.q),
             excitation=excitation,
-            summary=lambda fit: "\n".join([fit.table(), *notes]),
+            summary=lambda fit: "\n".join([fit.table(), *notes, *far_links(problem.arm, state.arm.frames)]),
             outliers=found.outliers,
             classes=found.classes,
         )
@@ -73,7 +73,7 @@ class ArmQuestion(Question[State]):
         anchor = move[:3, :3] @ state.anchor + move[:3, 3]
         return state._replace(arm=state.arm._replace(frames=frames), anchor=anchor)
 
-    def _sizes(self) -> list[float]:
+    def spaces(self) -> list[float]:
         """Return the size [m] of the space in which each measurement was made."""
         sizes = []
         for kind in self.problem.kinds:

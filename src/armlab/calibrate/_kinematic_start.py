@@ -16,6 +16,7 @@ from armlab.lie import se3, so3
 
 FAR = 0.1  # m or rad from the nominal robot: another measurement frame
 MILLIMETRES = 30.0  # times too large: no arm is that far from its description
+STILL = 1e-4  # times: no other unit of length, but what did not move
 
 
 def start_arm(arm: Arm, kinds: tuple[Kind, ...]) -> tuple[Arm, np.ndarray]:
@@ -51,11 +52,16 @@ def kabsch(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def check_scale(nominal: float, measured: float, what: str) -> None:
-    """Refuse lengths that are a thousand times what they should be."""
+    """Refuse lengths that are a thousand times what they should be, or a thousandth of it."""
     if measured > MILLIMETRES * nominal > 0:
         raise ShapeError(
             f"Expected {what} in metres, got numbers {measured / nominal:.3g} times as large as those of the nominal "
             "robot. These seem to be millimetres: divide by 1000."
+        )
+    if nominal > MILLIMETRES * measured > STILL * nominal:
+        raise ShapeError(
+            f"Expected {what} and the robot in metres, got numbers {measured / nominal:.3g} times as large as those of "
+            "the nominal robot. Its description, or the first guess of a fixed point, seems to be in millimetres."
         )
 
 

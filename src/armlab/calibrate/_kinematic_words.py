@@ -11,6 +11,24 @@ from armlab.lie import se3, so3
 
 LITTLE = 0.35  # rad or m: a joint that moves less is named where something is missing
 STILL = 1e-3
+TURNED, SHIFTED = 0.5, 0.3  # rad, and share of the reach, by which no link is away from its description
+
+
+def far_links(arm: Arm, frames: np.ndarray, whose: str = "") -> list[str]:
+    """Return what a report says of the link that is farthest from its description, if it is far."""
+    twists = arm.corrections(frames)[1:-1]
+    if not len(twists):
+        return []
+    shift, turn = np.linalg.norm(twists[:, :3], axis=1), np.linalg.norm(twists[:, 3:], axis=1)
+    reach = float(np.linalg.norm(arm.start[1:, :3, 3], axis=1).sum()) or 1.0
+    share = np.maximum(turn / TURNED, shift / (SHIFTED * reach))
+    j = int(np.argmax(share))
+    if share[j] < 1.0:
+        return []
+    return [
+        f"link {j + 1}{whose} is {shift[j]:.2g} m and {turn[j]:.2g} rad from its description: a reversed joint, an "
+        "offset of a joint, left-handed measurements, another arm?"
+    ]
 
 
 def joints_at_rest(arm: Arm, frames: np.ndarray, at: int, size: int, whose: str = "") -> list[Suspect]:

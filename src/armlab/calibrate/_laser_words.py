@@ -15,9 +15,11 @@ from armlab.errors import NotConverged, NotExcited, ShapeError
 
 LIMITS = (0.2, 0.2)  # largest deviations accepted: share of the spread of the points, and [rad]
 FLAT = 0.05  # sine of the angle between plate and laser plane below which a scan is not one
+SHAKEN = 1e-3  # rad: orientations of robots are no better; a turn that they could make by that is none
 UNITS = 2.0  # factor between units of length from which it is told
 FAR = 20.0  # factor from which nothing is tried
 ROUGH = 0.1  # residual over the spread of the points from which scans do not fit
+FAR_APART = 30.0  # m: no cell is as large, but one of 30 cm is in millimetres
 TURNED = 0.2  # rad between lines and plates from which they do not
 
 
@@ -92,7 +94,7 @@ def require_motion(scans: Scans, planes: tuple[str, ...]) -> None:
             [where],
             [f"{scans.numbers} of {needed} numbers"],
         )
-    require_two_axes(scans.RA, 0.0, "tool", ("the sensor", "every plane"))
+    require_two_axes(scans.RA, SHAKEN, "tool", ("the sensor", "every plane"))
 
 
 def require_slant(scans: Scans, scene: Scene) -> None:
@@ -125,5 +127,7 @@ def misfit(scans: Scans, ratio: float, best: Scene | None, text: str) -> NotConv
     cause = "Check the labels of the plates and that scan i and pose i are of the same moment, or look for wrong scans "
     cause += "with robust=True."
     if not 1.0 / UNITS < size < UNITS:
-        cause = f"Lengths of the scans times {size:.2g} would fit: perhaps millimetres were given as metres."
+        cause = f"Lengths of the scans times {size:.2g} would fit."
+        if not 1.0 / FAR < size < FAR:
+            cause = f"{cause[:-1]}: perhaps millimetres were given as metres."
     return NotConverged(f"Expected scans of flat plates by one sensor, got {text}. {cause}", best=best, reason="misfit")

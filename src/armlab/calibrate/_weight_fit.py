@@ -8,6 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from armlab.calibrate._agreement import require_most
 from armlab.calibrate._weight_closed import Found, closed_form, is_closed
 from armlab.calibrate._weight_equation import Equation, Load, Turn
 from armlab.calibrate._weight_start import likely, twin
@@ -15,6 +16,7 @@ from armlab.calibrate._weight_words import (
     MANY,
     Words,
     remarks,
+    require_lever,
     require_match,
     require_motion,
     require_right_hand,
@@ -48,11 +50,13 @@ def fit_weight(
     if not robust and moved > RICH and is_closed(equation):
         found = closed_form(equation)
     else:
-        found = _descended(equation, robust)
+        found = _descended(equation, robust, moved, limits, scale)
     load, kept = found.load, ~found.outliers
+    require_most(found.outliers, f"readings of the {equation.what}", load)
     hand = require_right_hand(equation, kept)
     require_match(equation, load, found.residuals, kept, moved)
     _require_weight(equation, load)
+    require_lever(equation, load, np.sqrt(found.cov.diagonal()))
     words = Words(equation, load, limits, scale)
 
     def excitation() -> Excitation:
@@ -71,9 +75,13 @@ def fit_weight(
     )  # fmt: skip
 
 
-def _descended(equation: Equation, robust: bool) -> Found:
+def _descended(equation: Equation, robust: bool, moved: float, limits: tuple[float, float, float], scale: str) -> Found:
     start = equation.only(likely(equation)).start() if robust else equation.start()
-    found = _solved(equation, start, robust)
+    try:
+        found = _solved(equation, start, robust)
+    except NotConverged as error:
+        _explain(equation, error.best, moved, Words(equation, error.best, limits, scale))
+        raise
     if equation.pull is None:
         found = _better_of_twins(equation, found, robust)
     elif robust and np.mean(found.outliers) > MANY:
@@ -97,6 +105,18 @@ def _better_of_twins(equation: Equation, found: NonlinearSolution[Load], robust:
         return int(np.count_nonzero(one.outliers)), rest
 
     return min((found, other), key=badness)
+
+
+def _explain(equation: Equation, best: Load, moved: float, words: Words) -> None:
+    """Say why a descent came to no end, where readings do not follow gravity or orientations do not tell."""
+    (one,) = equation.evaluate(best)
+    everything = np.ones(equation.N, dtype=bool)
+    require_right_hand(equation, everything)
+    require_match(equation, best, one.r, everything, moved)
+    size = {name: float(np.sqrt(np.mean(one.r[:, [name == c for c in one.classes]] ** 2))) for name in one.classes}
+    roots = one.roots(size)
+    J = roots[:, None] * one.J if roots.ndim == 1 else roots @ one.J
+    check_spread(J.reshape(-1, J.shape[2]), words.names, words.units, words.widths, equation.what, describe=words)
 
 
 def _try_other_hand(equation: Equation) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from math import hypot
 from typing import Any
@@ -21,7 +21,10 @@ UNEXPLAINED = 0.5
 UNSEEN = 1e-9
 ROUGH = 5.0  # noise given, times which residuals are called none
 FIRST_ORDER = 0.05  # rad: beyond it a covariance is a first-order statement
-FAR = 1.0  # m: a centre of mass farther away is a mistake of units
+FAR, ABSURD = 1.0, 10.0  # m: a centre of mass farther away may be, and is, a mistake of units
+OTHER_UNIT = 2.0  # factor that no weight and no gravity are wrong by
+HEAVY, LIGHT = 500.0, 1e-3  # kg that no arm carries, and no sensor feels
+LOW_GRAVITY = 1.5  # m/s^2, less than on the Moon
 MANY = 1.0 / 3.0  # share of outliers from which the other hand is tried
 STANDARD = 9.80665
 
@@ -164,21 +167,39 @@ def require_match(equation: Equation, load: Load, r: np.ndarray, kept: np.ndarra
     whole = equation.pull is not None and not equation.torque and count == equation.N
     if whole and equation.turn.power < UNEXPLAINED * equation.turn.signal:
         return
-    w, r = equation.weights[kept], r[kept, :3]
-    power = float(w @ np.einsum("ij,ij->i", r, r))
+    power = float(equation.weights[kept] @ np.einsum("ij,ij->i", r[kept, :3], r[kept, :3]))
     if moved < RICH or 2 * count < 3 or (equation.noise is not None and power < 3 * count * ROUGH**2):
         return
-    f = equation.y[kept, :3]
-    f = f - w @ f / w.sum() if equation.bias else f
-    share = power / max(float(np.sum(w[:, None] * f * f)), np.finfo(float).tiny)
+    share = _unexplained(equation, load, kept)
     if share < UNEXPLAINED:
         return
     raise NotConverged(
-        f"Expected readings that follow gravity as the tool turns, got {share:.0%} of their variation unexplained. "
-        "Check that sample i of both records is the same moment, and that the poses are those of the tool.",
+        f"Expected readings that follow gravity as the tool turns, got {min(share, 1.0):.0%} of their variation "
+        f"unexplained. {_cause(equation, kept)}",
         best=load,
         reason="mismatch",
     )
+
+
+def _unexplained(equation: Equation, load: Load, kept: np.ndarray) -> float:
+    """Return the share of the variation of the forces that a load leaves."""
+    w = equation.weights[kept] / equation.weights[kept].sum()
+    f = equation.y[kept, :3]
+    r = f - load.gamma @ (equation.RA[kept] @ load.R)
+    if equation.bias:
+        f, r = f - w @ f, r - w @ r
+    return float(np.sum(w[:, None] * r * r) / max(float(np.sum(w[:, None] * f * f)), np.finfo(float).tiny))
+
+
+def _cause(equation: Equation, kept: np.ndarray) -> str:
+    """Return what is wrong with readings that do not follow gravity: their unit, where another one would do."""
+    if equation.mass is not None and equation.pull is not None:
+        turn = Turn.of(replace(equation, mass=None), kept)
+        free = Load(turn.R, turn.m * equation.pull, np.zeros(3), np.zeros(3))
+        times = turn.m / equation.mass
+        if _unexplained(equation, free, kept) < UNEXPLAINED and abs(np.log(max(times, 1e-300))) > np.log(OTHER_UNIT):
+            return f"Readings {times:.3g} times what was expected would fit: check the units."
+    return "Check that sample i of both records is the same moment, and that the poses are those of the tool."
 
 
 def require_right_hand(equation: Equation, kept: np.ndarray) -> str:
@@ -193,7 +214,29 @@ def require_right_hand(equation: Equation, kept: np.ndarray) -> str:
             f"undecided whether an axis of the sensor is mirrored or its sign reversed (Delta {turn.difference:.1f}, "
             f"decided from {HAND:.0f}): turn the tool farther"
         )
-    raise mirrored(equation, turn)
+    error = mirrored(equation, turn)
+    if _unexplained(equation, error.best, kept) > UNEXPLAINED:
+        return ""  # neither hand explains the readings
+    raise error
+
+
+def require_lever(equation: Equation, load: Load, sd: np.ndarray) -> None:
+    """Refuse torques in newton millimetres: a centre of mass that cannot be.
+
+    Parameters
+    ----------
+    load : that was found. sd : of the parameters.
+    """
+    if not equation.torque:
+        return
+    away, unsure = np.linalg.norm(load.centre), np.linalg.norm(sd[equation.places["centre"]])
+    if away > max(ABSURD, 3.0 * unsure):
+        raise NotConverged(
+            f"Expected a centre of mass within {ABSURD:.0f} m of the sensor, got {away:.3g} m. Torques seem to be in "
+            "N mm: divide by 1000.",
+            best=load,
+            reason="units",
+        )
 
 
 def mirrored(equation: Equation, turn: Turn) -> NotConverged:
@@ -223,9 +266,26 @@ def remarks(words: Words, sd: np.ndarray, squares: float | None, moved: float) -
     if squares is not None:
         lines.append(f"residuals {np.sqrt(squares):.3g} times the noise that was given")
     if equation.pull is None:
-        lines.append("gravity unknown: the sign of the sensor cannot be seen and is the one that was given")
+        lines.append(
+            "gravity unknown: the sign of the sensor cannot be seen and is the one that was given; an axis that is "
+            "mirrored would look the same, with the weight the other way"
+        )
     if equation.torque and np.linalg.norm(load.centre) > FAR:
         lines.append(f"centre of mass {np.linalg.norm(load.centre):.3g} m away: N mm given as N m?")
+    if equation.pull is not None and equation.mass is None:
+        lines += _odd_scale(float(load.gamma @ equation.pull / (equation.pull @ equation.pull)), words)
     if sd[:3].max() > FIRST_ORDER:
         lines.append("the rotation is known to worse than 3 degrees: deviations are first-order statements there")
     return lines
+
+
+def _odd_scale(m: float, words: Words) -> list[str]:
+    """Return a suspicion of units where a mass or scale is none that is met."""
+    pull = words.equation.pull
+    g = 0.0 if pull is None else float(np.linalg.norm(pull))
+    if words.scale == "scale":
+        odd = abs(np.log(max(m, 1e-300))) > np.log(OTHER_UNIT)
+        return [f"scale of {m:.3g}: readings or gravity in another unit than m/s^2?"] if odd else []
+    if g < LOW_GRAVITY:
+        return [f"gravity of {g:.3g} m/s^2: given in units of g?"]
+    return [] if LIGHT < m < HEAVY else [f"mass of {m:.3g} kg: forces in another unit than N?"]

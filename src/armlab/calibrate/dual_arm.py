@@ -86,10 +86,9 @@ def fit_dual_arm(
     Bennett and Hollerbach (1991), IEEE T-RA 7(5), closed chains and their scale.
     """
     q_a, q_b = check_joints(robot_a, q_a, "q_a"), check_joints(robot_b, q_b, "q_b")
-    if len(q_a) != len(q_b) or len(q_a) < 3:
+    if len(q_a) != len(q_b):
         raise ShapeError(
-            f"Expected as many rows of q_a as of q_b, at least 3, got {len(q_a)} and {len(q_b)}. Both are of the same "
-            "moments."
+            f"Expected as many rows of q_a as of q_b, got {len(q_a)} and {len(q_b)}. Both are of the same moments."
         )
     check_weak(weak)
     orders = check_harmonics(harmonics)
@@ -135,12 +134,20 @@ def _measured(
         pose = np.broadcast_to(np.asarray(pose, dtype=float), (len(T_a), 4, 4))
     kinds, _ = measured_kinds(len(T_a), {"pose": pose, "position": position}, visible, noise)
     kind = kinds[0]
+    if kind.name == "position" and kind.values.shape[1] > 1:
+        raise ShapeError(
+            f"Expected position of shape ({len(T_a)}, 3), one point of b's tool, got {kind.values.shape}. Give one of "
+            "the points."
+        )
     rows = np.flatnonzero(kind.visible.reshape(len(T_a), -1)[:, 0])
     if len(rows) < 3:
         raise NotExcited(
-            f"Expected at least 3 samples in which b is seen from a, got {len(rows)}.", ["everything"], [str(len(rows))]
+            f"Expected at least 3 samples in which b is seen from a, got {len(rows)}. Measure more.",
+            ["everything"],
+            [f"{len(rows)} of at least 3 samples"],
         )
     if kind.name == "pose":
+        check_scale(_size(T_a[:, :3, 3]) + _size(T_b[:, :3, 3]), _size(kind.values[rows, :3, 3]), "positions of poses")
         seen = T_a[rows] @ kind.values[rows] @ se3.inv(T_b[rows])
         return kinds, se3.project(np.mean(seen, axis=0))[0]
     seen = np.einsum("iab,ib->ia", T_a[rows, :3, :3], kind.values[rows, 0]) + T_a[rows, :3, 3]

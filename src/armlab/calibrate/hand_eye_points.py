@@ -19,7 +19,7 @@ from armlab.calibrate._arguments import point_noise, pose_noise, poses
 from armlab.calibrate._hand_eye_equation import robot_side, rotation_sd
 from armlab.calibrate._hand_eye_words import Part, Words, limits_of, remarks, require_samples, require_two_axes
 from armlab.calibrate._marker_equation import Sight, marked_start
-from armlab.calibrate._marker_match import require_sight
+from armlab.calibrate._marker_match import require_marker, require_sight
 from armlab.calibrate.hand_eye import LIMITS, WHAT
 from armlab.errors import NotConverged, NotExcited, ShapeError, UnknownName
 from armlab.estimation import Fit, check_spread, nonlinear_least_squares, unhurried
@@ -88,11 +88,14 @@ def fit_hand_eye_points(
             value = HandEye(setup, None, se3.from_rp(found.value.RY, found.value.tY), found.value.s)
             parts = (*(Part(f"translation of point{k}", carrier, False) for k in range(sight.K)), *Part.of(names[1:]))
         else:
-            found = nonlinear_least_squares(sight.marked(body), marked_start(start, body), robust=robust)
+            begin = marked_start(start, body)
+            require_marker(sight, start.s, body)
+            found = nonlinear_least_squares(sight.marked(body), begin, robust=robust)
             X, Y = found.value.poses()
             value, parts = HandEye(setup, X, Y, body @ X[:3, :3].T + X[:3, 3]), Part.of(names)
-    except NotConverged:
-        require_sight(sight, sight.solution.misfit)
+    except NotConverged as error:
+        if not error.reason:
+            require_sight(sight, sight.solution.misfit)
         raise
     residuals = np.full((*seen.shape, 3), np.nan)
     residuals[seen] = sight.residuals(value)

@@ -109,7 +109,7 @@ def fit_kinematics(
     held = length_angle(prior, "prior") if weak == "prior" else None
     problem = KinematicProblem(arm, tuple(kinds), np.zeros(0, dtype=bool), len(points), held)
     start = State(arm.first(), points, _anchor(anchor, distance is not None), np.array([0.0, 1.0]))
-    _check_lengths(problem, start)
+    _check_lengths(problem, start, length_offset)
     used = _used(problem, free, distance is not None, (length_offset, length_scale))
     reduced = isinstance(free, str) and free == "all" and held is None
     active = used & _with_rest(arm.unbound, problem.size) if reduced else used
@@ -142,14 +142,19 @@ def _anchor(anchor: ArrayLike | None, needed: bool) -> np.ndarray:
     return found
 
 
-def _check_lengths(problem: KinematicProblem, start: State) -> None:
-    """Refuse distances in millimetres."""
+def _check_lengths(problem: KinematicProblem, start: State, length_offset: bool) -> None:
+    """Refuse distances below zero, and in millimetres."""
     lengths = [kind for kind in problem.kinds if "distance" in kind.name]
     if not lengths:
         return
     nominal = [one for one in problem.measurements(start) if one.classes[0] in ("distance [m]", "pair distance [m]")]
     for kind, one in zip(lengths, nominal):
         measured = kind.values[kind.visible]
+        if len(measured) and not length_offset and measured.min() < 0:
+            raise ShapeError(
+                f"Expected {kind.name} from 0, got {measured.min():.4g} m. Give length_offset=True where the "
+                "instrument does not begin at zero."
+            )
         if len(measured):
             check_scale(float(np.mean(np.abs(measured - one.r[:, 0]))), float(np.mean(measured)), kind.name)
 

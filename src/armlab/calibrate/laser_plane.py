@@ -18,7 +18,7 @@ from armlab.calibrate._arguments import poses
 from armlab.calibrate._hand_eye_words import limits_of
 from armlab.calibrate._laser_data import scans_of
 from armlab.calibrate._laser_search import searched, times
-from armlab.calibrate._laser_words import LIMITS, Words, require_motion, require_slant
+from armlab.calibrate._laser_words import FAR_APART, LIMITS, Words, require_motion, require_slant
 from armlab.estimation import Fit, check_spread, unhurried
 from armlab.lie import se3, so3
 from armlab.models import LaserSensor
@@ -80,7 +80,8 @@ def fit_laser_plane(
     def summary(fit: Fit[LaserSensor]) -> str:
         found_planes = (f"plane {a}: n {np.round(n, 6)}, d {d:.6g} m" for a, n, d in zip(planes, scene.n, scene.d))
         chi2 = "" if data.noise is None else f"residuals {times(found):.3g} times the noise"
-        return "\n".join(line for line in [fit.table(), note, *found_planes, chi2] if line)
+        wide = f"points spread over {words.spread:.3g} m: millimetres given as metres?" * (words.spread > FAR_APART)
+        return "\n".join(line for line in [fit.table(), note, *found_planes, chi2, wide] if line)
 
     tilts = np.column_stack([np.zeros((len(planes), 2)), scene.d]).ravel()
     parameters = np.concatenate([scene.t, so3.log(scene.R), tilts])

@@ -1,0 +1,357 @@
+"""Every calibration and every kind of bad input: refused by a sentence that names it, or named in the report.
+
+Mixed units, mirrored sensors, records that do not belong together, poses that do not tell, NaN, no rotations, and a
+guess that is half a turn off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab import frames, sim
+from armlab.calibrate import (
+    fit_accelerometer,
+    fit_dual_arm,
+    fit_force_sensor,
+    fit_hand_eye,
+    fit_hand_eye_points,
+    fit_kinematics,
+    fit_laser_plane,
+)
+from armlab.errors import NotConverged, NotExcited, ShapeError
+from armlab.estimation import Fit
+from armlab.kinematics import forward, inverse
+from armlab.lie import se3, so3
+
+CELL = sim.cell(1)
+CAMERA, ARM, LINE = (0.5e-3, 1e-3), (1e-4, 2e-4), (0.5e-3, 9e-3)
+LEDS = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]])
+G = np.array([0.0, 0.0, -9.82])
+MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
+HALF_TURN = se3.from_rp(so3.exp([0.0, 0.0, np.pi]), [0.3, 0.0, 0.2])
+
+EYE, SEEN = CELL.hand_eye(), CELL.marker_points(N=40, missing=0.0)
+WEIGHED, MOVED = CELL.force(N=60, torque=0.005), CELL.accelerometer()
+TABLE, PAIR, SCANS = CELL.kinematics(), CELL.two_arms(), CELL.laser()
+
+
+def millimetres(T: np.ndarray) -> np.ndarray:
+    return T * np.array([[1.0, 1.0, 1.0, 1e3]] * 3 + [[1.0] * 4])
+
+
+def gap(values: np.ndarray) -> np.ndarray:
+    values = np.array(values)
+    values[3] = np.nan
+    return values
+
+
+def bent(T: np.ndarray) -> np.ndarray:
+    T = np.array(T)
+    T[5, 0, 1] += 0.1
+    return T
+
+
+def left_handed(T: np.ndarray) -> np.ndarray:
+    return T * np.array([1.0, -1.0, 1.0] + [1.0] * (T.shape[-1] - 3))
+
+
+def turned(axis: Any, N: int = 40, angle: float = 2.0) -> np.ndarray:
+    """Poses that turn about one axis of the base and move."""
+    R = so3.exp(np.linspace(0.0, angle, N)[:, None] * np.asarray(axis, dtype=float))
+    return se3.from_rp(R, np.random.default_rng(1).uniform(-0.5, 0.5, (N, 3)))
+
+
+def stay(values: np.ndarray, N: int = 20) -> np.ndarray:
+    return np.repeat(values[:1], N, axis=0)
+
+
+def eye(A=EYE.A, B=EYE.B, **more: Any) -> Fit[Any]:
+    return fit_hand_eye(A, B, **more)
+
+
+def points(A=SEEN.A, p=SEEN.p, marker: Any = LEDS, **more: Any) -> Fit[Any]:
+    return fit_hand_eye_points(A, p, marker=marker, **more)
+
+
+def force(R=WEIGHED.RA, y=WEIGHED.y, gravity: Any = G, **more: Any) -> Fit[Any]:
+    return fit_force_sensor(R, y, gravity=gravity, **more)
+
+
+def acc(R=MOVED.RA, y=MOVED.y, **more: Any) -> Fit[Any]:
+    return fit_accelerometer(R, y, **more)
+
+
+def arm(q=TABLE.q, pose: Any = TABLE.pose, **more: Any) -> Fit[Any]:
+    return fit_kinematics(TABLE.robot, q, pose=pose, **more)
+
+
+def dual(q_a=PAIR.q_a, q_b=PAIR.q_b, pose: Any = PAIR.pose, **more: Any) -> Fit[Any]:
+    return fit_dual_arm(PAIR.robot_a, PAIR.robot_b, q_a, q_b, pose=pose, **more)
+
+
+def laser(A=SCANS.A, scans: Any = SCANS.scans, plane=SCANS.plane, **more: Any) -> Fit[Any]:
+    return fit_laser_plane(A, scans, plane, **more)
+
+
+def weigh(R: np.ndarray, sigma: float = 0.1) -> np.ndarray:
+    """Readings with torques of the weight of `WEIGHED` at other orientations."""
+    u = WEIGHED.weight @ R @ WEIGHED.R
+    exact = np.hstack([u, np.cross(WEIGHED.centre, u)]) + WEIGHED.bias
+    return exact + np.random.default_rng(3).standard_normal(exact.shape) * np.repeat([sigma, 0.05 * sigma], 3)
+
+
+def see(A: np.ndarray) -> np.ndarray:
+    """Poses of the marker of `EYE` at other poses of the robot."""
+    return se3.inv(EYE.Y) @ A @ EYE.X
+
+
+def see_points(A: np.ndarray) -> np.ndarray:
+    T = se3.inv(SEEN.Y) @ A @ SEEN.X
+    return np.einsum("nij,kj->nki", T[:, :3, :3], LEDS) + T[:, None, :3, 3]
+
+
+SHARES = np.repeat([1.0, 1e3], 3)
+SMOOTH = se3.from_rp(*(
+    amplitude * np.stack([np.sin(0.10 * k), np.cos(0.13 * k), np.sin(0.07 * k)], axis=1) if amplitude < 1 else
+    so3.exp(np.stack([np.sin(0.10 * k), np.cos(0.13 * k), np.sin(0.07 * k)], axis=1))
+    for amplitude, k in ((1.0, np.arange(60)), (0.5, np.arange(60)))
+))  # fmt: skip
+Q_STILL, ONE_JOINT = stay(TABLE.q, 30), stay(TABLE.q, 30) + np.linspace(0, 1, 30)[:, None] * np.eye(6)[2]
+STILL_LASER = se3.from_rp(stay(SCANS.A[:, :3, :3], 60), SCANS.A[:, :3, 3])
+
+MIRRORED = [
+    (lambda: eye(B=left_handed(EYE.B)), ShapeError, "T_cam_marker, got left-handed axes in rows 0, 1"),
+    (lambda: eye(B=MIRROR @ EYE.B @ MIRROR), NotConverged, "of different hands: one axis of the camera"),
+    (lambda: points(p=left_handed(SEEN.p)), NotConverged, "axes of the camera are left-handed"),
+    (lambda: points(p=left_handed(SEEN.p), marker=None), NotConverged, "axes of the camera are left-handed"),
+    (lambda: points(A=left_handed(SEEN.A)), ShapeError, "T_base_tool, got left-handed axes"),
+    (lambda: force(y=WEIGHED.y * [1, -1, 1, -1, 1, -1]), NotConverged, "an axis is mirrored or the sign is reversed"),
+    (lambda: force(R=left_handed(WEIGHED.RA)), ShapeError, "T_base_tool, got left-handed axes"),
+    (lambda: acc(y=left_handed(MOVED.y)), NotConverged, "an axis is mirrored or the sign is reversed"),
+    (lambda: arm(pose=left_handed(TABLE.pose)), ShapeError, "rotations in pose, got others in rows 0, 1"),
+    (lambda: arm(pose=None, position=(MIRROR @ TABLE.pose)[:, :3, 3]), NotConverged, "an arm that fits"),
+    (lambda: dual(pose=left_handed(PAIR.pose)), ShapeError, "rotations in pose, got others in rows 0, 1"),
+    (lambda: laser(A=left_handed(SCANS.A)), ShapeError, "T_base_tool, got left-handed axes"),
+]
+UNEXCITED = [
+    (lambda: eye(stay(EYE.A), stay(EYE.B)), NotExcited, "rotations nowhere"),
+    (lambda: points(stay(SEEN.A), stay(SEEN.p)), NotExcited, "rotations nowhere"),
+    (lambda: force(stay(WEIGHED.RA), stay(WEIGHED.y)), NotExcited, "gravity seen from the tool does not move"),
+    (lambda: acc(stay(MOVED.RA), stay(MOVED.y)), NotExcited, "gravity seen from the tool does not move"),
+    (lambda: arm(Q_STILL, stay(TABLE.pose, 30)), NotExcited, "joint 1 did not move; joint 2 did not"),
+    (lambda: arm(ONE_JOINT, TABLE.truth.forward(ONE_JOINT)), NotExcited, "joint 2 did not move; joint 4 did not"),
+    (lambda: dual(stay(PAIR.q_a, 60), pose=PAIR.relative(stay(PAIR.q_a, 60), PAIR.q_b)), NotExcited,
+     "joint 1 of arm a did not move"),
+    (lambda: dual(stay(PAIR.q_a, 60), stay(PAIR.q_b, 60), None, position=stay(PAIR.pose, 60)[:, :3, 3]), NotExcited,
+     "joint 6 of arm b did not move"),
+    (lambda: laser(STILL_LASER), NotExcited, "translation of the sensor along tool axis x"),
+    (lambda: eye(turned([0, 0, 1]), see(turned([0, 0, 1]))), NotExcited, "T_tool_marker along tool axis z"),
+    (lambda: points(turned([0, 0, 1]), see_points(turned([0, 0, 1]))), NotExcited, "along tool axis z"),
+    (lambda: force(turned([0, 0, 1]), weigh(turned([0, 0, 1])[:, :3, :3])), NotExcited, "about the vertical only"),
+    (lambda: force(turned([1, 0, 0]), weigh(turned([1, 0, 0])[:, :3, :3]), "unknown"), NotExcited,
+     "rotation about tool axis x, weight and bias along it"),
+    (lambda: acc(turned([0, 0, 1]), stay(MOVED.y, 40)), NotExcited, "about the vertical only"),
+    (lambda: eye(EYE.A[:2], EYE.B[:2]), NotExcited, "at least 3 pairs of poses, got 2"),
+    (lambda: points(SEEN.A[:2], SEEN.p[:2]), NotExcited, "at least 3 pairs of poses with points .*, got 2"),
+    (lambda: force(WEIGHED.RA[:2], WEIGHED.y[:2]), NotExcited, "at least 3 samples .*, got 2"),
+    (lambda: acc(MOVED.RA[:2], MOVED.y[:2]), NotExcited, "at least 3 samples .*, got 2"),
+    (lambda: arm(TABLE.q[:3], TABLE.pose[:3]), NotExcited, "at least 31 numbers .*, got 18"),
+    (lambda: dual(PAIR.q_a[:2], PAIR.q_b[:2], PAIR.pose[:2]), NotExcited, "at least 3 samples .*, got 2"),
+    (lambda: laser(SCANS.A[:2], SCANS.scans[:2], SCANS.plane[:2]), NotExcited, "13 numbers and two scans"),
+]  # fmt: skip
+UNITS = [
+    (lambda: eye(B=millimetres(EYE.B)), NotConverged, r"times 0\.001 would fit: perhaps millimetres"),
+    (lambda: eye(A=millimetres(EYE.A)), NotConverged, r"times 1e\+03 would fit: perhaps millimetres"),
+    (lambda: points(p=1e3 * SEEN.p), NotConverged, r"Points times 0\.001 would fit: perhaps millimetres"),
+    (lambda: points(A=millimetres(SEEN.A)), NotConverged, r"Points times 1e\+03 would fit: perhaps millimetres"),
+    (lambda: points(marker=1e3 * LEDS), NotConverged, r"marker times 0\.001 would fit: perhaps millimetres"),
+    (lambda: points(millimetres(SEEN.A), 1e3 * SEEN.p), NotConverged, r"marker times 1e\+03 would fit"),
+    (lambda: force(y=WEIGHED.y * SHARES), NotConverged, "Torques seem to be in N mm"),
+    (lambda: force(y=WEIGHED.y[:, :3], mass=1e3), NotConverged, "Readings .* times what was expected would fit"),
+    (lambda: acc(y=MOVED.y / 9.80665), NotConverged, r"Readings 0\.102 times what was expected would fit"),
+    (lambda: acc(y=1e3 * MOVED.y, robust=True), NotConverged, r"Readings 1e\+03 times what was expected would fit"),
+    (lambda: arm(pose=millimetres(TABLE.pose)), ShapeError, "seem to be millimetres"),
+    (lambda: arm(np.rad2deg(TABLE.q)), ShapeError, "seem to be degrees"),
+    (lambda: arm(pose=None, position=1e3 * TABLE.pose[:, :3, 3]), ShapeError, "seem to be millimetres"),
+    (lambda: arm(pose=None, position=1e-3 * TABLE.pose[:, :3, 3]), ShapeError, "description, .* in millimetres"),
+    (lambda: dual(pose=millimetres(PAIR.pose)), ShapeError, "seem to be millimetres"),
+    (lambda: dual(np.rad2deg(PAIR.q_a)), ShapeError, "got up to .* in q_a. These seem to be degrees"),
+    (lambda: laser(scans=SCANS.scans * [1e3, 1e3, 1, 1]), NotConverged, r"times 0\.001 would fit: perhaps milli"),
+    (lambda: laser(A=millimetres(SCANS.A)), NotConverged, "would fit: perhaps millimetres"),
+]
+PAIRING = [
+    (lambda: eye(EYE.A[1:], EYE.B[:-1]), "shifted by 1 samples"),
+    (lambda: eye(SMOOTH[2:], see(SMOOTH)[:-2]), "shifted by 2 samples"),
+    (lambda: points(SEEN.A[1:], SEEN.p[:-1]), "shifted by 1 samples"),
+    (lambda: points(SMOOTH[1:], see_points(SMOOTH)[:-1]), "shifted by 1 samples"),
+    (lambda: points(marker=LEDS[[1, 2, 0]]), "Check the order of the points"),
+    (lambda: force(WEIGHED.RA[1:], WEIGHED.y[:-1]), "Check that sample i of both records is the same moment"),
+    (lambda: force(WEIGHED.RA[1:], WEIGHED.y[:-1, :3], noise=0.1), "readings that follow gravity"),
+    (lambda: force(WEIGHED.RA[1:], WEIGHED.y[:-1], "unknown"), "sample i of both records is the same moment"),
+    (lambda: force(WEIGHED.RA[1:], WEIGHED.y[:-1, :3], noise=0.1, robust=True), "of 59 samples left out"),
+    (lambda: acc(MOVED.RA[1:], MOVED.y[:-1]), "sample i of both records is the same moment"),
+    (lambda: arm(TABLE.q[1:], TABLE.pose[:-1]), "whether samples and joint positions belong together"),
+    (lambda: arm(TABLE.q[1:], TABLE.pose[:-1], noise=ARM, robust=True), "of 49 that do not"),
+    (lambda: arm(TABLE.q[:, ::-1], noise=ARM), "the order of the joints"),
+]
+BROKEN = [
+    (lambda: eye(A=gap(EYE.A)), "T_base_tool, got NaN or Inf in 1 rows: 3"),
+    (lambda: eye(B=gap(EYE.B)), "T_cam_marker, got NaN or Inf in 1 rows: 3"),
+    (lambda: points(A=gap(SEEN.A)), "T_base_tool, got NaN or Inf in 1 rows: 3"),
+    (lambda: points(p=gap(SEEN.p)), "NaN or Inf in 1 rows: 3"),
+    (lambda: force(R=gap(WEIGHED.RA)), "T_base_tool, got NaN or Inf in 1 rows: 3"),
+    (lambda: force(y=gap(WEIGHED.y)), "wrench, got NaN or Inf in 1 rows: 3"),
+    (lambda: acc(R=gap(MOVED.RA)), "T_base_tool, got NaN or Inf in 1 rows: 3"),
+    (lambda: acc(y=gap(MOVED.y)), "acc, got NaN or Inf in 1 rows: 3"),
+    (lambda: arm(q=gap(TABLE.q)), "q, got NaN or Inf in 1 rows: 3"),
+    (lambda: arm(pose=gap(TABLE.pose)), "pose, got NaN or Inf in 1 rows: 3"),
+    (lambda: dual(q_a=gap(PAIR.q_a)), "q_a, got NaN or Inf in 1 rows: 3"),
+    (lambda: dual(q_b=gap(PAIR.q_b)), "q_b, got NaN or Inf in 1 rows: 3"),
+    (lambda: dual(pose=gap(PAIR.pose)), "pose, got NaN or Inf in 1 rows: 3"),
+    (lambda: laser(A=gap(SCANS.A)), "T_base_tool, got NaN or Inf in 1 rows: 3"),
+    (lambda: laser(scans=gap(SCANS.scans)), "scans, got NaN or Inf in 1 rows: 3"),
+    (lambda: eye(A=bent(EYE.A)), "rotations in T_base_tool, got matrices off by up to .* in rows 5"),
+    (lambda: eye(B=bent(EYE.B)), "rotations in T_cam_marker, got matrices off by up to .* in rows 5"),
+    (lambda: points(A=bent(SEEN.A)), "rotations in T_base_tool, got matrices off"),
+    (lambda: force(R=bent(WEIGHED.RA)), "rotations in T_base_tool, got matrices off"),
+    (lambda: acc(R=bent(MOVED.RA)), "rotations in T_base_tool, got matrices off"),
+    (lambda: arm(pose=bent(TABLE.pose)), "rotations in pose, got others in rows 5"),
+    (lambda: dual(pose=bent(PAIR.pose)), "rotations in pose, got others in rows 5"),
+    (lambda: laser(A=bent(SCANS.A)), "rotations in T_base_tool, got matrices off"),
+    (lambda: laser(start=np.diag([1.0, 1.0, -1.0, 1.0])), "rotations in start, got left-handed axes"),
+]
+REPORTED = [
+    (lambda: eye(millimetres(EYE.A), millimetres(EYE.B)), "millimetres given as metres?"),
+    (lambda: points(millimetres(SEEN.A), 1e3 * SEEN.p, None), "millimetres given as metres?"),
+    (lambda: force(y=1e3 * WEIGHED.y), "forces in another unit than N?"),
+    (lambda: force(gravity=[0.0, 0.0, -1.0]), "given in units of g?"),
+    (lambda: force(y=-WEIGHED.y, gravity="unknown"), "mirrored would look the same"),
+    (lambda: force(turned([1, 0, 0]), weigh(turned([1, 0, 0])[:, :3, :3])[:, :3]), "undecided whether an axis"),
+    (lambda: acc(y=MOVED.y / 9.80665, scale=True), "readings or gravity in another unit than m/s^2?"),
+    (lambda: arm(pose=MIRROR @ TABLE.pose @ MIRROR), "from its description: a reversed joint"),
+    (lambda: laser(millimetres(SCANS.A), SCANS.scans * [1e3, 1e3, 1, 1]), "millimetres given as metres?"),
+]
+REFUSED = [*MIRRORED, *UNEXCITED, *UNITS, *((case, NotConverged, words) for case, words in PAIRING)]
+REFUSED += [(case, ShapeError, words) for case, words in BROKEN]
+
+
+@pytest.mark.parametrize(("case", "error", "words"), REFUSED, ids=[words[:50] for *_, words in REFUSED])
+def test_is_refused_by_name(case: Callable[[], Fit[Any]], error: type[Exception], words: str) -> None:
+    with pytest.raises(error, match=words) as caught:
+        case()
+    assert str(caught.value).startswith("Expected ")
+    assert str(caught.value).endswith(".")
+
+
+@pytest.mark.parametrize(("case", "words"), REPORTED, ids=[words[:40] for _, words in REPORTED])
+def test_is_named_in_the_report(case: Callable[[], Fit[Any]], words: str) -> None:
+    assert words in case().report()
+
+
+def test_good_data_are_not_suspected() -> None:
+    for fit in (eye(), points(), points(marker=None), force(), acc(), acc(scale=True), arm(), dual(), laser()):
+        assert "?" not in fit.report()
+        assert "undecided" not in fit.report()
+
+
+@pytest.mark.slow  # 15 s: everything is tried before it is refused
+@pytest.mark.parametrize(("case", "words"), [
+    (lambda: dual(PAIR.q_a[1:], PAIR.q_b[1:], PAIR.pose[:-1]), "whether samples and joint positions belong"),
+    (lambda: dual(PAIR.q_a[1:], PAIR.q_b[:-1], PAIR.pose[1:], noise=ARM, robust=True), "of 59 that do not"),
+    (lambda: dual(pose=MIRROR @ PAIR.pose @ MIRROR), "whether samples and joint positions belong"),
+    (lambda: laser(SCANS.A[1:], SCANS.scans[:-1], SCANS.plane[:-1]), "scan i and pose i are of the same moment"),
+    (lambda: laser(plane=np.random.default_rng(0).permutation(SCANS.plane), noise=LINE), "Check the labels"),
+], ids=["shifted poses", "shifted arm", "mirrored", "shifted scans", "labels"])  # fmt: skip
+def test_records_of_two_arms_and_of_scans_that_do_not_belong_together(case: Callable[[], Any], words: str) -> None:
+    with pytest.raises(NotConverged, match=words):
+        case()
+
+
+class TestHalfATurn:
+    """Where a start is told or described, it may be half a turn off; or that is said."""
+
+    def test_of_a_scanner(self) -> None:
+        right = laser(noise=LINE)
+        for start in (SCANS.X @ HALF_TURN, HALF_TURN @ SCANS.X, SCANS.X @ se3.exp([0, 0, 0, np.pi, 0, 0])):
+            found = laser(start=start, noise=LINE)
+            np.testing.assert_allclose(found.value.T_tool_sensor, right.value.T_tool_sensor, atol=1e-6)
+
+    def test_a_scanner_with_a_reversed_axis_is_one_that_is_turned(self) -> None:
+        right, other = laser(), laser(scans=SCANS.scans * [-1, 1, -1, 1])
+        seen = other.value.points(np.array([[-0.02, 0.1]]), SCANS.A[0])
+        np.testing.assert_allclose(seen, right.value.points(np.array([[0.02, 0.1]]), SCANS.A[0]), atol=1e-6)
+
+    @pytest.mark.parametrize("kind", ["pose", "position"])
+    def test_of_the_base_and_the_tool_of_an_arm(self, kind: str) -> None:
+        for pose in (HALF_TURN @ TABLE.pose, TABLE.pose @ HALF_TURN):
+            measured = pose if kind == "pose" else pose[:, :3, 3]
+            found = fit_kinematics(TABLE.robot, TABLE.q, **{kind: measured})
+            assert found.sigma[0] < 1.2e-4
+            assert "?" not in found.report()
+
+    def test_of_a_joint(self) -> None:
+        for j, words in ((2, "an arm that fits"), (4, "an arm that fits")):
+            with pytest.raises(NotConverged, match=words):
+                arm(TABLE.q + np.pi * np.eye(6)[j], noise=ARM)
+        reversed_ = arm(TABLE.q * [1, 1, -1, 1, 1, 1], None, position=TABLE.pose[:, :3, 3])
+        assert "link 2 is" in reversed_.report()
+
+    def test_of_an_anchor(self) -> None:
+        run, anchor, distance = CELL.distances()
+        found = fit_kinematics(run.robot, run.q, distance=distance, anchor=anchor * [-1, -1, 1], noise=5e-5)
+        assert "from its description" in found.report()
+        with pytest.raises(ShapeError, match="first guess of a fixed point, seems to be in millimetres"):
+            fit_kinematics(run.robot, run.q, distance=distance, anchor=1e3 * anchor)
+        with pytest.raises(ShapeError, match="length_offset=True"):
+            fit_kinematics(run.robot, run.q, distance=-distance, anchor=anchor)
+
+
+def joined() -> tuple[np.ndarray, np.ndarray]:
+    """Joint positions of two arms whose tools are held together."""
+    q_a = np.random.default_rng(0).uniform(-0.6, 0.6, (120, 6))
+    held = se3.from_rp(so3.exp([3.0, 0.2, 0.1]), [0.05, 0.02, 0.3])
+    found = inverse(PAIR.robot_b, se3.inv(PAIR.T_basea_baseb) @ forward(PAIR.robot_a, q_a) @ held)
+    return q_a[found.success][:40], found.q[found.success][:40]
+
+
+def shaken(T: np.ndarray, size: tuple[float, float] = (2e-4, 5e-4)) -> np.ndarray:
+    """Poses (N, 4, 4), or orientations (N, 3, 3), with noise of the robot."""
+    rng = np.random.default_rng(7)
+    turns = so3.exp(size[1] * rng.standard_normal((len(T), 3)))
+    if T.shape[-1] == 3:
+        return T @ turns
+    return se3.from_rp(T[:, :3, :3] @ turns, T[:, :3, 3] + size[0] * rng.standard_normal((len(T), 3)))
+
+
+VERTICAL, SHORT = turned([0, 0, 1]), turned([1, 0, 0], angle=np.radians(3.0))
+STILL_4 = TABLE.q * [1, 1, 1, 0, 1, 1]
+ON_AXIS = CELL.kinematics(N=100, tool=False)
+POINT = forward(ON_AXIS.robot, ON_AXIS.q)[:, :3, 3] + 1e-4 * np.random.default_rng(1).standard_normal((100, 3))
+
+
+@pytest.mark.parametrize("noisy", [False, True], ids=["exact poses", "noise on the poses"])
+def test_what_must_be_refused_by_name(noisy: bool) -> None:
+    shake: Callable[[np.ndarray], np.ndarray] = shaken if noisy else np.asarray
+    one_way = se3.from_rp(shake(stay(SCANS.A[:, :3, :3], 60)), SCANS.A[:, :3, 3])
+    line = np.linspace(0, 1, 9)[:, None] * [1.0, 2.0, 3.0]
+    cases: list[tuple[Callable[[], Any], str]] = [
+        (lambda: eye(shake(VERTICAL), see(VERTICAL), noise=CAMERA), "along tool axis z"),
+        (lambda: eye(shake(stay(EYE.A)), stay(EYE.B), noise=CAMERA), "translation of T_tool_marker"),
+        (lambda: eye(shake(EYE.A[:2]), EYE.B[:2]), "at least 3 pairs of poses, got 2"),
+        (lambda: force(shake(VERTICAL), weigh(VERTICAL[:, :3, :3])), "rotation about tool axis|rotations about the ve"),
+        (lambda: force(shake(SHORT), weigh(SHORT[:, :3, :3])[:, :3]), "rotation about tool axis .*, bias along it"),
+        (lambda: force(shake(SHORT), weigh(SHORT[:, :3, :3])), "rotation about tool axis .*, bias along it"),
+        (lambda: force(shake(WEIGHED.RA[:2]), WEIGHED.y[:2]), "at least 3 samples"),
+        (lambda: arm(STILL_4, shake(TABLE.truth.forward(STILL_4))), "joint 4 did not move"),
+        (lambda: fit_kinematics(ON_AXIS.robot, ON_AXIS.q, position=POINT, noise=1e-4), "on the axis of joint 6"),
+        (lambda: dual(*joined(), None, closed=True), "overall scale"),
+        (lambda: laser(one_way, noise=LINE), "translation of the sensor along tool axis"),
+        (lambda: frames.fit_plane(line), "."),
+    ]
+    for case, words in cases:
+        with pytest.raises(NotExcited, match=words):
+            case()
