@@ -144,7 +144,7 @@ UNEXCITED = [
     (lambda: acc(stay(MOVED.RA), stay(MOVED.y)), NotExcited, "gravity seen from the tool does not move"),
     (lambda: arm(Q_STILL, stay(TABLE.pose, 30)), NotExcited, "joint 1 did not move; joint 2 did not"),
     (lambda: arm(ONE_JOINT, TABLE.truth.forward(ONE_JOINT)), NotExcited, "joint 2 did not move; joint 4 did not"),
-    (lambda: dual(stay(PAIR.q_a, 60), pose=PAIR.relative(stay(PAIR.q_a, 60), PAIR.q_b)), NotExcited,
+    (lambda: dual(stay(PAIR.q_a), PAIR.q_b[:20], PAIR.relative(stay(PAIR.q_a), PAIR.q_b[:20])), NotExcited,
      "joint 1 of arm a did not move"),
     (lambda: dual(stay(PAIR.q_a, 60), stay(PAIR.q_b, 60), None, position=stay(PAIR.pose, 60)[:, :3, 3]), NotExcited,
      "joint 6 of arm b did not move"),
@@ -180,7 +180,7 @@ UNITS = [
     (lambda: arm(pose=None, position=1e-3 * TABLE.pose[:, :3, 3]), ShapeError, "description, .* in millimetres"),
     (lambda: dual(pose=millimetres(PAIR.pose)), ShapeError, "seem to be millimetres"),
     (lambda: dual(np.rad2deg(PAIR.q_a)), ShapeError, "got up to .* in q_a. These seem to be degrees"),
-    (lambda: laser(scans=SCANS.scans * [1e3, 1e3, 1, 1]), NotConverged, r"times 0\.001 would fit: perhaps milli"),
+    (lambda: laser(scans=SCANS.scans * [1e3, 1e3, 1, 1]), NotConverged, r"times 0\.00\d+ would fit: perhaps milli"),
     (lambda: laser(A=millimetres(SCANS.A)), NotConverged, "would fit: perhaps millimetres"),
 ]
 PAIRING = [
@@ -301,7 +301,8 @@ class TestHalfATurn:
         assert "link 2 is" in reversed_.report()
 
     def test_of_an_anchor(self) -> None:
-        run, anchor, distance = CELL.distances()
+        run = CELL.distances()
+        anchor, distance = run.anchor, run.distance
         found = fit_kinematics(run.robot, run.q, distance=distance, anchor=anchor * [-1, -1, 1], noise=5e-5)
         assert "from its description" in found.report()
         with pytest.raises(ShapeError, match="first guess of a fixed point, seems to be in millimetres"):
@@ -312,10 +313,10 @@ class TestHalfATurn:
 
 def joined() -> tuple[np.ndarray, np.ndarray]:
     """Joint positions of two arms whose tools are held together."""
-    q_a = np.random.default_rng(0).uniform(-0.6, 0.6, (120, 6))
+    q_a = np.random.default_rng(0).uniform(-0.6, 0.6, (60, 6))
     held = se3.from_rp(so3.exp([3.0, 0.2, 0.1]), [0.05, 0.02, 0.3])
     found = inverse(PAIR.robot_b, se3.inv(PAIR.T_basea_baseb) @ forward(PAIR.robot_a, q_a) @ held)
-    return q_a[found.success][:40], found.q[found.success][:40]
+    return q_a[found.success][:25], found.q[found.success][:25]
 
 
 def shaken(T: np.ndarray, size: tuple[float, float] = (2e-4, 5e-4)) -> np.ndarray:

@@ -14,7 +14,7 @@ from scipy.io import savemat
 from armlab import log as logs
 from armlab import models, robots, sim
 from armlab.cli import main
-from armlab.cli.calibrate import calibrate, force_sensor, hand_eye, kinematics, laser
+from armlab.cli.calibrate import accelerometer, calibrate, force_sensor, hand_eye, laser
 from armlab.estimation import Fit
 from armlab.kinematics import forward
 from armlab.lie import se3, so3
@@ -29,15 +29,12 @@ def distance(T_a: np.ndarray, T_b: np.ndarray) -> float:
 def files(tmp_path_factory) -> Path:
     """A folder with the samples of one cell."""
     folder, made = tmp_path_factory.mktemp("samples"), sim.cell(1)
-    seen, weighed, scans, arm = made.hand_eye(wrong=2), made.force(torque=0.005), made.laser(), made.kinematics()
+    seen, weighed, scans = made.hand_eye(wrong=2), made.force(torque=0.005), made.laser()
     savemat(folder / "eye.mat", {"T_base_tool": np.moveaxis(seen.A, 0, -1), "T_cam_marker": seen.B})
     T = se3.from_rp(weighed.RA, np.zeros((100, 3)))
     savemat(folder / "force.mat", {"T_base_tool": T, "wrench_raw": weighed.y, "force": weighed.y[:, :3]})
     savemat(folder / "wrench.mat", {"T_base_tool": T, "wrench_raw": weighed.y})
     savemat(folder / "laser.mat", {"T_base_tool": scans.A, "scans": scans.scans, "plane": scans.plane})
-    savemat(folder / "arm.mat", {"q": arm.q, "pose": arm.pose})
-    savemat(folder / "points.mat", {"q": arm.q, "position": arm.pose[:, :3, 3]})
-    robots.save(arm.robot, folder / "nominal.toml")
     return folder
 
 
@@ -101,26 +98,6 @@ def test_force_sensor(files: Path, tmp_path: Path, capsys) -> None:
     assert "Traceback" not in capsys.readouterr().err
 
 
-def test_kinematics(files: Path, tmp_path: Path, capsys) -> None:
-    assert kinematics.__doc__
-    out, arm = tmp_path / "found.toml", tmp_path / "arm.toml"
-    nominal = str(files / "nominal.toml")
-    words = ["calibrate", "kinematics", nominal, str(files / "arm.mat"), "-o", str(out), "--corrected", str(arm)]
-    assert main(words) == 0
-    truth = sim.cell(1).kinematics()
-    corrected = robots.load(str(arm))
-    away = np.linalg.norm((forward(corrected, truth.q_valid) - truth.pose_valid)[:, :3, 3], axis=1)
-    assert np.sqrt(np.mean(away**2)) < 0.15e-3
-    assert models.load(out, "kinematic_correction").robot.hash == corrected.hash
-    assert "arm.mat sha256" in out.read_text(encoding="utf-8")
-    capsys.readouterr()
-    assert main(["calibrate", "kinematics", nominal, str(files / "points.mat"), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["excitation"]["rank"] == 27
-    assert main(["calibrate", "kinematics", nominal, str(files / "eye.mat")]) == 1
-    assert "either pose or position" in capsys.readouterr().err
-    assert main(words) == 1
-
-
 def test_laser(files: Path, tmp_path: Path, capsys) -> None:
     assert laser.__doc__
     out, page = tmp_path / "laser.toml", tmp_path / "laser.html"
@@ -129,6 +106,98 @@ def test_laser(files: Path, tmp_path: Path, capsys) -> None:
     assert distance(models.load(out, "laser_sensor").T_tool_sensor, sim.cell(1).laser().X) < 2e-3
     assert "plane 2 offset" in page.read_text(encoding="utf-8")
     assert capsys.readouterr().out
+
+
+def written(path: Path, columns: dict[str, np.ndarray]) -> Path:
+    np.savetxt(path, np.column_stack(list(columns.values())), "%.17g", ",", header=",".join(columns), comments="")
+    return path
+
+
+def poses(name: str, T: np.ndarray) -> dict[str, np.ndarray]:
+    return {f"{name}{i + 1}_{j + 1}": T[:, i, j] for i in range(4) for j in range(4)}
+
+
+def in_formats(folder: Path, columns: dict[str, np.ndarray]) -> list[Path]:
+    """The same samples as CSV, MAT and MCAP: poses (N, 4, 4), vectors (N, k), points (N, K, 3), numbers (N,)."""
+    flat: dict[str, np.ndarray] = {}
+    kinds = {name: Column(unit="1") for name in columns if name != "T_base_tool"}
+    values = {"q": np.zeros((len(next(iter(columns.values()))), 6)), **columns}
+    for name, value in columns.items():
+        if value.shape[1:] == (4, 4):
+            flat |= poses(name, value)
+            kinds[name] = Column(unit="1, m" if name == "T_base_tool" else "1", kind="pose")
+        elif value.ndim == 3:
+            flat |= {
+                f"{name}{k + 1}_{axis}": value[:, k, i] for k in range(value.shape[1]) for i, axis in enumerate("xyz")
+            }
+            values[name] = value.reshape(len(value), -1)
+        elif value.ndim == 2:
+            flat |= {f"{name}{k + 1}": value[:, k] for k in range(value.shape[1])}
+        else:
+            flat[name] = value
+    savemat(folder / "s.mat", columns)
+    table = Table(0.1 * np.arange(len(values["q"])), values, kinds)
+    return [
+        written(folder / "s.csv", flat),
+        folder / "s.mat",
+        logs.write(table, folder / "s.mcap", robots.load("irb2400")),
+    ]
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_hand_eye_from_points(known: bool, tmp_path: Path, capsys) -> None:
+    seen = sim.cell(3).marker_points(N=40)
+    p = np.where(seen.visible[:, :, None], seen.p, np.nan)
+    body = tmp_path / "marker.csv"
+    body.write_text("x [mm],y [mm],z [mm]\n0,0,0\n100,0,0\n0,100,0\n", encoding="utf-8")
+    words = ["--noise", "5e-4", "--json", *(["--marker", str(body)] if known else [])]
+    found = []
+    for path in in_formats(tmp_path, {"T_base_tool": seen.A, "p_cam": p}):
+        assert main(["calibrate", "hand-eye", str(path), *words]) == 0
+        found.append(json.loads(capsys.readouterr().out))
+    names = [one["name"] for one in found[0]["parameters"]]
+    assert ("T_tool_marker x" in names) == known
+    for one in found:
+        there = [value["value"] for value in one["parameters"] if value["name"].startswith("T_base_cam ")]
+        np.testing.assert_allclose(there[:3], seen.Y[:3, 3], atol=1e-3)
+        assert [x["value"] for x in one["parameters"]] == pytest.approx([x["value"] for x in found[0]["parameters"]])
+        assert len(one["sources"]) == 1 + known
+    assert main(["calibrate", "hand-eye", str(tmp_path / "s.mat"), "--noise", "5e-4", "1e-3"]) == 1
+    assert "noise of points" in capsys.readouterr().err
+
+
+def test_accelerometer(tmp_path: Path, capsys) -> None:
+    assert accelerometer.__doc__
+    data = sim.cell(1).accelerometer()
+    T = se3.from_rp(data.RA, np.zeros((50, 3)))
+    for path in in_formats(tmp_path, {"T_base_tool": T, "acc": data.y}):
+        out = tmp_path / f"{path.suffix[1:]}.toml"
+        assert main(["calibrate", "accelerometer", str(path), "--noise", "0.02", "-o", str(out)]) == 0
+        assert so3.angle(models.load(out, "accelerometer").R_tool_sensor, data.R) < np.radians(0.2)
+    capsys.readouterr()
+    assert main(["calibrate", "accelerometer", str(tmp_path / "s.mat"), "--scale", "--json"]) == 0
+    scale = json.loads(capsys.readouterr().out)["parameters"][3]
+    assert scale["name"] == "scale"
+    assert scale["value"] == pytest.approx(1.0, abs=0.01)
+    assert main(["calibrate", "accelerometer", str(tmp_path / "s.mat"), "--gravity", "0", "0", "9.81"]) == 1
+    assert "mirrored or the sign is reversed" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("job", ["hand-eye", "force-sensor", "laser"])
+def test_samples_are_the_same_from_every_format(job: str, tmp_path: Path, capsys) -> None:
+    made = sim.cell(4)
+    seen, weighed, scans = made.hand_eye(), made.force(), made.laser(N=30)
+    columns, more = {
+        "hand-eye": ({"T_base_tool": seen.A, "T_cam_marker": seen.B}, []),
+        "force-sensor": ({"T_base_tool": se3.from_rp(weighed.RA, np.zeros((100, 3))), "force": weighed.y},
+                         ["--gravity", "0", "0", "-9.82"]),
+        "laser": ({"T_base_tool": scans.A, "scans": scans.scans, "plane": scans.plane}, ["--noise", "5e-4", "9e-3"]),
+    }[job]  # fmt: skip
+    found = []
+    for path in in_formats(tmp_path, columns):
+        assert main(["calibrate", job, str(path), "--json", *more]) == 0
+        found.append([one["value"] for one in json.loads(capsys.readouterr().out)["parameters"]])
+    np.testing.assert_allclose(found[1:], [found[0]] * 2, atol=1e-9)
 
 
 def test_what_cannot_be_calibrated_is_a_sentence_and_writes_nothing(files: Path, tmp_path: Path, capsys) -> None:
@@ -150,5 +219,6 @@ def test_what_cannot_be_calibrated_is_a_sentence_and_writes_nothing(files: Path,
         assert "internal" not in said.err
         assert said.out == ""
         assert not Path(out).exists()
-    assert main(["calibrate", "hand-eye"]) == 2
+    assert main(["calibrate", "hand-eye"]) == 1
+    assert "files of samples, got none" in capsys.readouterr().err
     assert main(["calibrate", "hand-eye", str(files / "eye.mat"), "--setup", "upside_down"]) == 2

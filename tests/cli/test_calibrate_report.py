@@ -52,7 +52,7 @@ def test_files_are_refused_before_the_work(tmp_path: Path) -> None:
 
 def test_a_page_has_everything_inside(fit, tmp_path: Path, capsys) -> None:
     wanted = Wanted(report=tmp_path / "a.html", json=True)
-    wanted.write("hand-eye", fit, "a.csv sha256 00")
+    wanted.write("hand-eye", fit, ("a.csv sha256 00",))
     page = (tmp_path / "a.html").read_text(encoding="utf-8")
     assert "From a.csv sha256 00." in page
     assert "T_base_cam rx" in page

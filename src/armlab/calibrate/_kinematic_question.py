@@ -176,9 +176,7 @@ def _inside(suspects: Sequence[Suspect], used: np.ndarray) -> list[Suspect]:
     return [one for one in found if np.abs(one.directions).max(initial=0.0) > 0]
 
 
-def check_misfit(
-    data: Sequence[Measurement], sizes: Sequence[float], best: Any, outside: np.ndarray = NOBODY
-) -> None:
+def check_misfit(data: Sequence[Measurement], sizes: Sequence[float], best: Any, outside: np.ndarray = NOBODY) -> None:
     """Refuse samples that do not belong together.
 
     Parameters

@@ -1,21 +1,26 @@
-"""``armlab calibrate``: camera, force sensor, arm or line scanner from files of samples."""
+"""``armlab calibrate``: camera, sensors, arms from files of samples."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 
+from armlab.cli.calibrate_arms import dual_arm, kinematics
 from armlab.cli.calibrate_report import Wanted
+from armlab.cli.calibrate_run import measured_rows, noise_of, run_fit, tool_poses
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from armlab.cli.calibrate_input import Samples
 
-__all__ = ["calibrate", "force_sensor", "hand_eye", "kinematics", "laser"]
+__all__ = ["accelerometer", "calibrate", "force_sensor", "hand_eye", "laser"]
 
 calibrate = App(name="calibrate", help="Calibrate a camera, a force sensor, an arm or a line scanner from samples.")
+calibrate.command(kinematics)
+calibrate.command(dual_arm, name="dual-arm")
 
 _flat = Parameter(name="*")
 _several = Parameter(consume_multiple=True)
@@ -23,47 +28,64 @@ _several = Parameter(consume_multiple=True)
 
 @calibrate.command(name="hand-eye")
 def hand_eye(
-    samples: Path,
-    *,
+    *samples: Path,
+    marker: Path | None = None,
     setup: Literal["eye_to_hand", "eye_in_hand"] = "eye_to_hand",
     robot: str | None = None,
-    noise: tuple[float, float] | None = None,
+    noise: Annotated[list[float] | None, _several] = None,
     robust: bool = False,
     wanted: Annotated[Wanted, _flat] = Wanted(),  # noqa: B008 - frozen
 ) -> int:
-    """Find camera and marker from poses of the robot and of the marker.
+    """Find camera and marker from poses of the robot and of the marker, or from points of the marker.
 
-    The file has the poses T_base_tool and T_cam_marker, one sample per row: as T_cam_marker_x, _y, _z [m or mm in the
+    A file has the poses T_base_tool and T_cam_marker, one sample per row: as T_cam_marker_x, _y, _z [m or mm in the
     header], _qw, _qx, _qy, _qz; as T_cam_marker1_1 ... T_cam_marker4_4; in a MAT file as (N, 4, 4) or (4, 4, N).
+    Instead of T_cam_marker it may have points of the marker in camera axes, p_cam1_x, p_cam1_y, p_cam1_z, p_cam2_x ...;
+    in a MAT file p_cam (N, K, 3). A point that was not seen is empty.
 
     Parameters
     ----------
     samples : Path
-        CSV, MAT or MCAP.
+        CSV, MAT or MCAP; several are joined.
+    marker : Path
+        File with the places of the points on the marker, columns x, y, z; they are found when left out.
     setup : str
         eye_to_hand: the camera stands, the marker is on the tool. eye_in_hand: the other way round.
     robot : str
         Name or file of the arm: its joint positions q give T_base_tool.
-    noise : tuple
-        Deviations of the camera, m and rad, where they are known.
+    noise : list
+        Deviations of the camera where they are known: m and rad of poses, m of points.
     robust : bool
         Find wrong samples and leave them out.
     wanted : Wanted
         What to write.
     """
-    from armlab.calibrate import fit_hand_eye
+    import numpy as np
 
-    def fit(read: Samples) -> Any:
-        T_base_tool, T_cam_marker = _measured(read, _tool(read, robot), read.poses("T_cam_marker"))
-        return fit_hand_eye(T_base_tool, T_cam_marker, setup=setup, noise=noise, robust=robust)
+    from armlab.calibrate import fit_hand_eye, fit_hand_eye_points
+    from armlab.cli.calibrate_input import read_samples
 
-    return _run("hand-eye", samples, fit, wanted)
+    kinds: set[bool] = set()
+    known = None if marker is None else read_samples(marker)
+    body = None if known is None else known.points("", "marker")
+
+    def parts(read: Samples) -> tuple[np.ndarray, ...]:
+        kinds.add("T_cam_marker" in read and known is None)
+        seen = read.poses("T_cam_marker") if True in kinds else read.points("p_cam")
+        return measured_rows(read, (tool_poses(read, robot), seen))[:2]
+
+    def fit(T_base_tool: np.ndarray, seen: np.ndarray) -> Any:
+        told: dict[str, Any] = {"setup": setup, "noise": noise_of(noise), "robust": robust}
+        if True in kinds:
+            return fit_hand_eye(T_base_tool, seen, **told)
+        return fit_hand_eye_points(T_base_tool, seen, marker=body, visible=np.isfinite(seen).all(axis=2), **told)
+
+    return run_fit("hand-eye", samples, parts, fit, wanted, () if known is None else (known.source,))
 
 
 @calibrate.command(name="force-sensor")
 def force_sensor(
-    samples: Path,
-    *,
+    *samples: Path,
     robot: str | None = None,
     wrench: str | None = None,
     gravity: tuple[float, float, float] | None = None,
@@ -77,13 +99,13 @@ def force_sensor(
 ) -> int:
     """Find axes, load and bias of a force sensor from readings at rest in many orientations.
 
-    The file has the poses T_base_tool, as for hand-eye, and force1 ... force3, or wrench_raw1 ... wrench_raw6 with
+    A file has the poses T_base_tool, as for hand-eye, and force1 ... force3, or wrench_raw1 ... wrench_raw6 with
     torques, N and N m, sensor axes; in a MAT file force (N, 3) or wrench_raw (N, 6).
 
     Parameters
     ----------
     samples : Path
-        CSV, MAT or MCAP.
+        CSV, MAT or MCAP; several are joined.
     robot : str
         Name or file of the arm: its joint positions q give T_base_tool.
     wrench : str
@@ -113,83 +135,66 @@ def force_sensor(
     told = "unknown" if unknown_gravity else gravity
     more: dict[str, Any] = {} if told is None else {"gravity": told}
 
-    def fit(read: Samples) -> Any:
+    def parts(read: Samples) -> tuple[np.ndarray, ...]:
         name = wrench or ("force" if "force" in read else "wrench_raw")
-        T_base_tool, reading = _measured(read, _tool(read, robot), read.vectors(name, (3, 6)))
+        return measured_rows(read, (tool_poses(read, robot), read.vectors(name, (3, 6))))[:2]
+
+    def fit(T_base_tool: np.ndarray, reading: np.ndarray) -> Any:
         return fit_force_sensor(
-            T_base_tool, reading, sign=sign, bias=not no_bias, mass=mass, noise=_noise(noise), robust=robust, **more
+            T_base_tool, reading, sign=sign, bias=not no_bias, mass=mass, noise=noise_of(noise), robust=robust, **more
         )
 
-    return _run("force sensor", samples, fit, wanted)
+    return run_fit("force sensor", samples, parts, fit, wanted)
 
 
 @calibrate.command
-def kinematics(
-    robot: str,
-    samples: Path,
-    *,
-    noise: Annotated[list[float] | None, _several] = None,
-    free: Literal["all", "offsets", "base_tool"] = "all",
-    harmonics: Annotated[list[int] | None, _several] = None,
-    weak: Literal["refuse", "prior"] = "refuse",
+def accelerometer(
+    *samples: Path,
+    robot: str | None = None,
+    gravity: tuple[float, float, float] | None = None,
+    scale: bool = False,
+    noise: float | None = None,
     robust: bool = False,
-    corrected: Path | None = None,
     wanted: Annotated[Wanted, _flat] = Wanted(),  # noqa: B008 - frozen
 ) -> int:
-    """Calibrate an arm from joint positions and measured poses or positions of its tool.
+    """Find axes and bias of an accelerometer on the tool from readings at rest in many orientations.
 
-    The file has q1 ... qn, and the measured pose, as for hand-eye, or position1 ... position3.
+    A file has the poses T_base_tool, as for hand-eye, and acc1, acc2, acc3, m/s^2, sensor axes, upwards at rest; in a
+    MAT file acc (N, 3).
 
     Parameters
     ----------
-    robot : str
-        Name in the library, or a robot file: the nominal arm.
     samples : Path
-        CSV, MAT or MCAP.
-    noise : list
-        Deviations of a pose, m and rad, or of a position, m, where they are known.
-    free : str
-        What may be wrong: all; offsets: joint offsets, base and tool; base_tool.
-    harmonics : list
-        Orders of joint errors that repeat with the turn, such as 1 2.
-    weak : str
-        What the samples do not tell: refuse, or hold it by a prior.
+        CSV, MAT or MCAP; several are joined.
+    robot : str
+        Name or file of the arm: its joint positions q give T_base_tool.
+    gravity : tuple
+        In base axes, m/s^2; downwards when left out.
+    scale : bool
+        Find the scale of the readings too.
+    noise : float
+        Deviation of a reading, m/s^2, where it is known.
     robust : bool
-        Find wrong samples and leave them out.
-    corrected : Path
-        Also write the corrected arm as a robot file, ends in .toml.
+        Find samples that were not at rest and leave them out.
     wanted : Wanted
         What to write.
     """
-    from armlab import robots
-    from armlab.calibrate import fit_kinematics
-    from armlab.cli.output import check_output, note
-    from armlab.errors import LogError
+    from armlab.calibrate import fit_accelerometer
 
-    arm = robots.load(robot)
-    if corrected is not None:
-        check_output(corrected, wanted.force, (".toml",))
+    more: dict[str, Any] = {} if gravity is None else {"gravity": gravity}
 
-    def fit(read: Samples) -> Any:
-        if ("pose" in read) == ("position" in read):
-            raise LogError(f"Expected either pose or position in {read.path}, got {', '.join(read.values)}.")
-        kind = "pose" if "pose" in read else "position"
-        measured = read.poses("pose") if kind == "pose" else read.vectors("position", (3,))
-        q, measured = _measured(read, read.vectors("q", (arm.n,)), measured)
-        told: dict[str, Any] = {kind: measured, "free": free, "weak": weak, "robust": robust}
-        found = fit_kinematics(arm, q, noise=_noise(noise), harmonics=tuple(harmonics or ()), **told)
-        if corrected is not None:
-            robots.save(found.value.robot, corrected)
-            note(f"robot: {corrected}")
-        return found
+    def parts(read: Samples) -> tuple[np.ndarray, ...]:
+        return measured_rows(read, (tool_poses(read, robot), read.vectors("acc", (3,))))[:2]
 
-    return _run("kinematics", samples, fit, wanted)
+    def fit(T_base_tool: np.ndarray, acc: np.ndarray) -> Any:
+        return fit_accelerometer(T_base_tool, acc, scale=scale, noise=noise, robust=robust, **more)
+
+    return run_fit("accelerometer", samples, parts, fit, wanted)
 
 
 @calibrate.command
 def laser(
-    samples: Path,
-    *,
+    *samples: Path,
     robot: str | None = None,
     noise: tuple[float, float] | None = None,
     robust: bool = False,
@@ -197,13 +202,13 @@ def laser(
 ) -> int:
     """Find a line scanner on the tool from scans of flat plates.
 
-    The file has the poses T_base_tool, as for hand-eye, the lines scans1 ... scans4 (point x, y, direction x, y in the
+    A file has the poses T_base_tool, as for hand-eye, the lines scans1 ... scans4 (point x, y, direction x, y in the
     laser plane), and plane, the number of the plate.
 
     Parameters
     ----------
     samples : Path
-        CSV, MAT or MCAP.
+        CSV, MAT or MCAP; several are joined.
     robot : str
         Name or file of the arm: its joint positions q give T_base_tool.
     noise : tuple
@@ -215,51 +220,10 @@ def laser(
     """
     from armlab.calibrate import fit_laser_plane
 
-    def fit(read: Samples) -> Any:
-        parts = _measured(read, _tool(read, robot), read.vectors("scans", (4,)), read.numbers("plane"))
-        T_base_tool, scans, plane = parts
+    def parts(read: Samples) -> tuple[np.ndarray, ...]:
+        return measured_rows(read, (tool_poses(read, robot), read.vectors("scans", (4,)), read.numbers("plane")))[:3]
+
+    def fit(T_base_tool: np.ndarray, scans: np.ndarray, plane: np.ndarray) -> Any:
         return fit_laser_plane(T_base_tool, scans, plane.astype(int), noise=noise, robust=robust)
 
-    return _run("laser", samples, fit, wanted)
-
-
-def _run(job: str, path: Path, fit: Callable[[Samples], Any], wanted: Wanted) -> int:
-    """Read, fit, and write what is wanted."""
-    from armlab.cli.calibrate_input import read_samples
-
-    wanted.check()
-    read = read_samples(path)
-    wanted.write(job, fit(read), read.source)
-    return 0
-
-
-def _noise(values: list[float] | None) -> Any:
-    return None if values is None else values[0] if len(values) == 1 else tuple(values)
-
-
-def _tool(read: Samples, robot: str | None) -> Any:
-    """Return T_base_tool as it was recorded, or of the joint positions of the arm."""
-    if robot is None:
-        return read.poses("T_base_tool")
-    from armlab import robots
-    from armlab.kinematics import forward
-
-    arm = robots.load(robot)
-    return forward(arm, read.vectors("q", (arm.n,)))
-
-
-def _measured(read: Samples, *parts: Any) -> tuple[Any, ...]:
-    """Return the rows in which every part was measured; recordings have rows between the samples of a sensor."""
-    import numpy as np
-
-    from armlab.cli.output import note
-    from armlab.errors import LogError
-
-    lengths = [len(part) for part in parts]
-    if len(set(lengths)) > 1:
-        raise LogError(f"Expected as many samples of each kind in {read.path}, got {', '.join(map(str, lengths))}.")
-    there = np.all([~np.isnan(part.reshape(len(part), -1)).all(axis=1) for part in parts], axis=0)
-    if not there.all():
-        without, name = np.count_nonzero(~there), read.path.name
-        note(f"{without} of {len(there)} rows of {name} have no measurement and do not count")
-    return tuple(part[there] for part in parts)
+    return run_fit("laser", samples, parts, fit, wanted)

@@ -1,7 +1,8 @@
 """The samples of a calibration from CSV, MAT or MCAP: poses, vectors, numbers, each by its name.
 
 A pose NAME is 16 numbers NAME1_1 ... NAME4_4, or NAME_x NAME_y NAME_z [m or mm] and NAME_qw NAME_qx NAME_qy NAME_qz; a
-vector NAME is NAME1 NAME2 ...; in a MAT file a pose is (N, 4, 4) or (4, 4, N), a vector (N, k).
+vector NAME is NAME1 NAME2 ...; points NAME are NAME1_x NAME1_y NAME1_z NAME2_x ...; in a MAT file a pose is (N, 4, 4)
+or (4, 4, N), a vector (N, k), points (N, K, 3).
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ class Samples:
 
     def __contains__(self, name: object) -> bool:
         text = str(name)
-        return any(key in self.values for key in (text, f"{text}1", f"{text}1_1", f"{text}_x"))
+        return any(key in self.values for key in (text, f"{text}1", f"{text}1_1", f"{text}_x", f"{text}1_x"))
 
     def numbers(self, name: str) -> np.ndarray:
         """Return the column (N,) of a name.
@@ -71,6 +72,35 @@ class Samples:
         if array.ndim != 2 or (sizes and array.shape[1] not in sizes):
             words = " or ".join(f"(N, {k})" for k in sizes) or "(N, k)"
             raise LogError(f"Expected {name} of shape {words} in {self.path}, got {array.shape}. Name another column.")
+        return array
+
+    def points(self, name: str, whole: str = "") -> np.ndarray:
+        """Return the points (N, K, 3) of a name: columns NAME1_x, NAME1_y, NAME1_z, NAME2_x ..., or one array.
+
+        Parameters
+        ----------
+        name : of the points; "" for one point per row in columns x, y, z, which gives (N, 3).
+        whole : name of an array that has them all.
+
+        Raises
+        ------
+        LogError : it is not there, or of another shape.
+        """
+        if not name:
+            if whole in self.values:
+                return self.vectors(whole, (3,))
+            return np.stack([self.numbers(axis) for axis in "xyz"], axis=1)
+        if f"{name}1_x" in self.values:
+            count = next(k for k in range(1, len(self.values) + 2) if f"{name}{k}_x" not in self.values)
+            places = [[f"{name}{k}_{axis}" for axis in "xyz"] for k in range(1, count)]
+            return np.stack([[self._found(place) for place in point] for point in places]).transpose(2, 0, 1)
+        array = self._found(name) if name in self.values else self.vectors(name, (3,))
+        if array.ndim == 2 and array.shape[1] % 3 == 0:
+            return array.reshape(len(array), -1, 3)
+        if array.ndim == 3 and array.shape[2] != 3 and array.shape[0] == 3:
+            array = array.transpose(2, 1, 0)  # samples last, as poses (4, 4, N)
+        if array.ndim != 3 or array.shape[2] != 3:
+            raise LogError(f"Expected points {name} of shape (N, K, 3) in {self.path}, got {array.shape}.")
         return array
 
     def poses(self, name: str) -> np.ndarray:

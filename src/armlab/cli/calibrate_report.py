@@ -55,29 +55,29 @@ class Wanted:
             if path is not None:
                 check_output(path, self.force, endings)
 
-    def write(self, job: str, fit: Fit[Any], source: str) -> None:
+    def write(self, job: str, fit: Fit[Any], sources: tuple[str, ...]) -> None:
         """Print the fit and write the files that are wanted.
 
         Parameters
         ----------
-        job : for the title. fit : of a `fit_*` of `calibrate`. source : name and SHA-256 of the file of samples.
+        job : for the title. fit : of a `fit_*` of `calibrate`. sources : name and SHA-256 of each file.
         """
         from armlab.cli.output import note, print_json, result
 
         verdict = judge(fit)
         if self.json:
-            print_json({**numbers(fit), "sources": [source], "verdict": vars(verdict)})
+            print_json({**numbers(fit), "sources": list(sources), "verdict": vars(verdict)})
         else:
             result(f"{fit.report()}\n\n{verdict.text()}")
         if self.output is not None:
-            note(f"calibration: {fit.save(self.output, (source,))}")
+            note(f"calibration: {fit.save(self.output, sources)}")
         if self.figure is not None:
             from armlab import plots
 
             plots.calibration(fit).savefig(self.figure, dpi=150)
             note(f"figure: {self.figure}")
         if self.report is not None:
-            _page(job, fit, verdict, source).write(self.report)
+            _page(job, fit, verdict, sources).write(self.report)
             note(f"report: {self.report}")
 
 
@@ -131,12 +131,12 @@ def judge(fit: Fit[Any]) -> Verdict:
     return Verdict(tuple(good), tuple(bad), tuple(ahead))
 
 
-def _page(job: str, fit: Fit[Any], verdict: Verdict, source: str) -> Any:
+def _page(job: str, fit: Fit[Any], verdict: Verdict, sources: tuple[str, ...]) -> Any:
     """Return the page: verdict, figure, parameters, and the text of the fit."""
     from armlab import plots
     from armlab.cli.page import Page
 
-    page = Page(f"Calibration: {job}", f"From {source}.")
+    page = Page(f"Calibration: {job}", f"From {'; '.join(sources)}.")
     page.verdict(verdict)
     page.section("Residuals, ellipses, excitation", "In standard deviations of the noise; a straight line is normal.")
     page.figure(plots.png(plots.calibration(fit)), "residuals per sample, quantiles, ellipses, singular values")
