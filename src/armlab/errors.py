@@ -89,6 +89,12 @@ class RobotError(ArmlabError, ValueError):
         value : what came: often the name of a robot that was not loaded.
         """
         advice = f"Load it first: robots.load({value!r})" if isinstance(value, str) else "robots.load gives one"
+        if hasattr(value, "robot"):
+            advice = "Give its attribute robot"
+            if hasattr(value, "joints"):  # of a kinematic calibration
+                advice += (
+                    "; positions that an arm tells go through its joints(), those to ask for through its command()"
+                )
         return cls(f"Expected a Robot, got {shortened(value)}. {advice}.")
 
 

@@ -15,11 +15,11 @@ from armlab.calibrate._dual_problem import DualProblem, DualState
 from armlab.calibrate._kinematic_data import measured_kinds
 from armlab.errors import ConfigError, NotConverged, NotExcited, ShapeError
 from armlab.estimation import Experiment, Fit, Gauge, check_estimator
-from armlab.kinematics import inverse
+from armlab.kinematics import forward, inverse
 from armlab.lie import se3, so3
 from armlab.models import DualArmCorrection
 from armlab.sim import cell
-from armlab.sim._cell_kinematics import DEGREE, NOISE, NOMINAL_PAIR, DualRun, dh_arm, noisy, spoilt
+from armlab.sim._cell_kinematics import DEGREE, NOISE, NOMINAL_PAIR, DualRun, dh_arm, noisy, sliding_robot, spoilt
 
 TOOL = se3.from_rp(so3.exp([0.2, -0.1, 0.3]), [0.02, -0.03, 0.01])
 
@@ -77,6 +77,15 @@ def test_ranks(case: DualRun) -> None:
     away = absolute.value.arm_a.forward(case.q_valid_a) - case.truth_a.forward(case.q_valid_a)
     assert 1e3 * np.sqrt(np.mean(np.sum(away[:, :3, 3] ** 2, axis=1))) < 0.1
     assert absolute.residuals.shape == (60, 12)
+
+
+def test_one_joint_that_slides(exact: DualRun) -> None:
+    """4 r + 2 p + 6 with eleven joints that turn and one that slides."""
+    robot, q = sliding_robot(), np.random.default_rng(1).uniform(-2, 2, (60, 6))
+    Z = se3.inv(forward(robot, q)) @ NOMINAL_PAIR @ exact.truth_b.forward(exact.q_b)
+    fit = fit_dual_arm(robot, exact.robot_b, q, exact.q_b, pose=Z, noise=NOISE)
+    assert fit.excitation.rank == fit.excitation.expected == 52
+    np.testing.assert_allclose(fit.value.forward(q, exact.q_b), Z, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("known", [True, False])

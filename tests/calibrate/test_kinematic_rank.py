@@ -60,6 +60,8 @@ class TestRank:
             (25, 9, lambda run: {**to_anchor(run), "noise": 1e-4, "length_offset": True}),
             (21, 9, lambda run: {**between(run), "noise": 1e-4}),
             (42, 0, lambda run: {"pose": run.pose, "noise": NOISE, "harmonics": (1,)}),
+            (42, 0, lambda run: {"pose": run.pose, "noise": NOISE, "harmonics": (2,)}),
+            (42, 0, lambda run: {"pose": run.pose, "noise": NOISE, "harmonics": (3,)}),
             (54, 0, lambda run: {"pose": run.pose, "noise": NOISE, "harmonics": (1, 2)}),
             (66, 0, lambda run: {"pose": run.pose, "noise": NOISE, "harmonics": (1, 2, 3)}),
             (51, 3, lambda run: {"position": run.pose[:, :3, 3], "noise": 1e-4, "harmonics": (1, 2)}),
@@ -77,6 +79,8 @@ class TestRank:
             "and offset",
             "pairs",
             "order 1",
+            "order 2",
+            "order 3",
             "1 2",
             "1 2 3",
             "both",
@@ -96,13 +100,20 @@ class TestRank:
             fit.excitation.null_space.T @ fit.excitation.null_space, np.eye(12 + unseen), atol=1e-12
         )
 
-    @pytest.mark.parametrize(("kind", "rank"), [("pose", 28), ("position", 25)])
+    @pytest.mark.parametrize(("kind", "rank"), [("pose", 28), ("position", 25), ("2 points", 28), ("3 points", 31)])
     def test_one_joint_that_slides(self, kind: str, rank: int) -> None:
+        """4 r + 2 p + 6 for poses, 4 r + 2 p + 3 K for points."""
         rng, robot = np.random.default_rng(1), sliding_robot()
         q = rng.uniform(-2, 2, (80, 6))
         T = forward(robot, q)
-        data = {"pose": T} if kind == "pose" else {"position": T[:, :3, 3]}
-        fit = fit_kinematics(robot, q, noise=(1e-4, 1e-4) if kind == "pose" else 1e-4, **data)
+        points = np.array([[0.05, 0.0, 0.02], [-0.03, 0.06, 0.0], [0.0, -0.04, 0.07]])
+        data = {
+            "pose": {"pose": T, "noise": (1e-4, 1e-4)},
+            "position": {"position": T[:, :3, 3], "noise": 1e-4},
+            "2 points": {"position": (T[:, None] @ se3.from_rp(np.eye(3), points[:2]))[..., :3, 3], "noise": 1e-4},
+            "3 points": {"position": (T[:, None] @ se3.from_rp(np.eye(3), points))[..., :3, 3], "noise": 1e-4},
+        }[kind]
+        fit = fit_kinematics(robot, q, **data)
         assert fit.excitation.rank == rank
         assert sum(name.startswith("gauge: ") for name in fit.excitation.null_names) == 14
 

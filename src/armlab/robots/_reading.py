@@ -89,7 +89,10 @@ def read_robot(text: str, path: str) -> Robot:
     RobotError : when the text is no TOML, has unknown, missing or wrong fields, or describes no consistent robot.
     """
     try:
-        return _build(msgspec.convert(_in_radians(tomllib.loads(text)), File))
+        fields = tomllib.loads(text)
+        if isinstance(meta := fields.get("meta"), dict) and "kind" in meta:
+            raise RobotError(_no_robot_file(str(meta["kind"])))
+        return _build(msgspec.convert(_in_radians(fields), File))
     except RobotError as error:
         raise RobotError(f"The robot file {path} describes no robot. {error}") from None
     except (ValueError, ArithmeticError, RecursionError) as error:  # no TOML, wrong fields, numbers beyond a float
@@ -97,6 +100,13 @@ def read_robot(text: str, path: str) -> Robot:
             f"Expected a robot file in {path}, got one that cannot be read: {error}. "
             "The page Robot files of the documentation lists the fields."
         ) from None
+
+
+def _no_robot_file(kind: str) -> str:
+    text = f"It is a model file of kind {kind!r}, which armlab.models.load reads."
+    if kind == "kinematic_correction":
+        text += " Its robot: armlab.robots.save(armlab.models.load(path).robot, 'arm.toml')."
+    return text
 
 
 def _in_radians(value: Any) -> Any:

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from armlab.errors import ConfigError, ShapeError
+from armlab.errors import ConfigError, RobotError, ShapeError
 from armlab.robots import Robot, inertia
 from armlab.sim.drive import Drive
 from armlab.sim.friction import Friction
@@ -97,6 +97,8 @@ class Arm:
     ) -> None:
         if not 1e-4 <= period <= 1.0:
             raise ConfigError(f"Expected a period between 0.0001 s and 1 s, got {period} s.")
+        if not isinstance(robot, Robot):
+            raise RobotError.no_robot(robot)
         if len(truth.pi) != robot.n:
             raise ShapeError(f"Expected a truth for {robot.n} joints of robot {robot.name!r}, got {len(truth.pi)}.")
         self.mismatch = mismatch = mismatch or Mismatch()

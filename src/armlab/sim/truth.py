@@ -20,7 +20,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from armlab.errors import ConfigError, ShapeError, UnknownName
+from armlab.errors import ConfigError, RobotError, ShapeError, UnknownName
 from armlab.robots import Robot, inertia
 
 __all__ = ["Truth", "cylinder", "synthetic_truth", "truth_names"]
@@ -173,8 +173,10 @@ def synthetic_truth(robot: Robot) -> Truth:
 
     Raises
     ------
-    UnknownName : when nothing was assumed for this robot.
+    UnknownName : when nothing was assumed for this robot. RobotError : no robot.
     """
+    if not isinstance(robot, Robot):
+        raise RobotError.no_robot(robot)
     if robot.name not in _SIZES:
         raise UnknownName.among("robot with synthetic masses", robot.name, _SIZES)
     sizes = _SIZES[robot.name]
