@@ -95,8 +95,10 @@ class Question(ABC, Generic[S]):
 
     def _check_majority(self, found: NonlinearSolution[S]) -> None:
         """Refuse an arm that most samples contradict: as few of them as there are unknowns always fit exactly."""
-        seen = np.unique(np.concatenate([one.sample for one in self.problem.measurements(found.value)]))
         out = int(np.count_nonzero(found.outliers))
+        if not out:
+            return
+        seen = np.unique(np.concatenate([one.sample for one in self.problem.measurements(found.value)]))
         if 2 * out > len(seen):
             raise NotConverged(
                 f"Expected most samples to fit one arm, got {out} of {len(seen)} that do not. Check that samples and "

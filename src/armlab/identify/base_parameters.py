@@ -26,6 +26,7 @@ __all__ = ["BaseParameters", "base_parameters", "measured_joints"]
 LINK_SYMBOLS = ("m", "m c_x", "m c_y", "m c_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
 POSITIVE = (0, 4, 6, 9)  # masses and moments of inertia
 TOLERANCE = 1e-8
+INDEPENDENT = 0.02  # of a column: above half or nothing as drawn; a calibrated arm adds what its axes are off [rad]
 SEED = 20170101
 
 
@@ -73,7 +74,8 @@ def base_parameters(robot: Robot, *, quasi_static: bool = False, joints: Sequenc
     """Return the base parameters of `robot`, rotor inertias included.
 
     The regressor is evaluated at 50 n random states (fixed seed); columns are scaled to norm 1. A column counts as
-    independent when its part outside the span of the columns before it exceeds 1e-8. Offsets come first, then first
+    independent when its part outside the span of the columns before it exceeds 2 %: less is what axes that are nearly
+    perpendicular or parallel, as of a calibrated arm, add to those of an ideal one. Offsets come first, then first
     moments and inertias from base to tip, rotors, and masses last: so a name reads ``m c_x2 + 0.2465 m3``, as in the
     literature.
 
@@ -168,7 +170,7 @@ def _independent(A: np.ndarray, order: np.ndarray) -> tuple[np.ndarray, np.ndarr
         for _ in range(2):  # twice is enough for orthogonality to rounding
             v = v - basis @ (basis.T @ v)
         size = np.linalg.norm(v)
-        if size > TOLERANCE:
+        if size > INDEPENDENT:
             kept.append(column)
             basis = np.column_stack([basis, v / size])
     kept_array = np.array(kept)
