@@ -91,9 +91,7 @@ def solve_pybotics(run: Any) -> Forward:
     robot = Pybotics.from_parameters(MODIFIED_TABLE)
     robot.tool.position = TOOL
     agree("pybotics at its start", np.array(robot.fk(run.q[0]))[:3, 3], forward(run.robot, run.q[0])[:3, 3])
-    handler = OptimizationHandler(
-        robot, kinematic_chain_mask=True, tool_mask=[True] * 3 + [False] * 3, world_mask=True
-    )
+    handler = OptimizationHandler(robot, kinematic_chain_mask=True, tool_mask=[True] * 3 + [False] * 3, world_mask=True)
     start = handler.generate_optimization_vector()
     seen = run.pose[:, :3, 3]
     found = least_squares(optimize_accuracy, start, args=(handler, run.q, seen), max_nfev=PYBOTICS_STEPS)
