@@ -81,11 +81,12 @@ SpringStep::SpringStep(double alpha, double stiffness, double r) {
 }
 
 void SpringStep::advance(std::ptrdiff_t count, const double *start, const double *middle, const double *end,
-                         const double *g, double *y, double *z) const {
+                         const double *g, double *__restrict y, double *__restrict z) const {
+  const SpringStep s = *this;  // in registers: the compiler cannot know that y and z are no part of it
   for (std::ptrdiff_t i = 0; i < count; ++i) {
     const double d = y[i] - g[i], v = z[i];
-    y[i] = g[i] + (yy * d + yz * v) + (f0 * start[i] + fm * middle[i] + f1 * end[i]);
-    z[i] = (zy * d + zz * v) + (vf0 * start[i] + vfm * middle[i] + vf1 * end[i]);
+    y[i] = g[i] + (s.yy * d + s.yz * v) + (s.f0 * start[i] + s.fm * middle[i] + s.f1 * end[i]);
+    z[i] = (s.zy * d + s.zz * v) + (s.vf0 * start[i] + s.vfm * middle[i] + s.vf1 * end[i]);
   }
 }
 
@@ -135,7 +136,7 @@ void Primitive::forcing_each(const double *x, int *index, double *psi, double *f
 }
 
 PrimitiveStepper::PrimitiveStepper(const Primitive &p) : primitive(p), work_(6 * p.n), psi_(p.m), index_(p.m) {
-  for (auto *part : {&y_, &z_, &y0_, &g_, &target_, &scale_, &f0_, &fm_, &f1_, &goal_, &limit_, &side_, &braking_})
+  for (auto *part : {&y_, &z_, &y0_, &g_, &target_, &scale_, &f0_, &fm_, &f1_, &goal_, &rise_, &limit_, &side_, &braking_})
     part->assign(p.n, 0.0);
 }
 
@@ -149,7 +150,7 @@ void PrimitiveStepper::start(const double *y0, const double *v0, const double *g
     z_[i] = tau * v0[i];
     g_[i] = target_[i] = g[i];
     scale_[i] = scale[i];
-    limit_[i] = side_[i] = braking_[i] = 0.0;
+    limit_[i] = side_[i] = braking_[i] = rise_[i] = 0.0;
   }
   force(0.0, y_.data(), f0_.data());
 }
@@ -166,7 +167,8 @@ void PrimitiveStepper::force(double s, const double *y, double *f) {
   } else {
     primitive.forcing(primitive.phase_at(s), index_.data(), psi_.data(), f);
   }
-  for (int i = 0; i < n; ++i) f[i] *= scale_[i];
+  const double left = moving_ ? std::exp(-filter * (s - moved_)) : 0.0;
+  for (int i = 0; i < n; ++i) f[i] *= scale_[i] + rise_[i] * left;
 }
 
 void PrimitiveStepper::step(double dt) {
@@ -218,7 +220,7 @@ void PrimitiveStepper::step_position(double r) {
       const double now = s_ + (stage == 0 ? 0.0 : reach);
       if (moving_)
         for (int i = 0; i < n; ++i) g_[i] = target_[i] + goal_[i] * std::exp(-filter * (now - moved_));
-      force(0.0, y, f);
+      force(now, y, f);
       for (int i = 0; i < n; ++i) {
         const double dy = z[i], dz = k * (g_[i] - y[i]) - alpha * z[i] + f[i];
         sum_y[i] += weight * dy;
@@ -234,7 +236,7 @@ void PrimitiveStepper::step_position(double r) {
     if (moving_)
       for (int i = 0; i < n; ++i) g_[i] = target_[i] + goal_[i] * std::exp(-filter * (s_ - moved_));
   }
-  force(0.0, y_.data(), f0_.data());
+  force(s_, y_.data(), f0_.data());
 }
 
 // Keeps v^2 <= 2 a |g - y| on the way to a goal that has changed, and y on its side of it.
@@ -255,7 +257,9 @@ void PrimitiveStepper::brake() {
 }
 
 void PrimitiveStepper::change_goal(const double *g, const double *scale, const double *limit) {
+  const double left = moving_ ? std::exp(-filter * (s_ - moved_)) : 0.0;
   for (int i = 0; i < primitive.n; ++i) {
+    rise_[i] = filter == 0.0 ? 0.0 : scale_[i] + rise_[i] * left - scale[i];
     scale_[i] = scale[i];
     target_[i] = g[i];
     if (filter == 0.0) g_[i] = g[i];
@@ -288,7 +292,45 @@ void PrimitiveStepper::outputs(double *y, double *yd, double *ydd, double *f) co
 
 namespace {
 
-constexpr std::ptrdiff_t together = 16;  // runs side by side: their states and weights stay in the first cache
+constexpr std::ptrdiff_t together = 32;  // runs side by side: their states and weights stay in the first caches
+
+// position, velocity, acceleration and forcing of a state
+inline void write(std::ptrdiff_t count, const double *y, const double *z, const double *g, const double *f, double stiffness,
+                  double alpha, double rate, double *__restrict Y, double *__restrict V, double *__restrict A,
+                  double *__restrict F) {
+  for (std::ptrdiff_t i = 0; i < count; ++i) {
+    Y[i] = y[i];
+    V[i] = z[i] * rate;
+    A[i] = (stiffness * (g[i] - y[i]) - alpha * z[i] + f[i]) * (rate * rate);
+    F[i] = f[i];
+  }
+}
+
+// to (n) = scale * sum psi w over the kernels that are there; n is known where it is not 0
+template <int n_known>
+inline void weigh(int n_given, int count, const int *index, const double *psi, const double *weights, const double *scale,
+                  double *to) {
+  constexpr int most = n_known ? n_known : 1;
+  const int n = n_known ? n_known : n_given;
+  double fixed[most] = {}, *sum = n_known ? fixed : to;
+  if (!n_known) std::fill(to, to + n, 0.0);
+  for (int l = 0; l < count; ++l) {
+    const double *w = weights + static_cast<std::ptrdiff_t>(n) * index[l];
+    for (int i = 0; i < n; ++i) sum[i] += psi[l] * w[i];
+  }
+  for (int i = 0; i < n; ++i) to[i] = sum[i] * scale[i];
+}
+
+inline void weigh_any(int n, int count, const int *index, const double *psi, const double *w, const double *s, double *to) {
+  switch (n) {
+    case 1: return weigh<1>(n, count, index, psi, w, s, to);
+    case 2: return weigh<2>(n, count, index, psi, w, s, to);
+    case 3: return weigh<3>(n, count, index, psi, w, s, to);
+    case 6: return weigh<6>(n, count, index, psi, w, s, to);
+    case 7: return weigh<7>(n, count, index, psi, w, s, to);
+    default: return weigh<0>(n, count, index, psi, w, s, to);
+  }
+}
 
 // What all runs over one clock share: steps, and the forcing at starts and middles of them.
 struct Course {
@@ -326,6 +368,7 @@ ARMLAB_VECTORISED void run_together(const Primitive &p, const Course &course, st
   const std::ptrdiff_t n = p.n, count = runs * n;
   std::vector<double> state(5 * count);
   double *y = state.data(), *z = y + count, *f0 = z + count, *fm = f0 + count, *f1 = fm + count;
+  const double rate = 1.0 / tau;
   y0 += begin * n;
   v0 += begin * n;
   g += begin * n;
@@ -337,16 +380,9 @@ ARMLAB_VECTORISED void run_together(const Primitive &p, const Course &course, st
         for (std::ptrdiff_t i = 0; i < n; ++i) f[run * n + i] = scale[run * n + i] * shared[i];
       return;
     }
-    for (std::ptrdiff_t run = 0; run < runs; ++run) {
-      const double *own = weights + (begin + run) * p.m * n;
-      double *to = f + run * n;
-      std::fill(to, to + n, 0.0);
-      for (std::ptrdiff_t l = k * p.m; l < k * p.m + course.counts[k]; ++l) {
-        const double *w = own + n * course.index[l], psi = course.psi[l];
-        for (std::ptrdiff_t i = 0; i < n; ++i) to[i] += psi * w[i];
-      }
-      for (std::ptrdiff_t i = 0; i < n; ++i) to[i] *= scale[run * n + i];
-    }
+    for (std::ptrdiff_t run = 0; run < runs; ++run)
+      weigh_any(p.n, course.counts[k], course.index.data() + k * p.m, course.psi.data() + k * p.m,
+                weights + (begin + run) * p.m * n, scale + run * n, f + run * n);
   };
   for (std::ptrdiff_t i = 0; i < count; ++i) {
     y[i] = y0[i];
@@ -361,12 +397,7 @@ ARMLAB_VECTORISED void run_together(const Primitive &p, const Course &course, st
       course.steps[k - 1].advance(count, f0, fm, f1, g, y, z);
       std::swap(f0, f1);
     }
-    for (std::ptrdiff_t i = 0; i < count; ++i) {
-      Y[at + i] = y[i];
-      V[at + i] = z[i] / tau;
-      A[at + i] = (p.stiffness * (g[i] - y[i]) - p.alpha * z[i] + f0[i]) / (tau * tau);
-      F[at + i] = f0[i];
-    }
+    write(count, y, z, g, f0, p.stiffness, p.alpha, rate, Y + at, V + at, A + at, F + at);
   }
 }
 
@@ -400,7 +431,8 @@ void rollout(const Primitive &p, std::ptrdiff_t N, const double *t, double tau, 
     run_together(p, course, N, tau, K, begin, std::min(together, K - begin), y0, v0, g, scale, weights, y, yd, ydd, f);
 }
 
-void response(const Primitive &p, std::ptrdiff_t N, const double *t, double tau, double longest, double *Y, double *V) {
+ARMLAB_VECTORISED void response(const Primitive &p, std::ptrdiff_t N, const double *t, double tau, double longest, double *Y,
+                                double *V) {
   const std::ptrdiff_t m = p.m, columns = m + 3;
   std::vector<double> state(6 * columns), psi(m);
   std::vector<int> index(m);
@@ -416,6 +448,7 @@ void response(const Primitive &p, std::ptrdiff_t N, const double *t, double tau,
   };
   force(0.0, f0);
   SpringStep step;
+  const double rate = 1.0 / tau;
   double last = -1.0;
   for (std::ptrdiff_t k = 0; k < N; ++k) {
     if (k > 0) {
@@ -431,7 +464,7 @@ void response(const Primitive &p, std::ptrdiff_t N, const double *t, double tau,
     }
     for (std::ptrdiff_t j = 0; j < columns; ++j) {
       Y[k * columns + j] = y[j];
-      V[k * columns + j] = z[j] / tau;
+      V[k * columns + j] = z[j] * rate;
     }
   }
 }

@@ -66,7 +66,7 @@ class PrimitiveStepper {
   void brake();
 
   std::vector<double> y_, z_, y0_, g_, target_, scale_;
-  std::vector<double> f0_, fm_, f1_, goal_, limit_, side_, braking_;
+  std::vector<double> f0_, fm_, f1_, goal_, rise_, limit_, side_, braking_;  // goal_, rise_: of goal and scale, to fade
   std::vector<double> work_, psi_;
   std::vector<int> index_;
   SpringStep spring_;

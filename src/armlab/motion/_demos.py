@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -34,12 +35,12 @@ class Demo:
         """From the first to the last sample [s]."""
         return float(self.t[-1])
 
-    @property
+    @cached_property
     def velocity(self) -> np.ndarray:
         """Central differences on the true time stamps (N, n), one-sided at the ends."""
         return differences(self.y, self.t)
 
-    @property
+    @cached_property
     def acceleration(self) -> np.ndarray:
         """Differences of the velocity (N, n)."""
         return differences(self.velocity, self.t)

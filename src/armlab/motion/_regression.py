@@ -58,12 +58,13 @@ def fit_regression(
         f = np.concatenate([demo.f[:, block] for demo in demos])
         weights = np.concatenate([demo.weights for demo in demos])
         psi = primitive.basis(x)
+        A = psi * lever[:, None]
         if bells is None:
-            w, spread, triangle = _least_squares(psi * lever[:, None], f, weights, ridge)
+            w, spread, triangle = _least_squares(A, f, weights, ridge)
         else:
             bell = psi if not len(bells[1]) else np.exp(-0.5 * ((x[:, None] - bells[0]) / bells[1]) ** 2)
             w, spread, triangle = _kernel_by_kernel(bell, lever, f, weights)
-        residuals = f - (psi @ w) * lever[:, None]
+        residuals = f - A @ w
         dof = max(len(f) - psi.shape[1], 1)
         sigma = np.sqrt((weights[:, None] * residuals**2).sum(axis=0) / dof)
         found.append((w, spread[..., None] * sigma**2, sigma, residuals, triangle))
@@ -72,8 +73,10 @@ def fit_regression(
 
 
 def _least_squares(A: np.ndarray, f: np.ndarray, weights: np.ndarray, ridge: float) -> tuple[Any, ...]:
-    roots = np.sqrt(weights)[:, None]
-    one = solve(A * roots, f * roots, np.full(A.shape[1], ridge) if ridge else None)
+    if (weights != 1.0).any():
+        roots = np.sqrt(weights)[:, None]
+        A, f = A * roots, f * roots
+    one = solve(A, f, np.full(A.shape[1], ridge) if ridge else None)
     return one.x, one.G - ridge * one.G @ one.G, one.triangle
 
 

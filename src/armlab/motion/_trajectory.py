@@ -50,7 +50,7 @@ class _Rows:
     kernels: np.ndarray
     ends: np.ndarray
     roots: np.ndarray
-    selectors: np.ndarray  # (3, N): what of the samples is pinned
+    pins: np.ndarray  # (3 ends, 3 samples: first, second, last) what is pinned to them
     samples: int
 
 
@@ -61,14 +61,10 @@ def _rows(primitive: Any, demo: Demo, tau: float, hold: float, ends: Ends) -> _R
     Y, _ = primitive.response(np.concatenate([t, rest]), tau, demo.duration / FINE * (1 + 1e-9))
     kernels, columns = Y[:, :-3], Y[:, -3:].copy()
     columns[N:, 2] -= 1.0
-    selectors = np.zeros((3, N))
-    for k, name in enumerate(ENDS):
-        if name in ends.pinned:
-            selectors[k, {"y0": 0, "v0": 1, "g": N - 1}[name]] = 1.0 / t[1] if name == "v0" else 1.0
-            if name == "v0":
-                selectors[k, 0] = -1.0 / t[1]
+    pins = np.array([[1.0, 0.0, 0.0], [-1.0 / t[1], 1.0 / t[1], 0.0], [0.0, 0.0, 1.0]])
+    pins[[name not in ends.pinned for name in ENDS]] = 0.0
     roots = np.sqrt(np.concatenate([demo.weights, np.ones(len(rest))]))
-    return _Rows(kernels, columns, roots, selectors, N)
+    return _Rows(kernels, columns, roots, pins, N)
 
 
 def fit_trajectory(
@@ -116,7 +112,7 @@ def _solve(
     fixed = np.zeros((M, 3, b.shape[1]))
     for k, (part, demo) in enumerate(zip(parts, demos)):
         rows, y = slice(*heights[k : k + 2]), demo.y[:, block]
-        fixed[k] = part.selectors @ y
+        fixed[k] = part.pins @ y[[0, 1, -1]]
         for e, name in enumerate(ENDS):
             if name in ends.known:
                 fixed[k, e] = ends.known[name][block]
@@ -126,32 +122,43 @@ def _solve(
         b[rows][: part.samples] += y
         A[rows] *= part.roots[:, None]
         b[rows] *= part.roots[:, None]
-    penalties = np.concatenate([np.full(m, ridge), np.zeros(M * f)]) if ridge else None
-    found = solve(A, b, penalties)
-    estimator = found.G @ A.T  # (p, R): from whitened rows to the unknowns
-    every, dof, squares, residuals = [], 0.0, 0.0, []
+    found = solve(A, b, np.concatenate([np.full(m, ridge), np.zeros(M * f)]) if ridge else None)
+    r = b - A @ found.x
+    places = np.concatenate([np.arange(m), *(m + 3 * k + np.array(free, dtype=int) for k in range(M))]).astype(int)
+    unit, dof = _spread(A, found.G, parts, heights, places)
+    squares, residuals = np.zeros(b.shape[1]), []
     for k, part in enumerate(parts):
-        rows = slice(*heights[k : k + 2])
-        whitened = estimator[:, rows]
-        sensitivity = whitened[:, : part.samples] * part.roots[: part.samples]
-        sensitivity = sensitivity - (whitened * part.roots) @ part.ends @ part.selectors
-        own = part.selectors.copy()
-        own[list(free)] = sensitivity[m + k * f : m + (k + 1) * f]
-        N = part.samples
-        model = np.concatenate([scale[k] * part.kernels[:N], part.ends[:N]], axis=1)
-        dof += N - np.einsum("ij,ji->", model, np.concatenate([sensitivity[:m], own]))
-        r = (b[rows] - A[rows] @ found.x)[:N]
-        squares = squares + (r**2).sum(axis=0)
-        roots = part.roots[:N]
-        residuals.append(-r / np.where(roots > 0, roots, 1.0)[:, None])
-        full = np.zeros((m + 3 * M, N))
-        full[:m] = sensitivity[:m]
-        for j in range(M):
-            full[m + 3 * j + np.array(free, dtype=int)] = sensitivity[m + j * f : m + (j + 1) * f]
-        full[m + 3 * k : m + 3 * k + 3] = own
-        every.append(full / np.where(roots > 0, roots, 1.0))
+        left, roots = r[heights[k] : heights[k] + part.samples], part.roots[: part.samples, None]
+        squares += (left**2).sum(axis=0)
+        residuals.append(-left / np.where(roots > 0, roots, 1.0))
     sigma = np.sqrt(squares / max(dof, 1.0))
-    D = np.concatenate(every, axis=1)
-    cov = (D @ D.T)[..., None] * sigma**2
     fixed[:, list(free)] = found.x[m:].reshape(M, f, b.shape[1])
-    return found.x[:m], fixed, cov, sigma, np.concatenate(residuals), found.triangle
+    return found.x[:m], fixed, unit[..., None] * sigma**2, sigma, np.concatenate(residuals), found.triangle
+
+
+def _spread(
+    A: np.ndarray, G: np.ndarray, parts: list[_Rows], heights: np.ndarray, places: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Return the covariance of weights and ends for samples of unit variance, and the degrees of freedom of residuals.
+
+    The unknowns are ``x = G A^T y`` of the samples but for those three that ends are pinned to, which shift every row.
+    """
+    size = parts[0].kernels.shape[1] + 3 * len(parts)
+    cov, spread, dof = np.zeros((size, size)), np.zeros_like(G), 0.0
+    for k, part in enumerate(parts):
+        N, rows = part.samples, A[heights[k] : heights[k + 1]]
+        own, at = rows[:N], np.array([0, 1, N - 1])
+        roots = np.where(part.roots[at] > 0, part.roots[at], 1.0)
+        pins = part.pins / roots
+        before = G @ own[at].T
+        after = before - G @ (rows.T @ (part.roots[:, None] * part.ends)) @ pins
+        others = own[2:-1] @ G
+        spread += others.T @ others + after @ after.T
+        block = np.arange(size - 3 * (len(parts) - k), size - 3 * (len(parts) - k) + 3)
+        cov[np.ix_(places, block)] += after @ pins.T
+        cov[np.ix_(block, places)] += pins @ after.T
+        cov[np.ix_(block, block)] += pins @ pins.T
+        followed = np.trace(own[at] @ (after - before)) + np.trace(roots[:, None] * (part.ends[at] @ pins))
+        dof += N - np.einsum("ij,ij->", others, own[2:-1]) - np.einsum("ij,ji->", own[at], before) - followed
+    cov[np.ix_(places, places)] += spread
+    return cov, float(dof)

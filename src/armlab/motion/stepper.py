@@ -26,8 +26,8 @@ class Stepper:
     """One run of a `Dmp`, sample by sample; made by `Dmp.stepper`.
 
     The same numbers as `Dmp.rollout`, with steps that may differ and a goal and duration that may change. A filtered
-    goal follows ``g' = rate (goal - g) / tau_d``. A brake keeps ``v^2 <= 2 a |goal - y|`` after a change of goal where
-    that can still be kept, and y on its side of the goal.
+    goal follows ``g' = rate (goal - g) / tau_d``, and the forcing is scaled by it. A brake keeps
+    ``v^2 <= 2 a |goal - y|`` after a change of goal where that can still be kept, and y on its side of the goal.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """One run of a movement primitive, sample by sample (specification; the twin is in native/primitive.cpp).
 
-A goal that has moved is reached at once, or by ``g' = filter (target - g)``, exactly. Where a coordinate brakes,
-``v^2 <= 2 limit |target - y|`` on the way to the new goal, and y stays on the side of it where it was; it brakes only
-if that holds already when the goal changes.
+A goal that has moved is reached at once, or by ``g' = filter (target - g)``, exactly; so is the scale. Where a
+coordinate brakes, ``v^2 <= 2 limit |target - y|`` on the way to the new goal, and y stays on the side of it where it
+was; it brakes only if that holds already when the goal changes.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class PrimitiveStepper:
 
     def _still(self) -> None:
         self.moved: float | None = None
-        self.ahead = self.limit = self.side = np.zeros(self.n)
+        self.ahead = self.rise = self.limit = self.side = np.zeros(self.n)
         self.braking = np.zeros(self.n, dtype=bool)
 
     def start(self, y0: Any, v0: Any, g: Any, scale: Any, tau: float) -> None:
@@ -60,10 +60,14 @@ class PrimitiveStepper:
         if self.primitive.phase == "position":
             way = g - self.y0
             x = np.where(way == 0, 0.0, np.clip((g - y) / np.where(way == 0, 1.0, way), 0.0, 1.0))
-        return self.scale * self.primitive.forcing(x)
+        return (self.scale + self.rise * self._left(s)) * self.primitive.forcing(x)
 
     def _goal(self, s: float) -> np.ndarray:
-        return self.g if self.moved is None else self.target + self.ahead * np.exp(-self.filter * (s - self.moved))
+        return self.g if self.moved is None else self.target + self.ahead * self._left(s)
+
+    def _left(self, s: float) -> float:
+        """Return the share of the last change that the filter has not let through yet."""
+        return 0.0 if self.moved is None else float(np.exp(-self.filter * (s - self.moved)))
 
     def step(self, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Advance by dt and return y, yd, ydd.
@@ -130,6 +134,8 @@ class PrimitiveStepper:
         g, scale = finite(g, "g", (self.n,)), finite(scale, "scale", (self.n,))
         limit = np.zeros(self.n) if limit is None else finite(limit, "limit", (self.n,))
         not_negative(limit, "limit")
+        now = self.scale + self.rise * self._left(self.elapsed)
+        self.rise = now - scale if self.filter else np.zeros(self.n)
         self.scale, self.target = scale.copy(), g.copy()
         self.g = self.g if self.filter else g.copy()
         self.ahead, self.moved = self.g - g, self.elapsed if self.filter else None
