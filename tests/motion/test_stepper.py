@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from armlab.errors import ConfigError, ShapeError, UnknownName
-from armlab.motion import Dmp, Stepper
+from armlab.motion import Dmp, Stepper, fit_dmp
 
 Primitive = Callable[..., Dmp]
 
@@ -61,3 +62,50 @@ def test_bad_arguments_are_refused(primitive: Primitive) -> None:
             stepper.change_goal(g)
     with pytest.raises(ShapeError, match="above zero"):
         stepper.change_duration(0.0)
+
+
+def reach(dmp: Dmp, when: float, goal: float, **options: Any) -> tuple[np.ndarray, float]:
+    """Path after the goal of a motion from 0 to 1 has changed, and the velocity then."""
+    stepper = dmp.stepper(**options)
+    path = [stepper.step(0.001)[0][0] for _ in range(round(when * 1000))]
+    velocity = float(stepper.state[1][0])
+    stepper.change_goal([goal])
+    return np.array([path[-1], *(stepper.step(0.001)[0][0] for _ in range(2500))]), velocity
+
+
+MOVING = {  # largest overshoot in the conventions lund and ijspeert
+    "shift": ({"goal_forcing": "shift"}, 0.0029, 0.031),
+    "scale": ({}, 0.0042, 0.033),
+    "filter": ({"goal_rate": 12.5}, 0.0235, 0.122),
+}
+
+
+@pytest.mark.parametrize("kind", MOVING)
+@pytest.mark.parametrize("convention", ["lund", "ijspeert"])
+def test_goals_that_move_are_hardly_overshot(convention: str, kind: str) -> None:
+    t = np.linspace(0, 1, 1001)
+    y = 10 * t**3 - 15 * t**4 + 6 * t**5
+    dmp = fit_dmp(t, y, convention=convention).value
+    limit = 1.05 * float(dmp.peak_acceleration[0])
+    options, *bars = MOVING[kind]
+    worst = 0.0
+    for when in (0.2, 0.4, 0.6, 0.8):
+        for goal in (0.3, 0.6, 0.8, 1.2, 1.5):
+            path, v = reach(dmp, when, goal, **options)
+            worst = max(worst, path.max() - max(path[0], goal))
+            assert abs(path[-1] - goal) < 1e-6
+            braked, _ = reach(dmp, when, goal, brake=True, **options)
+            if v**2 / (2 * limit) <= goal - path[0]:
+                assert braked.max() - goal <= 1e-4
+            assert abs(braked[-1] - goal) < 1e-6
+    assert worst <= bars[convention == "ijspeert"]
+
+
+def test_a_goal_that_stays_is_not_braked_for() -> None:
+    t = np.linspace(0, 1, 1001)
+    dmp = fit_dmp(t, 10 * t**3 - 15 * t**4 + 6 * t**5).value
+    plain, braked = dmp.stepper(), dmp.stepper(brake=True, goal_rate=12.5)
+    paths = np.array([[plain.step(0.004)[0], braked.step(0.004)[0]] for _ in range(500)])
+    np.testing.assert_allclose(paths[:, 0], paths[:, 1], rtol=0, atol=1e-12)
+    t = np.linspace(0, 1, 101)
+    assert not fit_dmp(t, np.sin(5 * t)).value.monotone.any()
