@@ -9,6 +9,7 @@ from typing import TypeVar
 import numpy as np
 
 from armlab.calibrate._agreement import require_most
+from armlab.calibrate._orientation_readings import require_order_of_tool
 from armlab.calibrate._weight_closed import Found, closed_form, is_closed
 from armlab.calibrate._weight_equation import Equation, Load, Turn
 from armlab.calibrate._weight_start import likely, twin
@@ -52,6 +53,7 @@ def fit_weight(
     else:
         found = _descended(equation, robust, moved, limits, scale)
     load, kept = found.load, ~found.outliers
+    require_order_of_tool(equation, kept)
     require_most(found.outliers, f"readings of the {equation.what}", load)
     hand = require_right_hand(equation, kept)
     require_match(equation, load, found.residuals, kept, moved)

@@ -26,6 +26,7 @@ from armlab.calibrate._hand_eye_words import (
     require_samples,
     require_two_axes,
 )
+from armlab.calibrate._orientation_readings import require_order
 from armlab.errors import NotConverged, ShapeError, UnknownName
 from armlab.estimation import Fit, check_spread, nonlinear_least_squares, unhurried
 from armlab.models import HandEye
@@ -93,10 +94,12 @@ def fit_hand_eye(
         found = nonlinear_least_squares(equation.problem(), equation.start(), robust=robust)
     except NotConverged as error:
         rest = equation.evaluate(error.best)[0].r
+        require_order(equation, rest, np.ones(equation.N, dtype=bool))
         require_match(equation, rest, np.ones(equation.N, dtype=bool), error.best)
         raise
     residuals = equation.evaluate(found.value)[0].r if found.outliers.any() else found.rows.raw.reshape(-1, 6)
     value = HandEye(setup, *found.value.poses())
+    require_order(equation, residuals, ~found.outliers)
     require_match(equation, residuals, ~found.outliers, value)
     if equation.noise is None:
         require_two_axes(equation.RA, float(np.hypot(found.sigma[1], rotation_sd(equation.noise_A))), carrier, names)

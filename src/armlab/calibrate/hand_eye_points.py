@@ -21,6 +21,7 @@ from armlab.calibrate._hand_eye_words import Part, Words, limits_of, remarks, re
 from armlab.calibrate._marker_equation import Sight, marked_start
 from armlab.calibrate._marker_match import require_marker, require_sight
 from armlab.calibrate.hand_eye import LIMITS, WHAT
+from armlab.calibrate._orientation_readings import require_order_of_robot
 from armlab.errors import NotConverged, NotExcited, ShapeError, UnknownName
 from armlab.estimation import Fit, check_spread, nonlinear_least_squares, unhurried
 from armlab.frames._check import marker_points, sightings
@@ -81,6 +82,7 @@ def fit_hand_eye_points(
     held = "the points" if body is None else names[0]
     require_two_axes(sight.RA, max(TURNED, rotation_sd(sight.noise_A)), carrier, (held, names[1]))
     require_sight(sight)
+    require_order_of_robot(sight)
     start = sight.start()
     try:
         if body is None:
