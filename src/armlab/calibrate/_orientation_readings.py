@@ -38,8 +38,12 @@ def readings(R: np.ndarray, t: np.ndarray) -> list[Reading]:
     """Return the other readings of poses; what is wrong is said of "{}"."""
     q = quaternion.from_matrix(R)
     return [
-        Reading("The quaternions of {} are x, y, z, w taken as w, x, y, z.", quaternion.to_matrix(np.roll(q, 1, -1)), t),
-        Reading("The quaternions of {} are w, x, y, z taken as x, y, z, w.", quaternion.to_matrix(np.roll(q, -1, -1)), t),
+        Reading(
+            "The quaternions of {} are x, y, z, w taken as w, x, y, z.", quaternion.to_matrix(np.roll(q, 1, -1)), t
+        ),
+        Reading(
+            "The quaternions of {} are w, x, y, z taken as x, y, z, w.", quaternion.to_matrix(np.roll(q, -1, -1)), t
+        ),
         Reading("The rotations of {} are transposed: those of the inverse.", R.transpose(0, 2, 1), t),
     ]
 
@@ -101,7 +105,7 @@ def require_order_of_tool(equation: Weight, kept: np.ndarray) -> None:
         return
     for one in readings(equation.RA, np.zeros((equation.N, 3))):
         other = Turn.of(replace(equation, RA=np.ascontiguousarray(one.R)), kept)
-        if other.power < MUCH_BETTER**2 * now.power and other.m > 0.0:
+        if other.power < MUCH_BETTER * now.power and other.m > 0.0:
             raise NotConverged(
                 f"Expected readings that follow gravity as the tool turns, got {now.power / now.signal:.2g} of their "
                 f"variation unexplained. {one.text.format(ROBOT)}",

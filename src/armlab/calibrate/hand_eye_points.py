@@ -20,8 +20,8 @@ from armlab.calibrate._hand_eye_equation import robot_side, rotation_sd
 from armlab.calibrate._hand_eye_words import Part, Words, limits_of, remarks, require_samples, require_two_axes
 from armlab.calibrate._marker_equation import Sight, marked_start
 from armlab.calibrate._marker_match import require_marker, require_sight
-from armlab.calibrate.hand_eye import LIMITS, WHAT
 from armlab.calibrate._orientation_readings import require_order_of_robot
+from armlab.calibrate.hand_eye import LIMITS, WHAT
 from armlab.errors import NotConverged, NotExcited, ShapeError, UnknownName
 from armlab.estimation import Fit, check_spread, nonlinear_least_squares, unhurried
 from armlab.frames._check import marker_points, sightings
