@@ -1,7 +1,7 @@
 """Kinematic calibration beside pybotics and robotkinecal: times, and errors on the same samples.
 
-robotkinecal 0.1.0 asks for NumPy below 2, which the environment of the benchmarks is not: it is measured where it is
-installed by hand (`pip install --no-deps robotkinecal==0.1.0`), and left out elsewhere.
+Both solve by least squares without weights or covariance: robotkinecal over twists in the base frame, pybotics over a
+modified table. Either is left out where it is not installed.
 """
 
 from __future__ import annotations

@@ -13,6 +13,7 @@ HOME = ROOT / ".bench-venv"
 PYTHON = HOME / "bin" / "python"
 STAMP = HOME / ".installed"
 REQUIREMENTS = ROOT / "benchmarks" / "requirements.txt"
+NO_DEPS = ROOT / "benchmarks" / "requirements_no_deps.txt"
 CONSTRAINTS = ROOT / "constraints.txt"
 
 # One thread, and the compiled kernels or an error: never the reference kernels by accident.
@@ -21,7 +22,7 @@ SETTINGS = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "ARMLAB_KERNELS
 
 def fingerprint() -> str:
     """Return a hash over everything that decides what is installed."""
-    files = [REQUIREMENTS, CONSTRAINTS, ROOT / "pyproject.toml", ROOT / "CMakeLists.txt"]
+    files = [REQUIREMENTS, NO_DEPS, CONSTRAINTS, ROOT / "pyproject.toml", ROOT / "CMakeLists.txt"]
     files += sorted((ROOT / "native").iterdir())
     files += sorted(p for p in (ROOT / "src").rglob("*") if p.is_file() and p.suffix not in (".pyc", ".so"))
     digest = hashlib.sha256(sys.version.encode())
@@ -45,6 +46,7 @@ def prepare() -> None:
         check=True,
         env={**os.environ, "PIP_CONSTRAINT": str(CONSTRAINTS)},
     )
+    subprocess.run([*install, "--no-deps", "-r", str(NO_DEPS)], check=True)
     STAMP.write_text(wanted)
 
 

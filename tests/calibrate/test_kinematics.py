@@ -73,6 +73,23 @@ class TestExactData:
         np.testing.assert_allclose(fit.value.coefficients, gears - 1.0, rtol=0, atol=1e-5)
         np.testing.assert_allclose(fit.value.amplitudes, amplitudes, rtol=0, atol=1e-6)
 
+    def test_joints_that_give_way_under_gravity(self) -> None:
+        """Compliance of joints 2 and 3 [rad/N m]: phi is the gravity torque of each, with masses that are known."""
+        run = cell(2000).kinematics(0, 60)
+        links = np.zeros((6, 10))
+        links[:, 0], links[:, 1] = (100.0, 120.0, 60.0, 20.0, 10.0, 5.0), (5.0, 40.0, 8.0, 1.0, 0.5, 0.2)
+        still, joints = np.zeros((60, 6)), np.array([1, 2])
+        tau = run.robot.chain.rnea(run.q, still, still, np.array([0.0, 0.0, -9.80665]), links)
+        phi = np.zeros((60, 6, 2))
+        phi[:, joints, [0, 1]] = tau[:, joints]
+        compliance = np.array([2e-6, -3e-6])
+        pose = run.truth.forward(run.q + phi @ compliance)
+        fit = fit_kinematics(run.robot, run.q, pose=pose, noise=NOISE, joint_terms=phi)
+        assert fit.excitation.rank == fit.excitation.expected == 32
+        assert fit.units[-1] == "rad/unit"
+        np.testing.assert_allclose(fit.value.coefficients, compliance, rtol=1e-6)
+        np.testing.assert_allclose(fit.value.forward(run.q, phi), pose, rtol=0, atol=1e-9)
+
     def test_parallel_axes_need_no_special_case(self) -> None:
         """Axes 2 and 3 of this arm are parallel; tilted against each other by 0.01 deg a table would need a huge d."""
         run = cell(2000).kinematics(1, tool=False)

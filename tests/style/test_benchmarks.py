@@ -105,8 +105,9 @@ def test_environment_follows_what_is_installed(harness: dict[str, ModuleType]) -
     assert not environment.is_inside(), "the tests run in another environment"
 
 
-def test_peers_are_pinned_by_name_and_version_only() -> None:
-    lines = [line for line in (HERE / "requirements.txt").read_text().splitlines() if not line.startswith("#")]
+@pytest.mark.parametrize("name", ["requirements.txt", "requirements_no_deps.txt"])
+def test_peers_are_pinned_by_name_and_version_only(name: str) -> None:
+    lines = [line for line in (HERE / name).read_text().splitlines() if not line.startswith("#")]
     assert lines
     assert all(re.fullmatch(r"[\w.-]+==[\w.]+", line) for line in lines)
 

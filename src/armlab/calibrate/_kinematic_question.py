@@ -118,7 +118,7 @@ class Question(ABC, Generic[S]):
         G, _ = problem.gauge(start, used)
         needed = int(np.count_nonzero(used)) - int(np.linalg.matrix_rank(G[used]))
         data = problem.measurements(start, local=True)
-        needed -= sum(never_moves(suspect, data, used) for suspect in self.nature(start))
+        needed -= sum(never_moves(self.nature(start), data, used))
         needed -= problem.waves  # their prior is enough
         needed += any(kind.cov is None for kind in problem.kinds)
         if got < needed:
@@ -187,7 +187,7 @@ def check_misfit(data: Sequence[Measurement], sizes: Sequence[float], best: Any,
         not move. best : for the error. outside : samples left out.
     """
     for one, size in zip(data, sizes):
-        kept = one.r[~np.isin(one.sample, outside)]
+        kept = one.r[_kept(one, outside)]
         for unit, space in (("m", size), ("rad", np.pi)):
             off = kept[:, [name.endswith(f"[{unit}]") for name in one.classes]]
             rms = float(np.sqrt(np.mean(off**2))) if off.size else 0.0
@@ -209,18 +209,23 @@ def spread_of(points: np.ndarray) -> float:
     return spread if spread > ROUNDING * float(np.abs(points).max()) else 0.0
 
 
-def never_moves(suspect: Suspect, data: Sequence[Measurement], used: np.ndarray) -> bool:
-    """Tell whether a direction of the used unknowns moves nothing that was measured."""
-    v = suspect.directions[:, 0] * used
-    if not v.any():
-        return False
-    return all(np.abs(one.J @ v).max(initial=0.0) < 1e-9 for one in data)
+def never_moves(suspects: Sequence[Suspect], data: Sequence[Measurement], used: np.ndarray) -> list[bool]:
+    """Tell of the first direction of each whether, cut to what is used, it is one that moves nothing measured."""
+    if not suspects:
+        return []
+    V = np.stack([one.directions[:, 0] * used for one in suspects], axis=1)
+    moved = [np.abs(one.J.reshape(-1, len(V)) @ V).max(axis=0, initial=0.0) for one in data]
+    return (V.any(axis=0) & (np.max(moved, axis=0) < 1e-9)).tolist()
+
+
+def _kept(one: Measurement, outside: np.ndarray) -> np.ndarray:
+    return ~np.isin(one.sample, outside) if len(outside) else np.ones(len(one.r), dtype=bool)
 
 
 def _whitened(data: Sequence[Measurement], sigma: dict[str, float], outside: np.ndarray) -> Iterator[np.ndarray]:
     """Yield whitened derivatives (m, d) of the samples that are kept."""
     for one in data:
-        kept = np.ones(len(one.r), dtype=bool) if one.prior else ~np.isin(one.sample, outside)
+        kept = np.ones(len(one.r), dtype=bool) if one.prior else _kept(one, outside)
         roots, J = one.roots(sigma), one.J[kept]
         white = roots[:, None] * J if roots.ndim == 1 else (roots if roots.ndim == 2 else roots[kept]) @ J
         yield white.reshape(-1, one.J.shape[2])

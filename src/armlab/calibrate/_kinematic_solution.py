@@ -66,7 +66,7 @@ class ArmQuestion(Question[State]):
         problem, foot, tool = self.problem, [], []
         if not any(kind.name == "pose" and len(kind.kept) == 6 for kind in problem.kinds):
             data = problem.measurements(state, local=True)
-            unseen = [never_moves(suspect, data, self.used) for suspect in self.nature(state)]
+            unseen = never_moves(self.nature(state), data, self.used)
             foot, tool = unseen[:6], [False] * 3 + unseen[6:9] * (not problem.points)
         base, end = (np.eye(6)[:, np.flatnonzero(unseen)] for unseen in (foot, tool))
         frames, move = problem.arm.smallest(state.arm.frames, base, end)

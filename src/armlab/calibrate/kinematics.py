@@ -113,6 +113,8 @@ def fit_kinematics(
     used = _used(problem, free, distance is not None, (length_offset, length_scale))
     reduced = isinstance(free, str) and free == "all" and held is None
     active = used & _with_rest(arm.unbound, problem.size) if reduced else used
+    if reduced and not problem.points and not any(kind.name == "pose" for kind in problem.kinds):
+        active[6 * arm.n + 3 : 6 * arm.n + 6] = False  # one point never tells how the tool is turned
     problem = KinematicProblem(arm, tuple(kinds), active, len(points), held)
     question = ArmQuestion(problem, used, length_angle(limits, "limits"), weak == "prior")
     solution = question.solve(start, robust)
