@@ -16,6 +16,7 @@ void bind_momentum(nb::module_ &m);
 void bind_path(nb::module_ &m);
 void bind_primitive(nb::module_ &m);
 void bind_records(nb::module_ &m);
+void bind_rotation_primitive(nb::module_ &m);
 void bind_signals(nb::module_ &m);
 void bind_two_dof(nb::module_ &m);
 void bind_weight(nb::module_ &m);
@@ -39,6 +40,7 @@ NB_MODULE(_native, m) {
   bind_path(m);
   bind_primitive(m);
   bind_records(m);
+  bind_rotation_primitive(m);
   bind_signals(m);
   bind_two_dof(m);
   bind_weight(m);

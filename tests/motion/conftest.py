@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab.motion import Dmp
+from armlab.estimation import Fit
+from armlab.lie import so3
+from armlab.motion import Dmp, PoseDmp, fit_pose_dmp
 from armlab.motion._basis import placed, time_constants
 
 
@@ -38,3 +40,31 @@ def build(schedule: str = "canonical", scaling: str = "goal", n: int = 3, **chan
 def primitive() -> Callable[..., Dmp]:
     """Builds a Dmp with random weights and whatever the test changes."""
     return build
+
+
+def poses(t: np.ndarray) -> np.ndarray:
+    S = t**3 * (10 - 15 * t + 6 * t**2)
+    T = np.zeros((len(t), 4, 4))
+    T[:, 0, 3], T[:, 1, 3], T[:, 2, 3], T[:, 3, 3] = 0.4 + 0.2 * S, 0.1 * np.sin(2 * np.pi * S), 0.3 + 0.1 * S, 1.0
+    T[:, :3, :3] = so3.exp(np.stack([0.8 * S, 0.5 * np.sin(np.pi * S), -0.6 * S], axis=1))
+    return T
+
+
+@pytest.fixture(scope="session")
+def fine_pose_demo() -> tuple[np.ndarray, np.ndarray]:
+    """The 1000 samples for which the bars of poses hold."""
+    t = np.linspace(0.0, 1.0, 1000)
+    return t, poses(t)
+
+
+@pytest.fixture(scope="session")
+def pose_demo() -> tuple[np.ndarray, np.ndarray]:
+    """Times (251,) of a second and poses (251, 4, 4): 0.2 m and a radian, at rest at both ends."""
+    t = np.linspace(0.0, 1.0, 251)
+    return t, poses(t)
+
+
+@pytest.fixture(scope="session")
+def pose_fit(pose_demo: tuple[np.ndarray, np.ndarray]) -> Fit[PoseDmp]:
+    """The primitive of `pose_demo`."""
+    return fit_pose_dmp(*pose_demo)

@@ -7,6 +7,13 @@ from armlab.motion.controllers import DmpController, TwoDofController
 from armlab.motion.dmp import Dmp
 from armlab.motion.events import Displace, Hold, Push
 from armlab.motion.fit import fit_dmp
+from armlab.motion.motion_band import MotionBand, blend
+from armlab.motion.pose_dmp import PoseDmp
+from armlab.motion.pose_fit import fit_pose_dmp
+from armlab.motion.pose_rollout import PoseRollout
+from armlab.motion.pose_stepper import PoseStepper
+from armlab.motion.promp import ProMP
+from armlab.motion.promp_fit import fit_promp
 from armlab.motion.rollout import Rollout
 from armlab.motion.stepper import Stepper
 from armlab.motion.two_dof import TwoDofDmp
@@ -19,6 +26,11 @@ __all__ = [
     "Dmp",
     "DmpController",
     "Hold",
+    "MotionBand",
+    "PoseDmp",
+    "PoseRollout",
+    "PoseStepper",
+    "ProMP",
     "Push",
     "Reference",
     "Rollout",
@@ -27,8 +39,13 @@ __all__ = [
     "TwoDofDmp",
     "TwoDofRun",
     "TwoDofStepper",
+    "blend",
     "fit_dmp",
+    "fit_pose_dmp",
+    "fit_promp",
     "profiles",
 ]
 
 register("dmp", Dmp)
+register("pose_dmp", PoseDmp)
+register("promp", ProMP)

@@ -6,7 +6,7 @@ import numpy as np
 
 from armlab.errors import ConfigError, UnknownName
 
-__all__ = ["CONVENTIONS", "SCHEDULES", "SPACINGS", "placed", "time_constants"]
+__all__ = ["normalised", "CONVENTIONS", "SCHEDULES", "SPACINGS", "placed", "time_constants"]
 
 CONVENTIONS = ("lund", "ijspeert")
 SCHEDULES = ("canonical", "time", "position")
@@ -55,3 +55,12 @@ def placed(schedule: str, spacing: str, n_basis: int, decay: float, factor: floa
     centres = np.exp(-decay * u)
     gaps = np.abs(np.diff(centres))
     return centres, factor * np.append(gaps, gaps[-1])
+
+
+def normalised(u: np.ndarray, centres: np.ndarray, widths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return Gaussian kernels over their sum, as a soft-max, and their derivatives with u; u (..., 1)."""
+    exponents = -0.5 * ((u - centres) / widths) ** 2
+    psi = np.exp(exponents - exponents.max(axis=-1, keepdims=True))
+    psi /= psi.sum(axis=-1, keepdims=True)
+    slope = -(u - centres) / widths**2
+    return psi, psi * (slope - (psi * slope).sum(axis=-1, keepdims=True))

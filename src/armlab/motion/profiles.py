@@ -199,7 +199,8 @@ def spline(t: ArrayLike, q: ArrayLike, qd0: ArrayLike = 0.0, qd1: ArrayLike = 0.
     ends: Any = [(1, _points.velocity(v, what, path.shape[1])) for v, what in ((qd0, "qd0"), (qd1, "qd1"))]
     own = times - times[0]
     c = np.zeros((len(path) - 1, 6, path.shape[1]))
-    c[:, :4] = CubicSpline(own, path, bc_type=tuple(ends)).c[::-1].swapaxes(0, 1)
+    bc: Any = tuple(ends)
+    c[:, :4] = CubicSpline(own, path, bc_type=bc).c[::-1].swapaxes(0, 1)
     return Profile(own, c, dt)
 
 

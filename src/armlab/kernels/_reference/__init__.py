@@ -42,6 +42,7 @@ from armlab.kernels._reference.path import follow_path
 from armlab.kernels._reference.primitive import Primitive
 from armlab.kernels._reference.primitive_stepper import PrimitiveStepper
 from armlab.kernels._reference.records import RecordMaker
+from armlab.kernels._reference.rotation_primitive import RotationStepper, rotation_rollout
 from armlab.kernels._reference.signals import SignalOperator
 from armlab.kernels._reference.two_dof import TwoDof
 from armlab.kernels._reference.weight import turned_weight
@@ -58,6 +59,7 @@ __all__ = [
     "Primitive",
     "PrimitiveStepper",
     "RecordMaker",
+    "RotationStepper",
     "SignalOperator",
     "TwoDof",
     "WrenchEstimator",
@@ -75,6 +77,7 @@ __all__ = [
     "quaternion_multiply",
     "quaternion_slerp",
     "quaternion_to_matrix",
+    "rotation_rollout",
     "rotations",
     "se3_adjoint",
     "se3_exp",

@@ -1,0 +1,33 @@
+"""What a movement primitive of poses does over time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["PoseRollout"]
+
+
+@dataclass(frozen=True, eq=False)
+class PoseRollout:
+    """A motion of poses over N times.
+
+    Attributes
+    ----------
+    t : (N,) times [s]. T : (N, 4, 4) poses. q : (N, 4) their quaternions wxyz, without a jump of sign.
+    twist : (N, 6) velocity and angular velocity, base axes [m/s, rad/s]. twistd : (N, 6) their derivatives.
+    x : (N,) phase.
+    """
+
+    t: np.ndarray
+    T: np.ndarray
+    q: np.ndarray
+    twist: np.ndarray
+    twistd: np.ndarray
+    x: np.ndarray
+
+    def __post_init__(self) -> None:
+        """Freeze the arrays."""
+        for values in (self.t, self.T, self.q, self.twist, self.twistd, self.x):
+            values.flags.writeable = False

@@ -1,0 +1,111 @@
+"""Primitives of poses: order, norm, frames, invariances, files, and what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from armlab.errors import ConfigError, ModelMismatchError, ShapeError, UnknownName
+from armlab.estimation import Fit
+from armlab.lie import quaternion, so3
+from armlab.motion import PoseDmp
+from armlab.motion.pose_dmp import FRAMES
+
+Taught = Fit[PoseDmp]
+
+
+def shifted(w: list[float], p: list[float]) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = so3.exp(w), p
+    return T
+
+
+MOVE = shifted([0.4, 1.1, -0.7], [0.2, -0.5, 0.1])
+
+
+def test_order_is_four_and_quaternions_keep_their_length(pose_fit: Taught) -> None:
+    smooth = pose_fit.value.position.centres * 0 + 1
+    dmp = pose_fit.value
+    coarse = replace(dmp, rotation=replace(dmp.rotation, weights=np.outer(smooth, [30, -20, 25.0])))
+    fine = coarse.rollout(np.linspace(0, 1, 1601))
+    errors = []
+    for N in (100, 200, 400):
+        run = coarse.rollout(np.linspace(0, 1, N + 1))
+        errors.append(np.abs(run.q - fine.q[:: 1600 // N]).max())
+        np.testing.assert_allclose(np.linalg.norm(run.q, axis=1), 1.0, rtol=0, atol=1e-12)
+    orders = np.log2(np.divide(errors[:-1], errors[1:]))
+    assert orders.min() > 3.8
+
+
+def test_it_starts_and_ends_where_it_was_taught(pose_fit: Taught, pose_demo: tuple[np.ndarray, np.ndarray]) -> None:
+    dmp, T = pose_fit.value, pose_demo[1]
+    np.testing.assert_allclose(dmp.T_start, T[0], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(dmp.T_goal, T[-1], rtol=0, atol=1e-12)
+    assert dmp.duration == 1.0
+    late = dmp.rollout(np.linspace(0, 8, 2001)).T[-1]
+    np.testing.assert_allclose(late, T[-1], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_another_goal_and_start_are_reached_from_quaternions_of_either_sign(pose_fit: Taught, sign: float) -> None:
+    start, goal = (np.r_[T[:3, 3], sign * quaternion.from_matrix(T[:3, :3])] for T in (MOVE, MOVE @ MOVE))
+    run = pose_fit.value.rollout(0.004, start=start, goal=goal, duration=3.0)
+    long = pose_fit.value.rollout(np.linspace(0, 9, 900), start=MOVE, goal=MOVE @ MOVE)
+    np.testing.assert_allclose(run.T[0], MOVE, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(long.T[-1], MOVE @ MOVE, rtol=0, atol=1e-7)
+
+
+def test_start_and_goal_moved_together_move_the_path_in_the_frame_of_the_goal(pose_fit: Taught) -> None:
+    dmp = replace(pose_fit.value, frame="goal")
+    here = dmp.rollout(0.004)
+    there = dmp.rollout(0.004, start=MOVE @ dmp.T_start, goal=MOVE @ dmp.T_goal)
+    np.testing.assert_allclose(there.T, MOVE @ here.T, rtol=0, atol=1e-9)
+    R = MOVE[:3, :3]
+    np.testing.assert_allclose(there.twist.reshape(-1, 2, 3), here.twist.reshape(-1, 2, 3) @ R.T, rtol=0, atol=1e-8)
+    base = pose_fit.value.rollout(0.004, start=MOVE @ dmp.T_start, goal=MOVE @ dmp.T_goal)
+    assert np.abs(base.T - there.T).max() > 0.01
+    np.testing.assert_allclose(pose_fit.value.rollout(0.004).T, here.T, rtol=0, atol=1e-12)
+
+
+def test_time_stretches(pose_fit: Taught) -> None:
+    t = np.linspace(0, 1, 251)
+    once, twice = pose_fit.value.rollout(t), pose_fit.value.rollout(2 * t, duration=2.0)
+    np.testing.assert_allclose(twice.T, once.T, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(2 * twice.twist, once.twist, rtol=0, atol=1e-9)
+
+
+def test_a_file_comes_back_to_the_last_bit(pose_fit: Taught, tmp_path: Path) -> None:
+    dmp = replace(pose_fit.value, frame="goal")
+    again = PoseDmp.load(dmp.save(tmp_path / "pose.toml"))
+    assert again == dmp
+    assert again != pose_fit.value
+    np.testing.assert_array_equal(again.rollout(0.01).T, dmp.rollout(0.01).T)
+    with pytest.raises(ModelMismatchError):
+        PoseDmp.load(dmp.position.save(tmp_path / "position.toml"))
+
+
+def test_bad_input_is_refused_by_a_sentence(pose_fit: Taught) -> None:
+    dmp = pose_fit.value
+    assert dmp.frame in FRAMES
+    half = shifted([0, 0, np.pi], [0, 0, 0])
+    for words, call in {
+        "half a turn apart": lambda: dmp.rollout(0.004, start=half @ dmp.T_goal),
+        "start as a pose": lambda: dmp.rollout(0.004, start=np.eye(3)),
+        "finite goal": lambda: dmp.rollout(0.004, goal=np.full((4, 4), np.nan)),
+        "times that increase": lambda: dmp.rollout([0.0, 0.0]),
+        "dt above zero": lambda: dmp.rollout(-0.1),
+        "twist0 with 6": lambda: dmp.rollout(0.004, twist0=np.zeros(3)),
+        "one tau_d for position": lambda: replace(dmp, rotation=replace(dmp.rotation, tau_d=1.0)),
+        "rotation with goal 0": lambda: replace(dmp, rotation=replace(dmp.rotation, g=np.ones(3))),
+        "position as a Dmp": lambda: replace(dmp, position=None),
+        "length 1": lambda: replace(dmp, goal=np.ones(4)),
+    }.items():
+        with pytest.raises(ShapeError, match=words):
+            call()
+    with pytest.raises(ConfigError, match="duration or tau_d"):
+        dmp.rollout(0.004, duration=1.0, tau_d=1.0)
+    with pytest.raises(UnknownName, match="frame"):
+        replace(dmp, frame="tool")
