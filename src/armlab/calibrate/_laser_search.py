@@ -28,6 +28,7 @@ REFUSED = 1e-4  # probability of a chi^2 as large as that of a fit that is not t
 MANY = 0.35  # share of outliers from which another start is tried
 STEPS, TUNING, SETTLED = 9, 5.0, 1e-2  # of a short descent: most steps, c, last step in deviations
 BEST, WORSE, SAME = 2, 5.0, 1e-3  # of a group: how many are fitted, how much worse than the best, how alike
+LOST = 1.5  # rad, left by angles and by points made an angle, from which nothing is fitted: wrong labels leave 2 to 8
 CLEAR = (2e-3, 0.03)  # residual over the spread of the points, and [rad], from which no other starts are tried
 HELD = 0.6  # of a scan's two numbers: the share of what they say that they say alone, from which it is doubted
 TINY = 1e-12  # m, rad: rounding
@@ -45,13 +46,14 @@ def searched(scans: Scans, guess: np.ndarray | None, robust: bool) -> NonlinearS
     NotConverged : nothing fits.
     """
     ratio = _ratio(scans)
+    size = max(ratio, _spread(scans.p))
     require_units(scans, ratio)
     best: NonlinearSolution[Scene] | None = None
     for group in _groups(scans, guess, ratio):
-        for found in _fitted(scans, group, ratio, robust):
+        for found in _fitted(scans, group, size, robust):
             if scans.noise is not None and agrees(found):
-                return _oriented(scans, _doubted(scans, found, ratio) if robust else found, robust)
-            if best is None or _rank(scans, found, ratio, robust) < _rank(scans, best, ratio, robust):
+                return _oriented(scans, _doubted(scans, found, size) if robust else found, robust)
+            if best is None or _rank(scans, found, size, robust) < _rank(scans, best, size, robust):
                 best = found
         if best is not None and len(group) > 1 and scans.noise is None and _is_clear(scans, best):
             break  # one guess alone proves nothing
@@ -94,19 +96,24 @@ def _ratio(scans: Scans) -> float:
         return float(np.sqrt(np.median(np.bincount(scans.owner, np.sum(off * off, axis=1)) / np.bincount(scans.owner))))
     if scans.noise is not None:
         return float(np.sqrt(scans.noise[0] / scans.noise[1]))
-    return max(float(np.sqrt(np.mean(np.sum((scans.p - scans.p.mean(axis=0)) ** 2, axis=1)))), TINY)
+    return _spread(scans.p)
 
 
-def _fitted(scans: Scans, group: list[Scene], ratio: float, robust: bool) -> Iterator[NonlinearSolution[Scene]]:
+def _spread(p: np.ndarray) -> float:
+    """Return the RMS distance of points (N, 2) from their mean."""
+    return max(float(np.sqrt(np.mean(np.sum((p - p.mean(axis=0)) ** 2, axis=1)))), TINY)
+
+
+def _fitted(scans: Scans, group: list[Scene], size: float, robust: bool) -> Iterator[NonlinearSolution[Scene]]:
     """Yield the fit from the first start, then those from the ends of the best short descents."""
     first = _tried(scans, group[0], robust)
     if first is not None:
         yield first
     ends = [_approached(scans, scene) for scene in group]
-    lefts = np.array([_left(scans, scene, ratio) for scene in ends])
+    lefts = np.array([_left(scans, scene, size) for scene in ends])
     before = 0.0
     for k in np.argsort(lefts, kind="stable")[:BEST]:
-        if lefts[k] > WORSE * lefts.min():
+        if lefts[k] > min(WORSE * lefts.min(), LOST):
             break
         if lefts[k] > (1.0 + SAME) * before:
             found = _tried(scans, ends[k], robust)
@@ -136,10 +143,10 @@ def _approached(scans: Scans, scene: Scene) -> Scene:
     return scene
 
 
-def _left(scans: Scans, scene: Scene, ratio: float) -> float:
+def _left(scans: Scans, scene: Scene, size: float) -> float:
     """Return what a scene leaves: the median residual of angles, and that of points made an angle."""
     r = np.median(np.abs(scans.residuals(scene)), axis=0)
-    left = float(r[0] / ratio + np.sum(r[1:]))
+    left = float(r[0] / size + np.sum(r[1:]))
     return left if np.isfinite(left) else np.inf
 
 
@@ -150,7 +157,7 @@ def _tried(scans: Scans, scene: Scene, robust: bool) -> NonlinearSolution[Scene]
         return None
 
 
-def _doubted(scans: Scans, found: NonlinearSolution[Scene], ratio: float) -> NonlinearSolution[Scene]:
+def _doubted(scans: Scans, found: NonlinearSolution[Scene], size: float) -> NonlinearSolution[Scene]:
     """Return the fit, or a better one without a scan that holds it: a wrong one may have others left out in its place.
 
     Where a plate is nearly parallel to the laser plane, one scan tells more of the rotation than all others.
@@ -164,7 +171,7 @@ def _doubted(scans: Scans, found: NonlinearSolution[Scene], ratio: float) -> Non
             other = nonlinear_least_squares(scans.problem(), rest.value, robust=True, schedule=SCHEDULE[-1:])
         except (NotConverged, NotExcited, ShapeError, np.linalg.LinAlgError):
             continue
-        if agrees(other) and _rank(scans, other, ratio, True) < _rank(scans, found, ratio, True):
+        if agrees(other) and _rank(scans, other, size, True) < _rank(scans, found, size, True):
             found = other
     return found
 
@@ -183,12 +190,12 @@ def _is_clear(scans: Scans, found: NonlinearSolution[Scene]) -> bool:
     return bool(near and (len(left) == 1 or left[1] < CLEAR[1]) and np.mean(found.outliers) <= MANY)
 
 
-def _rank(scans: Scans, found: NonlinearSolution[Scene], ratio: float, robust: bool) -> float:
+def _rank(scans: Scans, found: NonlinearSolution[Scene], size: float, robust: bool) -> float:
     """Return what to make small: chi^2 of given noise, otherwise minus the logarithm of the likelihood per scan."""
     if scans.noise is not None:
         return float(found.outliers.sum()) + times(found) if robust else found.cost
     if robust:
-        return _left(scans, found.value, ratio)
+        return _left(scans, found.value, size)
     return float(np.sum(np.log(np.maximum(found.sigma, TINY))))
 
 
