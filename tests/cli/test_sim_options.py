@@ -65,3 +65,12 @@ def test_the_help_of_faults_is_that_of_the_rates() -> None:
     for field in fields(FaultRates):
         assert f"    {field.name} : " in text
     assert "Raises" not in text
+
+
+def test_a_grip_holds_the_first_robot_only() -> None:
+    robot = robots.load("yumi_right")
+    first, second = (Around(grip="1,3").scene(robot, index, [0, index], 0) for index in (0, 1))
+    assert first.grip is not None
+    assert second.grip is None
+    with pytest.raises(ConfigError, match="--grip"):
+        Around(grip="soon").scene(robot, 0, [0, 0], 0)

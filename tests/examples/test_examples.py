@@ -22,7 +22,10 @@ NEEDS = {  # example -> the one whose files it reads, and one of these files
     "16_stop_on_contact.py": ("03_identify.py", "model.toml"),
     "05_look_at_a_log.py": ("02_move_a_simulated_arm.py", "sine.mcap"),
 }
-LONG = ("03_identify.py", "04_contact_force.py", "12_source_report.py", "15_lead_through.py", "16_stop_on_contact.py")
+LONG = (
+    *("03_identify.py", "04_contact_force.py", "12_source_report.py", "15_lead_through.py", "16_stop_on_contact.py"),
+    *("26_hold_and_recover.py", "27_both_arms_wait.py"),
+)
 LONGEST = 120  # s, generous for a busy machine; each takes less than 30 s on a quiet one
 MAX_LINES = 40
 PRINTED: dict[tuple[Path, str], str] = {}

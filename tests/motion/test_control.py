@@ -13,7 +13,7 @@ from armlab import Command, State, bridge, robots
 from armlab.errors import ConfigError, ShapeError
 from armlab.log import Column
 from armlab.motion import Dmp, TwoDofDmp
-from armlab.motion.control import LONGEST_STEP, Controller, Limits, steps_in
+from armlab.motion.control import LONGEST_STEP, Arms, Controller, Limits, robots_of, steps_in
 
 PERIOD = 0.004032
 ROBOT = robots.load("yumi_right")
@@ -184,6 +184,27 @@ def test_what_it_records_is_declared(reach: Dmp) -> None:
 def test_late_packets_are_made_in_short_steps() -> None:
     assert [steps_in(dt) for dt in (0.0, 0.004, PERIOD, 0.008, 0.05, np.inf)] == [1, 1, 1, 2, 13, 1]
     assert LONGEST_STEP == 0.004
+
+
+def test_several_arms_are_one_motion(reach: Dmp) -> None:
+    """A State of two arms has their joints one after another; each arm has its limits."""
+    left = robots.load("yumi_left")
+    arms: Arms = (left, ROBOT)
+    assert robots_of(arms) == arms
+    assert robots_of(left) == (left,)
+    both = {name: np.tile(getattr(reach, name), 2) for name in ("v0", "extent", "peak_acceleration", "monotone")}
+    start, goal = np.r_[left.q_home, ROBOT.q_home], np.r_[left.q_home, reach.g]
+    wide = replace(reach, weights=np.tile(reach.weights, 2) * np.r_[np.zeros(7), np.ones(7)], y0=start, g=goal, **both)
+    limits = [bridge.Limits.of(arm, speed=0.5) for arm in arms]
+    controller = TwoDofDmp(wide).controller(arms, limits=limits)
+    command = controller(State(0.0, PERIOD, start, np.zeros(14), start))
+    np.testing.assert_array_equal(command.q, start)
+    np.testing.assert_array_equal(controller.goal, goal)
+    assert controller.columns()["path"].shape == (14,)
+    with pytest.raises(ShapeError, match="yumi_left"):
+        wide.controller(arms, limits=limits[:1])
+    with pytest.raises(ShapeError, match="yumi_left and yumi_right, got one of 7"):
+        reach.controller(arms)
 
 
 def test_a_robot_is_limits(reach: Dmp) -> None:

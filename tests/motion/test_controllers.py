@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from armlab import Command, State, robots
+from armlab.errors import ShapeError
+from armlab.log import Table
 from armlab.motion import Dmp, TwoDofDmp
 from armlab.motion.control import Controller
 from armlab.motion.controllers import DmpController, TwoDofController
@@ -89,3 +91,26 @@ def test_it_gives_way_to_what_a_contact_adds(reach: Dmp) -> None:
     free, _ = arm().run(TwoDofDmp(reach, kc=0).controller(ROBOT), 0.5)
     pushed, _ = arm().run(TwoDofDmp(reach, kc=0).controller(ROBOT, give_way=lambda state: np.eye(7)[0]), 0.5)
     assert pushed[-1, 0] - free[-1, 0] > 0.01
+
+
+def test_a_log_of_the_loop_is_a_run(reach: Dmp) -> None:
+    """What the controller records, in a Table of any source, is what `plots.two_dof` draws."""
+    two_dof, yumi = TwoDofDmp(reach), arm()
+    controller = two_dof.controller(ROBOT)
+    rows = []
+    for k in range(300):
+        yumi.held = 100 <= k < 200
+        q, qd = yumi.q, yumi.qd
+        rows.append({"q": q, "qd": qd, **yumi.packet(controller).record})
+    columns = controller.columns()
+    values = {name: np.array([row[name] for row in rows], dtype=float) for name in rows[0]}
+    values["path"][0] = np.nan  # a packet for which the controller was not asked
+    table = Table(PERIOD * np.arange(300), values, columns=columns)
+    run = two_dof.recorded(table, [(0.4, 0.8)])
+    np.testing.assert_array_equal(run.yc, values["path"][1:])
+    np.testing.assert_array_equal(run.ya, values["q"][1:])
+    assert (run.t[0], run.disturbed) == (0.0, ((0.4, 0.8),))
+    assert run.tau_a.max() > 5 * reach.tau_d
+    np.testing.assert_array_equal(run.free.y[0], values["q"][1])
+    with pytest.raises(ShapeError, match="never asked"):
+        two_dof.recorded(table.rows(slice(0, 1)))

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from armlab import robots
 from armlab.errors import ShapeError
+from armlab.sim.grip import Grip
 from armlab.sim.hand import HandPath
+from armlab.sim.operator import Operator
 from armlab.sim.scene import Scene
 from armlab.sim.script import MOTORS, RAPID, Script
 
@@ -27,3 +30,16 @@ def test_a_hand_leads_in_one_program_only_and_an_arm_of_as_many_joints() -> None
     assert scene.leads("lead-through", 6) is hand
     with pytest.raises(ShapeError, match="7 joints, got one of 6"):
         scene.leads("lead-through", 7)
+
+
+def test_hands_that_push_and_hold_add_up() -> None:
+    push = Operator(np.array([0.0, 3.0]), np.tile([1.0, 0, 0, 0, 0, 0], (2, 1)))
+    scene, moved = Scene(push, grip=Grip(1.0, 2.0)), np.eye(4)
+    moved[0, 3] = 0.001
+    np.testing.assert_array_equal(scene.wrench(0.5, np.eye(4)), [1, 0, 0, 0, 0, 0])
+    np.testing.assert_array_equal(scene.wrench(1.0, np.eye(4)), [1, 0, 0, 0, 0, 0])
+    held = scene.wrench(1.5, moved)
+    assert held is not None
+    assert held[0] < 1.0
+    assert Scene().wrench(1.0, np.eye(4)) is None
+    assert Scene(grip=Grip(0.0, 1.0)).wrench(0.5, np.eye(4)) is not None

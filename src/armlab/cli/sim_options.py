@@ -11,6 +11,7 @@ from armlab.cli.sim_files import read_hand, read_operator
 from armlab.errors import ConfigError
 from armlab.robots import Robot
 from armlab.sim.faults import FaultRates
+from armlab.sim.grip import Grip
 from armlab.sim.hand import HandPath
 from armlab.sim.operator import Operator
 from armlab.sim.scene import Scene
@@ -117,6 +118,8 @@ class Around:
     hand : Path
         CSV file of the posture to which a hand leads the first robot with --program lead-through, t,q1,q2,... in rad;
         without it the path is random and smooth.
+    grip : str
+        START,END [s] of guidance time: a hand takes the tool of the first robot, holds it where it is, and lets go.
     motors : str
         State of the motors over robot time, as on, or 0:on,2.5:off,4:on. Also: undefined.
     rapid : str
@@ -125,6 +128,7 @@ class Around:
 
     operator: Path | None = None
     hand: Path | None = None
+    grip: str | None = None
     motors: str = "on"
     rapid: str = "running"
 
@@ -142,7 +146,8 @@ class Around:
         """
         operator = Operator.idle() if self.operator is None or index else read_operator(self.operator)
         hand = HandPath.random(robot, seed) if self.hand is None or index else read_hand(self.hand, robot.n)
-        return Scene(operator, hand, Script(self.motors, MOTORS), Script(self.rapid, RAPID), external)
+        grip = None if self.grip is None or index else Grip(*pair("grip", self.grip))
+        return Scene(operator, hand, Script(self.motors, MOTORS), Script(self.rapid, RAPID), external, grip)
 
 
 def pair(name: str, text: str) -> tuple[float, float]:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from math import ceil
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,7 +18,7 @@ from armlab.motion._setting import vector
 from armlab.robots import Robot
 from armlab.state import Command, State
 
-__all__ = ["LONGEST_STEP", "Controller", "Limits", "steps_in"]
+__all__ = ["LONGEST_STEP", "Arms", "Controller", "Limits", "robots_of", "steps_in"]
 
 LONGEST_STEP = 0.004
 """Longest step of integration [s]."""
@@ -25,7 +26,12 @@ LONGEST_GAP = 0.05  # s between two packets
 _SLACK = 0.02  # of a step
 NEAR, SLOW = 0.01, 0.02  # rad or m, and per second: arrived, when it lasts
 RESTS = 0.1  # s
+LIMITS = ("q_min", "q_max", "qd_max", "qdd_max")
 RAMP = 4.0  # 1/s, of the speed: from full speed to a stop in 0.25 s
+
+
+Arms = Robot | Sequence[Robot]
+"""An arm, or several that move together."""
 
 
 class Limits(Protocol):
@@ -62,7 +68,8 @@ class Controller(ABC):
 
     Parameters
     ----------
-    robot : the arm. limits : of the reference; those of the robot when None. goal : (n,) first goal.
+    robot : the arm, or several whose joints are one after another, as in a State of several.
+    limits : of the reference, one per arm; those of the robots when None. goal : (n,) first goal.
 
     Raises
     ------
@@ -76,15 +83,16 @@ class Controller(ABC):
     reason : why it ended the run, "" before.
     """
 
-    def __init__(self, robot: Robot, limits: Limits | None, goal: np.ndarray) -> None:
-        within = robot if limits is None else limits
-        bounds = (within.q_min, within.q_max, within.qd_max, within.qdd_max)
-        if any(np.shape(bound) != (robot.n,) for bound in bounds):
-            raise ShapeError(
-                f"Expected limits of {robot.n} joints of {robot.name}, got {[np.shape(b) for b in bounds]}."
-            )
-        self._robot, self._bounds = robot, np.array([*bounds, np.full(robot.n, np.inf)])
-        self._none = np.zeros(robot.n, dtype=np.uint8)
+    def __init__(self, robot: Arms, limits: Limits | Sequence[Limits] | None, goal: np.ndarray) -> None:
+        arms = robots_of(robot)
+        self._n, self._name = sum(arm.n for arm in arms), "+".join(arm.name for arm in arms)
+        within = arms if limits is None else limits if isinstance(limits, Sequence) else (limits,)
+        if [np.shape(one.q_min) for one in within] != [(arm.n,) for arm in arms]:
+            shapes = [np.shape(one.q_min) for one in within]
+            raise ShapeError(f"Expected limits of the {self._n} joints of {self._name}, got shapes {shapes}.")
+        bounds = [np.concatenate([getattr(one, name) for one in within]) for name in LIMITS]
+        self._bounds = np.array([*bounds, np.full(self._n, np.inf)])
+        self._none = np.zeros(self._n, dtype=np.uint8)
         self._session: int | None = None
         self._wanted = self._speed = 1.0
         self.done = self.frozen = False
@@ -126,8 +134,8 @@ class Controller(ABC):
         """Return what it records, for ``link.run(extra=...)``."""
         joints = {"qdd_ref": "rad/s^2", "path": "rad"}
         flags = {"done": "1", "frozen": "1"}
-        found = {name: Column((self._robot.n,), unit=unit) for name, unit in joints.items()}
-        found["limited"] = Column((self._robot.n,), unit="1", kind="count")
+        found = {name: Column((self._n,), unit=unit) for name, unit in joints.items()}
+        found["limited"] = Column((self._n,), unit="1", kind="count")
         return found | {name: Column((), unit=unit, kind="flag") for name, unit in flags.items()}
 
     def __call__(self, state: State) -> Command:
@@ -149,7 +157,11 @@ class Controller(ABC):
             q, qd = self._limited(q, qd, dt)
         self._judge(state, dt)
         record = {"qdd_ref": qdd, "path": path, "limited": self.clamped, "done": self.done, "frozen": self.frozen}
-        return Command(q, qd, record=record)
+        return Command(q, qd, record=record | self._record())
+
+    def _record(self) -> dict[str, Any]:
+        """Return what this kind records besides."""
+        return {}
 
     @abstractmethod
     def _begin(self, state: State) -> None:
@@ -203,15 +215,25 @@ class Controller(ABC):
         self.done = self._rested >= RESTS
 
     def _checked(self, g: ArrayLike) -> np.ndarray:
-        goal = vector(g, "g", self._robot.n)
+        goal = vector(g, "g", self._n)
         outside = (goal < self._bounds[0]) | (goal > self._bounds[1])
         if outside.any():
             i = int(np.argmax(outside))
             raise ShapeError(
-                f"Expected a goal within the limits, got {goal[i]:g} for joint {i + 1} of {self._robot.name}, which "
+                f"Expected a goal within the limits, got {goal[i]:g} for joint {i + 1} of {self._name}, which "
                 f"goes from {self._bounds[0, i]:g} to {self._bounds[1, i]:g}."
             )
         return np.array(goal)
+
+
+def robots_of(robot: Arms) -> tuple[Robot, ...]:
+    """Return the arms, also where there is one.
+
+    Parameters
+    ----------
+    robot : one or several.
+    """
+    return (robot,) if isinstance(robot, Robot) else tuple(robot)
 
 
 def steps_in(dt: float) -> int:

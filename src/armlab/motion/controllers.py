@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from armlab.errors import ShapeError
-from armlab.motion.control import Controller, Limits, steps_in
-from armlab.robots import Robot
+from armlab.log import Column
+from armlab.motion.control import Arms, Controller, Limits, robots_of, steps_in
 from armlab.state import State
 
 if TYPE_CHECKING:
@@ -19,9 +19,13 @@ if TYPE_CHECKING:
 __all__ = ["DmpController", "TwoDofController"]
 
 
-def _check_joints(robot: Robot, n: int) -> None:
-    if n != robot.n:
-        raise ShapeError(f"Expected a motion of {robot.n} joints for {robot.name}, got one of {n} coordinates.")
+def _check_joints(robot: Arms, n: int) -> None:
+    arms = robots_of(robot)
+    if n != sum(arm.n for arm in arms):
+        names = " and ".join(arm.name for arm in arms)
+        raise ShapeError(
+            f"Expected a motion of {sum(arm.n for arm in arms)} joints for {names}, got one of {n} coordinates."
+        )
 
 
 class DmpController(Controller):
@@ -36,7 +40,9 @@ class DmpController(Controller):
     ShapeError : another number of joints, a goal outside the limits. ConfigError : as `Dmp.stepper`.
     """
 
-    def __init__(self, robot: Robot, dmp: Dmp, settings: Mapping[str, Any], limits: Limits | None = None) -> None:
+    def __init__(
+        self, robot: Arms, dmp: Dmp, settings: Mapping[str, Any], limits: Limits | Sequence[Limits] | None = None
+    ) -> None:
         _check_joints(robot, dmp.n)
         self._dmp, self._settings = dmp, settings
         self._stepper = dmp.stepper(**settings)
@@ -78,16 +84,22 @@ class TwoDofController(Controller):
 
     def __init__(
         self,
-        robot: Robot,
+        robot: Arms,
         two_dof: TwoDofDmp,
         settings: Mapping[str, Any],
-        limits: Limits | None = None,
+        limits: Limits | Sequence[Limits] | None = None,
         give_way: Callable[[State], np.ndarray] | None = None,
     ) -> None:
         _check_joints(robot, two_dof.dmp.n)
         self._two_dof, self._settings, self._give_way = two_dof, settings, give_way
         self.stepper = two_dof.stepper(**settings)
         super().__init__(robot, limits, self.stepper.goal)
+
+    def columns(self) -> dict[str, Column]:
+        """Return what it records, for ``link.run(extra=...)`` and `TwoDofDmp.recorded`."""
+        own = {"path_qd": Column((self._n,), unit="rad/s"), "path_qdd": Column((self._n,), unit="rad/s^2")}
+        own |= {"path_error": Column((self._n,), unit="rad"), "phase": Column((), unit="1")}
+        return super().columns() | own | {"tau_a": Column((), unit="s")}
 
     def _begin(self, state: State) -> None:
         given = {**self._settings, "g": self._goal, "y0": state.q, "v0": np.zeros_like(state.q)}
@@ -103,7 +115,13 @@ class TwoDofController(Controller):
             q, qd = q + dt * (qd + 0.5 * dt * self._qdd), qd + dt * self._qdd
         self._qdd = found.ydd_ref if self._give_way is None else found.ydd_ref + self._give_way(state)
         self.frozen = self.stepper.frozen
+        self._found = found
         return q, qd, self._qdd, found.yc
+
+    def _record(self) -> dict[str, Any]:
+        found, stepper = self._found, self.stepper
+        of_path = {"path_qd": found.ycd, "path_qdd": found.ycdd, "path_error": stepper.e}
+        return of_path | {"phase": stepper.x, "tau_a": stepper.tau_a}
 
     def _change_goal(self, g: np.ndarray) -> None:
         self.stepper.change_goal(g)

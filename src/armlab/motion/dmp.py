@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,8 +20,7 @@ from armlab.motion.rollout import Rollout
 from armlab.motion.stepper import Stepper
 
 if TYPE_CHECKING:
-    from armlab.motion.control import Controller, Limits
-    from armlab.robots import Robot
+    from armlab.motion.control import Arms, Controller, Limits
 
 __all__ = ["SCALINGS", "Dmp"]
 
@@ -255,9 +255,9 @@ class Dmp(Equation):
 
     def controller(
         self,
-        robot: Robot,
+        robot: Arms,
         *,
-        limits: Limits | None = None,
+        limits: Limits | Sequence[Limits] | None = None,
         duration: float | None = None,
         g: ArrayLike | None = None,
         amplitude: ArrayLike | None = None,
@@ -268,8 +268,9 @@ class Dmp(Equation):
 
         Parameters
         ----------
-        robot : the arm whose joints the coordinates are.
-        limits : what has q_min, q_max, qd_max and qdd_max (n,), such as `bridge.Limits`; those of the robot when None.
+        robot : the arm whose joints the coordinates are, or several arms whose joints are one after another.
+        limits : what has q_min, q_max, qd_max and qdd_max (n,), such as `bridge.Limits`, one per arm;
+            those of the robots when None.
         duration, g, amplitude : as in `rollout`.
 
         Raises

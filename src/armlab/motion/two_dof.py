@@ -12,14 +12,14 @@ from numpy.typing import ArrayLike
 from armlab import kernels
 from armlab._numbers import number, numbers
 from armlab.errors import ShapeError
+from armlab.log import Table
 from armlab.motion._setting import Setting
-from armlab.motion.control import LONGEST_STEP, Controller, Limits
+from armlab.motion.control import LONGEST_STEP, Arms, Controller, Limits
 from armlab.motion.dmp import Dmp
 from armlab.motion.events import Displace, Push
 from armlab.motion.rollout import Rollout
 from armlab.motion.two_dof_run import FULL_SPEED, Plant, TwoDofRun, simulated
 from armlab.motion.two_dof_stepper import TwoDofStepper, starting
-from armlab.robots import Robot
 from armlab.state import State
 
 __all__ = ["TwoDofDmp"]
@@ -139,6 +139,50 @@ class TwoDofDmp:
         x = states[:, -2] if self.dmp.schedule != "position" else _progress(yc, run)
         return TwoDofRun(free.t, yc, ycd, ycdd, ya, yad, ydd_ref, e, x, tau_a, states[:, -1] > 0, free, disturbed)
 
+    def recorded(
+        self,
+        table: Table,
+        disturbed: Sequence[tuple[float, float]] = (),
+        *,
+        duration: float | None = None,
+        g: ArrayLike | None = None,
+        amplitude: ArrayLike | None = None,
+    ) -> TwoDofRun:
+        """Return what a log says of a run with `controller`, beside the primitive undisturbed; times begin at 0.
+
+        Parameters
+        ----------
+        table : of ``link.run(controller, extra=controller.columns())``; rows without a path are left out.
+        disturbed : (t0, t1) of each time when something held or pushed the arm, as far as that is known [s].
+        duration, g, amplitude : as they were given to the controller.
+
+        Raises
+        ------
+        UnknownName : a column that the controller records is missing. ShapeError : no row with a path.
+        """
+        begun = np.asarray(np.isfinite(table["path"]).all(axis=1))
+        if not begun.any():
+            raise ShapeError("Expected a log with a path, got none. The controller was never asked.")
+        rows = table.where(begun)
+        t = rows.t - rows.t[0]
+        start: dict[str, Any] = {"y0": rows["q"][0], "v0": np.zeros(self.dmp.n)}
+        free = _free(self.dmp, t, LONGEST_STEP, {"duration": duration, "g": g, "amplitude": amplitude} | start)
+        return TwoDofRun(
+            t=t,
+            yc=rows["path"],
+            ycd=rows["path_qd"],
+            ycdd=rows["path_qdd"],
+            ya=rows["q"],
+            yad=rows["qd"],
+            ydd_ref=rows["qdd_ref"],
+            e=rows["path_error"],
+            x=rows["phase"],
+            tau_a=rows["tau_a"],
+            frozen=rows["frozen"].astype(bool),
+            free=free,
+            disturbed=tuple(disturbed),
+        )
+
     def stepper(
         self,
         *,
@@ -163,9 +207,9 @@ class TwoDofDmp:
 
     def controller(
         self,
-        robot: Robot,
+        robot: Arms,
         *,
-        limits: Limits | None = None,
+        limits: Limits | Sequence[Limits] | None = None,
         duration: float | None = None,
         g: ArrayLike | None = None,
         amplitude: ArrayLike | None = None,
@@ -175,8 +219,9 @@ class TwoDofDmp:
 
         Parameters
         ----------
-        robot : the arm whose joints the coordinates are.
-        limits : what has q_min, q_max, qd_max and qdd_max (n,), such as `bridge.Limits`; those of the robot when None.
+        robot : the arm whose joints the coordinates are, or several arms whose joints are one after another.
+        limits : what has q_min, q_max, qd_max and qdd_max (n,), such as `bridge.Limits`, one per arm;
+            those of the robots when None.
         duration, g, amplitude : as in `Dmp.rollout`.
         give_way : acceleration (n,) that a contact adds to the reference, for an arm that does not yield by itself:
             for example ``lambda state: J(state.q).T @ force(state) / inertia``.

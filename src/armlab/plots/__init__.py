@@ -14,6 +14,7 @@ from armlab.plots.excitations import excitation
 from armlab.plots.frictions import friction
 from armlab.plots.latencies import latency
 from armlab.plots.pictures import png
+from armlab.plots.primitives import dmp, dmp_phase, two_dof
 from armlab.plots.residuals import autocorrelation, residual_speed
 from armlab.plots.scenes import scene
 from armlab.plots.torques import torque_fit
@@ -26,6 +27,8 @@ __all__ = [
     "autocorrelation",
     "calibration",
     "coverage",
+    "dmp",
+    "dmp_phase",
     "excitation",
     "friction",
     "friction_map",
@@ -40,6 +43,7 @@ __all__ = [
     "spectrum",
     "table",
     "torque_fit",
+    "two_dof",
     "velocity_covariance",
     "workspace",
     "wrench",

@@ -6,6 +6,7 @@ from armlab.sim.cell import Cell, cell
 from armlab.sim.channel import Channel
 from armlab.sim.controller import Controller
 from armlab.sim.faults import FaultRates, Faults
+from armlab.sim.grip import Grip
 from armlab.sim.guidance import Guidance, Settings
 from armlab.sim.hand import HandPath
 from armlab.sim.lagging import LaggingArm
@@ -28,6 +29,7 @@ __all__ = [
     "Controller",
     "FaultRates",
     "Faults",
+    "Grip",
     "Guidance",
     "HandPath",
     "LaggingArm",

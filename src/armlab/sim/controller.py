@@ -151,7 +151,7 @@ class Controller:
         self._cycles[self.phase]()
         moves = self.phase == "guiding" or (self._settings.only_streams and self.phase == "streaming")
         self.cycle += 1
-        wrench = self._scene.operator.at(self.guidance_time) if moves else None
+        wrench = self._scene.wrench(self.guidance_time, self.arm.sample.T_base_tool) if moves else None
         self._external.follow(self._target.q_ext if self.phase == "guiding" else None)
         self.arm.step(self._guidance.q, self._guidance.qd, wrench)
         if self.phase != "over" and not np.isfinite(self.arm.sample.q).all():

@@ -1,0 +1,40 @@
+"""Teach by leading the arm, repeat the motion, hold the arm by hand for two seconds, let go: it goes on where it was.
+
+The experiment of Karlsson et al. (IFAC 2017) on the simulated YuMi, over EGM. A force sensor feels the hand.
+"""
+
+import numpy as np
+
+from armlab import State, bridge, kinematics, motion, plots, robots
+
+INERTIA = 1.0  # kg m^2, that a hand feels in each joint
+HELD = (1.0, 3.0)  # s
+ROBOT = robots.load("yumi_right")
+
+
+def give_way(state: State) -> np.ndarray:
+    """Return the acceleration that the force of a hand adds."""
+    return kinematics.jacobian(ROBOT, state.q).T @ state.wrench_raw / INERTIA
+
+
+def main() -> None:
+    with bridge.connect("sim://yumi_right?program=lead-through&seed=3", ROBOT) as link:
+        taught = link.run(None, seconds=2.5).table  # in real time: a hand cannot wait
+    dmp = motion.fit_dmp(taught.t, taught["q"], scaling="none").value
+    two_dof = motion.TwoDofDmp(dmp, e0=0.02)  # rad: the arm lags behind by less
+    controller = two_dof.controller(ROBOT, give_way=give_way)
+    url = f"sim://yumi_right?lockstep=true&force=true&grip={HELD[0]},{HELD[1]}"
+    with bridge.connect(url, ROBOT) as link:
+        table = link.run(controller, seconds=6.0, extra=controller.columns()).table
+
+    run = two_dof.recorded(table, [HELD])
+    before, after = np.searchsorted(run.t, HELD)
+    tool = kinematics.forward(ROBOT, run.ya)[:, :3, 3]
+    moved = 1e3 * np.linalg.norm(tool[before:after] - tool[before], axis=1).max()
+    print(f"held: the tool moved {moved:.1f} mm, the path ran {run.tau_a.max() / run.tau_a.min():.0f} times slower")
+    print(f"let go: off its path by {1e3 * np.abs(run.ya[-1] - run.yc[-1]).max():.1f} mrad, done: {controller.done}")
+    plots.two_dof(run, [5]).savefig("recovery.png")
+
+
+if __name__ == "__main__":
+    main()

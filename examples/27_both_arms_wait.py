@@ -1,0 +1,38 @@
+"""Both arms of a YuMi run one primitive: while a hand holds the left arm the right arm waits; they end together."""
+
+import numpy as np
+
+from armlab import State, bridge, kinematics, motion, robots
+
+INERTIA = 1.0  # kg m^2, that a hand feels in each joint
+HELD = (1.0, 2.0)  # s
+LEFT, RIGHT = robots.load("yumi_left"), robots.load("yumi_right")
+MOVE = np.deg2rad([20, 10, -15, -20, 30, 10, -40])
+MIRROR = np.array([-1, 1, -1, 1, -1, 1, -1])  # the arms are mirror images in the plane y = 0
+
+
+def give_way(state: State) -> np.ndarray:
+    """Return the accelerations that the force of a hand adds in either arm."""
+    pairs = zip((LEFT, RIGHT), state.arms, strict=True)
+    return np.concatenate([kinematics.jacobian(robot, arm.q).T @ arm.wrench_raw for robot, arm in pairs]) / INERTIA
+
+
+def main() -> None:
+    start = np.concatenate([LEFT.q_home, RIGHT.q_home])
+    shown = motion.profiles.minimum_jerk(start, start + np.concatenate([MOVE, MIRROR * MOVE]), duration=2.0)
+    t = np.linspace(0.0, 2.0, 501)
+    two_dof = motion.TwoDofDmp(motion.fit_dmp(t, shown.at(t)[0]).value, e0=0.02)
+    controller = two_dof.controller([LEFT, RIGHT], give_way=give_way)
+    url = f"sim://yumi_left+yumi_right?lockstep=true&force=true&grip={HELD[0]},{HELD[1]}"
+    with bridge.connect(url, [LEFT, RIGHT]) as link:
+        table = link.run(controller, seconds=4.5).table
+    t = table.t - table.t[0]
+    for when, k in (("held", np.searchsorted(t, HELD[0])), ("let go", np.searchsorted(t, HELD[1])), ("end", -1)):
+        left = (table["yumi_left.q"][k] - LEFT.q_home) / MOVE
+        right = (table["yumi_right.q"][k] - RIGHT.q_home) / (MIRROR * MOVE)
+        print(f"{when:6s} left arm {left.mean():.0%} of its way, right arm {right.mean():.0%}")
+    print("done:", controller.done)
+
+
+if __name__ == "__main__":
+    main()
