@@ -113,3 +113,47 @@ def test_missing_poses_stay_missing(T: np.ndarray) -> None:
     holes[[1, 4]] = np.nan
     found = Samples(Path("x"), {"pose": holes}, "").poses("pose")
     np.testing.assert_array_equal(found, holes)
+
+
+def test_a_row_without_a_quaternion_and_a_position_is_no_pose(T: np.ndarray, tmp_path: Path) -> None:
+    columns = as_quaternions("pose", T)
+    for values in columns.values():
+        values[2] = np.nan
+    found = read_samples(written(tmp_path / "a.csv", columns)).poses("pose")
+    assert np.isnan(found[2]).all()
+    np.testing.assert_allclose(np.delete(found, 2, axis=0), np.delete(T, 2, axis=0), atol=1e-12)
+
+
+def test_semicolons_and_tabs_are_seen(T: np.ndarray, tmp_path: Path) -> None:
+    text = written(tmp_path / "a.csv", as_quaternions("pose", T, " [mm]")).read_text(encoding="utf-8")
+    for mark in ";\t":
+        (tmp_path / "b.csv").write_text(text.replace(",", mark), encoding="utf-8")
+        np.testing.assert_allclose(read_samples(tmp_path / "b.csv").poses("pose"), T, atol=1e-12)
+    (tmp_path / "c.csv").write_text(text.replace(",", ";").replace(".", ","), encoding="utf-8")
+    with pytest.raises(LogError, match="Expected a decimal point"):
+        read_samples(tmp_path / "c.csv")
+
+
+@pytest.mark.parametrize(("name", "unit"), [("force", "kg"), ("force", "N m"), ("acc", "deg"), ("position", "rad")])
+def test_a_unit_of_something_else_is_refused(name: str, unit: str, tmp_path: Path) -> None:
+    columns = {f"{name}{k} [{unit}]": np.arange(4.0) for k in (1, 2, 3)}
+    with pytest.raises(LogError, match=f"Expected {name}1 of .* in .*, got"):
+        read_samples(written(tmp_path / "a.csv", columns)).vectors(name, (3,))
+
+
+@pytest.mark.parametrize("labels", [("q1 [deg]", "q2"), ("position1 [mm]", "position2"), ("T_x [mm]", "T_y")])
+def test_units_for_some_components_are_refused(labels: tuple[str, str], tmp_path: Path) -> None:
+    with pytest.raises(LogError, match="unit for all components"):
+        read_samples(written(tmp_path / "a.csv", {label: np.arange(4.0) for label in labels}))
+
+
+def test_what_a_table_drops_is_said(tmp_path: Path, capsys) -> None:
+    read_samples(written(tmp_path / "a.csv", {"t [s]": np.array([0.0, 0.0, 1.0]), "plane": np.arange(3.0)}))
+    assert "a.csv: 1 rows that repeat a time are dropped" in capsys.readouterr().err
+
+
+def test_poses_of_an_hdf5_file_of_another_program_are_not_transposed(T: np.ndarray, tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "a.mat", "w") as file:
+        file["pose"] = T
+    np.testing.assert_array_equal(read_samples(tmp_path / "a.mat").poses("pose"), T)

@@ -37,6 +37,12 @@ def test_the_verdict_names_what_is_wrong(fit) -> None:
     held = replace(fit, excitation=replace(fit.excitation, held=("link 3",)))
     assert "A prior holds what the samples do not tell: link 3." in judge(held).bad
     assert not judge(held).good
+    rough = replace(fit, sigma=np.array([0.03, 0.001]))
+    assert judge(rough).bad == (
+        "Noise of position [m] of 0.03 is no noise of a sensor: some samples are wrong, or all.",
+    )
+    asked = replace(fit, summary=lambda fit: "positions spread over 465 m: millimetres given as metres?")
+    assert judge(asked).bad == ("Positions spread over 465 m: millimetres given as metres?",)
 
 
 def test_files_are_refused_before_the_work(tmp_path: Path) -> None:

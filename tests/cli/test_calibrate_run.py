@@ -72,3 +72,25 @@ def test_noise_and_poses_of_the_tool() -> None:
     np.testing.assert_array_equal(tool_poses(samples(T_base_tool=T), None), T)
     with pytest.raises(LogError, match="Expected T_base_tool"):
         tool_poses(samples(q=q), None)
+
+
+def test_copies_of_a_sample_count_once_and_held_values_are_told(capsys) -> None:
+    seen = sim.cell(5).hand_eye(N=6)
+    twice = np.repeat(np.arange(6), 2)
+    A, B, rows = measured_rows(samples(), (seen.A[twice], seen.B[twice]))
+    np.testing.assert_array_equal(A, seen.A)
+    np.testing.assert_array_equal(B, seen.B)
+    np.testing.assert_array_equal(rows, np.arange(0, 12, 2))
+    assert "6 of 12 rows of some.mat are copies of others" in capsys.readouterr().err
+    measured_rows(samples(), (seen.A, seen.B[[0, 0, 2, 3, 3, 5]]))
+    assert "2 rows of some.mat repeat the measurement of the row before" in capsys.readouterr().err
+    measured_rows(samples(), (seen.A, seen.B))
+    assert capsys.readouterr().err == ""
+
+
+def test_parts_of_a_measurement_are_refused_by_their_row() -> None:
+    seen = sim.cell(5).hand_eye(N=6)
+    B = seen.B.copy()
+    B[1], B[4, 0, 3] = np.nan, np.nan
+    with pytest.raises(LogError, match=r"missing in 1 of 6 rows, first in row 4"):
+        measured_rows(samples(), (seen.A, B))

@@ -8,8 +8,9 @@ or (4, 4, N), a vector (N, k), points (N, K, 3).
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,9 @@ from armlab.errors import LogError
 __all__ = ["Samples", "read_samples"]
 
 _QUATERNION_LENGTH = 1e-3  # difference from one
+_CLOCKS = ("t", "time")
+_UNITS = {r"force\d*": "N", r"acc\d*": "m/s^2", r"(position|(pair_)?distance)\d*": "m", r"\w+_[xyz]": "m"}
+_TOGETHER = re.compile(r"(?!scans)(\w*?)(\d+|_[xyz])$")  # columns that have one unit
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,11 +32,13 @@ class Samples:
     Attributes
     ----------
     path : of the file, for messages. values : name -> array (N, ...). source : name of the file and its SHA-256.
+    units : name -> unit, where the file tells it.
     """
 
     path: Path
     values: Mapping[str, np.ndarray]
     source: str
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def __contains__(self, name: object) -> bool:
         text = str(name)
@@ -64,7 +70,7 @@ class Samples:
         """
         if name not in self.values and f"{name}1" in self.values:
             count = next(k for k in range(1, len(self.values) + 2) if f"{name}{k}" not in self.values)
-            array = np.stack([self.values[f"{name}{k}"] for k in range(1, count)], axis=1)
+            array = np.stack([self._found(f"{name}{k}") for k in range(1, count)], axis=1)
         else:
             array = self._found(name)
         if array.ndim == 2 and sizes and array.shape[1] not in sizes and array.shape[0] in sizes:
@@ -140,7 +146,9 @@ class Samples:
                 f"Expected quaternions of length 1 in {name}_qw ... {name}_qz of {self.path}, got {length[bad[0]]:.6g} "
                 f"in sample {bad[0]} ({len(bad)} such samples). Mend the file."
             )
-        return se3.from_rp(quaternion.to_matrix(q / length[:, None]), p)
+        T = se3.from_rp(quaternion.to_matrix(q / length[:, None]), p)
+        T[np.isnan(np.hstack([p, q])).all(axis=1)] = np.nan  # not measured at all
+        return T
 
     def _found(self, name: str) -> np.ndarray:
         if name not in self.values:
@@ -149,6 +157,9 @@ class Samples:
         array = self.values[name]
         if array.dtype.kind not in "biuf":
             raise LogError(f"Expected numbers in {name} of {self.path}, got words such as {str(array.flat[0])!r}.")
+        unit, wanted = self.units.get(name), next((u for word, u in _UNITS.items() if re.fullmatch(word, name)), None)
+        if wanted is not None and unit not in (None, "", "1", wanted):
+            raise LogError(f"Expected {name} of {self.path} in {wanted}, got {unit}. Convert it.")
         return array.astype(float)
 
 
@@ -164,33 +175,59 @@ def read_samples(path: Path) -> Samples:
     LogError : no such file, damaged, or of another format.
     """
     from armlab import log as logs
+    from armlab.cli.output import note
     from armlab.log.formats import is_text
     from armlab.log.mat_file import read_mat
     from armlab.log.provenance import file_hash
 
+    source = f"{path.name} sha256 {file_hash(path)}" if path.is_file() else ""
     if path.suffix.lower() == ".mat":
-        values: Mapping[str, np.ndarray] = read_mat(path)
+        return Samples(path, read_mat(path), source)
+    labels, separator = _header(path) if is_text(path) else ([], ",")
+    _check_units(path, labels)
+    timed = any(label.split("[")[0].strip() in _CLOCKS for label in labels)
+    if labels and (separator != "," or not timed):
+        table = logs.read_csv(path, rate=None if timed else 1.0, separator=separator)
     else:
-        table = logs.read_csv(path, rate=1.0) if is_text(path) and not _timed(path) else logs.read(path)
-        values = {"t": table.t, **table.values}
-    return Samples(path, values, f"{path.name} sha256 {file_hash(path)}")
+        table = logs.read(path)
+    for line in table.notes:
+        note(f"{path.name}: {line}")
+    units = {name: column.unit or "" for name, column in table.columns.items()}
+    return Samples(path, {"t": table.t, **table.values}, source, units)
 
 
-def _timed(path: Path) -> bool:
-    """Tell whether a text file has a clock; samples of a calibration need none."""
+def _header(path: Path) -> tuple[list[str], str]:
+    """Return the labels of a text file and what separates them; none where `log.read` says what is wrong."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
-            labels = next(csv.reader(file), [])
+            line = file.readline()
     except (OSError, UnicodeDecodeError):
-        return True  # `log.read` says what is wrong
-    return any(label.split("[")[0].strip() in ("t", "time") for label in labels)
+        return [], ","
+    separator = next((mark for mark in ",;\t" if mark in line), ",")
+    return next(csv.reader([line], delimiter=separator), []), separator
+
+
+def _check_units(path: Path, labels: Sequence[str]) -> None:
+    """Refuse components of which some have a unit and others none: they would be read in different ones."""
+    groups: dict[str, set[bool]] = {}
+    for label in labels:
+        found = _TOGETHER.match(label.split("[")[0].strip())
+        if found and not re.search(r"\d_\d+$", found[0]):
+            groups.setdefault(found[1], set()).add("[" in label)
+    for name, told in groups.items():
+        if len(told) > 1:
+            raise LogError(
+                f"Expected a unit for all components of {name} in {path} or for none, got it for some. "
+                "Write it into every label."
+            )
 
 
 def _readings(array: np.ndarray) -> list[np.ndarray]:
     """Return how numbers may be read as poses: samples first or last, rows or columns first."""
     if array.ndim == 3:
         found = [array] if array.shape[1:] == (4, 4) else []
-        return [*found, np.moveaxis(array, -1, 0)] if array.shape[:2] == (4, 4) else found
+        last = np.moveaxis(array, -1, 0)
+        return [*found, last, np.swapaxes(last, 1, 2)] if array.shape[:2] == (4, 4) else found  # HDF5 of other programs
     if array.ndim == 2 and array.shape[1] == 16:
         rows = array.reshape(-1, 4, 4)
         return [rows, np.swapaxes(rows, 1, 2)]

@@ -16,6 +16,7 @@ __all__ = ["Wanted", "judge", "numbers"]
 
 _MANY = 0.3  # share of samples beyond which those left out are no outliers
 _FEW = 1.5  # measurements per parameter
+_ROUGH = {"[m]": 0.01, "[rad]": 0.05}  # beyond it is no noise of a sensor, but records that do not fit
 
 
 @dataclass(frozen=True)
@@ -124,6 +125,12 @@ def judge(fit: Fit[Any]) -> Verdict:
         ahead.append("Look for the cause in pairing, clocks and units before you use the result.")
     elif left:
         ahead.append(f"Look at the {left} samples that were left out.")
+    doubts = [line for line in fit.report().splitlines() if line.endswith("?")]
+    bad.extend(f"{line[:1].upper()}{line[1:]}" for line in doubts)
+    for name, sigma in zip(fit.classes, fit.sigma.ravel().tolist(), strict=False):
+        if sigma > _ROUGH.get(f"[{name.rpartition('[')[2]}", np.inf):
+            bad.append(f"Noise of {name} of {sigma:.2g} is no noise of a sensor: some samples are wrong, or all.")
+            ahead.append("Look for them with --robust, and check pairing, units and frames.")
     if np.isfinite(fit.residuals).sum() < _FEW * len(fit.names):
         bad.append("There are hardly more measurements than parameters: noise and deviations are guesses.")
         ahead.append("Take more samples.")

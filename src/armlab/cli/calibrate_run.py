@@ -87,10 +87,50 @@ def measured_rows(
         there &= np.any(seen[len(needed) :], axis=0)
     if not there.any():
         raise LogError(f"Expected rows in which all was measured in {read.path}, got none of {len(there)}.")
+    _require_whole(read, needed, there)
     if not there.all():
         without = np.count_nonzero(~there)
         note(f"{without} of {len(there)} rows of {read.path.name} have no measurement and do not count")
+    if not every:
+        there &= _first_times(read, needed, some, there)
     return (*(part[there] for part in parts), np.flatnonzero(there))
+
+
+def _require_whole(read: Samples, needed: Sequence[np.ndarray], there: np.ndarray) -> None:
+    """Refuse rows with some of the numbers of a pose or a vector, by their place in the file; points may be hidden."""
+    for part in needed:
+        if part.ndim == 2 or part.shape[1:] == (4, 4):
+            bad = np.flatnonzero(there & np.isnan(part).any(axis=tuple(range(1, part.ndim))))
+            if len(bad):
+                raise LogError(
+                    f"Expected whole samples in {read.path}, got numbers missing in {len(bad)} of {len(there)} rows, "
+                    f"first in row {bad[0]} (from 0). Empty all of the measurement of such a row, or mend it."
+                )
+
+
+def _first_times(
+    read: Samples, needed: Sequence[np.ndarray], some: Sequence[np.ndarray], there: np.ndarray
+) -> np.ndarray:
+    """Return which rows (N,) are no copy of an earlier one: the same sample twice tells nothing new of the noise."""
+    from armlab.cli.output import note
+
+    flat = [np.ascontiguousarray(part.reshape(len(part), -1), dtype=float) for part in (*needed, *some)]
+    numbers, name = np.flatnonzero(there), read.path.name
+    first = np.zeros(len(there), dtype=bool)
+    seen: set[bytes] = set()
+    for i in numbers:
+        row = b"".join(part[i].tobytes() for part in flat)
+        first[i] = row not in seen
+        seen.add(row)
+    if len(seen) < len(numbers):
+        note(f"{len(numbers) - len(seen)} of {len(numbers)} rows of {name} are copies of others and count once")
+    kept = np.flatnonzero(first)
+    for part in flat[len(needed) if some else 1 :]:
+        if part.shape[1] >= 3:
+            held = np.count_nonzero((part[kept][1:] == part[kept][:-1]).all(axis=1))
+            if held:
+                note(f"{held} rows of {name} repeat the measurement of the row before: held values?")
+    return first
 
 
 def noise_of(values: Sequence[float] | None) -> Any:
