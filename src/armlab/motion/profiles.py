@@ -3,15 +3,15 @@
 Every profile is made of polynomials, joined with equal position and velocity; `Profile` holds them and their samples.
 All joints start and end together. Positions in rad or m, times in s.
 
-========================  ==================================================  ====================================
-profile                   given                                               smooth in
-========================  ==================================================  ====================================
-`minimum_jerk`, `quintic`  duration                                            acceleration
-`trapezoidal`             limits of velocity and acceleration                 velocity
-`blend`, `connect`        duration, through points with a rest at each        velocity
-`spline`                  points and their times                              acceleration
-`time_optimal`            limits of velocity, acceleration and jerk           acceleration
-========================  ==================================================  ====================================
+=========================  ============================================  ============
+profile                    given                                         smooth in
+=========================  ============================================  ============
+`minimum_jerk`, `quintic`  duration                                      acceleration
+`trapezoidal`              limits of velocity and acceleration           velocity
+`blend`, `connect`         duration, through points with a rest at each  velocity
+`spline`                   points and their times                        acceleration
+`time_optimal`             limits of velocity, acceleration and jerk     acceleration
+=========================  ============================================  ============
 """
 
 from __future__ import annotations
