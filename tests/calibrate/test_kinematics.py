@@ -217,6 +217,14 @@ class TestMissingData:
 
 
 class TestValue:
+    def test_the_report_tells_noise_that_was_given_wrong(self, case) -> None:
+        """Ten times too small: the stated deviations are too, and only the report can say so."""
+        for factor, words in ((1.0, "residuals 1.01 times"), (0.1, "residuals 10.1 times")):
+            noise = tuple(factor * size for size in NOISE)
+            fit = fit_kinematics(case.robot, case.q, pose=case.pose, noise=noise)
+            assert f"{words} the noise that was given" in fit.report()
+        assert "noise that was given" not in fit_kinematics(case.robot, case.q, pose=case.pose).report()
+
     def test_it_is_saved_and_loaded(self, case, tmp_path: Path) -> None:
         fit = fit_kinematics(case.robot, case.q, pose=case.pose, noise=NOISE, harmonics=(1,))
         again = Fit.load(fit.save(tmp_path / "arm.toml"), kind="kinematic_correction")

@@ -56,7 +56,7 @@ class DualQuestion(Question[DualState]):
             residuals=residuals,
             n=len(residuals),
             excitation=excitation,
-            summary=lambda fit: "\n".join([fit.table(), *self._far(state)]),
+            summary=lambda fit: "\n".join([fit.table(), *self.match(found), *self._far(state)]),
             outliers=found.outliers,
             classes=found.classes,
         )

@@ -129,6 +129,12 @@ class Question(ABC, Generic[S]):
                 [f"{got} of {needed} numbers"],
             )
 
+    def match(self, found: NonlinearSolution[S]) -> list[str]:
+        """Return what a report says of the noise that was given, if it was."""
+        if any(kind.cov is None for kind in self.problem.kinds) or not found.freedom:
+            return []
+        return [f"residuals {np.sqrt(2.0 * found.cost / found.freedom):.3g} times the noise that was given"]
+
     def judge(
         self, data: Sequence[Measurement], state: S, sigma: dict[str, float], outside: np.ndarray = NOBODY
     ) -> Excitation:

@@ -56,7 +56,9 @@ class ArmQuestion(Question[State]):
             residuals=_table(data, problem),
             n=len(problem.arm.q),
             excitation=excitation,
-            summary=lambda fit: "\n".join([fit.table(), *notes, *far_links(problem.arm, state.arm.frames)]),
+            summary=lambda fit: "\n".join(
+                [fit.table(), *notes, *self.match(found), *far_links(problem.arm, state.arm.frames)]
+            ),
             outliers=found.outliers,
             classes=found.classes,
         )
