@@ -107,6 +107,20 @@ def test_a_gap_ends_the_run_and_says_so(reach: Dmp, kind: str) -> None:
     assert "NaN" in lost.reason
 
 
+def test_what_goes_wrong_in_the_loop_ends_the_run_with_its_reason(reach: Dmp) -> None:
+    """A force that is no number, and a motion that cannot begin."""
+    pushed = TwoDofDmp(reach).controller(ROBOT, give_way=lambda _: np.full(7, np.nan))
+    yumi = arm()
+    yumi.packet(pushed)
+    assert yumi.packet(pushed).ends
+    assert "finite reference" in pushed.reason
+
+    stuck, turned = made(reach, "plain"), arm()
+    stuck._begin = lambda state: stuck._checked(ROBOT.q_max + 1)  # pyright: ignore[reportAttributeAccessIssue]
+    assert turned.packet(stuck).ends
+    assert stuck.reason.startswith("Expected a goal within the limits")
+
+
 @KINDS
 def test_a_new_session_begins_anew_where_the_arm_is(reach: Dmp, kind: str) -> None:
     controller, yumi = made(reach, kind), arm()

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from armlab import kernels
 from armlab._numbers import number
-from armlab.errors import ConfigError, ShapeError
+from armlab.errors import ArmlabError, ConfigError, ShapeError
 from armlab.log import Column
 from armlab.motion._setting import vector
 from armlab.robots import Robot
@@ -94,6 +94,7 @@ class Controller(ABC):
         self._bounds = np.array([*bounds, np.full(self._n, np.inf)])
         self._none = np.zeros(self._n, dtype=np.uint8)
         self._session: int | None = None
+        self._rested = 0.0
         self._wanted = self._speed = 1.0
         self.done = self.frozen = False
         self.clamped, self.reason = self._none, ""
@@ -108,6 +109,7 @@ class Controller(ABC):
     def goal(self, g: ArrayLike) -> None:
         """Go for another goal (n,) from now on."""
         self._goal = self._checked(g)
+        self._rested, self.done = 0.0, False
         if self._session is not None:
             self._change_goal(self._goal)
 
@@ -149,12 +151,17 @@ class Controller(ABC):
         dt = 0.0 if begins else state.dt
         if not self._is_usable(state, dt):
             return Command.stop()
-        if begins:
-            self._start(state)
-        speed = self._ramp(dt)
-        q, qd, qdd, path = self._next(state, dt, speed)
+        try:
+            if begins:
+                self._start(state)
+            q, qd, qdd, path = self._next(state, dt, self._ramp(dt))
+        except ArmlabError as error:  # such as a start from which no way leads to the goal
+            self.reason = str(error)
+            return Command.stop()
         if dt > 0.0:
             q, qd = self._limited(q, qd, dt)
+        if self.reason:
+            return Command.stop()
         self._judge(state, dt)
         record = {"qdd_ref": qdd, "path": path, "limited": self.clamped, "done": self.done, "frozen": self.frozen}
         return Command(q, qd, record=record | self._record())
@@ -198,6 +205,8 @@ class Controller(ABC):
     def _ramp(self, dt: float) -> np.ndarray:
         """Return the speed at the last packet and now, and its change per second from now."""
         before, room = self._speed, self._wanted - self._speed
+        if room == 0.0:
+            return np.array([before, before, 0.0])
         self._speed = before + min(max(room, -RAMP * dt), RAMP * dt)
         left = self._wanted - self._speed
         return np.array([before, self._speed, RAMP * float(np.sign(left)) if abs(left) > 1e-9 else 0.0])
@@ -210,9 +219,12 @@ class Controller(ABC):
         return sent[0], sent[2]
 
     def _judge(self, state: State, dt: float) -> None:
-        near = np.abs(state.q - self._goal).max() < NEAR and np.abs(state.qd).max() < SLOW
-        self._rested = self._rested + dt if near and self._is_over else 0.0
+        rests = self._is_over and self._is_near(state) and np.abs(state.qd).max() < SLOW
+        self._rested = self._rested + dt if rests else 0.0
         self.done = self._rested >= RESTS
+
+    def _is_near(self, state: State) -> bool:
+        return bool(np.abs(state.q - self._goal).max() < NEAR)
 
     def _checked(self, g: ArrayLike) -> np.ndarray:
         goal = vector(g, "g", self._n)

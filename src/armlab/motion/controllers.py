@@ -112,7 +112,8 @@ class TwoDofController(Controller):
         found = self.stepper.step(dt, state.q, state.qd, speed)
         q, _, qd = self._sent
         if dt > 0.0:
-            q, qd = q + dt * (qd + 0.5 * dt * self._qdd), qd + dt * self._qdd
+            gained = dt * self._qdd
+            q, qd = q + dt * qd + (0.5 * dt) * gained, qd + gained
         self._qdd = found.ydd_ref if self._give_way is None else found.ydd_ref + self._give_way(state)
         self.frozen = self.stepper.frozen
         self._found = found
