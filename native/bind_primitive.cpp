@@ -12,7 +12,7 @@ namespace {
 
 constexpr double longest_spring = 1e7;  // time constants of the spring that a position phase integrates in one call
 
-const char *const phases[] = {"canonical", "time", "position"};
+const char *const phases[] = {"canonical", "time", "position", "periodic"};
 
 void require_finite(const Input &input) {
   for (npy_intp i = 0; i < input.size(); ++i)
@@ -43,7 +43,7 @@ void construct(Primitive *self, nb::handle centres_, nb::handle widths_, nb::han
   Primitive p;
   const auto found = std::find(std::begin(phases), std::end(phases), std::string(phase));
   if (found == std::end(phases))
-    raise_shape_error("Expected canonical, time or position as phase, got '" + std::string(phase) + "'.");
+    raise_shape_error("Expected canonical, time, position or periodic as phase, got '" + std::string(phase) + "'.");
   p.phase = static_cast<PhaseKind>(found - std::begin(phases));
   p.n = static_cast<int>(weights.shape()[1]);
   p.m = static_cast<int>(m);

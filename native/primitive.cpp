@@ -93,6 +93,7 @@ void SpringStep::advance(std::ptrdiff_t count, const double *start, const double
 double Primitive::phase_at(double s) const { return phase == PhaseKind::canonical ? std::exp(-decay * s) : pace * s; }
 
 double Primitive::share(double x) const {
+  if (phase == PhaseKind::periodic) return 1.0;
   if (phase != PhaseKind::time) return x;
   const double late = std::min(std::max((x - 1.0) / gate_width, 0.0), 1.0);
   return 1.0 - late * late * late * (late * (6.0 * late - 15.0) + 10.0);
@@ -101,7 +102,7 @@ double Primitive::share(double x) const {
 int Primitive::kernels(double x, double factor, int *index, double *psi) const {
   double top = -std::numeric_limits<double>::infinity();
   for (int j = 0; j < m; ++j) {
-    const double off = x - centres[j];
+    const double off = phase == PhaseKind::periodic ? 2.0 * std::sin(0.5 * (x - centres[j])) : x - centres[j];
     psi[j] = -off * off * curvatures[j];
     top = std::max(top, psi[j]);
   }

@@ -7,7 +7,7 @@
 
 namespace armlab {
 
-enum class PhaseKind { canonical, time, position };
+enum class PhaseKind { canonical, time, position, periodic };
 
 // One exact step over r of y'' = stiffness (g - y) - alpha y' + f with f a quadratic through its values at the start,
 // the middle and the end: of fourth order in f, and stable for any r.

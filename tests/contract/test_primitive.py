@@ -15,12 +15,12 @@ from armlab.motion._basis import placed
 
 native = pytest.importorskip("armlab.kernels._native", reason="the extension is not built here", exc_type=ImportError)
 
-PHASES = ("canonical", "time", "position")
+PHASES = ("canonical", "time", "position", "periodic")
 
 
 def arguments(phase: str, m: int, n: int, alpha: float, damping: float, seed: int) -> tuple[Any, ...]:
     rng = np.random.default_rng(seed)
-    centres, widths = placed(phase, "time", m, 3.0, 0.8)
+    centres, widths = placed("time" if phase == "periodic" else phase, "time", m, 3.0, 0.8)
     return centres, widths, rng.normal(size=(m, n)), alpha, alpha**2 * damping, 1.0, 0.4, phase
 
 

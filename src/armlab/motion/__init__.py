@@ -8,6 +8,9 @@ from armlab.motion.dmp import Dmp
 from armlab.motion.events import Displace, Hold, Push
 from armlab.motion.fit import fit_dmp
 from armlab.motion.motion_band import MotionBand, blend
+from armlab.motion.periodic_dmp import PeriodicDmp
+from armlab.motion.periodic_fit import fit_periodic_dmp
+from armlab.motion.periodic_stepper import PeriodicStepper
 from armlab.motion.pose_dmp import PoseDmp
 from armlab.motion.pose_fit import fit_pose_dmp
 from armlab.motion.pose_rollout import PoseRollout
@@ -27,6 +30,8 @@ __all__ = [
     "DmpController",
     "Hold",
     "MotionBand",
+    "PeriodicDmp",
+    "PeriodicStepper",
     "PoseDmp",
     "PoseRollout",
     "PoseStepper",
@@ -41,6 +46,7 @@ __all__ = [
     "TwoDofStepper",
     "blend",
     "fit_dmp",
+    "fit_periodic_dmp",
     "fit_pose_dmp",
     "fit_promp",
     "profiles",
@@ -49,3 +55,4 @@ __all__ = [
 register("dmp", Dmp)
 register("pose_dmp", PoseDmp)
 register("promp", ProMP)
+register("periodic_dmp", PeriodicDmp)

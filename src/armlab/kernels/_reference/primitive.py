@@ -6,6 +6,7 @@ With time in units of tau, ' = d/d(t/tau), and z = tau yd::
 
     canonical:  x = exp(-decay t/tau),   f = x psi(x) w
     time:       u = pace t/tau,          f = gate(u) psi(u) w,    gate 1 up to u = 1, a quintic step to 0 at 1.1
+    periodic:   phi = pace t/tau,        f = psi(phi) w,              psi_j with 2 sin((phi - c_j) / 2) for x - c_j
     position:   p = (g - y) / (g - y0) clipped to [0, 1], coordinate by coordinate,   f = p psi(p) w
 
 psi_j = exp(-(x - c_j)^2 / (2 sd_j^2)) over its sum, as a soft-max: exponents more than FADED below the largest are left
@@ -29,7 +30,7 @@ from armlab.kernels._reference.arrays import positive, read, result
 
 __all__ = ["Primitive", "SpringStep", "check_steps", "finite"]
 
-PHASES = ("canonical", "time", "position")
+PHASES = ("canonical", "time", "position", "periodic")
 FADED = 40.0
 GATE_WIDTH = 0.1  # of the duration
 LONGEST_SPRING = 1e7  # time constants of the spring that a position phase integrates in one call
@@ -126,7 +127,7 @@ class Primitive:
     ----------
     centres, widths : (m,) of the kernels; widths are standard deviations. weights : (m, n).
     alpha, stiffness : damping and stiffness of the spring, in units of tau. decay, pace : of the phase.
-    phase : "canonical", "time" or "position".
+    phase : "canonical", "time", "position" or "periodic".
 
     Raises
     ------
@@ -155,7 +156,7 @@ class Primitive:
         positive(self.widths, "widths")
         positive(np.array([alpha, stiffness, decay, pace]), "alpha, stiffness, decay and pace")
         if phase not in PHASES:
-            raise ShapeError(f"Expected canonical, time or position as phase, got {phase!r}.")
+            raise ShapeError(f"Expected canonical, time, position or periodic as phase, got {phase!r}.")
         self.alpha, self.stiffness, self.decay, self.pace, self.phase = alpha, stiffness, decay, pace, phase
 
     def phase_at(self, s: Any) -> np.ndarray:
@@ -164,6 +165,8 @@ class Primitive:
 
     def share(self, x: np.ndarray) -> np.ndarray:
         """Return the share of the forcing that is left at phase x."""
+        if self.phase == "periodic":
+            return np.ones_like(x)
         if self.phase != "time":
             return x
         late = np.clip((x - 1.0) / GATE_WIDTH, 0.0, 1.0)
@@ -172,7 +175,9 @@ class Primitive:
     def basis(self, x: Any, out: Any = None) -> np.ndarray:
         """Return the normalised kernels (..., m) at phases (...)."""
         x = finite(x, "x", (), exact=False)
-        exponents = -((x[..., None] - self.centres) ** 2) * (0.5 / self.widths**2)
+        off = x[..., None] - self.centres
+        off = 2.0 * np.sin(0.5 * off) if self.phase == "periodic" else off
+        exponents = -(off**2) * (0.5 / self.widths**2)
         exponents -= exponents.max(axis=-1, keepdims=True)
         psi = np.where(exponents < -FADED, 0.0, np.exp(np.maximum(exponents, -FADED)))
         return result(psi / psi.sum(axis=-1, keepdims=True), out, x=x)

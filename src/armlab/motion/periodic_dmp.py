@@ -1,0 +1,219 @@
+"""The movement primitive of rhythmic motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armlab import kernels, models
+from armlab._numbers import number, numbers
+from armlab.errors import ShapeError
+from armlab.motion._setting import vector
+from armlab.motion.periodic_stepper import PeriodicStepper
+from armlab.motion.rollout import Rollout
+
+__all__ = ["PeriodicDmp"]
+
+GRID = 1024  # phases of one period: harmonics up to 512
+
+
+@dataclass(frozen=True, eq=False)
+class PeriodicDmp:
+    """A movement primitive of n coordinates that repeats itself, over the phase ``phi = 2 pi t / period``.
+
+    ``tau_d^2 ydd = alpha_z (beta_z (g - y) - tau_d yd) + r psi(phi) w`` with ``tau_d = period / (2 pi)`` and
+    ``psi_j = exp(h (cos(phi - c_j) - 1))`` over their sum.
+
+    Attributes
+    ----------
+    weights : (n_basis, n) in the unit of y. centres : (n_basis,) [rad]. h : concentration of the kernels.
+    period : of the demonstration [s]. g : (n,) baseline. alpha_z, beta_z : constants of the spring.
+
+    Raises
+    ------
+    ShapeError : fields that do not fit each other, are not finite or not above zero.
+
+    References
+    ----------
+    Ijspeert, Nakanishi, Hoffmann, Pastor and Schaal (2013), Neural Computation 25(2), 328-373, section 2.1.3.
+    """
+
+    weights: np.ndarray
+    centres: np.ndarray
+    h: float
+    period: float
+    g: np.ndarray
+    alpha_z: float = 25.0
+    beta_z: float = 6.25
+
+    def __post_init__(self) -> None:
+        """Check and freeze."""
+        for name in ("weights", "centres", "g"):
+            values = np.array(numbers(getattr(self, name), name, ShapeError))
+            if not np.isfinite(values).all():
+                raise ShapeError(f"Expected finite {name} of a PeriodicDmp, got NaN or Inf. Fit it again.")
+            values.flags.writeable = False
+            object.__setattr__(self, name, values)
+        if self.weights.ndim != 2 or not self.weights.size:
+            raise ShapeError(f"Expected weights of shape (n_basis, n), got {self.weights.shape}.")
+        m, n = self.weights.shape
+        for name, shape in {"centres": (m,), "g": (n,)}.items():
+            if getattr(self, name).shape != shape:
+                raise ShapeError(f"Expected {name} of shape {shape}, got {getattr(self, name).shape}.")
+        for name in ("h", "period", "alpha_z", "beta_z"):
+            object.__setattr__(self, name, _above(name, getattr(self, name)))
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates."""
+        return self.weights.shape[1]
+
+    def primitive_from(self, phase: float = 0.0) -> Any:
+        """Return an `armlab.kernels.Primitive` that begins at a phase.
+
+        Parameters
+        ----------
+        phase : phi at its start [rad].
+        """
+        widths = np.full(len(self.centres), 1.0 / np.sqrt(self.h))
+        stiffness = self.alpha_z * self.beta_z
+        return kernels.Primitive(
+            self.centres - phase, widths, self.weights, self.alpha_z, stiffness, 1.0, 1.0, "periodic"
+        )
+
+    @cached_property
+    def harmonics(self) -> np.ndarray:
+        """Coefficients (513, n) of ``exp(i k phi)`` in the steady motion around the baseline."""
+        phi = 2 * np.pi / GRID * np.arange(GRID)
+        f = np.fft.rfft(self.primitive_from().forcing(phi), axis=0) / GRID
+        return f * transfer(self.alpha_z, self.alpha_z * self.beta_z)[:, None]
+
+    def steady(self, phase: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """Return the steady motion around the baseline at phases (...), and its rate with the phase, (..., n) each.
+
+        Parameters
+        ----------
+        phase : phi [rad].
+        """
+        k = np.arange(GRID // 2 + 1)
+        double = np.where((k == 0) | (k == GRID // 2), 1.0, 2.0)
+        wave = np.exp(1j * k * numbers(phase, "phase", ShapeError)[..., None]) * double
+        return (wave @ self.harmonics).real, (wave * (1j * k) @ self.harmonics).real
+
+    def start(
+        self,
+        period: float | None,
+        g: ArrayLike | None,
+        r: float,
+        y0: ArrayLike | None,
+        v0: ArrayLike | None,
+        phase: float,
+    ) -> tuple[float, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return time constant, position, velocity, baseline and scale of a run: what is left out is in steady motion.
+
+        Parameters
+        ----------
+        period, g, r, y0, v0, phase : as of `rollout`.
+        """
+        tau = (self.period if period is None else _above("period [s]", period)) / (2 * np.pi)
+        base, amplitude = self.g if g is None else vector(g, "g", self.n), number(r, "r")
+        if not np.isfinite(amplitude):
+            raise ShapeError(f"Expected a finite amplitude r, got {amplitude:g}.")
+        y, rate = self.steady(number(phase, "phase [rad]"))
+        begin = base + amplitude * y if y0 is None else vector(y0, "y0", self.n)
+        speed = amplitude * rate / tau if v0 is None else vector(v0, "v0", self.n)
+        return tau, begin, speed, base, np.full(self.n, amplitude)
+
+    def rollout(
+        self,
+        t: ArrayLike,
+        *,
+        period: float | None = None,
+        g: ArrayLike | None = None,
+        r: float = 1.0,
+        y0: ArrayLike | None = None,
+        v0: ArrayLike | None = None,
+        phase: float = 0.0,
+    ) -> Rollout:
+        """Run the primitive with one step per interval: the spring exactly, the forcing to fourth order.
+
+        Parameters
+        ----------
+        t : (N,) increasing times [s], the motion starts at the first; or one step [s] for one period.
+        period : [s]. g : (n,) baseline. r : factor on the motion around it.
+        y0, v0 : (n,) start; that of the steady motion when left out. phase : phi at the start [rad].
+
+        Raises
+        ------
+        ShapeError : times that do not increase, other shapes, NaN, no positive period.
+        """
+        tau, *state = self.start(period, g, r, y0, v0, phase)
+        times = numbers(t, "t", ShapeError)
+        if not times.ndim:
+            step = _above("dt [s]", times)
+            times = step * np.arange(int(np.floor(2 * np.pi * tau / step * (1 + 1e-12))) + 1)
+        y, yd, ydd, x, f = self.primitive_from(phase).rollout(times, tau, *state)
+        return Rollout(np.array(times), y, yd, ydd, x + phase, f)
+
+    def stepper(
+        self,
+        *,
+        period: float | None = None,
+        g: ArrayLike | None = None,
+        r: float = 1.0,
+        y0: ArrayLike | None = None,
+        v0: ArrayLike | None = None,
+        phase: float = 0.0,
+    ) -> PeriodicStepper:
+        """Return what runs the primitive sample by sample, with baseline, amplitude and period that may change.
+
+        Parameters
+        ----------
+        period, g, r, y0, v0, phase : as of `rollout`.
+
+        Raises
+        ------
+        ShapeError : as of `rollout`.
+        """
+        return PeriodicStepper(self, self.start(period, g, r, y0, v0, phase), float(phase))
+
+    def save(self, path: str | Path) -> Path:
+        """Write a TOML file that comes back bit for bit, and return its path.
+
+        Parameters
+        ----------
+        path : ends in ``.toml``.
+        """
+        return models.save(self, path)
+
+    @classmethod
+    def load(cls, path: str | Path) -> PeriodicDmp:
+        """Read what `save` wrote.
+
+        Parameters
+        ----------
+        path : of the file.
+
+        Raises
+        ------
+        ConfigError : damaged or with unknown fields. ModelMismatchError : of another kind.
+        """
+        return models.load(path, "periodic_dmp")
+
+
+def transfer(alpha: float, stiffness: float) -> np.ndarray:
+    """Return what the spring makes of a forcing ``exp(i k phi)``, for k from 0 to 512."""
+    k = np.arange(GRID // 2 + 1)
+    return 1.0 / (stiffness - k**2 + 1j * alpha * k)
+
+
+def _above(name: str, value: ArrayLike) -> float:
+    found = number(value, name)
+    if not 0.0 < found < np.inf:
+        raise ShapeError(f"Expected a finite {name} above zero, got {found:g}.")
+    return found
