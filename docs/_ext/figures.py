@@ -13,7 +13,10 @@ from pathlib import Path
 
 from sphinx.application import Sphinx
 
-EXAMPLES = ("10_draw_an_arm.py", "12_source_report.py", "20_weld_seam.py")
+EXAMPLES = (
+    "10_draw_an_arm.py", "12_source_report.py", "20_weld_seam.py", "21_calibrate_camera.py",
+    "22_calibrate_force_sensor.py", "23_calibrate_kinematics.py", "24_calibrate_laser.py",
+)  # fmt: skip
 
 
 def draw(app: Sphinx) -> None:

@@ -116,6 +116,24 @@ def test_the_clock_jitters_and_runs_forwards() -> None:
     assert np.all(np.diff(cell(2).clock(N=500, period=0.01, jitter=0.1)) > 0)
 
 
+def test_a_camera_with_a_clock_of_its_own_sees_an_arm_that_moves(tmp_path) -> None:
+    """Joints brought to the times of the images leave the camera's noise; images taken for regular do not."""
+    from armlab import log
+    from armlab.kinematics import forward
+
+    moving = cell(1).moving_hand_eye()
+    files = [log.write(table, tmp_path / f"{name}.mcap", moving.robot)
+             for name, table in (("arm", moving.arm), ("camera", moving.camera))]  # fmt: skip
+    arm, camera = log.read(files[0]).select("q"), log.read(files[1]).select("T_cam_marker")
+    seen = camera.join(arm, fill="linear", max_age=0.02)
+    fit = calibrate.fit_hand_eye(forward(moving.robot, seen["q"]), seen["T_cam_marker"])
+    assert fit.sigma == pytest.approx([0.5e-3, np.radians(0.05)], rel=0.2)
+    np.testing.assert_allclose(fit.value.T_base_cam, moving.T_base_cam, atol=2e-3)
+    regular = moving.arm.between(0.1, 7.0).rows(np.arange(25, 1525, 25))["q"]
+    wrong = calibrate.fit_hand_eye(forward(moving.robot, regular), seen["T_cam_marker"])
+    assert np.all(wrong.sigma > 3.0 * fit.sigma)
+
+
 def test_what_the_cell_does_not_have_is_refused() -> None:
     with pytest.raises(ConfigError, match="'lpoe' or 'dh' of an arm, got 'urdf'"):
         cell(1).kinematics(truth="urdf")

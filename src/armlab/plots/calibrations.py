@@ -19,7 +19,11 @@ if TYPE_CHECKING:
 
 __all__ = ["calibration"]
 
-_SMALL = {"m": ("mm", 1e3), "rad": ("mrad", 1e3), "kg": ("g", 1e3)}
+_SMALL = {
+    "m": ("mm", 1e3), "rad": ("mrad", 1e3), "kg": ("g", 1e3), "m/s^2": ("mm/s^2", 1e3), "N": ("0.01 N", 1e2),
+    "N m": ("0.001 N m", 1e3),
+}  # fmt: skip
+_EDGE = 0.03  # of the width, left free beside the first and the last mark
 _MOST = 3  # ellipses in one panel
 
 
@@ -84,7 +88,11 @@ def _per_sample(panel: Axes, groups: dict[str, np.ndarray], outliers: np.ndarray
     panel.set_ylabel("residual / sigma")
     handles, labels = panel.get_legend_handles_labels()
     once = dict(zip(labels, handles, strict=True))
-    panel.legend(once.values(), once.keys(), loc="best")
+    panel.legend(
+        once.values(), once.keys(), loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(once), borderaxespad=0.2,
+        handletextpad=0.1, columnspacing=1.0,
+    )  # fmt: skip
+    panel.margins(x=_EDGE, y=_EDGE)
     panel.set_title("residuals")
 
 
@@ -103,6 +111,7 @@ def _quantiles(panel: Axes, groups: dict[str, np.ndarray], outliers: np.ndarray)
     panel.set_xlabel("normal quantile")
     panel.set_ylabel("residual / sigma")
     panel.legend(loc="upper left")
+    panel.margins(x=_EDGE, y=_EDGE)
     panel.set_title("quantiles")
 
 

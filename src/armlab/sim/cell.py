@@ -16,6 +16,7 @@ from armlab.sim._cell_force import Weighed
 from armlab.sim._cell_hand_eye import CAMERA, Poses, Sights
 from armlab.sim._cell_kinematics import DistanceRun, DualRun, KinematicRun
 from armlab.sim._cell_laser import Scanned
+from armlab.sim._cell_recording import MovingSights, moving_sights
 
 __all__ = ["Cell", "cell"]
 
@@ -54,6 +55,15 @@ class Cell:
         wrong : how many of the first poses of the marker are turned by 10 degrees and moved by 50 mm.
         """
         return _cell_hand_eye.seen_poses([self.seed, run], N, tilt, camera, robot, wrong)
+
+    def moving_hand_eye(self, run: int = 0, N: int = 60, *, jitter: float = 0.01) -> MovingSights:
+        """Draw two recordings of an arm that moves: its joints at 250 Hz, and a camera whose `clock` jitters.
+
+        Parameters
+        ----------
+        run : number of the experiment. N : images, ten per second. jitter : of their times [s].
+        """
+        return moving_sights([self.seed, run, 1], self.clock(run, N, jitter=jitter))
 
     def marker_points(
         self,
