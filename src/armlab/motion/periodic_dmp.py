@@ -13,13 +13,12 @@ from numpy.typing import ArrayLike
 from armlab import kernels, models
 from armlab._numbers import number, numbers
 from armlab.errors import ShapeError
+from armlab.motion._harmonics import GRID, transfer
 from armlab.motion._setting import vector
 from armlab.motion.periodic_stepper import PeriodicStepper
 from armlab.motion.rollout import Rollout
 
 __all__ = ["PeriodicDmp"]
-
-GRID = 1024  # phases of one period: harmonics up to 512
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +102,7 @@ class PeriodicDmp:
         k = np.arange(GRID // 2 + 1)
         double = np.where((k == 0) | (k == GRID // 2), 1.0, 2.0)
         wave = np.exp(1j * k * numbers(phase, "phase", ShapeError)[..., None]) * double
-        return (wave @ self.harmonics).real, (wave * (1j * k) @ self.harmonics).real
+        return np.real(wave @ self.harmonics), np.real(wave * (1j * k) @ self.harmonics)
 
     def start(
         self,
@@ -204,12 +203,6 @@ class PeriodicDmp:
         ConfigError : damaged or with unknown fields. ModelMismatchError : of another kind.
         """
         return models.load(path, "periodic_dmp")
-
-
-def transfer(alpha: float, stiffness: float) -> np.ndarray:
-    """Return what the spring makes of a forcing ``exp(i k phi)``, for k from 0 to 512."""
-    k = np.arange(GRID // 2 + 1)
-    return 1.0 / (stiffness - k**2 + 1j * alpha * k)
 
 
 def _above(name: str, value: ArrayLike) -> float:

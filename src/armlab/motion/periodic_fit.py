@@ -12,9 +12,10 @@ from armlab._numbers import number
 from armlab.errors import ConfigError, ShapeError
 from armlab.estimation import Excitation, Fit
 from armlab.motion._demos import read_demos
+from armlab.motion._harmonics import GRID, transfer
 from armlab.motion._least_squares import solve
 from armlab.motion._setting import vector
-from armlab.motion.periodic_dmp import GRID, PeriodicDmp, transfer
+from armlab.motion.periodic_dmp import PeriodicDmp
 
 __all__ = ["fit_periodic_dmp"]
 
