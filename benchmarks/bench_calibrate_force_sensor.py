@@ -71,7 +71,7 @@ def run(quick: bool) -> list[Table]:
         contenders.append(Contender(f"armlab {case.name}", fit, "armlab", bar))
     clouds = [(G @ one["T_base_tool"], one["wrench"]) for one in (_draw(CASES[0], i)[0] for i in range(20))]
     contenders.append(Contender("the decomposition alone", loop(_decomposition, clouds), "limit"))
-    return [table("Force sensors by gravity", "\n\n".join(lines), "us", contenders, 3 if quick else 20)]
+    return [table("Force sensors by gravity", "\n\n".join(lines), "µs", contenders, 3 if quick else 20)]
 
 
 def _decomposition(cloud: tuple[np.ndarray, np.ndarray]) -> Any:

@@ -44,7 +44,7 @@ def run(quick: bool) -> list[Table]:
     robust = [{**data, "robust": True} for data in clouds["plane"]]
     contenders.append(Contender("armlab plane, robust", loop(lambda data: frames.fit_plane(**data), robust), "armlab"))
     contenders.append(Contender("the decomposition alone", loop(np.linalg.svd, raw), "limit"))
-    return [table("Features of measured points", "\n\n".join(lines), "us", contenders, 3 if quick else 20)]
+    return [table("Features of measured points", "\n\n".join(lines), "µs", contenders, 3 if quick else 20)]
 
 
 def judged(name: str, seed: int, runs: int) -> Contract:

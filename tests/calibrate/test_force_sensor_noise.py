@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from armlab.calibrate import fit_force_sensor
+from armlab.errors import NotExcited
 from armlab.lie import se3, so3
 
 G = np.array([0.0, 0.0, -9.82])
@@ -75,3 +76,13 @@ def test_torques_sharpen_the_rotation(weights) -> None:
     both = fit_force_sensor(**data.given, noise=NOISE[6])
     forces = fit_force_sensor(data.RA, data.y[:, :3], gravity=G, noise=0.1)
     assert np.trace(both.cov[:3, :3]) < 0.5 * np.trace(forces.cov[:3, :3])
+
+
+def test_two_orientations_leave_the_centre_of_mass_along_their_axis(weights) -> None:
+    """Gravity moves along one line over the tool: also the centre of mass along it is not told."""
+    data = weights.draw(19, torque=0.005)
+    RA, y = np.tile(data.RA[:2], (50, 1, 1)), np.tile(data.exact[:2], (50, 1))
+    with pytest.raises(NotExcited, match=r"rotation about tool axis \(.*\), bias and centre of mass along it"):
+        fit_force_sensor(RA, y, gravity=G)
+    with pytest.raises(NotExcited, match=r"rotation about tool axis \(.*\), bias along it"):
+        fit_force_sensor(RA, y[:, :3], gravity=G)

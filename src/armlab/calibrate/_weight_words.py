@@ -81,8 +81,7 @@ class Words:
         part = parts[first]
         unit = dict(zip(self.names, self.units))[self.names[self.equation.places[first].start]]
         if first == "rotation":
-            text = f"rotation about {axis_text(self.load.R @ part, 'tool')}"
-            text += ", bias along it" if self.equation.bias else ""
+            text = f"rotation about {axis_text(self.load.R @ part, 'tool')}{_along(self.equation)}"
         elif len(part) == 1:
             text = self.scale
         else:
@@ -92,6 +91,11 @@ class Words:
         if abs(np.linalg.norm(step / self.widths) - 1.0) < UNSEEN:
             return text
         return f"{text}, {np.linalg.norm(part):.2g} {unit}".rstrip()
+
+
+def _along(equation: Equation) -> str:
+    """Return what else nothing is told of along the axis of a rotation that is not told."""
+    return (", bias" + " and centre of mass" * equation.torque + " along it") * equation.bias
 
 
 @cache
@@ -144,7 +148,7 @@ def require_motion(equation: Equation) -> float:
             return moved[1]
         u = np.linalg.eigh(equation.turn.H)[1][:, 2]
         still = "gravity seen from the tool does not move (rotations about the vertical only)"
-        line = f"rotation about {axis_text(u, 'tool')}" + (", bias along it" if equation.bias else "")
+        line = f"rotation about {axis_text(u, 'tool')}{_along(equation)}"
     if moved[1] > STILL:
         return float(moved[1])
     direction = still if moved[0] <= STILL else line
