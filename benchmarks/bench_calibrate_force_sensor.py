@@ -18,6 +18,14 @@ from armlab.lie import so3
 from armlab.sim import cell
 
 G = np.array([0.0, 0.0, -9.82])
+UNITS = {
+    "rotation": "rad",
+    "mass": "kg",
+    "weight": "N",
+    "centre": "m",
+    "offset of torque": "N m",
+    "offset": "N or m/s^2",
+}
 BAR, TILT = 1.05, np.radians(30.0)
 
 
@@ -149,6 +157,9 @@ def _judged(case: Case, runs: int) -> str:
         if case.contacts:
             missed += int(np.sum(touched & ~fit.outliers))
             false += int(np.sum(~touched & fit.outliers))
-    ratios = ", ".join(f"{name} {np.sqrt(errors[name] / bounds[name]):.3f}" for name in errors)
+    ratios = ", ".join(
+        f"{name} {np.sqrt(errors[name] / bounds[name]):.3f} of {np.sqrt(bounds[name] / len(nees)):.3g} {UNITS[name]}"
+        for name in errors
+    )
     flags = f"; {missed} contacts missed, {100.0 * false / (runs * case.N):.2f} % false" if case.contacts else ""
     return f"{case.name}: {ratios}; NEES {np.mean(nees):.3f}; {refused} refused{flags}."
