@@ -50,7 +50,15 @@ def test_the_twin_reads_the_same_to_first_order(weights, torque) -> None:
         data = weights.draw(22, sigma=0.0, tilt=tilt, torque=torque)
         equation = Equation(data.RA, data.y, None, True, None, None, ("f",) * data.y.shape[1], "force sensor")
         other = twin(equation, Load(data.R, G, data.bias, data.centre))
+        assert other is not None
         assert np.abs(so3.log(data.R.T @ other.R)).max() > 1.0
         np.testing.assert_array_equal(other.gamma, -G)
         swing = np.abs(data.y - data.y.mean(axis=0)).max()
         assert np.abs(equation.evaluate(other)[0].r).max() < tilt * swing
+
+
+def test_where_there_is_no_twin(weights) -> None:
+    for tilt, bias in ((None, True), (0.1, False)):
+        data = weights.draw(23, tilt=tilt)
+        equation = Equation(data.RA, data.y, None, bias, None, None, ("f",) * 3, "force sensor")
+        assert twin(equation, Load(data.R, G, data.bias, data.centre)) is None

@@ -97,8 +97,11 @@ def _solved(equation: Equation, start: Load, robust: bool) -> NonlinearSolution[
 
 def _better_of_twins(equation: Equation, found: NonlinearSolution[Load], robust: bool) -> NonlinearSolution[Load]:
     """Return the better of a minimum and of that from its `twin`: fewer outliers, then smaller residuals."""
+    start = twin(equation, found.value)
+    if start is None:
+        return found
     try:
-        other = _solved(equation, twin(equation, found.value), robust)
+        other = _solved(equation, start, robust)
     except (NotConverged, NotExcited):
         return found
 

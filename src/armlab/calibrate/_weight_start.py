@@ -12,6 +12,7 @@ SETTLED = 1e-3  # change of weights, relative to the largest
 SHORT = 1e-3  # of the median residual: below it a residual is none
 FAR = 4.0  # medians from which a residual is left out of the start
 NULL = 1e-9
+ALIKE = 0.5  # mean of the weight over the tool, relative to the weight, above which the twin is a minimum too
 
 
 def likely(equation: Equation) -> np.ndarray:
@@ -38,17 +39,18 @@ def likely(equation: Equation) -> np.ndarray:
     return r <= FAR * np.median(r)
 
 
-def twin(equation: Equation, load: Load) -> Load:
+def twin(equation: Equation, load: Load) -> Load | None:
     """Return the load with its weight reversed and the sensor turned by half a turn about it.
 
-    Both read the same to first order in tilts: ``R^T (u x w) = (H R)^T (-u x w)`` with H the half turn about u.
+    Both read the same to first order in tilts: ``R^T (u x w) = (H R)^T (-u x w)`` with H the half turn about u; the
+    bias takes the mean. None where tilts are large, or there is no bias: nothing is alike then.
     """
     u = load.gamma @ equation.RA.mean(axis=0)
     length = float(np.linalg.norm(u))
-    half = so3.exp(np.pi * u / length) if length > 0 else np.eye(3)
-    R, gamma = half @ load.R, -load.gamma
+    if not equation.bias or length <= ALIKE * np.linalg.norm(load.gamma):
+        return None
+    R, gamma = so3.exp(np.pi * u / length) @ load.R, -load.gamma
     expected = gamma @ (equation.RA @ R)
     if equation.torque:
         expected = np.hstack([expected, np.cross(load.centre, expected)])
-    bias = np.median(equation.y - expected, axis=0) if equation.bias else load.bias
-    return Load(R, gamma, bias, load.centre)
+    return Load(R, gamma, np.median(equation.y - expected, axis=0), load.centre)
