@@ -85,8 +85,13 @@ class Fit(Generic[Value]):
         for name in READ_ONLY:
             if getattr(self, name) is None:
                 continue
-            values = np.array(getattr(self, name), dtype=bool if name == "outliers" else float)
-            values.flags.writeable = False
+            values, kind = getattr(self, name), bool if name == "outliers" else float
+            if (
+                not (type(values) is np.ndarray and values.dtype == kind and values.flags.owndata)
+                or values.flags.writeable
+            ):
+                values = np.array(values, dtype=kind)
+                values.flags.writeable = False
             object.__setattr__(self, name, values)
         if not np.isfinite(self.cov).all() or (d and self.cov.diagonal().min() < 0):
             raise ShapeError(

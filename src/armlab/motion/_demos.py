@@ -45,21 +45,21 @@ class Demo:
         """Differences of the velocity (N, n)."""
         return differences(self.velocity, self.t)
 
-    def progress(self, i: int) -> np.ndarray:
-        """Return how far coordinate i has come (N,), from 0 to 1; NaN where it ends where it began."""
-        y = self.y[:, i]
-        way = y[-1] - y[0]
-        return (y - y[0]) / (way if way != 0.0 else np.nan)
+    @cached_property
+    def behind(self) -> np.ndarray:
+        """Whether each coordinate is behind (N, n) where it was by more than BACK of its way; all where it has none."""
+        forward = self.y * np.sign(self.y[-1] - self.y[0])
+        way = abs(self.y[-1] - self.y[0])
+        return np.maximum.accumulate(forward, axis=0) - forward > np.where(way > 0, BACK * way, -1.0)
 
     def steps_back(self, i: int) -> int | None:
-        """Return the first sample at which coordinate i is behind by more than BACK of its way, or None."""
-        p = self.progress(i)
-        back = np.flatnonzero(~(np.maximum.accumulate(p) - p <= BACK))
+        """Return the first sample at which coordinate i is behind, or None."""
+        back = np.flatnonzero(self.behind[:, i])
         return int(back[0]) if len(back) else None
 
     def pauses(self, i: int) -> int | None:
         """Return the first sample of a pause of coordinate i on its way, None where there is none."""
-        p = np.maximum.accumulate(self.progress(i))
+        p = np.maximum.accumulate((self.y[:, i] - self.y[0, i]) / (self.y[-1, i] - self.y[0, i]))
         inside = np.flatnonzero((p > BACK) & (p < 1.0 - BACK))
         later = np.searchsorted(self.t, self.t[inside] + PAUSE * self.duration).clip(max=len(p) - 1)
         still = np.flatnonzero(p[later] - p[inside] < BACK)

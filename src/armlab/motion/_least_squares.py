@@ -34,14 +34,14 @@ def solve(A: np.ndarray, b: np.ndarray, ridge: np.ndarray | None = None) -> Solu
         A, b = np.vstack([A, np.diag(np.sqrt(ridge))]), np.vstack([b, np.zeros((p, q))])
     if len(A) < p:
         A, b = np.vstack([A, np.zeros((p - len(A), p))]), np.vstack([b, np.zeros((p - len(b), q))])
-    norms = np.sqrt(np.einsum("ij,ij->j", A, A))
-    scale = np.where(norms > 0, norms, 1.0)
     joined = np.empty((len(A), p + q), order="F")
-    np.divide(A, scale, out=joined[:, :p])
-    joined[:, p:] = b
+    joined[:, :p], joined[:, p:] = A, b
     geqrf, trcon = get_lapack_funcs(("geqrf", "trcon"), (joined,))
     factor = geqrf(joined, overwrite_a=True)[0]
     R, rotated = np.triu(factor[:p, :p]), factor[:p, p:]
+    norms = np.sqrt((R**2).sum(axis=0))  # of the columns of A; a reflection scales with its column
+    scale = np.where(norms > 0, norms, 1.0)
+    R /= scale
     if trcon(R)[0] > RCOND:
         inverse = solve_triangular(R, np.eye(p))
         x = solve_triangular(R, rotated)

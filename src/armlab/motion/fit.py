@@ -119,8 +119,8 @@ def fit_dmp(
         v0=np.zeros(n),
         g=reference.g,
         extent=reference.extent,
-        peak_acceleration=np.max([abs(demo.acceleration).max(axis=0) for demo in demos], axis=0),
-        monotone=np.array([all(demo.steps_back(i) is None for demo in demos) for i in range(n)]),
+        peak_acceleration=np.max([np.abs(demo.acceleration).max(axis=0) for demo in demos], axis=0),
+        monotone=~np.any([demo.behind.any(axis=0) for demo in demos], axis=0),
         alpha_z=alpha,
         beta_z=alpha / 4.0 if beta_z is None else _above("beta_z", beta_z),
         alpha_x=alpha_x,
@@ -208,6 +208,7 @@ def _fit(dmp: Dmp, method: str, learned: Learned, demos: list[Demo]) -> Fit[Dmp]
     cov = np.zeros((n * d, n * d))
     for i in range(n):
         cov[i * d : (i + 1) * d, i * d : (i + 1) * d] = learned.cov[i]
+    cov.flags.writeable = False
     parts = [learned.weights, learned.ends.reshape(-1, n)] if with_ends else [learned.weights]
     kind = "position" if learned.of_position else "forcing"
     return Fit(

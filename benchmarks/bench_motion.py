@@ -1,0 +1,124 @@
+"""Movement primitives beside movement_primitives: fit, rollout, one step, and a thousand runs at once.
+
+Seven coordinates, 1000 samples, 50 kernels, both through their public API. The peer has no batch: its runs are a loop,
+of which one is timed. Its derivatives and its phase are others, so that motions are held to the demonstration.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from blocks import Contender, Disagreement, Table, loop, once, table
+from movement_primitives.dmp import DMP
+
+from armlab.motion import Dmp, fit_dmp
+
+N, JOINTS, KERNELS, RUNS = 1000, 7, 50, 1000
+
+
+def run(quick: bool) -> list[Table]:
+    """Measure fits, `rollout`, `Stepper.step` and `rollout_batch`."""
+    t, y = _demonstration()
+    ours, theirs = fit_dmp(t, y).value, _peer(t, y)
+    errors = [_rmse(ours.rollout(t).y, y), _rmse(theirs.open_loop()[1][:N], y)]
+    if not max(errors) < 5e-3:
+        raise Disagreement(f"Expected motions within 5e-3 of the demonstration, got {errors}.")
+    rounds = 5 if quick else 40
+    text = f"{JOINTS} coordinates x {N} samples, {KERNELS} kernels."
+    accuracy = f"RMSE from the demonstration: armlab {errors[0]:.1e}, movement_primitives {errors[1]:.1e}."
+    return [
+        table(
+            "Movement primitives: fit to accelerations",
+            f"{text} Covariance and excitation are made too.",
+            "ms",
+            [
+                Contender("armlab fit_dmp(method='acceleration')", _fit(t, y, method="acceleration"), "armlab"),
+                Contender("movement_primitives imitate", once(lambda: theirs.imitate(t, y)), bar=1 / 4),
+                Contender("movement_primitives imitate, ridge", once(lambda: _ridge(theirs, t, y)), bar=1 / 4),
+            ],
+            rounds,
+        ),
+        table(
+            "Movement primitives: fit to the trajectory",
+            f"{text} No peer has it: beside the peer's fit to accelerations.",
+            "ms",
+            [
+                Contender("armlab fit_dmp", _fit(t, y), "armlab"),
+                Contender("movement_primitives imitate, ridge", once(lambda: _ridge(theirs, t, y)), bar=1.0),
+            ],
+            rounds,
+        ),
+        table(
+            "Movement primitives: a motion",
+            f"{text} {accuracy}",
+            "ms",
+            [
+                Contender("armlab rollout", once(lambda: ours.rollout(t)), "armlab"),
+                Contender("movement_primitives open_loop", once(theirs.open_loop), bar=1 / 40),
+            ],
+            rounds,
+        ),
+        table("Movement primitives: one step", text, "µs", _steps(ours, theirs, y), rounds),
+        table(
+            "Movement primitives: many motions",
+            f"{RUNS} runs. {text}",
+            "ms",
+            _batches(ours, theirs, t),
+            rounds // 4 + 2,
+        ),
+    ]
+
+
+def _demonstration() -> tuple[np.ndarray, np.ndarray]:
+    u = np.linspace(0.0, 1.0, N)
+    rng = np.random.default_rng(1)
+    jerk = 10 * u**3 - 15 * u**4 + 6 * u**5
+    return u, rng.normal(size=JOINTS) + rng.normal(size=JOINTS) * jerk[:, None] + 0.1 * np.sin(np.pi * jerk)[
+        :, None
+    ] ** 2
+
+
+def _peer(t: np.ndarray, y: np.ndarray) -> DMP:
+    peer = DMP(n_dims=JOINTS, execution_time=t[-1], dt=t[1], n_weights_per_dim=KERNELS)
+    peer.imitate(t, y)
+    return peer
+
+
+def _rmse(path: np.ndarray, y: np.ndarray) -> float:
+    return float(np.sqrt(((path - y) ** 2).mean()))
+
+
+def _fit(t: np.ndarray, y: np.ndarray, **options: str):
+    return once(lambda: fit_dmp(t, y, **options))
+
+
+def _ridge(peer: DMP, t: np.ndarray, y: np.ndarray) -> None:
+    peer.imitate(t, y, regularization_coefficient=1e-6)
+
+
+def _steps(ours: Dmp, theirs: DMP, y: np.ndarray) -> list[Contender]:
+    stepper, dt = ours.stepper(), np.full(200, 1.0 / (N - 1))
+    theirs.reset()
+    state = [y[0].copy(), np.zeros(JOINTS)]
+
+    def step(_: float) -> None:
+        state[:] = theirs.step(*state)
+
+    return [
+        Contender("armlab Stepper.step(dt)", loop(stepper.step, list(dt)), "armlab", 2e-6),
+        Contender("movement_primitives step", loop(step, list(dt)), bar=1 / 12),
+    ]
+
+
+def _batches(ours: Dmp, theirs: DMP, t: np.ndarray) -> list[Contender]:
+    rng = np.random.default_rng(2)
+    starts = ours.y0 + 0.1 * rng.normal(size=(RUNS, JOINTS))
+    weights = ours.weights * (1.0 + 0.1 * rng.normal(size=(RUNS, KERNELS, 1)))
+    return [
+        Contender("armlab rollout_batch(y0)", once(lambda: ours.rollout_batch(t, y0=starts)), "armlab"),
+        Contender(
+            "armlab rollout_batch(weights)",
+            once(lambda: ours.rollout_batch(t, weights=weights)),
+            note="each with weights of its own",
+        ),
+        Contender("movement_primitives open_loop, 1000 of them", once(theirs.open_loop, scale=RUNS), bar=1 / 150),
+    ]
