@@ -25,7 +25,7 @@ def main() -> None:
 
     stepper = dmp.stepper(brake=True)  # sample by sample, as in a control loop
     for k in range(750):
-        y, yd, ydd = stepper.step(0.004)
+        y, _, _ = stepper.step(0.004)  # and velocity and acceleration
         if k == 200:
             stepper.change_goal([1.0, 0.3])
     print(f"the goal that moved is reached: {y.round(3)} rad")

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
 #include "lanes.h"
 
@@ -100,12 +99,16 @@ double Primitive::share(double x) const {
 }
 
 int Primitive::kernels(double x, double factor, int *index, double *psi) const {
-  double top = -std::numeric_limits<double>::infinity();
   for (int j = 0; j < m; ++j) {
     const double off = phase == PhaseKind::periodic ? 2.0 * std::sin(0.5 * (x - centres[j])) : x - centres[j];
     psi[j] = -off * off * curvatures[j];
-    top = std::max(top, psi[j]);
   }
+  double tops[4] = {psi[0], psi[0], psi[0], psi[0]};  // four at once: a maximum waits for the one before
+  int next = 0;
+  for (; next + 4 <= m; next += 4)
+    for (int lane = 0; lane < 4; ++lane) tops[lane] = std::max(tops[lane], psi[next + lane]);
+  for (; next < m; ++next) tops[0] = std::max(tops[0], psi[next]);
+  const double top = std::max(std::max(tops[0], tops[1]), std::max(tops[2], tops[3]));
   int count = 0;
   double sum = 0.0;
   for (int j = 0; j < m; ++j) {

@@ -1,4 +1,4 @@
-"""Defects of DynamicMovementPrimitives.jl and traps of its peers that are not to come here; numbers of the specification.
+"""Defects of DynamicMovementPrimitives.jl and traps of its peers that are not to come here.
 
 Those of its two-degree-of-freedom controller and of its two-link arm have their tests with these.
 """
