@@ -14,7 +14,7 @@ def main() -> None:
     for name, robot in (("table", arm.robot), ("corrected", robots.load("corrected.toml"))):
         off = kinematics.forward(robot, arm.q_valid)[:, :3, 3] - arm.pose_valid[:, :3, 3]
         print(f"{name}: {1e3 * np.sqrt(np.mean(np.sum(off**2, axis=1))):.3f} mm where it was not fitted")
-    plots.calibration(fit).savefig("arm.png", dpi=120)
+    plots.calibration(fit).savefig("kinematics.png", dpi=120)
 
 
 if __name__ == "__main__":

@@ -55,6 +55,17 @@ def test_every_calibration_can_be_drawn() -> None:
         assert fit.excitation.weakest[:20] in calibration(fit).axes[3].get_title(loc="left").replace("\n", " ")
 
 
+def test_samples_in_which_a_kind_was_not_measured_are_left_out_of_it() -> None:
+    arm = sim.cell(1).distances()
+    position = np.where(np.arange(120)[:, None] < 60, arm.pose[:, :3, 3], np.nan)
+    visible = {"position": np.arange(120) < 60, "distance": np.arange(120) >= 60}
+    fit = calibrate.fit_kinematics(arm.robot, arm.q, position=position, distance=arm.distance, anchor=arm.guess,
+                                   visible=visible)  # fmt: skip
+    points, lengths = calibration(fit).axes[0].lines
+    assert np.array_equal(points.get_xdata(), np.arange(60))
+    assert np.array_equal(lengths.get_xdata(), np.arange(60, 120))
+
+
 def test_what_cannot_be_drawn_is_refused(fit) -> None:
     with pytest.raises(ShapeError, match="a fit with residuals"):
         calibration(replace(fit, residuals=np.zeros(0)))

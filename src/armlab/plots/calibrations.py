@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,6 +24,7 @@ _SMALL = {
     "m": ("mm", 1e3), "rad": ("mrad", 1e3), "kg": ("g", 1e3), "m/s^2": ("mm/s^2", 1e3), "N": ("0.01 N", 1e2),
     "N m": ("0.001 N m", 1e3),
 }  # fmt: skip
+_SINGLE = ("distance", "pair distance", "point", "line")  # classes of noise of one number per sample
 _EDGE = 0.03  # of the width, left free beside the first and the last mark
 _MOST = 3  # ellipses in one panel
 
@@ -66,18 +68,26 @@ def calibration(fit: Fit[Any], truth: ArrayLike | None = None, ax: Any = None) -
 def _groups(fit: Fit[Any]) -> dict[str, np.ndarray]:
     """Return the residuals (N, k) of each class of noise, in its standard deviations."""
     rows = fit.residuals.reshape(len(fit.residuals), -1)
-    count = len(fit.classes)
-    if not count or rows.shape[1] % count or fit.sigma.size != count or not np.all(fit.sigma > 0):
+    owner = _owners(fit.classes, rows.shape[1])
+    if owner is None or fit.sigma.size != len(fit.classes) or not np.all(fit.sigma > 0):
         size = np.sqrt(np.nanmean(rows**2, axis=0))
         return {"residual": rows / np.where(size > 0, size, 1.0)}
-    parts = np.split(rows, count, axis=1)
-    return {name: part / sigma for name, part, sigma in zip(fit.classes, parts, fit.sigma.ravel(), strict=True)}
+    return {name: rows[:, owner == k] / fit.sigma.ravel()[k] for k, name in enumerate(fit.classes)}
+
+
+def _owners(classes: Sequence[str], columns: int) -> np.ndarray | None:
+    """Return the class of each column: three each, one of a distance or of a line, again and again; None if unclear."""
+    if len(classes) == 1:
+        return np.zeros(columns, dtype=int)
+    once = np.repeat(np.arange(len(classes)), [1 if name.split(" [")[0] in _SINGLE else 3 for name in classes])
+    return np.resize(once, columns) if len(once) and columns % len(once) == 0 else None
 
 
 def _per_sample(panel: Axes, groups: dict[str, np.ndarray], outliers: np.ndarray) -> None:
     """Draw the norm per sample and class, wrong samples as crosses."""
     for (name, part), (color, _) in zip(groups.items(), JOINT_STYLES, strict=False):
-        size = np.sqrt(np.nanmean(part**2, axis=1))
+        count = np.isfinite(part).sum(axis=1)
+        size = np.sqrt(np.nansum(part**2, axis=1) / np.where(count > 0, count, np.nan))  # NaN: was not measured
         bad = outliers if len(outliers) == len(size) else np.zeros(len(size), dtype=bool)
         good = ~bad & np.isfinite(size)
         panel.plot(np.flatnonzero(good), size[good], "o", color=color, markersize=3.0, label=name)
