@@ -7,6 +7,7 @@ from armlab.motion.controllers import DmpController, TwoDofController
 from armlab.motion.dmp import Dmp
 from armlab.motion.events import Displace, Hold, Push
 from armlab.motion.fit import fit_dmp
+from armlab.motion.limiting import duration_within, peaks
 from armlab.motion.motion_band import MotionBand, blend
 from armlab.motion.periodic_dmp import PeriodicDmp
 from armlab.motion.periodic_fit import fit_periodic_dmp
@@ -22,6 +23,7 @@ from armlab.motion.stepper import Stepper
 from armlab.motion.two_dof import TwoDofDmp
 from armlab.motion.two_dof_run import TwoDofRun
 from armlab.motion.two_dof_stepper import Reference, TwoDofStepper
+from armlab.motion.via_points import through
 
 __all__ = [
     "Controller",
@@ -45,11 +47,14 @@ __all__ = [
     "TwoDofRun",
     "TwoDofStepper",
     "blend",
+    "duration_within",
     "fit_dmp",
     "fit_periodic_dmp",
     "fit_pose_dmp",
     "fit_promp",
+    "peaks",
     "profiles",
+    "through",
 ]
 
 register("dmp", Dmp)
