@@ -241,4 +241,8 @@ def test_small_displacements_are_not_scaled(primitive: Primitive) -> None:
     dmp = primitive(g=primitive().y0 + np.array([0.04, 0.06, 0.0]))
     assert dmp.unscaled == (0, 2)
     assert primitive(scaling="none").unscaled == ()
+    still = primitive(
+        y0=np.array([0.3, 0.0, 0.0]), g=np.array([0.3 + 1e-16, 3e-17, -0.4]), extent=np.array([0, 3e-17, 0.4])
+    )
+    assert still.unscaled == (0, 1), "what stood still but for rounding has no size to scale by"
     assert abs(dmp.rollout(np.linspace(0, 2, 20), g=dmp.y0 + 1).forcing[0, 0]) < 1e3

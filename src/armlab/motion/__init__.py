@@ -12,6 +12,7 @@ from armlab.motion.motion_band import MotionBand, blend
 from armlab.motion.periodic_dmp import PeriodicDmp
 from armlab.motion.periodic_fit import fit_periodic_dmp
 from armlab.motion.periodic_stepper import PeriodicStepper
+from armlab.motion.pose_controller import PoseDmpController
 from armlab.motion.pose_dmp import PoseDmp
 from armlab.motion.pose_fit import fit_pose_dmp
 from armlab.motion.pose_rollout import PoseRollout
@@ -35,6 +36,7 @@ __all__ = [
     "PeriodicDmp",
     "PeriodicStepper",
     "PoseDmp",
+    "PoseDmpController",
     "PoseRollout",
     "PoseStepper",
     "ProMP",

@@ -18,6 +18,7 @@ from armlab.motion._setting import UNSCALED, vector
 __all__ = ["SCALINGS", "Equation"]
 
 SCALINGS = ("goal", "none", "amplitude", "rotate")
+ROUNDING = 1e-12  # of the largest number of a demonstration: a coordinate moved by less stood still
 PER_COORDINATE = ("y0", "v0", "g", "extent", "peak_acceleration", "monotone")
 
 
@@ -119,10 +120,12 @@ class Equation:
 
     @property
     def unscaled(self) -> tuple[int, ...]:
-        """Coordinates that scaling "goal" leaves alone: their displacement was below a twentieth of their range."""
+        """Coordinates that scaling "goal" leaves alone: displaced by rounding, or below a twentieth of their range."""
         if self.scaling != "goal":
             return ()
-        return tuple(np.flatnonzero(abs(self.g - self.y0) <= UNSCALED * self.extent).tolist())
+        rounding = ROUNDING * max(self.extent.max(), np.abs([self.y0, self.g]).max())
+        least = np.maximum(UNSCALED * self.extent, rounding)
+        return tuple(np.flatnonzero(abs(self.g - self.y0) <= least).tolist())
 
     @cached_property
     def primitive(self) -> Any:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,6 +20,10 @@ from armlab.motion._setting import Setting, vector
 from armlab.motion.dmp import Dmp
 from armlab.motion.pose_rollout import PoseRollout
 from armlab.motion.pose_stepper import PoseStepper
+
+if TYPE_CHECKING:
+    from armlab.motion.control import Controller, Limits
+    from armlab.robots import Robot
 
 __all__ = ["FRAMES", "PoseDmp"]
 
@@ -184,6 +189,30 @@ class PoseDmp:
         ShapeError, ConfigError : as in `rollout`.
         """
         return PoseStepper(self, self.run_of(duration, tau_d, start, twist0, goal))
+
+    def controller(
+        self,
+        robot: Robot,
+        *,
+        limits: Limits | None = None,
+        duration: float | None = None,
+        goal: ArrayLike | None = None,
+    ) -> Controller:
+        """Return a controller ``State -> Command`` for `armlab.bridge`, which leads the tool from where it is, at rest.
+
+        Parameters
+        ----------
+        robot : the arm; its joints come by inverse kinematics, each from the one before.
+        limits : what has q_min, q_max, qd_max and qdd_max (n,), such as `bridge.Limits`; those of the robot when None.
+        duration, goal : as in `rollout`; poses are those of the tool, base axes.
+
+        Raises
+        ------
+        ShapeError : a goal that the arm does not reach. ConfigError : as in `rollout`.
+        """
+        from armlab.motion.pose_controller import PoseDmpController
+
+        return PoseDmpController(robot, self, {"duration": duration, "goal": goal}, limits)
 
     def save(self, path: str | Path) -> Path:
         """Write a TOML file that comes back bit for bit, and return its path.
