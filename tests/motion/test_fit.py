@@ -73,10 +73,9 @@ def test_the_motion_stays_at_the_goal(name: str) -> None:
 
 def test_convergence_of_the_steps() -> None:
     dmp = fit_dmp(*demo("letter")).value
-    errors = []
-    for n in (100, 200, 400, 800):
-        t = np.linspace(0, 1, n + 1)
-        errors.append(abs(dmp.rollout(t).y - dmp.solve(t, rtol=1e-12, atol=1e-13).y).max())
+    fine = np.linspace(0, 1, 801)
+    wanted = dmp.solve(fine, rtol=1e-12, atol=1e-13).y
+    errors = [abs(dmp.rollout(fine[::k]).y - wanted[::k]).max() for k in (8, 4, 2, 1)]
     assert np.log2(np.divide(errors[:-1], errors[1:])).min() >= 3.8
     assert (np.array(errors) < [1.7e-6, 1.1e-7, 6.5e-9, 4e-10]).all()
 

@@ -67,10 +67,10 @@ def test_bad_arguments_are_refused(primitive: Primitive) -> None:
 def reach(dmp: Dmp, when: float, goal: float, **options: Any) -> tuple[np.ndarray, float]:
     """Path after the goal of a motion from 0 to 1 has changed, and the velocity then."""
     stepper = dmp.stepper(**options)
-    path = [stepper.step(0.001)[0][0] for _ in range(round(when * 1000))]
+    path = [stepper.step(0.002)[0][0] for _ in range(round(when * 500))]
     velocity = float(stepper.state[1][0])
     stepper.change_goal([goal])
-    return np.array([path[-1], *(stepper.step(0.001)[0][0] for _ in range(2500))]), velocity
+    return np.array([path[-1], *(stepper.step(0.002)[0][0] for _ in range(1250))]), velocity
 
 
 MOVING = {  # largest overshoot in the conventions lund and ijspeert

@@ -20,22 +20,23 @@ class Solution:
     triangle: np.ndarray
 
 
-def solve(A: np.ndarray, b: np.ndarray, ridge: np.ndarray | None = None) -> Solution:
-    """Minimise ``||A x - b||^2 + sum ridge x^2``.
+def solve(A: np.ndarray, b: np.ndarray, ridge: np.ndarray | None = None, rows: np.ndarray | None = None) -> Solution:
+    """Minimise ``||rows A x - b||^2 + sum ridge x^2``.
 
     Parameters
     ----------
-    A : (N, p). b : (N, q). ridge : (p,) penalties of the unknowns.
+    A : (N, p). b : (N, q). ridge : (p,) penalties of the unknowns. rows : (N,) factors of the rows of A.
     """
     from scipy.linalg import get_lapack_funcs, solve_triangular
 
     p, q = A.shape[1], b.shape[1]
-    if ridge is not None and ridge.any():
-        A, b = np.vstack([A, np.diag(np.sqrt(ridge))]), np.vstack([b, np.zeros((p, q))])
-    if len(A) < p:
-        A, b = np.vstack([A, np.zeros((p - len(A), p))]), np.vstack([b, np.zeros((p - len(b), q))])
-    joined = np.empty((len(A), p + q), order="F")
-    joined[:, :p], joined[:, p:] = A, b
+    N, penalised = len(A), ridge is not None and bool(ridge.any())
+    joined = np.empty((max(N, p) + p * penalised, p + q), order="F")
+    np.multiply(A, 1.0 if rows is None else rows[:, None], out=joined[:N, :p])
+    joined[:N, p:] = b
+    joined[N:] = 0.0
+    if penalised:
+        joined[-p:, :p] = np.diag(np.sqrt(ridge))
     geqrf, trcon = get_lapack_funcs(("geqrf", "trcon"), (joined,))
     factor = geqrf(joined, overwrite_a=True)[0]
     R, rotated = np.triu(factor[:p, :p]), factor[:p, p:]

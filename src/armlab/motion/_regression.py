@@ -58,25 +58,24 @@ def fit_regression(
         f = np.concatenate([demo.f[:, block] for demo in demos])
         weights = np.concatenate([demo.weights for demo in demos])
         psi = primitive.basis(x)
-        A = psi * lever[:, None]
         if bells is None:
-            w, spread, triangle = _least_squares(A, f, weights, ridge)
+            w, spread, triangle = _least_squares(psi, lever, f, weights, ridge)
         else:
             bell = psi if not len(bells[1]) else np.exp(-0.5 * ((x[:, None] - bells[0]) / bells[1]) ** 2)
             w, spread, triangle = _kernel_by_kernel(bell, lever, f, weights)
-        residuals = f - A @ w
+        residuals = f - (psi @ w) * lever[:, None]
         dof = max(len(f) - psi.shape[1], 1)
         sigma = np.sqrt((weights[:, None] * residuals**2).sum(axis=0) / dof)
-        found.append((w, spread[..., None] * sigma**2, sigma, residuals, triangle))
-    w, cov, sigma, residuals = (np.concatenate(a, axis=-1) for a in zip(*(one[:4] for one in found)))
-    return Regression(w, np.moveaxis(cov, -1, 0), sigma, residuals, found[0][4])
+        found.append((w, spread * (sigma**2)[:, None, None], sigma, residuals, triangle))
+    w, sigma, residuals = (np.concatenate([one[k] for one in found], axis=-1) for k in (0, 2, 3))
+    return Regression(w, np.concatenate([one[1] for one in found]), sigma, residuals, found[0][4])
 
 
-def _least_squares(A: np.ndarray, f: np.ndarray, weights: np.ndarray, ridge: float) -> tuple[Any, ...]:
-    if (weights != 1.0).any():
-        roots = np.sqrt(weights)[:, None]
-        A, f = A * roots, f * roots
-    one = solve(A, f, np.full(A.shape[1], ridge) if ridge else None)
+def _least_squares(
+    psi: np.ndarray, lever: np.ndarray, f: np.ndarray, weights: np.ndarray, ridge: float
+) -> tuple[Any, ...]:
+    roots = np.sqrt(weights)
+    one = solve(psi, f * roots[:, None], np.full(psi.shape[1], ridge) if ridge else None, lever * roots)
     return one.x, one.G - ridge * one.G @ one.G, one.triangle
 
 

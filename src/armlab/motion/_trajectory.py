@@ -91,8 +91,8 @@ def fit_trajectory(
     n = scales.shape[1]
     blocks = [slice(0, n)] if same else [slice(i, i + 1) for i in range(n)]
     found = [_solve(parts, demos, scales[:, block][:, 0], block, ends, free, ridge) for block in blocks]
-    weights, all_ends, cov, sigma, residuals = (np.concatenate(a, axis=-1) for a in zip(*(f[:5] for f in found)))
-    return Found(weights, all_ends, np.moveaxis(cov, -1, 0), sigma, residuals, found[0][5], free)
+    weights, all_ends, sigma, residuals = (np.concatenate([one[k] for one in found], axis=-1) for k in (0, 1, 3, 4))
+    return Found(weights, all_ends, np.concatenate([one[2] for one in found]), sigma, residuals, found[0][5], free)
 
 
 def _solve(
@@ -133,7 +133,7 @@ def _solve(
         residuals.append(-left / np.where(roots > 0, roots, 1.0))
     sigma = np.sqrt(squares / max(dof, 1.0))
     fixed[:, list(free)] = found.x[m:].reshape(M, f, b.shape[1])
-    return found.x[:m], fixed, unit[..., None] * sigma**2, sigma, np.concatenate(residuals), found.triangle
+    return found.x[:m], fixed, unit * (sigma**2)[:, None, None], sigma, np.concatenate(residuals), found.triangle
 
 
 def _spread(
