@@ -30,12 +30,12 @@ def solve(A: np.ndarray, b: np.ndarray, ridge: np.ndarray | None = None, rows: n
     from scipy.linalg import get_lapack_funcs, solve_triangular
 
     p, q = A.shape[1], b.shape[1]
-    N, penalised = len(A), ridge is not None and bool(ridge.any())
-    joined = np.empty((max(N, p) + p * penalised, p + q), order="F")
+    N, extra = len(A), 0 if ridge is None else p
+    joined = np.empty((max(N, p) + extra, p + q), order="F")
     np.multiply(A, 1.0 if rows is None else rows[:, None], out=joined[:N, :p])
     joined[:N, p:] = b
     joined[N:] = 0.0
-    if penalised:
+    if ridge is not None:
         joined[-p:, :p] = np.diag(np.sqrt(ridge))
     geqrf, trcon = get_lapack_funcs(("geqrf", "trcon"), (joined,))
     factor = geqrf(joined, overwrite_a=True)[0]
