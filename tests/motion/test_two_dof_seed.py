@@ -72,3 +72,61 @@ def test_continuous_limit_of_the_callback(data: dict[str, Any], dof: int) -> Non
     found[0] = [0, 0, 0, 0, 0, 1]
     for i, name in enumerate(("yc", "yc_dot", "ya", "ya_dot", "e", "x")):
         np.testing.assert_allclose(found[:, i], want[name], rtol=0, atol=1e-8, err_msg=name)
+
+
+class Paper:
+    """The simulation in the authors' example: explicit Euler at 250 Hz in the order z, yc, x, ya', ya, e."""
+
+    tau, dt, samples = 1.4, 1 / 250, 2100
+
+    def __init__(self, numbers: dict[str, Any]) -> None:
+        self.w, self.c, self.D = (np.array(numbers[name]) for name in ("w", "centers", "precision"))
+        self.g = numbers["g"]
+
+    def force(self, x: float) -> float:
+        psi = np.exp(-self.D * (x - self.c) ** 2 / 2)
+        return psi @ self.w / (psi.sum() + 1e-10) * x * self.g
+
+    def alone(self) -> tuple[np.ndarray, float, float]:
+        """Positions, and velocity and acceleration that are left over at the end."""
+        y = z = yd = ydd = 0.0
+        x, path = 1.0, [0.0]
+        for _ in range(self.samples - 1):
+            zd = (ALPHA_Z * (BETA_Z * (self.g - y) - z) + self.force(x)) / self.tau
+            z += zd * self.dt
+            yd, ydd = z / self.tau, zd / self.tau
+            y += yd * self.dt
+            x -= x / self.tau * self.dt
+            path.append(y)
+        return np.array(path), yd, ydd
+
+    def coupled(self, moved: float, z: float, ycd: float, ycdd: float) -> tuple[np.ndarray, float]:
+        """Rows yc, ya, e of each sample, and the last z; between samples 500 and 750 ya' is `moved`."""
+        yc = ya = yad = e = 0.0
+        x, rows = 1.0, [(0.0, 0.0, 0.0)]
+        for k in range(1, self.samples):
+            acceleration = KP * (yc - ya) + KV * (ycd - yad) + ycdd
+            tau_a, ed = self.tau * (1 + KC * e**2), ALPHA_E * (ya - yc - e)
+            zd = (ALPHA_Z * (BETA_Z * (self.g - yc) - z) + self.force(x)) / tau_a
+            z += zd * self.dt
+            ycd = z / tau_a
+            ycdd = (zd * tau_a - 2 * self.tau * KC * z * e * ed) / tau_a**2
+            yc += ycd * self.dt
+            x -= x / tau_a * self.dt
+            yad = moved if 500 < k + 1 < 750 else yad + acceleration * self.dt
+            ya += yad * self.dt
+            e += ALPHA_E * (ya - yc - e) * self.dt
+            rows.append((yc, ya, e))
+        return np.array(rows), z
+
+
+def test_discrete_runs_of_the_paper(data: dict[str, Any]) -> None:
+    """With its quirks: the runs start with velocity, acceleration and z that are left over from the runs before."""
+    want = data["ifac2017_simulation"]
+    paper, at = Paper(want), np.array(want["index_1based"]) - 1
+    path, yd, ydd = paper.alone()
+    stop, z = paper.coupled(0.0, 0.0, yd, ydd)
+    push, _ = paper.coupled(0.15, z, 0.0, 0.0)
+    np.testing.assert_allclose(path[at], want["y_unperturbed"], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(stop[at].T, [want[f"stop_{name}"] for name in ("yc", "ya", "e")], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(push[at, :2].T, [want["push_yc"], want["push_ya"]], rtol=0, atol=1e-9)
