@@ -222,3 +222,11 @@ def test_what_cannot_be_calibrated_is_a_sentence_and_writes_nothing(files: Path,
     assert main(["calibrate", "hand-eye"]) == 1
     assert "files of samples, got none" in capsys.readouterr().err
     assert main(["calibrate", "hand-eye", str(files / "eye.mat"), "--setup", "upside_down"]) == 2
+
+
+def test_plates_are_whole_numbers(tmp_path: Path, capsys) -> None:
+    drawn = sim.cell(2).laser()
+    plane = np.where(drawn.plane == 1, 1.5, drawn.plane)
+    savemat(tmp_path / "a.mat", {"T_base_tool": drawn.A, "scans": drawn.scans, "plane": plane})
+    assert main(["calibrate", "laser", str(tmp_path / "a.mat")]) == 1
+    assert "Expected whole numbers in plane" in capsys.readouterr().err

@@ -72,6 +72,8 @@ def test_noise_and_poses_of_the_tool() -> None:
     np.testing.assert_array_equal(tool_poses(samples(T_base_tool=T), None), T)
     with pytest.raises(LogError, match="Expected T_base_tool"):
         tool_poses(samples(q=q), None)
+    with pytest.raises(LogError, match="These seem to be degrees"):
+        tool_poses(samples(q=np.rad2deg(q)), "irb2400")
 
 
 def test_copies_of_a_sample_count_once_and_held_values_are_told(capsys) -> None:

@@ -218,12 +218,18 @@ def laser(
     wanted : Wanted
         What to write.
     """
+    import numpy as np
+
     from armlab.calibrate import fit_laser_plane
+    from armlab.errors import LogError
 
     def parts(read: Samples) -> tuple[np.ndarray, ...]:
         return measured_rows(read, (tool_poses(read, robot), read.vectors("scans", (4,)), read.numbers("plane")))[:3]
 
     def fit(T_base_tool: np.ndarray, scans: np.ndarray, plane: np.ndarray) -> Any:
-        return fit_laser_plane(T_base_tool, scans, plane.astype(int), noise=noise, robust=robust)
+        labels = plane.astype(int)
+        if not np.array_equal(labels, plane):
+            raise LogError(f"Expected whole numbers in plane, one per plate, got {plane[labels != plane][0]:g}.")
+        return fit_laser_plane(T_base_tool, scans, labels, noise=noise, robust=robust)
 
     return run_fit("laser", samples, parts, fit, wanted)

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from armlab.cli.calibrate_input import Samples
     from armlab.cli.calibrate_report import Wanted
 
+_DEGREES = 20.0  # rad that no joint turns
+
 __all__ = ["measured_rows", "noise_of", "run_fit", "tool_poses"]
 
 
@@ -147,7 +149,7 @@ def tool_poses(read: Samples, robot: str | None) -> np.ndarray:
 
     Raises
     ------
-    LogError : neither is in the file.
+    LogError : neither is in the file, or the joint positions are in degrees.
     """
     if robot is None:
         return read.poses("T_base_tool")
@@ -155,4 +157,11 @@ def tool_poses(read: Samples, robot: str | None) -> np.ndarray:
     from armlab.kinematics import forward
 
     arm = robots.load(robot)
-    return forward(arm, read.vectors("q", (arm.n,)))
+    q = read.vectors("q", (arm.n,))
+    far = np.nanmax(np.abs(q[:, ~arm.prismatic]), initial=0.0)
+    if far > _DEGREES:
+        raise LogError(
+            f"Expected joint angles q in radians in {read.path}, got up to {far:.4g}. These seem to be degrees: write "
+            "their unit into the header, q1 [deg]."
+        )
+    return forward(arm, q)
