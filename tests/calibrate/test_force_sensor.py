@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab import models
+from armlab import models, sim
 from armlab.calibrate import fit_force_sensor
 from armlab.calibrate._weight_closed import Found, closed_form, is_closed
 from armlab.calibrate._weight_equation import Equation, Load, Turn
@@ -387,3 +387,11 @@ def test_poses_slightly_off_are_projected_and_reported(weights) -> None:
     data = weights.draw(13)
     report = fit_force_sensor(data.RA * (1.0 + 1e-6), data.y, gravity=G).report()
     assert "100 rotations of T_base_tool were projected" in report
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_difference_that_noise_may_have_made_decides_no_hand(sign: int) -> None:
+    """Tilts of 30 degrees under 1 N of noise: chi squared differs by 9, less than is certain, in favour or against."""
+    weighed = sim.cell(0).force(N=40, sigma=1.0, tilt=np.deg2rad(30))
+    report = fit_force_sensor(weighed.RA, weighed.y, gravity=G, sign=sign).report()
+    assert f"undecided whether an axis of the sensor is mirrored or its sign reversed (Delta {8.8 * sign}" in report

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from armlab.calibrate import fit_hand_eye, fit_hand_eye_points
+from armlab.calibrate._hand_eye_equation import Equation, Pair
 from armlab.calibrate._marker_equation import Points, Sight
 from armlab.estimation import Fit
 from armlab.lie import se3, so3
@@ -139,3 +140,22 @@ def test_unequal_noise_of_poses_counts_by_its_size(hand_eye) -> None:
             values.append(e @ np.linalg.solve(fit.cov, e) / 12)
     assert 0.85 < np.mean(told) < 1.15
     assert np.mean(equal) > 4.0 * np.mean(told)
+
+
+def test_noise_of_the_robot_reaches_position_and_rotation_of_a_pair() -> None:
+    """Its covariance in the residuals, lever arm of the marker included, against differences of the poses."""
+    rng = np.random.default_rng(2)
+    X, Y = se3.exp(0.5 * rng.standard_normal(6)), se3.exp(rng.standard_normal(6))
+    A = se3.exp(rng.standard_normal((4, 6)))
+    B = se3.inv(Y) @ A @ X
+    L = rng.standard_normal((6, 6))
+    S = L @ L.T
+    at = Pair(X[:3, :3], X[:3, 3], Y[:3, :3], Y[:3, 3])
+
+    def residuals(step: np.ndarray) -> np.ndarray:
+        moved = Equation(A[:, :3, :3] @ so3.exp(step[3:]), A[:, :3, 3] + step[:3], B[:, :3, :3], B[:, :3, 3])
+        return moved.evaluate(at)[0].r
+
+    G = np.stack([(residuals(step) - residuals(-step)) / 2e-6 for step in np.eye(6) * 1e-6], axis=2)
+    added = Equation(A[:, :3, :3], A[:, :3, 3], B[:, :3, :3], B[:, :3, 3], None, S).evaluate(at)[0].added
+    np.testing.assert_allclose(added, G @ S @ G.transpose(0, 2, 1), rtol=1e-7, atol=1e-7)

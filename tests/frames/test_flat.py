@@ -324,3 +324,20 @@ def test_a_hundred_thousand_points() -> None:
     assert fit.outliers[:20_000].all()
     assert fit.n > 79_000
     assert fit_line(rod(100_000), robust=True).n > 99_000
+
+
+def test_the_side_of_a_plane_is_as_sure_as_its_tilt_far_away() -> None:
+    """Points five metres from the origin: 2 mm above it is within what their tilt leaves open."""
+    rng = np.random.default_rng(1)
+    p = np.column_stack([rng.uniform(5.0, 5.2, 20), rng.uniform(-0.1, 0.1, 20), np.full(20, 0.002)])
+    with pytest.raises(NotExcited, match="side"):
+        fit_plane(p, noise=1e-4)
+    assert fit_plane(p, noise=1e-4, toward=[5.0, 0.0, 1.0]).value.n[2] == pytest.approx(1.0)
+    assert fit_plane(p, noise=1e-6).value.n[2] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("fit", "draw", "n"), [(fit_line, rod, 4), (fit_plane, sheet, 5)])
+def test_noise_of_few_points_is_not_flattered(fit: Callable[..., Fit], draw: Callable[..., np.ndarray], n: int) -> None:
+    """The mean of its square is the variance: degrees of freedom that the fit took do not count."""
+    squares = [fit(draw(n, seed)).sigma[0] ** 2 for seed in range(300)]
+    assert np.mean(squares) == pytest.approx(SIGMA**2, rel=0.15)

@@ -68,3 +68,26 @@ def test_two_poses_between_two_frames_are_a_loop() -> None:
     (loop,) = check([Edge("a", "b", T), Edge("b", "a", se3.inv(moved))]).loops
     assert loop.position == pytest.approx(0.004, rel=1e-9)
     assert loop.angle == pytest.approx(0.0, abs=1e-12)
+
+
+def test_chi2_is_that_of_the_closure_for_errors_that_differ_along_every_axis() -> None:
+    """The covariance of the closure against differences of the poses, full covariances in their own axes."""
+    rng = np.random.default_rng(3)
+    exact = loop_of(rng, 0.0)
+    covs = [1e-8 * (L @ L.T) for L in rng.standard_normal((4, 6, 6)) * [10.0, 1.0, 0.1, 1.0, 10.0, 3.0]]
+    errors = [1e-6 * rng.standard_normal(6) for _ in exact]
+
+    def closure(errors: list[np.ndarray]) -> np.ndarray:
+        ab, cb, cd, da = (noisy(edge.T, e) for edge, e in zip(exact, errors))
+        T = da @ ab @ se3.inv(cb) @ cd
+        return np.concatenate([T[:3, 3], so3.log(T[:3, :3])])
+
+    C = np.zeros((6, 6))
+    for k, cov in enumerate(covs):
+        steps = [[step * (i == k) for i in range(4)] for step in np.eye(6) * 1e-6]
+        J = np.stack([(closure(s) - closure([-e for e in s])) / 2e-6 for s in steps], axis=1)
+        C += J @ cov @ J.T
+    e = closure(errors)
+    edges = [Edge(one.a, one.b, noisy(one.T, x), cov) for one, x, cov in zip(exact, errors, covs)]
+    (loop,) = check(edges).loops
+    assert loop.chi2 == pytest.approx(e @ np.linalg.solve(C, e), rel=1e-4)

@@ -48,3 +48,8 @@ def test_bad_input_is_refused() -> None:
         check_offset(PLANE, [[0, 0, 0], [0, np.inf, 0], [0, 0, 1]])
     with pytest.raises(ShapeError, match="Plane"):
         check_offset([0, 0, 1], points(5, 0.0, 0.0))
+
+
+def test_noise_of_few_distances_is_not_flattered() -> None:
+    squares = [check_offset(PLANE, points(4, 0.005, 1e-4, seed)).sigma ** 2 for seed in range(300)]
+    assert np.mean(squares) == pytest.approx(1e-8, rel=0.15)

@@ -10,6 +10,7 @@ import pytest
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation import Experiment, Fit, Gauge, check_estimator
 from armlab.frames import Circle, Sphere, fit_circle, fit_sphere
+from armlab.frames.round import _circle_residuals, _circle_step
 from armlab.lie import se3, so3
 
 SIGMA = 5e-5
@@ -198,3 +199,17 @@ def test_points_of_their_own_covariance() -> None:
     same = fit_circle(ring(np.random.default_rng(0), 20), noise=np.eye(3) * SIGMA**2)
     one = fit_circle(ring(np.random.default_rng(0), 20), noise=SIGMA)
     np.testing.assert_allclose(same.value.centre, one.value.centre, atol=1e-13)
+
+
+def test_derivatives_of_a_circle() -> None:
+    """Against differences, for points far above and below its plane."""
+    rng = np.random.default_rng(4)
+    value = fit_circle(ring(rng, 20)).value
+    p = value.centre + 0.3 * rng.standard_normal((10, 3))
+    _, J = _circle_residuals(value, p)
+    steps = np.eye(6) * 1e-6
+    found = [
+        (_circle_residuals(_circle_step(value, x), p)[0] - _circle_residuals(_circle_step(value, -x), p)[0]) / 2e-6
+        for x in steps
+    ]
+    np.testing.assert_allclose(J, np.stack(found, axis=2), atol=1e-8)
