@@ -63,6 +63,17 @@ def test_hand_eye_ends_in_a_file_a_page_and_a_figure(files: Path, tmp_path: Path
     assert main([*words, "--force"]) == 0
 
 
+def test_noise_of_the_robot_widens_the_deviations(files: Path, tmp_path: Path, capsys) -> None:
+    leds = sim.cell(3).marker_points(N=40, missing=0.0)
+    savemat(tmp_path / "leds.mat", {"T_base_tool": leds.A, "p_cam": leds.p})
+    for path, noise in ((files / "eye.mat", ["5e-4", "9e-4"]), (tmp_path / "leds.mat", ["5e-4"])):
+        sd = []
+        for more in ([], ["--noise-robot", "5e-3", "1e-2"]):
+            assert main(["calibrate", "hand-eye", str(path), "--robust", "--noise", *noise, *more, "--json"]) == 0
+            sd.append([one["sd"] for one in json.loads(capsys.readouterr().out)["parameters"]])
+        assert np.all(np.array(sd[1]) > 2.0 * np.array(sd[0]))
+
+
 def test_rows_between_the_samples_of_a_camera_do_not_count(tmp_path: Path, capsys) -> None:
     robot, seen = robots.load("irb2400"), sim.cell(2).hand_eye()
     q = np.random.default_rng(3).uniform(-1.0, 1.0, (30, 6))
@@ -149,7 +160,7 @@ def test_hand_eye_from_points(known: bool, tmp_path: Path, capsys) -> None:
     seen = sim.cell(3).marker_points(N=40)
     p = np.where(seen.visible[:, :, None], seen.p, np.nan)
     body = tmp_path / "marker.csv"
-    body.write_text("x [mm],y [mm],z [mm]\n0,0,0\n100,0,0\n0,100,0\n", encoding="utf-8")
+    body.write_text("marker_x [mm],marker_y [mm],marker_z [mm]\n0,0,0\n100,0,0\n0,100,0\n", encoding="utf-8")
     words = ["--noise", "5e-4", "--json", *(["--marker", str(body)] if known else [])]
     found = []
     for path in in_formats(tmp_path, {"T_base_tool": seen.A, "p_cam": p}):

@@ -75,6 +75,20 @@ def test_vectors_and_numbers(tmp_path: Path) -> None:
         np.testing.assert_array_equal(read.numbers("plane"), np.arange(4))
 
 
+def test_points_and_vectors_by_their_axes(tmp_path: Path) -> None:
+    p = np.arange(24.0).reshape(4, 2, 3)
+    flat = {f"led{k + 1}_{axis} [mm]": 1e3 * p[:, k, i] for k in range(2) for i, axis in enumerate("xyz")}
+    one = {f"tip_{axis} [mm]": 1e3 * p[:, 0, i] for i, axis in enumerate("xyz")}
+    read = read_samples(written(tmp_path / "p.csv", flat | one))
+    np.testing.assert_allclose(read.points("led"), p)
+    np.testing.assert_allclose(read.vectors("tip", (3,)), p[:, 0])
+    for layout in (p, p.transpose(2, 1, 0), p.reshape(4, 6)):
+        savemat(tmp_path / "p.mat", {"led": layout})
+        np.testing.assert_array_equal(read_samples(tmp_path / "p.mat").points("led"), p)
+    with pytest.raises(LogError, match=r"points a of shape \(N, K, 3\)"):
+        Samples(tmp_path / "x.csv", {"a": np.zeros((4, 2, 2))}, "").points("a")
+
+
 def test_what_is_not_there_is_told(T: np.ndarray, tmp_path: Path) -> None:
     longer = as_quaternions("pose", T)
     longer["pose_qw"] = longer["pose_qw"] * np.where(np.arange(7) == 2, 1.1, 1.0) + (np.arange(7) == 2)

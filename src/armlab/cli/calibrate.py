@@ -33,6 +33,7 @@ def hand_eye(
     setup: Literal["eye_to_hand", "eye_in_hand"] = "eye_to_hand",
     robot: str | None = None,
     noise: Annotated[list[float] | None, _several] = None,
+    noise_robot: tuple[float, float] | None = None,
     robust: bool = False,
     wanted: Annotated[Wanted, _flat] = Wanted(),  # noqa: B008 - frozen
 ) -> int:
@@ -48,13 +49,16 @@ def hand_eye(
     samples : Path
         CSV, MAT or MCAP; several are joined.
     marker : Path
-        File with the places of the points on the marker, columns x, y, z; they are found when left out.
+        File with the places of the points on the marker, a row each: marker_x, marker_y, marker_z [m or mm in the
+        header]. They are found when left out.
     setup : str
         eye_to_hand: the camera stands, the marker is on the tool. eye_in_hand: the other way round.
     robot : str
         Name or file of the arm: its joint positions q give T_base_tool.
     noise : list
         Deviations of the camera where they are known: m and rad of poses, m of points.
+    noise_robot : tuple
+        Deviations of the poses of the robot, m and rad, where it is not exact: samples cannot tell them.
     robust : bool
         Find wrong samples and leave them out.
     wanted : Wanted
@@ -67,7 +71,7 @@ def hand_eye(
 
     kinds: set[bool] = set()
     known = None if marker is None else read_samples(marker)
-    body = None if known is None else known.points("", "marker")
+    body = None if known is None else known.vectors("marker", (3,))
 
     def parts(read: Samples) -> tuple[np.ndarray, ...]:
         kinds.add("T_cam_marker" in read and known is None)
@@ -75,7 +79,7 @@ def hand_eye(
         return measured_rows(read, (tool_poses(read, robot), seen))[:2]
 
     def fit(T_base_tool: np.ndarray, seen: np.ndarray) -> Any:
-        told: dict[str, Any] = {"setup": setup, "noise": noise_of(noise), "robust": robust}
+        told: dict[str, Any] = {"setup": setup, "noise": noise_of(noise), "noise_robot": noise_robot, "robust": robust}
         if True in kinds:
             return fit_hand_eye(T_base_tool, seen, **told)
         return fit_hand_eye_points(T_base_tool, seen, marker=body, visible=np.isfinite(seen).all(axis=2), **told)

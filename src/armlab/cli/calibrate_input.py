@@ -1,8 +1,8 @@
 """The samples of a calibration from CSV, MAT or MCAP: poses, vectors, numbers, each by its name.
 
 A pose NAME is 16 numbers NAME1_1 ... NAME4_4, or NAME_x NAME_y NAME_z [m or mm] and NAME_qw NAME_qx NAME_qy NAME_qz; a
-vector NAME is NAME1 NAME2 ...; points NAME are NAME1_x NAME1_y NAME1_z NAME2_x ...; in a MAT file a pose is (N, 4, 4)
-or (4, 4, N), a vector (N, k), points (N, K, 3).
+vector NAME is NAME1 NAME2 ..., or NAME_x NAME_y NAME_z; points NAME are NAME1_x NAME1_y NAME1_z NAME2_x ...; in a MAT
+file a pose is (N, 4, 4) or (4, 4, N), a vector (N, k), points (N, K, 3).
 """
 
 from __future__ import annotations
@@ -68,7 +68,9 @@ class Samples:
         ------
         LogError : it is not there, or of another size.
         """
-        if name not in self.values and f"{name}1" in self.values:
+        if name not in self.values and f"{name}_x" in self.values:
+            array = np.stack([self.numbers(f"{name}_{axis}") for axis in "xyz"], axis=1)
+        elif name not in self.values and f"{name}1" in self.values:
             count = next(k for k in range(1, len(self.values) + 2) if f"{name}{k}" not in self.values)
             array = np.stack([self._found(f"{name}{k}") for k in range(1, count)], axis=1)
         else:
@@ -80,22 +82,17 @@ class Samples:
             raise LogError(f"Expected {name} of shape {words} in {self.path}, got {array.shape}. Name another column.")
         return array
 
-    def points(self, name: str, whole: str = "") -> np.ndarray:
+    def points(self, name: str) -> np.ndarray:
         """Return the points (N, K, 3) of a name: columns NAME1_x, NAME1_y, NAME1_z, NAME2_x ..., or one array.
 
         Parameters
         ----------
-        name : of the points; "" for one point per row in columns x, y, z, which gives (N, 3).
-        whole : name of an array that has them all.
+        name : of the points.
 
         Raises
         ------
         LogError : it is not there, or of another shape.
         """
-        if not name:
-            if whole in self.values:
-                return self.vectors(whole, (3,))
-            return np.stack([self.numbers(axis) for axis in "xyz"], axis=1)
         if f"{name}1_x" in self.values:
             count = next(k for k in range(1, len(self.values) + 2) if f"{name}{k}_x" not in self.values)
             places = [[f"{name}{k}_{axis}" for axis in "xyz"] for k in range(1, count)]
