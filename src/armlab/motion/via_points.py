@@ -71,7 +71,7 @@ def through(dmp: Dmp, t: ArrayLike, y: ArrayLike | None = None, yd: ArrayLike | 
 
 def _least_change(Y: np.ndarray, C: np.ndarray) -> np.ndarray:
     """Return what makes changes of the weights (m, r) of what is missed: least ``|Y dw|`` with ``C dw`` as asked."""
-    U, s, V = np.linalg.svd(Y, full_matrices=False)
+    s, V = np.linalg.svd(Y, full_matrices=False)[1:]
     inverse = V.T / np.sqrt(s**2 + (RIDGE * s[0]) ** 2)  # of a root of the quadratic form
     steps = C @ inverse
     gram = steps @ steps.T
