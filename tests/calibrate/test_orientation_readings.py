@@ -78,3 +78,18 @@ def test_forces_with_orientations_in_another_reading_are_refused_by_name(text: s
         with pytest.raises(NotConverged, match=f"T_base_tool are.*{text.removeprefix('are ')}"):
             fit_force_sensor(WRONG[text](T), weighed.y, gravity=G)
         fit_force_sensor(T, weighed.y, gravity=G)
+
+
+def test_residuals_that_no_sensor_has_are_doubted_in_the_report() -> None:
+    """A marker that was mounted anew after a third of the samples: no other reading of the poses explains it."""
+    seen = sim.cell(1).hand_eye()
+    assert "are some samples wrong" not in fit_hand_eye(seen.A, seen.B).report()
+    B = seen.B.copy()
+    B[:10] = B[:10] @ se3.exp([0.1, 0.0, 0.0, 0.0, 0.0, 0.5])
+    assert "are some samples wrong, or all?" in fit_hand_eye(seen.A, B).report()
+    assert fit_hand_eye(seen.A, B, robust=True).outliers.tolist() == [True] * 10 + [False] * 20
+    sights = sim.cell(1).marker_points(N=40, missing=0.0)
+    p = sights.p.copy()
+    assert "are some samples wrong" not in fit_hand_eye_points(sights.A, p).report()
+    p[:12] += [0.2, 0.0, 0.0]
+    assert "are some samples wrong, or all?" in fit_hand_eye_points(sights.A, p).report()

@@ -26,7 +26,7 @@ THINNED = 2000
 UNSEEN = 1e-9  # a direction as long as its limits has no deviation: nothing is seen of it
 FAR = 30.0  # m: no arm measures over that, but one of 30 cm does in millimetres
 FIRST_ORDER = 0.05  # rad: beyond it a covariance is a first-order statement
-ROUGH = 0.05  # rad: what is worse is no noise of a sensor
+ROUGH, COARSE = 0.05, 0.03  # rad, and share of the spread: what is worse is no noise of a sensor
 
 
 @dataclass(frozen=True)
@@ -250,6 +250,9 @@ def remarks(RA: np.ndarray, spread: float, given: bool, found: NonlinearSolution
     lines = [f"largest rotation between two poses {largest_rotation(RA):.3g} rad"]
     if given and found.freedom:
         lines.append(f"residuals {np.sqrt(2.0 * found.cost / found.freedom):.3g} times the noise that was given")
+    left = found.sigma.tolist()
+    if not given and (left[0] > COARSE * spread or left[-1] > ROUGH and len(left) == 2):
+        lines.append("residuals are larger than those of any sensor: are some samples wrong, or all?")
     if spread > FAR:
         lines.append(f"positions spread over {spread:.3g} m: millimetres given as metres?")
     if turns.max() > FIRST_ORDER:
