@@ -251,7 +251,7 @@ def remarks(RA: np.ndarray, spread: float, given: bool, found: NonlinearSolution
     if given and found.freedom:
         lines.append(f"residuals {np.sqrt(2.0 * found.cost / found.freedom):.3g} times the noise that was given")
     left = found.sigma.tolist()
-    if not given and (left[0] > COARSE * spread or left[-1] > ROUGH and len(left) == 2):
+    if not given and (left[0] > COARSE * spread or (left[-1] > ROUGH and len(left) == 2)):
         lines.append("residuals are larger than those of any sensor: are some samples wrong, or all?")
     if spread > FAR:
         lines.append(f"positions spread over {spread:.3g} m: millimetres given as metres?")
