@@ -345,7 +345,10 @@ def test_what_must_be_refused_by_name(noisy: bool) -> None:
         (lambda: eye(shake(EYE.A[:2]), EYE.B[:2]), "at least 3 pairs of poses, got 2"),
         (lambda: force(shake(VERTICAL), weigh(VERTICAL[:, :3, :3])), "rotation about tool axis|rotations about the ve"),
         (lambda: force(shake(SHORT), weigh(SHORT[:, :3, :3])[:, :3]), "rotation about tool axis .*, bias along it"),
-        (lambda: force(shake(SHORT), weigh(SHORT[:, :3, :3])), "rotation about tool axis .*, bias along it"),
+        (
+            lambda: force(shake(SHORT), weigh(SHORT[:, :3, :3])),
+            "rotation about tool axis .*, bias and centre of mass along it",
+        ),
         (lambda: force(shake(WEIGHED.RA[:2]), WEIGHED.y[:2]), "at least 3 samples"),
         (lambda: arm(STILL_4, shake(TABLE.truth.forward(STILL_4))), "joint 4 did not move"),
         (lambda: fit_kinematics(ON_AXIS.robot, ON_AXIS.q, position=POINT, noise=1e-4), "on the axis of joint 6"),
