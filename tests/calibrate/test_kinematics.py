@@ -12,6 +12,7 @@ import pytest
 from armlab import models, robots
 from armlab.calibrate import fit_kinematics
 from armlab.calibrate._arm import Arm
+from armlab.calibrate._kinematic_problem import pose_residual
 from armlab.estimation import Fit
 from armlab.kinematics import forward, inverse, jacobian
 from armlab.lie import se3, so3
@@ -254,3 +255,19 @@ class TestValue:
         frame = se3.from_rp(so3.exp([1.0, 0.0, 0.0]), [3.0, 0.0, 0.0])
         fit = fit_kinematics(case.robot, case.q, pose=frame @ case.pose, noise=NOISE)
         np.testing.assert_allclose(fit.value.robot.gravity, frame[:3, :3] @ case.robot.gravity, rtol=0, atol=0.05)
+
+
+def test_derivatives_of_a_pose_that_is_far_from_the_measured_one() -> None:
+    """Against differences, half a radian away: the logarithm bends."""
+    rng = np.random.default_rng(6)
+    T = se3.exp(rng.standard_normal((3, 6)))
+    measured = T @ se3.exp(0.3 * rng.standard_normal((3, 6)))
+    motion = rng.standard_normal((3, 6, 2))  # of the tool point and of its axes, base axes
+
+    def residual(x: np.ndarray) -> np.ndarray:
+        step = motion @ x
+        moved = se3.from_rp(so3.exp(step[:, 3:]) @ T[:, :3, :3], T[:, :3, 3] + step[:, :3])
+        return pose_residual(moved, measured, motion)[0]
+
+    found = np.stack([(residual(x) - residual(-x)) / 2e-6 for x in np.eye(2) * 1e-6], axis=2)
+    np.testing.assert_allclose(pose_residual(T, measured, motion)[1], found, atol=1e-8)
