@@ -97,10 +97,13 @@ def _short_moments(alpha: float, stiffness: float, r: float) -> tuple[float, flo
     before, g, power = 0.0, 1.0, r**3 / 6
     first, second = power, 0.0
     for j in range(1, 60):
-        second += 2 * power * r / (j + 3) * g
+        term = 2 * power * r / (j + 3) * g
+        second += term
         before, g = g, -(alpha * g + stiffness * before)
         power *= r / (j + 3)
         first += power * g
+        if abs(term) < 1e-18 * second and abs(power * g) < 1e-18 * first:
+            break
     return first, second
 
 
@@ -240,18 +243,16 @@ class Primitive:
         y, z, g = np.zeros((3, m + 3))
         y[m], z[m + 1], g[m + 2] = 1.0, tau, 1.0
 
-        def force(s: float) -> np.ndarray:
-            x = self.phase_at(s)
-            return np.r_[self.basis(x) * self.share(x), np.zeros(3)]
-
         Y, Z = [y], [z]
         for k in range(1, len(t)):
             parts = max(int(np.ceil((t[k] - t[k - 1]) / longest)), 1)
             r = (t[k] - t[k - 1]) / parts / tau
             step = SpringStep(self.alpha, self.stiffness, r)
-            for part in range(parts):
-                s = (t[k - 1] - t[0]) / tau + part * r
-                y, z = step.advance(y, z, g, force(s), force(s + 0.5 * r), force(s + r))
+            starts = (t[k - 1] - t[0]) / tau + r * np.arange(parts)
+            x = self.phase_at(starts[:, None] + r * np.array([0.0, 0.5, 1.0]))
+            forces = np.concatenate([self.basis(x) * self.share(x)[..., None], np.zeros((parts, 3, 3))], axis=-1)
+            for three in forces:
+                y, z = step.advance(y, z, g, *three)
             Y.append(y)
             Z.append(z)
         return np.array(Y), np.array(Z) / tau
