@@ -22,7 +22,8 @@ from armlab.lie import quaternion
 SUSPECT = 0.02  # residual, of the spread or rad, from which other readings are tried
 MUCH_BETTER = 0.3  # share of the residual that the right reading leaves at most
 FITS = 0.1  # of the spread, that it leaves at most
-UNEXPLAINED = 1e-3  # share of the variation of forces from which other readings are tried
+UNEXPLAINED, MUCH = 1e-3, 0.1  # share of the variation of forces from which other readings are tried
+WIDE = 0.4  # share of gravity: where it moves farther over the tool, a wrong reading leaves much
 ROBOT, MARKER = "T_base_tool", "T_cam_marker"
 
 
@@ -101,7 +102,7 @@ def require_order_of_tool(equation: Weight, kept: np.ndarray) -> None:
     if equation.pull is None:
         return
     now = equation.turn if kept.all() else Turn.of(equation, kept)
-    if now.power < UNEXPLAINED * now.signal:
+    if now.power < (MUCH if now.moved[1] > WIDE else UNEXPLAINED) * now.signal:
         return
     for one in readings(equation.RA, np.zeros((equation.N, 3))):
         other = Turn.of(replace(equation, RA=np.ascontiguousarray(one.R)), kept)
