@@ -9,6 +9,7 @@ from armlab.motion.events import Displace, Hold, Push
 from armlab.motion.fit import fit_dmp
 from armlab.motion.limiting import duration_within, peaks
 from armlab.motion.motion_band import MotionBand, blend
+from armlab.motion.obstacles import Obstacle, avoid
 from armlab.motion.periodic_dmp import PeriodicDmp
 from armlab.motion.periodic_fit import fit_periodic_dmp
 from armlab.motion.periodic_stepper import PeriodicStepper
@@ -33,6 +34,7 @@ __all__ = [
     "DmpController",
     "Hold",
     "MotionBand",
+    "Obstacle",
     "PeriodicDmp",
     "PeriodicStepper",
     "PoseDmp",
@@ -48,6 +50,7 @@ __all__ = [
     "TwoDofDmp",
     "TwoDofRun",
     "TwoDofStepper",
+    "avoid",
     "blend",
     "duration_within",
     "fit_dmp",
