@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 from blocks import Contender, Disagreement, Table, loop, once, table
-from movement_primitives.dmp import DMP
+from movement_primitives.dmp import DMP, CartesianDMP
 
-from armlab.motion import Dmp, fit_dmp
+from armlab.lie import quaternion, so3
+from armlab.motion import Dmp, fit_dmp, fit_pose_dmp
 
 N, JOINTS, KERNELS, RUNS = 1000, 7, 50, 1000
 
@@ -65,6 +66,7 @@ def run(quick: bool) -> list[Table]:
             _batches(ours, theirs, t),
             rounds // 4 + 2,
         ),
+        table("Movement primitives: a motion of poses", *_poses(t), rounds),
     ]
 
 
@@ -107,6 +109,40 @@ def _steps(ours: Dmp, theirs: DMP, y: np.ndarray) -> list[Contender]:
         Contender("armlab Stepper.step(dt)", loop(stepper.step, list(dt)), "armlab", 2e-6),
         Contender("movement_primitives step", loop(step, list(dt)), bar=1 / 12),
     ]
+
+
+def _poses(t: np.ndarray) -> tuple[str, str, list[Contender]]:
+    S = t**3 * (10 - 15 * t + 6 * t**2)
+    p = np.stack([0.4 + 0.2 * S, 0.1 * np.sin(2 * np.pi * S), 0.3 + 0.1 * S], axis=1)
+    R = so3.exp(np.stack([0.8 * S, 0.5 * np.sin(np.pi * S), -0.6 * S], axis=1))
+    demo = np.concatenate([p, quaternion.from_matrix(R)], axis=1)
+    ours = fit_pose_dmp(t, demo).value
+    theirs = CartesianDMP(execution_time=t[-1], dt=t[1], n_weights_per_dim=KERNELS)
+    theirs.imitate(t, demo)
+    errors = []
+    for T in (ours.rollout(t).T, _matrices(theirs.open_loop()[1][:N])):
+        angle = so3.log(np.swapaxes(R, 1, 2) @ T[:, :3, :3])
+        errors += [np.sqrt((e**2).sum(axis=1).mean()) for e in (T[:, :3, 3] - p, angle)]
+    if not max(errors) < 1e-2:
+        raise Disagreement(f"Expected motions within 1e-2 of the demonstration, got {errors}.")
+    text = (
+        f"Position and quaternion x {N} samples, {KERNELS} kernels. RMSE from the demonstration: armlab "
+        f"{errors[0]:.1e} m, {errors[1]:.1e} rad, movement_primitives {errors[2]:.1e} m, {errors[3]:.1e} rad."
+    )
+    return (
+        text,
+        "ms",
+        [
+            Contender("armlab PoseDmp.rollout", once(lambda: ours.rollout(t)), "armlab"),
+            Contender("movement_primitives CartesianDMP.open_loop", once(theirs.open_loop), bar=1 / 40),
+        ],
+    )
+
+
+def _matrices(y: np.ndarray) -> np.ndarray:
+    T = np.tile(np.eye(4), (len(y), 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = quaternion.to_matrix(y[:, 3:]), y[:, :3]
+    return T
 
 
 def _batches(ours: Dmp, theirs: DMP, t: np.ndarray) -> list[Contender]:
