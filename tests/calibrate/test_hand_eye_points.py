@@ -50,6 +50,15 @@ def test_exact_data_give_the_exact_answer(leds, known, missing) -> None:
     assert fit.outliers.shape == (100,)
 
 
+@pytest.mark.parametrize("known", [True, False], ids=["known marker", "unknown marker"])
+def test_exact_data_converge_where_no_noise_is_given(leds, known) -> None:
+    """Steps then are rounding, and some are long beside a deviation that is rounding too."""
+    for run in range(20):
+        data = leds.draw(run, sigma=0.0)
+        fit = fit_hand_eye_points(data.A[:30], data.p[:30], marker=leds.marker if known else None)
+        np.testing.assert_allclose(fit.value.T_base_cam, data.Y, atol=1e-12)
+
+
 def test_one_point_is_enough_for_the_camera(leds) -> None:
     data = leds.draw(1)
     fit = fit_hand_eye_points(data.A, data.p[:, :1], noise=SIGMA)

@@ -26,6 +26,7 @@ ITERATIONS = 100
 STEP = 1e-9  # in deviations of the estimate
 ROUNDING = 1e-13  # relative change of the cost that is rounding
 IDLE, PATIENCE = 1e-3, 5  # steps so short that get no shorter, or lower nothing, are rounding too: exact data
+EXACT = 1e-3  # and all steps are where residuals are a share so small of their deviation
 MAX_DAMPING = 1e15
 WELL = 1e7  # condition of a triangle below which its inverse serves
 NULL = 1e-9  # relative singular value of the scaled Jacobian below which data see nothing
@@ -117,7 +118,8 @@ def descend(
         here = Descent(value, rows, slope.basis, slope.null, float(np.sqrt(slope.along @ slope.along)), tuple(history))
         waited = waited + 1 if here.step > 0.5 * shortest else 0
         shortest = min(shortest, here.step)
-        if here.step < STEP or (here.step < IDLE and waited > PATIENCE):
+        idle = here.step < IDLE or 2.0 * height < EXACT**2 * len(rows.r)
+        if here.step < STEP or (idle and waited > PATIENCE):
             return here
         rounding = 0.5 * here.step**2 < ROUNDING * height  # the cost cannot tell; the steps do, by their length
         while True:
@@ -127,7 +129,7 @@ def descend(
             fall = height - cost(then, roots, weight)
             if fall > 0 or rounding:
                 break
-            if here.step < IDLE and damping > 1.0:
+            if idle and damping > 1.0:
                 return here
             damping, growth = max(damping * growth, DAMPING), 2.0 * growth
             if damping > MAX_DAMPING:
