@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import App, Parameter
 
@@ -46,6 +46,7 @@ def dmp(
 
     check_output(output, force, FIGURES)
     motion = Dmp.load(primitive)
+    figure: Any
     if phase:
         figure = plots.dmp_phase(motion).figure
     else:

@@ -28,7 +28,7 @@ import numpy as np
 from armlab.errors import ShapeError
 from armlab.kernels._reference.arrays import positive, read, result
 
-__all__ = ["Primitive", "SpringStep", "check_steps", "finite"]
+__all__ = ["Primitive", "SpringStep", "check_steps", "finite", "phase_at", "share"]
 
 PHASES = ("canonical", "time", "position", "periodic")
 FADED = 40.0
@@ -162,19 +162,6 @@ class Primitive:
             raise ShapeError(f"Expected canonical, time, position or periodic as phase, got {phase!r}.")
         self.alpha, self.stiffness, self.decay, self.pace, self.phase = alpha, stiffness, decay, pace, phase
 
-    def phase_at(self, s: Any) -> np.ndarray:
-        """Return the phase after the time s, in units of tau."""
-        return np.exp(-self.decay * np.asarray(s)) if self.phase == "canonical" else self.pace * np.asarray(s)
-
-    def share(self, x: np.ndarray) -> np.ndarray:
-        """Return the share of the forcing that is left at phase x."""
-        if self.phase == "periodic":
-            return np.ones_like(x)
-        if self.phase != "time":
-            return x
-        late = np.clip((x - 1.0) / GATE_WIDTH, 0.0, 1.0)
-        return 1.0 - late**3 * (late * (6.0 * late - 15.0) + 10.0)
-
     def basis(self, x: Any, out: Any = None) -> np.ndarray:
         """Return the normalised kernels (..., m) at phases (...)."""
         x = finite(x, "x", (), exact=False)
@@ -192,7 +179,7 @@ class Primitive:
             f = np.einsum("...ij,ji->...i", self.basis(x), self.weights) * x
         else:
             x = finite(x, "x", (), exact=False)
-            f = (self.basis(x) @ self.weights) * self.share(x)[..., None]
+            f = (self.basis(x) @ self.weights) * share(self, x)[..., None]
         return result(f, out, x=x)
 
     def rollout(
@@ -218,8 +205,9 @@ class Primitive:
             raise ShapeError(f"Expected y0 of shape (n,) or (K, n), got {y0.shape}.")
         v0, g, scale = (finite(a, name, y0.shape) for a, name in ((v0, "v0"), (g, "g"), (scale, "scale")))
         own = weights if weights is None else finite(weights, "weights", (len(np.atleast_2d(y0)), *self.weights.shape))
-        x = self.phase_at((t - t[0]) / tau)
-        y, yd, ydd, f = many(self, t, tau, *(np.atleast_2d(a) for a in (y0, v0, g, scale)), own)
+        x = phase_at(self, (t - t[0]) / tau)
+        starts, speeds, goals, scales = (np.atleast_2d(a) for a in (y0, v0, g, scale))
+        y, yd, ydd, f = many(self, t, tau, starts, speeds, goals, scales, own)
         y, yd, ydd, f = (a.reshape(len(t), *y0.shape) for a in (y, yd, ydd, f))
         return y, yd, ydd, x, f
 
@@ -249,8 +237,8 @@ class Primitive:
             r = (t[k] - t[k - 1]) / parts / tau
             step = SpringStep(self.alpha, self.stiffness, r)
             starts = (t[k - 1] - t[0]) / tau + r * np.arange(parts)
-            x = self.phase_at(starts[:, None] + r * np.array([0.0, 0.5, 1.0]))
-            forces = np.concatenate([self.basis(x) * self.share(x)[..., None], np.zeros((parts, 3, 3))], axis=-1)
+            x = phase_at(self, starts[:, None] + r * np.array([0.0, 0.5, 1.0]))
+            forces = np.concatenate([self.basis(x) * share(self, x)[..., None], np.zeros((parts, 3, 3))], axis=-1)
             for three in forces:
                 y, z = step.advance(y, z, g, *three)
             Y.append(y)
@@ -269,3 +257,18 @@ def read_times(t: Any) -> np.ndarray:
             f"Expected times that increase, got one that does not at row {wrong[0] + 1}. Drop repeated samples."
         )
     return t
+
+
+def phase_at(p: Primitive, s: Any) -> np.ndarray:
+    """Return the phase after the time s, in units of tau."""
+    return np.exp(-p.decay * np.asarray(s)) if p.phase == "canonical" else p.pace * np.asarray(s)
+
+
+def share(p: Primitive, x: np.ndarray) -> np.ndarray:
+    """Return the share of the forcing that is left at phase x."""
+    if p.phase == "periodic":
+        return np.ones_like(x)
+    if p.phase != "time":
+        return x
+    late = np.clip((x - 1.0) / GATE_WIDTH, 0.0, 1.0)
+    return 1.0 - late**3 * (late * (6.0 * late - 15.0) + 10.0)

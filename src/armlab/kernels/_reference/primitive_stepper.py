@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from armlab.kernels._reference.arrays import not_negative, positive
-from armlab.kernels._reference.primitive import Primitive, SpringStep, check_steps, finite
+from armlab.kernels._reference.primitive import Primitive, SpringStep, check_steps, finite, phase_at, share
 
 __all__ = ["PrimitiveStepper", "many"]
 
@@ -56,7 +56,7 @@ class PrimitiveStepper:
         self.forcing = self._force(0.0, self.y, self.g)
 
     def _force(self, s: float, y: np.ndarray, g: np.ndarray) -> np.ndarray:
-        x = self.primitive.phase_at(s)
+        x = phase_at(self.primitive, s)
         if self.primitive.phase == "position":
             way = g - self.y0
             x = np.where(way == 0, 0.0, np.clip((g - y) / np.where(way == 0, 1.0, way), 0.0, 1.0))
@@ -177,8 +177,8 @@ def many(
         return _one_by_one(p, t, tau, y0, v0, g, scale, weights)
     half = np.empty(2 * len(t) - 1)
     half[::2], half[1::2] = t, 0.5 * (t[:-1] + t[1:])
-    x = p.phase_at((half - t[0]) / tau)
-    psi = p.basis(x) * p.share(x)[:, None]
+    x = phase_at(p, (half - t[0]) / tau)
+    psi = p.basis(x) * share(p, x)[:, None]
     forces = scale * (
         (psi @ p.weights)[:, None] if weights is None else np.einsum("tm,kmn->tkn", psi, weights, optimize=True)
     )

@@ -22,7 +22,7 @@ import numpy as np
 
 from armlab.errors import ShapeError
 from armlab.kernels._reference.arrays import positive
-from armlab.kernels._reference.primitive import LONGEST_SPRING, Primitive, finite, read_times
+from armlab.kernels._reference.primitive import LONGEST_SPRING, Primitive, finite, phase_at, read_times
 
 __all__ = ["RotationStepper", "rotation_rollout"]
 
@@ -89,7 +89,7 @@ class RotationStepper:
         return self._q.copy(), (1.0 / self.tau) * self._z, (1.0 / self.tau**2) * pull
 
     def _force(self, s: float) -> np.ndarray:
-        return self._map @ self._primitive.forcing(self._primitive.phase_at(s))
+        return self._map @ self._primitive.forcing(phase_at(self._primitive, s))
 
     def _error(self, q: np.ndarray) -> np.ndarray:
         way = product(self._goal, BACK * q)

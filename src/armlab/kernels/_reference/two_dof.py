@@ -23,7 +23,7 @@ import numpy as np
 
 from armlab.errors import ShapeError
 from armlab.kernels._reference.arrays import not_negative, positive, read
-from armlab.kernels._reference.primitive import Primitive, finite
+from armlab.kernels._reference.primitive import Primitive, finite, share
 
 __all__ = ["TwoDof"]
 
@@ -197,7 +197,7 @@ class TwoDof:
     def _forcing(self, x: float, yc: np.ndarray) -> np.ndarray:
         p = self._primitive
         if p.phase != "position":
-            return (p.basis(x) @ p.weights) * p.share(x)
+            return (p.basis(x) @ p.weights) * share(p, np.asarray(x))
         way = self._g - self._y0
         left = np.clip(np.where(way == 0.0, 0.0, (self._g - yc) / np.where(way == 0.0, 1.0, way)), 0.0, 1.0)
         return np.einsum("ij,ji->i", p.basis(left), p.weights) * left
