@@ -5,22 +5,11 @@
 #include <cstddef>
 #include <vector>
 
+#include "spring_step.h"
+
 namespace armlab {
 
 enum class PhaseKind { canonical, time, position, periodic };
-
-// One exact step over r of y'' = stiffness (g - y) - alpha y' + f with f a quadratic through its values at the start,
-// the middle and the end: of fourth order in f, and stable for any r.
-struct SpringStep {
-  double yy, yz, zy, zz;              // of the state, y measured from the goal
-  double f0, fm, f1, vf0, vfm, vf1;   // of the three forces, on y and on z
-
-  SpringStep() = default;
-  SpringStep(double alpha, double stiffness, double r);
-
-  void advance(std::ptrdiff_t count, const double *start, const double *middle, const double *end, const double *g,
-               double *y, double *z) const;
-};
 
 struct Primitive {
   int n = 0, m = 0;  // coordinates, kernels
