@@ -16,6 +16,7 @@ __version__ = "0.1.0"
 
 _SUBPACKAGES = (
     "bridge",
+    "calibrate",
     "contact",
     "errors",
     "estimation",
@@ -27,6 +28,7 @@ _SUBPACKAGES = (
     "lie",
     "log",
     "models",
+    "motion",
     "plots",
     "robots",
     "signals",

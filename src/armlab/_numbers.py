@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from armlab.errors import ArmlabError, RobotError, ShapeError
 
-__all__ = ["frozen", "generator", "members", "number", "numbers", "rows_text"]
+__all__ = ["frozen", "generator", "members", "number", "numbers", "positive", "rows_text"]
 
 
 def numbers(value: ArrayLike, what: str, error: type[ArmlabError] = RobotError) -> np.ndarray:
@@ -90,6 +90,26 @@ def number(value: Any, what: str, error: type[ArmlabError] = ShapeError) -> floa
     if array.ndim:
         raise error(f"Expected {what} to be one number, got {shortened(value)}.")
     return float(array)
+
+
+def positive(value: Any, what: str, advice: str = "Correct it.", error: type[ArmlabError] = ShapeError) -> float:
+    """Return one finite number above zero.
+
+    Parameters
+    ----------
+    value : a number.
+    what : its name with its unit, for the message.
+    advice : what to do, or which number is usual.
+    error : what to raise.
+
+    Raises
+    ------
+    ArmlabError : when it is anything else.
+    """
+    found = number(value, what, error)
+    if not 0.0 < found < np.inf:
+        raise error(f"Expected a finite {what} above zero, got {found:g}. {advice}")
+    return found
 
 
 def generator(seed: Any) -> np.random.Generator:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from armlab.errors import ModelMismatchError, ShapeError
+from armlab.errors import ShapeError
 from armlab.motion import PeriodicDmp
 
 M = 15
@@ -62,15 +61,6 @@ def test_order_is_four(dmp: PeriodicDmp) -> None:
         for N in (40, 80, 160)
     ]
     assert np.log2(np.divide(errors[:-1], errors[1:])).min() > 3.8
-
-
-def test_a_file_comes_back_to_the_last_bit(dmp: PeriodicDmp, tmp_path: Path) -> None:
-    again = PeriodicDmp.load(dmp.save(tmp_path / "wave.toml"))
-    np.testing.assert_array_equal(again.rollout(T).y, dmp.rollout(T).y)
-    text = (tmp_path / "wave.toml").read_text().replace('kind = "periodic_dmp"', 'kind = "dmp"')
-    (tmp_path / "other.toml").write_text(text)
-    with pytest.raises(ModelMismatchError):
-        PeriodicDmp.load(tmp_path / "other.toml")
 
 
 def test_bad_input_is_refused_by_a_sentence(dmp: PeriodicDmp) -> None:

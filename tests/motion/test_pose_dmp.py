@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from armlab.errors import ConfigError, ModelMismatchError, ShapeError, UnknownName
+from armlab.errors import ConfigError, ShapeError, UnknownName
 from armlab.estimation import Fit
 from armlab.lie import quaternion, so3
 from armlab.motion import PoseDmp
@@ -75,16 +74,6 @@ def test_time_stretches(pose_fit: Taught) -> None:
     once, twice = pose_fit.value.rollout(t), pose_fit.value.rollout(2 * t, duration=2.0)
     np.testing.assert_allclose(twice.T, once.T, rtol=0, atol=1e-10)
     np.testing.assert_allclose(2 * twice.twist, once.twist, rtol=0, atol=1e-9)
-
-
-def test_a_file_comes_back_to_the_last_bit(pose_fit: Taught, tmp_path: Path) -> None:
-    dmp = replace(pose_fit.value, frame="goal")
-    again = PoseDmp.load(dmp.save(tmp_path / "pose.toml"))
-    assert again == dmp
-    assert again != pose_fit.value
-    np.testing.assert_array_equal(again.rollout(0.01).T, dmp.rollout(0.01).T)
-    with pytest.raises(ModelMismatchError):
-        PoseDmp.load(dmp.position.save(tmp_path / "position.toml"))
 
 
 def test_bad_input_is_refused_by_a_sentence(pose_fit: Taught) -> None:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from armlab.errors import ConfigError, ModelMismatchError, ShapeError
+from armlab.errors import ConfigError, ShapeError
 from armlab.motion import MotionBand, ProMP
 
 M, N_JOINTS = 8, 2
@@ -74,16 +73,6 @@ def test_conditioning_twice_in_any_order_is_the_same(promp: ProMP) -> None:
     b = promp.condition(1.5, [1, 1], cov=0.02).condition(0.5, [0, 0], cov=0.01)
     np.testing.assert_allclose(a.mean, b.mean, atol=1e-9)
     np.testing.assert_allclose(a.cov, b.cov, atol=1e-9)
-
-
-def test_a_file_comes_back_to_the_last_bit(promp: ProMP, tmp_path: Path) -> None:
-    again = ProMP.load(promp.save(tmp_path / "promp.toml"))
-    for name in ("mean", "cov", "centres", "widths", "noise"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(promp, name))
-    text = (tmp_path / "promp.toml").read_text().replace('kind = "promp"', 'kind = "dmp"')
-    (tmp_path / "other.toml").write_text(text)
-    with pytest.raises(ModelMismatchError):
-        ProMP.load(tmp_path / "other.toml")
 
 
 def test_bad_input_is_refused_by_a_sentence(promp: ProMP) -> None:

@@ -1,6 +1,6 @@
 """Values that have a file format: any frozen dataclass of numbers, texts and arrays, once it is registered.
 
-    [meta]   kind, format, armlab version, command line, UTC time, sources, robot name and hash
+    [meta]   kind, package of its class, format, armlab version, command line, UTC time, sources, robot name and hash
     [value]  the fields of the value
     [fit]    what the fit knew of them: names, units, covariance, noise, outliers
 
@@ -80,10 +80,21 @@ def provenance(kind: str, value: object) -> dict[str, Any]:
 def value_file(value: object) -> dict[str, Any]:
     """Return the tables [meta] and [value] of a registered value, with the UNITS of its fields where it has them."""
     kind = kind_of(value)
-    meta, units = provenance(kind, value), getattr(type(value), "UNITS", None)
-    if units is not None:
-        meta["units"] = dict(units)
+    meta, units = provenance(kind, value), _units(value)
+    meta["package"] = type(value).__module__.rpartition(".")[0]
+    if units:
+        meta["units"] = units
     return {"meta": meta, "value": encode(value)["fields"]}
+
+
+def _units(value: Any, prefix: str = "") -> dict[str, str]:
+    """Return the UNITS of a value and, by "part.field", those of the values that are its fields."""
+    found = {prefix + name: unit for name, unit in getattr(type(value), "UNITS", {}).items()}
+    for field in fields(value):
+        part = getattr(value, field.name)
+        if type(part) in _CLASSES.values():
+            found |= _units(part, f"{prefix}{field.name}.")
+    return found
 
 
 def read_value(raw: Mapping[str, Any], path: Path) -> Any:
@@ -98,11 +109,14 @@ def read_value(raw: Mapping[str, Any], path: Path) -> Any:
     ModelMismatchError : a kind or format that this version does not know. ConfigError : fields are missing or wrong.
     """
     meta = raw["meta"]
-    kind, version = meta.get("kind"), meta.get("format")
+    kind, version, package = meta.get("kind"), meta.get("format"), str(meta.get("package", "")) or "the package"
+    owner = package.removeprefix("armlab.")
+    if kind not in _CLASSES and owner in armlab.__all__:
+        getattr(armlab, owner)  # is imported by that, and its kinds are registered
     if kind not in _CLASSES or version != FORMAT:
         raise ModelMismatchError(
             f"Expected a file of format {FORMAT} and a kind of {sorted({*_CLASSES, 'torque_model'})} at {path}, got "
-            f"{kind!r} in format {version}. Import the package that made it, or make it again."
+            f"{kind!r} in format {version}. Import {package} that made it, or make it again."
         )
     try:
         return decode({"kind": kind, "fields": raw["value"]})

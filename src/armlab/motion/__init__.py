@@ -1,6 +1,5 @@
 """Motion: movement primitives that are taught by showing them once, and profiles from point to point."""
 
-from armlab.models import register
 from armlab.motion import profiles
 from armlab.motion.control import Controller
 from armlab.motion.controllers import DmpController, TwoDofController
@@ -61,8 +60,3 @@ __all__ = [
     "profiles",
     "through",
 ]
-
-register("dmp", Dmp)
-register("pose_dmp", PoseDmp)
-register("promp", ProMP)
-register("periodic_dmp", PeriodicDmp)

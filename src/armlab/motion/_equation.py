@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab import kernels
-from armlab._numbers import number, numbers
+from armlab._numbers import numbers, positive
 from armlab.errors import ConfigError, ShapeError, UnknownName
 from armlab.motion._basis import CONVENTIONS, SCHEDULES
+from armlab.motion._saved import freeze_arrays
 from armlab.motion._setting import UNSCALED, vector
 
 __all__ = ["SCALINGS", "Equation"]
@@ -57,21 +58,14 @@ class Equation:
 
     def __post_init__(self) -> None:
         """Check and freeze."""
-        for name in ("weights", "centres", "widths", *PER_COORDINATE, "demo_weights", "limits"):
-            given = getattr(self, name)
-            if given is None:
-                continue
-            values = np.array(given, dtype=bool) if name == "monotone" else np.array(numbers(given, name, ShapeError))
-            if name != "monotone" and not np.isfinite(values).all():
-                raise ShapeError(f"Expected finite {name} of a Dmp, got NaN or Inf. Fit it again.")
-            values.flags.writeable = False
-            object.__setattr__(self, name, values)
+        given = [name for name in ("demo_weights", "limits") if getattr(self, name) is not None]
+        freeze_arrays(self, "weights", "centres", "widths", *PER_COORDINATE, *given)
+        monotone = self.monotone > 0
+        monotone.flags.writeable = False
+        object.__setattr__(self, "monotone", monotone)
         self._check_shapes()
         for name in ("tau_d", "duration", "alpha_z", "beta_z", "alpha_x"):
-            value = number(getattr(self, name), name)
-            if not 0.0 < value < np.inf:
-                raise ShapeError(f"Expected a finite {name} above zero, got {value:g}.")
-            object.__setattr__(self, name, value)
+            object.__setattr__(self, name, positive(getattr(self, name), name))
         known = {"schedule": SCHEDULES, "scaling": SCALINGS, "convention": CONVENTIONS}
         for name, names in known.items():
             if getattr(self, name) not in names:
@@ -99,14 +93,6 @@ class Equation:
             raise ShapeError(f"Expected limits (2, {n}), lowest before highest, got shape {self.limits.shape}.")
         if self.demo_weights is not None and self.demo_weights.shape[1:] != (m, n):
             raise ShapeError(f"Expected demo_weights of shape (M, {m}, {n}), got {self.demo_weights.shape}.")
-
-    def __eq__(self, other: object) -> bool:
-        """Tell whether every field is the same, to the last bit."""
-        if type(other) is not type(self):
-            return NotImplemented
-        return all(_same(getattr(self, f.name), getattr(other, f.name)) for f in fields(self))
-
-    __hash__ = None  # type: ignore[assignment]
 
     @property
     def n(self) -> int:
@@ -211,9 +197,3 @@ class Equation:
         A[2 * n, 2 * n] = -self.alpha_x / tau if self.schedule == "canonical" else 0.0
         B[n : 2 * n] = self.alpha_z * self.beta_z / tau**2 * np.eye(n)
         return A, B
-
-
-def _same(a: Any, b: Any) -> bool:
-    if a is None or b is None or isinstance(a, str):
-        return a is b or a == b
-    return np.array_equal(a, b)

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab import models
 from armlab._numbers import generator, number, numbers
 from armlab.errors import ConfigError, ShapeError
 from armlab.motion._equation import SCALINGS, Equation
+from armlab.motion._saved import Saved
 from armlab.motion._setting import Setting, vector
 from armlab.motion._solving import progress, solved
 from armlab.motion.rollout import Rollout
@@ -26,7 +25,7 @@ __all__ = ["SCALINGS", "Dmp"]
 
 
 @dataclass(frozen=True, eq=False)
-class Dmp(Equation):
+class Dmp(Equation, Saved, kind="dmp"):
     """A movement primitive of n coordinates that share one phase.
 
     ``tau_d^2 ydd = alpha_z (beta_z (g - y) - tau_d yd) + s (psi(x) w) x``, ``tau_d x' = -alpha_x x``: a critically
@@ -280,26 +279,3 @@ class Dmp(Equation):
         from armlab.motion.controllers import DmpController
 
         return DmpController(robot, self, {"duration": duration, "g": g, "amplitude": amplitude}, limits)
-
-    def save(self, path: str | Path) -> Path:
-        """Write a TOML file that comes back bit for bit, and return its path.
-
-        Parameters
-        ----------
-        path : ends in ``.toml``.
-        """
-        return models.save(self, path)
-
-    @classmethod
-    def load(cls, path: str | Path) -> Dmp:
-        """Read what `save` wrote.
-
-        Parameters
-        ----------
-        path : of the file.
-
-        Raises
-        ------
-        ConfigError : damaged or with unknown fields. ModelMismatchError : of another kind.
-        """
-        return models.load(path, "dmp")

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab import kernels, models
-from armlab._numbers import number, numbers
+from armlab import kernels
+from armlab._numbers import number, numbers, positive
 from armlab.errors import ShapeError
 from armlab.motion._harmonics import GRID, transfer
+from armlab.motion._saved import Saved, freeze_arrays
 from armlab.motion._setting import vector
 from armlab.motion.periodic_stepper import PeriodicStepper
 from armlab.motion.rollout import Rollout
@@ -22,7 +22,7 @@ __all__ = ["PeriodicDmp"]
 
 
 @dataclass(frozen=True, eq=False)
-class PeriodicDmp:
+class PeriodicDmp(Saved, kind="periodic_dmp"):
     """A movement primitive of n coordinates that repeats itself, over the phase ``phi = 2 pi t / period``.
 
     ``tau_d^2 ydd = alpha_z (beta_z (g - y) - tau_d yd) + r psi(phi) w`` with ``tau_d = period / (2 pi)`` and
@@ -50,14 +50,16 @@ class PeriodicDmp:
     alpha_z: float = 25.0
     beta_z: float = 6.25
 
+    UNITS: ClassVar[dict[str, str]] = {
+        **dict.fromkeys(("weights", "g"), "unit of y"),
+        "centres": "rad",
+        "period": "s",
+        **dict.fromkeys(("h", "alpha_z", "beta_z"), "1"),
+    }
+
     def __post_init__(self) -> None:
         """Check and freeze."""
-        for name in ("weights", "centres", "g"):
-            values = np.array(numbers(getattr(self, name), name, ShapeError))
-            if not np.isfinite(values).all():
-                raise ShapeError(f"Expected finite {name} of a PeriodicDmp, got NaN or Inf. Fit it again.")
-            values.flags.writeable = False
-            object.__setattr__(self, name, values)
+        freeze_arrays(self, "weights", "centres", "g")
         if self.weights.ndim != 2 or not self.weights.size:
             raise ShapeError(f"Expected weights of shape (n_basis, n), got {self.weights.shape}.")
         m, n = self.weights.shape
@@ -65,7 +67,7 @@ class PeriodicDmp:
             if getattr(self, name).shape != shape:
                 raise ShapeError(f"Expected {name} of shape {shape}, got {getattr(self, name).shape}.")
         for name in ("h", "period", "alpha_z", "beta_z"):
-            object.__setattr__(self, name, _above(name, getattr(self, name)))
+            object.__setattr__(self, name, positive(getattr(self, name), name))
 
     @property
     def n(self) -> int:
@@ -119,7 +121,7 @@ class PeriodicDmp:
         ----------
         period, g, r, y0, v0, phase : as of `rollout`.
         """
-        tau = (self.period if period is None else _above("period [s]", period)) / (2 * np.pi)
+        tau = (self.period if period is None else positive(period, "period [s]")) / (2 * np.pi)
         base, amplitude = self.g if g is None else vector(g, "g", self.n), number(r, "r")
         if not np.isfinite(amplitude):
             raise ShapeError(f"Expected a finite amplitude r, got {amplitude:g}.")
@@ -154,7 +156,7 @@ class PeriodicDmp:
         tau, *state = self.start(period, g, r, y0, v0, phase)
         times = numbers(t, "t", ShapeError)
         if not times.ndim:
-            step = _above("dt [s]", times)
+            step = positive(times, "dt [s]")
             times = step * np.arange(int(np.floor(2 * np.pi * tau / step * (1 + 1e-12))) + 1)
         y, yd, ydd, x, f = self.primitive_from(phase).rollout(times, tau, *state)
         return Rollout(np.array(times), y, yd, ydd, x + phase, f)
@@ -180,33 +182,3 @@ class PeriodicDmp:
         ShapeError : as of `rollout`.
         """
         return PeriodicStepper(self, self.start(period, g, r, y0, v0, phase), float(phase))
-
-    def save(self, path: str | Path) -> Path:
-        """Write a TOML file that comes back bit for bit, and return its path.
-
-        Parameters
-        ----------
-        path : ends in ``.toml``.
-        """
-        return models.save(self, path)
-
-    @classmethod
-    def load(cls, path: str | Path) -> PeriodicDmp:
-        """Read what `save` wrote.
-
-        Parameters
-        ----------
-        path : of the file.
-
-        Raises
-        ------
-        ConfigError : damaged or with unknown fields. ModelMismatchError : of another kind.
-        """
-        return models.load(path, "periodic_dmp")
-
-
-def _above(name: str, value: ArrayLike) -> float:
-    found = number(value, name)
-    if not 0.0 < found < np.inf:
-        raise ShapeError(f"Expected a finite {name} above zero, got {found:g}.")
-    return found

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab import kernels, models
+from armlab import kernels
 from armlab._numbers import numbers
 from armlab.errors import ShapeError, UnknownName
 from armlab.lie import quaternion
 from armlab.motion._pose_run import PoseRun
 from armlab.motion._poses import apart, exp, matrix, orientation, pose, turn
+from armlab.motion._saved import Saved
 from armlab.motion._setting import Setting, vector
 from armlab.motion.dmp import Dmp
 from armlab.motion.pose_rollout import PoseRollout
@@ -32,7 +32,7 @@ SHARED = ("centres", "widths", "tau_d", "duration", "alpha_z", "beta_z", "alpha_
 
 
 @dataclass(frozen=True, eq=False)
-class PoseDmp:
+class PoseDmp(Saved, kind="pose_dmp"):
     """A movement primitive of poses.
 
     The position is a `Dmp`. The orientation q follows, with angular velocity eta / tau_d in base axes ::
@@ -64,6 +64,8 @@ class PoseDmp:
     goal: np.ndarray
     frame: str = "base"
 
+    UNITS: ClassVar[dict[str, str]] = {"goal": "1"}
+
     def __post_init__(self) -> None:
         """Check that the parts fit each other, and freeze."""
         if self.frame not in FRAMES:
@@ -85,15 +87,6 @@ class PoseDmp:
         goal = np.array(orientation(self.goal, "goal"))
         goal.flags.writeable = False
         object.__setattr__(self, "goal", goal)
-
-    def __eq__(self, other: object) -> bool:
-        """Tell whether every field is the same, to the last bit."""
-        if not isinstance(other, PoseDmp):
-            return NotImplemented
-        same = self.position == other.position and self.rotation == other.rotation and self.frame == other.frame
-        return same and np.array_equal(self.goal, other.goal)
-
-    __hash__ = None  # type: ignore[assignment]
 
     @property
     def duration(self) -> float:
@@ -213,26 +206,3 @@ class PoseDmp:
         from armlab.motion.pose_controller import PoseDmpController
 
         return PoseDmpController(robot, self, {"duration": duration, "goal": goal}, limits)
-
-    def save(self, path: str | Path) -> Path:
-        """Write a TOML file that comes back bit for bit, and return its path.
-
-        Parameters
-        ----------
-        path : ends in ``.toml``.
-        """
-        return models.save(self, path)
-
-    @classmethod
-    def load(cls, path: str | Path) -> PoseDmp:
-        """Read what `save` wrote.
-
-        Parameters
-        ----------
-        path : of the file.
-
-        Raises
-        ------
-        ConfigError : damaged or with unknown fields. ModelMismatchError : of another kind.
-        """
-        return models.load(path, "pose_dmp")

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab import models
-from armlab._numbers import generator, number, numbers
+from armlab._numbers import generator, number, numbers, positive
 from armlab.errors import ConfigError, ShapeError
 from armlab.motion._basis import normalised
+from armlab.motion._saved import Saved, freeze_arrays
 from armlab.motion.motion_band import SAME, MotionBand
 
 __all__ = ["ProMP"]
@@ -21,7 +21,7 @@ UNLIKELY = 1e-6  # of a point: distance that no motion of the distribution goes
 
 
 @dataclass(frozen=True, eq=False)
-class ProMP:
+class ProMP(Saved, kind="promp"):
     """A distribution over motions of n coordinates: ``y(t) = psi(t / duration) w``, ``w ~ N(mean, cov)``.
 
     psi are Gaussian kernels over their sum. What is measured has white noise besides.
@@ -48,14 +48,16 @@ class ProMP:
     duration: float
     noise: np.ndarray
 
+    UNITS: ClassVar[dict[str, str]] = {
+        **dict.fromkeys(("mean", "noise"), "unit of y"),
+        "cov": "unit of y, squared",
+        "duration": "s",
+        **dict.fromkeys(("centres", "widths"), "1"),
+    }
+
     def __post_init__(self) -> None:
         """Check and freeze."""
-        for name in ("mean", "cov", "centres", "widths", "noise"):
-            values = np.array(numbers(getattr(self, name), name, ShapeError))
-            if not np.isfinite(values).all():
-                raise ShapeError(f"Expected finite {name} of a ProMP, got NaN or Inf. Fit it again.")
-            values.flags.writeable = False
-            object.__setattr__(self, name, values)
+        freeze_arrays(self, "mean", "cov", "centres", "widths", "noise")
         if self.mean.ndim != 2 or not self.mean.size:
             raise ShapeError(f"Expected mean weights of shape (n_basis, n), got {self.mean.shape}.")
         m, n = self.mean.shape
@@ -66,7 +68,7 @@ class ProMP:
             raise ShapeError("Expected widths above zero and noise not below, got others. Fit it again.")
         if np.abs(self.cov - self.cov.T).max() > 1e-9 * (1e-300 + np.abs(self.cov).max()):
             raise ShapeError("Expected a symmetric cov, got another. Fit it again.")
-        object.__setattr__(self, "duration", _above("duration [s]", self.duration))
+        object.__setattr__(self, "duration", positive(self.duration, "duration [s]"))
 
     @property
     def n(self) -> int:
@@ -80,7 +82,7 @@ class ProMP:
         ----------
         t : since the start [s]. duration : of the motion [s]; that of the demonstrations when left out.
         """
-        T = self.duration if duration is None else _above("duration [s]", duration)
+        T = self.duration if duration is None else positive(duration, "duration [s]")
         u = numbers(t, "t", ShapeError)[..., None] / T
         psi, rate = normalised(u, self.centres, self.widths)
         return psi, rate / T
@@ -98,8 +100,8 @@ class ProMP:
         """
         times = numbers(t, "t", ShapeError)
         if times.ndim == 0:
-            T = self.duration if duration is None else _above("duration [s]", duration)
-            step = _above("dt [s]", times)
+            T = self.duration if duration is None else positive(duration, "duration [s]")
+            step = positive(times, "dt [s]")
             return step * np.arange(int(np.floor(T / step * (1 + 1e-12))) + 1)
         if times.ndim != 1 or not np.isfinite(times).all():
             raise ShapeError(f"Expected finite times (N,), got shape {times.shape}. Or give one step [s].")
@@ -203,29 +205,6 @@ class ProMP:
         mean = (w + gain @ off).reshape(self.n, -1).T
         return ProMP(mean, 0.5 * (cov + cov.T), self.centres, self.widths, self.duration, self.noise)
 
-    def save(self, path: str | Path) -> Path:
-        """Write a TOML file that comes back bit for bit, and return its path.
-
-        Parameters
-        ----------
-        path : ends in ``.toml``.
-        """
-        return models.save(self, path)
-
-    @classmethod
-    def load(cls, path: str | Path) -> ProMP:
-        """Read what `save` wrote.
-
-        Parameters
-        ----------
-        path : of the file.
-
-        Raises
-        ------
-        ConfigError : damaged or with unknown fields. ModelMismatchError : of another kind.
-        """
-        return models.load(path, "promp")
-
 
 def _coordinates(value: Sequence[int], n: int) -> np.ndarray:
     index = np.asarray(value)
@@ -251,10 +230,3 @@ def _block_diagonal(parts: list[np.ndarray]) -> np.ndarray:
         whole[at : at + len(part), at : at + len(part)] = part
         at += len(part)
     return whole
-
-
-def _above(name: str, value: ArrayLike) -> float:
-    found = number(value, name)
-    if not 0.0 < found < np.inf:
-        raise ShapeError(f"Expected a finite {name} above zero, got {found:g}.")
-    return found

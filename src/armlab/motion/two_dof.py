@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,6 +13,7 @@ from armlab import kernels
 from armlab._numbers import number, numbers
 from armlab.errors import ShapeError
 from armlab.log import Table
+from armlab.motion._saved import Saved
 from armlab.motion._setting import Setting
 from armlab.motion.control import LONGEST_STEP, Arms, Controller, Limits
 from armlab.motion.dmp import Dmp
@@ -26,7 +27,7 @@ __all__ = ["TwoDofDmp"]
 
 
 @dataclass(frozen=True, eq=False)
-class TwoDofDmp:
+class TwoDofDmp(Saved, kind="two_dof_dmp"):
     """A movement primitive whose path yc an arm follows at ya, and which slows down while the arm cannot follow.
 
     With e the filtered error, ``e' = alpha_e (ya - yc - e)``, and d that part of it beyond the dead zone::
@@ -63,6 +64,13 @@ class TwoDofDmp:
     e0: ArrayLike = 0.0
     e_scale: ArrayLike = 1.0
     e_max: float = np.inf
+
+    UNITS: ClassVar[dict[str, str]] = {
+        "kp": "1/s^2",
+        **dict.fromkeys(("kv", "alpha_e"), "1/s"),
+        **dict.fromkeys(("e0", "e_scale"), "unit of y, rad or m"),
+        **dict.fromkeys(("kc", "e_max"), "1"),
+    }
 
     def __post_init__(self) -> None:
         """Check and freeze."""
