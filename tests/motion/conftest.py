@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import sys
+import tracemalloc
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 
+from armlab import State
 from armlab.estimation import Fit
 from armlab.lie import so3
 from armlab.motion import Dmp, PoseDmp, fit_pose_dmp
 from armlab.motion._basis import placed, time_constants
+from armlab.motion.control import Controller
 
 
 def build(schedule: str = "canonical", scaling: str = "goal", n: int = 3, **changes: Any) -> Dmp:
@@ -68,3 +72,23 @@ def pose_demo() -> tuple[np.ndarray, np.ndarray]:
 def pose_fit(pose_demo: tuple[np.ndarray, np.ndarray]) -> Fit[PoseDmp]:
     """The primitive of `pose_demo`."""
     return fit_pose_dmp(*pose_demo)
+
+
+@pytest.fixture
+def kept() -> Callable[..., tuple[int, int]]:
+    """Counts blocks that a thousand calls of a controller leave, and the most bytes meanwhile."""
+
+    def count(controller: Controller, q: np.ndarray, period: float) -> tuple[int, int]:
+        states = [State(k * period, period, q, np.zeros_like(q), q) for k in range(1100)]
+        for state in states[:100]:
+            controller(state)
+        tracemalloc.start()
+        try:
+            blocks = sys.getallocatedblocks()
+            for state in states[100:]:
+                controller(state)
+            return sys.getallocatedblocks() - blocks, tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+
+    return count

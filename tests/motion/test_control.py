@@ -250,3 +250,10 @@ def test_a_goal_outside_names_the_joint(reach: Dmp) -> None:
     far = replace(reach, g=reach.g + 9.0 * np.eye(7)[2])
     with pytest.raises(ShapeError, match="joint 3 of yumi_right"):
         far.controller(ROBOT)
+
+
+@KINDS
+def test_calls_leave_nothing_behind(reach: Dmp, kind: str, kept: Callable[..., tuple[int, int]]) -> None:
+    blocks, peak = kept(made(reach, kind), arm().q, PERIOD)
+    assert blocks < 20  # of a thousand calls
+    assert peak < 20_000  # bytes at any time of them: a reference and its record

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -91,3 +93,9 @@ def _lifted(T: np.ndarray, height: float) -> np.ndarray:
     lifted = T.copy()
     lifted[2, 3] += height
     return lifted
+
+
+def test_calls_leave_nothing_behind(path: PoseDmp, kept: Callable[..., tuple[int, int]]) -> None:
+    blocks, peak = kept(path.controller(ROBOT), ROBOT.q_home, PERIOD)
+    assert blocks < 20  # of a thousand calls
+    assert peak < 20_000  # bytes at any time of them: a reference and its record

@@ -9,7 +9,7 @@ import numpy as np
 
 from armlab.errors import ShapeError
 from armlab.log import Column
-from armlab.motion.control import Arms, Controller, Limits, robots_of, steps_in
+from armlab.motion.control import Arms, Controller, Limits, Pace, robots_of, steps_in
 from armlab.state import State
 
 if TYPE_CHECKING:
@@ -52,14 +52,13 @@ class DmpController(Controller):
         given = {**self._settings, "g": self._goal, "y0": state.q, "v0": np.zeros_like(state.q)}
         self._stepper = self._dmp.stepper(**given)
 
-    def _next(
-        self, state: State, dt: float, speed: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        parts, way = steps_in(dt), 0.5 * (speed[0] + speed[1]) * dt
+    def _next(self, state: State, dt: float, pace: Pace) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        before, speed, change = pace
+        parts, way = steps_in(dt), 0.5 * (before + speed) * dt
         for _ in range(parts if way > 0.0 else 0):
             self._stepper.step(way / parts)
         y, yd, ydd = self._stepper.state
-        return y, speed[1] * yd, speed[1] ** 2 * ydd + speed[2] * yd, y
+        return y, speed * yd, speed**2 * ydd + change * yd, y
 
     def _change_goal(self, g: np.ndarray) -> None:
         self._stepper.change_goal(g)
@@ -106,10 +105,8 @@ class TwoDofController(Controller):
         self.stepper = self._two_dof.stepper(**given)
         self._qdd = np.zeros_like(state.q)
 
-    def _next(
-        self, state: State, dt: float, speed: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        found = self.stepper.step(dt, state.q, state.qd, speed)
+    def _next(self, state: State, dt: float, pace: Pace) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        found = self.stepper.step(dt, state.q, state.qd, np.array(pace))
         q, _, qd = self._sent
         if dt > 0.0:
             gained = dt * self._qdd

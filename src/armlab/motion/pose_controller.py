@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import dist
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from armlab.errors import ShapeError
 from armlab.kinematics import forward, inverse
 from armlab.lie import so3
 from armlab.motion._poses import matrix, pose
-from armlab.motion.control import NEAR, Controller, Limits, steps_in
+from armlab.motion.control import NEAR, Controller, Limits, Pace, steps_in
 from armlab.robots import Robot
 from armlab.state import State
 
@@ -53,18 +54,17 @@ class PoseDmpController(Controller):
     def _begin(self, state: State) -> None:
         start = forward(self._robot, state.q)
         self._stepper = self._dmp.stepper(duration=self._duration, start=start, twist0=np.zeros(6), goal=self._goal)
-        self._q, self._qd, self._elapsed = state.q, np.zeros_like(state.q), 0.0
+        self._T_base_tool, self._elapsed = start, 0.0
+        self._q, self._qd = state.q, np.zeros_like(state.q)
 
-    def _next(
-        self, state: State, dt: float, speed: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        parts, way = steps_in(dt), 0.5 * (speed[0] + speed[1]) * dt
+    def _next(self, state: State, dt: float, pace: Pace) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        parts, way = steps_in(dt), 0.5 * (pace[0] + pace[1]) * dt
         for _ in range(parts if way > 0.0 else 0):
-            self._stepper.step(way / parts)
+            self._T_base_tool = self._stepper.step(way / parts)[0]
         self._elapsed += way
         if dt == 0.0:
             return self._q, self._qd, np.zeros_like(self._q), self._q
-        found = inverse(self._robot, self._stepper.state[0], self._q, starts=1)
+        found = inverse(self._robot, self._T_base_tool, self._q, starts=1)
         if not found.success:
             raise ShapeError(
                 f"Expected a path that {self._robot.name} reaches, got one that it leaves: {found.reason}."
@@ -80,7 +80,7 @@ class PoseDmpController(Controller):
     def _is_near(self, state: State) -> bool:
         T_base_tool = forward(self._robot, state.q)
         turned = so3.angle(T_base_tool[:3, :3], self._goal[:3, :3])
-        return bool(np.linalg.norm(T_base_tool[:3, 3] - self._goal[:3, 3]) < NEAR and turned < NEAR)
+        return bool(turned < NEAR) and dist(T_base_tool[:3, 3], self._goal[:3, 3]) < NEAR
 
     @property
     def _is_over(self) -> bool:

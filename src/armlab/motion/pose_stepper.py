@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 __all__ = ["PoseStepper"]
 
+Sample = tuple[np.ndarray, np.ndarray, np.ndarray]
+
 
 class PoseStepper:
     """One run of a `PoseDmp`, sample by sample; made by `PoseDmp.stepper`. The same numbers as `PoseDmp.rollout`."""
@@ -69,13 +71,14 @@ class PoseStepper:
         ------
         ShapeError : no finite time above zero.
         """
-        self._position.step(dt)
-        self._rotation.step(dt)
-        return self.state
+        return self._told(self._position.step(dt), self._rotation.step(dt))
 
     @property
     def state(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Pose (4, 4), twist (6,) and its derivative (6,) now."""
-        p, v, a = (self._first.A @ part for part in self._position.outputs())
-        q, w, wd = self._rotation.outputs()
-        return matrix(p, q), np.concatenate([v, w]), np.concatenate([a, wd])
+        return self._told(self._position.outputs(), self._rotation.outputs())
+
+    def _told(self, position: Sample, rotation: Sample) -> Sample:
+        p, v, a = position if self._dmp.frame == "base" else np.array(position) @ self._first.A.T
+        q, w, wd = rotation
+        return matrix(p, q), np.concatenate((v, w)), np.concatenate((a, wd))
