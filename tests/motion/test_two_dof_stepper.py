@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from armlab.errors import ShapeError
 from armlab.motion import Dmp
 from armlab.motion._setting import Setting
 from armlab.motion.events import Hold
@@ -47,8 +48,8 @@ def test_it_starts_with_the_arm_on_the_path() -> None:
     dmp = smooth(schedule="time")
     run = Setting.of(dmp, y0=np.array([0.1, 0.2]), v0=np.array([0.3, 0.4]))
     z = run.tau * run.v0
-    np.testing.assert_array_equal(starting(dmp, run), [0.1, 0.2, *z, 0, 0, 0.1, 0.2, 0.3, 0.4, 0, 0])
-    assert starting(smooth(), run)[-2] == 1.0
+    np.testing.assert_array_equal(starting(run), [0.1, 0.2, *z, 0, 0, 0.1, 0.2, 0.3, 0.4, 0, 0])
+    assert starting(Setting.of(smooth()))[-2] == 1.0
 
 
 def test_stepper_is_the_simulation() -> None:
@@ -96,3 +97,10 @@ def test_goal_changes_on_the_way() -> None:
         ya, yad = ya + H * yad + 0.5 * H**2 * found.ydd_ref, yad + H * found.ydd_ref
     np.testing.assert_allclose(ya, goal, atol=1e-3)
     np.testing.assert_array_equal(stepper.goal, goal)
+
+
+def test_a_goal_outside_the_limits_is_refused() -> None:
+    stepper = TwoDofDmp(smooth(limits=np.array([[-1.0, -1.0], [2.0, 2.0]]))).stepper()
+    with pytest.raises(ShapeError, match=r"coordinates \[1\]"):
+        stepper.change_goal([0.0, 3.0])
+    assert stepper.goal.tolist() == [1.0, 0.5]

@@ -15,11 +15,11 @@ from armlab.motion.periodic_stepper import PeriodicStepper
 from armlab.motion.pose_controller import PoseDmpController
 from armlab.motion.pose_dmp import PoseDmp
 from armlab.motion.pose_fit import fit_pose_dmp
-from armlab.motion.pose_rollout import PoseRollout
+from armlab.motion.pose_rollout import PoseRollout, PoseRunOptions
 from armlab.motion.pose_stepper import PoseStepper
 from armlab.motion.promp import ProMP
 from armlab.motion.promp_fit import fit_promp
-from armlab.motion.rollout import Rollout
+from armlab.motion.rollout import Rollout, RunOptions
 from armlab.motion.stepper import Stepper
 from armlab.motion.two_dof import TwoDofDmp
 from armlab.motion.two_dof_run import TwoDofRun
@@ -39,11 +39,13 @@ __all__ = [
     "PoseDmp",
     "PoseDmpController",
     "PoseRollout",
+    "PoseRunOptions",
     "PoseStepper",
     "ProMP",
     "Push",
     "Reference",
     "Rollout",
+    "RunOptions",
     "Stepper",
     "TwoDofController",
     "TwoDofDmp",

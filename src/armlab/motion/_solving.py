@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from armlab._numbers import number
@@ -11,18 +9,15 @@ from armlab.errors import ConfigError, NotConverged, ShapeError
 from armlab.motion._setting import Setting
 from armlab.motion.rollout import Rollout
 
-if TYPE_CHECKING:
-    from armlab.motion.dmp import Dmp
-
 __all__ = ["progress", "solved"]
 
 
-def solved(dmp: Dmp, run: Setting, t: np.ndarray, rtol: float, atol: float) -> Rollout:
+def solved(run: Setting, t: np.ndarray, rtol: float, atol: float) -> Rollout:
     """Solve a run by the method of Dormand and Prince of order 8.
 
     Parameters
     ----------
-    dmp, run : what runs. t : (N,) increasing times [s]. rtol, atol : tolerances.
+    run : what runs. t : (N,) increasing times [s]. rtol, atol : tolerances.
 
     Raises
     ------
@@ -35,6 +30,7 @@ def solved(dmp: Dmp, run: Setting, t: np.ndarray, rtol: float, atol: float) -> R
         raise ConfigError(f"Expected tolerances above zero, got rtol {rtol:g} and atol {atol:g}. 1e-10 is fine.")
     if t.ndim != 1 or not len(t) or not np.isfinite(t).all() or (np.diff(t) <= 0).any():
         raise ShapeError(f"Expected increasing times (N,), got shape {t.shape}. Drop repeated samples.")
+    dmp = run.dmp
     n, s = dmp.n, (t - t[0]) / run.tau
     alpha, stiffness, pace = dmp.alpha_z, dmp.alpha_z * dmp.beta_z, dmp.tau_d / dmp.duration
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,9 +13,9 @@ from armlab._numbers import generator, number, numbers
 from armlab.errors import ConfigError, ShapeError
 from armlab.motion._equation import SCALINGS, Equation
 from armlab.motion._saved import Saved
-from armlab.motion._setting import Setting, vector
+from armlab.motion._setting import Setting, clock
 from armlab.motion._solving import progress, solved
-from armlab.motion.rollout import Rollout
+from armlab.motion.rollout import Rollout, RunOptions
 from armlab.motion.stepper import Stepper
 
 if TYPE_CHECKING:
@@ -102,30 +102,9 @@ class Dmp(Equation, Saved, kind="dmp"):
         ------
         ShapeError : no finite step above zero.
         """
-        step = number(dt, "dt [s]")
-        if not 0.0 < step < np.inf:
-            raise ShapeError(f"Expected a finite dt above zero, got {step:g}. At 250 Hz it is 0.004.")
-        end = self.duration if duration is None else duration
-        return step * np.arange(int(np.floor(end / step * (1 + 1e-12))) + 1)
+        return clock(number(dt, "dt [s]"), self.duration if duration is None else duration)
 
-    def _grid(self, t: ArrayLike, duration: float | None, tau_d: float | None) -> np.ndarray:
-        times = numbers(t, "t", ShapeError)
-        if times.ndim:
-            return times
-        end = duration if tau_d is None else number(tau_d, "tau_d [s]") * self.duration / self.tau_d
-        return self.times(float(times), end)
-
-    def rollout(
-        self,
-        t: ArrayLike,
-        *,
-        duration: float | None = None,
-        tau_d: float | None = None,
-        y0: ArrayLike | None = None,
-        v0: ArrayLike | None = None,
-        g: ArrayLike | None = None,
-        amplitude: ArrayLike | None = None,
-    ) -> Rollout:
+    def rollout(self, t: ArrayLike, **run: Unpack[RunOptions]) -> Rollout:
         """Run the primitive with one step per interval: the spring exactly, the forcing to fourth order.
 
         What is left out is that of the demonstration. Where the times are far apart, compared with the kernels, use
@@ -134,123 +113,80 @@ class Dmp(Equation, Saved, kind="dmp"):
         Parameters
         ----------
         t : (N,) increasing times [s], the motion starts at the first; or one step [s] until the end of the motion.
-        duration, tau_d : of the run [s], one of them. y0, v0, g : (n,) start, velocity at it, goal.
-        amplitude : (n,) factors on the forcing, with scaling "amplitude".
+        **run : `RunOptions`: ``duration`` or ``tau_d`` of the run [s]; ``y0``, ``v0``, ``g`` (n,): start, velocity at
+            it, goal; ``amplitude`` (n,): factors on the forcing, with scaling "amplitude".
 
         Raises
         ------
         ShapeError : times that do not increase, other shapes, NaN. ConfigError : both duration and tau_d.
         """
-        run = Setting.of(self, duration, tau_d, y0, v0, g, amplitude)
-        if run.y0.ndim != 1:
-            raise ShapeError(f"Expected y0 and g of shape ({self.n},), got {run.y0.shape}. Use rollout_batch for many.")
-        return self._run(run, self._grid(t, duration, tau_d))
+        return self._run(Setting.of(self, **run), t)
 
-    def rollout_batch(
-        self,
-        t: ArrayLike,
-        *,
-        duration: float | None = None,
-        tau_d: float | None = None,
-        y0: ArrayLike | None = None,
-        v0: ArrayLike | None = None,
-        g: ArrayLike | None = None,
-        amplitude: ArrayLike | None = None,
-        weights: ArrayLike | None = None,
-    ) -> Rollout:
+    def rollout_batch(self, t: ArrayLike, *, weights: ArrayLike | None = None, **run: Unpack[RunOptions]) -> Rollout:
         """Run the primitive K times over one clock; arrays (N, K, n), equal to K rollouts.
 
         Parameters
         ----------
-        t, duration, tau_d : as in `rollout`. y0, v0, g, amplitude : (K, n) or (n,).
+        t : as in `rollout`.
         weights : (K, n_basis, n) of each run; its own when left out.
+        **run : as in `rollout`; ``y0``, ``v0``, ``g``, ``amplitude`` (K, n) or (n,).
 
         Raises
         ------
         ShapeError, ConfigError : as in `rollout`, or scaling "rotate".
         """
-        if self.scaling == "rotate":
-            raise ConfigError("Expected another scaling than 'rotate' in a batch, got it. Use rollout one by one.")
         own = None if weights is None else numbers(weights, "weights", ShapeError)
         if own is not None and own.shape[1:] != self.weights.shape:
             raise ShapeError(
                 f"Expected weights of shape (K, {self.n_basis}, {self.n}), got {own.shape}. Fit with as many kernels."
             )
-        given = {"y0": y0, "v0": v0, "g": g, "amplitude": amplitude}
-        parts = {k: vector(a, k, self.n) for k, a in given.items() if a is not None}
-        try:
-            shape = np.broadcast_shapes(
-                *(a.shape for a in parts.values()), (len(own) if own is not None else 1, self.n)
-            )
-        except ValueError:
-            shapes = ", ".join(f"{k} {a.shape}" for k, a in parts.items())
-            raise ShapeError(f"Expected arrays of one number K of runs, got {shapes}. Give (K, n) or (n,).") from None
-        parts.setdefault("y0", self.y0)
-        parts["y0"] = np.broadcast_to(parts["y0"], shape)
-        return self._run(Setting.of(self, duration, tau_d, **parts), self._grid(t, duration, tau_d), own)
+        return self._run(Setting.of(self, **run, runs=1 if own is None else len(own)), t, own)
 
-    def _run(self, run: Setting, t: np.ndarray, weights: np.ndarray | None = None) -> Rollout:
-        y, yd, ydd, x, f = run.primitive.rollout(t, run.tau, run.y0, run.v0, run.g, run.scale, weights)
+    def _run(self, run: Setting, t: ArrayLike, weights: np.ndarray | None = None) -> Rollout:
+        times = run.times(t)
+        y, yd, ydd, x, f = run.primitive.rollout(times, run.tau, run.y0, run.v0, run.g, run.scale, weights)
         if self.schedule == "position":
             x = progress(y, run.y0, run.g)
-        return Rollout(t, y, yd, ydd, x, f)
+        return Rollout(times, y, yd, ydd, x, f)
 
-    def solve(
-        self,
-        t: ArrayLike,
-        *,
-        rtol: float = 1e-10,
-        atol: float = 1e-12,
-        duration: float | None = None,
-        tau_d: float | None = None,
-        y0: ArrayLike | None = None,
-        v0: ArrayLike | None = None,
-        g: ArrayLike | None = None,
-        amplitude: ArrayLike | None = None,
-    ) -> Rollout:
+    def solve(self, t: ArrayLike, *, rtol: float = 1e-10, atol: float = 1e-12, **run: Unpack[RunOptions]) -> Rollout:
         """Solve the primitive adaptively (Dormand and Prince, order 8): the reference of `rollout`, and slow.
 
         Parameters
         ----------
-        t, duration, tau_d, y0, v0, g, amplitude : as in `rollout`. rtol, atol : tolerances.
+        t : as in `rollout`. rtol, atol : tolerances. **run : as in `rollout`.
 
         Raises
         ------
         ShapeError, ConfigError : as in `rollout`.
         """
-        run = Setting.of(self, duration, tau_d, y0, v0, g, amplitude)
-        return solved(self, run, self._grid(t, duration, tau_d), rtol, atol)
+        setting = Setting.of(self, **run)
+        return solved(setting, setting.times(t), rtol, atol)
 
     def stepper(
         self,
         *,
-        duration: float | None = None,
-        tau_d: float | None = None,
-        y0: ArrayLike | None = None,
-        v0: ArrayLike | None = None,
-        g: ArrayLike | None = None,
-        amplitude: ArrayLike | None = None,
         goal_forcing: str | None = None,
         goal_rate: float = 0.0,
         brake: bool = False,
+        **run: Unpack[RunOptions],
     ) -> Stepper:
         """Return what runs the primitive sample by sample, with a goal and a duration that may change on the way.
 
         Parameters
         ----------
-        duration, tau_d, y0, v0, g, amplitude : as in `rollout`.
         goal_forcing : of a goal that changes: "shift" leaves the forcing, "scale" scales it with the displacement;
             "scale" where the scaling is "goal", otherwise "shift".
         goal_rate : of a first-order filter of the goal, times tau_d; 0 for none.
         brake : keep ``v^2 <= 2 a |g - y|`` in monotone coordinates after a change of goal, a 1.05 times the largest
             acceleration of the demonstration.
+        **run : as in `rollout`.
 
         Raises
         ------
         ShapeError, ConfigError : as in `rollout`. UnknownName : another goal_forcing.
         """
-        run = Setting.of(self, duration, tau_d, y0, v0, g, amplitude)
-        return Stepper(self, run, goal_forcing, goal_rate, brake)
+        return Stepper(Setting.of(self, **run), goal_forcing, goal_rate, brake)
 
     def controller(
         self,

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab import kernels
-from armlab._numbers import numbers
 from armlab.errors import ShapeError, UnknownName
 from armlab.lie import quaternion
 from armlab.motion._pose_run import PoseRun
@@ -18,7 +17,7 @@ from armlab.motion._poses import apart, exp, matrix, orientation, pose, turn
 from armlab.motion._saved import Saved
 from armlab.motion._setting import Setting, vector
 from armlab.motion.dmp import Dmp
-from armlab.motion.pose_rollout import PoseRollout
+from armlab.motion.pose_rollout import PoseRollout, PoseRunOptions
 from armlab.motion.pose_stepper import PoseStepper
 
 if TYPE_CHECKING:
@@ -105,17 +104,17 @@ class PoseDmp(Saved, kind="pose_dmp"):
 
     def run_of(
         self,
-        duration: float | None,
-        tau_d: float | None,
-        start: ArrayLike | None,
-        twist0: ArrayLike | None,
-        goal: ArrayLike | None,
+        duration: float | None = None,
+        tau_d: float | None = None,
+        start: ArrayLike | None = None,
+        twist0: ArrayLike | None = None,
+        goal: ArrayLike | None = None,
     ) -> PoseRun:
         """Resolve what the caller has left out by the demonstration.
 
         Parameters
         ----------
-        duration, tau_d, start, twist0, goal : as of `rollout`.
+        duration, tau_d, start, twist0, goal : `PoseRunOptions`.
         """
         p0, q0 = pose(self.T_start if start is None else start, "start")
         p1, q1 = pose(self.T_goal if goal is None else goal, "goal")
@@ -127,16 +126,7 @@ class PoseDmp(Saved, kind="pose_dmp"):
         rotation = Setting.of(self.rotation, tau_d=position.tau, y0=-apart(q0, q1) @ A, v0=w0, g=np.zeros(3))
         return PoseRun(A, position, rotation, q0, q1)
 
-    def rollout(
-        self,
-        t: ArrayLike,
-        *,
-        duration: float | None = None,
-        tau_d: float | None = None,
-        start: ArrayLike | None = None,
-        twist0: ArrayLike | None = None,
-        goal: ArrayLike | None = None,
-    ) -> PoseRollout:
+    def rollout(self, t: ArrayLike, **run: Unpack[PoseRunOptions]) -> PoseRollout:
         """Run the primitive with one step per interval, both parts to fourth order.
 
         What is left out is that of the demonstration.
@@ -144,44 +134,35 @@ class PoseDmp(Saved, kind="pose_dmp"):
         Parameters
         ----------
         t : (N,) increasing times [s], the motion starts at the first; or one step [s] until the end of the motion.
-        duration, tau_d : of the run [s], one of them.
-        start, goal : poses (4, 4), or (7,): position, quaternion wxyz of either sign.
-        twist0 : (6,) velocity and angular velocity at the start, base axes.
+        **run : `PoseRunOptions`: ``duration`` or ``tau_d`` of the run [s]; ``start``, ``goal``: poses (4, 4), or (7,):
+            position, quaternion wxyz of either sign; ``twist0`` (6,): velocity and angular velocity at the start, base
+            axes.
 
         Raises
         ------
         ShapeError : times that do not increase, no poses, NaN, start and goal half a turn apart.
         ConfigError : both duration and tau_d.
         """
-        run, times = self.run_of(duration, tau_d, start, twist0, goal), numbers(t, "t", ShapeError)
-        if not times.ndim:
-            times = self.position.times(float(times), run.position.tau * self.duration / self.position.tau_d)
-        at = run.position
+        setting = self.run_of(**run)
+        at, A = setting.position, setting.A
+        times = at.times(t)
         y, yd, ydd, x, _ = at.primitive.rollout(times, at.tau, at.y0, at.v0, at.g, at.scale)
-        q, w, wd = kernels.rotation_rollout(self.rotation.primitive, times, *run.turning)
-        twist, twistd = (np.concatenate([v @ run.A.T, turning], axis=1) for v, turning in ((yd, w), (ydd, wd)))
-        return PoseRollout(np.array(times), matrix(y @ run.A.T, q), q, twist, twistd, x)
+        q, w, wd = kernels.rotation_rollout(self.rotation.primitive, times, *setting.turning)
+        twist, twistd = (np.concatenate([v @ A.T, turning], axis=1) for v, turning in ((yd, w), (ydd, wd)))
+        return PoseRollout(np.array(times), matrix(y @ A.T, q), q, twist, twistd, x)
 
-    def stepper(
-        self,
-        *,
-        duration: float | None = None,
-        tau_d: float | None = None,
-        start: ArrayLike | None = None,
-        twist0: ArrayLike | None = None,
-        goal: ArrayLike | None = None,
-    ) -> PoseStepper:
+    def stepper(self, **run: Unpack[PoseRunOptions]) -> PoseStepper:
         """Return what runs the primitive sample by sample, with a goal that may change on the way.
 
         Parameters
         ----------
-        duration, tau_d, start, twist0, goal : as in `rollout`.
+        **run : as in `rollout`.
 
         Raises
         ------
         ShapeError, ConfigError : as in `rollout`.
         """
-        return PoseStepper(self, self.run_of(duration, tau_d, start, twist0, goal))
+        return PoseStepper(self, self.run_of(**run))
 
     def controller(
         self,

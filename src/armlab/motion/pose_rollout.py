@@ -3,10 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypedDict
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-__all__ = ["PoseRollout"]
+__all__ = ["PoseRollout", "PoseRunOptions"]
+
+
+class PoseRunOptions(TypedDict, total=False):
+    """What is free in a run of a `PoseDmp`, by name; what is left out or None is that of the demonstration.
+
+    Attributes
+    ----------
+    duration, tau_d : of the run [s], at most one of them.
+    start, goal : poses (4, 4), or (7,): position, quaternion wxyz of either sign.
+    twist0 : (6,) velocity and angular velocity at the start, base axes.
+    """
+
+    duration: float | None
+    tau_d: float | None
+    start: ArrayLike | None
+    twist0: ArrayLike | None
+    goal: ArrayLike | None
 
 
 @dataclass(frozen=True, eq=False)

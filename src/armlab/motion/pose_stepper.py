@@ -51,8 +51,9 @@ class PoseStepper:
                 "Expected a forcing in base axes for a goal that changes, got one in the axes of the goal. Start again "
                 "from the pose of now, or use frame='base'."
             )
-        tau, twist = self._first.position.tau, np.zeros(6)
-        run = self._dmp.run_of(None, tau, matrix(self._first.position.y0, self._first.q0), twist, goal)
+        first = self._first
+        start = matrix(first.position.y0, first.q0)
+        run = self._dmp.run_of(tau_d=first.position.tau, start=start, twist0=np.zeros(6), goal=goal)
         if run.position.primitive is not self._first.position.primitive:
             raise ConfigError(
                 "Expected scaling 'goal' or 'none' for a goal that changes, got 'rotate'. Fit with another."

@@ -13,6 +13,7 @@ from armlab._numbers import generator, number, numbers, positive
 from armlab.errors import ConfigError, ShapeError
 from armlab.motion._basis import normalised
 from armlab.motion._saved import Saved, freeze_arrays
+from armlab.motion._setting import clock
 from armlab.motion.motion_band import SAME, MotionBand
 
 __all__ = ["ProMP"]
@@ -98,11 +99,7 @@ class ProMP(Saved, kind="promp"):
         ------
         ShapeError : times that are not finite, no step above zero.
         """
-        times = numbers(t, "t", ShapeError)
-        if times.ndim == 0:
-            T = self.duration if duration is None else positive(duration, "duration [s]")
-            step = positive(times, "dt [s]")
-            return step * np.arange(int(np.floor(T / step * (1 + 1e-12))) + 1)
+        times = clock(t, self.duration if duration is None else positive(duration, "duration [s]"))
         if times.ndim != 1 or not np.isfinite(times).all():
             raise ShapeError(f"Expected finite times (N,), got shape {times.shape}. Or give one step [s].")
         return times

@@ -3,10 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import TypedDict
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-__all__ = ["Rollout"]
+__all__ = ["Rollout", "RunOptions"]
+
+
+class RunOptions(TypedDict, total=False):
+    """What is free in a run of a `Dmp`, by name; what is left out or None is that of the demonstration.
+
+    Attributes
+    ----------
+    duration, tau_d : of the run [s], at most one of them. y0, v0, g : (n,) start, velocity at it, goal.
+    amplitude : (n,) factors on the forcing, with scaling "amplitude".
+    """
+
+    duration: float | None
+    tau_d: float | None
+    y0: ArrayLike | None
+    v0: ArrayLike | None
+    g: ArrayLike | None
+    amplitude: ArrayLike | None
 
 
 @dataclass(frozen=True, eq=False)

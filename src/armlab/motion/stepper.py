@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab import kernels
-from armlab._numbers import number
-from armlab.errors import ConfigError, ShapeError, UnknownName
-from armlab.motion._setting import Setting, check_goal, goal_scale, vector
+from armlab._numbers import number, positive
+from armlab.errors import ConfigError, UnknownName
+from armlab.motion._setting import Setting
 from armlab.motion._solving import progress
-
-if TYPE_CHECKING:
-    from armlab.motion.dmp import Dmp
 
 __all__ = ["Stepper"]
 
@@ -31,17 +26,18 @@ class Stepper:
 
     Parameters
     ----------
-    dmp : what runs. run : start, goal and time of it. goal_forcing : "shift" or "scale", None for that of the scaling.
+    run : what runs, with start, goal and time. goal_forcing : "shift" or "scale", None for that of the scaling.
     goal_rate : of the filter, times tau_d. brake : in monotone coordinates.
 
     Raises
     ------
-    UnknownName : another goal_forcing. ConfigError : "scale" without scaling "goal". ShapeError : many runs.
+    UnknownName : another goal_forcing. ConfigError : "scale" without scaling "goal", a goal_rate below 0.
     """
 
     def __init__(
-        self, dmp: Dmp, run: Setting, goal_forcing: str | None = None, goal_rate: float = 0.0, brake: bool = False
+        self, run: Setting, goal_forcing: str | None = None, goal_rate: float = 0.0, brake: bool = False
     ) -> None:
+        dmp = run.dmp
         if goal_forcing is None:
             goal_forcing = "scale" if dmp.scaling == "goal" else "shift"
         if goal_forcing not in FORCINGS:
@@ -50,8 +46,6 @@ class Stepper:
             raise ConfigError(
                 f"Expected goal_forcing 'shift' with scaling {dmp.scaling!r}, got 'scale'. Fit with scaling='goal'."
             )
-        if run.y0.ndim != 1:
-            raise ShapeError(f"Expected y0 and g of shape ({dmp.n},), got {run.y0.shape}. Make a stepper for each run.")
         if not 0.0 <= number(goal_rate, "goal_rate", ConfigError) < np.inf:
             raise ConfigError(f"Expected a goal_rate of at least 0, got {goal_rate:g}. 12.5 follows the spring.")
         self._dmp, self._run, self._scales = dmp, run, goal_forcing == "scale"
@@ -118,11 +112,9 @@ class Stepper:
         ------
         ShapeError : another shape, not finite, outside the limits of the primitive.
         """
-        goal = vector(g, "g", self._dmp.n)
-        check_goal(self._dmp, goal)
-        scale = goal_scale(self._dmp, self._run.y0, goal) if self._scales else self._run.scale
-        self._kernel.change_goal(goal, scale, self._limit)
-        self._goal = np.array(goal)
+        run = self._run.towards(g, self._scales)
+        self._kernel.change_goal(run.g, run.scale, self._limit)
+        self._goal = run.g
 
     def change_duration(self, duration: float) -> None:
         """Go on faster or slower from now on; the velocity does not jump.
@@ -135,7 +127,5 @@ class Stepper:
         ------
         ShapeError : no finite time above zero.
         """
-        value = number(duration, "duration [s]")
-        if not 0.0 < value < np.inf:
-            raise ShapeError(f"Expected a finite duration above zero, got {value:g}. A second is a usual motion.")
+        value = positive(duration, "duration [s]", "A second is a usual motion.")
         self._kernel.change_tau(value * self._dmp.tau_d / self._dmp.duration)

@@ -4,21 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab import kernels
-from armlab._numbers import number, numbers
+from armlab._numbers import number, numbers, positive
 from armlab.errors import ShapeError
 from armlab.log import Table
 from armlab.motion._saved import Saved
 from armlab.motion._setting import Setting
+from armlab.motion._solving import progress
 from armlab.motion.control import LONGEST_STEP, Arms, Controller, Limits
 from armlab.motion.dmp import Dmp
 from armlab.motion.events import Displace, Push
-from armlab.motion.rollout import Rollout
+from armlab.motion.rollout import Rollout, RunOptions
 from armlab.motion.two_dof_run import FULL_SPEED, Plant, TwoDofRun, simulated
 from armlab.motion.two_dof_stepper import TwoDofStepper, starting
 from armlab.state import State
@@ -109,12 +110,7 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
         events: Sequence[Push | Displace | Plant] = (),
         *,
         dt: float = LONGEST_STEP,
-        duration: float | None = None,
-        tau_d: float | None = None,
-        y0: ArrayLike | None = None,
-        v0: ArrayLike | None = None,
-        g: ArrayLike | None = None,
-        amplitude: ArrayLike | None = None,
+        **run: Unpack[RunOptions],
     ) -> TwoDofRun:
         """Simulate an arm that does what it is told, ``ya'' = ya_ref''``, but for what happens to it.
 
@@ -126,25 +122,21 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
         events : `Hold`, `Push`, `Displace`; and at most one plant, ``(t, ya, ya', ya_ref'') -> ya''``, in place of the
             perfect arm.
         dt : longest step of the solution [s].
-        duration, tau_d, y0, v0, g, amplitude : as in `Dmp.rollout`. The arm starts on the path, with its velocity.
+        **run : as in `Dmp.rollout`. The arm starts on the path, with its velocity.
 
         Raises
         ------
         ShapeError : as in `Dmp.rollout`; events that contradict each other; a plant that gives no accelerations.
         ConfigError : both duration and tau_d.
         """
-        if not 0.0 < number(dt, "dt [s]") < np.inf:
-            raise ShapeError(f"Expected a finite dt above zero, got {dt:g} s. At 250 Hz it is 0.004.")
-        given: dict[str, Any] = {"duration": duration, "tau_d": tau_d}
-        given |= {"y0": y0, "v0": v0, "g": g, "amplitude": amplitude}
-        run = Setting.of(self.dmp, **given)
-        free = _free(self.dmp, t, dt, given)
-        law = self.law(run)
-        states, disturbed = simulated(law, starting(self.dmp, run), free.t, events, dt)
+        longest = positive(dt, "dt", "At 250 Hz it is 0.004.")
+        setting, free = Setting.of(self.dmp, **run), _free(self.dmp, t, longest, run)
+        law = self.law(setting)
+        states, disturbed = simulated(law, starting(setting), free.t, events, longest)
         yc, _, e, ya, yad = states[:, :-2].reshape(len(states), 5, law.n).swapaxes(0, 1)
         ycd, ycdd, ydd_ref = np.array([law.reference(y, FULL_SPEED) for y in states]).swapaxes(0, 1)
         tau_a = np.array([law.time_constant(y) for y in states])
-        x = states[:, -2] if self.dmp.schedule != "position" else _progress(yc, run)
+        x = states[:, -2] if self.dmp.schedule != "position" else progress(yc, setting.y0, setting.g)
         return TwoDofRun(free.t, yc, ycd, ycdd, ya, yad, ydd_ref, e, x, tau_a, states[:, -1] > 0, free, disturbed)
 
     def recorded(
@@ -173,8 +165,9 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
             raise ShapeError("Expected a log with a path, got none. The controller was never asked.")
         rows = table.where(begun)
         t = rows.t - rows.t[0]
-        start: dict[str, Any] = {"y0": rows["q"][0], "v0": np.zeros(self.dmp.n)}
-        free = _free(self.dmp, t, LONGEST_STEP, {"duration": duration, "g": g, "amplitude": amplitude} | start)
+        run: RunOptions = {"duration": duration, "g": g, "amplitude": amplitude}
+        run |= {"y0": rows["q"][0], "v0": np.zeros(self.dmp.n)}
+        free = _free(self.dmp, t, LONGEST_STEP, run)
         return TwoDofRun(
             t=t,
             yc=rows["path"],
@@ -191,27 +184,18 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
             disturbed=tuple(disturbed),
         )
 
-    def stepper(
-        self,
-        *,
-        duration: float | None = None,
-        tau_d: float | None = None,
-        y0: ArrayLike | None = None,
-        v0: ArrayLike | None = None,
-        g: ArrayLike | None = None,
-        amplitude: ArrayLike | None = None,
-    ) -> TwoDofStepper:
+    def stepper(self, **run: Unpack[RunOptions]) -> TwoDofStepper:
         """Return what runs the law sample by sample with a measured arm.
 
         Parameters
         ----------
-        duration, tau_d, y0, v0, g, amplitude : as in `Dmp.rollout`.
+        **run : as in `Dmp.rollout`.
 
         Raises
         ------
         ShapeError, ConfigError : as in `Dmp.rollout`.
         """
-        return TwoDofStepper(self, Setting.of(self.dmp, duration, tau_d, y0, v0, g, amplitude))
+        return TwoDofStepper(self, Setting.of(self.dmp, **run))
 
     def controller(
         self,
@@ -244,7 +228,7 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
         return TwoDofController(robot, self, settings, limits, give_way)
 
 
-def _free(dmp: Dmp, t: ArrayLike, longest: float, given: dict[str, Any]) -> Rollout:
+def _free(dmp: Dmp, t: ArrayLike, longest: float, given: RunOptions) -> Rollout:
     """Return the primitive undisturbed at times t, solved in steps of at most `longest`."""
     times = dmp.rollout(t, **given).t
     if len(times) < 2:
@@ -254,8 +238,3 @@ def _free(dmp: Dmp, t: ArrayLike, longest: float, given: dict[str, Any]) -> Roll
     found = dmp.rollout(np.append(np.concatenate(fine), times[-1]), **given)
     kept = np.concatenate([[0], np.cumsum(parts)])
     return Rollout(times, *(getattr(found, f.name)[kept] for f in fields(Rollout)[1:]))
-
-
-def _progress(yc: np.ndarray, run: Setting) -> np.ndarray:
-    way = run.g - run.y0
-    return np.where(way == 0, 0.0, np.clip((run.g - yc) / np.where(way == 0, 1.0, way), 0.0, 1.0))

@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab.errors import ConfigError, ShapeError
-from armlab.motion._setting import Setting, goal_scale, vector
+from armlab.errors import ConfigError
+from armlab.motion._setting import Setting
 from armlab.motion.control import steps_in
 from armlab.motion.two_dof_run import FULL_SPEED
 
 if TYPE_CHECKING:
-    from armlab.motion.dmp import Dmp
     from armlab.motion.two_dof import TwoDofDmp
 
 __all__ = ["Reference", "TwoDofStepper", "starting"]
@@ -43,18 +42,12 @@ class TwoDofStepper:
     ----------
     two_dof : gains and primitive. run : start, goal and duration.
 
-    Raises
-    ------
-    ShapeError : many runs at once.
-
     Attributes
     ----------
     goal : (n,) where it goes.
     """
 
     def __init__(self, two_dof: TwoDofDmp, run: Setting) -> None:
-        if run.y0.ndim != 1:
-            raise ShapeError(f"Expected y0 and g of shape ({two_dof.dmp.n},), got {run.y0.shape}.")
         self._two_dof, self._run = two_dof, run
         self.reset()
 
@@ -62,7 +55,7 @@ class TwoDofStepper:
         """Go back to the start, with the first goal."""
         run = self._run
         self._law, self.goal = self._two_dof.law(run), run.g
-        self._state = starting(self._two_dof.dmp, run)
+        self._state = starting(run)
 
     def step(self, dt: float, ya: np.ndarray, yad: np.ndarray, speed: np.ndarray = FULL_SPEED) -> Reference:
         """Take a sample of the arm and return the reference of this instant.
@@ -90,15 +83,14 @@ class TwoDofStepper:
 
         Raises
         ------
-        ShapeError : another shape, not finite. ConfigError : scaling "rotate", which has no path to another goal.
+        ShapeError : another shape, not finite, outside the limits of the primitive.
+        ConfigError : scaling "rotate", which has no path to another goal.
         """
-        two_dof, run = self._two_dof, self._run
-        goal = vector(g, "g", two_dof.dmp.n)
-        if two_dof.dmp.scaling == "rotate":
+        scaling = self._two_dof.dmp.scaling
+        if scaling == "rotate":
             raise ConfigError("Expected a goal that stays with scaling 'rotate', got another. Make another stepper.")
-        scale = goal_scale(two_dof.dmp, run.y0, goal) if two_dof.dmp.scaling == "goal" else run.scale
-        self._law = two_dof.law(Setting(run.primitive, run.tau, run.y0, run.v0, goal, scale))
-        self.goal = np.array(goal)
+        run = self._run.towards(g, scaling == "goal")
+        self._law, self.goal = self._two_dof.law(run), run.g
 
     @property
     def e(self) -> np.ndarray:
@@ -129,12 +121,12 @@ class TwoDofStepper:
         return x <= np.exp(-dmp.alpha_x * dmp.duration / dmp.tau_d)
 
 
-def starting(dmp: Dmp, run: Setting) -> np.ndarray:
+def starting(run: Setting) -> np.ndarray:
     """Return the state (5 n + 2,) at the start of a run, with the arm on the path.
 
     Parameters
     ----------
-    dmp : the primitive. run : its start and duration.
+    run : start and duration.
     """
-    x = 0.0 if dmp.schedule == "time" else 1.0
-    return np.concatenate([run.y0, run.tau * run.v0, np.zeros(dmp.n), run.y0, run.v0, [x, 0.0]])
+    x = 0.0 if run.dmp.schedule == "time" else 1.0
+    return np.concatenate([run.y0, run.tau * run.v0, np.zeros(run.dmp.n), run.y0, run.v0, [x, 0.0]])
