@@ -14,7 +14,7 @@ from types import MappingProxyType
 
 from armlab.errors import UnknownName
 
-__all__ = ["Symbol", "label", "lookup", "symbols"]
+__all__ = ["Symbol", "columns", "label", "lookup", "symbols"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +28,8 @@ class Symbol:
     unit : SI unit. frame : axes the numbers are in, empty when none.
     kind : real, angle, pose, quaternion, count, flag or text; decides how a column is resampled.
     text : one sentence.
+    column : whether a log may have it as a column, whose unit and shape it then is. Other files mean other things by
+        x, y, e or g.
     """
 
     name: str
@@ -36,6 +38,7 @@ class Symbol:
     frame: str
     kind: str
     text: str
+    column: bool = True
 
 
 @cache
@@ -43,6 +46,12 @@ def symbols() -> Mapping[str, Symbol]:
     """Return all symbols by name."""
     text = files("armlab").joinpath("glossary.toml").read_text(encoding="utf-8")
     return MappingProxyType({name: Symbol(name=name, **entry) for name, entry in tomllib.loads(text).items()})
+
+
+@cache
+def columns() -> Mapping[str, Symbol]:
+    """Return those symbols by name that logs have as columns."""
+    return MappingProxyType({name: symbol for name, symbol in symbols().items() if symbol.column})
 
 
 def lookup(name: str) -> Symbol:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from armlab import glossary
 from armlab.errors import ShapeError, UnknownName
 from armlab.log.column import KINDS, Column, frozen, stored
 
@@ -28,6 +29,15 @@ def test_contradictions_are_refused() -> None:
         Column(shape=(6,)).resolved("wrench_hat_cov")
     with pytest.raises(UnknownName, match="real"):
         Column(unit="1", kind="double").resolved("mine")
+
+
+def test_symbols_of_motion_leave_columns_alone() -> None:
+    """x is the phase of a primitive in the glossary, and a coordinate in most files."""
+    column = Column(shape=(), unit="m").resolved("x")
+    assert (column.unit, column.kind) == ("m", "real")
+    assert glossary.lookup("x").unit == "1"
+    assert "x" not in glossary.columns()
+    assert glossary.columns()["q"] is glossary.lookup("q")
 
 
 def test_headings() -> None:

@@ -32,6 +32,13 @@ def test_units_are_converted_and_joints_put_together(tmp_path: Path) -> None:
     assert table.source[0].startswith("log.csv sha256 ")
 
 
+def test_coordinates_may_be_called_x_and_y(tmp_path: Path) -> None:
+    """Movement primitives have an x and a y of their own in the glossary."""
+    table = read_csv(written(tmp_path, "t [s],x [mm],y [mm]\n0,1,2\n0.1,3,4\n"))
+    assert dict(table.units) == {"x": "m", "y": "m"}
+    np.testing.assert_allclose(table["x"], [0.001, 0.003])
+
+
 def test_read_tells_text_from_recordings(tmp_path: Path) -> None:
     path = written(tmp_path, ROWS)
     assert read(path).sha256 == read_csv(path).sha256

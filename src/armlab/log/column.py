@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from armlab import glossary
 from armlab.errors import ShapeError, UnknownName
-from armlab.glossary import symbols
 
 __all__ = ["KINDS", "Column", "frozen", "stored"]
 
@@ -46,7 +46,7 @@ class Column:
             labels do not count what they name.
         UnknownName : the kind does not exist.
         """
-        symbol = symbols().get(name)
+        symbol = glossary.columns().get(name)
         if symbol is None and self.unit is None:
             raise ShapeError(
                 f"Expected a unit for the column {name!r}, which the glossary does not know; give unit='1' for none."

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
+from armlab import glossary
 from armlab.errors import ArmlabError, LogError
-from armlab.glossary import symbols
 from armlab.log.column import Column
 from armlab.log.formats import format_of
 from armlab.log.provenance import file_hash
@@ -194,7 +194,7 @@ def _columns(
         if not name or name in values:
             what = f"{name!r} twice" if name else "a column without a name"
             raise LogError(f"Expected names that come once in the header of {path}, got {what}.")
-        symbol = symbols().get(name)
+        symbol = glossary.columns().get(name)
         kept = (unit, 1.0) if unit in _glossary_units() else None
         known = kept if symbol is not None and symbol.unit == unit else UNITS.get(unit) or kept
         if known is None:
@@ -215,7 +215,7 @@ def _columns(
 
 
 def _glossary_units() -> set[str]:
-    return {unit for symbol in symbols().values() for unit in symbol.unit.split(", ")}
+    return {unit for symbol in glossary.symbols().values() for unit in symbol.unit.split(", ")}
 
 
 def _numbers(path: Path, name: str, texts: Sequence[str], skip: int) -> np.ndarray:
@@ -306,7 +306,7 @@ def _together(
                 result[name] = np.stack(ordered, axis=1).reshape(len(array), *np.max(list(group), axis=0))
                 described[name] = Column(unit=_shared_unit(name, [columns[member] for member in group.values()]))
         else:
-            unit = columns[label].unit or (None if label in symbols() else "1")
+            unit = columns[label].unit or (None if label in glossary.columns() else "1")
             result[label], described[label] = array, Column(unit=unit, kind=columns[label].kind)
     return result, described
 
@@ -314,7 +314,7 @@ def _together(
 def _place(label: str) -> tuple[str, tuple[int, ...]]:
     """Return the name and the place of one component of an array of the glossary; an empty place for other labels."""
     found = NUMBERED.match(label)
-    known = symbols().get(found["name"]) if found else None
+    known = glossary.columns().get(found["name"]) if found else None
     if found is None or known is None:
         return label, ()
     place = tuple(int(digits) for digits in (found["index"] or found["number"]).split("_"))
@@ -328,7 +328,7 @@ def _whole(group: dict[tuple[int, ...], str]) -> bool:
 
 def _shared_unit(name: str, members: list[Column]) -> str | None:
     """Return the unit of components that are one column; None for that of the glossary."""
-    units, known = {member.unit for member in members}, symbols()[name].unit
+    units, known = {member.unit for member in members}, glossary.columns()[name].unit
     if units <= {"", *known.split(", ")}:
         return None
     if len(units) > 1:

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from armlab import glossary
 from armlab.errors import ArmlabError, LabCommError, LogError, UnknownName
-from armlab.glossary import symbols
 from armlab.log.assemble import in_time_order
 from armlab.log.column import Column
 from armlab.log.formats import format_of
@@ -197,6 +197,6 @@ def _clock(
 
 def _unit(label: str) -> str | None:
     name, _, leaf = label.partition(".")
-    if label in symbols():
+    if label in glossary.columns():
         return None
     return _UNITS.get(leaf, "1") if name in _BRIDGE else "1"

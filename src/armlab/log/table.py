@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from armlab import glossary
 from armlab.errors import ShapeError, UnknownName
-from armlab.glossary import symbols
 from armlab.log.column import Column, frozen, stored
 from armlab.log.labels import alias, natural_key
 from armlab.state import State
@@ -291,7 +291,7 @@ def _check_lengths(rows: int, values: Mapping[str, np.ndarray]) -> None:
     for name, array in values.items():
         if len(array) != rows:
             raise ShapeError(f"Expected {rows} rows in the column {name!r}, as in t, got {len(array)}.")
-        known = symbols().get(name)
+        known = glossary.columns().get(name)
         if known and known.shape == "(N, n)":
             joints[name] = array.shape[1]
     if len(set(joints.values())) > 1:
