@@ -8,14 +8,18 @@ from armlab.plots.calibrations import calibration
 from armlab.plots.columns import table
 from armlab.plots.covariances import velocity_covariance
 from armlab.plots.coverages import coverage, observability
+from armlab.plots.distributions import promp
 from armlab.plots.drives import friction_map, spectrum
 from armlab.plots.ellipsoids import manipulability
 from armlab.plots.excitations import excitation
 from armlab.plots.frictions import friction
 from armlab.plots.latencies import latency
 from armlab.plots.pictures import png
-from armlab.plots.primitives import dmp, dmp_phase, two_dof
+from armlab.plots.pose_primitives import pose_dmp
+from armlab.plots.primitives import dmp, dmp_phase
+from armlab.plots.recoveries import two_dof
 from armlab.plots.residuals import autocorrelation, residual_speed
+from armlab.plots.rhythms import periodic_dmp
 from armlab.plots.scenes import scene
 from armlab.plots.torques import torque_fit
 from armlab.plots.trajectories import poses
@@ -35,8 +39,11 @@ __all__ = [
     "latency",
     "manipulability",
     "observability",
+    "periodic_dmp",
     "png",
+    "pose_dmp",
     "poses",
+    "promp",
     "residual_speed",
     "robot",
     "scene",

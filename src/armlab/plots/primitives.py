@@ -1,4 +1,4 @@
-"""Movement primitives: demonstration and reproduction, phase plane, recovery with two degrees of freedom."""
+"""Movement primitives over time, with what they were taught, and their phase plane."""
 
 from __future__ import annotations
 
@@ -8,26 +8,32 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab._numbers import numbers
+from armlab._numbers import number, numbers
 from armlab.errors import ShapeError
-from armlab.motion import Dmp, TwoDofRun
+from armlab.glossary import label
+from armlab.motion import Dmp, Rollout
 from armlab.plots.style import GREY, JOINT_STYLES, legend, line, look, panels
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["dmp", "dmp_phase", "two_dof"]
+__all__ = ["TAUGHT", "demonstration", "dmp", "dmp_phase"]
 
-_SAMPLES = 500
+TAUGHT: dict[str, Any] = {"color": "#BFBFBF", "linewidth": 3.5, "zorder": 1}
+"""Look of demonstrations: wide, below the motion."""
+_SAMPLES = 501
+_SETTLES = 1.5  # durations that are drawn where the motion goes on after its end
+Goals = Sequence[tuple[float, ArrayLike]]
 
 
-def dmp(dmp: Dmp, demo: tuple[ArrayLike, ArrayLike] | None = None, ax: Any = None) -> Figure:
-    """Draw what a movement primitive does over time: position, velocity, forcing, kernels and weights.
+def dmp(dmp: Dmp, demo: tuple[ArrayLike, ArrayLike] | None = None, goals: Goals = (), ax: Any = None) -> Figure:
+    """Draw what a movement primitive does over time: position, velocity, forcing, kernels with the phase, weights.
 
     Parameters
     ----------
-    dmp : the primitive. demo : times (N,) and positions (N, n) that it was taught, drawn dotted.
+    dmp : the primitive. demo : times (N,) and positions (N, n) that it was taught, drawn wide and grey.
+    goals : (t, g) of goals (n,) for which it goes from a time on [s]; every goal is drawn dashed.
     ax : five Axes to draw into; a new figure when None.
 
     Returns
@@ -36,28 +42,34 @@ def dmp(dmp: Dmp, demo: tuple[ArrayLike, ArrayLike] | None = None, ax: Any = Non
 
     Raises
     ------
-    ShapeError : a demonstration of another shape, or another number of Axes.
+    ShapeError : a demonstration or goal of another shape, or another number of Axes.
     """
-    times = np.linspace(0.0, dmp.duration, _SAMPLES)
-    run = dmp.rollout(times)
-    x = run.x if run.x.ndim == 1 else run.x[:, 0]
+    run, steps = _run(dmp, goals)
     with look():
         figure, axes = panels(5, 1, ax, width=8.0, height=1.6, sharex=True)
         position, velocity, forcing, kernels, weights = axes[:, 0]
         for i in range(dmp.n):
             color, style = JOINT_STYLES[i % len(JOINT_STYLES)]
             for panel, values in ((position, run.y), (velocity, run.yd), (forcing, run.forcing)):
-                panel.plot(times, values[:, i], color=color, linestyle=style, label=f"y{i + 1}")
-            weights.plot(_when(dmp), dmp.weights[:, i], ".", color=color, label="_")
+                panel.plot(run.t, values[:, i], color=color, linestyle=style, label=f"y{i + 1}")
+            weights.plot(_when(dmp), dmp.weights[:, i], ".", color=color, markersize=4.0, label="_")
+            if len(steps[0]) > 1:
+                position.step(*(steps[0], steps[1][:, i]), where="post", color=color, linestyle="--", linewidth=0.7)
+        if len(steps[0]) > 1:
+            position.plot([], [], color=GREY, linestyle="--", linewidth=0.7, label="goal")
         if demo is not None:
             _demonstration(dmp, demo, position, velocity)
-        kernels.plot(times, dmp.kernels(x), color=GREY, linewidth=0.6)
-        names = ("position [rad]", "velocity [rad/s]", "forcing [rad]", "kernels [1]", "weights [rad]")
+        x = run.x if run.x.ndim == 2 else run.x[:, None]
+        kernels.plot(run.t, dmp.kernels(x[:, 0]), color=GREY, linewidth=0.5, alpha=0.6, label="_")
+        for i in range(x.shape[1]):
+            color = "black" if run.x.ndim == 1 else JOINT_STYLES[i % len(JOINT_STYLES)][0]
+            kernels.plot(run.t, x[:, i], color=color, linewidth=1.4, label="phase x" if not i else "_")
+        names = (label("y"), label("yd"), label("forcing"), "kernels, x [1]", label("weights"))
         for panel, name in zip(axes[:, 0], names, strict=True):
             panel.set_ylabel(name)
-        weights.set_xlabel("t [s]")
+        weights.set_xlabel(label("t"))
         figure.align_ylabels()
-        legend(figure, position)
+        legend(figure, position, kernels)
     return figure
 
 
@@ -76,7 +88,7 @@ def dmp_phase(dmp: Dmp, ax: Any = None) -> Axes:
     ------
     ShapeError : another number of Axes.
     """
-    run = dmp.rollout(np.linspace(0.0, 1.5 * dmp.duration, _SAMPLES))
+    run = dmp.rollout(np.linspace(0.0, _SETTLES * dmp.duration, _SAMPLES))
     with look():
         figure, axes = panels(1, 1, ax, width=6.0, height=4.5)
         panel: Axes = axes[0, 0]
@@ -85,61 +97,50 @@ def dmp_phase(dmp: Dmp, ax: Any = None) -> Axes:
             panel.plot(run.y[:, i], run.yd[:, i], color=color, linestyle=style, label=f"y{i + 1}")
             panel.plot(run.y[0, i], run.yd[0, i], "o", color=color, markersize=4.0, label="_")
             panel.plot(dmp.g[i], 0.0, "x", color=color, markersize=6.0, label="_")
-        panel.set_xlabel("position [rad]")
-        panel.set_ylabel("velocity [rad/s]")
+        panel.set_xlabel(label("y"))
+        panel.set_ylabel(label("yd"))
         legend(figure, panel)
     return panel
 
 
-def two_dof(run: TwoDofRun, dofs: Sequence[int] | None = None, ax: Any = None) -> Figure:
-    """Draw how a primitive with two degrees of freedom is held up and recovers.
-
-    Above the arm (line), the coupled path (dashed) and the primitive undisturbed (dotted), then the filtered error,
-    then how many times slower the path runs. Where something moved the arm it is shaded.
+def demonstration(demo: tuple[ArrayLike, ArrayLike], n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return times (N,) from 0 and positions (N, n) of a demonstration.
 
     Parameters
     ----------
-    run : of `TwoDofDmp.simulate` or `TwoDofDmp.recorded`.
-    dofs : numbers of the coordinates from 0; all when None.
-    ax : three Axes to draw into; a new figure when None.
-
-    Returns
-    -------
-    The Figure.
+    demo : times and positions. n : number of coordinates.
 
     Raises
     ------
-    ShapeError : a coordinate that does not exist, or another number of Axes.
+    ShapeError : another shape, times that do not rise.
     """
-    which = range(run.yc.shape[1]) if dofs is None else dofs
-    if not all(isinstance(i, int | np.integer) and 0 <= i < run.yc.shape[1] for i in which):
-        raise ShapeError(f"Expected dofs as numbers from 0 to {run.yc.shape[1] - 1}, got {list(which)}.")
-    with look():
-        figure, axes = panels(3, 1, ax, width=8.0, height=2.0, sharex=True)
-        position, error, slower = axes[:, 0]
-        for i in which:
-            color, _ = JOINT_STYLES[i % len(JOINT_STYLES)]
-            line(position, run.t, run.ya[:, i], color=color, label=f"arm y{i + 1}")
-            line(position, run.t, run.yc[:, i], color=color, linestyle="--", label=f"path y{i + 1}")
-            line(position, run.t, run.free.y[:, i], color=color, linestyle=":", label=f"undisturbed y{i + 1}")
-            line(error, run.t, run.e[:, i], color=color, label="_")
-        line(slower, run.t, run.tau_a / run.tau_a.min(), color=GREY, label="_")
-        for panel, name in zip(axes[:, 0], ("position [rad]", "filtered error [rad]", "times slower [1]"), strict=True):
-            for k, (t0, t1) in enumerate(run.disturbed):
-                _mark(panel, t0, t1, "disturbed" if not k and panel is position else "_")
-            panel.set_ylabel(name)
-        slower.set_yscale("log")
-        slower.set_xlabel("t [s]")
-        figure.align_ylabels()
-        legend(figure, position)
-    return figure
+    t, y = (numbers(part, name, ShapeError) for part, name in zip(demo, ("demo times", "demo positions"), strict=True))
+    if t.ndim != 1 or len(t) < 2 or y.shape != (len(t), n) or not (np.diff(t) > 0).all():
+        raise ShapeError(
+            f"Expected a demonstration as rising times (N,) and positions (N, {n}), got {t.shape} and {y.shape}."
+        )
+    return t - t[0], y
 
 
-def _mark(panel: Axes, t0: float, t1: float, label: str) -> None:
-    if t1 > t0:
-        panel.axvspan(t0, t1, color="#999999", alpha=0.25, linewidth=0.0, zorder=0, label=label)
-    else:
-        panel.axvline(t0, color="#999999", alpha=0.6, zorder=0, label=label)
+def _run(dmp: Dmp, goals: Goals) -> tuple[Rollout, tuple[np.ndarray, np.ndarray]]:
+    """Return the motion, and times (K,) and goals (K, n) from which on it goes for them."""
+    if not goals:
+        return dmp.rollout(np.linspace(0.0, dmp.duration, _SAMPLES)), (np.zeros(1), dmp.g[None])
+    due = [(number(t, "time of a goal [s]"), g) for t, g in sorted(goals, key=lambda goal: goal[0])]
+    times = np.linspace(0.0, max(_SETTLES * dmp.duration, due[-1][0] + 0.5 * dmp.duration), _SAMPLES)
+    stepper, rows, phase, steps = dmp.stepper(), [], [], [(0.0, dmp.g)]
+    for k, t in enumerate(times):
+        if k:
+            stepper.step(t - times[k - 1])
+        while due and t >= due[0][0]:
+            stepper.change_goal(due.pop(0)[1])
+            steps.append((t, stepper.goal))
+        rows.append((*stepper.state, stepper.goal))
+        phase.append(stepper.x)
+    y, yd, ydd, g = np.array(rows).swapaxes(0, 1)
+    f = dmp.tau_d**2 * ydd - dmp.alpha_z * (dmp.beta_z * (g - y) - dmp.tau_d * yd)
+    steps.append((times[-1], stepper.goal))
+    return Rollout(times, y, yd, ydd, np.array(phase), f), tuple(map(np.array, zip(*steps)))  # pyright: ignore
 
 
 def _when(dmp: Dmp) -> np.ndarray:
@@ -151,12 +152,7 @@ def _when(dmp: Dmp) -> np.ndarray:
 
 
 def _demonstration(dmp: Dmp, demo: tuple[ArrayLike, ArrayLike], position: Axes, velocity: Axes) -> None:
-    t, y = (numbers(part, name, ShapeError) for part, name in zip(demo, ("demo times", "demo positions"), strict=True))
-    if t.ndim != 1 or len(t) < 2 or y.shape != (len(t), dmp.n) or not (np.diff(t) > 0).all():
-        raise ShapeError(
-            f"Expected a demonstration as rising times (N,) and positions (N, {dmp.n}), got {t.shape} and {y.shape}."
-        )
+    t, y = demonstration(demo, dmp.n)
     for panel, values in ((position, y), (velocity, np.gradient(y, t, axis=0))):
         for i in range(dmp.n):
-            label = "demonstration" if panel is position and not i else "_"
-            line(panel, t - t[0], values[:, i], color="black", linestyle=":", label=label)
+            line(panel, t, values[:, i], **TAUGHT, label="_" if i else "demonstration")
