@@ -70,12 +70,22 @@ def test_noise_is_found_and_the_motion_is_nearer_than_the_samples(pose_demo: Dem
     assert max(position, angle) < 1e-3
 
 
+@pytest.mark.parametrize("angle", [2.0, 2.9])
+def test_long_bent_turns_are_followed(angle: float) -> None:
+    """The linear response of the weights leads nowhere here: 0.14 rad would be left."""
+    t = np.linspace(0.0, 2.0, 201)
+    u = t / t[-1]
+    s = 10 * u**3 - 15 * u**4 + 6 * u**5
+    T = np.tile(np.eye(4), (len(t), 1, 1))
+    T[:, :3, :3] = so3.exp(angle * np.stack([0.8 * s, 0.5 * np.sin(np.pi * s), -0.6 * s], axis=1))
+    T[:, 0, 3] = s
+    fit = fit_pose_dmp(t, T)
+    assert np.abs(fit.residuals[:, 3:]).max() < 5e-5
+
+
 @pytest.fixture(scope="module")
 def truth(pose_demo: Demo) -> PoseDmp:
-    """A third of the turn of `pose_demo`: the covariance is that of the linear response."""
     t, T = pose_demo
-    T = T.copy()
-    T[:, :3, :3] = so3.exp(so3.log(T[:, :3, :3]) / 3)
     return fit_pose_dmp(t, T, n_basis=8, hold=0.0, scaling="none").value
 
 

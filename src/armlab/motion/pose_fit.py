@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab import kernels
 from armlab.errors import ConfigError, ShapeError, UnknownName
 from armlab.estimation import Fit
 from armlab.lie import quaternion
 from armlab.motion._demos import read_demos
-from armlab.motion._least_squares import solve
-from armlab.motion._poses import exp, log, poses
+from armlab.motion._poses import log, poses
+from armlab.motion._turning import Turning, fit_turning
 from armlab.motion.dmp import Dmp
 from armlab.motion.fit import fit_dmp
 from armlab.motion.pose_dmp import FRAMES, PoseDmp
 
 __all__ = ["fit_pose_dmp"]
 
-FINE = 1000  # steps of the response over a duration, at least
 FARTHEST = 3.0  # rad from the goal: beyond half a turn the shorter way is another one
-SWEEPS = 50
-ENOUGH = 1e-9  # rad of change in a sweep
 
 
 def fit_pose_dmp(
@@ -40,9 +35,8 @@ def fit_pose_dmp(
 ) -> Fit[PoseDmp]:
     """Fit a movement primitive of poses to one demonstration: the weights whose own motion is nearest to it.
 
-    The position is fitted as by `fit_dmp`. For the orientation the rotation vector from the goal starts a search: the
-    angle between demonstration and motion, base axes, goes through the linear response of the weights, until a sweep
-    changes nothing.
+    The position is fitted as by `fit_dmp`. For the orientation the rotation vector from the goal starts a search, by
+    Gauss and Newton, for the weights with the least ``sum |log(q_demo q^-1)|^2``.
 
     Parameters
     ----------
@@ -54,13 +48,13 @@ def fit_pose_dmp(
 
     Returns
     -------
-    Fit of a `PoseDmp`. `residuals` (N, 6) [m, rad]; the covariance of the orientation is that of the linear
-    response, with its start and goal as turns of those (4,) quaternions, base axes.
+    Fit of a `PoseDmp`. `residuals` (N, 6) [m, rad]; start and goal of the orientation are in the covariance as turns
+    of those (4,) quaternions, base axes.
 
     Raises
     ------
     ShapeError : no poses, NaN with its rows, times that do not increase, an orientation half a turn from the last.
-    UnknownName : options that do not exist. ConfigError : schedule "position".
+    UnknownName : options that do not exist. ConfigError : schedule "position". NotConverged : the search did not end.
     """
     if schedule == "position":
         raise ConfigError("Expected a phase of time for poses, got schedule 'position'. Use 'canonical' or 'time'.")
@@ -79,53 +73,17 @@ def fit_pose_dmp(
     position = fit_dmp(demo.t, p, scaling=scaling, **options)
     turning = "goal" if scaling == "goal" else "none"
     linear = fit_dmp(demo.t, way, scaling=turning, **options)
-    found = _turned(linear.value, demo.t, q, hold)
+    found = fit_turning(linear.value, demo.t, q, hold)
     value = PoseDmp(position.value, found.dmp, q[-1], frame)
     return _fit(value, position, linear, found)
 
 
-@dataclass(frozen=True)
-class _Turned:
-    """The primitive of orientations, and its residuals (N, 3) [rad]."""
-
-    dmp: Dmp
-    residuals: np.ndarray
-
-
-def _turned(dmp: Dmp, t: np.ndarray, q: np.ndarray, hold: float) -> _Turned:
-    """Correct weights and velocity at the start until the motion on the group is nearest to the demonstration."""
-    N, step = len(t), dmp.duration / (len(t) - 1)
-    rest = dmp.duration + step * np.arange(1, round(hold * dmp.duration / step) + 1)
-    times = np.concatenate([t, rest])
-    wanted = np.concatenate([q, np.broadcast_to(q[-1], (len(rest), 4))])
-    Y, _ = dmp.primitive.response(times, dmp.tau_d, dmp.duration / FINE * (1 + 1e-9))
-    A = np.delete(Y[:, :-1], -2, axis=1)  # weights and velocity: start and goal are those of the demonstration
-    estimator = solve(A, np.zeros((len(A), 3))).G @ A.T
-    best, least = dmp, np.inf
-    residuals = np.zeros((N, 3))
-    for _ in range(SWEEPS):
-        w = kernels.rotation_rollout(
-            dmp.primitive, times, dmp.tau_d, quaternion.multiply(exp(dmp.y0), q[-1]), dmp.v0, q[-1], np.eye(3)
-        )[0]
-        error = log(quaternion.multiply(wanted, quaternion.conjugate(w)))
-        square = float((error**2).sum())
-        if square >= least:
-            break
-        best, least, residuals = dmp, square, -error[:N]
-        change = estimator @ error
-        if np.abs(A @ change).max() < ENOUGH:
-            break
-        dmp = replace(dmp, weights=dmp.weights + change[:-1], v0=dmp.v0 + change[-1])
-    return _Turned(best, residuals)
-
-
-def _fit(value: PoseDmp, position: Fit[Dmp], linear: Fit[Dmp], found: _Turned) -> Fit[PoseDmp]:
+def _fit(value: PoseDmp, position: Fit[Dmp], linear: Fit[Dmp], found: Turning) -> Fit[PoseDmp]:
     dof = len(found.residuals) * (linear.sigma**2).clip(min=1e-300) / (linear.residuals**2).sum(axis=0).clip(min=1e-300)
     sigma = np.sqrt((found.residuals**2).mean(axis=0) * dof)
     a, b = len(position.parameters), len(linear.parameters)
-    each = np.repeat(sigma / np.where(linear.sigma > 0, linear.sigma, 1.0), b // 3)
     cov = np.zeros((a + b, a + b))
-    cov[:a, :a], cov[a:, a:] = position.cov, linear.cov * np.outer(each, each)
+    cov[:a, :a], cov[a:, a:] = position.cov, np.tensordot(sigma**2, found.spread, 1)
     dmp = found.dmp
     parameters = np.concatenate([dmp.weights, [dmp.y0], [dmp.v0], [dmp.g]]).T.ravel()
     return Fit(
