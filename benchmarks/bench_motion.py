@@ -8,19 +8,20 @@ from __future__ import annotations
 
 import numpy as np
 from blocks import Contender, Disagreement, Table, loop, once, table
+from demonstrations import JOINTS, KERNELS, N, demonstration, rmse
 from movement_primitives.dmp import DMP, CartesianDMP
 
 from armlab.lie import quaternion, so3
 from armlab.motion import Dmp, fit_dmp, fit_pose_dmp
 
-N, JOINTS, KERNELS, RUNS = 1000, 7, 50, 1000
+RUNS = 1000
 
 
 def run(quick: bool) -> list[Table]:
     """Measure fits, `rollout`, `Stepper.step` and `rollout_batch`."""
-    t, y = _demonstration()
+    t, y = demonstration()
     ours, theirs = fit_dmp(t, y).value, _peer(t, y)
-    errors = [_rmse(ours.rollout(t).y, y), _rmse(theirs.open_loop()[1][:N], y)]
+    errors = [rmse(ours.rollout(t).y, y), rmse(theirs.open_loop()[1][:N], y)]
     if not max(errors) < 5e-3:
         raise Disagreement(f"Expected motions within 5e-3 of the demonstration, got {errors}.")
     rounds = 5 if quick else 40
@@ -70,23 +71,10 @@ def run(quick: bool) -> list[Table]:
     ]
 
 
-def _demonstration() -> tuple[np.ndarray, np.ndarray]:
-    u = np.linspace(0.0, 1.0, N)
-    rng = np.random.default_rng(1)
-    jerk = 10 * u**3 - 15 * u**4 + 6 * u**5
-    return u, rng.normal(size=JOINTS) + rng.normal(size=JOINTS) * jerk[:, None] + 0.1 * np.sin(np.pi * jerk)[
-        :, None
-    ] ** 2
-
-
 def _peer(t: np.ndarray, y: np.ndarray) -> DMP:
     peer = DMP(n_dims=JOINTS, execution_time=t[-1], dt=t[1], n_weights_per_dim=KERNELS)
     peer.imitate(t, y)
     return peer
-
-
-def _rmse(path: np.ndarray, y: np.ndarray) -> float:
-    return float(np.sqrt(((path - y) ** 2).mean()))
 
 
 def _fit(t: np.ndarray, y: np.ndarray, **options: str):

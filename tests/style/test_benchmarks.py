@@ -105,7 +105,7 @@ def test_environment_follows_what_is_installed(harness: dict[str, ModuleType]) -
     assert not environment.is_inside(), "the tests run in another environment"
 
 
-@pytest.mark.parametrize("name", ["requirements.txt", "requirements_no_deps.txt"])
+@pytest.mark.parametrize("name", ["requirements.txt", "requirements_no_deps.txt", "requirements_heavy.txt"])
 def test_peers_are_pinned_by_name_and_version_only(name: str) -> None:
     lines = [line for line in (HERE / name).read_text().splitlines() if not line.startswith("#")]
     assert lines
