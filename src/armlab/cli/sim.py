@@ -102,6 +102,7 @@ def sim(
     from armlab.cli.output import note
     from armlab.sim.loop import Pace, run
 
+    os.environ.setdefault("MUJOCO_GL", "disable")  # nothing is drawn: MuJoCo need not load what opens windows
     parent = os.getppid() if parent is None else parent  # now, before anything takes time in which it could end
     pace = Pace(lockstep, seconds, patience)
     if seed < 0:
