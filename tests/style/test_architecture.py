@@ -53,6 +53,12 @@ def tree(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"), filename=str(path))
 
 
+@cache
+def nodes(path: Path) -> tuple[ast.AST, ...]:
+    """Every node of a file: many rules look at all of them, and each walk costs more than the rule."""
+    return tuple(ast.walk(tree(path)))
+
+
 def package(path: Path) -> str:
     """Name of the layer that owns a file; the top files (`__init__`, `__main__`) see everything."""
     parts = path.relative_to(SOURCE).parts
@@ -71,13 +77,13 @@ def file_param(paths: list[Path]) -> pytest.MarkDecorator:
     return pytest.mark.parametrize("path", paths, ids=relative)
 
 
-def calls(module: ast.Module, *names: str) -> list[ast.Call]:
-    found = [n for n in ast.walk(module) if isinstance(n, ast.Call)]
+def calls(path: Path, *names: str) -> list[ast.Call]:
+    found = [n for n in nodes(path) if isinstance(n, ast.Call)]
     return [n for n in found if getattr(n.func, "attr", getattr(n.func, "id", None)) in names]
 
 
-def functions(module: ast.Module) -> list[ast.FunctionDef | ast.AsyncFunctionDef]:
-    return [n for n in ast.walk(module) if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)]
+def functions(path: Path) -> list[ast.FunctionDef | ast.AsyncFunctionDef]:
+    return [n for n in nodes(path) if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)]
 
 
 def exports(module: ast.Module) -> list[str] | None:
@@ -93,7 +99,7 @@ def test_imports_point_down(path: Path) -> None:
     if me in ("__init__", "__main__"):
         return
     assert me in LEVEL, f"package {me!r} has no layer: add it to design and LAYERS"
-    for node in ast.walk(tree(path)):
+    for node in nodes(path):
         assert not (isinstance(node, ast.ImportFrom) and node.level), f"relative import at line {node.lineno}"
         for name in imported(node):
             if not name.startswith("armlab."):
@@ -108,7 +114,7 @@ def test_imports_point_down(path: Path) -> None:
 @file_param(FILES)
 def test_owners(path: Path) -> None:
     me = package(path)
-    for node in ast.walk(tree(path)):
+    for node in nodes(path):
         for name in imported(node):
             root = name.split(".")[0]
             assert "_native" not in name or me == "kernels", "only kernels imports the extension"
@@ -138,9 +144,9 @@ def test_heavy_imports_are_lazy(path: Path) -> None:
 def test_sizes(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     assert len(text.splitlines()) <= MAX_FILE, f"{relative(path)} has more than {MAX_FILE} lines"
-    for function in functions(tree(path)):
+    for function in functions(path):
         body = function.body
-        documented = ast.get_docstring(function) is not None
+        documented = ast.get_docstring(function, clean=False) is not None
         first = body[1] if documented and len(body) > 1 else body[0]
         length = (function.end_lineno or 0) - first.lineno + 1
         assert length <= MAX_FUNCTION, f"{function.name} (line {function.lineno}) has {length} lines"
@@ -229,16 +235,20 @@ def test_every_public_name_is_tested(path: Path) -> None:
 
 @file_param(FILES)
 def test_validation_raises_sentences(path: Path) -> None:
-    for node in ast.walk(tree(path)):
+    for node in nodes(path):
         assert not isinstance(node, ast.Assert), f"assert at line {node.lineno}: validation raises"
         if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
             check_sentence(node.exc, path)
 
 
+@cache
+def errors() -> set[str]:
+    return {n.name for n in tree(SOURCE / "errors.py").body if isinstance(n, ast.ClassDef)}
+
+
 def check_sentence(call: ast.Call, path: Path) -> None:
     name = call.func.id if isinstance(call.func, ast.Name) else ""
-    known = {n.name for n in tree(SOURCE / "errors.py").body if isinstance(n, ast.ClassDef)}
-    if name not in known or not call.args:
+    if name not in errors() or not call.args:
         return
     pieces = [n.value for n in ast.walk(call.args[0]) if isinstance(n, ast.Constant) and isinstance(n.value, str)]
     if not pieces or not isinstance(call.args[0], ast.Constant | ast.JoinedStr):
@@ -255,7 +265,7 @@ def check_sentence(call: ast.Call, path: Path) -> None:
 
 @file_param(FILES + TESTS)
 def test_pose_products_match(path: Path) -> None:
-    for node in ast.walk(tree(path)):
+    for node in nodes(path):
         if isinstance(node, ast.BinOp) and isinstance(node.op, ast.MatMult):
             left, right = pose_frames(node.left), pose_frames(node.right)
             if left and right:
@@ -312,6 +322,6 @@ def test_the_rules_can_fail() -> None:
 )
 def test_an_absolute_tolerance_is_the_whole_tolerance(path: Path) -> None:
     """`assert_allclose(a, b, atol=1e-12)` keeps rtol=1e-7, which is 1e5 times wider for numbers near 1."""
-    for call in calls(tree(path), "assert_allclose"):
+    for call in calls(path, "assert_allclose"):
         said = {keyword.arg for keyword in call.keywords}
         assert "atol" not in said or "rtol" in said, f"{relative(path)}:{call.lineno}: say rtol beside atol"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -32,6 +33,12 @@ def judged(source: str) -> set[str]:
     return found
 
 
+@cache
+def covered(package: str) -> set[str]:
+    """Return the names that the tests of a package hold to the contract."""
+    return set().union(*(judged(path.read_text(encoding="utf-8")) for path in (TESTS / package).glob("test_*.py")))
+
+
 def words(node: ast.AST) -> Iterator[str]:
     for part in ast.walk(node):
         if isinstance(part, ast.Name):
@@ -50,9 +57,7 @@ def test_there_are_fits() -> None:
 
 @pytest.mark.parametrize(("package", "name"), FITS, ids=[name for _, name in FITS])
 def test_every_fit_is_held_to_the_contract(package: str, name: str) -> None:
-    modules = sorted((TESTS / package).glob("test_*.py"))
-    covered = set().union(*(judged(path.read_text(encoding="utf-8")) for path in modules))
-    assert name in covered, f"no test in tests/{package} hands {name} to estimation.check_estimator"
+    assert name in covered(package), f"no test in tests/{package} hands {name} to estimation.check_estimator"
 
 
 def test_the_reader_sees_what_it_must_see() -> None:

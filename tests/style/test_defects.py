@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -20,11 +21,16 @@ def rows(text: str) -> list[tuple[str, list[tuple[str, str]]]]:
     return [(row[0].strip("| "), NAMED.findall(row[-1])) for row in cells]
 
 
+@cache
+def statements(path: str) -> list[ast.stmt]:
+    return ast.parse((TESTS / path).read_text(encoding="utf-8")).body
+
+
 def exists(path: str, name: str) -> bool:
     """Return whether a file of tests has a function, or a class with a method."""
     if not (TESTS / path).is_file():
         return False
-    body: list[ast.stmt] = ast.parse((TESTS / path).read_text(encoding="utf-8")).body
+    body = statements(path)
     for part in name.split("::"):
         found = [node for node in body if isinstance(node, ast.FunctionDef | ast.ClassDef) and node.name == part]
         if not found:
