@@ -155,11 +155,17 @@ class Peer:
         """Go on until the run has ended; its last packet has no answer."""
         while not self.over.is_set():
             self.send()
-            while not self.over.is_set():
-                with contextlib.suppress(TimeoutError):
-                    self.answer(0.02)
-                    break
+            self.answer_or_end(self.over)
             time.sleep(pause)
+
+    def answer_or_end(self, over: threading.Event) -> None:
+        """Wait for an answer until the run is over; one that was sent before that is taken still."""
+        was_over = False
+        while not was_over:
+            was_over = over.is_set()
+            with contextlib.suppress(TimeoutError):
+                self.answer(0.02)
+                return
 
     def surplus(self) -> int:
         """Datagrams that wait although everything was answered."""
@@ -241,10 +247,7 @@ class Pair(Play):
         while not over.is_set():
             for peer in (left, right):
                 peer.send()
-                while not over.is_set():
-                    with contextlib.suppress(TimeoutError):
-                        peer.answer(0.02)
-                        break
+                peer.answer_or_end(over)
 
 
 @pytest.fixture

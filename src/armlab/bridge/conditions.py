@@ -38,10 +38,10 @@ def quiet_memory() -> Iterator[None]:
     try:
         yield
     finally:
+        gc.collect()  # what the loop made, before what was there already is searched again
         gc.unfreeze()
         if was_enabled:
             gc.enable()
-        gc.collect()
 
 
 def collect_if_due() -> None:
