@@ -61,14 +61,7 @@ nb::object basis(const Primitive &p, nb::handle x_, nb::handle out_) {
   const Elements x(x_, "x", {});
   require_finite(x);
   const Output out(out_, "out", {p.m}, {&x});
-  std::vector<double> psi(p.m);
-  std::vector<int> index(p.m);
-  double *to = out.samples().data;
-  for (npy_intp k = 0; k < x.size(); ++k, to += p.m) {
-    const int count = p.kernels(x.data()[k], 1.0, index.data(), psi.data());
-    std::fill(to, to + p.m, 0.0);
-    for (int l = 0; l < count; ++l) to[index[l]] = psi[l];
-  }
+  p.basis(x.size(), x.data(), out.samples().data);
   return out.array();
 }
 

@@ -46,6 +46,16 @@ int Primitive::kernels(double x, double factor, int *index, double *psi) const {
   return count;
 }
 
+ARMLAB_VECTORISED void Primitive::basis(std::ptrdiff_t N, const double *x, double *psi) const {
+  std::vector<double> values(m);
+  std::vector<int> index(m);
+  std::fill(psi, psi + N * m, 0.0);
+  for (std::ptrdiff_t k = 0; k < N; ++k) {
+    const int count = kernels(x[k], 1.0, index.data(), values.data());
+    for (int l = 0; l < count; ++l) psi[k * m + index[l]] = values[l];
+  }
+}
+
 void Primitive::forcing(double x, int *index, double *psi, double *f) const {
   const int count = kernels(x, share(x), index, psi);
   std::fill(f, f + n, 0.0);

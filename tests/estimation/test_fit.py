@@ -66,6 +66,25 @@ def test_an_excitation_is_made_once_when_it_is_asked_for() -> None:
         result.excitation = make  # pyright: ignore
 
 
+def test_a_covariance_is_made_once_and_checked_when_it_is_asked_for() -> None:
+    calls: list[int] = []
+
+    def make(cov: np.ndarray) -> np.ndarray:
+        calls.append(1)
+        return cov
+
+    result = replace(fit(np.eye(2)), cov=lambda: make(np.diag([4.0, 9.0])))
+    assert not calls
+    assert result.cov is result.cov
+    np.testing.assert_array_equal(result.sd, [2.0, 3.0])
+    assert len(calls) == 1
+    with pytest.raises(ValueError, match="read-only"):
+        result.cov[0, 0] = 1.0
+    for bad, words in ((np.eye(3), r"cov of shape \(2, 2\)"), (np.diag([1.0, np.nan]), "finite covariance")):
+        with pytest.raises(ShapeError, match=words):
+            _ = replace(result, cov=lambda bad=bad: bad).cov
+
+
 def test_many_outliers_are_not_all_listed() -> None:
     assert "19 and 10 more" in fit(np.eye(2), np.ones(30, dtype=bool)).table()
 

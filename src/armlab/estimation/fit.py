@@ -17,24 +17,52 @@ __all__ = ["Fit"]
 
 Value = TypeVar("Value")
 
-READ_ONLY = ("parameters", "cov", "sigma", "residuals", "outliers", "formal_cov")
+READ_ONLY = ("parameters", "sigma", "residuals", "outliers", "formal_cov")
 SAVED = ("names", "units", "parameters", "cov", "classes", "sigma", "outliers", "n", "rank")
 EXCITATION = ("expected", "singular_values", "weakest", "held", "null_names")
 
 
-class _WhenAsked:
-    """A field that may hold what makes the excitation; it is made once, when it is first asked for."""
+class _WhenAsked(Generic[Value]):
+    """A field that may hold what makes its value; that is made and checked once, when it is first asked for."""
 
-    def __get__(self, fit: Any, owner: Any = None) -> Excitation:
-        if fit is None:
-            raise AttributeError("excitation")  # there is no default
-        held: Excitation | Callable[[], Excitation] = fit.__dict__["excitation"]
-        if not isinstance(held, Excitation):
-            held = fit.__dict__["excitation"] = held()
-        return held
+    def __init__(self, name: str, check: Callable[[Any, Value], Value]) -> None:
+        self.name, self._check = name, check
 
-    def __set__(self, fit: Any, value: Excitation | Callable[[], Excitation]) -> None:
-        fit.__dict__["excitation"] = value
+    def __get__(self, fit: Any, owner: type) -> Value:
+        held: Any = fit.__dict__[self.name]
+        if not callable(held):
+            return held
+        made: Any = held()
+        fit.__dict__[self.name] = self._check(fit, made)
+        return fit.__dict__[self.name]
+
+    def __set__(self, fit: Any, value: Value | Callable[[], Value]) -> None:
+        fit.__dict__[self.name] = value if callable(value) else self._check(fit, value)
+
+
+def _frozen(values: Any, kind: type = float) -> np.ndarray:
+    """Return a read-only array; a copy unless nobody else can write to it."""
+    if type(values) is np.ndarray and values.dtype == kind and values.flags.owndata and not values.flags.writeable:
+        return values
+    values = np.array(values, dtype=kind)
+    values.flags.writeable = False
+    return values
+
+
+def _covariance(fit: Any, cov: np.ndarray) -> np.ndarray:
+    """Return the covariance of a fit frozen, or refuse it."""
+    d = len(fit.names)
+    if np.shape(cov) != (d, d):
+        raise ShapeError(
+            f"Expected cov of shape ({d}, {d}) for {d} names, got {np.shape(cov)}. This is a fault of the fit."
+        )
+    cov = _frozen(cov)
+    if not np.isfinite(cov).all() or (d and cov.diagonal().min() < 0):
+        raise ShapeError(
+            "Expected a finite covariance with a diagonal that is not negative, got another one. "
+            "This is a fault of the fit."
+        )
+    return cov
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +78,8 @@ class Fit(Generic[Value]):
     sigma : noise found per class of measurement, in its unit.
     residuals : (N, ...) in SI, unwhitened; empty when the fit was read from a file.
     n : number of samples used.
-    excitation : what the data could tell; it may be given as what makes it, and is made when it is first asked for.
+    excitation : what the data could tell. This and `cov` may be given as what makes them, and are made when they are
+        first asked for.
     summary : makes the text of `report`.
     outliers : (N,) samples that were left out; empty for fits that look for none.
     classes : names of the classes of measurement, with their units: "position [m]".
@@ -62,11 +91,11 @@ class Fit(Generic[Value]):
     names: tuple[str, ...]
     units: tuple[str, ...]
     parameters: np.ndarray
-    cov: np.ndarray
+    cov: _WhenAsked[np.ndarray]
     sigma: np.ndarray
     residuals: np.ndarray
     n: int
-    excitation: _WhenAsked = _WhenAsked()
+    excitation: _WhenAsked[Excitation]
     summary: Callable[[Fit[Value]], str] | None = field(default=None, repr=False)
     outliers: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     classes: tuple[str, ...] = ()
@@ -75,29 +104,17 @@ class Fit(Generic[Value]):
     def __post_init__(self) -> None:
         """Check shapes and freeze the arrays."""
         d = len(self.names)
-        if len(self.units) != d or np.shape(self.parameters) != (d,) or np.shape(self.cov) != (d, d):
+        if len(self.units) != d or np.shape(self.parameters) != (d,):
             raise ShapeError(
-                f"Expected {d} units, parameters of shape ({d},) and cov of shape ({d}, {d}) for {d} names, got "
-                f"{len(self.units)}, {np.shape(self.parameters)} and {np.shape(self.cov)}. This is a fault of the fit."
+                f"Expected {d} units and parameters of shape ({d},) for {d} names, got {len(self.units)} and "
+                f"{np.shape(self.parameters)}. This is a fault of the fit."
             )
         object.__setattr__(self, "names", tuple(self.names))
         object.__setattr__(self, "units", tuple(self.units))
         for name in READ_ONLY:
             if getattr(self, name) is None:
                 continue
-            values, kind = getattr(self, name), bool if name == "outliers" else float
-            if (
-                not (type(values) is np.ndarray and values.dtype == kind and values.flags.owndata)
-                or values.flags.writeable
-            ):
-                values = np.array(values, dtype=kind)
-                values.flags.writeable = False
-            object.__setattr__(self, name, values)
-        if not np.isfinite(self.cov).all() or (d and self.cov.diagonal().min() < 0):
-            raise ShapeError(
-                "Expected a finite covariance with a diagonal that is not negative, got another one. "
-                "This is a fault of the fit."
-            )
+            object.__setattr__(self, name, _frozen(getattr(self, name), bool if name == "outliers" else float))
 
     @property
     def sd(self) -> np.ndarray:
@@ -161,6 +178,10 @@ class Fit(Generic[Value]):
                 f"Expected the fit of a value in {path}, got no {error}. It was saved without: use armlab.models.load."
             ) from None
         return cls(value=value, residuals=np.zeros(0), excitation=excitation, **parts)
+
+
+for _lazy in (_WhenAsked("cov", _covariance), _WhenAsked("excitation", lambda fit, found: found)):
+    setattr(Fit, _lazy.name, _lazy)  # afterwards, for in the class it would be read as a default
 
 
 def _listed(numbers: Sequence[int]) -> str:

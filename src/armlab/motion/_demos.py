@@ -24,7 +24,10 @@ PAUSE = 0.05  # of the duration without progress that is a pause
 
 @dataclass(frozen=True)
 class Demo:
-    """One demonstration: t (N,) from 0 [s], y (N, n), and weights of the samples (N,), of mean 1."""
+    """One demonstration: t (N,) from 0 [s], y (N, n), and weights of the samples (N,), of mean 1.
+
+    A coordinate is contiguous in memory: most of what is done with y goes along time.
+    """
 
     t: np.ndarray
     y: np.ndarray
@@ -48,9 +51,9 @@ class Demo:
     @cached_property
     def behind(self) -> np.ndarray:
         """Whether each coordinate is behind (N, n) where it was by more than BACK of its way; all where it has none."""
-        forward = self.y * np.sign(self.y[-1] - self.y[0])
-        way = abs(self.y[-1] - self.y[0])
-        return np.maximum.accumulate(forward, axis=0) - forward > np.where(way > 0, BACK * way, -1.0)
+        way = self.y[-1] - self.y[0]
+        forward = self.y * np.sign(way)
+        return np.maximum.accumulate(forward, axis=0) - forward > np.where(way != 0, BACK * abs(way), -1.0)
 
     def steps_back(self, i: int) -> int | None:
         """Return the first sample at which coordinate i is behind, or None."""
@@ -107,8 +110,8 @@ def _demo(t: ArrayLike, y: ArrayLike, weights: ArrayLike | None, which: str) -> 
         )
     if len(times) < FEWEST:
         raise ShapeError(f"Expected at least {FEWEST} samples{which}, got {len(times)}. Record the whole motion.")
-    rows = np.flatnonzero(~(np.isfinite(times) & np.isfinite(values).all(axis=1)))
-    if len(rows):
+    if not (np.isfinite(times).all() and np.isfinite(values).all()):
+        rows = np.flatnonzero(~(np.isfinite(times) & np.isfinite(values).all(axis=1)))
         raise ShapeError(f"Expected finite t and y{which}, got NaN or Inf in rows {_listed(rows)}. Drop them.")
     rows = np.flatnonzero(np.diff(times) <= 0) + 1
     if len(rows):
@@ -118,7 +121,7 @@ def _demo(t: ArrayLike, y: ArrayLike, weights: ArrayLike | None, which: str) -> 
     given = np.ones(len(times)) if weights is None else numbers(weights, f"sample_weights{which}", ShapeError)
     if given.shape != times.shape or not np.isfinite(given).all() or given.min() < 0 or not given.any():
         raise ShapeError(f"Expected sample_weights (N,){which}, finite and not negative, got others. 1 is usual.")
-    return Demo(times - times[0], values, given / given.mean())
+    return Demo(times - times[0], np.asfortranarray(values), given / given.mean())
 
 
 def _listed(rows: np.ndarray) -> str:

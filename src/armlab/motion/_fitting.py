@@ -18,13 +18,13 @@ __all__ = ["Learned", "learn"]
 
 @dataclass(frozen=True)
 class Learned:
-    """Weights (m, n); y0, v0, g of each demonstration (M, 3, n); covariance of weights, and of the ends where they were
-    fitted too, per coordinate (n, d, d); noise (n,); residuals (N, n), of position or of the forcing; triangle of the
-    unknowns and their numbers; scales (M, n)."""
+    """Weights (m, n); y0, v0, g of each demonstration (M, 3, n); covariances (n, d, d) of weights, and of the ends
+    where they were fitted too, for noise of unit variance; noise (n,); residuals (N, n), of position or of the forcing;
+    triangle of the unknowns and their numbers; scales (M, n)."""
 
     weights: np.ndarray
     ends: np.ndarray
-    cov: np.ndarray
+    unit: np.ndarray
     sigma: np.ndarray
     residuals: np.ndarray
     triangle: np.ndarray
@@ -64,7 +64,7 @@ def learn(
         taus = [blank.tau_d * demo.duration / blank.duration for demo in demos]
         found = fit_trajectory(blank.primitive, demos, taus, scales, ends, hold, ridge)
         unknowns = (*range(m), *(m + 3 * k + e for k in range(len(demos)) for e in found.free))
-        parts = found.weights, found.ends, found.cov, found.sigma, found.residuals, found.triangle
+        parts = found.weights, found.ends, found.unit, found.sigma, found.residuals, found.triangle
         return Learned(*parts, unknowns, True, scales)
     velocities = [_velocity(demo, bandwidth) for demo in demos]
     speeds = [ends.known.get("v0", v[0]) for v, _ in velocities]
@@ -75,9 +75,8 @@ def learn(
     ]
     bells = (blank.centres, blank.widths if raw else np.zeros(0)) if method == "lwr" else None
     first = fit_regression(forced, blank.primitive, blank.schedule != "time", ridge, bells)
-    learned = Learned(
-        first.weights, all_ends, first.cov, first.sigma, first.residuals, first.triangle, tuple(range(m)), False, scales
-    )
+    parts = first.unit, first.sigma, first.residuals, first.triangle
+    learned = Learned(first.weights, all_ends, *parts, tuple(range(m)), False, scales)
     return learned if method != "trajectory" else _descended(blank, demos, learned)
 
 
@@ -121,11 +120,11 @@ def _descended(blank: Dmp, demos: list[Demo], learned: Learned) -> Learned:
 
     w, inverses, residuals = descend(run, y, roots, learned.weights)
     dof = max(len(y) - len(w), 1)
-    sigma = np.sqrt(((roots[:, None] * residuals) ** 2).sum(axis=0) / dof)
+    sigma = np.sqrt(roots**2 @ residuals**2 / dof)
     return replace(
         learned,
         weights=w,
-        cov=inverses * (sigma**2)[:, None, None],
+        unit=inverses,
         sigma=sigma,
         residuals=residuals,
         triangle=np.linalg.cholesky(np.linalg.inv(inverses[0])).T,

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Solution", "solve"]
+__all__ = ["Solution", "block_covariance", "solve"]
 
 RCOND = 1e-11  # relative singular value below which a direction is left at zero
 
@@ -27,7 +27,7 @@ def solve(A: np.ndarray, b: np.ndarray, ridge: np.ndarray | None = None, rows: n
     ----------
     A : (N, p). b : (N, q). ridge : (p,) penalties of the unknowns. rows : (N,) factors of the rows of A.
     """
-    from scipy.linalg import get_lapack_funcs, solve_triangular
+    from scipy.linalg import get_lapack_funcs
 
     p, q = A.shape[1], b.shape[1]
     N, extra = len(A), 0 if ridge is None else p
@@ -37,19 +37,32 @@ def solve(A: np.ndarray, b: np.ndarray, ridge: np.ndarray | None = None, rows: n
     joined[N:] = 0.0
     if ridge is not None:
         joined[-p:, :p] = np.diag(np.sqrt(ridge))
-    geqrf, trcon = get_lapack_funcs(("geqrf", "trcon"), (joined,))
+    geqrf, trcon, trtri, trtrs = get_lapack_funcs(("geqrf", "trcon", "trtri", "trtrs"), (joined,))
     factor = geqrf(joined, overwrite_a=True)[0]
     R, rotated = np.triu(factor[:p, :p]), factor[:p, p:]
-    norms = np.sqrt((R**2).sum(axis=0))  # of the columns of A; a reflection scales with its column
+    norms = np.sqrt(np.einsum("ij,ij->j", R, R))  # of the columns of A; a reflection scales with its column
     scale = np.where(norms > 0, norms, 1.0)
-    R /= scale
-    if trcon(R)[0] > RCOND:
-        inverse = solve_triangular(R, np.eye(p))
-        x = solve_triangular(R, rotated)
+    scaled = R / scale
+    if trcon(scaled)[0] > RCOND:
+        inverse, x = trtri(R)[0], trtrs(R, rotated)[0]  # the same with columns scaled, but for rounding
     else:
-        U, s, V = np.linalg.svd(R)
+        U, s, V = np.linalg.svd(scaled)
         told = s > RCOND * s[0]
-        inverse = V.T * np.where(told, 1.0 / np.where(told, s, 1.0), 0.0)
+        inverse = V.T * np.where(told, 1.0 / np.where(told, s, 1.0), 0.0) / scale[:, None]
         x = inverse @ (U.T @ rotated)
-    inverse = inverse / scale[:, None]
-    return Solution(x / scale[:, None], inverse @ inverse.T, R * scale)
+    return Solution(x, inverse @ inverse.T, R)
+
+
+def block_covariance(unit: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+    """Return the covariance (n d, n d) of n coordinates that do not see each other, one after another.
+
+    Parameters
+    ----------
+    unit : (n, d, d) covariance for noise of unit variance. sigma : (n,) standard deviation of the noise.
+    """
+    n, d, _ = unit.shape
+    cov = np.zeros((n * d, n * d))
+    for i, own in enumerate(unit):
+        cov.reshape(n, d, n, d)[i, :, i] = own * sigma[i] ** 2
+    cov.flags.writeable = False
+    return cov

@@ -26,11 +26,11 @@ class Forced:
 
 @dataclass(frozen=True)
 class Regression:
-    """Weights (m, n), covariances per coordinate (n, m, m), noise of the forcing (n,), residuals (N, n), and triangle
-    (m, m) of the first coordinate."""
+    """Weights (m, n), their covariances (n, m, m) for noise of unit variance, noise of the forcing (n,), residuals
+    (N, n), and triangle (m, m) of the first coordinate."""
 
     weights: np.ndarray
-    cov: np.ndarray
+    unit: np.ndarray
     sigma: np.ndarray
     residuals: np.ndarray
     triangle: np.ndarray
@@ -65,10 +65,11 @@ def fit_regression(
             w, spread, triangle = _kernel_by_kernel(bell, lever, f, weights)
         residuals = f - (psi @ w) * lever[:, None]
         dof = max(len(f) - psi.shape[1], 1)
-        sigma = np.sqrt((weights[:, None] * residuals**2).sum(axis=0) / dof)
-        found.append((w, spread * (sigma**2)[:, None, None], sigma, residuals, triangle))
+        sigma = np.sqrt(weights @ residuals**2 / dof)
+        found.append((w, np.broadcast_to(spread, (len(sigma), *spread.shape)), sigma, residuals, triangle))
     w, sigma, residuals = (np.concatenate([one[k] for one in found], axis=-1) for k in (0, 2, 3))
-    return Regression(w, np.concatenate([one[1] for one in found]), sigma, residuals, found[0][4])
+    unit = found[0][1] if alike else np.concatenate([one[1] for one in found])
+    return Regression(w, unit, sigma, residuals, found[0][4])
 
 
 def _least_squares(
@@ -76,7 +77,7 @@ def _least_squares(
 ) -> tuple[Any, ...]:
     roots = np.sqrt(weights)
     one = solve(psi, f * roots[:, None], np.full(psi.shape[1], ridge) if ridge else None, lever * roots)
-    return one.x, one.G - ridge * one.G @ one.G, one.triangle
+    return one.x, one.G - ridge * one.G @ one.G if ridge else one.G, one.triangle
 
 
 def _kernel_by_kernel(bell: np.ndarray, lever: np.ndarray, f: np.ndarray, weights: np.ndarray) -> tuple[Any, ...]:

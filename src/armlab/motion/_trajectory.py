@@ -31,12 +31,13 @@ class Ends:
 
 @dataclass(frozen=True)
 class Found:
-    """Weights (m, n); ends (M, 3, n); covariances per coordinate (n, m + 3 M, m + 3 M) of weights and ends; noise (n,);
-    residuals (N, n); triangle of the unknowns of the first coordinate; numbers of the ends that are free."""
+    """Weights (m, n); ends (M, 3, n); covariances (n, m + 3 M, m + 3 M) of weights and ends for noise of unit variance;
+    noise (n,); residuals (N, n); triangle of the unknowns of the first coordinate; numbers of the ends that are free.
+    """
 
     weights: np.ndarray
     ends: np.ndarray
-    cov: np.ndarray
+    unit: np.ndarray
     sigma: np.ndarray
     residuals: np.ndarray
     triangle: np.ndarray
@@ -133,7 +134,8 @@ def _solve(
         residuals.append(-left / np.where(roots > 0, roots, 1.0))
     sigma = np.sqrt(squares / max(dof, 1.0))
     fixed[:, list(free)] = found.x[m:].reshape(M, f, b.shape[1])
-    return found.x[:m], fixed, unit * (sigma**2)[:, None, None], sigma, np.concatenate(residuals), found.triangle
+    each = np.broadcast_to(unit, (len(sigma), *unit.shape))
+    return found.x[:m], fixed, each, sigma, np.concatenate(residuals), found.triangle
 
 
 def _spread(

@@ -17,6 +17,7 @@ from armlab.motion._common_motion import Reference, aligned
 from armlab.motion._demos import Demo, read_demos
 from armlab.motion._equation import SCALINGS
 from armlab.motion._fitting import Learned, learn
+from armlab.motion._least_squares import block_covariance
 from armlab.motion._setting import vector
 from armlab.motion._trajectory import ENDS, Ends
 from armlab.motion.dmp import Dmp
@@ -198,25 +199,20 @@ def _with(blank: Dmp, learned: Learned, demos: list[Demo], reference: Reference,
 
 def _fit(dmp: Dmp, method: str, learned: Learned, demos: list[Demo]) -> Fit[Dmp]:
     m, n = dmp.weights.shape
-    with_ends = learned.cov.shape[1] > m
+    with_ends = learned.unit.shape[1] > m
     several = len(demos) > 1
     ends = [f"{name} of demonstration {k}" if several else name for k in range(len(demos)) for name in ENDS]
     one = [*(f"weight {j}" for j in range(m)), *(ends if with_ends else ())]
     units = [*("unit of y",) * m, *(("unit of y", "unit of y/s", "unit of y") * len(demos) if with_ends else ())]
-    names = [name if n == 1 else f"{name} of coordinate {i}" for i in range(n) for name in one]
-    d = len(one)
-    cov = np.zeros((n * d, n * d))
-    for i in range(n):
-        cov[i * d : (i + 1) * d, i * d : (i + 1) * d] = learned.cov[i]
-    cov.flags.writeable = False
+    owners = [""] if n == 1 else [f" of coordinate {i}" for i in range(n)]
     parts = [learned.weights, learned.ends.reshape(-1, n)] if with_ends else [learned.weights]
     kind = "position" if learned.of_position else "forcing"
     return Fit(
         value=dmp,
-        names=tuple(names),
+        names=tuple([name + owner for owner in owners for name in one]),
         units=tuple(units * n),
         parameters=np.concatenate(parts).T.ravel(),
-        cov=cov,
+        cov=lambda: block_covariance(learned.unit, learned.sigma),
         sigma=learned.sigma,
         residuals=learned.residuals,
         n=sum(len(demo.t) for demo in demos),

@@ -13,7 +13,7 @@ from armlab.errors import ConfigError, ShapeError
 from armlab.estimation import Excitation, Fit
 from armlab.motion._demos import read_demos
 from armlab.motion._harmonics import GRID, transfer
-from armlab.motion._least_squares import solve
+from armlab.motion._least_squares import block_covariance, solve
 from armlab.motion._setting import vector
 from armlab.motion.periodic_dmp import PeriodicDmp
 
@@ -95,14 +95,14 @@ def _fit(blank: PeriodicDmp, A: np.ndarray, off: np.ndarray, found: Any, ridge: 
     m, n = blank.weights.shape
     residuals = off - A @ found.x
     sigma = np.sqrt((residuals**2).sum(axis=0) / max(len(off) - m, 1))
-    spread = found.G - ridge * found.G @ found.G
+    unit = np.broadcast_to(found.G - ridge * found.G @ found.G, (n, m, m))
     names = [f"weight {j}" for j in range(m)]
     return Fit(
         value=replace(blank, weights=found.x),
         names=tuple(name if n == 1 else f"{name} of coordinate {i}" for i in range(n) for name in names),
         units=("unit of y",) * (m * n),
         parameters=found.x.T.ravel(),
-        cov=np.kron(np.diag(sigma**2), spread),
+        cov=lambda: block_covariance(unit, sigma),
         sigma=sigma,
         residuals=residuals,
         n=len(off),
