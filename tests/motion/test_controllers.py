@@ -14,7 +14,7 @@ from armlab.errors import ShapeError
 from armlab.log import Table
 from armlab.motion import Dmp, TwoDofDmp
 from armlab.motion.control import Controller
-from armlab.motion.controllers import DmpController, TwoDofController
+from armlab.motion.controllers import DmpController, TwoDofController, check_joints
 
 PERIOD = 0.004032
 ROBOT = robots.load("yumi_right")
@@ -114,3 +114,9 @@ def test_a_log_of_the_loop_is_a_run(reach: Dmp) -> None:
     np.testing.assert_array_equal(run.free.y[0], values["q"][1])
     with pytest.raises(ShapeError, match="never asked"):
         two_dof.recorded(table.rows(slice(0, 1)))
+
+
+def test_joints_are_counted_over_all_arms() -> None:
+    check_joints([ROBOT, ROBOT], 14)
+    with pytest.raises(ShapeError, match="14 joints for yumi_right and yumi_right, got one of 7"):
+        check_joints([ROBOT, ROBOT], 7)

@@ -1,12 +1,13 @@
-"""`plots.png`: a figure as bytes, and closed."""
+"""`plots.png`: a figure as bytes, and closed; `plots.show`: windows."""
 
 from __future__ import annotations
 
 import struct
 
 import matplotlib.pyplot as plt
+import pytest
 
-from armlab.plots.pictures import png
+from armlab.plots.pictures import png, show
 
 
 def test_a_figure_and_its_axes_give_a_picture_of_the_size_asked_for_and_are_closed() -> None:
@@ -15,3 +16,10 @@ def test_a_figure_and_its_axes_give_a_picture_of_the_size_asked_for_and_are_clos
         assert picture.startswith(b"\x89PNG\r\n\x1a\n")
         assert struct.unpack(">II", picture[16:24]) == (100, 50)
     assert not plt.get_fignums()
+
+
+def test_windows_are_left_to_the_backend(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+    monkeypatch.setattr(plt, "show", lambda: asked.append(True))
+    show()
+    assert asked == [True]

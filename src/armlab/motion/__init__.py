@@ -9,6 +9,7 @@ from armlab.motion.fit import fit_dmp
 from armlab.motion.limiting import duration_within, peaks
 from armlab.motion.motion_band import MotionBand, blend
 from armlab.motion.obstacles import Obstacle, avoid
+from armlab.motion.periodic_controller import PeriodicController
 from armlab.motion.periodic_dmp import PeriodicDmp
 from armlab.motion.periodic_fit import fit_periodic_dmp
 from armlab.motion.periodic_stepper import PeriodicStepper
@@ -34,6 +35,7 @@ __all__ = [
     "Hold",
     "MotionBand",
     "Obstacle",
+    "PeriodicController",
     "PeriodicDmp",
     "PeriodicStepper",
     "PoseDmp",

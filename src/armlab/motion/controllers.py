@@ -16,10 +16,20 @@ if TYPE_CHECKING:
     from armlab.motion.dmp import Dmp
     from armlab.motion.two_dof import TwoDofDmp
 
-__all__ = ["DmpController", "TwoDofController"]
+__all__ = ["DmpController", "TwoDofController", "check_joints"]
 
 
-def _check_joints(robot: Arms, n: int) -> None:
+def check_joints(robot: Arms, n: int) -> None:
+    """Refuse a motion of another number of joints.
+
+    Parameters
+    ----------
+    robot : the arm, or several. n : coordinates of the motion.
+
+    Raises
+    ------
+    ShapeError : they do not fit.
+    """
     arms = robots_of(robot)
     if n != sum(arm.n for arm in arms):
         names = " and ".join(arm.name for arm in arms)
@@ -43,7 +53,7 @@ class DmpController(Controller):
     def __init__(
         self, robot: Arms, dmp: Dmp, settings: Mapping[str, Any], limits: Limits | Sequence[Limits] | None = None
     ) -> None:
-        _check_joints(robot, dmp.n)
+        check_joints(robot, dmp.n)
         self._dmp, self._settings = dmp, settings
         self._stepper = dmp.stepper(**settings)
         super().__init__(robot, limits, self._stepper.goal)
@@ -89,7 +99,7 @@ class TwoDofController(Controller):
         limits: Limits | Sequence[Limits] | None = None,
         give_way: Callable[[State], np.ndarray] | None = None,
     ) -> None:
-        _check_joints(robot, two_dof.dmp.n)
+        check_joints(robot, two_dof.dmp.n)
         self._two_dof, self._settings, self._give_way = two_dof, settings, give_way
         self.stepper = two_dof.stepper(**settings)
         super().__init__(robot, limits, self.stepper.goal)

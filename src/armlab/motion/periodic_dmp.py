@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,6 +18,9 @@ from armlab.motion._saved import Saved, freeze_arrays
 from armlab.motion._setting import vector
 from armlab.motion.periodic_stepper import PeriodicStepper
 from armlab.motion.rollout import Rollout
+
+if TYPE_CHECKING:
+    from armlab.motion.control import Arms, Controller, Limits
 
 __all__ = ["PeriodicDmp"]
 
@@ -182,3 +186,31 @@ class PeriodicDmp(Saved, kind="periodic_dmp"):
         ShapeError : as of `rollout`.
         """
         return PeriodicStepper(self, self.start(period, g, r, y0, v0, phase), float(phase))
+
+    def controller(
+        self,
+        robot: Arms,
+        *,
+        limits: Limits | Sequence[Limits] | None = None,
+        period: float | None = None,
+        g: ArrayLike | None = None,
+        r: float = 1.0,
+        turns: float = np.inf,
+    ) -> Controller:
+        """Return a controller ``State -> Command`` for `armlab.bridge`: from rest at the baseline, and back to it.
+
+        Parameters
+        ----------
+        robot : the arm whose joints the coordinates are, or several arms whose joints are one after another.
+        limits : what has q_min, q_max, qd_max and qdd_max (n,), such as `bridge.Limits`, one per arm;
+            those of the robots when None.
+        period, g, r : as of `rollout`. turns : after which it rests; the motion grows over the first and fades over the
+            last.
+
+        Raises
+        ------
+        ShapeError : another number of joints, a baseline outside the limits, and as of `rollout`.
+        """
+        from armlab.motion.periodic_controller import PeriodicController
+
+        return PeriodicController(robot, self, {"period": period, "g": g, "r": r, "turns": turns}, limits)

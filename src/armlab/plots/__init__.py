@@ -14,7 +14,7 @@ from armlab.plots.ellipsoids import manipulability
 from armlab.plots.excitations import excitation
 from armlab.plots.frictions import friction
 from armlab.plots.latencies import latency
-from armlab.plots.pictures import png
+from armlab.plots.pictures import png, show
 from armlab.plots.pose_primitives import pose_dmp
 from armlab.plots.primitives import dmp, dmp_phase
 from armlab.plots.recoveries import two_dof
@@ -47,6 +47,7 @@ __all__ = [
     "residual_speed",
     "robot",
     "scene",
+    "show",
     "spectrum",
     "table",
     "torque_fit",

@@ -1,4 +1,4 @@
-"""Figures as bytes, for pages that carry everything inside."""
+"""Figures as bytes, for pages that carry everything inside, and in windows."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["png"]
+__all__ = ["png", "show"]
 
 
 def png(drawn: Figure | Axes, dpi: int = 110) -> bytes:
@@ -29,3 +29,10 @@ def png(drawn: Figure | Axes, dpi: int = 110) -> bytes:
         figure.savefig(memory, format="png", dpi=dpi)
         plt.close(figure)
     return memory.getvalue()
+
+
+def show() -> None:
+    """Open a window with each figure that was drawn, and wait until all are closed."""
+    import matplotlib.pyplot as plt
+
+    plt.show()

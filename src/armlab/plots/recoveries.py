@@ -58,7 +58,10 @@ def two_dof(run: TwoDofRun, dofs: Sequence[int] | None = None, ax: Any = None) -
             for k, (t0, t1) in enumerate(run.disturbed):
                 _mark(panel, t0, t1, "disturbed" if not k and panel is position else "_")
             panel.set_ylabel(name)
-        slower.set_yscale("log")
+        slower.set_yscale("log", subs=[2, 5])
+        slower.set_ylim(0.9, 1.2 * max(run.tau_a.max() / run.tau_a.min(), 2.0))
+        for formatter in (slower.yaxis.set_major_formatter, slower.yaxis.set_minor_formatter):
+            formatter("{x:g}")
         slower.set_xlabel(label("t"))
         figure.align_ylabels()
         legend(figure, position)
