@@ -86,9 +86,12 @@ def _responses(blank: PeriodicDmp, phi: np.ndarray) -> np.ndarray:
     spectrum = np.fft.rfft(blank.primitive_from().basis(grid), axis=0) / GRID
     spectrum *= transfer(blank.alpha_z, blank.alpha_z * blank.beta_z)[:, None]
     size = np.abs(spectrum).max(axis=1)
-    k = np.flatnonzero(size > QUIET * size.max())
-    double = np.where((k == 0) | (k == GRID // 2), 1.0, 2.0)
-    return ((np.exp(1j * np.outer(phi, k)) * double) @ spectrum[k]).real
+    last = int(np.flatnonzero(size > QUIET * size.max())[-1])
+    spectrum[1 : GRID // 2] *= 2.0
+    turns = np.ones((last + 1, len(phi)), dtype=complex)
+    turns[1:] = np.exp(1j * phi)
+    np.cumprod(turns, axis=0, out=turns)  # a tenth of the time of as many sines
+    return (turns.T @ spectrum[: last + 1]).real
 
 
 def _fit(blank: PeriodicDmp, A: np.ndarray, off: np.ndarray, found: Any, ridge: float) -> Fit[PeriodicDmp]:

@@ -118,7 +118,7 @@ class ProMP(Saved, kind="promp"):
         times = self.times(t, duration)
         psi, rate = self.kernels(times, duration)
         blocks = self.cov.reshape(self.n, len(self.centres), self.n, len(self.centres))
-        spread, speed = (np.einsum("ta,iajb,tb->tij", k, blocks, k, optimize=True) for k in (psi, rate))
+        spread, speed = (_spread(rows, blocks) for rows in (psi, rate))
         return MotionBand(times, psi @ self.mean, rate @ self.mean, spread, speed)
 
     def sample(
@@ -171,23 +171,28 @@ class ProMP(Saved, kind="promp"):
         """
         index = np.arange(self.n) if coordinates is None else _coordinates(coordinates, self.n)
         psi, rate = self.kernels(number(t, "t [s]"), duration)
-        H, z, R = [], [], []
+        rows, z, R = [], [], []
         for row, value, spread, what in ((psi, y, cov, "y"), (rate, yd, velocity_cov, "yd")):
             if value is None:
                 continue
             point = np.atleast_1d(numbers(value, what, ShapeError))
             if point.shape != index.shape or not np.isfinite(point).all():
                 raise ShapeError(f"Expected finite {what} of shape ({len(index)},), got {point.tolist()}.")
-            H.append(np.kron(np.eye(self.n)[index], row))
+            rows.append(row)
             z.append(point)
             R.append(_covariance(spread, len(index)))
-        if not H:
+        if not rows:
             raise ShapeError("Expected a position or a velocity to pass, got neither. Give y or yd.")
-        return self._conditioned(np.concatenate(H), np.concatenate(z), _block_diagonal(R))
+        return self._conditioned(np.stack(rows), index, np.concatenate(z), _block_diagonal(R))
 
-    def _conditioned(self, H: np.ndarray, z: np.ndarray, R: np.ndarray) -> ProMP:
-        w = self.mean.T.ravel()
-        off, S = z - H @ w, H @ self.cov @ H.T + R
+    def _conditioned(self, rows: np.ndarray, index: np.ndarray, z: np.ndarray, R: np.ndarray) -> ProMP:
+        def at_point(w: np.ndarray) -> np.ndarray:
+            """Return H w of weights (n_basis n, ...): H would be nothing but `rows` for each coordinate, and zeros."""
+            of_each = w.reshape(self.n, len(self.centres), -1)[index]
+            return np.concatenate([row @ of_each for row in rows]).reshape(len(z), *w.shape[1:])
+
+        w, H_cov = self.mean.T.ravel(), at_point(self.cov)
+        off, S = z - at_point(w), at_point(H_cov.T) + R
         values, vectors = np.linalg.eigh(S)
         free = values > SAME * max(float(values[-1]), 1e-300)
         along = vectors.T @ off
@@ -196,11 +201,16 @@ class ProMP(Saved, kind="promp"):
                 "Expected a point that motions of the distribution can pass, got one in a direction in which the "
                 "demonstrations do not differ. Give a covariance of the point, or more demonstrations."
             )
-        gain = self.cov @ H.T @ (vectors[:, free] / values[free]) @ vectors[:, free].T
-        keep = np.eye(len(w)) - gain @ H
-        cov = keep @ self.cov @ keep.T + gain @ R @ gain.T  # Joseph's form: never negative
+        gain = H_cov.T @ ((vectors[:, free] / values[free]) @ vectors[:, free].T)
+        cov = self.cov - gain @ H_cov - (H_cov.T - gain @ S) @ gain.T  # Joseph's form, multiplied out
         mean = (w + gain @ off).reshape(self.n, -1).T
         return ProMP(mean, 0.5 * (cov + cov.T), self.centres, self.widths, self.duration, self.noise)
+
+
+def _spread(rows: np.ndarray, blocks: np.ndarray) -> np.ndarray:
+    """Return ``sum_ab rows_ta blocks_iajb rows_tb`` (N, n, n)."""
+    half = np.tensordot(rows, blocks, (1, 1))
+    return (half.reshape(len(rows), -1, rows.shape[1]) @ rows[:, :, None]).reshape(half.shape[:3])
 
 
 def _coordinates(value: Sequence[int], n: int) -> np.ndarray:
