@@ -173,6 +173,47 @@ def test_speed_and_stop_keep_the_path(reach: Dmp, kind: str) -> None:
 
 
 @KINDS
+def test_done_is_near_slow_and_over_for_a_tenth_of_a_second(reach: Dmp, kind: str) -> None:
+    """An arm that reports the goal from the start has not arrived before the motion is over."""
+
+    def arrivals(seconds: float, q: np.ndarray, qd: np.ndarray, spoilt: int = -1) -> np.ndarray:
+        controller = TwoDofDmp(reach, kc=0.0).controller(ROBOT) if kind == "two_dof" else made(reach, kind)
+        done = []
+        for k in range(round(seconds / PERIOD)):
+            controller(State(k * PERIOD, PERIOD, q, qd + (0.1 if k == spoilt else 0.0), q))
+            done.append(controller.done)
+        return np.flatnonzero(done)
+
+    rest = np.zeros(7)
+    first = arrivals(2.3, reach.g, rest)[0]
+    assert 2.1 <= first * PERIOD <= 2.1 + 3 * PERIOD
+    assert not len(arrivals(2.3, reach.g + 0.011 * np.eye(7)[2], rest))
+    assert not len(arrivals(2.3, reach.g, np.array([0, 0, 0, 0.021, 0, 0, 0])))
+    assert arrivals(2.3, reach.g, rest, first - 5)[0] == first - 5 + 25
+
+
+def test_a_stop_takes_a_quarter_of_a_second(reach: Dmp) -> None:
+    controller, yumi = made(reach, "plain"), arm()
+    yumi.run(controller, 0.8)
+    controller.stop()
+    q, _ = yumi.run(controller, 0.5)
+    moves = np.abs(np.diff(q, axis=0)).max(axis=1) > 1e-6
+    last = int(np.flatnonzero(moves)[-1]) * PERIOD
+    assert 0.22 < last < 0.26
+
+
+@KINDS
+def test_another_goal_is_not_yet_arrived_at(reach: Dmp, kind: str) -> None:
+    controller, yumi = made(reach, kind), arm()
+    yumi.run(controller, 3.0)
+    assert controller.done
+    controller.goal = reach.g + 0.05
+    assert not controller.done
+    yumi.packet(controller)
+    assert not controller.done
+
+
+@KINDS
 def test_the_goal_may_change_on_the_way(reach: Dmp, kind: str) -> None:
     controller, yumi = made(reach, kind), arm()
     yumi.run(controller, 0.8)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -63,8 +63,10 @@ def test_kinds(reach: Dmp) -> None:
 
 
 def test_a_plain_primitive_is_its_rollout(reach: Dmp) -> None:
-    q, _ = arm().run(reach.controller(ROBOT, duration=3.0), 3.0)
-    path = reach.rollout(PERIOD * np.arange(len(q)), duration=3.0)
+    """It starts at rest, however the demonstration did."""
+    moving = replace(reach, v0=np.full(7, 0.1))
+    q, _ = arm().run(moving.controller(ROBOT, duration=3.0), 3.0)
+    path = reach.rollout(PERIOD * np.arange(len(q)), duration=3.0, v0=np.zeros(7))
     np.testing.assert_allclose(q, path.y, atol=1e-9)
 
 

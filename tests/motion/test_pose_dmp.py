@@ -28,7 +28,7 @@ MOVE = shifted([0.4, 1.1, -0.7], [0.2, -0.5, 0.1])
 def test_order_is_four_and_quaternions_keep_their_length(pose_fit: Taught) -> None:
     smooth = pose_fit.value.position.centres * 0 + 1
     dmp = pose_fit.value
-    coarse = replace(dmp, rotation=replace(dmp.rotation, weights=np.outer(smooth, [30, -20, 25.0])))
+    coarse = replace(dmp, rotation=replace(dmp.rotation, weights=np.outer(smooth, [300, -200, 250.0])))
     fine = coarse.rollout(np.linspace(0, 1, 1601))
     errors = []
     for N in (100, 200, 400):
@@ -67,6 +67,25 @@ def test_start_and_goal_moved_together_move_the_path_in_the_frame_of_the_goal(po
     base = pose_fit.value.rollout(0.004, start=MOVE @ dmp.T_start, goal=MOVE @ dmp.T_goal)
     assert np.abs(base.T - there.T).max() > 0.01
     np.testing.assert_allclose(pose_fit.value.rollout(0.004).T, here.T, rtol=0, atol=1e-12)
+
+
+def test_velocities_at_the_start_are_in_base_axes(pose_fit: Taught) -> None:
+    dmp, twist = replace(pose_fit.value, frame="goal"), np.array([0.1, 0.2, -0.3, 0.4, -0.5, 0.6])
+    run = dmp.rollout(0.004, start=MOVE @ dmp.T_start, goal=MOVE @ dmp.T_goal, twist0=twist)
+    np.testing.assert_allclose(run.twist[0], twist, rtol=0, atol=1e-12)
+
+
+def test_it_takes_the_shorter_way_where_the_quaternions_point_apart(pose_fit: Taught) -> None:
+    """Start and goal are 4 rad apart about x one way, and 2.3 rad the other."""
+    still = replace(
+        pose_fit.value, rotation=replace(pose_fit.value.rotation, weights=np.zeros((50, 3)), v0=np.zeros(3))
+    )
+    run = still.rollout(
+        np.linspace(0, 4, 400), start=shifted([2.0, 0, 0], [0, 0, 0]), goal=shifted([-2.0, 0, 0], [0] * 3)
+    )
+    turned = np.linalg.norm(so3.log(np.swapaxes(run.T[:-1, :3, :3], 1, 2) @ run.T[1:, :3, :3]), axis=1).sum()
+    assert turned == pytest.approx(2 * np.pi - 4, abs=1e-3)
+    assert ((run.q[1:] * run.q[:-1]).sum(axis=1) > 0).all()
 
 
 def test_time_stretches(pose_fit: Taught) -> None:

@@ -12,6 +12,7 @@ from armlab.motion import Dmp
 from armlab.motion._setting import Setting
 from armlab.motion.events import Hold
 from armlab.motion.two_dof import TwoDofDmp
+from armlab.motion.two_dof_run import FULL_SPEED
 from armlab.motion.two_dof_stepper import Reference, TwoDofStepper, starting
 
 H = 0.004
@@ -104,3 +105,36 @@ def test_a_goal_outside_the_limits_is_refused() -> None:
     with pytest.raises(ShapeError, match=r"coordinates \[1\]"):
         stepper.change_goal([0.0, 3.0])
     assert stepper.goal.tolist() == [1.0, 0.5]
+
+
+def test_acceleration_is_the_derivative_while_the_speed_changes() -> None:
+    """Of a primitive that is slowed down to a half and back, with an arm that is on the path."""
+    stepper, rows, speeds = TwoDofDmp(smooth(force=4.0)).stepper(), [], 1.0 - np.r_[0:0.5:251j, 0.5:0.0:251j]
+    ya, yad = np.zeros(2), np.zeros(2)
+    for before, now, after in zip(np.r_[1.0, speeds], speeds, np.r_[speeds[1:], 1.0]):
+        found = stepper.step(1e-3 if rows else 0.0, ya, yad, np.array([before, now, (after - now) / 1e-3]))
+        ya, yad = found.yc, found.ycd
+        rows.append((found.ycd.copy(), found.ycdd.copy()))
+    ycd, ycdd = np.array(rows).swapaxes(0, 1)
+    inner = np.r_[2:249, 254:499]
+    np.testing.assert_allclose(ycdd[inner], np.gradient(ycd, 1e-3, axis=0)[inner], rtol=0, atol=0.02)
+
+
+@pytest.mark.parametrize("schedule", ["canonical", "time"])
+def test_it_has_ended_when_the_phase_has_gone_as_far_as_in_the_demonstration(schedule: str) -> None:
+    dmp = smooth(schedule=schedule)
+    stepper, ended = TwoDofDmp(dmp, kc=0.0).stepper(), []
+    for k in range(511):
+        stepper.step(H if k else 0.0, dmp.y0, np.zeros(2))
+        ended.append(stepper.has_ended)
+    first = H * ended.index(True)
+    assert dmp.duration - 1e-9 <= first <= dmp.duration + 2 * H
+
+
+def test_a_late_packet_is_solved_in_steps_of_4_ms() -> None:
+    law, stepper = TwoDofDmp(smooth()).law(Setting.of(smooth())), TwoDofDmp(smooth()).stepper()
+    found = stepper.step(0.044, np.zeros(2), np.zeros(2)).yc
+    start = starting(Setting.of(smooth()))
+    fine, coarse = (law.follow(start, 0.044, steps, FULL_SPEED, np.zeros(2), np.zeros(2))[0][:2] for steps in (200, 1))
+    np.testing.assert_allclose(found, fine, rtol=0, atol=1e-6)
+    assert np.abs(coarse - fine).max() > 1e-5
