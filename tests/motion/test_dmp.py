@@ -191,6 +191,8 @@ def test_nothing_given_is_changed(primitive: Primitive) -> None:
         (lambda d, t: d.rollout(np.append(t, t[-1])), ShapeError, "increase"),
         (lambda d, t: d.rollout(t * np.nan), ShapeError, "finite t"),
         (lambda d, t: d.rollout(0.0), ShapeError, "dt above zero"),
+        (lambda d, t: d.rollout(4.0), ShapeError, r"dt \[s\] from 2e-07 to 2,"),  # milliseconds
+        (lambda d, t: d.rollout(1e-9), ShapeError, "got 1e-09"),
         (lambda d, t: d.solve(t, rtol=0.0), ConfigError, "tolerances"),
         (lambda d, t: d.solve(t[::-1]), ShapeError, "increasing"),
         (lambda d, t: d.rollout_batch(t, weights=np.zeros((2, 5, 3))), ShapeError, "K, 20, 3"),

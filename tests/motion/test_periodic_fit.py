@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab.errors import ConfigError, ShapeError
+from armlab.errors import ConfigError, NotExcited, ShapeError
 from armlab.estimation import Experiment, Gauge, check_estimator
 from armlab.motion import PeriodicDmp, fit_periodic_dmp
 
@@ -60,7 +60,7 @@ def test_the_fit_meets_the_contract() -> None:
         skip={
             "efficient": "judged from 1000 runs on",
             "order-free": "samples are a motion in time",
-            "refuses": "directions that the samples do not tell are left at zero and counted in the rank",
+            "refuses": "a test of its own: periods that were seen in part",
             "robust": "a motion has no outliers that could be told from it",
         },
     )
@@ -71,6 +71,30 @@ def test_a_ridge_makes_weights_smaller() -> None:
     free, held = (fit_periodic_dmp(T, wave(T), period=PERIOD, ridge=ridge).value for ridge in (0.0, 1e-3))
     assert np.linalg.norm(held.weights) < np.linalg.norm(free.weights)
     assert isinstance(replace(held, period=1.0), PeriodicDmp)
+
+
+@pytest.mark.parametrize("share", [0.3, 0.5, 0.7])
+def test_a_period_seen_in_part_is_refused_by_what_is_missing(share: float) -> None:
+    """The motion would be off by 1e12, 7e7 and 29 times its size where there are no samples."""
+    t = np.linspace(0.0, share * PERIOD, 500)
+    with pytest.raises(NotExcited, match=rf"from {share:.2g} to 1 of it.*ridge") as refused:
+        fit_periodic_dmp(t, wave(t), period=PERIOD)
+    assert refused.value.directions
+    held = fit_periodic_dmp(t, wave(t), period=PERIOD, ridge=1e-8)
+    assert np.abs(held.value.rollout(np.linspace(0.0, PERIOD, 100)).y).max() < 10.0
+
+
+def test_samples_at_few_places_of_many_periods_are_refused() -> None:
+    t = PERIOD / 4 * np.arange(200)
+    with pytest.raises(NotExcited, match="21 of 25 weights untold"):
+        fit_periodic_dmp(t, wave(t), period=PERIOD)
+    t = 1.01 * t
+    assert fit_periodic_dmp(t, wave(t), period=PERIOD).excitation.condition < 1e3
+
+
+def test_several_demonstrations_are_refused() -> None:
+    with pytest.raises(ShapeError, match="one demonstration, got 2"):
+        fit_periodic_dmp([T, T], [wave(T), wave(T)], period=PERIOD)
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["Setting", "check_goal", "clock", "goal_scale", "rotation", "vector"]
 
 UNSCALED = 0.05  # of the range of the demonstration: displacement below which the goal does not scale a coordinate
+MOST = 10_000_000  # samples of a motion
 HALF_TURN = 1e-6  # sine and cosine of an angle that no rotation between two directions is told from
 
 
@@ -111,12 +112,17 @@ def clock(t: ArrayLike, end: float) -> np.ndarray:
 
     Raises
     ------
-    ShapeError : no finite step above zero.
+    ShapeError : no finite step above zero; one that is longer than the motion, or far too short.
     """
     times = numbers(t, "t", ShapeError)
     if times.ndim:
         return times
     step = positive(times, "dt", "At 250 Hz it is 0.004.")
+    if not end / MOST <= step <= end * (1 + 1e-12):
+        raise ShapeError(
+            f"Expected a dt [s] from {end / MOST:.2g} to {end:g}, that of the motion, got {step:g}. At 250 Hz it is "
+            "0.004."
+        )
     return step * np.arange(int(np.floor(end / step * (1 + 1e-12))) + 1)
 
 

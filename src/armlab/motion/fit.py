@@ -28,6 +28,7 @@ METHODS = ("trajectory", "acceleration", "lwr")
 WIDTH, LWR_WIDTH = 0.8, 0.55  # standard deviations of kernels over their distance
 MANY = 3  # demonstrations from which their weights have a covariance
 MAX_CONDITION = 1e11
+LONGEST_HOLD = 100.0
 SMALL = 0.05  # size of a demonstration over that of the reference that tells nothing of the weights
 
 
@@ -72,7 +73,7 @@ def fit_dmp(
     scaling : of the forcing with the goal: "goal", "none", "amplitude" or "rotate" (n = 3).
     convention : of alpha_x and tau_d: "lund" or "ijspeert".
     alpha_z, beta_z : constants of the spring; beta_z is a quarter of alpha_z, critically damped, when left out.
-    ridge : penalty of the squared weights.
+    ridge : penalty of the squared weights; `cov` is that of the noise alone, without what the penalty pulls them off.
     pin : of "y0", "v0", "g": taken from the first and last samples instead of fitted. A free goal is hardly told from
         the forcing.
     hold : seconds of rest at the goal after the end, over the duration; 0 where the motion ends with velocity. Of
@@ -81,7 +82,7 @@ def fit_dmp(
     sample_weights : (N,) or a list of them, not negative.
     bandwidth : of smoothed derivatives [Hz], of "acceleration" and "lwr" with even times.
     raw_kernels : weigh by kernels that are not divided by their sum, of "lwr".
-    limits : lowest and highest (n,) start and goal that the primitive accepts.
+    limits : lowest and highest (n,) goal that the primitive accepts.
 
     Returns
     -------
@@ -93,10 +94,7 @@ def fit_dmp(
     ShapeError : shapes, NaN and times that do not increase, with their rows; a coordinate that turns or pauses, with
         its sample, for schedule "position". ConfigError, UnknownName : options that do not exist or fit together.
     """
-    if method not in METHODS:
-        raise UnknownName.among("method", method, METHODS)
-    if scaling not in SCALINGS:
-        raise UnknownName.among("scaling", scaling, SCALINGS)
+    _check_options(method, schedule, scaling, bandwidth, raw_kernels)
     demos = aligned(read_demos(t, y, sample_weights), scaling)
     n, given = demos[0].y.shape[1], {"y0": y0, "v0": v0, "g": g}
     known = {name: vector(a, name, n) for name, a in given.items() if a is not None}
@@ -128,10 +126,10 @@ def fit_dmp(
         schedule=schedule,
         scaling=scaling,
         convention=convention,
-        limits=None if limits is None else np.array([vector(a, "limits", n) for a in limits]),
+        limits=None if limits is None else _limits(limits, n),
     )
     options = {
-        "hold": _not_below("hold", hold),
+        "hold": _hold(hold),
         "ridge": _not_below("ridge", ridge),
         "bandwidth": bandwidth,
         "raw": raw_kernels,
@@ -145,6 +143,17 @@ def fit_dmp(
         each = np.where(small, learned.weights, [one.weights for one in single])
     dmp = _with(blank, learned, demos, reference, each)
     return _fit(dmp, method, learned, demos)
+
+
+def _check_options(method: str, schedule: str, scaling: str, bandwidth: float | None, raw_kernels: bool) -> None:
+    if method not in METHODS:
+        raise UnknownName.among("method", method, METHODS)
+    if scaling not in SCALINGS:
+        raise UnknownName.among("scaling", scaling, SCALINGS)
+    if bandwidth is not None and method == "trajectory" and schedule != "position":
+        raise ConfigError("Expected a bandwidth only with derivatives, got one with 'trajectory'. Leave it out.")
+    if raw_kernels and method != "lwr":
+        raise ConfigError(f"Expected raw_kernels only with method 'lwr', got them with {method!r}. Leave them out.")
 
 
 def _pins(pin: Sequence[str], known: dict[str, np.ndarray]) -> tuple[str, ...]:
@@ -166,6 +175,18 @@ def _not_below(name: str, value: Any) -> float:
     if not 0.0 <= number(value, name, ConfigError) < np.inf:
         raise ConfigError(f"Expected a finite {name} of at least zero, got {value:g}.")
     return float(value)
+
+
+def _hold(value: Any) -> float:
+    if not _not_below("hold", value) <= LONGEST_HOLD:
+        raise ConfigError(f"Expected a hold up to {LONGEST_HOLD:g} durations, got {value:g}. 0.3 is usual.")
+    return float(value)
+
+
+def _limits(limits: Any, n: int) -> np.ndarray:
+    if not isinstance(limits, Sequence | np.ndarray) or len(limits) != 2:
+        raise ShapeError(f"Expected limits as lowest and highest (n,) goal, got {limits!r}. Give two.")
+    return np.array([vector(a, "limits", n) for a in limits])
 
 
 def _check_monotone(demos: list[Demo]) -> None:

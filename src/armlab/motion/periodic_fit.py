@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab._numbers import number
-from armlab.errors import ConfigError, ShapeError
+from armlab.errors import ConfigError, NotExcited, ShapeError
 from armlab.estimation import Excitation, Fit
 from armlab.motion._demos import read_demos
 from armlab.motion._harmonics import GRID, transfer
@@ -20,6 +20,8 @@ from armlab.motion.periodic_dmp import PeriodicDmp
 __all__ = ["fit_periodic_dmp"]
 
 MAX_CONDITION = 1e11
+SEEN = 1e4  # condition beyond which the motion where there are no samples is a guess
+NEXT = 2.0  # distances of kernels between samples that tell every kernel
 QUIET = 1e-18  # of the largest: harmonics that are left out
 
 
@@ -41,9 +43,10 @@ def fit_periodic_dmp(
 
     Parameters
     ----------
-    t : (N,) increasing times [s], of part of a period or of many; the phase is 0 at the first.
+    t : (N,) increasing times [s], of a period or of any number of them; the phase is 0 at the first.
     y : (N, n) positions [rad or m].
-    period : [s]. n_basis : kernels, 3 to 1000. h : their concentration; ``(n_basis / (2 pi))^2`` when left out.
+    period : [s]; a hundredth off it spoils ten periods, so try others and take the one with the least `sigma`.
+    n_basis : kernels, 3 to 1000. h : their concentration; ``(n_basis / (2 pi))^2`` when left out.
     g : (n,) baseline; the mean of the samples when left out: the kernels can make any other.
     alpha_z : constant of the spring, critically damped. ridge : penalty of the squared weights.
 
@@ -53,12 +56,18 @@ def fit_periodic_dmp(
 
     Raises
     ------
-    ShapeError : shapes, NaN and times that do not increase, with their rows; no positive period.
-    ConfigError : options out of range.
+    ShapeError : shapes, NaN and times that do not increase, with their rows; no positive period; several
+        demonstrations. ConfigError : options out of range.
+    NotExcited : samples that leave part of the period out, and no ridge; with that part.
     """
     if not isinstance(n_basis, int | np.integer) or isinstance(n_basis, bool) or not 3 <= n_basis <= 1000:
         raise ConfigError(f"Expected a whole number of kernels from 3 to 1000, got {n_basis!r}. 25 is usual.")
-    demo = read_demos(t, y, None)[0]
+    demos = read_demos(t, y, None)
+    if len(demos) > 1:
+        raise ShapeError(
+            f"Expected one demonstration, got {len(demos)}: their phases would begin apart. Fit one, with many periods."
+        )
+    demo = demos[0]
     seconds, penalty = number(period, "period [s]"), number(ridge, "ridge", ConfigError)
     if not 0.0 < seconds < np.inf:
         raise ShapeError(f"Expected a period above zero, got {seconds:g} s. Measure it from peak to peak.")
@@ -77,7 +86,28 @@ def fit_periodic_dmp(
     A = _responses(blank, 2 * np.pi / seconds * demo.t)
     off = demo.y - blank.g
     found = solve(A, off, np.full(n_basis, penalty) if penalty else None)
+    if not penalty:
+        _check_seen(2 * np.pi / seconds * demo.t, found.triangle)
     return _fit(blank, A, off, found, penalty)
+
+
+def _check_seen(phi: np.ndarray, triangle: np.ndarray) -> None:
+    """Refuse samples that leave out a part of the period in which the weights are not told."""
+    m = len(triangle)
+    turns = np.sort(phi / (2 * np.pi) % 1.0)
+    ends = np.append(turns[1:], turns[0] + 1.0)
+    i = int(np.argmax(ends - turns))
+    if ends[i] - turns[i] <= NEXT / m:
+        return
+    excitation = Excitation.of(triangle, [f"weight {j}" for j in range(m)], SEEN)
+    if excitation.rank < m:
+        missing = f"from {turns[i]:.2g} to {ends[i] % 1.0 or 1.0:.2g} of it"
+        raise NotExcited(
+            f"Expected samples from the whole period, got none {missing}, which leaves {m - excitation.rank} of {m} "
+            "weights untold. Record a whole period, take fewer kernels, or give a ridge.",
+            [excitation.weakest],
+            [f"no sample {missing}"],
+        )
 
 
 def _responses(blank: PeriodicDmp, phi: np.ndarray) -> np.ndarray:

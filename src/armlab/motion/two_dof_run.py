@@ -97,6 +97,8 @@ class _Scene:
         self._pushes: list[tuple[float, float, np.ndarray]] = []
         self._blows: list[tuple[float, np.ndarray]] = []
         plants: list[Plant] = []
+        if not isinstance(events, Sequence):
+            raise ShapeError(f"Expected events in a list, got {events!r}. Write [{type(events).__name__}(...)].")
         for event in events:
             if isinstance(event, Push):
                 self._pushes.append((event.t0, event.t1, event.drive(n)))
