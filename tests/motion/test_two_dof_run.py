@@ -82,6 +82,7 @@ def test_results_are_frozen_and_complete(primitive: Build) -> None:
         [Hold(0.1, 0.5, [7])],
         [Displace(0.1, [0.1, 0.2])],
         ["hold"],
+        Hold(0.1, 0.5),
         [lambda *_: np.zeros(3), lambda *_: np.zeros(3)],
         [lambda *_: np.zeros(2)],
         [lambda *_: np.full(3, np.nan)],
