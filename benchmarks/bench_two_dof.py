@@ -1,18 +1,24 @@
-"""Two-degree-of-freedom control at 250 Hz: the compiled law alone, and one call of the controller."""
+"""Motions as controllers at 250 Hz: the law of two degrees of freedom alone, and one call of each controller."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+from time import perf_counter
+
 import numpy as np
-from blocks import Contender, Table, agree, each, loop, table
+from blocks import Block, Contender, Table, agree, alternate, figures, loop, table
 
 from armlab import State, motion, robots
 from armlab.kernels import _reference
+from armlab.kinematics import forward
 from armlab.motion._setting import Setting
 
 DT = 0.004
 KERNEL_BAR, CALL_BAR = 3e-6, 30e-6  # s; the second for 99.9 % of the calls
 ROBOT = robots.load("yumi_right")
 SPEED = np.array([1.0, 1.0, 0.0])
+QUANTILES = {"50 %": 0.5, "99 %": 0.99, "99.9 %": 0.999, "the longest": 1.0}
+Movement = motion.Dmp | motion.TwoDofDmp | motion.PoseDmp
 
 
 def run(quick: bool) -> list[Table]:
@@ -33,18 +39,63 @@ def run(quick: bool) -> list[Table]:
         Contender("armlab kernels.TwoDof.follow", loop(step(law), states), "armlab", KERNEL_BAR),
         Contender("armlab's reference kernel", loop(step(plain), states[:20]), note="plain NumPy"),
     ]
-    count = 1000 if quick else 5000
-    calls = [
-        Contender(f"armlab {name}.controller, 99.9 %", _slowest(_calls(one, count)), "armlab", CALL_BAR)
-        for name, one in (("TwoDofDmp", two_dof), ("Dmp", dmp))
-    ]
     text = f"One step of 7 joints and 50 kernels from Python; agreement with the reference to {worst:.1g}."
+    pose = motion.fit_pose_dmp(t, forward(ROBOT, shown.at(t)[0])).value
+    movements = {"TwoDofDmp": two_dof, "Dmp": dmp, "PoseDmp": pose}
     return [
         table("Two degrees of freedom: the law", text, "µs", laws, 5 if quick else 50),
-        table(
-            "Two degrees of freedom: a call", "The 99.9 % quantile of calls in a row.", "µs", calls, 2 if quick else 10
-        ),
+        *_calls(movements, 1000 if quick else 10_000, 2 if quick else 10),
     ]
+
+
+def _calls(movements: dict[str, Movement], count: int, rounds: int) -> list[Table]:
+    """Return a table per quantile of the calls of a round: a whole motion, with the arm where it was told to be."""
+    calls = [
+        Contender(f"armlab {name}.controller", _along(one.controller(ROBOT, duration=count * DT), count), "armlab")
+        for name, one in movements.items()
+    ]
+    calls.append(Contender("a loop of Python for 10 µs", _looping(count), "limit"))
+    samples = alternate(calls, rounds)
+    text = f"{count} calls a round, by the clock on the wall."
+    tables = []
+    for name, quantile in QUANTILES.items():
+        bar = CALL_BAR if quantile == 0.999 else None
+        rows = [replace(call, bar=bar if call.role == "armlab" else None) for call in calls]
+        reduced = [[np.array([np.quantile(block, quantile)]) for block in blocks] for blocks in samples]
+        tables.append(Table(f"A call of a controller: {name}", text, "µs", figures(rows, reduced), rounds))
+    return tables
+
+
+def _along(controller: motion.Controller, count: int) -> Block:
+    session = 0
+
+    def block() -> np.ndarray:
+        nonlocal session
+        session += 1
+        seconds = np.empty(count)
+        q, qd = ROBOT.q_home, np.zeros(7)
+        for k in range(count):
+            state = State(k * DT, DT, q, qd, q, session=session)
+            start = perf_counter()
+            command = controller(state)
+            seconds[k] = perf_counter() - start
+            q, qd = command.q, command.qd
+        return seconds
+
+    return block
+
+
+def _looping(count: int) -> Block:
+    def block() -> np.ndarray:
+        seconds = np.empty(count)
+        for k in range(count):
+            start = perf_counter()
+            for _ in range(1100):
+                pass
+            seconds[k] = perf_counter() - start
+        return seconds
+
+    return block
 
 
 def _plain(two_dof: motion.TwoDofDmp) -> _reference.TwoDof:
@@ -58,14 +109,3 @@ def _plain(two_dof: motion.TwoDofDmp) -> _reference.TwoDof:
 def _state(dmp: motion.Dmp, share: float) -> np.ndarray:
     x = np.exp(-dmp.alpha_x * share * dmp.duration / dmp.tau_d)
     return np.concatenate([dmp.y0, np.zeros(14), dmp.y0, np.zeros(7), [x, 0.0]])
-
-
-def _calls(what: motion.Dmp | motion.TwoDofDmp, count: int):
-    """Return a block of single calls of one controller along its motion and after it."""
-    controller, q = what.controller(ROBOT), ROBOT.q_home
-    states = [State(k * DT, DT, q, np.zeros(7), q) for k in range(count)]
-    return each(controller, states)
-
-
-def _slowest(block):
-    return lambda: np.array([np.quantile(block(), 0.999)])
