@@ -75,6 +75,7 @@ def test_it_is_played_on_the_simulated_arm(primitive: Path, tmp_path: Path, caps
     assert main([*words, "--log", "first.mcap"]) == 0
     said = json.loads(capsys.readouterr().out)
     assert said["goal_error"] < 0.01
+    assert said["reason"] == "arrived"
     table = log.read(said["log"])
     np.testing.assert_allclose(table["q"][0], Dmp.load(primitive).y0, atol=0.01)
 
@@ -109,6 +110,8 @@ def test_what_cannot_be_is_refused_before_anything_moves(taught: Path, primitive
         play_it: "--robot NAME",
         (*play_it, "--robot", "ur5e"): "6 joints",
         (*play_it, "--robot", "yumi_left", "--goal", ",".join("9" * 7)): "within the limits",
+        (*play_it, "--robot", "yumi_left", "--goal", "-9,0,0,0,0,0,0"): "got -9 for joint 1",
+        (*play_it, "--robot", "yumi_left", "--duration", "-1"): "duration [s] above zero",
         (*play_it, "-o", str(tmp_path / "x.csv"), "--goal", "here"): "numbers with commas",
         (*play_it, "-o", str(tmp_path / "x.csv"), "--turns", "2"): "Leave it out",
         (*play_it, "-o", str(tmp_path / "x.csv"), "--via", "0.5"): "TIME:Y",

@@ -107,3 +107,10 @@ def test_what_does_not_fit_is_refused(made: dict[str, Any]) -> None:
     far = {"goal": np.array([9.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])}
     with pytest.raises(ShapeError, match="out of reach"):
         motion_of(made["pose_dmp"], far, ROBOT, LIMITS, firm=False)
+
+
+def test_a_motion_is_as_fast_as_asked_within_the_limits(made: dict[str, Any]) -> None:
+    seconds = [motion_of(made["dmp"], {"duration": d}, ROBOT, LIMITS, firm=True).seconds for d in (2.0, 0.5, 1e-3)]
+    assert seconds[:2] == [2.0, 0.5]
+    fastest = np.abs(made["dmp"].rollout(1e-4, duration=seconds[2]).yd).max(axis=0) / LIMITS.qd_max
+    assert fastest.max() == pytest.approx(1.0, rel=1e-3)

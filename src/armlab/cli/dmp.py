@@ -104,8 +104,8 @@ def play(
     link: str | None = None,
     output: Annotated[Path | None, Parameter(alias="-o")] = None,
     duration: float | None = None,
-    start: str | None = None,
-    goal: str | None = None,
+    start: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
+    goal: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
     via: list[str] | None = None,
     amplitude: float | None = None,
     turns: float | None = None,
@@ -195,7 +195,7 @@ def _move(robot: Robot, motion: Motion, limits: Limits, link: str | None, log: P
         whole = seconds + SETTLES
         done = end.run(controller, whole, limits=limits, record=log, extra=controller.columns(), progress=tell)
     off = distance(robot, done.table["q"][-1], controller.goal)
-    reason = controller.reason or done.reason
+    reason = "arrived" if controller.done else controller.reason or done.reason
     if json:
         print_json({"seconds": seconds, "goal_error": max(off.values()), "reason": reason, "log": str(done.path)})
     else:

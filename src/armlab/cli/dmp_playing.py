@@ -252,10 +252,10 @@ def _joint_motion(law: Dmp | TwoDofDmp, run: Mapping[str, Any], robot: Robot, li
 
     dmp = law if isinstance(law, Dmp) else law.dmp
     follows = dmp if firm else law if isinstance(law, TwoDofDmp) else TwoDofDmp(dmp)
-    start, goal = run.get("start", dmp.y0), run.get("goal")
-    follows.controller(robot, limits=limits, g=goal)  # refuses another arm or goal before anything is computed
-    least = duration_within(dmp, limits.qd_max, y0=start, g=goal)
-    seconds = max(run.get("duration", dmp.duration), least)
+    start, goal, wanted = run.get("start", dmp.y0), run.get("goal"), run.get("duration", dmp.duration)
+    follows.controller(robot, limits=limits, g=goal, duration=wanted)  # refuses before anything is computed
+    pace = wanted / dmp.duration
+    seconds = pace * duration_within(dmp, limits.qd_max * pace, y0=start, g=goal)  # as asked, or stretched
     return Motion(follows.controller(robot, limits=limits, g=goal, duration=seconds), np.array(start), seconds)
 
 
