@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -298,3 +300,9 @@ def test_calls_leave_nothing_behind(reach: Dmp, kind: str, kept: Callable[..., t
     blocks, peak = kept(made(reach, kind), arm().q, PERIOD)
     assert blocks < 20  # of a thousand calls
     assert peak < 20_000  # bytes at any time of them: a reference and its record
+
+
+def test_importing_motions_loads_no_logs() -> None:
+    heavy = "('armlab.log', 'scipy', 'ruckig', 'matplotlib')"
+    code = f"import sys, armlab.motion; print(*(name for name in {heavy} if name in sys.modules))"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "\n"

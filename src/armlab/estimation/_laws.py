@@ -14,7 +14,6 @@ from armlab import models
 from armlab.errors import ModelMismatchError, NotExcited, ShapeError
 from armlab.estimation._statistics import Trial, Verdict, error_of
 from armlab.estimation.fit import Fit
-from armlab.log import Table
 
 SAME = 1e-9  # deviations of the estimate, or relative
 SEEDS = 3
@@ -155,6 +154,8 @@ def _nan_faults(trial: Trial) -> list[str]:
 
 
 def _with_nan(data: dict[str, Any], n: int, row: int) -> Iterator[tuple[str, dict[str, Any]]]:
+    from armlab.log import Table  # fits need no logs: half the time of their import
+
     for name, value in data.items():
         if isinstance(value, np.ndarray) and value.dtype.kind == "f" and value.shape[:1] == (n,):
             spoilt = value.copy()
@@ -170,6 +171,8 @@ def _with_nan(data: dict[str, Any], n: int, row: int) -> Iterator[tuple[str, dic
 
 def _arrays(item: Any, name: str = "") -> Iterator[tuple[str, np.ndarray]]:
     """Yield all arrays inside data or a result, with names."""
+    from armlab.log import Table
+
     if isinstance(item, np.ndarray):
         yield name, item
     elif isinstance(item, Table):

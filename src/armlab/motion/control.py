@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from math import ceil, copysign
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,10 +13,12 @@ from numpy.typing import ArrayLike
 from armlab import kernels
 from armlab._numbers import number
 from armlab.errors import ArmlabError, ConfigError, ShapeError
-from armlab.log import Column
 from armlab.motion._setting import vector
 from armlab.robots import Robot
 from armlab.state import Command, State
+
+if TYPE_CHECKING:
+    from armlab.log import Column
 
 __all__ = ["LONGEST_STEP", "Arms", "Controller", "Limits", "robots_of", "steps_in"]
 
@@ -136,6 +138,8 @@ class Controller(ABC):
 
     def columns(self) -> dict[str, Column]:
         """Return what it records, for ``link.run(extra=...)``."""
+        from armlab.log import Column  # half the time of importing motions, which need no logs
+
         joints = {"qdd_ref": "rad/s^2", "path": "rad"}
         flags = {"done": "1", "frozen": "1"}
         found = {name: Column((self._n,), unit=unit) for name, unit in joints.items()}

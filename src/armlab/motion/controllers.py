@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from armlab.errors import ShapeError
-from armlab.log import Column
 from armlab.motion.control import Arms, Controller, Limits, Pace, robots_of, steps_in
 from armlab.state import State
 
 if TYPE_CHECKING:
+    from armlab.log import Column
     from armlab.motion.dmp import Dmp
     from armlab.motion.two_dof import TwoDofDmp
 
@@ -106,6 +106,8 @@ class TwoDofController(Controller):
 
     def columns(self) -> dict[str, Column]:
         """Return what it records, for ``link.run(extra=...)`` and `TwoDofDmp.recorded`."""
+        from armlab.log import Column
+
         own = {"path_qd": Column((self._n,), unit="rad/s"), "path_qdd": Column((self._n,), unit="rad/s^2")}
         own |= {"path_error": Column((self._n,), unit="rad"), "phase": Column((), unit="1")}
         return super().columns() | own | {"tau_a": Column((), unit="s")}

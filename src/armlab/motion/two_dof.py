@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar, Unpack
+from typing import TYPE_CHECKING, Any, ClassVar, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from armlab import kernels
 from armlab._numbers import number, numbers, positive
 from armlab.errors import ShapeError
-from armlab.log import Table
 from armlab.motion._saved import Saved
 from armlab.motion._setting import Setting
 from armlab.motion._solving import progress
@@ -23,6 +22,9 @@ from armlab.motion.rollout import Rollout, RunOptions
 from armlab.motion.two_dof_run import FULL_SPEED, Plant, TwoDofRun, simulated
 from armlab.motion.two_dof_stepper import TwoDofStepper, starting
 from armlab.state import State
+
+if TYPE_CHECKING:
+    from armlab.log import Table
 
 __all__ = ["TwoDofDmp"]
 
