@@ -79,6 +79,9 @@ def test_bad_input_is_refused_by_a_sentence(promp: ProMP) -> None:
     stiff = replace(promp, cov=np.zeros_like(promp.cov))
     for words, call in {
         "neither": lambda: promp.condition(1.0),
+        "got nan s": lambda: promp.condition(np.nan, [0.0, 0.0]),
+        "got -1 s": lambda: promp.condition(-1.0, [0.0, 0.0]),
+        "from 0 to 0.5 s": lambda: promp.condition(1.0, [0.0, 0.0], duration=0.5),
         "y of shape": lambda: promp.condition(1.0, [0.0]),
         "finite y": lambda: promp.condition(1.0, [0.0, np.nan]),
         "different coordinates": lambda: promp.condition(1.0, [0.0], coordinates=[2]),

@@ -89,6 +89,7 @@ def test_two_demonstrations_are_enough() -> None:
         ({"y": np.zeros((1, 12, 1))}, ShapeError, "2 demonstrations or more"),
         ({"t": [T], "y": [np.zeros((12, 1))]}, ShapeError, "2 demonstrations or more"),
         ({"y": np.full((3, 12, 1), np.nan)}, ShapeError, "of demonstration 0"),
+        ({"t": [], "y": []}, ShapeError, "2 demonstrations or more"),
         ({"t": T[:5]}, ShapeError, "shapes"),
         ({"t": np.zeros(12)}, ShapeError, "times that increase"),
         ({"n_basis": 2}, ConfigError, "3 to 1000"),

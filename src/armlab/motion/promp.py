@@ -142,6 +142,12 @@ class ProMP(Saved, kind="promp"):
         psi, _ = self.kernels(self.times(t, duration), duration)
         return np.einsum("ta,kia->kti", psi, w.reshape(int(count), self.n, -1))
 
+    def _inside(self, t: float, duration: float | None) -> float:
+        time, end = number(t, "t [s]"), self.duration if duration is None else positive(duration, "duration [s]")
+        if not 0.0 <= time <= end * (1 + 1e-9):
+            raise ShapeError(f"Expected a time from 0 to {end:g} s, the duration, got {time:g} s. Give one inside.")
+        return time
+
     def condition(
         self,
         t: float,
@@ -160,7 +166,7 @@ class ProMP(Saved, kind="promp"):
 
         Parameters
         ----------
-        t : since the start [s]. y, yd : (k,) position and velocity of the coordinates.
+        t : since the start, up to the duration [s]. y, yd : (k,) position and velocity of the coordinates.
         cov, velocity_cov : (k, k) of the point, or a variance for all.
         coordinates : numbers of the k coordinates; all n when left out. duration : of the motion [s].
 
@@ -170,7 +176,7 @@ class ProMP(Saved, kind="promp"):
             comes near to.
         """
         index = np.arange(self.n) if coordinates is None else _coordinates(coordinates, self.n)
-        psi, rate = self.kernels(number(t, "t [s]"), duration)
+        psi, rate = self.kernels(self._inside(t, duration), duration)
         rows, z, R = [], [], []
         for row, value, spread, what in ((psi, y, cov, "y"), (rate, yd, velocity_cov, "yd")):
             if value is None:

@@ -86,7 +86,7 @@ def fit_promp(
 
 
 def _read(t: Any, y: Any) -> list[Demo]:
-    if not isinstance(t, Sequence) or np.ndim(t[0]) == 0:
+    if not isinstance(t, Sequence) or not len(t) or np.ndim(t[0]) == 0:
         rows = np.asarray(y, dtype=object) if isinstance(y, Sequence) else y
         if np.ndim(rows) < 1 or len(y) < FEWEST:
             raise ShapeError(f"Expected y of shape (M, N, n) of {FEWEST} demonstrations or more, got others.")
