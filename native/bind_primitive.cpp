@@ -61,8 +61,24 @@ nb::object basis(const Primitive &p, nb::handle x_, nb::handle out_) {
   const Elements x(x_, "x", {});
   require_finite(x);
   const Output out(out_, "out", {p.m}, {&x});
-  p.basis(x.size(), x.data(), out.samples().data);
+  double *to = out.samples().data;
+  std::fill(to, to + x.size() * p.m, 0.0);
+  p.basis(x.size(), x.data(), nullptr, p.m, 1, to);
   return out.array();
+}
+
+nb::object design(const Primitive &p, nb::handle x_, nb::handle factors_, npy_intp rows, npy_intp columns) {
+  const Input x(x_, "x"), factors(factors_, "factors");
+  const npy_intp N = x.size(), shape[2] = {columns, rows};
+  for (const Input *input : {&x, &factors}) {
+    input->require_exactly({N});
+    require_finite(*input);
+  }
+  if (rows < N || columns < p.m) raise_shape_error("Expected room for every phase and kernel, got too few rows or columns.");
+  const nb::object matrix = fresh_array(2, shape);
+  std::fill(numbers(matrix), numbers(matrix) + rows * columns, 0.0);
+  p.basis(N, x.data(), factors.data(), 1, rows, numbers(matrix));
+  return matrix;
 }
 
 nb::object forcing(const Primitive &p, nb::handle x_, nb::handle out_) {
@@ -208,6 +224,8 @@ void bind_primitive(nb::module_ &m) {
       .def("__init__", &construct, array("centres"), array("widths"), array("weights"), arg("alpha"), arg("stiffness"),
            arg("decay"), arg("pace"), arg("phase"))
       .def("basis", &basis, array("x"), arg("out").none() = nb::none(), "Normalised kernels (..., m) at phases (...).")
+      .def("design", &design, array("x"), array("factors"), arg("rows"), arg("columns"),
+           "Kernels at phases (N,) times factors (N,) in the corner [:m, :N] of zeros (columns, rows).")
       .def("forcing", &forcing, array("x"), arg("out").none() = nb::none(), "Forcing (..., n) at phases.")
       .def("rollout", &run, array("t"), arg("tau"), array("y0"), array("v0"), array("g"), array("scale"),
            arg("weights").none() = nb::none(), "y, yd, ydd, x and f over times (N,).")

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "exponential.h"
 #include "lanes.h"
 
 namespace armlab {
@@ -37,22 +38,22 @@ int Primitive::kernels(double x, double factor, int *index, double *psi) const {
   double sum = 0.0;
   for (int j = 0; j < m; ++j) {
     if (psi[j] < top - faded) continue;
-    const double value = std::exp(psi[j] - top);
-    sum += value;
     index[count] = j;
-    psi[count++] = value;
+    psi[count++] = psi[j] - top;
   }
+  for (int k = 0; k < count; ++k) psi[k] = exponential(psi[k]);
+  for (int k = 0; k < count; ++k) sum += psi[k];
   for (int k = 0; k < count; ++k) psi[k] *= factor / sum;
   return count;
 }
 
-ARMLAB_VECTORISED void Primitive::basis(std::ptrdiff_t N, const double *x, double *psi) const {
+ARMLAB_VECTORISED void Primitive::basis(std::ptrdiff_t N, const double *x, const double *factors, std::ptrdiff_t row,
+                                        std::ptrdiff_t column, double *psi) const {
   std::vector<double> values(m);
   std::vector<int> index(m);
-  std::fill(psi, psi + N * m, 0.0);
   for (std::ptrdiff_t k = 0; k < N; ++k) {
-    const int count = kernels(x[k], 1.0, index.data(), values.data());
-    for (int l = 0; l < count; ++l) psi[k * m + index[l]] = values[l];
+    const int count = kernels(x[k], factors ? factors[k] : 1.0, index.data(), values.data());
+    for (int l = 0; l < count; ++l) psi[k * row + index[l] * column] = values[l];
   }
 }
 

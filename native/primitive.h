@@ -22,8 +22,10 @@ struct Primitive {
 
   // Normalised kernels at x that are not below 1e-17 of the largest: their numbers and values, times `factor`.
   int kernels(double x, double factor, int *index, double *psi) const;
-  // The same for all of N phases: psi (N, m), 0 where a kernel is left out.
-  void basis(std::ptrdiff_t N, const double *x, double *psi) const;
+  // The same for all of N phases, times factors (N) where there are any; number j of phase k goes to
+  // psi[k row + j column], and what is left out is not written.
+  void basis(std::ptrdiff_t N, const double *x, const double *factors, std::ptrdiff_t row, std::ptrdiff_t column,
+             double *psi) const;
   // psi(x) . w times the share that is left, for phases that all coordinates have in common.
   void forcing(double x, int *index, double *psi, double *f) const;
   // The same for the position phase: x (n).

@@ -94,6 +94,33 @@ def test_basis_and_forcing_are_the_reference(batch: tuple[int, ...], phase: str)
             assert getattr(one, name)(at, out=out) is out
 
 
+@pytest.mark.parametrize("phase", PHASES)
+def test_design_is_the_basis_in_a_corner_of_zeros(phase: str) -> None:
+    args, rng = arguments(phase, 12, 3, 25.0, 0.25, 1), np.random.default_rng(2)
+    x, factors = rng.uniform(-1.0, 2.0, 9), rng.normal(size=9)
+    for module in (native, _reference):
+        p = module.Primitive(*args)
+        found = p.design(x, factors, 11, 14)
+        assert found.shape == (14, 11)
+        np.testing.assert_allclose(found[:12, :9], (p.basis(x) * factors[:, None]).T, rtol=1e-14, atol=1e-16)
+        assert not found[12:].any()
+        assert not found[:, 9:].any()
+        for bad in ((x, factors[:8], 11, 14), (x, factors * np.nan, 11, 14), (x, factors, 8, 14), (x, factors, 11, 11)):
+            with pytest.raises(ShapeError):
+                p.design(*bad)
+    assert_close([native.Primitive(*args).design(x, factors, 11, 14)], [found])
+
+
+def test_kernels_are_exact_to_the_last_digits() -> None:
+    """Their exponential is the core's own: every size of it, from 1 down to where kernels are left out."""
+    centres = np.array([0.0, 1.0])
+    p = native.Primitive(centres, np.array([1.0, 0.11]), np.zeros((2, 1)), 25.0, 156.25, 1.0, 0.25, "canonical")
+    x = np.linspace(0.0, 2.0, 2001)
+    off = 0.5 * x**2 - 0.5 * ((x - 1.0) / 0.11) ** 2
+    wanted = np.stack([1 / (1 + np.exp(off)), 1 / (1 + np.exp(-off))], axis=1)
+    np.testing.assert_allclose(p.basis(x), np.where(wanted < 1e-17, 0.0, wanted), rtol=4e-15, atol=1e-17)
+
+
 def test_batch_is_bit_for_bit_a_loop() -> None:
     p = native.Primitive(*arguments("canonical", 30, 3, 25.0, 0.25, 0))
     rng = np.random.default_rng(1)

@@ -85,6 +85,22 @@ def test_a_covariance_is_made_once_and_checked_when_it_is_asked_for() -> None:
             _ = replace(result, cov=lambda bad=bad: bad).cov
 
 
+def test_residuals_are_made_once_when_they_are_asked_for() -> None:
+    calls: list[int] = []
+
+    def make() -> np.ndarray:
+        calls.append(1)
+        return np.ones((5, 2))
+
+    result = replace(fit(np.eye(2)), residuals=make)
+    assert not calls
+    assert result.residuals is result.residuals
+    assert result.residuals.tolist() == np.ones((5, 2)).tolist()
+    assert len(calls) == 1
+    with pytest.raises(ValueError, match="read-only"):
+        result.residuals[0] = 1.0
+
+
 def test_many_outliers_are_not_all_listed() -> None:
     assert "19 and 10 more" in fit(np.eye(2), np.ones(30, dtype=bool)).table()
 

@@ -159,6 +159,16 @@ def test_uneven_times_weights_and_smoothed_derivatives() -> None:
     assert smooth < rough / 10
 
 
+@pytest.mark.parametrize("ridge", [0.0, 1e-3, 10.0])
+@pytest.mark.parametrize("method", ["acceleration", "lwr"])
+def test_noise_is_that_of_the_residuals(method: str, ridge: float) -> None:
+    t, y = demo("noisy ramp")
+    weights = np.random.default_rng(4).uniform(0.5, 1.5, len(t))
+    fit = fit_dmp(t, y, method=method, ridge=ridge, n_basis=20, sample_weights=weights)
+    squares = weights / weights.mean() @ fit.residuals**2
+    np.testing.assert_allclose(fit.sigma, np.sqrt(squares / (len(t) - 20)), rtol=1e-9)
+
+
 def test_ridge_shrinks_the_weights() -> None:
     t, y = demo("noisy ramp")
     for method in ("trajectory", "acceleration"):

@@ -17,7 +17,7 @@ __all__ = ["Fit"]
 
 Value = TypeVar("Value")
 
-READ_ONLY = ("parameters", "sigma", "residuals", "outliers", "formal_cov")
+READ_ONLY = ("parameters", "sigma", "outliers", "formal_cov")
 SAVED = ("names", "units", "parameters", "cov", "classes", "sigma", "outliers", "n", "rank")
 EXCITATION = ("expected", "singular_values", "weakest", "held", "null_names")
 
@@ -78,8 +78,8 @@ class Fit(Generic[Value]):
     sigma : noise found per class of measurement, in its unit.
     residuals : (N, ...) in SI, unwhitened; empty when the fit was read from a file.
     n : number of samples used.
-    excitation : what the data could tell. This and `cov` may be given as what makes them, and are made when they are
-        first asked for.
+    excitation : what the data could tell. This, `cov` and `residuals` may be given as what makes them, and are made
+        when they are first asked for.
     summary : makes the text of `report`.
     outliers : (N,) samples that were left out; empty for fits that look for none.
     classes : names of the classes of measurement, with their units: "position [m]".
@@ -93,7 +93,7 @@ class Fit(Generic[Value]):
     parameters: np.ndarray
     cov: _WhenAsked[np.ndarray]
     sigma: np.ndarray
-    residuals: np.ndarray
+    residuals: _WhenAsked[np.ndarray]
     n: int
     excitation: _WhenAsked[Excitation]
     summary: Callable[[Fit[Value]], str] | None = field(default=None, repr=False)
@@ -180,7 +180,11 @@ class Fit(Generic[Value]):
         return cls(value=value, residuals=np.zeros(0), excitation=excitation, **parts)
 
 
-for _lazy in (_WhenAsked("cov", _covariance), _WhenAsked("excitation", lambda fit, found: found)):
+for _lazy in (
+    _WhenAsked("cov", _covariance),
+    _WhenAsked("residuals", lambda fit, found: _frozen(found)),
+    _WhenAsked("excitation", lambda fit, found: found),
+):
     setattr(Fit, _lazy.name, _lazy)  # afterwards, for in the class it would be read as a default
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,14 +20,14 @@ __all__ = ["Learned", "learn"]
 @dataclass(frozen=True)
 class Learned:
     """Weights (m, n); y0, v0, g of each demonstration (M, 3, n); covariances (n, d, d) of weights, and of the ends
-    where they were fitted too, for noise of unit variance; noise (n,); residuals (N, n), of position or of the forcing;
-    triangle of the unknowns and their numbers; scales (M, n)."""
+    where they were fitted too, for noise of unit variance; noise (n,); residuals (N, n), of position or of the forcing,
+    or what makes them; triangle of the unknowns and their numbers; scales (M, n)."""
 
     weights: np.ndarray
     ends: np.ndarray
     unit: np.ndarray
     sigma: np.ndarray
-    residuals: np.ndarray
+    residuals: np.ndarray | Callable[[], np.ndarray]
     triangle: np.ndarray
     unknowns: tuple[int, ...]
     of_position: bool
@@ -74,7 +75,7 @@ def learn(
         for demo, velocity, scale, start, goal in zip(demos, velocities, scales, starts, goals)
     ]
     bells = (blank.centres, blank.widths if raw else np.zeros(0)) if method == "lwr" else None
-    first = fit_regression(forced, blank.primitive, blank.schedule != "time", ridge, bells)
+    first = fit_regression(forced, blank.primitive, m, blank.schedule != "time", ridge, bells)
     parts = first.unit, first.sigma, first.residuals, first.triangle
     learned = Learned(first.weights, all_ends, *parts, tuple(range(m)), False, scales)
     return learned if method != "trajectory" else _descended(blank, demos, learned)

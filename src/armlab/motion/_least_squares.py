@@ -6,40 +6,58 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Solution", "block_covariance", "solve"]
+__all__ = ["Solution", "block_covariance", "rows", "solve", "solve_joined"]
 
 RCOND = 1e-11  # relative singular value below which a direction is left at zero
 
 
 @dataclass(frozen=True)
 class Solution:
-    """Solution x (p, q) of ``A x = b``, the inverse G (p, p) of the normal matrix, and the triangle (p, p) of A."""
+    """Solution x (p, q) of ``A x = b``, the inverse G (p, p) of the normal matrix, the triangle (p, p) of A, and the
+    least sums of squares (q,), penalties included."""
 
     x: np.ndarray
     G: np.ndarray
     triangle: np.ndarray
+    squares: np.ndarray
 
 
-def solve(A: np.ndarray, b: np.ndarray, ridge: np.ndarray | None = None, rows: np.ndarray | None = None) -> Solution:
-    """Minimise ``||rows A x - b||^2 + sum ridge x^2``.
+def solve(A: np.ndarray, b: np.ndarray, ridge: np.ndarray | None = None) -> Solution:
+    """Minimise ``||A x - b||^2 + sum ridge x^2``.
 
     Parameters
     ----------
-    A : (N, p). b : (N, q). ridge : (p,) penalties of the unknowns. rows : (N,) factors of the rows of A.
+    A : (N, p). b : (N, q). ridge : (p,) penalties of the unknowns.
+    """
+    N, p = A.shape
+    joined = np.zeros((rows(N, p, ridge), p + b.shape[1]), order="F")
+    joined[:N, :p] = A
+    return solve_joined(joined, b, ridge)
+
+
+def rows(N: int, p: int, ridge: np.ndarray | None) -> int:
+    """Return how many rows `solve_joined` needs for N equations of p unknowns."""
+    return max(N, p) + (0 if ridge is None else p)
+
+
+def solve_joined(joined: np.ndarray, b: np.ndarray, ridge: np.ndarray | None = None) -> Solution:
+    """Do what `solve` does, in place.
+
+    Parameters
+    ----------
+    joined : (rows, p + q) in Fortran order: A in its corner, otherwise 0; overwritten. b : (N, q).
+    ridge : (p,) penalties of the unknowns.
     """
     from scipy.linalg import get_lapack_funcs
 
-    p, q = A.shape[1], b.shape[1]
-    N, extra = len(A), 0 if ridge is None else p
-    joined = np.empty((max(N, p) + extra, p + q), order="F")
-    np.multiply(A, 1.0 if rows is None else rows[:, None], out=joined[:N, :p])
-    joined[:N, p:] = b
-    joined[N:] = 0.0
+    p = joined.shape[1] - b.shape[1]
+    joined[: len(b), p:] = b
     if ridge is not None:
         joined[-p:, :p] = np.diag(np.sqrt(ridge))
     geqrf, trcon, trtri, trtrs = get_lapack_funcs(("geqrf", "trcon", "trtri", "trtrs"), (joined,))
     factor = geqrf(joined, overwrite_a=True)[0]
-    R, rotated = np.triu(factor[:p, :p]), factor[:p, p:]
+    R, rotated, left = np.triu(factor[:p, :p]), factor[:p, p:], np.triu(factor[p : p + b.shape[1], p:])
+    squares = np.einsum("ij,ij->j", left, left)
     norms = np.sqrt(np.einsum("ij,ij->j", R, R))  # of the columns of A; a reflection scales with its column
     scale = np.where(norms > 0, norms, 1.0)
     scaled = R / scale
@@ -50,7 +68,8 @@ def solve(A: np.ndarray, b: np.ndarray, ridge: np.ndarray | None = None, rows: n
         told = s > RCOND * s[0]
         inverse = V.T * np.where(told, 1.0 / np.where(told, s, 1.0), 0.0) / scale[:, None]
         x = inverse @ (U.T @ rotated)
-    return Solution(x, inverse @ inverse.T, R)
+        squares += ((R @ x - rotated) ** 2).sum(axis=0)
+    return Solution(x, inverse @ inverse.T, R, squares)
 
 
 def block_covariance(unit: np.ndarray, sigma: np.ndarray) -> np.ndarray:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from armlab.motion._least_squares import solve
+from armlab.motion._least_squares import rows as room
+from armlab.motion._least_squares import solve_joined
 
 __all__ = ["Forced", "Regression", "fit_regression"]
 
@@ -26,64 +28,94 @@ class Forced:
 
 @dataclass(frozen=True)
 class Regression:
-    """Weights (m, n), their covariances (n, m, m) for noise of unit variance, noise of the forcing (n,), residuals
-    (N, n), and triangle (m, m) of the first coordinate."""
+    """Weights (m, n), their covariances (n, m, m) for noise of unit variance, noise of the forcing (n,), what makes the
+    residuals (N, n), and triangle (m, m) of the first coordinate."""
 
     weights: np.ndarray
     unit: np.ndarray
     sigma: np.ndarray
-    residuals: np.ndarray
+    residuals: Callable[[], np.ndarray]
     triangle: np.ndarray
 
 
 def fit_regression(
-    demos: Sequence[Forced], primitive: Any, fades: bool, ridge: float, bells: tuple[np.ndarray, np.ndarray] | None
+    demos: Sequence[Forced],
+    primitive: Any,
+    m: int,
+    fades: bool,
+    ridge: float,
+    bells: tuple[np.ndarray, np.ndarray] | None,
 ) -> Regression:
     """Fit weights that demonstrations share to their forcing, by least squares or kernel by kernel.
 
     Parameters
     ----------
-    demos : the demonstrations. primitive : with the kernels. fades : whether the forcing has the factor x.
+    demos : the demonstrations. primitive : with m kernels. fades : whether the forcing has the factor x.
     ridge : penalty of the weights. bells : centres and widths; when given each weight is a mean of its own, weighed by
         its bell: ``sum bell x f / sum bell x^2`` (None: least squares; widths empty: kernels over their sum).
     """
     n = demos[0].f.shape[1]
     scales = np.array([demo.scale for demo in demos])
     alike = demos[0].x.ndim == 1 and bool((scales == scales[:, :1]).all())
-    found = []
+    found, left = [], []
     for block in [slice(0, n)] if alike else [slice(i, i + 1) for i in range(n)]:
         i = block.start
         x = np.concatenate([demo.x if demo.x.ndim == 1 else demo.x[:, i] for demo in demos])
         lever = np.concatenate([np.full(len(demo.f), demo.scale[i]) for demo in demos]) * (x if fades else 1.0)
-        f = np.concatenate([demo.f[:, block] for demo in demos])
+        rows = _Rows(primitive, m, x, lever, np.concatenate([demo.f[:, block] for demo in demos]))
         weights = np.concatenate([demo.weights for demo in demos])
-        psi = primitive.basis(x)
-        if bells is None:
-            w, spread, triangle = _least_squares(psi, lever, f, weights, ridge)
-        else:
-            bell = psi if not len(bells[1]) else np.exp(-0.5 * ((x[:, None] - bells[0]) / bells[1]) ** 2)
-            w, spread, triangle = _kernel_by_kernel(bell, lever, f, weights)
-        residuals = f - (psi @ w) * lever[:, None]
-        dof = max(len(f) - psi.shape[1], 1)
-        sigma = np.sqrt(weights @ residuals**2 / dof)
-        found.append((w, np.broadcast_to(spread, (len(sigma), *spread.shape)), sigma, residuals, triangle))
-    w, sigma, residuals = (np.concatenate([one[k] for one in found], axis=-1) for k in (0, 2, 3))
-    unit = found[0][1] if alike else np.concatenate([one[1] for one in found])
-    return Regression(w, unit, sigma, residuals, found[0][4])
+        one = _least_squares(rows, weights, ridge) if bells is None else _kernel_by_kernel(rows, weights, *bells)
+        found.append(one)
+        left.append(partial(rows.residuals, one[0]))
+    w, squares = (np.concatenate([one[k] for one in found], axis=-1) for k in (0, 3))
+    N = sum(len(demo.f) for demo in demos)
+    return Regression(
+        w,
+        np.concatenate([np.broadcast_to(one[1], (one[0].shape[1], m, m)) for one in found]),
+        np.sqrt(squares / max(N - m, 1)),
+        lambda: np.concatenate([one() for one in left], axis=-1),
+        found[0][2],
+    )
 
 
-def _least_squares(
-    psi: np.ndarray, lever: np.ndarray, f: np.ndarray, weights: np.ndarray, ridge: float
-) -> tuple[Any, ...]:
-    roots = np.sqrt(weights)
-    one = solve(psi, f * roots[:, None], np.full(psi.shape[1], ridge) if ridge else None, lever * roots)
-    return one.x, one.G - ridge * one.G @ one.G if ridge else one.G, one.triangle
+@dataclass(frozen=True)
+class _Rows:
+    """Equations ``lever psi(x) w = f`` of coordinates that share x (N,) and lever (N,); psi (N, m), f (N, q)."""
+
+    primitive: Any
+    m: int
+    x: np.ndarray
+    lever: np.ndarray
+    f: np.ndarray
+
+    def residuals(self, w: np.ndarray) -> np.ndarray:
+        return self.f - (self.primitive.basis(self.x) @ w) * self.lever[:, None]
 
 
-def _kernel_by_kernel(bell: np.ndarray, lever: np.ndarray, f: np.ndarray, weights: np.ndarray) -> tuple[Any, ...]:
-    top = bell * (weights * lever)[:, None]
-    squares = top.T @ lever
+def _least_squares(rows: _Rows, weights: np.ndarray, ridge: float) -> tuple[np.ndarray, ...]:
+    """Return weights, unit covariance, triangle and sums of squares."""
+    roots, m, (N, q) = np.sqrt(weights), rows.m, rows.f.shape
+    penalty = np.full(m, ridge) if ridge else None
+    joined = rows.primitive.design(rows.x, rows.lever * roots, room(N, m, penalty), m + q).T
+    one = solve_joined(joined, rows.f * roots[:, None], penalty)
+    if not ridge:
+        return one.x, one.G, one.triangle, one.squares
+    squares = (one.squares - ridge * (one.x**2).sum(axis=0)).clip(min=0.0)
+    return one.x, one.G - ridge * one.G @ one.G, one.triangle, squares
+
+
+def _kernel_by_kernel(
+    rows: _Rows, weights: np.ndarray, centres: np.ndarray, widths: np.ndarray
+) -> tuple[np.ndarray, ...]:
+    """Return weights, unit covariance, triangle and sums of squares."""
+    if len(widths):
+        bell = np.exp(-0.5 * ((rows.x[:, None] - centres) / widths) ** 2)
+    else:
+        bell = rows.primitive.basis(rows.x)
+    top = bell * (weights * rows.lever)[:, None]
+    squares = top.T @ rows.lever
     told = squares > 0
     L = top / np.where(told, squares, 1.0)
+    w = L.T @ rows.f
     spread = (L / np.where(weights > 0, weights, 1.0)[:, None]).T @ L
-    return L.T @ f, spread, np.diag(np.sqrt(squares))
+    return w, spread, np.diag(np.sqrt(squares)), weights @ rows.residuals(w) ** 2

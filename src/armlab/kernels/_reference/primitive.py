@@ -172,6 +172,21 @@ class Primitive:
         psi = np.where(exponents < -FADED, 0.0, np.exp(np.maximum(exponents, -FADED)))
         return result(psi / psi.sum(axis=-1, keepdims=True), out, x=x)
 
+    def design(self, x: Any, factors: Any, rows: int, columns: int) -> np.ndarray:
+        """Return zeros (columns, rows) with the kernels at phases (N,), times factors (N,), in their corner [:m, :N].
+
+        Raises
+        ------
+        ShapeError : other shapes, not finite, less room than that.
+        """
+        x = finite(x, "x", (np.size(x),))
+        factors = finite(factors, "factors", x.shape)
+        if rows < len(x) or columns < len(self.centres):
+            raise ShapeError("Expected room for every phase and kernel, got too few rows or columns.")
+        matrix = np.zeros((columns, rows))
+        matrix[: len(self.centres), : len(x)] = (self.basis(x) * factors[:, None]).T
+        return matrix
+
     def forcing(self, x: Any, out: Any = None) -> np.ndarray:
         """Return the forcing (..., n) at phases (...), or (..., n) where every coordinate has its own."""
         if self.phase == "position":

@@ -1,4 +1,4 @@
-"""One run of a movement primitive, sample by sample (specification; the twin is in native/primitive.cpp).
+"""One run of a movement primitive, sample by sample (specification; the twin is native/primitive_stepper.cpp).
 
 A goal that has moved is reached at once, or by ``g' = filter (target - g)``, exactly; so is the scale. Where a
 coordinate brakes, ``v^2 <= 2 limit |target - y|`` on the way to the new goal, and y stays on the side of it where it
