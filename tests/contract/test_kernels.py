@@ -76,7 +76,7 @@ def assert_same(native: Any, reference: Any) -> None:
 
 
 @given(cases())
-@settings(max_examples=150)
+@settings(max_examples=60)
 def test_native_is_the_reference(case: tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]) -> None:
     frames, prismatic, inputs = case
     native, reference = (module.Chain(frames, prismatic) for module in (_native, _reference))

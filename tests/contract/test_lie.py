@@ -96,7 +96,7 @@ def batch() -> dict[str, np.ndarray]:
 
 
 @given(cases())
-@settings(max_examples=200)
+@settings(max_examples=80)
 def test_native_is_the_reference(case: dict[str, np.ndarray]) -> None:
     for name, kinds in FUNCTIONS.items():
         arguments = [case[kind] for kind in kinds]

@@ -36,7 +36,7 @@ def test_friction_only_takes_power() -> None:
 def test_a_model_with_them_predicts_and_estimates_past_them(model, excited, tmp_path) -> None:
     """The log of an arm with a coupled wrist: the model without the wrist sees forces, the one with it none."""
     wrist = replace(model, coupled=WRIST)
-    q, qd, dt = (np.ascontiguousarray(x[:2000]) for x in (excited["q"], excited["qd"], excited.dt))
+    q, qd, dt = (np.ascontiguousarray(x[:500]) for x in (excited["q"], excited["qd"], excited.dt))
     qdd = np.diff(qd, axis=0, prepend=qd[:1]) / dt[:, None]
     tau = model.torque(q, qd, qdd) + model.gains * WRIST.torque(qd, qdd)
     np.testing.assert_allclose(wrist.torque(q, qd, qdd), tau, atol=1e-12)

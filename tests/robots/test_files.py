@@ -191,7 +191,7 @@ def any_robot(draw: st.DrawFn) -> Robot:
     return robots.from_dh(name, *table, prismatic=prismatic, modified=draw(st.booleans()), **details)
 
 
-@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(robot=any_robot())
 def test_any_robot_survives_a_round_trip(tmp_path: Path, robot: Robot) -> None:
     path = tmp_path / "robot.toml"
