@@ -41,7 +41,7 @@ def run(quick: bool) -> list[Table]:
         ),
         table(
             "Movement primitives: fit to the trajectory",
-            f"{text} No peer has it: beside the peer's fit to accelerations.",
+            f"{text} This peer fits accelerations only; mp_pytorch is in motion_batch.",
             "ms",
             [
                 Contender("armlab fit_dmp", _fit(t, y), "armlab"),
