@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from armlab.errors import ConfigError, ShapeError, UnknownName
-from armlab.estimation import Experiment, Fit, Gauge, check_estimator
+from armlab.estimation import Fit
 from armlab.lie import so3
 from armlab.motion import Dmp, fit_dmp
 from armlab.motion.fit import METHODS
@@ -209,18 +209,6 @@ def test_demonstrations_share_their_weights() -> None:
         fit_dmp(ts[:2], ys[:2]).value.sample(np.random.default_rng(0))
 
 
-def test_samples_have_the_mean_and_covariance_of_the_demonstrations() -> None:
-    rng = np.random.default_rng(2)
-    ys = [(S + a * np.sin(np.pi * U) ** 2)[::10, None] for a in rng.normal(size=6) * 0.2]
-    dmp = fit_dmp([U[::10]] * 6, ys, n_basis=5).value
-    drawn = np.array([dmp.sample(rng).weights.ravel() for _ in range(2000)])
-    root = np.sqrt(np.diag(dmp.weight_covariance))
-    assert (abs(drawn.mean(axis=0) - dmp.mean_weights.ravel()) < 4 * root / np.sqrt(2000) + 1e-9).all()
-    np.testing.assert_allclose(np.cov(drawn.T), dmp.weight_covariance, atol=0.15 * root.max() ** 2)
-    assert dmp.demo_weights is not None
-    np.testing.assert_allclose(np.cov(dmp.demo_weights[..., 0].T), dmp.weight_covariance, atol=1e-9 * root.max() ** 2)
-
-
 def test_turned_demonstrations_are_one_path() -> None:
     _, letter = demo("letter")
     path = np.concatenate([letter, S[:, None]], axis=1)
@@ -245,51 +233,6 @@ def test_the_fit_is_saved_with_its_value(tmp_path: Path) -> None:
     assert "RMSE of the motion" in fit.report()
     assert "'trajectory'" in fit.report()
     assert fit.residuals.shape == (1510, 2)
-
-
-def drawn(seed: int, n: int, unit: float = 1.0, **options: Any) -> Experiment:
-    """Noisy samples of a primitive of known weights."""
-    t = np.linspace(0, 1, n)
-    shape = np.stack([1 + S, 2 - S + 20 * (U - U**2) ** 3], axis=1)  # from rest to rest
-    truth = fit_dmp(U, shape, n_basis=8, pin=("y0", "v0", "g"), hold=2.0).value
-    y = unit * (truth.rollout(t).y + np.random.default_rng(seed).normal(size=(n, 2)) * 1e-2)
-    ends = {"y0": unit * truth.y0, "g": unit * truth.g}
-    parts = np.concatenate([truth.weights, [truth.y0, truth.v0, truth.g]]) * unit
-    return Experiment({"t": t, "y": y, "n_basis": 8, "hold": 0.0, **ends, **options}, parts.T.ravel())
-
-
-def test_the_fit_meets_the_contract() -> None:
-    def scaled(data: dict[str, Any]) -> dict[str, Any]:
-        return {k: 1000 * np.asarray(a) if k in ("y", "y0", "g") else a for k, a in data.items()}
-
-    contract = check_estimator(
-        fit_dmp,
-        drawn,
-        60,
-        n=80,
-        gauges=[Gauge("millimetres", scaled, lambda fit: 1000 * fit.parameters)],
-        noise_given=False,
-        skip={
-            "efficient": "judged from 1000 runs on",
-            "order-free": "samples are a motion in time",
-            "refuses": "directions that the samples do not tell are left at zero and counted in the rank",
-            "robust": "a motion has no outliers that could be told from it; give sample_weights",
-        },
-    )
-    assert contract.passed, contract.text()
-
-
-def test_noise_of_pinned_ends_is_in_the_covariance() -> None:
-    def pinned(seed: int, n: int) -> Experiment:
-        one = drawn(seed, n)
-        return Experiment({k: a for k, a in one.data.items() if k not in ("y0", "g")}, one.truth)
-
-    reasons = dict.fromkeys(
-        ("consistent", "efficient", "order-free", "gauge-free", "refuses", "robust", "saves", "explains", "clean"),
-        "the ends are one sample each however many there are",
-    )
-    contract = check_estimator(fit_dmp, pinned, 60, n=80, noise_given=False, skip=reasons)
-    assert contract.passed, contract.text()
 
 
 @pytest.mark.parametrize(
