@@ -92,3 +92,42 @@ def kept() -> Callable[..., tuple[int, int]]:
             tracemalloc.stop()
 
     return count
+
+
+def _plain(weights: Any, centres: Any, widths: Any, duration: float, y0: np.ndarray, g: np.ndarray, **more: Any) -> Dmp:
+    """A Dmp of the convention "lund" from its weights."""
+    n = len(y0)
+    parts = {"v0": np.zeros(n), "extent": np.abs(g - y0) + 1e-9, "peak_acceleration": np.ones(n)}
+    return Dmp(
+        weights=weights,
+        centres=centres,
+        widths=widths,
+        tau_d=duration / 3,
+        duration=duration,
+        y0=y0,
+        g=g,
+        monotone=np.ones(n, dtype=bool),
+        **parts,
+        **more,
+    )
+
+
+def _smooth(n: int = 2, seed: int = 0, force: float = 40.0, **more: Any) -> Dmp:
+    """A primitive with random weights; unless told otherwise its coordinates are multiples of the first."""
+    draw = np.random.default_rng(seed)
+    centres = np.exp(-3 * np.linspace(0, 1, 20))
+    shares = 0.5 ** np.arange(n)
+    weights = (force * draw.normal(size=(20, 1)) - 156.25) * shares  # the constant lets the spring start softly
+    return _plain(weights, centres, 0.8 * np.abs(np.gradient(centres)), 2.0, np.zeros(n), shares, **more)
+
+
+@pytest.fixture(scope="session")
+def plain() -> Callable[..., Dmp]:
+    """Builds a Dmp of the convention "lund" from its weights."""
+    return _plain
+
+
+@pytest.fixture(scope="session")
+def smooth() -> Callable[..., Dmp]:
+    """Builds a Dmp that starts softly; unless told otherwise its coordinates are multiples of the first."""
+    return _smooth

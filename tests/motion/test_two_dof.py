@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -18,33 +19,6 @@ from armlab.motion.two_dof_run import FULL_SPEED
 H = 0.004
 
 
-def plain(weights: Any, centres: Any, widths: Any, duration: float, y0: np.ndarray, g: np.ndarray, **more: Any) -> Dmp:
-    """A Dmp of the convention "lund" from its weights."""
-    n = len(y0)
-    parts = {"v0": np.zeros(n), "extent": np.abs(g - y0) + 1e-9, "peak_acceleration": np.ones(n)}
-    return Dmp(
-        weights=weights,
-        centres=centres,
-        widths=widths,
-        tau_d=duration / 3,
-        duration=duration,
-        y0=y0,
-        g=g,
-        monotone=np.ones(n, dtype=bool),
-        **parts,
-        **more,
-    )
-
-
-def smooth(n: int = 2, seed: int = 0, force: float = 40.0, **more: Any) -> Any:
-    """A primitive with random weights; unless told otherwise its coordinates are multiples of the first."""
-    draw = np.random.default_rng(seed)
-    centres = np.exp(-3 * np.linspace(0, 1, 20))
-    shares = 0.5 ** np.arange(n)
-    weights = (force * draw.normal(size=(20, 1)) - 156.25) * shares  # the constant lets the spring start softly
-    return plain(weights, centres, 0.8 * np.abs(np.gradient(centres)), 2.0, np.zeros(n), shares, **more)
-
-
 @settings(max_examples=15)
 @given(
     seed=st.integers(0, 50),
@@ -54,7 +28,9 @@ def smooth(n: int = 2, seed: int = 0, force: float = 40.0, **more: Any) -> Any:
     dof=st.integers(0, 1),
     blow=st.floats(-0.5, 0.5),
 )
-def test_the_path_keeps_its_shape(seed: int, n: int, t0: float, length: float, dof: int, blow: float) -> None:
+def test_the_path_keeps_its_shape(
+    smooth: Callable[..., Dmp], seed: int, n: int, t0: float, length: float, dof: int, blow: float
+) -> None:
     events = [Hold(t0, t0 + length, [dof]), Displace(0.5 * t0, np.linspace(0, blow, n))]
     run = TwoDofDmp(smooth(n, seed), kc=1e3).simulate(0.01, events)
     np.testing.assert_allclose(run.yc, run.yc[:, :1] * 0.5 ** np.arange(n), rtol=0, atol=1e-9)
@@ -62,7 +38,7 @@ def test_the_path_keeps_its_shape(seed: int, n: int, t0: float, length: float, d
 
 @settings(max_examples=10)
 @given(c=st.floats(-2, 2), s=st.sampled_from([-1.5, 0.3, 2.0]), k=st.floats(0.5, 3.0))
-def test_undisturbed_it_is_the_primitive(c: float, s: float, k: float) -> None:
+def test_undisturbed_it_is_the_primitive(smooth: Callable[..., Dmp], c: float, s: float, k: float) -> None:
     dmp = smooth()
     run = TwoDofDmp(dmp).simulate(0.01, y0=dmp.y0 + c, g=dmp.y0 + c + s * (dmp.g - dmp.y0), duration=2 * k, dt=0.002)
     np.testing.assert_allclose(run.yc, run.free.y, rtol=0, atol=1e-6 * max(1, abs(s)))
@@ -71,7 +47,7 @@ def test_undisturbed_it_is_the_primitive(c: float, s: float, k: float) -> None:
 
 
 @pytest.mark.parametrize("schedule", ["canonical", "time", "position"])
-def test_it_is_of_fourth_order(schedule: str) -> None:
+def test_it_is_of_fourth_order(plain: Callable[..., Dmp], schedule: str) -> None:
     """With a hold and a push between grid points, on kernels that are wide for the steps."""
     centres = np.linspace(0, 1, 6)
     weights = 30 * np.random.default_rng(1).normal(size=(6, 2))
@@ -86,7 +62,7 @@ def test_it_is_of_fourth_order(schedule: str) -> None:
     assert np.diff(-np.log2(errors)).min() >= 3.8, errors
 
 
-def test_a_hold_creeps_and_a_freeze_does_not() -> None:
+def test_a_hold_creeps_and_a_freeze_does_not(smooth: Callable[..., Dmp]) -> None:
     """Behind a hold the free path creeps away, less and less; frozen it stands, and thaws when let go."""
     dmp, t = smooth(force=0.0), np.array([0.0, 0.5, 1.0, 5.0, 30.0])
     creeping = TwoDofDmp(dmp).simulate(t, [Hold(0.5, 30)])
@@ -102,7 +78,7 @@ def test_a_hold_creeps_and_a_freeze_does_not() -> None:
     np.testing.assert_allclose(after.yc[-1], dmp.g, atol=2e-2)
 
 
-def test_inside_the_dead_zone_nothing_slows() -> None:
+def test_inside_the_dead_zone_nothing_slows(smooth: Callable[..., Dmp]) -> None:
     dmp = smooth()
     run = TwoDofDmp(dmp, e0=[0.02, 0.02]).simulate(0.01, [Displace(0.5, 0.015)])
     np.testing.assert_array_equal(run.tau_a, dmp.tau_d)
@@ -111,7 +87,7 @@ def test_inside_the_dead_zone_nothing_slows() -> None:
     assert dmp.tau_d * 1.05 < slowed.tau_a.max() < finer.tau_a.max()
 
 
-def test_a_standing_error_slows_as_the_table_says() -> None:
+def test_a_standing_error_slows_as_the_table_says(smooth: Callable[..., Dmp]) -> None:
     """tau_a = tau_d (1 + kc e^2) for 1, 2, 5, 10 and 20 mrad; the error is made by a plant that lags behind."""
     law = TwoDofDmp(smooth(1)).law
     dmp = smooth(1)
@@ -120,7 +96,7 @@ def test_a_standing_error_slows_as_the_table_says() -> None:
         assert kernel.time_constant(np.array([0, 0, e, 0, 0, 1.0, 0])) == pytest.approx(slower * dmp.tau_d)
 
 
-def test_every_coordinate_slows_by_its_own_zone_and_scale() -> None:
+def test_every_coordinate_slows_by_its_own_zone_and_scale(smooth: Callable[..., Dmp]) -> None:
     """``tau_a = tau_d (1 + kc sum (d / s)^2)``; the phase of either kind slows by as much."""
     e, zone, scale = np.array([0.03, -0.05]), np.array([0.01, 0.02]), np.array([1.0, 0.5])
     slower = 1 + 1e4 * (0.02**2 + 0.06**2)
@@ -132,7 +108,7 @@ def test_every_coordinate_slows_by_its_own_zone_and_scale() -> None:
         assert law.slopes(state, FULL_SPEED)[-2] == pytest.approx(rate / (slower * dmp.tau_d), rel=1e-12)
 
 
-def test_acceleration_of_the_path_is_its_derivative_while_tau_changes() -> None:
+def test_acceleration_of_the_path_is_its_derivative_while_tau_changes(smooth: Callable[..., Dmp]) -> None:
     """Beyond the dead zone of one coordinate and inside that of the other, with scales that are not one."""
     two_dof = TwoDofDmp(smooth(), kc=1e3, e0=[0.01, 0.2], e_scale=[0.3, 2.0])
     run = two_dof.simulate(np.arange(0.0, 1.6, 5e-4), [Displace(0.5, [0.1, 0.1])], dt=5e-4)
@@ -145,7 +121,7 @@ def test_acceleration_of_the_path_is_its_derivative_while_tau_changes() -> None:
     np.testing.assert_allclose(run.ycdd[rows], by_differences[rows], rtol=0, atol=2e-3 * np.abs(run.ycdd).max())
 
 
-def test_a_freeze_begins_at_the_limit_and_ends_at_0_8_of_it() -> None:
+def test_a_freeze_begins_at_the_limit_and_ends_at_0_8_of_it(smooth: Callable[..., Dmp]) -> None:
     """In units of the scale, in any coordinate; yc, z and x stand still, and e follows."""
     dmp = smooth()
     law = TwoDofDmp(dmp, e_max=0.1, e_scale=[1.0, 0.5]).law(_setting(dmp))
@@ -163,7 +139,7 @@ def test_a_freeze_begins_at_the_limit_and_ends_at_0_8_of_it() -> None:
     np.testing.assert_array_equal(law.reference(after, FULL_SPEED)[:2], 0.0)
 
 
-def test_a_run_at_other_times_is_the_same_run() -> None:
+def test_a_run_at_other_times_is_the_same_run(smooth: Callable[..., Dmp]) -> None:
     """Events between the samples that are asked for happen all the same, at their times."""
     two_dof, events = TwoDofDmp(smooth()), [Hold(0.3, 0.62), Displace(0.9, 0.05)]
     fine = two_dof.simulate(0.01 * np.arange(151), events, dt=0.001)
@@ -199,6 +175,6 @@ def _setting(dmp: Any) -> Any:
         (ShapeError, lambda d: TwoDofDmp(d).stepper().change_goal([np.nan, 0])),
     ],
 )
-def test_bad_input_gets_a_sentence(error: type[Exception], misuse: Any) -> None:
+def test_bad_input_gets_a_sentence(smooth: Callable[..., Dmp], error: type[Exception], misuse: Any) -> None:
     with pytest.raises(error, match=r"^Expected .*\.$"):
         misuse(smooth())

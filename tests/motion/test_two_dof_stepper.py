@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -18,34 +18,7 @@ from armlab.motion.two_dof_stepper import Reference, TwoDofStepper, starting
 H = 0.004
 
 
-def plain(weights: Any, centres: Any, widths: Any, duration: float, y0: np.ndarray, g: np.ndarray, **more: Any) -> Dmp:
-    """A Dmp of the convention "lund" from its weights."""
-    n = len(y0)
-    parts = {"v0": np.zeros(n), "extent": np.abs(g - y0) + 1e-9, "peak_acceleration": np.ones(n)}
-    return Dmp(
-        weights=weights,
-        centres=centres,
-        widths=widths,
-        tau_d=duration / 3,
-        duration=duration,
-        y0=y0,
-        g=g,
-        monotone=np.ones(n, dtype=bool),
-        **parts,
-        **more,
-    )
-
-
-def smooth(n: int = 2, seed: int = 0, force: float = 40.0, **more: Any) -> Any:
-    """A primitive with random weights; unless told otherwise its coordinates are multiples of the first."""
-    draw = np.random.default_rng(seed)
-    centres = np.exp(-3 * np.linspace(0, 1, 20))
-    shares = 0.5 ** np.arange(n)
-    weights = (force * draw.normal(size=(20, 1)) - 156.25) * shares  # the constant lets the spring start softly
-    return plain(weights, centres, 0.8 * np.abs(np.gradient(centres)), 2.0, np.zeros(n), shares, **more)
-
-
-def test_it_starts_with_the_arm_on_the_path() -> None:
+def test_it_starts_with_the_arm_on_the_path(smooth: Callable[..., Dmp]) -> None:
     dmp = smooth(schedule="time")
     run = Setting.of(dmp, y0=np.array([0.1, 0.2]), v0=np.array([0.3, 0.4]))
     z = run.tau * run.v0
@@ -53,7 +26,7 @@ def test_it_starts_with_the_arm_on_the_path() -> None:
     assert starting(Setting.of(smooth()))[-2] == 1.0
 
 
-def test_stepper_is_the_simulation() -> None:
+def test_stepper_is_the_simulation(smooth: Callable[..., Dmp]) -> None:
     """With the arm of the simulation measured at every step the path is the same to the accuracy of sampling."""
     dmp = smooth()
     two_dof = TwoDofDmp(dmp)
@@ -71,7 +44,7 @@ def test_stepper_is_the_simulation() -> None:
     assert (stepper.x, stepper.frozen, stepper.e.tolist()) == (1.0, False, [0.0, 0.0])
 
 
-def test_uneven_steps_and_lost_samples_do_not_matter_much() -> None:
+def test_uneven_steps_and_lost_samples_do_not_matter_much(smooth: Callable[..., Dmp]) -> None:
     two_dof = TwoDofDmp(smooth(force=4.0), e0=0.01)
     run = two_dof.simulate(0.001, dt=0.001)
     stepper, k, draw = two_dof.stepper(), 0, np.random.default_rng(0)
@@ -85,7 +58,7 @@ def test_uneven_steps_and_lost_samples_do_not_matter_much() -> None:
         assert np.isfinite(found.ydd_ref).all()
 
 
-def test_goal_changes_on_the_way() -> None:
+def test_goal_changes_on_the_way(smooth: Callable[..., Dmp]) -> None:
     dmp = smooth()
     stepper, ya, yad = TwoDofDmp(dmp).stepper(), np.zeros(2), np.zeros(2)
     goal = np.array([1.3, -0.2])
@@ -100,14 +73,14 @@ def test_goal_changes_on_the_way() -> None:
     np.testing.assert_array_equal(stepper.goal, goal)
 
 
-def test_a_goal_outside_the_limits_is_refused() -> None:
+def test_a_goal_outside_the_limits_is_refused(smooth: Callable[..., Dmp]) -> None:
     stepper = TwoDofDmp(smooth(limits=np.array([[-1.0, -1.0], [2.0, 2.0]]))).stepper()
     with pytest.raises(ShapeError, match=r"coordinates \[1\]"):
         stepper.change_goal([0.0, 3.0])
     assert stepper.goal.tolist() == [1.0, 0.5]
 
 
-def test_acceleration_is_the_derivative_while_the_speed_changes() -> None:
+def test_acceleration_is_the_derivative_while_the_speed_changes(smooth: Callable[..., Dmp]) -> None:
     """Of a primitive that is slowed down to a half and back, with an arm that is on the path."""
     stepper, rows, speeds = TwoDofDmp(smooth(force=4.0)).stepper(), [], 1.0 - np.r_[0:0.5:251j, 0.5:0.0:251j]
     ya, yad = np.zeros(2), np.zeros(2)
@@ -121,7 +94,9 @@ def test_acceleration_is_the_derivative_while_the_speed_changes() -> None:
 
 
 @pytest.mark.parametrize("schedule", ["canonical", "time"])
-def test_it_has_ended_when_the_phase_has_gone_as_far_as_in_the_demonstration(schedule: str) -> None:
+def test_it_has_ended_when_the_phase_has_gone_as_far_as_in_the_demonstration(
+    smooth: Callable[..., Dmp], schedule: str
+) -> None:
     dmp = smooth(schedule=schedule)
     stepper, ended = TwoDofDmp(dmp, kc=0.0).stepper(), []
     for k in range(511):
@@ -131,7 +106,7 @@ def test_it_has_ended_when_the_phase_has_gone_as_far_as_in_the_demonstration(sch
     assert dmp.duration - 1e-9 <= first <= dmp.duration + 2 * H
 
 
-def test_a_late_packet_is_solved_in_steps_of_4_ms() -> None:
+def test_a_late_packet_is_solved_in_steps_of_4_ms(smooth: Callable[..., Dmp]) -> None:
     law, stepper = TwoDofDmp(smooth()).law(Setting.of(smooth())), TwoDofDmp(smooth()).stepper()
     found = stepper.step(0.044, np.zeros(2), np.zeros(2)).yc
     start = starting(Setting.of(smooth()))
