@@ -5,17 +5,22 @@ from __future__ import annotations
 import sys
 import tracemalloc
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pytest
 
-from armlab import State
+from armlab import Command, State, robots
 from armlab.estimation import Fit
 from armlab.lie import so3
 from armlab.motion import Dmp, PoseDmp, fit_pose_dmp
 from armlab.motion._basis import placed, time_constants
 from armlab.motion.control import Controller
+
+PERIOD = 0.004032
+YUMI = robots.load("yumi_right")
+REACH = 0.3 * np.array([1, 1, 1, 1, -1, 1, 1])
 
 
 def build(schedule: str = "canonical", scaling: str = "goal", n: int = 3, **changes: Any) -> Dmp:
@@ -131,3 +136,41 @@ def plain() -> Callable[..., Dmp]:
 def smooth() -> Callable[..., Dmp]:
     """Builds a Dmp that starts softly; unless told otherwise its coordinates are multiples of the first."""
     return _smooth
+
+
+@pytest.fixture(scope="session")
+def reach(primitive: Callable[..., Dmp]) -> Dmp:
+    """Two seconds from the home posture, starting softly."""
+    parts = {"y0": YUMI.q_home, "g": YUMI.q_home + REACH, "v0": np.zeros(7)}
+    draw = np.random.default_rng(3)
+    return primitive(n=7, weights=(10 * draw.normal(size=(20, 7)) - 156.25) * REACH, **parts)
+
+
+@dataclass
+class Ideal:
+    """An arm that is where it was told to be one packet ago; a hand may hold it."""
+
+    q: np.ndarray
+    qd: np.ndarray
+    t: float = 0.0
+    held: bool = False
+
+    def packet(self, controller: Controller, dt: float = PERIOD, **state: Any) -> Command:
+        command = controller(State(self.t, dt, self.q, self.qd, self.q, **state))
+        self.t += dt
+        if command.ends:
+            return command
+        assert command.q is not None
+        assert command.qd is not None
+        self.q, self.qd = (self.q, np.zeros(7)) if self.held else (command.q, command.qd)
+        return command
+
+    def run(self, controller: Controller, seconds: float) -> tuple[np.ndarray, np.ndarray]:
+        commands = [self.packet(controller) for _ in range(round(seconds / PERIOD))]
+        return np.array([c.q for c in commands]), np.array([c.qd for c in commands])
+
+
+@pytest.fixture(scope="session")
+def arm() -> Callable[..., Ideal]:
+    """Makes an arm at rest, at home unless told otherwise."""
+    return lambda q=YUMI.q_home: Ideal(q.copy(), np.zeros(7))

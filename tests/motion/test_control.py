@@ -5,13 +5,13 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from armlab import Command, State, bridge, robots
+from armlab import State, bridge, robots
 from armlab.errors import ConfigError, ShapeError
 from armlab.log import Column
 from armlab.motion import Dmp, TwoDofDmp
@@ -22,51 +22,15 @@ ROBOT = robots.load("yumi_right")
 REACH = 0.3 * np.array([1, 1, 1, 1, -1, 1, 1])
 
 
-@pytest.fixture(scope="module")
-def reach(primitive: Callable[..., Dmp]) -> Dmp:
-    """Two seconds from the home posture, starting softly."""
-    parts = {"y0": ROBOT.q_home, "g": ROBOT.q_home + REACH, "v0": np.zeros(7)}
-    draw = np.random.default_rng(3)
-    return primitive(n=7, weights=(10 * draw.normal(size=(20, 7)) - 156.25) * REACH, **parts)
-
-
 def made(dmp: Dmp, kind: str, **more: Any) -> Controller:
     return dmp.controller(ROBOT, **more) if kind == "plain" else TwoDofDmp(dmp, e0=0.02).controller(ROBOT, **more)
-
-
-@dataclass
-class Ideal:
-    """An arm that is where it was told to be one packet ago; a hand may hold it."""
-
-    q: np.ndarray
-    qd: np.ndarray
-    t: float = 0.0
-    held: bool = False
-
-    def packet(self, controller: Controller, dt: float = PERIOD, **state: Any) -> Command:
-        command = controller(State(self.t, dt, self.q, self.qd, self.q, **state))
-        self.t += dt
-        if command.ends:
-            return command
-        assert command.q is not None
-        assert command.qd is not None
-        self.q, self.qd = (self.q, np.zeros(7)) if self.held else (command.q, command.qd)
-        return command
-
-    def run(self, controller: Controller, seconds: float) -> tuple[np.ndarray, np.ndarray]:
-        commands = [self.packet(controller) for _ in range(round(seconds / PERIOD))]
-        return np.array([c.q for c in commands]), np.array([c.qd for c in commands])
-
-
-def arm(q: np.ndarray = ROBOT.q_home) -> Ideal:
-    return Ideal(q.copy(), np.zeros(7))
 
 
 KINDS = pytest.mark.parametrize("kind", ["plain", "two_dof"])
 
 
 @KINDS
-def test_from_where_the_arm_is_to_the_goal_without_a_jump(reach: Dmp, kind: str) -> None:
+def test_from_where_the_arm_is_to_the_goal_without_a_jump(arm: Callable[..., Any], reach: Dmp, kind: str) -> None:
     controller, start = made(reach, kind), arm(ROBOT.q_home + 0.05)
     q, qd = start.run(controller, 3.0)
     np.testing.assert_array_equal(q[0], ROBOT.q_home + 0.05)
@@ -80,7 +44,7 @@ def test_from_where_the_arm_is_to_the_goal_without_a_jump(reach: Dmp, kind: str)
 
 
 @KINDS
-def test_packets_that_come_late_do_not_bend_the_path(reach: Dmp, kind: str) -> None:
+def test_packets_that_come_late_do_not_bend_the_path(arm: Callable[..., Any], reach: Dmp, kind: str) -> None:
     """Packets are lost again and again, up to nine in a row: the motion is in time nevertheless.
 
     The arm keeps the acceleration it was given last, so with two degrees of freedom it is only near.
@@ -97,7 +61,7 @@ def test_packets_that_come_late_do_not_bend_the_path(reach: Dmp, kind: str) -> N
 
 
 @KINDS
-def test_a_gap_ends_the_run_and_says_so(reach: Dmp, kind: str) -> None:
+def test_a_gap_ends_the_run_and_says_so(arm: Callable[..., Any], reach: Dmp, kind: str) -> None:
     controller, yumi = made(reach, kind), arm()
     yumi.run(controller, 0.5)
     command = yumi.packet(controller, 0.06)
@@ -109,7 +73,7 @@ def test_a_gap_ends_the_run_and_says_so(reach: Dmp, kind: str) -> None:
     assert "NaN" in lost.reason
 
 
-def test_what_goes_wrong_in_the_loop_ends_the_run_with_its_reason(reach: Dmp) -> None:
+def test_what_goes_wrong_in_the_loop_ends_the_run_with_its_reason(arm: Callable[..., Any], reach: Dmp) -> None:
     """A force that is no number, and a motion that cannot begin."""
     pushed = TwoDofDmp(reach).controller(ROBOT, give_way=lambda _: np.full(7, np.nan))
     yumi = arm()
@@ -124,7 +88,7 @@ def test_what_goes_wrong_in_the_loop_ends_the_run_with_its_reason(reach: Dmp) ->
 
 
 @KINDS
-def test_a_new_session_begins_anew_where_the_arm_is(reach: Dmp, kind: str) -> None:
+def test_a_new_session_begins_anew_where_the_arm_is(arm: Callable[..., Any], reach: Dmp, kind: str) -> None:
     controller, yumi = made(reach, kind), arm()
     yumi.run(controller, 1.0)
     yumi.q = ROBOT.q_home - 0.02
@@ -134,7 +98,7 @@ def test_a_new_session_begins_anew_where_the_arm_is(reach: Dmp, kind: str) -> No
 
 
 @KINDS
-def test_limits_act_last_and_are_told(reach: Dmp, kind: str) -> None:
+def test_limits_act_last_and_are_told(arm: Callable[..., Any], reach: Dmp, kind: str) -> None:
     slow = bridge.Limits.of(ROBOT, speed=0.05)
     controller, yumi, bits = made(reach, kind, limits=slow), arm(), 0
     q, qd = [], []
@@ -153,7 +117,7 @@ def test_limits_act_last_and_are_told(reach: Dmp, kind: str) -> None:
 
 
 @KINDS
-def test_speed_and_stop_keep_the_path(reach: Dmp, kind: str) -> None:
+def test_speed_and_stop_keep_the_path(arm: Callable[..., Any], reach: Dmp, kind: str) -> None:
     """Slower, to a stop, and on: the same curve in joint space, other times."""
     plain, _ = arm().run(made(reach, kind), 3.0)
     controller, yumi = made(reach, kind), arm()
@@ -194,7 +158,7 @@ def test_done_is_near_slow_and_over_for_a_tenth_of_a_second(reach: Dmp, kind: st
     assert arrivals(2.3, reach.g, rest, first - 5)[0] == first - 5 + 25
 
 
-def test_a_stop_takes_a_quarter_of_a_second(reach: Dmp) -> None:
+def test_a_stop_takes_a_quarter_of_a_second(arm: Callable[..., Any], reach: Dmp) -> None:
     controller, yumi = made(reach, "plain"), arm()
     yumi.run(controller, 0.8)
     controller.stop()
@@ -205,7 +169,7 @@ def test_a_stop_takes_a_quarter_of_a_second(reach: Dmp) -> None:
 
 
 @KINDS
-def test_another_goal_is_not_yet_arrived_at(reach: Dmp, kind: str) -> None:
+def test_another_goal_is_not_yet_arrived_at(arm: Callable[..., Any], reach: Dmp, kind: str) -> None:
     controller, yumi = made(reach, kind), arm()
     yumi.run(controller, 3.0)
     assert controller.done
@@ -216,7 +180,7 @@ def test_another_goal_is_not_yet_arrived_at(reach: Dmp, kind: str) -> None:
 
 
 @KINDS
-def test_the_goal_may_change_on_the_way(reach: Dmp, kind: str) -> None:
+def test_the_goal_may_change_on_the_way(arm: Callable[..., Any], reach: Dmp, kind: str) -> None:
     controller, yumi = made(reach, kind), arm()
     yumi.run(controller, 0.8)
     goal = reach.g + np.array([0.2, 0, -0.1, 0, 0.1, 0, 0])
@@ -229,7 +193,7 @@ def test_the_goal_may_change_on_the_way(reach: Dmp, kind: str) -> None:
     assert controller.done
 
 
-def test_what_it_records_is_declared(reach: Dmp) -> None:
+def test_what_it_records_is_declared(arm: Callable[..., Any], reach: Dmp) -> None:
     controller = made(reach, "two_dof")
     record, columns = arm().packet(controller).record, controller.columns()
     assert record.keys() == columns.keys()
@@ -296,7 +260,9 @@ def test_a_goal_outside_names_the_joint(reach: Dmp) -> None:
 
 
 @KINDS
-def test_calls_leave_nothing_behind(reach: Dmp, kind: str, kept: Callable[..., tuple[int, int]]) -> None:
+def test_calls_leave_nothing_behind(
+    arm: Callable[..., Any], reach: Dmp, kind: str, kept: Callable[..., tuple[int, int]]
+) -> None:
     blocks, peak = kept(made(reach, kind), arm().q, PERIOD)
     assert blocks < 20  # of a thousand calls
     assert peak < 20_000  # bytes at any time of them: a reference and its record

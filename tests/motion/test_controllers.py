@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from armlab import Command, State, robots
+from armlab import robots
 from armlab.errors import ShapeError
 from armlab.log import Table
 from armlab.motion import Dmp, TwoDofDmp
-from armlab.motion.control import Controller
 from armlab.motion.controllers import DmpController, TwoDofController, check_joints
 
 PERIOD = 0.004032
@@ -21,48 +20,12 @@ ROBOT = robots.load("yumi_right")
 REACH = 0.3 * np.array([1, 1, 1, 1, -1, 1, 1])
 
 
-@pytest.fixture(scope="module")
-def reach(primitive: Callable[..., Dmp]) -> Dmp:
-    """Two seconds from the home posture, starting softly."""
-    parts = {"y0": ROBOT.q_home, "g": ROBOT.q_home + REACH, "v0": np.zeros(7)}
-    draw = np.random.default_rng(3)
-    return primitive(n=7, weights=(10 * draw.normal(size=(20, 7)) - 156.25) * REACH, **parts)
-
-
-@dataclass
-class Ideal:
-    """An arm that is where it was told to be one packet ago; a hand may hold it."""
-
-    q: np.ndarray
-    qd: np.ndarray
-    t: float = 0.0
-    held: bool = False
-
-    def packet(self, controller: Controller, dt: float = PERIOD, **state: Any) -> Command:
-        command = controller(State(self.t, dt, self.q, self.qd, self.q, **state))
-        self.t += dt
-        if command.ends:
-            return command
-        assert command.q is not None
-        assert command.qd is not None
-        self.q, self.qd = (self.q, np.zeros(7)) if self.held else (command.q, command.qd)
-        return command
-
-    def run(self, controller: Controller, seconds: float) -> tuple[np.ndarray, np.ndarray]:
-        commands = [self.packet(controller) for _ in range(round(seconds / PERIOD))]
-        return np.array([c.q for c in commands]), np.array([c.qd for c in commands])
-
-
-def arm(q: np.ndarray = ROBOT.q_home) -> Ideal:
-    return Ideal(q.copy(), np.zeros(7))
-
-
 def test_kinds(reach: Dmp) -> None:
     assert isinstance(reach.controller(ROBOT), DmpController)
     assert isinstance(TwoDofDmp(reach).controller(ROBOT), TwoDofController)
 
 
-def test_a_plain_primitive_is_its_rollout(reach: Dmp) -> None:
+def test_a_plain_primitive_is_its_rollout(arm: Callable[..., Any], reach: Dmp) -> None:
     """It starts at rest, however the demonstration did."""
     moving = replace(reach, v0=np.full(7, 0.1))
     q, _ = arm().run(moving.controller(ROBOT, duration=3.0), 3.0)
@@ -70,7 +33,7 @@ def test_a_plain_primitive_is_its_rollout(reach: Dmp) -> None:
     np.testing.assert_allclose(q, path.y, atol=1e-9)
 
 
-def test_a_held_arm_is_waited_for(reach: Dmp) -> None:
+def test_a_held_arm_is_waited_for(arm: Callable[..., Any], reach: Dmp) -> None:
     """What the plain primitive cannot: behind a hold of two seconds it goes on where it was, not where it would be."""
     controller, yumi = TwoDofDmp(reach, e_max=0.3).controller(ROBOT, give_way=lambda _: np.zeros(7)), arm()
     yumi.run(controller, 0.8)
@@ -81,7 +44,7 @@ def test_a_held_arm_is_waited_for(reach: Dmp) -> None:
     assert (commands[-1].record["done"], controller.frozen) == (False, False)
 
 
-def test_a_frozen_path_is_told_and_thaws(reach: Dmp) -> None:
+def test_a_frozen_path_is_told_and_thaws(arm: Callable[..., Any], reach: Dmp) -> None:
     controller, yumi = TwoDofDmp(reach, e_max=0.01).controller(ROBOT), arm()
     yumi.run(controller, 0.8)
     yumi.held = True
@@ -89,13 +52,13 @@ def test_a_frozen_path_is_told_and_thaws(reach: Dmp) -> None:
     assert (controller.frozen, last.record["frozen"]) == (True, True)
 
 
-def test_it_gives_way_to_what_a_contact_adds(reach: Dmp) -> None:
+def test_it_gives_way_to_what_a_contact_adds(arm: Callable[..., Any], reach: Dmp) -> None:
     free, _ = arm().run(TwoDofDmp(reach, kc=0).controller(ROBOT), 0.5)
     pushed, _ = arm().run(TwoDofDmp(reach, kc=0).controller(ROBOT, give_way=lambda state: np.eye(7)[0]), 0.5)
     assert pushed[-1, 0] - free[-1, 0] > 0.01
 
 
-def test_a_log_of_the_loop_is_a_run(reach: Dmp) -> None:
+def test_a_log_of_the_loop_is_a_run(arm: Callable[..., Any], reach: Dmp) -> None:
     """What the controller records, in a Table of any source, is what `plots.two_dof` draws."""
     two_dof, yumi = TwoDofDmp(reach), arm()
     controller = two_dof.controller(ROBOT)
