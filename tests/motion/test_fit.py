@@ -132,6 +132,13 @@ def test_every_method_follows(schedule: str, convention: str, method: str) -> No
     np.testing.assert_allclose(shifted.rollout(t + 5).y, run.y, atol=1e-9)
 
 
+def test_the_report_says_when_the_noise_cannot_be_told() -> None:
+    t = np.linspace(0.0, 1.0, 20)
+    few, enough = (fit_dmp(t, t**2 * (3 - 2 * t), n_basis=n).report() for n in (50, 10))
+    assert "20 samples for 51 unknowns: the noise is not told" in few
+    assert "not told" not in enough
+
+
 @pytest.mark.parametrize("schedule", ["canonical", "time"])
 @pytest.mark.parametrize("n_basis", [3, 50, pytest.param(1000, marks=pytest.mark.slow)])
 def test_three_samples_and_a_constant_are_enough(schedule: str, n_basis: int) -> None:

@@ -251,6 +251,11 @@ def _report(fit: Fit[Dmp], method: str, learned: Learned, demos: list[Demo]) -> 
         f"{dmp.scaling!r}, convention {dmp.convention!r}, method {method!r}, {len(demos)} demonstrations.",
         *([f"Coordinates that the goal does not scale, for they hardly moved: {scaled}."] if scaled else []),
     ]
+    if fit.n <= len(learned.unknowns):
+        lines.append(
+            f"{fit.n} samples for {len(learned.unknowns)} unknowns: the noise is not told, sigma and deviations are "
+            "rounding. Take fewer kernels."
+        )
     for k, demo in enumerate(demos):
         path = learned.path(dmp, demo, k)
         rmse = np.sqrt(((path - demo.y) ** 2).mean(axis=0))
