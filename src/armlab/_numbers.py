@@ -86,6 +86,8 @@ def number(value: Any, what: str, error: type[ArmlabError] = ShapeError) -> floa
     ------
     ArmlabError : when it is anything else.
     """
+    if type(value) is float:
+        return value
     array = numbers(value, what, error)
     if array.ndim:
         raise error(f"Expected {what} to be one number, got {shortened(value)}.")

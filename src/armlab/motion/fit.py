@@ -214,7 +214,7 @@ def _with(blank: Dmp, learned: Learned, demos: list[Demo], reference: Reference,
     z = np.array([demo.duration for demo in demos])[:, None] / reference.duration * learned.ends[:, 1]
     squares = (scales**2).sum(axis=0)
     v0 = (scales * z).sum(axis=0) / np.where(squares > 0, squares, 1.0)
-    y0, g = learned.ends[:, 0].mean(axis=0), learned.ends[:, 2].mean(axis=0)
+    y0, _, g = learned.ends.mean(axis=0)
     return replace(blank, weights=learned.weights, y0=y0, v0=v0, g=g, demo_weights=each)
 
 
