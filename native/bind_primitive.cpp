@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "arrays.h"
+#include "obstacles.h"
 #include "primitive.h"
 
 namespace armlab {
@@ -113,8 +114,8 @@ npy_intp read_times(const Input &t) {
   return N;
 }
 
-void require_steps(const Primitive &p, double span, double tau) {
-  if (p.phase == PhaseKind::position && !(span / tau * std::max(p.alpha, std::sqrt(p.stiffness)) < longest_spring))
+void require_steps(const Primitive &p, double span, double tau, bool coupled = false) {
+  if ((coupled || p.phase == PhaseKind::position) && !(span / tau * std::max(p.alpha, std::sqrt(p.stiffness)) < longest_spring))
     raise_shape_error("Expected less than 1e7 time constants of the spring, got more. Ask for a shorter motion.");
 }
 
@@ -164,10 +165,14 @@ nb::object responses(const Primitive &p, nb::handle t_, double tau, double longe
   return nb::make_tuple(y, yd);
 }
 
-void construct_stepper(PrimitiveStepper *self, const Primitive &p, double filter) {
+void construct_stepper(PrimitiveStepper *self, const Primitive &p, double filter, Obstacles *around) {
   require_not_negative("filter", &filter, 1);
+  if (around && around->n() != p.n)
+    raise_shape_error("Expected obstacles for " + std::to_string(p.n) + " coordinates, got " + std::to_string(around->n()) +
+                      ".");
   new (self) PrimitiveStepper(p);
   self->filter = filter;
+  self->coupling = around;
 }
 
 void start(PrimitiveStepper &self, nb::handle y0_, nb::handle v0_, nb::handle g_, nb::handle scale_, double tau) {
@@ -189,9 +194,26 @@ nb::object outputs(const PrimitiveStepper &self) {
 
 nb::object step(PrimitiveStepper &self, double dt) {
   require_positive("dt", &dt, 1);
-  require_steps(self.primitive, dt, self.tau());
+  require_steps(self.primitive, dt, self.tau(), self.coupling);
   self.step(dt);
   return outputs(self);
+}
+
+// The state at times (N,), the first of which is now: y, yd, ydd and f, each (N, n).
+nb::object follow(PrimitiveStepper &self, nb::handle t_) {
+  const Input t(t_, "t");
+  const npy_intp N = read_times(t), n = self.primitive.n, shape[2] = {N, n};
+  require_steps(self.primitive, t.data()[N - 1] - t.data()[0], self.tau(), self.coupling);
+  const auto fresh = [&] { return fresh_array(2, shape); };
+  const nb::object y = fresh(), yd = fresh(), ydd = fresh(), f = fresh();
+  {
+    nb::gil_scoped_release released;
+    for (npy_intp k = 0; k < N; ++k) {
+      if (k > 0) self.step(t.data()[k] - t.data()[k - 1]);
+      self.outputs(numbers(y) + k * n, numbers(yd) + k * n, numbers(ydd) + k * n, numbers(f) + k * n);
+    }
+  }
+  return nb::make_tuple(y, yd, ydd, f);
 }
 
 void change_goal(PrimitiveStepper &self, nb::handle g_, nb::handle scale_, nb::handle limit_) {
@@ -233,9 +255,11 @@ void bind_primitive(nb::module_ &m) {
            "Position and velocity (N, m + 3) of each kernel, y0, v0 and g alone.");
   nb::class_<PrimitiveStepper>(m, "PrimitiveStepper",
                                "One run, sample by sample; see armlab/kernels/_reference/primitive_stepper.py.")
-      .def("__init__", &construct_stepper, arg("primitive"), arg("filter") = 0.0)
+      .def("__init__", &construct_stepper, arg("primitive"), arg("filter") = 0.0, arg("around").none() = nb::none(),
+           nb::keep_alive<1, 4>())
       .def("start", &start, array("y0"), array("v0"), array("g"), array("scale"), arg("tau"), "Begin at phase time 0.")
       .def("step", &step, arg("dt"), "Advance by dt and return y, yd, ydd.")
+      .def("follow", &follow, array("t"), "y, yd, ydd and f over times (N,), the first of which is now.")
       .def("outputs", &outputs, "y, yd and ydd as they are now.")
       .def("change_goal", &change_goal, array("g"), array("scale"), arg("limit").none() = nb::none(),
            "Another goal from now on.")

@@ -13,6 +13,7 @@ void bind_lie(nb::module_ &m);
 void bind_nearest(nb::module_ &m);
 void bind_limits(nb::module_ &m);
 void bind_momentum(nb::module_ &m);
+void bind_obstacles(nb::module_ &m);
 void bind_path(nb::module_ &m);
 void bind_primitive(nb::module_ &m);
 void bind_records(nb::module_ &m);
@@ -37,6 +38,7 @@ NB_MODULE(_native, m) {
   bind_nearest(m);
   bind_limits(m);
   bind_momentum(m);
+  bind_obstacles(m);
   bind_path(m);
   bind_primitive(m);
   bind_records(m);

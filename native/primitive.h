@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <vector>
 
+#include "coupling.h"
 #include "spring_step.h"
 
 namespace armlab {
@@ -51,11 +52,14 @@ class PrimitiveStepper {
 
   Primitive primitive;
   double filter = 0.0;  // rate of the goal filter times tau; 0: the goal changes at once
+  Coupling *coupling = nullptr;  // adds to the acceleration; not owned
 
  private:
   void force(double s, const double *y, double *f);
   void step_spring(double r);
   void step_position(double r);
+  void step_coupled(double r);
+  void step_runge(double h);
   void brake();
 
   std::vector<double> y_, z_, y0_, g_, target_, scale_;

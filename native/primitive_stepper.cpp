@@ -4,8 +4,13 @@
 #include <cmath>
 
 namespace armlab {
+namespace {
 
-PrimitiveStepper::PrimitiveStepper(const Primitive &p) : primitive(p), work_(6 * p.n), psi_(p.m), index_(p.m) {
+constexpr double coupled_step = 0.35;  // time constants of the spring in a step with a coupling
+
+}  // namespace
+
+PrimitiveStepper::PrimitiveStepper(const Primitive &p) : primitive(p), work_(8 * p.n), psi_(p.m), index_(p.m) {
   for (auto *part : {&y_, &z_, &y0_, &g_, &target_, &scale_, &f0_, &fm_, &f1_, &goal_, &rise_, &limit_, &side_, &braking_})
     part->assign(p.n, 0.0);
 }
@@ -43,7 +48,9 @@ void PrimitiveStepper::force(double s, const double *y, double *f) {
 
 void PrimitiveStepper::step(double dt) {
   const double r = dt / tau_;
-  if (primitive.phase == PhaseKind::position)
+  if (coupling)
+    step_coupled(r);
+  else if (primitive.phase == PhaseKind::position)
     step_position(r);
   else
     step_spring(r);
@@ -72,40 +79,65 @@ void PrimitiveStepper::step_spring(double r) {
   f0_.swap(f1_);
 }
 
-// Runge and Kutta, in steps that the spring allows: the forcing depends on where the motion is.
+// In steps that the spring allows: the forcing depends on where the motion is.
 void PrimitiveStepper::step_position(double r) {
+  const double parts = std::max(std::ceil(std::max(primitive.alpha, std::sqrt(primitive.stiffness)) * r), 1.0);
+  for (double part = 0.0; part < parts; part += 1.0) step_runge(r / parts);
+}
+
+// Exactly where nothing acts from outside; finer, for what acts has no step that the spring knows of.
+void PrimitiveStepper::step_coupled(double r) {
+  const double stiff = std::max(primitive.alpha, std::sqrt(primitive.stiffness)) * r;
+  const double parts = std::max(std::ceil(stiff / coupled_step), 1.0), h = r / parts;
+  for (double part = 0.0; part < parts; part += 1.0) {
+    if (primitive.phase == PhaseKind::position || coupling->acts(y_.data())) {
+      step_runge(h);
+    } else {
+      step_spring(h);
+      coupling->advance(h * tau_);
+    }
+  }
+}
+
+void PrimitiveStepper::step_runge(double h) {
   const int n = primitive.n;
-  const double alpha = primitive.alpha, k = primitive.stiffness;
-  const double parts = std::ceil(std::max(alpha, std::sqrt(k)) * r), h = r / std::max(parts, 1.0);
-  double *y = work_.data(), *z = y + n, *sum_y = z + n, *sum_z = sum_y + n, *f = sum_z + n;
-  for (double part = 0.0; part < std::max(parts, 1.0); part += 1.0) {
-    for (int stage = 0; stage < 4; ++stage) {
-      const double reach = stage == 3 ? h : 0.5 * h, weight = stage == 0 || stage == 3 ? h / 6.0 : h / 3.0;
-      if (stage == 0) {
-        for (int i = 0; i < n; ++i) {
-          y[i] = sum_y[i] = y_[i];
-          z[i] = sum_z[i] = z_[i];
-        }
-      }
-      const double now = s_ + (stage == 0 ? 0.0 : reach);
-      if (moving_)
-        for (int i = 0; i < n; ++i) g_[i] = target_[i] + goal_[i] * std::exp(-filter * (now - moved_));
-      force(now, y, f);
+  double *y = work_.data(), *z = y + n, *sum_y = z + n, *sum_z = sum_y + n, *f = sum_z + n, *v = f + 2 * n, *a = v + n;
+  for (int stage = 0; stage < 4; ++stage) {
+    const double reach = stage == 3 ? h : 0.5 * h, weight = stage == 0 || stage == 3 ? h / 6.0 : h / 3.0;
+    if (stage == 0) {
       for (int i = 0; i < n; ++i) {
-        const double dy = z[i], dz = k * (g_[i] - y[i]) - alpha * z[i] + f[i];
-        sum_y[i] += weight * dy;
-        sum_z[i] += weight * dz;
-        const double next = stage == 2 ? h : 0.5 * h;
-        y[i] = y_[i] + next * dy;
-        z[i] = z_[i] + next * dz;
+        y[i] = sum_y[i] = y_[i];
+        z[i] = sum_z[i] = z_[i];
       }
     }
-    std::copy_n(sum_y, n, y_.data());
-    std::copy_n(sum_z, n, z_.data());
-    s_ += h;
+    const double now = s_ + (stage == 0 ? 0.0 : reach);
     if (moving_)
-      for (int i = 0; i < n; ++i) g_[i] = target_[i] + goal_[i] * std::exp(-filter * (s_ - moved_));
+      for (int i = 0; i < n; ++i) g_[i] = target_[i] + goal_[i] * std::exp(-filter * (now - moved_));
+    force(now, y, f);
+    if (coupling && stage % 2 == 1) coupling->advance(0.5 * h * tau_);
+    for (int i = 0; i < n; ++i) a[i] = primitive.stiffness * (g_[i] - y[i]) - primitive.alpha * z[i] + f[i];
+    if (coupling) {
+      for (int i = 0; i < n; ++i) {
+        v[i] = z[i] / tau_;
+        a[i] /= tau_ * tau_;
+      }
+      coupling->add(y, v, g_.data(), a);
+      for (int i = 0; i < n; ++i) a[i] *= tau_ * tau_;
+    }
+    for (int i = 0; i < n; ++i) {
+      const double dy = z[i], dz = a[i];
+      sum_y[i] += weight * dy;
+      sum_z[i] += weight * dz;
+      const double next = stage == 2 ? h : 0.5 * h;
+      y[i] = y_[i] + next * dy;
+      z[i] = z_[i] + next * dz;
+    }
   }
+  std::copy_n(sum_y, n, y_.data());
+  std::copy_n(sum_z, n, z_.data());
+  s_ += h;
+  if (moving_)
+    for (int i = 0; i < n; ++i) g_[i] = target_[i] + goal_[i] * std::exp(-filter * (s_ - moved_));
   force(s_, y_.data(), f0_.data());
 }
 
@@ -151,13 +183,16 @@ void PrimitiveStepper::change_tau(double tau) {
 }
 
 void PrimitiveStepper::outputs(double *y, double *yd, double *ydd, double *f) const {
-  for (int i = 0; i < primitive.n; ++i) {
+  const int n = primitive.n;
+  for (int i = 0; i < n; ++i) {
     y[i] = y_[i];
     yd[i] = z_[i] / tau_;
     ydd[i] = (primitive.stiffness * (g_[i] - y_[i]) - primitive.alpha * z_[i] + f0_[i]) / (tau_ * tau_);
-    if (braking_[i] != 0.0) ydd[i] = yd[i] == 0.0 ? 0.0 : -side_[i] * limit_[i];
     if (f) f[i] = f0_[i];
   }
+  if (coupling) coupling->add(y, yd, g_.data(), ydd);
+  for (int i = 0; i < n; ++i)
+    if (braking_[i] != 0.0) ydd[i] = yd[i] == 0.0 ? 0.0 : -side_[i] * limit_[i];
 }
 
 }  // namespace armlab

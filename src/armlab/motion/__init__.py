@@ -1,6 +1,7 @@
 """Motion: movement primitives that are taught by showing them once, and profiles from point to point."""
 
 from armlab.motion import profiles
+from armlab.motion.avoiding import AvoidingController, AvoidingStepper
 from armlab.motion.control import Controller
 from armlab.motion.controllers import DmpController, TwoDofController
 from armlab.motion.dmp import Dmp
@@ -8,7 +9,8 @@ from armlab.motion.events import Displace, Hold, Push
 from armlab.motion.fit import fit_dmp
 from armlab.motion.limiting import duration_within, peaks
 from armlab.motion.motion_band import MotionBand, blend
-from armlab.motion.obstacles import Obstacle, avoid
+from armlab.motion.obstacles import AvoidingDmp, Capsule
+from armlab.motion.pacing import PacedDmp, PacedStepper, within
 from armlab.motion.periodic_controller import PeriodicController
 from armlab.motion.periodic_dmp import PeriodicDmp
 from armlab.motion.periodic_fit import fit_periodic_dmp
@@ -28,13 +30,18 @@ from armlab.motion.two_dof_stepper import Reference, TwoDofStepper
 from armlab.motion.via_points import through
 
 __all__ = [
+    "AvoidingController",
+    "AvoidingDmp",
+    "AvoidingStepper",
+    "Capsule",
     "Controller",
     "Displace",
     "Dmp",
     "DmpController",
     "Hold",
     "MotionBand",
-    "Obstacle",
+    "PacedDmp",
+    "PacedStepper",
     "PeriodicController",
     "PeriodicDmp",
     "PeriodicStepper",
@@ -53,7 +60,6 @@ __all__ = [
     "TwoDofDmp",
     "TwoDofRun",
     "TwoDofStepper",
-    "avoid",
     "blend",
     "duration_within",
     "fit_dmp",
@@ -63,4 +69,5 @@ __all__ = [
     "peaks",
     "profiles",
     "through",
+    "within",
 ]

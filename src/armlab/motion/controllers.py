@@ -14,6 +14,8 @@ from armlab.state import State
 if TYPE_CHECKING:
     from armlab.log import Column
     from armlab.motion.dmp import Dmp
+    from armlab.motion.obstacles import AvoidingDmp
+    from armlab.motion.pacing import PacedDmp
     from armlab.motion.two_dof import TwoDofDmp
 
 __all__ = ["DmpController", "TwoDofController", "check_joints"]
@@ -51,11 +53,15 @@ class DmpController(Controller):
     """
 
     def __init__(
-        self, robot: Arms, dmp: Dmp, settings: Mapping[str, Any], limits: Limits | Sequence[Limits] | None = None
+        self,
+        robot: Arms,
+        dmp: Dmp | AvoidingDmp | PacedDmp,
+        settings: Mapping[str, Any],
+        limits: Limits | Sequence[Limits] | None = None,
     ) -> None:
         check_joints(robot, dmp.n)
         self._dmp, self._settings = dmp, settings
-        self._stepper = dmp.stepper(**settings)
+        self._stepper: Any = dmp.stepper(**settings)
         super().__init__(robot, limits, self._stepper.goal)
 
     def _begin(self, state: State) -> None:

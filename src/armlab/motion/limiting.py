@@ -21,6 +21,7 @@ def duration_within(
     a_max: ArrayLike = np.inf,
     *,
     y0: ArrayLike | None = None,
+    v0: ArrayLike | None = None,
     g: ArrayLike | None = None,
     amplitude: ArrayLike | None = None,
 ) -> float:
@@ -31,7 +32,8 @@ def duration_within(
     Parameters
     ----------
     dmp : that will run with this `duration`. v_max, a_max : a number or (n,), in the unit of y per s and s^2.
-    y0, g, amplitude : of the run, as of `Dmp.rollout`.
+    y0, v0, g, amplitude : of the run, as of `Dmp.rollout`; v0 in the duration of the demonstration. A controller begins
+        at rest: v0 = 0.
 
     Raises
     ------
@@ -39,7 +41,7 @@ def duration_within(
     """
     limits = [_points.joint_limit(limit, what, dmp.n) for limit, what in ((v_max, "v_max"), (a_max, "a_max"))]
     t = np.linspace(0.0, (1.0 + AFTER) * dmp.duration, round((1.0 + AFTER) * STEPS) + 1)
-    speed, acceleration = peaks(dmp.rollout(t, y0=y0, g=g, amplitude=amplitude))
+    speed, acceleration = peaks(dmp.rollout(t, y0=y0, v0=v0, g=g, amplitude=amplitude))
     k = max(1.0, float(np.max(speed / limits[0])), float(np.sqrt(np.max(acceleration / limits[1]))))
     return k * dmp.duration
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -27,7 +29,7 @@ class Stepper:
     Parameters
     ----------
     run : what runs, with start, goal and time. goal_forcing : "shift" or "scale", None for that of the scaling.
-    goal_rate : of the filter, times tau_d. brake : in monotone coordinates.
+    goal_rate : of the filter, times tau_d. brake : in monotone coordinates. around : `armlab.kernels.Obstacles`.
 
     Raises
     ------
@@ -35,7 +37,12 @@ class Stepper:
     """
 
     def __init__(
-        self, run: Setting, goal_forcing: str | None = None, goal_rate: float = 0.0, brake: bool = False
+        self,
+        run: Setting,
+        goal_forcing: str | None = None,
+        goal_rate: float = 0.0,
+        brake: bool = False,
+        around: Any = None,
     ) -> None:
         dmp = run.dmp
         if goal_forcing is None:
@@ -50,7 +57,7 @@ class Stepper:
             raise ConfigError(f"Expected a goal_rate of at least 0, got {goal_rate:g}. 12.5 follows the spring.")
         self._dmp, self._run, self._scales = dmp, run, goal_forcing == "scale"
         self._limit = np.where(dmp.monotone, BRAKE * dmp.peak_acceleration, 0.0) if brake else None
-        self._kernel = kernels.PrimitiveStepper(run.primitive, float(goal_rate))
+        self._kernel = kernels.PrimitiveStepper(run.primitive, float(goal_rate), around)
         self.reset()
 
     def reset(self) -> None:

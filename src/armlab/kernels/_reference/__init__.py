@@ -38,6 +38,7 @@ from armlab.kernels._reference.limits import limit_reference
 from armlab.kernels._reference.momentum import momentum_step
 from armlab.kernels._reference.momentum_estimator import MomentumEstimator
 from armlab.kernels._reference.nearest import so3_nearest
+from armlab.kernels._reference.obstacles import Obstacles
 from armlab.kernels._reference.path import follow_path
 from armlab.kernels._reference.primitive import Primitive
 from armlab.kernels._reference.primitive_stepper import PrimitiveStepper
@@ -56,6 +57,7 @@ __all__ = [
     "EgmWriter",
     "InverseSolver",
     "MomentumEstimator",
+    "Obstacles",
     "Primitive",
     "PrimitiveStepper",
     "RecordMaker",

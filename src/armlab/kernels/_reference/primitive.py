@@ -50,15 +50,15 @@ def finite(value: Any, name: str, tail: tuple[int, ...], exact: bool = True) -> 
     return array
 
 
-def check_steps(primitive: Primitive, span: float, tau: float) -> None:
-    """Refuse a position phase over more time constants than can be integrated.
+def check_steps(primitive: Primitive, span: float, tau: float, coupled: bool = False) -> None:
+    """Refuse a position phase, or obstacles, over more time constants than can be integrated.
 
     Raises
     ------
     ShapeError : it is.
     """
     rate = max(primitive.alpha, np.sqrt(primitive.stiffness))
-    if primitive.phase == "position" and not span / tau * rate < LONGEST_SPRING:
+    if (coupled or primitive.phase == "position") and not span / tau * rate < LONGEST_SPRING:
         raise ShapeError("Expected less than 1e7 time constants of the spring, got more. Ask for a shorter motion.")
 
 

@@ -2,7 +2,8 @@
 
 A goal that has moved is reached at once, or by ``g' = filter (target - g)``, exactly; so is the scale. Where a
 coordinate brakes, ``v^2 <= 2 limit |target - y|`` on the way to the new goal, and y stays on the side of it where it
-was; it brakes only if that holds already when the goal changes.
+was; it brakes only if that holds already when the goal changes. Obstacles within reach add to the acceleration; then a
+step is by Runge and Kutta, and 0.35 time constants of the spring at most.
 """
 
 from __future__ import annotations
@@ -11,10 +12,14 @@ from typing import Any
 
 import numpy as np
 
+from armlab.errors import ShapeError
 from armlab.kernels._reference.arrays import not_negative, positive
-from armlab.kernels._reference.primitive import Primitive, SpringStep, check_steps, finite, phase_at, share
+from armlab.kernels._reference.obstacles import Obstacles
+from armlab.kernels._reference.primitive import Primitive, SpringStep, check_steps, finite, phase_at, read_times, share
 
 __all__ = ["PrimitiveStepper", "many"]
+
+COUPLED_STEP = 0.35  # time constants of the spring
 
 
 class PrimitiveStepper:
@@ -23,12 +28,15 @@ class PrimitiveStepper:
     Parameters
     ----------
     primitive : what runs. filter : rate of the goal filter times tau; 0: the goal changes at once.
+    around : what it goes around, and moves on.
     """
 
-    def __init__(self, primitive: Primitive, filter: float = 0.0) -> None:
+    def __init__(self, primitive: Primitive, filter: float = 0.0, around: Obstacles | None = None) -> None:
         not_negative(np.array([filter]), "filter")
-        self.primitive, self.filter = primitive, filter
+        self.primitive, self.filter, self._around = primitive, filter, around
         self.n = primitive.weights.shape[1]
+        if around is not None and around.n != self.n:
+            raise ShapeError(f"Expected obstacles for {self.n} coordinates, got {around.n}.")
         self.tau, self.elapsed = 1.0, 0.0
         self.y = self.z = self.y0 = self.g = self.target = self.scale = self.forcing = np.zeros(self.n)
         self._still()
@@ -77,9 +85,11 @@ class PrimitiveStepper:
         dt : above zero [s].
         """
         positive(np.array([dt]), "dt")
-        check_steps(self.primitive, dt, self.tau)
+        check_steps(self.primitive, dt, self.tau, self._around is not None)
         r = dt / self.tau
-        if self.primitive.phase == "position":
+        if self._around is not None:
+            self._step_coupled(r, self._around)
+        elif self.primitive.phase == "position":
             self._step_position(r)
         else:
             self._step_spring(r)
@@ -97,23 +107,42 @@ class PrimitiveStepper:
     def _step_position(self, r: float) -> None:
         p = self.primitive
         parts = max(int(np.ceil(max(p.alpha, np.sqrt(p.stiffness)) * r)), 1)
-        h = r / parts
-
-        def slope(s: float, y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            g = self._goal(s)
-            return z, p.stiffness * (g - y) - p.alpha * z + self._force(s, y, g)
-
         for _ in range(parts):
-            s, y, z = self.elapsed, self.y, self.z
-            a = slope(s, y, z)
-            b = slope(s + h / 2, y + h / 2 * a[0], z + h / 2 * a[1])
-            c = slope(s + h / 2, y + h / 2 * b[0], z + h / 2 * b[1])
-            d = slope(s + h, y + h * c[0], z + h * c[1])
-            self.y = y + h / 6 * (a[0] + 2 * b[0] + 2 * c[0] + d[0])
-            self.z = z + h / 6 * (a[1] + 2 * b[1] + 2 * c[1] + d[1])
-            self.elapsed = s + h
+            self._step_runge(r / parts)
+
+    def _step_coupled(self, r: float, around: Obstacles) -> None:
+        p = self.primitive
+        parts = max(int(np.ceil(max(p.alpha, np.sqrt(p.stiffness)) * r / COUPLED_STEP)), 1)
+        h = r / parts
+        for _ in range(parts):
+            if p.phase == "position" or around.acts(self.y):
+                self._step_runge(h)
+            else:
+                self._step_spring(h)
+                around.advance(h * self.tau)
+
+    def _step_runge(self, h: float) -> None:
+        s, y, z = self.elapsed, self.y, self.z
+        a = self._slope(s, y, z)
+        self._wait(h / 2)
+        b = self._slope(s + h / 2, y + h / 2 * a[0], z + h / 2 * a[1])
+        c = self._slope(s + h / 2, y + h / 2 * b[0], z + h / 2 * b[1])
+        self._wait(h / 2)
+        d = self._slope(s + h, y + h * c[0], z + h * c[1])
+        self.y = y + h / 6 * (a[0] + 2 * b[0] + 2 * c[0] + d[0])
+        self.z = z + h / 6 * (a[1] + 2 * b[1] + 2 * c[1] + d[1])
+        self.elapsed = s + h
         self.g = self._goal(self.elapsed)
         self.forcing = self._force(self.elapsed, self.y, self.g)
+
+    def _slope(self, s: float, y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        p, g, square = self.primitive, self._goal(s), self.tau**2
+        a = p.stiffness * (g - y) - p.alpha * z + self._force(s, y, g)
+        return z, a if self._around is None else square * self._around.add(y, z / self.tau, g, a / square)
+
+    def _wait(self, r: float) -> None:
+        if self._around is not None:
+            self._around.advance(r * self.tau)
 
     def _brake(self) -> None:
         left, v = self.side * (self.target - self.y), self.side * self.z / self.tau
@@ -155,10 +184,25 @@ class PrimitiveStepper:
         positive(np.array([tau]), "tau")
         self.z, self.tau = self.z * (tau / self.tau), tau
 
+    def follow(self, t: Any) -> tuple[np.ndarray, ...]:
+        """Return y, yd, ydd and the forcing over times, each (N, n).
+
+        Parameters
+        ----------
+        t : (N,) times, the first of which is now [s].
+        """
+        times = read_times(t)
+        check_steps(self.primitive, times[-1] - times[0], self.tau, self._around is not None)
+        rows = [(*self.outputs(), self.forcing)]
+        rows += [(*self.step(dt), self.forcing) for dt in np.diff(times)]
+        return tuple(np.array(part) for part in zip(*rows))
+
     def outputs(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return y, yd, ydd as they are now."""
         p, yd = self.primitive, self.z / self.tau
         ydd = (p.stiffness * (self.g - self.y) - p.alpha * self.z + self.forcing) / self.tau**2
+        if self._around is not None:
+            ydd = self._around.add(self.y, yd, self.g, ydd)
         return self.y.copy(), yd, np.where(self.braking, np.where(yd == 0, 0.0, -self.side * self.limit), ydd)
 
 
