@@ -11,7 +11,7 @@ from demonstrations import JOINTS, KERNELS, N, demonstration, rmse
 from movement_primitives.dmp import DMP, CouplingTermObstacleAvoidance3D
 from movement_primitives.promp import ProMP as TheirProMP
 
-from armlab.motion import Obstacle, avoid, fit_dmp, fit_periodic_dmp, fit_promp
+from armlab.motion import AvoidingDmp, Capsule, fit_dmp, fit_periodic_dmp, fit_promp
 
 SHOWN, SAMPLES, WEIGHTS = 20, 100, 10  # demonstrations of a distribution
 AT = 0.4  # of the duration: where the distribution is conditioned
@@ -97,13 +97,13 @@ def _obstacles(rounds: int) -> Table:
     y = jerk[:, None] * np.array([1.0, 0.1, 0.05])
     ours, theirs = fit_dmp(t, y, n_basis=KERNELS).value, DMP(3, t[-1], dt=t[1], n_weights_per_dim=KERNELS)
     theirs.imitate(t, y)
-    ball, turn = [Obstacle.sphere(BALL)], CouplingTermObstacleAvoidance3D(BALL)
+    ball, turn = [Capsule.sphere(BALL)], CouplingTermObstacleAvoidance3D(BALL)
 
     def peer() -> np.ndarray:
         return theirs.open_loop(coupling_term=turn)[1]
 
     def own() -> np.ndarray:
-        return avoid(ours, t, ball, clearance=CLEARANCE, reach=4 * CLEARANCE).y
+        return AvoidingDmp(ours, ball, CLEARANCE, 4 * CLEARANCE).rollout(t).y
 
     nearest = [np.linalg.norm(path - BALL, axis=1).min() for path in (own(), peer())]
     text = (
