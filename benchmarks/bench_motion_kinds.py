@@ -111,7 +111,7 @@ def _obstacles(rounds: int) -> Table:
         f"m (armlab, asked for {CLEARANCE} m) and {nearest[1]:.3f} m (movement_primitives, which takes none)."
     )
     rows = [
-        Contender("armlab avoid", once(own), "armlab"),
+        Contender("armlab AvoidingDmp.rollout", once(own), "armlab"),
         Contender("movement_primitives open_loop(coupling_term=...)", once(peer), bar=1 / 10),
     ]
     return table("Movement primitives: an obstacle", text, "ms", rows, rounds)

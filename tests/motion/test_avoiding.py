@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from armlab import Command, State, kinematics, robots
+from armlab.kernels import backend
 from armlab.motion import Dmp, fit_dmp
 from armlab.motion.avoiding import AvoidingController, AvoidingStepper
 from armlab.motion.obstacles import AvoidingDmp, Capsule
@@ -77,6 +78,7 @@ class Ideal:
         return command
 
 
+@pytest.mark.skipif(backend == "reference", reason="the reference takes minutes; the contract tests hold it to this")
 def test_a_controller_goes_around_what_is_put_in_its_way(arm: Dmp) -> None:
     path = arm.rollout(PERIOD).y
     one = AvoidingDmp(arm, [], 0.02, 0.1, robot=ROBOT)
