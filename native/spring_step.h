@@ -62,6 +62,7 @@ inline void long_response(double alpha, double stiffness, double r, double &G, d
 
 inline SpringStep::SpringStep(double alpha, double stiffness, double r) {
   double G, slope, zeroth, first, second;  // impulse response, its derivative, its moments
+  r = std::max(r, 1e-100);                 // shorter steps change nothing, and their powers would be 0
   if (std::max(alpha, std::sqrt(stiffness)) * r < 1.0) {
     short_moments(alpha, stiffness, r, first, second);
     zeroth = 0.5 * (r * r - stiffness * second) - alpha * first;

@@ -50,7 +50,11 @@ def members(value: Any, what: str) -> tuple[Any, ...]:
     ------
     RobotError : when it has no members or is a text.
     """
-    if isinstance(value, str | bytes) or not isinstance(value, Iterable):
+    if (
+        isinstance(value, str | bytes)
+        or not isinstance(value, Iterable)
+        or (isinstance(value, np.ndarray) and not value.ndim)
+    ):
         raise RobotError(f"Expected {what} as a list or tuple, got {shortened(value)}.")
     return tuple(value)
 

@@ -92,7 +92,7 @@ def read_demos(t: Any, y: Any, sample_weights: Any) -> list[Demo]:
     if not many:
         return [_demo(t, y, sample_weights, "")]
     weights = [None] * len(t) if sample_weights is None else sample_weights
-    if not isinstance(y, Sequence) or len(y) != len(t) or len(weights) != len(t):
+    if not (isinstance(y, Sequence) and isinstance(weights, Sequence) and len(y) == len(weights) == len(t)):
         raise ShapeError(f"Expected as many y and sample_weights as the {len(t)} t, got others. Give equal lists.")
     demos = [_demo(*parts, f" of demonstration {k}") for k, parts in enumerate(zip(t, y, weights))]
     widths = {demo.y.shape[1] for demo in demos}

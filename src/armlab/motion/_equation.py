@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab import kernels
-from armlab._numbers import numbers, positive
+from armlab._numbers import number, numbers, positive
 from armlab.errors import ConfigError, ShapeError, UnknownName
 from armlab.motion._basis import CONVENTIONS, SCHEDULES
 from armlab.motion._saved import freeze_arrays
@@ -60,7 +60,7 @@ class Equation:
         """Check and freeze."""
         given = [name for name in ("demo_weights", "limits") if getattr(self, name) is not None]
         freeze_arrays(self, "weights", "centres", "widths", *PER_COORDINATE, *given)
-        monotone = self.monotone > 0
+        monotone = np.array(self.monotone > 0)
         monotone.flags.writeable = False
         object.__setattr__(self, "monotone", monotone)
         self._check_shapes()
@@ -188,12 +188,12 @@ class Equation:
         """
         if self.schedule == "position":
             raise ConfigError("Expected a phase of time to linearise around, got schedule 'position'.")
-        n, tau, step = self.n, self.tau_d, 1e-6
+        at, n, tau, step = number(x, "x"), self.n, self.tau_d, 1e-6
         A, B = np.zeros((2 * n + 1, 2 * n + 1)), np.zeros((2 * n + 1, n))
         A[:n, n : 2 * n] = np.eye(n)
         A[n : 2 * n, :n] = -self.alpha_z * self.beta_z / tau**2 * np.eye(n)
         A[n : 2 * n, n : 2 * n] = -self.alpha_z / tau * np.eye(n)
-        A[n : 2 * n, 2 * n] = (self.forcing(x + step) - self.forcing(x - step)) / (2 * step * tau**2)
+        A[n : 2 * n, 2 * n] = (self.forcing(at + step) - self.forcing(at - step)) / (2 * step * tau**2)
         A[2 * n, 2 * n] = -self.alpha_x / tau if self.schedule == "canonical" else 0.0
         B[n : 2 * n] = self.alpha_z * self.beta_z / tau**2 * np.eye(n)
         return A, B

@@ -9,7 +9,10 @@ import numpy as np
 from armlab._numbers import number, numbers
 from armlab.errors import ShapeError
 
-__all__ = ["joint_limit", "point", "points", "positive", "second_point", "velocity"]
+__all__ = ["MOST_SAMPLES", "joint_limit", "point", "points", "positive", "second_point", "velocity"]
+
+
+MOST_SAMPLES = 10_000_000
 
 
 def point(value: Any, what: str) -> np.ndarray:

@@ -31,8 +31,9 @@ def pieces(
     )
     try:
         outcome = ruckig.Ruckig(n).calculate(wanted, found)
-    except ruckig.RuckigError as error:
-        raise ShapeError(f"Expected a motion that ruckig can plan, got: {' '.join(str(error).split())}") from None
+    except (ruckig.RuckigError, ValueError) as error:  # ValueError: an answer that it has no name for
+        said = " ".join(str(error).split())[:300].rstrip(".")
+        raise ShapeError(f"Expected a motion that ruckig can plan, got: {said}.") from None
     if outcome not in (ruckig.Result.Working, ruckig.Result.Finished):
         raise ShapeError(f"Expected a motion that ruckig can plan, got its answer {outcome}. Make the limits larger.")
     joints = [_states(joint, *state) for joint, state in zip(found.profiles[0], zip(q0, qd0))]

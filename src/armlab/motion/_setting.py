@@ -11,14 +11,14 @@ from numpy.typing import ArrayLike
 from armlab._numbers import numbers, positive
 from armlab.errors import ConfigError, ShapeError
 from armlab.lie import so3
+from armlab.motion._points import MOST_SAMPLES
 
 if TYPE_CHECKING:
     from armlab.motion.dmp import Dmp
 
-__all__ = ["Setting", "check_goal", "clock", "goal_scale", "rotation", "vector"]
+__all__ = ["Setting", "check_goal", "clock", "coordinates", "goal_scale", "rotation", "vector"]
 
 UNSCALED = 0.05  # of the range of the demonstration: displacement below which the goal does not scale a coordinate
-MOST = 10_000_000  # samples of a motion
 HALF_TURN = 1e-6  # sine and cosine of an angle that no rotation between two directions is told from
 
 
@@ -118,10 +118,10 @@ def clock(t: ArrayLike, end: float) -> np.ndarray:
     if times.ndim:
         return times
     step = positive(times, "dt", "At 250 Hz it is 0.004.")
-    if not end / MOST <= step <= end * (1 + 1e-12):
+    if not end / MOST_SAMPLES <= step <= end * (1 + 1e-12):
         raise ShapeError(
-            f"Expected a dt [s] from {end / MOST:.2g} to {end:g}, that of the motion, got {step:g}. At 250 Hz it is "
-            "0.004."
+            f"Expected a dt [s] from {end / MOST_SAMPLES:.2g} to {end:g}, that of the motion, got {step:g}. At 250 Hz "
+            "it is 0.004."
         )
     return step * np.arange(int(np.floor(end / step * (1 + 1e-12))) + 1)
 
@@ -168,6 +168,19 @@ def vector(value: ArrayLike, what: str, n: int) -> np.ndarray:
         raise ShapeError(f"Expected {what} with {n} coordinates on its last axis, got shape {array.shape}.")
     if not np.isfinite(array).all():
         raise ShapeError(f"Expected a finite {what}, got {array}. Leave it out to take that of the demonstration.")
+    return array
+
+
+def coordinates(value: ArrayLike, what: str, n: int) -> np.ndarray:
+    """Return finite numbers (n,), one per coordinate.
+
+    Raises
+    ------
+    ShapeError : another shape, or not finite.
+    """
+    array = vector(value, what, n)
+    if array.ndim != 1:
+        raise ShapeError(f"Expected {what} of shape ({n},), got {array.shape}. Give one number per coordinate.")
     return array
 
 

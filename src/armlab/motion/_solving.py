@@ -12,6 +12,9 @@ from armlab.motion.rollout import Rollout
 __all__ = ["progress", "solved"]
 
 
+LONGEST = 1e4  # time constants: each takes the solver a step or two
+
+
 def solved(run: Setting, t: np.ndarray, rtol: float, atol: float) -> Rollout:
     """Solve a run by the method of Dormand and Prince of order 8.
 
@@ -31,6 +34,8 @@ def solved(run: Setting, t: np.ndarray, rtol: float, atol: float) -> Rollout:
     if t.ndim != 1 or not len(t) or not np.isfinite(t).all() or (np.diff(t) <= 0).any():
         raise ShapeError(f"Expected increasing times (N,), got shape {t.shape}. Drop repeated samples.")
     dmp = run.dmp
+    if not t[-1] - t[0] <= LONGEST * run.tau:
+        raise ShapeError(f"Expected times within {LONGEST:g} time constants, got more. Ask for a shorter motion.")
     n, s = dmp.n, (t - t[0]) / run.tau
     alpha, stiffness, pace = dmp.alpha_z, dmp.alpha_z * dmp.beta_z, dmp.tau_d / dmp.duration
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab import kernels
-from armlab._numbers import number
-from armlab.errors import ArmlabError, ConfigError, ShapeError
+from armlab._numbers import members, number
+from armlab.errors import ArmlabError, ConfigError, RobotError, ShapeError
 from armlab.motion._setting import vector
 from armlab.robots import Robot
 from armlab.state import Command, State
@@ -91,6 +91,9 @@ class Controller(ABC):
         arms = robots_of(robot)
         self._n, self._name = sum(arm.n for arm in arms), "+".join(arm.name for arm in arms)
         within = arms if limits is None else limits if isinstance(limits, Sequence) else (limits,)
+        for name in LIMITS:
+            if not all(hasattr(one, name) for one in within):
+                raise ShapeError(f"Expected limits with {', '.join(LIMITS)}, got {within!r}. bridge.Limits has them.")
         if [np.shape(one.q_min) for one in within] != [(arm.n,) for arm in arms]:
             shapes = [np.shape(one.q_min) for one in within]
             raise ShapeError(f"Expected limits of the {self._n} joints of {self._name}, got shapes {shapes}.")
@@ -247,8 +250,16 @@ def robots_of(robot: Arms) -> tuple[Robot, ...]:
     Parameters
     ----------
     robot : one or several.
+
+    Raises
+    ------
+    RobotError : something else.
     """
-    return (robot,) if isinstance(robot, Robot) else tuple(robot)
+    arms = (robot,) if isinstance(robot, Robot) else members(robot, "robot")
+    for arm in arms:
+        if not isinstance(arm, Robot):
+            raise RobotError.no_robot(arm)
+    return arms
 
 
 def _largest(values: np.ndarray) -> float:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab._numbers import number
+from armlab._numbers import members, number
 from armlab.errors import ConfigError, ShapeError, UnknownName
 from armlab.estimation import Excitation, Fit
 from armlab.motion._basis import placed, time_constants
@@ -18,7 +18,7 @@ from armlab.motion._demos import Demo, read_demos
 from armlab.motion._equation import SCALINGS
 from armlab.motion._fitting import Learned, learn
 from armlab.motion._least_squares import block_covariance
-from armlab.motion._setting import vector
+from armlab.motion._setting import coordinates
 from armlab.motion._trajectory import ENDS, Ends
 from armlab.motion.dmp import Dmp
 
@@ -97,7 +97,7 @@ def fit_dmp(
     _check_options(method, schedule, scaling, bandwidth, raw_kernels)
     demos = aligned(read_demos(t, y, sample_weights), scaling)
     n, given = demos[0].y.shape[1], {"y0": y0, "v0": v0, "g": g}
-    known = {name: vector(a, name, n) for name, a in given.items() if a is not None}
+    known = {name: coordinates(a, name, n) for name, a in given.items() if a is not None}
     ends = Ends(_pins(pin, known), known)
     starts = np.array([known.get("y0", demo.y[0]) for demo in demos])
     goals = np.array([known.get("g", demo.y[-1]) for demo in demos])
@@ -159,7 +159,7 @@ def _check_options(method: str, schedule: str, scaling: str, bandwidth: float | 
 def _pins(pin: Sequence[str], known: dict[str, np.ndarray]) -> tuple[str, ...]:
     if isinstance(pin, str):
         raise ConfigError(f"Expected pin as a tuple of names, got the text {pin!r}. Write ({pin!r},).")
-    for name in pin:
+    for name in members(pin, "pin"):
         if name not in ENDS:
             raise UnknownName.among("end to pin", name, ENDS)
     return tuple(name for name in pin if name not in known)
@@ -186,7 +186,7 @@ def _hold(value: Any) -> float:
 def _limits(limits: Any, n: int) -> np.ndarray:
     if not isinstance(limits, Sequence | np.ndarray) or len(limits) != 2:
         raise ShapeError(f"Expected limits as lowest and highest (n,) goal, got {limits!r}. Give two.")
-    return np.array([vector(a, "limits", n) for a in limits])
+    return np.array([coordinates(a, "limits", n) for a in limits])
 
 
 def _check_monotone(demos: list[Demo]) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab._numbers import numbers
+from armlab._numbers import members, numbers
 from armlab.errors import ShapeError
 
 if TYPE_CHECKING:
@@ -67,6 +67,9 @@ def blend(
     ------
     ShapeError : another number of coordinates or activations, negative ones, none at some time.
     """
+    for one in members(primitives, "primitives"):
+        if not hasattr(one, "marginal"):
+            raise ShapeError(f"Expected primitives as ProMP, got {type(one).__name__}. motion.fit_promp makes them.")
     if len({p.n for p in primitives}) != 1:
         raise ShapeError("Expected primitives of as many coordinates, got others, or none. Fit them to one arm.")
     first = primitives[0]

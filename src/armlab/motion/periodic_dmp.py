@@ -15,7 +15,7 @@ from armlab._numbers import number, numbers, positive
 from armlab.errors import ShapeError
 from armlab.motion._harmonics import GRID, transfer
 from armlab.motion._saved import Saved, freeze_arrays
-from armlab.motion._setting import vector
+from armlab.motion._setting import clock, vector
 from armlab.motion.periodic_stepper import PeriodicStepper
 from armlab.motion.rollout import Rollout
 
@@ -158,10 +158,7 @@ class PeriodicDmp(Saved, kind="periodic_dmp"):
         ShapeError : times that do not increase, other shapes, NaN, no positive period.
         """
         tau, *state = self.start(period, g, r, y0, v0, phase)
-        times = numbers(t, "t", ShapeError)
-        if not times.ndim:
-            step = positive(times, "dt [s]")
-            times = step * np.arange(int(np.floor(2 * np.pi * tau / step * (1 + 1e-12))) + 1)
+        times = clock(t, 2 * np.pi * tau)
         y, yd, ydd, x, f = self.primitive_from(phase).rollout(times, tau, *state)
         return Rollout(np.array(times), y, yd, ydd, x + phase, f)
 

@@ -45,7 +45,11 @@ class PeriodicStepper:
         ------
         ShapeError : no finite time above zero.
         """
-        return self._kernel.step(dt)
+        try:
+            return self._kernel.step(dt)
+        except TypeError:
+            number(dt, "dt [s]")  # says it in a sentence
+            raise
 
     @property
     def state(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

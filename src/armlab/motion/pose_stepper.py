@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab import kernels
+from armlab._numbers import number
 from armlab.errors import ConfigError
 from armlab.motion._pose_run import PoseRun
 from armlab.motion._poses import matrix
@@ -72,7 +73,11 @@ class PoseStepper:
         ------
         ShapeError : no finite time above zero.
         """
-        return self._told(self._position.step(dt), self._rotation.step(dt))
+        try:
+            return self._told(self._position.step(dt), self._rotation.step(dt))
+        except TypeError:
+            number(dt, "dt [s]")  # says it in a sentence
+            raise
 
     @property
     def state(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

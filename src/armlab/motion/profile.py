@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab._numbers import numbers
 from armlab.errors import ShapeError
 from armlab.motion import _pieces, _points
 
 __all__ = ["PERIOD", "Profile"]
 
 PERIOD = 0.004  # s, of the control loop
-MOST_SAMPLES = 10_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,17 +42,24 @@ class Profile:
 
     def __post_init__(self) -> None:
         """Check the pieces, sample them, and freeze everything."""
-        breaks, c = np.array(self.breaks, dtype=float), np.array(self.coefficients, dtype=float)
+        breaks, c = (
+            np.array(numbers(part, what, ShapeError))
+            for part, what in ((self.breaks, "breaks"), (self.coefficients, "coefficients"))
+        )
         dt = _points.positive(self.dt, "dt [s]")
-        steps = np.diff(breaks)
+        steps = np.diff(np.atleast_1d(breaks))
         if c.ndim != 3 or c.shape[1] != 6 or breaks.shape != (len(c) + 1,) or not (steps > 0.0).all() or breaks[0] != 0:
             raise ShapeError(
                 f"Expected breaks (M + 1,) that rise from 0 and coefficients (M, 6, n), got {breaks.shape} and "
                 f"{c.shape}. The functions of armlab.motion.profiles make them."
             )
-        if not breaks[-1] / dt < MOST_SAMPLES:
+        if not np.isfinite(c).all():
             raise ShapeError(
-                f"Expected less than {MOST_SAMPLES} samples, got a motion of {breaks[-1]:g} s at dt = {dt:g} s. "
+                "Expected finite coefficients, got NaN or Inf. Give durations and rates that an arm can do."
+            )
+        if not breaks[-1] < dt * _points.MOST_SAMPLES:
+            raise ShapeError(
+                f"Expected less than {_points.MOST_SAMPLES} samples, got {breaks[-1]:g} s at dt = {dt:g} s. "
                 "Take a longer dt."
             )
         t = np.append(np.arange(0.0, breaks[-1] - 1e-9 * dt, dt), breaks[-1])
@@ -85,7 +92,7 @@ class Profile:
         ----------
         t : (...,) since the start [s].
         """
-        t = np.asarray(t, dtype=float)
+        t = numbers(t, "t", ShapeError)
         q, qd, qdd = _pieces.evaluate(self.breaks, self.coefficients, np.clip(t, 0.0, self.duration))
         moving = ((t >= 0.0) & (t <= self.duration))[..., None]
         return q, np.where(moving, qd, 0.0), np.where(moving, qdd, 0.0)

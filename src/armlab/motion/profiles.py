@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab._numbers import number
 from armlab.errors import ShapeError
 from armlab.motion import _pieces, _points, _ruckig
 from armlab.motion.profile import PERIOD, Profile
@@ -164,7 +165,9 @@ def connect(points: ArrayLike, duration: ArrayLike, cruise: float = 1.5, dt: flo
     """
     path = _points.points(points, "points")
     seconds = _points.joint_limit(duration, "duration of the segments [s]", len(path) - 1)
-    if not 1.0 < cruise <= 2.0:
+    if not np.isfinite(seconds).all():
+        raise ShapeError("Expected finite durations of the segments [s], got another. Give one number or one for each.")
+    if not 1.0 < number(cruise, "cruise") <= 2.0:
         raise ShapeError(f"Expected cruise above 1 and at most 2, got {cruise}. 1.5 blends in a third of the time.")
     breaks, pieces = [np.zeros(1)], []
     for start, d, T in zip(path, np.diff(path, axis=0), seconds):

@@ -100,7 +100,7 @@ class ProMP(Saved, kind="promp"):
         ShapeError : times that are not finite, no step above zero.
         """
         times = clock(t, self.duration if duration is None else positive(duration, "duration [s]"))
-        if times.ndim != 1 or not np.isfinite(times).all():
+        if times.ndim != 1 or not times.size or not np.isfinite(times).all():
             raise ShapeError(f"Expected finite times (N,), got shape {times.shape}. Or give one step [s].")
         return times
 
@@ -220,10 +220,10 @@ def _spread(rows: np.ndarray, blocks: np.ndarray) -> np.ndarray:
 
 
 def _coordinates(value: Sequence[int], n: int) -> np.ndarray:
-    index = np.asarray(value)
-    if index.ndim != 1 or index.dtype.kind not in "iu" or len({*index.tolist()} & {*range(n)}) != len(index):
+    index = numbers(value, "coordinates", ShapeError)
+    if index.ndim != 1 or len({*index.tolist()} & {*range(n)}) != len(index):
         raise ShapeError(f"Expected different coordinates from 0 to {n - 1}, got {index.tolist()}.")
-    return index
+    return index.astype(int)
 
 
 def _covariance(value: ArrayLike, k: int) -> np.ndarray:

@@ -77,7 +77,11 @@ class Stepper:
         ------
         ShapeError : no finite time above zero.
         """
-        state = self._kernel.step(dt)
+        try:
+            state = self._kernel.step(dt)
+        except TypeError:
+            number(dt, "dt [s]")  # says it in a sentence
+            raise
         self._t += dt
         return state
 

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from armlab import kernels
 from armlab._numbers import number, numbers, positive
 from armlab.errors import ShapeError
+from armlab.motion._points import MOST_SAMPLES
 from armlab.motion._saved import Saved
 from armlab.motion._setting import Setting
 from armlab.motion._solving import progress
@@ -233,6 +234,8 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
 def _free(dmp: Dmp, t: ArrayLike, longest: float, given: RunOptions) -> Rollout:
     """Return the primitive undisturbed at times t, solved in steps of at most `longest`."""
     times = dmp.rollout(t, **given).t
+    if not times[-1] - times[0] < longest * MOST_SAMPLES:
+        raise ShapeError(f"Expected less than {MOST_SAMPLES} steps, got more at dt = {longest:g} s. Take a longer dt.")
     if len(times) < 2:
         return dmp.rollout(times, **given)
     parts = np.maximum(np.ceil(np.diff(times) / longest - 1e-9), 1).astype(int)

@@ -66,6 +66,7 @@ class SpringStep:
     """Weights of state and forces in one step of length r."""
 
     def __init__(self, alpha: float, stiffness: float, r: float) -> None:
+        r = max(r, 1e-100)  # shorter steps change nothing, and their powers would be 0
         if max(alpha, np.sqrt(stiffness)) * r < 1.0:
             first, second = _short_moments(alpha, stiffness, r)
             zeroth = 0.5 * (r * r - stiffness * second) - alpha * first
