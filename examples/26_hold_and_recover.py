@@ -7,7 +7,7 @@ import numpy as np
 
 from armlab import State, bridge, kinematics, motion, plots, robots
 
-INERTIA = 1.0  # kg m^2, that a hand feels in each joint
+INERTIA = 0.5  # kg m^2, that a hand feels in each joint
 HELD = (1.0, 3.0)  # s
 ROBOT = robots.load("yumi_right")
 
@@ -33,7 +33,7 @@ def main() -> None:
     moved = 1e3 * np.linalg.norm(tool[before:after] - tool[before], axis=1).max()
     print(f"held: the tool moved {moved:.1f} mm, the path ran {run.tau_a.max() / run.tau_a.min():.0f} times slower")
     print(f"let go: off its path by {1e3 * np.abs(run.ya[-1] - run.yc[-1]).max():.1f} mrad, done: {controller.done}")
-    plots.two_dof(run, [5]).savefig("recovery.png")
+    plots.two_dof(run, [3, 5]).savefig("recovery.png")
 
 
 if __name__ == "__main__":

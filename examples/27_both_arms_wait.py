@@ -4,8 +4,8 @@ import numpy as np
 
 from armlab import State, bridge, kinematics, motion, robots
 
-INERTIA = 1.0  # kg m^2, that a hand feels in each joint
-HELD = (1.0, 2.0)  # s
+INERTIA = 0.5  # kg m^2, that a hand feels in each joint
+HELD = (0.8, 2.8)  # s
 LEFT, RIGHT = robots.load("yumi_left"), robots.load("yumi_right")
 MOVE = np.deg2rad([20, 10, -15, -20, 30, 10, -40])
 MIRROR = np.array([-1, 1, -1, 1, -1, 1, -1])  # the arms are mirror images in the plane y = 0
@@ -25,7 +25,7 @@ def main() -> None:
     controller = two_dof.controller([LEFT, RIGHT], give_way=give_way)
     url = f"sim://yumi_left+yumi_right?lockstep=true&force=true&grip={HELD[0]},{HELD[1]}"
     with bridge.connect(url, [LEFT, RIGHT]) as link:
-        table = link.run(controller, seconds=4.5).table
+        table = link.run(controller, seconds=5.5).table
     t = table.t - table.t[0]
     for when, k in (("held", np.searchsorted(t, HELD[0])), ("let go", np.searchsorted(t, HELD[1])), ("end", -1)):
         left = (table["yumi_left.q"][k] - LEFT.q_home) / MOVE

@@ -24,7 +24,7 @@ NEEDS = {  # example -> the one whose files it reads, and one of these files
 }
 LONG = (
     *("03_identify.py", "04_contact_force.py", "12_source_report.py", "15_lead_through.py", "16_stop_on_contact.py"),
-    *("26_hold_and_recover.py", "27_both_arms_wait.py"),
+    *("26_hold_and_recover.py", "27_both_arms_wait.py", "31_turned_goal.py", "32_wiping.py"),
 )
 LONGEST = 120  # s, generous for a busy machine; each takes less than 30 s on a quiet one
 MAX_LINES = 40
