@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from armlab import State, bridge, kinematics, motion, robots
+from armlab import State, bridge, kinematics, log, motion, plots, robots
 
-INERTIA = 0.5  # kg m^2, that a hand feels in each joint
+INERTIA = 1.0  # kg m^2, that a hand feels in each joint
 HELD = (0.8, 2.8)  # s
 LEFT, RIGHT = robots.load("yumi_left"), robots.load("yumi_right")
 MOVE = np.deg2rad([20, 10, -15, -20, 30, 10, -40])
@@ -26,12 +26,14 @@ def main() -> None:
     url = f"sim://yumi_left+yumi_right?lockstep=true&force=true&grip={HELD[0]},{HELD[1]}"
     with bridge.connect(url, [LEFT, RIGHT]) as link:
         table = link.run(controller, seconds=5.5).table
-    t = table.t - table.t[0]
-    for when, k in (("held", np.searchsorted(t, HELD[0])), ("let go", np.searchsorted(t, HELD[1])), ("end", -1)):
-        left = (table["yumi_left.q"][k] - LEFT.q_home) / MOVE
-        right = (table["yumi_right.q"][k] - RIGHT.q_home) / (MIRROR * MOVE)
-        print(f"{when:6s} left arm {left.mean():.0%} of its way, right arm {right.mean():.0%}")
+    ways = [table["yumi_left.q"] - LEFT.q_home, MIRROR * (table["yumi_right.q"] - RIGHT.q_home)]
+    way = np.stack([(way / MOVE).mean(axis=1) for way in ways], axis=1)
+    begin, end = np.searchsorted(table.t, HELD)
+    for when, k in (("held", begin), ("let go", end), ("end", -1)):
+        print(f"{when:6s} left arm {way[k, 0]:.0%} of its way, right arm {way[k, 1]:.0%}")
     print("done:", controller.done)
+    column = log.Column(unit="1", labels=("left arm", "right arm"))
+    plots.table(log.Table(table.t, {"way": way}, {"way": column}), "way").figure.savefig("both_arms.png")
 
 
 if __name__ == "__main__":

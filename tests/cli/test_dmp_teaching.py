@@ -105,6 +105,8 @@ def test_options_belong_to_kinds(tmp_path: Path) -> None:
     assert check_options("pose", {"frame": "goal", "period": None}) == {"frame": "goal"}
     with pytest.raises(ConfigError, match="--kind pose"):
         check_options("joints", {"frame": "goal"})
+    with pytest.raises(ConfigError, match="--period"):
+        check_options("periodic", {"period": None})
     with pytest.raises(UnknownName, match="periodic"):
         check_options("rhythm", {})
     demo = read_demonstration(shown(tmp_path), "joints", (), None, Window())

@@ -76,7 +76,7 @@ def test_a_run_that_waited_is_drawn(tmp_path: Path, capsys) -> None:
     recording = log.write(Table(T, values, described), tmp_path / "run.csv")
     primitive = law.save(tmp_path / "law.toml")
     words = ["plot", "two_dof", str(primitive), str(recording), "--joints", "1,2"]
-    assert main([*words, "--disturbed", "0.2,0.4"]) == 0
+    assert main([*words, "--disturbed", "0.2,0.4", "--duration", "1", "--goal", "0.84,1"]) == 0
     assert (tmp_path / "run.png").stat().st_size > 1000
     assert main([*words, "--disturbed", "0.2", "--force"]) == 1
     assert "START,END" in capsys.readouterr().err

@@ -101,6 +101,8 @@ def two_dof(
     output: Output = None,
     disturbed: list[str] | None = None,
     joints: str | None = None,
+    duration: float | None = None,
+    goal: str | None = None,
     show: bool = False,
     force: bool = False,
 ) -> int:
@@ -111,13 +113,17 @@ def two_dof(
     primitive : Path
         File of `armlab dmp fit`, or of a primitive with two degrees of freedom.
     log : Path
-        Recording of `armlab dmp play`, run with the goal and duration of the primitive.
+        Recording of `armlab dmp play`.
     output : Path
         PNG, SVG or PDF; beside the log, with its name, when not given.
     disturbed : list of str
         START,END of a time when something held the arm [s], which is shaded.
     joints : str
         Numbers from 1 with commas between; all when not given.
+    duration : float
+        Of the run [s]; that of the demonstration when not given.
+    goal : str
+        Of the run, numbers with commas between; that of the demonstration when not given.
     show : bool
         Open a window too.
     force : bool
@@ -140,7 +146,8 @@ def two_dof(
     spans = [numbers_in(word, "disturbed") for word in disturbed or ()]
     if any(span is None or len(span) != 2 for span in spans):
         raise ConfigError(f"Expected --disturbed as START,END, got {' '.join(disturbed or ())}.")
-    run = law.recorded(table, [(float(span[0]), float(span[1])) for span in spans if span is not None])
+    held = [(float(span[0]), float(span[1])) for span in spans if span is not None]
+    run = law.recorded(table, held, duration=duration, g=numbers_in(goal, "goal"))
     numbers = numbers_in(joints, "joints")
     which = None if numbers is None else [int(number) - 1 for number in numbers]
     return _save(plots.two_dof(run, which), path, show)
