@@ -16,7 +16,8 @@ from sphinx.application import Sphinx
 EXAMPLES = (
     "10_draw_an_arm.py", "12_source_report.py", "20_weld_seam.py", "21_calibrate_camera.py",
     "22_calibrate_force_sensor.py", "23_calibrate_kinematics.py", "24_calibrate_laser.py",
-    "26_hold_and_recover.py", "27_both_arms_wait.py", "31_turned_goal.py", "32_wiping.py", "33_several_demonstrations.py",
+    "26_hold_and_recover.py", "27_both_arms_wait.py", "31_turned_goal.py", "32_wiping.py",
+    "33_several_demonstrations.py",
 )  # fmt: skip
 
 

@@ -102,7 +102,7 @@ def two_dof(
     disturbed: list[str] | None = None,
     joints: str | None = None,
     duration: float | None = None,
-    goal: str | None = None,
+    goal: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
     show: bool = False,
     force: bool = False,
 ) -> int:
