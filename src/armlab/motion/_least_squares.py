@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -49,15 +51,13 @@ def solve_joined(joined: np.ndarray, b: np.ndarray, ridge: np.ndarray | None = N
     joined : (rows, p + q) in Fortran order: A in its corner, otherwise 0; overwritten. b : (N, q).
     ridge : (p,) penalties of the unknowns.
     """
-    from scipy.linalg import get_lapack_funcs
-
     p = joined.shape[1] - b.shape[1]
     joined[: len(b), p:] = b
     if ridge is not None:
         joined[-p:, :p] = np.diag(np.sqrt(ridge))
-    geqrt, trcon, trtri, trtrs = get_lapack_funcs(("geqrt", "trcon", "trtri", "trtrs"), (joined,))
-    factor = geqrt(min(BLOCK, *joined.shape), joined, overwrite_a=True)[0]
-    R, rotated, left = np.triu(factor[:p, :p]), factor[:p, p:], np.triu(factor[p : p + b.shape[1], p:])
+    geqrt, trcon, trtri, trtrs = _lapack()
+    factor = np.triu(geqrt(min(BLOCK, *joined.shape), joined, overwrite_a=True)[0][: joined.shape[1]])
+    R, rotated, left = factor[:p, :p], factor[:p, p:], factor[p:, p:]
     squares = np.einsum("ij,ij->j", left, left)
     norms = np.sqrt(np.einsum("ij,ij->j", R, R))  # of the columns of A; a reflection scales with its column
     scale = np.where(norms > 0, norms, 1.0)
@@ -71,6 +71,13 @@ def solve_joined(joined: np.ndarray, b: np.ndarray, ridge: np.ndarray | None = N
         x = inverse @ (U.T @ rotated)
         squares += ((R @ x - rotated) ** 2).sum(axis=0)
     return Solution(x, inverse @ inverse.T, R, squares)
+
+
+@cache
+def _lapack() -> Any:
+    from scipy.linalg import get_lapack_funcs
+
+    return get_lapack_funcs(("geqrt", "trcon", "trtri", "trtrs"), dtype=np.float64)
 
 
 def block_covariance(unit: np.ndarray, sigma: np.ndarray) -> np.ndarray:

@@ -60,10 +60,10 @@ def fit_regression(
     found, left = [], []
     for block in [slice(0, n)] if alike else [slice(i, i + 1) for i in range(n)]:
         i = block.start
-        x = np.concatenate([demo.x if demo.x.ndim == 1 else demo.x[:, i] for demo in demos])
-        lever = np.concatenate([np.full(len(demo.f), demo.scale[i]) for demo in demos]) * (x if fades else 1.0)
-        rows = _Rows(primitive, m, x, lever, np.concatenate([demo.f[:, block] for demo in demos]))
-        weights = np.concatenate([demo.weights for demo in demos])
+        x = _joined([demo.x if demo.x.ndim == 1 else demo.x[:, i] for demo in demos])
+        lever = np.repeat(scales[:, i], [len(demo.f) for demo in demos]) * (x if fades else 1.0)
+        rows = _Rows(primitive, m, x, lever, _joined([demo.f[:, block] for demo in demos]))
+        weights = _joined([demo.weights for demo in demos])
         one = _least_squares(rows, weights, ridge) if bells is None else _kernel_by_kernel(rows, weights, *bells)
         found.append(one)
         left.append(partial(rows.residuals, one[0]))
@@ -76,6 +76,10 @@ def fit_regression(
         lambda: np.concatenate([one() for one in left], axis=-1),
         found[0][2],
     )
+
+
+def _joined(parts: list[np.ndarray]) -> np.ndarray:
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 @dataclass(frozen=True)

@@ -69,10 +69,11 @@ def freeze_arrays(value: Any, *names: str) -> None:
     ------
     ShapeError : no numbers, or some that are not finite.
     """
-    for name in names:
-        array = np.array(numbers(getattr(value, name), name, ShapeError))
-        if not np.isfinite(array).all():
-            raise ShapeError(f"Expected finite {name} of a {type(value).__name__}, got NaN or Inf. Fit it again.")
+    arrays = {name: np.array(numbers(getattr(value, name), name, ShapeError)) for name in names}
+    if not np.isfinite(np.concatenate([array.ravel() for array in arrays.values()])).all():
+        name = next(name for name in names if not np.isfinite(arrays[name]).all())
+        raise ShapeError(f"Expected finite {name} of a {type(value).__name__}, got NaN or Inf. Fit it again.")
+    for name, array in arrays.items():
         array.flags.writeable = False
         object.__setattr__(value, name, array)
 

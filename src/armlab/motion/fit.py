@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -221,17 +222,13 @@ def _with(blank: Dmp, learned: Learned, demos: list[Demo], reference: Reference,
 def _fit(dmp: Dmp, method: str, learned: Learned, demos: list[Demo]) -> Fit[Dmp]:
     m, n = dmp.weights.shape
     with_ends = learned.unit.shape[1] > m
-    several = len(demos) > 1
-    ends = [f"{name} of demonstration {k}" if several else name for k in range(len(demos)) for name in ENDS]
-    one = [*(f"weight {j}" for j in range(m)), *(ends if with_ends else ())]
-    units = [*("unit of y",) * m, *(("unit of y", "unit of y/s", "unit of y") * len(demos) if with_ends else ())]
-    owners = [""] if n == 1 else [f" of coordinate {i}" for i in range(n)]
+    one, names, units = _names(m, n, len(demos), with_ends)
     parts = [learned.weights, learned.ends.reshape(-1, n)] if with_ends else [learned.weights]
     kind = "position" if learned.of_position else "forcing"
     return Fit(
         value=dmp,
-        names=tuple([name + owner for owner in owners for name in one]),
-        units=tuple(units * n),
+        names=names,
+        units=units,
         parameters=np.concatenate(parts).T.ravel(),
         cov=lambda: block_covariance(learned.unit, learned.sigma),
         sigma=learned.sigma,
@@ -241,6 +238,16 @@ def _fit(dmp: Dmp, method: str, learned: Learned, demos: list[Demo]) -> Fit[Dmp]
         summary=lambda fit: _report(fit, method, learned, demos),
         classes=tuple(f"{kind} of coordinate {i} [unit of y]" for i in range(n)),
     )
+
+
+@lru_cache(16)  # as long to make as the kernels
+def _names(m: int, n: int, M: int, with_ends: bool) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
+    """Return names of the unknowns of one coordinate, and names and units of all parameters."""
+    ends = [f"{name} of demonstration {k}" if M > 1 else name for k in range(M) for name in ENDS]
+    one = (*(f"weight {j}" for j in range(m)), *(ends if with_ends else ()))
+    units = (*("unit of y",) * m, *(("unit of y", "unit of y/s", "unit of y") * M if with_ends else ()))
+    owners = [""] if n == 1 else [f" of coordinate {i}" for i in range(n)]
+    return one, tuple([name + owner for owner in owners for name in one]), units * n
 
 
 def _report(fit: Fit[Dmp], method: str, learned: Learned, demos: list[Demo]) -> str:
