@@ -114,7 +114,11 @@ double Obstacles::distance(const double *y) {
     bodies_[0].shape.a = bodies_[0].shape.b = point_of(y, axes_);
   double least = std::numeric_limits<double>::infinity();
   for (const Body &body : bodies_)
-    for (const Capsule &obstacle : obstacles_) least = std::min(least, nearest(body, obstacle).distance);
+    for (const Capsule &obstacle : obstacles_) {
+      const double d = nearest(body, obstacle).distance;
+      if (std::isnan(d)) return d;
+      least = std::min(least, d);
+    }
   return least;
 }
 

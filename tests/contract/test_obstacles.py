@@ -93,3 +93,13 @@ def test_the_same_is_refused() -> None:
         }.items():
             with pytest.raises(ShapeError, match=words):
                 call()
+
+
+@pytest.mark.parametrize("kind", ["plane", "space", "arm"])
+def test_a_distance_that_is_not_known_is_no_large_one(kind: str) -> None:
+    n = {"plane": 2, "space": 3, "arm": ROBOT.n}[kind]
+    for field in pair(kind, np.random.default_rng(0), False):
+        field.place(capsules(kind, np.random.default_rng(1), np.zeros(3), 3))
+        for i in range(n):
+            y = np.where(np.arange(n) == i, np.nan, 0.3)
+            assert np.isnan(field.distance(y)), i

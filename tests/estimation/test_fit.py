@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 import tomllib
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -131,6 +133,23 @@ def test_a_saved_fit_comes_back_bit_equal(tmp_path: Path) -> None:
     assert (after.names, after.units, after.classes, after.n) == (before.names, before.units, before.classes, before.n)
     assert after.excitation.text() == before.excitation.text()
     assert after.residuals.size == 0
+
+
+def test_a_fit_goes_to_other_processes() -> None:
+    made = fit(np.eye(2))
+    lazy = replace(
+        made,
+        cov=lambda: np.eye(2),  # type: ignore[arg-type]
+        residuals=lambda: np.arange(5.0),  # type: ignore[arg-type]
+        excitation=lambda: made.excitation,  # type: ignore[arg-type]
+        summary=lambda it: f"{it.n} samples, told",
+    )
+    for again in (pickle.loads(pickle.dumps(lazy)), copy.deepcopy(lazy)):
+        np.testing.assert_array_equal(again.cov, np.eye(2))
+        np.testing.assert_array_equal(again.residuals, np.arange(5.0))
+        assert not any(part.flags.writeable for part in (again.cov, again.residuals, again.sigma))
+        assert again.report() == f"{made.n} samples, told"
+        assert again.excitation.text() == made.excitation.text()
 
 
 def test_another_kind_or_a_bare_value_is_refused(tmp_path: Path) -> None:

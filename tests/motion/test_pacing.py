@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armlab import State, bridge, robots
-from armlab.errors import ShapeError
+from armlab.errors import ConfigError, ShapeError
 from armlab.motion import Dmp, duration_within, fit_dmp
 from armlab.motion._parameterisation import fastest, top
 from armlab.motion.controllers import DmpController
@@ -141,7 +141,11 @@ def test_bad_input_is_refused_by_a_sentence() -> None:
     for words, call in {
         "v_max above zero": lambda: within(paced.dmp, 0.0),
         "times .N,. that increase": lambda: paced.rollout([0.0, 0.0]),
-        "dt above zero": lambda: paced.stepper().step(-1.0),
+        r"dt .* above zero": lambda: paced.stepper().step(-1.0),
+        r"dt .* real numbers": lambda: paced.stepper().step("soon"),  # type: ignore[arg-type]
     }.items():
         with pytest.raises(ShapeError, match=words):
             call()
+    for pace in ({"duration": 9.0}, {"tau_d": 2.0}):
+        with pytest.raises(ConfigError, match="pace of the plan"):
+            paced.stepper(**pace)  # type: ignore[arg-type]

@@ -31,8 +31,9 @@ def test_options_mean_the_same_everywhere(primitive: Callable[..., Dmp]) -> None
     np.testing.assert_allclose(dmp.solve(0.1, **given).y, run.y[::10], atol=1e-5)
     assert run.t[-1] == pytest.approx(3.0)
     for call in (dmp.rollout, dmp.rollout_batch, dmp.solve):
-        with pytest.raises(TypeError, match="speed"):
-            call(0.01, speed=2.0)  # type: ignore[call-arg]
+        for name in ("speed", "runs", "dmp"):
+            with pytest.raises(TypeError, match=name):
+                call(0.01, **{name: 2})  # type: ignore[call-arg]
     for call in (dmp.rollout, dmp.solve):
         with pytest.raises(ShapeError, match=r"y0 of shape .* one run"):
             call(0.01, y0=np.zeros((2, 3)))

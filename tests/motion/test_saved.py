@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +69,27 @@ def test_what_is_read_runs_the_same(saved: dict[str, Any], tmp_path: Path) -> No
     for kind, run in runs.items():
         again = models.load(saved[kind].save(tmp_path / "it.toml"), kind)
         np.testing.assert_array_equal(run(again), run(saved[kind]))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_value_that_has_run_is_copied_and_sent_to_other_processes(saved: dict[str, Any], kind: str) -> None:
+    value = saved[kind]
+    value.sample(0.02, 0, 2) if kind == "promp" else value.stepper()
+    for again in (pickle.loads(pickle.dumps(value)), copy.deepcopy(value)):
+        assert again == value
+        for field in fields(again):
+            part = getattr(again, field.name)
+            assert not isinstance(part, np.ndarray) or not part.flags.writeable, field.name
+
+
+def test_units_are_those_of_the_numbers(saved: dict[str, Any], tmp_path: Path) -> None:
+    path = saved["two_dof_dmp"].save(tmp_path / "it.toml")
+    text = path.read_text()
+    for old, new, name in (('"dmp.tau_d" = "s"', '"dmp.tau_d" = "ms"', "dmp.tau_d"), ('\nkp = "1', '\nkq = "1', "kq")):
+        assert old in text
+        path.write_text(text.replace(old, new))
+        with pytest.raises(ConfigError, match=rf"meta\.units.* for {name}"):
+            TwoDofDmp.load(path)
 
 
 def test_every_field_is_in_the_file(saved: dict[str, Any], tmp_path: Path) -> None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from functools import partial
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -116,6 +117,13 @@ class Fit(Generic[Value]):
                 continue
             object.__setattr__(self, name, _frozen(getattr(self, name), bool if name == "outliers" else float))
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copy and pickle what is made when asked for as it is then, and the report as its text."""
+        kept = {f.name: getattr(self, f.name) for f in fields(self)}
+        if self.summary is not None:
+            kept["summary"] = partial(_said, self.report())
+        return type(self), tuple(kept.values())
+
     @property
     def sd(self) -> np.ndarray:
         """Standard deviation of each parameter (d,)."""
@@ -186,6 +194,10 @@ for _lazy in (
     _WhenAsked("excitation", lambda fit, found: found),
 ):
     setattr(Fit, _lazy.name, _lazy)  # afterwards, for in the class it would be read as a default
+
+
+def _said(text: str, fit: Fit[Any]) -> str:
+    return text
 
 
 def _listed(numbers: Sequence[int]) -> str:

@@ -97,6 +97,16 @@ def _units(value: Any, prefix: str = "") -> dict[str, str]:
     return found
 
 
+def _check_units(written: Any, known: Mapping[str, str]) -> None:
+    """Refuse units in a file that are not those in which its numbers are read."""
+    for name, unit in written.items() if isinstance(written, dict) else ():
+        if known.get(name) != unit:
+            raise ConfigError(
+                f"Expected [meta.units] to say {known.get(name)!r} for {name}, got {unit!r}. No number is "
+                "converted: write them in the first."
+            )
+
+
 def read_value(raw: Mapping[str, Any], path: Path) -> Any:
     """Return the value of a file's tables.
 
@@ -119,7 +129,9 @@ def read_value(raw: Mapping[str, Any], path: Path) -> Any:
             f"{kind!r} in format {version}. Import {package} that made it, or make it again."
         )
     try:
-        return decode({"kind": kind, "fields": raw["value"]})
+        value = decode({"kind": kind, "fields": raw["value"]})
+        _check_units(meta.get("units", {}), _units(value))
+        return value
     except ConfigError:
         raise
     except (KeyError, TypeError, ValueError) as error:

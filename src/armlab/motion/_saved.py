@@ -34,6 +34,10 @@ class Saved:
 
     __hash__ = None  # type: ignore[assignment]
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copy and pickle the fields alone: compiled kernels are made again, arrays are frozen again."""
+        return type(self), tuple(getattr(self, f.name) for f in fields(self) if f.init)
+
     def save(self, path: str | Path) -> Path:
         """Write a TOML file that comes back bit for bit, and return its path.
 

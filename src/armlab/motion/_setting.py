@@ -38,20 +38,22 @@ class Setting:
     def of(
         cls,
         dmp: Dmp,
+        runs: int | None = None,
+        /,
         duration: float | None = None,
         tau_d: float | None = None,
         y0: ArrayLike | None = None,
         v0: ArrayLike | None = None,
         g: ArrayLike | None = None,
         amplitude: ArrayLike | None = None,
-        runs: int | None = None,
     ) -> Setting:
         """Resolve what the caller has left out by the demonstration.
 
         Parameters
         ----------
-        dmp : the primitive. duration, tau_d, y0, v0, g, amplitude : `RunOptions`.
+        dmp : the primitive.
         runs : number of them, or 1 for as many as there are starts; None for one run of arrays (n,).
+        duration, tau_d, y0, v0, g, amplitude : `RunOptions`.
 
         Raises
         ------

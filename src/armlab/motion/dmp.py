@@ -140,7 +140,7 @@ class Dmp(Equation, Saved, kind="dmp"):
             raise ShapeError(
                 f"Expected weights of shape (K, {self.n_basis}, {self.n}), got {own.shape}. Fit with as many kernels."
             )
-        return self._run(Setting.of(self, **run, runs=1 if own is None else len(own)), t, own)
+        return self._run(Setting.of(self, 1 if own is None else len(own), **run), t, own)
 
     def _run(self, run: Setting, t: ArrayLike, weights: np.ndarray | None = None) -> Rollout:
         times = run.times(t)

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab.errors import ShapeError
+from armlab._numbers import positive
+from armlab.errors import ConfigError, ShapeError
 from armlab.motion import _points
 from armlab.motion._parameterisation import fastest, top
 from armlab.motion._setting import clock
@@ -156,6 +157,8 @@ class PacedDmp:
         ------
         ShapeError, ConfigError : as of `Dmp.stepper`.
         """
+        if run.keys() & {"duration", "tau_d"}:
+            raise ConfigError("Expected a run at the pace of the plan, got a duration. Give `within` a slower motion.")
         return PacedStepper(self, {**self.run, **run})
 
     def controller(self, robot: Arms, *, limits: Limits | Sequence[Limits] | None = None) -> DmpController:
@@ -207,9 +210,7 @@ class PacedStepper:
         ------
         ShapeError : no finite time above zero.
         """
-        if not 0.0 < dt < np.inf:
-            raise ShapeError(f"Expected a finite dt above zero, got {dt:g}. At 250 Hz it is 0.004.")
-        self._t += dt
+        self._t += positive(dt, "dt [s]", "At 250 Hz it is 0.004.")
         paced, i, before = self._paced, bisect_right(self._knots, self._t) - 1, self._s
         since, start = self._t - self._knots[i], float(paced.rate[i])
         self._change = float(paced.change[i])

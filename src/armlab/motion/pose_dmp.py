@@ -122,7 +122,7 @@ class PoseDmp(Saved, kind="pose_dmp"):
         v0 = w0 = None
         if twist0 is not None:
             v0, w0 = vector(twist0, "twist0", 6).reshape(2, 3) @ A
-        position = Setting.of(self.position, duration, tau_d, y0=p0 @ A, v0=v0, g=p1 @ A)
+        position = Setting.of(self.position, duration=duration, tau_d=tau_d, y0=p0 @ A, v0=v0, g=p1 @ A)
         rotation = Setting.of(self.rotation, tau_d=position.tau, y0=-apart(q0, q1) @ A, v0=w0, g=np.zeros(3))
         return PoseRun(A, position, rotation, q0, q1)
 

@@ -106,7 +106,7 @@ class Obstacles:
         """
         y = read(y, "y", (self.n,))
         still = np.zeros(self.n)
-        found = [min((c.distance for c in self._contacts(q, still)), default=np.inf) for q in y.reshape(-1, self.n)]
+        found = [np.min([c.distance for c in self._contacts(q, still)], initial=np.inf) for q in y.reshape(-1, self.n)]
         return np.array(found).reshape(y.shape[:-1])
 
     def acts(self, y: Any) -> bool:
