@@ -5,6 +5,8 @@ from __future__ import annotations
 import time
 from typing import Any
 
+import pytest
+
 from armlab.bridge.limits import Limits
 from armlab.bridge.port import Port
 from armlab.bridge.states import Guide, Mode
@@ -97,3 +99,46 @@ def test_a_robot_that_died_is_an_error(feed: Any, robot: Robot) -> None:
     bench.look(0.0)
     assert "status 2" in str(bench.guide.failure)
     assert bench.guide.mode is Mode.ENDED
+
+
+def sessions(bench: Bench, count: int, packets: int, **fields: Any) -> None:
+    """Sessions of so many packets each, one right after another."""
+    for _ in range(count):
+        bench.feed.packets.seq = 0
+        for k in range(packets):
+            sample = bench.feed.sample(**fields)
+            if k == 0 and sample.session > 1:
+                bench.supervisor.judge()
+            bench.guide.observe(sample)
+    bench.port.close()
+
+
+@pytest.mark.parametrize(
+    ("packets", "fields", "settings", "ends"),
+    [
+        (2, {}, {}, True),
+        (25, {}, {}, True),  # 24 periods: 0.096 s
+        (27, {}, {}, False),
+        (1, {"mci": 1}, {}, True),
+        (1, {"mci": 2}, {}, False),  # the robot waits for its operator
+        (1, {"mci": 2}, {"clock": "robot"}, True),
+    ],
+)
+def test_ten_sessions_in_a_row_that_end_at_once_end_the_run(
+    feed: Any, robot: Robot, packets: int, fields: dict[str, Any], settings: dict[str, Any], ends: bool
+) -> None:
+    bench = Bench(feed, robot, **settings)
+    sessions(bench, 10, packets, **fields)
+    assert bench.guide.failure is None
+    sessions(bench, 1, 1)
+    assert isinstance(bench.guide.failure, SessionEnded) == ends
+
+
+def test_a_session_that_moves_on_starts_the_count_again(feed: Any, robot: Robot) -> None:
+    bench = Bench(feed, robot)
+    for _ in range(3):
+        sessions(bench, 9, 2)
+        sessions(bench, 1, 30)
+    assert bench.guide.failure is None
+    sessions(bench, 11, 2)
+    assert bench.guide.reason == "sessions ended at once"

@@ -158,6 +158,15 @@ def test_done_is_near_slow_and_over_for_a_tenth_of_a_second(reach: Dmp, kind: st
     assert arrivals(2.3, reach.g, rest, first - 5)[0] == first - 5 + 25
 
 
+def test_lost_measurements_do_not_keep_a_motion_from_being_done(reach: Dmp) -> None:
+    controller = made(reach, "two_dof")
+    for k in range(round(2.6 / PERIOD)):
+        lost = np.nan if k % 10 == 5 else 0.0
+        controller(State(k * PERIOD, PERIOD, reach.g + lost, np.zeros(7) + lost, reach.g))
+    assert controller.done
+    assert controller.reason == ""
+
+
 def test_a_stop_takes_a_quarter_of_a_second(arm: Callable[..., Any], reach: Dmp) -> None:
     controller, yumi = made(reach, "plain"), arm()
     yumi.run(controller, 0.8)

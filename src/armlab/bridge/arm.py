@@ -172,6 +172,8 @@ class Arm:
         return turn
 
     def _observe(self, sample: Sample) -> Turn:
+        if sample.fresh and sample.session > 1:
+            self._supervisor.judge()
         if sample.fresh and sample.session > 1 and not self._resumes:  # restarted before anyone saw the silence
             self.guide.lose(self.session.reason, resume=False)
         else:

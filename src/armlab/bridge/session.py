@@ -13,7 +13,10 @@ from armlab.bridge.events import Tell, nobody
 from armlab.bridge.port import Arrival
 from armlab.wire.egm import Codec, Drop, Packet
 
-__all__ = ["Sample", "Session"]
+__all__ = ["EGM_ERROR", "Sample", "Session"]
+
+EGM_ERROR = "the controller reported an EGM error"
+"""Why a session ended, when the robot's controller ended it."""
 
 _SEQUENCES = 2**32
 _HALF = 2**31  # ms ahead: a tm that is further is one of the past
@@ -140,7 +143,7 @@ class Session:
             (packet.converged, "the convergence condition of EGMAct was met (a window of zero never is)"),
             (packet.motors == _MOTORS_OFF, "the motors were switched off"),
             (packet.rapid == _RAPID_STOPPED, "RAPID was stopped"),
-            (packet.mci == _MCI_ERROR, "the controller reported an EGM error"),
+            (packet.mci == _MCI_ERROR, EGM_ERROR),
             (
                 packet.mci == _MCI_RUNNING and own > _OWN_SILENCE,
                 f"we did not answer for {1e-9 * own:.2f} s (event 41822 is likely)",

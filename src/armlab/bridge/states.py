@@ -62,7 +62,8 @@ class Guide:
     Attributes
     ----------
     mode, ready : see the module. t : robot time since guidance began in this session [s].
-    elapsed : robot time while ready since the first readiness [s]. q_start : (n,) where guidance began.
+    elapsed : robot time while ready since the first readiness [s]. guided : the robot has been ready in this session.
+    q_start : (n,) where guidance began.
     failure, reason : why the run stops. clamps : times each limit acted, (6, n). worst_ratio : of the velocity limit.
     refused : commands refused.
     """
@@ -94,7 +95,7 @@ class Guide:
         self.refused = self._refused_in_a_row = 0
         self._packet: Packet | None = None
         self._qd = self._last.qd
-        self._guided = self._plausible = self._warned = False
+        self.guided = self._plausible = self._warned = False
 
     @property
     def calls(self) -> bool:
@@ -116,13 +117,13 @@ class Guide:
         packet, self._qd = sample.packet, sample.qd
         self._packet = packet
         if sample.fresh:
-            self.t, self._guided, self.ready = 0.0, False, False
+            self.t, self.guided, self.ready = 0.0, False, False
             self._aside.begin()
             self._check_plausible(packet)
             if self.mode is Mode.RUNNING:
                 self.mode = Mode.HOLDING
         else:
-            self.t += sample.dt if self._guided or self.mode is Mode.LISTENING else 0.0
+            self.t += sample.dt if self.guided or self.mode is Mode.LISTENING else 0.0
         if self.mode is Mode.LISTENING:
             self.elapsed += 0.0 if sample.fresh else sample.dt
             return
@@ -146,7 +147,7 @@ class Guide:
         sample : from the session. t_receive : arrival, wall clock [ns].
         fused : `sources` and `wrench` of the State, where there are any.
         """
-        q_start = self.q_start if self._guided else sample.packet.q
+        q_start = self.q_start if self.guided else sample.packet.q
         return seen(sample, self._last, self.t, q_start, t_receive, self._robot.name, fused)
 
     def answer(self, command: Command | None, period: float) -> Reply | None:
@@ -291,8 +292,8 @@ class Guide:
         self._torques.reset()
         self._last = self._limiter.rest(packet.q)
         self._waited, self._warned = 0.0, False
-        if not self._guided:
-            self._guided, self.t, self.q_start = True, 0.0, packet.q
+        if not self.guided:
+            self.guided, self.t, self.q_start = True, 0.0, packet.q
         self._on_event("The robot is ready and holds.")
 
     def _check_plausible(self, packet: Packet) -> None:

@@ -1,4 +1,7 @@
-"""When a run ends for reasons outside the controller: silence, a robot that is gone; `Settings` of a run."""
+"""When a run ends for reasons outside the controller: silence, a robot that is gone, sessions that end at once.
+
+`Settings` of a run.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +12,15 @@ from typing import Literal
 
 from armlab.bridge.events import Tell
 from armlab.bridge.port import Port
-from armlab.bridge.session import Session
-from armlab.bridge.states import Guide
+from armlab.bridge.session import EGM_ERROR, Session
+from armlab.bridge.states import Guide, Mode
 from armlab.errors import LinkError, NoRobot, SessionEnded
 
 __all__ = ["Settings", "Supervisor", "check_list"]
 
 _CHECKLIST_AFTER = 5.0  # s without any packet
+_BRIEF = 0.1  # s under guidance: a session that ends sooner did not move the run on
+_BRIEF_IN_A_ROW = 10  # end the run: `Settings.seconds` counts time under guidance, of which they have none
 
 
 @dataclass(frozen=True)
@@ -39,7 +44,7 @@ class Settings:
 
 
 class Supervisor:
-    """Looks, whenever no packet came, whether the session or the run is over.
+    """Looks, whenever no packet came or a session begins, whether the session or the run is over.
 
     Parameters
     ----------
@@ -50,6 +55,7 @@ class Supervisor:
         self._port, self._session, self._guide, self._settings = port, session, guide, settings
         self._on_event = on_event
         self._told = False
+        self._elapsed, self._brief = 0.0, 0
 
     def look(self, heard_ns: int) -> None:
         """End the session after silence, and the run when nothing more can come.
@@ -76,6 +82,31 @@ class Supervisor:
         elif quiet > _CHECKLIST_AFTER and not session.number and not self._told:
             self._told = True
             self._on_event(f"No packet yet. {check_list(self._port)}", warn=True)
+
+    def judge(self) -> None:
+        """End the run when too many sessions in a row ended at once. Called before the guide observes another one.
+
+        Without guidance a robot may wait for its operator, and such a session does not count; in lockstep nobody comes.
+        """
+        guide, session = self._guide, self._session
+        gained, self._elapsed = guide.elapsed - self._elapsed, guide.elapsed
+        if gained >= _BRIEF:
+            self._brief = 0
+        elif (
+            guide.guided
+            or guide.mode is Mode.LISTENING
+            or session.reason == EGM_ERROR
+            or self._settings.clock == "robot"
+        ):
+            self._brief += 1
+        if self._brief >= _BRIEF_IN_A_ROW:
+            kind = "packets" if guide.mode is Mode.LISTENING else "guidance"
+            failure = SessionEnded(
+                f"Expected a session with {kind} for {_BRIEF:g} s or more, but {self._brief} in a row ended sooner, "
+                f"the last because {session.reason}. The event log of the robot's controller says more; a usual cause is a "
+                "reference that it refuses, too far away or too fast."
+            )
+            guide.stop("sessions ended at once", failure)
 
     def _silence(self) -> LinkError:
         session, seconds = self._session, self._settings.patience

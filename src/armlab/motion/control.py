@@ -81,7 +81,7 @@ class Controller(ABC):
 
     Attributes
     ----------
-    done : the arm has been near the goal and slow for 0.1 s, and the motion is over.
+    done : the arm has been near the goal and slow for 0.1 s, and the motion is over. Measurements of NaN do not count.
     frozen : the path stands still because the arm is too far from it.
     clamped : (n,) limits that acted on this reference: bits 1 position, 2 velocity, 4 acceleration, 8 braking.
     reason : why it ended the run, "" before.
@@ -225,6 +225,8 @@ class Controller(ABC):
         return sent[0], sent[2]
 
     def _judge(self, state: State, dt: float) -> None:
+        if np.isnan(_largest(state.q) + _largest(state.qd)):  # a lost measurement: neither at rest nor moved
+            return
         rests = self._is_over and self._is_near(state) and _largest(state.qd) < SLOW
         self._rested = self._rested + dt if rests else 0.0
         self.done = self._rested >= RESTS
