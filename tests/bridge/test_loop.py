@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from armlab.bridge.loop import Controller, Loop
-from armlab.errors import CommandRefused, ControllerFailed, ControllerLate, SessionEnded
+from armlab.errors import CommandRefused, ControllerFailed, ControllerLate
 from armlab.state import Command, State
 from armlab.wire.egm import EgmCodec, Reference
 
@@ -366,45 +366,3 @@ def test_progress_and_extra_columns(play: Any) -> None:
     assert 2 <= len(told) <= 8
     mine = run.table["mine"]
     np.testing.assert_allclose(mine[:50], run.table["session_t"][:50])
-
-
-def test_a_robot_that_reports_an_error_in_each_session_ends_the_run(play: Any) -> None:
-    """Time under guidance never comes then, so that `seconds` alone would go on for ever."""
-
-    def script(peer: Any) -> None:
-        while not peer.over.is_set() and peer.packets.cycle < 1000:
-            for mci in (3, 1):
-                peer.send(mci=mci)
-                peer.answer_or_end(peer.over)
-            peer.packets.seq = 0
-
-    with pytest.raises(SessionEnded, match=r"10 in a row .* the controller reported an EGM error") as caught:
-        play(script, sway, seconds=6.0)
-    assert caught.value.table["mci"].tolist()[:4] == [3, 1, 3, 1]
-    assert play.peer.packets.cycle < 200  # ten sessions, and half a second at rest
-
-
-@pytest.mark.parametrize("failing", [0, 1])
-def test_one_arm_of_two_that_reports_errors_ends_the_run_of_both(pair: Any, failing: int) -> None:
-    def script(*peers: Any) -> None:
-        over = pair.peer.over
-        while not over.is_set() and peers[0].packets.cycle < 1000:
-            for mci in (3, 1):
-                for k, peer in enumerate(peers):
-                    peer.send(mci=mci if k == failing else 3)
-                    peer.answer_or_end(over)
-            peers[failing].packets.seq = 0
-
-    with pytest.raises(SessionEnded, match="10 in a row"):
-        pair(script, lambda state: None, seconds=6.0)
-
-
-def test_listening_to_sessions_of_one_packet_ends(play: Any) -> None:
-    def script(peer: Any) -> None:
-        while not peer.over.is_set() and peer.packets.cycle < 1000:
-            peer.send()
-            peer.packets.seq = 0
-            peer.over.wait(0.001)
-
-    with pytest.raises(SessionEnded, match="a session with packets for"):
-        play(script, None, play.link(clock="wall"), seconds=6.0)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab.bridge.session import Sample, Session
+from armlab.bridge.session import EGM_ERROR, Sample, Session
 from armlab.robots import Robot
 from armlab.wire.egm import EgmCodec
 
@@ -175,7 +175,7 @@ def test_a_robot_in_lockstep_may_be_silent(robot: Robot) -> None:
         ({"converged": True, "motors": 2}, "convergence"),
         ({"motors": 2, "rapid": 1}, "motors"),
         ({"rapid": 1, "mci": 1}, "RAPID was stopped"),
-        ({"mci": 1}, "EGM error"),
+        ({"mci": 1}, EGM_ERROR),
         ({"mci": 2}, "stopped sending"),
     ],
 )

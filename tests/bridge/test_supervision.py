@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from typing import Any
 
+import numpy as np
 import pytest
 
 from armlab.bridge.limits import Limits
@@ -13,6 +14,7 @@ from armlab.bridge.states import Guide, Mode
 from armlab.bridge.supervision import Settings, Supervisor, check_list
 from armlab.errors import LinkError, NoRobot, SessionEnded
 from armlab.robots import Robot
+from armlab.state import Command
 
 
 class Bench:
@@ -142,3 +144,45 @@ def test_a_session_that_moves_on_starts_the_count_again(feed: Any, robot: Robot)
     assert bench.guide.failure is None
     sessions(bench, 11, 2)
     assert bench.guide.reason == "sessions ended at once"
+
+
+def test_a_robot_that_reports_an_error_in_each_session_ends_the_run(play: Any) -> None:
+    """Time under guidance never comes then, so that `seconds` alone would go on for ever."""
+
+    def script(peer: Any) -> None:
+        while not peer.over.is_set() and peer.packets.cycle < 1000:
+            for mci in (3, 1):
+                peer.send(mci=mci)
+                peer.answer_or_end(peer.over)
+            peer.packets.seq = 0
+
+    with pytest.raises(SessionEnded, match=r"10 in a row .* the controller reported an EGM error") as caught:
+        play(script, lambda state: Command(qd=np.full(7, 0.1)), seconds=6.0)
+    assert caught.value.table["mci"].tolist()[:4] == [3, 1, 3, 1]
+    assert play.peer.packets.cycle < 200  # ten sessions, and half a second at rest
+
+
+@pytest.mark.parametrize("failing", [0, 1])
+def test_one_arm_of_two_that_reports_errors_ends_the_run_of_both(pair: Any, failing: int) -> None:
+    def script(*peers: Any) -> None:
+        over = pair.peer.over
+        while not over.is_set() and peers[0].packets.cycle < 1000:
+            for mci in (3, 1):
+                for k, peer in enumerate(peers):
+                    peer.send(mci=mci if k == failing else 3)
+                    peer.answer_or_end(over)
+            peers[failing].packets.seq = 0
+
+    with pytest.raises(SessionEnded, match="10 in a row"):
+        pair(script, lambda state: None, seconds=6.0)
+
+
+def test_listening_to_sessions_of_one_packet_ends(play: Any) -> None:
+    def script(peer: Any) -> None:
+        while not peer.over.is_set() and peer.packets.cycle < 1000:
+            peer.send()
+            peer.packets.seq = 0
+            peer.over.wait(0.001)
+
+    with pytest.raises(SessionEnded, match="a session with packets for"):
+        play(script, None, play.link(clock="wall"), seconds=6.0)

@@ -165,8 +165,9 @@ class Link:
 
         The arm holds until the first command within `Limits.entry` of where it is. The run ends after `seconds`, when
         the controller returns ``Command.stop()``, raises or is late too often, on Ctrl-C, when the robot is gone, or
-        when ten sessions in a row end before 0.1 s under guidance; the arm is brought to rest first. Ctrl-C raises KeyboardInterrupt once the arm rests and the log is closed; a
-        second one raises at once, and the last speed then acts until the time-out of the robot's controller.
+        when ten sessions in a row end before 0.1 s under guidance; the arm is brought to rest first. Ctrl-C
+        raises KeyboardInterrupt once the arm rests and the log is closed; a second one raises at once, and the last
+        speed then acts until the time-out of the robot's controller.
 
         With several arms the controller is called on the packets of the arm that paces, with the State of all, while
         all are ready; each other arm is answered in its own tick with the newest command it was given. When one is

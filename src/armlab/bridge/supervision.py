@@ -103,8 +103,8 @@ class Supervisor:
             kind = "packets" if guide.mode is Mode.LISTENING else "guidance"
             failure = SessionEnded(
                 f"Expected a session with {kind} for {_BRIEF:g} s or more, but {self._brief} in a row ended sooner, "
-                f"the last because {session.reason}. The event log of the robot's controller says more; a usual cause is a "
-                "reference that it refuses, too far away or too fast."
+                f"the last because {session.reason}. The event log of the robot's controller says more; a usual cause "
+                "is a reference that it refuses, too far away or too fast."
             )
             guide.stop("sessions ended at once", failure)
 
