@@ -187,10 +187,11 @@ def test_least_squares_says_where_the_pose_does_not_determine_the_wrench() -> No
 
 
 def test_the_interval_holds_the_truth() -> None:
-    """2000 draws with |d| <= D and |e| <= 3 s: never outside; a wider bound never gives a narrower interval."""
+    """Draws with |d| <= D and |e| <= 3 s: never outside; a wider bound never gives a narrower interval."""
     rng = np.random.default_rng(10)
     box = 10 * np.sqrt(PRIOR)
-    for k, (A, F, d, variance, bound, _) in enumerate(problems(2000, 10)):
+    count = 2000 if kernels.backend == "native" else 50  # NumPy solves twelve programs by SciPy for each
+    for k, (A, F, d, variance, bound, _) in enumerate(problems(count, 10)):
         s = np.sqrt(variance)
         error = A.T @ F + d + np.clip(s * rng.standard_normal(7), -3 * s, 3 * s)
         ends, violated = wrench_interval(A, error, bound + 3 * s, box)
