@@ -31,6 +31,15 @@ def test_limits_are_met_exactly_on_the_same_path(dmp: Dmp, limits: tuple) -> Non
     assert max(shares) > 1.0 - 1e-5  # between samples the limit is reached
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_accelerations_of_many_kernels_keep_to_the_limit(seed: int) -> None:
+    waves = sum(np.sin(np.pi * k * U + phase) for k, phase in enumerate(np.random.default_rng(seed).normal(size=5)))
+    dmp = fit_dmp(U, (S + waves)[:, None], n_basis=60, schedule="time", convention="ijspeert").value
+    duration = duration_within(dmp, np.inf, 1.0)
+    top = dmp.rollout(np.linspace(0.0, duration, 200_001), duration=duration).ydd
+    assert 1.0 - 1e-6 <= np.abs(top).max() <= 1.0 + 1e-9
+
+
 def test_slow_motion_keeps_its_duration_and_far_goals_take_longer(dmp: Dmp) -> None:
     assert duration_within(dmp, 100.0, 1000.0) == dmp.duration
     near, far = (duration_within(dmp, [0.5, 100.0], g=dmp.y0 + s * (dmp.g - dmp.y0)) for s in (1.0, 3.0))

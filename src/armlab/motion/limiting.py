@@ -7,11 +7,12 @@ from numpy.typing import ArrayLike
 
 from armlab.motion import _points
 from armlab.motion.dmp import Dmp
-from armlab.motion.rollout import Rollout
+from armlab.motion.rollout import Rollout, RunOptions
 
 __all__ = ["duration_within", "peaks"]
 
 STEPS = 4000  # over a duration, in which peaks are looked for
+FINER = 20  # parts of a step around the largest acceleration: that of many kernels is no parabola there
 AFTER = 0.5  # of the duration, in which the motion settles
 
 
@@ -40,8 +41,12 @@ def duration_within(
     ShapeError : limits of another shape or not above zero, and as of `Dmp.rollout`.
     """
     limits = [_points.joint_limit(limit, what, dmp.n) for limit, what in ((v_max, "v_max"), (a_max, "a_max"))]
-    t = np.linspace(0.0, (1.0 + AFTER) * dmp.duration, round((1.0 + AFTER) * STEPS) + 1)
-    speed, acceleration = peaks(dmp.rollout(t, y0=y0, v0=v0, g=g, amplitude=amplitude))
+    coarse = FINER * np.arange(round((1.0 + AFTER) * STEPS) + 1)
+    step = dmp.duration / (STEPS * FINER)
+    given: RunOptions = {"y0": y0, "v0": v0, "g": g, "amplitude": amplitude}
+    size = np.abs(dmp.rollout(step * coarse, **given).ydd)
+    near = coarse[size.argmax(axis=0).clip(1, len(coarse) - 2)] + np.arange(-FINER, FINER + 1)[:, None]
+    speed, acceleration = peaks(dmp.rollout(step * np.union1d(coarse, near), **given))
     k = max(1.0, float(np.max(speed / limits[0])), float(np.sqrt(np.max(acceleration / limits[1]))))
     return k * dmp.duration
 
