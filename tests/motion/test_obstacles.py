@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from armlab import kinematics, robots
-from armlab.errors import ConfigError, ShapeError, UnknownName
+from armlab.errors import ArmlabError, ConfigError, ShapeError, UnknownName
 from armlab.kernels import backend
 from armlab.motion import Dmp, fit_dmp
 from armlab.motion.obstacles import FORMS, AvoidingDmp, Capsule, rows_of
@@ -168,3 +168,16 @@ def test_bad_input_is_refused_by_a_sentence(space: Dmp, plane: Dmp, arm: Dmp) ->
             call()
     with pytest.raises(UnknownName, match="form"):
         avoiding(space, [], "wall")
+
+
+def test_what_is_no_list_of_capsules_is_refused() -> None:
+    u = np.linspace(0.0, 1.0, 30)
+    dmp, ball = fit_dmp(u, np.outer(u, [1.0, 1.0]), n_basis=6).value, Capsule.sphere([0.5, 0.2], 0.05)
+    for obstacles in (ball, ["ball"], None, [None]):
+        with pytest.raises(ArmlabError, match=r"^Expected (obstacles|capsules)"):
+            AvoidingDmp(dmp, obstacles, 0.02, 0.1)  # type: ignore[arg-type]
+        with pytest.raises(ArmlabError, match=r"^Expected capsules"):
+            AvoidingDmp(dmp, [ball], 0.02, 0.1).stepper().place(obstacles)  # type: ignore[arg-type]
+    for extra in ({"tool": ball}, {"links": {1: ball}}):
+        with pytest.raises(ConfigError, match="only with a robot"):
+            AvoidingDmp(dmp, [ball], 0.02, 0.1, **extra)  # type: ignore[arg-type]

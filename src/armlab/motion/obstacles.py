@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab import kernels
-from armlab._numbers import number, numbers
+from armlab._numbers import members, number, numbers
 from armlab.errors import ConfigError, ShapeError, UnknownName
 from armlab.motion._setting import Setting, vector
 from armlab.motion.dmp import Dmp
@@ -126,13 +126,15 @@ class AvoidingDmp:
                 f"Expected a primitive of {' or '.join(map(str, wanted))} coordinates with a phase of time, got "
                 f"{self.dmp.n} with schedule {self.dmp.schedule!r}. Give the robot if these are its joints."
             )
+        if self.robot is None and (self.tool is not None or self.links):
+            raise ConfigError("Expected tool and links only with a robot, got them without one. Give robot=.")
         for name in ("clearance", "reach"):
             object.__setattr__(self, name, number(getattr(self, name), f"{name} [m]", ConfigError))
         if not 0.0 <= self.clearance < self.reach < np.inf:
             raise ConfigError(
                 f"Expected 0 <= clearance < reach, got {self.clearance} and {self.reach} m. Correct them."
             )
-        object.__setattr__(self, "obstacles", tuple(self.obstacles))
+        object.__setattr__(self, "obstacles", members(self.obstacles, "obstacles"))
         self.around()
 
     def around(self) -> Any:
@@ -240,7 +242,9 @@ def rows_of(capsules: Iterable[Capsule], axes: int) -> np.ndarray:
     ShapeError : capsules of another space.
     """
     rows = []
-    for i, one in enumerate(capsules):
+    for i, one in enumerate(members(capsules, "capsules")):
+        if not isinstance(one, Capsule):
+            raise ShapeError(f"Expected capsules, got {one!r:.50} as number {i}. Make it a Capsule.")
         if len(one.a) != axes:
             raise ShapeError(f"Expected capsules in a space of {axes} axes, got number {i} of {len(one.a)}.")
         a, b, velocity = (np.append(x, np.zeros(3 - axes)) for x in (one.a, one.b, np.asarray(one.velocity)))
