@@ -104,6 +104,11 @@ def test_paths_turn_with_the_displacement(primitive: Primitive, turn: list[float
         dmp.rollout(t, g=dmp.y0)
 
 
+def test_durations_are_those_of_either_convention(primitive: Primitive) -> None:
+    dmp, t = primitive(convention="ijspeert", tau_d=2.0), np.linspace(0, 2, 40)
+    np.testing.assert_allclose(dmp.rollout(3 * t, duration=6.0).y, dmp.rollout(t).y, rtol=0, atol=1e-10)
+
+
 def test_amplitude_multiplies_the_forcing(primitive: Primitive) -> None:
     dmp, t = primitive(scaling="amplitude", v0=np.zeros(3)), np.linspace(0, 2, 50)
     rest, once, twice = (dmp.rollout(t, amplitude=np.full(3, a)).y for a in (0.0, 1.0, 2.0))

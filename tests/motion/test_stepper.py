@@ -112,3 +112,24 @@ def test_a_goal_that_stays_is_not_braked_for() -> None:
     np.testing.assert_allclose(paths[:, 0], paths[:, 1], rtol=0, atol=1e-12)
     t = np.linspace(0, 1, 101)
     assert not fit_dmp(t, np.sin(5 * t)).value.monotone.any()
+
+
+def test_brakes_are_for_coordinates_that_never_turned_and_forgotten_by_a_reset(primitive: Primitive) -> None:
+    """After a change of goal ``v^2 <= 2 a |goal - y|``, a 1.05 times the largest acceleration of the demonstration."""
+    dmp = primitive(monotone=np.array([True, False, True]), peak_acceleration=np.full(3, 0.5), v0=np.zeros(3))
+    free, braked = dmp.stepper(), dmp.stepper(brake=True)
+    goal = dmp.g + 2.0
+    for stepper in (free, braked):
+        stepper.change_goal(goal)
+    left, fast, apart = [], [], []
+    for _ in range(400):
+        (y, v, _), (y_free, _, _) = braked.step(0.004), free.step(0.004)
+        left.append(np.abs(goal - y))
+        fast.append(v)
+        apart.append(np.abs(y[1] - y_free[1]))
+    ahead = (np.array(fast) > 0)[:, [0, 2]]
+    share = (np.array(fast) ** 2 / (2 * 1.05 * 0.5 * np.array(left)))[:, [0, 2]][ahead]
+    assert 1.0 - 1e-9 <= share.max() <= 1.0 + 1e-9
+    assert max(apart) == 0.0
+    braked.reset()
+    np.testing.assert_array_equal(braked.goal, dmp.g)
