@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from armlab import Command, State, kinematics, robots
+from armlab.errors import ShapeError
 from armlab.kernels import backend
 from armlab.motion import Dmp, fit_dmp
 from armlab.motion.avoiding import AvoidingController, AvoidingStepper
@@ -36,6 +37,21 @@ def test_steps_are_the_rollout(space: Dmp) -> None:
         steps = [stepper.state, *(stepper.step(PERIOD) for _ in run.t[1:])]
         np.testing.assert_allclose(steps, np.stack([run.y, run.yd, run.ydd], axis=1), rtol=0, atol=1e-10)
         stepper.reset()
+
+
+def test_a_new_goal_within_the_clearance_is_refused(space: Dmp) -> None:
+    """Of where the obstacle is now: the motion would never be done. The old goal stays."""
+    stepper = AvoidingDmp(space, [Capsule.sphere([0.25, 0.3, 0.1], 0.03)], 0.02, 0.1).stepper()
+    free, taken = [0.6, 0.1, 0.1], [0.25, 0.26, 0.1]
+    stepper.change_goal(free)
+    with pytest.raises(ShapeError, match=r"goal outside the clearance of every obstacle, got one 0\.01"):
+        stepper.change_goal(taken)
+    with pytest.raises(ShapeError, match="3 coordinates"):
+        stepper.change_goal([0.1])
+    np.testing.assert_array_equal(stepper.goal, free)
+    stepper.place([])
+    stepper.change_goal(taken)
+    np.testing.assert_array_equal(stepper.goal, taken)
 
 
 def test_order_of_the_steps(space: Dmp) -> None:
@@ -103,3 +119,13 @@ def test_a_start_within_the_clearance_ends_the_run_with_the_reason(arm: Dmp) -> 
     controller.place([Capsule.sphere(kinematics.forward(ROBOT, ROBOT.q_home)[:3, 3])])
     assert yumi.packet(controller).ends
     assert controller.reason.startswith("Expected the start outside the clearance")
+
+
+def test_a_controller_keeps_its_goal_where_the_new_one_is_within_the_clearance(arm: Dmp) -> None:
+    controller, yumi = AvoidingDmp(arm, [], 0.02, 0.1, robot=ROBOT).controller(), Ideal()
+    yumi.packet(controller)
+    new = arm.g + 0.1
+    controller.place([Capsule.sphere(kinematics.forward(ROBOT, new)[:3, 3])])
+    with pytest.raises(ShapeError, match="Expected the goal outside the clearance"):
+        controller.goal = new
+    np.testing.assert_array_equal(controller.goal, arm.g)

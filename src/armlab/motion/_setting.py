@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from armlab._numbers import numbers, positive
 from armlab.errors import ConfigError, ShapeError
 from armlab.lie import so3
-from armlab.motion._points import MOST_SAMPLES
+from armlab.motion._arguments import MOST_SAMPLES
 
 if TYPE_CHECKING:
     from armlab.motion.dmp import Dmp

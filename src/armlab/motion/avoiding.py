@@ -7,9 +7,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from armlab.errors import ConfigError
-from armlab.motion._setting import Setting
+from armlab.motion._setting import Setting, vector
 from armlab.motion.control import Limits
 from armlab.motion.controllers import DmpController
 from armlab.motion.obstacles import AvoidingDmp, Capsule, rows_of
@@ -51,6 +52,20 @@ class AvoidingStepper(Stepper):
         ShapeError : of another space.
         """
         self._around.place(rows_of(obstacles, self._avoiding.axes))
+
+    def change_goal(self, g: ArrayLike) -> None:
+        """Go for another goal from now on.
+
+        Parameters
+        ----------
+        g : (n,) goal, in the unit of y.
+
+        Raises
+        ------
+        ShapeError : within the clearance of an obstacle where that is now, and as of `Stepper.change_goal`.
+        """
+        self._avoiding.check_clear("goal", vector(g, "g", self._avoiding.n), self._around)
+        super().change_goal(g)
 
     @property
     def distance(self) -> float:

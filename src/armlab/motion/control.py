@@ -115,10 +115,11 @@ class Controller(ABC):
     @goal.setter
     def goal(self, g: ArrayLike) -> None:
         """Go for another goal (n,) from now on."""
-        self._goal = self._checked(g)
-        self._rested, self.done = 0.0, False
+        goal = self._checked(g)
         if self._session is not None:
-            self._change_goal(self._goal)
+            self._change_goal(goal)  # may refuse it
+        self._goal = goal
+        self._rested, self.done = 0.0, False
 
     @property
     def speed(self) -> float:

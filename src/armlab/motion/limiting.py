@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab.motion import _points
+from armlab.motion import _arguments
 from armlab.motion.dmp import Dmp
 from armlab.motion.rollout import Rollout, RunOptions
 
@@ -40,7 +40,7 @@ def duration_within(
     ------
     ShapeError : limits of another shape or not above zero, and as of `Dmp.rollout`.
     """
-    limits = [_points.joint_limit(limit, what, dmp.n) for limit, what in ((v_max, "v_max"), (a_max, "a_max"))]
+    limits = [_arguments.joint_limit(limit, what, dmp.n) for limit, what in ((v_max, "v_max"), (a_max, "a_max"))]
     coarse = FINER * np.arange(round((1.0 + AFTER) * STEPS) + 1)
     step = dmp.duration / (STEPS * FINER)
     given: RunOptions = {"y0": y0, "v0": v0, "g": g, "amplitude": amplitude}

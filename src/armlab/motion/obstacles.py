@@ -221,13 +221,26 @@ class AvoidingDmp:
 
     def _setting(self, given: RunOptions) -> tuple[Setting, Any]:
         run, around = Setting.of(self.dmp, **given), self.around()
-        for name, point in (("start", run.y0), ("goal", run.g)):
-            if not (least := float(around.distance(point))) > self.clearance:
-                raise ShapeError(
-                    f"Expected the {name} outside the clearance of every obstacle, got one {least:.4g} m away. Move "
-                    f"it, or ask for less than {self.clearance:g} m."
-                )
+        self.check_clear("start", run.y0, around)
+        self.check_clear("goal", run.g, around)
         return run, around
+
+    def check_clear(self, name: str, y: np.ndarray, around: Any) -> None:
+        """Refuse a start or a goal that obstacles where they are now keep the motion from.
+
+        Parameters
+        ----------
+        name : "start" or "goal". y : (n,) where that is. around : `armlab.kernels.Obstacles` of the run.
+
+        Raises
+        ------
+        ShapeError : it is within the clearance of an obstacle.
+        """
+        if not (least := float(around.distance(y))) > self.clearance:
+            raise ShapeError(
+                f"Expected the {name} outside the clearance of every obstacle, got one {least:.4g} m away. Move it, or "
+                f"ask for less than {self.clearance:g} m."
+            )
 
 
 def rows_of(capsules: Iterable[Capsule], axes: int) -> np.ndarray:

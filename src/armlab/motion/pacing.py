@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from armlab._numbers import positive
 from armlab.errors import ConfigError, ShapeError
-from armlab.motion import _points
+from armlab.motion import _arguments
 from armlab.motion._parameterisation import fastest, top
 from armlab.motion._setting import clock
 from armlab.motion.dmp import Dmp
@@ -54,7 +54,7 @@ def within(
     ------
     ShapeError : as of `duration_within`.
     """
-    v, a = (_points.joint_limit(limit, what, dmp.n) for limit, what in ((v_max, "v_max"), (a_max, "a_max")))
+    v, a = (_arguments.joint_limit(limit, what, dmp.n) for limit, what in ((v_max, "v_max"), (a_max, "a_max")))
     given: RunOptions = {"y0": y0, "v0": v0, "g": g, "amplitude": amplitude}
     uniform = dmp.duration / duration_within(dmp, v, a, y0=y0, v0=v0, g=g, amplitude=amplitude)
     M = round((1.0 + AFTER) * STEPS)

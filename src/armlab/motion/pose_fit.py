@@ -12,7 +12,7 @@ from armlab.estimation import Fit
 from armlab.lie import quaternion
 from armlab.motion._demos import read_demos
 from armlab.motion._poses import log, poses
-from armlab.motion._turning import Turning, fit_turning
+from armlab.motion._rotation_fit import Turning, fit_turning
 from armlab.motion.dmp import Dmp
 from armlab.motion.fit import fit_dmp
 from armlab.motion.pose_dmp import FRAMES, PoseDmp

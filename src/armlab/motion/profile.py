@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from armlab._numbers import numbers
 from armlab.errors import ShapeError
-from armlab.motion import _pieces, _points
+from armlab.motion import _arguments, _piecewise
 
 __all__ = ["PERIOD", "Profile"]
 
@@ -46,7 +46,7 @@ class Profile:
             np.array(numbers(part, what, ShapeError))
             for part, what in ((self.breaks, "breaks"), (self.coefficients, "coefficients"))
         )
-        dt = _points.positive(self.dt, "dt [s]")
+        dt = _arguments.positive(self.dt, "dt [s]")
         steps = np.diff(np.atleast_1d(breaks))
         if c.ndim != 3 or c.shape[1] != 6 or breaks.shape != (len(c) + 1,) or not (steps > 0.0).all() or breaks[0] != 0:
             raise ShapeError(
@@ -57,15 +57,15 @@ class Profile:
             raise ShapeError(
                 "Expected finite coefficients, got NaN or Inf. Give durations and rates that an arm can do."
             )
-        if not breaks[-1] < dt * _points.MOST_SAMPLES:
+        if not breaks[-1] < dt * _arguments.MOST_SAMPLES:
             raise ShapeError(
-                f"Expected less than {_points.MOST_SAMPLES} samples, got {breaks[-1]:g} s at dt = {dt:g} s. "
+                f"Expected less than {_arguments.MOST_SAMPLES} samples, got {breaks[-1]:g} s at dt = {dt:g} s. "
                 "Take a longer dt."
             )
         t = np.append(np.arange(0.0, breaks[-1] - 1e-9 * dt, dt), breaks[-1])
         for name, values in zip(("breaks", "coefficients"), (breaks, c)):
             object.__setattr__(self, name, values)
-        for name, values in zip(("t", "q", "qd", "qdd"), (t, *_pieces.evaluate(breaks, c, t))):
+        for name, values in zip(("t", "q", "qd", "qdd"), (t, *_piecewise.evaluate(breaks, c, t))):
             object.__setattr__(self, name, values)
         for name in ("breaks", "coefficients", "t", "q", "qd", "qdd"):
             getattr(self, name).flags.writeable = False
@@ -78,12 +78,12 @@ class Profile:
     @property
     def qd_peak(self) -> np.ndarray:
         """Largest speed of each joint (n,), between samples too."""
-        return _pieces.peaks(self.breaks, self.coefficients)[0]
+        return _piecewise.peaks(self.breaks, self.coefficients)[0]
 
     @property
     def qdd_peak(self) -> np.ndarray:
         """Largest acceleration of each joint (n,), between samples too."""
-        return _pieces.peaks(self.breaks, self.coefficients)[1]
+        return _piecewise.peaks(self.breaks, self.coefficients)[1]
 
     def at(self, t: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return q, qd, qdd (..., n) at any times; before it starts and after it ends the arm rests where it is.
@@ -93,7 +93,7 @@ class Profile:
         t : (...,) since the start [s].
         """
         t = numbers(t, "t", ShapeError)
-        q, qd, qdd = _pieces.evaluate(self.breaks, self.coefficients, np.clip(t, 0.0, self.duration))
+        q, qd, qdd = _piecewise.evaluate(self.breaks, self.coefficients, np.clip(t, 0.0, self.duration))
         moving = ((t >= 0.0) & (t <= self.duration))[..., None]
         return q, np.where(moving, qd, 0.0), np.where(moving, qdd, 0.0)
 
@@ -111,10 +111,10 @@ class Profile:
         ShapeError : limits of another shape, or not above zero.
         """
         n = self.q.shape[1]
-        speed, acceleration = _pieces.peaks(self.breaks, self.coefficients)
+        speed, acceleration = _piecewise.peaks(self.breaks, self.coefficients)
         k = max(
             1.0,
-            float(np.max(speed / _points.joint_limit(qd_max, "qd_max", n))),
-            float(np.sqrt(np.max(acceleration / _points.joint_limit(qdd_max, "qdd_max", n)))),
+            float(np.max(speed / _arguments.joint_limit(qd_max, "qd_max", n))),
+            float(np.sqrt(np.max(acceleration / _arguments.joint_limit(qdd_max, "qdd_max", n)))),
         )
-        return Profile(*_pieces.stretched(self.breaks, self.coefficients, k), self.dt)
+        return Profile(*_piecewise.stretched(self.breaks, self.coefficients, k), self.dt)

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from armlab._numbers import number
 from armlab.errors import ShapeError
-from armlab.motion import _pieces, _points, _ruckig
+from armlab.motion import _arguments, _piecewise, _ruckig
 from armlab.motion.profile import PERIOD, Profile
 
 __all__ = ["Profile", "blend", "connect", "minimum_jerk", "quintic", "spline", "time_optimal", "trapezoidal"]
@@ -72,11 +72,11 @@ def quintic(
     ------
     ShapeError : points that do not fit each other, missing values, a duration that is not above zero.
     """
-    start = _points.point(q0, "q0")
-    end, n = _points.second_point(q1, "q1", start), len(start)
-    T = _points.positive(duration, "duration [s]")
-    v0, v1 = (T * _points.velocity(v, what, n) for v, what in ((qd0, "qd0"), (qd1, "qd1")))
-    a0, a1 = (T * T * _points.velocity(a, what, n) for a, what in ((qdd0, "qdd0"), (qdd1, "qdd1")))
+    start = _arguments.point(q0, "q0")
+    end, n = _arguments.second_point(q1, "q1", start), len(start)
+    T = _arguments.positive(duration, "duration [s]")
+    v0, v1 = (T * _arguments.velocity(v, what, n) for v, what in ((qd0, "qd0"), (qd1, "qd1")))
+    a0, a1 = (T * T * _arguments.velocity(a, what, n) for a, what in ((qdd0, "qdd0"), (qdd1, "qdd1")))
     d = end - start
     c = np.stack(
         [
@@ -88,7 +88,7 @@ def quintic(
             6 * d - 3 * (v0 + v1) - 0.5 * (a0 - a1),
         ]
     )
-    return Profile(*_pieces.stretched(np.array([0.0, 1.0]), c[None], T), dt)
+    return Profile(*_piecewise.stretched(np.array([0.0, 1.0]), c[None], T), dt)
 
 
 def trapezoidal(
@@ -110,9 +110,9 @@ def trapezoidal(
     ------
     ShapeError : the same point twice, points or limits that do not fit, a duration too short for the limits.
     """
-    start = _points.point(q0, "q0")
-    d = _points.second_point(q1, "q1", start) - start
-    limits = [_points.joint_limit(x, what, len(d)) for x, what in ((qd_max, "qd_max"), (qdd_max, "qdd_max"))]
+    start = _arguments.point(q0, "q0")
+    d = _arguments.second_point(q1, "q1", start) - start
+    limits = [_arguments.joint_limit(x, what, len(d)) for x, what in ((qd_max, "qd_max"), (qdd_max, "qdd_max"))]
     far = np.abs(d) > 0.0
     if not far.any():
         raise ShapeError("Expected two points apart, got the same as q0 and q1. There is no motion to plan.")
@@ -121,15 +121,15 @@ def trapezoidal(
         raise ShapeError("Expected a finite qdd_max of a joint that moves, got none. Give what the arm can do.")
     ramp = min(v / a, float(np.sqrt(1.0 / a)))
     shortest = 2.0 * ramp if v * v >= a else 1.0 / v + ramp
-    found = Profile(*_along(start, d, *_pieces.rising(shortest, ramp)), dt)
+    found = Profile(*_along(start, d, *_piecewise.rising(shortest, ramp)), dt)
     if duration is None:
         return found
-    k = _points.positive(duration, "duration [s]") / shortest
+    k = _arguments.positive(duration, "duration [s]") / shortest
     if k < 1.0 - 1e-12:
         raise ShapeError(
             f"Expected a duration of {shortest:.6g} s or more within the limits, got {duration:g} s. Allow more time."
         )
-    return Profile(*_pieces.stretched(found.breaks, found.coefficients, max(k, 1.0)), dt)
+    return Profile(*_piecewise.stretched(found.breaks, found.coefficients, max(k, 1.0)), dt)
 
 
 def blend(q0: ArrayLike, q1: ArrayLike, duration: float, cruise: float = 1.5, dt: float = PERIOD) -> Profile:
@@ -147,8 +147,8 @@ def blend(q0: ArrayLike, q1: ArrayLike, duration: float, cruise: float = 1.5, dt
     ------
     ShapeError : points that do not fit each other, a duration that is not above zero, another `cruise`.
     """
-    start = _points.point(q0, "q0")
-    return connect([start, _points.second_point(q1, "q1", start)], duration, cruise, dt)
+    start = _arguments.point(q0, "q0")
+    return connect([start, _arguments.second_point(q1, "q1", start)], duration, cruise, dt)
 
 
 def connect(points: ArrayLike, duration: ArrayLike, cruise: float = 1.5, dt: float = PERIOD) -> Profile:
@@ -163,15 +163,15 @@ def connect(points: ArrayLike, duration: ArrayLike, cruise: float = 1.5, dt: flo
     ------
     ShapeError : fewer than two points, missing values, durations that do not fit, another `cruise`.
     """
-    path = _points.points(points, "points")
-    seconds = _points.joint_limit(duration, "duration of the segments [s]", len(path) - 1)
+    path = _arguments.points(points, "points")
+    seconds = _arguments.joint_limit(duration, "duration of the segments [s]", len(path) - 1)
     if not np.isfinite(seconds).all():
         raise ShapeError("Expected finite durations of the segments [s], got another. Give one number or one for each.")
     if not 1.0 < number(cruise, "cruise") <= 2.0:
         raise ShapeError(f"Expected cruise above 1 and at most 2, got {cruise}. 1.5 blends in a third of the time.")
     breaks, pieces = [np.zeros(1)], []
     for start, d, T in zip(path, np.diff(path, axis=0), seconds):
-        own, c = _along(start, d, *_pieces.rising(T, T * (1.0 - 1.0 / cruise)))
+        own, c = _along(start, d, *_piecewise.rising(T, T * (1.0 - 1.0 / cruise)))
         breaks.append(breaks[-1][-1] + own[1:])
         pieces.append(c)
     return Profile(np.concatenate(breaks), np.concatenate(pieces), dt)
@@ -192,14 +192,14 @@ def spline(t: ArrayLike, q: ArrayLike, qd0: ArrayLike = 0.0, qd1: ArrayLike = 0.
     """
     from scipy.interpolate import CubicSpline
 
-    path = _points.points(q, "q")
-    times = _points.point(t, "t [s]")
+    path = _arguments.points(q, "q")
+    times = _arguments.point(t, "t [s]")
     if times.shape != (len(path),) or not (np.diff(times) > 0.0).all():
         raise ShapeError(
             f"Expected t of shape ({len(path)},) that rises, one time per point, got "
             f"{'shape ' + str(times.shape) if times.shape != (len(path),) else 'times that do not'}. Sort the points."
         )
-    ends: Any = [(1, _points.velocity(v, what, path.shape[1])) for v, what in ((qd0, "qd0"), (qd1, "qd1"))]
+    ends: Any = [(1, _arguments.velocity(v, what, path.shape[1])) for v, what in ((qd0, "qd0"), (qd1, "qd1"))]
     own = times - times[0]
     c = np.zeros((len(path) - 1, 6, path.shape[1]))
     bc: Any = tuple(ends)
@@ -236,13 +236,13 @@ def time_optimal(
     ----------
     Berscheid and Kroeger, Jerk-limited real-time trajectory generation with arbitrary target states, RSS 2021.
     """
-    start = _points.point(q0, "q0")
-    end, n = _points.second_point(q1, "q1", start), len(start)
+    start = _arguments.point(q0, "q0")
+    end, n = _arguments.second_point(q1, "q1", start), len(start)
     named = ((qd_max, "qd_max"), (qdd_max, "qdd_max"), (qddd_max, "qddd_max"))
-    limits = [_points.joint_limit(limit, what, n) for limit, what in named]
+    limits = [_arguments.joint_limit(limit, what, n) for limit, what in named]
     if not np.isfinite(limits).all():
         raise ShapeError("Expected finite limits of velocity, acceleration and jerk, got another. Give large ones.")
-    rates = [_points.velocity(v, what, n) for v, what in ((qd0, "qd0"), (qd1, "qd1"))]
+    rates = [_arguments.velocity(v, what, n) for v, what in ((qd0, "qd0"), (qd1, "qd1"))]
     for rate, what in zip(rates, ("qd0", "qd1")):
         fast = np.flatnonzero(np.abs(rate) > limits[0])
         if len(fast):

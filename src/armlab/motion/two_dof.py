@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from armlab import kernels
 from armlab._numbers import number, numbers, positive
 from armlab.errors import ShapeError
-from armlab.motion._points import MOST_SAMPLES
+from armlab.motion._arguments import MOST_SAMPLES
 from armlab.motion._saved import Saved
 from armlab.motion._setting import Setting
 from armlab.motion._solving import progress
