@@ -134,6 +134,38 @@ def test_batch_is_many_rollouts(primitive: Primitive, schedule: str) -> None:
     assert dmp.rollout_batch(t, g=g[:1]).y.shape == (40, 1, 3)
 
 
+@pytest.mark.parametrize("schedule", SCHEDULES)
+@pytest.mark.parametrize("K", [31, 32, 33, 65])  # runs go side by side in blocks of 32
+def test_every_run_of_a_batch_has_its_own_start_goal_and_weights(primitive: Primitive, schedule: str, K: int) -> None:
+    dmp, t = primitive(schedule), np.array([0.0, 0.02, 0.05, 0.06])
+    rng = np.random.default_rng(K)
+    y0, g, weights = rng.normal(size=(K, 3)), rng.normal(size=(K, 3)), rng.normal(size=(K, 20, 3)) * 20
+    for own in (weights, None):
+        many = dmp.rollout_batch(t, y0=y0, g=g, weights=own)
+        for k in (0, 29, 30, *range(31, K)):
+            each = dmp if own is None else replace(dmp, weights=own[k])
+            one = each.rollout(t, y0=y0[k], g=g[k])
+            for name in ("y", "yd", "ydd", "forcing"):
+                wanted = getattr(one, name)
+                np.testing.assert_allclose(
+                    getattr(many, name)[:, k], wanted, rtol=0, atol=1e-12 * np.abs(wanted).max(), err_msg=f"{name} {k}"
+                )
+
+
+def test_progress_is_from_1_to_0_and_0_where_nothing_is_to_be_gone(primitive: Primitive) -> None:
+    """Coordinate 0 backs off from its start, 1 shoots past its goal, 2 has none: its spring is alone."""
+    goal, speed = np.array([0.1, 0.01, 0.0]), np.array([-5.0, 5.0, 2.0])
+    dmp = primitive("position", "none", y0=np.zeros(3), g=goal, v0=speed)
+    run = dmp.rollout(np.linspace(0.0, 0.05, 101))
+    assert (run.y[1:, 0] < 0.0).all()
+    assert (run.y[5:, 1] > 0.01).all()
+    np.testing.assert_array_equal(run.x[5:], np.tile([1.0, 0.0, 0.0], (96, 1)))
+    np.testing.assert_allclose(run.forcing[5:, 0], dmp.forcing(np.ones(3))[0], rtol=1e-14)
+    np.testing.assert_array_equal(run.forcing[5:, 1:], 0.0)
+    alone = 2.0 * run.t * np.exp(-0.5 * dmp.alpha_z / dmp.tau_d * run.t)  # critically damped
+    np.testing.assert_allclose(run.y[:, 2], alone, rtol=0, atol=1e-8)
+
+
 def test_the_clock_and_the_number_of_samples_are_the_callers(primitive: Primitive) -> None:
     dmp = primitive()
     t = np.linspace(0, 2, 1000)

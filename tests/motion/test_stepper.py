@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import product
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
 
 from armlab.errors import ConfigError, ShapeError, UnknownName
 from armlab.kernels import backend
@@ -133,3 +135,53 @@ def test_brakes_are_for_coordinates_that_never_turned_and_forgotten_by_a_reset(p
     assert max(apart) == 0.0
     braked.reset()
     np.testing.assert_array_equal(braked.goal, dmp.g)
+
+
+@pytest.mark.parametrize("schedule", ["canonical", "time", "position"])
+def test_a_filtered_goal_is_approached_by_its_law(primitive: Primitive, schedule: str) -> None:
+    """``g' = rate (goal - g) / tau``, and the forcing is scaled by it; against an adaptive solution."""
+    dmp = primitive(schedule)
+    weights = dmp.weights if schedule != "position" else -20 * (dmp.g - dmp.y0) * np.linspace(1, 0.5, 20)[:, None]
+    dmp = replace(dmp, weights=weights, v0=np.zeros(3))
+    stepper, h, rate = dmp.stepper(duration=2.4, goal_rate=4.0), 0.002, 4.0
+    for _ in range(100):
+        y, yd, _ = stepper.step(h)
+    goal, tau = dmp.g + np.array([0.4, -0.3, 0.2]), 2.4 * dmp.tau_d / dmp.duration
+    way, stiffness = dmp.g - dmp.y0, dmp.alpha_z * dmp.beta_z
+
+    def slope(t: float, state: np.ndarray) -> np.ndarray:
+        y, z, g = state.reshape(3, 3)
+        x = np.clip((g - y) / (g - dmp.y0), 0, 1) if schedule == "position" else dmp.phase(100 * h + t, tau)
+        f = (g - dmp.y0) / way * dmp.forcing(x)
+        return np.concatenate([z, stiffness * (g - y) - dmp.alpha_z * z + f, rate * (goal - g)]) / tau
+
+    stepper.change_goal(goal)
+    rows = [stepper.step(h) for _ in range(300)]
+    found = solve_ivp(slope, (0, 0.6), np.concatenate([y, tau * yd, dmp.g]), "DOP853", rtol=1e-9, atol=1e-11)
+    y, z, _ = found.y[:, -1].reshape(3, 3)
+    np.testing.assert_allclose(rows[-1][0], y, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(rows[-1][1], z / tau, rtol=0, atol=1e-5)
+    np.testing.assert_allclose(rows[-1][2], slope(0.6, found.y[:, -1])[3:6] / tau, rtol=0, atol=1e-4)
+
+
+def test_brakes_only_where_the_motion_can_still_be_stopped_and_says_how_it_slows(primitive: Primitive) -> None:
+    """All move at 1 per s: 0.3 ahead of the goal the limit would do, 0.05 ahead it would not, and the third moves away
+    from its goal."""
+    way = np.array([0.3, 0.05, -0.5])
+    parts = {"y0": np.zeros(3), "v0": np.ones(3), "g": np.ones(3), "peak_acceleration": np.full(3, 2.0)}
+    dmp = primitive(scaling="none", weights=np.tile([100.0, 100.0, -100.0], (20, 1)), **parts)
+    limit = 1.05 * 2.0
+    free, braked = dmp.stepper(), dmp.stepper(brake=True)
+    for stepper in (free, braked):
+        stepper.change_goal(way)
+    rows, other = ([stepper.step(5e-4) for _ in range(2400)] for stepper in (braked, free))
+    (y, yd, ydd), (y_free, _, ydd_free) = (np.array(part).swapaxes(0, 1) for part in (rows, other))
+    np.testing.assert_array_equal(y[:, 1:], y_free[:, 1:])
+    np.testing.assert_array_equal(ydd[:, 1:], ydd_free[:, 1:])
+    slowing, there = (ydd[:, 0] == -limit), (y[:, 0] == 0.3)
+    assert slowing.sum() > 100
+    assert there.any()
+    fast = slowing & (yd[:, 0] > 0.5)  # the slower, the more a step of 0.5 ms is for it
+    np.testing.assert_allclose(np.gradient(yd[:, 0], 5e-4)[fast][5:-5], -limit, rtol=0.1)
+    np.testing.assert_array_equal(ydd[there, 0], 0.0)
+    assert y[:, 0].max() == 0.3
