@@ -294,7 +294,8 @@ def test_a_pause_is_no_progress() -> None:
 
 def test_goals_outside_the_limits_are_refused() -> None:
     dmp = fit_dmp(*demo("letter"), limits=([-0.2, -0.2], [0.2, 0.2])).value
-    with pytest.raises(ShapeError, match=r"coordinates \[1\]"):
-        dmp.rollout(U, g=[0.1, 0.3])
+    for g, outside in (([0.1, 0.3], 1), ([-0.3, 0.1], 0)):
+        with pytest.raises(ShapeError, match=rf"coordinates \[{outside}\]"):
+            dmp.rollout(U, g=g)
     with pytest.raises(ShapeError, match="limits"):
         dmp.stepper().change_goal([0.5, 0.0])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pytest
 
 from armlab.estimation import Experiment, Gauge, check_estimator
 from armlab.motion import fit_dmp
@@ -68,3 +69,37 @@ def test_noise_of_pinned_ends_is_in_the_covariance() -> None:
     )
     contract = check_estimator(fit_dmp, pinned, 60, n=80, noise_given=False, skip=reasons)
     assert contract.passed, contract.text()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"hold": 0.0}, {"hold": 0.0, "pin": ()}, {"pin": ("y0", "v0", "g")}, {"y0": np.zeros(40), "g": np.zeros(40)}],
+    ids=["default", "no hold", "free", "pinned", "known"],
+)
+def test_degrees_of_freedom_are_the_trace_of_what_residuals_are_of_the_samples(options: dict[str, Any]) -> None:
+    """A fit to the unit samples has that matrix as its residuals; ``sigma^2 = sum r^2 / trace``."""
+    t = np.linspace(0.0, 1.0, 40)
+    fit = fit_dmp(t, np.eye(40), n_basis=6, scaling="none", **options)
+    trace = abs(np.trace(fit.residuals))
+    np.testing.assert_allclose(fit.sigma, np.sqrt((fit.residuals**2).sum(axis=0) / trace), rtol=1e-9)
+    if options.get("hold") == 0.0 and options.get("pin") == ():
+        np.testing.assert_allclose(trace, 40 - 6 - 3, rtol=1e-9)
+
+
+def test_noise_of_a_position_phase_is_that_of_its_residuals() -> None:
+    t = np.linspace(0.0, 1.0, 101)
+    y = S[::10, None] + 1e-4 * np.random.default_rng(0).normal(size=(101, 1))
+    fit = fit_dmp(t, np.maximum.accumulate(y), schedule="position", n_basis=10)
+    np.testing.assert_allclose(fit.sigma, np.sqrt((fit.residuals**2).sum(axis=0) / (101 - 10)), rtol=1e-9)
+
+
+def test_the_start_velocity_is_the_nearest_to_those_of_the_demonstrations() -> None:
+    """``v0 s T0 / T`` is that of a demonstration s times as far in T seconds; the least squares of the three."""
+    durations, ends, slopes = np.array([1.0, 2.0, 4.0]), np.array([1.0, 2.0, 6.0]), np.array([0.5, -0.2, 0.9])
+    ts = [T * U[::10] for T in durations]
+    ys = [end * S[::10] + slope * t * (1 - t / t[-1]) ** 2 for t, end, slope in zip(ts, ends, slopes)]
+    found = fit_dmp(ts, ys, n_basis=6, pin=("y0", "v0", "g")).value
+    v = np.array([(y[1] - y[0]) / t[1] for t, y in zip(ts, ys)])
+    s = ends / ends.mean()
+    wanted = np.linalg.lstsq(s[:, None], v * durations / durations.mean())[0]
+    np.testing.assert_allclose(found.v0, wanted, rtol=1e-9)

@@ -36,6 +36,24 @@ def test_baseline_amplitude_and_period_change_without_a_jump() -> None:
     assert late.min() == pytest.approx(1.7, abs=1e-3)
 
 
+def test_what_a_change_leaves_out_stays() -> None:
+    """In turn the amplitude, the baseline and the period: the others are those of before."""
+    stepper, turn = DMP.stepper(g=[1.0], r=0.5, period=1.6), 2 * np.pi * 0.004
+    stepper.step(0.004)
+    for change, period, wanted in (
+        ({"r": 0.8}, 1.6, (0.2, 1.8)),
+        ({"g": [3.0]}, 1.6, (2.2, 3.8)),
+        ({"period": 1.2}, 1.2, (2.2, 3.8)),
+        ({}, 1.2, (2.2, 3.8)),
+    ):
+        before, speed = stepper.phase, stepper.state[1]
+        stepper.change(**change)
+        np.testing.assert_allclose(stepper.state[1], speed, rtol=1e-12)
+        y = np.array([stepper.step(0.004)[0][0] for _ in range(900)])
+        assert stepper.phase - before == pytest.approx(900 * turn / period, rel=1e-12)
+        np.testing.assert_allclose([y[-400:].min(), y[-400:].max()], wanted, rtol=0, atol=2e-3)
+
+
 def test_refusals() -> None:
     stepper = DMP.stepper()
     for words, call in {

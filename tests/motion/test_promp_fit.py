@@ -56,6 +56,30 @@ def test_mean_covariance_and_noise_of_a_known_truth_are_found() -> None:
     assert found.n == 4000
 
 
+def test_covariance_is_without_the_noise_and_demonstrations_are_weighed_by_theirs() -> None:
+    """``cov = S - mean sigma^2 G_i`` and the mean by ``(cov + sigma^2 G_i)^-1``, of 6 to 40 samples each."""
+    rng = np.random.default_rng(7)
+    ts = [np.linspace(0.0, 2.0, N) for N in (6, 8, 40, 7, 30, 6, 12, 25)]
+    designs = [normalised(t[:, None] / 2.0, np.linspace(0, 1, 4), np.full(4, 0.8 / 3))[0] for t in ts]
+    w = [rng.multivariate_normal(MEAN, SPREAD) for _ in ts]
+    ys = [A @ one + 0.05 * rng.standard_normal(len(A)) for A, one in zip(designs, w)]
+    found = fit_promp(ts, ys, n_basis=4)
+    w, squares, _, _ = zip(*(np.linalg.lstsq(A, y) for A, y in zip(designs, ys)))
+    noise = np.sqrt(np.sum(squares) / sum(len(t) - 4 for t in ts))
+    np.testing.assert_allclose(found.value.noise, noise, rtol=1e-9)
+    own = [noise**2 * np.linalg.inv(A.T @ A) for A in designs]
+    values, vectors = np.linalg.eigh(np.cov(np.transpose(w)) - np.mean(own, axis=0))
+    assert values[0] < 0.0 < values[-2]
+    cov = (vectors * values.clip(min=0.0)) @ vectors.T
+    np.testing.assert_allclose(found.value.cov, cov, rtol=0, atol=1e-12)
+    parts = [np.linalg.inv(cov + G) for G in own]
+    total = np.linalg.inv(np.sum(parts, axis=0))
+    mean = total @ sum(part @ one for part, one in zip(parts, w))
+    np.testing.assert_allclose(found.parameters, mean, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(found.cov, total, rtol=0, atol=1e-12)
+    assert np.abs(mean - np.mean(w, axis=0)).max() > 0.01
+
+
 def test_demonstrations_of_other_lengths_and_clocks() -> None:
     rng = np.random.default_rng(5)
     t, y = [], []
