@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from armlab.errors import LogError
-from armlab.log.formats import check_readable, format_of, is_labcomm, is_text
+from armlab.log.formats import FIRST, check_readable, format_at, format_of, is_text
 
 
 @pytest.mark.parametrize(
@@ -19,6 +19,10 @@ from armlab.log.formats import check_readable, format_of, is_labcomm, is_text
         (b"#ROSBAG V2.0\n", "ROS 1 bag"),
         (b"PAR1....", "Parquet"),
         (b"MATLAB 5.0 MAT-file", "MAT v5"),
+        (b"MATLAB 7.3 MAT-file".ljust(512) + b"\x89HDF\r\n\x1a\n", "MAT v7.3"),
+        (b"\x89HDF\r\n\x1a\n", "HDF5"),
+        (b"Julia data file (HDF5), version 0.1.1".ljust(512, b"\0") + b"\x89HDF\r\n\x1a\n", "HDF5"),
+        (b"t [s],mode\n0,\x01\n", "text"),
         (b"\x1f\x8b\x08", "gzip"),
         ("t [s],q1 [grå]\n".encode(), "text"),
         (b"\x00\x00\x00\x02\x00\x00\x00\x40", "LabComm"),
@@ -57,9 +61,14 @@ def test_text_is_told_from_recordings(tmp_path: Path) -> None:
         assert is_text(path) is expected
 
 
-def test_labcomm_streams_are_told_from_others(tmp_path: Path) -> None:
+def test_the_format_of_a_path(tmp_path: Path) -> None:
     path = tmp_path / "log"
-    assert not is_labcomm(path)
-    for first, expected in ((b"\x0bLabComm2013\x02", True), (b"t,q1\n", False), (b"", False)):
+    assert format_at(path) == ""
+    assert format_at(tmp_path) == ""
+    for first, expected in ((b"\x0bLabComm2013\x02", "LabComm"), (b"t,q1\n", "text"), (b"", "empty")):
         path.write_bytes(first)
-        assert is_labcomm(path) is expected
+        assert format_at(path) == expected
+    path.write_bytes(bytes(512) + b"\x89HDF\r\n\x1a\n" + bytes(FIRST))
+    assert format_at(path) == "HDF5"
+    (tmp_path / "metadata.yaml").touch()
+    assert format_at(tmp_path) == "rosbag2"

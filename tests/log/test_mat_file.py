@@ -63,7 +63,7 @@ def test_without_h5py(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a.mat"
     path.write_bytes(b"MATLAB 7.3 MAT-file".ljust(512) + b"\x89HDF\r\n\x1a\n")
     monkeypatch.setitem(sys.modules, "h5py", None)
-    with pytest.raises(MissingExtra, match=r"pip install armlab\[data\]"):
+    with pytest.raises(MissingExtra, match=r"pip install 'armlab\[data\]', or save again"):
         read_mat(path)
 
 

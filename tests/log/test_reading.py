@@ -154,7 +154,10 @@ def test_a_damaged_chunk_costs_its_rows_only(recording: Callable[..., Path], tmp
     ("data", "message"),
     [
         (b"", "empty file"),
-        (b"\x89HDF\r\n\x1a\n" + b"\0" * 90, "format HDF5"),
+        (b"\x89HDF\r\n\x1a\n" + b"\0" * 90, "a whole HDF5 file"),
+        (b"PAR1" + b"\0" * 90, "a whole Parquet file"),
+        (b"SQLite format 3\0" + b"\0" * 90, "the folder of a rosbag2"),
+        (b"#ROSBAG V2.0\n", "format ROS 1 bag"),
         (b"hello world\n1\n", "a column t"),
         (b"\x00\x01\x02", "format unknown .*00 01 02"),
         (b"\x89MCAP0\r\n", "without columns; topics: none"),

@@ -9,7 +9,8 @@ import pytest
 
 from armlab.errors import LogError
 from armlab.log import Column, Table, read, write
-from armlab.log.sidecar import Sidecar, describe, headings, read_sidecar, sidecar_path
+from armlab.log.description import Description
+from armlab.log.sidecar import describe, read_sidecar, sidecar_path
 
 
 @pytest.fixture
@@ -18,17 +19,10 @@ def path(tmp_path: Path) -> Path:
     return write(Table([0.0, 0.1, 0.2], values, {"n": Column(unit="1", kind="count")}), tmp_path / "run.csv")
 
 
-def test_headings() -> None:
-    assert list(headings("q", Column((2,), "rad"))) == ["q1 [rad]", "q2 [rad]"]
-    assert list(headings("n", Column((), "1"))) == ["n"]
-    assert list(headings("f", Column((6,), "N, N m")))[2:4] == ["f3 [N]", "f4 [N m]"]
-    assert list(headings("c", Column((2, 2), "m")))[1] == "c1_2 [m]"
-
-
 def test_what_is_written_is_read(path: Path) -> None:
     assert sidecar_path(path).name == "run.csv.toml"
     beside = read_sidecar(path)
-    assert isinstance(beside, Sidecar)
+    assert isinstance(beside, Description)
     assert beside.labels() == ["t [s]", "q1 [rad]", "q2 [rad]", "n"]
     assert beside.described()["n"].kind == "count"
     assert describe(read(path)).startswith("armlab = ")

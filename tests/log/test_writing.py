@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import resource
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -10,7 +12,8 @@ import pytest
 from armlab import log, robots
 from armlab.errors import ConfigError, LogError, RobotError, ShapeError
 from armlab.log import Column, Table
-from armlab.log.writing import write
+from armlab.log.provenance import file_hash
+from armlab.log.writing import ENDINGS, write
 
 N = 600
 
@@ -71,7 +74,7 @@ def test_an_existing_file_is_replaced_in_one_step_and_kept_when_writing_fails(ta
 
 
 def test_other_endings_and_folders_that_do_not_exist_are_refused(table: Table, tmp_path) -> None:
-    with pytest.raises(ConfigError, match=r"\.mcap or \.csv"):
+    with pytest.raises(ConfigError, match=r"ends in \.mcap, \.csv, \.mat, \.parquet, \.h5, \.hdf5, \.rosbag2, got"):
         write(table, tmp_path / "est.xlsx")
     with pytest.raises(LogError, match="create"):
         write(table, tmp_path / "none" / "est.csv")
@@ -182,3 +185,80 @@ def test_poses_of_the_user_come_back_from_a_recording(tmp_path) -> None:
     )
     found = log.read(write(table, tmp_path / "run.mcap", robots.load("irb2400")))
     np.testing.assert_array_equal(found["T_cam_marker"], T)
+
+
+@pytest.fixture
+def full_disk() -> Iterator[None]:
+    """No file grows beyond 20 kB, as on a disk without room."""
+    limit = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, limit[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, limit)
+
+
+@pytest.mark.parametrize(("ending", "storage"), [*((ending, "mcap") for ending in ENDINGS), (".rosbag2", "sqlite3")])
+def test_a_full_disk_is_one_sentence_and_leaves_nothing(table: Table, tmp_path, full_disk, ending, storage) -> None:
+    path = tmp_path / f"run{ending}"
+    with pytest.raises(LogError, match=rf"Expected to create the file .*run\{ending}, got: .*\.") as told:
+        write(table, path, robots.load("yumi_left") if ending == ".mcap" else None, storage=storage)
+    assert "\n" not in str(told.value)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("ending", [ending for ending in ENDINGS if ending != ".mcap"])
+def test_what_is_there_is_replaced_as_a_whole_or_kept(table: Table, tmp_path, monkeypatch, ending) -> None:
+    path = tmp_path / f"run{ending}"
+    write(table.select("flags"), path)
+    write(table, path)
+    assert log.read(path).names == table.names
+    before = sorted(entry.name for entry in tmp_path.iterdir())
+
+    def fails(*_args: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("armlab.log.writing.write_rosbag2", fails)
+    monkeypatch.setattr("armlab.log.writing._FILES", {ending: fails})
+    with pytest.raises(LogError, match="No space left on device"):
+        write(table.select("q"), path)
+    assert log.read(path).names == table.names
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == before
+
+
+def test_a_folder_that_is_no_rosbag2_is_not_replaced(table: Table, tmp_path) -> None:
+    (tmp_path / "run.rosbag2").mkdir()
+    (tmp_path / "run.rosbag2" / "thesis.tex").write_text("years of work")
+    with pytest.raises(LogError, match="a rosbag2 to replace"):
+        write(table, tmp_path / "run.rosbag2")
+    assert [entry.name for entry in tmp_path.rglob("*")] == ["run.rosbag2", "thesis.tex"]
+
+
+@pytest.mark.parametrize("ending", [".csv", ".mat", ".parquet", ".h5", ".rosbag2"])
+def test_progress_goes_up_to_all(table: Table, tmp_path, ending) -> None:
+    told: list[tuple[float, float, str]] = []
+    write(table, tmp_path / f"run{ending}", progress=lambda *one: told.append(one))
+    shares = [done / total for done, total, _ in told]
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
+
+
+@pytest.mark.parametrize("word", ["a\0b", "\ud800"])
+def test_text_that_files_cannot_hold_is_refused(tmp_path, word) -> None:
+    table = Table([0.0, 1.0], {"mode": np.array(["auto", word])}, {"mode": Column(unit="1", kind="text")})
+    with pytest.raises(LogError, match=r"without NUL or lone surrogates in the column 'mode', got .* in row 1"):
+        write(table, tmp_path / "run.h5")
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_chain_of_sources_goes_through_all_formats(table: Table, tmp_path) -> None:
+    found = table
+    for ending in (".csv", ".mat", ".parquet", ".h5", ".rosbag2"):
+        found = log.read(write(found, tmp_path / f"run{ending}"))
+    assert found.sha256 == table.sha256
+    assert [entry.split()[0] for entry in found.source] == [
+        "run.rosbag2",
+        "run.h5",
+        "run.parquet",
+        "run.mat",
+        "run.csv",
+    ]
+    assert found.source[-1] == f"run.csv sha256 {file_hash(tmp_path / 'run.csv')}"

@@ -6,11 +6,17 @@ from pathlib import Path
 
 from armlab.errors import LogError
 
-__all__ = ["check_readable", "format_of", "is_labcomm", "is_text"]
+__all__ = ["FIRST", "check_readable", "format_at", "format_of", "is_text"]
+
+FIRST = 1024
+"""Bytes from which `format_of` tells the format: HDF5 may have 512 of another program before it."""
+
+_HDF5 = b"\x89HDF\r\n\x1a\n"
 
 _FIRST_BYTES = {
     b"\x89MCAP0\r\n": "MCAP",
-    b"\x89HDF\r\n\x1a\n": "HDF5",
+    _HDF5: "HDF5",
+    b"MATLAB 7.3": "MAT v7.3",
     b"PAR1": "Parquet",
     b"MATLAB 5.0": "MAT v5",
     b"SQLite format 3\0": "SQLite (rosbag2)",
@@ -30,26 +36,27 @@ def format_of(first: bytes) -> str:
             return name
     if first.startswith((b"\0\0\0\2", b"\x0bLabComm2013")) or (first[0] == 1 and b"LabComm2014" in first[:20]):
         return "LabComm"
-    text = b"\0" not in first and sum(byte < 9 for byte in first) == 0
+    if first[512:520] == _HDF5:
+        return "HDF5"
+    text = b"\0" not in first and first[0] >= 9  # no control character begins a text
     return "text" if text else "unknown"
 
 
 def is_text(path: str | Path) -> bool:
     """Tell whether a file is there and begins as text or gzip, which `log.read_csv` reads."""
-    return _begins(Path(path)) in ("text", "gzip")
+    return format_at(path) in ("text", "gzip")
 
 
-def is_labcomm(path: str | Path) -> bool:
-    """Tell whether a file is there and begins as a LabComm stream, which `log.read_labcomm` reads."""
-    return _begins(Path(path)) == "LabComm"
-
-
-def _begins(path: Path) -> str:
+def format_at(path: str | Path) -> str:
+    """Return the name of the format of a file, "rosbag2" of a folder that is one; "" where nothing can be read."""
+    path = Path(path)
+    if (path / "metadata.yaml").is_file():
+        return "rosbag2"
     if not path.is_file():
         return ""
     try:
         with path.open("rb") as file:
-            return format_of(file.read(64))
+            return format_of(file.read(FIRST))
     except OSError:
         return ""
 
@@ -65,7 +72,7 @@ def check_readable(path: str | Path) -> None:
         if Path(path).is_fifo():  # opening it would wait for a writer
             raise LogError(f"Expected a log at {path}, got a pipe; a log is read in any order, so it must be a file.")
         with Path(path).open("rb") as file:
-            first = file.read(64)
+            first = file.read(FIRST)
     except OSError as error:
         raise LogError(f"Expected a log at {path}, got: {error.strerror}.") from None
     found = format_of(first)
@@ -73,6 +80,8 @@ def check_readable(path: str | Path) -> None:
         return
     if found == "empty":
         raise LogError(f"Expected a log at {path}, got an empty file.")
+    if found == "SQLite (rosbag2)":
+        raise LogError(f"Expected the folder of a rosbag2, got a file in it: {path}. Name the folder.")
     shown = f"{found} ({first[:8].hex(' ')})" if found == "unknown" else found
     raise LogError(
         f"Expected a log in MCAP at {path}, got a file of format {shown}; MCAP files begin with 89 4d 43 41 50."

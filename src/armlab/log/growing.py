@@ -11,6 +11,7 @@ import numpy as np
 
 from armlab.log.assemble import recording_table
 from armlab.log.column import Column
+from armlab.log.labels import OLD_NAMES
 from armlab.log.rows import RowLayout, Tick
 from armlab.log.table import Table
 from armlab.state import Command, State
@@ -20,9 +21,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Log", "Tail"]
 
-# Names of the fields of Robotlab.jl's logs, read as ours.
-_OLD_NAMES = {"pos": "q", "vel": "qd", "trq": "tau", "pos_o": "q_ref", "vel_o": "qd_ref", "trq_o": "tau_ref"}
-_OLD_NAMES |= {"timestamp": "t", "seqnum": "seq"}
 _TAIL_RATE = 500.0  # rows per second a Tail has room for; EGM's fastest is 250
 
 
@@ -60,7 +58,7 @@ class Log:
         ------
         UnknownName, ShapeError : before anything is stored.
         """
-        values = {_OLD_NAMES.get(name, name): value for name, value in values.items()}
+        values = {OLD_NAMES.get(name, name): value for name, value in values.items()}
         stamp = self._start_ns + time.monotonic_ns()
         standard = {"tick": self._pushed, "session": 1, "stamp_ns": stamp}
         self._rows.append(self._layout.pack_values({**standard, **values}))

@@ -18,7 +18,7 @@ from armlab import glossary
 from armlab.errors import ArmlabError, LabCommError, LogError, UnknownName
 from armlab.log.assemble import in_time_order
 from armlab.log.column import Column
-from armlab.log.formats import format_of
+from armlab.log.formats import FIRST, format_of
 from armlab.log.provenance import file_hash
 from armlab.log.table import Table
 from armlab.wire.labcomm import Array, Decoder, Limits, Prim, Sample, Struct
@@ -102,8 +102,8 @@ def _samples(path: Path) -> tuple[list[Sample], int]:
     try:
         with path.open("rb") as file:
             piece = file.read(_PIECE)
-            if format_of(piece[:64]) != "LabComm":
-                raise LogError(f"Expected a LabComm stream at {path}, got a file of format {format_of(piece[:64])}.")
+            if format_of(piece[:FIRST]) != "LabComm":
+                raise LogError(f"Expected a LabComm stream at {path}, got a file of format {format_of(piece[:FIRST])}.")
             while piece:
                 found += [event for event in decoder.feed(piece) if isinstance(event, Sample)]
                 piece = file.read(_PIECE)

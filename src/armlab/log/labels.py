@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import re
 
-__all__ = ["alias", "natural_key"]
+__all__ = ["OLD_NAMES", "alias", "natural_key"]
+
+OLD_NAMES = {"pos": "q", "vel": "qd", "trq": "tau", "pos_o": "q_ref", "vel_o": "qd_ref", "trq_o": "tau_ref"}
+OLD_NAMES |= {"timestamp": "t", "seqnum": "seq"}
+"""Names of the fields of Robotlab.jl's logs -> ours."""
 
 
 def alias(name: str) -> str:

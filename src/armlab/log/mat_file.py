@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from armlab.errors import LogError, MissingExtra, UnknownName
+from armlab.errors import LogError, UnknownName
+from armlab.log.extras import needed
 
-__all__ = ["read_mat"]
+__all__ = ["read_mat", "read_variables"]
 
 OFFSETS = (0, 512)  # of the signature of HDF5: MATLAB puts 512 bytes of text before it
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
@@ -35,6 +36,26 @@ def read_mat(path: str | Path, name: str | None = None) -> dict[str, np.ndarray]
     MissingExtra : v7.3 without h5py.
     """
     path = Path(path)
+    variables, _ = read_variables(path)
+    found = {key: array.astype(np.float64) for key, array in variables.items() if array.dtype.kind != "U"}
+    if name is not None and name not in found:
+        raise UnknownName.among("variable", name, found)
+    if not found:
+        raise LogError(f"Expected arrays in {path}, got none. Text, cells and structs are not read.")
+    return found if name is None else {name: found[name]}
+
+
+def read_variables(path: Path) -> tuple[dict[str, np.ndarray], list[str]]:
+    """Return the arrays of real numbers and of text in a MAT file by name, and the names of what else it has.
+
+    Parameters
+    ----------
+    path : of the file, v5 to v7.3. A text is an array (1, 1); of v7.3 no cells of text are read.
+
+    Raises
+    ------
+    LogError : no MAT file, or a truncated one. MissingExtra : v7.3 without h5py.
+    """
     try:
         with path.open("rb") as file:
             head = file.read(1024)
@@ -48,49 +69,56 @@ def read_mat(path: str | Path, name: str | None = None) -> dict[str, np.ndarray]
         raise LogError(
             f"Expected a MAT file at {path}, got one that begins with {head[:10]!r}. Save it from MATLAB with save."
         )
-    if name is not None and name not in found:
-        raise UnknownName.among("variable", name, found)
-    if not found:
-        raise LogError(f"Expected arrays in {path}, got none. Text, cells and structs are not read.")
-    return found if name is None else {name: found[name]}
+    return {k: v for k, v in found.items() if v is not None}, [k for k, v in found.items() if v is None]
 
 
-def _version_5(path: Path) -> dict[str, np.ndarray]:
+def _version_5(path: Path) -> dict[str, np.ndarray | None]:
     from scipy.io import loadmat
 
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # a damaged file is told by an error, or reads as another one
             found: dict[str, Any] = loadmat(path)
+            return {name: _array(value) for name, value in found.items() if not name.startswith("__")}
     except Exception as error:  # SciPy raises what its parser happens to meet in a damaged file
         raise _damaged(path, error) from None
-    return {name: array for name, value in found.items() if (array := _real(value)) is not None}
 
 
-def _hdf5(path: Path) -> dict[str, np.ndarray]:
-    try:
-        import h5py
-    except ImportError:
-        raise MissingExtra(
-            f"Expected h5py to read {path}, a MAT file of version 7.3, got none. "
-            "Install it by `pip install armlab[data]`, or save again with save(..., '-v7')."
-        ) from None
-    found: dict[str, np.ndarray] = {}
+def _hdf5(path: Path) -> dict[str, np.ndarray | None]:
+    h5py = needed("h5py", f"to read {path}, a MAT file of version 7.3", "or save again with save(..., '-v7')")
     try:
         with h5py.File(path, "r") as file:
-            for name, item in file.items():
-                if isinstance(item, h5py.Dataset) and "MATLAB_empty" not in item.attrs:
-                    array = _real(item[()])
-                    if array is not None and item.attrs.get("MATLAB_class", b"double") != b"char":
-                        found[name] = array.T.copy()
+            return {name: _dataset(item, h5py) for name, item in file.items() if not name.startswith("#")}
     except Exception as error:  # h5py raises OSError, RuntimeError, KeyError and more on damaged files
         raise _damaged(path, error) from None
-    return found
 
 
-def _real(value: Any) -> np.ndarray | None:
-    array = value if isinstance(value, np.ndarray) else np.array(None)
-    return array.astype(np.float64) if array.dtype.kind in "biuf" else None
+def _dataset(item: Any, h5py: Any) -> np.ndarray | None:
+    """Return an array of version 7.3 as MATLAB shows it."""
+    if not isinstance(item, h5py.Dataset) or "MATLAB_empty" in item.attrs:
+        return None
+    array = _array(item[()])
+    if array is not None and item.attrs.get("MATLAB_class", b"double") == b"char":
+        codes = array.T.astype("<u2")
+        return np.array([[codes.tobytes().decode("utf-16-le")]]) if len(codes) == 1 else None
+    return None if array is None else array.T.copy()
+
+
+def _array(value: Any) -> np.ndarray | None:
+    """Return numbers as they are, a text or a cell of texts as an array of text; None for anything else."""
+    if not isinstance(value, np.ndarray) or value.dtype.kind in "biuf":
+        return value if isinstance(value, np.ndarray) else None
+    if value.dtype.kind == "U":
+        return value.reshape(1, 1) if value.size == 1 else None
+    texts = value.ravel().tolist() if value.dtype == object else [None]
+    words = [_word(text) for text in texts]
+    return None if None in words else np.array(words, dtype=np.str_).reshape(value.shape)
+
+
+def _word(cell: Any) -> str | None:
+    """Return the text in a cell; None where it holds something else."""
+    is_text = isinstance(cell, np.ndarray) and cell.dtype.kind == "U" and cell.size <= 1
+    return "".join(cell.ravel().tolist()) if is_text else None
 
 
 def _damaged(path: Path, error: Exception) -> LogError:

@@ -15,7 +15,10 @@ import numpy as np
 from armlab.log.rows import SELDOM, RowLayout, Slot
 from armlab.wire import cdr
 
-__all__ = ["CLOCK_KEY", "COLUMN_KEY", "Pen", "Topic", "definition", "event", "parameter", "topic_name", "topics"]
+__all__ = [
+    "CLOCK_KEY", "COLUMN_KEY", "Pen", "Topic", "blank", "definition", "event", "parameter", "store", "topic_name",
+    "topics",
+]  # fmt: skip
 
 CLOCK_KEY = "armlab.clock"  # channel metadata: the messages of this channel are the rows of the table
 COLUMN_KEY = "column."  # channel metadata "column.<name>": JSON, how to rebuild the column <name>
@@ -123,38 +126,39 @@ def topic_name(name: str) -> str:
 
 
 @cache
-def _store() -> Any:
+def store() -> Any:
+    """Return the message types that are known: those of ROS 2 Humble and ours."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    store = get_typestore(Stores.ROS2_HUMBLE)
+    known = get_typestore(Stores.ROS2_HUMBLE)
     for name, text in _OWN_TYPES.items():
-        store.register(get_types_from_msg(text, name))
-    return store
+        known.register(get_types_from_msg(text, name))
+    return known
 
 
 @cache
 def definition(name: str) -> str:
     """Return the ``ros2msg`` schema of a message type, the texts of the types it uses included."""
-    return _store().generate_msgdef(name, ros_version=2)[0]
+    return store().generate_msgdef(name, ros_version=2)[0]
 
 
 def event(stamp_ns: int, text: str, level: int = 20) -> bytes:
     """Return an rcl_interfaces/msg/Log message (level 20 is INFO, 30 WARN, 40 ERROR)."""
-    types = _store().types
+    types = store().types
     stamp = types["builtin_interfaces/msg/Time"](sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
     log = types["rcl_interfaces/msg/Log"](
         stamp=stamp, level=level, name="armlab", msg=text, file="", function="", line=0
     )
-    return bytes(_store().serialize_cdr(log, "rcl_interfaces/msg/Log"))
+    return bytes(store().serialize_cdr(log, "rcl_interfaces/msg/Log"))
 
 
 def parameter(stamp_ns: int, sequence: int, name: str, value: Any, who: str) -> bytes:
     """Return an armlab_msgs/msg/Parameter message, its value as JSON."""
-    types = _store().types
+    types = store().types
     stamp = types["builtin_interfaces/msg/Time"](sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
     text = json.dumps(getattr(value, "tolist", lambda: value)())
     setting = types["armlab_msgs/msg/Parameter"](stamp=stamp, sequence=sequence, name=name, value=text, who=who)
-    return bytes(_store().serialize_cdr(setting, "armlab_msgs/msg/Parameter"))
+    return bytes(store().serialize_cdr(setting, "armlab_msgs/msg/Parameter"))
 
 
 @dataclass(slots=True)
@@ -234,8 +238,7 @@ def _merged(copies: list[tuple[int, int, int, int]]) -> list[tuple[int, int, int
 
 def _serialised(topic: Topic, counts: Mapping[str, int]) -> bytes:
     """Return a message of the topic with zeros, its sequences as long as `counts` says."""
-    store = _store()
-    message = _blank(store, topic.type)
+    message = blank(topic.type)
     message.header.frame_id = topic.frame_id
     if topic.labels:
         message.name = list(topic.labels)
@@ -243,22 +246,22 @@ def _serialised(topic: Topic, counts: Mapping[str, int]) -> bytes:
         current = getattr(message, paths[0], None) if len(paths) == 1 else None
         if isinstance(current, np.ndarray):
             setattr(message, paths[0], np.zeros(counts[name], dtype=current.dtype))
-    return bytes(store.serialize_cdr(message, topic.type))
+    return bytes(store().serialize_cdr(message, topic.type))
 
 
-def _blank(store: Any, name: str) -> Any:
-    """Return a message of zeros and empty texts and sequences."""
+def blank(name: str) -> Any:
+    """Return a message of a type with zeros and with empty texts and sequences of numbers or texts."""
     values = {}
-    for field_name, (node, detail) in store.fielddefs[name][1]:
+    for field_name, (node, detail) in store().fielddefs[name][1]:
         if int(node) == 2:
-            values[field_name] = _blank(store, detail)
+            values[field_name] = blank(detail)
         elif int(node) == 1:
             values[field_name] = "" if detail[0] == "string" else 0
         else:
             element, length = detail
             texts = int(element[0]) == 1 and element[1][0] == "string"
             values[field_name] = [""] * length if texts else np.zeros(length, dtype=element[1][0])
-    return store.types[name](**values)
+    return store().types[name](**values)
 
 
 def _pose_bytes(row: bytes, slot: Slot) -> bytes:

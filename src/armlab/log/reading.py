@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import mmap
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -18,17 +18,30 @@ from armlab.lie import quaternion, se3
 from armlab.log.assemble import recording_table
 from armlab.log.column import Column
 from armlab.log.delimited import read_csv
-from armlab.log.formats import check_readable, is_labcomm, is_text
+from armlab.log.formats import check_readable, format_at
+from armlab.log.hdf5_file import read_hdf5
 from armlab.log.labcomm import read_labcomm
+from armlab.log.mat_table import read_mat_table
 from armlab.log.mcap_decode import Decoded, decode
 from armlab.log.mcap_records import DAMAGE, Contents, contents
 from armlab.log.messages import CLOCK_KEY, COLUMN_KEY
+from armlab.log.parquet_file import read_parquet
 from armlab.log.provenance import file_hash
+from armlab.log.rosbag2_file import read_rosbag2
 from armlab.log.rows import with_holes
 from armlab.log.table import Table
 
 __all__ = ["Source", "opened", "read", "torn_sentence"]
 
+_READERS: dict[str, Callable[[Path], Table]] = {
+    "text": read_csv,
+    "gzip": read_csv,
+    "LabComm": read_labcomm,
+    "MAT v5": read_mat_table,
+    "MAT v7.3": read_mat_table,
+    "rosbag2": read_rosbag2,
+}
+_COLUMN_READERS = {"HDF5": read_hdf5, "Parquet": read_parquet}  # which read single columns
 _QUATERNION_LENGTH = 1e-3  # difference from one
 _CLOCK_COLUMNS = ("t", "robot_ns", "session_t", "session")
 
@@ -47,14 +60,17 @@ class Source:
 def read(
     path: str | Path, columns: Sequence[str] | None = None, *, robot: str | None = None, raw: bool = False
 ) -> Table:
-    """Return the table that a recording, a text file (`read_csv`) or a LabComm stream (`read_labcomm`) holds.
+    """Return the table that a file holds: a recording, or any format that `write` writes.
+
+    Also LabComm streams (`read_labcomm`), and text, MAT, HDF5 and Parquet files of other programs, where numbered
+    columns of a known name are put together and units converted (`read_csv`).
 
     An unfinished or damaged file is read as far as it goes, with one warning and a note. Rows whose time does not
     advance are dropped and counted in the notes.
 
     Parameters
     ----------
-    path : file; its format is told by its first bytes.
+    path : file, or folder of a rosbag2; the format is told by the first bytes.
     columns : names of the columns wanted, all when None.
     robot : name of the robot, when the file holds several.
     raw : keep rows whose time does not advance.
@@ -65,12 +81,14 @@ def read(
 
     Raises
     ------
-    LogError : the file is missing, of another format, damaged beyond use, or not a recording of armlab.
+    LogError : the file is missing, of another format, damaged beyond use, or an MCAP file of another program.
+    MissingExtra : pyarrow or h5py is not installed.
     UnknownName : a wanted column does not exist; lists those that do.
     """
     path = Path(path)
-    if is_text(path) or is_labcomm(path):
-        table = read_csv(path) if is_text(path) else read_labcomm(path)
+    kind = format_at(path)
+    if kind in _READERS or kind in _COLUMN_READERS:
+        table = _READERS[kind](path) if kind in _READERS else _COLUMN_READERS[kind](path, columns)
         return table if columns is None else table.select(*columns)
     check_readable(path)
     with opened(path) as view, ThreadPoolExecutor(1) as background:

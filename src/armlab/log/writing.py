@@ -3,90 +3,159 @@
 from __future__ import annotations
 
 import contextlib
-import csv
-from dataclasses import replace
+import shutil
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
 
 from armlab.errors import ConfigError, LogError, ShapeError
 from armlab.log.column import Column
+from armlab.log.delimited_writing import write_csv
+from armlab.log.description import Progress
+from armlab.log.hdf5_file import write_hdf5
+from armlab.log.mat_table import write_mat
+from armlab.log.parquet_file import write_parquet
 from armlab.log.recording_file import RecordingFile
+from armlab.log.rosbag2_file import write_rosbag2
 from armlab.log.rows import RowLayout
-from armlab.log.sidecar import describe, headings, sidecar_path
+from armlab.log.sidecar import describe, sidecar_path
 from armlab.log.table import Table
 
 if TYPE_CHECKING:
     from armlab.robots import Robot
 
-__all__ = ["write"]
+__all__ = ["ENDINGS", "write"]
+
+_TOLD = 1000  # rows of a recording between two words on progress
+_FILES: dict[str, Callable[[Table, BinaryIO, Progress], None]] = {
+    ".csv": write_csv,
+    ".mat": write_mat,
+    ".parquet": write_parquet,
+    ".h5": write_hdf5,
+    ".hdf5": write_hdf5,
+}
+ENDINGS = (".mcap", *_FILES, ".rosbag2")
+"""Endings of names by which `write` knows the format."""
 
 
-def write(table: Table, path: str | Path, robot: Robot | None = None) -> Path:
+def write(
+    table: Table,
+    path: str | Path,
+    robot: Robot | None = None,
+    *,
+    storage: str = "mcap",
+    progress: Progress | None = None,
+) -> Path:
     """Write a table to a file and return its path; an existing file is replaced in one step or not at all.
 
-    MCAP keeps everything: units, kinds, frames, labels; `read` gives the same table back. CSV has one column per
-    component and the unit in the header, ``t [s],q1 [rad],...``; the shortest digits that read back equal; nothing
-    between the commas where a value is missing. Kinds, frames and labels go to a file beside it, ``run.csv.toml``, with
-    which `read` gives the same table back; without it, all that a header can say.
+    `read` gives the same table back from every format, provenance included. From MCAP and rosbag2 it has the same
+    values: their stamps are whole nanoseconds and their poses quaternions.
 
     Parameters
     ----------
     table : to write; no columns of text in MCAP.
-    path : ends in ``.mcap`` or ``.csv``.
-    robot : the arm, for MCAP: its name and its joints are in the topics.
+    path : its ending tells the format.
+
+        ==============  ==============================================================================================
+        ``.mcap``       a recording: needs `robot`, whose name and joints are in the topics
+        ``.csv``        ``t [s],q1 [rad],...``, the shortest digits that read back equal, nothing where a value is
+                        missing; the rest beside it in ``run.csv.toml``
+        ``.mat``        MATLAB, version 5: a variable per column, units in a struct; columns up to 2 GB
+        ``.parquet``    a flat column per component, units in the fields' metadata; needs pyarrow
+        ``.h5``         a dataset (N, ...) per column with attributes unit and kind; needs h5py; also ``.hdf5``
+        ``.rosbag2``    a folder for ROS 2, standard messages only
+        ==============  ==============================================================================================
+    robot : the arm, for MCAP.
+    storage : of a rosbag2, mcap or sqlite3; releases before Iron read the latter without a plugin.
+    progress : called with (done, total, what).
 
     Raises
     ------
-    ConfigError : another ending, or no robot for MCAP. LogError : the file cannot be created. RobotError : something
-    else than a robot. ShapeError : something else than a table, or a column that does not fit the robot's joints.
+    ConfigError : another ending, or no robot for MCAP. LogError : the file cannot be written, or the format cannot hold
+    the table. MissingExtra : pyarrow or h5py is not installed. RobotError : something else than a robot.
+    ShapeError : something else than a table, or a column that does not fit the robot's joints.
     """
     if not isinstance(table, Table):
         raise ShapeError.no_table(table)
-    path = Path(path)
-    if path.suffix.lower() not in (".mcap", ".csv"):
-        raise ConfigError(f"Expected a file name that ends in .mcap or .csv, got {path}. Change the ending.")
-    temporary = path.with_name(f".{path.name}.part")
-    beside = sidecar_path(temporary)
+    path, tell = Path(path), progress or (lambda done, total, what: None)
+    ending = path.suffix.lower()
+    if ending not in ENDINGS:
+        raise ConfigError(f"Expected a file name that ends in {', '.join(ENDINGS)}, got {path}. Change the ending.")
+    _check_text(table)
+    part = path.with_name(f".{path.name}.part")
     try:
-        if path.suffix.lower() == ".csv":
-            _write_csv(table, temporary)
-            beside.write_text(describe(table), encoding="utf-8")
-            beside.replace(sidecar_path(path))
-        elif robot is None:
-            raise ConfigError(f"Expected the robot of the table for {path}, got none. Give robot=, or write a .csv.")
+        _remove(part)
+        if ending in _FILES:
+            _write_file(table, part, path, tell)
+        elif ending == ".mcap":
+            _write_mcap(table, part, path, robot, tell)
         else:
-            _write_mcap(table, temporary, robot)
-        temporary.replace(path)
+            _write_bag(table, part, path, storage, tell)
     except OSError as error:
-        raise LogError(f"Expected to create the file {path}, got: {error.strerror}.") from None
+        what = (error.strerror or str(error)).rstrip(".")
+        raise LogError(f"Expected to create the file {path}, got: {what}.") from None
     finally:
-        for part in (temporary, beside):
+        for left in (part, sidecar_path(part)):
             with contextlib.suppress(OSError):
-                part.unlink(missing_ok=True)
+                _remove(left)
     return path
 
 
-def _write_csv(table: Table, path: Path) -> None:
-    header, columns = ["t [s]"], [table.t]
+def _write_file(table: Table, part: Path, path: Path, tell: Progress) -> None:
+    with part.open("w+b") as file:
+        _FILES[path.suffix.lower()](table, file, tell)
+    if path.suffix.lower() == ".csv":
+        beside = sidecar_path(part)
+        beside.write_text(describe(table), encoding="utf-8")
+        beside.replace(sidecar_path(path))
+    part.replace(path)
+
+
+def _write_bag(table: Table, part: Path, path: Path, storage: str, tell: Progress) -> None:
+    """Write a folder inside a folder, since rosbags names the file of messages after the folder it is in."""
+    if path.exists() and not (path / "metadata.yaml").is_file():
+        raise LogError(
+            f"Expected a new name or a rosbag2 to replace, got {path}, which is something else. Move it away."
+        )
+    part.mkdir()
+    write_rosbag2(table, part / path.name, storage, tell)
+    if path.exists():
+        path.replace(part / "old")
+    (part / path.name).replace(path)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+
+
+def _check_text(table: Table) -> None:
+    """Refuse text that files cannot hold: NUL ends a text in HDF5 and in ROS, a lone surrogate is not Unicode."""
     for name in table.names:
-        values = table[name]
-        header += headings(name, replace(table.columns[name], shape=values.shape[1:]))
-        columns += [values[(slice(None), *place)] for place in np.ndindex(values.shape[1:])]
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        writer.writerows(zip(*(_words(column) for column in columns), strict=True))
+        if table[name].dtype.kind != "U":
+            continue
+        for row, word in enumerate(table[name].reshape(len(table), -1).tolist() if len(table) else ()):
+            if any("\0" in part or not _encodes(part) for part in word):
+                raise LogError(
+                    f"Expected text without NUL or lone surrogates in the column {name!r}, got {word} in row {row}."
+                )
 
 
-def _words(values: np.ndarray) -> list[str]:
-    if values.dtype.kind != "f":
-        return [str(value) for value in (values.astype(int) if values.dtype.kind == "b" else values).tolist()]
-    return ["" if value != value else repr(value) for value in values.tolist()]  # only NaN differs from itself
+def _encodes(text: str) -> bool:
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
-def _write_mcap(table: Table, path: Path, robot: Robot) -> None:
+def _write_mcap(table: Table, part: Path, path: Path, robot: Robot | None, tell: Progress) -> None:
+    if robot is None:
+        raise ConfigError(f"Expected the robot of the table for {path}, got none. Give robot=, or write a .csv.")
     standard = RowLayout(robot).slots
     extra = {name: table.columns[name] for name in table.names if name not in standard}
     layout = RowLayout(robot, {**extra, "t": Column()})
@@ -105,8 +174,14 @@ def _write_mcap(table: Table, path: Path, robot: Robot) -> None:
             array = np.where(np.isfinite(array), array, slot.missing)
         raw = np.ascontiguousarray(array.reshape(len(table), -1), dtype=slot.dtype)
         block[:, slot.start : slot.stop] = raw.view(np.uint8).reshape(len(table), -1)
-    path.unlink(missing_ok=True)
-    file = RecordingFile(path, robot, layout, {}, "; ".join(table.source))
-    for row in block:
-        file.write(row.tobytes())
-    file.finish({"rows": len(table), "source": list(table.source)})
+    file = RecordingFile(part, robot, layout, {}, "; ".join(table.source))
+    try:
+        for done, row in enumerate(block, start=1):
+            file.write(row.tobytes())
+            if done % _TOLD == 0:
+                tell(done, len(block), "rows")
+        file.finish({"rows": len(table), "source": list(table.source)})
+    except BaseException:
+        file.abandon()
+        raise
+    part.replace(path)

@@ -1,0 +1,167 @@
+"""A `Table` in HDF5: plain datasets (N, ...) with attributes, which any program reads.
+
+Julia's HDF5.jl and MATLAB show the axes in reverse: (n, N), one sample per column, as the ancestors' logs were. Their
+old ``.jld`` files are HDF5 inside: plain numeric datasets are read, the rest is named and left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import msgspec
+import numpy as np
+
+from armlab.errors import LogError, UnknownName
+from armlab.log.column import Column
+from armlab.log.description import Description, Progress, distinct
+from armlab.log.extras import needed
+from armlab.log.foreign import foreign_table
+from armlab.log.table import Table
+
+__all__ = ["read_hdf5", "write_hdf5"]
+
+CHUNK = 1 << 18  # bytes: what a reader of a few rows unpacks
+
+
+def write_hdf5(table: Table, file: BinaryIO, progress: Progress) -> None:
+    """Write a dataset per column, shuffled and packed by gzip, with attributes unit, kind, frame and labels.
+
+    Parameters
+    ----------
+    table : to write. file : opened for reading and writing. progress : is told the columns.
+
+    Raises
+    ------
+    MissingExtra : h5py is not installed. OSError : the file cannot be written.
+    """
+    h5py = needed("h5py", "for HDF5")
+    names = distinct({name: name.replace("/", "_").strip(".") or "_" for name in table.names}, ["t"])
+    about = msgspec.structs.asdict(Description.of(table))
+    told = _Patient(file)
+    with h5py.File(told, "w") as whole:
+        for key in ("armlab", "t0_ns", "clock"):
+            whole.attrs[key] = about[key]
+        for key in ("notes", "source"):
+            whole.attrs.create(key, np.array(about[key], dtype=object), dtype=h5py.string_dtype())
+        _dataset(h5py, whole, "t", table.t).attrs["unit"] = "s"
+        for place, (name, own) in enumerate(names.items()):
+            one, described = _dataset(h5py, whole, own, table[name]), about["columns"][name]
+            one.attrs["name"], one.attrs["place"] = name, place
+            for key in ("unit", "kind", "frame"):
+                one.attrs[key] = getattr(described, key)
+            one.attrs.create("labels", np.array(described.labels, dtype=object), dtype=h5py.string_dtype())
+            progress(place + 1, len(names), name)
+    told.check()
+
+
+def _dataset(h5py: Any, whole: Any, name: str, array: np.ndarray) -> Any:
+    if not array.size:
+        return whole.create_dataset(name, array.shape, h5py.string_dtype() if array.dtype.kind == "U" else array.dtype)
+    if array.dtype.kind == "U":
+        return whole.create_dataset(name, data=array.astype(object), dtype=h5py.string_dtype())
+    rows = max(1, min(len(array), CHUNK * len(array) // array.nbytes))
+    chunks = (rows, *array.shape[1:])
+    return whole.create_dataset(name, data=array, chunks=chunks, compression="gzip", compression_opts=1, shuffle=True)
+
+
+def read_hdf5(path: Path, columns: Sequence[str] | None = None) -> Table:
+    """Return the table in an HDF5 file: one of `write_hdf5`, or the datasets of another program by `foreign_table`.
+
+    Parameters
+    ----------
+    path : of the file. columns : read only these of a file of ours.
+
+    Raises
+    ------
+    LogError : a damaged file, no clock, or what its attributes do not fit. MissingExtra : h5py is not installed.
+    UnknownName : a column that the file does not have.
+    """
+    h5py = needed("h5py", f"to read {path}, a file in HDF5")
+    try:
+        with h5py.File(path, "r") as whole:
+            if "armlab" not in whole.attrs:
+                arrays, left_out = _datasets(h5py, whole)
+                return foreign_table(path, arrays, left_out)
+            about, names = _described(whole)
+            wanted = list(names) if columns is None else list(columns)
+            for name in wanted:
+                if name not in names:
+                    raise UnknownName.among("column", name, names)
+            return about.table(path, whole["t"][()], {name: _values(whole[names[name]]) for name in wanted})
+    except (LogError, UnknownName):
+        raise
+    except Exception as error:  # h5py raises OSError, RuntimeError, KeyError and more on damaged files
+        what = " ".join(str(error).split()).rstrip(".") or type(error).__name__
+        raise LogError(f"Expected a whole HDF5 file at {path}, got a damaged one: {what[:200]}.") from None
+
+
+def _described(whole: Any) -> tuple[Description, dict[str, str]]:
+    """Return the description in the attributes, and the dataset of each column."""
+    names, described = {}, {}
+    columns = [(own, one) for own, one in whole.items() if own != "t"]
+    for own, one in sorted(columns, key=lambda entry: int(entry[1].attrs["place"])):
+        name = str(one.attrs["name"])
+        texts = {key: str(one.attrs[key]) for key in ("unit", "kind", "frame")}
+        names[name], described[name] = own, Column(one.shape[1:], labels=tuple(one.attrs["labels"]), **texts)
+    texts = {key: str(whole.attrs[key]) for key in ("armlab", "clock")}
+    lists = {key: tuple(whole.attrs[key]) for key in ("notes", "source")}
+    return Description.made(described, t0_ns=int(whole.attrs["t0_ns"]), **texts, **lists), names
+
+
+def _datasets(h5py: Any, whole: Any) -> tuple[Mapping[str, tuple[np.ndarray, str]], list[str]]:
+    """Return the numbers and texts of another program with their units, and the names of what else there is."""
+    found: dict[str, tuple[np.ndarray, str]] = {}
+    left_out: list[str] = []
+
+    def visit(name: str, item: Any) -> None:
+        if not isinstance(item, h5py.Dataset):
+            return
+        text = h5py.check_string_dtype(item.dtype)
+        if item.dtype.kind in "biuf" or (text is not None and item.ndim == 1):
+            unit = item.attrs.get("unit", item.attrs.get("units", ""))
+            found[name.replace("/", ".")] = (_values(item), unit if isinstance(unit, str) else "")
+        elif not name.startswith("_"):  # _types, _refs and _creator of a .jld are its own business
+            left_out.append(name)
+
+    whole.visititems(visit)
+    return found, left_out
+
+
+def _values(item: Any) -> np.ndarray:
+    array = item[()] if item.dtype.kind in "biuf" else item.asstr()[()]
+    return np.asarray(array) if array.dtype.kind in "biuf" else np.array(array.tolist(), np.str_).reshape(array.shape)
+
+
+class _Patient:
+    """A file that keeps its first error: HDF5 cannot close a file that refuses its bytes, and ends the process."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self._error: OSError | None = None
+        self.tell, self.seek, self.flush = file.tell, file.seek, file.flush
+
+    def readinto(self, target: Any) -> int:
+        return self._file.readinto(target)  # type: ignore[attr-defined]
+
+    def read(self, size: int = -1) -> bytes:
+        return self._file.read(size)
+
+    def write(self, data: Any) -> int:
+        try:
+            self._file.write(data)
+        except OSError as error:
+            self._error = self._error or error
+        return memoryview(data).nbytes
+
+    def truncate(self, size: int | None = None) -> int:
+        try:
+            return self._file.truncate(size)
+        except OSError as error:
+            self._error = self._error or error
+            return size or 0
+
+    def check(self) -> None:
+        if self._error is not None:
+            raise self._error

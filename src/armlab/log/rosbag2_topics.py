@@ -1,0 +1,218 @@
+"""The topics of a `Table` in a rosbag2, all of standard message types, and their messages as blocks of bytes.
+
+Every topic has a message per row. Joint positions, velocities and torques are JointState, wrenches WrenchStamped, poses
+PoseStamped; other columns are numbers, arrays of numbers or texts of std_msgs. `/t` keeps the clock to the last bit.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from armlab.errors import LogError
+from armlab.lie import quaternion, se3
+from armlab.log.column import Column
+from armlab.log.description import distinct
+from armlab.log.mcap_variants import MessageReader, assembled, decode_block, split
+from armlab.log.messages import blank, definition, store, topic_name
+from armlab.log.table import Table
+from armlab.wire import cdr
+
+__all__ = ["BagTopic", "columns_of", "messages_of", "topics_of", "whole_poses"]
+
+EXACT = 1e-12  # most that RᵀR of a rotation is off, or its quaternion would be another one
+JOINTS = "sensor_msgs/msg/JointState"
+WRENCH = "geometry_msgs/msg/WrenchStamped"
+POSE = "geometry_msgs/msg/PoseStamped"
+TEXT = "std_msgs/msg/String"
+_FIELDS = {
+    WRENCH: tuple(f"wrench.{part}.{axis}" for part in ("force", "torque") for axis in "xyz"),
+    POSE: (*(f"pose.position.{a}" for a in "xyz"), *(f"pose.orientation.{a}" for a in "xyzw")),
+}
+_SCALARS = {"count": "std_msgs/msg/Int64", "flag": "std_msgs/msg/Bool"}
+_ARRAYS = {"count": "std_msgs/msg/Int64MultiArray", "flag": "std_msgs/msg/UInt8MultiArray"}
+_NUMBERS = {"std_msgs/msg/Int64MultiArray": "i8", "std_msgs/msg/UInt8MultiArray": "u1"}
+_ENCAPSULATION = b"\0\1\0\0"  # plain CDR, little-endian
+
+
+@dataclass(frozen=True, slots=True)
+class BagTopic:
+    """One topic: name, message type, and column -> dotted names of the fields that hold it."""
+
+    name: str
+    type: str
+    fields: Mapping[str, tuple[str, ...]]
+
+
+def whole_poses(table: Table) -> list[str]:
+    """Return the columns of poses that a quaternion can hold, rows without any value apart."""
+    found = []
+    for name, column in table.columns.items():
+        if column.kind == "pose" and column.shape == (4, 4):
+            missing = np.isnan(table[name]).all(axis=(1, 2))
+            if (se3.is_pose(table[name], EXACT) | missing).all():
+                found.append(name)
+    return found
+
+
+def topics_of(columns: Mapping[str, Column], poses: Iterable[str]) -> list[BagTopic]:
+    """Return the topics of a table; the same ones when it is read.
+
+    Parameters
+    ----------
+    columns : their descriptions. poses : those of `whole_poses`.
+    """
+    rest, topics = dict(columns), [BagTopic("/t", "std_msgs/msg/Float64", {"t": ("data",)})]
+    for ending in ("", "_ref", "_sent"):
+        parts = {f"{name}{ending}": field for name, field in (("q", "position"), ("qd", "velocity"), ("tau", "effort"))}
+        there = {name: (field,) for name, field in parts.items() if name in rest and rest[name].shape != (0,)}
+        if there:
+            topics.append(BagTopic(f"/joint_states{ending}", JOINTS, there))
+            rest = {name: column for name, column in rest.items() if name not in there}
+    kinds = {name: _type(name, column, poses) for name, column in rest.items()}
+    names = distinct({name: f"/{topic_name(name)}" for name in rest}, [topic.name for topic in topics])
+    return topics + [BagTopic(names[name], kind, {name: _FIELDS.get(kind, ("data",))}) for name, kind in kinds.items()]
+
+
+def messages_of(topic: BagTopic, table: Table, stamps: np.ndarray) -> Iterator[bytes]:
+    """Yield the message of each row.
+
+    Parameters
+    ----------
+    topic : which. table : its rows. stamps : (N,) wall clock of each [ns].
+    """
+    if topic.type == TEXT:
+        (name,) = topic.fields
+        yield from (_text(value) for value in table[name].tolist())
+        return
+    values = {name: _encoded(topic, table[name]) for name in topic.fields}
+    raw = _sample(topic, table, {name: array.shape[1] for name, array in values.items()})
+    found = cdr.layout(raw, topic.type, _types(topic.type))
+    block = np.tile(np.frombuffer(raw, dtype=np.uint8), (len(table), 1))
+    filled = {path: part for name, array in values.items() for path, part in _per_field(topic.fields[name], array)}
+    filled |= {"header.stamp.sec": stamps[:, None] // 10**9, "header.stamp.nanosec": stamps[:, None] % 10**9}
+    for place in found.fields:
+        if place.path in filled and place.count:
+            part = np.ascontiguousarray(filled[place.path], dtype=place.dtype)
+            block[:, place.start : place.stop] = part.view(np.uint8).reshape(len(block), -1)
+    whole, length = block.tobytes(), len(raw)
+    yield from (whole[at : at + length] for at in range(0, len(whole), length))
+
+
+def columns_of(topic: BagTopic, columns: Mapping[str, Column], raws: Sequence[bytes]) -> dict[str, np.ndarray]:
+    """Return the columns (N, ...) in the messages of a topic.
+
+    Parameters
+    ----------
+    topic : which. columns : descriptions of its columns. raws : its messages, one per row.
+
+    Raises
+    ------
+    LogError : messages of another form.
+    """
+    if topic.type == TEXT:
+        (name,) = topic.fields
+        return {name: _texts(raws, columns[name].shape)}
+    wanted = frozenset(path for paths in topic.fields.values() for path in paths)
+    fields: dict[str, np.ndarray] = {}
+    if raws:
+        if len({len(raw) for raw in raws}) > 1:
+            raise LogError(f"Expected messages of one length on {topic.name}, got several. The bag is not of armlab.")
+        block = np.frombuffer(b"".join(raws), dtype=np.uint8).reshape(len(raws), -1)
+        pieces = list(decode_block(block, np.arange(len(raws)), MessageReader(topic.type, _types(topic.type), wanted)))
+        fields = split(assembled(len(raws), pieces))
+    return {name: _decoded(topic, paths, fields, len(raws), columns[name]) for name, paths in topic.fields.items()}
+
+
+def _decoded(
+    topic: BagTopic, paths: Sequence[str], fields: Mapping[str, np.ndarray], rows: int, column: Column
+) -> np.ndarray:
+    size = int(np.prod(column.shape, dtype=int))
+    parts = [fields[path] for path in paths if path in fields]
+    array = np.concatenate(parts, axis=1) if parts else np.zeros((rows, 0))
+    if topic.type == POSE and rows:
+        R = quaternion.to_matrix(np.where(np.isnan(array[:, :1]), [0.0, 0.0, 0.0, 1.0], array[:, 3:])[:, [3, 0, 1, 2]])
+        array = np.where(np.isnan(array[:, :1]), np.nan, se3.from_rp(R, array[:, :3]).reshape(rows, 16))
+    if rows and array.shape[1] != size:
+        raise LogError(f"Expected {size} numbers in each message of {topic.name}, got {array.shape[1]}.")
+    return array.reshape(rows, *column.shape)
+
+
+def _type(name: str, column: Column, poses: Iterable[str]) -> str:
+    if column.kind == "text":
+        return TEXT
+    if name in poses:
+        return POSE
+    if column.shape == (6,) and column.unit == "N, N m":
+        return WRENCH
+    if column.shape:
+        return _ARRAYS.get(column.kind or "", "std_msgs/msg/Float64MultiArray")
+    return _SCALARS.get(column.kind or "", "std_msgs/msg/Float64")
+
+
+def _encoded(topic: BagTopic, array: np.ndarray) -> np.ndarray:
+    """Return the numbers (N, k) of a column in the order of its fields."""
+    if topic.type != POSE:
+        return array.reshape(len(array), int(np.prod(array.shape[1:], dtype=int)))
+    missing = np.asarray(np.isnan(array).all(axis=(1, 2)))
+    q = quaternion.from_matrix(np.where(missing[:, None, None], np.eye(4), array)[:, :3, :3])
+    numbers = np.hstack([array[:, :3, 3], q[:, [1, 2, 3, 0]]])
+    return np.where(missing[:, None], np.nan, numbers)
+
+
+def _per_field(paths: Sequence[str], array: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
+    if len(paths) == 1:
+        yield paths[0], array
+    else:
+        yield from ((path, array[:, place : place + 1]) for place, path in enumerate(paths))
+
+
+def _sample(topic: BagTopic, table: Table, counts: Mapping[str, int]) -> bytes:
+    """Return a message of the topic with zeros."""
+    name = next(iter(topic.fields))
+    if topic.type.endswith("MultiArray"):
+        message = _multi_array(topic.type, table[name].shape[1:])
+    else:
+        message = blank(topic.type)
+    if topic.type == JOINTS:
+        labels = next((table.columns[one].labels for one in topic.fields if table.columns[one].labels), ())
+        message.name = list(labels or (f"joint_{k + 1}" for k in range(counts[name])))
+        for one, (path,) in topic.fields.items():
+            setattr(message, path, np.zeros(counts[one]))
+    if hasattr(message, "header") and name != "t":
+        message.header.frame_id = table.columns[name].frame or ""
+    return bytes(store().serialize_cdr(message, topic.type))
+
+
+def _multi_array(kind: str, shape: Sequence[int]) -> Any:
+    types = store().types
+    strides = np.cumprod([1, *reversed(shape)])[::-1]
+    dims = [
+        types["std_msgs/msg/MultiArrayDimension"](label=f"axis {k + 1}", size=size, stride=int(strides[k]))
+        for k, size in enumerate(shape)
+    ]
+    layout = types["std_msgs/msg/MultiArrayLayout"](dim=dims, data_offset=0)
+    return types[kind](layout=layout, data=np.zeros(int(np.prod(shape, dtype=int)), dtype=_NUMBERS.get(kind, "f8")))
+
+
+def _text(value: Any) -> bytes:
+    raw = (value if isinstance(value, str) else json.dumps(value)).encode() + b"\0"
+    return _ENCAPSULATION + struct.pack("<I", len(raw)) + raw
+
+
+def _texts(raws: Sequence[bytes], shape: Sequence[int]) -> np.ndarray:
+    """Return texts (N, ...); an array of them is a list in JSON."""
+    words = [raw[8 : 7 + struct.unpack_from("<I", raw, 4)[0]].decode() for raw in raws]
+    whole = [json.loads(word) for word in words] if shape else words
+    return np.array(whole, dtype=np.str_).reshape(len(raws), *shape)
+
+
+@cache
+def _types(name: str) -> cdr.Definitions:
+    return cdr.definitions(name, definition(name))
