@@ -13,7 +13,7 @@ from typing import Any, BinaryIO
 import msgspec
 import numpy as np
 
-from armlab.errors import LogError, UnknownName
+from armlab.errors import ArmlabError, LogError, UnknownName
 from armlab.log.column import Column
 from armlab.log.description import Description, Progress, distinct
 from armlab.log.extras import needed
@@ -26,7 +26,7 @@ CHUNK = 1 << 18  # bytes: what a reader of a few rows unpacks
 
 
 def write_hdf5(table: Table, file: BinaryIO, progress: Progress) -> None:
-    """Write a dataset per column, shuffled and packed by gzip, with attributes unit, kind, frame and labels.
+    """Write a dataset per column, shuffled and packed by gzip, with attributes unit, kind, frame and labels, if any.
 
     Parameters
     ----------
@@ -48,10 +48,13 @@ def write_hdf5(table: Table, file: BinaryIO, progress: Progress) -> None:
         _dataset(h5py, whole, "t", table.t).attrs["unit"] = "s"
         for place, (name, own) in enumerate(names.items()):
             one, described = _dataset(h5py, whole, own, table[name]), about["columns"][name]
-            one.attrs["name"], one.attrs["place"] = name, place
-            for key in ("unit", "kind", "frame"):
-                one.attrs[key] = getattr(described, key)
-            one.attrs.create("labels", np.array(described.labels, dtype=object), dtype=h5py.string_dtype())
+            one.attrs["place"] = place
+            texts = {"unit": described.unit, "kind": described.kind, "frame": described.frame}
+            for key, text in (texts | ({"name": name} if name != own else {})).items():
+                if text:  # an attribute takes a tenth of a millisecond
+                    one.attrs[key] = text
+            if described.labels:
+                one.attrs.create("labels", np.array(described.labels, dtype=object), dtype=h5py.string_dtype())
             progress(place + 1, len(names), name)
     told.check()
 
@@ -90,7 +93,7 @@ def read_hdf5(path: Path, columns: Sequence[str] | None = None) -> Table:
                 if name not in names:
                     raise UnknownName.among("column", name, names)
             return about.table(path, whole["t"][()], {name: _values(whole[names[name]]) for name in wanted})
-    except (LogError, UnknownName):
+    except ArmlabError:
         raise
     except Exception as error:  # h5py raises OSError, RuntimeError, KeyError and more on damaged files
         what = " ".join(str(error).split()).rstrip(".") or type(error).__name__
@@ -102,9 +105,9 @@ def _described(whole: Any) -> tuple[Description, dict[str, str]]:
     names, described = {}, {}
     columns = [(own, one) for own, one in whole.items() if own != "t"]
     for own, one in sorted(columns, key=lambda entry: int(entry[1].attrs["place"])):
-        name = str(one.attrs["name"])
-        texts = {key: str(one.attrs[key]) for key in ("unit", "kind", "frame")}
-        names[name], described[name] = own, Column(one.shape[1:], labels=tuple(one.attrs["labels"]), **texts)
+        name = str(one.attrs.get("name", own))
+        texts = {key: str(one.attrs.get(key, "")) for key in ("unit", "kind", "frame")}
+        names[name], described[name] = own, Column(one.shape[1:], labels=tuple(one.attrs.get("labels", ())), **texts)
     texts = {key: str(whole.attrs[key]) for key in ("armlab", "clock")}
     lists = {key: tuple(whole.attrs[key]) for key in ("notes", "source")}
     return Description.made(described, t0_ns=int(whole.attrs["t0_ns"]), **texts, **lists), names

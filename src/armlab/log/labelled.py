@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -119,6 +120,7 @@ def labelled_table(
         notes.append(f"{len(t) - len(kept)} rows that repeat a time are dropped")
     kept = kept[::every]
     values, columns = _together(values, columns)
+    values, columns = _apart(values, columns, notes)
     try:
         return Table(
             t[kept] - (t[kept[0]] if len(kept) else 0.0),
@@ -214,6 +216,18 @@ def _together(
             result[name] = np.stack(ordered, axis=1).reshape(len(array), *np.max(list(group), axis=0))
             described[name] = Column(unit=_shared_unit(name, [columns[member] for member in group.values()]))
     return result, described
+
+
+def _apart(
+    values: dict[str, np.ndarray], columns: dict[str, Column], notes: list[str]
+) -> tuple[dict[str, np.ndarray], dict[str, Column]]:
+    """Give single numbers another name where the glossary has an array: the y of a point is not that of joints."""
+    arrays = {name for name, symbol in symbols().items() if symbol.shape.count(",") > symbol.shape.count(",)")}
+    other = {name: f"{name}_" for name, array in values.items() if array.ndim == 1 and name in arrays}
+    notes += [f"{name}: one number per row, the glossary has an array; it is {new} here" for name, new in other.items()]
+    units = {name: replace(columns[name], unit=columns[name].unit or "1") for name in other}
+    columns = {other.get(name, name): units.get(name, column) for name, column in columns.items()}
+    return {other.get(name, name): array for name, array in values.items()}, columns
 
 
 def _place(label: str) -> tuple[str, tuple[int, ...]]:

@@ -8,7 +8,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from armlab.errors import LogError, UnknownName
+from armlab.errors import ArmlabError, LogError, UnknownName
 from armlab.log.description import Description, Progress, components, distinct, of_json, put_together
 from armlab.log.extras import needed
 from armlab.log.labelled import labelled_table, names_of
@@ -70,7 +70,9 @@ def read_parquet(path: Path, columns: Sequence[str] | None = None) -> Table:
             if about is None:
                 return _foreign(pa, path, file)
             return _as_written(path, file, of_json(about, path), columns)
-    except (pa.ArrowException, OSError) as error:
+    except ArmlabError:
+        raise
+    except Exception as error:  # Arrow raises its own errors, OSError, and those of Python for damaged names
         what = " ".join(str(error).split()).rstrip(".")
         raise LogError(f"Expected a whole Parquet file at {path}, got a damaged one: {what[:200]}.") from None
 

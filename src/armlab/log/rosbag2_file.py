@@ -63,7 +63,7 @@ def _stamps(table: Table) -> np.ndarray:
     """Return the wall clock of each row [ns], from 0 and increasing, so that the order of rows is that of stamps."""
     if not len(table):
         return np.zeros(0, dtype=np.int64)
-    if np.abs(table.t).max() * 1e9 >= LAST:
+    if np.abs(table.t).max() >= LAST / 1e9:
         raise LogError(f"Expected times of at most {LAST / 1e9:.3g} s for a rosbag2, got {np.abs(table.t).max():g} s.")
     stamps = np.round(table.t * 1e9).astype(np.int64)
     order = np.arange(len(stamps))

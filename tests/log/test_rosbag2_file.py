@@ -1,0 +1,130 @@
+"""A table in a rosbag2, read by rosbags as any program reads it; and what is refused."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from armlab import log
+from armlab.errors import LogError, UnknownName
+from armlab.lie import se3
+from armlab.log import Column, Table
+from armlab.log.rosbag2_file import STORAGES, read_rosbag2, write_rosbag2
+
+START = 1_700_000_000_000_000_000
+
+
+@pytest.fixture
+def table() -> Table:
+    rng = np.random.default_rng(3)
+    values = {"q": rng.normal(size=(5, 2)), "tau": rng.normal(size=(5, 2)), "wrench": rng.normal(size=(5, 6))}
+    values |= {"T_base_tool": se3.exp(rng.normal(size=(5, 6))), "seq": np.arange(5) + 2**60}
+    values |= {"mode": np.array(["a", "", "grå", "d", "e"]), "late": np.arange(5) % 2 == 0}
+    values |= {"J": rng.normal(size=(5, 2, 3)), "bits": np.arange(10).reshape(5, 2) % 2 == 1}
+    columns = {"q": Column(labels=("elbow", "wrist")), "mode": Column(unit="1", kind="text"), "J": Column(unit="1")}
+    columns["bits"] = Column(unit="1", kind="flag")
+    return Table(1.0 + np.arange(5) * 0.004, values, columns, t0_ns=START, clock="robot", source=("here",))
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_what_another_program_reads(table: Table, tmp_path: Path, storage: str) -> None:
+    path = log.write(table, tmp_path / "run.rosbag2", storage=storage)
+    ending = {"mcap": "mcap", "sqlite3": "db3"}[storage]
+    assert sorted(entry.name for entry in path.iterdir()) == ["metadata.yaml", f"run.rosbag2.{ending}"]
+    assert "version: 8" in (path / "metadata.yaml").read_text()
+    types, found = {}, {}
+    with AnyReader([path]) as bag:
+        for connection, stamp, raw in bag.messages():
+            types[connection.topic] = connection.msgtype
+            found.setdefault(connection.topic, []).append((stamp, bag.deserialize(raw, connection.msgtype)))
+    assert Counter(len(messages) for messages in found.values()) == {5: len(types)}
+    assert types == {
+        "/t": "std_msgs/msg/Float64",
+        "/joint_states": "sensor_msgs/msg/JointState",
+        "/wrench": "geometry_msgs/msg/WrenchStamped",
+        "/T_base_tool": "geometry_msgs/msg/PoseStamped",
+        "/seq": "std_msgs/msg/Int64",
+        "/mode": "std_msgs/msg/String",
+        "/late": "std_msgs/msg/Bool",
+        "/J": "std_msgs/msg/Float64MultiArray",
+        "/bits": "std_msgs/msg/UInt8MultiArray",
+    }
+    stamp, joints = found["/joint_states"][1]
+    assert stamp == START + 1_004_000_000
+    assert (joints.header.stamp.sec, joints.header.stamp.nanosec) == (START // 10**9 + 1, 4_000_000)
+    assert joints.name == ["elbow", "wrist"]
+    np.testing.assert_array_equal(joints.position, table["q"][1])
+    np.testing.assert_array_equal(joints.effort, table["tau"][1])
+    assert len(joints.velocity) == 0
+    wrench = found["/wrench"][2][1]
+    assert wrench.header.frame_id == "base"
+    assert wrench.wrench.torque.z == table["wrench"][2, 5]
+    pose = found["/T_base_tool"][3][1].pose
+    assert pose.position.y == table["T_base_tool"][3, 1, 3]
+    size = pose.orientation.w**2 + pose.orientation.x**2 + pose.orientation.y**2 + pose.orientation.z**2
+    assert size == pytest.approx(1.0)
+    array = found["/J"][4][1]
+    assert [(dim.size, dim.stride) for dim in array.layout.dim] == [(2, 6), (3, 3)]
+    np.testing.assert_array_equal(array.data, table["J"][4].ravel())
+    assert [message.data for _, message in found["/mode"]] == table["mode"].tolist()
+    assert found["/seq"][2][1].data == 2**60 + 2
+    assert callable(write_rosbag2)
+
+
+def test_stamps_that_meet_and_times_before_zero(tmp_path: Path) -> None:
+    """The order of rows is that of stamps; the clock is exact in /t."""
+    table = Table([-5.0, -5.0 + 1e-15 * 4, 0.1, 0.1 + 1e-12], {"k": [1.0, 2.0, 3.0, 4.0]}, {"k": Column(unit="1")})
+    again = log.read(log.write(table, tmp_path / "run.rosbag2"))
+    assert again.sha256 == table.sha256
+
+
+def test_times_that_ros_cannot_hold(table: Table, tmp_path: Path) -> None:
+    late = Table(table.t, {"q": table["q"]}, t0_ns=2**62)
+    with pytest.raises(LogError, match="before the year 2038"):
+        log.write(late, tmp_path / "run.rosbag2")
+    with pytest.raises(LogError, match=r"times of at most 2\.15e\+09 s"):
+        log.write(Table([0.0, 1e300], {"q": np.zeros((2, 1))}), tmp_path / "run.rosbag2")
+    with pytest.raises(UnknownName, match="storage"):
+        log.write(table, tmp_path / "run.rosbag2", storage="postgres")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_bag_of_another_program_is_named_with_its_topics(tmp_path: Path) -> None:
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    with Writer(tmp_path / "other", version=8, storage_plugin=StoragePlugin.SQLITE3) as bag:
+        bag.add_connection("/chatter", "std_msgs/msg/String", typestore=store)
+    with pytest.raises(LogError, match=r"a rosbag2 that armlab has written .*/chatter \(std_msgs/msg/String\)"):
+        read_rosbag2(tmp_path / "other")
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_damaged_bags(table: Table, tmp_path: Path, storage: str) -> None:
+    path = log.write(table, tmp_path / "run.rosbag2", storage=storage)
+    rng = np.random.default_rng(1)
+    for file in path.iterdir():
+        data = file.read_bytes()
+        spoilt = [data[:n] for n in rng.integers(0, len(data), 12)]
+        for _ in range(12):
+            one = bytearray(data)
+            one[rng.integers(0, len(data))] ^= rng.integers(1, 256)
+            spoilt.append(bytes(one))
+        for one in spoilt:
+            file.write_bytes(one)
+            try:
+                log.read(path)
+            except LogError as error:
+                assert str(error).endswith(".")  # noqa: PT017
+        file.write_bytes(data)
+    assert log.read(path).names == table.names
+    for file in path.glob("run*"):
+        with pytest.raises(LogError, match="the folder of a rosbag2|without columns"):
+            log.read(file)
+        file.unlink()
+    with pytest.raises(LogError, match="a whole rosbag2"):
+        log.read(path)
