@@ -1,4 +1,4 @@
-"""``armlab log show`` and ``armlab log recover``."""
+"""``armlab log show``, ``armlab log export`` and ``armlab log recover``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from armlab import cli, robots
-from armlab.cli.log import log, recover, show
+from armlab.cli.log import export, log, recover, show
 from armlab.log import Recorder, Tick, read
 from armlab.state import Command, State
 
@@ -105,3 +105,43 @@ def test_wrong_files_are_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixt
         assert captured.err.count("\n") == 1
         assert words in captured.err
     assert cli.main(["log", "show"]) == 2
+
+
+@pytest.mark.parametrize("ending", [".csv", ".mat", ".parquet", ".h5", ".rosbag2"])
+def test_export_and_back(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], ending: str) -> None:
+    output = tmp_path / f"run{ending}"
+    assert cli.main(["log", "export", str(path), str(output)]) == 0
+    captured = capsys.readouterr()
+    assert captured.out == f"{output}\n"
+    assert captured.err == f"export: reading run.mcap\nexport: writing run{ending}\n"
+    table, again = read(path), read(output)
+    assert again.sha256 == table.sha256
+    assert again.source[1:] == table.source
+    assert cli.main(["log", "export", str(path), str(output)]) == 1
+    assert "which exists. Choose another name or add --force." in capsys.readouterr().err
+    assert cli.main(["log", "export", str(path), str(output), "--force"]) == 0
+    back = tmp_path / "back.mcap"
+    assert cli.main(["log", "export", str(output), str(back), "--robot", "yumi_right"]) == 0
+    np.testing.assert_array_equal(read(back)["q"], table["q"])
+
+
+def test_export_refuses_in_one_sentence(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "kept.csv.toml").write_text("mine")
+    for output, words in (
+        ("run.xls", "ends in .mcap or .csv or .mat"),
+        ("none/run.csv", "Make the folder first"),
+        ("kept.csv", "kept.csv.toml, which exists"),
+        ("other.mcap", "the robot of the table"),
+    ):
+        assert cli.main(["log", "export", str(path), str(tmp_path / output)]) == 1
+        assert words in capsys.readouterr().err.splitlines()[-1]
+    assert cli.main(["log", "export", str(path), str(tmp_path / "run.rosbag2"), "--storage", "zip"]) == 2
+    assert cli.main(["log", "export", str(path)]) == 2
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["kept.csv.toml", "run.mcap"]
+    assert export.__doc__
+
+
+def test_export_names_what_matlab_calls_otherwise(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "orca.csv").write_text("t [s],robot[0].pos\n0,1\n1,2\n")
+    assert cli.main(["log", "export", str(tmp_path / "orca.csv"), str(tmp_path / "orca.mat")]) == 0
+    assert "robot[0].pos is robot_0__pos." in capsys.readouterr().err

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from armlab.log.labels import alias, natural_key
+from armlab.log.labels import OLD_NAMES, alias, natural_key
 
 
 def test_aliases_are_those_of_the_old_tools() -> None:
@@ -13,3 +13,7 @@ def test_aliases_are_those_of_the_old_tools() -> None:
 def test_natural_order() -> None:
     names = ["q10", "q9", "q1", "p2", "q", "2q"]
     assert sorted(names, key=natural_key) == ["2q", "p2", "q", "q1", "q9", "q10"]
+
+
+def test_names_of_the_ancestors_logs() -> None:
+    assert (OLD_NAMES["pos"], OLD_NAMES["trq_o"], OLD_NAMES["timestamp"]) == ("q", "tau_ref", "t")

@@ -11,6 +11,7 @@ from scipy.io import savemat
 
 from armlab.errors import LogError, MissingExtra, UnknownName
 from armlab.log import read_mat
+from armlab.log.mat_file import read_variables
 
 ARRAYS = {"T": np.arange(12.0).reshape(3, 4), "few": np.array([[1, 2, 3]], dtype=np.int16)}
 
@@ -45,6 +46,17 @@ def test_one_variable(tmp_path: Path) -> None:
     assert list(read_mat(tmp_path / "a.mat", "few")) == ["few"]
     with pytest.raises(UnknownName, match="few"):
         read_mat(tmp_path / "a.mat", "fewer")
+
+
+def test_variables_keep_their_types_and_text(tmp_path: Path) -> None:
+    cells = np.array([["a"], ["grå"], [""]], dtype=object)
+    mixed = np.array([[1.0], ["b"]], dtype=object)
+    savemat(tmp_path / "a.mat", {**ARRAYS, "text": "hello", "cells": cells, "mixed": mixed, "z": np.array([1j])})
+    found, left_out = read_variables(tmp_path / "a.mat")
+    assert found["few"].dtype == np.int16
+    assert found["text"].tolist() == [["hello"]]
+    assert found["cells"].tolist() == [["a"], ["grå"], [""]]
+    assert left_out == ["mixed", "z"]
 
 
 def test_what_is_no_mat_file(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from armlab.log import Column, Tick
+from armlab.log import Column, Tick, messages
 from armlab.log.messages import CLOCK_KEY, COLUMN_KEY, Pen, Topic, definition, event, parameter, topic_name, topics
 from armlab.log.rows import RowLayout
 from armlab.robots import Robot
@@ -95,3 +95,12 @@ def test_events_and_names(store) -> None:
     assert (decoded.msg, decoded.stamp.sec, decoded.stamp.nanosec, decoded.level) == ("hé", 2, 1, 20)
     assert topic_name("my arm-2") == "my_arm_2"
     assert Topic("x", "y", {}).frame_id == ""
+
+
+def test_a_blank_message_is_zeros_and_empty_texts() -> None:
+    known = messages.store()
+    message = messages.blank("sensor_msgs/msg/JointState")
+    assert (message.name, len(message.position), message.header.frame_id) == ([], 0, "")
+    assert messages.blank("geometry_msgs/msg/WrenchStamped").wrench.torque.z == 0
+    raw = bytes(known.serialize_cdr(message, "sensor_msgs/msg/JointState"))
+    assert known.deserialize_cdr(raw, "sensor_msgs/msg/JointState").header.stamp.sec == 0

@@ -96,8 +96,8 @@ def test_damaged_files(table: Table, tmp_path: Path) -> None:
             log.read(path)
         except LogError as error:
             assert str(error).endswith(".")  # noqa: PT017
+    path.write_bytes(data[:50])
     with pytest.raises(LogError, match="a whole Parquet file"):
-        path.write_bytes(data[:50])
         log.read(path)
 
 

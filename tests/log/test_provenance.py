@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from armlab.log import Column, Table
-from armlab.log.provenance import file_hash, table_hash
+from armlab.log.provenance import file_hash, origin, table_hash
 
 
 def test_the_hash_of_a_table_never_changes_between_versions() -> None:
@@ -30,3 +30,14 @@ def test_file_hash(tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.write_bytes(b"armlab" * 1000)
     assert file_hash(path) == hashlib.sha256(b"armlab" * 1000).hexdigest()
+    assert origin(path) == f"file sha256 {file_hash(path)}"
+
+
+def test_the_hash_of_a_folder_counts_names_and_contents(tmp_path: Path) -> None:
+    found = set()
+    for name, text in (("a", "x"), ("a", "y"), ("b", "y")):
+        (tmp_path / name).write_text(text)
+        found.add(origin(tmp_path))
+        (tmp_path / name).unlink()
+    assert len(found) == 3
+    assert all(one.startswith(f"{tmp_path.name} sha256 ") for one in found)

@@ -123,7 +123,7 @@ def test_damaged_bags(table: Table, tmp_path: Path, storage: str) -> None:
         file.write_bytes(data)
     assert log.read(path).names == table.names
     for file in path.glob("run*"):
-        with pytest.raises(LogError, match="the folder of a rosbag2|without columns"):
+        with pytest.raises(LogError, match=r"the folder of a rosbag2|without columns"):
             log.read(file)
         file.unlink()
     with pytest.raises(LogError, match="a whole rosbag2"):

@@ -262,3 +262,14 @@ def test_the_chain_of_sources_goes_through_all_formats(table: Table, tmp_path) -
         "run.csv",
     ]
     assert found.source[-1] == f"run.csv sha256 {file_hash(tmp_path / 'run.csv')}"
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_an_interrupt_leaves_nothing(tmp_path, ending) -> None:
+    def interrupt(*_args: object) -> None:
+        raise KeyboardInterrupt
+
+    long = Table(np.arange(1500.0), {"q": np.zeros((1500, 7))})
+    with pytest.raises(KeyboardInterrupt):
+        write(long, tmp_path / f"run{ending}", robots.load("yumi_left"), progress=interrupt)
+    assert not list(tmp_path.iterdir())

@@ -1,10 +1,10 @@
-"""``armlab log``: what a log holds, and the repair of one that was cut off."""
+"""``armlab log``: what a log holds, its export, and the repair of one that was cut off."""
 
 from __future__ import annotations
 
 from operator import itemgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from cyclopts import App
 
@@ -12,11 +12,11 @@ if TYPE_CHECKING:
     from armlab.log import Table
     from armlab.log.inspection import Inspection
 
-__all__ = ["log", "recover", "show"]
+__all__ = ["export", "log", "recover", "show"]
 
 _EVENTS_SHOWN = 20
 
-log = App(name="log", help="Show and repair logs.")
+log = App(name="log", help="Show, export and repair logs.")
 
 
 @log.command
@@ -48,6 +48,63 @@ def show(file: Path, *, json: bool = False, parameters: bool = False) -> None:
         print_json(_data(held, table))
     else:
         result(_text(held, table))
+
+
+@log.command
+def export(
+    file: Path,
+    output: Path,
+    *,
+    robot: str | None = None,
+    storage: Literal["mcap", "sqlite3"] = "mcap",
+    force: bool = False,
+) -> None:
+    """Write a log in another format, which the ending of the new name tells.
+
+    .csv for spreadsheets, .mat for MATLAB, .parquet for pandas and databases, .h5 for HDF5, .rosbag2 for ROS 2, .mcap
+    for a recording of armlab. armlab reads all of them back as they were.
+
+    Parameters
+    ----------
+    file
+        A log in any of these formats, finished or not.
+    output
+        The new file; of a rosbag2 the new folder.
+    robot
+        Which one, of a recording of several; the arm of the log, for .mcap.
+    storage
+        Of a rosbag2: sqlite3 for releases of ROS 2 that are older than Iron.
+    force
+        Replace an existing file.
+    """
+    from armlab import log as logs
+    from armlab import robots
+    from armlab.cli.output import check_output, note, progress, refuse_overwrite, result
+    from armlab.log.formats import format_at
+    from armlab.log.mat_table import matlab_names
+    from armlab.log.sidecar import sidecar_path
+    from armlab.log.writing import ENDINGS
+
+    check_output(output, force, ENDINGS)
+    ending = output.suffix.lower()
+    if ending == ".csv":
+        refuse_overwrite(sidecar_path(output), force)
+    arm = robots.load(robot) if robot is not None and ending == ".mcap" else None
+    with progress("export") as tell:
+        tell(0, 1, f"reading {file.name}")
+        table = logs.read(file, robot=robot if format_at(file) == "MCAP" else None)
+        logs.write(
+            table,
+            output,
+            arm,
+            storage=storage,
+            progress=lambda done, total, _: tell(done, total, f"writing {output.name}"),
+        )
+    if ending == ".mat":
+        changed = [f"{name} is {own}" for name, own in matlab_names(table.names).items() if own != name]
+        if changed:
+            note(f"Names that MATLAB does not allow: {', '.join(changed)}. The struct names in the file has them, too.")
+    result(str(output))
 
 
 @log.command
