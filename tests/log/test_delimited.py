@@ -138,3 +138,49 @@ def test_what_is_written_reads_back_to_the_last_bit(tmp_path_factory, values, sc
     )
     again = read_csv(write(table, tmp_path_factory.mktemp("csv") / "log.csv"))
     assert again.sha256 == table.sha256
+
+
+@pytest.mark.parametrize(
+    ("text", "separator"),
+    [
+        ("t,x\n0,1\n1,+2\n2,.5\n3,1.\n", ","),  # numbers that JSON has not
+        ("t;x\r\n0;1\r\n1;2\r\n2;.5\r\n3;1\r\n", ";"),
+        ("t x\n0 1\n1 2\n2 0.5\n3 1e0\n", " "),
+        ("t\tx\n0\t1\n1\t2\n2\t5e-1\n3\t1\n", "\t"),
+        ('"t","x"\n"0",1\n1,2\n2,0.5\n3,1\n\n\n', ","),
+        ("t,x\n0,1\n1,2\n2,0.5\n3,0x1\n".replace("0x1", " 1 "), ","),
+    ],
+)
+def test_numbers_in_any_writing(tmp_path: Path, text: str, separator: str) -> None:
+    table = read_csv(written(tmp_path, text), separator=separator)
+    assert table["x"].tolist() == [1.0, 2.0, 0.5, 1.0]
+
+
+@pytest.mark.parametrize("word", ["true", "null", "[1]", '"1', "1e", "NaN", "Infinity", "--1", "0x10", "1_000"])
+def test_words_that_json_or_python_take_for_numbers(tmp_path: Path, word: str) -> None:
+    """What is read fast and what is read word by word mean the same."""
+    path = written(tmp_path, f"t,x,k\n0,1,1\n1,{word},2\n")
+    if word == '"1':
+        with pytest.raises(LogError, match="Expected 3 fields"):
+            read_csv(path)
+        return
+    expected = {"NaN": np.nan, "Infinity": np.inf, "1_000": 1000.0}
+    found = read_csv(path)["x"]
+    if word in expected:
+        np.testing.assert_array_equal(found, [1.0, expected[word]])
+    else:
+        assert found.tolist() == ["1", word]
+
+
+def test_empty_fields_wherever_they_are(tmp_path: Path) -> None:
+    table = read_csv(written(tmp_path, "x,t,y1,y2,n\n,0,,,\n1,1,2,3,\n,2,,,9007199254740993\n"))
+    np.testing.assert_array_equal(table["x"], [np.nan, 1, np.nan])
+    np.testing.assert_array_equal(table["y"], [[np.nan] * 2, [2, 3], [np.nan] * 2])
+    assert np.isnan(table["n"][:2]).all()
+
+
+@pytest.mark.parametrize("size", [1, 7, 1 << 18])
+def test_blocks_end_where_lines_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, size: int) -> None:
+    monkeypatch.setattr("armlab.log.delimited.BLOCK", size)
+    path = written(tmp_path, "t,k\r\n" + "".join(f"{i},{2**60 + i}\r\n" for i in range(50)))
+    assert read_csv(path)["k"].tolist() == [2**60 + i for i in range(50)]

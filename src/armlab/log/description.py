@@ -81,7 +81,8 @@ class Description(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Parameters
         ----------
         path : the file, with which the source of the table goes on.
-        t : (N,). values : all columns or some, of any shape with as many values.
+        t : (N,). values : all columns or some, of any shape with as many values. Nobody else may hold these arrays: the
+            table takes them without a copy.
 
         Raises
         ------
@@ -93,6 +94,7 @@ class Description(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
                 name: _stored(array, described[name].kind or "real").reshape(len(t), *described[name].shape)
                 for name, array in values.items()
             }
+            t.flags.writeable = False
             return Table(
                 t,
                 whole,
@@ -191,7 +193,8 @@ def _parts(name: str, column: Column) -> Iterator[tuple[str, str]]:
 def _stored(array: np.ndarray, kind: str) -> np.ndarray:
     """Return values in the type of their kind; what does not fit is refused by the table."""
     if kind == "text":
-        return array.astype(np.str_)
+        array = array.astype(np.str_)
     if kind == "flag" and array.dtype.kind in "iu":
-        return array.astype(bool)
+        array = array.astype(bool)
+    array.flags.writeable = False
     return array
