@@ -42,7 +42,9 @@ def _words(values: np.ndarray) -> list[bytes]:
         return [b"" if value != value else repr(value).encode() for value in values.tolist()]  # NaN is not itself
     numbers = values.astype(np.int8) if values.dtype.kind == "b" else values
     words = msgspec.json.encode(numbers.tolist())[1:-1].split(b",")  # six times as fast as repr
-    return [b"" if word == b"null" else word for word in words] if values.dtype.kind == "f" else words
+    if values.dtype.kind == "f" and np.isnan(values).any():
+        return [b"" if word == b"null" else word for word in words]
+    return words
 
 
 def _quoted(word: str, always: bool = False) -> bytes:
