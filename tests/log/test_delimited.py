@@ -13,6 +13,7 @@ from hypothesis.extra.numpy import arrays
 
 from armlab.errors import LogError
 from armlab.log import Column, Table, read, read_csv, write
+from armlab.log.delimited import rows_of
 
 ROWS = "t [ms],q1 [deg],q2 [deg],tau_1,tau_2,grip [N]\n0,180,0,1,2,0.5\n4,90,-90,1.5,,0.5\n8,0,0,2,4,0.5\n"
 
@@ -184,3 +185,9 @@ def test_blocks_end_where_lines_do(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr("armlab.log.delimited.BLOCK", size)
     path = written(tmp_path, "t,k\r\n" + "".join(f"{i},{2**60 + i}\r\n" for i in range(50)))
     assert read_csv(path)["k"].tolist() == [2**60 + i for i in range(50)]
+
+
+def test_the_fields_of_the_first_lines(tmp_path: Path) -> None:
+    path = written(tmp_path, '\ufeffa,"b\nc"\n1,2\n3,4\n')
+    assert rows_of(path, ",", 2) == [["a", "b\nc"], ["1", "2"]]
+    assert len(rows_of(path, ",")) == 3

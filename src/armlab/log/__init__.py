@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from armlab.log import nikon
+from armlab.log.abb import read_abb
 from armlab.log.column import Column
 from armlab.log.delimited import read_csv
 from armlab.log.growing import Log, Tail
 from armlab.log.inspection import inspect
 from armlab.log.labcomm import read_labcomm
 from armlab.log.mat_file import read_mat
+from armlab.log.orca import from_orca
 from armlab.log.reading import read
 from armlab.log.recorder import Recorder
 from armlab.log.recovery import recover
@@ -25,9 +27,11 @@ __all__ = [
     "Tail",
     "Tick",
     "concat",
+    "from_orca",
     "inspect",
     "nikon",
     "read",
+    "read_abb",
     "read_csv",
     "read_labcomm",
     "read_mat",

@@ -26,7 +26,7 @@ from armlab.log.labelled import labelled_table, names_of
 from armlab.log.sidecar import read_sidecar
 from armlab.log.table import Table
 
-__all__ = ["read_csv"]
+__all__ = ["read_csv", "rows_of"]
 
 BLOCK = 1 << 18  # bytes of text at a time
 _EMPTY = ((b",,", b",null,"), (b",,", b",null,"), (b",\n", b",null\n"), (b"\n,", b"\nnull,"))  # fields
@@ -69,7 +69,7 @@ def read_csv(
             f"{every} and {separator!r}."
         )
     beside = read_sidecar(path)
-    header = _rows(path, separator, skip + 1)[skip:]
+    header = rows_of(path, separator, skip + 1)[skip:]
     if beside is not None and rate is None and header == [beside.labels()]:
         table = _as_written(path, beside)
         return table if every == 1 else table.rows(slice(None, None, every))
@@ -95,8 +95,17 @@ def _open(path: Path) -> BinaryIO:
     return cast(BinaryIO, gzip.open(path)) if found == "gzip" else path.open("rb")
 
 
-def _rows(path: Path, separator: str, count: int | None = None) -> list[list[str]]:
-    """Return the fields of the first lines, of all when None."""
+def rows_of(path: Path, separator: str, count: int | None = None) -> list[list[str]]:
+    """Return the fields of the lines of a text file, packed or not.
+
+    Parameters
+    ----------
+    path : of the file. separator : between fields. count : of the first lines; of all when None.
+
+    Raises
+    ------
+    LogError : no file, or no text in UTF-8.
+    """
     try:
         with _open(path) as raw, TextIOWrapper(raw, encoding="utf-8-sig", newline="") as file:
             return list(islice(csv.reader(file, delimiter=separator), count))
@@ -154,7 +163,7 @@ def _column(values: Sequence[Any], whole: bool) -> np.ndarray:
 
 def _lines(path: Path, skip: int, separator: str, least: int = 2) -> list[list[str]]:
     """Return the fields of each line below the header."""
-    rows = _rows(path, separator)[skip:]
+    rows = rows_of(path, separator)[skip:]
     while rows and not any(rows[-1]):
         rows.pop()
     if len(rows) < least:
