@@ -53,11 +53,3 @@ def test_a_number_that_is_too_large_for_a_joint_is_a_label(path: Path) -> None:
     """Nobody lists all places up to it."""
     arrays = {"t": (np.array([0.0, 1.0]), ""), "q999999999999": (np.array([0.0, 1.0]), "")}
     assert labelled_table(path, arrays).names == ("q999999999999",)
-
-
-def test_points_are_no_movement_primitives(path: Path) -> None:
-    """The glossary has x, y for primitives; a file of points has them too."""
-    arrays = {name: (np.arange(3.0), "mm" if name in "xyz" else "") for name in ("t", "y", "z", "q", "qd1")}
-    table = labelled_table(path, arrays)
-    assert dict(table.units) == {"y_": "m", "z": "m", "q_": "1", "qd": "rad/s"}
-    assert table.notes == tuple(f"{n}: one number per row, the glossary has an array; it is {n}_ here" for n in "yq")

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
 from armlab import log
-from armlab.glossary import symbols
+from armlab.glossary import columns as known
 from armlab.lie import se3
 from armlab.log import Column, Table
 
@@ -22,7 +22,7 @@ TEXTS = st.sampled_from(NASTY) | WORDS
 MEETING = ["a.b", "a:b", "a_b", "A_b", "a/b", "x" * 70, "x" * 69 + "y", "q1", "q[1]", "/t", "joint_states", "_"]
 TAKEN = ["units", "names", "armlab", "end", "2nd", ".", "..", "T", "time", "columns"]
 ODD = ["x y", "x, y", "l\nb", "\r", "it's", "grå", "a [b]", "robot[0].joint[2].posRawAbs"]
-NAMES = st.sampled_from(MEETING + TAKEN + ODD) | WORDS.filter(lambda name: name not in {*symbols(), "", "t"})
+NAMES = st.sampled_from(MEETING + TAKEN + ODD) | WORDS.filter(lambda name: name not in {*known(), "", "t"})
 UNITS = st.sampled_from(["1", "N", "N, N m", "rad", "furlong", "ü/s", "N m, J", "%"])
 KINDS = ("real", "angle", "pose", "quaternion", "count", "flag", "text")
 FRAMES = st.sampled_from(["", "base", "ü"])

@@ -23,8 +23,8 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
+from armlab import glossary
 from armlab.errors import ConfigError, LogError, UnknownName
-from armlab.glossary import symbols
 from armlab.log.column import Column
 from armlab.log.delimited import rows_of
 from armlab.log.formats import is_text
@@ -184,7 +184,7 @@ def _joined(table: Table, robot: Robot, path: Path) -> Table:
             ordered = abb_to_logical(robot, np.stack([table.values.get(axis, empty) for axis in axes], axis=1))
             to_joint = motor_torque_to_joint if name.startswith("tau") else motor_to_joint
             values[name] = to_joint(behind, ordered)
-            unit, frame = (None, None) if name in symbols() else ("N m", "joint")
+            unit, frame = (None, None) if name in glossary.columns() else ("N m", "joint")
             columns[name] = Column(unit=unit, frame=frame, labels=robot.joint_names)
             table = table.without(*(axis for axis in axes if axis in table))
     return Table(

@@ -9,13 +9,12 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from armlab import glossary
 from armlab.errors import ArmlabError, LogError
-from armlab.glossary import symbols
 from armlab.log.column import Column
 from armlab.log.provenance import origin
 from armlab.log.table import Table
@@ -120,7 +119,6 @@ def labelled_table(
         notes.append(f"{len(t) - len(kept)} rows that repeat a time are dropped")
     kept = kept[::every]
     values, columns = _together(values, columns)
-    values, columns = _apart(values, columns, notes)
     try:
         return Table(
             t[kept] - (t[kept[0]] if len(kept) else 0.0),
@@ -138,7 +136,7 @@ def _in_si(path: Path, arrays: Mapping[str, tuple[np.ndarray, str]]) -> tuple[di
     values: dict[str, np.ndarray] = {}
     columns: dict[str, Column] = {}
     for name, (array, unit) in arrays.items():
-        symbol = symbols().get(name)
+        symbol = glossary.columns().get(name)
         kept = (unit, 1.0) if unit in _glossary_units() else None
         known = kept if symbol is not None and symbol.unit == unit else UNITS.get(unit) or kept
         if known is None:
@@ -158,7 +156,7 @@ def _in_si(path: Path, arrays: Mapping[str, tuple[np.ndarray, str]]) -> tuple[di
 
 
 def _glossary_units() -> set[str]:
-    return {unit for symbol in symbols().values() for unit in symbol.unit.split(", ")}
+    return {unit for symbol in glossary.symbols().values() for unit in symbol.unit.split(", ")}
 
 
 def _clock(
@@ -208,7 +206,7 @@ def _together(
     for label, array in values.items():
         name = members.get(label)
         if name is None:
-            unit = columns[label].unit or (None if label in symbols() else "1")
+            unit = columns[label].unit or (None if label in glossary.columns() else "1")
             result[label], described[label] = array, Column(unit=unit, kind=columns[label].kind)
         elif name not in result:
             group = groups[name]
@@ -218,22 +216,10 @@ def _together(
     return result, described
 
 
-def _apart(
-    values: dict[str, np.ndarray], columns: dict[str, Column], notes: list[str]
-) -> tuple[dict[str, np.ndarray], dict[str, Column]]:
-    """Give single numbers another name where the glossary has an array: the y of a point is not that of joints."""
-    arrays = {name for name, symbol in symbols().items() if symbol.shape.count(",") > symbol.shape.count(",)")}
-    other = {name: f"{name}_" for name, array in values.items() if array.ndim == 1 and name in arrays}
-    notes += [f"{name}: one number per row, the glossary has an array; it is {new} here" for name, new in other.items()]
-    units = {name: replace(columns[name], unit=columns[name].unit or "1") for name in other}
-    columns = {other.get(name, name): units.get(name, column) for name, column in columns.items()}
-    return {other.get(name, name): array for name, array in values.items()}, columns
-
-
 def _place(label: str) -> tuple[str, tuple[int, ...]]:
     """Return the name and the place of one component of an array of the glossary; an empty place for other labels."""
     found = NUMBERED.match(label)
-    known = symbols().get(found["name"]) if found else None
+    known = glossary.columns().get(found["name"]) if found else None
     if found is None or known is None:
         return label, ()
     place = tuple(int(digits) for digits in (found["index"] or found["number"]).split("_"))
@@ -250,7 +236,7 @@ def _whole(group: dict[tuple[int, ...], str]) -> bool:
 
 def _shared_unit(name: str, members: list[Column]) -> str | None:
     """Return the unit of components that are one column; None for that of the glossary."""
-    units, known = {member.unit for member in members}, symbols()[name].unit
+    units, known = {member.unit for member in members}, glossary.columns()[name].unit
     if units <= {"", *known.split(", ")}:
         return None
     if len(units) > 1:

@@ -58,15 +58,14 @@ def write(
     table : to write; no columns of text in MCAP.
     path : its ending tells the format.
 
-        ==============  ==============================================================================================
-        ``.mcap``       a recording: needs `robot`, whose name and joints are in the topics
-        ``.csv``        ``t [s],q1 [rad],...``, the shortest digits that read back equal, nothing where a value is
-                        missing; the rest beside it in ``run.csv.toml``
-        ``.mat``        MATLAB, version 5: a variable per column, units in a struct; columns up to 2 GB
-        ``.parquet``    a flat column per component, units in the fields' metadata; needs pyarrow
-        ``.h5``         a dataset (N, ...) per column with attributes unit and kind; needs h5py; also ``.hdf5``
-        ``.rosbag2``    a folder for ROS 2, standard messages only
-        ==============  ==============================================================================================
+        * ``.mcap``: a recording; needs `robot`, whose name and joints are in the topics
+        * ``.csv``: ``t [s],q1 [rad],...``, the shortest digits that read back equal, nothing where a value is missing;
+          what a heading cannot say is beside it in ``run.csv.toml``
+        * ``.mat``: MATLAB, version 5; a variable per column, units in a struct; columns up to 2 GB
+        * ``.parquet``: a flat column per component, units in the fields' metadata; needs pyarrow
+        * ``.h5``, ``.hdf5``: a dataset (N, ...) per column with attributes unit and kind; needs h5py
+        * ``.rosbag2``: a folder for ROS 2, standard messages only
+
     robot : the arm, for MCAP.
     storage : of a rosbag2, mcap or sqlite3; releases before Iron read the latter without a plugin.
     progress : called with (done, total, what).
