@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import armlab
 from armlab import robots
+from armlab.errors import LogError
 from armlab.log import Column, Recorder, Tick
 from armlab.robots import Robot
 from armlab.state import Command, State
@@ -81,6 +84,24 @@ class Rows:
             clamped=rng.integers(0, 16, n).astype(np.uint8),
         )
         return state, Command(q_ref, qd_ref, record=record), tick
+
+
+@pytest.fixture
+def read_spoilt() -> Callable[[Path, Path, int], None]:
+    """Cut a file at places all over it, and put wrong bytes into it: a table or one sentence comes of it."""
+
+    def read(log: Path, file: Path, count: int) -> None:
+        data, rng = file.read_bytes(), np.random.default_rng(1)
+        cut = [data[:n] for n in rng.integers(8, len(data), count)]
+        places = rng.integers(8, len(data), count)
+        wrong = [data[:n] + bytes([data[n] ^ rng.integers(1, 256)]) + data[n + 1 :] for n in places]
+        for one in cut + wrong:
+            file.write_bytes(one)
+            with contextlib.suppress(LogError):
+                armlab.log.read(log)
+        file.write_bytes(data)
+
+    return read
 
 
 @pytest.fixture

@@ -174,9 +174,9 @@ def test_words_that_json_or_python_take_for_numbers(tmp_path: Path, word: str) -
 
 
 def test_empty_fields_wherever_they_are(tmp_path: Path) -> None:
-    table = read_csv(written(tmp_path, "x,t,y1,y2,n\n,0,,,\n1,1,2,3,\n,2,,,9007199254740993\n"))
+    table = read_csv(written(tmp_path, "x,t,q1,q2,n\n,0,,,\n1,1,2,3,\n,2,,,9007199254740993\n"))
     np.testing.assert_array_equal(table["x"], [np.nan, 1, np.nan])
-    np.testing.assert_array_equal(table["y"], [[np.nan] * 2, [2, 3], [np.nan] * 2])
+    np.testing.assert_array_equal(table["q"], [[np.nan] * 2, [2, 3], [np.nan] * 2])
     assert np.isnan(table["n"][:2]).all()
 
 

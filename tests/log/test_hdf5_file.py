@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -82,20 +83,9 @@ def test_a_log_of_another_program(tmp_path: Path) -> None:
         log.read(path)
 
 
-def test_damaged_files(table: Table, tmp_path: Path) -> None:
+def test_damaged_files(table: Table, tmp_path: Path, read_spoilt: Callable[..., None]) -> None:
     path = log.write(table, tmp_path / "run.h5")
-    data, rng = path.read_bytes(), np.random.default_rng(1)
-    spoilt = [data[:n] for n in range(8, len(data), 211)]
-    for _ in range(80):
-        one = bytearray(data)
-        one[rng.integers(8, len(data))] ^= rng.integers(1, 256)
-        spoilt.append(bytes(one))
-    for one in spoilt:
-        path.write_bytes(one)
-        try:
-            log.read(path)
-        except LogError as error:
-            assert str(error).endswith(".")  # noqa: PT017
+    read_spoilt(path, path, 40)
     with h5py.File(path, "w") as file:
         file.attrs["armlab"], file["t"] = "0.1.0", T
     with pytest.raises(LogError, match="a whole HDF5 file"):
