@@ -187,6 +187,14 @@ def test_poses_of_the_user_come_back_from_a_recording(tmp_path) -> None:
     np.testing.assert_array_equal(found["T_cam_marker"], T)
 
 
+def test_mcap_refuses_what_it_would_change(tmp_path) -> None:
+    about = {"id": Column(unit="1", kind="count")}
+    table = Table([0.0, 1.0], {"q": np.zeros((2, 7)), "id": np.array([1, 2**53 + 1])}, about)
+    with pytest.raises(LogError, match=r"counts up to 2\^53 in 'id' for MCAP"):
+        write(table, tmp_path / "run.mcap", robots.load("yumi_left"))
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.fixture
 def full_disk() -> Iterator[None]:
     """No file grows beyond 20 kB, as on a disk without room."""
@@ -254,13 +262,10 @@ def test_the_chain_of_sources_goes_through_all_formats(table: Table, tmp_path) -
     for ending in (".csv", ".mat", ".parquet", ".h5", ".rosbag2"):
         found = log.read(write(found, tmp_path / f"run{ending}"))
     assert found.sha256 == table.sha256
-    assert [entry.split()[0] for entry in found.source] == [
-        "run.rosbag2",
-        "run.h5",
-        "run.parquet",
-        "run.mat",
-        "run.csv",
-    ]
+    back = log.read(write(found, tmp_path / "run.mcap", robots.load("yumi_left")))
+    names = ["run.mcap", "run.rosbag2", "run.h5", "run.parquet", "run.mat", "run.csv"]
+    assert [entry.split()[0] for entry in back.source] == names
+    assert back.source[1:] == found.source
     assert found.source[-1] == f"run.csv sha256 {file_hash(tmp_path / 'run.csv')}"
 
 

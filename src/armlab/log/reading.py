@@ -100,13 +100,23 @@ def read(
             raise
         except DAMAGE as error:
             raise LogError(f"Expected a whole recording in {path}, got a damaged one ({error}).") from None
-        source = f"{path.name} sha256 {hashed.result()}"
+        source = (f"{path.name} sha256 {hashed.result()}", *_earlier(view, found))
     notes = [sentence for _, sentence in found.damaged] + damage
     if not found.finished:
         notes.insert(0, torn_sentence(path, found, table))
     if notes:
         warnings.warn("; ".join(notes[:3]), stacklevel=2)
-    return replace(table, notes=(*notes, *table.notes), source=(source, *table.source))
+    return replace(table, notes=(*notes, *table.notes), source=(*source, *table.source))
+
+
+def _earlier(view: memoryview, found: Contents) -> tuple[str, ...]:
+    """Return where the table in a file of `write` had come from."""
+    summary = next((bytes(view[slice(*one.data)]) for one in found.attachments if one.name == "summary.json"), b"{}")
+    try:
+        chain = json.loads(summary).get("source", [])
+    except (ValueError, AttributeError):
+        return ()
+    return tuple(str(entry) for entry in chain) if isinstance(chain, list) else ()
 
 
 def torn_sentence(path: Path, found: Contents, table: Table) -> str:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = ["ENDINGS", "write"]
 
+_EXACT = 2**53  # whole numbers up to here are exact as real ones
 _TOLD = 1000  # rows of a recording between two words on progress
 _FILES: dict[str, Callable[[Table, BinaryIO, Progress], None]] = {
     ".csv": write_csv,
@@ -55,7 +56,7 @@ def write(
 
     Parameters
     ----------
-    table : to write; no columns of text in MCAP.
+    table : to write; in MCAP no columns of text and no counts of the user's above 2^53.
     path : its ending tells the format.
 
         * ``.mcap``: a recording; needs `robot`, whose name and joints are in the topics
@@ -168,6 +169,11 @@ def _write_mcap(table: Table, part: Path, path: Path, robot: Robot | None, tell:
             raise ShapeError(
                 f"Expected {name} of shape ({len(table)}, {', '.join(map(str, slot.column.shape))}) for robot "
                 f"{robot.name!r} of {robot.n} joints, got {array.shape}. Name the robot that was logged."
+            )
+        if slot.dtype == "<f8" and array.dtype.kind == "i" and ((array > _EXACT) | (array < -_EXACT)).any():
+            raise LogError(
+                f"Expected counts up to 2^53 in {name!r} for MCAP, which has columns of your own as real numbers, got "
+                "larger ones. Write another format."
             )
         if slot.missing is not None:
             array = np.where(np.isfinite(array), array, slot.missing)
