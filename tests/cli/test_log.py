@@ -98,7 +98,11 @@ def test_a_torn_log_is_shown_and_repaired(path: Path, tmp_path: Path, capsys: py
 def test_wrong_files_are_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text = tmp_path / "notes.txt"
     text.write_text("hello")
-    for file, words in ((tmp_path / "none.mcap", "No such file"), (text, "format text"), (tmp_path, "Is a directory")):
+    for file, words in (
+        (tmp_path / "none.mcap", "No such file"),
+        (text, "a header and rows of numbers"),
+        (tmp_path, "Is a directory"),
+    ):
         assert cli.main(["log", "show", str(file)]) == 1
         captured = capsys.readouterr()
         assert captured.out == ""
@@ -145,3 +149,20 @@ def test_export_names_what_matlab_calls_otherwise(tmp_path: Path, capsys: pytest
     (tmp_path / "orca.csv").write_text("t [s],robot[0].pos\n0,1\n1,2\n")
     assert cli.main(["log", "export", str(tmp_path / "orca.csv"), str(tmp_path / "orca.mat")]) == 0
     assert "robot[0].pos is robot_0__pos." in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("ending", [".csv", ".h5", ".rosbag2"])
+def test_show_of_other_formats(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], ending: str) -> None:
+    output = tmp_path / f"run{ending}"
+    assert cli.main(["log", "export", str(path), str(output)]) == 0
+    capsys.readouterr()
+    assert cli.main(["log", "show", str(output)]) == 0
+    text = capsys.readouterr().out
+    for words in ("began 2023-11-14 22:13:20 UTC", "300 rows, 1.196 s at 250 Hz", "source: run.mcap sha256", "tau  "):
+        assert words in text, words
+    assert cli.main(["log", "show", str(output), "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert (data["rows"], data["sha256"]) == (300, read(path).sha256)
+    assert data["format"] == {".csv": "text", ".h5": "HDF5", ".rosbag2": "rosbag2"}[ending]
+    assert cli.main(["log", "show", str(output), "--parameters"]) == 0
+    assert capsys.readouterr().out == "This log has no parameters.\n"

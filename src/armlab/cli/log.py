@@ -21,12 +21,12 @@ log = App(name="log", help="Show, export and repair logs.")
 
 @log.command
 def show(file: Path, *, json: bool = False, parameters: bool = False) -> None:
-    """Show what a log holds: rows, rate, columns with units and ranges, metadata, events.
+    """Show what a log holds: rows, rate, columns with units and ranges; of a recording also metadata and events.
 
     Parameters
     ----------
     file
-        A recording, finished or not.
+        A recording, finished or not, or a log in another format.
     json
         Print JSON for scripts.
     parameters
@@ -36,18 +36,20 @@ def show(file: Path, *, json: bool = False, parameters: bool = False) -> None:
 
     from armlab import log as logs
     from armlab.cli.output import print_json, result
+    from armlab.log.formats import format_at
 
-    held = logs.inspect(file)
+    kind = format_at(file)
+    held = logs.inspect(file) if kind in ("MCAP", "") else None  # of no file it says why
     if parameters:
-        result(_parameters(held))
+        result(_parameters(held) if held else "This log has no parameters.")
         return
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the notes of the table say the same and are shown below
         table = logs.read(file)
     if json:
-        print_json(_data(held, table))
+        print_json({"file": str(file), **_table_data(table), **(_recording_data(held) if held else {"format": kind})})
     else:
-        result(_text(held, table))
+        result(_text(held, table) if held else _exchanged_text(file, kind, table))
 
 
 @log.command
@@ -148,8 +150,8 @@ def _parameters(held: Inspection) -> str:
     return "\n".join([*lines, *ends]) or "This log has no parameters."
 
 
-def _data(held: Inspection, table: Table) -> dict[str, Any]:
-    """Return what is shown, for scripts."""
+def _table_data(table: Table) -> dict[str, Any]:
+    """Return what is shown of any log, for scripts."""
     from armlab.log.text import component_names, statistics, timing
 
     holes = table.missing()
@@ -160,16 +162,23 @@ def _data(held: Inspection, table: Table) -> dict[str, Any]:
         columns[name] |= {"missing": holes.get(name, (0, ()))[0], "components": component_names(table, name)}
         columns[name] |= {key: stats[key] for key in ("min", "max", "mean", "sigma")}
     return {
-        "file": str(held.path),
-        "bytes": held.size,
-        "finished": held.finished,
-        "torn_bytes": held.torn,
         **timing(table),
         "clock": table.clock,
         "t0_ns": table.t0_ns,
         "sha256": table.sha256,
         "columns": columns,
         "notes": table.notes,
+        "source": table.source,
+    }
+
+
+def _recording_data(held: Inspection) -> dict[str, Any]:
+    """Return what is shown of a recording besides, for scripts."""
+    return {
+        "format": "MCAP",
+        "bytes": held.size,
+        "finished": held.finished,
+        "torn_bytes": held.torn,
         "metadata": held.metadata,
         "topics": [{"name": t.name, "type": t.type, "messages": t.messages} for t in held.topics],
         "attachments": {name: len(data) for name, data in held.attachments.items()},
@@ -178,15 +187,36 @@ def _data(held: Inspection, table: Table) -> dict[str, Any]:
     }
 
 
-def _text(held: Inspection, table: Table) -> str:
+def _exchanged_text(file: Path, kind: str, table: Table) -> str:
+    """Return what is shown of a log that is no recording."""
+    from armlab.cli.output import aligned
+    from armlab.log.text import table_text
+
+    first, *rest = table_text(table).splitlines()
+    source = [f"source: {entry}" for entry in table.source]
+    head = [
+        f"{file}: {kind}, began {_began(table)}",
+        first,
+        *(line for line in rest if line.startswith("note:")),
+        *source,
+    ]
+    return "\n".join(head) + "\n\n" + aligned(_column_rows(table), right=(4, 5, 6))
+
+
+def _began(table: Table) -> str:
     from datetime import UTC, datetime
 
+    if not table.t0_ns:
+        return "-"
+    return datetime.fromtimestamp(table.t0_ns / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+
+
+def _text(held: Inspection, table: Table) -> str:
     from armlab.cli.output import aligned
     from armlab.log.text import table_text
 
     state = "finished" if held.finished else f"not finished, {held.torn} bytes torn"
-    began = datetime.fromtimestamp(table.t0_ns / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC") if table.t0_ns else "-"
-    blocks = [f"{held.path}: {held.size / 1e6:.2f} MB, {state}, began {began}"]
+    blocks = [f"{held.path}: {held.size / 1e6:.2f} MB, {state}, began {_began(table)}"]
     about = held.metadata.get("armlab", {})
     blocks.append(aligned([(key, value) for key, value in about.items() if value and key != "attachments"]))
     first, *rest = table_text(table).splitlines()
