@@ -52,21 +52,20 @@ def write(
     """Write a table to a file and return its path; an existing file is replaced in one step or not at all.
 
     `read` gives the same table back from every format, provenance included. From MCAP and rosbag2 it has the same
-    values: their stamps are whole nanoseconds and their poses quaternions.
+    values: their stamps are whole nanoseconds and their poses quaternions. The ending tells the format:
+
+    * ``.mcap``: a recording; needs `robot`, whose name and joints are in the topics.
+    * ``.csv``: ``t [s],q1 [rad],...``, the shortest digits that read back equal, nothing where a value is missing; what
+      a heading cannot say is beside it in ``run.csv.toml``.
+    * ``.mat``: MATLAB, version 5; a variable per column, units in a struct; columns up to 2 GB.
+    * ``.parquet``: a flat column per component, units in the fields' metadata; needs pyarrow.
+    * ``.h5``, ``.hdf5``: a dataset (N, ...) per column with attributes unit and kind; needs h5py.
+    * ``.rosbag2``: a folder for ROS 2, standard messages only.
 
     Parameters
     ----------
     table : to write; in MCAP no columns of text and no counts of the user's above 2^53.
-    path : its ending tells the format.
-
-        * ``.mcap``: a recording; needs `robot`, whose name and joints are in the topics
-        * ``.csv``: ``t [s],q1 [rad],...``, the shortest digits that read back equal, nothing where a value is missing;
-          what a heading cannot say is beside it in ``run.csv.toml``
-        * ``.mat``: MATLAB, version 5; a variable per column, units in a struct; columns up to 2 GB
-        * ``.parquet``: a flat column per component, units in the fields' metadata; needs pyarrow
-        * ``.h5``, ``.hdf5``: a dataset (N, ...) per column with attributes unit and kind; needs h5py
-        * ``.rosbag2``: a folder for ROS 2, standard messages only
-
+    path : of the file, of the folder of a rosbag2.
     robot : the arm, for MCAP.
     storage : of a rosbag2, mcap or sqlite3; releases before Iron read the latter without a plugin.
     progress : called with (done, total, what).
