@@ -82,3 +82,8 @@ def test_frozen_copies_only_what_someone_could_still_write_to() -> None:
     kept = frozen(view)
     buffer[:] = b"\xff" * 8
     assert kept[0] == 0.0
+
+
+def test_the_clock_is_no_column() -> None:
+    with pytest.raises(ShapeError, match="columns besides t, the clock"):
+        stored("t", [0.0, 1.0], Column(unit="s"))

@@ -185,6 +185,11 @@ def test_blocks_end_where_lines_do(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr("armlab.log.delimited.BLOCK", size)
     path = written(tmp_path, "t,k\r\n" + "".join(f"{i},{2**60 + i}\r\n" for i in range(50)))
     assert read_csv(path)["k"].tolist() == [2**60 + i for i in range(50)]
+    crossing = list(range(2**53 - 25, 2**53 + 25))
+    path = written(tmp_path, "t,k\n" + "".join(f"{i},{k}\n" for i, k in enumerate(crossing)))
+    assert read_csv(path)["k"].tolist() == crossing
+    path = written(tmp_path, "t,k\n" + "".join(f"{i},{k}\n" for i, k in enumerate([0.5, *crossing])))
+    assert read_csv(path)["k"][0] == 0.5
 
 
 def test_the_fields_of_the_first_lines(tmp_path: Path) -> None:

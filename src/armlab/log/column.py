@@ -93,6 +93,8 @@ def stored(name: str, values: Any, column: Column | None) -> tuple[np.ndarray, C
     What the caller could still write to is copied. Counts and flags with missing values become real.
     """
     raw = np.asarray(values)
+    if name == "t":
+        raise ShapeError("Expected columns besides t, the clock of the table, got one of that name. Rename it.")
     if raw.ndim == 0:
         raise ShapeError(f"Expected one value per row for the column {name!r}, got a single value.")
     described = replace(column or Column(), shape=raw.shape[1:]).resolved(name)

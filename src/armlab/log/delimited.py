@@ -10,7 +10,7 @@ from __future__ import annotations
 import csv
 import gzip
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from io import TextIOWrapper
 from itertools import islice
 from pathlib import Path
@@ -75,7 +75,7 @@ def read_csv(
         return table if every == 1 else table.rows(slice(None, None, every))
     notes = [] if beside is None else [f"{path.name}.toml describes other columns and is not used"]
     names = names_of(path, [label.strip() for label in header[0]] if header else [])
-    found = _numbers_only(path, skip, separator, [False] * len(names))
+    found = _numbers_only(path, skip, separator)
     if not found or not len(found[0]):  # words, or what is told by its line
         texts = list(zip(*_lines(path, skip, separator)))
         found = [_numbers(path, name, of_one, skip) for (name, _), of_one in zip(names, texts, strict=True)]
@@ -115,31 +115,29 @@ def rows_of(path: Path, separator: str, count: int | None = None) -> list[list[s
         raise LogError(f"Expected delimited text in UTF-8 at {path}, got something else: {error}.") from None
 
 
-def _numbers_only(path: Path, skip: int, separator: str, whole: Sequence[bool]) -> list[np.ndarray] | None:
+def _numbers_only(path: Path, skip: int, separator: str) -> list[np.ndarray] | None:
     """Return the columns of a file with nothing but numbers and empty fields below its header; None of others.
 
-    Columns marked `whole`, and those that a float cannot hold, stay whole numbers where all are.
+    Columns that a float cannot hold stay whole numbers where all are.
     """
-    blocks: list[list[np.ndarray]] = [[np.zeros(0) for _ in whole]]
+    blocks = []
     try:
         with _open(path) as file:
             lines = csv.reader((line.decode("utf-8-sig") for line in file), delimiter=separator)
-            for _ in range(skip + 1):
-                next(lines)
+            header = [next(lines) for _ in range(skip + 1)][-1]
             while text := file.read(BLOCK) + file.readline():
-                blocks.append([_column(*one) for one in zip(_decoded(text, separator), whole, strict=True)])
+                blocks.append(_columns(_decoded(text, separator), len(header)))
     except (OSError, EOFError, ValueError, StopIteration, csv.Error, msgspec.DecodeError):
         return None
-    blocks = blocks[1:] or blocks
-    return [np.concatenate(parts) for parts in zip(*blocks, strict=True)]
+    return [_joined(parts) for parts in zip(*blocks, strict=True)] if blocks else [np.zeros(0) for _ in header]
 
 
-def _decoded(text: bytes, separator: str) -> Iterable[tuple[Any, ...]]:
-    """Return the columns of some lines; None in them is an empty field.
+def _decoded(text: bytes, separator: str) -> list[list[Any]]:
+    """Return the fields of some lines; None is an empty one.
 
     Raises
     ------
-    ValueError : something else than numbers, or lines of different length. DecodeError : numbers that JSON has not.
+    ValueError : something else than numbers. DecodeError : numbers that JSON has not.
     """
     mark = separator.encode()
     if text.translate(None, _NUMERIC.replace(b",", mark)) or separator in ".eE+-0123456789":
@@ -149,16 +147,25 @@ def _decoded(text: bytes, separator: str) -> Iterable[tuple[Any, ...]]:
         if old != new and old in lines:  # to look is ten times as fast as to replace
             lines = lines.replace(old, new)
     first, last = (b"null" if one else b"" for one in (lines.startswith(b","), lines.endswith(b",")))
-    return zip(*msgspec.json.decode(b"[[%b%b%b]]" % (first, lines.replace(b"\n", b"],["), last)), strict=True)
+    return msgspec.json.decode(b"[[%b%b%b]]" % (first, lines.replace(b"\n", b"],["), last))
 
 
-def _column(values: Sequence[Any], whole: bool) -> np.ndarray:
-    array = np.array(values, dtype=float)
-    if whole or np.abs(array).max() >= _EXACT:
-        natural = np.array(values)
+def _columns(rows: list[list[Any]], count: int) -> list[np.ndarray]:
+    """Return the columns of some rows; ValueError where a row has another number of fields."""
+    block = np.array(rows, dtype=float).reshape(len(rows), count)
+    columns = list(block.T)
+    for place in np.flatnonzero((np.abs(block) >= _EXACT).any(axis=0)):
+        natural = np.array([row[place] for row in rows])
         if natural.dtype == np.int64:
-            return natural
-    return array
+            columns[place] = natural
+    return columns
+
+
+def _joined(parts: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the blocks of a column as one; whole numbers where one block needs them and all have them."""
+    if any(part.dtype.kind == "i" for part in parts) and all(np.array_equal(part, np.round(part)) for part in parts):
+        parts = [part.astype(np.int64) for part in parts]
+    return np.concatenate(parts)
 
 
 def _lines(path: Path, skip: int, separator: str, least: int = 2) -> list[list[str]]:
@@ -182,9 +189,7 @@ def _as_written(path: Path, beside: Description) -> Table:
     kinds = ["real"]
     for column in beside.columns.values():
         kinds += [column.kind] * int(np.prod(column.shape, dtype=int))
-    parts = None
-    if "text" not in kinds:
-        parts = _numbers_only(path, 0, ",", [kind in ("count", "flag") for kind in kinds])
+    parts = None if "text" in kinds else _numbers_only(path, 0, ",")
     if parts is None:
         fields = _lines(path, 0, ",", least=1)
         try:

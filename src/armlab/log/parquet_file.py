@@ -65,7 +65,7 @@ def read_parquet(path: Path, columns: Sequence[str] | None = None) -> Table:
     what = f"to read {path}, a file in Parquet"
     pa, parquet = needed("pyarrow", what), needed("pyarrow.parquet", what)
     try:
-        with parquet.ParquetFile(path, memory_map=True) as file:
+        with parquet.ParquetFile(path) as file:
             about = (file.schema_arrow.metadata or {}).get(b"armlab")
             if about is None:
                 return _foreign(pa, path, file)
