@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sqlite3
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +33,8 @@ def write_rosbag2(table: Table, folder: Path, storage: str, progress: Progress) 
     ------
     UnknownName : another storage. LogError : times beyond what ROS holds. OSError : the folder cannot be written.
     """
+    import sqlite3
+
     from rosbags.rosbag2 import StoragePlugin, Writer
 
     from armlab.log.messages import store
