@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-__all__ = ["handling"]
+__all__ = ["deferred", "handling"]
 
 
 @contextmanager
@@ -33,3 +33,13 @@ def handling(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]
     finally:
         for number, previous in before.items():
             signal.signal(number, previous)
+
+
+@contextmanager
+def deferred() -> Iterator[None]:
+    """Let Ctrl-C and the like act when the block has ended: compiled modules may swallow an interrupt."""
+    came: list[int] = []
+    with handling(lambda number, _frame: came.append(number)):
+        yield
+    for number in came[:1]:
+        signal.raise_signal(number)

@@ -9,6 +9,7 @@ import sys
 import pytest
 
 from armlab import cli
+from armlab._interrupts import deferred
 from armlab.errors import LogError
 
 
@@ -94,13 +95,13 @@ def test_an_interrupt_while_a_compiled_module_loads(
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_interrupts_deferred_act_when_the_block_has_ended(
+def test_deferred_interrupts_act_when_the_block_has_ended(
     number: signal.Signals, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     reached: list[str] = []
 
     def busy(_words: list[str]) -> int:
-        with cli.interrupts_deferred():
+        with deferred():
             signal.raise_signal(number)
             reached.append("end of the block")
         reached.append("behind it")

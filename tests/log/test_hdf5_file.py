@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import resource
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -99,3 +101,20 @@ def test_without_h5py(table: Table, tmp_path: Path, monkeypatch: pytest.MonkeyPa
         with pytest.raises(MissingExtra, match=r"pip install 'armlab\[data\]'"):
             job()
     assert [entry.name for entry in tmp_path.iterdir()] == ["run.h5"]
+
+
+@pytest.mark.parametrize("limit", [0, 100, 3000, 40_000, 120_000])
+def test_a_disk_that_is_full_at_any_moment(tmp_path: Path, limit: int) -> None:
+    """An error inside HDF5 would end the process: this test would not fail, it would take pytest with it."""
+    rng = np.random.default_rng(1)
+    table = Table(np.arange(900.0), {name: rng.normal(size=(900, 7)) for name in ("q", "qd", "tau")})
+    old = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, old[1]))
+    try:
+        with pytest.raises(LogError, match="File too large"):
+            log.write(table, tmp_path / "run.h5")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, old)
+    gc.collect()
+    assert not list(tmp_path.iterdir())
+    assert log.read(log.write(table, tmp_path / "run.h5")).sha256 == table.sha256

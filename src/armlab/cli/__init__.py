@@ -21,7 +21,7 @@ from armlab._interrupts import handling
 if TYPE_CHECKING:
     from cyclopts import App
 
-__all__ = ["FAILED", "INTERRUPTED", "SKIPPED", "WRONG_USE", "build_app", "interrupts_deferred", "main"]
+__all__ = ["FAILED", "INTERRUPTED", "SKIPPED", "WRONG_USE", "build_app", "main"]
 
 FAILED, WRONG_USE, SKIPPED, INTERRUPTED = 1, 2, 3, 130
 
@@ -144,16 +144,6 @@ def _short_warnings() -> Iterator[None]:
     with warnings.catch_warnings():
         warnings.showwarning = lambda message, *_args, **_kwargs: _say(f"note: {message}")
         yield
-
-
-@contextmanager
-def interrupts_deferred() -> Iterator[None]:
-    """Let Ctrl-C and the like act when the block has ended: compiled modules that load may swallow an interrupt."""
-    came: list[int] = []
-    with handling(lambda number, _frame: came.append(number)):
-        yield
-    for number in came[:1]:
-        signal.raise_signal(number)
 
 
 @contextmanager

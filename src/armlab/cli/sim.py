@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from armlab.cli import FAILED, INTERRUPTED, interrupts_deferred
+from armlab._interrupts import deferred
+from armlab.cli import FAILED, INTERRUPTED
 from armlab.cli.sim_files import Written, truth_writer
 from armlab.cli.sim_options import Around, Content, FaultOptions
 from armlab.errors import ConfigError
@@ -120,7 +121,7 @@ def sim(
     with ExitStack() as opened:
         channels: list[Channel] = []
         for i, (name, address) in enumerate(zip(names, addresses)):
-            with interrupts_deferred():  # MuJoCo loads here
+            with deferred():  # MuJoCo loads here
                 channels.append(cell.channel(name, address, i, [seed, i]))
             opened.callback(channels[-1].close)
         summary, exact = (path and opened.enter_context(Written(path)) for path in (stats, truth))

@@ -7,12 +7,14 @@ old ``.jld`` files are HDF5 inside: plain numeric datasets are read, the rest is
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import msgspec
 import numpy as np
 
+from armlab._interrupts import deferred
 from armlab.errors import ArmlabError, LogError, UnknownName
 from armlab.log.column import Column
 from armlab.log.description import Description, Progress, distinct
@@ -30,7 +32,7 @@ def write_hdf5(table: Table, file: BinaryIO, progress: Progress) -> None:
 
     Parameters
     ----------
-    table : to write. file : opened for reading and writing. progress : is told the columns.
+    table : to write. file : opened for writing, after all is packed in memory. progress : is told the columns.
 
     Raises
     ------
@@ -39,24 +41,35 @@ def write_hdf5(table: Table, file: BinaryIO, progress: Progress) -> None:
     h5py = needed("h5py", "for HDF5")
     names = distinct({name: name.replace("/", "_").strip(".") or "_" for name in table.names}, ["t"])
     about = msgspec.structs.asdict(Description.of(table))
-    told = _Patient(file)
-    with h5py.File(told, "w") as whole:
-        for key in ("armlab", "t0_ns", "clock"):
-            whole.attrs[key] = about[key]
-        for key in ("notes", "source"):
-            whole.attrs.create(key, np.array(about[key], dtype=object), dtype=h5py.string_dtype())
-        _dataset(h5py, whole, "t", table.t).attrs["unit"] = "s"
+    memory = BytesIO()  # an error of the disk in the middle of a write would end the process in HDF5
+    with h5py.File(memory, "w") as whole:
+        with deferred():
+            for key in ("armlab", "t0_ns", "clock"):
+                whole.attrs[key] = about[key]
+            for key in ("notes", "source"):
+                _put_texts(h5py, whole, key, about[key])
+            _dataset(h5py, whole, "t", table.t).attrs["unit"] = "s"
         for place, (name, own) in enumerate(names.items()):
-            one, described = _dataset(h5py, whole, own, table[name]), about["columns"][name]
-            one.attrs["place"] = place
-            texts = {"unit": described.unit, "kind": described.kind, "frame": described.frame}
-            for key, text in (texts | ({"name": name} if name != own else {})).items():
-                if text:  # an attribute takes a tenth of a millisecond
-                    one.attrs[key] = text
-            if described.labels:
-                one.attrs.create("labels", np.array(described.labels, dtype=object), dtype=h5py.string_dtype())
-            progress(place + 1, len(names), name)
-    told.check()
+            with deferred():
+                _put_column(h5py, _dataset(h5py, whole, own, table[name]), place, name, about["columns"][name])
+            progress(place + 1, len(names), "columns")
+    file.write(memory.getbuffer())
+
+
+def _put_column(h5py: Any, one: Any, place: int, name: str, described: Any) -> None:
+    """Put what is said of a column on its dataset; what is not said takes no attribute and no time."""
+    one.attrs["place"] = place
+    own = name if name != one.name.removeprefix("/") else ""
+    texts = {"name": own, "unit": described.unit, "kind": described.kind, "frame": described.frame}
+    for key, text in texts.items():
+        if text:
+            one.attrs[key] = text
+    if described.labels:
+        _put_texts(h5py, one, "labels", described.labels)
+
+
+def _put_texts(h5py: Any, item: Any, key: str, texts: Sequence[str]) -> None:
+    item.attrs.create(key, np.array(texts, dtype=object), dtype=h5py.string_dtype())
 
 
 def _dataset(h5py: Any, whole: Any, name: str, array: np.ndarray) -> Any:
@@ -135,36 +148,3 @@ def _datasets(h5py: Any, whole: Any) -> tuple[Mapping[str, tuple[np.ndarray, str
 def _values(item: Any) -> np.ndarray:
     array = item[()] if item.dtype.kind in "biuf" else item.asstr()[()]
     return np.asarray(array) if array.dtype.kind in "biuf" else np.array(array.tolist(), np.str_).reshape(array.shape)
-
-
-class _Patient:
-    """A file that keeps its first error: HDF5 cannot close a file that refuses its bytes, and ends the process."""
-
-    def __init__(self, file: BinaryIO) -> None:
-        self._file = file
-        self._error: OSError | None = None
-        self.tell, self.seek, self.flush = file.tell, file.seek, file.flush
-
-    def readinto(self, target: Any) -> int:
-        return self._file.readinto(target)  # type: ignore[attr-defined]
-
-    def read(self, size: int = -1) -> bytes:
-        return self._file.read(size)
-
-    def write(self, data: Any) -> int:
-        try:
-            self._file.write(data)
-        except OSError as error:
-            self._error = self._error or error
-        return memoryview(data).nbytes
-
-    def truncate(self, size: int | None = None) -> int:
-        try:
-            return self._file.truncate(size)
-        except OSError as error:
-            self._error = self._error or error
-            return size or 0
-
-    def check(self) -> None:
-        if self._error is not None:
-            raise self._error

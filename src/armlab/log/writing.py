@@ -103,7 +103,7 @@ def write(
 
 
 def _write_file(table: Table, part: Path, path: Path, tell: Progress) -> None:
-    with part.open("w+b") as file:
+    with part.open("wb") as file:
         _FILES[path.suffix.lower()](table, file, tell)
     if path.suffix.lower() == ".csv":
         beside = sidecar_path(part)
