@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from reprlib import repr as shortened
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab.errors import ArmlabError, RobotError, ShapeError
+from armlab.errors import ArmlabError, RobotError, ShapeError, UnknownName
 
-__all__ = ["frozen", "generator", "members", "number", "numbers", "positive", "rows_text"]
+__all__ = ["check_name", "frozen", "generator", "members", "number", "numbers", "positive", "rows_text"]
 
 
 def numbers(value: ArrayLike, what: str, error: type[ArmlabError] = RobotError) -> np.ndarray:
@@ -116,6 +116,23 @@ def positive(value: Any, what: str, advice: str = "Correct it.", error: type[Arm
     if not 0.0 < found < np.inf:
         raise error(f"Expected a finite {what} above zero, got {found:g}. {advice}")
     return found
+
+
+def check_name(value: Any, what: str, names: Collection[str]) -> None:
+    """Refuse what is none of the names; an array is none, though comparing it to one would give an array.
+
+    Parameters
+    ----------
+    value : anything.
+    what : which option it is, for the message.
+    names : those that exist.
+
+    Raises
+    ------
+    UnknownName : when it is none of them.
+    """
+    if not isinstance(value, str) or value not in names:
+        raise UnknownName.among(what, value, names)
 
 
 def generator(seed: Any) -> np.random.Generator:

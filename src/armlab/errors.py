@@ -71,10 +71,11 @@ class UnknownName(ArmlabError, KeyError):
         from difflib import get_close_matches  # 1 ms that a program without mistakes need not pay
 
         names = sorted(known)
-        close = get_close_matches(str(name), names, n=1)
+        close = get_close_matches(name, names, n=1) if isinstance(name, str) else []
         hint = f" Did you mean {close[0]!r}?" if close else ""
         article = "an" if kind[:1] in "aeiou" else "a"
-        return cls(f"Expected the name of {article} {kind}, got {name!r}. Known: {', '.join(names) or 'none'}.{hint}")
+        came = repr(name) if isinstance(name, str) else shortened(name)
+        return cls(f"Expected the name of {article} {kind}, got {came}. Known: {', '.join(names) or 'none'}.{hint}")
 
 
 class RobotError(ArmlabError, ValueError):

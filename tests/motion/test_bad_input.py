@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -110,6 +111,28 @@ OPTIONS = {
 @pytest.mark.parametrize(("name", "value"), [(name, value) for name, values in OPTIONS.items() for value in values])
 def test_options_of_a_fit(name: str, value: Any) -> None:
     refused(lambda: fit_dmp(U, Y, n_basis=6, **{name: value}))
+
+
+TEXTS = {
+    **{
+        name: lambda v, name=name: fit_dmp(U, Y, n_basis=6, **{name: v})
+        for name in ("method", "schedule", "spacing", "scaling", "convention")
+    },
+    "pin": lambda v: fit_dmp(U, Y, n_basis=6, pin=(v,)),
+    "smoothed": lambda v: fit_dmp(U, Y, n_basis=6, schedule=v, bandwidth=5.0),
+    "pose frame": lambda v: fit_pose_dmp(U, POSES, n_basis=6, frame=v),
+    "goal_forcing": lambda v: DMP.stepper(goal_forcing=v),
+    "pose schedule": lambda v: fit_pose_dmp(U, POSES, n_basis=6, schedule=v),
+    "pose scaling": lambda v: fit_pose_dmp(U, POSES, n_basis=6, scaling=v),
+    "field": lambda v: replace(DMP, scaling=v),
+    "pose field": lambda v: replace(POSE, frame=v),
+}
+
+
+@pytest.mark.parametrize("call", TEXTS.values(), ids=TEXTS)
+def test_names_of_options(call: Callable[[Any], Any]) -> None:
+    for value in (np.array(["goal", "time"]), np.array([1.0, 2.0]), np.array("goal"), ["goal"], {}, 3.0, b"goal", ""):
+        refused(lambda value=value: call(value))
 
 
 def test_lists_of_demonstrations_that_do_not_fit_each_other() -> None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from armlab.errors import ConfigError, UnknownName
+from armlab._numbers import check_name
+from armlab.errors import ConfigError
 
 __all__ = ["normalised", "CONVENTIONS", "SCHEDULES", "SPACINGS", "placed", "time_constants"]
 
@@ -21,8 +22,7 @@ def time_constants(convention: str, duration: float, alpha_z: float) -> tuple[fl
     ------
     UnknownName : another convention.
     """
-    if convention not in CONVENTIONS:
-        raise UnknownName.among("convention", convention, CONVENTIONS)
+    check_name(convention, "convention", CONVENTIONS)
     return (1.0, duration / 3.0) if convention == "lund" else (alpha_z / 3.0, duration)
 
 
@@ -39,10 +39,8 @@ def placed(schedule: str, spacing: str, n_basis: int, decay: float, factor: floa
     ------
     UnknownName : another schedule or spacing. ConfigError : a number of kernels outside 3 to 1000.
     """
-    if schedule not in SCHEDULES:
-        raise UnknownName.among("schedule", schedule, SCHEDULES)
-    if spacing not in SPACINGS:
-        raise UnknownName.among("spacing", spacing, SPACINGS)
+    check_name(schedule, "schedule", SCHEDULES)
+    check_name(spacing, "spacing", SPACINGS)
     whole = isinstance(n_basis, int | np.integer) and not isinstance(n_basis, bool)
     if not whole or not FEWEST <= n_basis <= MOST:
         raise ConfigError(f"Expected a whole number of kernels from {FEWEST} to {MOST}, got {n_basis!r}. 50 is usual.")

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab import kernels
-from armlab._numbers import number, numbers, positive
-from armlab.errors import ConfigError, ShapeError, UnknownName
+from armlab._numbers import check_name, number, numbers, positive
+from armlab.errors import ConfigError, ShapeError
 from armlab.motion._basis import CONVENTIONS, SCHEDULES
 from armlab.motion._saved import freeze_arrays
 from armlab.motion._setting import UNSCALED, vector
@@ -68,8 +68,7 @@ class Equation:
             object.__setattr__(self, name, positive(getattr(self, name), name))
         known = {"schedule": SCHEDULES, "scaling": SCALINGS, "convention": CONVENTIONS}
         for name, names in known.items():
-            if getattr(self, name) not in names:
-                raise UnknownName.among(name, getattr(self, name), names)
+            check_name(getattr(self, name), name, names)
         if self.scaling == "rotate" and (self.n != 3 or self.schedule == "position"):
             raise ConfigError(
                 f"Expected three coordinates with one phase for scaling 'rotate', got {self.n} with schedule "

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab._numbers import members, number
-from armlab.errors import ConfigError, ShapeError, UnknownName
+from armlab._numbers import check_name, members, number
+from armlab.errors import ConfigError, ShapeError
 from armlab.estimation import Excitation, Fit
-from armlab.motion._basis import placed, time_constants
+from armlab.motion._basis import SCHEDULES, placed, time_constants
 from armlab.motion._common_motion import Reference, aligned
 from armlab.motion._demos import Demo, read_demos
 from armlab.motion._equation import SCALINGS
@@ -83,7 +83,8 @@ def fit_dmp(
     sample_weights : (N,) or a list of them, not negative.
     bandwidth : of smoothed derivatives [Hz], of "acceleration" and "lwr" with even times.
     raw_kernels : weigh by kernels that are not divided by their sum, of "lwr".
-    limits : lowest and highest (n,) goal that the primitive accepts.
+    limits : the lowest (n,) and the highest (n,) goal that runs and steppers of the primitive accept, in the unit of y;
+        every goal when left out.
 
     Returns
     -------
@@ -147,10 +148,9 @@ def fit_dmp(
 
 
 def _check_options(method: str, schedule: str, scaling: str, bandwidth: float | None, raw_kernels: bool) -> None:
-    if method not in METHODS:
-        raise UnknownName.among("method", method, METHODS)
-    if scaling not in SCALINGS:
-        raise UnknownName.among("scaling", scaling, SCALINGS)
+    check_name(method, "method", METHODS)
+    check_name(schedule, "schedule", SCHEDULES)
+    check_name(scaling, "scaling", SCALINGS)
     if bandwidth is not None and method == "trajectory" and schedule != "position":
         raise ConfigError("Expected a bandwidth only with derivatives, got one with 'trajectory'. Leave it out.")
     if raw_kernels and method != "lwr":
@@ -161,8 +161,7 @@ def _pins(pin: Sequence[str], known: dict[str, np.ndarray]) -> tuple[str, ...]:
     if isinstance(pin, str):
         raise ConfigError(f"Expected pin as a tuple of names, got the text {pin!r}. Write ({pin!r},).")
     for name in members(pin, "pin"):
-        if name not in ENDS:
-            raise UnknownName.among("end to pin", name, ENDS)
+        check_name(name, "end to pin", ENDS)
     return tuple(name for name in pin if name not in known)
 
 

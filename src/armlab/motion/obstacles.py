@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab import kernels
-from armlab._numbers import members, number, numbers
-from armlab.errors import ConfigError, ShapeError, UnknownName
+from armlab._numbers import check_name, members, number, numbers
+from armlab.errors import ConfigError, ShapeError
 from armlab.motion._setting import Setting, vector
 from armlab.motion.dmp import Dmp
 from armlab.motion.rollout import Rollout, RunOptions
@@ -118,8 +118,7 @@ class AvoidingDmp:
 
     def __post_init__(self) -> None:
         """Check everything once."""
-        if self.form not in FORMS:
-            raise UnknownName.among("form of avoidance", self.form, FORMS)
+        check_name(self.form, "form of avoidance", FORMS)
         wanted = (2, 3) if self.robot is None else (self.robot.n,)
         if self.dmp.schedule == "position" or self.dmp.n not in wanted:
             raise ConfigError(

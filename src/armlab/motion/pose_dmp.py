@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab import kernels
-from armlab.errors import ShapeError, UnknownName
+from armlab._numbers import check_name
+from armlab.errors import ShapeError
 from armlab.lie import quaternion
 from armlab.motion._pose_run import PoseRun
 from armlab.motion._poses import apart, exp, matrix, orientation, pose, turn
@@ -67,8 +68,7 @@ class PoseDmp(Saved, kind="pose_dmp"):
 
     def __post_init__(self) -> None:
         """Check that the parts fit each other, and freeze."""
-        if self.frame not in FRAMES:
-            raise UnknownName.among("frame of the forcing", self.frame, FRAMES)
+        check_name(self.frame, "frame of the forcing", FRAMES)
         for what, part in (("position", self.position), ("rotation", self.rotation)):
             if not isinstance(part, Dmp) or part.n != 3 or part.schedule == "position":
                 raise ShapeError(

@@ -7,10 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab.errors import ConfigError, ShapeError, UnknownName
+from armlab._numbers import check_name
+from armlab.errors import ConfigError, ShapeError
 from armlab.estimation import Fit
 from armlab.lie import quaternion
+from armlab.motion._basis import SCHEDULES
 from armlab.motion._demos import read_demos
+from armlab.motion._equation import SCALINGS
 from armlab.motion._poses import log, poses
 from armlab.motion._rotation_fit import Turning, fit_turning
 from armlab.motion.dmp import Dmp
@@ -56,10 +59,11 @@ def fit_pose_dmp(
     ShapeError : no poses, NaN with its rows, times that do not increase, an orientation half a turn from the last.
     UnknownName : options that do not exist. ConfigError : schedule "position". NotConverged : the search did not end.
     """
+    check_name(schedule, "schedule", SCHEDULES)
+    check_name(scaling, "scaling", SCALINGS)
+    check_name(frame, "frame of the forcing", FRAMES)
     if schedule == "position":
         raise ConfigError("Expected a phase of time for poses, got schedule 'position'. Use 'canonical' or 'time'.")
-    if frame not in FRAMES:
-        raise UnknownName.among("frame of the forcing", frame, FRAMES)
     p, q = poses(T, "T")
     demo = read_demos(t, np.concatenate([p, q], axis=1), None)[0]
     way = log(quaternion.multiply(q, quaternion.conjugate(q[-1])))  # from the goal

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab import kernels
-from armlab._numbers import number, positive
-from armlab.errors import ConfigError, UnknownName
+from armlab._numbers import check_name, number, positive
+from armlab.errors import ConfigError
 from armlab.motion._setting import Setting
 from armlab.motion._solving import progress
 
@@ -47,8 +47,7 @@ class Stepper:
         dmp = run.dmp
         if goal_forcing is None:
             goal_forcing = "scale" if dmp.scaling == "goal" else "shift"
-        if goal_forcing not in FORCINGS:
-            raise UnknownName.among("goal_forcing", goal_forcing, FORCINGS)
+        check_name(goal_forcing, "goal_forcing", FORCINGS)
         if goal_forcing == "scale" and dmp.scaling != "goal":
             raise ConfigError(
                 f"Expected goal_forcing 'shift' with scaling {dmp.scaling!r}, got 'scale'. Fit with scaling='goal'."
