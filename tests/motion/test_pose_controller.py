@@ -9,7 +9,7 @@ import pytest
 
 from armlab import Command, State, robots
 from armlab.errors import ShapeError
-from armlab.kinematics import forward
+from armlab.kinematics import forward, inverse
 from armlab.lie import se3, so3
 from armlab.motion import PoseDmp, fit_pose_dmp
 from armlab.motion.control import Controller
@@ -54,6 +54,26 @@ def test_the_tool_goes_along_the_path(path: PoseDmp) -> None:
     assert np.abs(apart).max() < 1e-6
     assert np.abs(np.diff(q, axis=0)).max() < 0.02
     assert controller.done
+
+
+def test_it_is_not_done_where_the_tool_is_turned_and_says_how_the_joints_accelerate(path: PoseDmp) -> None:
+    controller, q, qd, told = path.controller(ROBOT), ROBOT.q_home, np.zeros(7), []
+    for k in range(400):
+        command = controller(State(k * PERIOD, PERIOD, q, qd, q))
+        assert command.q is not None
+        assert command.qd is not None
+        assert command.record is not None
+        q, qd = command.q, command.qd
+        told.append((q, command.record["qdd_ref"]))
+    joints, qdd = (np.array(part) for part in zip(*told))
+    np.testing.assert_allclose(qdd[2:], np.diff(joints, 2, axis=0) / PERIOD**2, rtol=0, atol=1e-6)
+    goal = path.T_goal.copy()
+    for angle, done in ((0.02, False), (0.0, True)):
+        goal[:3, :3] = so3.exp([0.0, angle, 0.0]) @ path.T_goal[:3, :3]
+        there = inverse(ROBOT, goal, q).q
+        for k in range(60):
+            controller(State(2.0 + k * PERIOD, PERIOD, there, np.zeros(7), there))
+        assert controller.done is done
 
 
 def test_from_elsewhere_and_to_another_goal(path: PoseDmp) -> None:

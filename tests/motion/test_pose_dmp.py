@@ -69,6 +69,30 @@ def test_start_and_goal_moved_together_move_the_path_in_the_frame_of_the_goal(po
     np.testing.assert_allclose(pose_fit.value.rollout(0.004).T, here.T, rtol=0, atol=1e-12)
 
 
+def test_the_forcing_of_the_orientation_is_scaled_before_it_is_turned(pose_fit: Taught) -> None:
+    """From another start, which scales each axis by itself, start and goal moved together still move the path."""
+    dmp = replace(pose_fit.value, frame="goal")
+    start = dmp.T_start @ shifted([0.3, -0.2, 0.1], [0.05, 0.0, -0.02])
+    here, there = dmp.rollout(0.01, start=start), dmp.rollout(0.01, start=MOVE @ start, goal=MOVE @ dmp.T_goal)
+    np.testing.assert_allclose(there.T, MOVE @ here.T, rtol=0, atol=1e-9)
+
+
+def test_turns_about_one_axis_grow_with_the_displacement(pose_fit: Taught) -> None:
+    """Then orientations are one angle, for which the equation is linear; without scaling the forcing stays."""
+    dmp = pose_fit.value
+    weights = dmp.rotation.weights * [0, 0, 1]
+    dmp = replace(dmp, rotation=replace(dmp.rotation, weights=weights, y0=np.array([0, 0, 0.8]), v0=np.zeros(3)))
+
+    def angles(size: float, own: PoseDmp) -> np.ndarray:
+        start = own.T_goal.copy()
+        start[:3, :3] = so3.exp([0, 0, 0.8 * size]) @ own.T_goal[:3, :3]
+        return so3.log(own.rollout(0.01, start=start).T[:, :3, :3] @ own.T_goal[:3, :3].T)[:, 2]
+
+    np.testing.assert_allclose(angles(1.7, dmp), 1.7 * angles(1.0, dmp), rtol=0, atol=1e-5)
+    plain = replace(dmp, rotation=replace(dmp.rotation, scaling="none"))
+    assert np.abs(angles(1.7, plain) - 1.7 * angles(1.0, plain)).max() > 0.01
+
+
 def test_velocities_at_the_start_are_in_base_axes(pose_fit: Taught) -> None:
     dmp, twist = replace(pose_fit.value, frame="goal"), np.array([0.1, 0.2, -0.3, 0.4, -0.5, 0.6])
     run = dmp.rollout(0.004, start=MOVE @ dmp.T_start, goal=MOVE @ dmp.T_goal, twist0=twist)

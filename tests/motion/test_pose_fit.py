@@ -52,6 +52,17 @@ def test_a_turned_demonstration_gives_a_turned_path(pose_demo: Demo) -> None:
     np.testing.assert_allclose(turned.rollout(t).T, T_a_b @ here.rollout(t).T, rtol=0, atol=1e-9)
 
 
+def test_a_hold_keeps_the_orientation_at_the_goal(pose_demo: Demo) -> None:
+    t, T = (a[::2] for a in pose_demo)
+    late = np.linspace(0.0, 1.3, 131)
+    left = []
+    for hold in (0.0, 0.3):
+        R = fit_pose_dmp(t, T, n_basis=15, hold=hold).value.rollout(late).T[100:, :3, :3]
+        left.append(np.abs(so3.log(R @ T[-1, :3, :3].T)).max())
+    assert left[1] < 5e-4
+    assert left[0] > 3 * left[1]
+
+
 def test_a_shifted_clock_changes_nothing(pose_demo: Demo, pose_fit: Fit[PoseDmp]) -> None:
     t, T = pose_demo
     again = fit_pose_dmp(t + 5.0, T).value
