@@ -12,9 +12,11 @@ author = "The armlab authors"
 copyright = author
 version = release = armlab.__version__
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "mathml", "plain_docstrings", "library_table", "figures"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "mathml", "plain_docstrings", "library_table", "figures"]
 exclude_patterns = ["_build", "_figures"]
 default_role = "literal"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 120  # s
 myst_enable_extensions = ["dollarmath", "deflist"]
 myst_heading_anchors = 3
 
