@@ -74,6 +74,7 @@ def test_schema_first_then_rows(cell: Cell) -> None:
     cell.row(Command(HOME))
     about, parameters, data = cell.heard("labcomm")
     assert about["cell"] == "test"
+    assert {name: robots.from_toml(text, "the feed") for name, text in about["robots"].items()} == {"yumi_left": LEFT}
     row = read_row(RowSchema.read(about["schema"].encode()), data)
     np.testing.assert_array_equal(row.values["yumi_left.q_ref"], HOME)
     assert [one["name"] for one in parameters["parameters"]] == ["gain", "open"]

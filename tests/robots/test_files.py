@@ -65,6 +65,15 @@ def test_load_a_file_of_the_user(tmp_path: Path) -> None:
     assert_same_bits(robot, expected)
 
 
+def test_the_text_alone_for_who_has_no_file() -> None:
+    robot = robots.load("yumi_left")
+    assert_same_bits(robots.from_toml(robots.to_toml(robot), "a feed"), robot)
+    with pytest.raises(RobotError, match="Expected a robot file in a feed, got one that cannot be read"):
+        robots.from_toml(robots.to_toml(robot) + "[more]\n", "a feed")
+    with pytest.raises(RobotError, match="Expected a Robot"):
+        robots.to_toml("yumi_left")  # type: ignore[arg-type]
+
+
 def test_degrees_and_radians_are_one(tmp_path: Path) -> None:
     radians = MINIMAL.replace("alpha_deg = 90", f"alpha = {np.pi / 2}").replace(
         "offset_deg = 45", f"offset = {np.pi / 4}"

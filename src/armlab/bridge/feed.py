@@ -39,7 +39,7 @@ from armlab.bridge.row import RowWriter
 from armlab.bridge.row_schema import RowSchema
 from armlab.errors import ArmlabError, LinkError
 from armlab.log import Column, Tick
-from armlab.robots import Robot
+from armlab.robots import Robot, to_toml
 from armlab.state import Command, State
 
 __all__ = ["OPERATOR", "Exchange"]
@@ -58,8 +58,9 @@ class Exchange:
     Parameters
     ----------
     robots : the arms. servers : names. parameters : of the run. allowed : servers that may command.
-    sources : fields by source. about : told every client first, for example the name of the cell. torque : names of
-        arms that take torques. read_only : servers whose clients may stop the arms and nothing else.
+    sources : fields by source. about : told every client first, for example the name of the cell; the descriptions of
+        the arms go with it. torque : names of arms that take torques. read_only : servers whose clients may stop the
+        arms and nothing else.
 
     Attributes
     ----------
@@ -84,7 +85,7 @@ class Exchange:
         self.schema = RowSchema.of(robots, sources)
         self.mistakes = 0
         self._writer = RowWriter(self.schema)
-        self._about = dict(about or {})
+        self._about = {**(about or {}), "robots": {robot.name: to_toml(robot) for robot in robots}}
         self._read_only = frozenset(read_only)
         self._told: deque[tuple[str, bool]] = deque(maxlen=_EVENTS)
         self._record: Tell | None = None

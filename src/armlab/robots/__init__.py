@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from armlab.robots import couplings, inertia
 from armlab.robots.build import GRAVITY, RAMP_TIME, Details, from_dh, from_links
-from armlab.robots.files import load, names, save
+from armlab.robots.files import from_toml, load, names, save, to_toml
 from armlab.robots.mesh import Mesh
 from armlab.robots.poe import SCREW_TOLERANCE, LocalPoe, from_local_poe, from_poe, normalise_screw, to_local_poe
 from armlab.robots.robot import POSE_TOLERANCE, Robot
@@ -30,12 +30,14 @@ __all__ = [
     "from_links",
     "from_local_poe",
     "from_poe",
+    "from_toml",
     "inertia",
     "load",
     "names",
     "normalise_screw",
     "save",
     "to_local_poe",
+    "to_toml",
     "urdf",
 ]
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from armlab.errors import RobotError, UnknownName
 from armlab.robots.robot import Robot
 
-__all__ = ["load", "names", "save"]
+__all__ = ["from_toml", "load", "names", "save", "to_toml"]
 
 _LIBRARY = Path(__file__).with_name("library")
 
@@ -70,10 +70,9 @@ def save(robot: Robot, path: str | Path) -> None:
     if not isinstance(path, str | PathLike):
         raise RobotError(f"Expected the path of a file for robot {robot.name!r}, got {path!r}.")
     from armlab.robots._urdf_writing import write_urdf
-    from armlab.robots._writing import write_robot
 
     path = Path(path)
-    writers = {".toml": write_robot, ".urdf": write_urdf}
+    writers = {".toml": to_toml, ".urdf": write_urdf}
     if path.suffix.lower() not in writers:
         raise RobotError(f"Expected a path that ends in .toml or .urdf for robot {robot.name!r}, got {path}.")
     text = writers[path.suffix.lower()](robot)
@@ -83,16 +82,48 @@ def save(robot: Robot, path: str | Path) -> None:
         raise RobotError(f"Expected to write robot {robot.name!r} to {path}, got: {error}.") from None
 
 
+def to_toml(robot: Robot) -> str:
+    """Return the text of a robot file, for a program that has no file of it; `from_toml` reads back the same bits.
+
+    Parameters
+    ----------
+    robot : any robot.
+
+    Raises
+    ------
+    RobotError : no robot, or a name that cannot stand in the file.
+    """
+    if not isinstance(robot, Robot):
+        raise RobotError.no_robot(robot)
+    from armlab.robots._writing import write_robot
+
+    return write_robot(robot)
+
+
+def from_toml(text: str, origin: str) -> Robot:
+    """Return the robot that the text of a robot file describes.
+
+    Parameters
+    ----------
+    text : as `to_toml` writes it. origin : where it comes from, for messages.
+
+    Raises
+    ------
+    RobotError : the text describes no consistent robot; names origin, joint or line, and value.
+    """
+    from armlab.robots._reading import read_robot  # it brings msgspec, which kinematics alone does not need
+
+    return read_robot(text, origin)
+
+
 @cache
 def _from_library(name: str) -> Robot:
     return _from_file(_LIBRARY / f"{name}.toml")
 
 
 def _from_file(path: Path) -> Robot:
-    from armlab.robots._reading import read_robot  # it brings msgspec, which kinematics alone does not need
-
     try:
         text = path.read_text(encoding="utf-8-sig")  # editors on Windows put a mark before the text
     except (OSError, ValueError) as error:
         raise RobotError(f"Expected a robot file at {path}, got: {error}.") from None
-    return read_robot(text, str(path))
+    return from_toml(text, str(path))
