@@ -25,7 +25,7 @@ TESTS = sorted((ROOT / "tests").rglob("*.py"))
 
 LAYERS = [  # low to high; packages on one line do not see each other
     {"errors"},
-    {"glossary", "state", "_interrupts", "_numbers"},
+    {"glossary", "state", "_interrupts", "_numbers", "_palette"},
     {"kernels"},
     {"lie", "wire"},
     {"robots", "signals"},

@@ -13,16 +13,16 @@ from armlab.kinematics import forward, link_transforms
 from armlab.plots import space
 from armlab.plots.style import GREY, JOINT_STYLES, legend, look
 from armlab.robots import Robot
+from armlab.robots.outline import arm_length, bends
 
 if TYPE_CHECKING:
     from mpl_toolkits.mplot3d import Axes3D
 
-__all__ = ["arm_length", "configurations", "robot", "stick"]
+__all__ = ["configurations", "robot", "stick"]
 
 _STICK = "#333333"
 _FAINT = 8  # most configurations drawn beside the last one
 _CORNERS = 20  # of a joint's cylinder
-_PARALLEL = 0.03  # axes that make a smaller angle [rad] have no common normal worth drawing
 _UNIT = {"joint": (0.055, 0.018), "frame": 0.13}  # length and radius of a joint, length of a frame: over the arm's
 
 
@@ -96,31 +96,12 @@ def stick(robot: Robot, q: np.ndarray) -> np.ndarray:
     for i in range(robot.n):
         origin, z = T[i, :3, 3], T[i, :3, 2]
         start = origin - q[i] * z if robot.prismatic[i] else origin  # where the slide begins
-        points += [*_bends(points[-1], axis, start, z), start, origin]
+        points += [*bends(points[-1], axis, start, z), start, origin]
         axis = z
     flange = (tool @ np.linalg.inv(robot.T_flange_tool))[:3, 3]
     points += [points[-1] + ((flange - points[-1]) @ axis) * axis, flange, tool[:3, 3]]
     points = np.array(points)
     return points[np.r_[True, np.linalg.norm(np.diff(points, axis=0), axis=1) > 1e-9]]
-
-
-def _bends(a: np.ndarray, along_a: np.ndarray, b: np.ndarray, along_b: np.ndarray) -> list[np.ndarray]:
-    """Return where a link bends: the ends of the common normal of two joint axes through a and b."""
-    across = b - a
-    cosine = along_a @ along_b
-    sine2 = 1 - cosine**2
-    if sine2 < _PARALLEL**2:
-        return [a + (across @ along_a) * along_a]
-    s = (across @ along_a - cosine * (across @ along_b)) / sine2
-    t = (cosine * (across @ along_a) - across @ along_b) / sine2
-    return [a + s * along_a, b + t * along_b]
-
-
-def arm_length(robot: Robot) -> float:
-    """Return the length of the stretched arm from mount to tool [m]: the measure of what is drawn on it."""
-    steps = np.linalg.norm(np.concatenate([robot.links, robot.T_flange_tool[None]])[:, :3, 3], axis=1)
-    strokes = np.nan_to_num(np.maximum(-robot.q_min, robot.q_max), posinf=0.0)[robot.prismatic]
-    return float(steps.sum() + strokes.sum()) or 1.0
 
 
 def _arm(ax: Axes3D, robot: Robot, q: np.ndarray) -> None:

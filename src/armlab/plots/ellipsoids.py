@@ -10,10 +10,11 @@ from numpy.typing import ArrayLike
 from armlab import kinematics
 from armlab.kinematics import ellipsoid, forward
 from armlab.plots import space
-from armlab.plots.arms import arm_length, configurations
+from armlab.plots.arms import configurations
 from armlab.plots.arms import robot as draw_arm
 from armlab.plots.style import MODEL, look
 from armlab.robots import Robot
+from armlab.robots.outline import arm_length
 
 if TYPE_CHECKING:
     from mpl_toolkits.mplot3d import Axes3D

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from armlab._palette import AXIS_COLORS, COLORS, GREY, VERMILION
 from armlab.errors import ShapeError
 
 if TYPE_CHECKING:
@@ -29,16 +30,9 @@ __all__ = [
     "shade",
 ]
 
-# Okabe and Ito, "Color Universal Design" (2008), without yellow, which vanishes on white.
-_BLUE, _VERMILION, _GREEN = "#0072B2", "#D55E00", "#009E73"
-_PURPLE, _ORANGE, _SKY, _BLACK = "#CC79A7", "#E69F00", "#56B4E9", "#000000"
-_COLORS = (_BLUE, _VERMILION, _GREEN, _PURPLE, _ORANGE, _SKY, _BLACK)
-
-JOINT_STYLES = tuple((color, style) for style in ("-", "-.") for color in _COLORS)
+JOINT_STYLES = tuple((color, style) for style in ("-", "-.") for color in COLORS)
 """Colour and line style of joint 1, 2, ...: the same in every figure."""
-AXIS_COLORS = (_VERMILION, _GREEN, _BLUE)
-"""Colours of the axes x, y, z."""
-MODEL, GREY = _VERMILION, "#4D4D4D"
+MODEL = VERMILION
 
 _MOST_POINTS = 20_000  # of one line; more become an envelope
 _ENVELOPE_COLUMNS = 4_000

@@ -1,0 +1,13 @@
+"""The view in the browser: arms, forces with their uncertainty, curves; of a log, or of a bridge that runs.
+
+It needs viser (extra `live`), which loads on first use. Everything stays on this computer.
+"""
+
+from __future__ import annotations
+
+from armlab.live.curves import Curves, Window
+from armlab.live.panel import ArmPanel
+from armlab.live.scene import Scene
+from armlab.live.server import address, start, stop
+
+__all__ = ["ArmPanel", "Curves", "Scene", "Window", "address", "start", "stop"]

@@ -1,0 +1,175 @@
+"""Curves in the panel: the last seconds of a stream, or a whole run with a cursor; two-sigma bands around them."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armlab._numbers import numbers
+from armlab.errors import ShapeError
+
+__all__ = ["Curves", "Window", "envelope"]
+
+_STRETCHES = 200  # of a plot some 400 pixels wide: minimum and maximum of each are drawn
+_CURSOR = "#000000"
+_BAND = "33"  # opacity of a band, two digits of a colour
+
+
+def envelope(t: np.ndarray, values: np.ndarray, stretches: int = _STRETCHES) -> tuple[np.ndarray, np.ndarray]:
+    """Return (M,) and (M, k) to draw: minimum and maximum of each stretch of equal length, so that spikes stay.
+
+    Stretches begin at whole multiples of their length, so that a window that slides does not flicker. Few samples are
+    returned as they are. Stretches without a number are NaN.
+
+    Parameters
+    ----------
+    t : (N,) increasing [s]. values : (N, k). stretches : about how many.
+    """
+    if len(t) <= 2 * stretches:
+        return t, values
+    step = (t[-1] - t[0]) / stretches
+    edges = np.r_[0, np.flatnonzero(np.diff(np.floor(t / step))) + 1]
+    holes = np.isnan(values)
+    empty = np.minimum.reduceat(holes, edges)
+    low = np.where(empty, np.nan, np.minimum.reduceat(np.where(holes, np.inf, values), edges))
+    high = np.where(empty, np.nan, np.maximum.reduceat(np.where(holes, -np.inf, values), edges))
+    middle = 0.5 * (t[edges] + t[np.r_[edges[1:], len(t)] - 1])
+    return np.repeat(middle, 2), np.stack([low, high], axis=1).reshape(-1, values.shape[1])
+
+
+class Curves:
+    """One plot of k curves over time in the panel.
+
+    Parameters
+    ----------
+    gui : ``server.gui``.
+    title : with the unit, for example "torque [N m]".
+    labels, colors : of the k curves; colours such as "#0072B2".
+    band : whether bands are drawn around the curves.
+    cursor : whether a vertical line marks an instant.
+    limits : ends of the scale; it follows the data when None.
+    height : of the plot [pixels].
+    """
+
+    def __init__(
+        self,
+        gui: Any,
+        title: str,
+        labels: Sequence[str],
+        colors: Sequence[str],
+        *,
+        band: bool = False,
+        cursor: bool = False,
+        limits: tuple[float, float] | None = None,
+        height: int = 150,
+    ) -> None:
+        self._k, self._band, self._cursor, self._limits = len(labels), band, cursor, limits
+        series: list[dict[str, Any]] = [{"label": "t [s]"}]
+        series += [{"label": name, "stroke": color, "width": 1.3} for name, color in zip(labels, colors, strict=True)]
+        bands = []
+        if band:
+            for name, color in zip(labels, colors):
+                series += [{"label": f"{name} {sign}2σ", "stroke": color + _BAND, "width": 0.5} for sign in "+-"]
+                bands.append({"series": (len(series) - 2, len(series) - 1), "fill": color + _BAND})
+        if cursor:
+            series.append({"label": "now", "stroke": _CURSOR, "width": 1.5})
+        for one in series[1:]:
+            one["points"] = {"show": False}
+        y: dict[str, Any] = {} if limits is None else {"range": limits}
+        self._plot = gui.add_uplot(
+            data=tuple(np.array([0.0]) for _ in series),
+            series=tuple(series),
+            title=title,
+            bands=tuple(bands) or None,
+            scales={"x": {"time": False}, "y": y},
+            legend={"show": False},
+            cursor={"show": False},
+            height=height,
+            axes=({"size": 30, "gap": 2}, {"size": 48, "gap": 2}),
+            padding=(8, 12, 0, 0),
+        )
+
+    def show(self, t: ArrayLike, values: ArrayLike, half: ArrayLike | None = None, *, at: float | None = None) -> None:
+        """Draw curves in place of the last ones. Many samples become an envelope.
+
+        Parameters
+        ----------
+        t : (N,) increasing [s]. values : (N, k). half : (N, k) half width of the bands. at : of the cursor [s].
+
+        Raises
+        ------
+        ShapeError : shapes do not fit, or a band came for a plot without.
+        """
+        t, values = numbers(t, "times of curves", ShapeError), numbers(values, "curves", ShapeError)
+        if t.ndim != 1 or values.shape != (len(t), self._k):
+            raise ShapeError(f"Expected curves of shape (N, {self._k}) over t (N,), got {values.shape} over {t.shape}.")
+        columns = values
+        if self._band:
+            half = np.full_like(values, np.nan) if half is None else numbers(half, "bands", ShapeError)
+            if half.shape != values.shape:
+                raise ShapeError(f"Expected bands of shape {values.shape}, got {half.shape}.")
+            columns = np.concatenate([values, np.stack([values + half, values - half], axis=2).reshape(len(t), -1)], 1)
+        elif half is not None:
+            raise ShapeError("Expected no bands for these curves, got some. Make the plot with band=True.")
+        t, columns = envelope(t, columns)
+        if self._cursor:
+            t, columns = self._marked(t, columns, at)
+        if len(t):
+            self._plot.data = (np.ascontiguousarray(t), *np.ascontiguousarray(columns.T))
+
+    def _marked(self, t: np.ndarray, columns: np.ndarray, at: float | None) -> tuple[np.ndarray, np.ndarray]:
+        """Add the column of the cursor: two rows at its time, from the lower to the upper end of the scale."""
+        columns = np.column_stack([columns, np.full(len(t), np.nan)])
+        if at is None or not len(t):
+            return t, columns
+        if self._limits is not None:
+            ends = self._limits
+        else:
+            known = columns[np.isfinite(columns)]
+            ends = (known.min(), known.max()) if len(known) else (0.0, 1.0)
+        k = int(np.searchsorted(t, at))
+        row = columns[min(k, len(t) - 1)].copy()
+        rows = np.stack([row, row])
+        rows[:, -1] = ends
+        return np.insert(t, k, [at, at]), np.insert(columns, k, rows, axis=0)
+
+
+class Window:
+    """The last seconds of a stream on a plot, drawn at most ten times per second of its clock.
+
+    Parameters
+    ----------
+    curves : the plot. seconds : shown. rate : pictures per second at most.
+    """
+
+    def __init__(self, curves: Curves, seconds: float = 10.0, rate: float = 10.0) -> None:
+        self._curves, self._seconds, self._period = curves, seconds, 1.0 / rate
+        self._rows: deque[tuple[float, np.ndarray, np.ndarray | None]] = deque()
+        self._drawn = -np.inf
+
+    def push(self, t: float, values: ArrayLike, half: ArrayLike | None = None) -> None:
+        """Add a sample; a time that does not advance begins anew.
+
+        Parameters
+        ----------
+        t : [s]. values : (k,). half : (k,) half width of the bands.
+        """
+        if self._rows and t <= self._rows[-1][0]:
+            self._rows.clear()
+            self._drawn = -np.inf
+        self._rows.append((t, np.array(values, dtype=float), None if half is None else np.array(half, dtype=float)))
+        while self._rows[0][0] < t - self._seconds:
+            self._rows.popleft()
+        if t - self._drawn >= self._period:
+            self._drawn = t
+            self._draw()
+
+    def _draw(self) -> None:
+        times, values, bands = zip(*self._rows)
+        missing = np.full_like(values[0], np.nan)
+        half = None if all(one is None for one in bands) else np.stack([missing if b is None else b for b in bands])
+        self._curves.show(np.array(times), np.stack(values), half)

@@ -1,0 +1,298 @@
+"""The scene: arms in space, the path of their tools, the force at them with its uncertainty, named frames."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armlab._numbers import numbers, positive
+from armlab._palette import COLORS, GREY, PURPLE, VERMILION
+from armlab.errors import RobotError, ShapeError, UnknownName
+from armlab.kinematics import forward, link_transforms
+from armlab.lie import quaternion, se3
+from armlab.live.bodies import Body, bodies, drums, mesh_bodies
+from armlab.robots import Robot
+from armlab.robots.outline import arm_length
+
+if TYPE_CHECKING:
+    from viser import ViserServer
+
+__all__ = ["ARROW", "LINK_COLORS", "TOOL_COLOR", "Scene", "ellipsoid_axes", "is_significant", "rgb"]
+
+ARROW = 0.2 / 20.0
+"""Length of a force [m/N] unless set otherwise."""
+LINK_COLORS = ("#8FB4D9", "#E2BE8C")
+"""Of the links of the first, second, ... arm."""
+TOOL_COLOR = PURPLE
+"""Of the ball at the tool point."""
+
+_ZERO_OUTSIDE = 7.81  # 95 % quantile of chi-square with 3 degrees of freedom
+_TOOL = 0.024  # radius of the ball at the tool point over the length of the arm
+_AXES = 0.1  # length of the tool's axes over the length of the arm
+_SHORTEST = 1e-3  # m: a shorter arrow is not drawn
+_HEAD = 0.04  # m, of an arrow at most
+_MOST_POINTS = 300  # of a path
+
+
+class Scene:
+    """Arms in one world, drawn by `show`; everything else of viser's ``server.scene`` is free to use beside it.
+
+    Links are capsules in the colour of their arm, joints drums in the colour that they have in all curves, the tool
+    point is a ball with axes x, y, z. The arrow at it is the force by the environment on the robot, the ellipsoid at
+    its tip that of two sigma; both are grey while zero lies inside the 95 % ellipsoid.
+
+    Parameters
+    ----------
+    server : of `start`.
+    robots : the arms, of different names.
+    T_world_base : (4, 4) pose of an arm's base in the world by its name; the world where none is given. The mount is
+        part of the robot.
+    meshes : folder of the files that the descriptions name as meshes.
+
+    Attributes
+    ----------
+    robots : by name. arrow : length of a force [m/N]; set it and show again.
+
+    Raises
+    ------
+    RobotError : no robot, something else, or two of one name.
+    UnknownName : a base of an arm that is not there.
+    """
+
+    def __init__(
+        self,
+        server: ViserServer,
+        robots: Iterable[Robot],
+        T_world_base: Mapping[str, ArrayLike] | None = None,
+        *,
+        meshes: Path | None = None,
+    ) -> None:
+        arms = list(robots)
+        for robot in arms:
+            if not isinstance(robot, Robot):
+                raise RobotError.no_robot(robot)
+        self.robots = {robot.name: robot for robot in arms}
+        if not arms or len(self.robots) < len(arms):
+            names = ", ".join(robot.name for robot in arms) or "none"
+            raise RobotError(f"Expected robots of different names to show, got {names}. Rename one.")
+        self.arrow = ARROW
+        self._server = server
+        bases = dict(T_world_base or {})
+        for name in bases:
+            self._robot(name)
+        self._arms = {
+            robot.name: _Arm(server.scene, robot, _pose(bases.get(robot.name, np.eye(4))), LINK_COLORS[k % 2], meshes)
+            for k, robot in enumerate(arms)
+        }
+        self._frames: dict[str, Any] = {}
+        self._surround()
+
+    def show(
+        self, name: str, q: ArrayLike, wrench: ArrayLike | None = None, covariance: ArrayLike | None = None
+    ) -> None:
+        """Draw an arm at a configuration, with the force on it. What is missing or NaN is hidden.
+
+        Wrap the arms of one instant in ``with server.atomic():``.
+
+        Parameters
+        ----------
+        name : of the arm.
+        q : (n,) joint positions [rad or m].
+        wrench : (6,) or (3,) by the environment on the robot, base axes, at the tool point [N, N m]; moments are not
+            drawn.
+        covariance : (6, 6) or (3, 3) of it.
+
+        Raises
+        ------
+        UnknownName : no such arm. ShapeError : a shape does not fit.
+        """
+        robot = self._robot(name)
+        q = _array(q, "q", ((robot.n,),))
+        force = None if wrench is None else _array(wrench, "wrench", ((6,), (3,)))[:3]
+        spread = None if covariance is None else _array(covariance, "covariance", ((6, 6), (3, 3)))[:3, :3]
+        self._arms[name].show(q, force, spread, positive(self.arrow, "length of a force [m/N]"))
+
+    def trace(self, name: str, points: ArrayLike) -> None:
+        """Draw the path of an arm's tool; fewer than two finite points hide it.
+
+        Parameters
+        ----------
+        name : of the arm. points : (K, 3) base axes [m]; long ones are thinned.
+        """
+        self._robot(name)
+        points = numbers(points, "points of a path", ShapeError)
+        if points.ndim != 2 or points.shape[1] != 3:
+            raise ShapeError(f"Expected points of a path of shape (K, 3), got {points.shape}.")
+        self._arms[name].trace(points[np.isfinite(points).all(axis=1)])
+
+    def frame(self, name: str, T_world_x: ArrayLike | None, length: float = 0.1) -> None:
+        """Draw a named frame, move it, or take it away.
+
+        Parameters
+        ----------
+        name : what is written beside it. T_world_x : (4, 4); None takes it away. length : of its axes [m].
+        """
+        if T_world_x is None:
+            if name in self._frames:
+                self._frames.pop(name).remove()
+            return
+        T = _pose(T_world_x)
+        if name not in self._frames:
+            path = f"/frames/{name}"
+            self._frames[name] = self._server.scene.add_frame(path, axes_length=length, axes_radius=0.03 * length)
+            self._server.scene.add_label(f"{path}/name", name)
+        _place(self._frames[name], T)
+
+    def _robot(self, name: str) -> Robot:
+        try:
+            return self.robots[name]
+        except KeyError:
+            raise UnknownName.among("arm in this view", name, self.robots) from None
+
+    def _surround(self) -> None:
+        """Put a floor below and the camera before the arms."""
+        reach = max(arm_length(robot) for robot in self.robots.values())
+        bases = [
+            (arm.T_world_base @ robot.T_base_mount)[:3, 3]
+            for arm, robot in zip(self._arms.values(), self.robots.values())
+        ]
+        centre = np.mean(bases, axis=0)
+        self._server.scene.add_grid("/floor", 4.0 * reach, 4.0 * reach, cell_size=0.1, section_size=0.5)
+        camera = self._server.initial_camera
+        camera.look_at = tuple(centre + reach * np.array([0.3, 0.0, 0.0]))
+        camera.position = tuple(centre + reach * np.array([1.7, 0.9, 0.8]))
+        camera.fov = np.deg2rad(45.0)
+
+
+class _Arm:
+    """What is drawn of one arm: nodes below ``/<name>``, whose axes are those of its base."""
+
+    def __init__(self, scene: Any, robot: Robot, T_world_base: np.ndarray, color: str, meshes: Path | None) -> None:
+        self.T_world_base = T_world_base
+        self._robot = robot
+        root, size = f"/{robot.name}", arm_length(robot)
+        _place(scene.add_frame(root, show_axes=False), T_world_base)
+        self._arm = scene.add_frame(f"{root}/arm", show_axes=False)
+        shapes, given, joints = bodies(robot), mesh_bodies(robot, meshes), drums(robot)
+        _solid(scene, f"{root}/arm/mount", given[0] or shapes[0], color)
+        self._links = []
+        for i in range(robot.n):
+            self._links.append(_solid(scene, f"{root}/arm/link_{i + 1}", given[i + 1] or shapes[i + 1], color))
+            if given[i + 1] is None:
+                _solid(scene, f"{root}/arm/link_{i + 1}/joint", joints[i], COLORS[i % len(COLORS)])
+        self._tool = scene.add_frame(f"{root}/arm/tool", axes_length=_AXES * size, axes_radius=0.05 * _AXES * size)
+        scene.add_icosphere(f"{root}/arm/tool/point", _TOOL * size, rgb(TOOL_COLOR), cast_shadow=False)
+        self._force = scene.add_arrows(
+            f"{root}/force", np.zeros((1, 2, 3)), rgb(VERMILION), shaft_radius=0.008, head_radius=0.02, visible=False
+        )
+        self._spread = scene.add_icosphere(
+            f"{root}/uncertainty", 1.0, rgb(VERMILION), opacity=0.35, visible=False, cast_shadow=False
+        )
+        self._path = scene.add_line_segments(
+            f"{root}/path", np.zeros((1, 2, 3)), rgb(GREY), thickness=2.0, thickness_units="screen", visible=False
+        )
+
+    def show(self, q: np.ndarray, force: np.ndarray | None, spread: np.ndarray | None, arrow: float) -> None:
+        known = bool(np.isfinite(q).all())
+        self._arm.visible = known
+        if not known:
+            self._force.visible = self._spread.visible = False
+            return
+        T = np.concatenate([link_transforms(self._robot, q), forward(self._robot, q)[None]])
+        turns = quaternion.from_matrix(T[:, :3, :3])
+        for handle, pose, turn in zip((*self._links, self._tool), T, turns):
+            handle.position, handle.wxyz = pose[:3, 3], turn
+        self._push(T[-1, :3, 3], force, spread, arrow)
+
+    def _push(self, tool: np.ndarray, force: np.ndarray | None, spread: np.ndarray | None, arrow: float) -> None:
+        """Draw the force at the tool point, and its uncertainty at the tip."""
+        if force is None or not np.isfinite(force).all():
+            self._force.visible = self._spread.visible = False
+            return
+        certain = spread is None or not np.isfinite(spread).all()
+        color = rgb(VERMILION if certain or is_significant(force, spread) else GREY)
+        tip = arrow * force
+        length = float(np.linalg.norm(tip))
+        self._force.visible = length >= _SHORTEST
+        if length >= _SHORTEST:
+            self._force.position = tool
+            self._force.head_length = min(_HEAD, 0.5 * length)
+            self._force.points = np.stack([np.zeros(3), tip])[None].astype(np.float32)
+            self._force.colors = np.array(color, dtype=np.uint8)
+        self._spread.visible = not certain
+        if spread is not None and not certain:
+            axes, half = ellipsoid_axes(spread)
+            self._spread.position, self._spread.wxyz = tool + tip, quaternion.from_matrix(axes)
+            self._spread.scale = tuple(float(one) for one in arrow * np.maximum(half, 1e-6))
+            self._spread.color = color
+
+    def trace(self, points: np.ndarray) -> None:
+        points = points[:: max(1, -(-len(points) // _MOST_POINTS))]
+        self._path.visible = len(points) > 1
+        if len(points) > 1:
+            self._path.points = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
+
+
+def ellipsoid_axes(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the axes (3, 3), columns of a rotation, and half axes (3,) of the two-sigma ellipsoid.
+
+    ``{x : x^T C^-1 x = 4}``.
+
+    Parameters
+    ----------
+    covariance : (3, 3).
+    """
+    size, axes = np.linalg.eigh(covariance)
+    if np.linalg.det(axes) < 0.0:
+        axes[:, 0] *= -1.0
+    return axes, 2.0 * np.sqrt(np.maximum(size, 0.0))
+
+
+def is_significant(force: np.ndarray, covariance: np.ndarray | None) -> bool:
+    """Return whether zero lies outside the 95 % ellipsoid of a force: ``f^T C^-1 f >= 7.81``.
+
+    Parameters
+    ----------
+    force : (3,). covariance : (3, 3); None is no doubt at all.
+    """
+    if covariance is None:
+        return True
+    size, axes = np.linalg.eigh(covariance)
+    return bool(np.sum((axes.T @ force) ** 2 / np.maximum(size, 1e-12)) >= _ZERO_OUTSIDE)
+
+
+def rgb(color: str) -> tuple[int, int, int]:
+    """Return red, green and blue, 0 to 255, of a colour such as "#0072B2".
+
+    Parameters
+    ----------
+    color : as in style sheets.
+    """
+    red, green, blue = bytes.fromhex(color.removeprefix("#"))
+    return red, green, blue
+
+
+def _solid(scene: Any, name: str, body: Body, color: str) -> Any:
+    return scene.add_mesh_simple(name, body.vertices.astype(np.float32), body.faces.astype(np.uint32), color=rgb(color))
+
+
+def _place(handle: Any, T: np.ndarray) -> None:
+    handle.position, handle.wxyz = T[:3, 3], quaternion.from_matrix(T[:3, :3])
+
+
+def _pose(T: ArrayLike) -> np.ndarray:
+    array = numbers(T, "a pose", ShapeError)
+    if array.shape != (4, 4) or not se3.is_pose(array):
+        raise ShapeError(f"Expected a pose (4, 4) to draw, got {np.array2string(array, precision=3)}.")
+    return array
+
+
+def _array(values: ArrayLike, what: str, shapes: tuple[tuple[int, ...], ...]) -> np.ndarray:
+    array = numbers(values, what, ShapeError)
+    if array.shape not in shapes:
+        raise ShapeError(f"Expected {what} of shape {' or '.join(map(str, shapes))} to draw, got {array.shape}.")
+    return array

@@ -1,0 +1,78 @@
+"""The browser's server: on this computer only, silent, and it never opens a way in from outside."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import logging
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from armlab.errors import ConfigError, MissingExtra
+
+if TYPE_CHECKING:
+    from viser import ViserServer
+
+__all__ = ["HOST", "address", "start", "stop"]
+
+HOST = "127.0.0.1"
+"""The only address that is listened on."""
+
+_WIDTH = 420  # pixels of the panel
+
+
+def start(port: int = 8080, *, label: str = "armlab") -> ViserServer:
+    """Start the server of a view and return it; nothing is printed.
+
+    It listens on 127.0.0.1 only. Share links of viser, public tunnels, are refused. Bundle what makes up one picture in
+    ``with server.atomic():``.
+
+    Parameters
+    ----------
+    port : to listen on; when it is taken, the next free one. 0 takes any.
+    label : title of the panel.
+
+    Raises
+    ------
+    MissingExtra : viser is not installed. ConfigError : no port from 0 to 65535.
+    """
+    if not isinstance(port, int) or not 0 <= port < 2**16:
+        raise ConfigError(f"Expected a port from 0 to 65535, got {port!r}. 0 takes any that is free.")
+    try:
+        import viser
+    except ImportError:
+        raise MissingExtra(
+            "Expected viser for a view in the browser, got none. Install it: pip install 'armlab[live]'."
+        ) from None
+    logging.getLogger("websockets.server").setLevel(logging.CRITICAL)  # a browser that closes is no news
+    with contextlib.redirect_stdout(io.StringIO()):  # its banner
+        server = viser.ViserServer(host=HOST, port=port, label=label, verbose=False)
+    server.request_share_url = _refused  # its pages have a way to ask, too
+    server.gui.configure_theme(show_logo=False, show_share_button=False)
+    server.gui.main_panel.dock_right()
+    server.gui.main_panel.set_width(_WIDTH)
+    return server
+
+
+def address(server: ViserServer) -> str:
+    """Return the address to open in a browser.
+
+    Parameters
+    ----------
+    server : of `start`.
+    """
+    return f"http://{HOST}:{server.get_port()}"
+
+
+def stop(server: ViserServer) -> None:
+    """End the server; browsers keep their last picture.
+
+    Parameters
+    ----------
+    server : of `start`.
+    """
+    with contextlib.redirect_stdout(io.StringIO()):
+        server.stop()
+
+
+def _refused(*_: Any, **__: Any) -> NoReturn:
+    raise ConfigError("Expected a view of this computer only: armlab opens no public tunnel. Forward the port by ssh.")

@@ -1,0 +1,98 @@
+"""Shapes of arms: closed surfaces of the right size, in the right place, from descriptions and from meshes."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from armlab import robots
+from armlab.kinematics import forward, link_transforms
+from armlab.live.bodies import Body, bodies, box, capsule, drums, mesh_bodies
+from armlab.robots import Mesh, Robot
+
+
+def volume(body: Body) -> float:
+    """Signed volume by the divergence theorem: positive when all faces look outside."""
+    p = body.vertices[body.faces]
+    return float(np.einsum("fi,fi->", p[:, 0], np.cross(p[:, 1], p[:, 2])) / 6.0)
+
+
+def distance(points: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    s = np.clip((points - a) @ (b - a) / max(float((b - a) @ (b - a)), 1e-30), 0.0, 1.0)
+    return np.linalg.norm(points - a - s[:, None] * (b - a), axis=1)
+
+
+@pytest.mark.parametrize("b", [[0.0, 0.0, 0.5], [0.3, -0.2, 0.1], [0.0, 0.0, -0.4], [0.0, 0.0, 0.0]])
+def test_a_capsule_is_all_points_near_a_line(b: list[float]) -> None:
+    a, end, r = np.array([0.1, 0.2, 0.3]), np.array([0.1, 0.2, 0.3]) + b, 0.05
+    body = capsule(a, end, r)
+    np.testing.assert_allclose(distance(body.vertices, a, end), r, atol=1e-12, rtol=0)
+    ideal = np.pi * r**2 * (np.linalg.norm(b) + 4.0 / 3.0 * r)
+    assert 0.95 * ideal < volume(body) < ideal
+
+
+def test_a_rod_is_a_box() -> None:
+    body = box(np.array([0.0, 0.0, -0.2]), np.array([0.0, 0.0, 0.3]), 0.04)
+    assert volume(body) == pytest.approx(0.5 * 0.04**2)
+    np.testing.assert_allclose(body.moved(np.eye(4)).vertices[:, 2], [-0.2] * 4 + [0.3] * 4)
+
+
+def test_drums_stand_about_the_joint_axes() -> None:
+    for body in drums(robots.load("irb2400")):
+        assert volume(body) > 0
+        radius = np.linalg.norm(body.vertices[:, :2], axis=1)
+        assert radius.max() < 0.5 * np.ptp(body.vertices[:, 2]) * 1.1
+
+
+@pytest.mark.parametrize("name", robots.names())
+def test_links_hang_together(name: str) -> None:
+    """At any configuration each joint axis lies within the link before it and the link after it."""
+    robot = robots.load(name)
+    shapes = bodies(robot)
+    assert len(shapes) == robot.n + 1
+    q = robot.q_home + 0.1
+    T = np.concatenate([np.eye(4)[None], link_transforms(robot, q), forward(robot, q)[None]])
+    for i, body in enumerate(shapes):
+        assert volume(body) > 0
+        origin = (np.linalg.inv(T[i]) @ T[i + 1])[:3, 3]
+        low, high = body.vertices.min(axis=0), body.vertices.max(axis=0)
+        assert (low - 1e-9 <= origin).all()
+        assert (origin <= high + 1e-9).all()
+
+
+def test_what_slides_has_a_rod_as_long_as_its_stroke() -> None:
+    limits = {"q_min": [-2, -2, 0, -3], "q_max": [2, 2, 0.3, 3]}
+    alpha, a, d = [0, np.pi, 0, 0], [0.4, 0.3, 0, 0], [0.5, 0, 0, 0.05]
+    scara = robots.from_dh("scara", alpha, a, d, prismatic=[0, 0, 1, 0], **limits)
+    assert bodies(scara)[3].vertices[:, 2].min() == pytest.approx(-0.3)
+
+
+def with_mesh(*files: str) -> Robot:
+    robot = robots.load("irb2400")
+    mesh = [(Mesh("visual", file, np.eye(4), np.full(3, 1e-3)),) for file in files]
+    return replace(robot, meshes=((), *mesh, *[()] * (robot.n - len(mesh))))
+
+
+def test_meshes_are_read_where_there_are_any(tmp_path: Path) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    (tmp_path / "maker").mkdir()
+    trimesh.creation.box((100.0, 200.0, 300.0)).export(tmp_path / "maker" / "one.stl")
+    trimesh.creation.box((10.0, 10.0, 10.0)).export(tmp_path / "two.stl")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = mesh_bodies(with_mesh("package://maker/one.stl", "package://other/two.stl"), tmp_path)
+    assert [one is None for one in found] == [True, False, False, True, True, True, True]
+    assert found[1] is not None
+    np.testing.assert_allclose(np.ptp(found[1].vertices, axis=0), [0.1, 0.2, 0.3])  # mm in the file
+
+
+def test_missing_meshes_are_told_once(tmp_path: Path) -> None:
+    (tmp_path / "broken.stl").write_text("solid of nothing")
+    with pytest.warns(UserWarning, match=r"no mesh for gone\.stl, broken\.stl of irb2400") as told:
+        found = mesh_bodies(with_mesh("gone.stl", "broken.stl"), tmp_path)
+    assert len(told) == 1
+    assert found == [None] * 7

@@ -1,0 +1,156 @@
+"""What stands in the scene, read back from its nodes: poses, arrows, ellipsoids, paths, frames."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab import live, robots
+from armlab.errors import RobotError, ShapeError, UnknownName
+from armlab.kinematics import forward, link_transforms
+from armlab.lie import quaternion, se3
+from armlab.live.scene import ARROW, LINK_COLORS, TOOL_COLOR, Scene, ellipsoid_axes, is_significant, rgb
+
+LEFT, RIGHT = robots.load("yumi_left"), robots.load("yumi_right")
+C = np.diag([1.0, 4.0, 9.0, 0.1, 0.1, 0.1])
+
+
+def node(server: Any, name: str) -> Any:
+    found = server.scene.get_handle_by_name(name)
+    assert found is not None, name
+    return found
+
+
+def pose(handle: Any) -> np.ndarray:
+    return se3.from_rp(quaternion.to_matrix(handle.wxyz), handle.position)
+
+
+def test_links_and_tool_stand_where_the_kinematics_put_them(server: Any) -> None:
+    T_world_base = se3.from_rp(np.eye(3), [0.0, 1.0, 0.2])
+    scene = Scene(server, [LEFT, RIGHT], {"yumi_right": T_world_base})
+    q = LEFT.q_home + 0.2
+    for robot in (LEFT, RIGHT):
+        scene.show(robot.name, q)
+        T = link_transforms(robot, q)
+        for i in range(robot.n):
+            np.testing.assert_allclose(pose(node(server, f"/{robot.name}/arm/link_{i + 1}")), T[i], atol=1e-12, rtol=0)
+        found = pose(node(server, f"/{robot.name}/arm/tool"))
+        np.testing.assert_allclose(found, forward(robot, q), atol=1e-12, rtol=0)
+    np.testing.assert_allclose(pose(node(server, "/yumi_right")), T_world_base, atol=1e-12, rtol=0)
+    np.testing.assert_allclose(pose(node(server, "/yumi_left")), np.eye(4), atol=1e-12, rtol=0)
+
+
+def test_arms_joints_and_tools_have_their_colours(server: Any) -> None:
+    Scene(server, [LEFT, RIGHT])
+    for robot, color in zip((LEFT, RIGHT), LINK_COLORS, strict=True):
+        assert tuple(node(server, f"/{robot.name}/arm/link_3").color) == rgb(color)
+        assert tuple(node(server, f"/{robot.name}/arm/tool/point").color) == rgb(TOOL_COLOR)
+    assert tuple(node(server, "/yumi_left/arm/link_2/joint").color) == rgb("#D55E00")
+    assert rgb("#0072B2") == (0, 114, 178)
+
+
+def test_a_force_is_an_arrow_at_the_tool_with_its_ellipsoid_at_the_tip(server: Any) -> None:
+    scene = Scene(server, [LEFT])
+    force = np.array([10.0, -5.0, 20.0])
+    scene.show("yumi_left", LEFT.q_home, [*force, 0, 0, 0], C)
+    tool = forward(LEFT, LEFT.q_home)[:3, 3]
+    arrow, ball = node(server, "/yumi_left/force"), node(server, "/yumi_left/uncertainty")
+    assert arrow.visible
+    assert ball.visible
+    np.testing.assert_allclose(arrow.position, tool)
+    np.testing.assert_allclose(arrow.points, [[[0, 0, 0], ARROW * force]], atol=1e-6, rtol=0)
+    np.testing.assert_allclose(ball.position, tool + ARROW * force)
+    np.testing.assert_allclose(sorted(ball.scale), ARROW * 2.0 * np.array([1.0, 2.0, 3.0]))
+    assert tuple(arrow.colors) == tuple(ball.color) == rgb("#D55E00")
+    assert pytest.approx(0.2) == ARROW * 20.0
+    scene.arrow = 2 * ARROW
+    scene.show("yumi_left", LEFT.q_home, force)
+    np.testing.assert_allclose(arrow.points[0, 1], 2 * ARROW * force, atol=1e-6, rtol=0)
+    assert not ball.visible
+
+
+def test_a_force_that_may_be_zero_is_grey(server: Any) -> None:
+    scene = Scene(server, [LEFT])
+    for force, gray in (([2.7, 0, 0], True), ([2.9, 0, 0], False)):  # sqrt(7.81) = 2.795 sigma
+        scene.show("yumi_left", LEFT.q_home, [*force, 0, 0, 0], C)
+        assert (tuple(node(server, "/yumi_left/force").colors) == rgb("#4D4D4D")) is gray
+        assert is_significant(np.array(force), C[:3, :3]) is not gray
+    assert is_significant(np.array([0.1, 0.0, 0.0]), None)
+
+
+def test_no_force_no_arrow(server: Any) -> None:
+    scene = Scene(server, [LEFT])
+    for force in (None, [0.0, 0.0, 0.0], [np.nan, 1.0, 2.0]):
+        scene.show("yumi_left", LEFT.q_home, [1.0, 2.0, 3.0])
+        scene.show("yumi_left", LEFT.q_home, force)
+        assert not node(server, "/yumi_left/force").visible
+
+
+def test_an_arm_whose_joints_are_not_known_is_hidden(server: Any) -> None:
+    scene = Scene(server, [LEFT])
+    scene.show("yumi_left", np.full(7, np.nan), [1.0, 2.0, 3.0])
+    assert not node(server, "/yumi_left/arm").visible
+    assert not node(server, "/yumi_left/force").visible
+    scene.show("yumi_left", LEFT.q_home)
+    assert node(server, "/yumi_left/arm").visible
+
+
+def test_ellipsoids_are_those_of_two_sigma() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        root = rng.normal(size=(3, 3))
+        axes, half = ellipsoid_axes(root @ root.T)
+        assert np.linalg.det(axes) == pytest.approx(1.0)
+        np.testing.assert_allclose(axes @ np.diag(half**2) @ axes.T, 4.0 * root @ root.T, atol=1e-12, rtol=1e-9)
+
+
+def test_the_path_is_thinned_and_gaps_are_bridged(server: Any) -> None:
+    scene = Scene(server, [LEFT])
+    points = np.linspace([0.3, 0.0, 0.2], [0.5, 0.1, 0.2], 2500)
+    points[100] = np.nan
+    scene.trace("yumi_left", points)
+    path = node(server, "/yumi_left/path")
+    assert path.visible
+    assert path.points.shape[1:] == (2, 3)
+    assert 200 < len(path.points) <= 300
+    np.testing.assert_allclose(path.points[0, 0], points[0], atol=1e-6, rtol=0)
+    scene.trace("yumi_left", points[:1])
+    assert not path.visible
+
+
+def test_frames_come_move_and_go(server: Any) -> None:
+    scene = Scene(server, [LEFT])
+    T = se3.exp([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
+    for one in (np.eye(4), T):
+        scene.frame("table", one)
+        np.testing.assert_allclose(pose(node(server, "/frames/table")), one, atol=1e-12, rtol=0)
+    assert node(server, "/frames/table/name").text == "table"
+    scene.frame("table", None)
+    scene.frame("table", None)
+    assert server.scene.get_handle_by_name("/frames/table") is None
+
+
+def test_wrong_input_gets_a_sentence(server: Any) -> None:
+    with pytest.raises(RobotError, match="different names"):
+        Scene(server, [LEFT, LEFT])
+    with pytest.raises(RobotError, match="different names to show, got none"):
+        Scene(server, [])
+    with pytest.raises(RobotError):
+        Scene(server, ["yumi_left"])  # type: ignore[list-item]
+    with pytest.raises(UnknownName, match="yumi_left"):
+        Scene(server, [LEFT], {"ur5e": np.eye(4)})
+    with pytest.raises(ShapeError, match="Expected a pose"):
+        Scene(server, [LEFT], {"yumi_left": np.zeros((4, 4))})
+    scene = live.Scene(server, [LEFT])
+    with pytest.raises(UnknownName, match="arm in this view"):
+        scene.show("yumi_right", LEFT.q_home)
+    for arguments in ([np.zeros(6)], [LEFT.q_home, np.zeros(4)], [LEFT.q_home, np.zeros(6), np.eye(4)]):
+        with pytest.raises(ShapeError):
+            scene.show("yumi_left", *arguments)
+    with pytest.raises(ShapeError, match=r"\(K, 3\)"):
+        scene.trace("yumi_left", np.zeros((3, 2)))
+    scene.arrow = 0.0
+    with pytest.raises(ShapeError, match="length of a force"):
+        scene.show("yumi_left", LEFT.q_home, np.ones(3))

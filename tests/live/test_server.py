@@ -1,0 +1,51 @@
+"""The server listens on this computer only, says nothing, and opens no tunnel."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import urllib.request
+from typing import Any
+
+import pytest
+
+from armlab import live
+from armlab.errors import ConfigError, MissingExtra
+from armlab.live.server import HOST, address, start, stop
+
+
+def test_a_view_is_served_on_this_computer_only(server: Any) -> None:
+    assert server.get_host() == HOST == "127.0.0.1"
+    assert address(server) == f"http://127.0.0.1:{server.get_port()}"
+    with urllib.request.urlopen(address(server), timeout=10.0) as page:
+        assert page.status == 200
+    assert logging.getLogger("websockets.server").level == logging.CRITICAL
+
+
+def test_nothing_is_printed_and_a_port_that_is_taken_is_left_alone(
+    server: Any, capfd: pytest.CaptureFixture[str]
+) -> None:
+    other = start(server.get_port())
+    try:
+        assert other.get_port() != server.get_port()
+    finally:
+        stop(other)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_no_tunnel_is_opened(server: Any) -> None:
+    """The page of viser may ask for one by itself: its handler calls this attribute."""
+    with pytest.raises(ConfigError, match="this computer only"):
+        server.request_share_url()
+
+
+@pytest.mark.parametrize("port", [-1, 65536, "8080", 80.0])
+def test_ports_that_are_none_are_refused(port: Any) -> None:
+    with pytest.raises(ConfigError, match="port from 0 to 65535"):
+        live.start(port)
+
+
+def test_without_viser_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "viser", None)
+    with pytest.raises(MissingExtra, match=r"pip install 'armlab\[live\]'"):
+        live.start(0)
