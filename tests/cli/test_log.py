@@ -1,15 +1,17 @@
-"""``armlab log show``, ``armlab log export`` and ``armlab log recover``."""
+"""``armlab log`` and its verbs."""
 
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from armlab import cli, robots
-from armlab.cli.log import export, log, recover, show
+from armlab.cli.log import cut, export, log, merge, open_, recover, show
 from armlab.log import Recorder, Tick, read
 from armlab.state import Command, State
 
@@ -166,3 +168,121 @@ def test_show_of_other_formats(path: Path, tmp_path: Path, capsys: pytest.Captur
     assert data["format"] == {".csv": "text", ".h5": "HDF5", ".rosbag2": "rosbag2"}[ending]
     assert cli.main(["log", "show", str(output), "--parameters"]) == 0
     assert capsys.readouterr().out == "This log has no parameters.\n"
+
+
+def test_cut_and_merge(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    table = read(path)
+    first, rest, whole = (str(tmp_path / name) for name in ("first.mcap", "rest.mcap", "whole.mcap"))
+    assert cli.main(["log", "cut", str(path), "--to", "0.5", "-o", first]) == 0
+    assert cli.main(["log", "cut", str(path), "--from", "0.5", "-o", rest]) == 0
+    assert cli.main(["log", "merge", rest, first, "-o", whole]) == 0
+    captured = capsys.readouterr()
+    assert captured.out == f"{first}\n{rest}\n{whole}\n"
+    assert captured.err == "cut: copied\ncut: copied\nmerge: copied\n"
+    assert read(first).sha256 == table.between(-np.inf, 0.5).sha256
+    assert read(whole).sha256 == table.sha256
+    assert cli.main(["log", "cut", str(path), "--to", "0.5", "-o", first]) == 1
+    assert "add --force" in capsys.readouterr().err
+    assert cli.main(["log", "cut", str(path), "--to", "0.1", "-o", first, "--force"]) == 0
+    assert read(first).sha256 == table.between(-np.inf, 0.1).sha256
+    csv, part = str(tmp_path / "run.csv"), str(tmp_path / "part.csv")
+    assert cli.main(["log", "export", str(path), csv]) == 0
+    assert cli.main(["log", "cut", csv, "--from", "0.2", "--to", "0.3", "-o", part]) == 0
+    assert read(part).sha256 == table.between(0.2, 0.3).sha256
+
+
+def test_cut_and_merge_refuse_in_one_sentence(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run, to = str(path), str(tmp_path / "to.mcap")
+    assert cli.main(["log", "export", run, str(tmp_path / "run.csv")]) == 0
+    capsys.readouterr()
+    for words, code, said in (
+        (["cut", run, "-o", to], 1, "Expected --from S, --to S or both"),
+        (["cut", run, "--from", "1", "--to", "1", "-o", to], 1, "the first before the second, got 1.0 and 1.0"),
+        (["cut", run, "--from", "9", "-o", to], 1, "got none; it has 0 s to 1.196 s"),
+        (["cut", str(tmp_path / "run.csv"), "--from", "9", "-o", str(tmp_path / "to.csv")], 1, "it has 0 s to 1.196 s"),
+        (["cut", run, "--from", "0", "-o", str(tmp_path / "no" / "to.mcap")], 1, "Make the folder first"),
+        (["cut", str(tmp_path / "no.mcap"), "--from", "0", "-o", to], 1, "No such file"),
+        (["cut", run, "--from", "0", "-o", str(tmp_path / "to.xls")], 1, "ends in .mcap or .csv"),
+        (["cut", run, "--from", "soon", "-o", to], 2, "soon"),
+        (["cut", run, "--from", "0"], 2, "output"),
+        (["merge", run, "-o", to], 1, "Expected two recordings or more to merge, got 1"),
+        (["merge", run, run, "-o", to], 1, "to begin after"),
+        (["merge", run, run, "-o", str(tmp_path / "to.csv")], 1, "ends in .mcap, got"),
+        (["open", run, "--rerun", "--foxglove"], 1, "got foxglove and rerun"),
+        (["open", str(tmp_path / "run.csv")], 1, "got a file of format text"),
+    ):
+        assert cli.main(["log", *words]) == code, words
+        captured = capsys.readouterr()
+        assert captured.out == ""
+        assert said in captured.err.splitlines()[-1], words
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["run.csv", "run.csv.toml", "run.mcap"]
+    assert cut.__doc__
+    assert merge.__doc__
+
+
+def test_a_full_disk_is_a_sentence_and_leaves_nothing(path: Path, tmp_path: Path) -> None:
+    full = "import resource, sys; from armlab import cli; resource.setrlimit(resource.RLIMIT_FSIZE, (9000, 9000))"
+    words = ["log", "cut", str(path), "--from", "0", "-o", str(tmp_path / "to.mcap")]
+    code = f"{full}; sys.exit(cli.main({words}))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1].endswith("to.mcap, got: File too large.")
+    assert [entry.name for entry in tmp_path.iterdir()] == ["run.mcap"]
+
+
+def test_ctrl_c_leaves_nothing(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("armlab.log.mcap_writer.McapWriter.finish", interrupted)
+    assert cli.main(["log", "cut", str(path), "--from", "0", "-o", str(tmp_path / "to.mcap")]) == 130
+    assert [entry.name for entry in tmp_path.iterdir()] == ["run.mcap"]
+
+
+def test_both_arms_in_one_file_are_shown_and_exported(
+    path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with Recorder(tmp_path / "left.mcap", robots.load("yumi_left")) as recorder:
+        for i in range(20):
+            stamp = 1_700_000_000_000_000_000 + i * 4_000_000
+            state = State(i * 0.004, 0.004, np.full(7, i), np.zeros(7), np.zeros(7), seq=i, robot_ns=stamp)
+            recorder.row(state, None, Tick(i, i, stamp, stamp, stamp, 10))
+    both, left = str(tmp_path / "both.mcap"), str(tmp_path / "only.csv")
+    assert cli.main(["log", "merge", str(path), str(recorder.path), "-o", both]) == 0
+    capsys.readouterr()
+    assert cli.main(["log", "show", both]) == 0
+    text = capsys.readouterr().out
+    for words in (
+        "yumi_right: Table of 300 rows",
+        "yumi_left: Table of 20 rows",
+        "robot       yumi_left",
+        "the operator pressed",
+    ):
+        assert words in text, words
+    assert cli.main(["log", "show", both, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)["robots"]
+    assert {name: data["rows"] for name, data in told.items()} == {"yumi_right": 300, "yumi_left": 20}
+    assert cli.main(["log", "export", both, left, "--robot", "yumi_left"]) == 0
+    assert read(left).sha256 == read(recorder.path).sha256
+
+
+def test_open_calls_an_installed_program(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert cli.main(["log", "open", str(path)]) == 1
+    assert "got none of these programs. How to get it: Foxglove: its desktop program" in capsys.readouterr().err
+    program = tmp_path / "plotjuggler"
+    program.write_text(f'#!/bin/sh\necho "$@" > {tmp_path}/called\nexit $(test -e {tmp_path}/broken; echo $((1-$?)))\n')
+    program.chmod(0o755)
+    assert cli.main(["log", "open", str(path)]) == 0
+    assert "in PlotJuggler" in capsys.readouterr().err
+    assert (tmp_path / "called").read_text() == f"-d {path}\n"
+    assert cli.main(["log", "open", str(path), "--rerun"]) == 1
+    assert "Expected Rerun on the PATH, got PlotJuggler. How to get it: Rerun: pip install" in capsys.readouterr().err
+    (tmp_path / "broken").touch()
+    assert open_(path, plotjuggler=True) == 1
+    torn = tmp_path / "torn.mcap"
+    torn.write_bytes(path.read_bytes()[:-30])
+    assert cli.main(["log", "open", str(torn)]) == 1
+    assert f"armlab log recover {torn}" in capsys.readouterr().err

@@ -40,7 +40,7 @@ _COMMANDS = {
     "plot": ("plot:plot", "Figures of what was saved: a movement primitive, its phase plane, a run of it."),
     "bridge": ("bridge:bridge", "Run a cell: robots, LabComm and other clients, parameters, one commander."),
     "monitor": ("monitor:monitor", "Watch a bridge that runs: rates, round trips, clamps, commander, events."),
-    "log": ("log:log", "Show, export and repair logs."),
+    "log": ("log:log", "Show, export, cut, merge, open and repair logs."),
     "robot": ("robot:robot", "List, show and convert robot descriptions."),
 }
 

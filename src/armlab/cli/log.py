@@ -1,22 +1,15 @@
-"""``armlab log``: what a log holds, its export, and the repair of one that was cut off."""
+"""``armlab log``: what a log holds, its export, parts of it, several in one, repair, and other programs to look."""
 
 from __future__ import annotations
 
-from operator import itemgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Annotated, Literal
 
-from cyclopts import App
+from cyclopts import App, Parameter
 
-if TYPE_CHECKING:
-    from armlab.log import Table
-    from armlab.log.inspection import Inspection
+__all__ = ["cut", "export", "log", "merge", "open_", "recover", "show"]
 
-__all__ = ["export", "log", "recover", "show"]
-
-_EVENTS_SHOWN = 20
-
-log = App(name="log", help="Show, export and repair logs.")
+log = App(name="log", help="Show, export, cut, merge, open and repair logs.")
 
 
 @log.command
@@ -35,21 +28,23 @@ def show(file: Path, *, json: bool = False, parameters: bool = False) -> None:
     import warnings
 
     from armlab import log as logs
+    from armlab.cli.log_text import data_of, parameters_text, text_of
     from armlab.cli.output import print_json, result
     from armlab.log.formats import format_at
 
     kind = format_at(file)
     held = logs.inspect(file) if kind in ("MCAP", "") else None  # of no file it says why
     if parameters:
-        result(_parameters(held) if held else "This log has no parameters.")
+        result(parameters_text(held) if held else "This log has no parameters.")
         return
+    robots = held.robots if held and len(held.robots) > 1 else (None,)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the notes of the table say the same and are shown below
-        table = logs.read(file)
+        tables = {name or "": logs.read(file, robot=name) for name in robots}
     if json:
-        print_json({"file": str(file), **_table_data(table), **(_recording_data(held) if held else {"format": kind})})
+        print_json(data_of(file, kind, held, tables))
     else:
-        result(_text(held, table) if held else _exchanged_text(file, kind, table))
+        result(text_of(file, kind, held, tables))
 
 
 @log.command
@@ -132,121 +127,101 @@ def recover(file: Path, *, output: Path | None = None) -> None:
     result(str(done.path))
 
 
-def _parameters(held: Inspection) -> str:
-    """Return the history of the parameters."""
-    from datetime import UTC, datetime
+@log.command
+def cut(
+    file: Path,
+    *,
+    from_: Annotated[float | None, Parameter(name="--from")] = None,
+    to: float | None = None,
+    output: Annotated[Path, Parameter(alias="-o")],
+    force: bool = False,
+) -> None:
+    """Write a stretch of a log: the rows with --from <= t < --to. The original stays as it is.
 
-    told = [
-        (one.stamp_ns, f"{one.name} = {one.value}, {f'set by {one.who} ({one.sequence})' if one.sequence else one.who}")
-        for one in held.parameters
-    ]
-    told += [(event.stamp_ns, event.text) for event in held.events if event.text.startswith("A setting of ")]
-    lines = [
-        f"{datetime.fromtimestamp(stamp_ns / 1e9, UTC):%Y-%m-%d %H:%M:%S.%f} UTC  {text}"
-        for stamp_ns, text in sorted(told, key=itemgetter(0))
-    ]
-    last = (held.summary or {}).get("parameters") or {}
-    ends = [f"At the end: {', '.join(f'{name} = {value}' for name, value in last.items())}."] if last else []
-    return "\n".join([*lines, *ends]) or "This log has no parameters."
+    A recording stays a whole recording: metadata, attachments, the parameters so far, and the events of the stretch.
+    Its t is not shifted, so that 12.3 s is the same moment in both.
 
+    Parameters
+    ----------
+    file
+        A recording, finished or not, or a log in another format.
+    from_
+        Seconds of the table, as armlab log show and the figures have them; from the beginning when not given.
+    to
+        Seconds of the table; to the end when not given.
+    output
+        The new file: .mcap of a recording; else an ending that armlab log export knows.
+    force
+        Replace an existing file.
+    """
+    from armlab import log as logs
+    from armlab.cli.output import check_output, progress, result
+    from armlab.errors import ConfigError, LogError
+    from armlab.log.formats import format_at
+    from armlab.log.writing import ENDINGS
 
-def _table_data(table: Table) -> dict[str, Any]:
-    """Return what is shown of any log, for scripts."""
-    from armlab.log.text import component_names, statistics, timing
-
-    holes = table.missing()
-    columns = {}
-    for name in table.names:
-        about, stats = table.columns[name], statistics(table[name])
-        columns[name] = {"shape": list(about.shape), "unit": about.unit, "frame": about.frame, "kind": about.kind}
-        columns[name] |= {"missing": holes.get(name, (0, ()))[0], "components": component_names(table, name)}
-        columns[name] |= {key: stats[key] for key in ("min", "max", "mean", "sigma")}
-    return {
-        **timing(table),
-        "clock": table.clock,
-        "t0_ns": table.t0_ns,
-        "sha256": table.sha256,
-        "columns": columns,
-        "notes": table.notes,
-        "source": table.source,
-    }
-
-
-def _recording_data(held: Inspection) -> dict[str, Any]:
-    """Return what is shown of a recording besides, for scripts."""
-    return {
-        "format": "MCAP",
-        "bytes": held.size,
-        "finished": held.finished,
-        "torn_bytes": held.torn,
-        "metadata": held.metadata,
-        "topics": [{"name": t.name, "type": t.type, "messages": t.messages} for t in held.topics],
-        "attachments": {name: len(data) for name, data in held.attachments.items()},
-        "events": [{"stamp_ns": event.stamp_ns, "text": event.text} for event in held.events],
-        "summary": held.summary,
-    }
+    start, stop = (-float("inf") if from_ is None else from_), (float("inf") if to is None else to)
+    if not start < stop or (from_ is None and to is None):
+        raise ConfigError(f"Expected --from S, --to S or both, the first before the second, got {from_} and {to}.")
+    check_output(output, force, ENDINGS)
+    with progress("cut") as tell:
+        if format_at(file) in ("MCAP", "") and output.suffix.lower() == ".mcap":
+            logs.cut(file, output, start, stop, progress=tell)
+        else:
+            table = logs.read(file)
+            part = table.between(start, stop)
+            if not len(part):
+                has = f"{table.t[0]:g} s to {table.t[-1]:g} s" if len(table) else "no rows at all"
+                raise LogError(f"Expected rows between {start:g} s and {stop:g} s in {file}, got none; it has {has}.")
+            logs.write(part, output, progress=tell)
+    result(str(output))
 
 
-def _exchanged_text(file: Path, kind: str, table: Table) -> str:
-    """Return what is shown of a log that is no recording."""
-    from armlab.cli.output import aligned
-    from armlab.log.text import table_text
+@log.command
+def merge(*file: Path, output: Annotated[Path, Parameter(alias="-o")], force: bool = False) -> None:
+    """Write several recordings to one. The originals stay as they are.
 
-    first, *rest = table_text(table).splitlines()
-    source = [f"source: {entry}" for entry in table.source]
-    head = [
-        f"{file}: {kind}, began {_began(table)}",
-        first,
-        *(line for line in rest if line.startswith("note:")),
-        *source,
-    ]
-    return "\n".join(head) + "\n\n" + aligned(_column_rows(table), right=(4, 5, 6))
+    Recordings of one robot are put one after another by their wall clocks, and the gaps between them stay. Recordings
+    of both arms of a bridge stand side by side; --robot of the other commands says which.
 
+    Parameters
+    ----------
+    file
+        Two recordings or more, in any order.
+    output
+        The new file, .mcap.
+    force
+        Replace an existing file.
+    """
+    from armlab import log as logs
+    from armlab.cli.output import check_output, progress, result
 
-def _began(table: Table) -> str:
-    from datetime import UTC, datetime
-
-    if not table.t0_ns:
-        return "-"
-    return datetime.fromtimestamp(table.t0_ns / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
-
-
-def _text(held: Inspection, table: Table) -> str:
-    from armlab.cli.output import aligned
-    from armlab.log.text import table_text
-
-    state = "finished" if held.finished else f"not finished, {held.torn} bytes torn"
-    blocks = [f"{held.path}: {held.size / 1e6:.2f} MB, {state}, began {_began(table)}"]
-    about = held.metadata.get("armlab", {})
-    blocks.append(aligned([(key, value) for key, value in about.items() if value and key != "attachments"]))
-    first, *rest = table_text(table).splitlines()
-    blocks.append("\n".join([first, *(line for line in rest if line.startswith("note:"))]))
-    blocks.append(aligned(_column_rows(table), right=(4, 5, 6)))
-    blocks.append(aligned([("attachment", "bytes"), *((n, str(len(d))) for n, d in held.attachments.items())], (1,)))
-    lines = [f"{_when(event.stamp_ns, table.t0_ns):>12}  {event.text}" for event in held.events[:_EVENTS_SHOWN]]
-    more = len(held.events) - len(lines)
-    blocks.append("\n".join(["events", *lines, *([f"and {more} more (--json shows all)"] if more > 0 else [])]))
-    return "\n\n".join(block for block in blocks if block)
+    check_output(output, force, [".mcap"])
+    with progress("merge") as tell:
+        logs.merge(file, output, progress=tell)
+    result(str(output))
 
 
-def _when(stamp_ns: int, t0_ns: int) -> str:
-    """Return seconds since the first row; "-" where the stamp is on another clock, as in lockstep."""
-    seconds = (stamp_ns - t0_ns) / 1e9
-    return f"{seconds:.3f} s" if abs(seconds) < 30 * 86_400 else "-"
+@log.command(name="open")
+def open_(file: Path, *, rerun: bool = False, foxglove: bool = False, plotjuggler: bool = False) -> int:
+    """Open a recording in another program, if it is installed: Foxglove, PlotJuggler or Rerun.
 
+    Without an option the first of these that is installed. armlab needs none of them: armlab plot and armlab view show
+    logs, too. Returns when the program ends.
 
-def _column_rows(table: Table) -> list[tuple[str, ...]]:
-    """Return one row per column: shape of a row, unit, frame, missing, minimum and maximum over its components."""
-    import numpy as np
+    Parameters
+    ----------
+    file
+        A finished recording.
+    rerun, foxglove, plotjuggler
+        Open it there.
+    """
+    from armlab.cli import FAILED
+    from armlab.cli.output import note
+    from armlab.cli.viewers import check_finished, chosen, started
 
-    from armlab.log.text import statistics
-
-    holes = table.missing()
-    rows: list[tuple[str, ...]] = [("column", "shape", "unit", "frame", "missing", "min", "max")]
-    for name in table.names:
-        column, stats = table.columns[name], statistics(table[name])
-        known = ~np.isnan(stats["min"])
-        numbers = [f"{f(stats[k][known]):.6g}" if known.any() else "-" for k, f in (("min", np.min), ("max", np.max))]
-        shape = "x".join(map(str, column.shape)) or "1"
-        rows.append((name, shape, column.unit or "", column.frame or "-", str(holes.get(name, (0,))[0]), *numbers))
-    return rows
+    check_finished(file)
+    wanted = [name for name, is_on in (("foxglove", foxglove), ("plotjuggler", plotjuggler), ("rerun", rerun)) if is_on]
+    viewer, program = chosen(wanted)
+    note(f"Opening {file} in {viewer.title}: {program}.{viewer.remark}")
+    return FAILED if started(viewer, program, file) else 0

@@ -16,6 +16,7 @@ from armlab.log.recorder import Recorder
 from armlab.log.recovery import recover
 from armlab.log.resample import concat
 from armlab.log.rows import Tick
+from armlab.log.splicing import cut, merge
 from armlab.log.table import Table
 from armlab.log.writing import write
 
@@ -27,8 +28,10 @@ __all__ = [
     "Tail",
     "Tick",
     "concat",
+    "cut",
     "from_orca",
     "inspect",
+    "merge",
     "nikon",
     "read",
     "read_abb",

@@ -11,7 +11,7 @@ import numpy as np
 from armlab.log.column import Column
 from armlab.log.table import Table
 
-__all__ = ["in_time_order", "recording_clock", "recording_table"]
+__all__ = ["in_time_order", "recording_clock", "recording_table", "wall_at_zero"]
 
 _PADDED = ("q_ext", "q_ext_ref", "q_ext_sent", "rapid_data", "rapid_data_sent")  # as many as a robot may have
 
@@ -65,7 +65,7 @@ def recording_table(
         t,
         present,
         described,
-        t0_ns=int(stamp_ns[0]) if len(stamp_ns) else 0,
+        t0_ns=wall_at_zero(t, stamp_ns),
         clock=clock,
         notes=tuple(notes),
         source=tuple(source),
@@ -96,6 +96,11 @@ def recording_clock(values: Mapping[str, np.ndarray], stamp_ns: np.ndarray) -> t
     first = np.concatenate(([0], np.flatnonzero(~same) + 1)).astype(int)[: len(stamps)]
     begin = np.repeat(stamps[first] - session_t[first], np.diff(np.append(first, len(stamps))))
     return session_t + begin, "robot"
+
+
+def wall_at_zero(t: np.ndarray, stamp_ns: np.ndarray) -> int:
+    """Return the wall clock of t = 0 [ns], 0 without a row; `t` need not be 0 in the first row."""
+    return int(stamp_ns[0]) - round(float(t[0]) * 1e9) if len(t) else 0
 
 
 def in_time_order(t: np.ndarray) -> tuple[np.ndarray, int]:

@@ -13,6 +13,7 @@ from armlab.log.formats import check_readable
 from armlab.log.mcap_decode import message_counts, messages
 from armlab.log.mcap_records import DAMAGE, Contents, contents
 from armlab.log.reading import opened
+from armlab.log.recording_columns import clocks
 from armlab.wire import cdr
 
 __all__ = ["Event", "Inspection", "Setting", "Topic", "inspect"]
@@ -58,7 +59,7 @@ class Inspection:
     path, size : the file and its bytes. finished, torn : closed properly; bytes torn off at the end.
     metadata : records of string maps by name; "armlab" says what wrote the file, for which robot.
     topics, events, parameters : in order. attachments : bytes by name.
-    summary : counts written at the end, empty if there is none.
+    summary : counts written at the end, empty if there is none. robots : whose rows it holds.
     """
 
     path: Path
@@ -71,6 +72,7 @@ class Inspection:
     parameters: tuple[Setting, ...]
     attachments: Mapping[str, bytes]
     summary: Mapping[str, Any]
+    robots: tuple[str, ...]
 
 
 def inspect(path: str | Path) -> Inspection:
@@ -97,6 +99,7 @@ def inspect(path: str | Path) -> Inspection:
                 parameters=tuple(_setting(*one) for one in _texts(view, found, _PARAMETERS)),
                 attachments=attachments,
                 summary=_summary(attachments),
+                robots=tuple(topic.strip("/").rpartition("/")[0] for topic in clocks(found).values()),
             )
         except LogError:
             raise

@@ -16,11 +16,13 @@ from armlab.log.rows import SELDOM, RowLayout, Slot
 from armlab.wire import cdr
 
 __all__ = [
-    "CLOCK_KEY", "COLUMN_KEY", "Pen", "Topic", "blank", "definition", "event", "parameter", "store", "topic_name",
-    "topics",
+    "CLOCK_KEY", "CLOCK_NAME_KEY", "COLUMN_KEY", "T0_KEY", "Pen", "Topic", "blank", "clock_metadata", "column_topic",
+    "definition", "event", "parameter", "store", "topic_name", "topics",
 ]  # fmt: skip
 
 CLOCK_KEY = "armlab.clock"  # channel metadata: the messages of this channel are the rows of the table
+# channel metadata of a column t: whose clock it is, and the wall clock of t = 0 [ns]
+CLOCK_NAME_KEY, T0_KEY = "armlab.clock_name", "armlab.t0_ns"
 COLUMN_KEY = "column."  # channel metadata "column.<name>": JSON, how to rebuild the column <name>
 
 _TICK_NUMBERS = (
@@ -112,12 +114,17 @@ def topics(layout: RowLayout, joint_names: Sequence[str]) -> list[Topic]:
         ),
     ]
     own = ["q_planned", "q_ext", "wrench", *SELDOM, *(name for name in layout.extra if name not in found[-1].fields)]
-    return found + [_column_topic(name) for name in own]
+    return found + [column_topic(name) for name in own]
 
 
-def _column_topic(name: str) -> Topic:
+def column_topic(name: str) -> Topic:
     """Return the topic of one column by itself."""
     return Topic(f"columns/{topic_name(name)}", "armlab_msgs/msg/Column", {name: ("values",)})
+
+
+def clock_metadata(t0_ns: int, clock: str) -> dict[str, str]:
+    """Return what is written beside a column `t`: the wall clock of t = 0 [ns], and whose clock it is."""
+    return {T0_KEY: str(t0_ns), CLOCK_NAME_KEY: clock}
 
 
 def topic_name(name: str) -> str:

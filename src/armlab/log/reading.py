@@ -8,30 +8,24 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from armlab.errors import ArmlabError, LogError, UnknownName
-from armlab.lie import quaternion, se3
 from armlab.log.assemble import recording_table
-from armlab.log.column import Column
 from armlab.log.delimited import read_csv
 from armlab.log.formats import check_readable, format_at
 from armlab.log.hdf5_file import read_hdf5
 from armlab.log.labcomm import read_labcomm
 from armlab.log.mat_table import read_mat_table
-from armlab.log.mcap_decode import Decoded, decode
 from armlab.log.mcap_records import DAMAGE, Contents, contents
-from armlab.log.messages import CLOCK_KEY, COLUMN_KEY
 from armlab.log.parquet_file import read_parquet
 from armlab.log.provenance import file_hash
+from armlab.log.recording_columns import CLOCK_COLUMNS, clock_channel, columns_at, kept_clock, sources_of
 from armlab.log.rosbag2_file import read_rosbag2
-from armlab.log.rows import with_holes
 from armlab.log.table import Table
 
-__all__ = ["Source", "opened", "read", "torn_sentence"]
+__all__ = ["earlier", "opened", "read", "torn_sentence"]
 
 _READERS: dict[str, Callable[[Path], Table]] = {
     "text": read_csv,
@@ -42,19 +36,6 @@ _READERS: dict[str, Callable[[Path], Table]] = {
     "rosbag2": read_rosbag2,
 }
 _COLUMN_READERS = {"HDF5": read_hdf5, "Parquet": read_parquet}  # which read single columns
-_QUATERNION_LENGTH = 1e-3  # difference from one
-_CLOCK_COLUMNS = ("t", "robot_ns", "session_t", "session")
-
-
-@dataclass(frozen=True, slots=True)
-class Source:
-    """One column in a file: its channel, the fields of the message that hold it, its description."""
-
-    channel: int
-    fields: tuple[str, ...]
-    column: Column
-    missing: int | None
-    encoding: str
 
 
 def read(
@@ -100,7 +81,7 @@ def read(
             raise
         except DAMAGE as error:
             raise LogError(f"Expected a whole recording in {path}, got a damaged one ({error}).") from None
-        source = (f"{path.name} sha256 {hashed.result()}", *_earlier(view, found))
+        source = (f"{path.name} sha256 {hashed.result()}", *earlier(view, found))
     notes = [sentence for _, sentence in found.damaged] + damage
     if not found.finished:
         notes.insert(0, torn_sentence(path, found, table))
@@ -109,8 +90,8 @@ def read(
     return replace(table, notes=(*notes, *table.notes), source=(*source, *table.source))
 
 
-def _earlier(view: memoryview, found: Contents) -> tuple[str, ...]:
-    """Return where the table in a file of `write` had come from."""
+def earlier(view: memoryview, found: Contents) -> tuple[str, ...]:
+    """Return where the rows of a file had come from that `write`, `cut` or `merge` made."""
     summary = next((bytes(view[slice(*one.data)]) for one in found.attachments if one.name == "summary.json"), b"{}")
     try:
         chain = json.loads(summary).get("source", [])
@@ -147,117 +128,24 @@ def opened(path: Path) -> Iterator[memoryview]:
 def _read_mcap(
     view: memoryview, found: Contents, path: Path, columns: Sequence[str] | None, robot: str | None, raw: bool
 ) -> tuple[Table, list[str]]:
-    clock = _clock_channel(found, path, robot)
-    sources = _sources(found, clock)
+    clock = clock_channel(found, path, robot)
+    sources = sources_of(found, clock)
     wanted = list(sources) if columns is None else list(columns)
     for name in wanted:
         if name not in sources:
             raise UnknownName.among("column", name, sources)
-    needed = dict.fromkeys([*wanted, *(name for name in _CLOCK_COLUMNS if name in sources)])
-    fields: dict[int, list[str]] = {clock: []}
-    for name in needed:
-        fields.setdefault(sources[name].channel, []).extend(sources[name].fields)
-    decoded, damage = decode(view, found, fields)
-    rows = decoded[clock]
-    values: dict[str, np.ndarray] = {}
-    for name in needed:
-        array = _values(name, sources[name], decoded[sources[name].channel], rows, damage)
-        if array is not None:
-            values[name] = array
+    needed = dict.fromkeys([*wanted, *(name for name in CLOCK_COLUMNS if name in sources)])
+    values, rows, damage = columns_at(view, found, clock, {name: sources[name] for name in needed})
     described = {name: sources[name].column for name in values}
     try:
         table = recording_table(values, described, rows.log_ns, raw=raw)
     except ArmlabError as error:  # the file's descriptions contradict the glossary or each other
         raise LogError(f"Expected columns that armlab knows in {path}, got others: {error}") from None
+    t0_ns, clock_name = kept_clock(found, sources, table.t0_ns, table.clock)
+    table = replace(table, t0_ns=t0_ns, clock=clock_name)
     if columns is None:
         return table, damage
     empty = [name for name in wanted if name not in table]
     if empty:
         raise LogError(f"Expected values of {', '.join(empty)} in {path}, got none in {len(table)} rows.")
     return table.select(*wanted), damage
-
-
-def _clock_channel(found: Contents, path: Path, robot: str | None) -> int:
-    """Return the channel whose messages are the rows."""
-    clocks = {number: channel.topic for number, channel in found.channels.items() if CLOCK_KEY in channel.metadata}
-    if not clocks:
-        topics = ", ".join(f"{c.topic} ({c.type})" for c in found.channels.values()) or "none"
-        raise LogError(f"Expected a recording of armlab in {path}, got an MCAP file without columns; topics: {topics}.")
-    names = {topic.strip("/").rpartition("/")[0]: number for number, topic in clocks.items()}
-    if robot is not None:
-        if robot not in names:
-            raise UnknownName.among("robot in this file", robot, names)
-        return names[robot]
-    if len(names) > 1:
-        raise LogError(f"Expected the name of one robot (robot=) for {path}, which holds {', '.join(sorted(names))}.")
-    return next(iter(clocks))
-
-
-def _sources(found: Contents, clock: int) -> dict[str, Source]:
-    """Return where each column of the robot of this clock channel is."""
-    prefix = found.channels[clock].topic.rpartition("/")[0] + "/"
-    sources: dict[str, Source] = {}
-    for number, channel in sorted(found.channels.items(), key=lambda item: item[0] == clock):  # its columns last
-        if not channel.topic.startswith(prefix):
-            continue
-        for key, text in channel.metadata.items():
-            if key.startswith(COLUMN_KEY):
-                sources[key.removeprefix(COLUMN_KEY)] = _source(number, channel.topic, key, text)
-    return sources
-
-
-def _source(channel: int, topic: str, key: str, text: str) -> Source:
-    try:
-        about = json.loads(text)
-        column = Column(
-            shape=tuple(int(size) for size in about["shape"]),
-            unit=about["unit"],
-            frame=about["frame"],
-            labels=tuple(about["labels"]),
-            kind=about["kind"],
-        )
-        return Source(channel, tuple(about["fields"]), column, about.get("missing"), about.get("encoding", ""))
-    except (ValueError, KeyError, TypeError) as error:
-        raise LogError(f"Expected a description of a column in {key} of {topic}, got {text!r} ({error}).") from None
-
-
-def _values(name: str, source: Source, decoded: Decoded, rows: Decoded, damage: list[str]) -> np.ndarray | None:
-    """Return a column brought to the rows of the table; None when no message holds it. Adds to the damage."""
-    parts = [decoded.fields.get(path) for path in source.fields]
-    there = [part for part in parts if part is not None]
-    if len(there) < len(parts) or not parts:
-        return None
-    array = there[0] if len(there) == 1 else np.concatenate(there, axis=1)
-    array = with_holes(array, source.missing)
-    if source.encoding:
-        array, lost = _poses(array, name)
-        if lost:
-            damage.append(f"{lost} rows of {name} are missing: their quaternions are not of length 1")
-    size = int(np.prod(source.column.shape))
-    if array.shape[1] != size:
-        raise LogError(f"Expected {size} values in a row of {name}, got {array.shape[1]}.")
-    array = array.reshape(len(array), *source.column.shape)
-    return _on_rows(array, decoded.sequence, rows.sequence)
-
-
-def _poses(array: np.ndarray, name: str) -> tuple[np.ndarray, int]:
-    """Return positions and quaternions xyzw (k, 7) as matrices (k, 16), and how many are no pose: they are NaN."""
-    if array.shape[1] != 7:
-        raise LogError(f"Expected 7 numbers per pose in {name}, got {array.shape[1]}.")
-    no_pose = np.abs(np.linalg.norm(array[:, 3:], axis=1) - 1.0) > _QUATERNION_LENGTH  # false where missing
-    array = np.where(no_pose[:, None], np.nan, array)
-    matrices = se3.from_rp(quaternion.to_matrix(array[:, [6, 3, 4, 5]]), array[:, :3])
-    return matrices.reshape(len(array), 16), int(no_pose.sum())
-
-
-def _on_rows(array: np.ndarray, sequence: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Put values into the rows with the same sequence number; NaN in the others."""
-    if np.array_equal(sequence, rows):
-        return array
-    order = np.argsort(rows, kind="stable")
-    place = np.searchsorted(rows[order], sequence).clip(0, max(len(rows) - 1, 0))
-    place = order[place] if len(rows) else place
-    match = rows[place] == sequence if len(rows) else np.zeros(len(sequence), dtype=bool)
-    result = np.full((len(rows), *array.shape[1:]), np.nan)
-    result[place[match]] = array[match]
-    return result

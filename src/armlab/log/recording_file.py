@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 from armlab.errors import LogError
 from armlab.log.mcap_writer import McapWriter
-from armlab.log.messages import Pen, definition, event, parameter, topic_name, topics
+from armlab.log.messages import Pen, clock_metadata, definition, event, parameter, topic_name, topics
 from armlab.log.rows import RowLayout
 
 if TYPE_CHECKING:
@@ -66,15 +66,22 @@ class RecordingFile:
     robot, layout : the arm and the layout of its rows.
     attachments : name -> bytes, for example the robot's description.
     note : the user's.
+    clock : of a layout with a column `t`: wall clock of t = 0 [ns], and whose clock `t` is.
     """
 
     def __init__(
-        self, path: str | Path, robot: Robot, layout: RowLayout, attachments: Mapping[str, bytes], note: str
+        self,
+        path: str | Path,
+        robot: Robot,
+        layout: RowLayout,
+        attachments: Mapping[str, bytes],
+        note: str,
+        clock: tuple[int, str] | None = None,
     ) -> None:
         from armlab import __version__
 
         self._file, self.path = open_new(path)
-        self._layout = layout
+        self._layout, self._clock = layout, clock
         self._chunk_rows = 0
         self.rows = 0
         self.last_stamp_ns = time.time_ns()
@@ -101,15 +108,22 @@ class RecordingFile:
             return self._writer.channel(topic, "cdr", schemas[message_type], metadata)
 
         self._events = channel("events", _EVENT_TYPE, {})
-        found = topics(self._layout, robot.joint_names)
-        pens = [(channel(t.name, t.type, t.metadata(self._layout.slots)), Pen(t, self._layout.slots)) for t in found]
+        slots, pens = self._layout.slots, []
+        for topic in topics(self._layout, robot.joint_names):
+            clock = clock_metadata(*self._clock) if self._clock and "t" in topic.fields else {}
+            pens.append((channel(topic.name, topic.type, topic.metadata(slots) | clock), Pen(topic, slots)))
         self._parameters = channel("parameters", _PARAMETER_TYPE, {})
         return pens
 
-    def write(self, row: bytes) -> None:
-        """Write the messages of one row: they survive the end of this process."""
+    def write(self, row: bytes, sequence: int | None = None) -> None:
+        """Write the messages of one row: they survive the end of this process.
+
+        Parameters
+        ----------
+        row : as the layout packs it. sequence : by which a reader puts its messages together; the tick when None.
+        """
         stamp_ns = int.from_bytes(row[:8], "little", signed=True)
-        tick = int.from_bytes(row[8:12], "little")  # MCAP's sequence has 32 bits
+        tick = int.from_bytes(row[8:12], "little") if sequence is None else sequence  # MCAP's sequence has 32 bits
         if self._opening:
             self._open(stamp_ns)
         for channel, pen in self._channels:

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
-import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
 from armlab.errors import LogError
 from armlab.log.formats import check_readable
-from armlab.log.mcap_chunk import unpacked
-from armlab.log.mcap_records import CHUNK, MESSAGE, Contents, contents, records
+from armlab.log.mcap_copy import Registry, messages_in, new_file, pieces, records_at
+from armlab.log.mcap_records import CHUNK, Contents, contents
 from armlab.log.mcap_writer import McapWriter
 from armlab.log.reading import opened
 
@@ -60,43 +57,14 @@ def recover(path: str | Path, to: str | Path | None = None, *, progress: Progres
     check_readable(path)
     if target.exists():
         raise LogError(f"Expected no file at {target}, got one; move it away or give another name.")
-    part = target.with_name(f"{target.name}.part")
     with opened(path) as view:
         found = contents(view)
         if not found.channels:
             raise LogError(f"Expected messages in {path}, got none that can be read in {len(view)} bytes.")
-        try:
-            file = part.open("xb", buffering=0)  # never over a file, which may be the one that is read
-        except OSError as error:
-            raise LogError(f"Expected to create {part}, got: {error.strerror}.") from None
-        try:
-            with file:
-                messages, lost, seconds = _copy(view, found, file, progress)
-                os.fsync(file.fileno())
-            _rename(part, target)
-        except OSError as error:
-            raise LogError(f"Expected to write {target}, got: {error.strerror}.") from None
-        finally:
-            with contextlib.suppress(OSError):
-                part.unlink()
+        with new_file(target, target.with_name(f"{target.name}.part"), replace=False) as file:
+            messages, lost, seconds = _copy(view, found, file, progress)
     lost += sum(kind == CHUNK for kind, _ in found.damaged)
     return Recovery(target, messages, found.torn, lost, seconds)
-
-
-def _rename(part: Path, target: Path) -> None:
-    """Give the finished copy its name, unless something has got it in the meantime.
-
-    Raises
-    ------
-    FileExistsError : it has. OSError : the name cannot be given.
-    """
-    try:
-        os.link(part, target)  # never over a file, as a rename would
-    except FileExistsError:
-        raise
-    except OSError:  # a file system without hard links
-        target.open("xb").close()
-        part.replace(target)
 
 
 def _copy(view: memoryview, found: Contents, file: BinaryIO, progress: Progress | None) -> tuple[int, int, float]:
@@ -109,48 +77,23 @@ def _copy(view: memoryview, found: Contents, file: BinaryIO, progress: Progress 
     for attached in found.attachments:
         data = bytes(view[slice(*attached.data)])
         writer.attach(attached.log_ns, attached.name, attached.media_type, data)
-    numbers = _register(writer, found)
+    registry = Registry(writer)
+    numbers = {number: registry.channel(channel) for number, channel in found.channels.items()}
     count = lost = 0
     times: list[int] = []
-    for data, at in _pieces(view, found):
+    for piece in pieces(found):
+        data = records_at(view, found, piece)
         if data is None:
             lost += 1
             continue
-        for kind, start, stop in records(memoryview(data), 0, len(data)):
-            if kind != MESSAGE or stop - start < 22:
-                continue
-            channel, sequence, log, publish = struct.unpack_from("<HIQQ", data, start)
+        for channel, sequence, log, publish, message in messages_in(data):
             if channel in numbers:
-                writer.message(numbers[channel], sequence, log, publish, data[start + 22 : stop])
+                writer.message(numbers[channel], sequence, log, publish, message)
                 if found.channels[channel].type != _EVENTS:
                     times = [min(log, *times), max(log, *times)] if times else [log, log]
                 count += 1
         writer.close_chunk()  # chunk for chunk, as the recorder wrote them
-        if progress:
-            progress(at, len(view), "copied")
+        if progress and piece:
+            progress(piece.stop, len(view), "copied")
     writer.finish()
     return count, lost, (times[-1] - times[0]) / 1e9 if times else 0.0
-
-
-def _register(writer: McapWriter, found: Contents) -> dict[int, int]:
-    """Register the channels in the new file; return their numbers there by their old ones."""
-    schemas: dict[tuple[str, str, str], int] = {}
-    numbers = {}
-    for number, channel in found.channels.items():
-        key = (channel.type, channel.schema_encoding, channel.schema)
-        if key not in schemas:
-            schemas[key] = writer.schema(channel.type, channel.schema_encoding, channel.schema.encode())
-        numbers[number] = writer.channel(channel.topic, channel.encoding, schemas[key], channel.metadata)
-    return numbers
-
-
-def _pieces(view: memoryview, found: Contents) -> Iterator[tuple[bytes | None, int]]:
-    """Yield the records of each chunk, None for a damaged one, and where in the file it ends."""
-    if found.loose:
-        yield b"".join(bytes(view[start - 9 : stop]) for start, stop in found.loose), found.loose[-1][1]
-    for chunk in found.chunks:
-        try:
-            data = unpacked(view, chunk)
-        except LogError:
-            data = None
-        yield data, chunk.stop

@@ -178,10 +178,10 @@ def _write_mcap(table: Table, part: Path, path: Path, robot: Robot | None, tell:
             array = np.where(np.isfinite(array), array, slot.missing)
         raw = np.ascontiguousarray(array.reshape(len(table), -1), dtype=slot.dtype)
         block[:, slot.start : slot.stop] = raw.view(np.uint8).reshape(len(table), -1)
-    file = RecordingFile(part, robot, layout, {}, "; ".join(table.source))
+    file = RecordingFile(part, robot, layout, {}, "; ".join(table.source), (table.t0_ns, table.clock))
     try:
-        for done, row in enumerate(block, start=1):
-            file.write(row.tobytes())
+        for done, row in enumerate(block):
+            file.write(row.tobytes(), done)  # ticks of tables put together come twice
             if done % _TOLD == 0:
                 tell(done, len(block), "rows")
         file.finish({"rows": len(table), "source": list(table.source)})

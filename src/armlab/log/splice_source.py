@@ -1,0 +1,178 @@
+"""A recording from which rows, events and all that belongs to them go into another."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from armlab.errors import ArmlabError, LogError
+from armlab.log.formats import check_readable
+from armlab.log.mcap_records import DAMAGE, Contents, contents
+from armlab.log.messages import COLUMN_KEY, topic_name
+from armlab.log.provenance import file_hash
+from armlab.log.reading import earlier, opened
+from armlab.log.recording_columns import clock_channel, clocks, rows_of
+from armlab.log.splice_arm import Arm
+
+__all__ = ["Source", "attachments", "metadata", "opened_source", "summary"]
+
+_PARAMETER = "armlab_msgs/msg/Parameter"
+_SUMMARY = "summary.json"
+
+
+@dataclass(slots=True)
+class Source:
+    """One recording.
+
+    Attributes
+    ----------
+    path, view, found : the file, its bytes and its contents. arms : its robots. chain : where its rows come from.
+    numbers : channel in the new file by channel here.
+    """
+
+    path: Path
+    view: memoryview
+    found: Contents
+    arms: list[Arm]
+    chain: tuple[str, ...]
+    numbers: dict[int, int] = field(default_factory=dict)
+
+    @property
+    def start_ns(self) -> int:
+        """Wall clock of the first row."""
+        return min(arm.start_ns for arm in self.arms)
+
+    @property
+    def end_ns(self) -> int:
+        """Wall clock of the last row."""
+        return max(arm.end_ns for arm in self.arms)
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """What was counted at its end, empty without."""
+        for one in self.found.attachments:
+            if one.name == _SUMMARY:
+                try:
+                    told = json.loads(bytes(self.view[slice(*one.data)]))
+                except ValueError:
+                    return {}
+                return told if isinstance(told, dict) else {}
+        return {}
+
+    def taken(
+        self, channel: int, sequence: int, log_ns: int, publish_ns: int, data: bytes
+    ) -> Iterator[tuple[int, int, int, int, bytes]]:
+        """Yield what becomes of a message in the new file, (channel, sequence, times, data): nothing, it, or `t` too.
+
+        What lies between the first and the last row that are taken is taken; of parameters, what was set before, too.
+        """
+        number = self.numbers.get(channel)
+        if number is None:
+            return
+        about = self.found.channels[channel]
+        arm = next((arm for arm in self.arms if about.topic.startswith(arm.prefix)), None)
+        if arm is None:
+            if any(arm.inside for arm in self.arms):
+                yield number, sequence, log_ns, publish_ns, data
+            return
+        seconds = arm.arrive(sequence, log_ns) if channel == arm.rows.channel else None
+        if not (arm.inside or (about.type == _PARAMETER and not arm.is_over)):
+            return
+        is_row = any(key.startswith(COLUMN_KEY) for key in about.metadata)
+        place = arm.number(sequence) if is_row else sequence
+        yield number, place, log_ns, publish_ns, data
+        if seconds is not None:
+            yield arm.seconds_number, place, log_ns, publish_ns, seconds
+
+
+@contextmanager
+def opened_source(path: Path) -> Iterator[Source]:
+    """Open a recording, finished or torn.
+
+    Raises
+    ------
+    LogError : the file is missing, of another format, no recording of armlab, or damaged beyond use.
+    """
+    check_readable(path)
+    with opened(path) as view:
+        try:
+            found = contents(view)
+            clock_channel(found, path, None) if not clocks(found) else None  # says that it is no recording
+            arms = [_arm(path, view, found, topic) for topic in clocks(found).values()]
+        except ArmlabError:
+            raise
+        except DAMAGE as error:
+            raise LogError(f"Expected a whole recording in {path}, got a damaged one ({error}).") from None
+        if not found.finished:
+            warnings.warn(f"{path.name} was not finished: what can be read of it is taken", stacklevel=3)
+        yield Source(path, view, found, arms, (f"{path.name} sha256 {file_hash(path)}", *earlier(view, found)))
+
+
+def _arm(path: Path, view: memoryview, found: Contents, topic: str) -> Arm:
+    prefix = topic.rpartition("/")[0] + "/"
+    name = prefix.strip("/")
+    own = {number: channel for number, channel in found.channels.items() if channel.topic.startswith(prefix)}
+    seconds = next((number for number, channel in own.items() if f"{COLUMN_KEY}t" in channel.metadata), None)
+    about = next((pairs for pairs in found.metadata.values() if topic_name(pairs.get("robot", "")) == name), {})
+    return Arm(path, prefix, about.get("robot_hash", ""), rows_of(view, found, path, name), seconds)
+
+
+def metadata(sources: list[Source]) -> Iterator[tuple[str, dict[str, str]]]:
+    """Yield the maps of all sources by name; one that has another content under a known name gets a number."""
+    known: dict[str, dict[str, str]] = {}
+    for source in sources:
+        for name, pairs in source.found.metadata.items():
+            own = _own_name(name, pairs, known)
+            if own is not None:
+                yield own, pairs
+
+
+def attachments(sources: list[Source]) -> Iterator[tuple[int, str, str, bytes]]:
+    """Yield (time, name, kind, data) of the attachments of all sources, without their summaries."""
+    known: dict[str, bytes] = {}
+    for source in sources:
+        for one in source.found.attachments:
+            data = bytes(source.view[slice(*one.data)])
+            own = None if one.name == _SUMMARY else _own_name(one.name, data, known)
+            if own is not None:
+                yield one.log_ns, own, one.media_type, data
+
+
+def _own_name(name: str, content: Any, known: dict[str, Any]) -> str | None:
+    """Return the name, with a number where it stands for something else; None for what is there already."""
+    stem, dot, ending = name.partition(".")
+    number, own = 1, name
+    while own in known:
+        if known[own] == content:
+            return None
+        number += 1
+        own = f"{stem}-{number}{dot}{ending}"
+    known[own] = content
+    return own
+
+
+def summary(sources: list[Source], operation: str) -> dict[str, Any]:
+    """Return what is counted of the new file: rows, what was dropped between them, and where they come from."""
+    holes = [hole for source in sources for hole in _holes(source)]
+    originals: dict[str, Any] = {}
+    for source in sources:
+        originals |= source.summary.get("originals") or {source.path.name: source.summary}
+    return {
+        "rows": sum(arm.rows_left for source in sources for arm in source.arms),
+        "dropped": sum(hole[2] for hole in holes),
+        "holes": holes,
+        "source": [*(entry for source in sources for entry in source.chain), operation],
+        "originals": originals,
+    }
+
+
+def _holes(source: Source) -> list[list[int]]:
+    """Return the holes (first tick, last tick, rows) that the recorder left between the rows that are taken."""
+    spans = [arm.ticks for arm in source.arms if arm.rows_left]
+    told = source.summary.get("holes", [])
+    return [list(hole) for hole in told if any(first < hole[0] and hole[1] < last for first, last in spans)]

@@ -1,0 +1,204 @@
+"""`cut` and `merge`: the rows of the table to the last bit, and all that belongs to them."""
+
+from __future__ import annotations
+
+import resource
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+
+from armlab import log, robots
+from armlab.errors import ConfigError, LogError
+from armlab.log import Column, Recorder, cut, inspect, merge, read
+from armlab.robots import Robot
+
+ROWS = 500
+
+
+@pytest.fixture
+def record(tmp_path: Path, rows: Callable, extra: dict[str, Column]) -> Callable[..., Path]:
+    """Record rows [first, last) of the made-up run of an arm, with events and parameters between them."""
+
+    def recorded(name: str, first: int = 0, last: int = ROWS, robot: str = "yumi_right") -> Path:
+        arm = robots.load(robot)
+        with Recorder(tmp_path / name, arm, extra=extra, attachments={"robot.toml": robot.encode()}, note=name) as to:
+            for i in range(first, last):
+                state, command, tick = rows(i)
+                state = replace(state, tau=np.full(7, np.nan)) if i < 10 else state
+                assert to.row(state, command, tick._replace(number=i - first))
+                if i % 100 == 50:
+                    to.event(f"event {i}", tick.stamp_ns)
+                if i % 250 == 0:
+                    to.parameter(i, "gain", float(i), "me", tick.stamp_ns)
+        return to.path
+
+    return recorded
+
+
+def texts(path: Path) -> list[str]:
+    return [event.text for event in inspect(path).events]
+
+
+@pytest.mark.parametrize(("start", "stop"), [(1.0, 1.5), (-np.inf, 0.5), (1.5, np.inf)])
+def test_the_rows_are_those_of_between_to_the_last_bit(
+    record: Callable[..., Path], tmp_path: Path, start: float, stop: float
+) -> None:
+    path = record("run.mcap")
+    part, table = read(cut(path, tmp_path / "part.mcap", start, stop)), read(path).between(start, stop)
+    assert part.sha256 == table.sha256
+    assert (part.t0_ns, part.clock, part.source[1:]) == (table.t0_ns, table.clock, table.source)
+    assert part.t[0] == table.t[0] >= start
+    assert part["fext"].shape == (len(table), 6)
+
+
+def test_a_cut_is_a_whole_recording_with_all_that_belongs_to_it(record: Callable[..., Path], tmp_path: Path) -> None:
+    path = record("run.mcap")
+    told: list[tuple[int, int, str]] = []
+    part = cut(path, tmp_path / "part.mcap", 1.0, 1.9, progress=lambda *step: told.append(step))
+    held, original = inspect(part), inspect(path)
+    assert held.finished
+    assert held.metadata == original.metadata
+    assert held.attachments["robot.toml"] == b"yumi_right"
+    assert texts(part) == ["event 250", "event 350", "event 450"]
+    assert [one.value for one in held.parameters] == [0.0, 250.0]  # what was in force, and what changed
+    assert held.summary["rows"] == len(read(part))
+    assert held.summary["originals"] == {"run.mcap": original.summary}
+    assert 0 < told[-1][0] <= told[-1][1]
+    with AnyReader([part]) as reader:
+        states = [c for c in reader.connections if c.topic == "/yumi_right/joint_states"]
+        q = [reader.deserialize(raw, c.msgtype).position for c, _, raw in reader.messages(states)]
+    assert np.array_equal(q, read(part)["q"])
+
+
+def test_pieces_put_together_are_the_whole_again(record: Callable[..., Path], tmp_path: Path) -> None:
+    path = record("run.mcap")
+    pieces = [cut(path, tmp_path / f"{k}.mcap", k, k + 1) for k in range(3)]
+    whole = merge([pieces[2], pieces[0], pieces[1]], tmp_path / "whole.mcap")
+    assert read(whole).sha256 == read(path).sha256
+    assert read(whole).t0_ns == read(path).t0_ns
+    assert texts(whole) == texts(path)
+    again = cut(cut(path, tmp_path / "part.mcap", 0.5, 1.8), tmp_path / "again.mcap", 1.0, 1.5)
+    assert read(again).sha256 == read(path).between(1.0, 1.5).sha256
+    chain = (*read(path).between(0.5, 1.8).source, "between(1, 1.5)")
+    assert read(again).source[2:] == chain
+
+
+def test_runs_of_one_robot_keep_the_gap_between_them(record: Callable[..., Path], tmp_path: Path) -> None:
+    """Their ticks begin at the same number, and the first rows lack torques: rows must not find those of others."""
+    first, second = record("first.mcap", 0, 300), record("second.mcap", 400, 600)
+    assert read(first)["tick"][0] == read(second)["tick"][0] == 0
+    whole = merge([second, first], tmp_path / "whole.mcap")
+    expected = log.concat(read(first), read(second))
+    assert read(whole).sha256 == expected.sha256
+    assert read(whole).source[1:] == expected.source
+    assert np.diff(read(whole).t).max() > 0.4
+    held = inspect(whole)
+    assert [pairs["note"] for pairs in held.metadata.values()] == ["first.mcap", "second.mcap"]
+    assert [name for name in held.attachments if "robot" in name] == ["robot.toml"]
+    assert read(cut(whole, tmp_path / "cut.mcap", 1.0, 2.0)).sha256 == expected.between(1.0, 2.0).sha256
+
+
+def test_both_arms_of_a_bridge_stand_side_by_side(record: Callable[..., Path], tmp_path: Path) -> None:
+    right, left = record("right.mcap", 0, 300), record("left.mcap", 100, 500, "yumi_left")
+    both = merge([left, right], tmp_path / "both.mcap")
+    assert inspect(both).robots == ("yumi_right", "yumi_left")
+    tables = {name: read(both, robot=name) for name in ("yumi_right", "yumi_left")}
+    assert tables["yumi_right"].sha256 == read(right).sha256
+    assert tables["yumi_left"].sha256 == read(left).sha256
+    assert tables["yumi_left"].source[1:] == (*read(right).source, *read(left).source, "merge(right.mcap, left.mcap)")
+    assert inspect(both).attachments["robot-2.toml"] == b"yumi_left"
+    assert len(texts(both)) == len(texts(right)) + len(texts(left))
+    with AnyReader([both]) as reader:
+        times = [time for _, time, _ in reader.messages()]
+    assert len(times) == sum(one.messages for path in (left, right) for one in inspect(path).topics) + 700  # and t
+    part = cut(both, tmp_path / "part.mcap", 0.2, 0.4)
+    assert read(part, robot="yumi_left").sha256 == read(left).between(0.2, 0.4).sha256
+    assert read(part, robot="yumi_right").sha256 == read(right).between(0.2, 0.4).sha256
+
+
+def test_what_does_not_fit_is_refused_in_a_sentence(
+    record: Callable[..., Path], tmp_path: Path, robot: Robot, rows: Callable
+) -> None:
+    run, left = record("run.mcap", 0, 50), record("left.mcap", 300, 350, "yumi_left")
+    with Recorder(tmp_path / "other.mcap", replace(robot, q_home=robot.q_home + 0.1)) as other:
+        other.row(*rows(400))
+    with Recorder(tmp_path / "units.mcap", robot, extra={"fext": Column(shape=(6,), unit="N m")}) as units:
+        units.row(*rows(400))
+    text = tmp_path / "run.csv"
+    text.write_text("t [s],q1 [rad]\n0,1\n")
+    to = tmp_path / "to.mcap"
+    for error, words, work in (
+        (LogError, r"Expected rows between 5 s and 6 s in .*run\.mcap, got none; it has 0 s to 0\.19", (run, 5.0, 6.0)),
+        (ConfigError, "to a later one, got 2 s to 2 s", (run, 2.0, 2.0)),
+        (ConfigError, "got nan s to 2 s", (run, np.nan, 2.0)),
+        (LogError, "got a file of format text", (text, 0.0, 1.0)),
+        (LogError, "No such file", (tmp_path / "none.mcap", 0.0, 1.0)),
+        (ConfigError, "two recordings or more to merge, got 1", [run]),
+        (LogError, r"run\.mcap of yumi_right to begin after .*run\.mcap has ended at", [run, run]),
+        (LogError, r"yumi_left, which began 1\..* s after yumi_right had ended", [run, left]),
+        (LogError, "one description of yumi_right, got another in .*other", [run, other.path]),
+        (LogError, "one kind on /yumi_right/columns/fext, got those in .*units", [run, units.path]),
+    ):
+        with pytest.raises(error, match=words):
+            cut(work[0], to, *work[1:]) if isinstance(work, tuple) else merge(work, to)
+    with pytest.raises(ConfigError, match=r"ending in \.mcap"):
+        merge([run, left], tmp_path / "to.csv")
+    assert not to.exists()
+
+
+def test_a_torn_recording_is_cut_and_becomes_whole(record: Callable[..., Path], tmp_path: Path) -> None:
+    path = record("run.mcap")
+    path.write_bytes(path.read_bytes()[: int(0.7 * path.stat().st_size)])
+    with pytest.warns(UserWarning, match="was not finished"):
+        part, table = cut(path, tmp_path / "part.mcap", 1.0), read(path).between(1.0, np.inf)
+    assert inspect(part).finished
+    assert read(part).sha256 == table.sha256
+
+
+def test_rows_out_of_order_stay_reachable(tmp_path: Path, robot: Robot, rows: Callable) -> None:
+    with Recorder(tmp_path / "run.mcap", robot) as to:
+        for i, place in enumerate([0, 1, 2, 2, 1, 3, 4, 5, 5]):
+            state, command, tick = rows(place)
+            to.row(state, command, tick._replace(number=i))
+    with pytest.warns(UserWarning, match="does not advance"):
+        table = read(to.path)
+    cut(to.path, tmp_path / "part.mcap", table.t[2], table.t[4])
+    with pytest.warns(UserWarning, match="does not advance"):
+        part = read(tmp_path / "part.mcap")
+    assert part.sha256 == table.between(table.t[2], table.t[4]).sha256
+    assert len(read(tmp_path / "part.mcap", raw=True)) == len(part) + 2
+
+
+@pytest.fixture
+def small_disk() -> Iterator[Callable[[int], None]]:
+    limit = resource.getrlimit(resource.RLIMIT_FSIZE)
+    yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, limit[1]))
+    resource.setrlimit(resource.RLIMIT_FSIZE, limit)
+
+
+def test_a_full_disk_and_ctrl_c_leave_nothing_behind(
+    record: Callable[..., Path], tmp_path: Path, small_disk: Callable[[int], None]
+) -> None:
+    path, to = record("run.mcap"), tmp_path / "to.mcap"
+    to.write_bytes(b"mine")
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        cut(path, to, 0.1, progress=interrupt)
+    small_disk(50_000)
+    with pytest.raises(LogError, match=rf"Expected to write {to}, got: File too large\."):
+        cut(path, to, 0.1)
+    assert to.read_bytes() == b"mine"
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["run.mcap", "to.mcap"]
+
+
+def test_a_file_may_be_cut_into_itself(record: Callable[..., Path], tmp_path: Path) -> None:
+    path = record("run.mcap", 0, 300)
+    table = read(path)
+    assert read(cut(path, path, 0.5, 0.8)).sha256 == table.between(0.5, 0.8).sha256
