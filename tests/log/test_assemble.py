@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from armlab.log import Column
-from armlab.log.assemble import in_time_order, recording_clock, recording_table
+from armlab.log.assemble import in_time_order, recording_clock, recording_table, wall_at_zero
 
 STAMPS = 10**18 + np.arange(6) * 4_000_000
 
@@ -56,3 +56,11 @@ def test_empty_columns_and_unused_axes_are_left_out() -> None:
     assert table.names == ("q", "q_ext", "seq")
     assert table["q_ext"].shape == (6, 2)
     assert table.t0_ns == 10**18
+
+
+def test_the_wall_clock_of_zero_where_t_begins_later() -> None:
+    t = np.array([2.5, 3.0])
+    assert wall_at_zero(t, STAMPS[:2]) == STAMPS[0] - 2_500_000_000
+    assert wall_at_zero(t[:0], STAMPS[:0]) == 0
+    table = recording_table({"t": t, "q": np.zeros((2, 7))}, {"t": Column(), "q": Column()}, STAMPS[:2])
+    assert table.t0_ns == STAMPS[0] - 2_500_000_000

@@ -10,7 +10,21 @@ import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from armlab.log import Column, Tick, messages
-from armlab.log.messages import CLOCK_KEY, COLUMN_KEY, Pen, Topic, definition, event, parameter, topic_name, topics
+from armlab.log.messages import (
+    CLOCK_KEY,
+    CLOCK_NAME_KEY,
+    COLUMN_KEY,
+    T0_KEY,
+    Pen,
+    Topic,
+    clock_metadata,
+    column_topic,
+    definition,
+    event,
+    parameter,
+    topic_name,
+    topics,
+)
 from armlab.log.rows import RowLayout
 from armlab.robots import Robot
 from armlab.state import State
@@ -104,3 +118,8 @@ def test_a_blank_message_is_zeros_and_empty_texts() -> None:
     assert messages.blank("geometry_msgs/msg/WrenchStamped").wrench.torque.z == 0
     raw = bytes(known.serialize_cdr(message, "sensor_msgs/msg/JointState"))
     assert known.deserialize_cdr(raw, "sensor_msgs/msg/JointState").header.stamp.sec == 0
+
+
+def test_a_column_by_itself_and_the_clock_beside_t() -> None:
+    assert (column_topic("a b").name, column_topic("t").fields) == ("columns/a_b", {"t": ("values",)})
+    assert clock_metadata(5, "robot") == {T0_KEY: "5", CLOCK_NAME_KEY: "robot"}

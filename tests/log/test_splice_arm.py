@@ -38,7 +38,7 @@ def test_a_following_recording_is_on_the_clock_of_the_first_and_numbered_on() ->
     assert [second.number(sequence) for sequence in (1, 2)] == [3, 4]
     assert first.number(2) == 2
     assert second.start_ns - first.end_ns == 3 * 10**9
-    with pytest.raises(LogError, match="to begin after run.mcap has ended at 2 s, got 1 s"):
+    with pytest.raises(LogError, match=r"to begin after run\.mcap has ended at 2 s, got 1 s"):
         arm([7], [0.0], 10**18 + 10**9).follow(first, first)
 
 
