@@ -45,7 +45,7 @@ def test_reference_when_the_extension_is_older_than_the_sources() -> None:
     old = "import sys, types; sys.modules['armlab.kernels._native'] = types.ModuleType('old')\n"
     result = run(old + PROGRAM, "")
     assert result.stdout.startswith("reference ")
-    assert "the extension is older than the sources; build it again: make setup" in result.stdout
+    assert "the extension is older than the sources; build it again, `make -B setup`" in result.stdout
     assert "older than the sources" in run(old + PROGRAM, "native").stderr
 
 

@@ -122,6 +122,9 @@ __all__ = [
 ]
 
 
+_BUILD = "`make -B setup` or `pip install .` in the sources"
+
+
 def _fall_back(reason: str) -> tuple[str, ModuleType]:
     warnings.warn(
         f"armlab runs its NumPy reference kernels, ten to a thousand times slower: {reason}.",
@@ -140,11 +143,11 @@ def _choose() -> tuple[str, ModuleType]:
     try:
         native = import_module("armlab.kernels._native")
     except ImportError as error:
-        fault = f"the extension cannot be imported ({error})"
+        fault = f"the extension cannot be imported ({error}); with a C++ compiler build it, {_BUILD}"
     else:
         if not set(__all__) - {"backend"} - vars(native).keys():
             return "native", native
-        fault = "the extension is older than the sources; build it again: make setup, or pip install ."
+        fault = f"the extension is older than the sources; build it again, {_BUILD}"
     if wanted == "native":
         raise ConfigError(f"Expected the compiled kernels, as ARMLAB_KERNELS=native asks, got none: {fault}.")
     return _fall_back(fault)

@@ -1,0 +1,159 @@
+"""What is handed out: the sdist holds what building takes, the wheel what running takes; neither needs a network."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tarfile
+import venv
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+SOURCE = ROOT / "src" / "armlab"
+PROGRAM = """
+import numpy as np
+from armlab import kernels, robots
+robot = robots.load("yumi_left")
+T = robot.chain.forward(np.zeros(robot.n))
+print(kernels.backend, kernels.__file__, T.shape, bool(abs(np.linalg.det(T[:3, :3]) - 1) < 1e-12))
+"""
+
+for requirement in ("build", "scikit_build_core", "nanobind", "cmake"):
+    pytest.importorskip(requirement, reason=f"needs {requirement} of the extra dev")
+pytestmark = pytest.mark.slow  # a minute: the compiler
+
+
+def python(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run a module of this environment with no package index to ask."""
+    known = {k: v for k, v in os.environ.items() if k not in ("CC", "CXX", "ARMLAB_KERNELS")}
+    return subprocess.run(
+        [sys.executable, "-m", *arguments],
+        env=known | {"PIP_NO_INDEX": "1", "PIP_NO_CACHE_DIR": "1"} | environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def files(folder: Path) -> set[str]:
+    return {
+        str(path.relative_to(folder))
+        for path in folder.rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts and path.suffix != ".so"
+    }
+
+
+@pytest.fixture(scope="module")
+def sdist(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("sdist")
+    result = python("build", "--sdist", "--no-isolation", "--outdir", str(folder), str(ROOT))
+    assert result.returncode == 0, result.stdout + result.stderr
+    return next(folder.glob("armlab-*.tar.gz"))
+
+
+@pytest.fixture(scope="module")
+def unpacked(sdist: Path) -> Path:
+    with tarfile.open(sdist) as archive:
+        archive.extractall(sdist.parent, filter="data")
+    return sdist.parent / sdist.name.removesuffix(".tar.gz")
+
+
+@pytest.fixture(scope="module")
+def wheel(unpacked: Path) -> Path:
+    """The wheel of the unpacked sdist; not optimised: that takes the compiler eight times as long."""
+    quick = "cmake.define.CMAKE_CXX_FLAGS_RELEASE=-O0"
+    result = python("build", "--wheel", "--no-isolation", "-C", quick, "--outdir", str(unpacked.parent), str(unpacked))
+    assert result.returncode == 0, result.stdout + result.stderr
+    return next(unpacked.parent.glob("armlab-*.whl"))
+
+
+def install(wheel: Path, folder: Path) -> Path:
+    """Make an environment with nothing but the wheel, beside what armlab needs, and return its programs."""
+    venv.create(folder)
+    (site,) = folder.glob("lib/python*/site-packages")
+    (site / "needed.pth").write_text("\n".join(path for path in sys.path if Path(path).name.endswith("-packages")))
+    result = python("pip", "--python", str(folder), "install", "--no-deps", str(wheel))
+    assert result.returncode == 0, result.stdout + result.stderr
+    return folder / "bin"
+
+
+def run(folder: Path, *command: str) -> subprocess.CompletedProcess[str]:
+    """Run a program of an environment away from the sources."""
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "ARMLAB"))}
+    return subprocess.run(
+        [str(folder / command[0]), *command[1:]],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+
+
+def test_sdist_holds_what_it_takes_to_build(unpacked: Path) -> None:
+    """The sources, the pages a reader looks for, and nothing of this folder besides: no tests, no logs, no builds."""
+    top = {"CMakeLists.txt", "pyproject.toml", "LICENSE", "README.md", "CHANGELOG.md", "CITATION.cff", "PKG-INFO"}
+    assert {path.name for path in unpacked.iterdir()} == top | {"native", "src", "CONTRIBUTING.md"}
+    assert files(unpacked / "native") == files(ROOT / "native")
+    assert files(unpacked / "src") == files(ROOT / "src")
+
+
+def test_wheel_holds_the_package_and_its_compiled_core(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        names = set(archive.namelist())
+    information = {name for name in names if name.split("/")[0].endswith(".dist-info")}
+    compiled = {name for name in names if name.startswith("armlab/kernels/_native.") and name.endswith(".so")}
+    assert len(compiled) == 1
+    assert names - information - compiled == {f"armlab/{name}" for name in files(SOURCE)}
+    assert {"armlab/py.typed", "armlab/wire/egm/armlab_egm_pb2.py", "armlab/robots/library/yumi_left.toml"} < names
+    assert any(name.endswith("licenses/LICENSE") for name in information)
+
+
+def test_installed_wheel_runs_the_compiled_core(wheel: Path, tmp_path: Path) -> None:
+    programs = install(wheel, tmp_path / "new")
+    answer = run(programs, "python", "-W", "error", "-c", PROGRAM).stdout.split()
+    assert answer[0] == "native"
+    assert Path(answer[1]).is_relative_to(tmp_path)
+    assert answer[2:] == ["(4,", "4)", "True"]
+    assert run(programs, "armlab", "--version").stdout.strip() == wheel.name.split("-")[1]
+
+
+@pytest.fixture
+def bare(tmp_path: Path) -> Path:
+    """A folder of programs without a compiler; a build tool is among what pip brings."""
+    folder = tmp_path / "bare"
+    folder.mkdir()
+    tool = shutil.which("ninja") or shutil.which("make")
+    if tool is None:
+        pytest.skip("needs ninja or make")
+    (folder / Path(tool).name).symlink_to(tool)
+    return folder
+
+
+def test_without_a_compiler_pip_says_what_to_install(sdist: Path, bare: Path, tmp_path: Path) -> None:
+    command = ("pip", "install", "--no-deps", "--no-build-isolation", "--target", str(tmp_path / "to"), str(sdist))
+    result = python(*command, PATH=str(bare))
+    assert result.returncode != 0
+    said = " ".join((result.stdout + result.stderr).split())
+    assert "this machine has no C++ compiler. Install what is missing and try again: " in said
+    assert "sudo apt install g++ python3-dev Fedora sudo dnf install gcc-c++ python3-devel macOS xcode-select" in said
+    assert "if it is preceded by ARMLAB_KERNELS=reference" in said
+    assert not (tmp_path / "to").exists()
+
+
+def test_without_a_compiler_armlab_runs_in_numpy_if_asked(sdist: Path, bare: Path, tmp_path: Path) -> None:
+    """The wheel is of any machine, and what it runs says that it is slow and how to mend that."""
+    command = ("pip", "wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", str(tmp_path), str(sdist))
+    result = python(*command, PATH=str(bare), ARMLAB_KERNELS="reference")
+    assert result.returncode == 0, result.stdout + result.stderr
+    (wheel,) = tmp_path.glob("*.whl")
+    assert wheel.name.endswith("-py3-none-any.whl")
+    answer = run(install(wheel, tmp_path / "new"), "python", "-c", PROGRAM)
+    assert answer.stdout.startswith("reference ")
+    assert re.search(r"NumPy reference kernels.* slower: .*with a C\+\+ compiler build it, `make", answer.stderr)
