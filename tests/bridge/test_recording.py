@@ -54,6 +54,13 @@ def test_parameters(robot: Robot, tmp_path: Path) -> None:
     assert log.inspect(tmp_path / "run.mcap").parameters == (Setting(5, 1, "gain", 3.0, "local 1"),)
 
 
+def test_the_robot_is_described_in_the_file(robot: Robot, tmp_path: Path) -> None:
+    recording = Recording(robot, tmp_path / "run.mcap", None, wait=True, clock=lambda: 5)
+    recording.close({})
+    text = log.inspect(tmp_path / "run.mcap").attachments["robot.toml"].decode()
+    assert robots.from_toml(text, "run.mcap") == robot
+
+
 def test_a_command_of_any_shape_does_not_stop_the_rows(robot: Robot) -> None:
     recording = Recording(robot, None, None, wait=False, clock=lambda: 0)
     odd: list[Any] = [Command(np.zeros(3)), Command(q="up"), "no command", None]  # type: ignore[arg-type]

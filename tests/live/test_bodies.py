@@ -80,14 +80,14 @@ def with_mesh(*files: str) -> Robot:
 def test_meshes_are_read_where_there_are_any(tmp_path: Path) -> None:
     trimesh = pytest.importorskip("trimesh")
     (tmp_path / "maker").mkdir()
-    trimesh.creation.box((100.0, 200.0, 300.0)).export(tmp_path / "maker" / "one.stl")
-    trimesh.creation.box((10.0, 10.0, 10.0)).export(tmp_path / "two.stl")
+    for name, length in (("maker/one.stl", 300.0), ("two.stl", 10.0)):
+        trimesh.Trimesh(*box(np.zeros(3), np.array([0.0, 0.0, length]), 100.0)).export(tmp_path / name)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         found = mesh_bodies(with_mesh("package://maker/one.stl", "package://other/two.stl"), tmp_path)
     assert [one is None for one in found] == [True, False, False, True, True, True, True]
     assert found[1] is not None
-    np.testing.assert_allclose(np.ptp(found[1].vertices, axis=0), [0.1, 0.2, 0.3])  # mm in the file
+    np.testing.assert_allclose(np.ptp(found[1].vertices, axis=0), [0.1, 0.1, 0.3])  # mm in the file
 
 
 def test_missing_meshes_are_told_once(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,10 @@ class Gui:
 
     def __init__(self) -> None:
         self.plots: list[Any] = []
+        self.headings: list[str] = []
+
+    def add_html(self, content: str) -> None:
+        self.headings.append(content)
 
     def add_uplot(self, **given: Any) -> Any:
         class Plot:
@@ -65,6 +70,7 @@ def test_curves_bands_and_cursor_are_columns_of_the_plot() -> None:
     t, values, half = np.arange(4.0), np.arange(8.0).reshape(4, 2), np.full((4, 2), 0.5)
     plot.show(t, values, half, at=1.5)
     data = gui.plots[0].data
+    assert re.sub("<[^>]*>", "", gui.headings[0]) == "force [N] ●x ●y"
     assert [one["label"] for one in gui.plots[0].series] == [
         "t [s]",
         "x",

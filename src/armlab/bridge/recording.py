@@ -12,7 +12,7 @@ from typing import Any, Protocol
 from armlab.bridge.events import Limited
 from armlab.bridge.parameters import Change
 from armlab.log import Column, Log, Recorder, Table, Tail, Tick
-from armlab.robots import Robot
+from armlab.robots import Robot, to_toml
 from armlab.state import Command, State
 
 __all__ = ["Feed", "Recording", "paths"]
@@ -83,7 +83,8 @@ class Recording:
         feeds: list[Feed] | None = None,
         label: str = "",
     ) -> None:
-        self._recorder = None if path is None else Recorder(path, robot, extra=extra, wait=wait)
+        described = {} if path is None else {"robot.toml": to_toml(robot).encode()}
+        self._recorder = None if path is None else Recorder(path, robot, extra=extra, attachments=described, wait=wait)
         self._log = Log(robot, extra) if path is None else Tail(_KEPT_SECONDS, robot, extra)
         self._clock, self._label = clock, label
         self._feeds = [] if feeds is None else feeds

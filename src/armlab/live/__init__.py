@@ -7,7 +7,9 @@ from __future__ import annotations
 
 from armlab.live.curves import Curves, Window
 from armlab.live.panel import ArmPanel
+from armlab.live.player import Player
+from armlab.live.recorded import Recorded, read_arms
 from armlab.live.scene import Scene
 from armlab.live.server import address, start, stop
 
-__all__ = ["ArmPanel", "Curves", "Scene", "Window", "address", "start", "stop"]
+__all__ = ["ArmPanel", "Curves", "Player", "Recorded", "Scene", "Window", "address", "read_arms", "start", "stop"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 from collections import deque
 from collections.abc import Sequence
 from typing import Any
@@ -48,7 +49,7 @@ class Curves:
     ----------
     gui : ``server.gui``.
     title : with the unit, for example "torque [N m]".
-    labels, colors : of the k curves; colours such as "#0072B2".
+    labels, colors : of the k curves, for the line above the plot; colours such as "#0072B2".
     band : whether bands are drawn around the curves.
     cursor : whether a vertical line marks an instant.
     limits : ends of the scale; it follows the data when None.
@@ -65,7 +66,7 @@ class Curves:
         band: bool = False,
         cursor: bool = False,
         limits: tuple[float, float] | None = None,
-        height: int = 150,
+        height: int = 130,
     ) -> None:
         self._k, self._band, self._cursor, self._limits = len(labels), band, cursor, limits
         series: list[dict[str, Any]] = [{"label": "t [s]"}]
@@ -80,17 +81,20 @@ class Curves:
         for one in series[1:]:
             one["points"] = {"show": False}
         y: dict[str, Any] = {} if limits is None else {"range": limits}
+        names = "".join(
+            f" <span style='color:{color}'>●</span>{html.escape(name)}" for name, color in zip(labels, colors)
+        )
+        gui.add_html(f"<div style='font-size:0.75em;margin:0 1em -0.5em'><b>{html.escape(title)}</b>{names}</div>")
         self._plot = gui.add_uplot(
             data=tuple(np.array([0.0]) for _ in series),
             series=tuple(series),
-            title=title,
             bands=tuple(bands) or None,
             scales={"x": {"time": False}, "y": y},
             legend={"show": False},
             cursor={"show": False},
             height=height,
-            axes=({"size": 30, "gap": 2}, {"size": 48, "gap": 2}),
-            padding=(8, 12, 0, 0),
+            axes=({"size": 24, "gap": 2, "ticks": {"size": 4}}, {"size": 44, "gap": 2, "ticks": {"size": 4}}),
+            padding=(6, 10, 0, 0),
         )
 
     def show(self, t: ArrayLike, values: ArrayLike, half: ArrayLike | None = None, *, at: float | None = None) -> None:

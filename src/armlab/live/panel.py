@@ -32,10 +32,11 @@ class ArmPanel:
         self._words = gui.add_html("")
         self._shown: Mapping[str, str] = {}
         joints = [COLORS[i % len(COLORS)] for i in range(robot.n)]
+        forces, moments = ("f_x", "f_y", "f_z"), ("m_x", "m_y", "m_z")
+        self.force = Curves(gui, "force [N]", forces, AXIS_COLORS, band=True, limits=limits.get("force"))
         self.torque = Curves(gui, "torque [N m]", robot.joint_names, joints, limits=limits.get("torque"))
-        self.force = Curves(gui, "force [N]", ("f_x", "f_y", "f_z"), AXIS_COLORS, band=True, limits=limits.get("force"))
         self.moment = Curves(
-            gui, "moment [N m]", ("m_x", "m_y", "m_z"), AXIS_COLORS, band=True, limits=limits.get("moment"), height=120
+            gui, "moment [N m]", moments, AXIS_COLORS, band=True, limits=limits.get("moment"), height=110
         )
 
     def say(self, words: Mapping[str, str]) -> None:
@@ -48,8 +49,9 @@ class ArmPanel:
         if dict(words) == self._shown:
             return
         self._shown = dict(words)
+        key, value = "padding:0 1em 0 0;opacity:0.65", "padding:0"
         rows = "".join(
-            f"<tr><td style='padding-right:1em;opacity:0.65'>{html.escape(key)}</td><td>{html.escape(value)}</td></tr>"
-            for key, value in words.items()
+            f"<tr><td style='{key}'>{html.escape(what)}</td><td style='{value}'>{html.escape(word)}</td></tr>"
+            for what, word in words.items()
         )
-        self._words.content = f"<table style='font-size:0.85em;margin:0.3em 0.8em'>{rows}</table>"
+        self._words.content = f"<table style='font-size:0.8em;line-height:1.3;margin:0 1em'>{rows}</table>"

@@ -163,8 +163,8 @@ class Scene:
         centre = np.mean(bases, axis=0)
         self._server.scene.add_grid("/floor", 4.0 * reach, 4.0 * reach, cell_size=0.1, section_size=0.5)
         camera = self._server.initial_camera
-        camera.look_at = tuple(centre + reach * np.array([0.3, 0.0, 0.0]))
-        camera.position = tuple(centre + reach * np.array([1.7, 0.9, 0.8]))
+        camera.look_at = tuple(centre + reach * np.array([0.25, 0.0, -0.05]))
+        camera.position = tuple(centre + reach * np.array([1.25, 0.65, 0.55]))
         camera.fov = np.deg2rad(45.0)
 
 
@@ -190,7 +190,7 @@ class _Arm:
             f"{root}/force", np.zeros((1, 2, 3)), rgb(VERMILION), shaft_radius=0.008, head_radius=0.02, visible=False
         )
         self._spread = scene.add_icosphere(
-            f"{root}/uncertainty", 1.0, rgb(VERMILION), opacity=0.35, visible=False, cast_shadow=False
+            f"{root}/uncertainty", 1.0, rgb(VERMILION), opacity=0.3, visible=False, cast_shadow=False
         )
         self._path = scene.add_line_segments(
             f"{root}/path", np.zeros((1, 2, 3)), rgb(GREY), thickness=2.0, thickness_units="screen", visible=False

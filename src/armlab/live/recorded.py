@@ -1,0 +1,264 @@
+"""What was recorded of an arm: description, motion, the force on it, and what there is to say of any instant."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from armlab import log as logs
+from armlab import robots as library
+from armlab.bridge.readiness import obstacle
+from armlab.errors import LogError, RobotError, UnknownName
+from armlab.kinematics import forward
+from armlab.robots import Robot
+
+if TYPE_CHECKING:
+    from armlab.log import Table
+    from armlab.log.inspection import Event
+    from armlab.models import TorqueModel
+
+__all__ = ["Recorded", "read_arms"]
+
+_SILENT = 0.5  # s after which an arm had sent no packets
+_RATE_SPAN, _TRIP_SPAN = 1.0, 10.0  # s over which rate and round trips are taken
+_CLOCK = "joint_states"  # a topic that every arm of a recording has
+_LIMITS = {1: "position", 2: "velocity", 4: "acceleration", 8: "braking", 16: "torque", 32: "torque rate"}
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """The log of one arm.
+
+    Attributes
+    ----------
+    robot : its description.
+    table : with q (N, n); with tau, wrench_hat and wrench_hat_cov or wrench, what the bridge knew, where recorded.
+    t : (N,) time of each row since the view's beginning [s].
+    events : time and text, in order.
+    """
+
+    robot: Robot
+    table: Table
+    t: np.ndarray
+    events: tuple[tuple[float, str], ...] = ()
+
+    @cached_property
+    def tool(self) -> np.ndarray:
+        """Path of the tool point (N, 3), base axes [m]."""
+        return forward(self.robot, np.ascontiguousarray(self.table["q"]))[:, :3, 3]
+
+    @cached_property
+    def torque(self) -> np.ndarray | None:
+        """Measured torques (N, n); None without."""
+        return self.table.values.get("tau")
+
+    @cached_property
+    def wrench(self) -> np.ndarray | None:
+        """The wrench (N, 6), base axes, at the tool point: estimated, else measured; None without either."""
+        name = next((name for name in ("wrench_hat", "wrench") if name in self.table), None)
+        return None if name is None else self.table[name]
+
+    @cached_property
+    def covariance(self) -> np.ndarray | None:
+        """Covariance (N, 6, 6) of an estimated wrench; None without."""
+        return self.table["wrench_hat_cov"] if {"wrench_hat", "wrench_hat_cov"} <= set(self.table.names) else None
+
+    @cached_property
+    def sigma(self) -> np.ndarray | None:
+        """Standard deviations (N, 6) of the wrench; None without."""
+        return None if self.covariance is None else np.sqrt(np.einsum("kii->ki", self.covariance))
+
+    def row(self, t: float) -> int:
+        """Return the last row at or before an instant; the first one before it.
+
+        Parameters
+        ----------
+        t : [s].
+        """
+        return max(int(np.searchsorted(self.t, t, side="right")) - 1, 0)
+
+    def span(self, t: float, seconds: float) -> slice:
+        """Return the rows of the last seconds before an instant, at least one.
+
+        Parameters
+        ----------
+        t : [s]. seconds : their length.
+        """
+        last = self.row(t)
+        return slice(min(int(np.searchsorted(self.t, t - seconds)), last), last + 1)
+
+    def words(self, t: float) -> dict[str, str]:
+        """Return what there is to say of the link at an instant: state, rate, round trips, limits, packets lost.
+
+        Parameters
+        ----------
+        t : [s].
+        """
+        k = self.row(t)
+        times = self.t[self.span(t, _RATE_SPAN)]
+        rate = (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else math.nan
+        return {
+            "state": self._state(k, t),
+            "rate": f"{rate:.1f} Hz" if math.isfinite(rate) else "-",
+            "latency": self._latency(self.span(t, _TRIP_SPAN)),
+            "clamps": self._clamps(k),
+            "drops": " ".join(self._lost(k)) or "-",
+        }
+
+    def _state(self, k: int, t: float) -> str:
+        age = t - self.t[k]
+        if not 0.0 <= age <= _SILENT:
+            return "not begun" if age < 0.0 else f"no packet for {age:.1f} s"
+        if not {"motors", "rapid", "mci"} <= set(self.table.names):
+            return "recorded"
+        why = obstacle(SimpleNamespace(**{name: self.table[name][k] for name in ("motors", "rapid", "mci")}))  # type: ignore[arg-type]
+        if why:
+            return why
+        if "seq_sent" in self.table and not self.table["seq_sent"][k] >= 0:
+            return "listening"
+        asked = [name for name in ("q_ref", "qd_ref", "tau_ref") if name in self.table]
+        return "running" if any(np.isfinite(self.table[name][k]).any() for name in asked) else "holding"
+
+    def _latency(self, rows: slice) -> str:
+        if not {"receive_ns", "send_ns"} <= set(self.table.names):
+            return "-"
+        trips = 1e-3 * (self.table["send_ns"][rows] - self.table["receive_ns"][rows])
+        trips = trips[np.isfinite(trips) & (trips > 0.0)]
+        if not len(trips):
+            return "-"
+        p50, p99 = np.percentile(trips, (50.0, 99.0))
+        return f"p50 {p50:.0f} µs, p99 {p99:.0f} µs"
+
+    def _clamps(self, k: int) -> str:
+        """Return which limits act on which joints now, and in how many rows any did so far."""
+        if "clamped" not in self.table:
+            return "-"
+        word = np.nan_to_num(self.table["clamped"][k]).astype(int)
+        now = [
+            f"{name} of joint {' '.join(str(i + 1) for i in np.flatnonzero(word & bit))}"
+            for bit, name in _LIMITS.items()
+            if (word & bit).any()
+        ]
+        return f"{', '.join(now) or 'none'} ({self._clamped_rows[k]} rows so far)"
+
+    @cached_property
+    def _clamped_rows(self) -> np.ndarray:
+        return np.cumsum((np.nan_to_num(self.table["clamped"]) != 0).any(axis=1))
+
+    def _lost(self, k: int) -> list[str]:
+        """Return how many packets were lost on the way, and how many refused, so far."""
+        found = []
+        if "missed" in self.table:
+            found.append(f"{self._missed[k]:.0f} missed,")
+        if "drops" in self.table:
+            found.append(f"{np.nan_to_num(self.table['drops'][k]):.0f} refused")
+        return found
+
+    @cached_property
+    def _missed(self) -> np.ndarray:
+        return np.nancumsum(self.table["missed"])
+
+
+def read_arms(
+    paths: Iterable[str | Path], robots: Sequence[Robot] = (), models: Sequence[TorqueModel] = ()
+) -> list[Recorded]:
+    """Return the arms that were recorded in one file or in several, on one clock that begins at 0.
+
+    A recording of armlab tells its robots. Other files, and recordings of robots that are neither described in them
+    nor in the library, need theirs in `robots`: by name, or in the order of the files.
+
+    Parameters
+    ----------
+    paths : of logs of any format that `log.read` reads.
+    robots : descriptions to use.
+    models : torque models; where one belongs to an arm without an estimated wrench, the wrench is estimated.
+
+    Raises
+    ------
+    LogError : no file, one that cannot be read, has no q, or an arm that is in two of them.
+    RobotError : a robot is not known. ShapeError : a robot with another number of joints.
+    """
+    given = {robot.name: robot for robot in robots}
+    waiting = list(robots)
+    found: list[tuple[Robot, Table, tuple[Event, ...]]] = []
+    for path in map(Path, paths):
+        for name, table, events, attached in _tables(path):
+            robot = _robot(path, name, given, waiting, attached)
+            if "q" not in table or table["q"].shape[1] != robot.n or not len(table):
+                got = table["q"].shape if "q" in table else ", ".join(table.names)
+                raise LogError(f"Expected positions q (N, {robot.n}) of {robot.name} in {path}, got {got}.")
+            if any(robot.name == other.name for other, _, _ in found):
+                raise LogError(
+                    f"Expected each arm once, but {robot.name} is in {path} again. Give one log of each arm."
+                )
+            found.append((robot, _with_wrench(table, robot, models), events))
+    if not found:
+        raise LogError("Expected at least one log to view, got none. Give the path of a recording.")
+    start = _start([table for _, table, _ in found])
+    return [_recorded(*one, start) for one in found]
+
+
+def _tables(path: Path) -> Iterable[tuple[str | None, Table, tuple[Event, ...], Mapping[str, bytes]]]:
+    """Yield name, table, events and attachments of each arm in a file; the name is None where it tells none."""
+    from armlab.log.formats import format_at
+
+    if format_at(path) != "MCAP":
+        yield None, logs.read(path), (), {}
+        return
+    held = logs.inspect(path)
+    topics = [topic.name.strip("/").rpartition("/") for topic in held.topics]
+    names = sorted({name for name, _, last in topics if last == _CLOCK and name})
+    if len(names) < 2:
+        yield held.metadata.get("armlab", {}).get("robot"), logs.read(path), held.events, held.attachments
+        return
+    for name in names:
+        yield name, logs.read(path, robot=name), held.events, {}
+
+
+def _robot(
+    path: Path, name: str | None, given: Mapping[str, Robot], waiting: list[Robot], attached: Mapping[str, bytes]
+) -> Robot:
+    if name is not None and name in given:
+        return given[name]
+    if name is None and waiting:
+        return waiting.pop(0)
+    if name is not None and "robot.toml" in attached:
+        return library.from_toml(attached["robot.toml"].decode(), f"{path}, robot.toml")
+    try:
+        return library.load(name or "")
+    except (UnknownName, RobotError):
+        said = f"{name!r}, which the library does not have" if name else "none in the file"
+        raise RobotError(f"Expected the robot of {path}, got {said}. Give its description: --robot FILE.") from None
+
+
+def _with_wrench(table: Table, robot: Robot, models: Sequence[TorqueModel]) -> Table:
+    """Estimate the wrench where the log has none and a model of this robot was given."""
+    model = next((model for model in models if model.robot_hash == robot.hash), None)
+    if model is None or "wrench_hat" in table or "tau" not in table:
+        return table
+    from armlab.contact import Estimator
+    from armlab.identify import with_velocity
+
+    return Estimator(model, robot).run(with_velocity(table))
+
+
+def _start(tables: Sequence[Table]) -> int:
+    """Return the wall clock at which the view begins [ns]; 0 where the clocks have nothing to do with each other."""
+    ends = [(table.t0_ns + int(1e9 * table.t[0]), table.t0_ns + int(1e9 * table.t[-1])) for table in tables]
+    together = max(first for first, _ in ends) <= min(last for _, last in ends)
+    return min(first for first, _ in ends) if together and all(table.t0_ns for table in tables) else 0
+
+
+def _recorded(robot: Robot, table: Table, events: tuple[Event, ...], start: int) -> Recorded:
+    shift = 1e-9 * (table.t0_ns - start) if start else -float(table.t[0])
+    begin, end = table.t[0] + shift, table.t[-1] + shift
+    stamped = ((1e-9 * (event.stamp_ns - table.t0_ns) + shift, event.text) for event in events)
+    inside = tuple(sorted((min(max(t, begin), end), text) for t, text in stamped if begin - 1.0 <= t <= end + 1.0))
+    return Recorded(robot, table, table.t + shift, inside)

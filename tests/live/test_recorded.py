@@ -1,0 +1,134 @@
+"""Logs of arms: on one clock, with their robots and events, and what is said of each instant."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from armlab import live, log, robots
+from armlab.errors import LogError, RobotError
+from armlab.kinematics import forward
+from armlab.live.recorded import Recorded, read_arms
+from armlab.log import Recorder, Table, Tick
+from armlab.robots import Robot, to_toml
+from armlab.state import Command, State
+
+LEFT, RIGHT = robots.load("yumi_left"), robots.load("yumi_right")
+START = 1_700_000_000_000_000_000
+DT = 0.004
+
+
+def recording(path: Path, robot: Robot, first: float = 0.0, seconds: float = 2.0, **options: object) -> Path:
+    """A log at 250 Hz: joint 1 moves, a limit of joint 2 acts after half of it, one packet is missed."""
+    with Recorder(path, robot, **options) as recorder:  # type: ignore[arg-type]
+        for k in range(round(seconds / DT)):
+            stamp = START + round(1e9 * (first + DT * k))
+            q = robot.q_home + 0.1 * DT * k * np.eye(robot.n)[0]
+            late = DT * k >= seconds / 2.0
+            state = State(
+                t=DT * k, dt=DT, q=q, qd=np.zeros(robot.n), tau=np.zeros(robot.n), seq=k, robot_ns=stamp,
+                motors=1, mci=3, rapid=2, missed=int(k == 10),
+            )  # fmt: skip
+            command = Command(q=q) if late else None
+            clamped = np.array([0, 2 * late, *[0] * (robot.n - 2)])
+            tick = Tick(k, k, stamp, stamp, stamp + 400_000, 0, q_sent=q, clamped=clamped)
+            recorder.row(state, command, tick)
+            if k == 100:
+                recorder.event("something happened", stamp)
+    return path
+
+
+@pytest.fixture
+def table() -> Callable[..., Table]:
+    def make(n: int = 7, **columns: np.ndarray) -> Table:
+        t = DT * np.arange(500)
+        return Table(t, {"q": np.tile(LEFT.q_home[:n], (500, 1)), **columns})
+
+    return make
+
+
+def test_two_arms_of_two_files_are_on_one_clock(tmp_path: Path) -> None:
+    files = [recording(tmp_path / "left.mcap", LEFT), recording(tmp_path / "right.mcap", RIGHT, first=0.5)]
+    left, right = read_arms(files)
+    assert (left.robot, right.robot) == (LEFT, RIGHT)
+    assert left.t[0] == 0.0
+    assert right.t[0] == pytest.approx(0.5)
+    assert left.events[-1] == (pytest.approx(0.4), "something happened")
+    assert right.events[-1] == (pytest.approx(0.9), "something happened")
+    assert left.row(0.2) == 50
+    assert left.row(0.2 - 1e-6) == 49
+    assert (left.row(-1.0), left.row(99.0)) == (0, 499)
+    assert left.span(1.0, 0.4) == slice(150, 251)
+    assert left.span(-5.0, 0.4) == slice(0, 1)
+    np.testing.assert_array_equal(left.tool, forward(LEFT, left.table["q"])[:, :3, 3])
+
+
+def test_logs_of_different_days_begin_together(tmp_path: Path) -> None:
+    files = [recording(tmp_path / "left.mcap", LEFT), recording(tmp_path / "right.mcap", RIGHT, first=1e5)]
+    assert [arm.t[0] for arm in live.read_arms(files)] == [0.0, 0.0]
+
+
+def test_what_is_said_of_an_instant(tmp_path: Path) -> None:
+    (arm,) = read_arms([recording(tmp_path / "left.mcap", LEFT)])
+    early, late = arm.words(0.5), arm.words(1.5)
+    assert early == {
+        "state": "holding",
+        "rate": "250.0 Hz",
+        "latency": "p50 400 µs, p99 400 µs",
+        "clamps": "none (0 rows so far)",
+        "drops": "1 missed, 0 refused",
+    }
+    assert late["state"] == "running"
+    assert late["clamps"] == "velocity of joint 2 (126 rows so far)"
+    assert arm.words(3.0)["state"] == "no packet for 1.0 s"
+    assert arm.words(-0.1)["state"] == "not begun"
+
+
+def test_what_a_log_does_not_have_is_not_said(table: Callable[..., Table]) -> None:
+    arm = Recorded(LEFT, table(), table().t)
+    words = arm.words(1.0)
+    assert words["state"] == "recorded"
+    assert [words[name] for name in ("latency", "clamps", "drops")] == ["-", "-", "-"]
+    assert (arm.torque, arm.wrench, arm.covariance, arm.sigma) == (None, None, None, None)
+
+
+def test_an_estimate_goes_before_a_sensor(table: Callable[..., Table]) -> None:
+    hat, cov = np.full((500, 6), 2.0), np.tile(np.diag(np.arange(1.0, 7.0)), (500, 1, 1))
+    sensor = np.ones((500, 6))
+    both = Recorded(LEFT, table(wrench_hat=hat, wrench_hat_cov=cov, wrench=sensor), table().t)
+    np.testing.assert_array_equal(both.wrench, hat)
+    assert both.sigma is not None
+    np.testing.assert_allclose(both.sigma[3], np.sqrt(np.arange(1.0, 7.0)))
+    measured = Recorded(LEFT, table(wrench=sensor, wrench_hat_cov=cov), table().t)
+    np.testing.assert_array_equal(measured.wrench, sensor)
+    assert measured.covariance is None  # that of an estimate says nothing of a sensor
+
+
+def test_robots_come_from_the_file_the_library_or_the_caller(tmp_path: Path, table: Callable[..., Table]) -> None:
+    special = robots.from_dh("mine", [0.0] * 7, [0.1] * 7, [0.0] * 7)
+    path = recording(tmp_path / "mine.mcap", special)
+    with pytest.raises(RobotError, match=r"'mine', which the library does not have.*--robot FILE"):
+        read_arms([path])
+    assert read_arms([path], [special])[0].robot is special
+    described = recording(tmp_path / "told.mcap", special, attachments={"robot.toml": to_toml(special).encode()})
+    assert read_arms([described])[0].robot == special
+    log.write(table(), tmp_path / "run.csv")
+    with pytest.raises(RobotError, match="none in the file"):
+        read_arms([tmp_path / "run.csv"])
+    assert read_arms([tmp_path / "run.csv"], [RIGHT])[0].robot is RIGHT
+
+
+def test_logs_that_cannot_be_shown_are_refused(tmp_path: Path, table: Callable[..., Table]) -> None:
+    with pytest.raises(LogError, match="at least one log"):
+        read_arms([])
+    with pytest.raises(LogError, match="Expected"):
+        read_arms([tmp_path / "none.mcap"])
+    path = recording(tmp_path / "left.mcap", LEFT, seconds=0.2)
+    with pytest.raises(LogError, match="each arm once, but yumi_left"):
+        read_arms([path, path])
+    log.write(table(n=6), tmp_path / "six.csv")
+    with pytest.raises(LogError, match=r"positions q \(N, 7\) of yumi_left.*\(500, 6\)"):
+        read_arms([tmp_path / "six.csv"], [LEFT])
