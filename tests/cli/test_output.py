@@ -3,11 +3,23 @@
 from __future__ import annotations
 
 import json
+from contextlib import nullcontext
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from armlab.cli.output import FIGURES, aligned, check_output, note, print_json, progress, refuse_overwrite, result
+from armlab.cli.output import (
+    FIGURES,
+    aligned,
+    check_output,
+    note,
+    print_json,
+    progress,
+    refuse_overwrite,
+    result,
+    save_figure,
+)
 from armlab.errors import ConfigError
 
 
@@ -56,3 +68,19 @@ def test_progress_says_each_step_once_where_there_is_no_terminal(capsys) -> None
             tell(done, 4, "reading")
         tell(4, 4, "done")
     assert capsys.readouterr().err.splitlines() == ["identify: reading", "identify: done"]
+
+
+@pytest.mark.parametrize("fails", [True, False])
+def test_a_figure_is_written_whole_or_not_at_all(fails: bool, tmp_path: Path) -> None:
+    class Figure:
+        def savefig(self, path: Path, **_: object) -> None:
+            path.write_bytes(b"new")
+            if fails:
+                raise OSError(28, "No space left on device")
+
+    path = tmp_path / "a.png"
+    path.write_bytes(b"old")
+    with pytest.raises(OSError, match="space") if fails else nullcontext():
+        save_figure(Figure(), path)
+    assert path.read_bytes() == (b"old" if fails else b"new")
+    assert [file.name for file in tmp_path.iterdir()] == ["a.png"]

@@ -66,8 +66,12 @@ def test_samples_in_which_a_kind_was_not_measured_are_left_out_of_it() -> None:
     assert np.array_equal(lengths.get_xdata(), np.arange(60, 120))
 
 
+def test_a_fit_from_a_file_has_ellipses_and_excitation(fit) -> None:
+    ellipses, told = calibration(replace(fit, residuals=np.zeros(0))).axes
+    assert ellipses.get_title(loc="left") == "two sigma, around what was found"
+    assert told.get_ylabel() == "singular value, relative"
+
+
 def test_what_cannot_be_drawn_is_refused(fit) -> None:
-    with pytest.raises(ShapeError, match="a fit with residuals"):
-        calibration(replace(fit, residuals=np.zeros(0)))
     with pytest.raises(ShapeError, match="12 true parameters"):
         calibration(fit, truth=np.zeros(3))

@@ -37,7 +37,7 @@ _COMMANDS = {
     "payload": ("payload:payload", "Weigh a load at the flange with the motors: mass, centre, inertia."),
     "calibrate": ("calibrate:calibrate", "Calibrate a camera, a force sensor, an arm or a line scanner from samples."),
     "dmp": ("dmp:dmp", "Movement primitives: fit one to logs of a motion, play it on a robot."),
-    "plot": ("plot:plot", "Figures of what was saved: a movement primitive, its phase plane, a run of it."),
+    "plot": ("plot:plot", "Figures of logs, models, robots and movement primitives."),
     "bridge": ("bridge:bridge", "Run a cell: robots, LabComm and other clients, parameters, one commander."),
     "monitor": ("monitor:monitor", "Watch a bridge that runs: rates, round trips, clamps, commander, events."),
     "log": ("log:log", "Show, export, cut, merge, open and repair logs."),

@@ -13,7 +13,17 @@ import numpy as np
 
 from armlab.errors import ConfigError
 
-__all__ = ["FIGURES", "aligned", "check_output", "note", "print_json", "progress", "refuse_overwrite", "result"]
+__all__ = [
+    "FIGURES",
+    "aligned",
+    "check_output",
+    "note",
+    "print_json",
+    "progress",
+    "refuse_overwrite",
+    "result",
+    "save_figure",
+]
 
 FIGURES = (".png", ".svg", ".pdf")
 
@@ -66,6 +76,22 @@ def check_output(path: Path, force: bool, endings: Sequence[str]) -> None:
     if not path.parent.is_dir():
         raise ConfigError(f"Expected {path} in a folder that exists, got {path.parent}. Make the folder first.")
     refuse_overwrite(path, force)
+
+
+def save_figure(drawn: Any, path: Path, dpi: int = 150) -> None:
+    """Write a figure; an existing file is replaced in one step or not at all.
+
+    Parameters
+    ----------
+    drawn : Figure or Axes. path : ends in one of `FIGURES`, which tells the format. dpi : dots per inch, of PNG.
+    """
+    figure = drawn if hasattr(drawn, "savefig") else drawn.get_figure(root=True)
+    temporary = path.with_name(path.name + ".part")
+    try:
+        figure.savefig(temporary, format=path.suffix[1:].lower(), dpi=dpi)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 @contextmanager

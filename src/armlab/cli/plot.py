@@ -1,174 +1,34 @@
-"""``armlab plot``: figures of what was saved."""
+"""``armlab plot``: every figure that can be drawn from files."""
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from cyclopts import App, Group
 
-from cyclopts import App, Parameter
+from armlab.cli import plot_logs, plot_models, plot_motions, plot_robots
 
-if TYPE_CHECKING:
-    from armlab.log import Table
+__all__ = ["plot"]
 
-__all__ = ["dmp", "dmp_phase", "plot", "two_dof"]
+plot = App(
+    name="plot",
+    help="Figures of logs, models, robots and movement primitives; the names are those of armlab.plots.",
+    help_epilogue="Example: armlab plot torque_fit model.toml excite.mcap -o fit.svg. Prints the path of the figure.",
+)
 
-plot = App(name="plot", help="Figures of what was saved: a movement primitive, its phase plane, a run of it.")
+_COMMANDS = {
+    "Logs": (plot_logs.table, plot_logs.poses, plot_logs.scene, plot_logs.latency),
+    "Models of torque": (
+        plot_models.torque_fit, plot_models.friction, plot_models.friction_map, plot_models.spectrum,
+        plot_models.velocity_covariance, plot_models.residual_speed, plot_models.autocorrelation,
+    ),
+    "Contact force": (
+        plot_logs.wrench, plot_logs.wrenches, plot_logs.observability, plot_models.coverage, plot_models.hypotheses,
+    ),
+    "Any fit": (plot_models.calibration, plot_models.excitation),
+    "Robots": (plot_robots.robot, plot_robots.workspace, plot_robots.manipulability),
+    "Movement primitives": (plot_motions.dmp, plot_motions.dmp_phase, plot_motions.two_dof),
+}  # fmt: skip
 
-Output = Annotated[Path | None, Parameter(alias="-o")]
-
-
-@plot.command
-def dmp(
-    primitive: Path,
-    *demos: Path,
-    output: Output = None,
-    column: str | None = None,
-    robot: str | None = None,
-    show: bool = False,
-    force: bool = False,
-) -> int:
-    """Draw a movement primitive of any kind over time, and the demonstrations that it was taught.
-
-    Parameters
-    ----------
-    primitive : Path
-        File of `armlab dmp fit`.
-    demos : tuple of Path
-        Logs of what it was taught, of the motion only; several for a distribution over motions.
-    output : Path
-        PNG, SVG or PDF; beside the primitive, with its name, when not given.
-    column : str
-        What moved in those logs: q when not given, T_base_tool for poses.
-    robot : str
-        For poses: name in the library or robot file, whose kinematics make them of q.
-    show : bool
-        Open a window too.
-    force : bool
-        Replace an existing file.
-    """
-    from armlab import models, plots
-    from armlab.cli.dmp_teaching import Window, read_demonstration
-    from armlab.errors import ConfigError
-    from armlab.motion import Dmp, PeriodicDmp, PoseDmp, ProMP, TwoDofDmp
-
-    path = _output(primitive, output, force)
-    motion = models.load(primitive)
-    motion = motion.dmp if isinstance(motion, TwoDofDmp) else motion
-    if not isinstance(motion, Dmp | PoseDmp | PeriodicDmp | ProMP):
-        raise ConfigError(f"Expected the file of a movement primitive, got another in {primitive}. Name the right one.")
-    kind = "pose" if isinstance(motion, PoseDmp) else "joints"
-    columns = () if column is None else (column,)
-    taught = [read_demonstration(log, kind, columns, robot, Window()) for log in demos]
-    shown = [(demo.t, demo.y) for demo in taught]
-    if isinstance(motion, ProMP):
-        return _save(plots.promp(motion, shown), path, show)
-    if len(shown) > 1:
-        raise ConfigError(f"Expected one demonstration of a primitive that is no distribution, got {len(shown)}.")
-    demo = shown[0] if shown else None
-    if isinstance(motion, PoseDmp):
-        return _save(plots.pose_dmp(motion, demo), path, show)
-    drawn = plots.periodic_dmp(motion, demo) if isinstance(motion, PeriodicDmp) else plots.dmp(motion, demo)
-    return _save(drawn, path, show)
-
-
-@plot.command(name="dmp_phase")
-def dmp_phase(primitive: Path, *, output: Output = None, show: bool = False, force: bool = False) -> int:
-    """Draw the phase plane of a movement primitive of joints: velocity over position.
-
-    Parameters
-    ----------
-    primitive : Path
-        File of `armlab dmp fit`.
-    output : Path
-        PNG, SVG or PDF; beside the primitive, with its name, when not given.
-    show : bool
-        Open a window too.
-    force : bool
-        Replace an existing file.
-    """
-    from armlab import plots
-    from armlab.motion import Dmp
-
-    path = _output(primitive, output, force)
-    return _save(plots.dmp_phase(Dmp.load(primitive)).figure, path, show)
-
-
-@plot.command(name="two_dof")
-def two_dof(
-    primitive: Path,
-    log: Path,
-    *,
-    output: Output = None,
-    disturbed: list[str] | None = None,
-    joints: str | None = None,
-    duration: float | None = None,
-    goal: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
-    show: bool = False,
-    force: bool = False,
-) -> int:
-    """Draw how a movement primitive waited for an arm that was held: arm, path, undisturbed motion, error.
-
-    Parameters
-    ----------
-    primitive : Path
-        File of `armlab dmp fit`, or of a primitive with two degrees of freedom.
-    log : Path
-        Recording of `armlab dmp play`.
-    output : Path
-        PNG, SVG or PDF; beside the log, with its name, when not given.
-    disturbed : list of str
-        START,END of a time when something held the arm [s], which is shaded.
-    joints : str
-        Numbers from 1 with commas between; all when not given.
-    duration : float
-        Of the run [s]; that of the demonstration when not given.
-    goal : str
-        Of the run, numbers with commas between; that of the demonstration when not given.
-    show : bool
-        Open a window too.
-    force : bool
-        Replace an existing file.
-    """
-    from armlab import log as logs
-    from armlab import models, plots
-    from armlab.cli.dmp_playing import numbers_in
-    from armlab.errors import ConfigError
-    from armlab.motion import Dmp, TwoDofDmp
-
-    path = _output(log, output, force)
-    motion = models.load(primitive)
-    law = TwoDofDmp(motion) if isinstance(motion, Dmp) else motion
-    if not isinstance(law, TwoDofDmp):
-        raise ConfigError(f"Expected a primitive of joints, got another kind in {primitive}. Name the right file.")
-    table: Table = logs.read(log)
-    if "path_error" not in table:
-        raise ConfigError(f"Expected a run that waits for its arm in {log}, got none. Record it without --firm.")
-    spans = [numbers_in(word, "disturbed") for word in disturbed or ()]
-    if any(span is None or len(span) != 2 for span in spans):
-        raise ConfigError(f"Expected --disturbed as START,END, got {' '.join(disturbed or ())}.")
-    held = [(float(span[0]), float(span[1])) for span in spans if span is not None]
-    run = law.recorded(table, held, duration=duration, g=numbers_in(goal, "goal"))
-    numbers = numbers_in(joints, "joints")
-    which = None if numbers is None else [int(number) - 1 for number in numbers]
-    return _save(plots.two_dof(run, which), path, show)
-
-
-def _output(source: Path, output: Path | None, force: bool) -> Path:
-    """Return the name of the figure, beside its source when none was given; refused before the work begins."""
-    from armlab.cli.output import FIGURES, check_output
-
-    path = source.with_suffix(".png") if output is None else output
-    check_output(path, force, FIGURES)
-    return path
-
-
-def _save(figure: Any, path: Path, show: bool) -> int:
-    from armlab.cli.output import note
-
-    figure.savefig(path, dpi=150)
-    note(f"figure: {path}")
-    if show:
-        from armlab import plots
-
-        plots.show()
-    return 0
+for _number, (_title, _commands) in enumerate(_COMMANDS.items()):
+    _group = Group(_title, sort_key=_number)
+    for _command in _commands:
+        plot.command(_command, name=_command.__name__, group=_group)

@@ -37,29 +37,28 @@ def calibration(fit: Fit[Any], truth: ArrayLike | None = None, ax: Any = None) -
 
     Parameters
     ----------
-    fit : of a `fit_*` of `calibrate`, with its residuals.
+    fit : of a `fit_*` of `calibrate`. One that was read from a file has no residuals: the last two panels are drawn.
     truth : (d,) true parameters where they are known; drawn as crosses into the ellipses.
-    ax : four Axes; a new figure when None.
+    ax : four Axes, two for a fit from a file; a new figure when None.
 
     Returns
     -------
-    The figure of four panels.
+    The figure of four panels, or of two.
 
     Raises
     ------
-    ShapeError : a fit without residuals (from a file), another number of true parameters or of Axes.
+    ShapeError : another number of true parameters or of Axes.
     """
-    if not fit.residuals.size:
-        raise ShapeError("Expected a fit with residuals to draw, got none: files keep none. Draw it when fitted.")
     true = None if truth is None else np.asarray(truth, dtype=float)
     if true is not None and true.shape != fit.parameters.shape:
         raise ShapeError(f"Expected {len(fit.parameters)} true parameters to draw, got shape {true.shape}.")
-    groups = _groups(fit)
     with look():
-        figure, axes = panels(2, 2, ax, width=10.0, height=3.4)
-        over, normal, ellipses, told = axes.ravel()
-        _per_sample(over, groups, fit.outliers)
-        _quantiles(normal, groups, fit.outliers)
+        figure, axes = panels(2 if fit.residuals.size else 1, 2, ax, width=10.0, height=3.4)
+        if fit.residuals.size:
+            groups = _groups(fit)
+            _per_sample(axes[0, 0], groups, fit.outliers)
+            _quantiles(axes[0, 1], groups, fit.outliers)
+        ellipses, told = axes[-1]
         _ellipses(ellipses, fit, true)
         excitation(fit.excitation, told)
     return figure

@@ -1,0 +1,253 @@
+"""Figures of torque models, of what they leave of a log, and of fits."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from armlab.cli.picture import BESIDE, WHOLE, Part, Picture, arm_of, joints_in, torque_model
+
+if TYPE_CHECKING:
+    from armlab.log import Table
+    from armlab.models import TorqueModel
+
+__all__ = [
+    "autocorrelation", "calibration", "coverage", "excitation", "friction", "friction_map", "hypotheses",
+    "residual_speed", "spectrum", "torque_fit", "velocity_covariance",
+]  # fmt: skip
+
+
+def torque_fit(model: Path, log: Path, *, part: Part = WHOLE, picture: Picture = BESIDE) -> int:
+    """Draw measured and modelled torque of each joint, and the residual with its 2-sigma band.
+
+    Parameters
+    ----------
+    model : Path
+        Model file of `armlab identify`.
+    log : Path
+        Recording of free motion, best one that was not fitted.
+    """
+    from armlab import plots
+    from armlab.identify import predict
+
+    path = picture.path(log, "torque_fit")
+    return picture.save(plots.torque_fit(predict(torque_model(model), part.read(log))), path)
+
+
+def friction(
+    model: Path,
+    log: Path | None = None,
+    *,
+    robot: str | None = None,
+    part: Part = WHOLE,
+    picture: Picture = BESIDE,
+) -> int:
+    """Draw the friction of each joint over its velocity, and what is not known of it.
+
+    Parameters
+    ----------
+    model : Path
+        Model file of `armlab identify`.
+    log : Path
+        Recording of free motion, drawn as points.
+    robot : str
+        Robot file, where the robot of the model is not in the library.
+    """
+    from armlab import plots
+    from armlab.estimation import Fit
+
+    path = picture.path(model, "friction")
+    fit = Fit.load(model, "torque_model")
+    points = None if log is None else _estimate(fit.value, robot, part.read(log))
+    return picture.save(plots.friction(fit, points), path)
+
+
+def friction_map(
+    model: Path, log: Path | None = None, *, joint: int, part: Part = WHOLE, picture: Picture = BESIDE
+) -> int:
+    """Draw the friction of one joint over position and velocity; what the log leaves open is hatched.
+
+    Parameters
+    ----------
+    model : Path
+        Model file of `armlab identify`.
+    log : Path
+        What the model was fitted to.
+    joint : int
+        Number from 1.
+    """
+    from armlab import plots
+
+    path = picture.path(model, f"friction_map_{joint}")
+    covered = None if log is None else part.read(log)
+    return picture.save(plots.friction_map(torque_model(model), joint - 1, covered), path)
+
+
+def spectrum(
+    model: Path, log: Path, *, joints: str | None = None, part: Part = WHOLE, picture: Picture = BESIDE
+) -> int:
+    """Draw what is left of the torque over cycles per turn, without and with the ripple that the model has.
+
+    Parameters
+    ----------
+    model : Path
+        Model file of `armlab identify`.
+    log : Path
+        Recording of free motion.
+    joints : str
+        Numbers from 1 with commas between; all when not given.
+    """
+    from armlab import plots
+
+    path = picture.path(log, "spectrum")
+    return picture.save(plots.spectrum(torque_model(model), part.read(log), joints_in(joints)), path)
+
+
+def velocity_covariance(model: Path, *, picture: Picture = BESIDE) -> int:
+    """Draw the standard deviation of the torque error of each joint over its velocity.
+
+    Parameters
+    ----------
+    model : Path
+        Model file of `armlab identify`.
+    """
+    from armlab import plots
+
+    path = picture.path(model, "velocity_covariance")
+    return picture.save(plots.velocity_covariance(torque_model(model)), path)
+
+
+def residual_speed(
+    model: Path,
+    log: Path,
+    *,
+    joints: str | None = None,
+    robot: str | None = None,
+    part: Part = WHOLE,
+    picture: Picture = BESIDE,
+) -> int:
+    """Draw what is left of the torque over velocity, with the 2-sigma curves of the model.
+
+    Parameters
+    ----------
+    model : Path
+        Model file of `armlab identify`.
+    log : Path
+        Recording of free motion.
+    joints : str
+        Numbers from 1 with commas between; all when not given.
+    robot : str
+        Robot file, where the robot of the model is not in the library.
+    """
+    from armlab import plots
+
+    path = picture.path(log, "residual_speed")
+    known = torque_model(model)
+    left = _estimate(known, robot, part.read(log))
+    return picture.save(plots.residual_speed(left, {"model": known.covariance}, joints_in(joints)), path)
+
+
+def autocorrelation(
+    model: Path,
+    log: Path,
+    *,
+    joints: str | None = None,
+    robot: str | None = None,
+    part: Part = WHOLE,
+    picture: Picture = BESIDE,
+) -> int:
+    """Draw how long the residual of the torque remembers.
+
+    Parameters
+    ----------
+    model : Path
+        Model file of `armlab identify`.
+    log : Path
+        Recording of free motion.
+    joints : str
+        Numbers from 1 with commas between; all when not given.
+    robot : str
+        Robot file, where the robot of the model is not in the library.
+    """
+    from armlab import plots
+
+    path = picture.path(log, "autocorrelation")
+    left = _estimate(torque_model(model), robot, part.read(log))
+    return picture.save(plots.autocorrelation(left, joints_in(joints)), path)
+
+
+def coverage(log: Path, *, model: Path | None = None, part: Part = WHOLE, picture: Picture = BESIDE) -> int:
+    """Draw how many errors are inside 2 sigma, by speed: of the wrench against a sensor, of torques with --model.
+
+    Parameters
+    ----------
+    log : Path
+        Recording of a run that estimated, with a force sensor; or of free motion, with --model.
+    model : Path
+        Model file of `armlab identify`, whose torques are compared with those of the log.
+    """
+    from armlab import plots
+    from armlab.identify import predict
+
+    path = picture.path(log, "coverage")
+    read = part.read(log)
+    return picture.save(plots.coverage(read if model is None else predict(torque_model(model), read)), path)
+
+
+def hypotheses(
+    model: Path, log: Path, *, robot: str | None = None, part: Part = WHOLE, picture: Picture = BESIDE
+) -> int:
+    """Draw how probable it is that there is a contact, and where.
+
+    Parameters
+    ----------
+    model : Path
+        Model file of `armlab identify`.
+    log : Path
+        Recording with contact.
+    robot : str
+        Robot file, where the robot of the model is not in the library.
+    """
+    from armlab import contact, plots
+
+    path = picture.path(log, "hypotheses")
+    known = torque_model(model)
+    arm = arm_of(known, robot)
+    return picture.save(plots.hypotheses(contact.hypotheses(_estimate(known, robot, part.read(log)), arm)), path)
+
+
+def calibration(fit: Path, *, picture: Picture = BESIDE) -> int:
+    """Draw how far a calibration may be off, and what its samples could tell.
+
+    Parameters
+    ----------
+    fit : Path
+        File of `armlab calibrate`; that command draws the residuals too, with --figure, for files keep none.
+    """
+    from armlab import plots
+    from armlab.estimation import Fit
+
+    path = picture.path(fit, "calibration")
+    return picture.save(plots.calibration(Fit.load(fit)), path)
+
+
+def excitation(fit: Path, *, picture: Picture = BESIDE) -> int:
+    """Draw how well the samples of a fit told its parameters apart.
+
+    Parameters
+    ----------
+    fit : Path
+        File of `armlab identify` or `armlab calibrate`.
+    """
+    from armlab import plots
+    from armlab.estimation import Fit
+
+    path = picture.path(fit, "excitation")
+    return picture.save(plots.excitation(Fit.load(fit).excitation), path)
+
+
+def _estimate(model: TorqueModel, robot: str | None, table: Table) -> Table:
+    """Return the log with what the estimator makes of it."""
+    from armlab.contact import Estimator
+
+    return Estimator(model, arm_of(model, robot)).run(table)

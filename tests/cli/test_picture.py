@@ -1,0 +1,77 @@
+"""What all figures have in common: the name of the file, the part of a log, numbers of joints."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+from armlab import kinematics, log, robots
+from armlab.cli.picture import BESIDE, WHOLE, Part, Picture, arm_of, joints_in, poses_in, torque_model
+from armlab.errors import ConfigError, LogError, ModelMismatchError
+from armlab.lie import se3
+from armlab.log import Table
+from armlab.models import TorqueModel, save
+
+
+def test_the_file_stands_beside_its_source(tmp_path: Path) -> None:
+    assert BESIDE.path(tmp_path / "run.mcap", "wrench") == tmp_path / "run_wrench.png"
+    assert BESIDE.path("ur5e", "workspace") == Path("ur5e_workspace.png")
+    assert Picture(tmp_path / "mine.svg").path("ur5e", "robot") == tmp_path / "mine.svg"
+
+
+def test_names_that_cannot_be_written_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "run_wrench.png").touch()
+    with pytest.raises(ConfigError, match="--force"):
+        BESIDE.path(tmp_path / "run.mcap", "wrench")
+    assert Picture(force=True).path(tmp_path / "run.mcap", "wrench").name == "run_wrench.png"
+    with pytest.raises(ConfigError, match=r"\.png or \.svg or \.pdf"):
+        Picture(tmp_path / "a.jpg").path("ur5e", "robot")
+    with pytest.raises(ConfigError, match="folder"):
+        Picture(tmp_path / "none" / "a.png").path("ur5e", "robot")
+
+
+@pytest.mark.parametrize("ending", ["png", "svg", "pdf"])
+def test_the_ending_tells_the_format_and_the_path_is_printed(ending: str, tmp_path: Path, capsys) -> None:
+    path = tmp_path / f"a.{ending}"
+    assert BESIDE.save(plt.figure(figsize=(2, 2)).add_subplot(), path) == 0
+    assert capsys.readouterr().out == f"{path}\n"
+    assert path.read_bytes().lstrip()[:5] in (b"\x89PNG\r", b"<?xml", b"%PDF-")
+    assert [file.name for file in tmp_path.iterdir()] == [path.name]
+    plt.close("all")
+
+
+def test_part_of_a_log(tmp_path: Path) -> None:
+    path = log.write(Table(np.arange(10.0), {"q": np.zeros((10, 2))}), tmp_path / "run.csv")
+    assert len(WHOLE.read(path)) == 10
+    assert Part(2.0, 5.0).read(path).t.tolist() == [2.0, 3.0, 4.0]
+    assert len(Part(end=5.0).read(path)) == 5
+    with pytest.raises(LogError, match=r"from 20 to inf s, got none: it ends at 9\.000 s"):
+        Part(20.0).read(path)
+
+
+def test_poses_are_those_of_the_log_or_of_a_robot() -> None:
+    q = np.zeros((3, 6))
+    T = np.tile(se3.from_rp(np.eye(3), [1.0, 2.0, 3.0]), (3, 1, 1))
+    table = Table(np.arange(3.0), {"q": q, "T_frame_tool": T})
+    assert np.array_equal(poses_in(table, Path("run.mcap"), None, None), T)
+    arm = robots.load("irb2400")
+    assert np.array_equal(poses_in(table, Path("run.mcap"), None, "irb2400"), kinematics.forward(arm, q))
+    with pytest.raises(LogError, match=r"Add --robot NAME"):
+        poses_in(table.select("q"), Path("run.mcap"), None, None)
+
+
+def test_joints_are_numbers_from_one() -> None:
+    assert joints_in(None) is None
+    assert joints_in("1,3") == [0, 2]
+    with pytest.raises(ConfigError, match="with commas"):
+        joints_in("one")
+
+
+def test_a_model_knows_its_robot(model: TorqueModel, tmp_path: Path) -> None:
+    read = torque_model(save(model, tmp_path / "model.toml"))
+    assert arm_of(read, None).name == "yumi_left"
+    with pytest.raises(ModelMismatchError, match="ur5e"):
+        arm_of(read, "ur5e")
