@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -122,3 +123,76 @@ def recording(tmp_path: Path, robot: Robot, rows: Rows) -> Callable[..., Path]:
         return recorder.path
 
     return record
+
+
+class Ros:
+    """Messages of other programs, and bags of them."""
+
+    start = START_NS
+
+    def __init__(self) -> None:
+        from rosbags.typesys import Stores, get_typestore
+
+        self.store = get_typestore(Stores.ROS2_HUMBLE)
+        self.types = self.store.types
+
+    def header(self, ns: int, frame: str = "") -> object:
+        time = self.types["builtin_interfaces/msg/Time"](sec=ns // 10**9, nanosec=ns % 10**9)
+        return self.types["std_msgs/msg/Header"](stamp=time, frame_id=frame)
+
+    def vector(self, kind: str, *numbers: float) -> object:
+        return self.types[f"geometry_msgs/msg/{kind}"](**dict(zip("xyzw", map(float, numbers), strict=False)))
+
+    def joints(self, ns: int, names: Sequence[str], values: Sequence[float], efforts: bool = True) -> object:
+        numbers = np.array(values, dtype=float)
+        none = np.zeros(0)
+        return self.types["sensor_msgs/msg/JointState"](
+            header=self.header(ns),
+            name=list(names),
+            position=numbers,
+            velocity=-numbers,
+            effort=2 * numbers if efforts else none,
+        )
+
+    def wrench(self, ns: int, frame: str, values: Sequence[float]) -> object:
+        parts = {"force": self.vector("Vector3", *values[:3]), "torque": self.vector("Vector3", *values[3:])}
+        wrench = self.types["geometry_msgs/msg/Wrench"](**parts)
+        return self.types["geometry_msgs/msg/WrenchStamped"](header=self.header(ns, frame), wrench=wrench)
+
+    def pose(self, ns: int, frame: str, p: Sequence[float], xyzw: Sequence[float] = (0, 0, 0, 1)) -> object:
+        parts = {"position": self.vector("Point", *p), "orientation": self.vector("Quaternion", *xyzw)}
+        pose = self.types["geometry_msgs/msg/Pose"](**parts)
+        return self.types["geometry_msgs/msg/PoseStamped"](header=self.header(ns, frame), pose=pose)
+
+    def transforms(self, ns: int, *pairs: tuple[str, str, Sequence[float]]) -> object:
+        transforms = []
+        for parent, child, p in pairs:
+            parts = {"translation": self.vector("Vector3", *p), "rotation": self.vector("Quaternion", 0, 0, 0, 1)}
+            one = self.types["geometry_msgs/msg/Transform"](**parts)
+            kind = self.types["geometry_msgs/msg/TransformStamped"]
+            transforms.append(kind(header=self.header(ns, parent), child_frame_id=child, transform=one))
+        return self.types["tf2_msgs/msg/TFMessage"](transforms=transforms)
+
+    def numbers(self, values: Sequence[float]) -> object:
+        layout = self.types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
+        return self.types["std_msgs/msg/Float64MultiArray"](layout=layout, data=np.array(values, dtype=float))
+
+    def raw(self, message: Any) -> bytes:
+        return bytes(self.store.serialize_cdr(message, message.__msgtype__))
+
+    def bag(self, path: Path, messages: Sequence[tuple[str, int, Any]], storage: str = "mcap") -> Path:
+        """Write (topic, time of recording [ns], message) by rosbags."""
+        from rosbags.rosbag2 import StoragePlugin, Writer
+
+        plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
+        with Writer(path, version=8, storage_plugin=plugin) as bag:
+            kinds = {topic: message.__msgtype__ for topic, _, message in messages}
+            connections = {one: bag.add_connection(one, kind, typestore=self.store) for one, kind in kinds.items()}
+            for topic, ns, message in messages:
+                bag.write(connections[topic], ns, self.raw(message))
+        return path
+
+
+@pytest.fixture(scope="session")
+def ros() -> Ros:
+    return Ros()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from armlab.log import Column
-from armlab.log.assemble import in_time_order, recording_clock, recording_table, wall_at_zero
+from armlab.log.assemble import in_time_order, recording_clock, recording_table, spread, wall_at_zero
 
 STAMPS = 10**18 + np.arange(6) * 4_000_000
 
@@ -46,6 +46,12 @@ def test_time_order_counts_rows_that_do_not_advance() -> None:
     keep, lost = in_time_order(np.array([0.0, 1.0, 1.0, 0.5, 2.0, np.nan, 3.0]))
     assert keep.tolist() == [True, True, False, False, True, False, True]
     assert lost == 3
+
+
+def test_times_that_do_not_advance_are_spread() -> None:
+    t = spread(np.array([0.0, 1.0, 1.0, 0.5, 2.0]))
+    assert (np.diff(t) > 0).all()
+    np.testing.assert_allclose(t, [0.0, 1.0, 1.0, 1.0, 2.0], atol=1e-8)
 
 
 def test_empty_columns_and_unused_axes_are_left_out() -> None:

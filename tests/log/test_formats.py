@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from armlab.errors import LogError
-from armlab.log.formats import FIRST, check_readable, format_at, format_of, is_text
+from armlab.log.formats import BAGS, FIRST, bag_files, check_readable, format_at, format_of, is_text
 
 
 @pytest.mark.parametrize(
@@ -72,3 +72,14 @@ def test_the_format_of_a_path(tmp_path: Path) -> None:
     assert format_at(path) == "HDF5"
     (tmp_path / "metadata.yaml").touch()
     assert format_at(tmp_path) == "rosbag2"
+
+
+def test_files_of_a_bag_without_metadata(tmp_path: Path) -> None:
+    """A recorder that was killed leaves run/run_0.mcap and no metadata.yaml."""
+    run = tmp_path / "run"
+    run.mkdir()
+    for name in ("run_10.mcap", "run_2.mcap", "other_1.mcap", "run_x.mcap", "run_1.txt"):
+        (run / name).touch()
+    assert [one.name for one in bag_files(run)] == ["run_2.mcap", "run_10.mcap"]
+    assert format_at(run) in BAGS
+    assert format_at(tmp_path) == ""

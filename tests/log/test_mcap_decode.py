@@ -12,8 +12,10 @@ from mcap.writer import CompressionType, IndexType, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from armlab.errors import LogError
-from armlab.log.mcap_decode import Decoded, decode, message_counts, messages
+from armlab.log.mcap_decode import Decoded, decode, decode_by, message_counts, messages
 from armlab.log.mcap_records import contents
+from armlab.log.mcap_variants import MessageReader
+from armlab.wire.cdr import definitions
 
 TYPE = "sensor_msgs/msg/JointState"
 PATHS = ["position", "effort", "header.stamp.sec"]
@@ -88,10 +90,18 @@ def test_other_writers(store, options: dict) -> None:
 
 
 def read_loose(data: bytes) -> Decoded:
-    """Without chunks `messages` and the counts have nothing to walk; the table still comes."""
+    """Read a file without chunks."""
     view = memoryview(data)
     found = contents(view)
-    return decode(view, found, {2: PATHS})[0][2]
+    counts = message_counts(view, found)
+    assert {number: len(list(messages(view, found, number))) for number in counts} == dict(counts)
+    told: list[float] = []
+    channel = found.channels[2]
+    reader = MessageReader(channel.type, definitions(channel.type, channel.schema), frozenset(PATHS))
+    decoded, _ = decode_by(view, found, {2: reader}, lambda done, *_: told.append(done))
+    assert told == []  # there is no chunk to tell of
+    assert np.array_equal(decoded[2].sequence, decode(view, found, {2: PATHS})[0][2].sequence)
+    return decoded[2]
 
 
 def test_big_endian(store) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from armlab.log.column import Column
 from armlab.log.table import Table
 
-__all__ = ["in_time_order", "recording_clock", "recording_table", "wall_at_zero"]
+__all__ = ["in_time_order", "recording_clock", "recording_table", "spread", "wall_at_zero"]
 
 _PADDED = ("q_ext", "q_ext_ref", "q_ext_sent", "rapid_data", "rapid_data_sent")  # as many as a robot may have
 
@@ -45,7 +45,7 @@ def recording_table(
     keep, lost = in_time_order(t)
     notes = list(notes)
     if raw and lost:
-        t, keep = _spread(t), np.ones(len(t), dtype=bool)
+        t, keep = spread(t), np.ones(len(t), dtype=bool)
     elif lost:
         rows = ", ".join(str(row) for row in np.flatnonzero(~keep)[:5])
         notes.append(f"{lost} rows dropped: their time does not advance (rows {rows}{', ...' if lost > 5 else ''})")
@@ -111,7 +111,7 @@ def in_time_order(t: np.ndarray) -> tuple[np.ndarray, int]:
     return keep, int((~keep).sum())
 
 
-def _spread(t: np.ndarray) -> np.ndarray:
+def spread(t: np.ndarray) -> np.ndarray:
     """Return times that increase: where the clock stands or steps back, one nanosecond after the row before."""
     spread = np.where(np.isfinite(t), t, -np.inf)
     steps = np.arange(len(t)) * 1e-9

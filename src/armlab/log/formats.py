@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from armlab.errors import LogError
 
-__all__ = ["FIRST", "check_readable", "format_at", "format_of", "is_text"]
+__all__ = ["BAGS", "FIRST", "bag_files", "check_readable", "format_at", "format_of", "is_text"]
 
 FIRST = 1024
 """Bytes from which `format_of` tells the format: HDF5 may have 512 of another program before it."""
+
+BAGS = ("rosbag2", "SQLite (rosbag2)", "ROS 1 bag")
+"""Formats that programs of ROS record, besides MCAP."""
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
@@ -50,7 +54,7 @@ def is_text(path: str | Path) -> bool:
 def format_at(path: str | Path) -> str:
     """Return the name of the format of a file, "rosbag2" of a folder that is one; "" where nothing can be read."""
     path = Path(path)
-    if (path / "metadata.yaml").is_file():
+    if path.is_dir() and ((path / "metadata.yaml").is_file() or bag_files(path)):
         return "rosbag2"
     if not path.is_file():
         return ""
@@ -59,6 +63,13 @@ def format_at(path: str | Path) -> str:
             return format_of(file.read(FIRST))
     except OSError:
         return ""
+
+
+def bag_files(folder: Path) -> list[Path]:
+    """Return the files of a rosbag2 in order, run/run_0.mcap, run/run_1.mcap, ...; those of no other folder."""
+    name = re.escape(folder.resolve().name)
+    numbers = {one: re.fullmatch(rf"{name}_(\d+)\.(mcap|db3)", one.name) for one in folder.iterdir()}
+    return [one for _, one in sorted((int(found[1]), one) for one, found in numbers.items() if found)]
 
 
 def check_readable(path: str | Path) -> None:
@@ -80,8 +91,6 @@ def check_readable(path: str | Path) -> None:
         return
     if found == "empty":
         raise LogError(f"Expected a log at {path}, got an empty file.")
-    if found == "SQLite (rosbag2)":
-        raise LogError(f"Expected the folder of a rosbag2, got a file in it: {path}. Name the folder.")
     shown = f"{found} ({first[:8].hex(' ')})" if found == "unknown" else found
     raise LogError(
         f"Expected a log in MCAP at {path}, got a file of format {shown}; MCAP files begin with 89 4d 43 41 50."

@@ -80,7 +80,7 @@ class Registry:
         """Write a channel and return its number in the new file."""
         key = (channel.type, channel.schema_encoding, channel.schema)
         if key not in self._schemas:
-            self._schemas[key] = self._writer.schema(key[0], key[1], key[2].encode())
+            self._schemas[key] = self._writer.schema(key[0], key[1], key[2].encode(errors="surrogateescape"))
         return self._writer.channel(channel.topic, channel.encoding, self._schemas[key], channel.metadata)
 
 

@@ -15,12 +15,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from armlab.errors import LogError
+from armlab.log.description import Progress
 from armlab.log.mcap_chunk import Chunk, unpacked
 from armlab.log.mcap_records import DAMAGE, MESSAGE, Contents, records
 from armlab.log.mcap_variants import MessageReader, Values, assembled, decode_block, split
 from armlab.wire import cdr
 
-__all__ = ["Decoded", "decode", "message_counts", "messages"]
+__all__ = ["Decoded", "decode", "decode_by", "message_counts", "messages"]
 
 _PREFIX = np.dtype(
     [("kind", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log", "<i8"), ("publish", "<i8")]
@@ -55,7 +56,7 @@ class _Part:
 
 
 def decode(
-    view: memoryview, found: Contents, wanted: Mapping[int, Sequence[str]]
+    view: memoryview, found: Contents, wanted: Mapping[int, Sequence[str]], progress: Progress | None = None
 ) -> tuple[dict[int, Decoded], list[str]]:
     """Return the wanted fields of the wanted channels, and one sentence per damaged chunk.
 
@@ -64,6 +65,7 @@ def decode(
     view : bytes of the file.
     found : its contents.
     wanted : channel -> dotted names of fields.
+    progress : is told the bytes.
 
     Raises
     ------
@@ -76,16 +78,31 @@ def decode(
             raise LogError(f"Expected messages in cdr on {channel.topic}, got {channel.encoding!r}.")
         types = cdr.definitions(channel.type, channel.schema)
         readers[number] = MessageReader(channel.type, types, frozenset(paths))
+    return decode_by(view, found, readers, progress)
+
+
+def decode_by(
+    view: memoryview, found: Contents, readers: Mapping[int, MessageReader], progress: Progress | None = None
+) -> tuple[dict[int, Decoded], list[str]]:
+    """Return what the readers of some channels read, and one sentence per damaged chunk.
+
+    Parameters
+    ----------
+    view, found, progress : as in `decode`. readers : by channel.
+    """
     chunks = [chunk for chunk in found.chunks if not found.indexed or chunk.indexes.keys() & readers.keys()]
-    parts: dict[int, list[_Part]] = {number: [] for number in wanted}
+    parts: dict[int, list[_Part]] = {number: [] for number in readers}
     damage: list[str] = []
+    batches, done, total = list(_batches(chunks)), 0, sum(chunk.size for chunk in chunks)
     with ThreadPoolExecutor(2) as pool:  # decompression, checksums and copies release the interpreter lock
-        for decoded, lost in pool.map(
-            lambda batch: _decode_batch(view, batch, readers, found.indexed), _batches(chunks)
-        ):
+        results = pool.map(lambda batch: _decode_batch(view, batch, readers, found.indexed), batches)
+        for batch, (decoded, lost) in zip(batches, results, strict=True):
             damage += lost
             for number, part in decoded.items():
                 parts[number].append(part)
+            done += sum(chunk.size for chunk in batch)
+            if progress:
+                progress(done, total, "bytes")
     if found.loose:
         for number, part in _decode_loose(view, found.loose, readers).items():
             parts[number].append(part)
@@ -106,6 +123,11 @@ def messages(view: memoryview, found: Contents, channel: int) -> Iterator[tuple[
                 number, sequence, log, _ = struct.unpack_from("<HIQQ", data, start)
                 if number == channel:
                     yield sequence, log, data[start + 22 : stop]
+    for start, stop in found.loose:
+        if stop - start >= 22:
+            number, sequence, log, _ = struct.unpack_from("<HIQQ", view, start)
+            if number == channel:
+                yield sequence, log, bytes(view[start + 22 : stop])
 
 
 def message_counts(view: memoryview, found: Contents) -> Counter[int]:
@@ -120,6 +142,7 @@ def message_counts(view: memoryview, found: Contents) -> Counter[int]:
         except LogError:
             continue
         counts.update({number: len(offsets) for number, offsets in walked.items()})
+    counts.update(struct.unpack_from("<H", view, start)[0] for start, stop in found.loose if stop - start >= 22)
     return counts
 
 

@@ -26,7 +26,10 @@ DAMAGE = (struct.error, UnicodeDecodeError, ValueError, IndexError, KeyError, Ov
 
 @dataclass(slots=True)
 class Channel:
-    """A channel: topic, type, schema and its encoding, encoding of the messages, and a map of strings."""
+    """A channel: topic, type, schema and its encoding, encoding of the messages, and a map of strings.
+
+    Bytes of a schema that are no UTF-8, as those of protobuf, are escaped as surrogates.
+    """
 
     topic: str
     type: str
@@ -215,7 +218,7 @@ def _register(found: Contents, view: memoryview, kind: int, body: int, stop: int
         (number,) = struct.unpack_from("<H", view, body)
         name, at = _text(view, body + 2)
         encoding, at = _text(view, at)
-        text, _ = _text(view, at)
+        text, _ = _text(view, at, "surrogateescape")
         found._schemas[number] = (name, text, encoding)
         return
     number, schema = struct.unpack_from("<HH", view, body)
@@ -262,12 +265,12 @@ def _metadata(found: Contents, view: memoryview, body: int) -> None:
     found.metadata[name] = _map(view, at, len(view))
 
 
-def _text(view: memoryview, at: int) -> tuple[str, int]:
+def _text(view: memoryview, at: int, errors: str = "strict") -> tuple[str, int]:
     (length,) = struct.unpack_from("<I", view, at)
     at += 4
     if length > len(view) - at:
         raise LogError(f"Expected a text of {length} bytes at byte {at}, got the end of the file.")
-    return bytes(view[at : at + length]).decode(), at + length
+    return bytes(view[at : at + length]).decode(errors=errors), at + length
 
 
 def _map(view: memoryview, at: int, stop: int) -> dict[str, str]:

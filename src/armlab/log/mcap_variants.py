@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -37,11 +37,15 @@ class Variant:
 
 @dataclass(slots=True)
 class MessageReader:
-    """What is wanted of one channel, and the layouts seen so far."""
+    """What is wanted of one channel, all when None, and the layouts seen so far.
+
+    `named` gives the numbers of a layout names that its texts tell: positions by joint, transforms by frame.
+    """
 
     type: str
     types: cdr.Definitions
-    wanted: frozenset[str]
+    wanted: frozenset[str] | None
+    named: Callable[[cdr.Layout], Sequence[cdr.Field]] | None = None
     variants: dict[int, list[Variant]] = field(default_factory=dict)
 
 
@@ -55,14 +59,14 @@ def decode_block(block: np.ndarray, rows: np.ndarray, reader: MessageReader) -> 
             block, rows = block[~same], rows[~same]
         if not len(block):
             return
-    while len(block):
+    while len(block) and len(known) < _MAX_VARIANTS:
         variant = _variant(block[0], reader)
-        few = len(known) < _MAX_VARIANTS
-        same = _same(block, variant) if few else np.arange(len(block)) == 0  # all against all would be quadratic
-        if few:
-            known.append(variant)
+        known.append(variant)
+        same = _same(block, variant)
         yield rows[same], variant.numbers(block[same])
         block, rows = block[~same], rows[~same]
+    for k in range(len(block)):  # all against all would be quadratic
+        yield rows[k : k + 1], _variant(block[k], reader).numbers(block[k : k + 1])
 
 
 def _same(block: np.ndarray, variant: Variant) -> np.ndarray:
@@ -85,8 +89,8 @@ def _variant(first: np.ndarray, reader: MessageReader) -> Variant:
             fixed.append((at, start))
         at = stop
     runs: dict[Run, tuple[int, int, str]] = {}
-    for f in found.fields:
-        if f.path not in reader.wanted or not f.count:
+    for f in reader.named(found) if reader.named else found.fields:
+        if (reader.wanted is not None and f.path not in reader.wanted) or not f.count:
             continue
         run, (start, stop, dtype) = next(reversed(runs.items()), ((), (0, 0, "")))
         if run and stop == f.start and dtype == f.dtype:

@@ -14,16 +14,19 @@ from pathlib import Path
 from armlab.errors import ArmlabError, LogError, UnknownName
 from armlab.log.assemble import recording_table
 from armlab.log.delimited import read_csv
-from armlab.log.formats import check_readable, format_at
+from armlab.log.description import Progress
+from armlab.log.formats import BAGS, check_readable, format_at
 from armlab.log.hdf5_file import read_hdf5
 from armlab.log.labcomm import read_labcomm
 from armlab.log.mat_table import read_mat_table
 from armlab.log.mcap_records import DAMAGE, Contents, contents
 from armlab.log.parquet_file import read_parquet
 from armlab.log.provenance import file_hash
-from armlab.log.recording_columns import CLOCK_COLUMNS, clock_channel, columns_at, kept_clock, sources_of
-from armlab.log.rosbag2_file import read_rosbag2
+from armlab.log.recording_columns import CLOCK_COLUMNS, clock_channel, clocks, columns_at, kept_clock, sources_of
+from armlab.log.rosbag2_file import is_ours, read_rosbag2
 from armlab.log.table import Table
+from armlab.log.topic_table import Choice
+from armlab.robots import Robot
 
 __all__ = ["earlier", "opened", "read", "torn_sentence"]
 
@@ -39,12 +42,23 @@ _COLUMN_READERS = {"HDF5": read_hdf5, "Parquet": read_parquet}  # which read sin
 
 
 def read(
-    path: str | Path, columns: Sequence[str] | None = None, *, robot: str | None = None, raw: bool = False
+    path: str | Path,
+    columns: Sequence[str] | None = None,
+    *,
+    robot: Robot | str | None = None,
+    clock: str | None = None,
+    raw: bool = False,
+    progress: Progress | None = None,
 ) -> Table:
     """Return the table that a file holds: a recording, or any format that `write` writes.
 
     Also LabComm streams (`read_labcomm`), and text, MAT, HDF5 and Parquet files of other programs, where numbered
     columns of a known name are put together and units converted (`read_csv`).
+
+    MCAP files, rosbag2 and ROS 1 bags of other programs: the arm's JointState is q, qd and tau, with the names of its
+    joints as labels; the only WrenchStamped is wrench_raw; everything else is named by its topic, "/ft/wrench" as
+    ft.wrench (N, 6), a pose as matrices (N, 4, 4), a transform as tf.parent.child, other numbers as topic.field.
+    Topics with stamps of their own are held from message to message, their age is in ``<name>_age``.
 
     An unfinished or damaged file is read as far as it goes, with one warning and a note. Rows whose time does not
     advance are dropped and counted in the notes.
@@ -53,8 +67,11 @@ def read(
     ----------
     path : file, or folder of a rosbag2; the format is told by the first bytes.
     columns : names of the columns wanted, all when None.
-    robot : name of the robot, when the file holds several.
+    robot : which, when the file holds several. Of a log of another program a robot or its name, whose joints are put
+        into its order, or the first part of its topics.
+    clock : of a log of another program, the topic whose stamps are the rows; needed where topics have several rates.
     raw : keep rows whose time does not advance.
+    progress : called with (done, total, what) while a large file is read.
 
     Returns
     -------
@@ -62,12 +79,17 @@ def read(
 
     Raises
     ------
-    LogError : the file is missing, of another format, damaged beyond use, or an MCAP file of another program.
+    LogError : the file is missing, of another format or damaged beyond use. Of another program's log: topics have
+        several rates, which are listed; several arms; joints that are not the robot's, listed on both sides.
     MissingExtra : pyarrow or h5py is not installed.
-    UnknownName : a wanted column does not exist; lists those that do.
+    UnknownName : a wanted column, topic or robot does not exist; lists those that do.
     """
     path = Path(path)
     kind = format_at(path)
+    if kind in BAGS and not (kind == "rosbag2" and is_ours(path)):
+        from armlab.log.topic_reading import read_bag
+
+        return read_bag(path, Choice(columns, None, clock, raw), robot, progress)
     if kind in _READERS or kind in _COLUMN_READERS:
         table = _READERS[kind](path) if kind in _READERS else _COLUMN_READERS[kind](path, columns)
         return table if columns is None else table.select(*columns)
@@ -76,7 +98,12 @@ def read(
         hashed = background.submit(file_hash, path)
         try:
             found = contents(view)
-            table, damage = _read_mcap(view, found, path, columns, robot, raw)
+            if found.channels and not clocks(found):
+                from armlab.log.topic_reading import read_mcap_files
+
+                return read_mcap_files(path, [path], Choice(columns, None, clock, raw), robot, progress)
+            name = robot.name if isinstance(robot, Robot) else robot
+            table, damage = _read_mcap(view, found, path, columns, name, raw, progress)
         except ArmlabError:
             raise
         except DAMAGE as error:
@@ -126,7 +153,13 @@ def opened(path: Path) -> Iterator[memoryview]:
 
 
 def _read_mcap(
-    view: memoryview, found: Contents, path: Path, columns: Sequence[str] | None, robot: str | None, raw: bool
+    view: memoryview,
+    found: Contents,
+    path: Path,
+    columns: Sequence[str] | None,
+    robot: str | None,
+    raw: bool,
+    progress: Progress | None,
 ) -> tuple[Table, list[str]]:
     clock = clock_channel(found, path, robot)
     sources = sources_of(found, clock)
@@ -135,7 +168,7 @@ def _read_mcap(
         if name not in sources:
             raise UnknownName.among("column", name, sources)
     needed = dict.fromkeys([*wanted, *(name for name in CLOCK_COLUMNS if name in sources)])
-    values, rows, damage = columns_at(view, found, clock, {name: sources[name] for name in needed})
+    values, rows, damage = columns_at(view, found, clock, {name: sources[name] for name in needed}, progress)
     described = {name: sources[name].column for name in values}
     try:
         table = recording_table(values, described, rows.log_ns, raw=raw)

@@ -13,6 +13,7 @@ from armlab.errors import LogError, UnknownName
 from armlab.lie import quaternion, se3
 from armlab.log.assemble import in_time_order, recording_clock, wall_at_zero
 from armlab.log.column import Column
+from armlab.log.description import Progress
 from armlab.log.mcap_decode import Decoded, decode
 from armlab.log.mcap_records import Contents
 from armlab.log.messages import CLOCK_KEY, CLOCK_NAME_KEY, COLUMN_KEY, T0_KEY
@@ -173,13 +174,13 @@ def kept_clock(found: Contents, sources: Mapping[str, Source], t0_ns: int, clock
 
 
 def columns_at(
-    view: memoryview, found: Contents, clock: int, sources: Mapping[str, Source]
+    view: memoryview, found: Contents, clock: int, sources: Mapping[str, Source], progress: Progress | None = None
 ) -> tuple[dict[str, np.ndarray], Decoded, list[str]]:
     """Return the columns that messages hold, the messages of the clock, and what is damaged."""
     fields: dict[int, list[str]] = {clock: []}
     for source in sources.values():
         fields.setdefault(source.channel, []).extend(source.fields)
-    decoded, damage = decode(view, found, fields)
+    decoded, damage = decode(view, found, fields, progress)
     rows = decoded[clock]
     values = {name: _values(name, one, decoded[one.channel], rows, damage) for name, one in sources.items()}
     return {name: array for name, array in values.items() if array is not None}, rows, damage

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from armlab.log.description import Description, Progress, of_json
 from armlab.log.rosbag2_topics import columns_of, messages_of, topics_of, whole_poses
 from armlab.log.table import Table
 
-__all__ = ["STORAGES", "read_rosbag2", "write_rosbag2"]
+__all__ = ["STORAGES", "is_ours", "read_rosbag2", "write_rosbag2"]
 
 STORAGES = ("mcap", "sqlite3")
 VERSION = 8  # of metadata.yaml: the last in which the quality of service is a text, as releases before Jazzy read it
@@ -76,6 +77,14 @@ def _stamps(table: Table) -> np.ndarray:
             "Write another format."
         )
     return stamps + start
+
+
+def is_ours(folder: Path) -> bool:
+    """Tell whether `write_rosbag2` has made a folder: its metadata.yaml holds the description of a table."""
+    try:
+        return re.search(rb"(?m)^\s+armlab:", (folder / "metadata.yaml").read_bytes()) is not None
+    except OSError:
+        return False
 
 
 def read_rosbag2(path: Path) -> Table:

@@ -72,24 +72,29 @@ class Layout:
 
 
 @lru_cache(maxsize=64)
-def definitions(name: str, text: str) -> Definitions:
-    """Return the fields of a message type and of the types in it, from the text of a ``ros2msg`` schema.
+def definitions(name: str, text: str, encoding: str = "ros2msg") -> Definitions:
+    """Return the fields of a message type and of the types in it, from the text of its schema.
 
     Parameters
     ----------
     name : type, for example "sensor_msgs/msg/JointState".
     text : definition with those of the types it uses, separated by lines of ``=``.
+    encoding : of the schema, "ros2msg" or "ros2idl".
 
     Raises
     ------
     LogError : the text is not a message definition.
     """
-    from rosbags.typesys import TypesysError, get_types_from_msg
+    from rosbags.typesys import TypesysError, get_types_from_idl, get_types_from_msg
 
+    if encoding not in ("ros2msg", "ros2idl"):
+        raise LogError(f"Expected a definition of {name} in ros2msg or ros2idl, got one in {encoding or 'nothing'!r}.")
     try:
-        types = get_types_from_msg(text, name)
+        types = get_types_from_msg(text, name) if encoding == "ros2msg" else get_types_from_idl(text)
     except (TypesysError, ValueError, KeyError, RecursionError) as error:
-        raise LogError(f"Expected a ros2msg definition of {name}, got a text that does not parse: {error}.") from None
+        raise LogError(
+            f"Expected a {encoding} definition of {name}, got a text that does not parse: {error}."
+        ) from None
     return {typename: entry[1] for typename, entry in types.items()}
 
 

@@ -1,0 +1,144 @@
+"""Numbers out of messages in JSON and protobuf, one message at a time, by dotted name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from armlab.errors import LogError
+from armlab.log.mcap_decode import Decoded
+
+__all__ = ["decode_one_by_one", "numbers_in_json", "numbers_in_protobuf"]
+
+Numbers = dict[str, Any]
+"""Dotted name -> a number, or a list of them."""
+
+_MAX_DEPTH = 32
+_MAX_NUMBERS = 4096  # in one message; more is a picture or a cloud
+_PROTOBUF_MESSAGE, _PROTOBUF_NUMBERS = 11, {1, 2, 3, 4, 5, 6, 7, 8, 13, 14, 15, 16, 17, 18}
+
+
+def decode_one_by_one(
+    messages: Iterable[tuple[int, int, bytes]], numbers: Callable[[bytes], Numbers]
+) -> tuple[Decoded, int]:
+    """Return the numbers of messages, and how many messages could not be read.
+
+    Parameters
+    ----------
+    messages : sequence number, log time [ns] and bytes of each. numbers : takes one apart; ValueError where it cannot.
+    """
+    sequence: list[int] = []
+    log_ns: list[int] = []
+    found: list[Numbers] = []
+    bad = 0
+    for number, stamp, raw in messages:
+        try:
+            found.append(numbers(raw))
+        except (ValueError, RecursionError, LogError):
+            bad += 1
+            continue
+        sequence.append(number)
+        log_ns.append(stamp)
+    names = dict.fromkeys(name for one in found for name in one)
+    fields = {name: _array([one.get(name) for one in found]) for name in names}
+    return Decoded(np.array(sequence, dtype=np.uint32), np.array(log_ns, dtype=np.int64), fields), bad
+
+
+def _array(values: list[Any]) -> np.ndarray:
+    """Return numbers, lists of numbers or None as (N, k), NaN where there is none."""
+    if all(isinstance(value, bool) for value in values):
+        return np.array(values)[:, None]
+    if all(isinstance(value, int) for value in values):
+        try:
+            return np.array(values, dtype=np.int64)[:, None]
+        except OverflowError:
+            pass
+    lists = [value if isinstance(value, list) else [np.nan if value is None else value] for value in values]
+    array = np.full((len(lists), max(map(len, lists), default=0)), np.nan)
+    for row, numbers in zip(array, lists, strict=True):
+        row[: len(numbers)] = numbers
+    return array
+
+
+def numbers_in_json(raw: bytes) -> Numbers:
+    """Return the numbers of a message in JSON; lists of numbers stay whole, texts are left out.
+
+    Raises
+    ------
+    ValueError : no JSON.
+    """
+    found: Numbers = {}
+    _collect(msgspec.json.decode(raw), "", found, 0)
+    return found
+
+
+def _collect(value: Any, path: str, found: Numbers, depth: int) -> None:
+    if depth > _MAX_DEPTH or len(found) > _MAX_NUMBERS:
+        return
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            _collect(inner, f"{path}.{key}" if path else str(key), found, depth + 1)
+    elif isinstance(value, int | float):
+        found[path or "value"] = value
+    elif isinstance(value, list):
+        if value and all(isinstance(one, int | float) for one in value):
+            found[path or "value"] = [float(one) for one in value[:_MAX_NUMBERS]]
+        else:
+            for index, inner in enumerate(value[:_MAX_NUMBERS]):
+                _collect(inner, f"{path}[{index}]", found, depth + 1)
+
+
+def numbers_in_protobuf(name: str, definition: bytes) -> Callable[[bytes], Numbers]:
+    """Return what takes messages in protobuf apart.
+
+    Parameters
+    ----------
+    name : of the message type. definition : a FileDescriptorSet with the files that it needs.
+
+    Raises
+    ------
+    LogError : the definition cannot be read.
+    """
+    from google.protobuf import descriptor_pb2, descriptor_pool, message, message_factory
+
+    try:
+        pool = descriptor_pool.DescriptorPool()
+        for file in descriptor_pb2.FileDescriptorSet.FromString(definition).file:
+            pool.Add(file)
+        kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(name))
+    except (message.DecodeError, KeyError, TypeError, ValueError) as error:
+        raise LogError(f"Expected the definition of {name} in protobuf, got something else: {error}.") from None
+
+    def numbers(raw: bytes) -> Numbers:
+        try:
+            parsed = kind.FromString(raw)
+        except message.DecodeError as error:
+            raise ValueError(str(error)) from None
+        found: Numbers = {}
+        _collect_protobuf(parsed, "", found, 0)
+        return found
+
+    return numbers
+
+
+def _collect_protobuf(message: Any, path: str, found: Numbers, depth: int) -> None:
+    if depth > _MAX_DEPTH or len(found) > _MAX_NUMBERS:
+        return
+    for field in message.DESCRIPTOR.fields:
+        there, value = f"{path}.{field.name}" if path else field.name, getattr(message, field.name)
+        several = _is_repeated(field, value)
+        if field.type == _PROTOBUF_MESSAGE and several and not isinstance(value, Mapping):
+            for index, inner in enumerate(value[:_MAX_NUMBERS]):
+                _collect_protobuf(inner, f"{there}[{index}]", found, depth + 1)
+        elif field.type == _PROTOBUF_MESSAGE and not several and message.HasField(field.name):
+            _collect_protobuf(value, there, found, depth + 1)
+        elif field.type in _PROTOBUF_NUMBERS:
+            found[there] = [float(one) for one in value[:_MAX_NUMBERS]] if several else value
+
+
+def _is_repeated(field: Any, value: Any) -> bool:
+    """Tell whether a field is a list or a map; protobuf has asked this in two ways."""
+    return bool(getattr(field, "is_repeated", hasattr(value, "__len__") and not isinstance(value, str | bytes)))

@@ -1,0 +1,208 @@
+"""The messages of another program's log, topic by topic: MCAP, rosbag2 in sqlite3, ROS 1 bag."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from armlab.errors import LogError
+from armlab.log.description import Progress
+from armlab.log.mcap_decode import Decoded, decode_by, messages
+from armlab.log.mcap_records import DAMAGE, Channel, Contents
+from armlab.log.mcap_variants import MessageReader, Values, assembled, decode_block, split
+from armlab.log.topic_encodings import decode_one_by_one, numbers_in_json, numbers_in_protobuf
+from armlab.log.topic_fields import TopicFields
+from armlab.wire import cdr
+
+__all__ = ["TopicMessages", "is_measurement", "read_mcap_topics", "read_rosbags_topics"]
+
+_PACKAGES = {  # of messages about the programs, not about the robot
+    "action_msgs", "diagnostic_msgs", "lifecycle_msgs", "rcl_interfaces", "rosgraph_msgs", "rosapi_msgs",
+    "statistics_msgs", "type_description_interfaces", "visualization_msgs",
+}  # fmt: skip
+_HEADER = "std_msgs/msg/Header"
+_TYPES = {  # texts, pictures, clouds, maps
+    "std_msgs/msg/String", "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/PointCloud",
+    "sensor_msgs/msg/PointCloud2", "nav_msgs/msg/OccupancyGrid", "std_msgs/msg/Empty",
+}  # fmt: skip
+
+
+@dataclass(slots=True)
+class TopicMessages:
+    """What is read of the topics of a log, also of several files.
+
+    Attributes
+    ----------
+    fields, parts : topic -> what names its numbers; its messages.
+    left_out : topic and why it was not read. damage : a sentence for each part of a file that is damaged.
+    """
+
+    fields: dict[str, TopicFields] = field(default_factory=dict)
+    parts: dict[str, list[Decoded]] = field(default_factory=dict)
+    left_out: dict[str, str] = field(default_factory=dict)
+    damage: list[str] = field(default_factory=list)
+
+    def reader(self, topic: str, type_: str, types: cdr.Definitions) -> MessageReader:
+        """Return what reads the messages of a topic, with names by joint and frame."""
+        fields = self.fields.setdefault(topic, TopicFields(type_, types))
+        return MessageReader(type_, types, None, fields.named)
+
+    def add(self, topic: str, decoded: Decoded) -> None:
+        """Take the messages of a topic; those without a number are none."""
+        if len(decoded.sequence):
+            self.parts.setdefault(topic, []).append(decoded)
+
+    def decoded(self) -> Iterator[tuple[str, TopicFields, Decoded]]:
+        """Yield topic, names and all messages of each."""
+        for topic, parts in self.parts.items():
+            yield topic, self.fields[topic], _joined(parts)
+
+
+def is_measurement(type_: str) -> bool:
+    """Tell whether messages of a type hold numbers about the robot."""
+    return type_ not in _TYPES and type_.partition("/")[0] not in _PACKAGES
+
+
+def read_mcap_topics(
+    view: memoryview,
+    found: Contents,
+    wanted: Callable[[str, str], bool],
+    into: TopicMessages,
+    progress: Progress | None = None,
+) -> None:
+    """Read topics of an MCAP file in CDR, JSON and protobuf.
+
+    Parameters
+    ----------
+    view, found : the file and its contents. wanted : tells of topic and type whether to read.
+    into : takes what is read. progress : is told the bytes.
+    """
+    readers: dict[int, MessageReader] = {}
+    others: dict[int, Callable[[bytes], dict[str, Any]]] = {}
+    for number, channel in found.channels.items():
+        if not wanted(channel.topic, channel.type):
+            continue
+        if not is_measurement(channel.type):
+            into.left_out[channel.topic] = channel.type
+            continue
+        try:
+            if channel.encoding == "cdr":
+                types = cdr.definitions(channel.type, channel.schema, channel.schema_encoding)
+                readers[number] = into.reader(channel.topic, channel.type, types)
+            else:
+                others[number] = _other_encoding(channel)
+        except LogError as error:
+            into.left_out[channel.topic] = str(error).rstrip(".")
+    decoded, damage = decode_by(view, found, readers, progress)
+    into.damage += damage
+    for number, one in decoded.items():
+        into.add(found.channels[number].topic, one)
+    for number, numbers in others.items():
+        topic = found.channels[number].topic
+        into.fields.setdefault(topic, TopicFields(found.channels[number].type, {}))
+        one, bad = decode_one_by_one(messages(view, found, number), numbers)
+        if bad:
+            into.damage.append(f"{bad} messages on {topic} skipped: they are no {found.channels[number].encoding}")
+        into.add(topic, one)
+
+
+def _other_encoding(channel: Channel) -> Callable[[bytes], dict[str, Any]]:
+    if channel.encoding == "json":
+        return numbers_in_json
+    if channel.encoding == "protobuf":
+        return numbers_in_protobuf(channel.type, channel.schema.encode(errors="surrogateescape"))
+    raise LogError(f"Expected messages in cdr, json or protobuf, got {channel.encoding!r}.")
+
+
+def read_rosbags_topics(
+    bag: Any, wanted: Callable[[str, str], bool], into: TopicMessages, progress: Progress | None = None
+) -> None:
+    """Read topics of a bag that `rosbags` has opened: rosbag2 in any storage, or ROS 1.
+
+    Parameters
+    ----------
+    bag : the reader. wanted, into, progress : as in `read_mcap_topics`; progress is told the messages.
+    """
+    readers: dict[int, tuple[Any, MessageReader, Callable[[bytes], bytes]]] = {}
+    for connection in bag.connections:
+        if not wanted(connection.topic, connection.msgtype):
+            continue
+        if not is_measurement(connection.msgtype):
+            into.left_out[connection.topic] = connection.msgtype
+            continue
+        try:
+            types, to_cdr = _types_of(connection)
+        except LogError as error:
+            into.left_out[connection.topic] = str(error).rstrip(".")
+            continue
+        readers[connection.id] = connection, into.reader(connection.topic, connection.msgtype, types), to_cdr
+    raws: dict[int, list[bytes]] = {number: [] for number in readers}
+    stamps: dict[int, list[int]] = {number: [] for number in readers}
+    connections = [connection for connection, _, _ in readers.values()]
+    total = max(sum(one.msgcount for one in connections), 1)
+    found: Iterator[Any] = bag.messages(connections) if connections else iter(())  # of none it gives all
+    for done, (connection, stamp, raw) in enumerate(found):
+        raws[connection.id].append(raw)
+        stamps[connection.id].append(stamp)
+        if progress and done % 10_000 == 0:
+            progress(min(done, total), total, "messages")
+    for number, (connection, reader, to_cdr) in readers.items():
+        try:
+            whole = [to_cdr(raw) for raw in raws[number]]
+            into.add(connection.topic, _decoded(whole, np.array(stamps[number], dtype=np.int64), reader))
+        except DAMAGE as error:
+            into.damage.append(f"messages on {connection.topic} skipped: {error}")
+
+
+def _types_of(connection: Any) -> tuple[cdr.Definitions, Callable[[bytes], bytes]]:
+    """Return the definitions of a connection's type, from the bag or of ROS 2 itself, and what makes messages CDR."""
+    from rosbags.interfaces import ConnectionExtRosbag1
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    from armlab.log.messages import store
+
+    name, definition = connection.msgtype, connection.msgdef
+    if isinstance(connection.ext, ConnectionExtRosbag1):
+        converter = get_typestore(Stores.EMPTY)
+        held = {**converter.fielddefs, **get_types_from_msg(definition.data, name)}
+        if _HEADER in held:  # its seq is not in ROS 2
+            held[_HEADER] = held[_HEADER][0], [one for one in held[_HEADER][1] if one[0] != "seq"]
+        converter.register(held)
+        return {one: entry[1] for one, entry in held.items()}, lambda raw: bytes(converter.ros1_to_cdr(raw, name))
+    if definition.data:
+        encoding = "ros2idl" if definition.format.name == "IDL" else "ros2msg"
+        return cdr.definitions(name, definition.data, encoding), bytes
+    if name not in store().fielddefs:
+        raise LogError(f"Expected a definition of {name} in the bag, got none. Record it as MCAP, which holds it.")
+    return cdr.definitions(name, store().generate_msgdef(name, ros_version=2)[0]), bytes
+
+
+def _decoded(raws: Sequence[bytes], stamps: np.ndarray, reader: MessageReader) -> Decoded:
+    """Return the numbers of messages that are in memory."""
+    lengths = np.array([len(raw) for raw in raws])
+    pieces: list[tuple[np.ndarray, Values]] = []
+    for length in np.unique(lengths):
+        rows = np.flatnonzero(lengths == length)
+        block = np.frombuffer(b"".join(raws[row] for row in rows.tolist()), dtype=np.uint8).reshape(len(rows), -1)
+        pieces += decode_block(block, rows, reader)
+    values = assembled(len(raws), pieces) if pieces else {}
+    return Decoded(np.arange(len(raws), dtype=np.uint32), stamps, split(values))
+
+
+def _joined(parts: Sequence[Decoded]) -> Decoded:
+    """Return the messages of several files or channels as one."""
+    if len(parts) == 1:
+        return parts[0]
+    ends = np.cumsum([len(part.sequence) for part in parts]).tolist()
+    pieces = [
+        (np.arange(end - len(part.sequence), end), {((path, a.shape[1]),): a for path, a in part.fields.items()})
+        for end, part in zip(ends, parts, strict=True)
+    ]
+    return Decoded(
+        np.concatenate([part.sequence for part in parts]),
+        np.concatenate([part.log_ns for part in parts]),
+        split(assembled(ends[-1], pieces)),
+    )

@@ -1,0 +1,51 @@
+"""JSON and protobuf, message by message."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from armlab.errors import LogError
+from armlab.log.topic_encodings import decode_one_by_one, numbers_in_json, numbers_in_protobuf
+
+
+def test_json() -> None:
+    raw = b'{"t": {"sec": 1}, "q": [1, 2.5], "name": "x", "on": true, "deep": [{"a": 1}, {"a": 2}], "none": null}'
+    found = numbers_in_json(raw)
+    assert found == {"t.sec": 1, "q": [1.0, 2.5], "on": True, "deep[0].a": 1, "deep[1].a": 2}
+    assert numbers_in_json(b"3.5") == {"value": 3.5}
+    with pytest.raises(ValueError, match="truncated"):
+        numbers_in_json(b"{")
+    assert len(numbers_in_json(b"[" * 40 + b"1" + b"]" * 40)) == 0  # deeper than anything that measures
+
+
+def test_messages_become_fields() -> None:
+    raws = [b'{"a": 1, "b": [1, 2]}', b"no", b'{"a": 2, "b": [3], "c": true}', b'{"a": 123456789012345678901}']
+    decoded, bad = decode_one_by_one([(k, 10 * k, raw) for k, raw in enumerate(raws)], numbers_in_json)
+    assert bad == 1
+    assert decoded.sequence.tolist() == [0, 2, 3]
+    assert decoded.log_ns.tolist() == [0, 20, 30]
+    assert decoded.fields["a"].dtype == float  # one is larger than 64 bits
+    np.testing.assert_array_equal(decoded.fields["b"], [[1, 2], [3, np.nan], [np.nan, np.nan]])
+    np.testing.assert_array_equal(decoded.fields["c"][:, 0], [np.nan, 1, np.nan])
+    whole, _ = decode_one_by_one([(0, 0, b'{"k": 1, "f": true}')], numbers_in_json)
+    assert (whole.fields["k"].dtype.kind, whole.fields["f"].dtype.kind) == ("i", "b")
+
+
+def test_protobuf() -> None:
+    from google.protobuf import descriptor_pb2, struct_pb2, timestamp_pb2
+
+    files = descriptor_pb2.FileDescriptorSet()
+    for module in (timestamp_pb2, struct_pb2):
+        module.DESCRIPTOR.CopyToProto(files.file.add())
+    definition = files.SerializeToString()
+    stamp = numbers_in_protobuf("google.protobuf.Timestamp", definition)
+    assert stamp(timestamp_pb2.Timestamp(seconds=3, nanos=4).SerializeToString()) == {"seconds": 3, "nanos": 4}
+    with pytest.raises(ValueError, match="parsing"):
+        stamp(b"\x08")
+    listed = struct_pb2.ListValue(values=[struct_pb2.Value(number_value=2.0), struct_pb2.Value(string_value="x")])
+    found = numbers_in_protobuf("google.protobuf.ListValue", definition)(listed.SerializeToString())
+    assert found["values[0].number_value"] == 2.0
+    for name, data in (("google.protobuf.Nix", definition), ("google.protobuf.Timestamp", b"\xff\xff")):
+        with pytest.raises(LogError, match=f"the definition of {name} in protobuf"):
+            numbers_in_protobuf(name, data)

@@ -1,0 +1,155 @@
+"""Files of the writers that others use: mcap, mcap-ros2-support, foxglove-sdk, rosbags; finished and torn."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.writer import CompressionType, Writer
+
+from armlab import log
+from armlab.errors import LogError, UnknownName
+from armlab.log.topic_messages import TopicMessages, is_measurement, read_mcap_topics, read_rosbags_topics
+
+NAMES = ("a", "b", "c")
+
+
+def test_what_is_a_measurement() -> None:
+    assert is_measurement("sensor_msgs/msg/JointState")
+    assert not is_measurement("rcl_interfaces/msg/Log")
+    assert not is_measurement("sensor_msgs/msg/Image")
+
+
+def ros2_file(path: Path, count: int, **options: Any) -> Path:
+    """Write joint states as mcap-ros2-support does."""
+    from mcap_ros2.writer import Writer as Ros2Writer
+
+    writer = Ros2Writer(str(path), **options)
+    text = "string[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\nbuiltin_interfaces/Time stamp"
+    text += f"\n{'=' * 80}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec"
+    schema = writer.register_msgdef("lab_msgs/msg/Joints", text)
+    for i in range(count):
+        message = {"name": list(NAMES), "position": [i, 2 * i, 3 * i], "velocity": [], "effort": [0.5] * 3}
+        message["stamp"] = {"sec": i, "nanosec": 5}
+        writer.write_message("/joints", schema, message, i * 1_000_000, i * 1_000_000, i)
+    writer.finish()
+    return path
+
+
+def test_files_of_mcap_ros2_support(tmp_path: Path) -> None:
+    path = ros2_file(tmp_path / "run.mcap", 200, chunk_size=4000)
+    table = log.read(path)
+    assert table.names == ("joints.position", "joints.effort", "joints.stamp.sec", "joints.stamp.nanosec")
+    np.testing.assert_array_equal(table["joints.position"][:, 2], 3 * np.arange(200))
+    np.testing.assert_allclose(table.t, np.arange(200) * 1e-3, atol=1e-12)
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+    with pytest.warns(UserWarning, match=r"run\.mcap was not finished: recovered \d+ rows"):
+        torn = log.read(path)
+    assert 0 < len(torn) < 200
+    np.testing.assert_array_equal(torn["joints.position"], table["joints.position"][: len(torn)])
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+@pytest.mark.parametrize("chunking", [True, False])
+def test_files_of_mcap(ros: Any, tmp_path: Path, compression: CompressionType, chunking: bool) -> None:
+    path = tmp_path / "run.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, compression=compression, use_chunking=chunking)
+        writer.start("ros2")
+        kind = "sensor_msgs/msg/JointState"
+        schema = writer.register_schema(kind, "ros2msg", ros.store.generate_msgdef(kind, ros_version=2)[0].encode())
+        state = writer.register_channel("/joint_states", "cdr", schema)
+        text = writer.register_channel("/state", "json", writer.register_schema("state", "jsonschema", b"{}"))
+        odd = writer.register_channel("/odd", "flatbuffer", writer.register_schema("odd", "flatbuffer", b"\xff"))
+        for i in range(20):
+            writer.add_message(state, i, ros.raw(ros.joints(i + 1, NAMES, [i, 0, 0])), i, i)
+            writer.add_message(text, i, json.dumps({"gain": i, "name": "x"}).encode(), i, i)
+            writer.add_message(odd, i, b"\0", i, i)
+        writer.finish()
+    table = log.read(path, clock="/joint_states")
+    np.testing.assert_array_equal(table["q"][:, 0], np.arange(20))
+    np.testing.assert_array_equal(table["state.gain"], np.arange(20))
+    assert table.notes == ("left out: /odd (Expected messages in cdr, json or protobuf, got 'flatbuffer')",)
+    with pytest.raises(
+        LogError, match=r"as clock= for .*, got /odd: Expected messages in cdr, json or protobuf, got 'flatbuffer'\."
+    ):
+        log.read(path, clock="/odd")
+    assert log.read(path, ["q"], robot=None).names == ("q",)
+
+
+def test_files_of_foxglove(tmp_path: Path) -> None:
+    foxglove = pytest.importorskip("foxglove")
+    from foxglove.channels import PoseInFrameChannel
+    from foxglove.messages import Pose, PoseInFrame, Quaternion, Timestamp, Vector3
+
+    path = tmp_path / "run.mcap"
+    with foxglove.open_mcap(path):
+        poses = PoseInFrameChannel("/pose")
+        for i in range(30):
+            foxglove.log("/state", {"q": [i, i + 0.5], "mode": "run", "count": i}, log_time=1000 * i)
+            pose = Pose(position=Vector3(x=float(i), y=0.0, z=1.0), orientation=Quaternion(x=0.0, y=0.0, z=0.0, w=1.0))
+            poses.log(PoseInFrame(timestamp=Timestamp(i), frame_id="base", pose=pose), log_time=1000 * i)
+    table = log.read(path)
+    np.testing.assert_array_equal(table["state.q"], np.arange(30)[:, None] + [0, 0.5])
+    assert table.columns["state.count"].kind == "count"
+    np.testing.assert_array_equal(table["pose.pose.position.x"], np.arange(30))
+    data = path.read_bytes()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for stop in range(100, len(data), len(data) // 7):
+            path.write_bytes(data[:stop])
+            with contextlib.suppress(LogError, UnknownName):
+                assert len(log.read(path, ["state.q"])) <= 30
+
+
+def test_idl_and_types_that_nobody_defines(ros: Any, tmp_path: Path) -> None:
+    idl = """\
+module lab_msgs { module msg {
+  struct Gauge { double value; sequence<double> parts; };
+}; };
+"""
+    path = tmp_path / "run.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2")
+        good = writer.register_channel(
+            "/gauge", "cdr", writer.register_schema("lab_msgs/msg/Gauge", "ros2idl", idl.encode())
+        )
+        bad = writer.register_channel(
+            "/bad", "cdr", writer.register_schema("lab_msgs/msg/X", "ros2msg", b"float64 [[[")
+        )
+        for i in range(3):
+            writer.add_message(good, i, b"\0\1\0\0" + np.array([1.5, i]).tobytes()[:8] + b"\0\0\0\0", i, i)
+            writer.add_message(bad, i, b"\0\1\0\0", i, i)
+        writer.finish()
+    table = log.read(path)
+    assert table["gauge"].tolist() == [1.5, 1.5, 1.5]
+    assert "left out: /bad (Expected a ros2msg definition of lab_msgs/msg/X" in table.notes[0]
+
+
+def test_the_functions_behind_read(ros: Any, tmp_path: Path) -> None:
+    from rosbags.rosbag2 import Reader
+
+    from armlab.log.mcap_records import contents
+
+    path = ros.bag(tmp_path / "bag", [("/n", 5 + i, ros.numbers([i])) for i in range(3)])
+    ours, theirs = TopicMessages(), TopicMessages()
+    view = memoryview((path / "bag.mcap").read_bytes())
+    read_mcap_topics(view, contents(view), lambda topic, _: topic == "/n", ours)
+    told: list[str] = []
+    with Reader(path) as bag:
+        read_rosbags_topics(bag, lambda topic, _: topic == "/n", theirs, lambda *one: told.append(one[2]))
+        read_rosbags_topics(bag, lambda *_: False, theirs)
+    assert told == ["messages"]
+    (one,), (two,) = ours.decoded(), theirs.decoded()
+    assert one[0] == two[0] == "/n"
+    np.testing.assert_array_equal(one[2].fields["data"], two[2].fields["data"])
+    theirs.add("/n", two[2])
+    ((_, _, twice),) = theirs.decoded()
+    assert twice.fields["data"].shape == (6, 1)

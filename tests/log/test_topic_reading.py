@@ -1,0 +1,220 @@
+"""Logs of other programs, as they come from a lab: what is read, and the sentence where something is missing."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.rosbag1 import Writer as Ros1Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from armlab import log, robots
+from armlab.errors import LogError, UnknownName
+from armlab.log.topic_reading import read_bag, read_mcap_files
+
+UR = ("elbow_joint", "shoulder_lift_joint", "shoulder_pan_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
+STEP = 2_000_000  # ns
+
+
+def ur_bag(ros: Any, count: int = 40) -> list[tuple[str, int, Any]]:
+    """Return what `ros2 bag record -a` sees of a UR5e: joints at 500 Hz in its driver's order, the rest slower."""
+    found: list[tuple[str, int, Any]] = []
+    for i in range(count):
+        ns = ros.start + i * STEP
+        late = ns + 300_000  # recorded later than made
+        if i == 2:
+            found.append(("/tf_static", late, ros.transforms(ns, ("world", "base_link", [0, 0, 1]))))
+        found.append(("/joint_states", late, ros.joints(ns, UR, i + np.arange(6))))
+        if i % 2 == 0:
+            found.append(("/ft/wrench", late, ros.wrench(ns, "tool0", [i, 1, 2, 3, 4, 5])))
+        if i % 5 == 0:
+            found.append(("/tf", late, ros.transforms(ns, ("base_link", "tool0", [i, 0, 0]))))
+            found.append(("/commands", late, ros.numbers([i, -i])))
+        if i % 20 == 0:
+            text = ros.types["std_msgs/msg/String"](data="x" * i)
+            found.append(("/robot_description", late, text))
+    return found
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_a_bag_of_a_ur5e(ros: Any, tmp_path: Path, storage: str) -> None:
+    path = ros.bag(tmp_path / "bag", ur_bag(ros), storage)
+    with pytest.raises(LogError) as caught:
+        log.read(path)
+    told = str(caught.value)
+    assert "/joint_states 500 Hz, /ft/wrench 250 Hz, " in told
+    assert "/tf_static (tf_static.world.base_link) 1 message" in told
+    assert "clock='/joint_states', or read columns of one, columns=['q', 'qd', 'tau']" in told
+    table = log.read(path, robot="ur5e", clock="joint_states")
+    order = [UR.index(name) for name in robots.load("ur5e").joint_names]
+    rows = np.arange(40)
+    np.testing.assert_array_equal(table["q"], rows[:, None] + np.array(order))
+    np.testing.assert_array_equal(table["tau"], 2 * table["q"])
+    assert table.columns["qd"].labels == robots.load("ur5e").joint_names
+    np.testing.assert_allclose(table.t, rows * 0.002, atol=1e-12)
+    assert table.t0_ns == ros.start
+    np.testing.assert_array_equal(table["wrench_raw"][:, 0], rows // 2 * 2)
+    np.testing.assert_allclose(table["wrench_raw_age"], rows % 2 * 0.002, atol=1e-9)
+    np.testing.assert_array_equal(table["tf.base_link.tool0"][:, 0, 3], rows // 5 * 5)
+    assert table.columns["tf.base_link.tool0"].frame == "base_link"
+    np.testing.assert_array_equal(table["tf_static.world.base_link"][:, 2, 3], np.ones(40))  # before it was told, too
+    np.testing.assert_array_equal(table["commands"][:, 1], -(rows // 5 * 5))  # without stamps, less the delay of rows
+    assert table.notes == (
+        "left out: /robot_description (std_msgs/msg/String)",
+        "wrench_raw is /ft/wrench, in axes of tool0",
+    )
+    assert table.source[0].split()[:2] == [table.source[0].split()[0], "sha256"]
+    assert len(list(table.states())) == 40
+
+
+def test_columns_of_one_topic_need_no_clock(ros: Any, tmp_path: Path) -> None:
+    path = ros.bag(tmp_path / "bag", ur_bag(ros))
+    assert log.read(path, ["tau", "q"]).names == ("tau", "q")
+    assert len(log.read(path, ["wrench_raw"])) == 20
+    assert log.read(path, ["commands"]).t[1] == pytest.approx(0.01)
+    aged = log.read(path, ["q", "wrench_raw", "wrench_raw_age"], clock="/joint_states")
+    assert (aged.names, len(aged)) == (("q", "wrench_raw", "wrench_raw_age"), 40)
+    slow = log.read(path, ["q"], clock="/tf")
+    np.testing.assert_array_equal(slow["q"][:, 0], np.arange(0, 40, 5))
+    with pytest.raises(UnknownName, match=r"'force'\. Known: commands, q, qd, tau, tf\.base_link\.tool0, .*wrench_raw"):
+        log.read(path, ["force"])
+    with pytest.raises(UnknownName, match=r"topic with numbers in this file, got '/nix'\. Known: /commands"):
+        log.read(path, clock="/nix")
+    with pytest.raises(LogError, match=r"as clock= for .*, got /robot_description: std_msgs/msg/String\."):
+        log.read(path, clock="/robot_description")
+
+
+def test_joints_of_another_robot_are_listed_on_both_sides(ros: Any, tmp_path: Path) -> None:
+    path = ros.bag(tmp_path / "bag", ur_bag(ros, 3))
+    with pytest.raises(
+        LogError, match=r"Only in the robot: panda_joint1, .*; only in the log: elbow_joint, .*_3_joint\."
+    ):
+        log.read(path, ["q"], robot="panda")
+    with pytest.raises(UnknownName, match=r"robot of the library, or first part of topics in this file, got 'nix'"):
+        log.read(path, robot="nix")
+    only = ros.bag(tmp_path / "other", [("/x", ros.start, ros.numbers([1.0]))])
+    with pytest.raises(
+        LogError, match=r"a topic of type sensor_msgs/msg/JointState with the joints of ur5e .*got /x 1"
+    ):
+        log.read(only, robot=robots.load("ur5e"))
+
+
+def test_two_arms(ros: Any, tmp_path: Path) -> None:
+    """Two robots of one type, in a namespace each, and with a prefix in the names of the joints."""
+    messages = []
+    for i in range(4):
+        ns = ros.start + i * STEP
+        for side, sign in (("left", 1), ("right", -1)):
+            messages.append((f"/{side}/joint_states", ns, ros.joints(ns, UR, sign * (i + np.arange(6)))))
+            messages.append((f"/{side}/ft/wrench", ns, ros.wrench(ns, "tool0", [sign] * 6)))
+    path = ros.bag(tmp_path / "bag", messages)
+    with pytest.raises(LogError, match=r"Expected one arm in .*/left/joint_states \(elbow_joint.*/right/joint_states"):
+        log.read(path)
+    right = log.read(path, robot="right")
+    assert right["q"][0, 1] == -1.0
+    np.testing.assert_array_equal(right["wrench_raw"], -np.ones((4, 6)))
+    left = log.read(path, clock="/left/joint_states")
+    assert left["q"][0, 1] == 1.0
+    np.testing.assert_array_equal(left["right.joint_states.q"], right["q"])
+    np.testing.assert_array_equal(left["right.ft.wrench"], -np.ones((4, 6)))
+    prefixed = [
+        ("/joint_states", ros.start + i, ros.joints(ros.start + i, [f"b_{n}" for n in UR], range(6))) for i in (0, 9)
+    ]
+    table = log.read(ros.bag(tmp_path / "prefixed", prefixed), robot="ur5e")
+    assert table.columns["q"].labels[0] == "b_shoulder_pan_joint"
+    assert table["q"][0, 0] == 2.0
+
+
+def test_arm_and_gripper_on_one_topic(ros: Any, tmp_path: Path) -> None:
+    """Two drivers publish on /joint_states: the arm is the one with more joints."""
+    messages = []
+    for i in range(6):
+        ns = ros.start + i * STEP
+        messages.append(("/joint_states", ns, ros.joints(ns, UR, i + np.arange(6))))
+        if i % 2:
+            messages.append(("/joint_states", ns + 5, ros.joints(ns + 5, ["finger"], [0.1 * i], efforts=False)))
+    path = ros.bag(tmp_path / "bag", messages)
+    table = log.read(path, clock="/joint_states")
+    assert (len(table), table["q"].shape) == (6, (6, 6))
+    assert table.columns["joint_states.q"].labels == ("finger",)
+    np.testing.assert_allclose(table["joint_states.q"][2:, 0], [0.1, 0.1, 0.3, 0.3])
+    assert "joint_states.tau" not in table
+    assert len(log.read(path, ["q"])) == 6
+
+
+def test_split_packed_and_unfinished_bags(ros: Any, tmp_path: Path) -> None:
+    messages = ur_bag(ros)
+    whole = log.read(ros.bag(tmp_path / "bag", messages), ["q"])
+    for storage, mode in (("mcap", "file"), ("sqlite3", "file"), ("sqlite3", "message"), ("mcap", "message")):
+        path = tmp_path / f"{storage}_{mode}"
+        plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
+        bag = Writer(path, version=8, storage_plugin=plugin)
+        bag.set_compression(CompressionMode[mode.upper()], CompressionFormat.ZSTD)
+        with bag:
+            connection = bag.add_connection("/joint_states", "sensor_msgs/msg/JointState", typestore=ros.store)
+            for topic, ns, message in messages:
+                if topic == connection.topic:
+                    bag.write(connection, ns, ros.raw(message))
+        assert log.read(path, ["q"]).sha256 == whole.sha256, path
+    killed = tmp_path / "run"
+    killed.mkdir()  # ros2 bag record writes metadata.yaml at its end
+    for number, part in enumerate((messages[:30], messages[30:])):
+        made = ros.bag(tmp_path / f"part{number}", part)
+        shutil.copy(made / f"part{number}.mcap", killed / f"run_{number}.mcap")
+    assert log.read(killed, ["q"]).sha256 == whole.sha256
+    data = (killed / "run_1.mcap").read_bytes()
+    (killed / "run_1.mcap").write_bytes(data[:-300])
+    with pytest.warns(UserWarning, match=r"run_1\.mcap was not finished: recovered"):
+        torn = log.read(killed, ["q"])
+    np.testing.assert_array_equal(torn["q"], whole["q"][: len(torn)])
+
+
+def test_a_bag_of_ros_1(ros: Any, tmp_path: Path) -> None:
+    store = get_typestore(Stores.ROS1_NOETIC)
+    path = tmp_path / "run.bag"
+    with Ros1Writer(path) as bag:
+        connection = bag.add_connection("/joint_states", "sensor_msgs/msg/JointState", typestore=store)
+        for i in range(5):
+            ns = ros.start + i * STEP
+            stamp = store.types["builtin_interfaces/msg/Time"](sec=ns // 10**9, nanosec=ns % 10**9)
+            header = store.types["std_msgs/msg/Header"](seq=i, stamp=stamp, frame_id="")
+            numbers = i + np.arange(6.0)
+            kind = store.types["sensor_msgs/msg/JointState"]
+            message = kind(header=header, name=list(UR), position=numbers, velocity=numbers, effort=numbers)
+            bag.write(connection, ns, store.serialize_ros1(message, kind.__msgtype__))
+    table = log.read(path, robot="ur5e")
+    np.testing.assert_array_equal(table["q"][:, 0], 2 + np.arange(5))
+    np.testing.assert_allclose(table.t, np.arange(5) * 0.002, atol=1e-12)
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_damaged_bags_of_others(ros: Any, tmp_path: Path, storage: str, read_spoilt: Callable[..., None]) -> None:
+    path = ros.bag(tmp_path / "bag", [one for one in ur_bag(ros, 8) if one[0] in ("/joint_states", "/tf")], storage)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for file in path.iterdir():
+            read_spoilt(path, file, 12)
+            with contextlib.suppress(LogError):
+                log.read(file)
+
+
+def test_the_functions_behind_read(ros: Any, tmp_path: Path) -> None:
+    from armlab.log.topic_table import Choice
+
+    path = ros.bag(tmp_path / "bag", ur_bag(ros, 4))
+    told: list[tuple[float, float, str]] = []
+    table = read_mcap_files(path, [path / "bag.mcap"], Choice(["q"]), None, lambda *one: told.append(one))
+    assert told
+    assert all(0 < done <= total for done, total, _ in told)
+    assert read_bag(path, Choice(["q"]), None).sha256 == table.sha256
+    text = tmp_path / "x.sqlite"
+    text.write_bytes(b"SQLite format 3\0" + bytes(90))
+    with pytest.raises(LogError, match=r"a file in it that ends in \.db3, got .*x\.sqlite\. Rename it"):
+        log.read(text)
