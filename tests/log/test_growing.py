@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from armlab.errors import ShapeError, UnknownName
-from armlab.log import Column, Log, Tail, read
+from armlab.errors import LogError, ShapeError, UnknownName
+from armlab.log import Column, Log, Tail, inspect, read
+from armlab.log.recording_file import RecordingFile
 from armlab.robots import Robot
 
 
@@ -77,6 +79,32 @@ def test_memory_and_file_hold_the_same(
     both = [name for name in memory.names if name != "T_frame_tool"]  # a pose goes through a quaternion in the file
     assert memory.select(*both).sha256 == file.select(*both).sha256
     assert memory["T_frame_tool"] == pytest.approx(file["T_frame_tool"], abs=1e-14)
+
+
+def test_saved_rows_are_a_finished_recording(tmp_path: Path, robot: Robot, extra: dict[str, Column]) -> None:
+    log = Log(robot, extra)
+    for i in range(300):
+        log.push(t=1.0 + i * 0.004, q=np.full(7, i), tick=i % 3, fext=np.full(6, np.nan if i < 50 else i))
+    paths = [log.save(tmp_path / "logs" / "run.mcap", note="by hand") for _ in range(2)]
+    assert [path.name for path in paths] == ["run.mcap", "run-2.mcap"]
+    assert inspect(paths[1]).finished
+    assert inspect(paths[1]).metadata["armlab"]["note"] == "by hand"
+    table = log.table()
+    assert read(paths[1]).sha256 == table.sha256
+    assert (read(paths[1]).clock, read(paths[1]).t0_ns) == (table.clock, table.t0_ns)
+
+
+def test_a_full_disk_leaves_no_half_log(tmp_path: Path, robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    log = Log(robot)
+    log.push(t=0.0, q=np.zeros(7))
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(RecordingFile, "finish", full)
+    with pytest.raises(LogError, match=r"run\.mcap, got: No space left on device\."):
+        log.save(tmp_path / "run.mcap")
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_tail_keeps_the_last_seconds(robot: Robot, rows: Callable, extra: dict[str, Column]) -> None:

@@ -13,7 +13,7 @@ import pytest
 
 from armlab.errors import LogError, UnknownName
 from armlab.log import Column, Recorder, Tick, messages, read
-from armlab.log.reading import earlier, opened, torn_sentence
+from armlab.log.reading import earlier, opened, summary_of, torn_sentence
 from armlab.robots import Robot
 from armlab.state import Command, State
 
@@ -210,6 +210,7 @@ def test_sources_and_sentences(recording: Callable[..., Path]) -> None:
     path = recording(3)
     with opened(path) as view:
         assert earlier(view, Contents()) == ()
+        assert summary_of(view, Contents()) == {}
     assert "0 rows" in torn_sentence(path, Contents(torn=5), read(path).rows(slice(0, 0)))
 
 

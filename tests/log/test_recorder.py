@@ -223,6 +223,7 @@ def test_a_stalled_disk_drops_rows_counts_them_exactly_and_keeps_the_rest(
     assert inspect(recorder.path).summary["holes"] == [[first, last - 1, dropped]]
     assert any(f"{dropped} rows were dropped, ticks {first} to {last - 1}" in t for t in event_texts(recorder.path))
     assert len(table) == recorder.rows
+    assert table.notes[0] == f"{dropped} rows were dropped while recording: ticks {first} to {last - 1}"
 
 
 def test_a_full_disk_stops_the_recorder_not_the_loop(

@@ -11,14 +11,15 @@ from armlab.log import inspect, read
 from armlab.log.mcap_records import contents
 from armlab.log.recording_file import MAX_CHUNK_ROWS, RecordingFile, open_new
 from armlab.log.rows import RowLayout
-from armlab.robots import Robot
+from armlab.robots import Robot, from_toml
 
 
 def test_everything_but_rows_is_on_the_disk_after_construction(tmp_path: Path, robot: Robot) -> None:
     file = RecordingFile(tmp_path / "run.mcap", robot, RowLayout(robot), {"a.toml": b"a"}, "mine")
     held = inspect(file.path)
     assert held.metadata["armlab"]["note"] == "mine"
-    assert held.attachments == {"a.toml": b"a"}
+    assert held.attachments["a.toml"] == b"a"
+    assert from_toml(held.attachments["robot.toml"].decode(), "it").hash == robot.hash
     assert not held.events
     assert len(held.topics) == 18
     file.event("first", 5)

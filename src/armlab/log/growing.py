@@ -5,13 +5,16 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from armlab.errors import LogError
 from armlab.log.assemble import recording_table
 from armlab.log.column import Column
 from armlab.log.labels import OLD_NAMES
+from armlab.log.recording_file import RecordingFile
 from armlab.log.rows import RowLayout, Tick
 from armlab.log.table import Table
 from armlab.state import Command, State
@@ -40,6 +43,7 @@ class Log:
     """
 
     def __init__(self, robot: Robot, extra: Mapping[str, Column] | None = None) -> None:
+        self._robot = robot
         self._layout = RowLayout(robot, {**(extra or {}), "t": Column()})
         self._rows: deque[bytes] = deque(maxlen=self._capacity())  # bytes: nothing for the garbage collector to scan
         self._start_ns = time.time_ns() - time.monotonic_ns()
@@ -78,6 +82,33 @@ class Log:
         values = self._layout.unpack(self._rows.copy())
         columns = {name: slot.column for name, slot in self._layout.slots.items()}
         return recording_table(values, columns, values.pop("stamp_ns"))
+
+    def save(self, path: str | Path, *, note: str = "") -> Path:
+        """Write the rows so far to a finished recording and return its path.
+
+        ``log.read(log.save(path))`` is `table()`, but that poses go through quaternions.
+
+        Parameters
+        ----------
+        path : ending in .mcap; ``-2``, ``-3`` is added when it exists, as a recorder does. note : kept in the metadata.
+
+        Raises
+        ------
+        LogError : it cannot be written; nothing is left then.
+        """
+        rows = self._rows.copy()
+        file = RecordingFile(path, self._robot, self._layout, {}, note)
+        try:
+            for number, row in enumerate(rows):
+                file.write(row, number)
+            file.finish({"rows": len(rows)})
+        except BaseException as error:
+            file.abandon()
+            file.path.unlink(missing_ok=True)
+            if isinstance(error, OSError):
+                raise LogError(f"Expected to write the log {file.path}, got: {error.strerror}.") from None
+            raise
+        return file.path
 
     def _capacity(self) -> int | None:
         return None

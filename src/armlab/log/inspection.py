@@ -12,7 +12,7 @@ from armlab.errors import LogError
 from armlab.log.formats import check_readable
 from armlab.log.mcap_decode import message_counts, messages
 from armlab.log.mcap_records import DAMAGE, Contents, contents
-from armlab.log.reading import opened
+from armlab.log.reading import opened, summary_of
 from armlab.log.recording_columns import clocks
 from armlab.wire import cdr
 
@@ -98,7 +98,7 @@ def inspect(path: str | Path) -> Inspection:
                 events=tuple(Event(stamp, str(one.texts["msg"])) for stamp, _, one in _texts(view, found, _EVENTS)),
                 parameters=tuple(_setting(*one) for one in _texts(view, found, _PARAMETERS)),
                 attachments=attachments,
-                summary=_summary(attachments),
+                summary=summary_of(view, found),
                 robots=tuple(topic.strip("/").rpartition("/")[0] for topic in clocks(found).values()),
             )
         except LogError:
@@ -130,11 +130,3 @@ def _setting(stamp_ns: int, raw: bytes, held: cdr.Layout) -> Setting:
     sequence = 0 if place is None else int.from_bytes(raw[place.start : place.stop], "little", signed=True)
     name, value, who = (str(held.texts[key]) for key in ("name", "value", "who"))
     return Setting(stamp_ns, sequence, name, json.loads(value), who)
-
-
-def _summary(attachments: Mapping[str, bytes]) -> Mapping[str, Any]:
-    try:
-        summary = json.loads(attachments.get("summary.json", b"{}"))
-    except ValueError:
-        return {}
-    return summary if isinstance(summary, dict) else {}

@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from armlab.errors import ArmlabError, LogError, UnknownName
 from armlab.log.assemble import recording_table
@@ -28,7 +29,7 @@ from armlab.log.table import Table
 from armlab.log.topic_table import Choice
 from armlab.robots import Robot
 
-__all__ = ["earlier", "opened", "read", "torn_sentence"]
+__all__ = ["earlier", "opened", "read", "summary_of", "torn_sentence"]
 
 _READERS: dict[str, Callable[[Path], Table]] = {
     "text": read_csv,
@@ -114,17 +115,36 @@ def read(
         notes.insert(0, torn_sentence(path, found, table))
     if notes:
         warnings.warn("; ".join(notes[:3]), stacklevel=2)
-    return replace(table, notes=(*notes, *table.notes), source=(*source, *table.source))
+    return replace(table, notes=(*notes, *_holes(view, found), *table.notes), source=(*source, *table.source))
 
 
 def earlier(view: memoryview, found: Contents) -> tuple[str, ...]:
     """Return where the rows of a file had come from that `write`, `cut` or `merge` made."""
-    summary = next((bytes(view[slice(*one.data)]) for one in found.attachments if one.name == "summary.json"), b"{}")
-    try:
-        chain = json.loads(summary).get("source", [])
-    except (ValueError, AttributeError):
-        return ()
+    chain = summary_of(view, found).get("source", [])
     return tuple(str(entry) for entry in chain) if isinstance(chain, list) else ()
+
+
+def summary_of(view: memoryview, found: Contents) -> dict[str, Any]:
+    """Return what was counted at the end of a recording, empty without."""
+    for one in found.attachments:
+        if one.name == "summary.json":
+            try:
+                told = json.loads(bytes(view[slice(*one.data)]))
+            except ValueError:
+                return {}
+            return told if isinstance(told, dict) else {}
+    return {}
+
+
+def _holes(view: memoryview, found: Contents) -> tuple[str, ...]:
+    """Return what the recorder dropped, in a sentence."""
+    told = summary_of(view, found)
+    holes, dropped = told.get("holes"), told.get("dropped")
+    if not dropped or not isinstance(holes, list):
+        return ()
+    ticks = [f"{hole[0]} to {hole[1]}" for hole in holes if isinstance(hole, list) and len(hole) > 1]
+    more = f" and {len(ticks) - 5} more" if len(ticks) > 5 else ""
+    return (f"{dropped} rows were dropped while recording: ticks {', '.join(ticks[:5])}{more}",)
 
 
 def torn_sentence(path: Path, found: Contents, table: Table) -> str:

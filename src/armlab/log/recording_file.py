@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 import os
-import platform
-import re
-import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,6 +13,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 from armlab.errors import LogError
 from armlab.log.mcap_writer import McapWriter
 from armlab.log.messages import Pen, clock_metadata, definition, event, parameter, topic_name, topics
+from armlab.log.recording_metadata import attached, metadata
 from armlab.log.rows import RowLayout
 
 if TYPE_CHECKING:
@@ -25,7 +22,6 @@ if TYPE_CHECKING:
 __all__ = ["RecordingFile", "open_new"]
 
 MAX_CHUNK_ROWS = 250  # a second at 250 Hz: what a damaged chunk can cost, also after a stall
-_SECRET = re.compile(r"(?i)(token|password|passwd|secret|api[-_]?key)")
 _EVENT_TYPE = "rcl_interfaces/msg/Log"
 _PARAMETER_TYPE = "armlab_msgs/msg/Parameter"
 
@@ -64,7 +60,7 @@ class RecordingFile:
     ----------
     path : wanted name; `path` holds the real one.
     robot, layout : the arm and the layout of its rows.
-    attachments : name -> bytes, for example the robot's description.
+    attachments : name -> bytes; the robot's description, robot.toml, is there without.
     note : the user's.
     clock : of a layout with a column `t`: wall clock of t = 0 [ns], and whose clock `t` is.
     """
@@ -87,7 +83,8 @@ class RecordingFile:
         self.last_stamp_ns = time.time_ns()
         try:
             self._writer = McapWriter(self._file, "ros2", f"armlab {__version__}")
-            self._writer.metadata("armlab", _metadata(robot, attachments, note))
+            attachments = attached(robot, attachments)
+            self._writer.metadata("armlab", metadata(robot, attachments, note))
             for name, data in attachments.items():
                 self.attach(name, data)
             self._channels = self._register(robot)
@@ -190,34 +187,6 @@ class RecordingFile:
 
 def _fsync(file: BinaryIO) -> None:
     os.fsync(file.fileno())
-
-
-def _metadata(robot: Robot, attachments: Mapping[str, bytes], note: str) -> dict[str, str]:
-    """Return the metadata record of a recording; values of secret options are replaced."""
-    from armlab import __version__
-
-    return {
-        "version": __version__,
-        "command": " ".join(_without_secrets(sys.argv)),
-        "python": platform.python_version(),
-        "platform": platform.platform(),
-        "robot": robot.name,
-        "robot_hash": robot.hash,
-        "attachments": json.dumps({name: hashlib.sha256(data).hexdigest() for name, data in attachments.items()}),
-        "note": note,
-    }
-
-
-def _without_secrets(words: list[str]) -> list[str]:
-    """Replace what follows an option whose name tells a secret, and what such an option equals."""
-    kept: list[str] = []
-    hide = False
-    for word in words:
-        option, equals, _ = word.partition("=")
-        secret = word.startswith("-") and bool(_SECRET.search(option))
-        kept.append("***" if hide else f"{option}=***" if secret and equals else word)
-        hide = secret and not equals
-    return kept
 
 
 def _plain(value: Any) -> Any:

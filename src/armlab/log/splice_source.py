@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,7 +14,7 @@ from armlab.log.formats import check_readable
 from armlab.log.mcap_records import DAMAGE, Contents, contents
 from armlab.log.messages import COLUMN_KEY, topic_name
 from armlab.log.provenance import file_hash
-from armlab.log.reading import earlier, opened
+from armlab.log.reading import earlier, opened, summary_of
 from armlab.log.recording_columns import clock_channel, clocks, rows_of
 from armlab.log.splice_arm import Arm
 
@@ -55,14 +54,7 @@ class Source:
     @property
     def summary(self) -> dict[str, Any]:
         """What was counted at its end, empty without."""
-        for one in self.found.attachments:
-            if one.name == _SUMMARY:
-                try:
-                    told = json.loads(bytes(self.view[slice(*one.data)]))
-                except ValueError:
-                    return {}
-                return told if isinstance(told, dict) else {}
-        return {}
+        return summary_of(self.view, self.found)
 
     def taken(
         self, channel: int, sequence: int, log_ns: int, publish_ns: int, data: bytes

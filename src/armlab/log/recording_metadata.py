@@ -1,0 +1,102 @@
+"""What a recording says of itself: metadata and attachments, without secrets."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import platform
+import re
+import subprocess
+import sys
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from armlab.errors import RobotError
+
+if TYPE_CHECKING:
+    from armlab.robots import Robot
+
+__all__ = ["attached", "metadata", "revision"]
+
+ROBOT = "robot.toml"
+_SECRET = r"[\w.-]*(?:token|password|passwd|secret|api[-_]?key)[\w-]*"
+_OPTION = re.compile(rf"(?i)-+{_SECRET}$")
+_VALUE = r"""("(?:[^"\\\n]|\\.)*"|'[^'\n]*'|\[[^\]]*\]|[^\s,\]}#]+)"""
+_SETTING = re.compile(rf"""(?im)(["']?{_SECRET}["']?\s*[=:]\s*){_VALUE}""")
+_TEXTS = (".toml", ".json", ".yaml", ".yml", ".cfg", ".ini")
+_PATIENCE = 2.0  # s for git
+
+
+def metadata(robot: Robot, attachments: Mapping[str, bytes], note: str) -> dict[str, str]:
+    """Return the metadata record of a recording; values of secret options are replaced.
+
+    Parameters
+    ----------
+    robot : the arm. attachments : as they are written, for their hashes. note : the user's.
+    """
+    from armlab import __version__
+
+    return {
+        "version": __version__,
+        "revision": revision(Path.cwd()),
+        "command": " ".join(_without_secrets(sys.argv)),
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "robot": robot.name,
+        "robot_hash": robot.hash,
+        "attachments": json.dumps({name: hashlib.sha256(data).hexdigest() for name, data in attachments.items()}),
+        "note": note,
+    }
+
+
+def attached(robot: Robot, attachments: Mapping[str, bytes]) -> dict[str, bytes]:
+    """Return the attachments of a recording: the description of the robot, and what is given, secrets replaced.
+
+    Parameters
+    ----------
+    robot : the arm. attachments : name -> bytes; of settings (TOML, JSON, YAML) the values of secret keys go.
+    """
+    from armlab.robots import to_toml
+
+    found: dict[str, bytes] = {}
+    with contextlib.suppress(RobotError):  # a name that cannot stand in a file must not cost the recording
+        found[ROBOT] = to_toml(robot).encode()
+    for name, data in attachments.items():
+        found[name] = _redacted(data) if name.lower().endswith(_TEXTS) else bytes(data)
+    return found
+
+
+@cache
+def revision(folder: Path) -> str:
+    """Return the commit of the git repository that a folder is in, with + where files differ; empty without one."""
+    words = ["git", "-C", str(folder), "describe", "--always", "--abbrev=40", "--exclude=*", "--dirty=+"]
+    try:
+        alone = {**os.environ, "GIT_OPTIONAL_LOCKS": "0"}  # it only looks
+        done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=_PATIENCE, env=alone)
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return done.stdout.strip() if done.returncode == 0 else ""
+
+
+def _redacted(data: bytes) -> bytes:
+    try:
+        text = data.decode()
+    except UnicodeDecodeError:
+        return bytes(data)
+    return _SETTING.sub(r'\1"***"', text).encode()
+
+
+def _without_secrets(words: list[str]) -> list[str]:
+    """Replace what follows an option whose name tells a secret, and what such an option equals."""
+    kept: list[str] = []
+    hide = False
+    for word in words:
+        option, equals, _ = word.partition("=")
+        secret = bool(_OPTION.match(option))
+        kept.append("***" if hide else f"{option}=***" if secret and equals else word)
+        hide = secret and not equals
+    return kept
