@@ -1,13 +1,26 @@
-"""One server for all tests without a browser; each begins with an empty scene and panel."""
+"""One server for all tests without a browser, each begins with an empty scene and panel; and bridges to look at."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from armlab import live
+from armlab.bridge.feed import OPERATOR, Exchange
+from armlab.bridge.local import socket_path
+from armlab.bridge.local_server import LocalServer
+from armlab.live.running import Running
+from armlab.log import Tick
+from armlab.robots import Robot
+from armlab.state import Command, State
+
+LOOKS = 200  # each at most 0.1 s; only a test that fails takes all
 
 
 @pytest.fixture(scope="session")
@@ -23,3 +36,73 @@ def server(_server: Any) -> Any:
     _server.scene.reset()
     _server.gui.reset()
     return _server
+
+
+class Bridge:
+    """What a bridge shows on its local feed, without robots and processes."""
+
+    def __init__(self, arms: list[Robot], cell: str = "small") -> None:
+        self._exchange = Exchange(arms, [OPERATOR], about={"cell": cell})
+        self._far = self._exchange.open(OPERATOR)
+        self._server = threading.Thread(target=LocalServer(self._far, socket_path(cell)).run, daemon=True)
+        self._server.start()
+        self._ticks = 0
+
+    def row(self, arm: Robot, record: dict[str, Any] | None = None, later: float = 0.0, **fields: Any) -> None:
+        """Send a row, so many seconds later than now."""
+        self._ticks += 1
+        state = State(**{"t": 0.0, "dt": 0.004, "q": arm.q_home, "qd": 0 * arm.q_home, "tau": 0 * arm.q_home, **fields})
+        command = None if record is None else Command(record=record)
+        now = time.time_ns() + int(1e9 * later)
+        self._exchange.row(replace(state, robot=arm.name), command, Tick(self._ticks, 0, now, now, now, 0))
+
+    def say(self, sentence: str) -> None:
+        self._exchange.event(sentence)
+
+    def close(self) -> None:
+        self._exchange.close()
+        self._server.join(10.0)
+        assert not self._server.is_alive()
+        self._far.close()
+
+
+@pytest.fixture
+def bridge(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Bridge]]:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    made: list[Bridge] = []
+
+    def make(*arms: Robot, **options: Any) -> Bridge:
+        made.append(Bridge(list(arms), **options))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.close()
+
+
+@pytest.fixture
+def following() -> Iterator[Callable[..., Running]]:
+    made: list[Running] = []
+
+    def make(*words: Any, **options: Any) -> Running:
+        made.append(Running(*words, **options))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.close()
+
+
+@pytest.fixture
+def hear_until() -> Callable[..., None]:
+    """Return what lets a `Running` hear until something is so."""
+
+    def hear(running: Running, true: Callable[[], Any], send: Callable[[], None] = lambda: None) -> None:
+        for _ in range(LOOKS):
+            send()
+            running.hear(0.1)
+            if true():
+                return
+        pytest.fail(f"It did not come so far: {running.state}")
+
+    return hear

@@ -24,8 +24,8 @@ from armlab.bridge.link import connect
 from armlab.bridge.listening import listening
 from armlab.bridge.local import socket_path
 from armlab.bridge.loop import Controller
+from armlab.bridge.offering import stoppable
 from armlab.bridge.parameters import Parameter, Parameters
-from armlab.bridge.rights import Arbiter
 from armlab.bridge.run import Run
 from armlab.bridge.servers import Servers, server_command
 from armlab.bridge.sources import Source
@@ -33,7 +33,6 @@ from armlab.bridge.udp import UdpSource
 from armlab.errors import ArmlabError, ConfigError, UnknownName
 from armlab.log import Column
 from armlab.robots import Robot
-from armlab.state import State
 
 __all__ = ["Cell", "parse_cell", "run_cell"]
 
@@ -236,7 +235,7 @@ def run_cell(
         ready(f"Listening: {', '.join([*egm, *where])}.")
         try:
             return link.run(
-                exchange.arbiter if controller is None else _stoppable(controller, exchange.arbiter),
+                exchange.arbiter if controller is None else stoppable(controller, exchange.arbiter),
                 seconds=seconds,
                 limits=list(cell.limits),
                 record=cell.record,
@@ -247,16 +246,6 @@ def run_cell(
         finally:
             if link.last is not None:
                 ended(link.last)
-
-
-def _stoppable(controller: Controller, arbiter: Arbiter) -> Controller:
-    """Return the controller that holds while somebody has stopped the arms."""
-
-    def controlled(state: State) -> Any:
-        arbiter.poll()
-        return None if arbiter.stopped else controller(state)
-
-    return controlled
 
 
 def _line(error: Exception) -> str:

@@ -20,6 +20,7 @@ __all__ = ["Watch"]
 
 _SILENT = 0.5  # s after which an arm sends no packets
 _EVENTS = 8
+_USED = ("motors", "rapid", "mci", "receive_ns", "seq_sent", "q_ref", "qd_ref", "wrench", "wrench_hat", "commander")
 
 
 class Watch:
@@ -87,7 +88,7 @@ class Watch:
         return [self._arm(self._row, name, now_ns) for name in _names(self._row) if self._robot in (None, name)]
 
     def _arm(self, row: Row, name: str, now_ns: int) -> dict[str, str]:
-        values = {key.partition(".")[2]: value for key, value in row.values.items() if key.startswith(f"{name}.")}
+        values = {key: row.values[f"{name}.{key}"] for key in _USED}
         status = self._status.get("arms", {}).get(name, {})
         trips = " / ".join(_number(status.get(key), "{:.0f}") for key in ("p50", "p99", "longest"))
         wrench = values["wrench"] if math.isfinite(values["wrench"][0]) else values["wrench_hat"]

@@ -40,6 +40,7 @@ _COMMANDS = {
     "plot": ("plot:plot", "Figures of logs, models, robots and movement primitives."),
     "bridge": ("bridge:bridge", "Run a cell: robots, LabComm and other clients, parameters, one commander."),
     "monitor": ("monitor:monitor", "Watch a bridge that runs: rates, round trips, clamps, commander, events."),
+    "view": ("view:view", "Arms, forces and curves in the browser: of logs, or of a bridge that runs."),
     "log": ("log:log", "Show, export, cut, merge, open and repair logs."),
     "robot": ("robot:robot", "List, show and convert robot descriptions."),
 }
@@ -52,6 +53,7 @@ _EXAMPLES = {
     "excite": "armlab excite yumi_left -o motion.csv --run sim://yumi_left --log excite.mcap",
     "identify": "armlab identify yumi_left excite.mcap -o model.toml --report model.html",
     "estimate": "armlab estimate yumi_left press.mcap --model model.toml -o force.mcap --report force.html",
+    "view": "armlab view --live",
     "payload": "armlab payload yumi_left loaded.mcap --model model.toml",
 }
 

@@ -7,6 +7,10 @@ wire; the operator's forces come from the plan and are compared afterwards.
 
 from __future__ import annotations
 
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -19,6 +23,7 @@ from cyclopts import Parameter
 from armlab.errors import ConfigError, UnknownName
 
 if TYPE_CHECKING:
+    from armlab.bridge.feed import Exchange
     from armlab.contact import Estimator
     from armlab.identify import Trajectory
     from armlab.robots import Robot
@@ -108,6 +113,7 @@ class Plan:
 def demo(
     *,
     fast: bool = False,
+    view: bool = False,
     seed: int = 0,
     robot: str = "yumi_right",
     output: Annotated[Path | None, Parameter(alias="-o")] = None,
@@ -120,6 +126,8 @@ def demo(
     ----------
     fast : bool
         As fast as the machine can (lockstep) instead of in real time.
+    view : bool
+        Also show arm, force and curves in the browser while the demo runs; prints the address.
     seed : int
         Of motions, noise and operator.
     robot : str
@@ -135,7 +143,7 @@ def demo(
     if seed < 0:
         raise ConfigError(f"Expected a seed of 0 or more, got {seed}. Leave it out for 0.")
     folder = output or Path(f"demo-{datetime.now(UTC):%Y%m%d-%H%M%S}")
-    outcome = rehearse(robot, seed, folder, fast)
+    outcome = rehearse(robot, seed, folder, fast, view)
     verdict = judge(outcome["estimate"], outcome["plan"])
     result(outcome["fit"].report())
     result("")
@@ -144,11 +152,13 @@ def demo(
     note("drawing the figures")
     files = figures(folder, outcome, verdict)
     result("files in " + str(folder) + ": " + ", ".join(path.name for path in files))
+    if view:
+        result(f"the motion again: armlab view {folder / 'press.mcap'}")
     result("every bar is met" if verdict.passed else f"MISSED: {'; '.join(verdict.missed)}")
     return 0 if verdict.passed else 1
 
 
-def rehearse(robot_name: str, seed: int, folder: Path, fast: bool) -> dict[str, Any]:
+def rehearse(robot_name: str, seed: int, folder: Path, fast: bool, view: bool = False) -> dict[str, Any]:
     """Run both motions over EGM and return plan, fit, run and the table of the estimate.
 
     Parameters
@@ -156,11 +166,11 @@ def rehearse(robot_name: str, seed: int, folder: Path, fast: bool) -> dict[str, 
     robot_name : name in the library, or a robot file.
     seed : of motions and noise.
     folder : new folder for the logs and the model.
-    fast : lockstep.
+    fast : lockstep. view : show it in the browser.
 
     Raises
     ------
-    ConfigError : when the folder exists.
+    ConfigError : when the folder exists. LinkError : when the view cannot begin.
     """
     from armlab import log, robots
     from armlab.cli.output import progress
@@ -175,17 +185,19 @@ def rehearse(robot_name: str, seed: int, folder: Path, fast: bool) -> dict[str, 
     press_file = folder / "press.csv"
     rows = np.column_stack([plan.times, plan.wrenches])
     np.savetxt(press_file, rows, delimiter=",", header="t,fx,fy,fz,mx,my,mz", comments="", fmt="%.9g")
-    with progress("1/3 excite") as tell:
-        controller = plan.excitation.controller(APPROACH)
-        seconds = APPROACH + plan.excitation.seconds
-        _drive(robot, _url(robot_name, fast, 2 * seed), controller, seconds, folder / "excite.mcap", tell)
-    with progress("2/3 identify") as tell:
-        fit = fit_dynamics(log.read(folder / "excite.mcap"), robot, progress=tell)
-        fit.save(folder / "model.toml")
-    with progress("3/3 press") as tell:
-        controller = _estimating(plan, Estimator(fit.value, robot))
-        url = _url(robot_name, fast, 2 * seed + 1, press_file)
-        run = _drive(robot, url, controller, APPROACH + plan.test.seconds, folder / "press.mcap", tell)
+    with ExitStack() as stack:
+        feed = stack.enter_context(_shown(robot)) if view else None
+        with progress("1/3 excite") as tell:
+            controller = plan.excitation.controller(APPROACH)
+            seconds = APPROACH + plan.excitation.seconds
+            _drive(robot, _url(robot_name, fast, 2 * seed), controller, seconds, folder / "excite.mcap", tell, feed)
+        with progress("2/3 identify") as tell:
+            fit = fit_dynamics(log.read(folder / "excite.mcap"), robot, progress=tell)
+            fit.save(folder / "model.toml")
+        with progress("3/3 press") as tell:
+            controller = _estimating(plan, Estimator(fit.value, robot))
+            url = _url(robot_name, fast, 2 * seed + 1, press_file)
+            run = _drive(robot, url, controller, APPROACH + plan.test.seconds, folder / "press.mcap", tell, feed)
     return {"plan": plan, "fit": fit, "run": run, "estimate": log.read(folder / "press.mcap"), "robot": robot}
 
 
@@ -210,10 +222,29 @@ def _estimating(plan: Plan, estimator: Estimator) -> Any:
     return step
 
 
-def _drive(robot: Robot, url: str, controller: Any, seconds: float, path: Path, tell: Any) -> Any:
+@contextmanager
+def _shown(robot: Robot) -> Iterator[Exchange]:
+    """Show in the browser what is fed to what this yields; neither feed nor view can hold the loop up."""
+    from armlab.bridge.offering import offered
+    from armlab.cli.output import result
+    from armlab.cli.view import beside
+
+    cell = f"demo-{os.getpid()}"
+    with offered([robot], cell) as feed, beside(cell) as line:
+        result(line)
+        sys.stdout.flush()
+        yield feed
+
+
+def _drive(
+    robot: Robot, url: str, controller: Any, seconds: float, path: Path, tell: Any, feed: Exchange | None
+) -> Any:
     from armlab import bridge
+    from armlab.bridge.offering import stoppable
     from armlab.log import Column
 
     extra = {"observability": Column(shape=(6,))}  # wrench_hat and its covariance need no declaration
+    feeds = () if feed is None else (feed,)
+    step = controller if feed is None else stoppable(controller, feed.arbiter)
     with bridge.connect(url, robot) as link:
-        return link.run(controller, seconds, record=path, extra=extra, progress=tell)
+        return link.run(step, seconds, record=path, extra=extra, progress=tell, feeds=feeds)

@@ -9,7 +9,24 @@ from armlab.live.curves import Curves, Window
 from armlab.live.panel import ArmPanel
 from armlab.live.player import Player
 from armlab.live.recorded import Recorded, read_arms
+from armlab.live.running import Force, Running
+from armlab.live.running_view import RunningView, watch
 from armlab.live.scene import Scene
 from armlab.live.server import address, start, stop
 
-__all__ = ["ArmPanel", "Curves", "Player", "Recorded", "Scene", "Window", "address", "read_arms", "start", "stop"]
+__all__ = [
+    "ArmPanel",
+    "Curves",
+    "Force",
+    "Player",
+    "Recorded",
+    "Running",
+    "RunningView",
+    "Scene",
+    "Window",
+    "address",
+    "read_arms",
+    "start",
+    "stop",
+    "watch",
+]

@@ -1,0 +1,110 @@
+"""``armlab view``: a log, or a bridge that runs, in the browser."""
+
+from __future__ import annotations
+
+import select
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import IO, Annotated, Any
+
+from cyclopts import Parameter
+
+__all__ = ["beside", "view"]
+
+_START = 30.0  # s for a view to begin
+_END = 5.0  # s for it to end
+
+
+def view(
+    *what: str,
+    live: bool = False,
+    model: Annotated[list[Path] | None, Parameter(negative_iterable=())] = None,
+    cell: str = "",
+    port: int | None = None,
+) -> None:
+    """Show logs in the browser, or with --live a bridge that runs; until Ctrl-C.
+
+    Prints the address to open. The page comes from this computer and is for this computer only: to look from another
+    one, forward the port by ssh -L. A view of a bridge only reads: it can neither delay it nor command it, waits for
+    one that has not begun, and goes on when it starts again.
+
+    Parameters
+    ----------
+    what : str
+        Log files, one per arm; with --live the name of the arm to show, all when left out.
+    live : bool
+        Show a bridge of this user that runs.
+    model : Path
+        Model file of `armlab identify` that estimates the force where neither log nor bridge holds an estimate; one
+        per arm.
+    cell : str
+        With --live, name of the cell; needed when several run.
+    port : int
+        Port of the page; from 8080 on the first that is free when left out.
+    """
+    from armlab import models
+    from armlab.cli.output import note
+    from armlab.errors import ConfigError
+
+    known = [models.load(path, "torque_model") for path in model or ()]
+    if not live:
+        raise ConfigError("Expected --live, since only a bridge that runs can be shown so far, got no --live. Add it.")
+    if len(what) > 1:
+        raise ConfigError(f"Expected one arm with --live, got {', '.join(what)}. Leave them out to see all arms.")
+    from armlab.live.running_view import watch
+
+    watch(what[0] if what else None, cell=cell, models=known, port=port, opened=_open, tell=note)
+
+
+def _open(url: str) -> None:
+    """Print the address at once, also for a program that reads it."""
+    from armlab.cli.output import result
+
+    result(f"View: {url}")
+    sys.stdout.flush()
+
+
+@contextmanager
+def beside(cell: str) -> Iterator[str]:
+    """Show a bridge in the browser while the block runs, from a process of its own; yields the address.
+
+    Parameters
+    ----------
+    cell : of the bridge.
+
+    Raises
+    ------
+    LinkError : the view did not begin; with what it said.
+    """
+    words = [sys.executable, "-m", "armlab", "view", "--live", "--cell", cell]
+    with TemporaryFile("w+") as said:
+        options: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": said}
+        # a session of its own: Ctrl-C reaches the caller, which brings the arm to rest first
+        process = subprocess.Popen(words, text=True, start_new_session=True, **options)
+        try:
+            yield _first_line(process, said)
+        finally:
+            process.terminate()
+            try:
+                process.communicate(timeout=_END)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.communicate()
+
+
+def _first_line(process: subprocess.Popen[str], said: IO[str]) -> str:
+    """Return what a view prints when it can be opened."""
+    from armlab.errors import LinkError
+
+    out = process.stdout
+    came = out is not None and select.select([out], [], [], _START)[0]
+    line = out.readline().strip() if out is not None and came else ""
+    if not line:
+        said.seek(0)
+        why = said.read().strip().removeprefix("armlab: ")
+        raise LinkError(why or f"Expected the view to begin within {_START:g} s, but it did not. Leave it out.")
+    return line

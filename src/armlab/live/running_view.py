@@ -1,0 +1,204 @@
+"""The view of a bridge that runs: each frame shows the newest row, the panel what there is to say of the arms."""
+
+from __future__ import annotations
+
+import html
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from armlab.errors import LinkError
+from armlab.kinematics import forward
+from armlab.live.curves import Window
+from armlab.live.panel import ArmPanel
+from armlab.live.running import Running
+from armlab.live.scene import Scene
+from armlab.live.server import address, start, stop
+from armlab.models import TorqueModel
+from armlab.robots import Robot
+
+if TYPE_CHECKING:
+    from viser import ViserServer
+
+    from armlab.bridge.row import Row
+
+__all__ = ["RunningView", "watch"]
+
+_FRAME = 1.0 / 30.0  # s
+_WORDS = 0.25  # s between two looks at what there is to say
+_TRACE = 0.1  # s between two pictures of the path of a tool
+_PATH = 10.0  # s of it
+_GAP = 0.5  # s without news that curves and paths do not bridge
+
+
+def watch(
+    robot: str | None = None,
+    *,
+    cell: str = "",
+    models: Sequence[TorqueModel] = (),
+    port: int | None = None,
+    opened: Callable[[str], None] = lambda url: None,
+    tell: Callable[[str], None] = lambda sentence: None,
+    over: Callable[[], bool] = lambda: False,
+) -> None:
+    """Show a bridge that runs in the browser, until `over` or an interrupt: before it starts, and after its end.
+
+    The bridge notices nothing of it: rows come from its local feed, and nothing is sent back.
+
+    Parameters
+    ----------
+    robot : this arm only; None for all.
+    cell : name of the cell; "" when only one runs.
+    models : torque models for a bridge that sends no estimate of the force.
+    port : of the view on this computer; from 8080 on the first that is free when None.
+    opened : told the address to open. tell : told what becomes of the connection.
+    over : whether to end; asked at each frame.
+
+    Raises
+    ------
+    MissingExtra : viser is not installed. ConfigError : a wrong port, or several bridges run and no cell was named.
+    LinkError : the port is taken. UnknownName : the arm is not in the cell. ModelMismatchError : a model is of no arm.
+    """
+    server = start(8080 if port is None else port)
+    running = Running(robot, cell, rate=1.0 / _FRAME, models=models)
+    try:
+        if port and server.get_port() != port:
+            raise LinkError(f"Expected port {port} to be free for the view, but it is taken. Choose another --port.")
+        opened(address(server))
+        view, said = RunningView(server, running), ""
+        while not over():
+            began = time.monotonic()
+            running.hear(_WORDS)
+            if running.state != said:
+                said = running.state
+                tell(said)
+            view.draw()
+            time.sleep(max(began + _FRAME - time.monotonic(), 0.0))
+    finally:
+        running.close()
+        stop(server)
+
+
+class RunningView:
+    """Scene and panel of a bridge that runs, drawn frame by frame.
+
+    Parameters
+    ----------
+    server : of `start`. running : the bridge; somebody else lets it hear.
+    """
+
+    def __init__(self, server: ViserServer, running: Running) -> None:
+        self._server, self._running = server, running
+        self._robots, self._row = None, None
+        self._due = self._start = 0.0
+        self._build()
+
+    def draw(self) -> None:
+        """Show the newest row, and four times a second what there is to say."""
+        running, now = self._running, time.monotonic()
+        if running.robots is not self._robots:
+            self._build()
+        with self._server.atomic():
+            if running.row is not None and running.row is not self._row:
+                t, follows = self._time(running.row)
+                self._row = running.row
+                for arm in self._arms.values():
+                    arm.draw(running, t, follows)
+            if now >= self._due:
+                self._due = now + _WORDS
+                self._say()
+
+    def _build(self) -> None:
+        """Make scene and panel for the arms of this bridge."""
+        running, server = self._running, self._server
+        self._robots = running.robots
+        server.scene.reset()
+        server.gui.reset()
+        self._state = _Lines(server.gui)
+        self._arms: dict[str, _Arm] = {}
+        if running.robots:
+            scene, tabs = Scene(server, running.robots.values()), server.gui.add_tab_group()
+            for name, robot in running.robots.items():
+                with tabs.add_tab(name):
+                    self._arms[name] = _Arm(scene, ArmPanel(server.gui, robot), robot)
+        self._notes = _Lines(server.gui)
+
+    def _time(self, row: Row) -> tuple[float, bool]:
+        """Return the time of a row since the first [s], and whether it follows the last; a clock set back begins anew.
+
+        The time is that of the robot, which in lockstep is not that of the wall; a gap is one for who looks.
+        """
+        last, stamp = self._row, 1e-9 * row.wall_ns
+        if last is None or row.wall_ns < last.wall_ns:
+            self._start = stamp
+        return stamp - self._start, last is not None and row.mono_ns - last.mono_ns < 1e9 * _GAP
+
+    def _say(self) -> None:
+        watch = self._running.watch
+        self._state.show([self._running.state])
+        for words in watch.arms(time.time_ns()):
+            self._arms[words.pop("arm")].say(words)
+        self._notes.show(watch.notes() if self._arms else [])
+
+
+class _Arm:
+    """What is shown of one arm."""
+
+    def __init__(self, scene: Scene, panel: ArmPanel, robot: Robot) -> None:
+        self._scene, self._panel, self._robot = scene, panel, robot
+        self._torque, self._force, self._moment = (Window(one) for one in (panel.torque, panel.force, panel.moment))
+        self._path: deque[tuple[float, np.ndarray]] = deque()
+        self._traced, self._origin = -np.inf, "-"
+
+    def draw(self, running: Running, t: float, follows: bool) -> None:
+        """Show the newest row, which may follow the last or come after a gap; its time [s]."""
+        name = self._robot.name
+        q, tau, force = running.value(name, "q"), running.value(name, "tau"), running.force(name)
+        if running.value(name, "age") > _GAP:  # it is silent while another arm sends: its last values are no news
+            tau, force = np.full_like(tau, np.nan), None
+        wrench, covariance, self._origin = (None, None, "-") if force is None else force
+        self._scene.show(name, q, wrench, covariance)
+        if not follows and self._path:
+            self._path.clear()
+            self._push(t - 1e-3, np.full_like(tau, np.nan))  # no line across the gap
+        self._trace(t, forward(self._robot, q)[:3, 3])
+        self._push(t, tau, wrench, covariance)
+
+    def _push(
+        self, t: float, tau: np.ndarray, wrench: np.ndarray | None = None, covariance: np.ndarray | None = None
+    ) -> None:
+        """Add a sample to the curves."""
+        unknown = np.full(6, np.nan)
+        values = unknown if wrench is None else wrench
+        half = unknown if covariance is None else 2.0 * np.sqrt(np.diag(covariance))
+        self._torque.push(t, tau)
+        self._force.push(t, values[:3], half[:3])
+        self._moment.push(t, values[3:], half[3:])
+
+    def say(self, words: dict[str, str]) -> None:
+        self._panel.say({**words, "force from": self._origin})
+
+    def _trace(self, t: float, point: np.ndarray) -> None:
+        """Draw where the tool was, ten times a second."""
+        self._path.append((t, point))
+        while self._path[0][0] < t - _PATH:
+            self._path.popleft()
+        if not self._traced <= t < self._traced + _TRACE:
+            self._traced = t
+            self._scene.trace(self._robot.name, np.stack([point for _, point in self._path]))
+
+
+class _Lines:
+    """Lines of text in the panel; the same again sends nothing."""
+
+    def __init__(self, gui: Any) -> None:
+        self._html, self._shown = gui.add_html(""), ""
+
+    def show(self, lines: Sequence[str]) -> None:
+        text = "<br>".join(html.escape(line) for line in lines)
+        if text != self._shown:
+            self._shown = text
+            self._html.content = f"<div style='font-size:0.85em;margin:0.3em 0.8em'>{text}</div>"

@@ -1,0 +1,92 @@
+"""``armlab view``: wrong use gets a sentence, Ctrl-C is an end, and a view beside a run is a process of its own."""
+
+from __future__ import annotations
+
+import re
+import signal
+import socket
+import subprocess
+import sys
+import urllib.request
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from armlab import models, robots
+from armlab.cli import main
+from armlab.cli.view import beside
+from armlab.errors import LinkError
+
+pytest.importorskip("viser", reason="the view in the browser needs the extra `live`")
+
+
+@pytest.fixture
+def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No bridge of this user runs."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--live", "yumi_left", "yumi_right"], "Expected one arm with --live, got yumi_left, yumi_right"),
+        (["--live", "--model", "none.toml"], "Expected a model file at none.toml"),
+        (["--live", "--port", "99999"], "Expected a port from 0 to 65535"),
+    ],
+)
+def test_wrong_use_gets_a_sentence(alone: None, capsys: Any, words: list[str], sentence: str) -> None:
+    assert main(["view", *words]) == 1
+    assert sentence in capsys.readouterr().err
+
+
+def test_a_file_of_another_kind_is_no_model(alone: None, tmp_path: Path, capsys: Any) -> None:
+    models.save(robots.load("yumi_left"), tmp_path / "arm.toml")
+    assert main(["view", "--live", "--model", str(tmp_path / "arm.toml")]) == 1
+    assert "Expected a file of kind 'torque_model'" in capsys.readouterr().err
+
+
+def test_a_port_that_is_taken(alone: None, capsys: Any) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        assert main(["view", "--live", "--port", str(taken.getsockname()[1])]) == 1
+    assert "is taken. Choose another --port" in capsys.readouterr().err
+
+
+def test_without_the_extra(alone: None, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    monkeypatch.setitem(sys.modules, "viser", None)
+    assert main(["view", "--live"]) == 1
+    assert "pip install 'armlab[live]'" in capsys.readouterr().err
+
+
+def test_ctrl_c_ends_it_without_a_traceback(alone: None) -> None:
+    words = [sys.executable, "-m", "armlab", "view", "--live", "--port", "0"]
+    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen(words, **pipes) as process:
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        assert re.fullmatch(r"View: http://127\.0\.0\.1:\d+\n", line)
+        page = urllib.request.urlopen(line.split()[1], timeout=20.0).read()
+        assert b"<html" in page
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=20.0)
+    assert process.returncode == 130
+    assert "Traceback" not in said
+    assert said.startswith("Waiting for a bridge of this user")
+
+
+def test_a_view_beside_a_run_ends_with_it(alone: None) -> None:
+    with beside("nobody") as line:
+        port = int(line.rpartition(":")[2])
+        with socket.create_connection(("127.0.0.1", port)):
+            pass
+    with socket.socket() as probe:
+        assert probe.connect_ex(("127.0.0.1", port)) != 0
+
+
+def test_a_view_that_cannot_begin_says_why(alone: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "viser.py").write_text("raise ImportError")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    with pytest.raises(LinkError, match=r"^Expected viser.*pip install 'armlab\[live\]'"), beside("nobody"):
+        pass

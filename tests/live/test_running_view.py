@@ -1,0 +1,143 @@
+"""The view of a bridge that runs, without a browser: what is drawn of its rows, and what its panel says."""
+
+from __future__ import annotations
+
+import socket
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab import robots
+from armlab.errors import ConfigError, LinkError, MissingExtra
+from armlab.kinematics import forward
+from armlab.lie import quaternion
+from armlab.live.running_view import RunningView, watch
+
+LEFT, RIGHT = robots.load("yumi_left"), robots.load("yumi_right")
+HAT = np.array([0.0, 0.0, 10.0, 0.0, 0.5, 0.0])
+
+
+def handle(server: Any, name: str) -> Any:
+    return server.scene._handle_from_node_name[name]
+
+
+def data(view: RunningView, arm: str, plot: str) -> np.ndarray:
+    """What a plot holds: times, then the curves."""
+    return np.stack(getattr(view._arms[arm], f"_{plot}")._curves._plot.data)
+
+
+def test_the_arms_are_drawn_as_the_bridge_has_them(server: Any, bridge: Any, following: Any, hear_until: Any) -> None:
+    one, running = bridge(LEFT, RIGHT), following()
+    view = RunningView(server, running)
+    view.draw()
+    assert "Waiting for a bridge" in view._state._html.content
+    q = np.linspace(0.1, 0.7, 7)
+    record = {"wrench_hat": HAT, "wrench_hat_cov": np.diag([1.0, 4.0, 9.0, 0.1, 0.1, 0.1])}
+    hear_until(running, lambda: running.row, lambda: one.row(RIGHT, record, q=q, tau=np.arange(7.0)))
+    view.draw()
+    T = forward(RIGHT, q)
+    tool = handle(server, "/yumi_right/arm/tool")
+    np.testing.assert_allclose(tool.position, T[:3, 3], atol=1e-9)
+    np.testing.assert_allclose(abs(tool.wxyz @ quaternion.from_matrix(T[:3, :3])), 1.0, atol=1e-9)
+    arrow = handle(server, "/yumi_right/force")
+    assert arrow.visible
+    np.testing.assert_allclose(arrow.points[0, 1], [0.0, 0.0, 0.1], atol=1e-6)
+    assert not handle(server, "/yumi_left/arm").visible, "of this arm nothing came yet"
+    np.testing.assert_allclose(data(view, "yumi_right", "torque")[1:, -1], np.arange(7.0))
+    np.testing.assert_allclose(data(view, "yumi_right", "force")[1:4, -1], HAT[:3])
+    np.testing.assert_allclose(data(view, "yumi_right", "force")[4:, -1], [2.0, -2.0, 4.0, -4.0, 16.0, 4.0])
+    view._due = 0.0
+    view.draw()
+    said = view._arms["yumi_right"]._panel._words.content
+    for word in ("the motors are off", "rate [Hz]", "p50 / p99 / max [us]", "clamps per joint", "commander", "refused"):
+        assert word in said
+    assert "estimate of the controller" in said
+    assert view._state._html.content.count("Cell small") == 1
+
+
+def test_a_silent_arm_shows_no_force_and_no_torque(server: Any, bridge: Any, following: Any, hear_until: Any) -> None:
+    """What it said last is no news while the other arm goes on."""
+    one, running = bridge(LEFT, RIGHT), following(rate=1e6)
+    view = RunningView(server, running)
+    hear_until(running, lambda: running.row, lambda: one.row(RIGHT, wrench=HAT))
+    view.draw()
+    assert handle(server, "/yumi_right/force").visible
+    hear_until(running, lambda: running.value("yumi_right", "age") > 0.5, lambda: one.row(LEFT, later=0.6))
+    view.draw()
+    assert not handle(server, "/yumi_right/force").visible
+    assert handle(server, "/yumi_right/arm").visible
+    assert np.isnan(data(view, "yumi_right", "torque")[1:, -1]).all(), "no line goes on"
+
+
+def test_curves_and_path_do_not_bridge_a_gap(server: Any, bridge: Any, following: Any, hear_until: Any) -> None:
+    one, running = bridge(LEFT), following(rate=1e6)
+    view = RunningView(server, running)
+    for _ in range(3):
+        before = running.row
+        hear_until(running, lambda before=before: running.row is not before, lambda: one.row(LEFT))
+        view.draw()
+    path = view._arms["yumi_left"]._path
+    assert len(path) == 3
+    last = running.row
+    running.row = last._replace(mono_ns=last.mono_ns + 10**9, wall_ns=last.wall_ns + 10**9)
+    view.draw()
+    assert len(path) == 1
+    torque = view._arms["yumi_left"]._torque._rows
+    assert [bool(np.isnan(values).all()) for _, values, _ in torque] == [False, False, False, True, False]
+    running.row = last._replace(wall_ns=last.wall_ns - 10**10)  # the clock of another run
+    view.draw()
+    assert [t for t, *_ in view._arms["yumi_left"]._torque._rows][-1] == 0.0
+
+
+def test_other_arms_get_another_scene(server: Any, bridge: Any, following: Any, hear_until: Any) -> None:
+    one, running = bridge(LEFT), following()
+    view = RunningView(server, running)
+    hear_until(running, lambda: running.row, lambda: one.row(LEFT))
+    view.draw()
+    one.close()
+    other = bridge(RIGHT)
+    hear_until(running, lambda: "yumi_right" in running.robots)
+    view.draw()
+    hear_until(running, lambda: running.row, lambda: other.row(RIGHT))
+    view.draw()
+    assert list(view._arms) == ["yumi_right"]
+    assert "/yumi_left" not in server.scene._handle_from_node_name
+
+
+def test_the_words_of_a_bridge_are_no_markup(server: Any, bridge: Any, following: Any, hear_until: Any) -> None:
+    one, running = bridge(LEFT), following()
+    view = RunningView(server, running)
+    one.say("<script>alert(1)</script>")
+    hear_until(running, lambda: running.watch.told)
+    view.draw()
+    assert "&lt;script&gt;" in view._notes._html.content
+
+
+def test_watch_tells_address_and_connection(bridge: Any) -> None:
+    """Until it is over; then the port is free again."""
+    one, told = bridge(LEFT), []
+    watch(opened=told.append, tell=told.append, port=0, over=lambda: one.row(LEFT) or "Cell small" in told)
+    address, *rest = told
+    assert address.startswith("http://127.0.0.1:")
+    assert rest[-1] == "Cell small"
+    with socket.socket() as probe:
+        assert probe.connect_ex(("127.0.0.1", int(address.rpartition(":")[2]))) != 0
+
+
+def test_a_port_that_is_taken() -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(LinkError, match=f"Expected port {port} to be free for the view.*Choose another --port"):
+            watch(port=port)
+    with pytest.raises(ConfigError, match="from 0 to 65535"):
+        watch(port=70000)
+
+
+def test_without_viser(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "viser", None)
+    with pytest.raises(MissingExtra, match=r"pip install 'armlab\[live\]'"):
+        watch()
