@@ -33,7 +33,7 @@ check: $(STAMP)  ## linters and type checks
 
 docs: $(STAMP)  ## build the documentation into docs/_build, from scratch: nothing there is older than its source
 	rm -rf docs/_build docs/_figures
-	$(BIN)/sphinx-build -W --keep-going -q -b html docs docs/_build/html
+	$(BIN)/sphinx-build -W --keep-going -q -j auto -b html docs docs/_build/html
 
 bench: $(STAMP)  ## benchmarks side by side with peers (a separate environment)
 	$(BIN)/python benchmarks/run.py

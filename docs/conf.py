@@ -1,22 +1,32 @@
 """Sphinx configuration. `make docs` builds offline; warnings are errors."""
 
+import logging
+import os
 import sys
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 
+os.environ["OMP_NUM_THREADS"] = "1"  # of this build and its notebooks: matrices are small, and bits the same everywhere
+
 import armlab
+
+logging.basicConfig()  # before the theme does: its colours let all loggers of the process speak, armlab.bridge too
 
 project = "armlab"
 author = "The armlab authors"
 copyright = author
 version = release = armlab.__version__
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "mathml", "plain_docstrings", "library_table", "figures"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "mathml", "plain_docstrings", "library_table", "figures", "notebooks"]
 exclude_patterns = ["_build", "_figures"]
 default_role = "literal"
 nb_execution_raise_on_error = True
-nb_execution_timeout = 120  # s
+nb_execution_timeout = 300  # s, generous for a busy machine
+nb_execution_in_temp = True  # what notebooks write is gone afterwards
+nb_merge_streams = True
+nb_output_stderr = "error"  # warnings and logs of a cell are errors of the build
+
 myst_enable_extensions = ["dollarmath", "deflist"]
 myst_heading_anchors = 3
 

@@ -26,6 +26,21 @@ from armlab.plots.style import (
 )  # fmt: skip
 
 
+def test_a_backend_that_turns_interactive_while_drawing_stays_so() -> None:
+    """Else a notebook shows the first figure only: its backend comes with it, and switches on there."""
+    was = mpl.is_interactive()
+    try:
+        mpl.interactive(False)
+        with look():
+            mpl.interactive(True)
+        assert mpl.is_interactive()
+        with look():
+            pass
+        assert mpl.is_interactive()
+    finally:
+        mpl.interactive(was)
+
+
 def test_colours_and_styles_are_distinct() -> None:
     assert len(set(JOINT_STYLES)) == len(JOINT_STYLES) >= 14
     assert len(set(AXIS_COLORS)) == 3

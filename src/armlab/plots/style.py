@@ -63,6 +63,8 @@ def look() -> Iterator[None]:
 
     with mpl.rc_context(_RC):
         yield
+        interactive = mpl.is_interactive()  # a notebook turns it on when the first figure loads its backend
+    mpl.interactive(interactive)
 
 
 def panels(
