@@ -55,7 +55,7 @@ def peers() -> dict[str, Any]:
 NAMES: dict[str, Callable[[], dict[str, Any]]] = {"conventions.md": peers}
 
 
-SLOW = ("robotlab", "weigh_a_load")  # 5 s each: they identify a whole arm
+SLOW = ("robotlab", "weigh_a_load", "from_robotlib")  # 5 s each: they identify a whole arm
 
 
 @pytest.mark.parametrize(
