@@ -11,12 +11,16 @@ import urllib.request
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from armlab import log as logs
 from armlab import models, robots
 from armlab.cli import main
 from armlab.cli.view import beside
 from armlab.errors import LinkError
+from armlab.live import Player
+from armlab.log import Table
 
 pytest.importorskip("viser", reason="the view in the browser needs the extra `live`")
 
@@ -32,6 +36,11 @@ def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     [
         (["--live", "yumi_left", "yumi_right"], "Expected one arm with --live, got yumi_left, yumi_right"),
         (["--live", "--model", "none.toml"], "Expected a model file at none.toml"),
+        (["--live", "--robot", "yumi_left"], "a bridge tells its robots"),
+        ([], "Expected at least one log to show, got none"),
+        (["--cell", "yumi", "run.mcap"], "Expected --cell yumi together with --live"),
+        (["none.mcap"], "none.mcap"),
+        (["pyproject.toml"], "pyproject.toml"),
         (["--live", "--port", "99999"], "Expected a port from 0 to 65535"),
     ],
 )
@@ -51,7 +60,7 @@ def test_a_port_that_is_taken(alone: None, capsys: Any) -> None:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         assert main(["view", "--live", "--port", str(taken.getsockname()[1])]) == 1
-    assert "is taken. Choose another --port" in capsys.readouterr().err
+    assert "is taken. Choose another: --port" in capsys.readouterr().err
 
 
 def test_without_the_extra(alone: None, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
@@ -74,6 +83,33 @@ def test_ctrl_c_ends_it_without_a_traceback(alone: None) -> None:
     assert process.returncode == 130
     assert "Traceback" not in said
     assert said.startswith("Waiting for a bridge of this user")
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    arm = robots.load("yumi_left")
+    t = 0.1 * np.arange(20)
+    table = Table(t, {"q": arm.q_home + 0.1 * np.sin(t)[:, None], "tau": np.ones((20, 7))})
+    logs.write(table, tmp_path / "run.csv")
+    return tmp_path / "run.csv"
+
+
+def test_a_log_is_played(log: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    """A log that tells no robot is given one; the page has its name."""
+    shown: list[Player] = []
+
+    def run(player: Player) -> None:
+        shown.append(player)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Player, "run", run)
+    assert main(["view", str(log), "--port", "0"]) == 1
+    assert "--robot FILE" in capsys.readouterr().err
+    assert main(["view", str(log), "--robot", "yumi_left", "--port", "0"]) == 130
+    assert list(shown[0].scene.robots) == ["yumi_left"]
+    said = capsys.readouterr()
+    assert said.out.startswith("View: http://127.0.0.1:")
+    assert "Traceback" not in said.err
 
 
 def test_a_view_beside_a_run_ends_with_it(alone: None) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from armlab import live
-from armlab.errors import ConfigError, MissingExtra
+from armlab.errors import ConfigError, LinkError, MissingExtra
 from armlab.live.server import HOST, address, start, stop
 
 
@@ -23,11 +23,15 @@ def test_a_view_is_served_on_this_computer_only(server: Any) -> None:
 
 
 def test_nothing_is_printed_and_a_port_that_is_taken_is_left_alone(
-    server: Any, capfd: pytest.CaptureFixture[str]
+    server: Any, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    other = start(server.get_port())
+    port = server.get_port()
+    with pytest.raises(LinkError, match=f"Expected port {port} to be free for the view, but it is taken"):
+        start(port)
+    monkeypatch.setattr("armlab.live.server._PORT", port)
+    other = start()
     try:
-        assert other.get_port() != server.get_port()
+        assert other.get_port() > port, "nobody asked for this one: the next will do"
     finally:
         stop(other)
     assert capfd.readouterr() == ("", "")

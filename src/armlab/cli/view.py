@@ -5,13 +5,15 @@ from __future__ import annotations
 import select
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import IO, Annotated, Any
+from typing import IO, TYPE_CHECKING, Any
 
-from cyclopts import Parameter
+if TYPE_CHECKING:
+    from armlab.models import TorqueModel
+    from armlab.robots import Robot
 
 __all__ = ["beside", "view"]
 
@@ -22,7 +24,8 @@ _END = 5.0  # s for it to end
 def view(
     *what: str,
     live: bool = False,
-    model: Annotated[list[Path] | None, Parameter(negative_iterable=())] = None,
+    robot: list[str] | None = None,
+    model: list[Path] | None = None,
     cell: str = "",
     port: int | None = None,
 ) -> None:
@@ -35,9 +38,11 @@ def view(
     Parameters
     ----------
     what : str
-        Log files, one per arm; with --live the name of the arm to show, all when left out.
+        Log files, of one arm or of several; with --live the name of the arm to show, all when left out.
     live : bool
         Show a bridge of this user that runs.
+    robot : str
+        Name in the library, or a robot file, for logs that do not tell their robot; one per log.
     model : Path
         Model file of `armlab identify` that estimates the force where neither log nor bridge holds an estimate; one
         per arm.
@@ -46,18 +51,42 @@ def view(
     port : int
         Port of the page; from 8080 on the first that is free when left out.
     """
-    from armlab import models
+    from armlab import models, robots
     from armlab.cli.output import note
     from armlab.errors import ConfigError
 
     known = [models.load(path, "torque_model") for path in model or ()]
     if not live:
-        raise ConfigError("Expected --live, since only a bridge that runs can be shown so far, got no --live. Add it.")
+        if cell:
+            raise ConfigError(f"Expected --cell {cell} together with --live, got logs. Leave one of them out.")
+        _play(what, [robots.load(name) for name in robot or ()], known, port)
+        return
+    if robot:
+        raise ConfigError("Expected --robot with logs only, since a bridge tells its robots. Leave it out.")
     if len(what) > 1:
         raise ConfigError(f"Expected one arm with --live, got {', '.join(what)}. Leave them out to see all arms.")
-    from armlab.live.running_view import watch
+    from armlab.live import watch
 
     watch(what[0] if what else None, cell=cell, models=known, port=port, opened=_open, tell=note)
+
+
+def _play(paths: Sequence[str], robots: Sequence[Robot], models: Sequence[TorqueModel], port: int | None) -> None:
+    """Show logs."""
+    from armlab.cli.output import note
+    from armlab.errors import ConfigError
+    from armlab.live import Player, address, read_arms, start, stop
+
+    if not paths:
+        raise ConfigError("Expected at least one log to show, got none. Name a file, or give --live for a bridge.")
+    note(f"reading {', '.join(paths)}")
+    arms = read_arms(paths, robots, models)
+    server = start(port, label=" ".join(Path(path).name for path in paths))
+    try:
+        player = Player(server, arms)
+        _open(address(server))
+        player.run()
+    finally:
+        stop(server)
 
 
 def _open(url: str) -> None:

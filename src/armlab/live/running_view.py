@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from armlab.errors import LinkError
 from armlab.kinematics import forward
 from armlab.live.curves import Window
 from armlab.live.panel import ArmPanel
@@ -62,11 +61,9 @@ def watch(
     MissingExtra : viser is not installed. ConfigError : a wrong port, or several bridges run and no cell was named.
     LinkError : the port is taken. UnknownName : the arm is not in the cell. ModelMismatchError : a model is of no arm.
     """
-    server = start(8080 if port is None else port)
+    server = start(port)
     running = Running(robot, cell, rate=1.0 / _FRAME, models=models)
     try:
-        if port and server.get_port() != port:
-            raise LinkError(f"Expected port {port} to be free for the view, but it is taken. Choose another --port.")
         opened(address(server))
         view, said = RunningView(server, running), ""
         while not over():

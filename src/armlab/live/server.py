@@ -7,7 +7,7 @@ import io
 import logging
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from armlab.errors import ConfigError, MissingExtra
+from armlab.errors import ConfigError, LinkError, MissingExtra
 
 if TYPE_CHECKING:
     from viser import ViserServer
@@ -17,10 +17,11 @@ __all__ = ["HOST", "address", "start", "stop"]
 HOST = "127.0.0.1"
 """The only address that is listened on."""
 
+_PORT = 8080
 _WIDTH = 420  # pixels of the panel
 
 
-def start(port: int = 8080, *, label: str = "armlab") -> ViserServer:
+def start(port: int | None = None, *, label: str = "armlab") -> ViserServer:
     """Start the server of a view and return it; nothing is printed.
 
     It listens on 127.0.0.1 only. Share links of viser, public tunnels, are refused. Bundle what makes up one picture in
@@ -28,14 +29,14 @@ def start(port: int = 8080, *, label: str = "armlab") -> ViserServer:
 
     Parameters
     ----------
-    port : to listen on; when it is taken, the next free one. 0 takes any.
+    port : to listen on, 0 for any; from 8080 on the first that is free when None.
     label : title of the panel.
 
     Raises
     ------
-    MissingExtra : viser is not installed. ConfigError : no port from 0 to 65535.
+    MissingExtra : viser is not installed. ConfigError : no port from 0 to 65535. LinkError : the port is taken.
     """
-    if not isinstance(port, int) or not 0 <= port < 2**16:
+    if port is not None and not (isinstance(port, int) and 0 <= port < 2**16):
         raise ConfigError(f"Expected a port from 0 to 65535, got {port!r}. 0 takes any that is free.")
     try:
         import viser
@@ -45,7 +46,10 @@ def start(port: int = 8080, *, label: str = "armlab") -> ViserServer:
         ) from None
     logging.getLogger("websockets.server").setLevel(logging.CRITICAL)  # a browser that closes is no news
     with contextlib.redirect_stdout(io.StringIO()):  # its banner
-        server = viser.ViserServer(host=HOST, port=port, label=label, verbose=False)
+        server = viser.ViserServer(host=HOST, port=_PORT if port is None else port, label=label, verbose=False)
+    if port and server.get_port() != port:  # viser goes on to the next one
+        stop(server)
+        raise LinkError(f"Expected port {port} to be free for the view, but it is taken. Choose another: --port.")
     server.request_share_url = _refused  # its pages have a way to ask, too
     server.gui.configure_theme(show_logo=False, show_share_button=False)
     server.gui.main_panel.dock_right()
