@@ -91,6 +91,7 @@ class RunningView:
         self._server, self._running = server, running
         self._robots, self._row = None, None
         self._due = self._start = 0.0
+        self._parts: list[Any] = []
         self._build()
 
     def draw(self) -> None:
@@ -109,19 +110,23 @@ class RunningView:
                 self._say()
 
     def _build(self) -> None:
-        """Make scene and panel for the arms of this bridge."""
+        """Make scene and panel for the arms of this bridge, in place of those of the last one."""
         running, server = self._running, self._server
-        self._robots = running.robots
+        for part in self._parts:
+            part.remove()
         server.scene.reset()
-        server.gui.reset()
-        self._state = _Lines(server.gui)
+        self._robots, self._row = running.robots, None
         self._arms: dict[str, _Arm] = {}
+        self._state = _Lines(server.gui)
+        self._parts = [self._state]
         if running.robots:
-            scene, tabs = Scene(server, running.robots.values()), server.gui.add_tab_group()
+            scene = Scene(server, running.robots.values())
+            self._parts += [_arrow(server.gui, scene), tabs := server.gui.add_tab_group()]
             for name, robot in running.robots.items():
                 with tabs.add_tab(name):
                     self._arms[name] = _Arm(scene, ArmPanel(server.gui, robot), robot)
         self._notes = _Lines(server.gui)
+        self._parts.append(self._notes)
 
     def _time(self, row: Row) -> tuple[float, bool]:
         """Return the time of a row since the first [s], and whether it follows the last; a clock set back begins anew.
@@ -199,3 +204,17 @@ class _Lines:
         if text != self._shown:
             self._shown = text
             self._html.content = f"<div style='font-size:0.85em;margin:0.3em 0.8em'>{text}</div>"
+
+    def remove(self) -> None:
+        self._html.remove()
+
+
+def _arrow(gui: Any, scene: Scene) -> Any:
+    """Return the slider for the length of a force."""
+    slider = gui.add_slider("force [mm/N]", 1.0, 50.0, 1.0, 1e3 * scene.arrow)
+
+    @slider.on_update
+    def _(_: Any) -> None:
+        scene.arrow = 1e-3 * float(slider.value)
+
+    return slider
