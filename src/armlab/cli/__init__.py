@@ -53,7 +53,7 @@ _EXAMPLES = {
     "excite": "armlab excite yumi_left -o motion.csv --run sim://yumi_left --log excite.mcap",
     "identify": "armlab identify yumi_left excite.mcap -o model.toml --report model.html",
     "estimate": "armlab estimate yumi_left press.mcap --model model.toml -o force.mcap --report force.html",
-    "view": "armlab view --live",
+    "view": "armlab view left.mcap right.mcap",
     "payload": "armlab payload yumi_left loaded.mcap --model model.toml",
 }
 
