@@ -5,8 +5,10 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 
 import pytest
+from cyclopts import App
 
 from armlab import cli
 from armlab._interrupts import deferred
@@ -17,6 +19,16 @@ def run(*words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-m", "armlab", *words], capture_output=True, text=True, timeout=60)
 
 
+def verbs(app: App | None = None, before: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+    """Yield the words of every command, of `log show` both."""
+    app = cli.build_app() if app is None else app
+    commands = [name for name in app if not name.startswith("-")]
+    for name in commands:
+        yield from verbs(app[name], (*before, name))
+    if before and (not commands or app.default_command is not None):
+        yield before
+
+
 def test_help_lists_every_command_on_standard_output() -> None:
     result = run("--help")
     assert result.returncode == 0
@@ -25,22 +37,27 @@ def test_help_lists_every_command_on_standard_output() -> None:
         assert name in result.stdout
 
 
-@pytest.mark.parametrize("name", ["doctor", "run", "record", "excite", "identify", "estimate", "payload"])
-def test_help_of_a_command_ends_with_an_example_that_is_right(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main([name, "--help"]) == 0
-    words = capsys.readouterr().out.rpartition("Example: armlab ")[2].split()  # in one line, or broken into two
-    assert words[0] == name
-    _, _, ignored = cli.build_app().parse_args(words, exit_on_error=False, print_error=False)
+WITHOUT_EXAMPLE = ("log", "plot")
+
+
+@pytest.mark.parametrize("words", [one for one in verbs() if one[0] not in WITHOUT_EXAMPLE], ids=" ".join)
+def test_help_of_a_command_ends_with_an_example_that_is_right(
+    words: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main([*words, "--help"]) == 0
+    example = capsys.readouterr().out.rpartition("Example: armlab ")[2].split()  # in one line, or broken into two
+    assert tuple(example[: len(words)]) == words
+    _, _, ignored = cli.build_app().parse_args(example, exit_on_error=False, print_error=False)
     assert not ignored
 
 
 def test_help_imports_no_command() -> None:
     code = (
         "import sys\nfrom armlab.cli import main\ntry:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
-        "print([m for m in sys.modules if m.startswith('armlab.') and m != 'armlab.cli'], file=sys.stderr)"
+        "print([m for m in sys.modules if m.startswith(('armlab.', 'numpy')) and m != 'armlab.cli'], file=sys.stderr)"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
-    assert result.stderr.strip() == "['armlab.errors', 'armlab.state', 'armlab._interrupts']"
+    assert result.stderr.strip() == "['armlab.errors', 'armlab._interrupts', 'armlab.cli.help_text']"
 
 
 def test_wrong_use_is_2_and_an_error_1_each_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:

@@ -42,11 +42,17 @@ _COMMANDS = {
     "monitor": ("monitor:monitor", "Watch a bridge that runs: rates, round trips, clamps, commander, events."),
     "view": ("view:view", "Arms, forces and curves in the browser: of logs, or of a bridge that runs."),
     "log": ("log:log", "Show, export, cut, merge, open and repair logs."),
+    "config": ("config:config", "Show settings: of files, of the environment, of a cell. Writes nothing."),
+    "completion": ("completion:completion", "Print what lets bash, zsh or fish complete the words of armlab."),
     "robot": ("robot:robot", "List, show and convert robot descriptions."),
 }
 
 
-_EXAMPLES = {
+_EXAMPLES = {  # of the other commands beside their subcommands
+    "demo": "armlab demo --fast -o first",
+    "sim": "armlab sim yumi_left --to 127.0.0.1:6510 --seconds 60",
+    "monitor": "armlab monitor yumi_left",
+    "completion": "armlab completion bash > ~/.local/share/bash-completion/completions/armlab",
     "doctor": "armlab doctor yumi_left yumi_right --port 6511,6512 --seconds 10",
     "run": "armlab run yumi_left sine.py:sine --link egm://0.0.0.0:6510 --speed 0.1 --seconds 10",
     "record": "armlab record yumi_left yumi_right --port 6511,6512 --lead-through -o run.mcap",
@@ -58,24 +64,32 @@ _EXAMPLES = {
 }
 
 
-def build_app() -> App:
-    """Return the application with all commands, none of them imported yet."""
+def build_app(verb: str = "") -> App:
+    """Return the application with all commands, none of them imported yet.
+
+    Parameters
+    ----------
+    verb : command that is asked for: its help is its own, longer than its line in the list of all.
+    """
     from cyclopts import App, Parameter
 
     from armlab import __version__
+    from armlab.cli.help_text import WrappedHelp
 
     app = App(
         name="armlab",
         version=__version__,
         help="A robotics laboratory for robot arms. First steps: armlab demo.",
         help_epilogue="Every command takes --help. --debug shows the traceback of an error.",
+        help_format="plaintext",
+        help_formatter=WrappedHelp(),
         default_parameter=Parameter(negative=()),
         result_action="return_value",
         suppress_keyboard_interrupt=False,
     )
     for name, (target, text) in _COMMANDS.items():
         example = {"help_epilogue": f"Example: {_EXAMPLES[name]}"} if name in _EXAMPLES else {}
-        app.command(f"armlab.cli.{target}", name=name, help=text, **example)
+        app.command(f"armlab.cli.{target}", name=name, help=None if name == verb else text, **example)
     return app
 
 
@@ -111,7 +125,7 @@ def _run(words: list[str]) -> int:
     from cyclopts import CycloptsError
 
     try:
-        result = build_app()(words, exit_on_error=False, print_error=False)
+        result = build_app(words[0] if words else "")(words, exit_on_error=False, print_error=False)
     except CycloptsError as error:
         _say(f"{' '.join(str(error).split())} (see armlab --help)")
         return WRONG_USE
@@ -121,7 +135,7 @@ def _run(words: list[str]) -> int:
 
 def _report(error: Exception) -> int:
     """Say in one sentence what went wrong and return the exit code."""
-    from armlab.errors import ArmlabError
+    from armlab.errors import ArmlabError, ConfigError
 
     if isinstance(error, BrokenPipeError):
         # The reader of our output (head, less) has enough; keep the interpreter from complaining about it at exit.
@@ -133,7 +147,7 @@ def _report(error: Exception) -> int:
         _say(f"{error.strerror or error}{f': {error.filename}' if error.filename else ''}.")
     else:
         _say(f"internal error, {type(error).__name__}: {error} (--debug shows where; please report it).")
-    return FAILED
+    return WRONG_USE if isinstance(error, ConfigError) else FAILED
 
 
 def _say(message: str) -> None:

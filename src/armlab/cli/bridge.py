@@ -27,13 +27,13 @@ bridge = App(
 
 
 @bridge.default
-def start(*, config: Path, listen: list[str] | None = None, seconds: float | None = None) -> int:
+def start(*, config: Path | None = None, listen: list[str] | None = None, seconds: float | None = None) -> int:
     """Run the bridge of a cell until Ctrl-C. The first line says what listens where, the last ones how it went.
 
     Parameters
     ----------
     config
-        The cell: a TOML file of robots, sources, parameters and servers.
+        The cell: a TOML file of robots, sources, parameters and servers; the one of the settings when not given.
     listen
         SERVER=ADDRESS or SERVER=INTERFACE: let a server be read beyond this computer. Such a server takes no commands.
     seconds
@@ -42,12 +42,13 @@ def start(*, config: Path, listen: list[str] | None = None, seconds: float | Non
     from armlab.bridge.cell import parse_cell, run_cell
     from armlab.cli import FAILED
     from armlab.cli.output import note, result
+    from armlab.cli.settings import load_settings
+    from armlab.cli.texts import read_text
 
-    try:
-        text = config.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"Expected a cell file at {config}, but it cannot be read ({error}).") from error
-    cell = parse_cell(text, str(config))
+    known = load_settings().settings.cell if config is None else config
+    if known is None:
+        raise ConfigError("Expected a cell, got none. Name it: --config cell.toml, or `cell` in armlab.toml.")
+    cell = parse_cell(read_text(Path(known), "a cell"), str(known))
     run = run_cell(cell, listen or (), seconds, ready=note, ended=lambda run: result(run.report()))
     return FAILED if run.statistics["problems"] else 0  # the log that was asked for is not whole
 

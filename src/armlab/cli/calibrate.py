@@ -19,14 +19,23 @@ if TYPE_CHECKING:
 __all__ = ["accelerometer", "calibrate", "force_sensor", "hand_eye", "laser"]
 
 calibrate = App(name="calibrate", help="Calibrate a camera, a force sensor, an arm or a line scanner from samples.")
-calibrate.command(kinematics)
-calibrate.command(dual_arm, name="dual-arm")
+calibrate.command(
+    kinematics,
+    help_epilogue="Example: armlab calibrate kinematics irb2400 samples.csv -o found.toml --corrected mine.toml",
+)
+calibrate.command(
+    dual_arm,
+    name="dual-arm",
+    help_epilogue="Example: armlab calibrate dual-arm yumi_left yumi_right samples.csv -o arms.toml",
+)
 
 _flat = Parameter(name="*")
 _several = Parameter(consume_multiple=True)
 
 
-@calibrate.command(name="hand-eye")
+@calibrate.command(
+    name="hand-eye", help_epilogue="Example: armlab calibrate hand-eye samples.csv --robust -o camera.toml"
+)
 def hand_eye(
     *samples: Path,
     marker: Path | None = None,
@@ -87,7 +96,7 @@ def hand_eye(
     return run_fit("hand-eye", samples, parts, fit, wanted, () if known is None else (known.source,))
 
 
-@calibrate.command(name="force-sensor")
+@calibrate.command(name="force-sensor", help_epilogue="Example: armlab calibrate force-sensor rest.csv -o sensor.toml")
 def force_sensor(
     *samples: Path,
     robot: str | None = None,
@@ -151,7 +160,7 @@ def force_sensor(
     return run_fit("force sensor", samples, parts, fit, wanted)
 
 
-@calibrate.command
+@calibrate.command(help_epilogue="Example: armlab calibrate accelerometer rest.csv --scale -o accelerometer.toml")
 def accelerometer(
     *samples: Path,
     robot: str | None = None,
@@ -196,7 +205,7 @@ def accelerometer(
     return run_fit("accelerometer", samples, parts, fit, wanted)
 
 
-@calibrate.command
+@calibrate.command(help_epilogue="Example: armlab calibrate laser scans.csv --robust -o scanner.toml")
 def laser(
     *samples: Path,
     robot: str | None = None,

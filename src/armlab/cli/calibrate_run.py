@@ -6,11 +6,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from armlab.errors import ConfigError, LogError
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from armlab.cli.calibrate_input import Samples
     from armlab.cli.calibrate_report import Wanted
 
@@ -38,6 +38,8 @@ def run_fit(
     ------
     ConfigError : no file, or one twice. LogError : files that cannot be read, or measured something else.
     """
+    import numpy as np
+
     from armlab.cli.calibrate_input import read_samples
 
     wanted.check()
@@ -77,6 +79,8 @@ def measured_rows(
     ------
     LogError : numbers of rows that differ; no such rows.
     """
+    import numpy as np
+
     from armlab.cli.output import note
 
     parts = [*needed, *some]
@@ -100,6 +104,8 @@ def measured_rows(
 
 def _require_whole(read: Samples, needed: Sequence[np.ndarray], there: np.ndarray) -> None:
     """Refuse rows with some of the numbers of a pose or a vector, by their place in the file; points may be hidden."""
+    import numpy as np
+
     for part in needed:
         if part.ndim == 2 or part.shape[1:] == (4, 4):
             bad = np.flatnonzero(there & np.isnan(part).any(axis=tuple(range(1, part.ndim))))
@@ -114,6 +120,8 @@ def _first_times(
     read: Samples, needed: Sequence[np.ndarray], some: Sequence[np.ndarray], there: np.ndarray
 ) -> np.ndarray:
     """Return which rows (N,) are no copy of an earlier one: the same sample twice tells nothing new of the noise."""
+    import numpy as np
+
     from armlab.cli.output import note
 
     flat = [np.ascontiguousarray(part.reshape(len(part), -1), dtype=float) for part in (*needed, *some)]
@@ -153,6 +161,8 @@ def tool_poses(read: Samples, robot: str | None) -> np.ndarray:
     """
     if robot is None:
         return read.poses("T_base_tool")
+    import numpy as np
+
     from armlab import robots
     from armlab.kinematics import forward
 

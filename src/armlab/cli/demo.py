@@ -17,12 +17,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 from urllib.parse import urlencode
 
-import numpy as np
 from cyclopts import Parameter
 
 from armlab.errors import ConfigError, UnknownName
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from armlab.bridge.feed import Exchange
     from armlab.contact import Estimator
     from armlab.identify import Trajectory
@@ -75,6 +76,8 @@ class Plan:
     @classmethod
     def make(cls, robot: Robot, seed: int) -> Plan:
         """Lay out the motions of a robot; `seed` chooses the excitation and the free motion."""
+        import numpy as np
+
         from armlab.identify import dither, excitation, sequence
 
         sway_length = 2 * SETTLE + len(PRESSES) * (HOLD + 2 * RAMP + GAP)
@@ -107,6 +110,8 @@ class Plan:
 
     def wrench(self, t: np.ndarray) -> np.ndarray:
         """Return the operator's wrench (N, 6) at guidance times `t` (N,)."""
+        import numpy as np
+
         return np.stack([np.interp(t, self.times, w, left=0.0, right=0.0) for w in self.wrenches.T], axis=1)
 
 
@@ -172,6 +177,8 @@ def rehearse(robot_name: str, seed: int, folder: Path, fast: bool, view: bool = 
     ------
     ConfigError : when the folder exists. LinkError : when the view cannot begin.
     """
+    import numpy as np
+
     from armlab import log, robots
     from armlab.cli.output import progress
     from armlab.contact import Estimator

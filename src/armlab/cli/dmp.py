@@ -17,7 +17,7 @@ __all__ = ["dmp", "fit", "play"]
 dmp = App(name="dmp", help="Movement primitives: fit one to logs of a motion, play it on a robot.")
 
 
-@dmp.command
+@dmp.command(help_epilogue="Example: armlab dmp fit taught.mcap -o motion.toml")
 def fit(
     *logs: Path,
     output: Annotated[Path, Parameter(alias="-o")],
@@ -96,7 +96,7 @@ def fit(
     return 0
 
 
-@dmp.command
+@dmp.command(help_epilogue="Example: armlab dmp play motion.toml --robot yumi_left --speed 0.3")
 def play(
     primitive: Path,
     *,
@@ -109,9 +109,9 @@ def play(
     via: list[str] | None = None,
     amplitude: float | None = None,
     turns: float | None = None,
-    speed: float = 1.0,
+    speed: float | None = None,
     firm: bool = False,
-    log: Path = Path("dmp.mcap"),
+    log: Path | None = None,
     json: bool = False,
     force: bool = False,
 ) -> int:
@@ -145,11 +145,12 @@ def play(
     turns : float
         Of a periodic motion; 4 when not given.
     speed : float
-        Share of the robot's speed limits that is allowed, in (0, 1].
+        Share of the robot's speed limits that is allowed, in (0, 1]; that of the settings, 1 without.
     firm : bool
         Tell the arm the path whatever it does, instead of waiting for an arm that is held up.
     log : Path
-        Recording of the motion; -2, -3 is added to a name that exists.
+        Recording of the motion; -2, -3 is added to a name that exists. dmp.mcap in the folder of the settings when not
+        given.
     json : bool
         Print JSON for scripts.
     force : bool
@@ -159,6 +160,7 @@ def play(
     from armlab import log as logs
     from armlab.cli.dmp_playing import motion_of, numbers_in, rehearsed, resolved, rolled_out
     from armlab.cli.output import check_output, note, print_json
+    from armlab.cli.settings import load_settings, log_folder
     from armlab.errors import ConfigError
 
     if robot is None and output is None:
@@ -172,12 +174,13 @@ def play(
     if arm is None:
         table = rolled_out(motion, run)
     else:
-        limits = bridge.Limits.of(arm, speed=speed)
+        share = load_settings().settings.speed if speed is None else speed
+        limits = bridge.Limits.of(arm, speed=share)
         plan = motion_of(motion, run, arm, limits, firm)
         if output is None:
-            return _move(arm, plan, limits, link, log, json)
+            return _move(arm, plan, limits, link, log or log_folder() / "dmp.mcap", json)
         table = rehearsed(plan)
-    note(f"motion: {logs.write(table, output or log, arm)}")
+    note(f"motion: {logs.write(table, output, arm)}")  # type: ignore[arg-type]  # without --output there is an arm
     if json:
         print_json({"seconds": float(table.t[-1]), "samples": len(table), "columns": list(table.names)})
     return 0

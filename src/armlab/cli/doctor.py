@@ -49,10 +49,11 @@ def doctor(
     from armlab.bridge.doctor import LONGEST, examine
     from armlab.cli import FAILED, SKIPPED
     from armlab.cli.output import note, print_json, result
+    from armlab.cli.ports import known_ports, ports_in
     from armlab.errors import ConfigError
 
     arms = [robots.load(name) for name in robot]
-    ports = _ports(port, len(arms))
+    ports = ports_in(port) if port is not None else known_ports(arms) if arms else None
     if not 0.0 < seconds <= LONGEST:
         raise ConfigError(f"Expected --seconds above 0 and at most {LONGEST:g}, got {seconds:g}.")
     note(f"Listening for {seconds:g} s; nothing is sent to a robot.")
@@ -96,17 +97,6 @@ def disk(
     bad = hours < _LEAST_HOURS or speed < _LEAST_SPEED or max(syncs) > _LONGEST_SYNC
     advice = "Record to a local disk with room: rows that cannot be written in time are lost, and counted."
     return Finding.judged("disk", "warning", bad, value, advice)
-
-
-def _ports(port: str | None, robots: int) -> list[int] | None:
-    from armlab.errors import ConfigError
-
-    if port is None:
-        return None if not robots else [6510] if robots == 1 else [6511 + i for i in range(robots)]
-    words = [word.strip() for word in port.split(",")]
-    if not all(word.isascii() and word.isdigit() for word in words):
-        raise ConfigError(f"Expected ports such as --port 6511,6512, got {port!r}.")
-    return [int(word) for word in words]
 
 
 def _lines(findings: list[Finding]) -> list[str]:

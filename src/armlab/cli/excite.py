@@ -58,7 +58,7 @@ def excite(
     noise: float = 0.1,
     figure: Path | None = None,
     run: str | None = None,
-    log: Path = Path("excite.mcap"),
+    log: Path | None = None,
     approach: float = 4.0,
     json: bool = False,
     force: bool = False,
@@ -87,7 +87,8 @@ def excite(
     run : str
         Link to run it on: egm://HOST:PORT for a robot, sim://yumi_left for a simulated one.
     log : Path
-        Recording of the run; -2, -3 is added to a name that exists.
+        Recording of the run; -2, -3 is added to a name that exists. excite.mcap in the folder of the settings when not
+        given.
     approach : float
         Seconds of the walk from where the arm stands to the start.
     json : bool
@@ -98,6 +99,7 @@ def excite(
     from armlab import log as logs
     from armlab import robots
     from armlab.cli.output import FIGURES, check_output, note, print_json, progress, result
+    from armlab.cli.settings import log_folder
     from armlab.errors import ConfigError
     from armlab.identify import Trajectory, expectation
 
@@ -135,7 +137,7 @@ def excite(
         drawn.savefig(figure, dpi=150)
         note(f"figure: {figure}")
     if run is not None:
-        _run(arm, trajectory, run, log, approach)
+        _run(arm, trajectory, run, log or log_folder() / "excite.mcap", approach)
     return 0
 
 

@@ -32,7 +32,8 @@ def record(
     robot : str
         Names in the library, or robot files; one log each.
     port : str
-        UDP ports to listen on, one per robot, separated by commas; 6510 for one robot, 6511, 6512, ... for several.
+        UDP ports to listen on, one per robot, separated by commas; those of the settings when not given, else 6510 for
+        one robot, 6511, 6512, ... for several.
     output : Path
         The log, run.mcap; with several robots each has its side or name added: runleft.mcap, runright.mcap.
     lead_through : bool
@@ -90,14 +91,15 @@ _STEPS = """Leading by hand, step by step:
 
 def _urls(port: str | None, arms: list[Robot]) -> list[str]:
     """Return one link per arm, on all network interfaces."""
+    from armlab.cli.ports import known_ports, ports_in
     from armlab.errors import ConfigError
 
     if not arms:
         raise ConfigError("Expected the name of a robot, got none. Try `armlab record yumi_left -o run.mcap`.")
     if port is None:
-        return ["egm://0.0.0.0"] * len(arms)
-    numbers = [word.strip() for word in port.split(",")]
-    if len(numbers) != len(arms) or not all(word.isascii() and word.isdigit() for word in numbers):
+        return [f"egm://0.0.0.0:{number}" for number in known_ports(arms)]
+    numbers = ports_in(port)
+    if len(numbers) != len(arms):
         raise ConfigError(f"Expected one port per robot, such as --port 6511,6512, got {port!r} for {len(arms)}.")
     return [f"egm://0.0.0.0:{number}" for number in numbers]
 

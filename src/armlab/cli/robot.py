@@ -17,7 +17,7 @@ __all__ = ["convert", "list_robots", "robot", "show"]
 robot = App(name="robot", help="List, show and convert robot descriptions.")
 
 
-@robot.command(name="list")
+@robot.command(name="list", help_epilogue="Example: armlab robot list")
 def list_robots(*, json: bool = False) -> None:
     """List the robots of the library.
 
@@ -38,7 +38,7 @@ def list_robots(*, json: bool = False) -> None:
     result(aligned(rows, right=(1,)))
 
 
-@robot.command
+@robot.command(help_epilogue="Example: armlab robot show yumi_left --figure yumi.png")
 def show(
     name: str,
     *,
@@ -84,7 +84,7 @@ def show(
     _show_arm(arm, json)
 
 
-@robot.command
+@robot.command(help_epilogue="Example: armlab robot convert arm.urdf arm.toml --tip tool0")
 def convert(source: str, target: Path, *, base: str | None = None, tip: str | None = None, force: bool = False) -> None:
     """Write a robot as TOML, which holds all of it, or as URDF for other programs.
 

@@ -6,7 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -26,8 +26,8 @@ def run(
     log: str | None = None,
     no_log: bool = False,
     seconds: float | None = None,
-    speed: float = 1.0,
-    wait: str = "ahead",
+    speed: float | None = None,
+    wait: Literal["ahead", "block", "spin"] | None = None,
     interactive: Annotated[bool, Parameter(alias="-i")] = False,
 ) -> int:
     """Run a controller from a file against a robot, record a log, and report how it went.
@@ -46,15 +46,16 @@ def run(
         egm://HOST:PORT for a robot, where HOST is an address of this computer, separated by commas for two arms; the
         simulated robot when not given.
     log : str
-        Beginning of the name of the log, to which the time is added; the robot's name when not given.
+        Beginning of the name of the log, to which the time is added; the robot's name in the folder of the settings
+        when not given.
     no_log : bool
         Record nothing.
     seconds : float
         Robot time under guidance after which to end [s].
     speed : float
-        Share of the robot's speed and acceleration limits that is allowed, in (0, 1].
+        Share of the robot's speed and acceleration limits that is allowed, in (0, 1]; that of the settings, 1 without.
     wait : str
-        How to wait for packets: ahead, block or spin.
+        How to wait for packets; as the settings say, ahead without. spin: a core does nothing else.
     interactive : bool
         Afterwards, a Python prompt with `log` (the table), `run` and `robot`.
     """
@@ -62,6 +63,7 @@ def run(
     from armlab.cli import FAILED
     from armlab.cli.narration import Narrator
     from armlab.cli.output import note, result
+    from armlab.cli.settings import load_settings
     from armlab.errors import ControllerFailed
 
     arms = [robots.load(name) for name in robot.split("+")]
@@ -69,11 +71,13 @@ def run(
     urls = [f"sim://{'+'.join(arm.name for arm in arms)}"] if link is None else link.split(",")
     _check_links(urls, [arm.name for arm in arms])
     base = _base(log, no_log, robot)
-    limits = [bridge.Limits.of(arm, speed=speed) for arm in arms]
+    known = load_settings().settings
+    share = known.speed if speed is None else speed
+    limits = [bridge.Limits.of(arm, speed=share) for arm in arms]
     if not all(url.startswith("sim:") for url in urls):
         note(_CHECKS)
     with bridge.connect(urls, arms) as end:
-        options: dict[str, Any] = {"wait": wait, "limits": limits, "extra": extra, "feeds": [Narrator()]}
+        options: dict[str, Any] = {"wait": wait or known.wait, "limits": limits, "extra": extra, "feeds": [Narrator()]}
         try:
             done = end.run(step, seconds, record=base, **options)
         except KeyboardInterrupt:
@@ -168,13 +172,14 @@ def _hold(state: object) -> None:
 def _base(log: str | None, no_log: bool, robot: str) -> Path | None:
     """Return the name of the log, with the time: one file per arm and start."""
     from armlab.cli.output import check_output
+    from armlab.cli.settings import log_folder
     from armlab.errors import ConfigError
 
     if no_log:
         if log is not None:
             raise ConfigError(f"Expected either --log or --no-log, got both (--log {log}). Leave one out.")
         return None
-    start = (Path(robot).stem if log is None else log).removesuffix(".mcap")
+    start = str(log_folder() / Path(robot).stem if log is None else log).removesuffix(".mcap")
     path = Path(f"{start}-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}.mcap")
     check_output(path, force=True, endings=[".mcap"])  # a second start in this second gets -2 from the recorder
     return path

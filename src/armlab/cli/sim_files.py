@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, TextIO
 
 import numpy as np
 
+from armlab.cli.texts import read_text
 from armlab.errors import ConfigError, LogError
 from armlab.sim.hand import HandPath
 from armlab.sim.operator import Operator
@@ -58,11 +59,7 @@ def read_hand(path: Path, n: int) -> HandPath:
 
 def _read(path: Path, names: Sequence[str], what: str) -> np.ndarray:
     """Return the numbers of a CSV file whose first column is a time that increases."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"Expected {what} at {path}, but it cannot be read ({error}).") from error
-    header, *lines = text.splitlines() or [""]
+    header, *lines = read_text(path, what).splitlines() or [""]
     if tuple(word.strip() for word in header.split(",")) != tuple(names):
         raise ConfigError(f"Expected the header {','.join(names)} in line 1 of {path}, got {header[:_SHOWN]!r}.")
     rows: list[list[float]] = []

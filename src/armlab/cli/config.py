@@ -1,0 +1,66 @@
+"""``armlab config``: the settings in force, and where each came from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from cyclopts import App
+
+__all__ = ["config", "show"]
+
+config = App(name="config", help="Show settings: of files, of the environment, of a cell. Writes nothing.")
+
+
+@config.command(help_epilogue="Example: armlab config show --config cell.toml --origin")
+def show(*, config: Path | None = None, origin: bool = False, json: bool = False) -> None:
+    """Show every setting, and of a cell every value.
+
+    A setting is taken from the first that has it: an option of a command, a variable of the environment such as
+    ARMLAB_SPEED, armlab.toml in this folder, armlab/armlab.toml in ~/.config (or in XDG_CONFIG_HOME), the default.
+
+    Parameters
+    ----------
+    config
+        The cell, a TOML file; the one of the settings when not given.
+    origin
+        Also show where each value came from.
+    json
+        Print JSON for scripts: name, value, origin.
+    """
+    from armlab.bridge.cell_values import cell_values
+    from armlab.cli.output import aligned, print_json, result
+    from armlab.cli.settings import load_settings
+    from armlab.cli.texts import read_text
+
+    told = load_settings()
+    rows: list[tuple[str, Any, str]] = [
+        (name, getattr(told.settings, name), told.origins[name]) for name in told.settings.__struct_fields__
+    ]
+    if config is not None:
+        rows = [(name, str(config), "--config") if name == "cell" else (name, *rest) for name, *rest in rows]  # type: ignore[misc]
+    elif told.settings.cell is not None:
+        config = Path(told.settings.cell)
+    if config is not None:
+        found = cell_values(read_text(config, "a cell"), str(config))
+        rows += [(f"cell.{place}", value, str(config) if given else "default") for place, value, given in found]
+    if json:
+        print_json([{"name": name, "value": value, "origin": where} for name, value, where in rows])
+        return
+    shown = [(name, _written(value), where) for name, value, where in rows]
+    result(aligned([("setting", "value", "from"), *shown] if origin else [row[:2] for row in shown]))
+
+
+def _written(value: Any) -> str:
+    """Return a value as it would stand in TOML; - for none."""
+    if value is None:
+        return "-"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return f'"{value}"'
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(_written(one) for one in value)}]"
+    if isinstance(value, dict):
+        return f"{{{', '.join(f'{name} = {_written(one)}' for name, one in value.items())}}}"
+    return str(value)
