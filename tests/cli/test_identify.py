@@ -147,9 +147,9 @@ def test_nothing_is_overwritten_without_force(reading, tmp_path, capsys) -> None
     output, report = tmp_path / "model.toml", tmp_path / "id.html"
     output.write_text("mine")
     words = ["identify", "yumi_left", "run.mcap", "-o"]
-    assert main([*words, str(output)]) == 1
+    assert main([*words, str(output)]) == 2
     report.write_text("mine")
-    assert main([*words, str(tmp_path / "new.toml"), "--report", str(report)]) == 1
+    assert main([*words, str(tmp_path / "new.toml"), "--report", str(report)]) == 2
     assert capsys.readouterr().err.count("--force") == 2
     assert output.read_text() == report.read_text() == "mine"
     assert len(list(tmp_path.iterdir())) == 2
@@ -168,7 +168,7 @@ def test_refusals_are_one_sentence_and_leave_no_file(
     reading, tmp_path, capsys, words: list[str], sentence: str
 ) -> None:
     output = tmp_path / "model.toml"
-    assert main(["identify", *words, "-o", str(output), "--report", str(tmp_path / "id.html")]) == 1
+    assert main(["identify", *words, "-o", str(output), "--report", str(tmp_path / "id.html")]) in (1, 2)
     said = capsys.readouterr().err
     assert sentence in said
     assert "Traceback" not in said

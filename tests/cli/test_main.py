@@ -142,5 +142,5 @@ def test_termination_is_an_interrupt(number: signal.Signals, monkeypatch: pytest
 def test_the_number_a_command_returns_is_the_exit_code(monkeypatch: pytest.MonkeyPatch) -> None:
     app = cli.build_app()
     app.command(lambda: cli.SKIPPED, name="partly")
-    monkeypatch.setattr(cli, "build_app", lambda: app)
+    monkeypatch.setattr(cli, "build_app", lambda _verb: app)
     assert cli.main(["partly"]) == cli.SKIPPED

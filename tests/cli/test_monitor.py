@@ -56,7 +56,7 @@ def test_the_table() -> None:
 
 @pytest.mark.parametrize("seconds", ["-1", "nan"])
 def test_a_time_that_is_none(capsys: Any, seconds: str) -> None:
-    assert main(["monitor", "--seconds", seconds]) == 1
+    assert main(["monitor", "--seconds", seconds]) == 2
     assert "seconds of at least 0" in capsys.readouterr().err
 
 

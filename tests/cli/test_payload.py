@@ -53,7 +53,7 @@ def test_a_load_is_weighed_saved_and_reported(words: list[str], tmp_path: Path, 
     assert "m c_z" in page
     assert "data:image/png" in page
     assert files[2].exists()
-    assert main([*words, *options]) == 1
+    assert main([*words, *options]) == 2
     assert "--force" in capsys.readouterr().err
 
 

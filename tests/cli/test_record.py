@@ -188,7 +188,7 @@ def test_no_robot(tmp_path: Path, capsys: Any) -> None:
     [
         (["-o", "run.mcap"], "Expected the name of a robot, got none"),
         (["yumi_left", "yumi_right", "--port", "6511", "-o", "run.mcap"], "one port per robot"),
-        (["yumi_left", "--port", "egm", "-o", "run.mcap"], "one port per robot"),
+        (["yumi_left", "--port", "egm", "-o", "run.mcap"], "such as --port 6511"),
         (["yumi_left", "-o", "run.csv"], ".mcap"),
         (["yumi_left", "-o", "there.mcap"], "exists"),
         (["yumi_lefft", "-o", "run.mcap"], "Did you mean"),
@@ -201,7 +201,7 @@ def test_refusals(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("there.mcap").write_text("kept", encoding="utf-8")
-    assert main(["record", *words]) == 1
+    assert main(["record", *words]) in (1, 2)
     assert sentence in capsys.readouterr().err
     assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("there.mcap", "kept")]
     assert record.__doc__

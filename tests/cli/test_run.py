@@ -64,7 +64,7 @@ def test_a_log_that_is_not_whole_is_a_failure(folder: Path, capsys: Any, monkeyp
 
     monkeypatch.setattr("armlab.log.recording_file.RecordingFile.write", full)
     words = ["--link", "sim://yumi_left?lockstep=true", "--seconds", "0.5"]
-    assert main(["run", "yumi_left", *words]) == 1
+    assert main(["run", "yumi_left", *words]) == 2
     said = capsys.readouterr()
     assert "Ended: the time is up." in said.out
     assert "warning: The recording stopped" in said.err
@@ -150,7 +150,7 @@ def test_files_that_are_no_controllers(folder: Path, place: str, words: str) -> 
     ],
 )
 def test_refusals(folder: Path, capsys: Any, words: list[str], sentence: str) -> None:
-    assert main(["run", "yumi_left", *words, "--seconds", "0.1"]) == 1
+    assert main(["run", "yumi_left", *words, "--seconds", "0.1"]) == 2
     said = capsys.readouterr().err
     assert sentence in said
     assert "A real arm moves" not in said

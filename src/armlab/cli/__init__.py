@@ -52,7 +52,7 @@ _EXAMPLES = {  # of the other commands beside their subcommands
     "demo": "armlab demo --fast -o first",
     "sim": "armlab sim yumi_left --to 127.0.0.1:6510 --seconds 60",
     "monitor": "armlab monitor yumi_left",
-    "completion": "armlab completion bash > ~/.local/share/bash-completion/completions/armlab",
+    "completion": "armlab completion bash",
     "doctor": "armlab doctor yumi_left yumi_right --port 6511,6512 --seconds 10",
     "run": "armlab run yumi_left sine.py:sine --link egm://0.0.0.0:6510 --speed 0.1 --seconds 10",
     "record": "armlab record yumi_left yumi_right --port 6511,6512 --lead-through -o run.mcap",
@@ -127,7 +127,7 @@ def _run(words: list[str]) -> int:
     try:
         result = build_app(words[0] if words else "")(words, exit_on_error=False, print_error=False)
     except CycloptsError as error:
-        _say(f"{' '.join(str(error).split())} (see armlab --help)")
+        _say(f"{' '.join(str(error).split())} (see {' '.join(['armlab', *(error.command_chain or ())])} --help)")
         return WRONG_USE
     sys.stdout.flush()
     return result if isinstance(result, int) else 0
