@@ -181,7 +181,7 @@ def test_cut_and_merge(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture
     assert captured.err == "cut: copied\ncut: copied\nmerge: copied\n"
     assert read(first).sha256 == table.between(-np.inf, 0.5).sha256
     assert read(whole).sha256 == table.sha256
-    assert cli.main(["log", "cut", str(path), "--to", "0.5", "-o", first]) == 1
+    assert cli.main(["log", "cut", str(path), "--to", "0.5", "-o", first]) == 2
     assert "add --force" in capsys.readouterr().err
     assert cli.main(["log", "cut", str(path), "--to", "0.1", "-o", first, "--force"]) == 0
     assert read(first).sha256 == table.between(-np.inf, 0.1).sha256
@@ -196,19 +196,19 @@ def test_cut_and_merge_refuse_in_one_sentence(path: Path, tmp_path: Path, capsys
     assert cli.main(["log", "export", run, str(tmp_path / "run.csv")]) == 0
     capsys.readouterr()
     for words, code, said in (
-        (["cut", run, "-o", to], 1, "Expected --from S, --to S or both"),
-        (["cut", run, "--from", "1", "--to", "1", "-o", to], 1, "the first before the second, got 1.0 and 1.0"),
+        (["cut", run, "-o", to], 2, "Expected --from S, --to S or both"),
+        (["cut", run, "--from", "1", "--to", "1", "-o", to], 2, "the first before the second, got 1.0 and 1.0"),
         (["cut", run, "--from", "9", "-o", to], 1, "got none; it has 0 s to 1.196 s"),
         (["cut", str(tmp_path / "run.csv"), "--from", "9", "-o", str(tmp_path / "to.csv")], 1, "it has 0 s to 1.196 s"),
-        (["cut", run, "--from", "0", "-o", str(tmp_path / "no" / "to.mcap")], 1, "Make the folder first"),
+        (["cut", run, "--from", "0", "-o", str(tmp_path / "no" / "to.mcap")], 2, "Make the folder first"),
         (["cut", str(tmp_path / "no.mcap"), "--from", "0", "-o", to], 1, "No such file"),
-        (["cut", run, "--from", "0", "-o", str(tmp_path / "to.xls")], 1, "ends in .mcap or .csv"),
+        (["cut", run, "--from", "0", "-o", str(tmp_path / "to.xls")], 2, "ends in .mcap or .csv"),
         (["cut", run, "--from", "soon", "-o", to], 2, "soon"),
         (["cut", run, "--from", "0"], 2, "output"),
-        (["merge", run, "-o", to], 1, "Expected two recordings or more to merge, got 1"),
+        (["merge", run, "-o", to], 2, "Expected two recordings or more to merge, got 1"),
         (["merge", run, run, "-o", to], 1, "to begin after"),
-        (["merge", run, run, "-o", str(tmp_path / "to.csv")], 1, "ends in .mcap, got"),
-        (["open", run, "--rerun", "--foxglove"], 1, "got foxglove and rerun"),
+        (["merge", run, run, "-o", str(tmp_path / "to.csv")], 2, "ends in .mcap, got"),
+        (["open", run, "--rerun", "--foxglove"], 2, "got foxglove and rerun"),
         (["open", str(tmp_path / "run.csv")], 1, "got a file of format text"),
     ):
         assert cli.main(["log", *words]) == code, words

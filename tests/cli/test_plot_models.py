@@ -79,7 +79,7 @@ def test_wrong_files_get_a_sentence(files: tuple[str, str], drawn: dict[str, Any
         ("residual_speed", model, run, "--robot", "ur5e"): "ur5e",
         ("coverage", run): "tau_sigma",
     }.items():
-        assert main(["plot", *words]) == 1
+        assert main(["plot", *words]) in (1, 2)
         assert sentence in capsys.readouterr().err
     assert main(["plot", "friction_map", model]) == 2
     assert not drawn
