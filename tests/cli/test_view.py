@@ -45,7 +45,7 @@ def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ],
 )
 def test_wrong_use_gets_a_sentence(alone: None, capsys: Any, words: list[str], sentence: str) -> None:
-    assert main(["view", *words]) == 1
+    assert main(["view", *words]) == 2
     assert sentence in capsys.readouterr().err
 
 
