@@ -29,6 +29,7 @@ from armlab.identify.extrapolation import training
 from armlab.identify.preparation import Prepared, prepare
 from armlab.identify.settling import ROBUST, linearised, settle, short_blocks
 from armlab.identify.spikes import spikes, without_spikes
+from armlab.identify.threads import one_thread
 from armlab.identify.torque_gains import calibrated, gain_share
 from armlab.identify.validation import assess, report
 from armlab.log import Table
@@ -78,6 +79,7 @@ class Job:
         return Prior(np.array([v for v, _ in values]), np.array([max(sd, 1e-12) for _, sd in values]))
 
 
+@one_thread()
 def fit_dynamics(
     table: Table | Sequence[Table],
     robot: Robot,

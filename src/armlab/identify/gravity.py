@@ -17,6 +17,7 @@ from armlab.estimation import Fit
 from armlab.identify.base_parameters import base_parameters
 from armlab.identify.dynamics import Job, fit_model
 from armlab.identify.preparation import Prepared
+from armlab.identify.threads import one_thread
 from armlab.log import Table
 from armlab.models import TorqueModel
 from armlab.robots import Robot
@@ -28,6 +29,7 @@ SLOW = 1.0  # rad/s^2, m/s^2
 QUANTILE = 0.99
 
 
+@one_thread()
 def fit_gravity(
     table: Table | Sequence[Table],
     robot: Robot,
