@@ -86,6 +86,9 @@ def test_curves_and_path_do_not_bridge_a_gap(server: Any, bridge: Any, following
     assert len(path) == 1
     torque = view._arms["yumi_left"]._torque._rows
     assert [bool(np.isnan(values).all()) for _, values, _ in torque] == [False, False, False, True, False]
+    running.row = running.row._replace(wall_ns=running.row.wall_ns - 10**7)  # the clock of another arm in lockstep
+    view.draw()
+    assert len(torque) == 5
     running.row = last._replace(wall_ns=last.wall_ns - 10**10)  # the clock of another run
     view.draw()
     assert [t for t, *_ in view._arms["yumi_left"]._torque._rows][-1] == 0.0

@@ -90,7 +90,7 @@ class RunningView:
     def __init__(self, server: ViserServer, running: Running) -> None:
         self._server, self._running = server, running
         self._robots, self._row = None, None
-        self._due = self._start = 0.0
+        self._due = self._start = self._stamp = 0.0
         self._parts: list[Any] = []
         self._build()
 
@@ -134,8 +134,11 @@ class RunningView:
         The time is that of the robot, which in lockstep is not that of the wall; a gap is one for who looks.
         """
         last, stamp = self._row, 1e-9 * row.wall_ns
-        if last is None or row.wall_ns < last.wall_ns:
+        if last is None or stamp < self._stamp - _GAP:
             self._start = stamp
+        elif stamp < self._stamp:  # in lockstep, each arm has a clock of its own
+            stamp = self._stamp
+        self._stamp = stamp
         return stamp - self._start, last is not None and row.mono_ns - last.mono_ns < 1e9 * _GAP
 
     def _say(self) -> None:
@@ -153,7 +156,7 @@ class _Arm:
         self._scene, self._panel, self._robot = scene, panel, robot
         self._torque, self._force, self._moment = (Window(one) for one in (panel.torque, panel.force, panel.moment))
         self._path: deque[tuple[float, np.ndarray]] = deque()
-        self._traced, self._origin = -np.inf, "-"
+        self._t, self._traced, self._origin = -np.inf, -np.inf, "-"
 
     def draw(self, running: Running, t: float, follows: bool) -> None:
         """Show the newest row, which may follow the last or come after a gap; its time [s]."""
@@ -163,11 +166,14 @@ class _Arm:
             tau, force = np.full_like(tau, np.nan), None
         wrench, covariance, self._origin = (None, None, "-") if force is None else force
         self._scene.show(name, q, wrench, covariance)
-        if not follows and self._path:
+        if t < self._t or not follows:
             self._path.clear()
-            self._push(t - 1e-3, np.full_like(tau, np.nan))  # no line across the gap
-        self._trace(t, forward(self._robot, q)[:3, 3])
-        self._push(t, tau, wrench, covariance)
+        if not follows and t > self._t >= 0.0:  # no line across the gap
+            self._push(0.5 * (self._t + t), np.full_like(tau, np.nan))
+        if t != self._t:
+            self._trace(t, forward(self._robot, q)[:3, 3])
+            self._push(t, tau, wrench, covariance)
+        self._t = t
 
     def _push(
         self, t: float, tau: np.ndarray, wrench: np.ndarray | None = None, covariance: np.ndarray | None = None
