@@ -39,13 +39,23 @@ def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         (["--live", "--robot", "yumi_left"], "a bridge tells its robots"),
         ([], "Expected at least one log to show, got none"),
         (["--cell", "yumi", "run.mcap"], "Expected --cell yumi together with --live"),
-        (["none.mcap"], "none.mcap"),
-        (["pyproject.toml"], "pyproject.toml"),
         (["--live", "--port", "99999"], "Expected a port from 0 to 65535"),
     ],
 )
 def test_wrong_use_gets_a_sentence(alone: None, capsys: Any, words: list[str], sentence: str) -> None:
     assert main(["view", *words]) == 2
+    assert sentence in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [(None, "Expected a log at"), ("[project]\n", "Expected names that come once in the header of")],
+)
+def test_a_file_that_is_no_log(tmp_path: Path, capsys: Any, text: str | None, sentence: str) -> None:
+    path = tmp_path / "run.mcap"
+    if text is not None:
+        path.write_text(text)
+    assert main(["view", str(path)]) == 1
     assert sentence in capsys.readouterr().err
 
 
