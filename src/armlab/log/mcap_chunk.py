@@ -74,7 +74,7 @@ def unpacked(view: memoryview, chunk: Chunk) -> bytes:
         return _unpacked_open(bytes(view[start:stop]))
     if chunk.size > _MAX_CHUNK:
         raise LogError(f"Expected a chunk of at most {_MAX_CHUNK} bytes at byte {chunk.start}, got {chunk.size}.")
-    data = _decompressed(bytes(view[start:stop]), chunk)
+    data = _decompressed(view[start:stop], chunk)
     if len(data) != chunk.size:
         raise LogError(f"Expected {chunk.size} bytes in the chunk at byte {chunk.start}, got {len(data)}.")
     if chunk.crc and zlib.crc32(data) != chunk.crc:
@@ -104,9 +104,9 @@ def _unpacked_open(packed: bytes) -> bytes:
     return data[:end]
 
 
-def _decompressed(packed: bytes, chunk: Chunk) -> bytes:
+def _decompressed(packed: memoryview, chunk: Chunk) -> bytes:
     if chunk.compression == "":
-        return packed
+        return bytes(packed)
     try:
         if chunk.compression == "zstd":
             import zstandard

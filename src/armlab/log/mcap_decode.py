@@ -7,6 +7,7 @@ are the same hold their numbers in the same places, so those of a whole chunk ar
 from __future__ import annotations
 
 import struct
+import threading
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -93,9 +94,10 @@ def decode_by(
     chunks = [chunk for chunk in found.chunks if not found.indexed or chunk.indexes.keys() & readers.keys()]
     parts: dict[int, list[_Part]] = {number: [] for number in readers}
     damage: list[str] = []
+    scratch = _Scratch()
     batches, done, total = list(_batches(chunks)), 0, sum(chunk.size for chunk in chunks)
     with ThreadPoolExecutor(2) as pool:  # decompression, checksums and copies release the interpreter lock
-        results = pool.map(lambda batch: _decode_batch(view, batch, readers, found.indexed), batches)
+        results = pool.map(lambda batch: _decode_batch(view, batch, readers, found.indexed, scratch), batches)
         for batch, (decoded, lost) in zip(batches, results, strict=True):
             damage += lost
             for number, part in decoded.items():
@@ -157,33 +159,50 @@ def _batches(chunks: Sequence[Chunk]) -> Iterator[list[Chunk]]:
         yield batch
 
 
+class _Scratch(threading.local):
+    """Memory of one thread that every batch uses again: fresh memory costs as much as the copy into it."""
+
+    def __init__(self) -> None:
+        self.memory = np.empty(0, dtype=np.uint8)
+
+    def put(self, data: bytes, at: int) -> int:
+        """Copy bytes to a place; return where they end."""
+        stop = at + len(data)
+        if stop > len(self.memory):
+            self.memory = np.concatenate([self.memory[:at], np.empty(2 * stop - at, dtype=np.uint8)])
+        self.memory[at:stop] = np.frombuffer(data, dtype=np.uint8)
+        return stop
+
+
 def _decode_batch(
-    view: memoryview, chunks: Sequence[Chunk], readers: Mapping[int, MessageReader], indexed: bool
+    view: memoryview,
+    chunks: Sequence[Chunk],
+    readers: Mapping[int, MessageReader],
+    indexed: bool,
+    scratch: _Scratch,
 ) -> tuple[dict[int, _Part], list[str]]:
     """Decode several chunks as if they were one; damaged ones are left out and named.
 
     Without whole indexes, or where one is wrong, the records are walked.
     """
-    pieces: list[bytes] = []
     whole: list[tuple[int, Chunk]] = []
     at, damage = 0, []
     for chunk in chunks:
         try:
-            pieces.append(unpacked(view, chunk))
+            data = unpacked(view, chunk)
         except LogError as error:
             damage.append(f"chunk at byte {chunk.start} skipped: {error}")
             continue
         whole.append((at, chunk))
-        at += len(pieces[-1])
-    data = b"".join(pieces)
-    raw = np.frombuffer(data, dtype=np.uint8)
+        at = scratch.put(data, at)
+    raw = scratch.memory[:at]
     offsets = {}
     for number in readers if indexed else ():
         found = [_indexed(view, chunk, number) + at for at, chunk in whole]
         offsets[number] = np.concatenate(found) if found else _NO_OFFSETS
         indexed = indexed and _are_messages(raw, offsets[number], number)
     if not indexed:
-        offsets = _walked(data, readers)
+        offsets = _walked(raw.data, readers)
     parts = {}
     for number, reader in readers.items():
         try:
@@ -213,7 +232,7 @@ def _are_messages(raw: np.ndarray, offsets: np.ndarray, number: int) -> bool:
     return bool((fits & (prefix["kind"] == MESSAGE) & (prefix["channel"] == number)).all())
 
 
-def _walked(data: bytes, numbers: Collection[int]) -> dict[int, np.ndarray]:
+def _walked(data: bytes | memoryview, numbers: Collection[int]) -> dict[int, np.ndarray]:
     """Return where the messages of some channels begin by walking the records."""
     found: dict[int, list[int]] = {number: [] for number in numbers}
     for kind, start, stop in records(memoryview(data), 0, len(data)):
@@ -241,9 +260,22 @@ def _decode_loose(
 
 
 def _items(raw: np.ndarray, offsets: np.ndarray, dtype: np.dtype) -> np.ndarray:
-    """Return the items (k,) of a type that begin at the offsets, wherever they are."""
+    """Return the items (k,) of a type that begin at the offsets, wherever they are: a view where evenly spaced."""
+    steps = np.diff(offsets)
+    if len(steps) and (steps == steps[0]).all():
+        return np.ndarray((len(offsets),), dtype=dtype, buffer=raw, offset=int(offsets[0]), strides=(int(steps[0]),))
     places = max(len(raw) - dtype.itemsize + 1, 0)
     return np.ndarray((places,), dtype=dtype, buffer=raw, strides=(1,))[offsets]
+
+
+def _blocks(raw: np.ndarray, offsets: np.ndarray, length: int) -> np.ndarray:
+    """Return the bytes (k, length) that begin at the offsets."""
+    if not length:
+        return np.zeros((len(offsets), 0), dtype=np.uint8)
+    found = _items(raw, offsets, np.dtype((np.void, length)))
+    if found.base is None:
+        return found.view(np.uint8).reshape(len(offsets), length)
+    return np.ndarray((len(offsets), length), np.uint8, raw, int(offsets[0]), (found.strides[0], 1))
 
 
 def _decode_messages(raw: np.ndarray, offsets: np.ndarray, reader: MessageReader) -> _Part:
@@ -254,9 +286,8 @@ def _decode_messages(raw: np.ndarray, offsets: np.ndarray, reader: MessageReader
     pieces: list[tuple[np.ndarray, Values]] = []
     for length in np.unique(lengths):
         rows = np.flatnonzero(lengths == length)
-        block = _items(raw, offsets[rows] + _PREFIX.itemsize, np.dtype((np.void, int(length)))) if length else rows
-        pieces += decode_block(block.view(np.uint8).reshape(len(rows), -1), rows, reader)
-    return _Part(prefix["sequence"], prefix["log"], assembled(len(offsets), pieces))
+        pieces += decode_block(_blocks(raw, offsets[rows] + _PREFIX.itemsize, int(length)), rows, reader)
+    return _Part(prefix["sequence"].copy(), prefix["log"].copy(), assembled(len(offsets), pieces))
 
 
 def _joined(parts: Sequence[_Part]) -> Decoded:

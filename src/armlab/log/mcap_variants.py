@@ -30,7 +30,7 @@ class Variant:
         """Return the numbers (k, count) of messages (k, length), in the machine's byte order."""
         found = {}
         for run, (start, stop, dtype) in self.runs.items():
-            array = np.ascontiguousarray(block[:, start:stop]).view(dtype)
+            array = block[:, start:stop].copy().view(dtype)  # the block's memory is used again
             found[run] = array.astype(array.dtype.newbyteorder("="), copy=False)
         return found
 
