@@ -286,3 +286,47 @@ def test_open_calls_an_installed_program(
     torn.write_bytes(path.read_bytes()[:-30])
     assert cli.main(["log", "open", str(torn)]) == 1
     assert f"armlab log recover {torn}" in capsys.readouterr().err
+
+
+def ros_bag(path: Path) -> Path:
+    """Write a bag as a driver of a UR5e fills it: joints in its own order, a wrench at half the rate."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    types, start = store.types, 1_700_000_000_000_000_000
+    names = sorted(robots.load("ur5e").joint_names)
+    with Writer(path, version=8, storage_plugin=StoragePlugin.SQLITE3) as bag:
+        state, vector = types["sensor_msgs/msg/JointState"], types["geometry_msgs/msg/Vector3Stamped"]
+        joints = bag.add_connection("/joint_states", state.__msgtype__, typestore=store)
+        gravity = bag.add_connection("/gravity", vector.__msgtype__, typestore=store)
+        for i in range(20):
+            stamp = types["builtin_interfaces/msg/Time"](sec=(start + i * 2_000_000) // 10**9, nanosec=i * 2_000_000)
+            header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
+            x = i + np.arange(6.0)
+            message = state(header=header, name=names, position=x, velocity=x, effort=x)
+            bag.write(joints, start + i * 2_000_000, store.serialize_cdr(message, state.__msgtype__))
+            if i % 2:
+                down = types["geometry_msgs/msg/Vector3"](x=0.0, y=0.0, z=-9.81)
+                data = store.serialize_cdr(vector(header=header, vector=down), vector.__msgtype__)
+                bag.write(gravity, start + i * 2_000_000, data)
+    return path
+
+
+def test_a_bag_of_another_program(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each topic is shown by itself; export asks for the clock and puts the joints into the robot's order."""
+    bag = ros_bag(tmp_path / "bag")
+    assert cli.main(["log", "show", str(bag)]) == 0
+    captured = capsys.readouterr()
+    assert captured.err == ""
+    assert "/joint_states: Table of 20 rows, 0.038 s at 500 Hz" in captured.out
+    assert "/gravity: Table of 10 rows, 0.036 s at 250 Hz" in captured.out
+    assert cli.main(["log", "show", "--json", str(bag)]) == 0
+    assert json.loads(capsys.readouterr().out)["tables"]["/gravity"]["rows"] == 10
+    csv = tmp_path / "run.csv"
+    assert cli.main(["log", "export", str(bag), str(csv)]) == 1
+    assert "/joint_states 500 Hz, /gravity 250 Hz" in capsys.readouterr().err
+    assert cli.main(["log", "export", str(bag), str(csv), "--robot", "ur5e", "--clock", "/joint_states"]) == 0
+    table = read(csv)
+    assert table.columns["q"].labels == robots.load("ur5e").joint_names
+    assert table["gravity.vector.z"][5] == -9.81

@@ -17,7 +17,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from armlab import log, robots
 from armlab.errors import LogError, UnknownName
-from armlab.log.topic_reading import read_bag, read_mcap_files
+from armlab.log.topic_reading import is_foreign, read_foreign, read_topics
 
 UR = ("elbow_joint", "shoulder_lift_joint", "shoulder_pan_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
 STEP = 2_000_000  # ns
@@ -210,11 +210,27 @@ def test_the_functions_behind_read(ros: Any, tmp_path: Path) -> None:
 
     path = ros.bag(tmp_path / "bag", ur_bag(ros, 4))
     told: list[tuple[float, float, str]] = []
-    table = read_mcap_files(path, [path / "bag.mcap"], Choice(["q"]), None, lambda *one: told.append(one))
+    table = read_foreign(path, Choice(["q"]), None, lambda *one: told.append(one))
     assert told
     assert all(0 < done <= total for done, total, _ in told)
-    assert read_bag(path, Choice(["q"]), None).sha256 == table.sha256
+    assert log.read(path / "bag.mcap", ["q"]).sha256 == table.sha256
     text = tmp_path / "x.sqlite"
     text.write_bytes(b"SQLite format 3\0" + bytes(90))
     with pytest.raises(LogError, match=r"a file in it that ends in \.db3, got .*x\.sqlite\. Rename it"):
         log.read(text)
+
+
+def test_topics_one_by_one(ros: Any, tmp_path: Path) -> None:
+    path = ros.bag(tmp_path / "bag", ur_bag(ros))
+    tables = read_topics(path, robot="ur5e")
+    assert {name: len(table) for name, table in tables.items()} == {
+        "/tf_static": 1, "/joint_states": 40, "/ft/wrench": 20, "/tf": 8, "/commands": 8,
+    }  # fmt: skip
+    assert tables["/joint_states"].columns["q"].labels == robots.load("ur5e").joint_names
+    assert tables["/ft/wrench"].names == ("wrench_raw",)
+    assert is_foreign(path)
+    assert is_foreign(path / "bag.mcap")
+    assert not is_foreign(tmp_path)
+    assert tables["/commands"].source[0].startswith("bag sha256 ")
+    with pytest.raises(LogError, match="Expected a log at"):
+        read_topics(tmp_path / "none")

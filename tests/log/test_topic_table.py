@@ -11,7 +11,7 @@ from armlab.errors import LogError
 from armlab.log.column import Column
 from armlab.log.topic_fields import JOINTS
 from armlab.log.topic_streams import Stream
-from armlab.log.topic_table import WRENCH, Choice, table_of_streams
+from armlab.log.topic_table import WRENCH, Choice, table_of_streams, tables_of_streams
 
 PATH = Path("run.mcap")
 ROWS = np.arange(10)
@@ -75,3 +75,10 @@ def test_several_rates_are_refused_and_equal_ones_are_not() -> None:
     assert table.names == ("q", "n", "n_age", "once", "once_age")
     with pytest.raises(LogError, match=r"topics with numbers in run\.mcap, got none; left out: /x\."):
         table_of_streams(PATH, [], Choice(), ["left out: /x"])
+
+
+def test_each_stream_by_itself() -> None:
+    ns = ROWS * 10**6
+    streams = [stream("/tf", ns, name="tf.a.b"), stream("/tf", ns[:3], name="tf.c.d"), stream("/n", ns)]
+    tables = tables_of_streams(PATH, streams, Choice())
+    assert {name: len(table) for name, table in tables.items()} == {"/tf tf.a.b": 10, "/tf tf.c.d": 3, "/n": 10}

@@ -16,6 +16,8 @@ log = App(name="log", help="Show, export, cut, merge, open and repair logs.")
 def show(file: Path, *, json: bool = False, parameters: bool = False) -> None:
     """Show what a log holds: rows, rate, columns with units and ranges; of a recording also metadata and events.
 
+    Of a log of another program, an MCAP file or a bag, it shows each topic by itself.
+
     Parameters
     ----------
     file
@@ -30,7 +32,9 @@ def show(file: Path, *, json: bool = False, parameters: bool = False) -> None:
     from armlab import log as logs
     from armlab.cli.log_text import data_of, parameters_text, text_of
     from armlab.cli.output import print_json, result
+    from armlab.cli.reading import reading_bar
     from armlab.log.formats import format_at
+    from armlab.log.topic_reading import is_foreign
 
     kind = format_at(file)
     held = logs.inspect(file) if kind in ("MCAP", "") else None  # of no file it says why
@@ -38,9 +42,12 @@ def show(file: Path, *, json: bool = False, parameters: bool = False) -> None:
         result(parameters_text(held) if held else "This log has no parameters.")
         return
     robots = held.robots if held and len(held.robots) > 1 else (None,)
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), reading_bar(file) as tell:
         warnings.simplefilter("ignore")  # the notes of the table say the same and are shown below
-        tables = {name or "": logs.read(file, robot=name) for name in robots}
+        if is_foreign(file):
+            tables = logs.read_topics(file, progress=tell)
+        else:
+            tables = {name or "": logs.read(file, robot=name, progress=tell) for name in robots}
     if json:
         print_json(data_of(file, kind, held, tables))
     else:
@@ -53,6 +60,7 @@ def export(
     output: Path,
     *,
     robot: str | None = None,
+    clock: str | None = None,
     storage: Literal["mcap", "sqlite3"] = "mcap",
     force: bool = False,
 ) -> None:
@@ -68,7 +76,10 @@ def export(
     output
         The new file; of a rosbag2 the new folder.
     robot
-        Which one, of a recording of several; the arm of the log, for .mcap.
+        Which one, of a recording of several; of a log of another program the arm whose joints it has, or the first part
+        of its topics; the arm of the log, for .mcap.
+    clock
+        Of a log of another program, the topic whose stamps are the rows, as armlab log show lists them.
     storage
         Of a rosbag2: sqlite3 for releases of ROS 2 that are older than Iron.
     force
@@ -77,7 +88,7 @@ def export(
     from armlab import log as logs
     from armlab import robots
     from armlab.cli.output import check_output, note, progress, refuse_overwrite, result
-    from armlab.log.formats import format_at
+    from armlab.log.formats import BAGS, format_at
     from armlab.log.mat_table import matlab_names
     from armlab.log.sidecar import sidecar_path
     from armlab.log.writing import ENDINGS
@@ -89,7 +100,12 @@ def export(
     arm = robots.load(robot) if robot is not None and ending == ".mcap" else None
     with progress("export") as tell:
         tell(0, 1, f"reading {file.name}")
-        table = logs.read(file, robot=robot if format_at(file) == "MCAP" else None)
+        table = logs.read(
+            file,
+            robot=robot if format_at(file) in ("MCAP", *BAGS) else None,
+            clock=clock,
+            progress=lambda done, total, _: tell(done, total, f"reading {file.name}"),
+        )
         logs.write(
             table,
             output,

@@ -23,16 +23,17 @@ def data_of(file: Path, kind: str, held: Inspection | None, tables: Mapping[str,
     Parameters
     ----------
     file : the log. kind : its format. held : of a recording, what it holds besides its tables.
-    tables : one by robot, under "" where the log does not tell it.
+    tables : one by robot, by topic of another program's log, under "" where there is one only.
     """
     told = [_table_data(table) for table in tables.values()]
-    rows = told[0] if len(told) == 1 else {"robots": dict(zip(tables, told, strict=True))}
+    several = "robots" if held and held.robots else "tables"
+    rows = told[0] if list(tables) == [""] else {several: dict(zip(tables, told, strict=True))}
     return {"file": str(file), **rows, **(_recording_data(held) if held else {"format": kind})}
 
 
 def text_of(file: Path, kind: str, held: Inspection | None, tables: Mapping[str, Table]) -> str:
     """Return what is shown of a log, for people; see `data_of`."""
-    return _text(held, tables) if held else _exchanged_text(file, kind, next(iter(tables.values())))
+    return _text(held, tables) if held else _exchanged_text(file, kind, tables)
 
 
 def parameters_text(held: Inspection) -> str:
@@ -90,20 +91,26 @@ def _recording_data(held: Inspection) -> dict[str, Any]:
     }
 
 
-def _exchanged_text(file: Path, kind: str, table: Table) -> str:
+def _exchanged_text(file: Path, kind: str, tables: Mapping[str, Table]) -> str:
     """Return what is shown of a log that is no recording."""
+    first = min(tables.values(), key=lambda table: table.t0_ns)
+    sources = [f"source: {entry}" for entry in first.source]
+    head = [f"{file}: {kind}, began {_began(first)}", *sources]
+    return "\n\n".join(["\n".join(head), *_table_texts(tables)])
+
+
+def _table_texts(tables: Mapping[str, Table]) -> list[str]:
+    """Return rows, notes and columns of each table, with its name where there are several."""
     from armlab.cli.output import aligned
     from armlab.log.text import table_text
 
-    first, *rest = table_text(table).splitlines()
-    source = [f"source: {entry}" for entry in table.source]
-    head = [
-        f"{file}: {kind}, began {_began(table)}",
-        first,
-        *(line for line in rest if line.startswith("note:")),
-        *source,
-    ]
-    return "\n".join(head) + "\n\n" + aligned(_column_rows(table), right=(4, 5, 6))
+    blocks = []
+    for name, table in tables.items():
+        first, *rest = table_text(table).splitlines()
+        first = f"{name}: {first}" if name else first
+        blocks.append("\n".join([first, *(line for line in rest if line.startswith("note:"))]))
+        blocks.append(aligned(_column_rows(table), right=(4, 5, 6)))
+    return blocks
 
 
 def _began(table: Table) -> str:
@@ -116,18 +123,17 @@ def _began(table: Table) -> str:
 
 def _text(held: Inspection, tables: Mapping[str, Table]) -> str:
     from armlab.cli.output import aligned
-    from armlab.log.text import table_text
 
     state = "finished" if held.finished else f"not finished, {held.torn} bytes torn"
     began = min(tables.values(), key=lambda table: table.t0_ns)
     blocks = [f"{held.path}: {held.size / 1e6:.2f} MB, {state}, began {_began(began)}"]
     for about in held.metadata.values():
-        blocks.append(aligned([(key, value) for key, value in about.items() if value and key != "attachments"]))
-    for name, table in tables.items():
-        first, *rest = table_text(table).splitlines()
-        first = first if len(tables) == 1 else f"{name}: {first}"
-        blocks.append("\n".join([first, *(line for line in rest if line.startswith("note:"))]))
-        blocks.append(aligned(_column_rows(table), right=(4, 5, 6)))
+        blocks.append(
+            aligned(
+                [(key, value) for key, value in about.items() if value and "\n" not in value and key != "attachments"]
+            )
+        )
+    blocks += _table_texts(tables)
     blocks.append(aligned([("attachment", "bytes"), *((n, str(len(d))) for n, d in held.attachments.items())], (1,)))
     lines = [f"{_when(event.stamp_ns, began.t0_ns):>12}  {event.text}" for event in held.events[:_EVENTS_SHOWN]]
     more = len(held.events) - len(lines)

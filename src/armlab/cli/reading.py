@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,14 +12,34 @@ import numpy as np
 
 if TYPE_CHECKING:
     from armlab.log import Table
+    from armlab.log.description import Progress
     from armlab.robots import Robot
 
-__all__ = ["doubts", "gaps", "left_out", "read_log"]
+__all__ = ["doubts", "gaps", "left_out", "read_log", "reading_bar"]
 
 BAND = 5.0  # Hz, in which velocity is compared with the slope of position
 MOVED = (0.005, np.deg2rad(1.0))  # m, rad: a joint that moved less says nothing of its velocity
 SHORTEST = 100  # rows
+LARGE = 50_000_000  # bytes, which take longer than a glance to read
 LOST = 1.5  # median steps: a longer one lacks rows
+
+
+@contextmanager
+def reading_bar(path: Path) -> Iterator[Progress | None]:
+    """Show a bar on a terminal while the block reads a large log; yields what `log.read` tells, None without a bar.
+
+    Parameters
+    ----------
+    path : of the log, a file or a folder.
+    """
+    from armlab.cli.output import progress
+
+    files = [path] if path.is_file() else [one for one in path.glob("*") if one.is_file()]
+    if not sys.stderr.isatty() or sum(one.stat().st_size for one in files) < LARGE:
+        yield None
+        return
+    with progress("reading") as tell:
+        yield lambda done, total, _: tell(done, max(total, 1), path.name)
 
 
 def read_log(path: Path, robot: Robot) -> Table:
@@ -33,8 +56,10 @@ def read_log(path: Path, robot: Robot) -> Table:
     from armlab import log as logs
     from armlab.errors import LogError
     from armlab.identify import with_velocity
+    from armlab.log.topic_reading import is_foreign
 
-    table = logs.read(path)
+    with reading_bar(path) as tell:
+        table = _of_another_program(path, robot, tell) if is_foreign(path) else logs.read(path, progress=tell)
     missing = [name for name in ("q", "tau") if name not in table]
     if missing:
         raise LogError(
@@ -43,6 +68,17 @@ def read_log(path: Path, robot: Robot) -> Table:
         )
     _check_robot(path, robot)
     return with_velocity(table)
+
+
+def _of_another_program(path: Path, robot: Robot, tell: Progress | None) -> Table:
+    """Return the joints of a robot in a bag or MCAP file of another program, as far as it has them."""
+    from armlab import log as logs
+    from armlab.errors import UnknownName
+
+    for columns in (["q", "qd", "tau"], ["q", "tau"]):
+        with suppress(UnknownName):
+            return logs.read(path, columns, robot=robot, progress=tell)
+    return logs.read(path, ["q"], robot=robot, progress=tell)
 
 
 def _check_robot(path: Path, robot: Robot) -> None:

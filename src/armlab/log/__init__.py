@@ -18,6 +18,7 @@ from armlab.log.resample import concat
 from armlab.log.rows import Tick
 from armlab.log.splicing import cut, merge
 from armlab.log.table import Table
+from armlab.log.topic_reading import read_topics
 from armlab.log.writing import write
 
 __all__ = [
@@ -38,6 +39,7 @@ __all__ = [
     "read_csv",
     "read_labcomm",
     "read_mat",
+    "read_topics",
     "recover",
     "write",
 ]

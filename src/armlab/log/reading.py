@@ -88,9 +88,9 @@ def read(
     path = Path(path)
     kind = format_at(path)
     if kind in BAGS and not (kind == "rosbag2" and is_ours(path)):
-        from armlab.log.topic_reading import read_bag
+        from armlab.log.topic_reading import read_foreign
 
-        return read_bag(path, Choice(columns, None, clock, raw), robot, progress)
+        return read_foreign(path, Choice(columns, None, clock, raw), robot, progress)
     if kind in _READERS or kind in _COLUMN_READERS:
         table = _READERS[kind](path) if kind in _READERS else _COLUMN_READERS[kind](path, columns)
         return table if columns is None else table.select(*columns)
@@ -100,9 +100,9 @@ def read(
         try:
             found = contents(view)
             if found.channels and not clocks(found):
-                from armlab.log.topic_reading import read_mcap_files
+                from armlab.log.topic_reading import read_foreign
 
-                return read_mcap_files(path, [path], Choice(columns, None, clock, raw), robot, progress)
+                return read_foreign(path, Choice(columns, None, clock, raw), robot, progress)
             name = robot.name if isinstance(robot, Robot) else robot
             table, damage = _read_mcap(view, found, path, columns, name, raw, progress)
         except ArmlabError:

@@ -5,73 +5,119 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from armlab import robots
 from armlab.errors import ArmlabError, LogError, UnknownName
 from armlab.log.description import Progress
-from armlab.log.formats import bag_files, format_at
+from armlab.log.formats import BAGS, bag_files, check_readable, format_at
 from armlab.log.mcap_records import Contents, contents
 from armlab.log.provenance import origin
 from armlab.log.reading import opened, torn_sentence
+from armlab.log.recording_columns import clocks
+from armlab.log.rosbag2_file import is_ours
 from armlab.log.table import Table
 from armlab.log.topic_fields import JOINTS
 from armlab.log.topic_messages import TopicMessages, read_mcap_topics, read_rosbags_topics
-from armlab.log.topic_streams import stem, streams_of
-from armlab.log.topic_table import WRENCH, Choice, table_of_streams
+from armlab.log.topic_streams import Stream, stem, streams_of
+from armlab.log.topic_table import WRENCH, Choice, table_of_streams, tables_of_streams
 from armlab.robots import Robot
 
-__all__ = ["read_bag", "read_mcap_files"]
+__all__ = ["is_foreign", "read_foreign", "read_topics"]
 
 Wanted = Callable[[str, str], bool]
 
 
-def read_mcap_files(
-    path: Path, files: Sequence[Path], choice: Choice, robot: Robot | str | None, progress: Progress | None = None
-) -> Table:
-    """Return the table of MCAP files of another program, one or the pieces of a split bag.
+def is_foreign(path: Path) -> bool:
+    """Tell whether a file or folder is a log of another program: a bag, or an MCAP file, that armlab has not written.
 
     Parameters
     ----------
-    path : that errors name. files : in order. choice : columns, clock and raw of `read`. robot : of `read`.
-    progress : is told the bytes.
-
-    Raises
-    ------
-    LogError, UnknownName : as `table_of_streams`.
+    path : of any file or folder.
     """
-    with ExitStack() as stack:
-        held = [(file, view, contents(view)) for file in files for view in [stack.enter_context(opened(file))]]
-        topics = {channel.topic: channel.type for _, _, found in held for channel in found.channels.values()}
-        choice, wanted = _chosen(topics, choice, robot)
-        into = TopicMessages()
-        for _, view, found in held:
-            read_mcap_topics(view, found, wanted, into, progress)
-        into.damage[:0] = [sentence for _, _, found in held for _, sentence in found.damaged]
-        return _table(path, files, into, choice, {file: found for file, _, found in held if not found.finished})
+    kind = format_at(path)
+    if kind == "MCAP":
+        with opened(path) as view:
+            return not clocks(contents(view))
+    return kind in BAGS and not (kind == "rosbag2" and is_ours(path))
 
 
-def read_bag(path: Path, choice: Choice, robot: Robot | str | None, progress: Progress | None = None) -> Table:
-    """Return the table of a rosbag2 folder, of its file in sqlite3, or of a ROS 1 bag, of another program.
+@dataclass(frozen=True, slots=True)
+class _Held:
+    """What the files of a log hold: the choice with its robot, the topics, and files that were not finished."""
+
+    files: Sequence[Path]
+    choice: Choice
+    topics: TopicMessages
+    torn: Mapping[Path, Contents] = field(default_factory=dict)
+
+
+def read_foreign(path: Path, choice: Choice, robot: Robot | str | None, progress: Progress | None = None) -> Table:
+    """Return the table of another program's log: an MCAP file, a rosbag2, a ROS 1 bag.
 
     Parameters
     ----------
-    path : of it. choice, robot : as in `read_mcap_files`. progress : is told the messages.
+    path : of the file or folder. choice : columns, clock and raw of `read`. robot : of `read`.
+    progress : is told the bytes or messages.
 
     Raises
     ------
     LogError : a damaged bag; what `table_of_streams` refuses. UnknownName : a topic or column that does not exist.
     """
+    held = _held(path, choice, robot, progress)
+    streams, notes = _streams(held.topics)
+    reason = held.topics.left_out.get(choice.clock or "")
+    if reason:
+        raise LogError(f"Expected a topic with numbers as clock= for {path}, got {choice.clock}: {reason}.")
+    table = table_of_streams(path, streams, held.choice, [*notes, *_left_out(held.topics)])
+    whole = [torn_sentence(file, found, table) for file, found in held.torn.items()]
+    if whole or notes:
+        warnings.warn("; ".join([*whole, *notes][:3]), stacklevel=3)
+    return replace(table, notes=(*whole, *table.notes), source=tuple(origin(one) for one in held.files))
+
+
+def read_topics(
+    path: str | Path, *, robot: Robot | str | None = None, progress: Progress | None = None
+) -> dict[str, Table]:
+    """Return the topics of another program's log one by one, each on its own clock, t = 0 at its first message.
+
+    Columns have the names that `read` gives them, but those of every JointState are q, qd and tau. Transforms of one
+    topic that do not come together, and joints that never do, are tables of their own.
+
+    Parameters
+    ----------
+    path : an MCAP file, a rosbag2, a ROS 1 bag. robot : of `read`. progress : called with (done, total, what).
+
+    Raises
+    ------
+    LogError : it is no such log, or damaged beyond use. UnknownName : no such robot.
+    """
+    path = Path(path)
+    if format_at(path) not in ("MCAP", *BAGS):
+        check_readable(path)
+    held = _held(path, Choice(), robot, progress)
+    streams, notes = _streams(held.topics)
+    notes += [f"{file.name} was not finished: {found.torn} bytes torn" for file, found in held.torn.items()]
+    if notes:
+        warnings.warn("; ".join(notes[:3]), stacklevel=2)
+    source = tuple(origin(one) for one in held.files)
+    tables = tables_of_streams(path, streams, held.choice)
+    return {name: replace(table, source=source) for name, table in tables.items()}
+
+
+def _held(path: Path, choice: Choice, robot: Robot | str | None, progress: Progress | None) -> _Held:
+    if path.is_file() and format_at(path) == "MCAP":
+        return _held_in_mcap([path], choice, robot, progress)
     pieces = bag_files(path) if path.is_dir() else []
     if pieces and not (path / "metadata.yaml").is_file() and all(one.suffix == ".mcap" for one in pieces):
-        return read_mcap_files(path, pieces, choice, robot, progress)  # its recorder was killed
+        return _held_in_mcap(pieces, choice, robot, progress)  # its recorder was killed
     try:
         with _reader(path, pieces) as bag:
             inner = _plain_mcap(bag)
             if inner:
-                return read_mcap_files(path, inner, choice, robot, progress)
+                return replace(_held_in_mcap(inner, choice, robot, progress), files=[path])
             choice, wanted = _chosen({one.topic: one.msgtype for one in bag.connections}, choice, robot)
             into = TopicMessages()
             read_rosbags_topics(bag, wanted, into, progress)
@@ -80,7 +126,34 @@ def read_bag(path: Path, choice: Choice, robot: Robot | str | None, progress: Pr
     except Exception as error:  # rosbags raises its own errors, those of SQLite, YAML, zstd, struct and assertions
         what = " ".join(str(error).split()).rstrip(".") or type(error).__name__
         raise LogError(f"Expected a whole bag in {path}, got a damaged one: {what[:200]}.") from None
-    return _table(path, [path], into, choice, {})
+    return _Held([path], choice, into)
+
+
+def _held_in_mcap(files: Sequence[Path], choice: Choice, robot: Robot | str | None, progress: Progress | None) -> _Held:
+    with ExitStack() as stack:
+        held = [(file, view, contents(view)) for file in files for view in [stack.enter_context(opened(file))]]
+        topics = {channel.topic: channel.type for _, _, found in held for channel in found.channels.values()}
+        choice, wanted = _chosen(topics, choice, robot)
+        into = TopicMessages()
+        into.damage += [sentence for _, _, found in held for _, sentence in found.damaged]
+        for _, view, found in held:
+            read_mcap_topics(view, found, wanted, into, progress)
+    return _Held(files, choice, into, {file: found for file, _, found in held if not found.finished})
+
+
+def _streams(topics: TopicMessages) -> tuple[list[Stream], list[str]]:
+    """Return the streams of all topics, and what was wrong with some."""
+    streams, notes = [], list(topics.damage)
+    for topic, fields, decoded in topics.decoded():
+        found, doubts = streams_of(topic, fields, decoded)
+        streams += found
+        notes += doubts
+    return streams, notes
+
+
+def _left_out(topics: TopicMessages) -> list[str]:
+    listed = ", ".join(f"{topic} ({why})" for topic, why in topics.left_out.items())
+    return [f"left out: {listed}"] if listed else []
 
 
 def _reader(path: Path, pieces: Sequence[Path]) -> Any:
@@ -142,22 +215,3 @@ def _needed(topics: dict[str, str], columns: Sequence[str] | None) -> set[str]:
         needed |= held
     together = {topics[one] for one in needed} & {JOINTS, WRENCH}  # each is named by what the others are
     return needed | {one for one, kind in topics.items() if kind in together}
-
-
-def _table(
-    path: Path, files: Sequence[Path], into: TopicMessages, choice: Choice, torn: Mapping[Path, Contents]
-) -> Table:
-    streams, notes = [], into.damage
-    for topic, fields, decoded in into.decoded():
-        found, doubts = streams_of(topic, fields, decoded)
-        streams += found
-        notes += doubts
-    reason = into.left_out.get(choice.clock or "")
-    if reason:
-        raise LogError(f"Expected a topic with numbers as clock= for {path}, got {choice.clock}: {reason}.")
-    left = [f"left out: {', '.join(f'{topic} ({why})' for topic, why in into.left_out.items())}"]
-    table = table_of_streams(path, streams, choice, notes + left if into.left_out else notes)
-    whole = [torn_sentence(file, found, table) for file, found in torn.items()]
-    if whole or notes:
-        warnings.warn("; ".join([*whole, *notes][:3]), stacklevel=4)
-    return replace(table, notes=(*whole, *table.notes), source=tuple(origin(one) for one in files))

@@ -18,7 +18,7 @@ from armlab.log.topic_fields import JOINTS
 from armlab.log.topic_streams import Stream, rate_text, stem
 from armlab.robots import Robot
 
-__all__ = ["Choice", "table_of_streams"]
+__all__ = ["WRENCH", "Choice", "table_of_streams", "tables_of_streams"]
 
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 _SAME_RATE = 0.01  # relative
@@ -68,6 +68,33 @@ def table_of_streams(path: Path, streams: Sequence[Stream], choice: Choice, note
     except ArmlabError as error:
         raise LogError(f"Expected columns that armlab can hold in {path}, got others: {error}") from None
     return table if choice.columns is None else table.select(*choice.columns)
+
+
+def tables_of_streams(path: Path, streams: Sequence[Stream], choice: Choice) -> dict[str, Table]:
+    """Return each stream as a table of its own, by topic; of several of one topic the first column is named too.
+
+    Parameters
+    ----------
+    path, streams, choice : as in `table_of_streams`; of the choice only robot and raw count.
+
+    Raises
+    ------
+    LogError : columns that a table cannot hold.
+    """
+    tables: dict[str, Table] = {}
+    for one in streams:
+        ordered = one if choice.robot is None else _in_order(one, choice.robot)
+        name = (
+            one.topic
+            if [other.topic for other in streams].count(one.topic) == 1
+            else f"{one.topic} {next(iter(one.values))}"
+        )
+        own, notes = _named([ordered], ordered)
+        try:
+            tables[name] = _table(own[0], own, notes, choice.raw)
+        except ArmlabError as error:
+            raise LogError(f"Expected columns that armlab can hold in {path}, got others: {error}") from None
+    return tables
 
 
 def _topic(clock: str, streams: Sequence[Stream]) -> str:
