@@ -7,7 +7,7 @@ STAMP := .venv/.armlab-installed
 # Tests start many programs: with bytecode kept none of them compiles the package again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo test check docs bench clean
+.PHONY: help setup demo test check docs bench api clean
 
 help:  ## list the commands
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "make %-8s %s\n", $$1, $$2}'
@@ -37,6 +37,9 @@ docs: $(STAMP)  ## build the documentation into docs/_build, from scratch: nothi
 
 bench: $(STAMP)  ## benchmarks side by side with peers (a separate environment)
 	$(BIN)/python benchmarks/run.py
+
+api: $(STAMP)  ## list the public names anew, after a change that is meant
+	$(BIN)/python tests/style/test_public_api.py
 
 clean:  ## remove what was built, keep logs
 	rm -rf .venv .bench-venv build docs/_build

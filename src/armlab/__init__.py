@@ -11,12 +11,40 @@ from typing import TYPE_CHECKING, Any
 
 from armlab.errors import ArmlabError
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # for type checkers and editors, what `__getattr__` does when a program runs
+    from armlab import (
+        bridge,
+        calibrate,
+        contact,
+        errors,
+        estimation,
+        frames,
+        glossary,
+        identify,
+        kernels,
+        kinematics,
+        lie,
+        live,
+        log,
+        models,
+        motion,
+        plots,
+        robots,
+        signals,
+        sim,
+        state,
+        wire,
+    )
     from armlab.state import Command, State
 
 __version__ = "0.1.0"
 
-_SUBPACKAGES = (
+_OF_STATE = ("Command", "State")
+__all__ = [
+    "ArmlabError",
+    "Command",
+    "State",
+    "__version__",
     "bridge",
     "calibrate",
     "contact",
@@ -28,6 +56,7 @@ _SUBPACKAGES = (
     "kernels",
     "kinematics",
     "lie",
+    "live",
     "log",
     "models",
     "motion",
@@ -37,17 +66,15 @@ _SUBPACKAGES = (
     "sim",
     "state",
     "wire",
-)
-_OF_STATE = ("Command", "State")
-__all__ = ["ArmlabError", "Command", "State", "__version__", *_SUBPACKAGES]
+]
 
 
 def __getattr__(name: str) -> Any:
     """Import a subpackage, or what a controller takes and returns, when it is first used."""
-    if name in _SUBPACKAGES:
-        return import_module(f"armlab.{name}")
     if name in _OF_STATE:
         return getattr(import_module("armlab.state"), name)
+    if name in __all__:
+        return import_module(f"armlab.{name}")
     raise AttributeError(f"module 'armlab' has no attribute {name!r}")
 
 
