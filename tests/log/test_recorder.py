@@ -246,6 +246,42 @@ def test_a_full_disk_stops_the_recorder_not_the_loop(
         assert len(read(recorder.path)) <= recorder.rows
 
 
+def test_a_disk_that_is_slow_to_sync_holds_up_no_row(
+    tmp_path: Path, robot: Robot, rows: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else a process that is killed meanwhile would lose what had come since."""
+    gate, reached = threading.Event(), threading.Event()
+    monkeypatch.setattr("armlab.log.recorder.FLUSH_PERIOD", 0.0)
+    recorder = Recorder(tmp_path / "run.mcap", robot)
+    monkeypatch.setattr("armlab.log.syncing.os.fsync", lambda _: (reached.set(), gate.wait()))
+    recorder.row(*rows(0))
+    reached.wait()
+    for i in range(1, 5):
+        recorder.row(*rows(i))
+    while recorder._queue.qsize() or recorder._file.rows < 5:
+        time.sleep(0.001)
+    with pytest.warns(UserWarning, match="not finished"):
+        assert len(read(recorder.path)) == 5
+    gate.set()
+    recorder.close()
+    assert inspect(recorder.path).finished
+
+
+def test_a_sync_that_fails_stops_the_recorder(
+    tmp_path: Path, robot: Robot, rows: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(_: int) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr("armlab.log.recorder.FLUSH_PERIOD", 0.0)
+    recorder = Recorder(tmp_path / "run.mcap", robot)
+    monkeypatch.setattr("armlab.log.syncing.os.fsync", broken)
+    while recorder.failed is None:
+        recorder.row(*rows(0))
+    assert recorder.failed.endswith("Input/output error.")
+    recorder.close()
+
+
 def test_waiting_instead_of_dropping(
     tmp_path: Path, robot: Robot, rows: Callable, disk: Callable[[], Stalled], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -132,7 +132,7 @@ class RecordingFile:
         self.last_stamp_ns = stamp_ns
         self._chunk_rows += 1
         if self._chunk_rows >= MAX_CHUNK_ROWS:
-            self._close_chunk()
+            self.close_chunk()
 
     def event(self, text: str, stamp_ns: int, tick: int = 0) -> None:
         """Write one line for the events."""
@@ -156,16 +156,20 @@ class RecordingFile:
         media = "application/json" if name.endswith(".json") else "application/octet-stream"
         self._writer.attach(self.last_stamp_ns, name, media, data)
 
+    def fileno(self) -> int:
+        """Return the number of the open file."""
+        return self._file.fileno()
+
     def sync(self) -> None:
         """Close the chunk and bring everything to the disk: what was written so far survives a power loss."""
-        self._close_chunk()
+        self.close_chunk()
         _fsync(self._file)
 
     def finish(self, summary: Mapping[str, Any]) -> None:
         """Write the summary and the footer, bring file and folder to the disk, and close."""
         if self._opening:
             self._open(self.last_stamp_ns)
-        self._close_chunk()
+        self.close_chunk()
         self.attach("summary.json", json.dumps(summary, indent=1, default=_plain).encode())
         self._writer.finish()
         _fsync(self._file)
@@ -180,7 +184,8 @@ class RecordingFile:
         with contextlib.suppress(OSError, ValueError):
             self._file.close()
 
-    def _close_chunk(self) -> None:
+    def close_chunk(self) -> None:
+        """Finish the chunk in progress, if any: other programs can read it then."""
         self._writer.close_chunk()
         self._chunk_rows = 0
 

@@ -39,6 +39,8 @@ _SELDOM = {
 SELDOM = tuple(_SELDOM)
 """Columns of axes that are commanded and of values from and to RAPID: the end of a row, which most rows lack."""
 
+# Compared by identity: asking NumPy to convert what needs no conversion takes as long as copying.
+_F8, _U1 = np.dtype("<f8"), np.dtype("u1")
 _ESTIMATE = {"wrench_hat": Column((6,)), "wrench_hat_cov": Column((6, 6))}
 _QD_CODES = {name: code for code, name in enumerate(QD_SOURCES)}
 _TAU_CODES = {name: code for code, name in enumerate(TAU_SOURCES)}
@@ -193,7 +195,10 @@ class RowLayout:
             self._padded("q_ext", state.q_ext),
         ]  # fmt: skip
         parts += [_raw(name, record.get(name), len(empty) // 8, empty) for name, empty in self._extra]
-        clamped = np.asarray(tick.clamped, dtype=np.uint8).tobytes() if tick.clamped is not None else nan["clamped"]
+        bits = tick.clamped
+        if getattr(bits, "dtype", None) is not _U1 and bits is not None:
+            bits = np.asarray(bits, dtype=_U1)
+        clamped = nan["clamped"] if bits is None else bits.tobytes()
         if len(clamped) != n:
             raise ShapeError(f"Expected {n} values in clamped, got {len(clamped)}.")
         return b"".join([*parts, clamped, self._seldom(state, command, tick)])
@@ -268,7 +273,7 @@ def _raw(name: str, values: Any, count: int, empty: bytes) -> bytes:
     """Return the bytes of `count` doubles, or `empty` for None and for an array without values."""
     if values is None:
         return empty
-    raw = np.asarray(values, dtype="<f8").tobytes()
+    raw = values.tobytes() if getattr(values, "dtype", None) is _F8 else np.asarray(values, dtype=_F8).tobytes()
     if len(raw) == len(empty):
         return raw
     if not raw:

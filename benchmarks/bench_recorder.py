@@ -1,0 +1,188 @@
+"""The recorder: what it costs the loop and the machine, what a kill costs, and what a disk that stands still does."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+from blocks import Contender, Disagreement, Figure, Table, alternate, figures
+from mcap.writer import Writer
+from recorder_kill import killed
+from recorder_rows import PERIOD, full_rows, signals
+from recorder_stall import stalled
+from rosbags.typesys import Stores, get_typestore
+
+from armlab import robots
+from armlab.log import Recorder, Tick
+from armlab.state import Command, State
+
+ROBOT = "yumi_right"
+ROW = (10e-6, 40e-6)  # s, p50 and p99
+CPU = 0.03  # of a core
+LOSS = 1.0  # s
+PRIORITY = 50  # as the bridge has
+Rows = list[tuple[State, Command, Tick]]
+
+
+def run(quick: bool) -> list[Table]:
+    """Measure rows in a paced loop, processor time, processes killed, and a disk that stands still."""
+    with tempfile.TemporaryDirectory() as folder:
+        return [
+            *_row(Path(folder), 2.0 if quick else 6.0, 2 if quick else 5),
+            _cpu(Path(folder), 3.0 if quick else 8.0, 2 if quick else 5),
+            _kill(Path(folder), 3 if quick else 20),
+            _stall(Path(folder), 15.0),
+        ]
+
+
+def _row(folder: Path, seconds: float, rounds: int) -> list[Table]:
+    """Measure one call in a loop that sleeps between them, as a control loop does."""
+    robot, rows = robots.load(ROBOT), full_rows(500)
+
+    def ours() -> np.ndarray:
+        with Recorder(folder / "row.mcap", robot, extra=signals()) as recorder:
+            taken = _paced(rows, seconds, lambda row: recorder.row(*row))
+        recorder.path.unlink()
+        return taken
+
+    def theirs() -> np.ndarray:
+        with (folder / "peer.mcap").open("wb") as file:
+            return _paced(rows, seconds, _in_the_loop(file, robot.joint_names))
+
+    tables = []
+    for percent, bar in zip((50, 99), ROW, strict=True):
+        contenders = [
+            Contender(f"armlab Recorder.row, p{percent}", ours, "armlab", bar),
+            Contender(f"mcap.Writer and rosbags in the loop, p{percent}", theirs, note="two of the twelve topics"),
+        ]
+        samples = alternate(contenders, rounds)
+        text = (
+            f"The full layout, noise in every number, at {1 / PERIOD:g} Hz with sleep between the calls and real-time "
+            f"priority where permitted. Percentile {percent} of a block of {seconds:g} s by the clock on the wall."
+        )
+        told = figures(contenders, samples, lambda block, q=percent: np.percentile(block, q))
+        tables.append(Table(f"Recorder: a row in the loop, p{percent}", text, "µs", told, rounds))
+    return tables
+
+
+def _paced(rows: Rows, seconds: float, work: Callable[[tuple[State, Command, Tick]], object]) -> np.ndarray:
+    """Return the time of each call, one per period."""
+    count = int(seconds / PERIOD)
+    taken, due = np.empty(count), time.perf_counter()
+    before = os.sched_getscheduler(0), os.sched_getparam(0)
+    with suppress(PermissionError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+    try:
+        for k in range(count):
+            due += PERIOD
+            time.sleep(max(0.0, due - time.perf_counter()))
+            state, command, tick = rows[k % len(rows)]
+            row = (state, command, tick._replace(number=k))
+            start = time.perf_counter()
+            work(row)
+            taken[k] = time.perf_counter() - start
+    finally:
+        os.sched_setscheduler(0, *before)
+    return taken
+
+
+def _in_the_loop(file: object, names: tuple[str, ...]) -> Callable[[tuple[State, Command, Tick]], None]:
+    """Return what one writes without a recorder: JointState and WrenchStamped by the packages for them."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    types = store.types
+    writer = Writer(file)  # type: ignore[arg-type]
+    writer.start("ros2", "bench")
+    channels = {}
+    topics = {"/joint_states": "sensor_msgs/msg/JointState", "/wrench": "geometry_msgs/msg/WrenchStamped"}
+    for topic, name in topics.items():
+        schema = writer.register_schema(name, "ros2msg", store.generate_msgdef(name, ros_version=2)[0].encode())
+        channels[name] = writer.register_channel(topic, "cdr", schema)
+    vector = types["geometry_msgs/msg/Vector3"]
+
+    def work(row: tuple[State, Command, Tick]) -> None:
+        state, _, tick = row
+        stamp = types["builtin_interfaces/msg/Time"](*divmod(tick.stamp_ns, 10**9))
+        header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
+        joints = types["sensor_msgs/msg/JointState"](header, list(names), state.q, state.qd, state.tau)
+        wrench = types["geometry_msgs/msg/Wrench"](vector(*state.wrench_raw[:3]), vector(*state.wrench_raw[3:]))
+        both = (joints, types["geometry_msgs/msg/WrenchStamped"](header, wrench))
+        for (name, channel), message in zip(channels.items(), both, strict=True):
+            data = bytes(store.serialize_cdr(message, name))
+            writer.add_message(channel, tick.stamp_ns, data, tick.stamp_ns, tick.number)
+
+    return work
+
+
+def _cpu(folder: Path, seconds: float, rounds: int) -> Table:
+    """Measure processor time of the whole process with 30 signals, and of the same loop without a recorder."""
+    robot, rows = robots.load(ROBOT), full_rows(500, only_signals=True)
+
+    def share(work: Callable[[tuple[State, Command, Tick]], object]) -> float:
+        start, wall = time.process_time(), time.perf_counter()
+        _paced(rows, seconds, work)
+        return (time.process_time() - start) / (time.perf_counter() - wall)
+
+    def with_it() -> float:
+        with Recorder(folder / "cpu.mcap", robot, extra=signals()) as recorder:
+            taken = share(lambda row: recorder.row(*row))
+        recorder.path.unlink()
+        return taken
+
+    contenders = [
+        Contender(
+            "armlab Recorder, minus the loop", lambda: np.array([with_it() - share(lambda _: None)]), "armlab", CPU
+        ),
+        Contender("the loop alone", lambda: np.array([share(lambda _: None)]), "limit"),
+    ]
+    text = (
+        f"Processor time of all threads in a second at {1 / PERIOD:g} Hz: q, qd, tau of 7 joints, a wrench and 3 of "
+        f"the user's, and the numbers of the tick. Blocks of {seconds:g} s with and without follow each other."
+    )
+    samples = alternate(contenders, rounds)
+    return Table("Recorder: processor time of a second", text, "s", figures(contenders, samples), rounds)
+
+
+def _kill(folder: Path, trials: int) -> Table:
+    """Kill processes with two recorders at random times; tell the seconds of rows that each recorder lost."""
+    losses = PERIOD * np.array([killed(folder / f"{k}", seed=k) for k in range(trials)])
+    text = (
+        f"{trials} processes with two recorders, the full layout at {1 / PERIOD:g} Hz in real time, killed with signal "
+        f"9 after 1 s to 4 s: seconds of rows that were recorded and cannot be read. Metadata, attachments and the "
+        f"events of all {2 * trials} files are whole; {int((losses == 0).sum())} of the recorders lost no row. "
+        "In the first column is the worst of all, which the bar is for."
+    )
+    worst = _figure("armlab Recorder, the worst of two", losses.max(axis=1), LOSS)
+    return Table("Recorder: lost when killed", text, "s", (worst,), trials)
+
+
+def _stall(folder: Path, seconds: float) -> Table:
+    """Run a simulated arm while the disk answers, and while it stands still in the middle."""
+    free, held = stalled(folder / "free", ROBOT, 0.0), stalled(folder / "held", ROBOT, seconds)
+    for one in (free, held):
+        if one.written + one.dropped != one.packets or one.told != one.dropped:
+            raise Disagreement(
+                f"Expected {one.packets} packets to be written or told as dropped, got {one.written} rows and "
+                f"{one.dropped} dropped, of which events tell {one.told}."
+            )
+    text = (
+        f"`sim://{ROBOT}` at 250 Hz for {seconds + 10:g} s, the arm holds; in the second run no write or sync "
+        f"returns for {seconds:g} s. Arrival to reply by kernel stamps, of the ticks of those {seconds:g} s. Without: "
+        f"{free.missed} of {free.packets} packets missed, {free.late} late; with: {held.missed} of {held.packets}, "
+        f"{held.late} late, and {held.dropped} rows dropped, exactly as summary and events tell."
+    )
+    told = (
+        _figure("armlab bridge, disk stalled", held.latencies, None),
+        _figure("armlab bridge, disk answers", free.latencies, None, "limit"),
+    )
+    return Table(f"Recorder: disk stalled for {seconds:g} s", text, "µs", told, 1)
+
+
+def _figure(name: str, values: np.ndarray, bar: float | None, role: str = "armlab") -> Figure:
+    lower, median, upper = np.percentile(values, (25, 50, 75))
+    judged = float(values.max()) if bar is not None else float(median)
+    return Figure(name, role, "", bar, judged, float(values.min()), float(lower), float(upper), 1.0, 1.0, 1.0)

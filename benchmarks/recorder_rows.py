@@ -1,0 +1,44 @@
+"""Rows for `bench_recorder`: random numbers, as compression must not find anything."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from armlab.log import Column, Tick
+from armlab.state import Command, State
+
+PERIOD = 0.004  # s
+START_NS = 1_700_000_000_000_000_000
+
+
+def signals() -> dict[str, Column]:
+    """Return the columns of the user's."""
+    return {"grip": Column((3,), unit="N")}
+
+
+def full_rows(count: int, only_signals: bool = False) -> list[tuple[State, Command, Tick]]:
+    """Return rows with all that a bridge records; with `only_signals` q, qd, tau, a wrench and the user's.
+
+    Parameters
+    ----------
+    count : of different rows.
+    """
+    rng, rows = np.random.default_rng(0), []
+    for i in range(count):
+        q, qd, tau, q_ref, qd_ref, q_sent, qd_sent, planned = rng.normal(size=(8, 7))
+        stamp = START_NS + round(i * PERIOD * 1e9)
+        common = {"q": q, "qd": qd, "tau": tau, "seq": i, "robot_ns": stamp, "wrench_raw": rng.normal(size=6)}
+        record = {"grip": rng.normal(size=3)}
+        if only_signals:
+            state, command = State(i * PERIOD, PERIOD, **common), Command(record=record)
+            rows.append((state, command, Tick(i, i, stamp, stamp, stamp, 10)))
+            continue
+        R = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = R * np.sign(np.linalg.det(R)), rng.normal(size=3)
+        state = State(i * PERIOD, PERIOD, **common, q_planned=planned, T_frame_tool=T)
+        record |= {"wrench_hat": rng.normal(size=6), "wrench_hat_cov": rng.normal(size=(6, 6))}
+        sent = {"q_sent": q_sent, "qd_sent": qd_sent, "clamped": np.zeros(7, dtype=np.uint8)}
+        tick = Tick(i, i, stamp, stamp, stamp + 90_000, 500, **sent)
+        rows.append((state, Command(q_ref, qd_ref, record=record), tick))
+    return rows

@@ -1,0 +1,59 @@
+"""`Syncing`: a file is brought to the disk by a thread of its own, so that nobody who writes waits for the disk."""
+
+from __future__ import annotations
+
+import os
+import threading
+
+__all__ = ["Syncing"]
+
+
+class Syncing:
+    """Thread that syncs a file when asked.
+
+    What is written while the disk is slow is in the kernel's memory: it survives the end of the process, and goes to
+    the disk with the next sync.
+
+    Parameters
+    ----------
+    number : of the open file; a copy is made, so that the file may be closed before the thread has ended.
+    name : of the thread.
+    """
+
+    def __init__(self, number: int, name: str) -> None:
+        self._number = os.dup(number)
+        self._asked = threading.Event()
+        self._closed = False
+        self._error: OSError | None = None
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    def ask(self) -> None:
+        """Have the file synced soon.
+
+        Raises
+        ------
+        OSError : an earlier sync has failed.
+        """
+        if self._error is not None:
+            raise self._error
+        self._asked.set()
+
+    def close(self) -> None:
+        """End the thread, after the sync in progress."""
+        self._closed = True
+        self._asked.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        try:
+            while True:
+                self._asked.wait()
+                self._asked.clear()
+                if self._closed:
+                    return
+                os.fsync(self._number)
+        except OSError as error:
+            self._error = error
+        finally:
+            os.close(self._number)
