@@ -29,6 +29,7 @@ def arm(robot: Robot) -> Iterator[Arm]:
         "answer_stream": True,
         "record": None,
         "extra": None,
+        "attachments": {},
         "feeds": (),
         "sources": (),
     }

@@ -48,7 +48,14 @@ def ends(*arms: Robot) -> list[End]:
     return [End(arm, Port("127.0.0.1", 0), EgmCodec(arm), ()) for arm in arms]
 
 
-OPTIONS: dict[str, Any] = {"commands": True, "answer_stream": True, "extra": None, "feeds": (), "sources": ()}
+OPTIONS: dict[str, Any] = {
+    "commands": True,
+    "answer_stream": True,
+    "extra": None,
+    "attachments": {},
+    "feeds": (),
+    "sources": (),
+}
 
 
 def test_one_clock_and_a_run_at_the_end(tmp_path: Path) -> None:

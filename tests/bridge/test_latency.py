@@ -32,3 +32,13 @@ def test_the_last_bin_takes_everything_longer() -> None:
     latency.add(-5)
     assert latency.percentile(100.0) == 1e7
     assert latency.percentile(50.0) <= 1.0
+
+
+def test_the_histogram_has_every_time_once() -> None:
+    latency = Latency()
+    for microseconds in (0, 1, 2, 3, 4, 1000, 1024, 10**7):
+        latency.add(microseconds * 1000)
+    told = latency.histogram()
+    counts = dict(zip(told["below_us"], told["count"], strict=True))
+    assert {limit: count for limit, count in counts.items() if count} == {2: 2, 4: 2, 8: 1, 1024: 1, 2048: 1, 32768: 1}
+    assert list(counts) == [2**k for k in range(1, 16)]

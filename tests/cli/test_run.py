@@ -55,7 +55,21 @@ def test_a_controller_of_a_file_moves_the_arm_and_is_recorded(folder: Path, caps
     table = log.read(path)
     assert np.ptp(table["q"][:, 0]) > 0.1
     assert np.nanmax(table["wish"]) == pytest.approx(0.1, abs=1e-3)
+    held = log.inspect(path).attachments
+    assert held["sine.py"] == SINE.encode()
+    assert robots.from_toml(held["robot.toml"].decode(), "it").name == "yumi_left"
     assert run.__doc__
+
+
+def test_a_log_of_the_same_name_is_kept_and_the_new_name_is_told(
+    folder: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("armlab.cli.run.time.strftime", lambda *_: "now")
+    (folder / "sway-now.mcap").write_bytes(b"mine")
+    words = ["--link", "sim://yumi_left?lockstep=true", "--log", "sway", "--seconds", "0.1"]
+    assert main(["run", "yumi_left", *words]) == 0
+    assert "log: sway-now-2.mcap; look at it: armlab log show sway-now-2.mcap" in capsys.readouterr().err
+    assert (folder / "sway-now.mcap").read_bytes() == b"mine"
 
 
 def test_a_log_that_is_not_whole_is_a_failure(folder: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -64,7 +78,7 @@ def test_a_log_that_is_not_whole_is_a_failure(folder: Path, capsys: Any, monkeyp
 
     monkeypatch.setattr("armlab.log.recording_file.RecordingFile.write", full)
     words = ["--link", "sim://yumi_left?lockstep=true", "--seconds", "0.5"]
-    assert main(["run", "yumi_left", *words]) == 2
+    assert main(["run", "yumi_left", *words]) == 1
     said = capsys.readouterr()
     assert "Ended: the time is up." in said.out
     assert "warning: The recording stopped" in said.err

@@ -101,6 +101,7 @@ def assemble(
     answer_stream: bool,
     record: str | Path | None,
     extra: Mapping[str, Column] | None,
+    attachments: Mapping[str, bytes],
     feeds: Sequence[Feed],
     sources: Sequence[Source],
 ) -> list[Arm]:
@@ -109,7 +110,7 @@ def assemble(
     Parameters
     ----------
     ends : where they are heard. limits : of each. settings : of the run. commands : False when nothing is ever sent.
-    answer_stream, record, extra, feeds, sources : see `Link.run`.
+    answer_stream, record, extra, attachments, feeds, sources : see `Link.run`.
     """
     wall_ns = time.time_ns() - time.monotonic_ns()
     told = list(feeds)  # one list: a feed that fails is dropped for all arms
@@ -124,6 +125,7 @@ def assemble(
                 end.robot,
                 file,
                 columns,
+                attachments=attachments,
                 wait=settings.clock == "robot",
                 clock=_clock(arms, len(arms)),
                 feeds=told,

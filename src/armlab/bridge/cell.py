@@ -8,7 +8,7 @@ import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import msgspec
@@ -48,7 +48,7 @@ class Cell:
     name : of the cell. robots, links : the arms and their urls. extension : send the research extension.
     limits : of each arm. torque : names of arms that clients may command by torque.
     commands : servers that may command. pace, record : see `Link.run`.
-    parameters : declared. servers : options by name of the server.
+    parameters : declared. servers : options by name of the server. text : of the file, kept in recordings.
     """
 
     name: str
@@ -63,6 +63,7 @@ class Cell:
     parameters: tuple[Parameter, ...]
     servers: Mapping[str, Mapping[str, Any]]
     _sources: Mapping[str, SourceTable]
+    text: str = ""
 
     def sources(self) -> list[Source]:
         """Return the sources, not yet started."""
@@ -82,7 +83,7 @@ def parse_cell(text: str, path: str = "cell.toml") -> Cell:
     """
     try:
         file = msgspec.convert(tomllib.loads(text), File, strict=True)
-        return _cell(file)
+        return replace(_cell(file), text=text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"Expected TOML in {path}: {_line(error)}.") from None
     except (msgspec.ValidationError, ArmlabError) as error:
@@ -239,6 +240,7 @@ def run_cell(
                 seconds=seconds,
                 limits=list(cell.limits),
                 record=cell.record,
+                attachments={"cell.toml": cell.text.encode()} if cell.text else None,
                 pace=cell.pace,
                 feeds=[exchange],
                 sources=sources,

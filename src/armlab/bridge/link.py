@@ -160,6 +160,7 @@ class Link:
         sources: Sequence[Source] = (),
         damping: np.ndarray | None = None,
         torque_model: TorqueModel | Sequence[TorqueModel] | None = None,
+        attachments: Mapping[str, bytes] | None = None,
     ) -> Run:
         """Run a controller against the robot: one call and one reply per packet.
 
@@ -192,6 +193,7 @@ class Link:
         sources : fused with each packet into `State.sources` and recorded; started and closed with the run.
         damping : (n,) of each joint [N m s/rad], for the admittance; it has no default.
         torque_model : (q, qd) -> (n,) torque of a free motion, one per arm; without it the command is what goes beyond.
+        attachments : name -> bytes kept in the recordings, such as models and settings; descriptions of the arms are.
 
         Returns
         -------
@@ -219,6 +221,7 @@ class Link:
             answer_stream=self._answer_stream,
             record=record,
             extra=extra,
+            attachments=attachments or {},
             feeds=feeds,
             sources=sources,
         )

@@ -12,7 +12,7 @@ from typing import Any, Protocol
 from armlab.bridge.events import Limited
 from armlab.bridge.parameters import Change
 from armlab.log import Column, Log, Recorder, Table, Tail, Tick
-from armlab.robots import Robot, to_toml
+from armlab.robots import Robot
 from armlab.state import Command, State
 
 __all__ = ["Feed", "Recording", "paths"]
@@ -63,7 +63,7 @@ class Recording:
     Parameters
     ----------
     robot : the arm. path : file to write, None keeps the rows in memory. extra : the controller's own columns.
-    wait : never drop a row (a link in lockstep keeps no real time).
+    attachments : kept in the file. wait : never drop a row (a link in lockstep keeps no real time).
     clock : stamps of events, wall clock [ns]; 0 while it is not known yet.
     feeds : told too; a list that the recordings of a run share. label : put before each event when several arms run.
 
@@ -78,13 +78,14 @@ class Recording:
         path: str | Path | None,
         extra: Mapping[str, Column] | None,
         *,
+        attachments: Mapping[str, bytes] | None = None,
         wait: bool,
         clock: Callable[[], int],
         feeds: list[Feed] | None = None,
         label: str = "",
     ) -> None:
-        described = {} if path is None else {"robot.toml": to_toml(robot).encode()}
-        self._recorder = None if path is None else Recorder(path, robot, extra=extra, attachments=described, wait=wait)
+        options: dict[str, Any] = {"extra": extra, "attachments": attachments, "wait": wait}
+        self._recorder = None if path is None else Recorder(path, robot, **options)
         self._log = Log(robot, extra) if path is None else Tail(_KEPT_SECONDS, robot, extra)
         self._clock, self._label = clock, label
         self._feeds = [] if feeds is None else feeds

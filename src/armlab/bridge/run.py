@@ -105,6 +105,7 @@ def statistics(arm: Arm, reason: str) -> dict[str, Any]:
         "drops": dict(session.drops),
         "socket_errors": arm.port.errors,
         "latency_us": arm.latency.summary(),
+        "latency_histogram": arm.latency.histogram(),
         "clamps": dict(zip(_CLAMPS, guide.clamps.tolist(), strict=True)),
         "worst_ratio": guide.worst_ratio,
         "reason": reason,

@@ -78,16 +78,17 @@ def run(
         note(_CHECKS)
     with bridge.connect(urls, arms) as end:
         options: dict[str, Any] = {"wait": wait or known.wait, "limits": limits, "extra": extra, "feeds": [Narrator()]}
+        options["attachments"] = _attached(controller)
         try:
             done = end.run(step, seconds, record=base, **options)
         except KeyboardInterrupt:
-            _report_of_logs(base, end)
+            _report_of_logs(end)
             raise
         except ControllerFailed as error:
             note(_raised_at(error))
             raise
         finally:
-            _tell_files(base, end)
+            _tell_files(end)
     result(done.report())
     if interactive:
         _prompt(done, end)
@@ -138,6 +139,14 @@ def load_controller(place: str) -> tuple[Callable[..., Any], Mapping[str, Any] |
     return found, getattr(module, "extra", None)
 
 
+def _attached(controller: str | None) -> dict[str, bytes]:
+    """Return the file of the controller, to be kept in the log."""
+    if controller is None:
+        return {}
+    path = Path(controller.partition(".py:")[0]).with_suffix(".py")
+    return {path.name: path.read_bytes()}
+
+
 def _raised_at(error: Exception) -> str:
     """Return the lines of the user's own files that led to what a controller raised, the last one last."""
     from traceback import extract_tb
@@ -185,25 +194,27 @@ def _base(log: str | None, no_log: bool, robot: str) -> Path | None:
     return path
 
 
-def _tell_files(base: Path | None, link: Link) -> None:
-    from armlab.bridge.recording import paths
+def _files(link: Link) -> list[Path]:
+    """Return the logs of the last run; one that met another of its name has a number in its own."""
+    last = link.last
+    runs = () if last is None else last.arms or (last,)
+    return [one.path for one in runs if one.path is not None and one.path.exists()]
+
+
+def _tell_files(link: Link) -> None:
     from armlab.cli.output import note
 
-    for path in paths(base, link.robots):
-        if path is not None and path.exists():
-            note(f"log: {path}; look at it: armlab log show {path}")
+    for path in _files(link):
+        note(f"log: {path}; look at it: armlab log show {path}")
 
 
-def _report_of_logs(base: Path | None, link: Link) -> None:
+def _report_of_logs(link: Link) -> None:
     """Print the report of a run that was interrupted: its numbers are the summary of the log."""
     from armlab import log as logs
-    from armlab.bridge.recording import paths
     from armlab.bridge.run import Run
     from armlab.cli.output import result
 
-    for path in paths(base, link.robots):
-        if path is None or not path.exists():
-            continue
+    for path in _files(link):
         summary = logs.inspect(path).summary
         if summary:
             result(Run(summary["reason"], {**summary, "problems": []}, (), path, None).report())
