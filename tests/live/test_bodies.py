@@ -11,7 +11,7 @@ import pytest
 
 from armlab import robots
 from armlab.kinematics import forward, link_transforms
-from armlab.live.bodies import Body, bodies, box, capsule, drums, mesh_bodies
+from armlab.live.bodies import Body, along, arrow, bodies, box, capsule, drums, mesh_bodies
 from armlab.robots import Mesh, Robot
 
 
@@ -39,6 +39,19 @@ def test_a_rod_is_a_box() -> None:
     body = box(np.array([0.0, 0.0, -0.2]), np.array([0.0, 0.0, 0.3]), 0.04)
     assert volume(body) == pytest.approx(0.5 * 0.04**2)
     np.testing.assert_allclose(body.moved(np.eye(4)).vertices[:, 2], [-0.2] * 4 + [0.3] * 4)
+
+
+def test_an_arrow_points_along_z_and_is_turned_anywhere() -> None:
+    body = arrow()
+    assert volume(body) > 0
+    np.testing.assert_array_equal(body.vertices[:, 2].min(), 0.0)
+    np.testing.assert_array_equal(body.vertices[body.vertices[:, 2].argmax()], [0.0, 0.0, 1.0])
+    a, b = np.array([0.1, 0.2, 0.3]), np.array([0.4, -0.2, 0.9])
+    for end in (b, a + np.array([0.0, 0.0, 1.0]), a - np.array([0.0, 0.0, 2.0])):
+        T = along(a, end)
+        np.testing.assert_allclose((T @ [0.0, 0.0, np.linalg.norm(end - a), 1.0])[:3], end, atol=1e-12, rtol=0)
+        np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-12, rtol=0)
+    np.testing.assert_array_equal(along(a, a)[:3, 2], [0.0, 0.0, 1.0])
 
 
 def test_drums_stand_about_the_joint_axes() -> None:

@@ -99,12 +99,13 @@ def test_the_cursor_reaches_over_the_data_where_no_scale_was_given() -> None:
     assert np.isnan(gui.plots[0].data[2]).all()
 
 
-def test_a_band_that_is_missing_is_nan() -> None:
+def test_a_band_that_is_missing_has_no_width() -> None:
     gui = Gui()
     plot = Curves(gui, "x", ["x"], ["#000000"], band=True)
-    plot.show([0.0, 1.0], [[1.0], [2.0]])
-    np.testing.assert_array_equal(gui.plots[0].data[1], [1.0, 2.0])
-    assert np.isnan(gui.plots[0].data[2:]).all()
+    for half, sizes in ((None, [0.0, 0.0]), ([[np.nan], [2.0]], [0.0, 4.0])):
+        plot.show([0.0, 1.0], [[1.0], [2.0]], half)
+        np.testing.assert_array_equal(gui.plots[0].data[1], [1.0, 2.0])
+        np.testing.assert_array_equal(gui.plots[0].data[2] - gui.plots[0].data[3], sizes)
 
 
 def test_a_window_slides_and_draws_ten_times_a_second() -> None:

@@ -10,6 +10,7 @@ import pytest
 from armlab import live, robots
 from armlab.errors import LogError, ShapeError
 from armlab.kinematics import forward
+from armlab.lie import quaternion
 from armlab.live.player import Player
 from armlab.live.recorded import Recorded
 from armlab.log import Table
@@ -35,6 +36,10 @@ def pressed() -> Recorded:
 
 def tool(server: Any, robot: robots.Robot) -> np.ndarray:
     return np.array(server.scene.get_handle_by_name(f"/{robot.name}/arm/tool").position)  # viser writes into its own
+
+
+def tip(arrow: Any) -> np.ndarray:
+    return arrow.position + quaternion.to_matrix(arrow.wxyz) @ [0.0, 0.0, arrow.scale[2]]
 
 
 def control(server: Any, label: str) -> Any:
@@ -95,8 +100,8 @@ def test_the_force_of_that_instant_and_its_covariance_are_drawn(server: Any, pre
         player.seek(t)
         player.advance(0.0)
         arrow = server.scene.get_handle_by_name("/yumi_left/force")
-        np.testing.assert_allclose(arrow.points[0, 1], [0.01 * t, 0.0, 0.0], atol=1e-6, rtol=0)
-        assert (tuple(arrow.colors) == live.scene.rgb("#D55E00")) is significant
+        np.testing.assert_allclose(tip(arrow), tool(server, LEFT) + 0.01 * t * np.eye(3)[0], atol=1e-9, rtol=0)
+        assert (tuple(arrow.color) == live.scene.rgb("#D55E00")) is significant
         widths.append(max(server.scene.get_handle_by_name("/yumi_left/uncertainty").scale))
     np.testing.assert_allclose(widths, 0.02 * np.sqrt([25.0, 12.0]))
 
@@ -143,7 +148,7 @@ def test_sliders_set_speed_and_length_of_a_force(server: Any, pressed: Recorded)
     player.advance(0.0)
     assert player.speed == 0.5
     arrow = server.scene.get_handle_by_name("/yumi_left/force")
-    np.testing.assert_allclose(arrow.points[0, 1], [0.2, 0.0, 0.0], atol=1e-6, rtol=0)
+    np.testing.assert_allclose(tip(arrow), tool(server, LEFT) + 0.2 * np.eye(3)[0], atol=1e-9, rtol=0)
     assert control(server, "time [s]").value == 10.0
     assert (control(server, "speed").min, control(server, "speed").max) == (0.1, 4.0)
 

@@ -14,12 +14,13 @@ from armlab.lie import se3
 from armlab.robots import Mesh, Robot
 from armlab.robots.outline import arm_length, bends
 
-__all__ = ["Body", "bodies", "box", "capsule", "drums", "mesh_bodies"]
+__all__ = ["Body", "along", "arrow", "bodies", "box", "capsule", "drums", "mesh_bodies"]
 
 _THICK = (0.042, 0.020)  # radius of the first and the last link over the length of the arm
 _DRUM = (1.25, 2.6)  # radius and length of a joint over the radius of its link
 _STROKE = 0.3  # of a slide without limits, over the length of the arm
 _SIDES = 20
+_SHAFT, _HEAD = 0.008, (0.02, 0.72)  # of an arrow: radius [m]; radius [m] and where it begins
 
 
 class Body(NamedTuple):
@@ -49,7 +50,7 @@ def capsule(a: np.ndarray, b: np.ndarray, radius: float) -> Body:
     polar = np.insert(polar, _SIDES // 2, np.pi / 2)  # the equator twice: one ring for each end
     height = np.where(np.arange(len(polar)) <= _SIDES // 2, np.linalg.norm(b - a), 0.0)
     profile = np.stack([radius * np.sin(polar), radius * np.cos(polar) + height], axis=1)
-    return _turned(profile).moved(_along(a, b))
+    return _turned(profile).moved(along(a, b))
 
 
 def _drum(radius: float, length: float) -> Body:
@@ -69,7 +70,16 @@ def box(a: np.ndarray, b: np.ndarray, width: float) -> Body:
     corners = np.array([[x, y, z] for z in (0.0, length) for y in (-h, h) for x in (-h, h)])
     squares = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
     faces = np.array([(p, *pair) for p, q, r, s in squares for pair in ((q, r), (r, s))])
-    return Body(corners, faces).moved(_along(a, b))
+    return Body(corners, faces).moved(along(a, b))
+
+
+def arrow() -> Body:
+    """Return an arrow from the origin to (0, 0, 1); scaled along z it has the length of a force."""
+    return _turned(
+        np.array(
+            [[0.0, 1.0], [_HEAD[0], _HEAD[1]], [_HEAD[0], _HEAD[1]], [_SHAFT, _HEAD[1]], [_SHAFT, 0.0], [0.0, 0.0]]
+        )
+    )
 
 
 def bodies(robot: Robot) -> list[Body]:
@@ -109,6 +119,20 @@ def drums(robot: Robot) -> list[Body]:
     """
     radii = arm_length(robot) * np.linspace(*_THICK, robot.n + 1)[1:]
     return [_drum(_DRUM[0] * radius, _DRUM[1] * radius) for radius in radii]
+
+
+def along(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return a pose (4, 4) at a whose z axis points to b.
+
+    Parameters
+    ----------
+    a, b : (3,); where they are the same, z stays.
+    """
+    z = b - a
+    z = z / np.linalg.norm(z) if z.any() else np.array([0.0, 0.0, 1.0])
+    x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
+    x /= np.linalg.norm(x)
+    return se3.from_rp(np.stack([x, np.cross(z, x), z], axis=1), a)
 
 
 def mesh_bodies(robot: Robot, folder: Path | None = None) -> list[Body | None]:
@@ -155,15 +179,6 @@ def _read(mesh: Mesh, folder: Path) -> Body | None:
             except Exception:  # each reader of each format has errors of its own
                 return None
     return None
-
-
-def _along(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return a pose at a whose z axis points to b."""
-    z = b - a
-    z = z / np.linalg.norm(z) if z.any() else np.array([0.0, 0.0, 1.0])
-    x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
-    x /= np.linalg.norm(x)
-    return se3.from_rp(np.stack([x, np.cross(z, x), z], axis=1), a)
 
 
 def _turned(profile: np.ndarray) -> Body:

@@ -102,7 +102,8 @@ class Curves:
 
         Parameters
         ----------
-        t : (N,) increasing [s]. values : (N, k). half : (N, k) half width of the bands. at : of the cursor [s].
+        t : (N,) increasing [s]. values : (N, k); uPlot draws a straight line over NaN.
+        half : (N, k) half width of the bands; no band where it is NaN. at : of the cursor [s].
 
         Raises
         ------
@@ -116,6 +117,7 @@ class Curves:
             half = np.full_like(values, np.nan) if half is None else numbers(half, "bands", ShapeError)
             if half.shape != values.shape:
                 raise ShapeError(f"Expected bands of shape {values.shape}, got {half.shape}.")
+            half = np.nan_to_num(half)  # uPlot would draw a wedge towards the next one that is known
             columns = np.concatenate([values, np.stack([values + half, values - half], axis=2).reshape(len(t), -1)], 1)
         elif half is not None:
             raise ShapeError("Expected no bands for these curves, got some. Make the plot with band=True.")

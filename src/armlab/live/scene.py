@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab._numbers import numbers, positive
-from armlab._palette import COLORS, GREY, PURPLE, VERMILION
+from armlab._palette import COLORS, GREY, VERMILION
 from armlab.errors import RobotError, ShapeError, UnknownName
 from armlab.kinematics import forward, link_transforms
 from armlab.lie import quaternion, se3
-from armlab.live.bodies import Body, bodies, drums, mesh_bodies
+from armlab.live.bodies import Body, along, arrow, bodies, drums, mesh_bodies
 from armlab.robots import Robot
 from armlab.robots.outline import arm_length
 
@@ -27,14 +27,14 @@ ARROW = 0.2 / 20.0
 """Length of a force [m/N] unless set otherwise."""
 LINK_COLORS = ("#8FB4D9", "#E2BE8C")
 """Of the links of the first, second, ... arm."""
-TOOL_COLOR = PURPLE
-"""Of the ball at the tool point."""
+TOOL_COLOR = "#C800C8"
+"""Of the ball at the tool point; nothing else has it."""
 
 _ZERO_OUTSIDE = 7.81  # 95 % quantile of chi-square with 3 degrees of freedom
-_TOOL = 0.024  # radius of the ball at the tool point over the length of the arm
+_TOOL = 0.03  # radius of the ball at the tool point over the length of the arm
 _AXES = 0.1  # length of the tool's axes over the length of the arm
 _SHORTEST = 1e-3  # m: a shorter arrow is not drawn
-_HEAD = 0.04  # m, of an arrow at most
+_FULL = 0.15  # m: a shorter arrow is thinner
 _MOST_POINTS = 300  # of a path
 
 
@@ -186,9 +186,8 @@ class _Arm:
                 _solid(scene, f"{root}/arm/link_{i + 1}/joint", joints[i], COLORS[i % len(COLORS)])
         self._tool = scene.add_frame(f"{root}/arm/tool", axes_length=_AXES * size, axes_radius=0.05 * _AXES * size)
         scene.add_icosphere(f"{root}/arm/tool/point", _TOOL * size, rgb(TOOL_COLOR), cast_shadow=False)
-        self._force = scene.add_arrows(
-            f"{root}/force", np.zeros((1, 2, 3)), rgb(VERMILION), shaft_radius=0.008, head_radius=0.02, visible=False
-        )
+        self._force = _solid(scene, f"{root}/force", arrow(), VERMILION)
+        self._force.visible = False
         self._spread = scene.add_icosphere(
             f"{root}/uncertainty", 1.0, rgb(VERMILION), opacity=0.3, visible=False, cast_shadow=False
         )
@@ -196,7 +195,7 @@ class _Arm:
             f"{root}/path", np.zeros((1, 2, 3)), rgb(GREY), thickness=2.0, thickness_units="screen", visible=False
         )
 
-    def show(self, q: np.ndarray, force: np.ndarray | None, spread: np.ndarray | None, arrow: float) -> None:
+    def show(self, q: np.ndarray, force: np.ndarray | None, spread: np.ndarray | None, unit: float) -> None:
         known = bool(np.isfinite(q).all())
         self._arm.visible = known
         if not known:
@@ -206,28 +205,27 @@ class _Arm:
         turns = quaternion.from_matrix(T[:, :3, :3])
         for handle, pose, turn in zip((*self._links, self._tool), T, turns):
             handle.position, handle.wxyz = pose[:3, 3], turn
-        self._push(T[-1, :3, 3], force, spread, arrow)
+        self._push(T[-1, :3, 3], force, spread, unit)
 
-    def _push(self, tool: np.ndarray, force: np.ndarray | None, spread: np.ndarray | None, arrow: float) -> None:
+    def _push(self, tool: np.ndarray, force: np.ndarray | None, spread: np.ndarray | None, unit: float) -> None:
         """Draw the force at the tool point, and its uncertainty at the tip."""
         if force is None or not np.isfinite(force).all():
             self._force.visible = self._spread.visible = False
             return
         certain = spread is None or not np.isfinite(spread).all()
         color = rgb(VERMILION if certain or is_significant(force, spread) else GREY)
-        tip = arrow * force
+        tip = unit * force
         length = float(np.linalg.norm(tip))
         self._force.visible = length >= _SHORTEST
         if length >= _SHORTEST:
-            self._force.position = tool
-            self._force.head_length = min(_HEAD, 0.5 * length)
-            self._force.points = np.stack([np.zeros(3), tip])[None].astype(np.float32)
-            self._force.colors = np.array(color, dtype=np.uint8)
+            _place(self._force, along(tool, tool + tip))
+            thick = min(max(length / _FULL, 0.3), 1.0)
+            self._force.scale, self._force.color = (thick, thick, length), color
         self._spread.visible = not certain
         if spread is not None and not certain:
             axes, half = ellipsoid_axes(spread)
             self._spread.position, self._spread.wxyz = tool + tip, quaternion.from_matrix(axes)
-            self._spread.scale = tuple(float(one) for one in arrow * np.maximum(half, 1e-6))
+            self._spread.scale = tuple(float(one) for one in unit * np.maximum(half, 1e-6))
             self._spread.color = color
 
     def trace(self, points: np.ndarray) -> None:

@@ -1,0 +1,145 @@
+"""Headless Chromium, driven by its DevTools protocol."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import shutil
+import subprocess
+import time
+import urllib.request
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from armlab import live
+
+FLAGS = """--headless=new --disable-gpu --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader
+    --ignore-gpu-blocklist --disable-quic --no-first-run --disable-background-networking --disable-component-update
+    --disable-sync --window-size=1400,960 --remote-debugging-port=0"""
+ONLY_HERE = "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1, EXCLUDE localhost"
+PATIENCE = 120.0  # s for one answer of a browser that draws without a graphics card on a busy machine
+
+
+class Page:
+    """A page in the browser.
+
+    Attributes
+    ----------
+    errors : what its console told as an error. requests : addresses that it or its workers asked for.
+    """
+
+    def __init__(self, socket: Any) -> None:
+        self._socket, self._number = socket, 0
+        self.errors: list[str] = []
+        self.requests: list[str] = []
+        for domain in ("Runtime", "Log", "Network", "Page"):
+            self.call(f"{domain}.enable")
+        self.call("Target.setAutoAttach", autoAttach=True, waitForDebuggerOnStart=False, flatten=True)
+
+    def call(self, method: str, session: str | None = None, **parameters: Any) -> dict[str, Any]:
+        """Return the answer of the browser."""
+        self._number += 1
+        request = {"id": self._number, "method": method, "params": parameters}
+        self._socket.send(json.dumps(request | ({} if session is None else {"sessionId": session})))
+        number, until = self._number, time.monotonic() + PATIENCE
+        while time.monotonic() < until:
+            message = json.loads(self._socket.recv(timeout=PATIENCE))
+            if message.get("id") == number:
+                assert "error" not in message, message["error"]
+                return message["result"]
+            self._hear(message)
+        raise TimeoutError(method)
+
+    def _hear(self, event: dict[str, Any]) -> None:
+        what, about = event.get("method", ""), event.get("params", {})
+        if what == "Target.attachedToTarget":  # a worker: it has the socket to the server
+            self.call("Network.enable", session=about["sessionId"])
+        elif what in ("Network.requestWillBeSent", "Network.webSocketCreated"):
+            self.requests.append(about["request"]["url"] if "request" in about else about["url"])
+        elif what == "Runtime.exceptionThrown":
+            self.errors.append(str(about["exceptionDetails"]))
+        elif what == "Runtime.consoleAPICalled" and about["type"] == "error":
+            self.errors.append(str(about["args"]))
+        elif what == "Log.entryAdded" and about["entry"]["level"] == "error":
+            self.errors.append(about["entry"]["text"])
+
+    def value(self, script: str) -> Any:
+        """Return the value of a JavaScript expression."""
+        found = self.call("Runtime.evaluate", expression=script, returnByValue=True)
+        assert "exceptionDetails" not in found, found
+        return found["result"].get("value")
+
+    def text(self) -> str:
+        """Return all words on the page."""
+        return self.value("document.body.innerText")
+
+    def wait(self, script: str) -> None:
+        """Wait until a JavaScript expression is true."""
+        until = time.monotonic() + PATIENCE
+        while not self.value(script):
+            assert time.monotonic() < until, f"never true: {script}\n{self.text()}"
+            time.sleep(0.1)
+
+    def click(self, label: str) -> None:
+        """Press the mouse on the button with this label."""
+        button = f"[...document.querySelectorAll('button')].find(one => one.innerText.trim() === {json.dumps(label)})"
+        self.wait(f"!!({button})")
+        box = self.value(f"(r => [r.x + r.width / 2, r.y + r.height / 2])({button}.getBoundingClientRect())")
+        for kind in ("mousePressed", "mouseReleased"):
+            self.call("Input.dispatchMouseEvent", type=kind, x=box[0], y=box[1], button="left", clickCount=1)
+
+    def picture(self, path: Path) -> None:
+        """Keep a picture of the page."""
+        path.write_bytes(base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"]))
+
+
+@pytest.fixture(scope="session")
+def _chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The address of the DevTools of a browser without a window."""
+    program = shutil.which("chromium") or shutil.which("google-chrome")
+    if program is None:
+        pytest.skip("no Chromium on this computer: apt-get install chromium")
+    folder = tmp_path_factory.mktemp("chromium")
+    sandbox = ["--no-sandbox"] if os.geteuid() == 0 else []
+    command = [program, *FLAGS.split(), ONLY_HERE, *sandbox, f"--user-data-dir={folder}", "about:blank"]
+    with (folder / "said.txt").open("w") as said:
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=said)
+    port = folder / "DevToolsActivePort"
+    until = time.monotonic() + PATIENCE
+    while not (port.exists() and port.read_text().strip()):
+        assert process.poll() is None, (folder / "said.txt").read_text()
+        assert time.monotonic() < until, "Chromium did not open its DevTools"
+        time.sleep(0.1)
+    yield f"http://127.0.0.1:{port.read_text().split()[0]}"
+    process.terminate()
+    process.wait(timeout=PATIENCE)
+
+
+@pytest.fixture(scope="module")
+def open_page(_chromium: str) -> Iterator[Callable[[Any], Page]]:
+    """Open the page of a server, and wait until it is connected and the scene is drawn."""
+    from websockets.sync.client import connect
+
+    sockets = []
+
+    def open_(server: Any) -> Page:
+        asked = urllib.request.Request(f"{_chromium}/json/new?about:blank", method="PUT")
+        with urllib.request.urlopen(asked, timeout=PATIENCE) as answer:
+            about = json.load(answer)
+        socket = connect(about["webSocketDebuggerUrl"], max_size=None, max_queue=None, proxy=None)
+        sockets.append(socket)
+        page = Page(socket)
+        page.call("Page.navigate", url=live.address(server))
+        until = time.monotonic() + PATIENCE
+        while not server.get_clients():
+            assert time.monotonic() < until, page.text()
+            time.sleep(0.1)
+        return page
+
+    yield open_
+    for socket in sockets:
+        socket.close()
