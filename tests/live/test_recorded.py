@@ -13,7 +13,7 @@ from armlab.errors import LogError, RobotError
 from armlab.kinematics import forward
 from armlab.live.recorded import Recorded, read_arms
 from armlab.log import Recorder, Table, Tick
-from armlab.robots import Robot, to_toml
+from armlab.robots import Robot
 from armlab.state import Command, State
 
 LEFT, RIGHT = robots.load("yumi_left"), robots.load("yumi_right")
@@ -109,12 +109,9 @@ def test_an_estimate_goes_before_a_sensor(table: Callable[..., Table]) -> None:
 
 def test_robots_come_from_the_file_the_library_or_the_caller(tmp_path: Path, table: Callable[..., Table]) -> None:
     special = robots.from_dh("mine", [0.0] * 7, [0.1] * 7, [0.0] * 7)
-    path = recording(tmp_path / "mine.mcap", special)
-    with pytest.raises(RobotError, match=r"'mine', which the library does not have.*--robot FILE"):
-        read_arms([path])
+    path = recording(tmp_path / "mine.mcap", special)  # it is described there
+    assert read_arms([path])[0].robot == special
     assert read_arms([path], [special])[0].robot is special
-    described = recording(tmp_path / "told.mcap", special, attachments={"robot.toml": to_toml(special).encode()})
-    assert read_arms([described])[0].robot == special
     log.write(table(), tmp_path / "run.csv")
     with pytest.raises(RobotError, match="none in the file"):
         read_arms([tmp_path / "run.csv"])

@@ -74,7 +74,7 @@ class Curves:
         bands = []
         if band:
             for name, color in zip(labels, colors):
-                series += [{"label": f"{name} {sign}2σ", "stroke": color + _BAND, "width": 0.5} for sign in "+-"]
+                series += [{"label": f"{name} {sign}2σ", "width": 0} for sign in "+-"]  # the fill alone
                 bands.append({"series": (len(series) - 2, len(series) - 1), "fill": color + _BAND})
         if cursor:
             series.append({"label": "now", "stroke": _CURSOR, "width": 1.5})
