@@ -59,6 +59,21 @@ def test_a_finished_file_is_read_by_rosbags_and_by_mcap(recording: Callable[...,
     assert ticks == list(range(40))
 
 
+def test_every_topic_is_read_by_mcap_ros2_support(recording: Callable[..., Path], rows: Callable) -> None:
+    from mcap.reader import make_reader
+    from mcap_ros2.decoder import DecoderFactory
+
+    path, seen = recording(20), {}
+    with path.open("rb") as file:
+        for _, channel, _, message in make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages():
+            seen.setdefault(channel.topic, []).append(message)
+    assert {topic: len(messages) for topic, messages in seen.items()} == {
+        topic.name: topic.messages for topic in inspect(path).topics if topic.messages
+    }
+    assert [message.tick for message in seen["/yumi_right/tick"]] == list(range(20))
+    assert list(seen["/yumi_right/columns/fext"][7].values) == rows(7)[1].record["fext"].tolist()
+
+
 def state_names(path: Path) -> tuple[str, ...]:
     return read(path).columns["q"].labels
 
