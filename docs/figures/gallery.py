@@ -41,7 +41,7 @@ loop |= {"send_ns": receive + loop["step_ns"] + rng.lognormal(11, 0.5, ticks).as
 loop |= {"missed": rng.binomial(1, 2e-4, ticks), "late": rng.binomial(1, 1e-4, ticks).astype(bool)}
 plots.latency(Table(0.004 * np.arange(ticks), loop)).figure.savefig("gallery_latency.png", dpi=110)
 # -- torque_fit
-plots.torque_fit(identify.predict(fit.value, excited)).savefig("gallery_torque_fit.png", dpi=110)
+plots.torque_fit(fit, excited).savefig("gallery_torque_fit.png", dpi=110)
 # -- friction
 plots.friction(fit, free).savefig("gallery_friction.png", dpi=110)
 # -- friction_map
@@ -57,9 +57,9 @@ k[2] = 0.4 * np.array([1, 0.2, -0.5, 0.1, 0.8, 1])[:, None]
 mapped = replace(fit.value, friction_map=FrictionMap(basis, k))
 plots.friction_map(mapped, 2, excited).savefig("gallery_friction_map.png", dpi=110)
 # -- spectrum
-plots.spectrum(fit.value, excited, joints=[0, 1, 2]).savefig("gallery_spectrum.png", dpi=110)
+plots.spectrum(fit, excited, joints=[0, 1, 2]).savefig("gallery_spectrum.png", dpi=110)
 # -- velocity_covariance
-plots.velocity_covariance(fit.value).figure.savefig("gallery_velocity_covariance.png", dpi=110)
+plots.velocity_covariance(fit).figure.savefig("gallery_velocity_covariance.png", dpi=110)
 # -- autocorrelation
 plots.autocorrelation(free).figure.savefig("gallery_autocorrelation.png", dpi=110)
 # -- excitation

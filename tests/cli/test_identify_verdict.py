@@ -31,7 +31,7 @@ def test_a_good_model_is_called_good(fitted: Fit[TorqueModel], trial: Trial, exc
 
 
 def test_a_trial_is_the_estimate_of_no_force(trial: Trial, excited: Table) -> None:
-    assert len(trial.estimate) == len(trial.predicted) == len(excited)
+    assert len(trial.estimate) == len(trial.log) == len(excited)
     assert not trial.estimate["wrench_true"].any()
     assert trial.share.shape == (7,)
     assert np.all(trial.share < 0.1)

@@ -45,18 +45,29 @@ def test_usual_columns_each_in_a_panel(data: Table, tmp_path: Path) -> None:
     legends = [ax.get_legend() for ax in figure.axes]
     assert [text.get_text() for text in legends[0].get_texts()] == ["a1", "a2", "a3", "limit acted"]
     assert legends[1:] == [None, None]  # the same lines: said once
+    both = table(data, "tau", "q", "q_ref")
+    assert [text.get_text() for text in both.axes[1].get_legend().get_texts()] == ["asked"]  # the rest stands above
     figure.savefig(tmp_path / "figure.png")
     assert (tmp_path / "figure.png").stat().st_size > 5000
 
 
-def test_asked_and_sent_share_the_panel_dashed(data: Table) -> None:
+def test_asked_and_sent_share_the_panel_dashed(data: Table, spans) -> None:
     ax = table(data, "q", "q_ref", "q_sent")
     assert isinstance(ax, Axes)
     lines = [line for line in ax.lines if len(line.get_xdata())]
     assert np.array_equal(np.stack([line.get_ydata() for line in lines[3:6]], axis=1), data["q_ref"])
-    assert [line.get_linestyle() for line in lines] == ["-"] * 3 + ["--"] * 3 + [":"] * 3
-    (span,) = ax.patches
-    assert (span.get_x(), span.get_x() + span.get_width()) == pytest.approx((1.0, 1.9))
+    assert [line.get_linestyle() for line in lines] == ["-"] * 3 + ["--"] * 6
+    asked, sent = (lines[i]._unscaled_dash_pattern[1] for i in (3, 6))
+    assert asked[0] > sent[0]  # long and short dashes
+    assert spans(ax) == [pytest.approx((1.0, 2.0))]
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == [
+        "a1",
+        "a2",
+        "a3",
+        "asked",
+        "sent",
+        "limit acted",
+    ]
 
 
 def test_a_wrench_has_its_components(data: Table) -> None:
@@ -66,12 +77,12 @@ def test_a_wrench_has_its_components(data: Table) -> None:
     assert [text.get_text() for text in ax.get_legend().get_texts()] == ["f_x", "f_y", "f_z", "m_x", "m_y", "m_z"]
 
 
-def test_one_panel_per_joint(data: Table) -> None:
+def test_one_panel_per_joint(data: Table, spans) -> None:
     figure = table(data, "tau", split=True)
     assert [ax.get_title(loc="left") for ax in figure.axes] == ["a1", "a2", "a3"]
     for i, ax in enumerate(figure.axes):
         assert np.array_equal(drawn(ax)[0], data["tau"][:, i])
-        assert len(ax.patches) == (1 if i == 1 else 0)
+        assert len(spans(ax)) == (1 if i == 1 else 0)
 
 
 def test_given_axes_are_used_and_counted(data: Table) -> None:

@@ -70,11 +70,20 @@ def test_the_autocorrelation_is_that_of_the_residual(table: Table) -> None:
     assert (lag[0], white[0], coloured[0]) == (0.0, 1.0, 1.0)
     x = table["tau_error"][5:, 1]
     x = x - x.mean()
-    assert coloured[3] == pytest.approx(np.sum(x[3:] * x[:-3]) / np.sum(x * x))
+    assert coloured[3] == pytest.approx(np.mean(x[3:] * x[:-3]) / np.mean(x * x))
     assert np.mean(np.abs(white[1:]) < 2 / np.sqrt(N)) > 0.9
     seconds = correlation_time(x, 0.004)
     assert ax.lines[1].get_label() == f"joint 2: {1e3 * seconds:.0f} ms"
     assert ax.get_xlabel() == "lag [s]"
+
+
+def test_missing_rows_leave_the_lag_as_it_is(table: Table) -> None:
+    error = table["tau_error"].copy()
+    error[7::10] = np.nan
+    ax = autocorrelation(table.with_column("tau_error", error, unit="N m"), joints=[1])
+    x = error[5:, 1] - np.nanmean(error[5:, 1])
+    expected = np.nanmean(x[4:] * x[:-4]) / np.nanmean(x * x)
+    assert np.asarray(ax.lines[0].get_ydata())[4] == pytest.approx(expected)
 
 
 def test_too_few_rows_cannot_be_correlated(table: Table) -> None:

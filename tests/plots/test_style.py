@@ -88,16 +88,35 @@ def test_panels_are_new_or_the_callers() -> None:
         panels(2, 3, mine)
 
 
-def test_bands_and_shades_are_where_they_should_be() -> None:
+def test_bands_and_shades_are_where_they_should_be(spans) -> None:
     _, ax = plt.subplots()
     t = np.arange(10.0)
     band(ax, t, np.zeros(10), np.full(10, 2.0))
     vertices = ax.collections[0].get_paths()[0].vertices
     assert (vertices[:, 1].min(), vertices[:, 1].max()) == (-2.0, 2.0)
     shade(ax, t, np.isin(t, [2, 3, 4, 8]), label="on")
-    spans = [(patch.get_x(), patch.get_x() + patch.get_width()) for patch in ax.patches]
-    assert spans == [(2.0, 4.0), (8.0, 8.0)]
+    assert spans(ax) == [(2.0, 5.0), (8.0, 9.0)]
     assert ax.get_legend_handles_labels()[1] == ["on"]
+    shade(ax, t, np.zeros(10, dtype=bool))
+    assert len(spans(ax)) == 2
+
+
+def test_spikes_of_bands_stay_and_spans_of_one_sample_are_seen(spans) -> None:
+    _, ax = plt.subplots()
+    t = np.arange(150_000) * 0.004
+    half = np.ones(len(t))
+    half[77_777] = 50.0
+    half[:1000] = np.nan
+    band(ax, t, np.zeros(len(t)), half)
+    vertices = np.concatenate([path.vertices for path in ax.collections[0].get_paths()])
+    assert (vertices[:, 1].min(), vertices[:, 1].max()) == (-50.0, 50.0)
+    assert len(vertices) < 10_000
+    assert vertices[:, 0].min() >= t[900]
+    shade(ax, t, np.arange(len(t)) % 2 == 0)  # as close as a limit can flicker
+    assert spans(ax) == [pytest.approx((0.0, t[-1]))]
+    shade(ax, t, np.arange(len(t)) == 50_000)
+    assert spans(ax)[1] == pytest.approx((t[50_000], t[50_001]))
+    assert ax.collections[-1].get_linewidth()[0] > 0
 
 
 def test_one_legend_for_all() -> None:

@@ -6,60 +6,64 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from armlab.errors import ShapeError, UnknownName
+from armlab import identify
+from armlab.errors import ModelMismatchError, ShapeError
+from armlab.estimation import Fit
 from armlab.log import Column, Table
-from armlab.plots.torques import torque_fit
-
-N = 500
-
-
-@pytest.fixture
-def fitted() -> Table:
-    rng = np.random.default_rng(1)
-    model = np.cumsum(rng.normal(size=(N, 3)), axis=0)
-    tau = model + 0.1 * rng.normal(size=(N, 3))
-    tau[100:110] = np.nan
-    table = Table(np.arange(N) * 0.004, {"tau": tau}, {"tau": Column(labels=("a", "b", "c"))})
-    return table.with_column("tau_model", model, unit="N m").with_column("tau_sigma", np.full((N, 3), 0.1), unit="N m")
+from armlab.models import TorqueModel
+from armlab.plots.torques import torque_fit, value_of
 
 
-def test_each_joint_has_its_numbers(fitted: Table) -> None:
-    figure = torque_fit(fitted)
+def test_each_joint_has_its_numbers(fitted: Fit[TorqueModel], excited: Table) -> None:
+    figure = torque_fit(fitted, excited)
+    predicted = identify.predict(fitted.value, excited)
     assert len(figure.axes) == 6
     for i in range(3):
         left, right = figure.axes[2 * i], figure.axes[2 * i + 1]
-        assert np.array_equal(left.lines[0].get_ydata(), fitted["tau"][:, i], equal_nan=True)
-        assert np.array_equal(left.lines[1].get_ydata(), fitted["tau_model"][:, i])
-        residual = fitted["tau"][:, i] - fitted["tau_model"][:, i]
-        assert np.array_equal(right.lines[0].get_ydata(), residual, equal_nan=True)
-        edges = right.collections[0].get_paths()[0].vertices[:, 1]
-        assert (edges.min(), edges.max()) == pytest.approx((-0.2, 0.2))
-        assert left.get_title(loc="left") == "abc"[i]
-        known = np.isfinite(residual)
-        explained = 1 - residual[known].var() / fitted["tau"][known, i].var()
-        inside = np.mean(np.abs(residual[known]) < 0.2)
+        tau, model, sigma = (predicted[name][:, i] for name in ("tau", "tau_model", "tau_sigma"))
+        assert np.array_equal(left.lines[0].get_ydata(), tau, equal_nan=True)
+        assert np.array_equal(left.lines[1].get_ydata(), model, equal_nan=True)
+        assert np.array_equal(left.lines[0].get_xdata(), excited.t)
+        assert np.array_equal(right.lines[0].get_ydata(), tau - model, equal_nan=True)
+        edges = np.concatenate([path.vertices[:, 1] for path in right.collections[0].get_paths()])
+        assert (edges.min(), edges.max()) == pytest.approx((-2 * np.nanmax(sigma), 2 * np.nanmax(sigma)))
+        assert left.get_title(loc="left") == f"joint {i + 1}"
+        known = np.isfinite(tau - model) & np.isfinite(sigma)
+        explained = 1 - np.var((tau - model)[known]) / np.var(tau[known])
+        inside = np.mean(np.abs(tau - model)[known] < 2 * sigma[known])
         title = right.get_title(loc="left")
         assert title.startswith(f"{100 * explained:.2f} % explained")
         assert f"{100 * inside:.0f} % in band" in title
-        assert left.get_ylabel() == "tau [N m]"
-        assert right.get_ylabel() == "residual [N m]"
-    assert [t.get_text() for t in figure.legends[0].get_texts()] == [
-        "measured",
-        "model",
-        "± 2 sigma",
-        "measured - model",
-    ]
+        assert (left.get_ylabel(), right.get_ylabel()) == ("tau [N m]", "residual [N m]")
+    assert figure.axes[-1].get_xlabel() == "t [s]"
+    names = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert names == ["measured", "model", "± 2 sigma", "measured - model"]
 
 
-def test_missing_columns_and_wrong_axes(fitted: Table) -> None:
-    with pytest.raises(UnknownName, match="tau_sigma"):
-        torque_fit(fitted.without("tau_sigma"))
+def test_joints_have_the_names_of_the_log(model: TorqueModel, excited: Table) -> None:
+    values = {name: excited[name] for name in excited.names}
+    named = Table(excited.t, values, {"tau": Column(labels=("a", "b", "c"))})
+    assert [ax.get_title(loc="left") for ax in torque_fit(model, named).axes[::2]] == ["a", "b", "c"]
+
+
+def test_a_piece_too_short_to_filter_is_a_gap(model: TorqueModel, excited: Table) -> None:
+    t = excited.t.copy()
+    t[1000:] += 1.0
+    t[1050:] += 1.0
+    late = Table(t, {name: excited[name] for name in excited.names})
+    line = torque_fit(model, late).axes[0].lines[1]
+    assert np.isnan(np.asarray(line.get_ydata())[1000:1050]).all()
+    assert np.isfinite(np.asarray(line.get_ydata())[:1000]).all()
+
+
+def test_a_fit_or_its_value(fitted: Fit[TorqueModel], excited: Table) -> None:
+    assert value_of(fitted) is value_of(fitted.value) is fitted.value
+    with pytest.raises(ModelMismatchError, match=r"models\.load"):
+        torque_fit("model.toml", excited)  # type: ignore[arg-type]
+
+
+def test_other_axes_are_refused(model: TorqueModel, excited: Table) -> None:
     axes = plt.figure().subplots(3, 2)
-    assert torque_fit(fitted, ax=axes) is axes[0, 0].figure
+    assert torque_fit(model, excited, ax=axes) is axes[0, 0].figure
     with pytest.raises(ShapeError, match="Expected 6 Axes"):
-        torque_fit(fitted, ax=axes[0])
-
-
-def test_a_joint_that_never_moves_has_no_verdict(fitted: Table) -> None:
-    figure = torque_fit(fitted.with_column("tau", np.full((N, 3), np.nan)))
-    assert figure.axes[1].get_title(loc="left") == ""
+        torque_fit(model, excited, ax=axes[0])

@@ -90,7 +90,7 @@ def identify(
     if figure is not None:
         from armlab import plots
 
-        plots.torque_fit(trial.predicted).savefig(figure, dpi=150)
+        plots.torque_fit(fit, trial.log).savefig(figure, dpi=150)
         note(f"figure: {figure}")
     if report is not None:
         seconds = fit.value.quality.seconds

@@ -158,7 +158,7 @@ def _of_the_torque(fit: Fit[TorqueModel], trial: Trial, log: Table) -> list[Draw
             "Measured and modelled torque",
             "Torque of each joint over time, measured and modelled, and the residual",
             f"{shown}. What is left should look like noise inside the band.",
-            lambda: plots.png(plots.torque_fit(trial.predicted)),
+            lambda: plots.png(plots.torque_fit(fit, trial.log)),
         ),
         (
             "Residual over speed",

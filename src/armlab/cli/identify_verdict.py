@@ -35,14 +35,14 @@ class Trial:
     ----------
     unseen : the log was not part of the fit.
     estimate : columns of `contact.Estimator.run`, and wrench_true, all zeros.
-    predicted : columns of `identify.predict`.
+    log : of that motion.
     share : (n,) RMS of the torque error in motion over the torque's deviation.
     force_rms : (3,) false force in motion [N]. coverage : share of the forces inside 2 sigma.
     """
 
     unseen: bool
     estimate: Table
-    predicted: Table
+    log: Table
     share: np.ndarray
     force_rms: np.ndarray
     coverage: float
@@ -56,7 +56,6 @@ def try_out(model: TorqueModel, robot: Robot, table: Table, unseen: bool) -> Tri
     model : identified. robot : its arm. table : the log. unseen : it was not part of the fit.
     """
     from armlab.contact import Estimator
-    from armlab.identify import predict
 
     estimate = Estimator(model, robot).run(table).with_column("wrench_true", np.zeros((len(table), 6)))
     qd, error = table["qd"], estimate["tau_error"]
@@ -66,7 +65,7 @@ def try_out(model: TorqueModel, robot: Robot, table: Table, unseen: bool) -> Tri
     return Trial(
         unseen=unseen,
         estimate=estimate,
-        predicted=predict(model, table),
+        log=table,
         share=np.sqrt(np.mean(error[moving] ** 2, axis=0)) / np.std(table["tau"], axis=0),
         force_rms=np.sqrt(np.mean(force**2, axis=0)),
         coverage=float(np.mean(np.abs(force) <= 2 * sigma)),

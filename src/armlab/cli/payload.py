@@ -133,9 +133,8 @@ def _judge(fit: Fit[Payload], model: TorqueModel, table: Table) -> Verdict:
 
 def _figure(fit: Fit[Payload], model: TorqueModel, table: Table) -> Any:
     from armlab import plots
-    from armlab.identify import predict
 
-    return plots.torque_fit(predict(fit.value.added_to(model), table))
+    return plots.torque_fit(fit.value.added_to(model), table)
 
 
 def _page(fit: Fit[Payload], model: TorqueModel, table: Table, verdict: Verdict, about: str) -> Any:

@@ -28,10 +28,9 @@ def torque_fit(model: Path, log: Path, *, part: Part = WHOLE, picture: Picture =
         Recording of free motion, best one that was not fitted.
     """
     from armlab import plots
-    from armlab.identify import predict
 
     path = picture.path(log, "torque_fit")
-    return picture.save(plots.torque_fit(predict(torque_model(model), part.read(log))), path)
+    return picture.save(plots.torque_fit(torque_model(model), part.read(log)), path)
 
 
 def friction(

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from armlab.contact import Hypotheses
+from armlab.glossary import label
 from armlab.plots.style import GREY, JOINT_STYLES, legend, look, panels
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ def hypotheses(found: Hypotheses, ax: Any = None) -> Axes:
         doubt = np.where(found.link, 0.985, np.nan)
         panel.plot(found.t, doubt, color="black", linewidth=3.0, marker="s", markersize=3.0, label="maybe on a link")
         panel.set_ylim(0.0, 1.0)
-        panel.set_xlabel("t [s]")
+        panel.set_xlabel(label("t"))
         panel.set_ylabel("probability")
         legend(figure, panel)
     return panel

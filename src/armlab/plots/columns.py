@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from armlab.errors import ShapeError, UnknownName
+from armlab.glossary import label
 from armlab.plots.style import GREY, JOINT_STYLES, line, look, panels, shade
 
 if TYPE_CHECKING:
@@ -17,7 +18,8 @@ if TYPE_CHECKING:
 
 __all__ = ["table"]
 
-_DASHES = {"_ref": ("--", "asked"), "_sent": (":", "sent")}  # line style, and its word in the legend
+_DASHES: dict[str, tuple[Any, str]] = {"_ref": ((0, (6, 2.5)), "asked"), "_sent": ((0, (2, 1.5)), "sent")}
+"""Dashes, long and short, of the ending of a name, and their word in the legend."""
 _USUAL = ("q", "qd", "tau", "wrench_hat")
 _MOST_COMPONENTS = 14
 
@@ -59,10 +61,9 @@ def table(data: Table, *names: str, split: bool = False, ax: Any = None) -> Axes
         figure, axes = panels(len(parts), 1, ax, width=9.0, height=1.5 if split else 2.2, sharex=True)
         for panel, (shown, component) in zip(axes[:, 0], parts, strict=True):
             _draw(panel, data, shown, component)
-        axes[-1, 0].set_xlabel("t [s]")
+        axes[-1, 0].set_xlabel(label("t"))
         figure.align_ylabels()
-        if not split:
-            _legends(list(axes[:, 0]))
+        _legends(list(axes[:, 0]))
     return axes[0, 0] if len(parts) == 1 else figure
 
 
@@ -80,7 +81,7 @@ def _draw(ax: Axes, data: Table, names: list[str], component: int | None) -> Non
                 flat[:, i],
                 color=color,
                 linestyle=dashes or style,
-                label="_" if word else _label(data, name, i),
+                label="_" if word or component is not None else _label(data, name, i),
             )
         if word:
             ax.plot([], [], color=GREY, linestyle=dashes, label=word)
@@ -92,13 +93,14 @@ def _draw(ax: Axes, data: Table, names: list[str], component: int | None) -> Non
 
 
 def _legends(axes: list[Axes]) -> None:
-    """Put a legend to the right of each panel whose lines are not those of the panel above."""
-    above: list[str] = []
+    """Put a legend to the right of each panel, of the lines that no panel above it has."""
+    said: set[str] = set()
     for ax in axes:
-        handles, labels = ax.get_legend_handles_labels()
-        if labels != above:
-            ax.legend(handles, labels, loc="upper left", bbox_to_anchor=(1.0, 1.03), borderaxespad=0.3)
-        above = labels
+        handles, names = ax.get_legend_handles_labels()
+        new = {name: handle for name, handle in zip(names, handles, strict=True) if name not in said}
+        if new:
+            ax.legend(new.values(), new, loc="upper left", bbox_to_anchor=(1.0, 1.03), borderaxespad=0.3)
+        said |= set(new)
 
 
 def _label(data: Table, name: str, i: int) -> str:

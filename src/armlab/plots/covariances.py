@@ -9,29 +9,38 @@ import numpy as np
 from armlab.glossary import lookup
 from armlab.models import TorqueModel, VelocityCovariance
 from armlab.plots.style import JOINT_STYLES, legend, look, panels
+from armlab.plots.torques import value_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from armlab.estimation import Fit
 
 __all__ = ["velocity_covariance"]
 
 _POINTS = 601
 
 
-def velocity_covariance(model: TorqueModel | VelocityCovariance, qd_max: float = 1.0, ax: Any = None) -> Axes:
+def velocity_covariance(
+    model: Fit[TorqueModel] | TorqueModel | VelocityCovariance, qd_max: float = 1.0, ax: Any = None
+) -> Axes:
     """Draw the standard deviation of each joint's torque error over its velocity: wide at rest, narrow in motion.
 
     Parameters
     ----------
-    model : a torque model, or its covariance alone.
+    model : a torque model, the fit that has it, or its covariance alone.
     qd_max : the figure goes from -qd_max to qd_max [rad/s].
     ax : Axes to draw into; a new figure when None.
 
     Returns
     -------
     The Axes.
+
+    Raises
+    ------
+    ModelMismatchError : something else in place of a model.
     """
-    covariance = model.covariance if isinstance(model, TorqueModel) else model
+    covariance = model if isinstance(model, VelocityCovariance) else value_of(model).covariance
     joints = len(covariance.C0)
     qd = np.linspace(-qd_max, qd_max, _POINTS)
     sigma = np.sqrt(covariance.variance(np.repeat(qd[:, None], joints, axis=1)))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from armlab.errors import UnknownName
+from armlab.glossary import label
 from armlab.plots.style import AXIS_COLORS, GREY, JOINT_STYLES, legend, line, look, panels, shade
 
 if TYPE_CHECKING:
@@ -130,6 +131,6 @@ def observability(table: Table, ax: Any = None) -> Figure:
             panel.set_ylabel(("force", "moment")[row])
             panel.set_ylim(-0.02, 1.04)
         axes[0, 0].set_title("observability per axis, base axes")
-        axes[1, 0].set_xlabel("t [s]")
+        axes[1, 0].set_xlabel(label("t"))
         legend(figure, *axes[:, 0])
     return figure

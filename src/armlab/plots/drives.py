@@ -4,20 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from armlab._numbers import numbers
 from armlab.errors import ShapeError
 from armlab.glossary import lookup
 from armlab.identify.residuals import model_residuals
 from armlab.kernels import Drive
 from armlab.models import Ripple, TorqueModel
-from armlab.plots.style import GREY, MODEL, legend, look, panels
+from armlab.plots.style import GREY, JOINT_STYLES, MODEL, legend, look, panels
+from armlab.plots.torques import value_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from armlab.estimation import Fit
     from armlab.log import Table
 
 __all__ = ["friction_map", "spectrum"]
@@ -31,28 +36,40 @@ _FEWEST = 100  # rows for an amplitude
 _SLOWEST, _UNGEARED = 1.0, 50.0  # cycles per turn
 
 
-def friction_map(model: TorqueModel, joint: int, table: Table | None = None, ax: Any = None) -> Figure:
-    """Draw the friction of one joint over position and velocity, sliding: as a map, and cut at three positions.
+def friction_map(
+    model: Fit[TorqueModel] | TorqueModel,
+    joint: int,
+    table: Table | None = None,
+    slices: ArrayLike | None = None,
+    ax: Any = None,
+) -> Figure:
+    """Draw the friction of one joint over position and velocity, sliding: as a map, and cut at some positions.
 
     Where a table is given its samples are drawn on the map, and what they leave open is hatched: there the map is only
     continued.
 
     Parameters
     ----------
-    model : with or without `models.FrictionMap`.
+    model : with or without `models.FrictionMap`, or the fit that has it.
     joint : number, from 0.
     table : with q, qd (N, n), what the map was fitted to.
+    slices : (k,) positions of the cuts [rad]; three, evenly spaced, when None.
     ax : two Axes; a new figure when None.
 
     Raises
     ------
-    ShapeError : a joint that is not there, or another number of Axes.
+    ModelMismatchError : something else in place of a model.
+    ShapeError : a joint that is not there, positions that are no numbers, or another number of Axes.
     """
+    model = value_of(model)
     _known(model, [joint])
     known = model.training
     q = np.linspace(known.q_min[joint], known.q_max[joint], _CELLS)
     qd = np.linspace(-1.0, 1.0, 2 * (_CELLS // 2)) * known.qd_peak[joint]  # an even number: zero is no velocity
     torque = _sliding(model, joint, q, qd)
+    cuts = np.linspace(q[0], q[-1], _SLICES + 2)[1:-1] if slices is None else numbers(slices, "slices", ShapeError)
+    if cuts.ndim != 1 or not len(cuts) or not np.isfinite(cuts).all():
+        raise ShapeError(f"Expected slices as finite positions (k,) [rad], got {slices!r}.")
     with look():
         figure, axes = panels(1, 2, ax, width=11.0, height=3.8, width_ratios=(3, 2))
         left, right = axes[0]
@@ -64,8 +81,9 @@ def friction_map(model: TorqueModel, joint: int, table: Table | None = None, ax:
         left.set_ylabel(f"qd [{lookup('qd').unit}]")
         left.set_title(f"joint {joint + 1}")
         left.grid(visible=False)
-        for place, style in zip(np.linspace(0, len(q) - 1, _SLICES + 2).astype(int)[1:-1], ("-", "--", ":")):
-            right.plot(qd, torque[place], style, color=MODEL, label=f"q = {q[place]:.2f} rad")
+        for at, values, (color, _) in zip(cuts, _sliding(model, joint, cuts, qd), cycle(JOINT_STYLES)):
+            right.plot(qd, values, color=color, label=f"q = {at:.2f} {lookup('q').unit}")
+            left.axvline(at, color=color, linewidth=1.2, ymax=0.04)
         right.set_xlabel(f"qd [{lookup('qd').unit}]")
         right.set_ylabel(f"friction [{lookup('tau').unit}]")
         right.legend(loc="upper left")
@@ -99,7 +117,9 @@ def _cover(panel: Any, q: np.ndarray, qd: np.ndarray, q_shown: np.ndarray, qd_sh
     holes.set_linewidth(0.0)
 
 
-def spectrum(model: TorqueModel, table: Table, joints: Sequence[int] | None = None, ax: Any = None) -> Figure:
+def spectrum(
+    fit: Fit[TorqueModel] | TorqueModel, table: Table, joints: Sequence[int] | None = None, ax: Any = None
+) -> Figure:
     """Draw the amplitude of the torque residual over cycles per turn, without and with the ripple that the model has.
 
     Ripple comes from position, so its lines stand still at any speed; those of the model are marked. The upper scale
@@ -108,15 +128,17 @@ def spectrum(model: TorqueModel, table: Table, joints: Sequence[int] | None = No
 
     Parameters
     ----------
-    model : identified torque model.
+    fit : identified torque model, or the fit that has it.
     table : of free motion, with q, qd, tau (N, n).
     joints : numbers of the joints to draw, from 0; all when None.
     ax : as many Axes as joints; a new figure when None.
 
     Raises
     ------
+    ModelMismatchError : something else in place of a model.
     ShapeError : a joint that is not there, or another number of Axes; a log that `identify.prepare` refuses.
     """
+    model = value_of(fit)
     shown = list(range(model.n)) if joints is None else list(joints)
     _known(model, shown)
     still = np.zeros(model.n)

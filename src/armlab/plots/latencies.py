@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from armlab.errors import UnknownName
+from armlab.errors import ShapeError, UnknownName
 from armlab.plots.style import JOINT_STYLES, look, panels
 
 if TYPE_CHECKING:
@@ -34,25 +34,27 @@ def latency(table: Table, ax: Any = None) -> Axes:
 
     Raises
     ------
-    UnknownName : the table has no times of the loop.
+    UnknownName : the table has no times of the loop. ShapeError : it has them, but no answer in it took any time.
     """
+    from matplotlib.ticker import EngFormatter
+
     spans = _spans(table)
-    if not spans:
-        raise UnknownName.among("column of loop times", "receive_ns, send_ns or step_ns", table.names)
-    low = 10 ** np.floor(np.log10(min(values.min() for values in spans.values())))
-    high = 10 ** np.ceil(np.log10(max(values.max() for values in spans.values()) * 1.001))
-    bins = np.geomspace(low, high, max(int(np.log10(high / low) * _BINS_PER_DECADE), 2))
+    shortest, longest = min(map(np.min, spans.values())), max(map(np.max, spans.values()))
+    low, high = 10 ** np.floor(np.log10(shortest)), 10 ** np.ceil(np.log10(longest * 1.001))
+    bins = np.geomspace(low, high, max(round(np.log10(high / low) * _BINS_PER_DECADE), 2))
+    words = EngFormatter("s")
     with look():
         _, axes = panels(1, 1, ax, width=7.5, height=3.8)
         panel: Axes = axes[0, 0]
         for (name, values), (color, _) in zip(spans.items(), JOINT_STYLES, strict=False):
-            numbers = "  ".join(f"{label} {_short(np.quantile(values, p))}" for label, p in _QUANTILES)
+            numbers = "  ".join(f"{label} {words(_rounded(np.quantile(values, p)))}" for label, p in _QUANTILES)
             panel.hist(values, bins=bins, color=color, alpha=0.35, histtype="stepfilled")
-            panel.hist(values, bins=bins, color=color, histtype="step", linewidth=1.2, label=f"{name}:  {numbers} µs")
+            panel.hist(values, bins=bins, color=color, histtype="step", linewidth=1.2, label=f"{name}:  {numbers}")
         panel.set_xscale("log")
         panel.set_yscale("log")
         panel.set_ylim(0.7, 8.0 * panel.get_ylim()[1])  # room for the legend
-        panel.set_xlabel("time [µs]")
+        panel.xaxis.set_major_formatter(words)
+        panel.set_xlabel("time [s]")
         panel.set_ylabel("ticks")
         panel.set_title(_counts(table))
         panel.legend(loc="upper right")
@@ -60,19 +62,23 @@ def latency(table: Table, ax: Any = None) -> Axes:
 
 
 def _spans(table: Table) -> dict[str, np.ndarray]:
-    """Return the measured times [microseconds], those above zero."""
+    """Return the measured times [s], those above zero."""
     found = {}
     if "receive_ns" in table and "send_ns" in table:
-        found["packet to reply"] = (table["send_ns"] - table["receive_ns"]) / 1e3
+        found["packet to reply"] = (table["send_ns"] - table["receive_ns"]) / 1e9
     if "step_ns" in table:
-        found["controller"] = table["step_ns"] / 1e3
+        found["controller"] = table["step_ns"] / 1e9
+    if not found:
+        raise UnknownName.among("column of loop times", "receive_ns, send_ns or step_ns", table.names)
     kept = {name: values[np.isfinite(values) & (values > 0)] for name, values in found.items()}
+    if not any(map(len, kept.values())):
+        raise ShapeError(f"Expected times of a loop above zero, got none in {len(table)} rows. Draw a log of a run.")
     return {name: values for name, values in kept.items() if len(values)}
 
 
-def _short(number: float) -> str:
-    """Return three digits at least, never an exponent."""
-    return f"{number:.0f}" if number >= 100 else f"{number:.3g}"
+def _rounded(number: float) -> float:
+    """Return three digits of a number."""
+    return float(f"{number:.3g}")
 
 
 def _counts(table: Table) -> str:

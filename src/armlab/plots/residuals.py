@@ -84,25 +84,27 @@ def autocorrelation(table: Table, joints: Sequence[int] | None = None, ax: Any =
     """
     residuals = _residuals(table)
     shown = _joints(residuals, joints)
-    residuals = residuals[np.isfinite(residuals).all(axis=1)]
-    if len(residuals) < 10:
-        raise ShapeError(f"Expected at least 10 rows with a residual to correlate, got {len(residuals)}.")
-    step = float(np.median(np.diff(table.t)))
+    known = np.isfinite(residuals).all(axis=1)
+    if known.sum() < 10:
+        raise ShapeError(f"Expected at least 10 rows with a residual to correlate, got {known.sum()}.")
+    whole = slice(int(np.argmax(known)), len(known) - int(np.argmax(known[::-1])))
+    t, residuals, known = table.t[whole], residuals[whole], known[whole]
+    step = float(np.median(np.diff(t)))
     most = min(int(_LAG / step), len(residuals) // 2)
     with look():
         _, axes = panels(1, 1, ax, width=7.5, height=3.6)
         panel: Axes = axes[0, 0]
         for i in shown:
             color, style = JOINT_STYLES[i % len(JOINT_STYLES)]
-            seconds = correlation_time(residuals[:, i], step)
+            seconds = correlation_time(np.interp(t, t[known], residuals[known, i]), step)
             panel.plot(
                 np.arange(most) * step,
-                _correlation(residuals[:, i], most),
+                _correlation(residuals[:, i], known, most),
                 color=color,
                 linestyle=style,
                 label=f"joint {i + 1}: {1e3 * seconds:.0f} ms",
             )
-        white = 2 / np.sqrt(len(residuals))
+        white = 2 / np.sqrt(known.sum())
         panel.axhspan(-white, white, color=GREY, alpha=0.2, linewidth=0.0, label="white noise")
         panel.set_xlabel("lag [s]")
         panel.set_ylabel("autocorrelation of the residual")
@@ -144,9 +146,14 @@ def _signed(peak: float) -> np.ndarray:
     return np.concatenate([-half[:0:-1], half])
 
 
-def _correlation(x: np.ndarray, most: int) -> np.ndarray:
-    x = x - x.mean()
+def _correlation(x: np.ndarray, known: np.ndarray, most: int) -> np.ndarray:
+    """Return the autocorrelation (most,) of x (N,), at each lag the mean over the pairs of which both are known."""
     size = 2 ** int(np.ceil(np.log2(2 * len(x))))
-    spectrum = np.fft.rfft(x, size)
-    found = np.fft.irfft(spectrum * np.conj(spectrum), size)[:most]
+
+    def pairs(values: np.ndarray) -> np.ndarray:
+        spectrum = np.fft.rfft(values, size)
+        return np.fft.irfft(spectrum * np.conj(spectrum), size)[:most]
+
+    count = np.round(pairs(known.astype(float)))
+    found = pairs(np.where(known, x - x[known].mean(), 0.0)) / np.where(count > 0, count, np.nan)
     return found / found[0] if found[0] > 0 else found

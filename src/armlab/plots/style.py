@@ -114,29 +114,39 @@ def envelope(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     values = np.asarray(values, dtype=float)
     if len(values) <= _MOST_POINTS:
         return t, values
-    edges = np.linspace(0, len(values), _ENVELOPE_COLUMNS + 1).astype(int)[:-1]
-    holes = np.isnan(values)
-    empty = np.minimum.reduceat(holes, edges)
-    low = np.minimum.reduceat(np.where(holes, np.inf, values), edges)
-    high = np.maximum.reduceat(np.where(holes, -np.inf, values), edges)
-    pairs = np.stack([np.where(empty, np.nan, low), np.where(empty, np.nan, high)], axis=1)
-    return np.repeat(t[edges], 2), pairs.ravel()
+    first, low, high = _extremes(values, values)
+    return np.repeat(t[first], 2), np.stack([low, high], axis=1).ravel()
 
 
 def band(ax: Axes, t: np.ndarray, middle: np.ndarray, half: np.ndarray, **style: Any) -> None:
-    """Fill middle - half to middle + half (N,); thinned to the width of the figure when there are many points."""
-    step = max(1, len(t) // _ENVELOPE_COLUMNS)
-    t, middle, half = t[::step], np.asarray(middle)[::step], np.asarray(half)[::step]
-    ax.fill_between(t, middle - half, middle + half, **{"linewidth": 0.0, **style})
+    """Fill middle - half to middle + half (N,); beyond 20 000 points the extremes of each stretch."""
+    low, high = np.asarray(middle) - half, np.asarray(middle) + half
+    if len(t) > _MOST_POINTS:
+        first, low, high = _extremes(low, high)
+        t = t[first]
+    ax.fill_between(t, low, high, **{"linewidth": 0.0, **style})
+
+
+def _extremes(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the first row of each stretch, its smallest `low` and its largest `high`; NaN where there is none."""
+    first = np.linspace(0, len(low), _ENVELOPE_COLUMNS + 1).astype(int)[:-1]
+    return first, np.fmin.reduceat(low, first), np.fmax.reduceat(high, first)
 
 
 def shade(ax: Axes, t: np.ndarray, on: np.ndarray, **style: Any) -> None:
-    """Shade the spans of time in which the mask (N,) is true."""
-    edges = np.flatnonzero(np.diff(np.asarray(on, dtype=int), prepend=0, append=0))
-    style = {"color": "#999999", "alpha": 0.25, "linewidth": 0.0, "zorder": 0, **style}
-    for first, last in edges.reshape(-1, 2):
-        ax.axvspan(float(t[first]), float(t[last - 1]), **style)
-        style["label"] = "_"  # one entry in the legend for all spans
+    """Shade the spans of time in which the mask (N,) is true, each to the sample behind it.
+
+    The outline shows a span of a single sample in a long log; spans closer together than a pixel are one.
+    """
+    edges = np.flatnonzero(np.diff(np.asarray(on, dtype=int), prepend=0, append=0)).reshape(-1, 2)
+    if not len(edges):
+        return
+    start, end = t[np.minimum(edges, len(t) - 1)].T
+    apart = start[1:] - end[:-1] > (t[-1] - t[0]) / _ENVELOPE_COLUMNS
+    start, end = start[np.r_[True, apart]], end[np.r_[apart, True]]
+    style = {"color": "#999999", "alpha": 0.25, "linewidth": 0.6, "zorder": 0, **style}
+    spans = np.column_stack([start, end - start]).tolist()
+    ax.broken_barh(spans, (0.0, 1.0), transform=ax.get_xaxis_transform(), gid="shade", **style)
 
 
 def legend(figure: Figure, *axes: Axes) -> None:

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from armlab._numbers import numbers
 from armlab.errors import ShapeError
+from armlab.glossary import label
 from armlab.lie import quaternion
 from armlab.plots.scenes import pose_stack
 from armlab.plots.style import AXIS_COLORS, legend, line, look, panels
@@ -49,11 +50,11 @@ def poses(T: ArrayLike, t: ArrayLike | None = None, *, rotation: bool = True, ax
         drawn.append(("rotation vector [rad]", _rotation_vectors(T[:, :3, :3])))
     with look():
         figure, axes = panels(len(drawn), 1, ax, width=8.0, height=2.2, sharex=True)
-        for panel, (label, values) in zip(axes[:, 0], drawn, strict=True):
+        for panel, (name, values) in zip(axes[:, 0], drawn, strict=True):
             for i, color in enumerate(AXIS_COLORS):
                 line(panel, times, values[:, i], color=color, linestyle=("-", "--", "-.")[i], label="xyz"[i])
-            panel.set_ylabel(label)
-        axes[-1, 0].set_xlabel("sample" if t is None else "t [s]")
+            panel.set_ylabel(name)
+        axes[-1, 0].set_xlabel("sample" if t is None else label("t"))
         figure.align_ylabels()
         legend(figure, *axes[:, 0])
     return figure if rotation else axes[0, 0]

@@ -9,6 +9,7 @@ import numpy as np
 
 from armlab.contact import contacts
 from armlab.errors import ShapeError, UnknownName
+from armlab.glossary import label, lookup
 from armlab.plots.style import AXIS_COLORS, GREY, band, legend, line, look, panels, shade
 
 if TYPE_CHECKING:
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
 
 __all__ = ["wrench", "wrenches"]
 
-_QUANTITIES = (("f", "N"), ("m", "N m"))
 _SHADE = "#B3B3B3"
 
 
@@ -53,7 +53,7 @@ def wrench(table: Table, ax: Any = None) -> Figure:
             for row in range(3):
                 _panel(axes[row, column], table, sigma, 3 * column + row, touched)
                 axes[row, column].set_ylim(-limit, limit)
-            axes[2, column].set_xlabel("t [s]")
+            axes[2, column].set_xlabel(label("t"))
             axes[0, column].set_title(("force", "moment")[column] + ", base axes, at the tool point")
         legend(figure, axes[0, 0])
         figure.align_ylabels()
@@ -88,21 +88,21 @@ def wrenches(tables: Mapping[str, Table], ax: Any = None) -> Figure:
 
 
 def _panel(ax: Axes, table: Table, sigma: np.ndarray | None, i: int, touched: np.ndarray) -> None:
-    letter, unit = _QUANTITIES[i // 3]
+    unit = lookup("wrench_hat").unit.split(", ")[i // 3]
     color, t = AXIS_COLORS[i % 3], table.t
     shade(ax, t, touched, color=_SHADE, alpha=0.35, label="contact")
     if sigma is not None:
         band(ax, t, table["wrench_hat"][:, i], 2 * sigma[:, i], color=color, alpha=0.22, label="± 2 sigma")
     if "wrench_interval" in table:
-        for side, label in enumerate(("limits", "_")):
+        for side, word in enumerate(("limits", "_")):
             limit = table["wrench_interval"][:, i, side]
-            line(ax, t, limit, color=color, linewidth=0.8, linestyle=":", label=label)
+            line(ax, t, limit, color=color, linewidth=0.8, linestyle=":", label=word)
     if "wrench" in table:
         line(ax, t, table["wrench"][:, i], color=GREY, linewidth=0.9, label="sensor")
     line(ax, t, table["wrench_hat"][:, i], color=color, linewidth=1.0, label="estimate")
     if "wrench_true" in table:
         line(ax, t, table["wrench_true"][:, i], color="black", linewidth=1.1, linestyle="--", label="true")
-    ax.set_ylabel(f"{letter}_{'xyz'[i % 3]} [{unit}]")
+    ax.set_ylabel(f"{'fm'[i // 3]}_{'xyz'[i % 3]} [{unit}]")
 
 
 def _limit(table: Table, sigma: np.ndarray | None, column: int) -> float:
