@@ -38,9 +38,11 @@ def test_quantiles_of_normal_residuals_are_near_the_line(fit) -> None:
 def test_ellipses_are_two_sigma_and_the_truth_is_a_cross(fit) -> None:
     ellipses = calibration(fit, truth=fit.parameters + fit.sd).axes[2]
     outline, cross = ellipses.lines[:2]
-    assert np.max(np.asarray(outline.get_xdata())) == pytest.approx(2e3 * fit.sd[0], rel=2e-3)
-    assert np.asarray(cross.get_xdata()) == pytest.approx([1e3 * fit.sd[0]])
-    assert outline.get_label() == "T_tool_marker x and T_tool_marker y [mm]"
+    assert np.max(np.asarray(outline.get_xdata())) == pytest.approx(2 * fit.sd[0], rel=2e-3)
+    assert np.asarray(cross.get_xdata()) == pytest.approx([fit.sd[0]])
+    assert outline.get_label() == "T_tool_marker x and T_tool_marker y [m]"
+    assert ellipses.xaxis.get_major_formatter()(2e-4) == "0.0002"
+    assert (ellipses.get_xlabel(), ellipses.get_ylabel()) == ("first parameter, off by", "second parameter, off by")
 
 
 def test_every_calibration_can_be_drawn() -> None:

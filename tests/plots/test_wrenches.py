@@ -99,7 +99,7 @@ def test_arms_side_by_side_on_one_scale(estimate: Table) -> None:
     assert len({ax.get_ylim() for ax in axes.ravel()}) == 1
     assert len(figure.legends) == 1
     assert axes[2, 0].get_xlabel() == "t [s]"
-    with pytest.raises(ShapeError, match="at least one table"):
+    with pytest.raises(ShapeError, match="at least one arm"):
         wrenches({})
     with pytest.raises(ShapeError, match="Expected 6 Axes"):
         wrenches({"a": estimate, "b": estimate}, ax=axes[0])

@@ -177,7 +177,7 @@ def figures(folder: Path, outcome: dict[str, Any], verdict: Verdict) -> list[Pat
 
     plan, table = outcome["plan"], outcome["estimate"]
     truth = table.with_column("wrench_true", plan.wrench(table["session_t"]))
-    plots.torque_fit(outcome["fit"], log.read(folder / "excite.mcap")).savefig(folder / "torque.png", dpi=120)
+    plots.torque_fit(outcome["fit"].value, log.read(folder / "excite.mcap")).savefig(folder / "torque.png", dpi=120)
     plots.wrench(truth).savefig(folder / "wrench.png", dpi=120)
     summary = {
         "passed": verdict.passed,

@@ -8,6 +8,7 @@ import numpy as np
 
 from armlab.contact import Hypotheses
 from armlab.glossary import label
+from armlab.plots.arguments import expect
 from armlab.plots.style import GREY, JOINT_STYLES, legend, look, panels
 
 if TYPE_CHECKING:
@@ -25,7 +26,12 @@ def hypotheses(found: Hypotheses, ax: Any = None) -> Axes:
     ----------
     found : from `contact.hypotheses`.
     ax : Axes to draw into; a new figure when None.
+
+    Raises
+    ------
+    ShapeError : something else in place of hypotheses, or several Axes.
     """
+    expect(found, Hypotheses)
     with look():
         figure, axes = panels(1, 1, ax, width=10.0, height=2.8)
         panel: Axes = axes[0, 0]

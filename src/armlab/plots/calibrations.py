@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab.errors import ShapeError
+from armlab.estimation import Fit
+from armlab.plots.arguments import expect
 from armlab.plots.excitations import excitation
 from armlab.plots.style import GREY, JOINT_STYLES, look, panels
 
@@ -16,14 +18,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from armlab.estimation import Fit
-
 __all__ = ["calibration"]
 
-_SMALL = {
-    "m": ("mm", 1e3), "rad": ("mrad", 1e3), "kg": ("g", 1e3), "m/s^2": ("mm/s^2", 1e3), "N": ("0.01 N", 1e2),
-    "N m": ("0.001 N m", 1e3),
-}  # fmt: skip
 _SINGLE = ("distance", "pair distance", "point", "line")  # classes of noise of one number per sample
 _EDGE = 0.03  # of the width, left free beside the first and the last mark
 _MOST = 3  # ellipses in one panel
@@ -47,8 +43,9 @@ def calibration(fit: Fit[Any], truth: ArrayLike | None = None, ax: Any = None) -
 
     Raises
     ------
-    ShapeError : another number of true parameters or of Axes.
+    ShapeError : no fit, another number of true parameters or of Axes.
     """
+    expect(fit, Fit)
     true = None if truth is None else np.asarray(truth, dtype=float)
     if true is not None and true.shape != fit.parameters.shape:
         raise ShapeError(f"Expected {len(fit.parameters)} true parameters to draw, got shape {true.shape}.")
@@ -129,18 +126,21 @@ def _ellipses(panel: Axes, fit: Fit[Any], true: np.ndarray | None) -> None:
     round_ = np.linspace(0.0, 2.0 * np.pi, 91)
     circle = np.stack([np.cos(round_), np.sin(round_)])
     for at, (color, _) in zip(_pairs(fit), JOINT_STYLES, strict=False):
-        unit, scale = _SMALL.get(fit.units[at[0]], (fit.units[at[0]], 1.0))
         size, axes = np.linalg.eigh(fit.cov[np.ix_(at, at)])
-        x, y = 2.0 * scale * (axes * np.sqrt(np.maximum(size, 0.0))) @ circle
+        x, y = 2.0 * (axes * np.sqrt(np.maximum(size, 0.0))) @ circle
         names = " and ".join(fit.names[i] for i in at)
-        panel.plot(x, y, color=color, label=f"{names} [{unit}]")
+        panel.plot(x, y, color=color, label=f"{names} [{fit.units[at[0]]}]")
         if true is not None:
-            off = scale * (true - fit.parameters)[at]
+            off = (true - fit.parameters)[at]
             panel.plot(off[0], off[1], "x", color=color, label="_truth")
     panel.axhline(0.0, color=GREY, linewidth=0.5)
     panel.axvline(0.0, color=GREY, linewidth=0.5)
     panel.set_aspect("equal", adjustable="datalim")
-    panel.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), fontsize=8.0)
+    panel.xaxis.set_major_formatter("{x:g}")
+    panel.yaxis.set_major_formatter("{x:g}")
+    panel.set_xlabel("first parameter, off by")
+    panel.set_ylabel("second parameter, off by")
+    panel.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2))
     panel.set_title("two sigma, around what was found")
 
 

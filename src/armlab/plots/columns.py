@@ -8,13 +8,13 @@ import numpy as np
 
 from armlab.errors import ShapeError, UnknownName
 from armlab.glossary import label
+from armlab.log import Table
+from armlab.plots.arguments import expect
 from armlab.plots.style import GREY, JOINT_STYLES, line, look, panels, shade
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from armlab.log import Table
 
 __all__ = ["table"]
 
@@ -43,8 +43,9 @@ def table(data: Table, *names: str, split: bool = False, ax: Any = None) -> Axes
     Raises
     ------
     UnknownName : a column does not exist, or none of the usual ones.
-    ShapeError : a column is text or has too many components; `ax` has another number of Axes.
+    ShapeError : no table; a column is text or has too many components; `ax` has another number of Axes.
     """
+    expect(data, Table)
     names = names or tuple(name for name in _USUAL if name in data)
     if not names:
         raise UnknownName.among("column to draw", " or ".join(_USUAL), data.names)

@@ -9,13 +9,14 @@ import numpy as np
 
 from armlab.errors import UnknownName
 from armlab.glossary import label
+from armlab.log import Table
+from armlab.plots.arguments import expect
 from armlab.plots.style import AXIS_COLORS, GREY, JOINT_STYLES, legend, line, look, panels, shade
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from armlab.log import Table
 
 __all__ = ["coverage", "coverage_by_speed", "observability"]
 
@@ -40,7 +41,7 @@ def coverage(table: Table, ax: Any = None) -> Axes:
 
     Raises
     ------
-    UnknownName : the table has neither, or nothing to compare the wrench with.
+    UnknownName : the table has neither, or nothing to compare the wrench with. ShapeError : no table.
     """
     names, shares = coverage_by_speed(table)
     with look():
@@ -71,6 +72,7 @@ def coverage_by_speed(table: Table) -> tuple[tuple[str, ...], np.ndarray]:
     ------
     UnknownName : as of `coverage`.
     """
+    expect(table, Table)
     if "qd" not in table:
         raise UnknownName.among("column of a coverage figure", "qd", table.names)
     speed = np.abs(table["qd"]) / np.maximum(np.nanmax(np.abs(table["qd"]), axis=0), 1e-12)
@@ -115,8 +117,9 @@ def observability(table: Table, ax: Any = None) -> Figure:
 
     Raises
     ------
-    UnknownName : the table has none. ShapeError : another number of Axes.
+    UnknownName : the table has none. ShapeError : no table, or another number of Axes.
     """
+    expect(table, Table)
     if "observability" not in table:
         raise UnknownName.among("column of an observability figure", "observability", table.names)
     values = table["observability"]

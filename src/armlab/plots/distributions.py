@@ -12,6 +12,7 @@ from armlab._numbers import number, numbers
 from armlab.errors import ShapeError
 from armlab.glossary import label
 from armlab.motion import ProMP
+from armlab.plots.arguments import expect
 from armlab.plots.primitives import demonstration
 from armlab.plots.style import GREY, JOINT_STYLES, band, legend, line, look, panels
 
@@ -49,8 +50,9 @@ def promp(
 
     Raises
     ------
-    ShapeError : demonstrations, a prior or points of another shape, or another number of Axes.
+    ShapeError : another kind of primitive; demonstrations, a prior or points of another shape; another number of Axes.
     """
+    expect(promp, ProMP)
     t = np.linspace(0.0, promp.duration, _SAMPLES)
     marks = [(number(when, "time of a point [s]"), _point(y, promp.n)) for when, y in points]
     if prior is not None and prior.n != promp.n:

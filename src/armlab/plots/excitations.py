@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from armlab.errors import ShapeError
+from armlab.estimation import Excitation
+from armlab.plots.arguments import expect
 from armlab.plots.style import GREY, JOINT_STYLES, MODEL, look, panels
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-    from armlab.estimation import Excitation
 
 __all__ = ["excitation"]
 
@@ -31,8 +31,9 @@ def excitation(found: Excitation, ax: Any = None) -> Axes:
 
     Raises
     ------
-    ShapeError : there are no singular values, or none above zero.
+    ShapeError : something else in place of an excitation; there are no singular values, or none above zero.
     """
+    expect(found, Excitation)
     values = found.singular_values
     if not len(values) or not values[0] > 0:
         raise ShapeError(f"Expected singular values above zero to draw, got {len(values)} values. Take those of a fit.")

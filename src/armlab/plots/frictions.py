@@ -6,14 +6,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from armlab.estimation import Fit
 from armlab.glossary import lookup
 from armlab.models import TorqueModel
+from armlab.plots.arguments import expect
 from armlab.plots.style import MODEL, band, cloud, legend, look, panels
+from armlab.plots.torques import value_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from armlab.estimation import Fit
     from armlab.log import Table
 
 __all__ = ["friction", "own_parameters"]
@@ -36,9 +38,10 @@ def friction(fit: Fit[TorqueModel], table: Table | None = None, ax: Any = None) 
 
     Raises
     ------
-    ShapeError : another number of Axes than joints.
+    ModelMismatchError : a fit of something else. ShapeError : no fit, or another number of Axes than joints.
     """
-    model = fit.value
+    expect(fit, Fit)
+    model = value_of(fit)
     n = model.n
     with look():
         rows = -(-n // _COLUMNS) if ax is None else 1

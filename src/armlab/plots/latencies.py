@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from armlab.errors import ShapeError, UnknownName
+from armlab.log import Table
+from armlab.plots.arguments import expect
 from armlab.plots.style import JOINT_STYLES, look, panels
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from armlab.log import Table
 
 __all__ = ["latency"]
 
@@ -34,7 +35,7 @@ def latency(table: Table, ax: Any = None) -> Axes:
 
     Raises
     ------
-    UnknownName : the table has no times of the loop. ShapeError : it has them, but no answer in it took any time.
+    UnknownName : the table has no times of the loop. ShapeError : no table, or one in which no answer took time.
     """
     from matplotlib.ticker import EngFormatter
 
@@ -63,6 +64,7 @@ def latency(table: Table, ax: Any = None) -> Axes:
 
 def _spans(table: Table) -> dict[str, np.ndarray]:
     """Return the measured times [s], those above zero."""
+    expect(table, Table)
     found = {}
     if "receive_ns" in table and "send_ns" in table:
         found["packet to reply"] = (table["send_ns"] - table["receive_ns"]) / 1e9

@@ -12,6 +12,7 @@ from armlab.errors import ShapeError
 from armlab.glossary import label
 from armlab.lie import so3
 from armlab.motion import PoseDmp
+from armlab.plots.arguments import expect
 from armlab.plots.primitives import TAUGHT
 from armlab.plots.scenes import pose_stack
 from armlab.plots.style import AXIS_COLORS, GREY, legend, line, look, panels
@@ -41,8 +42,9 @@ def pose_dmp(dmp: PoseDmp, demo: tuple[ArrayLike, ArrayLike] | None = None, ax: 
 
     Raises
     ------
-    ShapeError : a demonstration of another shape, or another number of Axes.
+    ShapeError : another kind of primitive, a demonstration of another shape, or another number of Axes.
     """
+    expect(dmp, PoseDmp)
     t, taught = (np.linspace(0.0, dmp.duration, _SAMPLES), None) if demo is None else _taught(demo)
     T = dmp.rollout(t).T
     with look():

@@ -12,6 +12,7 @@ from armlab._numbers import number, numbers
 from armlab.errors import ShapeError
 from armlab.glossary import label
 from armlab.motion import Dmp, Rollout
+from armlab.plots.arguments import expect
 from armlab.plots.style import GREY, JOINT_STYLES, legend, line, look, panels
 
 if TYPE_CHECKING:
@@ -42,8 +43,9 @@ def dmp(dmp: Dmp, demo: tuple[ArrayLike, ArrayLike] | None = None, goals: Goals 
 
     Raises
     ------
-    ShapeError : a demonstration or goal of another shape, or another number of Axes.
+    ShapeError : another kind of primitive, a demonstration or goal of another shape, or another number of Axes.
     """
+    expect(dmp, Dmp)
     run, steps = _run(dmp, goals)
     with look():
         figure, axes = panels(5, 1, ax, width=8.0, height=1.6, sharex=True)
@@ -86,8 +88,9 @@ def dmp_phase(dmp: Dmp, ax: Any = None) -> Axes:
 
     Raises
     ------
-    ShapeError : another number of Axes.
+    ShapeError : another kind of primitive, or another number of Axes.
     """
+    expect(dmp, Dmp)
     run = dmp.rollout(np.linspace(0.0, _SETTLES * dmp.duration, _SAMPLES))
     with look():
         figure, axes = panels(1, 1, ax, width=6.0, height=4.5)

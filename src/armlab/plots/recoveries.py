@@ -10,6 +10,7 @@ import numpy as np
 from armlab.errors import ShapeError
 from armlab.glossary import label
 from armlab.motion import TwoDofRun
+from armlab.plots.arguments import expect
 from armlab.plots.style import GREY, JOINT_STYLES, legend, line, look, panels
 
 if TYPE_CHECKING:
@@ -37,8 +38,9 @@ def two_dof(run: TwoDofRun, dofs: Sequence[int] | None = None, ax: Any = None) -
 
     Raises
     ------
-    ShapeError : a coordinate that does not exist, or another number of Axes.
+    ShapeError : no run, a coordinate that does not exist, or another number of Axes.
     """
+    expect(run, TwoDofRun)
     which = range(run.yc.shape[1]) if dofs is None else dofs
     if not all(isinstance(i, int | np.integer) and 0 <= i < run.yc.shape[1] for i in which):
         raise ShapeError(f"Expected dofs as numbers from 0 to {run.yc.shape[1] - 1}, got {list(which)}.")

@@ -10,14 +10,14 @@ import numpy as np
 from armlab.errors import ShapeError, UnknownName
 from armlab.estimation import correlation_time
 from armlab.glossary import lookup
+from armlab.log import Table
 from armlab.models import VelocityCovariance
+from armlab.plots.arguments import expect
 from armlab.plots.style import GREY, JOINT_STYLES, MODEL, cloud, legend, look, panels
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from armlab.log import Table
 
 __all__ = ["autocorrelation", "residual_speed"]
 
@@ -44,7 +44,7 @@ def residual_speed(
 
     Raises
     ------
-    UnknownName : a column is missing. ShapeError : a joint that is not there, or another number of Axes.
+    UnknownName : a column is missing. ShapeError : no table, a joint that is not there, or another number of Axes.
     """
     residuals, qd = _residuals(table), table["qd"]
     shown = _joints(residuals, joints)
@@ -80,11 +80,11 @@ def autocorrelation(table: Table, joints: Sequence[int] | None = None, ax: Any =
 
     Raises
     ------
-    UnknownName : a column is missing. ShapeError : a joint that is not there, or fewer than 10 whole rows.
+    UnknownName : a column is missing. ShapeError : no table, a joint that is not there, fewer than 10 whole rows.
     """
     residuals = _residuals(table)
     shown = _joints(residuals, joints)
-    known = np.isfinite(residuals).all(axis=1)
+    known = np.asarray(np.isfinite(residuals).all(axis=1))
     if known.sum() < 10:
         raise ShapeError(f"Expected at least 10 rows with a residual to correlate, got {known.sum()}.")
     whole = slice(int(np.argmax(known)), len(known) - int(np.argmax(known[::-1])))
@@ -114,6 +114,7 @@ def autocorrelation(table: Table, joints: Sequence[int] | None = None, ax: Any =
 
 def _residuals(table: Table) -> np.ndarray:
     """Return measured minus modelled torque (N, n)."""
+    expect(table, Table)
     for name in ("tau_error", "qd"):
         if name not in table:
             raise UnknownName.among("column of torque residuals", name, table.names)

@@ -11,6 +11,7 @@ from armlab._numbers import number
 from armlab.errors import ShapeError
 from armlab.glossary import label
 from armlab.motion import PeriodicDmp
+from armlab.plots.arguments import expect
 from armlab.plots.primitives import demonstration
 from armlab.plots.style import GREY, JOINT_STYLES, legend, look, panels
 
@@ -42,8 +43,10 @@ def periodic_dmp(
 
     Raises
     ------
-    ShapeError : a demonstration of another shape, no turns above zero, or another number of Axes.
+    ShapeError : another kind of primitive, a demonstration of another shape, no turns above zero, another number of
+        Axes.
     """
+    expect(dmp, PeriodicDmp)
     if not 0.0 < number(turns, "turns") < np.inf:
         raise ShapeError(f"Expected turns above zero, got {turns:g}. Three show the rhythm.")
     phi = 2 * np.pi / _SAMPLES * np.arange(_SAMPLES + 1)

@@ -8,15 +8,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from armlab.contact import contacts
-from armlab.errors import ShapeError, UnknownName
+from armlab.errors import ShapeError, UnknownName, shortened
 from armlab.glossary import label, lookup
+from armlab.log import Table
+from armlab.plots.arguments import expect
 from armlab.plots.style import AXIS_COLORS, GREY, band, legend, line, look, panels, shade
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from armlab.log import Table
 
 __all__ = ["wrench", "wrenches"]
 
@@ -37,8 +38,9 @@ def wrench(table: Table, ax: Any = None) -> Figure:
 
     Raises
     ------
-    UnknownName : the table has no wrench_hat. ShapeError : `ax` has another number of Axes.
+    UnknownName : the table has no wrench_hat. ShapeError : no table, or `ax` has another number of Axes.
     """
+    expect(table, Table)
     if "wrench_hat" not in table:
         raise UnknownName.among("column of a wrench figure", "wrench_hat", table.names)
     columns = 1 if ax is not None and np.size(ax) == 3 else 2
@@ -72,8 +74,8 @@ def wrenches(tables: Mapping[str, Table], ax: Any = None) -> Figure:
     ------
     UnknownName : a table has no wrench_hat. ShapeError : no table, or `ax` has another number of Axes.
     """
-    if not tables:
-        raise ShapeError("Expected at least one table of estimated wrenches to draw, got none.")
+    if not isinstance(tables, Mapping) or not tables:
+        raise ShapeError(f"Expected {{name: table}} of at least one arm to draw, got {shortened(tables)}.")
     with look():
         figure, axes = panels(3, len(tables), ax, width=max(6.0, 4.5 * len(tables)), height=1.9, sharex="col")
         for column, (name, table) in enumerate(tables.items()):
