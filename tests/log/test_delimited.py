@@ -85,11 +85,26 @@ def test_a_time_that_comes_again_is_dropped_one_that_runs_backwards_refused(tmp_
         read_csv(written(tmp_path, "t,x\n0,1\n,2\n"))
 
 
+def test_a_thousand_columns(tmp_path: Path) -> None:
+    """With a byte-order mark, Windows line ends and empty fields; also with a column of words among them."""
+    values = np.arange(3000.0).reshape(3, 1000)
+    for word in ("", "on"):
+        head = "\ufefft," + ",".join(f"c{k}" for k in range(1000)) + ",mode\r\n"
+        rows = [",".join(["" if x % 7 == 0 else f"{x:g}" for x in row]) for row in values]
+        text = head + "".join(f"{k},{row},{word}\r\n" for k, row in enumerate(rows))
+        table = read_csv(written(tmp_path, text))
+        assert len(table.names) == 1001
+        found = np.stack([table[f"c{k}"] for k in range(1000)], axis=1)
+        np.testing.assert_array_equal(found, np.where(values % 7 == 0, np.nan, values))
+        assert (table["mode"].tolist() == ["on"] * 3) if word else np.isnan(table["mode"]).all()
+
+
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
         ("t,x\n0,1\n1,2,3\n", r"Expected 2 fields separated by ',' in line 3 .*got 3"),
         ("t;x\n0;1,5\n1;2,5\n", r"decimal point in the column 'x' .*'1,5' in line 2"),
+        ("t;x\n0;1\n1;2,5\n", r"decimal point in the column 'x' .*'2,5' in line 3"),
         ("t,x,x\n0,1,2\n", r"names that come once .*'x' twice"),
         ("t,x,\n0,1,2\n", r"a column without a name"),
         ("t,x [furlong]\n0,1\n", r"unit that armlab knows for 'x' .*'furlong'.*Known: s, ms"),

@@ -206,18 +206,28 @@ def _typed(kind: str, texts: Sequence[str]) -> np.ndarray:
         return np.array(texts, dtype=np.str_)
     if kind in ("count", "flag"):
         return np.array([int(text) for text in texts], dtype=np.int64)
-    return np.array([text or "nan" for text in texts], dtype=np.float64)
+    array = _decimals(texts)
+    return np.array([text or "nan" for text in texts], dtype=np.float64) if array is None else array
+
+
+def _decimals(texts: Sequence[str]) -> np.ndarray | None:
+    """Return a column of decimal numbers and empty fields (N,), read as JSON; None of another."""
+    try:
+        found = np.array(_decoded(",".join(texts).encode(), ",")[0], dtype=float)
+    except (ValueError, msgspec.DecodeError):
+        return None
+    return found if found.shape == (len(texts),) else None
 
 
 def _numbers(path: Path, name: str, texts: Sequence[str], skip: int) -> np.ndarray:
     """Return the numbers (N,) of a column, NaN where empty; words where it has one. Large whole ones stay whole."""
+    array = _decimals(texts)
+    if array is not None:
+        return _whole_numbers(texts, array) if (np.abs(array) >= _EXACT).any() else array
+    filled = ["nan" if not text.strip() else text for text in texts]
     try:
-        array = np.array(texts, dtype=float)
-        return array if not array.size or np.abs(array).max() < _EXACT else _whole_numbers(texts, array)
-    except ValueError:
-        filled = ["nan" if not text.strip() else text for text in texts]
-    try:
-        return np.array(filled, dtype=float)
+        array = np.array(filled, dtype=float)
+        return _whole_numbers(texts, array) if (np.abs(array) >= _EXACT).any() else array
     except ValueError:
         for row, text in enumerate(texts):
             if DECIMAL_COMMA.match(text.strip()):
