@@ -22,6 +22,7 @@ __all__ = ["Source", "attachments", "metadata", "opened_source", "summary"]
 
 _PARAMETER = "armlab_msgs/msg/Parameter"
 _SUMMARY = "summary.json"
+Message = tuple[int, int, int, int, bytes]  # channel, sequence, log and publish time, data
 
 
 @dataclass(slots=True)
@@ -40,6 +41,7 @@ class Source:
     arms: list[Arm]
     chain: tuple[str, ...]
     numbers: dict[int, int] = field(default_factory=dict)
+    _routes: dict[int, tuple[int | None, Arm | None, bool, bool, bool]] = field(default_factory=dict)
 
     @property
     def start_ns(self) -> int:
@@ -56,30 +58,36 @@ class Source:
         """What was counted at its end, empty without."""
         return summary_of(self.view, self.found)
 
-    def taken(
-        self, channel: int, sequence: int, log_ns: int, publish_ns: int, data: bytes
-    ) -> Iterator[tuple[int, int, int, int, bytes]]:
-        """Yield what becomes of a message in the new file, (channel, sequence, times, data): nothing, it, or `t` too.
+    def taken(self, channel: int, sequence: int, log_ns: int, publish_ns: int, data: bytes) -> tuple[Message, ...]:
+        """Return what becomes of a message in the new file: nothing, it, or it and `t`.
 
         What lies between the first and the last row that are taken is taken; of parameters, what was set before, too.
         """
-        number = self.numbers.get(channel)
+        route = self._routes.get(channel)
+        if route is None:
+            route = self._routes[channel] = self._route(channel)
+        number, arm, is_clock, is_row, is_history = route
         if number is None:
-            return
-        about = self.found.channels[channel]
-        arm = next((arm for arm in self.arms if about.topic.startswith(arm.prefix)), None)
+            return ()
         if arm is None:
-            if any(arm.inside for arm in self.arms):
-                yield number, sequence, log_ns, publish_ns, data
-            return
-        seconds = arm.arrive(sequence, log_ns) if channel == arm.rows.channel else None
-        if not (arm.inside or (about.type == _PARAMETER and not arm.is_over)):
-            return
-        is_row = any(key.startswith(COLUMN_KEY) for key in about.metadata)
+            inside = any(arm.inside for arm in self.arms)
+            return ((number, sequence, log_ns, publish_ns, data),) if inside else ()
+        seconds = arm.arrive(sequence, log_ns) if is_clock else None
+        if not (arm.inside or (is_history and not arm.is_over)):
+            return ()
         place = arm.number(sequence) if is_row else sequence
-        yield number, place, log_ns, publish_ns, data
-        if seconds is not None:
-            yield arm.seconds_number, place, log_ns, publish_ns, seconds
+        message = (number, place, log_ns, publish_ns, data)
+        return (message,) if seconds is None else (message, (arm.seconds_number, place, log_ns, publish_ns, seconds))
+
+    def _route(self, channel: int) -> tuple[int | None, Arm | None, bool, bool, bool]:
+        """Return channel in the new file, its arm, and whether its messages are rows, parts of rows, parameters."""
+        about = self.found.channels.get(channel)
+        if about is None:
+            return None, None, False, False, False
+        arm = next((arm for arm in self.arms if about.topic.startswith(arm.prefix)), None)
+        is_clock = arm is not None and channel == arm.rows.channel
+        is_row = any(key.startswith(COLUMN_KEY) for key in about.metadata)
+        return self.numbers.get(channel), arm, is_clock, is_row, about.type == _PARAMETER
 
 
 @contextmanager
