@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -198,7 +198,7 @@ def _with_noise(
     return found, sigma
 
 
-def _class_sigma(found: Descent) -> np.ndarray:
+def _class_sigma(found: Descent[Any]) -> np.ndarray:
     """Return the deviation (classes,) of the residuals in SI, each class with the degrees of freedom it has left."""
     rows, count = found.rows, 1 + len(found.rows.names)
     label, seen = rows.label + 1, rows.J @ found.basis  # priors are class 0
@@ -206,11 +206,11 @@ def _class_sigma(found: Descent) -> np.ndarray:
     return np.sqrt(np.bincount(label, rows.raw**2, count) / np.maximum(left, np.finfo(float).eps))[1:]
 
 
-def _is_mixed(found: Descent) -> bool:
+def _is_mixed(found: Descent[Any]) -> bool:
     return any(one.added is not None for one in found.rows.measurements)
 
 
-def _mixed_sigma(found: Descent, sigma: dict[str, float]) -> np.ndarray:
+def _mixed_sigma(found: Descent[Any], sigma: dict[str, float]) -> np.ndarray:
     """Return the next deviation (classes,) where another part of the noise, S_i - diag(sigma^2), is known.
 
         sigma_c^2 <- sigma_c^2 sum_c (S^-1 r)^2 / (sum_c diag(S^-1) - |S^-1 J basis|^2)

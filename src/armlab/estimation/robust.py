@@ -70,7 +70,11 @@ def huber(rows: Iterable[Rows], start: LinearSolution) -> LinearSolution:
 
 
 def _reweighted(
-    rows: Iterable[Rows], x: np.ndarray, sigma: np.ndarray, residuals: dict[int, list[np.ndarray]], weights: list
+    rows: Iterable[Rows],
+    x: np.ndarray,
+    sigma: np.ndarray,
+    residuals: dict[int, list[np.ndarray]],
+    weights: list[np.ndarray],
 ) -> Iterator[Rows]:
     """Yield rows times the root of their Huber weight; collect residuals per class and weights in order."""
     for piece in rows:

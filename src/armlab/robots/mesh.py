@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -58,9 +58,9 @@ class Mesh:
     def __hash__(self) -> int:
         return hash(self._key())
 
-    def __reduce__(self) -> tuple:
+    def __reduce__(self) -> tuple[Any, ...]:
         """Pickle through the constructor, so that the arrays are read-only again."""
         return Mesh, (self.kind, self.file, self.T_link_mesh, self.scale)
 
-    def _key(self) -> tuple:
+    def _key(self) -> tuple[Any, ...]:
         return self.kind, self.file, self.T_link_mesh.tobytes(), self.scale.tobytes()

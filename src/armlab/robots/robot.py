@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from operator import index
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -193,7 +193,7 @@ class Robot:
     def __repr__(self) -> str:
         return f"Robot({self.name!r}, {self.n} joints)"
 
-    def __reduce__(self) -> tuple:
+    def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the fields only: caches are rebuilt, arrays are read-only again."""
         return Robot, tuple(getattr(self, field.name) for field in fields(self))
 
@@ -206,7 +206,7 @@ def _flags(value: np.ndarray, name: str) -> np.ndarray:
     return flags
 
 
-def _axis_numbers(value: tuple, name: str) -> tuple[int, ...]:
+def _axis_numbers(value: tuple[Any, ...], name: str) -> tuple[int, ...]:
     """Return plain integers: those of NumPy would not be written as TOML."""
     try:
         return tuple(map(index, value))

@@ -135,7 +135,7 @@ class InverseSolver:
         if not change >= 0.0:
             raise ShapeError(f"Expected change >= 0, got {change:f}.")
 
-        def solve(goal: Goal, search: Search, q0: np.ndarray | None, path: np.ndarray | None) -> tuple:
+        def solve(goal: Goal, search: Search, q0: np.ndarray | None, path: np.ndarray | None) -> tuple[Any, ...]:
             start = np.asarray(q0)
             return self._follow(goal, search, start, self._around(start, change), path)
 
@@ -170,7 +170,7 @@ class InverseSolver:
             q[k], errors[k], counts[k] = solve(goal, own, start, None if path is None else path[k])
         return q, errors, counts, path
 
-    def _solve(self, goal: Goal, search: Search, start: np.ndarray | None, path: np.ndarray | None) -> tuple:
+    def _solve(self, goal: Goal, search: Search, start: np.ndarray | None, path: np.ndarray | None) -> tuple[Any, ...]:
         descent, ends = Descent(self._chain, goal, search, self._weight), []
         beyond = self._is_beyond_reach(goal, search.position_tolerance)
         starts = min(search.starts, FEW_STARTS) if beyond else search.starts
@@ -189,7 +189,7 @@ class InverseSolver:
             return _outcome(descent, OUT_OF_REACH, starts)
         return self._explain(descent, goal, search, path)
 
-    def _finish(self, descent: Descent, box: Box, starts: int) -> tuple:
+    def _finish(self, descent: Descent, box: Box, starts: int) -> tuple[Any, ...]:
         """Return the solution, moved along the self-motion where there is an objective."""
         if descent.search.objective.kind == 0:
             return _outcome(descent, SOLVED, starts)
@@ -198,7 +198,7 @@ class InverseSolver:
         descent.steps += motion.steps
         return _outcome(descent, SOLVED, starts, slope)
 
-    def _explain(self, descent: Descent, goal: Goal, search: Search, path: np.ndarray | None) -> tuple:
+    def _explain(self, descent: Descent, goal: Goal, search: Search, path: np.ndarray | None) -> tuple[Any, ...]:
         """Return the outcome of a search without success, and why."""
         best = descent.best
         stationary, blocked = descent.is_stationary(self._limits), bool(descent.blocked(self._limits).any())
@@ -225,7 +225,9 @@ class InverseSolver:
         (low, high), q = self._limits, np.clip(q, *self._limits)
         return np.maximum(low, q - change), np.minimum(high, q + change)
 
-    def _follow(self, goal: Goal, search: Search, start: np.ndarray, box: Box, path: np.ndarray | None = None) -> tuple:
+    def _follow(
+        self, goal: Goal, search: Search, start: np.ndarray, box: Box, path: np.ndarray | None = None
+    ) -> tuple[Any, ...]:
         descent = Descent(self._chain, goal, search, self._weight)
         if descent.run(start, box, PATIENT, path):
             return self._finish(descent, box, 1)
@@ -277,7 +279,7 @@ class InverseSolver:
         return q if np.all((low <= q) & (q <= high)) else None
 
 
-def _outcome(descent: Descent, status: int, starts: int, slope: float = np.nan) -> tuple:
+def _outcome(descent: Descent, status: int, starts: int, slope: float = np.nan) -> tuple[Any, ...]:
     best = descent.best
     return best.q, (best.position_error, best.rotation_error, slope), (descent.steps, starts, status)
 
