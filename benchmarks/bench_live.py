@@ -1,0 +1,191 @@
+"""The view of a bridge that runs: what it costs, how far the picture is behind, and what the loop notices of it."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from blocks import Contender, Figure, Table, alternate, figures, table
+
+from armlab import robots
+from armlab.bridge.cell import parse_cell, run_cell
+from armlab.bridge.loop import Controller
+from armlab.kinematics import forward
+from armlab.state import Command, State
+
+ROBOTS = ("yumi_left", "yumi_right")
+BROWSERS = (None, 0, 1, 4)  # None: no view either
+CPU = 0.12  # s of one core per second, with one browser
+BEHIND = 0.5  # s
+LONGEST = 120.0  # s of a run
+SETTLE = 4.0  # s after the browsers have come that do not count: the scene is sent once
+BROWSER = """
+import json, sys, time
+import msgspec, zstandard
+from viser import __version__
+from websockets.sync.client import connect
+from websockets.typing import Subprotocol
+
+port, seconds = int(sys.argv[1]), float(sys.argv[2])
+unpack, end, seen = zstandard.ZstdDecompressor(), time.time() + seconds, []
+words = {"subprotocols": [Subprotocol(f"viser-v{__version__}")], "max_size": None, "compression": None}
+with connect(f"ws://127.0.0.1:{port}", **words) as server:
+    while time.time() < end:
+        try:
+            data = server.recv(timeout=0.5)
+        except TimeoutError:
+            continue
+        size = int.from_bytes(data[8:16], "little")
+        for message in msgspec.msgpack.decode(unpack.decompress(data[16 : 16 + size]))["messages"]:
+            if message["type"] == "SetPositionMessage" and message["name"] == "/yumi_left/arm/tool":
+                seen.append((time.time(), *message["position"]))
+json.dump(seen, sys.stdout)
+"""
+CELL = "\n".join(f'[[robots]]\nname = "{name}"\nlink = "sim://{name}"' for name in ROBOTS)
+
+
+class Found(NamedTuple):
+    """One run: processor time of the view per second, how far each picture was behind [s], latencies, ticks missed."""
+
+    cpu: float
+    behind: np.ndarray
+    latency: np.ndarray
+    missed: int
+    ticks: int
+
+
+def run(quick: bool) -> list[Table]:
+    """Measure runs without a view, and with one that no browser, one and four look at."""
+    rounds, seconds = (1, 8.0) if quick else (5, 20.0)
+    runs = {count: [_run(count, seconds) for _ in range(rounds + 1)] for count in BROWSERS}  # one to warm up
+    text = (
+        "Two arms simulated in real time at 250 Hz; their controller sways both and gives a wrench with its "
+        "covariance. 30 pictures a second, ten of the curves. Browsers are programs that take and unpack all that a "
+        "browser is sent and draw nothing, so that the drawing does not take the cores of the loop. Simulator, loop, "
+        f"view and browsers share the machine. {seconds:g} s a run."
+    )
+
+    def contender(count: int | None, field: str, bar: float | None = None) -> Contender:
+        values = iter([np.atleast_1d(getattr(one, field)) for one in runs[count]])
+        missed, ticks = (sum(getattr(one, what) for one in runs[count]) for what in ("missed", "ticks"))
+        return Contender(_name(count), lambda: next(values), "armlab", bar, f"{missed} of {ticks} ticks missed")
+
+    shown = [count for count in BROWSERS if count is not None]
+    cpu = [contender(count, "cpu", CPU if count == 1 else None) for count in shown]
+    behind = [contender(count, "behind", BEHIND) for count in shown if count]
+    worst = "The worst picture of a run: from the packet of the robot to the browser."
+    loop = [contender(count, "latency") for count in BROWSERS]
+    behind_title, loop_title = "Live view: how far the picture is behind", "Live view: from packet to reply of the loop"
+    return [
+        table("Live view: processor time per second", text, "ms", cpu, rounds),
+        Table(behind_title, f"{worst} {text}", "ms", _worst(behind, rounds), rounds),
+        table(loop_title, text, "µs", loop, rounds),
+    ]
+
+
+def _worst(contenders: list[Contender], rounds: int) -> tuple[Figure, ...]:
+    return figures(contenders, alternate(contenders, rounds), np.max)
+
+
+def _name(count: int | None) -> str:
+    return "no view" if count is None else f"{count or 'no'} browser{'s' * (count != 1)}"
+
+
+def _controller(over: threading.Event) -> Controller:
+    record = {"wrench_hat": np.array([5.0, 0.0, 3.0, 0.0, 0.1, 0.0]), "wrench_hat_cov": 0.1 * np.eye(6)}
+
+    def step(state: State) -> Any:
+        speed = 0.1 * np.sin(1e-9 * state.t_receive % (2.0 * np.pi))
+        commands = tuple(Command(qd=np.full(len(arm.q), speed), record=record) for arm in state.arms)
+        return Command.stop() if over.is_set() else commands
+
+    return step
+
+
+def _run(count: int | None, seconds: float) -> Found:
+    with ExitStack() as opened:
+        os.environ["XDG_RUNTIME_DIR"] = opened.enter_context(tempfile.TemporaryDirectory())
+        told: dict[str, Any] = {}
+        over = threading.Event()
+
+        def look() -> None:
+            try:
+                told.update(_look(opened, count, seconds))
+            finally:
+                over.set()
+
+        threads: list[threading.Thread] = []
+
+        def begin(_: str) -> None:
+            threads.append(threading.Thread(target=look, daemon=True))
+            threads[0].start()
+
+        found = run_cell(parse_cell(CELL), seconds=LONGEST, patience=30.0, controller=_controller(over), ready=begin)
+        threads[0].join()
+    left = found.arms[0]
+    table_, statistics = left.table, left.statistics
+    answered = table_["send_ns"] > 0
+    latency = 1e-9 * (table_["send_ns"] - table_["receive_ns"])[answered]
+    behind = [_behind(seen, table_) for seen in told.get("seen", ())]
+    return Found(
+        told.get("cpu", 0.0),
+        np.concatenate(behind) if behind else np.zeros(0),
+        latency,
+        statistics["missed"] + statistics["late"],
+        len(table_),
+    )
+
+
+def _look(opened: ExitStack, count: int | None, seconds: float) -> dict[str, Any]:
+    """Start a view and browsers, and return what the view cost and what the browsers saw."""
+    if count is None:
+        time.sleep(SETTLE + seconds)
+        return {}
+    words = [sys.executable, "-m", "armlab", "view", "--live", "--port", "0"]
+    view = opened.enter_context(subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True))
+    opened.callback(view.kill)
+    assert view.stdout is not None
+    port = view.stdout.readline().strip().rpartition(":")[2]
+    command = [sys.executable, "-c", BROWSER, port, str(SETTLE + seconds)]
+    browsers = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(count or 0)]
+    time.sleep(SETTLE)
+    before, began = _seconds(view.pid), time.monotonic()
+    time.sleep(seconds)
+    cpu = (_seconds(view.pid) - before) / (time.monotonic() - began)
+    seen = [np.array(msg) for msg in map(_output, browsers) if msg]
+    return {"cpu": cpu, "seen": seen}
+
+
+def _output(browser: subprocess.Popen[str]) -> list[list[float]]:
+    return json.loads(browser.communicate(timeout=30.0)[0])
+
+
+def _seconds(process: int) -> float:
+    """Return processor time of a process [s]."""
+    words = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def _behind(seen: np.ndarray, rows: Any) -> np.ndarray:
+    """Return by how much each picture of the tool came after the packet that it shows [s].
+
+    Measured positions have noise, so that each is found among the packets before.
+    """
+    came = 1e-9 * rows["receive_ns"]
+    tool = forward(robots.load(ROBOTS[0]), np.ascontiguousarray(rows["q"]))[:, :3, 3]
+    found = []
+    for t, *point in seen[seen[:, 0] > seen[0, 0] + SETTLE]:
+        window = np.flatnonzero((came <= t) & (came > t - 3.0))
+        off = np.abs(tool[window] - point).max(axis=1)
+        if len(window) and off.min() < 1e-7:
+            found.append(t - came[window[np.flatnonzero(off < 1e-7)[-1]]])
+    return np.array(found)
