@@ -12,6 +12,7 @@ from armlab.errors import RobotError, ShapeError, UnknownName
 from armlab.kinematics import forward, link_transforms
 from armlab.lie import quaternion, se3
 from armlab.live.scene import ARROW, LINK_COLORS, TOOL_COLOR, Scene, ellipsoid_axes, is_significant, rgb
+from armlab.robots import Robot
 
 LEFT, RIGHT = robots.load("yumi_left"), robots.load("yumi_right")
 C = np.diag([1.0, 4.0, 9.0, 0.1, 0.1, 0.1])
@@ -32,27 +33,45 @@ def tip(arrow: Any) -> np.ndarray:
     return (pose(arrow) @ [0.0, 0.0, arrow.scale[2], 1.0])[:3]
 
 
+def link(robot: Robot, number: int) -> str:
+    """Return the name of a link's node: below those of the links before."""
+    return f"/{robot.name}/arm" + "".join(f"/link_{i}" for i in range(1, number + 1))
+
+
 def test_links_and_tool_stand_where_the_kinematics_put_them(server: Any) -> None:
     T_world_base = se3.from_rp(np.eye(3), [0.0, 1.0, 0.2])
     scene = Scene(server, [LEFT, RIGHT], {"yumi_right": T_world_base})
     q = LEFT.q_home + 0.2
     for robot in (LEFT, RIGHT):
         scene.show(robot.name, q)
-        T = link_transforms(robot, q)
+        T, found = link_transforms(robot, q), np.eye(4)
         for i in range(robot.n):
-            np.testing.assert_allclose(pose(node(server, f"/{robot.name}/arm/link_{i + 1}")), T[i], atol=1e-12, rtol=0)
+            found = found @ pose(node(server, link(robot, i + 1)))
+            np.testing.assert_allclose(found, T[i], atol=1e-12, rtol=0)
         found = pose(node(server, f"/{robot.name}/arm/tool"))
         np.testing.assert_allclose(found, forward(robot, q), atol=1e-12, rtol=0)
     np.testing.assert_allclose(pose(node(server, "/yumi_right")), T_world_base, atol=1e-12, rtol=0)
     np.testing.assert_allclose(pose(node(server, "/yumi_left")), np.eye(4), atol=1e-12, rtol=0)
 
 
+def test_a_link_that_slides_moves_along(server: Any) -> None:
+    """Also after the first picture, when nothing but turns is sent of other links."""
+    arm = robots.from_dh("slider", [0.3, 0.5, 0.0], [0.1, 0.2, 0.1], [0.2, 0.0, 0.1], prismatic=[False, True, False])
+    scene = Scene(server, [arm])
+    for q in (np.zeros(3), np.array([0.3, 0.4, -0.2])):
+        scene.show("slider", q)
+        found = np.eye(4)
+        for i in range(3):
+            found = found @ pose(node(server, link(arm, i + 1)))
+            np.testing.assert_allclose(found, link_transforms(arm, q)[i], atol=1e-12, rtol=0)
+
+
 def test_arms_joints_and_tools_have_their_colours(server: Any) -> None:
     Scene(server, [LEFT, RIGHT])
     for robot, color in zip((LEFT, RIGHT), LINK_COLORS, strict=True):
-        assert tuple(node(server, f"/{robot.name}/arm/link_3").color) == rgb(color)
+        assert tuple(node(server, link(robot, 3)).color) == rgb(color)
         assert tuple(node(server, f"/{robot.name}/arm/tool/point").color) == rgb(TOOL_COLOR)
-    assert tuple(node(server, "/yumi_left/arm/link_2/joint").color) == rgb("#D55E00")
+    assert tuple(node(server, f"{link(LEFT, 2)}/joint").color) == rgb("#D55E00")
     assert rgb("#0072B2") == (0, 114, 178)
 
 

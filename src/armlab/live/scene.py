@@ -179,11 +179,13 @@ class _Arm:
         self._arm = scene.add_frame(f"{root}/arm", show_axes=False)
         shapes, given, joints = bodies(robot), mesh_bodies(robot, meshes), drums(robot)
         _solid(scene, f"{root}/arm/mount", given[0] or shapes[0], color)
-        self._links = []
+        self._links: list[Any] = []
+        self._placed, path = False, f"{root}/arm"
         for i in range(robot.n):
-            self._links.append(_solid(scene, f"{root}/arm/link_{i + 1}", given[i + 1] or shapes[i + 1], color))
+            path += f"/link_{i + 1}"  # below the link before: where it turns about its joint, only the turn is sent
+            self._links.append(_solid(scene, path, given[i + 1] or shapes[i + 1], color))
             if given[i + 1] is None:
-                _solid(scene, f"{root}/arm/link_{i + 1}/joint", joints[i], COLORS[i % len(COLORS)])
+                _solid(scene, f"{path}/joint", joints[i], COLORS[i % len(COLORS)])
         self._tool = scene.add_frame(f"{root}/arm/tool", axes_length=_AXES * size, axes_radius=0.05 * _AXES * size)
         scene.add_icosphere(f"{root}/arm/tool/point", _TOOL * size, rgb(TOOL_COLOR), cast_shadow=False)
         self._force = _solid(scene, f"{root}/force", arrow(), VERMILION)
@@ -201,11 +203,17 @@ class _Arm:
         if not known:
             self._force.visible = self._spread.visible = False
             return
-        T = np.concatenate([link_transforms(self._robot, q), forward(self._robot, q)[None]])
-        turns = quaternion.from_matrix(T[:, :3, :3])
-        for handle, pose, turn in zip((*self._links, self._tool), T, turns):
-            handle.position, handle.wxyz = pose[:3, 3], turn
-        self._push(T[-1, :3, 3], force, spread, unit)
+        T_base_tool = forward(self._robot, q)
+        T = link_transforms(self._robot, q)
+        local = np.concatenate([T[:1], se3.inv(T[:-1]) @ T[1:]])
+        turns = quaternion.from_matrix(local[:, :3, :3])
+        for handle, pose, turn, slides in zip(self._links, local, turns, self._robot.prismatic):
+            handle.wxyz = turn
+            if slides or not self._placed:
+                handle.position = pose[:3, 3]
+        self._placed = True
+        _place(self._tool, T_base_tool)
+        self._push(T_base_tool[:3, 3], force, spread, unit)
 
     def _push(self, tool: np.ndarray, force: np.ndarray | None, spread: np.ndarray | None, unit: float) -> None:
         """Draw the force at the tool point, and its uncertainty at the tip."""
