@@ -78,6 +78,7 @@ def test_wrong_files_get_a_sentence(files: tuple[str, str], drawn: dict[str, Any
         ("spectrum", model, run, "--joints", "a"): "with commas",
         ("residual_speed", model, run, "--robot", "ur5e"): "ur5e",
         ("coverage", run): "tau_sigma",
+        ("calibration", model): "torque model",
     }.items():
         assert main(["plot", *words]) in (1, 2)
         assert sentence in capsys.readouterr().err

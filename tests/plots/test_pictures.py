@@ -7,6 +7,7 @@ import struct
 import matplotlib.pyplot as plt
 import pytest
 
+from armlab.errors import ConfigError
 from armlab.plots.pictures import png, show
 
 
@@ -21,5 +22,8 @@ def test_a_figure_and_its_axes_give_a_picture_of_the_size_asked_for_and_are_clos
 def test_windows_are_left_to_the_backend(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = []
     monkeypatch.setattr(plt, "show", lambda: asked.append(True))
+    with pytest.raises(ConfigError, match=r"Expected a screen .* \(matplotlib draws by [Aa]gg\)"):
+        show()
+    monkeypatch.setattr(plt, "get_backend", lambda: "QtAgg")
     show()
     assert asked == [True]

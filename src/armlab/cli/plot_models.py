@@ -224,10 +224,17 @@ def calibration(fit: Path, *, picture: Picture = BESIDE) -> int:
         File of `armlab calibrate`; that command draws the residuals too, with --figure, for files keep none.
     """
     from armlab import plots
+    from armlab.errors import ModelMismatchError
     from armlab.estimation import Fit
+    from armlab.models import TorqueModel
 
     path = picture.path(fit, "calibration")
-    return picture.save(plots.calibration(Fit.load(fit)), path)
+    found = Fit.load(fit)
+    if isinstance(found.value, TorqueModel):
+        raise ModelMismatchError(
+            f"Expected the file of a calibration, got a torque model in {fit}. Draw its torque_fit or its friction."
+        )
+    return picture.save(plots.calibration(found), path)
 
 
 def excitation(fit: Path, *, picture: Picture = BESIDE) -> int:

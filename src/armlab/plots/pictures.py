@@ -5,6 +5,8 @@ from __future__ import annotations
 from io import BytesIO
 from typing import TYPE_CHECKING
 
+from armlab.errors import ConfigError
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -32,7 +34,17 @@ def png(drawn: Figure | Axes, dpi: int = 110) -> bytes:
 
 
 def show() -> None:
-    """Open a window with each figure that was drawn, and wait until all are closed."""
-    import matplotlib.pyplot as plt
+    """Open a window with each figure that was drawn, and wait until all are closed.
 
+    Raises
+    ------
+    ConfigError : there is no screen, or matplotlib was told to use none.
+    """
+    import matplotlib.pyplot as plt
+    from matplotlib.backends.registry import BackendFilter, backend_registry
+
+    if plt.get_backend().lower() in backend_registry.list_builtin(BackendFilter.NON_INTERACTIVE):
+        raise ConfigError(
+            f"Expected a screen for the figure, got none (matplotlib draws by {plt.get_backend()}). Open its file."
+        )
     plt.show()
