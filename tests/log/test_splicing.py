@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import resource
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -157,6 +158,22 @@ def test_a_torn_recording_is_cut_and_becomes_whole(record: Callable[..., Path], 
         part, table = cut(path, tmp_path / "part.mcap", 1.0), read(path).between(1.0, np.inf)
     assert inspect(part).finished
     assert read(part).sha256 == table.sha256
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_damaged_files_are_cut_or_refused_in_a_sentence(record: Callable[..., Path], tmp_path: Path) -> None:
+    path, after, to = record("run.mcap", 0, 20), record("after.mcap", 50, 60), tmp_path / "to.mcap"
+    data, rng = path.read_bytes(), np.random.default_rng(1)
+    done = 0
+    for place in rng.integers(8, len(data), 4):
+        for spoilt in (data[:place], data[:place] + bytes([data[place] ^ 64]) + data[place + 1 :]):
+            path.write_bytes(spoilt)
+            with contextlib.suppress(LogError):
+                done += len(read(cut(path, to, 0.0, 0.05))) > 0
+            with contextlib.suppress(LogError):
+                done += len(read(merge([path, after], to))) > 0
+    assert done > 3
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["after.mcap", "run.mcap", "to.mcap"]
 
 
 def test_rows_out_of_order_stay_reachable(tmp_path: Path, robot: Robot, rows: Callable) -> None:
