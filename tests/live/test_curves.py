@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,8 +21,9 @@ class Gui:
         self.plots: list[Any] = []
         self.headings: list[str] = []
 
-    def add_html(self, content: str) -> None:
+    def add_html(self, content: str) -> SimpleNamespace:
         self.headings.append(content)
+        return SimpleNamespace(visible=True)
 
     def add_uplot(self, **given: Any) -> Any:
         class Plot:
@@ -119,6 +121,12 @@ def test_a_window_slides_and_draws_ten_times_a_second() -> None:
     assert 190 <= gui.plots[0].sent <= 201
     window.push(1.0, [5.0])  # another run
     np.testing.assert_array_equal(gui.plots[0].data[1], [5.0])
+
+
+def test_a_plot_that_is_hidden_takes_its_heading_along() -> None:
+    plot = Curves(Gui(), "x", ["x"], ["#000000"])
+    plot.hide()
+    assert (plot._heading.visible, plot._plot.visible) == (False, False)
 
 
 def test_shapes_that_do_not_fit_are_refused() -> None:

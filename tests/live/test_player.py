@@ -128,6 +128,8 @@ def test_without_a_force_the_whole_run_is_the_speed_of_the_tool(server: Any) -> 
     player = Player(server, [one])
     speed = np.linalg.norm(np.gradient(one.tool, T, axis=0), axis=1)
     assert np.nanmax(player._run._plot.data[1]) == pytest.approx(speed.max())
+    panel = player._panels[0]
+    assert [plot._plot.visible for plot in (panel.force, panel.moment, panel.torque)] == [False, False, True]
 
 
 def test_the_path_is_that_of_the_last_ten_seconds(server: Any) -> None:

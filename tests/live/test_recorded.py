@@ -66,6 +66,16 @@ def test_two_arms_of_two_files_are_on_one_clock(tmp_path: Path) -> None:
     np.testing.assert_array_equal(left.tool, forward(LEFT, left.table["q"])[:, :3, 3])
 
 
+def test_two_arms_of_one_file_are_both_shown(tmp_path: Path) -> None:
+    mine = robots.from_dh("mine", [0.0] * 7, [0.1] * 7, [0.0] * 7)
+    files = [recording(tmp_path / "left.mcap", LEFT), recording(tmp_path / "mine.mcap", mine, first=0.5)]
+    both = log.merge(files, tmp_path / "both.mcap")
+    first, second = sorted(read_arms([both]), key=lambda arm: arm.robot.name)
+    assert (first.robot, second.robot) == (mine, LEFT)
+    assert (first.t[0], second.t[0]) == (pytest.approx(0.5), 0.0)
+    assert len(first.table) == len(second.table) == 500
+
+
 def test_logs_of_different_days_begin_together(tmp_path: Path) -> None:
     files = [recording(tmp_path / "left.mcap", LEFT), recording(tmp_path / "right.mcap", RIGHT, first=1e5)]
     assert [arm.t[0] for arm in live.read_arms(files)] == [0.0, 0.0]

@@ -84,7 +84,9 @@ class Curves:
         names = "".join(
             f" <span style='color:{color}'>●</span>{html.escape(name)}" for name, color in zip(labels, colors)
         )
-        gui.add_html(f"<div style='font-size:0.75em;margin:0 1em -0.5em'><b>{html.escape(title)}</b>{names}</div>")
+        self._heading = gui.add_html(
+            f"<div style='font-size:0.75em;margin:0 1em -0.5em'><b>{html.escape(title)}</b>{names}</div>"
+        )
         self._plot = gui.add_uplot(
             data=tuple(np.array([0.0]) for _ in series),
             series=tuple(series),
@@ -96,6 +98,10 @@ class Curves:
             axes=({"size": 24, "gap": 2, "ticks": {"size": 4}}, {"size": 44, "gap": 2, "ticks": {"size": 4}}),
             padding=(6, 10, 0, 0),
         )
+
+    def hide(self) -> None:
+        """Take the plot away, where there is nothing to draw."""
+        self._heading.visible = self._plot.visible = False
 
     def show(self, t: ArrayLike, values: ArrayLike, half: ArrayLike | None = None, *, at: float | None = None) -> None:
         """Draw curves in place of the last ones. Many samples become an envelope.

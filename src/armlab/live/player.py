@@ -223,7 +223,7 @@ class _Controls:
 def _panel(gui: Any, arm: Recorded) -> ArmPanel:
     """Make the panel of an arm, its scales those of the whole log."""
     limits = {}
-    wrench = arm.wrench
+    wrench, no_wrench = arm.wrench, arm.wrench is None
     for name, values in (
         ("torque", arm.torque),
         ("force", None if wrench is None else wrench[:, :3]),
@@ -233,7 +233,11 @@ def _panel(gui: Any, arm: Recorded) -> ArmPanel:
             low, high = float(np.nanmin(values)), float(np.nanmax(values))
             room = 0.15 * (high - low) or 1.0
             limits[name] = (low - room, high + room)
-    return ArmPanel(gui, arm.robot, limits)
+    panel = ArmPanel(gui, arm.robot, limits)
+    for curves, missing in ((panel.torque, arm.torque is None), (panel.force, no_wrench), (panel.moment, no_wrench)):
+        if missing:
+            curves.hide()
+    return panel
 
 
 def _draw_panel(panel: ArmPanel, arm: Recorded, t: float, rows: slice) -> None:

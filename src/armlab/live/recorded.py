@@ -219,7 +219,7 @@ def _tables(path: Path) -> Iterable[tuple[str | None, Table, tuple[Event, ...], 
         yield held.metadata.get("armlab", {}).get("robot"), logs.read(path), held.events, held.attachments
         return
     for name in names:
-        yield name, logs.read(path, robot=name), held.events, {}
+        yield name, logs.read(path, robot=name), held.events, held.attachments
 
 
 def _robot(
@@ -229,8 +229,11 @@ def _robot(
         return given[name]
     if name is None and waiting:
         return waiting.pop(0)
-    if name is not None and "robot.toml" in attached:
-        return library.from_toml(attached["robot.toml"].decode(), f"{path}, robot.toml")
+    for file, text in attached.items():  # robot.toml, and robot-2.toml of the other arm
+        if file.startswith("robot") and file.endswith(".toml"):
+            described = library.from_toml(text.decode(), f"{path}, {file}")
+            if described.name == name:
+                return described
     try:
         return library.load(name or "")
     except (UnknownName, RobotError):
