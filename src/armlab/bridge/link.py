@@ -213,18 +213,20 @@ class Link:
         tell = None if progress is None else lambda done: progress(done, seconds or done, what)
         settings = replace(self._settings, seconds=seconds, resume=reconnect == "resume", progress=tell)
         softness = admittances(torque, damping, torque_model, self.robots)
-        arms = assemble(
-            [end._replace(admittance=one) for end, one in zip(self._ends, softness, strict=True)],
-            checked_limits(limits, self.robots, controller is not None),
-            settings,
-            commands=controller is not None,
-            answer_stream=self._answer_stream,
-            record=record,
-            extra=extra,
-            attachments=attachments or {},
-            feeds=feeds,
-            sources=sources,
-        )
+        asked: list[bool] = []  # to stop, before there is a loop that can: recordings that were begun are finished
+        with interrupts(lambda: asked.append(True)):
+            arms = assemble(
+                [end._replace(admittance=one) for end, one in zip(self._ends, softness, strict=True)],
+                checked_limits(limits, self.robots, controller is not None),
+                settings,
+                commands=controller is not None,
+                answer_stream=self._answer_stream,
+                record=record,
+                extra=extra,
+                attachments=attachments or {},
+                feeds=feeds,
+                sources=sources,
+            )
         in_lockstep = settings.clock == "robot"
         mode: Wait = "block" if in_lockstep else wait
         waiting = Waiting([arm.port for arm in arms], [arm.prediction for arm in arms], mode)
@@ -235,6 +237,8 @@ class Link:
         try:
             with ExitStack() as stack:
                 stack.enter_context(interrupts(loop.interrupt))
+                if asked:
+                    loop.interrupt()
                 for source in sources:
                     stack.callback(source.close)
                     source.start()

@@ -14,6 +14,7 @@ import traceback
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from armlab._interrupts import handling
@@ -103,6 +104,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments : words after ``armlab``; those of the process when None.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
+    nowhere = Path(os.devnull)  # for what the shell has closed: armlab robot list >&-
+    sys.stdout, sys.stderr = sys.stdout or nowhere.open("w"), sys.stderr or nowhere.open("w")
     debug = "--debug" in words
     words = [word for word in words if word != "--debug"]
     with _interruptible() as interrupts, _short_warnings():

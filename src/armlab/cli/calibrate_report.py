@@ -63,7 +63,7 @@ class Wanted:
         ----------
         job : for the title. fit : of a `fit_*` of `calibrate`. sources : name and SHA-256 of each file.
         """
-        from armlab.cli.output import note, print_json, result
+        from armlab.cli.output import note, print_json, result, save_figure
 
         verdict = judge(fit)
         if self.json:
@@ -75,7 +75,7 @@ class Wanted:
         if self.figure is not None:
             from armlab import plots
 
-            plots.calibration(fit).savefig(self.figure, dpi=150)
+            save_figure(plots.calibration(fit), self.figure)
             note(f"figure: {self.figure}")
         if self.report is not None:
             _page(job, fit, verdict, sources).write(self.report)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -44,6 +45,15 @@ class Window:
     start: float | None = None
     end: float | None = None
     whole: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse times that are none: nothing is before or after NaN."""
+        from armlab.errors import ConfigError
+
+        for name in ("start", "end"):
+            value = getattr(self, name)
+            if value is not None and not math.isfinite(value):
+                raise ConfigError(f"Expected --{name} as a time of the log [s], got {value:g}.")
 
 
 def check_options(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:

@@ -98,7 +98,7 @@ def estimate(
     from armlab import models, robots
     from armlab.cli import estimate_report as reporting
     from armlab.cli import estimate_tables as tables
-    from armlab.cli.output import FIGURES, check_output, note, progress
+    from armlab.cli.output import FIGURES, check_output, note, progress, save_figure
     from armlab.cli.reading import doubts, read_log
     from armlab.contact import Estimator, contacts
 
@@ -126,7 +126,7 @@ def estimate(
     if figure is not None:
         from armlab import plots
 
-        plots.wrench(table).savefig(figure, dpi=150)
+        save_figure(plots.wrench(table), figure)
         note(f"figure: {figure}")
     if report is not None:
         about = f"{log.name} of {arm.name}, model {model.name}, method {method}."

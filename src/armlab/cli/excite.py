@@ -98,15 +98,17 @@ def excite(
     """
     from armlab import log as logs
     from armlab import robots
-    from armlab.cli.output import FIGURES, check_output, note, print_json, progress, result
+    from armlab.cli.amounts import require_positive
+    from armlab.cli.output import FIGURES, check_output, note, print_json, progress, result, save_figure
     from armlab.cli.settings import log_folder
     from armlab.errors import ConfigError
     from armlab.identify import Trajectory, expectation
 
     if output is None and run is None:
         raise ConfigError("Expected a file for the motion (-o motion.csv) or a link to run it on (--run), got neither.")
-    if not noise > 0.0:
-        raise ConfigError(f"Expected --noise above 0 N m, got {noise:g}.")
+    require_positive("noise", noise, "N m")
+    require_positive("approach", approach, "s")
+    require_positive("acceleration", motion.acceleration, "rad/s^2")
     for path, endings in ((output, [".csv"]), (figure, FIGURES)):
         if path is not None:
             check_output(path, force, endings)
@@ -133,8 +135,7 @@ def excite(
     if figure is not None:
         from armlab import plots
 
-        drawn: Any = plots.table(table, "q", "qd", "qdd")
-        drawn.savefig(figure, dpi=150)
+        save_figure(plots.table(table, "q", "qd", "qdd"), figure)
         note(f"figure: {figure}")
     if run is not None:
         _run(arm, trajectory, run, log or log_folder() / "excite.mcap", approach)

@@ -60,7 +60,7 @@ def identify(
     from armlab import robots
     from armlab.cli import identify_report as reporting
     from armlab.cli import identify_verdict as judging
-    from armlab.cli.output import FIGURES, check_output, note, print_json, progress, result
+    from armlab.cli.output import FIGURES, check_output, note, print_json, progress, result, save_figure
     from armlab.cli.reading import read_log
     from armlab.errors import ConfigError
     from armlab.identify import fit_dynamics, fit_friction, fit_gravity
@@ -90,7 +90,7 @@ def identify(
     if figure is not None:
         from armlab import plots
 
-        plots.torque_fit(fit, trial.log).savefig(figure, dpi=150)
+        save_figure(plots.torque_fit(fit, trial.log), figure)
         note(f"figure: {figure}")
     if report is not None:
         seconds = fit.value.quality.seconds

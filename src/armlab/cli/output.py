@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -11,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from armlab._whole_files import whole_file
 from armlab.errors import ConfigError
 
 __all__ = [
@@ -75,6 +77,8 @@ def check_output(path: Path, force: bool, endings: Sequence[str]) -> None:
         raise ConfigError(f"Expected a file name that ends in {' or '.join(endings)}, got {path}. Change the ending.")
     if not path.parent.is_dir():
         raise ConfigError(f"Expected {path} in a folder that exists, got {path.parent}. Make the folder first.")
+    if not os.access(path.parent, os.W_OK):
+        raise ConfigError(f"Expected {path} in a folder that you may write to, got {path.parent}. Choose another.")
     refuse_overwrite(path, force)
 
 
@@ -86,12 +90,8 @@ def save_figure(drawn: Any, path: Path, dpi: int = 150) -> None:
     drawn : Figure or Axes. path : ends in one of `FIGURES`, which tells the format. dpi : dots per inch, of PNG.
     """
     figure = drawn if hasattr(drawn, "savefig") else drawn.get_figure(root=True)
-    temporary = path.with_name(path.name + ".part")
-    try:
-        figure.savefig(temporary, format=path.suffix[1:].lower(), dpi=dpi)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with whole_file(path) as part:
+        figure.savefig(part, format=path.suffix[1:].lower(), dpi=dpi)
 
 
 @contextmanager

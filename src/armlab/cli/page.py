@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
 
+from armlab._whole_files import whole_file
+
 __all__ = ["Page", "Verdict"]
 
 _HEAD = """<!doctype html>
@@ -143,9 +145,8 @@ class Page:
 
     def write(self, path: Path) -> None:
         """Write the page; an existing file is replaced in one step or not at all."""
-        temporary = path.with_name(path.name + ".part")
-        temporary.write_text(self.html(), encoding="utf-8")
-        temporary.replace(path)
+        with whole_file(path) as part:
+            part.write_text(self.html(), encoding="utf-8")
 
 
 def _cell(kind: str, text: str, words: bool) -> str:

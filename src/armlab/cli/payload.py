@@ -63,7 +63,7 @@ def payload(
         Replace existing files.
     """
     from armlab import models, robots
-    from armlab.cli.output import FIGURES, check_output, note, print_json, progress, result
+    from armlab.cli.output import FIGURES, check_output, note, print_json, progress, result, save_figure
     from armlab.cli.reading import read_log
     from armlab.estimation import Fit
     from armlab.identify import fit_payload
@@ -87,7 +87,7 @@ def payload(
     if output is not None:
         note(f"load: {fit.save(output)}")
     if figure is not None:
-        _figure(fit, known, table).savefig(figure, dpi=150)
+        save_figure(_figure(fit, known, table), figure)
         note(f"figure: {figure}")
     if report is not None:
         _page(fit, known, table, verdict, f"{log.name} of {arm.name}, model {model.name}, mode {mode}.").write(report)

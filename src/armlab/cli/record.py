@@ -47,15 +47,15 @@ def record(
     """
     from armlab import bridge, robots
     from armlab.bridge.recording import paths
+    from armlab.cli.amounts import require_positive
     from armlab.cli.narration import Narrator
     from armlab.cli.output import check_output, note
-    from armlab.errors import ConfigError, NoRobot, SessionEnded
+    from armlab.errors import NoRobot, SessionEnded
 
     arms = [robots.load(name) for name in robot]
     urls = _urls(port, arms)
-    for option, value in (("seconds", seconds), ("patience", patience)):
-        if value is not None and not value > 0.0:
-            raise ConfigError(f"Expected --{option} above 0 s, got {value:g}.")
+    require_positive("seconds", seconds, "s")
+    require_positive("patience", patience, "s")
     files = [path for path in paths(output, arms) if path is not None]
     for path in files:
         check_output(path, force, [".mcap"])

@@ -66,7 +66,7 @@ def show(
         Replace an existing figure.
     """
     from armlab import robots
-    from armlab.cli.output import FIGURES, check_output, note
+    from armlab.cli.output import FIGURES, check_output, note, save_figure
 
     if figure is not None:
         check_output(figure, force, FIGURES)
@@ -77,9 +77,7 @@ def show(
     if figure is not None:
         from armlab import plots
 
-        drawn = plots.robot(arm).get_figure(root=True)
-        if drawn is not None:
-            drawn.savefig(figure, dpi=150)
+        save_figure(plots.robot(arm), figure)
         note(f"figure: {figure}")
     _show_arm(arm, json)
 

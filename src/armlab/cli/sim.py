@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as json_format
+import math
 import os
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -108,6 +109,8 @@ def sim(
     pace = Pace(lockstep, seconds, patience)
     if seed < 0:
         raise ConfigError(f"Expected a seed of at least 0, got {seed}.")
+    if not 0.0 <= phase < math.inf:
+        raise ConfigError(f"Expected a phase of at least 0 s, got {phase:g}.")
     if abb_defaults:
         settings = _with_abb_defaults(settings)
     tell = (lambda event: note(json_format.dumps(event._asdict()))) if json else (lambda event: note(str(event)))

@@ -14,6 +14,7 @@ from typing import Any
 
 import tomli_w
 
+from armlab._whole_files import whole_file
 from armlab.errors import ConfigError, ModelMismatchError
 from armlab.models._torque_file import KIND, read_torque_model, torque_tables
 from armlab.models.registry import decode, encode, read_value, value_file
@@ -36,7 +37,7 @@ def save(
 
     Raises
     ------
-    ConfigError : another ending, or a value whose class has no file format.
+    ConfigError : another ending, or a value whose class has no file format. OSError : it cannot be written.
     """
     path = Path(path)
     if path.suffix != ".toml":
@@ -45,9 +46,8 @@ def save(
     content["meta"]["sources"] = [*content["meta"]["sources"], *sources]
     if statistics is not None:
         content["fit"] = {name: encode(part) for name, part in statistics.items()}
-    temporary = path.with_name(path.name + ".part")
-    temporary.write_text(tomli_w.dumps(content), encoding="utf-8")
-    temporary.replace(path)
+    with whole_file(path) as part:
+        part.write_text(tomli_w.dumps(content), encoding="utf-8")
     return path
 
 

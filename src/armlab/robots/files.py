@@ -6,6 +6,7 @@ from functools import cache
 from os import PathLike
 from pathlib import Path
 
+from armlab._whole_files import whole_file
 from armlab.errors import RobotError, UnknownName
 from armlab.robots.robot import Robot
 
@@ -77,7 +78,8 @@ def save(robot: Robot, path: str | Path) -> None:
         raise RobotError(f"Expected a path that ends in .toml or .urdf for robot {robot.name!r}, got {path}.")
     text = writers[path.suffix.lower()](robot)
     try:
-        path.write_bytes(text.encode("utf-8"))
+        with whole_file(path) as part:
+            part.write_bytes(text.encode("utf-8"))
     except (OSError, ValueError) as error:  # ValueError: a character that no file or path can hold
         raise RobotError(f"Expected to write robot {robot.name!r} to {path}, got: {error}.") from None
 

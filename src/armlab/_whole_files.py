@@ -1,0 +1,32 @@
+"""Files that are there whole or not at all: `whole_file`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+__all__ = ["whole_file"]
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Yield where to write; a block that ends puts it in the place of `path`, one that fails leaves nothing behind.
+
+    Parameters
+    ----------
+    path : the file; one that exists is replaced in one step, or kept.
+
+    Raises
+    ------
+    OSError : it cannot be written; names `path`, as errors of writing alone do not.
+    """
+    part = path.with_name(f"{path.name}.part")
+    try:
+        yield part
+        part.replace(path)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror or str(error), str(path)) from error
+    finally:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)

@@ -1,0 +1,21 @@
+"""Numbers of options: above zero and finite, or a sentence that names the option."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from armlab.cli.amounts import require_positive
+from armlab.errors import ConfigError
+
+
+def test_what_was_not_given_or_is_positive_passes() -> None:
+    for value in (None, 1e-300, 1, 1e300):
+        require_positive("noise", value)
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf, -math.inf])
+def test_others_are_named(value: float) -> None:
+    with pytest.raises(ConfigError, match=rf"^Expected --seconds above 0 s and finite, got {value:g}\.$"):
+        require_positive("seconds", value, "s")
