@@ -108,6 +108,14 @@ def test_some_columns_only(recording: Callable[..., Path]) -> None:
     assert read(path, robot="yumi_right").sha256 == whole.sha256
 
 
+def test_reading_tells_its_progress(recording: Callable[..., Path]) -> None:
+    told: list[tuple[float, float, str]] = []
+    read(recording(300), progress=lambda *one: told.append(one))
+    assert told == sorted(told)
+    assert told[-1][0] == told[-1][1] > 0
+    assert {what for *_, what in told} == {"bytes"}
+
+
 def test_rows_out_of_time_order_are_dropped_counted_and_reachable(tmp_path: Path, robot: Robot) -> None:
     """A clock that was set back while recording: session time and stamps repeat too."""
     times = [0, 1, 2, 2, 1, 3, 4]

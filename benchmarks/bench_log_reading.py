@@ -1,0 +1,78 @@
+"""Reading ten minutes at 250 Hz: one signal and all of them, beside the bare readers of mcap and rosbags."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from blocks import Block, Contender, Table, once, table
+from mcap.reader import make_reader
+from rosbags.rosbag2 import Reader
+
+from armlab import log, robots
+from armlab.lie import se3
+from armlab.log import Column
+from armlab.robots import Robot
+
+ROWS, RATE = 150_000, 250.0
+ONE, ALL = {"30 signals": 0.15, "full layout": 0.25}, {"30 signals": 0.5, "full layout": 0.7}  # seconds
+TEXT = """\
+{size:.0f} MB of noise; wall clock. armlab checks every chunk, hashes the file and makes a table of numbers, in
+two threads; mcap and rosbags hand out the messages of the topic of q as bytes.
+"""
+
+
+def run(quick: bool) -> list[Table]:
+    """Measure `log.read` of recordings and of a bag of another program."""
+    robot = robots.load("yumi_right")
+    with tempfile.TemporaryDirectory() as folder:
+        tables = []
+        for name, values in (("30 signals", _signals(robot)), ("full layout", _layout(robot))):
+            written = log.Table(np.arange(ROWS) / RATE, values, {"grip": Column(unit="N")}, t0_ns=1_700_000_000 * 10**9)
+            path = log.write(written, Path(folder) / f"{name.split()[0]}.mcap", robot)
+            tables.append(_table(name, path, robot, 2 if quick else 7))
+        return tables
+
+
+def _signals(robot: Robot) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(0)
+    values = {name: rng.normal(size=(ROWS, robot.n)) for name in ("q", "qd", "tau")}
+    return values | {"wrench_hat": rng.normal(size=(ROWS, 6)), "grip": rng.normal(size=(ROWS, 3))}
+
+
+def _layout(robot: Robot) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(1)
+    names = ("q_ref", "qd_ref", "tau_ref", "q_sent", "qd_sent", "tau_sent", "q_planned")
+    values = _signals(robot) | {name: rng.normal(size=(ROWS, robot.n)) for name in names}
+    values |= {"wrench_raw": rng.normal(size=(ROWS, 6)), "T_frame_tool": se3.exp(rng.normal(size=(ROWS, 6)))}
+    return values | {"wrench_hat_cov": rng.normal(size=(ROWS, 6, 6))}
+
+
+def _table(name: str, path: Path, robot: Robot, rounds: int) -> Table:
+    topic = f"/{robot.name}/joint_states"
+    contenders = [
+        Contender("armlab log.read, q alone", _wall(lambda: log.read(path, ["q"])), "armlab", ONE[name]),
+        Contender("armlab log.read, all", _wall(lambda: log.read(path)), "armlab", ALL[name]),
+        Contender("mcap, messages of one topic", _wall(lambda: _by_mcap(path, topic))),
+        Contender("rosbags, messages of one topic", _wall(lambda: _by_rosbags(path, topic))),
+    ]
+    text = TEXT.format(size=path.stat().st_size / 1e6)
+    return table(f"Recording, {name}, in", text, "s", contenders, rounds)
+
+
+def _wall(function: Callable[[], Any]) -> Block:
+    return once(function, clock=perf_counter)
+
+
+def _by_mcap(path: Path, topic: str) -> Any:
+    with path.open("rb") as file:
+        return sum(1 for _ in make_reader(file).iter_messages(topics=[topic]))
+
+
+def _by_rosbags(path: Path, topic: str) -> Any:
+    with Reader(path) as bag:
+        return sum(1 for _ in bag.messages([one for one in bag.connections if one.topic == topic]))
