@@ -27,7 +27,7 @@ two threads; mcap and rosbags hand out the messages of the topic of q as bytes.
 
 
 def run(quick: bool) -> list[Table]:
-    """Measure `log.read` of recordings and of a bag of another program."""
+    """Measure `log.read` of recordings."""
     robot = robots.load("yumi_right")
     with tempfile.TemporaryDirectory() as folder:
         tables = []
