@@ -11,6 +11,7 @@ from armlab import robots
 from armlab.cli import main
 from armlab.cli.demo import PRESSES, Plan, demo, rehearse
 from armlab.cli.demo_report import judge
+from armlab.errors import ControllerLate
 
 
 @pytest.fixture(scope="module")
@@ -46,6 +47,17 @@ def test_refusals_come_before_the_work(tmp_path, capsys, words: list[str], sente
     assert main(["demo", "--fast", "-o", str(tmp_path), *words]) in (1, 2)
     assert sentence in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+def test_a_busy_computer_is_told_of_the_fast_demo(tmp_path, capsys, monkeypatch: pytest.MonkeyPatch) -> None:
+    def late(*_: object) -> None:
+        raise ControllerLate("The controller was too slow.")
+
+    monkeypatch.setattr("armlab.cli.demo.rehearse", late)
+    assert main(["demo", "-o", str(tmp_path / "demo")]) == 1
+    said = capsys.readouterr().err
+    assert "too slow" in said
+    assert "armlab demo --fast" in said
 
 
 @pytest.mark.slow

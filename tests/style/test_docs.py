@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import re
+import socket
 import subprocess
 import sys
+import tempfile
 from html.parser import HTMLParser
 from pathlib import Path
 from types import ModuleType
+from urllib.parse import unquote
 
 import pytest
 
@@ -52,6 +55,22 @@ class Requests(HTMLParser):
     def handle_data(self, data: str) -> None:
         pattern = {"style": IN_STYLES, "script": IN_SCRIPTS}.get(self._inside)
         self.found += pattern.findall(data) if pattern else []
+
+
+class Links(HTMLParser):
+    """The links of a page inside the documentation, and the places that links can lead to."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.links: list[str] = []
+        self.places: set[str] = {""}
+        self.feed(path.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        values = {name: value or "" for name, value in attrs}
+        self.places |= {values[name] for name in ("id", "name") if name in values}
+        links = [values[name] for name in ("href", "src") if values.get(name)]
+        self.links += [link for link in links if not re.match(r"[a-z]+:|//", link)]
 
 
 def outside_requests(name: str, text: str) -> list[str]:
@@ -132,6 +151,44 @@ def test_every_package_is_in_the_reference(built: Path) -> None:
 
 
 @pytest.mark.slow
+def test_every_public_name_is_in_the_reference(built: Path) -> None:
+    reference = "".join(path.read_text(encoding="utf-8") for path in (built / "reference").glob("*.html"))
+    missing = []
+    for package in (getattr(armlab, name) for name in armlab.__all__):
+        for name in package.__all__ if isinstance(package, ModuleType) else ():
+            place = rf'id="(module-)?{re.escape(package.__name__)}(\.\w+)*\.{name}["\.]'
+            if not re.search(place, reference):
+                missing.append(f"{package.__name__}.{name}")
+    assert not missing
+
+
+@pytest.mark.slow
+def test_links_between_pages_hold(built: Path) -> None:
+    """Files and places in them, of links and of what is shown; Sphinx checks only what it makes itself."""
+    pages = {path: Links(path) for path in built.rglob("*.html")}
+    broken = []
+    for path, page in pages.items():
+        for link in page.links:
+            file, _, place = unquote(link).partition("#")
+            target = (path.parent / file.partition("?")[0]).resolve() if file else path
+            if not target.exists() or (place and target in pages and place not in pages[target].places):
+                broken.append(f"{path.relative_to(built)}: {link}")
+    assert not broken
+
+
+@pytest.mark.slow
+def test_pages_say_nothing_of_the_machine_that_built_them(built: Path) -> None:
+    said = [str(ROOT), str(built), tempfile.gettempdir() + "/", sys.prefix, socket.gethostname() + ":"]
+    found = [
+        f"{path.relative_to(built)}: {text}"
+        for path in built.rglob("*.html")
+        for text in said
+        if text in path.read_text(encoding="utf-8")
+    ]
+    assert not found
+
+
+@pytest.mark.slow
 def test_the_library_is_in_the_reference(built: Path) -> None:
     page = (built / "reference" / "robots.html").read_text(encoding="utf-8")
     for name in armlab.robots.names():
@@ -158,6 +215,16 @@ def test_the_library_is_in_the_reference(built: Path) -> None:
 )
 def test_the_search_sees_what_a_browser_would_load(name: str, text: str, count: int) -> None:
     assert len(outside_requests(name, text)) == count
+
+
+def test_every_fit_has_its_theory() -> None:
+    page = (DOCS / "theory" / "index.md").read_text(encoding="utf-8")
+    packages = [getattr(armlab, name) for name in armlab.__all__ if isinstance(getattr(armlab, name), ModuleType)]
+    fits = {name for package in packages for name in package.__all__ if name.startswith("fit_")}
+    assert len(fits) > 15
+    assert fits <= set(re.findall(r"\w+", page))
+    linked = set(re.findall(r"\]\((\w+\.md)", page))
+    assert linked == {path.name for path in (DOCS / "theory").glob("*.md")} - {"index.md"}
 
 
 def test_commands_of_the_reference_are_those_of_the_program() -> None:

@@ -19,7 +19,7 @@ from urllib.parse import urlencode
 
 from cyclopts import Parameter
 
-from armlab.errors import ConfigError, UnknownName
+from armlab.errors import ConfigError, ControllerLate, UnknownName
 
 if TYPE_CHECKING:
     import numpy as np
@@ -148,7 +148,11 @@ def demo(
     if seed < 0:
         raise ConfigError(f"Expected a seed of 0 or more, got {seed}. Leave it out for 0.")
     folder = output or Path(f"demo-{datetime.now(UTC):%Y%m%d-%H%M%S}")
-    outcome = rehearse(robot, seed, folder, fast, view)
+    try:
+        outcome = rehearse(robot, seed, folder, fast, view)
+    except ControllerLate:
+        note("This computer is too busy for real time now; armlab demo --fast does the same without it.")
+        raise
     verdict = judge(outcome["estimate"], outcome["plan"])
     result(outcome["fit"].report())
     result("")

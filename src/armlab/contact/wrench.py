@@ -8,12 +8,18 @@ import numpy as np
 
 __all__ = ["INFEASIBLE", "INVALID", "SINGULAR", "STUCK", "TARED", "WEAK", "Wrench"]
 
-INVALID = 1  # the sample was not finite; the estimate is NaN
-WEAK = 2  # some axis has observability below 0.5: there the prior speaks louder than the torques
-STUCK = 4  # every joint is inside its friction bound: nothing is known but the interval
-INFEASIBLE = 8  # no wrench explains the torques inside their bounds: another contact, or a wrong model
-SINGULAR = 16  # without a prior this pose does not determine the wrench; the estimate is NaN
-TARED = 32  # friction was told apart from contact by `Estimator.tare`, and no joint has moved away since
+INVALID = 1
+"""The sample was not finite; the estimate is NaN."""
+WEAK = 2
+"""Some axis has observability below 0.5: there the prior speaks louder than the torques."""
+STUCK = 4
+"""Every joint is inside its friction bound: nothing is known but the interval."""
+INFEASIBLE = 8
+"""No wrench explains the torques inside their bounds: another contact, or a wrong model."""
+SINGULAR = 16
+"""Without a prior this pose does not determine the wrench; the estimate is NaN."""
+TARED = 32
+"""Friction was told apart from contact by `Estimator.tare`, and no joint has moved away since."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

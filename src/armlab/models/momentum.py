@@ -10,12 +10,14 @@ from armlab.errors import ShapeError
 
 __all__ = ["FORCE_RATES", "PRIOR", "MomentumNoise"]
 
-PRIOR = (20.0, 20.0, 20.0, 2.0, 2.0, 2.0)  # deviations of a contact wrench before any measurement [N, N m]
-FORCE_RATES = {  # how fast a contact wrench wanders [N/sqrt(s), N m/sqrt(s)]
+PRIOR = (20.0, 20.0, 20.0, 2.0, 2.0, 2.0)
+"""Standard deviations of a contact wrench before any measurement [N, N m]."""
+FORCE_RATES = {
     "smooth": (2.0, 2.0, 2.0, 0.2, 0.2, 0.2),
     "normal": (5.0, 5.0, 5.0, 0.5, 0.5, 0.5),
     "fast": (20.0, 20.0, 20.0, 2.0, 2.0, 2.0),
 }
+"""How fast a contact wrench wanders, by name [N/sqrt(s), N m/sqrt(s)]."""
 
 
 @dataclass(frozen=True, eq=False)
