@@ -11,7 +11,8 @@ os.environ["OMP_NUM_THREADS"] = "1"  # of this build and its notebooks: matrices
 
 import armlab
 
-logging.basicConfig()  # before the theme does: its colours let all loggers of the process speak, armlab.bridge too
+logging.basicConfig()  # before the theme does: its colours let all loggers of the process speak
+logging.getLogger("armlab").setLevel(logging.ERROR)  # a busy machine is told that no packet has come yet
 
 project = "armlab"
 author = "The armlab authors"

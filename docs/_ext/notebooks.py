@@ -10,6 +10,7 @@ from sphinx.application import Sphinx
 PROFILE = """\
 c = get_config()
 c.HistoryManager.enabled = False
+c.IPKernelApp.exec_lines = ["import logging; logging.getLogger('armlab').setLevel('ERROR')"]  # busy machines are slow
 c.IPKernelApp.log_level = "ERROR"  # it warns that its connection, within this machine, is not encrypted
 c.InlineBackend.figure_formats = {"png"}
 c.InlineBackend.print_figure_kwargs = {"bbox_inches": None, "dpi": 120}  # the page that armlab laid out, uncut

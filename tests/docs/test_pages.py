@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -87,10 +88,11 @@ def test_the_functions_of_robotlib_agree_with_each_other(name: str) -> None:
 
 @pytest.mark.parametrize("page", HOW_TO, ids=lambda page: page.stem)
 def test_a_how_to_shows_a_program_that_runs(page: Path) -> None:
-    """A file of examples/, which tests/examples runs, or blocks, which run here; a page says no more than that."""
+    """A file of examples/, which tests/examples runs, or blocks, which run here; or a file of settings that is one."""
     text = page.read_text(encoding="utf-8")
     shown = re.findall(r"literalinclude\} \.\./\.\./(examples/\w+\.py)", text)
-    assert shown or programs(page)
+    settings = [tomllib.loads(block) for block in re.findall(r"^```toml\n(.*?)^```$", text, flags=re.M | re.S)]
+    assert shown or programs(page) or any(settings)
     assert all((DOCS.parent / name).exists() for name in shown)
 
 
