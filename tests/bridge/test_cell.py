@@ -24,6 +24,7 @@ HOME = np.array(robots.load("yumi_left").q_home)
 
 def test_a_cell(cell_text: str) -> None:
     cell = parse_cell(cell_text)
+    assert cell.text == cell_text
     assert isinstance(cell, Cell)
     assert (cell.name, cell.commands, cell.links) == ("yumi", ("local",), ("sim://yumi_left?lockstep=true",))
     assert [one.name for one in cell.parameters] == ["gain", "gentle"]

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab import robots
+from armlab import log, robots
 from armlab.bridge.cell import Cell, parse_cell, run_cell
 from armlab.bridge.local import LocalFeed
 from armlab.bridge.messages import CommandRequest, SetRequest, Stop, Subscribe
@@ -183,6 +183,8 @@ def test_a_controller_of_its_own_reads_parameters_and_listens_to_a_stop(
     run = bench(cell, script, seconds=1.5, controller=controller, parameters=params)
     assert (seen[0], seen[-1]) == (2.0, 7.0)
     for arm in run.arms:
+        assert arm.path is not None
+        assert log.inspect(arm.path).attachments["cell.toml"] == cell.text.encode()
         sent = arm.table.dropna("qd_sent")["qd_sent"]  # a tick that found no packet of the robot sends nothing
         assert len(sent) > 20
         assert np.abs(sent[-20:]).max() < 1e-9
