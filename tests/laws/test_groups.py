@@ -58,6 +58,7 @@ SAMPLERS: list[Callable[[np.random.Generator, tuple[int, ...]], np.ndarray]] = [
     special,
     half_turns,
 ]
+DRAWN = [(uniform, batch) for batch in BATCHES] + [(sampler, batch) for sampler in SAMPLERS[1:] for batch in [(), (7,)]]
 
 
 def twists(rng: np.random.Generator, batch: tuple[int, ...], sampler: Callable[..., np.ndarray]) -> np.ndarray:
@@ -98,14 +99,20 @@ def case(request: pytest.FixtureRequest, batch: tuple[int, ...], sampler) -> Sim
     return request.param(np.random.default_rng(1), batch, sampler)
 
 
-@pytest.fixture(params=BATCHES, ids=str)
-def batch(request: pytest.FixtureRequest) -> tuple[int, ...]:
+@pytest.fixture(params=DRAWN, ids=lambda drawn: f"{drawn[0].__name__}-{drawn[1]}")
+def drawn(request: pytest.FixtureRequest):
+    """Every shape of a batch, and every region of the group."""
     return request.param
 
 
-@pytest.fixture(params=SAMPLERS, ids=lambda sampler: sampler.__name__)
-def sampler(request: pytest.FixtureRequest):
-    return request.param
+@pytest.fixture
+def sampler(drawn):
+    return drawn[0]
+
+
+@pytest.fixture
+def batch(drawn) -> tuple[int, ...]:
+    return drawn[1]
 
 
 def distance(a: np.ndarray, b: np.ndarray) -> float:

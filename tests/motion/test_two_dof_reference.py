@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from armlab.motion.events import Displace, Hold, Push
 from armlab.motion.two_dof import TwoDofDmp
 
 PATH = Path(__file__).parents[3] / "shared" / "data" / "dmp_reference.json"
+Build = Callable[..., Dmp]
 H = 0.004
 KEYS = {"yc": "yc", "yc_dot": "ycd", "ya": "ya", "ya_dot": "yad", "e": "e", "x": "x"}
 TABLE = [  # section 6 of the specification: t, free yc1, yc1, ya1, e1, x
@@ -32,7 +34,7 @@ def reference() -> dict[str, Any]:
     return json.loads(PATH.read_text(encoding="utf-8"))
 
 
-def readme_dmp(data: dict[str, Any], dofs: tuple[int, ...] = (0, 1)) -> Dmp:
+def readme_dmp(plain: Build, data: dict[str, Any], dofs: tuple[int, ...] = (0, 1)) -> Dmp:
     """The primitive with the weights of the reference, of one or both coordinates."""
     fit, which = data["readme_fit"], list(dofs)
     g = np.array([2.0, 1.0])[which]
@@ -40,35 +42,17 @@ def readme_dmp(data: dict[str, Any], dofs: tuple[int, ...] = (0, 1)) -> Dmp:
     return plain(weights, fit["centers"], np.full(15, np.sqrt(fit["sigma2"])), 10.0, np.zeros(len(which)), g)
 
 
-def plain(weights: Any, centres: Any, widths: Any, duration: float, y0: np.ndarray, g: np.ndarray, **more: Any) -> Dmp:
-    """A Dmp of the convention "lund" from its weights."""
-    n = len(y0)
-    parts = {"v0": np.zeros(n), "extent": np.abs(g - y0) + 1e-9, "peak_acceleration": np.ones(n)}
-    return Dmp(
-        weights=weights,
-        centres=centres,
-        widths=widths,
-        tau_d=duration / 3,
-        duration=duration,
-        y0=y0,
-        g=g,
-        monotone=np.ones(n, dtype=bool),
-        **parts,
-        **more,
-    )
-
-
-def test_the_experiment_of_the_specification() -> None:
-    run = TwoDofDmp(readme_dmp(reference())).simulate([0, *(row[0] for row in TABLE)], [Hold(2.5, 4)])
+def test_the_experiment_of_the_specification(plain: Build) -> None:
+    run = TwoDofDmp(readme_dmp(plain, reference())).simulate([0, *(row[0] for row in TABLE)], [Hold(2.5, 4)])
     found = np.column_stack([run.t, run.free.y[:, 0], run.yc[:, 0], run.ya[:, 0], run.e[:, 0], run.x])[1:]
     np.testing.assert_allclose(found, TABLE, atol=5.1e-7)
 
 
 @pytest.mark.parametrize("dofs", [None, (0,)], ids=["both", "dof1"])
-def test_coupled_runs_of_the_reference(dofs: tuple[int, ...] | None) -> None:
+def test_coupled_runs_of_the_reference(dofs: tuple[int, ...] | None, plain: Build) -> None:
     data = reference()
     want = data["readme_2dof"][f"coupled_{'both_dofs' if dofs is None else 'only_dof1'}_stopped"]
-    run = TwoDofDmp(readme_dmp(data)).simulate(data["readme_2dof"]["t"], [Hold(2.5, 4, dofs)])
+    run = TwoDofDmp(readme_dmp(plain, data)).simulate(data["readme_2dof"]["t"], [Hold(2.5, 4, dofs)])
     for i in (1, 2):
         columns = {f"yc{i}": run.yc, f"ya{i}": run.ya, f"e{i}": run.e}
         for name, found in columns.items():
@@ -78,10 +62,10 @@ def test_coupled_runs_of_the_reference(dofs: tuple[int, ...] | None) -> None:
 
 
 @pytest.mark.parametrize("dof", [0, 1])
-def test_each_coordinate_alone_is_that_of_the_ancestor(dof: int) -> None:
+def test_each_coordinate_alone_is_that_of_the_ancestor(dof: int, plain: Build) -> None:
     """Its own e, x and tau_a: undisturbed, and held with the velocity at 0."""
     data = reference()
-    rows, alone = data["readme_2dof"], TwoDofDmp(readme_dmp(data, (dof,)))
+    rows, alone = data["readme_2dof"], TwoDofDmp(readme_dmp(plain, data, (dof,)))
     held = alone.simulate(rows["t"], [Hold(2.5, 4)])
     want = rows["physical_stop_continuous_limit"][f"dof{dof + 1}"]
     cases = [(held, want), (alone.simulate(rows["t"]), rows["unperturbed"])][: 2 - dof]
@@ -93,7 +77,7 @@ def test_each_coordinate_alone_is_that_of_the_ancestor(dof: int) -> None:
 
 
 @pytest.mark.parametrize("event", ["stop", "push"])
-def test_simulation_of_the_paper(event: str) -> None:
+def test_simulation_of_the_paper(event: str, plain: Build) -> None:
     data = reference()["ifac2017_simulation"]
     g, want = data["g"], data["continuous_limit"]
     weights, widths = np.array(data["w"])[:, None] * g, np.array(data["precision"]) ** -0.5
@@ -108,10 +92,10 @@ def test_simulation_of_the_paper(event: str) -> None:
 
 
 @pytest.mark.parametrize("p", [0.0, 0.05, 0.2, 0.5, -0.5, 1.0, -1.0, 2.0])
-def test_errors_at_250_hz_after_a_blow(p: float) -> None:
+def test_errors_at_250_hz_after_a_blow(p: float, plain: Build) -> None:
     """At 2.5 s ya jumps by p, then it is held to 4 s; p = 0 is undisturbed."""
     data = reference()
-    alone, t = TwoDofDmp(readme_dmp(data, (0,))), H * np.arange(2501)
+    alone, t = TwoDofDmp(readme_dmp(plain, data, (0,))), H * np.arange(2501)
     events = [Displace(2.5, p), Hold(2.5, 4)] if p else []
     coarse, fine = (alone.simulate(t, events, dt=H / k) for k in (1, 16))
     for method in ("rk4", "heun"):
@@ -121,10 +105,10 @@ def test_errors_at_250_hz_after_a_blow(p: float) -> None:
             assert error <= 1.5 * want[f"err_{name}"], (method, name)
 
 
-def test_errors_of_the_loop_at_250_hz() -> None:
+def test_errors_of_the_loop_at_250_hz(plain: Build) -> None:
     """The robot integrates the acceleration that it was given last; held from 2.5 to 4 s."""
     data = reference()
-    alone = TwoDofDmp(readme_dmp(data, (0,)))
+    alone = TwoDofDmp(readme_dmp(plain, data, (0,)))
     exact = alone.simulate(H * np.arange(2501), [Hold(2.5, 4)], dt=H / 16)
     stepper, ya, yad, worst = alone.stepper(v0=[0.0]), np.zeros(1), np.zeros(1), np.zeros(2)
     for k in range(2501):
