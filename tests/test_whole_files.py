@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -19,10 +20,10 @@ def test_a_file_is_replaced_in_one_step(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_full_disk_names_the_file_and_leaves_the_old_one(tmp_path: Path, full_disk: None) -> None:
+def test_a_full_disk_names_the_file_and_leaves_the_old_one(tmp_path: Path, full_disk: Any) -> None:
     path = tmp_path / "a.toml"
     path.write_text("old")
-    with pytest.raises(OSError, match=r"too large.*a\.toml'$"), whole_file(path) as part:
+    with full_disk(), pytest.raises(OSError, match=r"too large.*a\.toml'$"), whole_file(path) as part:
         part.write_bytes(bytes(1000))
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from cyclopts import App
@@ -144,3 +145,12 @@ def test_the_number_a_command_returns_is_the_exit_code(monkeypatch: pytest.Monke
     app.command(lambda: cli.SKIPPED, name="partly")
     monkeypatch.setattr(cli, "build_app", lambda _verb: app)
     assert cli.main(["partly"]) == cli.SKIPPED
+
+
+def test_the_reference_names_every_command() -> None:
+    """`plot` has a command per figure; the gallery shows them."""
+    page = (Path(__file__).parents[2] / "docs" / "reference" / "commands.md").read_text(encoding="utf-8")
+    table = "\n".join(line for line in page.splitlines() if line.startswith("| `armlab"))
+    for words in verbs():
+        whole = "armlab plot" if words[0] == "plot" else f"armlab {' '.join(words)}"
+        assert whole in table or f"`{words[-1]}`" in table, whole  # `armlab calibrate hand-eye`, `force-sensor`
