@@ -31,10 +31,8 @@ TOOL_COLOR = "#C800C8"
 """Of the ball at the tool point; nothing else has it."""
 
 _ZERO_OUTSIDE = 7.81  # 95 % quantile of chi-square with 3 degrees of freedom
-_TOOL = 0.03  # radius of the ball at the tool point over the length of the arm
-_AXES = 0.1  # length of the tool's axes over the length of the arm
-_SHORTEST = 1e-3  # m: a shorter arrow is not drawn
-_FULL = 0.15  # m: a shorter arrow is thinner
+_TOOL, _AXES = 0.03, 0.1  # radius of the ball at the tool point, length of its axes: over the length of the arm
+_SHORTEST, _FULL = 1e-3, 0.15  # m: a shorter arrow is not drawn, or thinner
 _MOST_POINTS = 300  # of a path
 
 
@@ -100,10 +98,8 @@ class Scene:
 
         Parameters
         ----------
-        name : of the arm.
-        q : (n,) joint positions [rad or m].
-        wrench : (6,) or (3,) by the environment on the robot, base axes, at the tool point [N, N m]; moments are not
-            drawn.
+        name : of the arm. q : (n,) joint positions [rad or m].
+        wrench : (6,), or (3,) its force, by the environment on the robot, base axes, at the tool point [N, N m].
         covariance : (6, 6) or (3, 3) of it.
 
         Raises
@@ -220,8 +216,8 @@ class _Arm:
         if force is None or not np.isfinite(force).all():
             self._force.visible = self._spread.visible = False
             return
-        certain = spread is None or not np.isfinite(spread).all()
-        color = rgb(VERMILION if certain or is_significant(force, spread) else GREY)
+        spread = None if spread is None or not np.isfinite(spread).all() else spread
+        color = rgb(VERMILION if is_significant(force, spread) else GREY)
         tip = unit * force
         length = float(np.linalg.norm(tip))
         self._force.visible = length >= _SHORTEST
@@ -229,8 +225,8 @@ class _Arm:
             _place(self._force, along(tool, tool + tip))
             thick = min(max(length / _FULL, 0.3), 1.0)
             self._force.scale, self._force.color = (thick, thick, length), color
-        self._spread.visible = not certain
-        if spread is not None and not certain:
+        self._spread.visible = spread is not None
+        if spread is not None:
             axes, half = ellipsoid_axes(spread)
             self._spread.position, self._spread.wxyz = tool + tip, quaternion.from_matrix(axes)
             self._spread.scale = tuple(float(one) for one in unit * np.maximum(half, 1e-6))
