@@ -22,8 +22,8 @@ from armlab.models import Friction, TorqueModel
 from armlab.robots import Robot
 
 # The same examples each time, so that a change fails only for what it did; `--hypothesis-profile=default` looks for
-# new ones. No deadline: the machines are shared.
-settings.register_profile("armlab", derandomize=True, deadline=None)
+# new ones, and twice as many. No deadline: the machines are shared.
+settings.register_profile("armlab", derandomize=True, deadline=None, max_examples=50)
 settings.load_profile("armlab")
 
 PERIOD = 0.004
