@@ -67,6 +67,11 @@ class Page:
         elif what == "Log.entryAdded" and about["entry"]["level"] == "error":
             self.errors.append(about["entry"]["text"])
 
+    def close(self) -> None:
+        """Close the page and the connection to it."""
+        self.call("Page.close")
+        self._socket.close()
+
     def value(self, script: str) -> Any:
         """Return the value of a JavaScript expression."""
         found = self.call("Runtime.evaluate", expression=script, returnByValue=True)
@@ -124,15 +129,15 @@ def open_page(_chromium: str) -> Iterator[Callable[[Any], Page]]:
     """Open the page of a server, and wait until it is connected and the scene is drawn."""
     from websockets.sync.client import connect
 
-    sockets = []
+    pages: list[tuple[Page, Any]] = []
 
     def open_(server: Any) -> Page:
         asked = urllib.request.Request(f"{_chromium}/json/new?about:blank", method="PUT")
         with urllib.request.urlopen(asked, timeout=PATIENCE) as answer:
             about = json.load(answer)
         socket = connect(about["webSocketDebuggerUrl"], max_size=None, max_queue=None, proxy=None)
-        sockets.append(socket)
         page = Page(socket)
+        pages.append((page, server))
         page.call("Page.navigate", url=live.address(server))
         until = time.monotonic() + PATIENCE
         while not server.get_clients():
@@ -141,5 +146,9 @@ def open_page(_chromium: str) -> Iterator[Callable[[Any], Page]]:
         return page
 
     yield open_
-    for socket in sockets:
-        socket.close()
+    for page, server in pages:
+        page.close()
+        until = time.monotonic() + PATIENCE
+        while server.get_clients():  # the next page shall be the only one: no picture comes from one behind it
+            assert time.monotonic() < until, "a page that was closed is still connected"
+            time.sleep(0.1)
