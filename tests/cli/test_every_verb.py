@@ -1,0 +1,262 @@
+"""Every verb with everything wrong: a sentence, the right exit code, no traceback, and nothing half written.
+
+The table is made from the application itself, so that a new verb or option is tried from its first day.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cyclopts import App
+
+from armlab import cli, log, robots
+from armlab.motion import fit_dmp
+
+NEED_NOTHING = {  # verbs without a required argument
+    ("bridge", "release"), ("bridge", "resume"), ("bridge", "set"), ("bridge", "stop"),
+    ("config", "show"), ("demo",), ("doctor",), ("monitor",), ("robot", "list"), ("view",),
+}  # fmt: skip
+FILES = {
+    "none": None,
+    "folder": None,
+    "empty": b"",
+    "junk": bytes(np.random.default_rng(0).integers(0, 256, 5000, np.uint8)),
+    "text": b"hello\nworld\n",
+    "toml": b"x = 1\n",
+}
+INPUTS = """
+log show {}
+log recover {}
+log export {} new.csv
+log cut {} --from 0 -o new.mcap
+identify yumi_left {} -o new.toml
+estimate yumi_left good.csv --model {}
+payload yumi_left good.csv --model {}
+calibrate hand-eye {}
+calibrate force-sensor {}
+calibrate accelerometer {}
+calibrate laser {}
+calibrate kinematics yumi_left {}
+calibrate dual-arm yumi_left yumi_right {}
+dmp fit {} -o new.toml
+dmp play {} -o new.csv
+plot dmp {}
+plot table {}
+robot show {}
+robot convert {} new.toml
+bridge --config {}
+config show --config {}
+run yumi_left {} --no-log
+run {} --no-log
+record {} -o new.mcap
+doctor {}
+excite {} -o new.csv
+excite yumi_left --saved {} -o new.csv
+demo --robot {}
+sim {} --to 127.0.0.1:9
+sim yumi_left --to 127.0.0.1:9 --operator {}
+"""
+OUTPUTS = """
+log export good.csv {}.csv
+log cut good.mcap --from 0.5 -o {}.mcap
+identify yumi_left good.csv -o {}.toml
+identify yumi_left good.csv -o new.toml --report {}.html
+estimate yumi_left good.csv --model m.toml -o {}.csv
+payload yumi_left good.csv --model m.toml --figure {}.png
+calibrate hand-eye good.csv -o {}.toml
+calibrate kinematics yumi_left good.csv --corrected {}.toml
+dmp fit good.csv -o {}.toml
+dmp play motion.toml -o {}.csv
+plot dmp motion.toml -o {}.png
+robot convert yumi_left {}.toml
+robot show yumi_left --figure {}.png
+excite yumi_left -o {}.csv
+record yumi_left -o {}.mcap
+"""
+NUMBERS = {
+    "sim yumi_left --to 127.0.0.1:9": "seed seconds phase patience loss burst external rapid-data delay pause grip",
+    "run yumi_left --no-log --seconds 0.1": "speed wait",
+    "run yumi_left --no-log": "seconds",
+    "record yumi_left -o new.mcap": "seconds patience port",
+    "doctor": "seconds port",
+    "excite yumi_left -o new.csv": "seconds f0 harmonics speed acceleration seed joint noise approach",
+    "monitor": "seconds",
+    "demo": "seed",
+    "dmp fit good.csv -o new.toml": "start basis kind schedule",
+    "estimate yumi_left good.csv --model m.toml": "prior-force method",
+}
+MAY_BE_INFINITE = {"seconds", "patience"}
+FULL = """
+log export good.csv new.csv
+log cut good.mcap --from 0.5 -o new.mcap
+dmp fit good.csv -o new.toml
+dmp play motion.toml -o new.csv
+robot convert yumi_left new.toml
+robot convert yumi_left new.urdf
+excite yumi_left --joint 1 -o new.csv
+"""
+
+
+def rows(text: str) -> list[str]:
+    return [line for line in text.splitlines() if line]
+
+
+def verbs(app: App | None = None, before: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+    """Yield the words of every command."""
+    app = cli.build_app() if app is None else app
+    commands = [name for name in app if not name.startswith("-")]
+    for name in commands:
+        yield from verbs(app[name], (*before, name))
+    if before and (not commands or app.default_command is not None):
+        yield before
+
+
+@pytest.fixture(scope="module")
+def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with good files and bad ones."""
+    folder = tmp_path_factory.mktemp("desk")
+    for name, content in FILES.items():
+        if content is not None:
+            (folder / name).write_bytes(content)
+    (folder / "folder").mkdir()
+    arm, t = robots.load("yumi_left"), np.arange(0.0, 1.0, 0.004)
+    q = arm.q_home + 0.1 * np.sin(t)[:, None]
+    table = log.Table(t, {"q": q, "qd": np.gradient(q, t, axis=0), "tau": 0.1 + 0.0 * q})
+    log.write(table, folder / "good.csv")
+    log.write(table, folder / "good.mcap", arm)
+    fit_dmp(t, q, n_basis=8).value.save(folder / "motion.toml")
+    return folder
+
+
+@pytest.fixture
+def tried(desk: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    """Return a function that tries words, and checks what every failure has in common; it returns what was said."""
+    monkeypatch.chdir(desk)
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(desk))
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(desk))
+    before = contents(desk)
+
+    def attempt(words: list[str], codes: tuple[int, ...], silent: bool = True) -> str:
+        code = cli.main(words)
+        told = capsys.readouterr()
+        assert code in codes, f"{code}: {told.err}"
+        assert not silent or told.out == ""
+        sentences = [line for line in told.err.splitlines() if line.startswith("armlab: ") and ": note: " not in line]
+        assert len(sentences) == 1, told.err
+        assert "internal error" not in told.err
+        assert "Traceback" not in told.err
+        assert contents(desk) == before
+        return sentences[0]
+
+    return attempt
+
+
+def contents(folder: Path) -> dict[Path, bytes]:
+    return {path: path.read_bytes() if path.is_file() else b"" for path in folder.rglob("*")}
+
+
+@pytest.mark.parametrize("verb", list(verbs()), ids=" ".join)
+def test_an_unknown_option_is_wrong_use(verb: tuple[str, ...], tried) -> None:
+    said = tried([*verb, "--no-such-option"], (cli.WRONG_USE,))
+    assert "no-such-option" in said or "requires" in said
+    assert said.endswith("--help)")
+
+
+@pytest.mark.parametrize("verb", [verb for verb in verbs() if verb not in NEED_NOTHING], ids=" ".join)
+def test_a_missing_argument_is_wrong_use(verb: tuple[str, ...], tried) -> None:
+    tried(list(verb), (cli.WRONG_USE,))
+
+
+@pytest.mark.parametrize("group", sorted({verb[0] for verb in verbs() if len(verb) > 1}))
+def test_an_unknown_subcommand_is_wrong_use(group: str, tried) -> None:
+    assert f"armlab {group} --help" in tried([group, "--none"], (cli.WRONG_USE,))
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if name in ("folder", "text") else ()) for name in FILES]
+)
+@pytest.mark.parametrize("words", rows(INPUTS))
+def test_a_wrong_file_gets_a_sentence(words: str, name: str, tried) -> None:
+    said = tried(words.format(name).split(), (cli.FAILED, cli.WRONG_USE))
+    assert "Expected" in said
+    assert name in said
+
+
+@pytest.mark.parametrize("words", rows(OUTPUTS))
+def test_what_exists_is_kept_and_a_missing_folder_named(words: str, tried, desk: Path) -> None:
+    wanted = next(word for word in words.split() if "{}" in word)
+    assert "Make the folder first" in tried(words.format("nowhere/new").split(), (cli.WRONG_USE,))
+    mine = desk / wanted.format("mine")
+    mine.write_text("mine")
+    try:
+        assert cli.main(words.format("mine").split()) == cli.WRONG_USE
+        assert mine.read_text() == "mine"
+    finally:
+        mine.unlink()
+
+
+@pytest.mark.parametrize("value", ["nan", "-1", "1e999", "text", pytest.param("", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("words", "option"), [(words, option) for words, options in NUMBERS.items() for option in options.split()]
+)
+def test_a_wrong_number_gets_a_sentence(words: str, option: str, value: str, tried) -> None:
+    if (option in MAY_BE_INFINITE and value == "1e999") or (option == "start" and value == "-1"):
+        pytest.skip("this is a time without end, or one before the first sample")
+    tried([*words.split(), f"--{option}={value}"], (cli.FAILED, cli.WRONG_USE))
+
+
+@pytest.mark.parametrize("words", rows(FULL))
+def test_a_full_disk_leaves_nothing_half(words: str, tried, full_disk) -> None:
+    with full_disk():
+        said = tried(words.split(), (cli.FAILED,), silent=False)  # the result may be told before
+    assert "oo large" in said
+    assert "new." in said
+
+
+@pytest.mark.parametrize("closed", ["full", "gone"])
+def test_standard_output_that_takes_nothing(closed: str) -> None:
+    """Of a full device, and of a reader that left, as in `| head`."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    with Path("/dev/full").open("w") as full:
+        to = full.fileno() if closed == "full" else writer
+        done = subprocess.run(
+            [sys.executable, "-m", "armlab", "--help"], stdout=to, stderr=subprocess.PIPE, text=True, timeout=60
+        )
+    os.close(writer)
+    assert done.returncode == cli.FAILED
+    assert done.stderr == ("armlab: No space left on device.\n" if closed == "full" else "")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "words",
+    [
+        "sim yumi_left --to 127.0.0.1:9",
+        "excite yumi_left -o new.csv",
+        "demo -o new",
+        "doctor --seconds 30",
+        "completion bash",
+    ],
+)
+def test_ctrl_c_leaves_no_half_file(words: str, tmp_path: Path) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-m", "armlab", *words.split()],
+        cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    ) as process:  # fmt: skip
+        try:
+            _, said = process.communicate(timeout=2.0)
+        except subprocess.TimeoutExpired:
+            process.send_signal(signal.SIGINT)
+            _, said = process.communicate(timeout=60)
+            assert process.returncode in (cli.INTERRUPTED, -signal.SIGINT)  # shells show both as 130
+    assert "Traceback" not in said
+    assert not list(tmp_path.rglob("*.part"))
+    assert not (tmp_path / "new.csv").exists()
