@@ -77,7 +77,7 @@ def test_wrong_files_get_a_sentence(files: tuple[str, str], drawn: dict[str, Any
         ("friction_map", model, "--joint", "9"): "from 0 to 6",
         ("spectrum", model, run, "--joints", "a"): "with commas",
         ("residual_speed", model, run, "--robot", "ur5e"): "ur5e",
-        ("coverage", run): "tau_sigma",
+        ("coverage", run): "--model MODEL",
         ("calibration", model): "torque model",
     }.items():
         assert main(["plot", *words]) in (1, 2)

@@ -186,10 +186,16 @@ def coverage(log: Path, *, model: Path | None = None, part: Part = WHOLE, pictur
         Model file of `armlab identify`, whose torques are compared with those of the log.
     """
     from armlab import plots
+    from armlab.errors import LogError
     from armlab.identify import predict
 
     path = picture.path(log, "coverage")
     read = part.read(log)
+    if model is None and not {"wrench", "wrench_true"} & set(read.names):
+        raise LogError(
+            f"Expected a force sensor in {log}, column wrench, to compare the estimate with, got none. "
+            "Add --model MODEL to compare torques."
+        )
     return picture.save(plots.coverage(read if model is None else predict(torque_model(model), read)), path)
 
 
