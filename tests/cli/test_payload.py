@@ -33,7 +33,7 @@ def tables(truth) -> dict[str, Table]:
 @pytest.fixture
 def words(monkeypatch, tables: dict[str, Table], model, tmp_path: Path) -> list[str]:
     """The logs by name, and the model file."""
-    monkeypatch.setattr("armlab.log.read", lambda path: tables[path.name])
+    monkeypatch.setattr("armlab.log.read", lambda path, **_: tables[path.name])
     saved = models.save(model, tmp_path / "model.toml")
     return ["payload", "yumi_left", "full.mcap", "--model", str(saved)]
 
