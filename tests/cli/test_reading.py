@@ -23,6 +23,18 @@ def test_a_log_without_torques_or_of_another_robot_is_refused(truth, tmp_path: P
         read_log(mute, truth.robot)
 
 
+def test_of_a_recording_of_both_arms_the_rows_of_the_arm_are_read(truth, tmp_path: Path) -> None:
+    left, right = truth.robot, robots.load("yumi_right")
+    table = truth.log(identify.dither(left.q_home, 1.0), seed=5).select("q", "qd", "tau")
+    other = table.with_column("q", -table["q"])
+    pieces = [log.write(one, tmp_path / f"{arm.name}.mcap", arm) for one, arm in ((table, left), (other, right))]
+    both = log.merge(pieces, tmp_path / "both.mcap")
+    for arm, one in ((left, table), (right, other)):
+        np.testing.assert_array_equal(read_log(both, arm)["q"], one["q"])
+    with pytest.raises(ModelMismatchError, match="of 'irb120', got one of 'yumi_left' and 'yumi_right'"):
+        read_log(both, robots.load("irb120"))
+
+
 def test_what_cannot_be_true_is_doubted(truth) -> None:
     table = truth.log(identify.dither(truth.robot.q_home, 4.0), seed=5)
     assert doubts(table, truth.robot) == ()

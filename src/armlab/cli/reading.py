@@ -58,15 +58,18 @@ def read_log(path: Path, robot: Robot) -> Table:
     from armlab.identify import with_velocity
     from armlab.log.topic_reading import is_foreign
 
+    several = _check_robot(path, robot)
     with reading_bar(path) as tell:
-        table = _of_another_program(path, robot, tell) if is_foreign(path) else logs.read(path, progress=tell)
+        if is_foreign(path):
+            table = _of_another_program(path, robot, tell)
+        else:
+            table = logs.read(path, robot=robot.name if several else None, progress=tell)
     missing = [name for name in ("q", "tau") if name not in table]
     if missing:
         raise LogError(
             f"Expected positions and torques, columns q and tau, in {path}, got none for {' and '.join(missing)} among "
             f"{', '.join(table.names)}. Record with the research extension, which sends torques."
         )
-    _check_robot(path, robot)
     return with_velocity(table)
 
 
@@ -81,18 +84,21 @@ def _of_another_program(path: Path, robot: Robot, tell: Progress | None) -> Tabl
     return logs.read(path, ["q"], robot=robot, progress=tell)
 
 
-def _check_robot(path: Path, robot: Robot) -> None:
-    """Refuse a recording of a robot of another name; text knows none."""
+def _check_robot(path: Path, robot: Robot) -> bool:
+    """Refuse a recording without rows of a robot of this name; True when it holds several. Text knows none."""
     from armlab import log as logs
     from armlab.errors import ModelMismatchError
 
     if path.suffix != ".mcap" or not path.is_file():
-        return
-    name = logs.inspect(path).metadata.get("armlab", {}).get("robot", robot.name)
-    if name != robot.name:
+        return False
+    told = logs.inspect(path)
+    names = told.robots if len(told.robots) > 1 else (told.metadata.get("armlab", {}).get("robot", robot.name),)
+    if robot.name not in names:
         raise ModelMismatchError(
-            f"Expected a recording of {robot.name!r}, got one of {name!r} in {path}. Name the robot that was recorded."
+            f"Expected a recording of {robot.name!r}, got one of {' and '.join(map(repr, names))} in {path}. Name the "
+            "robot that was recorded."
         )
+    return len(names) > 1
 
 
 def doubts(table: Table, robot: Robot) -> tuple[str, ...]:
