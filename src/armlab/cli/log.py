@@ -12,7 +12,7 @@ __all__ = ["cut", "export", "log", "merge", "open_", "recover", "show"]
 log = App(name="log", help="Show, export, cut, merge, open and repair logs.")
 
 
-@log.command
+@log.command(help_epilogue="Example: armlab log show run.mcap")
 def show(file: Path, *, json: bool = False, parameters: bool = False) -> None:
     """Show what a log holds: rows, rate, columns with units and ranges; of a recording also metadata and events.
 
@@ -54,7 +54,7 @@ def show(file: Path, *, json: bool = False, parameters: bool = False) -> None:
         result(text_of(file, kind, held, tables))
 
 
-@log.command
+@log.command(help_epilogue="Example: armlab log export run.mcap run.mat")
 def export(
     file: Path,
     output: Path,
@@ -120,7 +120,7 @@ def export(
     result(str(output))
 
 
-@log.command
+@log.command(help_epilogue="Example: armlab log recover run.mcap")
 def recover(file: Path, *, output: Path | None = None) -> None:
     """Write a whole copy of a log that was cut off or damaged. The original stays as it is.
 
@@ -143,7 +143,7 @@ def recover(file: Path, *, output: Path | None = None) -> None:
     result(str(done.path))
 
 
-@log.command
+@log.command(help_epilogue="Example: armlab log cut run.mcap --from 10 --to 20 -o part.mcap")
 def cut(
     file: Path,
     *,
@@ -193,7 +193,7 @@ def cut(
     result(str(output))
 
 
-@log.command
+@log.command(help_epilogue="Example: armlab log merge first.mcap second.mcap -o both.mcap")
 def merge(*file: Path, output: Annotated[Path, Parameter(alias="-o")], force: bool = False) -> None:
     """Write several recordings to one. The originals stay as they are.
 
@@ -218,7 +218,7 @@ def merge(*file: Path, output: Annotated[Path, Parameter(alias="-o")], force: bo
     result(str(output))
 
 
-@log.command(name="open")
+@log.command(name="open", help_epilogue="Example: armlab log open run.mcap --foxglove")
 def open_(file: Path, *, rerun: bool = False, foxglove: bool = False, plotjuggler: bool = False) -> int:
     """Open a recording in another program, if it is installed: Foxglove, PlotJuggler or Rerun.
 
