@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from armlab import live, log, robots
-from armlab.errors import LogError, RobotError
+from armlab.errors import LogError, ModelMismatchError, RobotError
 from armlab.kinematics import forward
 from armlab.live.recorded import Recorded, read_arms
 from armlab.log import Recorder, Table, Tick
+from armlab.models import TorqueModel
 from armlab.robots import Robot
 from armlab.state import Command, State
 
@@ -126,6 +127,22 @@ def test_robots_come_from_the_file_the_library_or_the_caller(tmp_path: Path, tab
     with pytest.raises(RobotError, match="none in the file"):
         read_arms([tmp_path / "run.csv"])
     assert read_arms([tmp_path / "run.csv"], [RIGHT])[0].robot is RIGHT
+
+
+def test_a_robot_that_a_file_tells_is_not_taken_for_the_next_one(tmp_path: Path, table: Callable[..., Table]) -> None:
+    files = [recording(tmp_path / "left.mcap", LEFT, seconds=0.2), tmp_path / "run.csv"]
+    log.write(table(), files[1])
+    assert [arm.robot.name for arm in read_arms(files, [LEFT, RIGHT])] == ["yumi_left", "yumi_right"]
+
+
+def test_a_model_estimates_for_its_own_arm_only(tmp_path: Path, model: TorqueModel, excited: Table) -> None:
+    """One of another arm would be passed over, and who gave it would take the picture for an arm without force."""
+    log.write(excited.select("q", "qd", "tau"), tmp_path / "left.csv")
+    (arm,) = read_arms([tmp_path / "left.csv"], [LEFT], [model])
+    assert arm.wrench is not None
+    assert arm.covariance is not None
+    with pytest.raises(ModelMismatchError, match=r"Expected a model of yumi_right .*, got one of yumi_left"):
+        read_arms([tmp_path / "left.csv"], [RIGHT], [model])
 
 
 def test_logs_that_cannot_be_shown_are_refused(tmp_path: Path, table: Callable[..., Table]) -> None:

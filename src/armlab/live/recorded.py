@@ -15,7 +15,7 @@ import numpy as np
 from armlab import log as logs
 from armlab import robots as library
 from armlab.bridge.readiness import obstacle
-from armlab.errors import LogError, RobotError, UnknownName
+from armlab.errors import LogError, ModelMismatchError, RobotError, UnknownName
 from armlab.kinematics import forward
 from armlab.robots import Robot
 
@@ -172,7 +172,7 @@ def read_arms(
     """Return the arms that were recorded in one file or in several, on one clock that begins at 0.
 
     A recording of armlab tells its robots. Other files, and recordings of robots that are neither described in them
-    nor in the library, need theirs in `robots`: by name, or in the order of the files.
+    nor in the library, need theirs in `robots`: by name, or, where a file tells none, in the order of these files.
 
     Parameters
     ----------
@@ -182,8 +182,8 @@ def read_arms(
 
     Raises
     ------
-    LogError : no file, one that cannot be read, has no q, or an arm that is in two of them.
-    RobotError : a robot is not known. ShapeError : a robot with another number of joints.
+    LogError : no file, one that cannot be read, without q of its robot, or an arm that is in two of them.
+    RobotError : a robot is not known. ModelMismatchError : a model is of none of these arms.
     """
     given = {robot.name: robot for robot in robots}
     waiting = list(robots)
@@ -201,6 +201,7 @@ def read_arms(
             found.append((robot, _with_wrench(table, robot, models), events))
     if not found:
         raise LogError("Expected at least one log to view, got none. Give the path of a recording.")
+    _check_models(models, [robot for robot, _, _ in found])
     start = _start([table for _, table, _ in found])
     return [_recorded(*one, start) for one in found]
 
@@ -226,6 +227,7 @@ def _robot(
     path: Path, name: str | None, given: Mapping[str, Robot], waiting: list[Robot], attached: Mapping[str, bytes]
 ) -> Robot:
     if name is not None and name in given:
+        waiting[:] = [robot for robot in waiting if robot.name != name]
         return given[name]
     if name is None and waiting:
         return waiting.pop(0)
@@ -239,6 +241,16 @@ def _robot(
     except (UnknownName, RobotError):
         said = f"{name!r}, which the library does not have" if name else "none in the file"
         raise RobotError(f"Expected the robot of {path}, got {said}. Give its description: --robot FILE.") from None
+
+
+def _check_models(models: Sequence[TorqueModel], arms: Sequence[Robot]) -> None:
+    """Refuse a model that would be passed over."""
+    for model in models:
+        if model.robot_hash not in {robot.hash for robot in arms}:
+            raise ModelMismatchError(
+                f"Expected a model of {' or '.join(f'{robot.name} ({robot.hash[:12]})' for robot in arms)}, got one of "
+                f"{model.robot_name} ({model.robot_hash[:12]}). Give the model of this arm."
+            )
 
 
 def _with_wrench(table: Table, robot: Robot, models: Sequence[TorqueModel]) -> Table:

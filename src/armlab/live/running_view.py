@@ -168,7 +168,7 @@ class _Arm:
         self._scene.show(name, q, wrench, covariance)
         if t < self._t or not follows:
             self._path.clear()
-        if not follows and t > self._t >= 0.0:  # no line across the gap
+        if not follows and t > self._t >= 0.0:  # one straight line across the gap: uPlot has no other
             self._push(0.5 * (self._t + t), np.full_like(tau, np.nan))
         if t != self._t:
             self._trace(t, forward(self._robot, q)[:3, 3])
