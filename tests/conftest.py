@@ -169,3 +169,23 @@ def _full_disk() -> Iterator[None]:
 def full_disk() -> Callable[[], AbstractContextManager[None]]:
     """Return a context in which the disk is full."""
     return _full_disk
+
+
+@pytest.fixture
+def ur5e_bag(tmp_path: Path) -> Path:
+    """A bag of another program: a UR5e with joint i at i + k rad in row k, told in reverse order, and numbers."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    kinds = ("sensor_msgs/msg/JointState", "std_msgs/msg/Float64", "std_msgs/msg/Header", "builtin_interfaces/msg/Time")
+    state, number, header, time = (store.types[kind] for kind in kinds)
+    names = list(robots.load("ur5e").joint_names[::-1])
+    with Writer(tmp_path / "bag", version=8, storage_plugin=StoragePlugin.MCAP) as bag:
+        joints, clock = (bag.add_connection("/" + kind.rpartition("/")[2], kind, typestore=store) for kind in kinds[:2])
+        for i in range(5):
+            x, stamp = np.arange(6.0)[::-1] + i, header(stamp=time(sec=1 + i, nanosec=0), frame_id="")
+            message = state(header=stamp, name=names, position=x, velocity=x[:0], effort=x)
+            bag.write(joints, i * 10**9, store.serialize_cdr(message, kinds[0]))
+            bag.write(clock, i * 10**8, store.serialize_cdr(number(data=1.0), kinds[1]))
+    return tmp_path / "bag"

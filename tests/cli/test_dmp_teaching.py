@@ -112,3 +112,9 @@ def test_options_belong_to_kinds(tmp_path: Path) -> None:
     demo = read_demonstration(shown(tmp_path), "joints", (), None, Window())
     with pytest.raises(ConfigError, match="Expected one log"):
         taught("periodic", [demo, demo], {"period": 1.0})
+
+
+def test_poses_of_a_bag_are_those_of_the_robot(ur5e_bag: Path) -> None:
+    """In the order of their driver its joints would be another posture."""
+    found = read_demonstration(ur5e_bag, "pose", (), "ur5e", Window(whole=True))
+    np.testing.assert_allclose(found.y[0], kinematics.forward(robots.load("ur5e"), np.arange(6.0)))

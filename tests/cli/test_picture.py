@@ -75,3 +75,8 @@ def test_a_model_knows_its_robot(model: TorqueModel, tmp_path: Path) -> None:
     assert arm_of(read, None).name == "yumi_left"
     with pytest.raises(ModelMismatchError, match="ur5e"):
         arm_of(read, "ur5e")
+
+
+def test_joints_of_a_bag_are_those_of_the_robot(ur5e_bag: Path) -> None:
+    """In the order of their driver they would be another posture."""
+    np.testing.assert_array_equal(Part(end=0.5).read(ur5e_bag, "ur5e")["q"], [np.arange(6.0)])

@@ -66,28 +66,11 @@ def test_gaps_and_rows_without_an_estimate_are_counted(truth) -> None:
     assert left_out(table.with_column("wrench_flags", flags, unit="1", kind="count")) == 7
 
 
-def test_a_bag_of_another_program_gives_the_joints_of_the_robot(tmp_path: Path) -> None:
-    """What a driver logs beside the joints, at whatever rate, is no matter here."""
-    from rosbags.rosbag2 import StoragePlugin, Writer
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    state, arm = store.types["sensor_msgs/msg/JointState"], robots.load("ur5e")
-    time, header = store.types["builtin_interfaces/msg/Time"], store.types["std_msgs/msg/Header"]
-    with Writer(tmp_path / "bag", version=8, storage_plugin=StoragePlugin.MCAP) as bag:
-        joints = bag.add_connection("/joint_states", state.__msgtype__, typestore=store)
-        clock = bag.add_connection("/n", "std_msgs/msg/Float64", typestore=store)
-        for i in range(5):
-            x = np.arange(6.0)[::-1] + i
-            of_row = header(stamp=time(sec=1 + i, nanosec=0), frame_id="")
-            message = state(header=of_row, name=list(arm.joint_names[::-1]), position=x, velocity=x[:0], effort=x)
-            bag.write(joints, i * 10**9, store.serialize_cdr(message, state.__msgtype__))
-            number = store.types["std_msgs/msg/Float64"](data=1.0)
-            bag.write(clock, i * 10**8, store.serialize_cdr(number, "std_msgs/msg/Float64"))
-    with reading_bar(tmp_path / "bag") as tell:
+def test_a_bag_of_another_program_gives_the_joints_of_the_robot(ur5e_bag: Path) -> None:
+    with reading_bar(ur5e_bag) as tell:
         assert tell is None  # no terminal, no large file
-    table = read_log(tmp_path / "bag", arm)
+    table = read_log(ur5e_bag, robots.load("ur5e"))
     np.testing.assert_array_equal(table["q"][0], np.arange(6.0))
     assert table["qd"].shape == (5, 6)
     with pytest.raises(LogError, match="Only in the robot: panda_joint1"):
-        read_log(tmp_path / "bag", robots.load("panda"))
+        read_log(ur5e_bag, robots.load("panda"))

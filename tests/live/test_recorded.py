@@ -135,6 +135,14 @@ def test_a_robot_that_a_file_tells_is_not_taken_for_the_next_one(tmp_path: Path,
     assert [arm.robot.name for arm in read_arms(files, [LEFT, RIGHT])] == ["yumi_left", "yumi_right"]
 
 
+def test_a_bag_of_another_program_shows_the_arm_in_its_posture(ur5e_bag: Path) -> None:
+    """Its driver has another order of the joints, and logs other things at other rates."""
+    (arm,) = read_arms([ur5e_bag], [robots.load("ur5e")])
+    np.testing.assert_array_equal(arm.table["q"][0], np.arange(6.0))
+    (same,) = read_arms([ur5e_bag / "bag.mcap"], [robots.load("ur5e")])
+    np.testing.assert_array_equal(same.tool, arm.tool)
+
+
 def test_a_model_estimates_for_its_own_arm_only(tmp_path: Path, model: TorqueModel, excited: Table) -> None:
     """One of another arm would be passed over, and who gave it would take the picture for an arm without force."""
     log.write(excited.select("q", "qd", "tau"), tmp_path / "left.csv")

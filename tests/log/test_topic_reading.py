@@ -17,7 +17,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from armlab import log, robots
 from armlab.errors import LogError, UnknownName
-from armlab.log.topic_reading import is_foreign, read_foreign, read_topics
+from armlab.log.topic_reading import is_foreign, read_foreign, read_joints, read_topics
 
 UR = ("elbow_joint", "shoulder_lift_joint", "shoulder_pan_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
 STEP = 2_000_000  # ns
@@ -218,6 +218,14 @@ def test_the_functions_behind_read(ros: Any, tmp_path: Path) -> None:
     text.write_bytes(b"SQLite format 3\0" + bytes(90))
     with pytest.raises(LogError, match=r"a file in it that ends in \.db3, got .*x\.sqlite\. Rename it"):
         log.read(text)
+
+
+def test_the_joints_of_an_arm_in_its_own_order(ros: Any, tmp_path: Path) -> None:
+    """What a driver logs beside the joints, at whatever rate, is no matter."""
+    arm = robots.load("ur5e")
+    table = read_joints(ros.bag(tmp_path / "bag", ur_bag(ros)), arm)
+    assert table.names == ("q", "qd", "tau")
+    np.testing.assert_array_equal(table["q"][0], [UR.index(name) for name in arm.joint_names])
 
 
 def test_topics_one_by_one(ros: Any, tmp_path: Path) -> None:

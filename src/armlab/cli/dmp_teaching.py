@@ -97,10 +97,12 @@ def read_demonstration(
     """
     from armlab import kinematics, log, robots
     from armlab.errors import ConfigError
+    from armlab.log.topic_reading import is_foreign, read_joints
 
-    table = log.read(path)
-    if kind == "pose" and robot is not None:
-        table = table.with_column(POSES, kinematics.forward(robots.load(robot), table["q"]))
+    arm = None if robot is None else robots.load(robot)
+    table = log.read(path) if arm is None or not is_foreign(path) else read_joints(path, arm)
+    if kind == "pose" and arm is not None:
+        table = table.with_column(POSES, kinematics.forward(arm, table["q"]))
     elif kind == "pose" and not columns and POSES not in table:
         raise ConfigError(
             f"Expected poses of the tool in {path}, column {POSES}, got {', '.join(table.names)}. "

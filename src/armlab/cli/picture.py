@@ -89,21 +89,22 @@ class Part:
     start: float | None = None
     end: float | None = None
 
-    def read(self, path: Path) -> Table:
+    def read(self, path: Path, robot: str | None = None) -> Table:
         """Return that part of a log.
 
         Parameters
         ----------
-        path : of the log.
+        path : of the log. robot : whose joints are read, in its order, where another program wrote the log.
 
         Raises
         ------
         LogError : no log, or nothing in that part.
         """
-        from armlab import log
+        from armlab import log, robots
         from armlab.errors import LogError
+        from armlab.log.topic_reading import is_foreign, read_joints
 
-        whole = log.read(path)
+        whole = log.read(path) if robot is None or not is_foreign(path) else read_joints(path, robots.load(robot))
         low, high = (-np.inf if self.start is None else self.start), (np.inf if self.end is None else self.end)
         part = whole.between(low, high)
         if not len(part):

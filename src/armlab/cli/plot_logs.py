@@ -53,7 +53,7 @@ def poses(
     from armlab import plots
 
     path = picture.path(log, "poses")
-    read = part.read(log)
+    read = part.read(log, robot)
     return picture.save(plots.poses(poses_in(read, log, column, robot), read.t), path)
 
 
@@ -96,7 +96,7 @@ def scene(
     if not sources:
         raise ConfigError("Expected something to draw, got none. Give logs, or --cloud, --plane or --pose with a file.")
     path = picture.path(sources[0], "scene")
-    items: list[Any] = [poses_in(part.read(log), log, column, robot) for log in logs]
+    items: list[Any] = [poses_in(part.read(log, robot), log, column, robot) for log in logs]
     items += [nikon.read_cloud(one).p for one in cloud or ()]
     items += [Plane.of(read.normal, read.point) for read in map(nikon.read_plane, plane or ())]
     items += [{one.stem: nikon.read_matrix(one, project=True).T} for one in pose or ()]

@@ -30,7 +30,7 @@ def robot(
     from armlab import plots, robots
 
     path = picture.path(robot if log is None else log, "robot")
-    return picture.save(plots.robot(robots.load(robot), _positions(log, part), path=tool_path), path)
+    return picture.save(plots.robot(robots.load(robot), _positions(log, robot, part), path=tool_path), path)
 
 
 def workspace(robot: str, *, picture: Picture = BESIDE) -> int:
@@ -69,14 +69,14 @@ def manipulability(
     from armlab import plots, robots
 
     path = picture.path(robot if log is None else log, "manipulability")
-    return picture.save(plots.manipulability(robots.load(robot), _positions(log, part), of), path)
+    return picture.save(plots.manipulability(robots.load(robot), _positions(log, robot, part), of), path)
 
 
-def _positions(log: Path | None, part: Part) -> np.ndarray | None:
-    """Return the joint positions (N, n) of a log in which none is missing."""
+def _positions(log: Path | None, robot: str, part: Part) -> np.ndarray | None:
+    """Return the joint positions (N, n) of a robot in a log, rows in which none is missing."""
     import numpy as np
 
     if log is None:
         return None
-    q = part.read(log)["q"]
+    q = part.read(log, robot)["q"]
     return q[np.isfinite(q).all(axis=1)]

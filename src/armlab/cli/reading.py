@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -56,12 +56,12 @@ def read_log(path: Path, robot: Robot) -> Table:
     from armlab import log as logs
     from armlab.errors import LogError
     from armlab.identify import with_velocity
-    from armlab.log.topic_reading import is_foreign
+    from armlab.log.topic_reading import is_foreign, read_joints
 
     several = _check_robot(path, robot)
     with reading_bar(path) as tell:
         if is_foreign(path):
-            table = _of_another_program(path, robot, tell)
+            table = read_joints(path, robot, tell)
         else:
             table = logs.read(path, robot=robot.name if several else None, progress=tell)
     missing = [name for name in ("q", "tau") if name not in table]
@@ -71,17 +71,6 @@ def read_log(path: Path, robot: Robot) -> Table:
             f"{', '.join(table.names)}. Record with the research extension, which sends torques."
         )
     return with_velocity(table)
-
-
-def _of_another_program(path: Path, robot: Robot, tell: Progress | None) -> Table:
-    """Return the joints of a robot in a bag or MCAP file of another program, as far as it has them."""
-    from armlab import log as logs
-    from armlab.errors import UnknownName
-
-    for columns in (["q", "qd", "tau"], ["q", "tau"]):
-        with suppress(UnknownName):
-            return logs.read(path, columns, robot=robot, progress=tell)
-    return logs.read(path, ["q"], robot=robot, progress=tell)
 
 
 def _check_robot(path: Path, robot: Robot) -> bool:

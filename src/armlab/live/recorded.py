@@ -189,7 +189,7 @@ def read_arms(
     waiting = list(robots)
     found: list[tuple[Robot, Table, tuple[Event, ...]]] = []
     for path in map(Path, paths):
-        for name, table, events, attached in _tables(path):
+        for name, table, events, attached in _tables(path, given, waiting):
             robot = _robot(path, name, given, waiting, attached)
             if "q" not in table or table["q"].shape[1] != robot.n or not len(table):
                 got = table["q"].shape if "q" in table else ", ".join(table.names)
@@ -206,21 +206,33 @@ def read_arms(
     return [_recorded(*one, start) for one in found]
 
 
-def _tables(path: Path) -> Iterable[tuple[str | None, Table, tuple[Event, ...], Mapping[str, bytes]]]:
+def _tables(
+    path: Path, given: Mapping[str, Robot], waiting: Sequence[Robot]
+) -> Iterable[tuple[str | None, Table, tuple[Event, ...], Mapping[str, bytes]]]:
     """Yield name, table, events and attachments of each arm in a file; the name is None where it tells none."""
     from armlab.log.formats import format_at
+    from armlab.log.topic_reading import is_foreign, read_joints
 
+    if waiting and is_foreign(path):
+        named = [name for name in _arms_in(path) if name in given] if format_at(path) == "MCAP" else []
+        for name in named or (None,):
+            yield name, read_joints(path, waiting[0] if name is None else given[name]), (), {}
+        return
     if format_at(path) != "MCAP":
         yield None, logs.read(path), (), {}
         return
-    held = logs.inspect(path)
-    topics = [topic.name.strip("/").rpartition("/") for topic in held.topics]
-    names = sorted({name for name, _, last in topics if last == _CLOCK and name})
+    held, names = logs.inspect(path), _arms_in(path)
     if len(names) < 2:
         yield held.metadata.get("armlab", {}).get("robot"), logs.read(path), held.events, held.attachments
         return
     for name in names:
         yield name, logs.read(path, robot=name), held.events, held.attachments
+
+
+def _arms_in(path: Path) -> list[str]:
+    """Return the names of the arms that an MCAP file tells by its topics."""
+    topics = [topic.name.strip("/").rpartition("/") for topic in logs.inspect(path).topics]
+    return sorted({name for name, _, last in topics if last == _CLOCK and name})
 
 
 def _robot(

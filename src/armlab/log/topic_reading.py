@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ from armlab.log.topic_streams import Stream, stem, streams_of
 from armlab.log.topic_table import WRENCH, Choice, table_of_streams, tables_of_streams
 from armlab.robots import Robot
 
-__all__ = ["is_foreign", "read_foreign", "read_topics"]
+__all__ = ["is_foreign", "read_foreign", "read_joints", "read_topics"]
 
 Wanted = Callable[[str, str], bool]
 
@@ -76,6 +76,25 @@ def read_foreign(path: Path, choice: Choice, robot: Robot | str | None, progress
     if whole or notes:
         warnings.warn("; ".join([*whole, *notes][:3]), stacklevel=3)
     return replace(table, notes=(*whole, *table.notes), source=tuple(origin(one) for one in held.files))
+
+
+def read_joints(path: Path, robot: Robot, progress: Progress | None = None) -> Table:
+    """Return q, and qd and tau as far as they are there, of an arm in another program's log, in its own order.
+
+    Drivers name joints in an order of theirs, and log other things at other rates: both are no matter here.
+
+    Parameters
+    ----------
+    path : as of `read_foreign`. robot : the arm. progress : is told the bytes or messages.
+
+    Raises
+    ------
+    LogError : a damaged bag, joints of another robot. UnknownName : no positions.
+    """
+    for columns in (["q", "qd", "tau"], ["q", "tau"], ["q", "qd"]):
+        with suppress(UnknownName):
+            return read_foreign(path, Choice(columns), robot, progress)
+    return read_foreign(path, Choice(["q"]), robot, progress)
 
 
 def read_topics(
