@@ -12,6 +12,7 @@ import pytest
 
 from armlab import calibrate, identify, log, sim
 from armlab.cli import main, plot_models
+from armlab.cli.picture import Part
 from armlab.estimation import Fit
 from armlab.log import Table
 from armlab.models import TorqueModel
@@ -50,6 +51,27 @@ def test_a_model_and_a_log(files: tuple[str, str], drawn: dict[str, Any], fitted
     assert [ax.get_title(loc="left") for ax in drawn["run_spectrum.png"].axes] == ["joint 2"]
     assert drawn["model_friction_map_2.png"].axes[0].get_title(loc="left") == "joint 2"
     assert "joint 7" in [line.get_label() for line in drawn["run_coverage.png"].lines]
+
+
+def test_a_log_is_read_as_that_of_the_robot_of_the_model(
+    files: tuple[str, str], drawn: dict[str, Any], fitted: Fit[TorqueModel], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A bag has its joints in the order of their driver; see `Part.read`."""
+    asked, read = [], Part.read
+
+    def told(part: Part, path: Path, robot: str | None = None) -> Table:
+        asked.append(robot)
+        return read(part, path, robot)
+
+    monkeypatch.setattr(Part, "read", told)
+    model, run = files
+    assert main(["plot", "torque_fit", model, run]) == 0
+    assert main(["plot", "residual_speed", model, run]) == 0
+    assert main(["plot", "spectrum", model, run, "--joints", "2"]) == 0
+    assert main(["plot", "friction_map", model, run, "--joint", "2"]) == 0
+    assert main(["plot", "coverage", run, "--model", model]) == 0
+    assert asked == [fitted.value.robot_name] * 5
+    assert len(drawn) == 5
 
 
 def test_a_model_alone(files: tuple[str, str], drawn: dict[str, Any], fitted: Fit[TorqueModel]) -> None:

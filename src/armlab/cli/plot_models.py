@@ -30,7 +30,8 @@ def torque_fit(model: Path, log: Path, *, part: Part = WHOLE, picture: Picture =
     from armlab import plots
 
     path = picture.path(log, "torque_fit")
-    return picture.save(plots.torque_fit(torque_model(model), part.read(log)), path)
+    known = torque_model(model)
+    return picture.save(plots.torque_fit(known, part.read(log, known.robot_name)), path)
 
 
 def friction(
@@ -57,7 +58,7 @@ def friction(
 
     path = picture.path(model, "friction")
     fit = Fit.load(model, "torque_model")
-    points = None if log is None else _estimate(fit.value, robot, part.read(log))
+    points = None if log is None else _estimate(fit.value, robot, log, part)
     return picture.save(plots.friction(fit, points), path)
 
 
@@ -78,8 +79,9 @@ def friction_map(
     from armlab import plots
 
     path = picture.path(model, f"friction_map_{joint}")
-    covered = None if log is None else part.read(log)
-    return picture.save(plots.friction_map(torque_model(model), joint - 1, covered), path)
+    known = torque_model(model)
+    covered = None if log is None else part.read(log, known.robot_name)
+    return picture.save(plots.friction_map(known, joint - 1, covered), path)
 
 
 def spectrum(
@@ -99,7 +101,8 @@ def spectrum(
     from armlab import plots
 
     path = picture.path(log, "spectrum")
-    return picture.save(plots.spectrum(torque_model(model), part.read(log), joints_in(joints)), path)
+    known = torque_model(model)
+    return picture.save(plots.spectrum(known, part.read(log, known.robot_name), joints_in(joints)), path)
 
 
 def velocity_covariance(model: Path, *, picture: Picture = BESIDE) -> int:
@@ -142,7 +145,7 @@ def residual_speed(
 
     path = picture.path(log, "residual_speed")
     known = torque_model(model)
-    left = _estimate(known, robot, part.read(log))
+    left = _estimate(known, robot, log, part)
     return picture.save(plots.residual_speed(left, {"model": known.covariance}, joints_in(joints)), path)
 
 
@@ -171,7 +174,7 @@ def autocorrelation(
     from armlab import plots
 
     path = picture.path(log, "autocorrelation")
-    left = _estimate(torque_model(model), robot, part.read(log))
+    left = _estimate(torque_model(model), robot, log, part)
     return picture.save(plots.autocorrelation(left, joints_in(joints)), path)
 
 
@@ -190,13 +193,14 @@ def coverage(log: Path, *, model: Path | None = None, part: Part = WHOLE, pictur
     from armlab.identify import predict
 
     path = picture.path(log, "coverage")
-    read = part.read(log)
-    if model is None and not {"wrench", "wrench_true"} & set(read.names):
+    known = None if model is None else torque_model(model)
+    read = part.read(log, None if known is None else known.robot_name)
+    if known is None and not {"wrench", "wrench_true"} & set(read.names):
         raise LogError(
             f"Expected a force sensor in {log}, column wrench, to compare the estimate with, got none. "
             "Add --model MODEL to compare torques."
         )
-    return picture.save(plots.coverage(read if model is None else predict(torque_model(model), read)), path)
+    return picture.save(plots.coverage(read if known is None else predict(known, read)), path)
 
 
 def hypotheses(
@@ -218,7 +222,7 @@ def hypotheses(
     path = picture.path(log, "hypotheses")
     known = torque_model(model)
     arm = arm_of(known, robot)
-    return picture.save(plots.hypotheses(contact.hypotheses(_estimate(known, robot, part.read(log)), arm)), path)
+    return picture.save(plots.hypotheses(contact.hypotheses(_estimate(known, robot, log, part), arm)), path)
 
 
 def calibration(fit: Path, *, picture: Picture = BESIDE) -> int:
@@ -258,8 +262,8 @@ def excitation(fit: Path, *, picture: Picture = BESIDE) -> int:
     return picture.save(plots.excitation(Fit.load(fit).excitation), path)
 
 
-def _estimate(model: TorqueModel, robot: str | None, table: Table) -> Table:
-    """Return the log with what the estimator makes of it."""
+def _estimate(model: TorqueModel, robot: str | None, log: Path, part: Part) -> Table:
+    """Return that part of a log with what the estimator makes of it."""
     from armlab.contact import Estimator
 
-    return Estimator(model, arm_of(model, robot)).run(table)
+    return Estimator(model, arm_of(model, robot)).run(part.read(log, robot or model.robot_name))
