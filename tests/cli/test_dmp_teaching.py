@@ -118,3 +118,13 @@ def test_poses_of_a_bag_are_those_of_the_robot(ur5e_bag: Path) -> None:
     """In the order of their driver its joints would be another posture."""
     found = read_demonstration(ur5e_bag, "pose", (), "ur5e", Window(whole=True))
     np.testing.assert_allclose(found.y[0], kinematics.forward(robots.load("ur5e"), np.arange(6.0)))
+
+
+@pytest.mark.parametrize("kind", ["joints", "periodic", "promp"])
+def test_joints_of_a_bag_need_their_robot(ur5e_bag: Path, kind: str) -> None:
+    """In the order of their driver they would be played by the wrong joints."""
+    found = read_demonstration(ur5e_bag, kind, (), "ur5e", Window(whole=True))
+    np.testing.assert_array_equal(found.y[0], np.arange(6.0))
+    assert "robot" in check_options(kind, {"robot": "ur5e", "period": 1.0 if kind == "periodic" else None})
+    with pytest.raises(ConfigError, match="Expected --robot NAME with"):
+        read_demonstration(ur5e_bag, kind, (), None, Window(whole=True))

@@ -52,7 +52,8 @@ def fit(
     column : list of str
         What moves: q when not given, for pose T_base_tool; several are put side by side.
     robot : str
-        With pose: name in the library or robot file, whose kinematics make poses of q.
+        Name in the library or robot file: with pose, whose kinematics make poses of q; with a bag of another program,
+        whose joints are read.
     start : float
         Only from this time of the log on [s].
     end : float

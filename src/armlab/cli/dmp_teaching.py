@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 __all__ = ["KINDS", "Demonstration", "Window", "check_options", "numbers_of", "read_demonstration", "taught", "text_of"]
 
 KINDS: dict[str, tuple[str, ...]] = {
-    "joints": ("basis", "schedule", "scaling", "convention"),
+    "joints": ("basis", "schedule", "scaling", "convention", "robot"),
     "pose": ("basis", "schedule", "scaling", "convention", "frame", "robot"),
-    "periodic": ("basis", "period"),
-    "promp": ("basis",),
+    "periodic": ("basis", "period", "robot"),
+    "promp": ("basis", "robot"),
 }
 """Options of `armlab dmp fit` that each kind of primitive has."""
 POSES = "T_base_tool"
@@ -89,18 +89,23 @@ def read_demonstration(
     Parameters
     ----------
     path : of the log. kind : of the primitive. columns : what moves, side by side; () for q, or the poses of the tool.
-    robot : whose forward kinematics make poses of q. window : of the motion.
+    robot : whose forward kinematics make poses of q, and whose joints are those of a bag. window : of the motion.
 
     Raises
     ------
-    UnknownName : a column that is not there. ConfigError : no poses, rest.
+    UnknownName : a column that is not there. ConfigError : no poses, rest, joints of a bag without their robot.
     """
     from armlab import kinematics, log, robots
     from armlab.errors import ConfigError
     from armlab.log.topic_reading import is_foreign, read_joints
 
-    arm = None if robot is None else robots.load(robot)
-    table = log.read(path) if arm is None or not is_foreign(path) else read_joints(path, arm)
+    arm, foreign = None if robot is None else robots.load(robot), is_foreign(path)
+    if foreign and arm is None and kind != "pose" and "q" in (columns or ("q",)):
+        raise ConfigError(
+            f"Expected --robot NAME with {path}, got none. Another program has its joints in an order of its own; they "
+            "are put into that of the robot, as it will play them."
+        )
+    table = log.read(path) if arm is None or not foreign else read_joints(path, arm)
     if kind == "pose" and arm is not None:
         table = table.with_column(POSES, kinematics.forward(arm, table["q"]))
     elif kind == "pose" and not columns and POSES not in table:
