@@ -171,3 +171,12 @@ def test_poses_of_an_hdf5_file_of_another_program_are_not_transposed(T: np.ndarr
     with h5py.File(tmp_path / "a.mat", "w") as file:
         file["pose"] = T
     np.testing.assert_array_equal(read_samples(tmp_path / "a.mat").poses("pose"), T)
+
+
+def test_joints_of_a_bag_are_left_out_since_their_order_is_not_known(ur5e_bag: Path, capsys, monkeypatch) -> None:
+    one_rate = logs.read(ur5e_bag, ["q", "tau"])
+    monkeypatch.setattr("armlab.log.read", lambda path: one_rate)
+    samples = read_samples(ur5e_bag)
+    assert "export bag samples.csv --robot NAME" in capsys.readouterr().err
+    with pytest.raises(LogError, match="Expected q in .*bag"):
+        samples.vectors("q", [6])

@@ -176,6 +176,7 @@ def read_samples(path: Path) -> Samples:
     from armlab.log.formats import is_text
     from armlab.log.mat_file import read_mat
     from armlab.log.provenance import file_hash
+    from armlab.log.topic_reading import is_foreign
 
     source = f"{path.name} sha256 {file_hash(path)}" if path.is_file() else ""
     if path.suffix.lower() == ".mat":
@@ -189,6 +190,12 @@ def read_samples(path: Path) -> Samples:
         table = logs.read(path)
     for line in table.notes:
         note(f"{path.name}: {line}")
+    if is_foreign(path) and "q" in table:
+        table = table.without(*(name for name in ("q", "qd", "tau") if name in table))
+        note(
+            f"{path.name}: its joints are in an order of its own and are left out. For samples with joints, armlab log "
+            f"export {path.name} samples.csv --robot NAME puts them into the order of the robot."
+        )
     units = {name: column.unit or "" for name, column in table.columns.items()}
     return Samples(path, {"t": table.t, **table.values}, source, units)
 
