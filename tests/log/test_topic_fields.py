@@ -77,6 +77,22 @@ def test_joints_without_names_or_with_too_few(ros: Any) -> None:
         assert columns["tau"].labels == ()
 
 
+def test_states_without_a_joint_or_without_an_effort(ros: Any) -> None:
+    topic = TopicFields(JOINTS, cdr.definitions(JOINTS, ros.store.generate_msgdef(JOINTS, ros_version=2)[0]))
+    bare, named = ros.joints(1, (), [1.0, 2.0], efforts=False), ros.joints(1, ("a", "b"), [3.0, 4.0], efforts=False)
+    messages = [ros.raw(one) for one in (ros.joints(1, (), []), bare, named)]
+    assert columns_of_fields(topic, fields(ros, topic, messages[0])) == ({}, {}, [])
+    values, _, notes = columns_of_fields(topic, fields(ros, topic, *messages[:2]))
+    np.testing.assert_array_equal(values["q"], [[np.nan, np.nan], [1.0, 2.0]])
+    assert notes == []
+    values, _, notes = columns_of_fields(topic, fields(ros, topic, *messages))
+    np.testing.assert_array_equal(values["q"], [[np.nan, np.nan], [np.nan, np.nan], [3.0, 4.0]])
+    assert notes == [
+        "q of 1 messages are missing: they do not name their joints",
+        "qd of 1 messages are missing: they do not name their joints",
+    ]
+
+
 @pytest.mark.parametrize("names", [("map", "base/link.1"), ("a[0]", "b")])
 def test_transforms_by_frame(ros: Any, names: tuple[str, str]) -> None:
     kind = "tf2_msgs/msg/TFMessage"

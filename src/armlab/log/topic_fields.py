@@ -102,7 +102,7 @@ class TopicFields:
         if last not in JOINT_PARTS or self.parts.get(_INDEX.sub("", prefix)) != JOINTS:
             return [one]
         names = found.texts.get(f"{prefix}.name" if prefix else "name", ())
-        if not isinstance(names, tuple) or len(set(names)) < one.count or len(names) != one.count:
+        if not one.count or not isinstance(names, tuple) or not len(set(names)) == len(names) == one.count:
             return [one]
         self.joints.setdefault(prefix, {})[names] = None
         size = (one.stop - one.start) // one.count
@@ -156,7 +156,7 @@ def _made(
     """Return the columns of one message inside a message, or of one run of numbers."""
     inner = {path[len(prefix) :].lstrip(".") if kind else "": array for path, array in parts.items()}
     if kind == JOINTS:
-        return _joint_columns(topic, prefix, inner)
+        return _joint_columns(topic, prefix, inner, notes)
     paths, unit = _SIX.get(kind, (_POSES.get(kind, ()), "1, m"))
     if paths and all(path in inner and inner[path].shape[1] == 1 for path in paths):
         array = np.concatenate([inner[path] for path in paths], axis=1).astype(float, copy=False)
@@ -171,7 +171,7 @@ def _made(
 
 
 def _joint_columns(
-    topic: TopicFields, prefix: str, inner: Mapping[str, np.ndarray]
+    topic: TopicFields, prefix: str, inner: Mapping[str, np.ndarray], notes: list[str]
 ) -> dict[str, tuple[np.ndarray, Column]]:
     names = list(dict.fromkeys(name for one in topic.joints.get(prefix, ()) for name in one))
     found: dict[str, tuple[np.ndarray, Column]] = {}
@@ -183,6 +183,9 @@ def _joint_columns(
             nothing = np.full((rows, 1), np.nan)
             array = np.concatenate([there.get(joint, nothing) for joint in names], axis=1)
             found[name] = (array, Column(unit=unit, frame="joint", labels=tuple(names)))
+            lost = np.isfinite(inner[part]).any(axis=1).sum() if part in inner else 0
+            if lost:
+                notes.append(f"{name} of {lost} messages are missing: they do not name their joints")
         elif part in inner:  # without names
             found[name] = (inner[part], Column(unit=unit, frame="joint"))
     return found
