@@ -16,6 +16,7 @@ def test_json() -> None:
     assert numbers_in_json(b"3.5") == {"value": 3.5}
     with pytest.raises(ValueError, match="truncated"):
         numbers_in_json(b"{")
+    assert len(numbers_in_json(b"[%b]" % b",".join([b"1"] * 5000))["value"]) == 5000  # a scan, whole
     assert len(numbers_in_json(b"[" * 40 + b"1" + b"]" * 40)) == 0  # deeper than anything that measures
 
 

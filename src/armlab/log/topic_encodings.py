@@ -17,7 +17,7 @@ Numbers = dict[str, Any]
 """Dotted name -> a number, or a list of them."""
 
 _MAX_DEPTH = 32
-_MAX_NUMBERS = 4096  # in one message; more is a picture or a cloud
+_MAX_NAMES = 4096  # in one message; more are the parts of a cloud or a map
 _PROTOBUF_MESSAGE, _PROTOBUF_NUMBERS = 11, {1, 2, 3, 4, 5, 6, 7, 8, 13, 14, 15, 16, 17, 18}
 
 
@@ -76,7 +76,7 @@ def numbers_in_json(raw: bytes) -> Numbers:
 
 
 def _collect(value: Any, path: str, found: Numbers, depth: int) -> None:
-    if depth > _MAX_DEPTH or len(found) > _MAX_NUMBERS:
+    if depth > _MAX_DEPTH or len(found) > _MAX_NAMES:
         return
     if isinstance(value, dict):
         for key, inner in value.items():
@@ -85,9 +85,9 @@ def _collect(value: Any, path: str, found: Numbers, depth: int) -> None:
         found[path or "value"] = value
     elif isinstance(value, list):
         if value and all(isinstance(one, int | float) for one in value):
-            found[path or "value"] = [float(one) for one in value[:_MAX_NUMBERS]]
+            found[path or "value"] = [float(one) for one in value]
         else:
-            for index, inner in enumerate(value[:_MAX_NUMBERS]):
+            for index, inner in enumerate(value[:_MAX_NAMES]):
                 _collect(inner, f"{path}[{index}]", found, depth + 1)
 
 
@@ -125,18 +125,18 @@ def numbers_in_protobuf(name: str, definition: bytes) -> Callable[[bytes], Numbe
 
 
 def _collect_protobuf(message: Any, path: str, found: Numbers, depth: int) -> None:
-    if depth > _MAX_DEPTH or len(found) > _MAX_NUMBERS:
+    if depth > _MAX_DEPTH or len(found) > _MAX_NAMES:
         return
     for field in message.DESCRIPTOR.fields:
         there, value = f"{path}.{field.name}" if path else field.name, getattr(message, field.name)
         several = _is_repeated(field, value)
         if field.type == _PROTOBUF_MESSAGE and several and not isinstance(value, Mapping):
-            for index, inner in enumerate(value[:_MAX_NUMBERS]):
+            for index, inner in enumerate(value[:_MAX_NAMES]):
                 _collect_protobuf(inner, f"{there}[{index}]", found, depth + 1)
         elif field.type == _PROTOBUF_MESSAGE and not several and message.HasField(field.name):
             _collect_protobuf(value, there, found, depth + 1)
         elif field.type in _PROTOBUF_NUMBERS:
-            found[there] = [float(one) for one in value[:_MAX_NUMBERS]] if several else value
+            found[there] = [float(one) for one in value] if several else value
 
 
 def _is_repeated(field: Any, value: Any) -> bool:
