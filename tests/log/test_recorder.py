@@ -297,6 +297,26 @@ def test_a_sync_that_fails_stops_the_recorder(
     recorder.close()
 
 
+def test_a_sync_that_fails_last_is_told_when_the_recorder_closes(
+    tmp_path: Path, robot: Robot, rows: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The kernel tells it once: the sync at the end seems to do well, and what was lost would be lost in silence."""
+    errors = [OSError(errno.EIO, "Input/output error")]
+
+    def broken_once(_: int) -> None:
+        if errors:
+            raise errors.pop()
+
+    recorder = Recorder(tmp_path / "run.mcap", robot)
+    monkeypatch.setattr("armlab.log.syncing.os.fsync", broken_once)
+    recorder.row(*rows(0))
+    recorder._syncing.ask()
+    recorder._syncing._thread.join()
+    recorder.close()
+    assert recorder.failed is not None
+    assert recorder.failed.endswith("Input/output error.")
+
+
 def test_waiting_instead_of_dropping(
     tmp_path: Path, robot: Robot, rows: Callable, disk: Callable[[], Stalled], monkeypatch: pytest.MonkeyPatch
 ) -> None:

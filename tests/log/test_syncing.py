@@ -43,4 +43,5 @@ def test_an_error_comes_to_who_asks_next(tmp_path: Path, monkeypatch: pytest.Mon
         syncing._thread.join()
         with pytest.raises(OSError, match="Input/output error"):
             syncing.ask()
-        syncing.close()
+        with pytest.raises(OSError, match="Input/output error"):
+            syncing.close()

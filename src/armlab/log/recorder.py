@@ -149,7 +149,7 @@ class Recorder:
             self._end_hole(self._file.last_stamp_ns)
         self._queue.put(None)
         self._thread.join()
-        self._syncing.close()
+        self._guarded(self._syncing.close)
         self.dropped += self.rows - self._file.rows  # rows that were queued when the disk failed
         self.rows = self._file.rows
         counts = {"rows": self.rows, "dropped": self.dropped, "holes": self._holes}

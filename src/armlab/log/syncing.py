@@ -35,15 +35,24 @@ class Syncing:
         ------
         OSError : an earlier sync has failed.
         """
-        if self._error is not None:
-            raise self._error
+        self._check()
         self._asked.set()
 
     def close(self) -> None:
-        """End the thread, after the sync in progress."""
+        """End the thread, after the sync in progress.
+
+        Raises
+        ------
+        OSError : a sync has failed; the kernel says so once, so that the next one seems to do well.
+        """
         self._closed = True
         self._asked.set()
         self._thread.join()
+        self._check()
+
+    def _check(self) -> None:
+        if self._error is not None:
+            raise self._error
 
     def _run(self) -> None:
         try:
