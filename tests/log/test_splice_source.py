@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from armlab.errors import LogError
-from armlab.log import Recorder, inspect
+from armlab.log import Recorder, cut, inspect, merge, read
 from armlab.log.splice_source import Source, attachments, metadata, opened_source, summary
 from armlab.robots import Robot
 
@@ -24,8 +24,24 @@ def test_holes_of_the_recorder_are_told_where_they_are(tmp_path: Path, robot: Ro
         assert (summary([source], "all")["rows"], summary([source], "all")["dropped"]) == (57, 3)
         source.arms[0].cut(source.arms[0].rows.t[10], source.arms[0].rows.t[30])
         told = summary([source], "between")
-    assert (told["rows"], told["dropped"], told["holes"]) == (20, 2, [[20, 21, 2]])
+    assert (told["rows"], told["dropped"], told["holes"]) == (20, 2, [[20, 21, 2, 20]])
     assert told["source"][-1] == "between"
+
+
+def test_holes_stay_with_the_recording_that_has_them(tmp_path: Path, robot: Robot, rows: Callable) -> None:
+    """Both recordings begin with tick 0: in one file of both, a tick does not say whose it is."""
+    for name, first, lost in (("a", 0, ()), ("b", 60, (80, 81))):
+        with Recorder(tmp_path / f"{name}.mcap", robot) as recorder:
+            for i in range(first, first + 60):
+                state, command, tick = rows(i)
+                tick = tick._replace(number=i - first)
+                recorder.row(None if i in lost else state, command, tick)  # type: ignore[arg-type]
+    both = merge([tmp_path / "a.mcap", tmp_path / "b.mcap"], tmp_path / "both.mcap")
+    t = read(both).t
+    of_a = inspect(cut(both, tmp_path / "of_a.mcap", stop=t[59])).summary
+    of_b = inspect(cut(both, tmp_path / "of_b.mcap", start=t[61])).summary
+    assert (of_a["dropped"], of_a["holes"]) == (0, [])
+    assert (of_b["dropped"], of_b["holes"]) == (2, [[20, 21, 2, 80]])
 
 
 def test_what_several_have_under_one_name_gets_a_number(recording: Callable[..., Path]) -> None:

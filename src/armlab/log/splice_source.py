@@ -172,7 +172,16 @@ def summary(sources: list[Source], operation: str) -> dict[str, Any]:
 
 
 def _holes(source: Source) -> list[list[int]]:
-    """Return the holes (first tick, last tick, rows) that the recorder left between the rows that are taken."""
-    spans = [arm.ticks for arm in source.arms if arm.rows_left]
-    told = source.summary.get("holes", [])
-    return [list(hole) for hole in told if any(first < hole[0] and hole[1] < last for first, last in spans)]
+    """Return the holes that the recorder left between the rows that are taken.
+
+    Each is first tick, last tick, rows, and the number of the first tick among the rows of the new file: of recordings
+    that are put together, rows are numbered on, and ticks come again.
+    """
+    found = []
+    for first, last, rows, *number in source.summary.get("holes", []):
+        begin = number[0] if number else first
+        for arm in source.arms:
+            if arm.rows_left and arm.ticks[0] < begin and begin + last - first < arm.ticks[1]:
+                found.append([first, last, rows, arm.number(begin)])
+                break
+    return found
