@@ -23,9 +23,10 @@ if TYPE_CHECKING:
 __all__ = ["attached", "metadata", "revision"]
 
 ROBOT = "robot.toml"
-_SECRET = r"[\w.-]*(?:token|password|passwd|secret|api[-_]?key)[\w-]*"
+_SECRET = r"[\w.-]*(?:token|password|passwd|secret|api[-_]?key)[\w.-]*"
 _OPTION = re.compile(rf"(?i)-+{_SECRET}$")
-_VALUE = r"""("(?:[^"\\\n]|\\.)*"|'[^'\n]*'|\[[^\]]*\]|[^\s,\]}#]+)"""
+_TEXT = r"""\"{3}[\s\S]*?\"{3}|'{3}[\s\S]*?'{3}|"(?:[^"\\\n]|\\.)*"|'[^'\n]*'"""
+_VALUE = rf"""({_TEXT}|[\[{{](?:{_TEXT}|#.*+|[^\]}}"'#])*+[\]}}]|[^\n,\]}}#]+)"""
 _SETTING = re.compile(rf"""(?im)(["']?{_SECRET}["']?\s*[=:]\s*){_VALUE}""")
 _TEXTS = (".toml", ".json", ".yaml", ".yml", ".cfg", ".ini")
 _PATIENCE = 2.0  # s for git
