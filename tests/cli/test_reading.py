@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +25,7 @@ def test_a_log_without_torques_or_of_another_robot_is_refused(truth, tmp_path: P
 
 
 def test_of_a_recording_of_both_arms_the_rows_of_the_arm_are_read(truth, tmp_path: Path) -> None:
-    left, right = truth.robot, robots.load("yumi_right")
+    left, right = truth.robot, replace(robots.load("yumi_right"), name="yumi-right")
     table = truth.log(identify.dither(left.q_home, 1.0), seed=5).select("q", "qd", "tau")
     other = table.with_column("q", -table["q"])
     pieces = [log.write(one, tmp_path / f"{arm.name}.mcap", arm) for one, arm in ((table, left), (other, right))]

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab.errors import LogError, UnknownName
-from armlab.log import Column, Recorder, Tick, messages, read
+from armlab.errors import ConfigError, LogError, UnknownName
+from armlab.log import Column, Recorder, Tick, messages, read, write
 from armlab.log.reading import earlier, opened, summary_of, torn_sentence
 from armlab.robots import Robot
 from armlab.state import Command, State
@@ -106,6 +106,21 @@ def test_some_columns_only(recording: Callable[..., Path]) -> None:
     with pytest.raises(UnknownName, match="yumi_right"):
         read(path, robot="yumi_left")
     assert read(path, robot="yumi_right").sha256 == whole.sha256
+
+
+def test_a_robot_whose_name_cannot_stand_in_a_topic(tmp_path: Path, robot: Robot, rows: Callable) -> None:
+    own = replace(robot, name="arm-1 left")
+    with Recorder(tmp_path / "run.mcap", own) as recorder:
+        recorder.row(*rows(0))
+    for name in (own, "arm-1 left", "arm_1_left"):
+        assert len(read(recorder.path, robot=name)) == 1
+
+
+def test_a_clock_is_refused_where_there_is_one(recording: Callable[..., Path], tmp_path: Path) -> None:
+    path = recording(3)
+    for one in (path, write(read(path, ["q"]), tmp_path / "run.csv")):
+        with pytest.raises(ConfigError, match=r"'/joint_states' with a log of another program.*Leave it out"):
+            read(one, clock="/joint_states")
 
 
 def test_reading_tells_its_progress(recording: Callable[..., Path]) -> None:

@@ -77,17 +77,19 @@ def _check_robot(path: Path, robot: Robot) -> bool:
     """Refuse a recording without rows of a robot of this name; True when it holds several. Text knows none."""
     from armlab import log as logs
     from armlab.errors import ModelMismatchError
+    from armlab.log.messages import topic_name
 
     if path.suffix != ".mcap" or not path.is_file():
         return False
     told = logs.inspect(path)
-    names = told.robots if len(told.robots) > 1 else (told.metadata.get("armlab", {}).get("robot", robot.name),)
-    if robot.name not in names:
+    several = len(told.robots) > 1  # named by their topics, in which some letters cannot stand
+    names = told.robots if several else (told.metadata.get("armlab", {}).get("robot", robot.name),)
+    if (topic_name(robot.name) if several else robot.name) not in names:
         raise ModelMismatchError(
             f"Expected a recording of {robot.name!r}, got one of {' and '.join(map(repr, names))} in {path}. Name the "
             "robot that was recorded."
         )
-    return len(names) > 1
+    return several
 
 
 def doubts(table: Table, robot: Robot) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from armlab.errors import ArmlabError, LogError, UnknownName
+from armlab.errors import ArmlabError, ConfigError, LogError, UnknownName
 from armlab.log.assemble import recording_table
 from armlab.log.delimited import read_csv
 from armlab.log.description import Progress
@@ -84,6 +84,7 @@ def read(
         several rates, which are listed; several arms; joints that are not the robot's, listed on both sides.
     MissingExtra : pyarrow or h5py is not installed.
     UnknownName : a wanted column, topic or robot does not exist; lists those that do.
+    ConfigError : clock= for a log that has one clock.
     """
     path = Path(path)
     kind = format_at(path)
@@ -92,6 +93,7 @@ def read(
 
         return read_foreign(path, Choice(columns, None, clock, raw), robot, progress)
     if kind in _READERS or kind in _COLUMN_READERS:
+        _refuse_clock(path, clock)
         table = _READERS[kind](path) if kind in _READERS else _COLUMN_READERS[kind](path, columns)
         return table if columns is None else table.select(*columns)
     check_readable(path)
@@ -103,6 +105,7 @@ def read(
                 from armlab.log.topic_reading import read_foreign
 
                 return read_foreign(path, Choice(columns, None, clock, raw), robot, progress)
+            _refuse_clock(path, clock)
             name = robot.name if isinstance(robot, Robot) else robot
             table, damage = _read_mcap(view, found, path, columns, name, raw, progress)
         except ArmlabError:
@@ -116,6 +119,15 @@ def read(
     if notes:
         warnings.warn("; ".join(notes[:3]), stacklevel=2)
     return replace(table, notes=(*notes, *_holes(view, found), *table.notes), source=(*source, *table.source))
+
+
+def _refuse_clock(path: Path, clock: str | None) -> None:
+    """Refuse a clock where there is nothing to choose: the caller would think that it is in force."""
+    if clock is not None:
+        raise ConfigError(
+            f"Expected clock={clock!r} with a log of another program, which has topics, got {path}, whose rows have "
+            "one clock. Leave it out."
+        )
 
 
 def earlier(view: memoryview, found: Contents) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from armlab.log.column import Column
 from armlab.log.description import Progress
 from armlab.log.mcap_decode import Decoded, decode
 from armlab.log.mcap_records import Contents
-from armlab.log.messages import CLOCK_KEY, CLOCK_NAME_KEY, COLUMN_KEY, T0_KEY
+from armlab.log.messages import CLOCK_KEY, CLOCK_NAME_KEY, COLUMN_KEY, T0_KEY, topic_name
 from armlab.log.rows import with_holes
 
 __all__ = [
@@ -86,9 +86,9 @@ def clock_channel(found: Contents, path: Path, robot: str | None) -> int:
         raise LogError(f"Expected a recording of armlab in {path}, got an MCAP file without columns; topics: {topics}.")
     names = {topic.strip("/").rpartition("/")[0]: number for number, topic in robots.items()}
     if robot is not None:
-        if robot not in names:
+        if topic_name(robot) not in names:
             raise UnknownName.among("robot in this file", robot, names)
-        return names[robot]
+        return names[topic_name(robot)]
     if len(names) > 1:
         raise LogError(f"Expected the name of one robot (robot=) for {path}, which holds {', '.join(sorted(names))}.")
     return next(iter(robots))
