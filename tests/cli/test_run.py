@@ -46,7 +46,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_a_controller_of_a_file_moves_the_arm_and_is_recorded(folder: Path, capsys: Any) -> None:
     words = ["--link", "sim://yumi_left?lockstep=true", "--log", "sway", "--seconds", "2"]
-    assert main(["run", "yumi_left", "code/sine.py:sine", *words]) == 0
+    (folder / "code" / "sine.py").rename(folder / "code" / "sine.v2.py")
+    assert main(["run", "yumi_left", "code/sine.v2.py:sine", *words]) == 0
     said = capsys.readouterr()
     assert "Ended: the time is up." in said.out
     assert "The robot is ready and holds." in said.err
@@ -56,7 +57,7 @@ def test_a_controller_of_a_file_moves_the_arm_and_is_recorded(folder: Path, caps
     assert np.ptp(table["q"][:, 0]) > 0.1
     assert np.nanmax(table["wish"]) == pytest.approx(0.1, abs=1e-3)
     held = log.inspect(path).attachments
-    assert held["sine.py"] == SINE.encode()
+    assert held["sine.v2.py"] == SINE.encode()
     assert robots.from_toml(held["robot.toml"].decode(), "it").name == "yumi_left"
     assert run.__doc__
 

@@ -313,8 +313,7 @@ def test_a_sync_that_fails_last_is_told_when_the_recorder_closes(
     recorder._syncing.ask()
     recorder._syncing._thread.join()
     recorder.close()
-    assert recorder.failed is not None
-    assert recorder.failed.endswith("Input/output error.")
+    assert str(recorder.failed).endswith("Input/output error.")
 
 
 def test_waiting_instead_of_dropping(

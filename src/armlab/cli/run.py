@@ -114,8 +114,7 @@ def load_controller(place: str) -> tuple[Callable[..., Any], Mapping[str, Any] |
 
     from armlab.errors import ConfigError
 
-    file, _, name = place.partition(".py:")
-    path, name = Path(f"{file}.py" if name else place), name or _NAME
+    path, name = _file_and_name(place)
     if path.suffix != ".py" or not path.is_file():
         raise ConfigError(f"Expected a controller as FILE.py:NAME, got {place!r}, and there is no file {path}.")
     spec = spec_from_file_location(path.stem, path)
@@ -139,11 +138,17 @@ def load_controller(place: str) -> tuple[Callable[..., Any], Mapping[str, Any] |
     return found, getattr(module, "extra", None)
 
 
+def _file_and_name(place: str) -> tuple[Path, str]:
+    """Return what ``FILE.py:NAME`` or ``FILE.py`` names."""
+    file, _, name = place.partition(".py:")
+    return Path(f"{file}.py" if name else place), name or _NAME
+
+
 def _attached(controller: str | None) -> dict[str, bytes]:
     """Return the file of the controller, to be kept in the log."""
     if controller is None:
         return {}
-    path = Path(controller.partition(".py:")[0]).with_suffix(".py")
+    path, _ = _file_and_name(controller)
     return {path.name: path.read_bytes()}
 
 
