@@ -121,6 +121,16 @@ def test_both_arms_of_a_bridge_stand_side_by_side(record: Callable[..., Path], t
     assert read(part, robot="yumi_right").sha256 == read(right).between(0.2, 0.4).sha256
 
 
+def test_a_recording_without_rows_sets_no_clock(record: Callable[..., Path], tmp_path: Path) -> None:
+    """Of a run for which no robot came: its wall clock is not known."""
+    empty, run = record("empty.mcap", 0, 0), record("run.mcap", 0, 50)
+    other = record("other.mcap", 0, 0, "yumi_left")
+    for number, paths in enumerate(([empty, run], [run, empty], [run, other], [empty, run, other])):
+        whole = read(merge(paths, tmp_path / f"{number}.mcap"), robot="yumi_right")
+        assert (whole.sha256, whole.t0_ns, whole.clock) == (read(run).sha256, read(run).t0_ns, read(run).clock)
+    assert len(read(merge([empty, empty], tmp_path / "none.mcap"))) == 0
+
+
 def test_what_does_not_fit_is_refused_in_a_sentence(
     record: Callable[..., Path], tmp_path: Path, robot: Robot, rows: Callable
 ) -> None:

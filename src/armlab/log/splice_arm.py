@@ -17,6 +17,7 @@ __all__ = ["Arm", "seconds_channel"]
 
 _SECONDS = {"t": Slot(Column().resolved("t"), 0, 8, "<f8")}
 _NUMBERS = 1 << 32  # of MCAP's sequence
+_NEVER = (1 << 63) - 1
 
 
 def seconds_channel(prefix: str, clock: dict[str, str]) -> Channel:
@@ -63,8 +64,8 @@ class Arm:
 
     @property
     def start_ns(self) -> int:
-        """Wall clock of the first row; that of no row is never."""
-        return self._wall(0)
+        """Wall clock of the first row; of a recording without rows, which sets no clock for others, the end of time."""
+        return self._wall(0) if self.rows.kept.any() else _NEVER
 
     @property
     def end_ns(self) -> int:

@@ -88,7 +88,7 @@ def merge(paths: Sequence[str | Path], to: str | Path, *, progress: Progress | N
             for arm in source.arms:
                 arms.setdefault(arm.name, []).append(arm)
         for pieces_of_one in arms.values():
-            _line_up(pieces_of_one)
+            _line_up(sorted(pieces_of_one, key=lambda arm: arm.start_ns))
         _check_together(arms)
         names = ", ".join(source.path.name for source in sources)
         _write(to, sources, f"concat({len(sources)} tables)" if len(arms) == 1 else f"merge({names})", progress)
@@ -116,7 +116,13 @@ def _line_up(arms: list[Arm]) -> None:
 
 def _check_together(arms: dict[str, list[Arm]]) -> None:
     """Refuse robots that did not run at the same time: what could a file of both say?"""
-    spans = {name: (pieces[0].start_ns, max(arm.end_ns for arm in pieces)) for name, pieces in arms.items()}
+    spans = {
+        name: (min(arm.start_ns for arm in pieces), max(arm.end_ns for arm in pieces))
+        for name, pieces in arms.items()
+        if any(len(arm.rows.t) for arm in pieces)
+    }
+    if not spans:
+        return
     late = max(spans, key=lambda name: spans[name][0])
     early = min(spans, key=lambda name: spans[name][1])
     if spans[late][0] > spans[early][1]:
