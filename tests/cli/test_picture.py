@@ -52,6 +52,17 @@ def test_part_of_a_log(tmp_path: Path) -> None:
         Part(20.0).read(path)
 
 
+def test_one_arm_of_a_recording_of_both(tmp_path: Path) -> None:
+    pieces = [
+        log.write(Table(np.arange(3.0), {"q": np.full((3, 7), value)}), tmp_path / f"{name}.mcap", robots.load(name))
+        for value, name in ((1.0, "yumi_left"), (2.0, "yumi_right"))
+    ]
+    both = log.merge(pieces, tmp_path / "both.mcap")
+    assert Part(arm="yumi_right").read(both)["q"][0, 0] == 2.0
+    with pytest.raises(LogError, match=r"--arm of commands.* which holds yumi_left, yumi_right"):
+        WHOLE.read(both)
+
+
 def test_poses_are_those_of_the_log_or_of_a_robot() -> None:
     q = np.zeros((3, 6))
     T = np.tile(se3.from_rp(np.eye(3), [1.0, 2.0, 3.0]), (3, 1, 1))

@@ -198,7 +198,8 @@ def merge(*file: Path, output: Annotated[Path, Parameter(alias="-o")], force: bo
     """Write several recordings to one. The originals stay as they are.
 
     Recordings of one robot are put one after another by their wall clocks, and the gaps between them stay. Recordings
-    of both arms of a bridge stand side by side; --robot of the other commands says which.
+    of both arms of a bridge stand side by side: commands take the rows of the robot that they name, armlab log export
+    those of --robot, armlab plot those of --arm.
 
     Parameters
     ----------

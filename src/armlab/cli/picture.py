@@ -84,10 +84,13 @@ class Part:
         Time from which it counts [s]; its beginning when not given.
     end : float
         Time to which it counts [s]; its end when not given.
+    arm : str
+        Whose rows, of a recording of several arms.
     """
 
     start: float | None = None
     end: float | None = None
+    arm: str | None = None
 
     def read(self, path: Path, robot: str | None = None) -> Table:
         """Return that part of a log.
@@ -98,13 +101,16 @@ class Part:
 
         Raises
         ------
-        LogError : no log, or nothing in that part.
+        LogError : no log, one of several arms, or nothing in that part. UnknownName : no such arm.
         """
         from armlab import log, robots
         from armlab.errors import LogError
         from armlab.log.topic_reading import is_foreign, read_joints
 
-        whole = log.read(path) if robot is None or not is_foreign(path) else read_joints(path, robots.load(robot))
+        if robot is not None and is_foreign(path):
+            whole = read_joints(path, robots.load(robot))
+        else:
+            whole = log.read(path, robot=self.arm)
         low, high = (-np.inf if self.start is None else self.start), (np.inf if self.end is None else self.end)
         part = whole.between(low, high)
         if not len(part):

@@ -90,7 +90,10 @@ def clock_channel(found: Contents, path: Path, robot: str | None) -> int:
             raise UnknownName.among("robot in this file", robot, names)
         return names[topic_name(robot)]
     if len(names) > 1:
-        raise LogError(f"Expected the name of one robot (robot=) for {path}, which holds {', '.join(sorted(names))}.")
+        raise LogError(
+            f"Expected the name of one robot (robot=; --robot or --arm of commands) for {path}, which holds "
+            f"{', '.join(sorted(names))}."
+        )
     return next(iter(robots))
 
 
