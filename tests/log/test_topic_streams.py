@@ -57,6 +57,14 @@ def test_a_message_of_one_column_has_the_name_of_its_topic(ros: Any) -> None:
     assert two.stamp_ns is None  # never set
 
 
+def test_a_first_stamp_that_is_not_set_is_no_beginning(ros: Any) -> None:
+    """Of simulated time 0 is the beginning; of a wall clock it would be 1970."""
+    for start, stamped in ((ros.start, False), (0, True)):
+        messages = [(k, ros.joints(start * (k > 0) + k, ["a"], [1.0])) for k in range(3)]
+        (one,) = streams(ros, "/joint_states", messages)
+        assert (one.stamp_ns is not None) == stamped
+
+
 def test_joints_that_never_come_together_and_transforms_of_two_publishers(ros: Any) -> None:
     messages = [(i, ros.joints(i + 1, ["f"] if i % 2 else ["a", "b"], [i] if i % 2 else [i, i])) for i in range(4)]
     arm, finger = streams(ros, "/joint_states", messages)

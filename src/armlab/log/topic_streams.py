@@ -15,6 +15,7 @@ from armlab.log.topic_fields import JOINTS, TopicFields, columns_of_fields
 __all__ = ["Stream", "rate_text", "stem", "streams_of"]
 
 _NAMELESS = ("data", "value")  # fields of std_msgs; the only field of another type may say what it is
+_WALL = 10**18  # ns, 2001: later stamps are those of a wall clock
 _PAIR = re.compile(r"^(?P<list>[^\[]*)\[(?P<parent>[^\]>]*)>(?P<child>[^\]]*)\]\.transform$")
 
 
@@ -109,7 +110,9 @@ def _stamps(fields: Mapping[str, np.ndarray], header: str) -> np.ndarray | None:
     if seconds is None or rest is None or not np.isfinite(seconds).all() or not np.isfinite(rest).all():
         return None
     stamps = seconds[:, 0].astype(np.int64) * 10**9 + rest[:, 0].astype(np.int64)
-    return stamps if stamps.any() and (stamps[1:] > 0).all() else None  # simulated time begins with 0
+    if not stamps.any() or (stamps[1:] <= 0).any():
+        return None
+    return stamps if stamps[0] > 0 or stamps.max() < _WALL else None  # simulated time begins with 0
 
 
 def _by_joints(whole: Stream, lists: Sequence[tuple[str, ...]]) -> list[Stream]:
