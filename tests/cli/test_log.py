@@ -46,6 +46,15 @@ def test_the_history_of_the_parameters(path: Path, tmp_path: Path, capsys: pytes
     assert second.endswith("A setting of local 1 was refused: too large.")
     assert third.endswith("gain = 3.0, set by local 1 (1)")
     assert last == "At the end: gain = 3.0."
+    assert cli.main(["log", "show", "--parameters", "--json", str(recorder.path)]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert [(one["value"], one["who"]) for one in told["parameters"]] == [
+        (2.0, "in force at the start"),
+        (3.0, "local 1"),
+    ]
+    assert told["parameters_at_end"] == {"gain": 3.0}
+    assert cli.main(["log", "show", "--json", str(recorder.path)]) == 0
+    assert told.items() <= json.loads(capsys.readouterr().out).items()
 
 
 def test_show_says_what_the_log_holds(path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from armlab.cli.log_text import data_of, parameters_text, text_of
+from armlab.cli.log_text import data_of, parameters_data, parameters_text, text_of
 from armlab.log import Recorder, Table, inspect
 from armlab.robots import load
 
@@ -30,3 +30,4 @@ def test_only_the_first_events_are_shown(tmp_path: Path) -> None:
     assert "event 19" not in text
     assert text.endswith("and 11 more (--json shows all)")
     assert parameters_text(held) == "This log has no parameters."
+    assert parameters_data(held) == {"parameters": [], "parameters_at_end": {}}

@@ -30,7 +30,7 @@ def show(file: Path, *, json: bool = False, parameters: bool = False) -> None:
     import warnings
 
     from armlab import log as logs
-    from armlab.cli.log_text import data_of, parameters_text, text_of
+    from armlab.cli.log_text import data_of, parameters_data, parameters_text, text_of
     from armlab.cli.output import print_json, result
     from armlab.cli.reading import reading_bar
     from armlab.log.formats import format_at
@@ -39,7 +39,10 @@ def show(file: Path, *, json: bool = False, parameters: bool = False) -> None:
     kind = format_at(file)
     held = logs.inspect(file) if kind in ("MCAP", "") else None  # of no file it says why
     if parameters:
-        result(parameters_text(held) if held else "This log has no parameters.")
+        if json:
+            print_json(parameters_data(held) if held else {"parameters": [], "parameters_at_end": {}})
+        else:
+            result(parameters_text(held) if held else "This log has no parameters.")
         return
     robots = held.robots if held and len(held.robots) > 1 else (None,)
     with warnings.catch_warnings(), reading_bar(file) as tell:

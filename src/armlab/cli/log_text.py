@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from armlab.log import Table
     from armlab.log.inspection import Inspection
 
-__all__ = ["data_of", "parameters_text", "text_of"]
+__all__ = ["data_of", "parameters_data", "parameters_text", "text_of"]
 
 _EVENTS_SHOWN = 20
 
@@ -54,6 +54,17 @@ def parameters_text(held: Inspection) -> str:
     return "\n".join([*lines, *ends]) or "This log has no parameters."
 
 
+def parameters_data(held: Inspection) -> dict[str, Any]:
+    """Return the history of the parameters, for scripts."""
+    return {
+        "parameters": [
+            {"stamp_ns": one.stamp_ns, "name": one.name, "value": one.value, "who": one.who, "sequence": one.sequence}
+            for one in held.parameters
+        ],
+        "parameters_at_end": (held.summary or {}).get("parameters") or {},
+    }
+
+
 def _table_data(table: Table) -> dict[str, Any]:
     """Return what is shown of any log, for scripts."""
     from armlab.log.text import component_names, statistics, timing
@@ -87,6 +98,7 @@ def _recording_data(held: Inspection) -> dict[str, Any]:
         "topics": [{"name": t.name, "type": t.type, "messages": t.messages} for t in held.topics],
         "attachments": {name: len(data) for name, data in held.attachments.items()},
         "events": [{"stamp_ns": event.stamp_ns, "text": event.text} for event in held.events],
+        **parameters_data(held),
         "summary": held.summary,
     }
 
