@@ -178,5 +178,5 @@ def test_joints_of_a_bag_are_left_out_since_their_order_is_not_known(ur5e_bag: P
     monkeypatch.setattr("armlab.log.read", lambda path: one_rate)
     samples = read_samples(ur5e_bag)
     assert "export bag samples.csv --robot NAME" in capsys.readouterr().err
-    with pytest.raises(LogError, match="Expected q in .*bag"):
+    with pytest.raises(LogError, match=r"Expected q in .*bag"):
         samples.vectors("q", [6])
