@@ -67,12 +67,12 @@ class Streaming:
 
 @pytest.fixture
 def streaming() -> Iterator[Any]:
-    """Streams from a thread, 1 kHz, until the test ends."""
+    """Streams from a thread, 250 Hz as robots do, until the test ends: the kernel holds what comes while all waits."""
     over, threads, peers = threading.Event(), [], []
 
     def begin(*made: Streaming) -> None:
         def play() -> None:
-            while not over.wait(0.001):
+            while not over.wait(0.004):
                 for one in made:
                     one.send()
 
@@ -98,7 +98,7 @@ def test_two_arms_are_recorded_and_nothing_is_sent(tmp_path: Path, streaming: An
     said = capsys.readouterr()
     for side, peer in (("left", left), ("right", right)):
         table = log.read(tmp_path / f"run{side}.mcap")
-        assert len(table) >= 100
+        assert len(table) >= 25
         assert (np.diff(table["seq"]) == 1).all()
         assert table["q"][-1] == pytest.approx(peer.q, abs=1e-9)
         assert "q_sent" not in table.names
