@@ -9,7 +9,7 @@ sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 
 os.environ["OMP_NUM_THREADS"] = "1"  # of this build and its notebooks: matrices are small, and bits the same everywhere
 
-import matplotlib.font_manager  # makes its cache of fonts now: a cell that makes it says so on stderr, an error
+import matplotlib.font_manager  # noqa: F401  its cache of fonts is made now: a cell that makes it writes to stderr
 
 import armlab
 
