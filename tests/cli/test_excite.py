@@ -99,6 +99,19 @@ def test_refusals_are_one_sentence_and_leave_no_file(tmp_path, monkeypatch, caps
     assert excite.__doc__
 
 
+def test_a_motion_is_within_the_setting_of_speed_unless_asked_for(tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("ARMLAB_SPEED", "0.2")
+    assert main(["excite", "yumi_left", "--seconds", "10", "-o", "slow.csv", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["speed"] == 0.2
+    limit = robots.load("yumi_left").qd_max
+    assert np.max(np.abs(log.read("slow.csv")["qd"]) / limit) < 0.2005  # between the samples that the design looks at
+    assert main(["excite", "yumi_left", "--seconds", "10", "-o", "fast.csv", "--speed", "0.5"]) == 0
+    assert np.max(np.abs(log.read("fast.csv")["qd"]) / limit) > 0.2
+    assert main(["excite", "yumi_left", "--saved", "fast.csv", "--run", "sim://yumi_left"]) == 2
+    assert "within 0.2 of the limits of speed" in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_it_runs_on_the_simulated_controller_and_the_log_can_be_identified(tmp_path, monkeypatch, capsys) -> None:
     """About 15 s: 20 s of motion in lockstep, then the identification from its log, with a report."""

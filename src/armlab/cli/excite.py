@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 from urllib.parse import urlsplit
@@ -11,11 +11,14 @@ from urllib.parse import urlsplit
 from cyclopts import Parameter
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from armlab.identify import Expectation, Trajectory
     from armlab.robots import Robot
 
 __all__ = ["Motion", "excite"]
 
+SPEED = 0.6  # of the limits
 ROUNDS = 300  # of the search for the motion that tells most
 
 
@@ -33,7 +36,7 @@ class Motion:
     harmonics : int
         Number of them: the motion holds frequencies up to harmonics times f0.
     speed : float
-        Peak speed as a share of the robot's limits, in (0, 1].
+        Peak speed as a share of the robot's limits, in (0, 1]; 0.6, or the setting where that is less, when not given.
     acceleration : float
         Peak acceleration [rad/s^2].
     seed : int
@@ -43,7 +46,7 @@ class Motion:
     seconds: float = 60.0
     f0: float = 0.1
     harmonics: int = 8
-    speed: float = 0.6
+    speed: float | None = None
     acceleration: float = 15.0
     seed: int = 0
 
@@ -100,7 +103,7 @@ def excite(
     from armlab import robots
     from armlab.cli.amounts import require_positive
     from armlab.cli.output import FIGURES, check_output, note, print_json, progress, result, save_figure
-    from armlab.cli.settings import log_folder
+    from armlab.cli.settings import load_settings, log_folder
     from armlab.errors import ConfigError
     from armlab.identify import Trajectory, expectation
 
@@ -112,7 +115,8 @@ def excite(
     for path, endings in ((output, [".csv"]), (figure, FIGURES)):
         if path is not None:
             check_output(path, force, endings)
-    arm = robots.load(robot)
+    arm, asked = robots.load(robot), motion.speed
+    motion = motion if asked is not None else replace(motion, speed=min(SPEED, load_settings().settings.speed))
     if run is not None:
         _check_link(arm, run)
     with progress("design") as tell:
@@ -130,6 +134,8 @@ def excite(
     else:
         result(f"{trajectory.seconds:.1f} s of motion" if expected is None else _text(expected))
     table = trajectory.table()
+    if run is not None:
+        _check_speed(arm, table["qd"], asked)
     if output is not None:
         note(f"motion: {logs.write(table, output)}")
     if figure is not None:
@@ -182,6 +188,21 @@ def _check_link(robot: Robot, url: str) -> None:
         raise ConfigError(
             f"Expected a link to {robot.name!r}, got {url!r}, another arm. Name it as ROBOT, or give the link "
             f"sim://{robot.name}."
+        )
+
+
+def _check_speed(robot: Robot, qd: np.ndarray, asked: float | None) -> None:
+    """Refuse a motion that is faster than the settings allow and was not asked for: a limit would bend it."""
+    import numpy as np
+
+    from armlab.cli.settings import load_settings
+    from armlab.errors import ConfigError
+
+    allowed, share = load_settings().settings.speed, float(np.max(np.abs(qd) / robot.qd_max))
+    if asked is None and allowed < 1.0 and share > 1.01 * allowed:
+        raise ConfigError(
+            f"Expected a motion within {allowed:g} of the limits of speed, as the setting speed has it, got one that "
+            f"reaches {share:.2f}. Take a slower one, or say with --speed 1 that this one is meant."
         )
 
 
