@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 from urllib.parse import urlsplit
@@ -116,12 +116,12 @@ def excite(
         if path is not None:
             check_output(path, force, endings)
     arm, asked = robots.load(robot), motion.speed
-    motion = motion if asked is not None else replace(motion, speed=min(SPEED, load_settings().settings.speed))
+    speed = min(SPEED, load_settings().settings.speed) if asked is None else asked
     if run is not None:
         _check_link(arm, run)
     with progress("design") as tell:
         if saved is None:
-            trajectory = _design(arm, motion, joint, tell)
+            trajectory = _design(arm, motion, speed, joint, tell)
         else:
             tell(0, 2, f"reading {saved.name}")
             trajectory = Trajectory.from_table(logs.read(saved))
@@ -130,7 +130,7 @@ def excite(
         tell(1, 1, "done")
     if json:
         told = {} if expected is None else _plain(expected)
-        print_json({"robot": arm.name, **vars(motion), "seconds": trajectory.seconds, **told})
+        print_json({"robot": arm.name, **vars(motion), "speed": speed, "seconds": trajectory.seconds, **told})
     else:
         result(f"{trajectory.seconds:.1f} s of motion" if expected is None else _text(expected))
     table = trajectory.table()
@@ -148,13 +148,15 @@ def excite(
     return 0
 
 
-def _design(robot: Robot, motion: Motion, joint: str | None, tell: Callable[[float, float, str], None]) -> Trajectory:
+def _design(
+    robot: Robot, motion: Motion, speed: float, joint: str | None, tell: Callable[[float, float, str], None]
+) -> Trajectory:
     """Design a motion of all joints, or of one."""
     from armlab.identify import excitation, friction_run
 
     if joint is not None:
         return friction_run(robot, int(joint) - 1 if joint.isdecimal() else joint)
-    shape = motion.seconds, motion.f0, motion.harmonics, motion.speed, motion.acceleration
+    shape = motion.seconds, motion.f0, motion.harmonics, speed, motion.acceleration
     return excitation(
         robot,
         *shape,
