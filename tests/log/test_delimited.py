@@ -211,3 +211,9 @@ def test_the_fields_of_the_first_lines(tmp_path: Path) -> None:
     path = written(tmp_path, '\ufeffa,"b\nc"\n1,2\n3,4\n')
     assert rows_of(path, ",", 2) == [["a", "b\nc"], ["1", "2"]]
     assert len(rows_of(path, ",")) == 3
+
+
+@pytest.mark.parametrize("large", [2**53 + 1, 2**63 - 512])
+def test_a_whole_number_that_no_float_holds_stays_whole_beside_a_small_one(large: int, tmp_path: Path) -> None:
+    table = Table([1.0], {"id": np.array([[large, 0]])}, {"id": Column(shape=(2,), unit="1", kind="count")})
+    assert read_csv(write(table, tmp_path / "run.csv"))["id"].tolist() == [[large, 0]]

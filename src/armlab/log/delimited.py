@@ -32,6 +32,7 @@ BLOCK = 1 << 18  # bytes of text at a time
 _EMPTY = ((b",,", b",null,"), (b",,", b",null,"), (b",\n", b",null\n"), (b"\n,", b"\nnull,"))  # fields
 _NUMERIC = b"0123456789+-.eE, \r\n"
 _EXACT = 2.0**53  # whole numbers up to here are exact as floats
+_WHOLE = ("count", "flag")  # kinds of whole numbers
 DECIMAL_COMMA = re.compile(r"^[+-]?\d+,\d+([eE][+-]?\d+)?$")
 
 
@@ -198,13 +199,21 @@ def _as_written(path: Path, beside: Description) -> Table:
             raise LogError(
                 f"Expected the columns that {path.name}.toml describes in {path}, got: {str(error).rstrip('.')}."
             ) from None
+    else:  # beside a component that a float cannot hold the others stay whole, too
+        parts = [_whole(part) if kind in _WHOLE else part for kind, part in zip(kinds, parts, strict=True)]
     return beside.table(path, parts[0], put_together(beside, parts[1:], len(parts[0])))
+
+
+def _whole(array: np.ndarray) -> np.ndarray:
+    """Return whole numbers that a float holds exactly as integers, others as they are."""
+    exact = array.dtype.kind == "f" and (np.abs(array) < _EXACT).all() and (array == np.round(array)).all()
+    return array.astype(np.int64) if exact else array
 
 
 def _typed(kind: str, texts: Sequence[str]) -> np.ndarray:
     if kind == "text":
         return np.array(texts, dtype=np.str_)
-    if kind in ("count", "flag"):
+    if kind in _WHOLE:
         return np.array([int(text) for text in texts], dtype=np.int64)
     array = _decimals(texts)
     return np.array([text or "nan" for text in texts], dtype=np.float64) if array is None else array
