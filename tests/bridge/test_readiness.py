@@ -32,7 +32,8 @@ def packet(packets: Any, **fields: Any) -> Packet:
     ],
 )
 def test_obstacles(packets: Any, fields: dict[str, int], words: str) -> None:
-    found = obstacle(packet(packets, **fields))
+    one = packet(packets, **fields)
+    found = obstacle(one.motors, one.rapid, one.mci)
     assert words in found
     assert bool(found) == bool(words)
     assert packet(packets).mci == MCI_RUNNING

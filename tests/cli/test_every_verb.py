@@ -1,4 +1,5 @@
-"""Every verb with everything wrong: a sentence, the right exit code, no traceback, and nothing half written.
+"""Every verb: its example, its line in the reference, and with everything wrong a sentence, the right exit code, no
+traceback, and nothing half written.
 
 The table is made from the application itself, so that a new verb or option is tried from its first day.
 """
@@ -160,6 +161,26 @@ def tried(desk: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFix
 
 def contents(folder: Path) -> dict[Path, bytes]:
     return {path: path.read_bytes() if path.is_file() else b"" for path in folder.rglob("*")}
+
+
+@pytest.mark.parametrize("words", list(verbs()), ids=" ".join)
+def test_help_of_a_command_ends_with_an_example_that_is_right(
+    words: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main([*words, "--help"]) == 0
+    example = capsys.readouterr().out.rpartition("Example: armlab ")[2].split()  # in one line, or broken into two
+    assert tuple(example[: len(words)]) == words
+    _, _, ignored = cli.build_app().parse_args(example, exit_on_error=False, print_error=False)
+    assert not ignored
+
+
+def test_the_reference_names_every_command() -> None:
+    """`plot` has a command per figure; the gallery shows them."""
+    page = (Path(__file__).parents[2] / "docs" / "reference" / "commands.md").read_text(encoding="utf-8")
+    table = "\n".join(line for line in page.splitlines() if line.startswith("| `armlab"))
+    for words in verbs():
+        whole = "armlab plot" if words[0] == "plot" else f"armlab {' '.join(words)}"
+        assert whole in table or f"`{words[-1]}`" in table, whole  # `armlab calibrate hand-eye`, `force-sensor`
 
 
 @pytest.mark.parametrize("verb", list(verbs()), ids=" ".join)

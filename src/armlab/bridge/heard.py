@@ -162,7 +162,7 @@ class Heard:
         return Finding.judged(f"{name}, posture", "failure", bool(problem), value, problem)
 
     def _guidance(self, name: str, last: Sample) -> Finding:
-        why = obstacle(last.packet)
+        why = obstacle(last.packet.motors, last.packet.rapid, last.packet.mci)
         value = f"not ready: {why}" if why else "ready for references"
         return Finding.judged(f"{name}, guidance", "warning", bool(why), value, _REMEDY.get(why, ""))
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from armlab.robots import Robot
-from armlab.wire.egm import Packet
 from armlab.wire.egm.linkage import Linkage
 
 __all__ = ["MCI_RUNNING", "implausible", "obstacle"]
@@ -18,18 +17,18 @@ _RAPID_MOVES = (0, 2)  # undefined (0) stays after a restart of the controller a
 _PLAUSIBLE = 0.1  # rad or m beyond the limits of a joint
 
 
-def obstacle(packet: Packet) -> str:
+def obstacle(motors: int, rapid: int, mci: int) -> str:
     """Return why the robot would not follow a reference, "" when it would.
 
     Parameters
     ----------
-    packet : the newest.
+    motors, rapid, mci : states of the newest packet.
     """
-    if packet.motors != _MOTORS_ON:
+    if motors != _MOTORS_ON:
         return "the motors are off"
-    if packet.rapid not in _RAPID_MOVES:
+    if rapid not in _RAPID_MOVES:
         return "RAPID is stopped"
-    return "" if packet.mci == MCI_RUNNING else "guidance has not begun (EGMRunJoint)"
+    return "" if mci == MCI_RUNNING else "guidance has not begun (EGMRunJoint)"
 
 
 def implausible(q: np.ndarray, robot: Robot) -> str:

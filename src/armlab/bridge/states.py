@@ -129,13 +129,14 @@ class Guide:
             return
         if self.mode is Mode.WAITING:
             self.mode = Mode.HOLDING
-        ready = self._plausible and not obstacle(packet)
+        why = obstacle(packet.motors, packet.rapid, packet.mci)
+        ready = self._plausible and not why
         if ready and self.ready:
             self.elapsed += sample.dt
         elif ready:
             self._become_ready(packet)
         elif self.ready:
-            self._on_event(f"The robot is not ready: {obstacle(packet)}.", warn=True)
+            self._on_event(f"The robot is not ready: {why}.", warn=True)
             self.mode = Mode.HOLDING if self.mode is Mode.RUNNING else self.mode
         self.ready = ready
 

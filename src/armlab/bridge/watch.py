@@ -7,7 +7,6 @@ import shutil
 import time
 from collections import deque
 from pathlib import Path
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from armlab.bridge.readiness import obstacle
@@ -148,7 +147,7 @@ def _state(values: dict[str, Any], now_ns: int) -> str:
     age = 1e-9 * (now_ns - values["receive_ns"])
     if age > _SILENT:
         return f"no packet for {age:.1f} s"
-    why = obstacle(SimpleNamespace(motors=values["motors"], rapid=values["rapid"], mci=values["mci"]))  # type: ignore[arg-type]
+    why = obstacle(values["motors"], values["rapid"], values["mci"])
     if why:
         return why
     if values["seq_sent"] < 0:

@@ -7,7 +7,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -118,7 +117,7 @@ class Recorded:
             return "not begun" if age < 0.0 else f"no packet for {age:.1f} s"
         if not {"motors", "rapid", "mci"} <= set(self.table.names):
             return "recorded"
-        why = obstacle(SimpleNamespace(**{name: self.table[name][k] for name in ("motors", "rapid", "mci")}))  # type: ignore[arg-type]
+        why = obstacle(self.table["motors"][k], self.table["rapid"][k], self.table["mci"][k])
         if why:
             return why
         if "seq_sent" in self.table and not self.table["seq_sent"][k] >= 0:
