@@ -109,3 +109,7 @@ def test_foreign_bytes_and_texts_are_refused() -> None:
         layout(b"\x00\x01\x00\x00\x07\x00\x00\x00" + struct.pack("<I", 2**31), "test_msgs/msg/Mixed", types)
     with pytest.raises(LogError, match="does not parse"):
         definitions("test_msgs/msg/Bad", "float64 [[[")
+    with pytest.raises(LogError, match="does not parse") as told:
+        definitions("test_msgs/msg/Bad", 100 * "float64 x\n" + "float64 [[[")
+    assert "\n" not in str(told.value)
+    assert len(str(told.value)) < 250

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -92,8 +93,9 @@ def definitions(name: str, text: str, encoding: str = "ros2msg") -> Definitions:
     try:
         types = get_types_from_msg(text, name) if encoding == "ros2msg" else get_types_from_idl(text)
     except (TypesysError, ValueError, KeyError, RecursionError) as error:
+        reason = textwrap.shorten(str(error), 120)  # it repeats the whole text
         raise LogError(
-            f"Expected a {encoding} definition of {name}, got a text that does not parse: {error}."
+            f"Expected a {encoding} definition of {name}, got a text that does not parse: {reason}."
         ) from None
     return {typename: entry[1] for typename, entry in types.items()}
 

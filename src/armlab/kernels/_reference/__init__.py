@@ -35,6 +35,7 @@ from armlab.kernels._reference.lie import (
 )
 from armlab.kernels._reference.lie_arguments import poses, rotations
 from armlab.kernels._reference.limits import limit_reference
+from armlab.kernels._reference.messages import MessageCopier
 from armlab.kernels._reference.momentum import momentum_step
 from armlab.kernels._reference.momentum_estimator import MomentumEstimator
 from armlab.kernels._reference.nearest import so3_nearest
@@ -44,6 +45,8 @@ from armlab.kernels._reference.primitive import Primitive
 from armlab.kernels._reference.primitive_stepper import PrimitiveStepper
 from armlab.kernels._reference.records import RecordMaker
 from armlab.kernels._reference.rotation_primitive import RotationStepper, rotation_rollout
+from armlab.kernels._reference.row_encoder import RowEncoder
+from armlab.kernels._reference.row_packer import RowPacker
 from armlab.kernels._reference.signals import SignalOperator
 from armlab.kernels._reference.two_dof import TwoDof
 from armlab.kernels._reference.weight import turned_weight
@@ -56,12 +59,15 @@ __all__ = [
     "EgmReader",
     "EgmWriter",
     "InverseSolver",
+    "MessageCopier",
     "MomentumEstimator",
     "Obstacles",
     "Primitive",
     "PrimitiveStepper",
     "RecordMaker",
     "RotationStepper",
+    "RowEncoder",
+    "RowPacker",
     "SignalOperator",
     "TwoDof",
     "WrenchEstimator",

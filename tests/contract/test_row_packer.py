@@ -1,0 +1,176 @@
+"""Rows packed by the compiled kernel and by the reference: the same bytes, the same refusals."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from dataclasses import replace
+from importlib.util import find_spec
+from types import MappingProxyType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab import robots
+from armlab.errors import ShapeError
+from armlab.kernels import _reference
+from armlab.log import Column, Tick, rows
+from armlab.state import Command, State
+
+if find_spec("armlab.kernels._native") is None:
+    pytest.skip("the extension is not built", allow_module_level=True)
+
+from armlab.kernels import _native
+
+N = 7
+EXTRA = {"fext": Column((6,), unit="N"), "mode": Column(unit="1", kind="count")}
+
+
+@pytest.fixture
+def packers(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    made = []
+    for backend in (_native, _reference):
+        monkeypatch.setattr(rows, "RowPacker", backend.RowPacker)
+        made.append(rows.RowLayout(robots.load("yumi_right"), EXTRA).pack)
+    return made
+
+
+def tried(pack: Any, state: Any, command: Any, tick: Any) -> bytes | tuple[type, str]:
+    """Return the row, or the refusal; the sentence of a refusal that is ours."""
+    try:
+        return pack(state, command, tick)
+    except ShapeError as error:
+        return ShapeError, str(error)
+    except (AttributeError, TypeError, ValueError, OverflowError) as error:
+        return type(error), ""
+
+
+def values(rng: np.random.Generator, size: int) -> Any:
+    """Return what may stand where an array of some size is expected: it, or what is nearly it, or nothing like it."""
+    plain = rng.normal(size=size)
+    return [
+        plain, plain, plain, plain, None, np.zeros(0), [], plain.tolist(), tuple(plain), plain.astype(">f8"),
+        plain.astype(np.float32), rng.integers(-9, 9, size), rng.normal(size=(size, 2))[:, 0], plain[::-1],
+        np.asfortranarray(rng.normal(size=(1, size))), plain.reshape(size, 1), np.full(size, np.nan), plain[:-1],
+        rng.normal(size=size + 1), 3.0, "three", np.ma.array(plain), np.float64(2.5), object(), np.array(plain, object),
+        np.zeros((0, 3)), rng.random(size) < 0.5,
+    ][rng.integers(27)]  # fmt: skip
+
+
+def scalar(rng: np.random.Generator, usual: Any) -> Any:
+    odd = [np.int64(3), np.float64(2.5), 2.5, True, None, "three", 1 << 70, np.bool_(True), np.array(4), []]
+    return usual if rng.random() < 0.95 else odd[rng.integers(len(odd))]
+
+
+class Known(Mapping):
+    """A mapping that is no dict."""
+
+    def __init__(self, data: dict[str, Any]) -> None:
+        self.data = data
+
+    def __getitem__(self, name: str) -> Any:
+        return self.data[name]
+
+    def __iter__(self) -> Any:
+        return iter(self.data)
+
+    def __len__(self) -> int:
+        return len(self.data)
+
+
+def record(rng: np.random.Generator) -> Any:
+    data = {"wrench_hat": values(rng, 6), "wrench_hat_cov": values(rng, 36), "fext": values(rng, 6), "mode": 3, "x": 1}
+    data = {name: value for name, value in data.items() if rng.random() < 0.5}
+    kinds = (dict, dict, dict, MappingProxyType, Known, lambda _: {}, lambda _: None, lambda _: 5)
+    return kinds[rng.integers(len(kinds))](data)
+
+
+def drawn(rng: np.random.Generator) -> tuple[Any, Any, Any]:
+    """Return a row in which one or two things are odd, mostly."""
+    exact, odd = {}, rng.random() * 0.3
+
+    def array(size: int) -> Any:
+        return values(rng, size) if rng.random() < odd else rng.normal(size=size)
+
+    for name in ("q", "qd", "tau", "q_planned"):
+        exact[name] = array(N)
+    state = State(
+        scalar(rng, 1.5), 0.004, **exact, seq=scalar(rng, 7), utilization=scalar(rng, 3.5), motors=scalar(rng, 1),
+        converged=scalar(rng, True), wrench_raw=array(6), wrench=array(6), T_frame_tool=array(16),
+        q_ext=values(rng, 3) if rng.random() < 0.3 else np.zeros(0),
+        qd_source=scalar(rng, "measured"), tau_source=scalar(rng, "reference"), rapid_digital=rng.random() < 0.2,
+        rapid_data=values(rng, 4) if rng.random() < 0.3 else np.zeros(0),
+    ) if rng.random() < 0.97 else SimpleNamespace(q=1)  # fmt: skip
+    command = Command(array(N), array(N), None, record=record(rng) if rng.random() < 0.5 else {})
+    if rng.random() < 0.2:
+        command = replace(command, q_ext=values(rng, 2), rapid_data=values(rng, 3))
+    tick = Tick(
+        scalar(rng, 5), 6, 1_700_000_000_000_000_000, 8, 9, 10, scalar(rng, False), q_sent=array(N),
+        clamped=values(rng, N) if rng.random() < 0.3 else np.arange(N, dtype=np.uint8),
+        record=record(rng) if rng.random() < 0.3 else MappingProxyType({}),
+        q_ext_sent=values(rng, 2) if rng.random() < 0.2 else None,
+        rapid_digital_sent=[None, True, False][rng.integers(3)] if rng.random() < 0.3 else None,
+    )  # fmt: skip
+    return state, (command if rng.random() < 0.9 else None), tick
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning", "ignore:Warning. converting a masked")
+def test_random_rows_give_the_same_bytes_or_the_same_refusal(packers: list[Any]) -> None:
+    rng, packed, lengths = np.random.default_rng(3), 0, set()
+    for _ in range(4000):
+        row = drawn(rng)
+        native, reference = (tried(pack, *row) for pack in packers)
+        assert native == reference, row
+        packed += isinstance(native, bytes)
+        lengths.add(len(native) if isinstance(native, bytes) else native)
+    assert 1000 < packed < 3500
+    assert len([length for length in lengths if isinstance(length, int)]) == 2  # with the end and without it
+    assert (ShapeError, "Expected 7 values in q, got 6.") in lengths
+
+
+def test_objects_of_other_classes_are_asked_for_their_attributes(packers: list[Any]) -> None:
+    rng = np.random.default_rng(1)
+    state = State(0.5, 0.004, *rng.normal(size=(3, N)))
+    tick = Tick(1, 2, 3, 4, 5, 6)
+    fields = {name: getattr(state, name) for name in State.__dataclass_fields__}
+    for pack in packers:
+        expected = pack(state, Command(state.q), tick)
+        own = SimpleNamespace(**fields), SimpleNamespace(q=state.q, qd=None, tau=None, q_ext=None, record={})
+        own += (SimpleNamespace(**{**tick._asdict(), "rapid_data_sent": None}),)
+        assert pack(*own) == expected
+        with pytest.raises(AttributeError):
+            pack(None, None, tick)
+        with pytest.raises(AttributeError):
+            pack(state, None, (1, 2, 3))
+
+
+def test_values_are_neither_kept_nor_lost(packers: list[Any]) -> None:
+    q, rng = np.ones(N), np.random.default_rng(2)
+    state = State(0.5, 0.004, q, *rng.normal(size=(2, N)))
+    tick, held = Tick(1, 2, 3, 4, 5, 6), {"fext": [1, 2, 3, 4, 5, 6.0]}
+    command = Command(record=held)
+    for pack in packers:
+        counts = [sys.getrefcount(one) for one in (q, state, tick, command, held, held["fext"])]
+        row = pack(state, command, tick)
+        for _ in range(50):
+            assert pack(state, command, tick) == row
+            with pytest.raises(ShapeError):
+                pack(replace(state, q=np.ones(3)), command, tick)
+        assert [sys.getrefcount(one) for one in (q, state, tick, command, held, held["fext"])] == counts
+
+
+def test_places_that_contradict_themselves_are_refused() -> None:
+    kinds = (State, Command, Tick)
+    eight = bytes(8)
+    for place, message in (
+        (("a", "state", "seq", "odd", eight, None), "Expected one of the forms count, .* for a, got odd"),
+        (("a", "planet", "seq", "count", eight, None), "fit the form count for a"),
+        (("a", "state", "seq", "count", bytes(4), None), "fit the form count for a"),
+        (("a", "state", "converged", "flag", eight, None), "fit the form flag for a"),
+        (("a", "state", "qd_source", "code", eight, None), "fit the form code for a"),
+        (("a", "state", "rapid_digital", "heard", eight, "data"), "Expected the column of data before a"),
+    ):
+        for backend in (_native, _reference):
+            with pytest.raises(ShapeError, match=message):
+                backend.RowPacker(kinds, [place], "none")
