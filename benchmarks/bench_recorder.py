@@ -13,7 +13,8 @@ import numpy as np
 from blocks import Contender, Disagreement, Figure, Table, alternate, figures
 from mcap.writer import Writer
 from recorder_kill import killed
-from recorder_rows import PERIOD, full_rows, signals
+from recorder_loop import in_the_loop
+from recorder_rows import PERIOD, fresh, full_rows, signals
 from recorder_stall import stalled
 from rosbags.typesys import Stores, get_typestore
 
@@ -41,10 +42,10 @@ def run(quick: bool) -> list[Table]:
 
 
 def _row(folder: Path, seconds: float, rounds: int) -> list[Table]:
-    """Measure one call in a loop that sleeps between them, as a control loop does."""
+    """Measure one call: in the loop of the bridge, and in a bare loop that sleeps between them."""
     robot, rows = robots.load(ROBOT), full_rows(500)
 
-    def ours() -> np.ndarray:
+    def bare() -> np.ndarray:
         with Recorder(folder / "row.mcap", robot, extra=signals()) as recorder:
             taken = _paced(rows, seconds, lambda row: recorder.row(*row))
         recorder.path.unlink()
@@ -54,15 +55,26 @@ def _row(folder: Path, seconds: float, rounds: int) -> list[Table]:
         with (folder / "peer.mcap").open("wb") as file:
             return _paced(rows, seconds, _in_the_loop(file, robot.joint_names))
 
+    samples = alternate(
+        [
+            Contender("in the loop", lambda: in_the_loop(folder, ROBOT, seconds)),
+            Contender("in a bare loop", bare),
+            Contender("peer", theirs),
+        ],
+        rounds,
+    )
     tables = []
     for percent, bar in zip((50, 99), ROW, strict=True):
         contenders = [
-            Contender(f"armlab Recorder.row, p{percent}", ours, "armlab", bar),
-            Contender(f"mcap.Writer and rosbags in the loop, p{percent}", theirs, note="two of the twelve topics"),
+            Contender(f"armlab Recorder.row in link.run, p{percent}", theirs, "armlab", bar),
+            Contender(f"armlab Recorder.row in a bare loop, p{percent}", theirs, "armlab", bar),
+            Contender(f"mcap.Writer and rosbags in a bare loop, p{percent}", theirs, note="two of the twelve topics"),
         ]
-        samples = alternate(contenders, rounds)
         text = (
-            f"The full layout, noise in every number, at {1 / PERIOD:g} Hz with sleep between the calls and real-time "
+            f"First line: every call in a run over `sim://{ROBOT}` in real time whose controller returns references, a "
+            "wrench with its covariance and three numbers; it has just made most of what is recorded. Others: the "
+            "full layout, noise in every number, as fresh arrays, in a loop that does nothing else, so that more "
+            f"of the recorder has left the caches. {1 / PERIOD:g} Hz with sleep between the calls and real-time "
             f"priority where permitted. Percentile {percent} of a block of {seconds:g} s by the clock on the wall."
         )
         told = figures(contenders, samples, lambda block, q=percent: np.percentile(block, q))
@@ -81,8 +93,7 @@ def _paced(rows: Rows, seconds: float, work: Callable[[tuple[State, Command, Tic
         for k in range(count):
             due += PERIOD
             time.sleep(max(0.0, due - time.perf_counter()))
-            state, command, tick = rows[k % len(rows)]
-            row = (state, command, tick._replace(number=k))
+            row = fresh(rows[k % len(rows)], k)
             start = time.perf_counter()
             work(row)
             taken[k] = time.perf_counter() - start

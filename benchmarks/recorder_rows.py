@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import fields, replace
+from typing import Any
+
 import numpy as np
 
 from armlab.log import Column, Tick
@@ -42,3 +45,21 @@ def full_rows(count: int, only_signals: bool = False) -> list[tuple[State, Comma
         tick = Tick(i, i, stamp, stamp, stamp + 90_000, 500, **sent)
         rows.append((state, Command(q_ref, qd_ref, record=record), tick))
     return rows
+
+
+def fresh(row: tuple[State, Command, Tick], number: int) -> tuple[State, Command, Tick]:
+    """Return a copy of a row, as new as one that a loop has just made.
+
+    Parameters
+    ----------
+    row : one of `full_rows`. number : of the tick.
+    """
+    state, command, tick = row
+    record = {name: np.array(value) for name, value in command.record.items()}
+    arrays = {name: np.array(value) for name, value in tick._asdict().items() if isinstance(value, np.ndarray)}
+    return _copied(state), replace(_copied(command), record=record), tick._replace(number=number, **arrays)
+
+
+def _copied(one: Any) -> Any:
+    arrays = {field.name: getattr(one, field.name) for field in fields(one)}
+    return replace(one, **{name: value.copy() for name, value in arrays.items() if isinstance(value, np.ndarray)})

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from armlab.log import Column
-from armlab.log.assemble import in_time_order, recording_clock, recording_table, spread, wall_at_zero
+from armlab.log.assemble import in_time_order, recording_clock, recording_table, rows_in_order, wall_at_zero
 
 STAMPS = 10**18 + np.arange(6) * 4_000_000
 
@@ -48,10 +48,20 @@ def test_time_order_counts_rows_that_do_not_advance() -> None:
     assert lost == 3
 
 
-def test_times_that_do_not_advance_are_spread() -> None:
-    t = spread(np.array([0.0, 1.0, 1.0, 0.5, 2.0]))
+def test_rows_whose_time_does_not_advance_are_dropped_or_spread() -> None:
+    given = np.array([0.0, 1.0, 1.0, 0.5, 2.0])
+    t, kept, notes = rows_in_order(given, raw=True)
+    assert kept.all()
+    assert notes == ()
     assert (np.diff(t) > 0).all()
     np.testing.assert_allclose(t, [0.0, 1.0, 1.0, 1.0, 2.0], atol=1e-8)
+    with pytest.warns(UserWarning, match="raw=True keeps them"):
+        t, kept, notes = rows_in_order(given, raw=False, row="line {}".format, of=" of /x")
+    assert t[kept].tolist() == [0.0, 1.0, 2.0]
+    assert notes == ("2 rows of /x dropped: their time does not advance (line 2, line 3)",)
+    with pytest.warns(UserWarning, match=r"7 rows .* \(row 1, row 2, row 3, row 4, row 5, \.\.\.\)"):
+        rows_in_order(np.zeros(8), raw=False)
+    assert rows_in_order(given[[0, 1, 4]], raw=False)[2] == ()
 
 
 def test_empty_columns_and_unused_axes_are_left_out() -> None:

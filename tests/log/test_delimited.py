@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import re
 from pathlib import Path
 
 import numpy as np
@@ -75,12 +76,19 @@ def test_words_make_a_text_column_with_a_note(tmp_path: Path) -> None:
     assert any("mode: text, because of 'auto'" in note for note in table.notes)
 
 
-def test_a_time_that_comes_again_is_dropped_one_that_runs_backwards_refused(tmp_path: Path) -> None:
-    table = read_csv(written(tmp_path, "t,x\n0,1\n1,2\n1,3\n2,4\n"))
-    assert table["x"].tolist() == [1, 2, 4]
-    assert "1 rows that repeat a time are dropped" in table.notes
-    with pytest.raises(LogError, match=r"backwards in .*got 0\.5 s in line 4 after 1 s \(1 such rows\)"):
-        read_csv(written(tmp_path, "t,x\n0,1\n1,2\n0.5,3\n2,4\n"))
+def test_rows_whose_time_does_not_advance_are_dropped_and_named_by_their_lines(tmp_path: Path) -> None:
+    path = written(tmp_path, "t,x\n0,1\n1,2\n1,3\n0.5,4\n2,5\n")
+    said = "2 rows dropped: their time does not advance (line 4, line 5)"
+    with pytest.warns(UserWarning, match=re.escape(f"{said}; raw=True keeps them")):
+        table = read_csv(path)
+    assert table["x"].tolist() == [1, 2, 5]
+    assert table.notes == (said,)
+    with pytest.warns(UserWarning, match="2 rows dropped"):
+        assert read_csv(path, every=2)["x"].tolist() == [1, 5]
+    whole = read_csv(path, raw=True)
+    assert whole["x"].tolist() == [1, 2, 3, 4, 5]
+    np.testing.assert_allclose(whole.t, [0, 1, 1, 1, 2], atol=1e-8)
+    assert whole.notes == ()
     with pytest.raises(LogError, match=r"a time in every row.*none in line 3"):
         read_csv(written(tmp_path, "t,x\n0,1\n,2\n"))
 

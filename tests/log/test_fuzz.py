@@ -20,6 +20,11 @@ def data(recording: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> byt
     return recording(30, name="whole.mcap").read_bytes()
 
 
+def check_sentence(error: LogError, path: Path) -> None:
+    assert str(error).endswith(".")
+    assert str(path) in str(error)
+
+
 def attempt(path: Path, data: bytes, whole: dict[int, np.ndarray]) -> int | None:
     """Read, inspect and repair the bytes; return the number of rows, None when they were refused."""
     path.write_bytes(data)
@@ -31,11 +36,11 @@ def attempt(path: Path, data: bytes, whole: dict[int, np.ndarray]) -> int | None
             try:
                 look(path)
             except LogError as error:
-                assert str(error).endswith(".")  # noqa: PT017
+                check_sentence(error, path)
         try:
             table = read(path)
         except LogError as error:
-            assert str(error).endswith(".")  # noqa: PT017
+            check_sentence(error, path)
             return None
     for seq, q in zip(table["seq"].tolist(), table["q"], strict=True) if len(table) else ():
         assert np.array_equal(whole[seq], q)  # what is read is what was written

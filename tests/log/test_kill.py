@@ -1,4 +1,4 @@
-"""A recording process killed with signal 9 at a random time loses what lay in the queue: no row or a few."""
+"""A recording process killed with signal 9 at a random time loses what came since the last write: a few rows."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
 
 from armlab.log import inspect, read, recover
 
-MOST_ROWS = 25  # 0.1 s: the thread that writes may wait for a core; before, up to 200 rows were lost
+MOST_ROWS = 25  # 0.1 s: written is every 0.04 s, and the thread that does it may wait for a core
 
 CHILD = """
 import sys, time
@@ -86,4 +86,4 @@ def test_kill_9_loses_a_few_rows(tmp_path: Path) -> None:
 def test_kill_9_loses_a_few_rows_in_8_trials(tmp_path: Path) -> None:
     losses = trials(tmp_path, 8, seed=2, longest=4.0)
     assert max(losses) < MOST_ROWS
-    assert np.median(losses) <= 1
+    assert np.median(losses) <= 12

@@ -45,8 +45,10 @@ def test_units_arrays_and_kinds(path: Path) -> None:
     assert kinds == {"q": "angle", "tau": "real", "id": "count", "on": "flag", "mode": "text"}
     np.testing.assert_allclose(table["tau"], [[1.0, 0.003], [2.0, 0.004]])
     assert table.notes == ("read",)
-    with pytest.raises(LogError, match=r"backwards in .* in row 1 after"):
-        labelled_table(path, {"t": (np.array([1.0, 0.0]), "")})
+    back = {"t": (np.array([1.0, 0.0, 2.0]), ""), "x": (np.arange(3.0), "")}
+    with pytest.warns(UserWarning, match=r"1 rows dropped: their time does not advance \(row 1\)"):
+        assert labelled_table(path, back)["x"].tolist() == [0.0, 2.0]
+    assert labelled_table(path, back, raw=True)["x"].tolist() == [0.0, 1.0, 2.0]
 
 
 def test_a_number_that_is_too_large_for_a_joint_is_a_label(path: Path) -> None:

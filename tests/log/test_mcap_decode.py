@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from armlab.errors import LogError
+from armlab.log.mcap_chunk import unpacked
 from armlab.log.mcap_decode import Decoded, decode, decode_by, message_counts, messages
 from armlab.log.mcap_records import contents
 from armlab.log.mcap_variants import MessageReader
@@ -158,3 +160,19 @@ def test_messages_that_do_not_fit_their_type_are_named(store) -> None:
     assert "skipped" in damage[0]
     with pytest.raises(LogError, match="Expected messages in cdr on /plain, got 'json'"):
         decode(view, found, {plain: PATHS})
+
+
+def test_a_damaged_chunk_costs_its_own_messages_only(numbered) -> None:
+    raw = [numbered.message(row, [float(row)] * (2 if row == 70 else 1)) for row in range(100)]
+    view, found = numbered.written(raw)
+    bad = found.chunks[3]
+    lost = {row for row in range(100) if raw[row] in unpacked(view, bad)}
+    found.chunks[3] = replace(bad, crc=1)
+    decoded, damage = decode(view, found, {1: ["a", "x"]})
+    assert len(damage) == 1
+    assert damage[0].startswith(f"chunk at byte {bad.start} skipped: Expected checksum 00000001 of the chunk at byte")
+    rows = [row for row in range(100) if row not in lost]
+    assert 2 < len(lost) < 20
+    assert decoded[1].sequence.tolist() == decoded[1].fields["a"][:, 0].tolist() == rows
+    assert np.array_equal(decoded[1].fields["x"][:, 0], rows)
+    assert np.isnan(decoded[1].fields["x"][:, 1]).sum() == len(rows) - 1

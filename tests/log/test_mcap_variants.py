@@ -6,7 +6,7 @@ import struct
 
 import numpy as np
 
-from armlab.log.mcap_variants import MessageReader, Values, Variant, assembled, decode_block, split
+from armlab.log.mcap_variants import MessageReader, Values, Variant, assembled, decode_block, split, variant_of
 from armlab.wire.cdr import definitions
 
 TEXT = "uint32 a\nuint32 b\nstring word\nfloat64[] x"
@@ -33,6 +33,14 @@ def test_numbers_that_follow_each_other_are_one_run() -> None:
     assert fields["x"].tolist() == [[3.0, 4.0]]
     (variant,) = found.variants[block.shape[1]]
     assert isinstance(variant, Variant)
+
+
+def test_a_layout_is_the_places_of_numbers_and_of_what_all_have() -> None:
+    raw = message(1, 2, b"ab\0", [3.0, 4.0])
+    found = variant_of(np.frombuffer(raw, np.uint8), reader("a", "x"))
+    assert found.runs == {(("a", 1),): (4, 8, "<u4"), (("x", 2),): (len(raw) - 16, len(raw), "<f8")}
+    assert found.fixed == [(0, 4), (12, len(raw) - 16)]  # b is a number, though not wanted
+    assert found.first.tobytes() == raw
 
 
 def test_rows_go_to_their_own_layout() -> None:

@@ -9,19 +9,22 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from armlab.kernels import RowEncoder
 from armlab.log import Column, Tick, messages
+from armlab.log.mcap_copy import messages_in
 from armlab.log.messages import (
     CLOCK_KEY,
     CLOCK_NAME_KEY,
     COLUMN_KEY,
     T0_KEY,
-    Pen,
+    Plan,
     Topic,
     clock_metadata,
     column_topic,
     definition,
     event,
     parameter,
+    plan,
     topic_name,
     topics,
 )
@@ -31,6 +34,14 @@ from armlab.state import State
 
 TYPES = ("Tick", "Column", "WrenchEstimate", "Parameter")
 PARAMETER = "armlab_msgs/msg/Parameter"
+
+
+def written(topic: Topic, layout: RowLayout, row: bytes, stamp_ns: int) -> bytes | None:
+    """Return the message of a topic that is written of a row with another stamp, None when there is none."""
+    row = stamp_ns.to_bytes(8, "little") + row[8:]
+    planned: Plan = plan(3, topic, layout.slots)
+    records, *_ = RowEncoder([planned]).encode([row])
+    return next((message for *_, message in messages_in(records)), None)
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +84,7 @@ def test_numbers_are_where_sentinels_say(robot: Robot, store) -> None:
     for topic in topics(layout, robot.joint_names):
         if topic.name in ("tcp_pose", "wrench"):
             continue  # standard types, tested with rosbags' own store in test_recorder
-        message = Pen(topic, layout.slots).message(row, 3_000_000_007)
+        message = written(topic, layout, row, 3_000_000_007)
         assert message is not None
         decoded = store.deserialize_cdr(bytes(message), topic.type)
         assert (decoded.header.stamp.sec, decoded.header.stamp.nanosec) == (3, 7)
@@ -81,19 +92,45 @@ def test_numbers_are_where_sentinels_say(robot: Robot, store) -> None:
             assert np.array_equal(np.ravel(getattr(decoded, field)), np.ravel(values[name])), name
 
 
+def test_each_force_sensor_has_a_topic_of_its_own(robot: Robot) -> None:
+    shapes = {"left hand.wrench_raw": (6,), "force.wrench_raw": (6,), "force.age": (), "odd.wrench_raw": (3,)}
+    layout = RowLayout(robot, {name: Column(shape, unit="1") for name, shape in shapes.items()})
+    row = layout.pack_values({"force.wrench_raw": np.arange(6.0), "wrench_raw": np.ones(6)})
+    by_name = {topic.name: topic for topic in topics(layout, robot.joint_names)}
+    sensors = [name for name, topic in by_name.items() if topic.type == "geometry_msgs/msg/WrenchStamped"]
+    assert sensors == ["wrench", "wrench/left_hand", "wrench/force"]
+    assert {"columns/force_age", "columns/odd_wrench_raw"} <= by_name.keys()
+    message = written(by_name["wrench/force"], layout, row, 5)
+    assert message is not None
+    decoded = messages.store().deserialize_cdr(message, "geometry_msgs/msg/WrenchStamped")
+    assert decoded.header.frame_id == "force"
+    assert (decoded.wrench.force.y, decoded.wrench.torque.z) == (1.0, 5.0)
+    assert written(by_name["wrench/left_hand"], layout, row, 5) is None
+
+
+def test_columns_whose_topics_would_have_one_name_have_topics_of_their_own(robot: Robot) -> None:
+    names = ["a.b", "a_b", "a_b_2", "é", "è", "q planned", "a-b.wrench_raw", "a.b.wrench_raw"]
+    found = topics(RowLayout(robot, {name: Column((6,), unit="1") for name in names}), robot.joint_names)
+    by_column = {column: topic.name for topic in found for column in topic.fields}
+    assert len({topic.name for topic in found}) == len(found)
+    assert [by_column[name] for name in ("a.b", "a_b", "a_b_2")] == ["columns/a_b", "columns/a_b_2", "columns/a_b_2_2"]
+    assert [by_column[name] for name in ("q_planned", "q planned")] == ["columns/q_planned", "columns/q_planned_2"]
+    assert by_column["a.b.wrench_raw"] == "wrench/a_b_2"
+
+
 def test_absent_sequences_are_empty_and_absent_messages_none(robot: Robot, rows: Callable, store) -> None:
     layout = RowLayout(robot)
     by_name = {topic.name: topic for topic in topics(layout, robot.joint_names)}
     x = np.ones(7)
     row = layout.pack(State(0.0, 0.004, x, x, np.full(7, np.nan)), None, Tick(1, -1, 5, 0, -1, 0))
-    message = Pen(by_name["joint_states"], layout.slots).message(row, 5)
+    message = written(by_name["joint_states"], layout, row, 5)
     assert message is not None
     decoded = store.deserialize_cdr(bytes(message), "sensor_msgs/msg/JointState")
     assert decoded.effort.size == 0
     assert decoded.position.tolist() == x.tolist()
     for name in ("joint_states_ref", "joint_states_sent", "wrench", "tcp_pose", "wrench_hat", "columns/q_ext"):
-        assert Pen(by_name[name], layout.slots).message(row, 5) is None
-    tick = Pen(by_name["tick"], layout.slots).message(row, 5)
+        assert written(by_name[name], layout, row, 5) is None
+    tick = written(by_name["tick"], layout, row, 5)
     assert tick is not None
     assert store.deserialize_cdr(bytes(tick), "armlab_msgs/msg/Tick").clamped.size == 0
 

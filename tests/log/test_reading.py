@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
@@ -10,10 +11,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from armlab.errors import ConfigError, LogError, UnknownName
-from armlab.log import Column, Recorder, Tick, messages, read, write
-from armlab.log.reading import earlier, opened, summary_of, torn_sentence
+from armlab.log import Column, Recorder, Tick, inspect, messages, read, read_topics, recover, write
+from armlab.log.mcap_records import MAGIC
+from armlab.log.reading import earlier, names_robots, naming, opened, summary_of, torn_sentence
+from armlab.log.topic_reading import is_foreign
 from armlab.robots import Robot
 from armlab.state import Command, State
 
@@ -29,7 +33,18 @@ def test_every_column_comes_back_bit_for_bit(recording: Callable[..., Path], row
     expected |= {"q_ref": np.array([c.q for _, c, _ in samples]), "qd_ref": np.array([c.qd for _, c, _ in samples])}
     for name in ("fext", "mode", "wrench_hat", "wrench_hat_cov"):
         expected[name] = np.array([command.record[name] for _, command, _ in samples])
-    for name in ("q_sent", "qd_sent", "clamped", "seq_sent", "send_ns", "receive_ns", "step_ns", "late", "drops"):
+    for name in (
+        "q_sent",
+        "qd_sent",
+        "clamped",
+        "seq_sent",
+        "send_ns",
+        "receive_ns",
+        "step_ns",
+        "wake_ns",
+        "late",
+        "drops",
+    ):
         expected[name] = np.array([getattr(tick, name) for _, _, tick in samples])
     expected |= {
         name: np.array([getattr(s, name) for s, _, _ in samples]) for name in ("dt", "utilization", "converged")
@@ -138,13 +153,77 @@ def test_rows_out_of_time_order_are_dropped_counted_and_reachable(tmp_path: Path
         for i, time in enumerate(times):
             state = State(time * 0.004, 0.004, np.full(7, float(i)), np.zeros(7), np.zeros(7))
             recorder.row(state, None, Tick(i, i, 10**18 + time * 4_000_000, 1, 1, 0))
-    with pytest.warns(UserWarning, match="2 rows dropped.*rows 3, 4"):
+    with pytest.warns(UserWarning, match=r"2 rows dropped.*\(row 3, row 4\)"):
         table = read(recorder.path)
     assert np.array_equal(table["q"][:, 0], [0, 1, 2, 5, 6])
     assert "2 rows dropped" in table.notes[0]
     raw = read(recorder.path, raw=True)
     assert np.array_equal(raw["q"][:, 0], np.arange(7))
     assert np.all(np.diff(raw.t) > 0)
+
+
+DISORDER = {"t": [0.0, 1.0, 1.0, 0.5, 2.0], "x": [1.0, 2.0, 3.0, 4.0, 5.0]}
+
+
+def in_disorder(path: Path) -> Path:
+    """Write a file of another program whose time stands, and runs back."""
+    if path.suffix == ".mat":
+        savemat(path, DISORDER)
+    elif path.suffix == ".h5":
+        h5py = pytest.importorskip("h5py", reason="HDF5 needs the extra data")
+        with h5py.File(path, "w") as file:
+            for name, values in DISORDER.items():
+                file[name] = values
+    elif path.suffix == ".parquet":
+        pa = pytest.importorskip("pyarrow", reason="Parquet needs the extra data")
+        pytest.importorskip("pyarrow.parquet").write_table(pa.table(DISORDER), path)
+    else:
+        lines = ["t,x", *(f"{t:g},{x:g}" for t, x in zip(*DISORDER.values(), strict=True)), ""]
+        path.write_bytes((gzip.compress if path.suffix == ".gz" else bytes)("\n".join(lines).encode()))
+    return path
+
+
+@pytest.mark.parametrize("name", ["run.csv", "run.csv.gz", "run.mat", "run.h5", "run.parquet"])
+def test_every_format_drops_rows_out_of_time_order_and_names_no_robot(tmp_path: Path, name: str) -> None:
+    path = in_disorder(tmp_path / name)
+    first = "line 4, line 5" if ".csv" in name else "row 2, row 3"
+    with pytest.warns(UserWarning, match=rf"2 rows dropped: their time does not advance \({first}\); raw=True keeps"):
+        table = read(path)
+    assert table["x"].tolist() == [1.0, 2.0, 5.0]
+    assert any(f"2 rows dropped: their time does not advance ({first})" in note for note in table.notes)
+    whole = read(path, ["x"], raw=True)
+    assert whole["x"].tolist() == DISORDER["x"]
+    assert (np.diff(whole.t) > 0).all()
+    with pytest.raises(ConfigError, match=r"robot='ur5e' with a recording or a log .* which names none\. Leave it out"):
+        read(path, robot="ur5e")
+    assert not names_robots(path)
+
+
+def test_what_armlab_exports_names_no_robot(recording: Callable[..., Path], tmp_path: Path) -> None:
+    path = recording(3)
+    assert names_robots(path)
+    bag = write(read(path), tmp_path / "run.rosbag2")
+    assert not names_robots(bag)
+    with pytest.raises(ConfigError, match="which names none"):
+        read(bag, robot="yumi_right")
+
+
+def test_every_error_of_reading_names_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(MAGIC + bytes([7]) + bytes(40))
+    for look in (read, inspect, recover, is_foreign, read_topics):
+        with pytest.raises(LogError) as caught:
+            look(path)
+        assert str(caught.value).startswith(
+            f"Expected a whole log in {path}, got a fault: Expected the header of an MC"
+        )
+    with (
+        pytest.raises(LogError, match=r"^Expected a whole log in a\.mcap, got a fault: Expected no e"),
+        naming(Path("a.mcap")),
+    ):
+        raise LogError("Expected no end.")
+    with pytest.raises(LogError, match=r"^Expected no end in a\.mcap\.$"), naming(Path("a.mcap")):
+        raise LogError("Expected no end in a.mcap.")
 
 
 def test_an_unfinished_file_is_read_with_one_warning(recording: Callable[..., Path], tmp_path: Path) -> None:

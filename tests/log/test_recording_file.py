@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from armlab.log import inspect, read
+from armlab.errors import ConfigError
+from armlab.log import Log, Recorder, inspect, read
 from armlab.log.mcap_records import contents
-from armlab.log.recording_file import MAX_CHUNK_ROWS, RecordingFile, open_new
+from armlab.log.recording_file import MAX_CHUNK_ROWS, RecordingFile, open_new, recording_path
 from armlab.log.rows import RowLayout
 from armlab.robots import Robot, from_toml
 
@@ -36,7 +37,7 @@ def test_each_row_is_there_at_once_and_no_chunk_is_longer_than_a_second(
     layout = RowLayout(robot)
     file = RecordingFile(tmp_path / "run.mcap", robot, layout, {}, "")
     for i in range(MAX_CHUNK_ROWS + 20):
-        file.write(layout.pack(*rows(i)))
+        file.write([layout.pack(*rows(i))])
         if i in (0, MAX_CHUNK_ROWS - 2, MAX_CHUNK_ROWS - 1, MAX_CHUNK_ROWS + 19):
             with pytest.warns(UserWarning, match=rf"recovered {i + 1} rows \(.*, 0 bytes torn"):
                 read(file.path)
@@ -51,3 +52,12 @@ def test_open_new(tmp_path: Path) -> None:
         file, path = open_new(tmp_path / "a.mcap")
         file.close()
         assert path.name == name
+
+
+@pytest.mark.parametrize("name", ["run.csv", "run.parquet", "run", "run.mcap.csv"])
+def test_a_recording_has_no_name_of_another_format(name: str, tmp_path: Path, robot: Robot) -> None:
+    assert recording_path("run.MCAP") == Path("run.MCAP")
+    for written in (recording_path, Log(robot).save, lambda path: Recorder(path, robot)):
+        with pytest.raises(ConfigError, match=rf"ending in \.mcap, got .*{name}\. Change the ending.*log\.write"):
+            written(tmp_path / name)
+    assert not list(tmp_path.iterdir())

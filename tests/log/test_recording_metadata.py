@@ -49,40 +49,10 @@ def test_metadata_has_the_hashes_of_what_is_attached(robot: Robot, monkeypatch: 
     assert json.loads(about["attachments"]) == {"model.toml": hashlib.sha256(b"1").hexdigest()}
 
 
-SETTINGS = """name = "cell"
-token = "abc\\"def" # of the server
-server = { port = 3, password = 'x y', host = "127.0.0.1" }
-"api-key" = "zzz"
-SECRETS = ["a",
-  "b]", # ] of a comment
-  "c"]
-passwords = {left = "a", right = 'b'}
-[servers.zenoh]
-my_token = 5
-long_token = '''a
-"b" c'''
-secret.key = "d"
-"""
-
-
 def test_secrets_in_settings_are_replaced(robot: Robot) -> None:
-    found = attached(robot, {"cell.toml": SETTINGS.encode(), "data.bin": b"token = 1", "odd.toml": b"\xff\xfe"})
-    told = tomllib.loads(found["cell.toml"].decode())
-    assert told == {
-        "name": "cell",
-        "token": "***",
-        "server": {"port": 3, "password": "***", "host": "127.0.0.1"},
-        "api-key": "***",
-        "SECRETS": "***",
-        "passwords": "***",
-        "servers": {"zenoh": {"my_token": "***", "long_token": "***", "secret": {"key": "***"}}},
-    }
-    assert (found["data.bin"], found["odd.toml"]) == (b"token = 1", b"\xff\xfe")
-    told = attached(robot, {"cell.json": b'{"token": "abc", "port": 1}'})
-    assert json.loads(told["cell.json"]) == {"token": "***", "port": 1}
-    told = attached(robot, {"cell.yaml": b"password: a b c\nport: 1\n", "odd.toml": b"token = [" + 40 * b"# aaaa\n"})
-    assert told["cell.yaml"] == b'password: "***"\nport: 1\n'
-    assert told["odd.toml"].startswith(b"token = ")  # an end that never comes takes no time to look for
+    found = attached(robot, {"cell.toml": b"[token]\nkey = 'abc'", "data.bin": b"token = 1"})
+    assert tomllib.loads(found["cell.toml"].decode()) == {"token": "***"}
+    assert found["data.bin"] == b"token = 1"
 
 
 def test_the_description_of_the_robot_is_there(robot: Robot) -> None:

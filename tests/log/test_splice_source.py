@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from armlab import robots
 from armlab.errors import LogError
 from armlab.log import Recorder, cut, inspect, merge, read
 from armlab.log.splice_source import Source, attachments, metadata, opened_source, summary
@@ -24,7 +25,7 @@ def test_holes_of_the_recorder_are_told_where_they_are(tmp_path: Path, robot: Ro
         assert (summary([source], "all")["rows"], summary([source], "all")["dropped"]) == (57, 3)
         source.arms[0].cut(source.arms[0].rows.t[10], source.arms[0].rows.t[30])
         told = summary([source], "between")
-    assert (told["rows"], told["dropped"], told["holes"]) == (20, 2, [[20, 21, 2, 20]])
+    assert (told["rows"], told["dropped"], told["holes"]) == (20, 2, [[20, 21, 2, 20, "yumi_right"]])
     assert told["source"][-1] == "between"
 
 
@@ -41,7 +42,21 @@ def test_holes_stay_with_the_recording_that_has_them(tmp_path: Path, robot: Robo
     of_a = inspect(cut(both, tmp_path / "of_a.mcap", stop=t[59])).summary
     of_b = inspect(cut(both, tmp_path / "of_b.mcap", start=t[61])).summary
     assert (of_a["dropped"], of_a["holes"]) == (0, [])
-    assert (of_b["dropped"], of_b["holes"]) == (2, [[20, 21, 2, 80]])
+    assert (of_b["dropped"], of_b["holes"]) == (2, [[20, 21, 2, 80, "yumi_right"]])
+
+
+def test_holes_stay_with_the_arm_that_has_them(tmp_path: Path, rows: Callable) -> None:
+    """Both arms count the same ticks: in one file of both, a tick does not say whose it is."""
+    for name, lost in (("yumi_left", (20, 21)), ("yumi_right", (40,))):
+        with Recorder(tmp_path / f"{name}.mcap", robots.load(name)) as recorder:
+            for i in range(60):
+                state, command, tick = rows(i)
+                recorder.row(None if i in lost else state, command, tick)  # type: ignore[arg-type]
+    both = merge([tmp_path / "yumi_right.mcap", tmp_path / "yumi_left.mcap"], tmp_path / "both.mcap")
+    again = cut(both, tmp_path / "again.mcap")
+    for path in (both, again):
+        assert "2 rows were dropped while recording: ticks 20 to 21" in read(path, robot="yumi_left").notes
+        assert "1 rows were dropped while recording: ticks 40 to 40" in read(path, robot="yumi_right").notes
 
 
 def test_what_several_have_under_one_name_gets_a_number(recording: Callable[..., Path]) -> None:

@@ -13,7 +13,7 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from armlab import log, robots
-from armlab.errors import ConfigError, LogError
+from armlab.errors import ConfigError, LogError, UnknownName
 from armlab.log import Column, Recorder, cut, inspect, merge, read
 from armlab.robots import Robot
 
@@ -54,6 +54,20 @@ def test_the_rows_are_those_of_between_to_the_last_bit(
     assert (part.t0_ns, part.clock, part.source[1:]) == (table.t0_ns, table.clock, table.source)
     assert part.t[0] == table.t[0] >= start
     assert part["fext"].shape == (len(table), 6)
+
+
+def test_columns_whose_names_differ_only_in_signs_are_not_mixed_up(
+    tmp_path: Path, rows: Callable, robot: Robot
+) -> None:
+    columns = {name: Column((6,), unit="N") for name in ("a.b", "a_b")}
+    with Recorder(tmp_path / "run.mcap", robot, extra=columns) as recorder:
+        for i in range(100):
+            state, command, tick = rows(i)
+            record = {"a.b": np.full(6, i), "a_b": np.full(6, -i)}
+            recorder.row(state, replace(command, record=record), tick)
+    part = read(cut(recorder.path, tmp_path / "part.mcap", 0.1, 0.3))
+    assert part.sha256 == read(recorder.path).between(0.1, 0.3).sha256
+    assert np.array_equal(part["a.b"], -part["a_b"])
 
 
 def test_a_cut_is_a_whole_recording_with_all_that_belongs_to_it(record: Callable[..., Path], tmp_path: Path) -> None:
@@ -119,6 +133,20 @@ def test_both_arms_of_a_bridge_stand_side_by_side(record: Callable[..., Path], t
     part = cut(both, tmp_path / "part.mcap", 0.2, 0.4)
     assert read(part, robot="yumi_left").sha256 == read(left).between(0.2, 0.4).sha256
     assert read(part, robot="yumi_right").sha256 == read(right).between(0.2, 0.4).sha256
+
+
+def test_one_arm_of_both_is_a_recording_of_its_own(record: Callable[..., Path], tmp_path: Path) -> None:
+    right, left = record("right.mcap", 0, 300), record("left.mcap", 100, 500, "yumi_left")
+    both = merge([left, right], tmp_path / "both.mcap")
+    alone = cut(both, tmp_path / "alone.mcap", 0.2, 0.6, robot="yumi_left")
+    assert inspect(alone).robots == ("yumi_left",)
+    assert {one.name.split("/")[1] for one in inspect(alone).topics} == {"yumi_left"}
+    assert read(alone).sha256 == read(left).between(0.2, 0.6).sha256
+    assert texts(alone) == texts(cut(left, tmp_path / "own.mcap", 0.2, 0.6))
+    assert inspect(alone).summary["rows"] == len(read(alone))
+    with pytest.raises(UnknownName, match="yumi_right"):
+        cut(both, tmp_path / "none.mcap", robot="yumi_rihgt")
+    assert not (tmp_path / "none.mcap").exists()
 
 
 def test_a_recording_without_rows_sets_no_clock(record: Callable[..., Path], tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from armlab.log import nikon
 from armlab.log.abb import read_abb
+from armlab.log.arm_log import read_arm
 from armlab.log.column import Column
 from armlab.log.delimited import read_csv
 from armlab.log.growing import Log, Tail
@@ -36,6 +37,7 @@ __all__ = [
     "nikon",
     "read",
     "read_abb",
+    "read_arm",
     "read_csv",
     "read_labcomm",
     "read_mat",

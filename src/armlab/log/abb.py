@@ -58,7 +58,7 @@ class _Map(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     skip: int = 0
 
 
-def read_abb(path: str | Path, map: str | Path, arm: str | None = None) -> Table:
+def read_abb(path: str | Path, map: str | Path, arm: str | None = None, *, raw: bool = False) -> Table:
     """Return the table in a text file of test signals, in SI, from base to tool.
 
     Degrees, millimetres and ABB's order of axes are brought to ours; an axis that was not logged is missing (NaN).
@@ -71,6 +71,7 @@ def read_abb(path: str | Path, map: str | Path, arm: str | None = None) -> Table
         ``rate`` [Hz]; ``separator``, one character, a space for any number of them; ``skip`` lines at the beginning;
         ``header = false`` where there are no labels: the columns are "1", "2", ...; ``arm`` where all are of one.
     arm : which, of a map with several; a name of the library or a robot file.
+    raw : keep rows whose time does not advance; they are dropped else, counted in the notes and warned of.
 
     Returns
     -------
@@ -99,7 +100,7 @@ def read_abb(path: str | Path, map: str | Path, arm: str | None = None) -> Table
         if name in arrays:
             raise ConfigError(f"Expected each signal of an axis once in {map}, got {name} twice. Mend the map.")
         arrays[name] = (_numbers(path, about, fields, label), _unit(one, robot, map))
-    return _joined(labelled_table(path, arrays, rate=about.rate), robot, map)
+    return _joined(labelled_table(path, arrays, rate=about.rate, raw=raw), robot, map)
 
 
 def _read_map(path: Path) -> _Map:

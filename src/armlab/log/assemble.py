@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from armlab.log.column import Column
 from armlab.log.table import Table
 
-__all__ = ["in_time_order", "recording_clock", "recording_table", "spread", "wall_at_zero"]
+__all__ = ["in_time_order", "recording_clock", "recording_table", "rows_in_order", "wall_at_zero"]
 
 _PADDED = ("q_ext", "q_ext_ref", "q_ext_sent", "rapid_data", "rapid_data_sent")  # as many as a robot may have
 
@@ -35,21 +35,15 @@ def recording_table(
     columns : their descriptions.
     stamp_ns : (N,) wall clock of each row.
     notes, source : as in `Table`.
-    raw : keep rows whose clock does not advance; `t` is then the row's stamp order, one nanosecond apart.
+    raw : keep rows whose clock does not advance, one nanosecond after the row before.
 
     Returns
     -------
     Table : on the robot's clock where it was recorded, else on the bridge's.
     """
     t, clock = recording_clock(values, stamp_ns)
-    keep, lost = in_time_order(t)
-    notes = list(notes)
-    if raw and lost:
-        t, keep = spread(t), np.ones(len(t), dtype=bool)
-    elif lost:
-        rows = ", ".join(str(row) for row in np.flatnonzero(~keep)[:5])
-        notes.append(f"{lost} rows dropped: their time does not advance (rows {rows}{', ...' if lost > 5 else ''})")
-        warnings.warn(f"{notes[-1]}; log.read(..., raw=True) keeps them", stacklevel=2)
+    t, keep, dropped = rows_in_order(t, raw)
+    notes = [*notes, *dropped]
     values = {name: _used(array) if name in _PADDED else array for name, array in values.items()}
     if not keep.all():
         values = {name: array[keep] for name, array in values.items()}
@@ -111,7 +105,30 @@ def in_time_order(t: np.ndarray) -> tuple[np.ndarray, int]:
     return keep, int((~keep).sum())
 
 
-def spread(t: np.ndarray) -> np.ndarray:
+def rows_in_order(
+    t: np.ndarray, raw: bool, row: Callable[[int], str] = "row {}".format, of: str = ""
+) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+    """Return times (N,) that increase in the rows that stay, the mask (N,) of these, and a note of the others.
+
+    What is dropped is warned of, once. The same for every format.
+
+    Parameters
+    ----------
+    t : (N,) times [s]. raw : every row stays, one nanosecond after the row before where the clock does not advance.
+    row : what the file calls the row of a number. of : whose rows they are.
+    """
+    keep, lost = in_time_order(t)
+    if not lost:
+        return t, keep, ()
+    if raw:
+        return _spread(t), np.ones(len(t), dtype=bool), ()
+    first = ", ".join(row(int(number)) for number in np.flatnonzero(~keep)[:5])
+    note = f"{lost} rows{of} dropped: their time does not advance ({first}{', ...' if lost > 5 else ''})"
+    warnings.warn(f"{note}; raw=True keeps them", stacklevel=4)
+    return t, keep, (note,)
+
+
+def _spread(t: np.ndarray) -> np.ndarray:
     """Return times that increase: where the clock stands or steps back, one nanosecond after the row before."""
     spread = np.where(np.isfinite(t), t, -np.inf)
     steps = np.arange(len(t)) * 1e-9

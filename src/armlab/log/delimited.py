@@ -37,14 +37,21 @@ DECIMAL_COMMA = re.compile(r"^[+-]?\d+,\d+([eE][+-]?\d+)?$")
 
 
 def read_csv(
-    path: str | Path, *, rate: float | None = None, skip: int = 0, separator: str = ",", every: int = 1
+    path: str | Path,
+    *,
+    rate: float | None = None,
+    skip: int = 0,
+    separator: str = ",",
+    every: int = 1,
+    raw: bool = False,
 ) -> Table:
     """Return the table in a text file with one header line; gzip is unpacked.
 
     A file that `write` made comes back as it was, by the file beside it, ``run.csv.toml``. Of others:
 
-    Empty fields and "nan" are missing (NaN). Rows that repeat a time are dropped and counted in the notes. A column
-    with a word in it is text. Leading "- " of a label, as some ROS exports have, is dropped.
+    Empty fields and "nan" are missing (NaN). Rows whose time does not advance are dropped, counted in the notes and
+    warned of by their lines. A column with a word in it is text. Leading "- " of a label, as some ROS exports have, is
+    dropped.
 
     Parameters
     ----------
@@ -53,6 +60,7 @@ def read_csv(
     skip : lines before the header.
     separator : between fields.
     every : keep every so many rows; filter first where that folds noise (signals.decimate).
+    raw : keep rows whose time does not advance.
 
     Returns
     -------
@@ -60,8 +68,8 @@ def read_csv(
 
     Raises
     ------
-    LogError : no file, no text, no clock, lines of another length, times that run backwards, a unit that is not known,
-        names that come twice, a decimal comma; each with the line or the column.
+    LogError : no file, no text, no clock, lines of another length, a unit that is not known, names that come
+        twice, a decimal comma; each with the line or the column.
     """
     path = Path(path)
     if (rate is not None and not 0 < rate < np.inf) or skip < 0 or every < 1 or len(separator) != 1:
@@ -84,7 +92,9 @@ def read_csv(
             if array.dtype.kind == "U":
                 notes.append(f"{name}: text, because of {next(x for x in of_one if not _is_number(x))!r}")
     arrays = {name: (array, unit) for (name, unit), array in zip(names, found, strict=True)}
-    return labelled_table(path, arrays, rate=rate, every=every, notes=notes, row=lambda k: f"line {k + skip + 2}")
+    return labelled_table(
+        path, arrays, rate=rate, every=every, notes=notes, row=lambda k: f"line {k + skip + 2}", raw=raw
+    )
 
 
 def _open(path: Path) -> BinaryIO:

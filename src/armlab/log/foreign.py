@@ -15,7 +15,9 @@ from armlab.log.table import Table
 __all__ = ["foreign_table"]
 
 
-def foreign_table(path: Path, arrays: Mapping[str, tuple[np.ndarray, str]], left_out: Sequence[str] = ()) -> Table:
+def foreign_table(
+    path: Path, arrays: Mapping[str, tuple[np.ndarray, str]], left_out: Sequence[str] = (), raw: bool = False
+) -> Table:
     """Return the table of arrays by name.
 
     The clock is t, time or timestamp. Other arrays have as many rows, or as many columns: they are transposed. Names of
@@ -24,11 +26,11 @@ def foreign_table(path: Path, arrays: Mapping[str, tuple[np.ndarray, str]], left
     Parameters
     ----------
     path : where they are from. arrays : name -> values and unit, "" for none.
-    left_out : names of what was not read, for the notes.
+    left_out : names of what was not read, for the notes. raw : keep rows whose time does not advance.
 
     Raises
     ------
-    LogError : no clock, times that run backwards, a unit that is not known, columns that the glossary has otherwise.
+    LogError : no clock, a unit that is not known, columns that the glossary has otherwise.
     """
     named = {OLD_NAMES.get(name, name): entry for name, entry in arrays.items()}
     clock = next((name for name in CLOCKS if name in named and _is_line(named[name][0])), None)
@@ -47,7 +49,7 @@ def foreign_table(path: Path, arrays: Mapping[str, tuple[np.ndarray, str]], left
         else:
             kept[name] = (fitting, unit)
     notes = [f"left out: {', '.join(other)}"] if other else []
-    return labelled_table(path, kept, notes=notes)
+    return labelled_table(path, kept, notes=notes, raw=raw)
 
 
 def _is_line(array: np.ndarray) -> bool:

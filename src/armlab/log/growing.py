@@ -14,7 +14,7 @@ from armlab.errors import LogError
 from armlab.log.assemble import recording_table
 from armlab.log.column import Column
 from armlab.log.labels import OLD_NAMES
-from armlab.log.recording_file import RecordingFile
+from armlab.log.recording_file import RecordingFile, recording_path
 from armlab.log.rows import RowLayout, Tick
 from armlab.log.table import Table
 from armlab.state import Command, State
@@ -94,13 +94,13 @@ class Log:
 
         Raises
         ------
+        ConfigError : another ending; `write` makes files of other formats from `table()`.
         LogError : it cannot be written; nothing is left then.
         """
         rows = self._rows.copy()
-        file = RecordingFile(path, self._robot, self._layout, {}, note)
+        file = RecordingFile(recording_path(path), self._robot, self._layout, {}, note)
         try:
-            for number, row in enumerate(rows):
-                file.write(row, number)
+            file.write(list(rows), 0)
             file.finish({"rows": len(rows)})
         except BaseException as error:
             file.abandon()

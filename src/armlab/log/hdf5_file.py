@@ -82,12 +82,12 @@ def _dataset(h5py: Any, whole: Any, name: str, array: np.ndarray) -> Any:
     return whole.create_dataset(name, data=array, chunks=chunks, compression="gzip", compression_opts=1, shuffle=True)
 
 
-def read_hdf5(path: Path, columns: Sequence[str] | None = None) -> Table:
+def read_hdf5(path: Path, columns: Sequence[str] | None = None, *, raw: bool = False) -> Table:
     """Return the table in an HDF5 file: one of `write_hdf5`, or the datasets of another program by `foreign_table`.
 
     Parameters
     ----------
-    path : of the file. columns : read only these of a file of ours.
+    path : of the file. columns : read only these of a file of ours. raw : keep rows whose time does not advance.
 
     Raises
     ------
@@ -99,7 +99,7 @@ def read_hdf5(path: Path, columns: Sequence[str] | None = None) -> Table:
         with h5py.File(path, "r") as whole:
             if "armlab" not in whole.attrs:
                 arrays, left_out = _datasets(h5py, whole)
-                return foreign_table(path, arrays, left_out)
+                return foreign_table(path, arrays, left_out, raw)
             about, names = _described(whole)
             wanted = list(names) if columns is None else list(columns)
             for name in wanted:

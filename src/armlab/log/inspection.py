@@ -12,7 +12,7 @@ from armlab.errors import LogError
 from armlab.log.formats import check_readable
 from armlab.log.mcap_decode import message_counts, messages
 from armlab.log.mcap_records import DAMAGE, Contents, contents
-from armlab.log.reading import opened, summary_of
+from armlab.log.reading import naming, opened, summary_of
 from armlab.log.recording_columns import clocks
 from armlab.wire import cdr
 
@@ -84,7 +84,7 @@ def inspect(path: str | Path) -> Inspection:
     """
     path = Path(path)
     check_readable(path)
-    with opened(path) as view:
+    with opened(path) as view, naming(path):
         try:
             found = contents(view)
             attachments = {attached.name: bytes(view[slice(*attached.data)]) for attached in found.attachments}

@@ -16,7 +16,7 @@ import numpy as np
 
 from armlab import glossary
 from armlab.errors import ArmlabError, LabCommError, LogError, UnknownName
-from armlab.log.assemble import in_time_order
+from armlab.log.assemble import rows_in_order
 from armlab.log.column import Column
 from armlab.log.formats import FIRST, format_of
 from armlab.log.provenance import file_hash
@@ -43,7 +43,7 @@ class _Leaf:
     rows: list[int] = field(default_factory=list)
 
 
-def read_labcomm(path: str | Path, *, sample: str | None = None, rate: float | None = None) -> Table:
+def read_labcomm(path: str | Path, *, sample: str | None = None, rate: float | None = None, raw: bool = False) -> Table:
     """Return the table in a file with a LabComm stream, as the ancestors' loggers wrote it.
 
     A row per value of the sample that paces; the others are held, and missing before their first value. An array of
@@ -55,6 +55,7 @@ def read_labcomm(path: str | Path, *, sample: str | None = None, rate: float | N
     path : the file: definitions and values, in any dialect that announces itself.
     sample : name of the sample that paces; the one with most values when None.
     rate : [Hz] of its values. When None their clock is a field t_us [us], tm [ms], t or time [s] of the sample.
+    raw : keep rows whose time does not advance.
 
     Returns
     -------
@@ -79,17 +80,18 @@ def read_labcomm(path: str | Path, *, sample: str | None = None, rate: float | N
     pace = max(counts, key=counts.__getitem__) if sample is None else sample
     leaves = _leaves(samples, pace)
     columns = {label: _column(leaf, counts[pace]) for label, leaf in leaves.items()}
-    t, keep, notes = _clock(path, columns, pace, counts[pace], rate)
+    t = _clock(path, columns, pace, counts[pace], rate)
+    ends = f"{path.name} ends within a packet: its last {torn} bytes are left out"
     if torn:
-        notes.insert(0, f"{path.name} ends within a packet: its last {torn} bytes are left out")
-    if notes:
-        warnings.warn("; ".join(notes), stacklevel=2)
+        warnings.warn(ends, stacklevel=2)
+    t, keep, dropped = rows_in_order(t, raw)
+    notes = (ends, *dropped) if torn else dropped
     try:
         return Table(
-            t,
+            t[keep],
             {label: values[keep] for label, values in columns.items()},
             {label: Column(unit=_unit(label), kind=_KINDS[values.dtype.kind]) for label, values in columns.items()},
-            notes=tuple(notes),
+            notes=notes,
             source=(f"{path.name} sha256 {file_hash(path)}",),
         )
     except ArmlabError as error:
@@ -174,12 +176,10 @@ def _column(leaf: _Leaf, rows: int) -> np.ndarray:
     return held
 
 
-def _clock(
-    path: Path, columns: dict[str, np.ndarray], pace: str, rows: int, rate: float | None
-) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Return the times [s] of the rows that are kept, which those are, and notes."""
+def _clock(path: Path, columns: dict[str, np.ndarray], pace: str, rows: int, rate: float | None) -> np.ndarray:
+    """Return the times [s] of the rows."""
     if rate is not None:
-        return np.arange(rows) / rate, np.ones(rows, dtype=bool), []
+        return np.arange(rows) / rate
     name = next((name for name in _CLOCKS if f"{pace}.{name}" in columns), None)
     stamps = columns[f"{pace}.{name}"] if name else np.zeros(0)
     if name is None or stamps.ndim != 1 or stamps.dtype.kind not in "if" or not np.isfinite(stamps).all():
@@ -190,9 +190,7 @@ def _clock(
     steps = np.diff(stamps, prepend=stamps[:1])
     if name == "tm":
         steps = (steps + _WRAP // 2) % _WRAP - _WRAP // 2
-    t = np.cumsum(steps) * _CLOCKS[name]
-    keep, lost = in_time_order(t)
-    return t[keep], keep, [f"{lost} rows dropped: their {pace}.{name} does not advance"] if lost else []
+    return np.cumsum(steps) * _CLOCKS[name]
 
 
 def _unit(label: str) -> str | None:

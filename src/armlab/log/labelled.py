@@ -15,6 +15,7 @@ import numpy as np
 
 from armlab import glossary
 from armlab.errors import ArmlabError, LogError
+from armlab.log.assemble import rows_in_order
 from armlab.log.column import Column
 from armlab.log.provenance import origin
 from armlab.log.table import Table
@@ -94,14 +95,16 @@ def labelled_table(
     every: int = 1,
     notes: Sequence[str] = (),
     row: Callable[[int], str] = "row {}".format,
+    raw: bool = False,
 ) -> Table:
-    """Return the table of columns with units of their own; rows that repeat a time are dropped and counted.
+    """Return the table of columns with units of their own; rows whose time does not advance are dropped and counted.
 
     Parameters
     ----------
     path : where they are from. arrays : name -> values (N, ...) and unit, "" for none; t or time is the clock.
     rate : [Hz] where there is no clock. every : keep every so many rows.
-    notes : of the reader. row : what the file calls the row of a number, for errors.
+    notes : of the reader. row : what the file calls the row of a number, for notes and errors.
+    raw : keep rows whose time does not advance.
 
     Returns
     -------
@@ -109,22 +112,19 @@ def labelled_table(
 
     Raises
     ------
-    LogError : no clock, times that run backwards, a unit that is not known, columns that the glossary has otherwise.
+    LogError : no clock, a unit that is not known, columns that the glossary has otherwise.
     """
     values, columns = _in_si(path, arrays)
     t = _clock(path, values, columns, rate, row)
-    kept = np.flatnonzero(np.diff(t, prepend=-np.inf) > 0)
-    notes = list(notes)
-    if len(kept) < len(t):
-        notes.append(f"{len(t) - len(kept)} rows that repeat a time are dropped")
-    kept = kept[::every]
+    t, in_order, dropped = rows_in_order(t, raw, row)
+    kept = np.flatnonzero(in_order)[::every]
     values, columns = _together(values, columns)
     try:
         return Table(
             t[kept] - (t[kept[0]] if len(kept) else 0.0),
             {name: array[kept] for name, array in values.items()},
             columns,
-            notes=tuple(notes),
+            notes=(*notes, *dropped),
             source=(origin(path),),
         )
     except ArmlabError as error:
@@ -180,13 +180,6 @@ def _clock(
     bad = np.flatnonzero(~np.isfinite(t))
     if len(bad):
         raise LogError(f"Expected a time in every row of {path}, got none in {row(int(bad[0]))}.")
-    back = np.flatnonzero(np.diff(t) < 0)
-    if len(back):
-        at = int(back[0]) + 1
-        raise LogError(
-            f"Expected times that do not run backwards in {path}, got {t[at]:.9g} s in {row(at)} after "
-            f"{t[at - 1]:.9g} s ({len(back)} such rows). Cut the file there, or mend its clock."
-        )
     return t
 
 

@@ -71,12 +71,12 @@ def write_mat(table: Table, file: BinaryIO, progress: Progress) -> None:
     savemat(_Told(file, whole, progress), variables, long_field_names=True, oned_as="column")
 
 
-def read_mat_table(path: Path) -> Table:
+def read_mat_table(path: Path, *, raw: bool = False) -> Table:
     """Return the table in a MAT file: one of `write_mat`, or the arrays of another program by `foreign_table`.
 
     Parameters
     ----------
-    path : of the file, v5 to v7.3.
+    path : of the file, v5 to v7.3. raw : keep rows whose time does not advance.
 
     Raises
     ------
@@ -85,7 +85,7 @@ def read_mat_table(path: Path) -> Table:
     found, left_out = read_variables(path)
     text = found.get("armlab")
     if text is None or text.dtype.kind != "U" or text.shape != (1, 1):
-        return foreign_table(path, {name: (value, "") for name, value in found.items()}, left_out)
+        return foreign_table(path, {name: (value, "") for name, value in found.items()}, left_out, raw)
     about = of_json(str(text[0, 0]), path)
     names = matlab_names(about.columns)
     missing = [name for name, own in {"t": "t", **names}.items() if own not in found]

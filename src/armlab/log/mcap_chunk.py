@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import threading
 import zlib
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from armlab.errors import LogError
+
+if TYPE_CHECKING:
+    import zstandard
 
 __all__ = ["Chunk", "end_of_blocks", "unpacked"]
 
@@ -13,6 +18,7 @@ _MAX_CHUNK = 1 << 31  # bytes; a larger size is a damaged one
 _MAX_OPEN = 1 << 28  # bytes; of a chunk that does not tell its size
 _PIECE = 1 << 20
 _REPEATED, _RESERVED = 1, 3  # kinds of zstd blocks
+_of_thread = threading.local()
 
 
 @dataclass(slots=True)
@@ -104,6 +110,15 @@ def _unpacked_open(packed: bytes) -> bytes:
     return data[:end]
 
 
+def _decompressor() -> zstandard.ZstdDecompressor:
+    """Return the decompressor of this thread: its tables are as large as a chunk."""
+    import zstandard
+
+    if not hasattr(_of_thread, "decompressor"):
+        _of_thread.decompressor = zstandard.ZstdDecompressor()
+    return _of_thread.decompressor
+
+
 def _decompressed(packed: memoryview, chunk: Chunk) -> bytes:
     if chunk.compression == "":
         return bytes(packed)
@@ -114,7 +129,7 @@ def _decompressed(packed: memoryview, chunk: Chunk) -> bytes:
             declared = zstandard.frame_content_size(packed)
             if declared not in (-1, chunk.size):  # before anything of that size is allocated
                 raise LogError(f"Expected {chunk.size} bytes in the chunk at byte {chunk.start}, got {declared}.")
-            return zstandard.ZstdDecompressor().decompress(packed, max_output_size=chunk.size)
+            return _decompressor().decompress(packed, max_output_size=chunk.size)
         if chunk.compression == "lz4":
             import lz4.frame
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from armlab.wire import cdr
 
-__all__ = ["MessageReader", "Values", "Variant", "assembled", "decode_block", "split"]
+__all__ = ["MessageReader", "Values", "Variant", "assembled", "decode_block", "split", "variant_of"]
 
 _MAX_VARIANTS = 8  # layouts remembered per channel and length; text that differs in every message is read one by one
 
@@ -60,13 +60,13 @@ def decode_block(block: np.ndarray, rows: np.ndarray, reader: MessageReader) -> 
         if not len(block):
             return
     while len(block) and len(known) < _MAX_VARIANTS:
-        variant = _variant(block[0], reader)
+        variant = variant_of(block[0], reader)
         known.append(variant)
         same = _same(block, variant)
         yield rows[same], variant.numbers(block[same])
         block, rows = block[~same], rows[~same]
     for k in range(len(block)):  # all against all would be quadratic
-        yield rows[k : k + 1], _variant(block[k], reader).numbers(block[k : k + 1])
+        yield rows[k : k + 1], variant_of(block[k], reader).numbers(block[k : k + 1])
 
 
 def _same(block: np.ndarray, variant: Variant) -> np.ndarray:
@@ -79,7 +79,7 @@ def _same(block: np.ndarray, variant: Variant) -> np.ndarray:
     return same
 
 
-def _variant(first: np.ndarray, reader: MessageReader) -> Variant:
+def variant_of(first: np.ndarray, reader: MessageReader) -> Variant:
     """Walk one message: its bytes outside the numbers, and the wanted numbers as runs."""
     raw = first.tobytes()
     found = cdr.layout(raw, reader.type, reader.types)

@@ -85,6 +85,11 @@ class McapWriter:
         self._metadata: list[bytes] = []
         self._put(MAGIC + _record(HEADER, _text(profile), _text(library)))
 
+    @property
+    def size(self) -> int:
+        """Bytes in the chunk in progress: where the next record in it will be."""
+        return 0 if self._chunk is None else self._chunk.size
+
     def metadata(self, name: str, pairs: Mapping[str, str]) -> None:
         """Write a map of texts under a name."""
         self.close_chunk()
@@ -145,18 +150,27 @@ class McapWriter:
         ----------
         channel, sequence : numbers. log_ns, publish_ns : its times [ns]. data : copied.
         """
+        length = _MESSAGE_PREFIX + len(data)
+        record = _MESSAGE.pack(MESSAGE, length, channel, sequence, log_ns, publish_ns) + data
+        self.records(record, {channel: _ENTRY.pack(log_ns, self.size)}, log_ns, log_ns)
+
+    def records(self, data: bytes, entries: Mapping[int, bytes], first_ns: int, last_ns: int) -> None:
+        """Add messages that are records already, as `kernels.RowEncoder` makes them, to the chunk in progress.
+
+        Parameters
+        ----------
+        data : the records. entries : of the message index, by channel; the first record is at `size`.
+        first_ns, last_ns : earliest and latest time of the messages [ns].
+        """
         chunk = self._chunk
         if chunk is None:
-            chunk = self._chunk = _OpenChunk(self._at, self._compressor.compressobj(), log_ns)
+            chunk = self._chunk = _OpenChunk(self._at, self._compressor.compressobj(), first_ns)
             self._put(_CHUNK.pack(CHUNK, OPEN, 0, 0, 0, 0, 4, b"zstd", OPEN))
-        index = chunk.indexes.get(channel)
-        if index is None:
-            index = chunk.indexes[channel] = bytearray()
-        index += _ENTRY.pack(log_ns, chunk.size)
-        length = _MESSAGE_PREFIX + len(data)
-        chunk.pending += (_MESSAGE.pack(MESSAGE, length, channel, sequence, log_ns, publish_ns), bytes(data))
-        chunk.size += 9 + length
-        chunk.first_ns, chunk.last_ns = min(chunk.first_ns, log_ns), max(chunk.last_ns, log_ns)
+        for channel, made in entries.items():
+            chunk.indexes.setdefault(channel, bytearray()).extend(made)
+        chunk.pending.append(data)
+        chunk.size += len(data)
+        chunk.first_ns, chunk.last_ns = min(chunk.first_ns, first_ns), max(chunk.last_ns, last_ns)
 
     def push(self) -> None:
         """Give all messages to the kernel: they survive the end of this process (not of the machine)."""
@@ -232,7 +246,7 @@ def _record(kind: int, *parts: bytes) -> bytes:
 
 
 def _text(text: str) -> bytes:
-    raw = text.encode()
+    raw = text.encode(errors="backslashreplace")  # the name of a file that is no UTF-8, in a command line
     return struct.pack("<I", len(raw)) + raw
 
 

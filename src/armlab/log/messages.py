@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 import re
-import struct
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence, Set
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -16,8 +15,8 @@ from armlab.log.rows import SELDOM, RowLayout, Slot
 from armlab.wire import cdr
 
 __all__ = [
-    "CLOCK_KEY", "CLOCK_NAME_KEY", "COLUMN_KEY", "T0_KEY", "Pen", "Topic", "blank", "clock_metadata", "column_topic",
-    "definition", "event", "parameter", "store", "topic_name", "topics",
+    "CLOCK_KEY", "CLOCK_NAME_KEY", "COLUMN_KEY", "T0_KEY", "Plan", "Topic", "blank", "clock_metadata", "column_topic",
+    "definition", "event", "parameter", "plan", "store", "topic_name", "topics",
 ]  # fmt: skip
 
 CLOCK_KEY = "armlab.clock"  # channel metadata: the messages of this channel are the rows of the table
@@ -27,7 +26,7 @@ COLUMN_KEY = "column."  # channel metadata "column.<name>": JSON, how to rebuild
 
 _TICK_NUMBERS = (
     "tick", "seq", "seq_sent", "session", "missed", "drops", "robot_ns", "receive_ns", "send_ns",
-    "step_ns", "motors", "mci", "rapid", "qd_source", "tau_source",
+    "step_ns", "wake_ns", "motors", "mci", "rapid", "qd_source", "tau_source",
 )  # fmt: skip
 _TICK_REALS = ("session_t", "dt", "utilization")
 _TICK_FLAGS = ("converged", "late")
@@ -48,6 +47,7 @@ _OWN_TYPES = {
     "armlab_msgs/msg/WrenchEstimate": "std_msgs/Header header\nfloat64[6] wrench\nfloat64[36] covariance",
 }
 _WRENCH = tuple(f"wrench.{part}.{axis}" for part in ("force", "torque") for axis in "xyz")
+_RAW = ".wrench_raw"  # the end of the column of a force sensor in its own axes, behind the name of its source
 _POSE = tuple(f"pose.position.{axis}" for axis in "xyz") + tuple(f"pose.orientation.{axis}" for axis in "xyzw")
 
 
@@ -113,8 +113,30 @@ def topics(layout: RowLayout, joint_names: Sequence[str]) -> list[Topic]:
             "base",
         ),
     ]
-    own = ["q_planned", "q_ext", "wrench", *SELDOM, *(name for name in layout.extra if name not in found[-1].fields)]
-    return found + [column_topic(name) for name in own]
+    own = [name for name in layout.extra if name not in found[-1].fields]
+    found += [column_topic(name) for name in ("q_planned", "q_ext", "wrench", *SELDOM)]
+    found += [
+        _sensor(name) if name.endswith(_RAW) and layout.slots[name].size == 6 else column_topic(name) for name in own
+    ]
+    return _distinct(found)
+
+
+def _distinct(found: Sequence[Topic]) -> list[Topic]:
+    """Number topics that would have one name, as of columns "a.b" and "a_b": other programs take them for one."""
+    named: dict[str, Topic] = {}
+    for topic in found:
+        name, number = topic.name, 1
+        while name in named:
+            number += 1
+            name = f"{topic.name}_{number}"
+        named[name] = replace(topic, name=name)
+    return list(named.values())
+
+
+def _sensor(name: str) -> Topic:
+    """Return the topic of a force sensor that is a source of its own, as measured: ``wrench/<source>``."""
+    source = name.removesuffix(_RAW)
+    return Topic(f"wrench/{topic_name(source)}", "geometry_msgs/msg/WrenchStamped", {name: _WRENCH}, source)
 
 
 def column_topic(name: str) -> Topic:
@@ -154,7 +176,7 @@ def event(stamp_ns: int, text: str, level: int = 20) -> bytes:
     types = store().types
     stamp = types["builtin_interfaces/msg/Time"](sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
     log = types["rcl_interfaces/msg/Log"](
-        stamp=stamp, level=level, name="armlab", msg=text, file="", function="", line=0
+        stamp=stamp, level=level, name="armlab", msg=_in_utf8(text), file="", function="", line=0
     )
     return bytes(store().serialize_cdr(log, "rcl_interfaces/msg/Log"))
 
@@ -164,82 +186,61 @@ def parameter(stamp_ns: int, sequence: int, name: str, value: Any, who: str) -> 
     types = store().types
     stamp = types["builtin_interfaces/msg/Time"](sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
     text = json.dumps(getattr(value, "tolist", lambda: value)())
-    setting = types["armlab_msgs/msg/Parameter"](stamp=stamp, sequence=sequence, name=name, value=text, who=who)
+    words = {"name": _in_utf8(name), "value": text, "who": _in_utf8(who)}
+    setting = types["armlab_msgs/msg/Parameter"](stamp=stamp, sequence=sequence, **words)
     return bytes(store().serialize_cdr(setting, "armlab_msgs/msg/Parameter"))
 
 
-@dataclass(slots=True)
-class _Template:
-    """A serialised message whose stamp and numbers are patched: pairs of places (in the message, in the row)."""
-
-    buffer: bytearray
-    view: memoryview
-    copies: list[tuple[int, int, int, int]] = field(default_factory=list)
+def _in_utf8(text: str) -> str:
+    """Return a text that can be written: half a character, as from JSON or a file name, must not end a recording."""
+    return text.encode(errors="backslashreplace").decode()
 
 
-class Pen:
-    """Writes the messages of one topic: serialised once by rosbags, then patched from the bytes of a row.
+Plan = tuple[int, bool, list[tuple[int, bytes, bool]], list[tuple[bytes, list[tuple[int, int, int]]]], bool]
+
+
+def plan(channel: int, topic: Topic, slots: Mapping[str, Slot]) -> Plan:
+    """Return how `kernels.RowEncoder` writes the messages of a topic: templates that rosbags serialised, and copies.
 
     Parameters
     ----------
-    topic : what to write.
-    slots : where its columns are in a row.
+    channel : number of the topic in the file. topic : what to write. slots : where its columns are in a row.
     """
-
-    def __init__(self, topic: Topic, slots: Mapping[str, Slot]) -> None:
-        self.topic = topic
-        self._slots = {name: slots[name] for name in topic.fields}
-        self._variants: dict[tuple[bool, ...], _Template] = {}
-        self._places = [(slot.start, slot.stop, slot.nothing) for slot in self._slots.values()]
-        self._pose = self._slots.get("T_frame_tool")
-
-    def message(self, row: bytes, stamp_ns: int) -> bytearray | None:
-        """Return the message of a row, valid until the next call; None when the row has none of its columns."""
-        present = tuple([row[start:stop] not in (nothing, b"") for start, stop, nothing in self._places])
-        if not (self.topic.clock or any(present)):
-            return None
-        template = self._variants.get(present)
-        if template is None:
-            template = self._variants[present] = self._build(row, present)
-        struct.pack_into("<iI", template.buffer, 4, stamp_ns // 1_000_000_000, stamp_ns % 1_000_000_000)
-        view = template.view
-        if self._pose:
-            view[template.copies[0][0] : template.copies[-1][1]] = _pose_bytes(row, self._pose)
-            return template.buffer
-        for start, stop, first, last in template.copies:
-            view[start:stop] = row[first:last]
-        return template.buffer
-
-    def _build(self, row: bytes, present: tuple[bool, ...]) -> _Template:
-        """Serialise a message with the sequences of this variant and find its numbers."""
-        counts = {}
-        for (name, slot), there in zip(self._slots.items(), present, strict=True):
-            counts[name] = slot.size if there or name not in self.topic.optional else 0
-        raw = _serialised(self.topic, counts)
-        found = cdr.layout(raw, self.topic.type, cdr.definitions(self.topic.type, definition(self.topic.type)))
-        buffer = bytearray(raw)
-        template = _Template(buffer, memoryview(buffer))
-        for name, paths in self.topic.fields.items():
-            at = self._slots[name].start
-            for path in paths:
-                place = found.field(path)
-                if place is None or not counts[name]:
-                    continue
-                width = place.stop - place.start
-                template.copies.append((place.start, place.stop, at, at + width))
-                at += width
-        template.copies = _merged(template.copies)
-        return template
+    held = {name: slots[name] for name in topic.fields}
+    columns = [(slot.start, slot.nothing, name in topic.optional) for name, slot in held.items()]
+    optional = [name for name in held if name in topic.optional]
+    variants = []
+    for there in range(1 << len(optional)):
+        absent = {name for bit, name in enumerate(optional) if not there >> bit & 1}
+        variants.append(_variant(topic, held, absent))
+    return channel, topic.clock, columns, variants, "T_frame_tool" in held
 
 
-def _merged(copies: list[tuple[int, int, int, int]]) -> list[tuple[int, int, int, int]]:
+def _variant(topic: Topic, slots: Mapping[str, Slot], absent: Set[str]) -> tuple[bytes, list[tuple[int, int, int]]]:
+    """Serialise a message in which the sequences of some columns are empty, and find its numbers."""
+    counts = {name: 0 if name in absent else slot.size for name, slot in slots.items()}
+    raw = _serialised(topic, counts)
+    found = cdr.layout(raw, topic.type, cdr.definitions(topic.type, definition(topic.type)))
+    copies = []
+    for name, paths in topic.fields.items():
+        at = slots[name].start
+        for path in paths:
+            place = found.field(path)
+            if place is None or not counts[name]:
+                continue
+            copies.append((place.start, at, place.stop - place.start))
+            at += place.stop - place.start
+    return raw, _merged(copies)
+
+
+def _merged(copies: list[tuple[int, int, int]]) -> list[tuple[int, int, int]]:
     """Join copies that continue each other in the message and in the row."""
-    merged: list[tuple[int, int, int, int]] = []
-    for copy in copies:
-        if merged and merged[-1][1] == copy[0] and merged[-1][3] == copy[2]:
-            merged[-1] = (merged[-1][0], copy[1], merged[-1][2], copy[3])
+    merged: list[tuple[int, int, int]] = []
+    for to, start, count in copies:
+        if merged and (to, start) == (merged[-1][0] + merged[-1][2], merged[-1][1] + merged[-1][2]):
+            merged[-1] = (*merged[-1][:2], merged[-1][2] + count)
         else:
-            merged.append(copy)
+            merged.append((to, start, count))
     return merged
 
 
@@ -269,24 +270,3 @@ def blank(name: str) -> Any:
             texts = int(element[0]) == 1 and element[1][0] == "string"
             values[field_name] = [""] * length if texts else np.zeros(length, dtype=element[1][0])
     return store().types[name](**values)
-
-
-def _pose_bytes(row: bytes, slot: Slot) -> bytes:
-    """Return position xyz and quaternion xyzw of a pose in a row; w is not negative."""
-    r = struct.unpack_from("<16d", row, slot.start)
-    # Shepperd's method: divide by the largest of the four components
-    trace = r[0] + r[5] + r[10]
-    squares = (r[0] - r[5] - r[10], r[5] - r[0] - r[10], r[10] - r[0] - r[5], trace)
-    largest = max(range(4), key=squares.__getitem__)
-    big = (1.0 + squares[largest]) ** 0.5 / 2.0
-    s = 0.25 / big
-    xy, xz, yz = r[4] + r[1], r[8] + r[2], r[9] + r[6]
-    xw, yw, zw = r[9] - r[6], r[2] - r[8], r[4] - r[1]
-    x, y, z, w = (
-        (big, xy * s, xz * s, xw * s),
-        (xy * s, big, yz * s, yw * s),
-        (xz * s, yz * s, big, zw * s),
-        (xw * s, yw * s, zw * s, big),
-    )[largest]
-    sign = -1.0 if w < 0.0 else 1.0
-    return struct.pack("<7d", r[3], r[7], r[11], sign * x, sign * y, sign * z, sign * w)

@@ -50,12 +50,12 @@ def write_parquet(table: Table, file: BinaryIO, progress: Progress) -> None:
             progress(min(start + ROWS, len(table)), len(table), "rows")
 
 
-def read_parquet(path: Path, columns: Sequence[str] | None = None) -> Table:
+def read_parquet(path: Path, columns: Sequence[str] | None = None, *, raw: bool = False) -> Table:
     """Return the table in a Parquet file: one of `write_parquet`, or the columns of another program.
 
     Parameters
     ----------
-    path : of the file. columns : read only these of a file of ours.
+    path : of the file. columns : read only these of a file of ours. raw : keep rows whose time does not advance.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def read_parquet(path: Path, columns: Sequence[str] | None = None) -> Table:
         with parquet.ParquetFile(path) as file:
             about = (file.schema_arrow.metadata or {}).get(b"armlab")
             if about is None:
-                return _foreign(pa, path, file)
+                return _foreign(pa, path, file, raw)
             return _as_written(path, file, of_json(about, path), columns)
     except ArmlabError:
         raise
@@ -100,7 +100,7 @@ def _labels_of(about: Description, labels: Sequence[str], columns: Sequence[str]
     return kept
 
 
-def _foreign(pa: Any, path: Path, file: Any) -> Table:
+def _foreign(pa: Any, path: Path, file: Any, raw: bool) -> Table:
     """Return the columns of another program; what is neither number nor text is left out and named."""
     table, left_out, arrays = file.read(), [], {}
     for field, (name, unit) in zip(table.schema, names_of(path, table.schema.names), strict=True):
@@ -114,7 +114,8 @@ def _foreign(pa: Any, path: Path, file: Any) -> Table:
             continue
         said = (field.metadata or {}).get(b"unit", b"").decode(errors="replace")
         arrays[name] = (_values(column), unit or said)
-    return labelled_table(path, arrays, notes=[f"left out: {', '.join(left_out)}"] if left_out else [])
+    notes = [f"left out: {', '.join(left_out)}"] if left_out else []
+    return labelled_table(path, arrays, notes=notes, raw=raw)
 
 
 def _read(types: Any) -> tuple[Any, ...]:

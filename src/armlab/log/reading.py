@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import mmap
+import re
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -22,22 +24,21 @@ from armlab.log.labcomm import read_labcomm
 from armlab.log.mat_table import read_mat_table
 from armlab.log.mcap_records import DAMAGE, Contents, contents
 from armlab.log.parquet_file import read_parquet
-from armlab.log.provenance import file_hash
 from armlab.log.recording_columns import CLOCK_COLUMNS, clock_channel, clocks, columns_at, kept_clock, sources_of
 from armlab.log.rosbag2_file import is_ours, read_rosbag2
 from armlab.log.table import Table
 from armlab.log.topic_table import Choice
 from armlab.robots import Robot
 
-__all__ = ["earlier", "opened", "read", "summary_of", "torn_sentence"]
+__all__ = ["earlier", "names_robots", "naming", "opened", "read", "summary_of", "torn_sentence"]
 
-_READERS: dict[str, Callable[[Path], Table]] = {
+_READERS: dict[str, Callable[..., Table]] = {
     "text": read_csv,
     "gzip": read_csv,
     "LabComm": read_labcomm,
     "MAT v5": read_mat_table,
     "MAT v7.3": read_mat_table,
-    "rosbag2": read_rosbag2,
+    "rosbag2": lambda path, raw: read_rosbag2(path),  # which `write` wrote, in order
 }
 _COLUMN_READERS = {"HDF5": read_hdf5, "Parquet": read_parquet}  # which read single columns
 
@@ -62,7 +63,7 @@ def read(
     Topics with stamps of their own are held from message to message, their age is in ``<name>_age``.
 
     An unfinished or damaged file is read as far as it goes, with one warning and a note. Rows whose time does not
-    advance are dropped and counted in the notes.
+    advance are dropped, counted in the notes, and warned of with the first of them.
 
     Parameters
     ----------
@@ -84,30 +85,47 @@ def read(
         several rates, which are listed; several arms; joints that are not the robot's, listed on both sides.
     MissingExtra : pyarrow or h5py is not installed.
     UnknownName : a wanted column, topic or robot does not exist; lists those that do.
-    ConfigError : clock= for a log that has one clock.
+    ConfigError : clock= for a log that has one clock, robot= for a file that names no robot.
     """
-    path = Path(path)
+    path, choice = Path(path), Choice(columns, None, clock, raw)
     kind = format_at(path)
-    if kind in BAGS and not (kind == "rosbag2" and is_ours(path)):
-        from armlab.log.topic_reading import read_foreign
+    with naming(path):
+        if kind in BAGS and names_robots(path):
+            from armlab.log.topic_reading import read_foreign
 
-        return read_foreign(path, Choice(columns, None, clock, raw), robot, progress)
-    if kind in _READERS or kind in _COLUMN_READERS:
-        _refuse_clock(path, clock)
-        table = _READERS[kind](path) if kind in _READERS else _COLUMN_READERS[kind](path, columns)
-        return table if columns is None else table.select(*columns)
+            return read_foreign(path, choice, robot, progress)
+        if kind in _READERS or kind in _COLUMN_READERS:
+            _refuse_clock(path, clock)
+            _refuse_robot(path, robot)
+            table = _READERS[kind](path, raw=raw) if kind in _READERS else _COLUMN_READERS[kind](path, columns, raw=raw)
+            return table if columns is None else table.select(*columns)
+        return _read_mcap(path, choice, robot, progress)
+
+
+def names_robots(path: Path) -> bool:
+    """Tell whether a log tells by its topics whose rows it has, so that `read` takes robot=; a table alone does not.
+
+    Parameters
+    ----------
+    path : of a file or folder.
+    """
+    kind = format_at(path)
+    return kind == "MCAP" or (kind in BAGS and not (kind == "rosbag2" and is_ours(path)))
+
+
+def _read_mcap(path: Path, choice: Choice, robot: Robot | str | None, progress: Progress | None) -> Table:
     check_readable(path)
     with opened(path) as view, ThreadPoolExecutor(1) as background:
-        hashed = background.submit(file_hash, path)
+        hashed = background.submit(lambda: hashlib.sha256(view).hexdigest())
         try:
             found = contents(view)
             if found.channels and not clocks(found):
                 from armlab.log.topic_reading import read_foreign
 
-                return read_foreign(path, Choice(columns, None, clock, raw), robot, progress)
-            _refuse_clock(path, clock)
-            name = robot.name if isinstance(robot, Robot) else robot
-            table, damage = _read_mcap(view, found, path, columns, name, raw, progress)
+                return read_foreign(path, choice, robot, progress)
+            _refuse_clock(path, choice.clock)
+            own = clock_channel(found, path, robot.name if isinstance(robot, Robot) else robot)
+            table, damage = _recording(view, found, path, own, choice, progress)
         except ArmlabError:
             raise
         except DAMAGE as error:
@@ -117,8 +135,8 @@ def read(
     if not found.finished:
         notes.insert(0, torn_sentence(path, found, table))
     if notes:
-        warnings.warn("; ".join(notes[:3]), stacklevel=2)
-    return replace(table, notes=(*notes, *_holes(view, found), *table.notes), source=(*source, *table.source))
+        warnings.warn("; ".join(notes[:3]), stacklevel=3)
+    return replace(table, notes=(*notes, *_holes(view, found, own), *table.notes), source=(*source, *table.source))
 
 
 def _refuse_clock(path: Path, clock: str | None) -> None:
@@ -127,6 +145,16 @@ def _refuse_clock(path: Path, clock: str | None) -> None:
         raise ConfigError(
             f"Expected clock={clock!r} with a log of another program, which has topics, got {path}, whose rows have "
             "one clock. Leave it out."
+        )
+
+
+def _refuse_robot(path: Path, robot: Robot | str | None) -> None:
+    """Refuse a robot where none is named: the caller would think that the rows are its own."""
+    if robot is not None:
+        name = robot.name if isinstance(robot, Robot) else robot
+        raise ConfigError(
+            f"Expected robot={name!r} with a recording or a log of another program, whose topics or joints tell the "
+            f"robot, got {path}, which names none. Leave it out."
         )
 
 
@@ -148,13 +176,19 @@ def summary_of(view: memoryview, found: Contents) -> dict[str, Any]:
     return {}
 
 
-def _holes(view: memoryview, found: Contents) -> tuple[str, ...]:
-    """Return what the recorder dropped, in a sentence."""
-    told = summary_of(view, found)
-    holes, dropped = told.get("holes"), told.get("dropped")
-    if not dropped or not isinstance(holes, list):
+def _holes(view: memoryview, found: Contents, clock: int) -> tuple[str, ...]:
+    """Return what the recorder dropped of the robot with this clock channel, in a sentence.
+
+    A recorder has one robot; where recordings were put together, each hole has the name of its own behind it.
+    """
+    told = summary_of(view, found).get("holes")
+    robot = found.channels[clock].topic.strip("/").rpartition("/")[0]
+    listed = [hole for hole in told if isinstance(hole, list) and len(hole) > 2] if isinstance(told, list) else []
+    holes = [hole for hole in listed if len(hole) < 5 or hole[4] == robot]
+    if not holes:
         return ()
-    ticks = [f"{hole[0]} to {hole[1]}" for hole in holes if isinstance(hole, list) and len(hole) > 1]
+    dropped = sum(hole[2] for hole in holes if isinstance(hole[2], int))
+    ticks = [f"{hole[0]} to {hole[1]}" for hole in holes]
     more = f" and {len(ticks) - 5} more" if len(ticks) > 5 else ""
     return (f"{dropped} rows were dropped while recording: ticks {', '.join(ticks[:5])}{more}",)
 
@@ -166,6 +200,17 @@ def torn_sentence(path: Path, found: Contents, table: Table) -> str:
         f"{path.name} was not finished: recovered {len(table)} rows ({seconds:.3f} s), {found.torn} bytes torn; "
         f"`armlab log recover {path.name}` writes a whole file"
     )
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Put the file into the sentence of a LogError that does not name it: what reads bytes does not know whose."""
+    try:
+        yield
+    except LogError as error:
+        if re.search(rf"(?<!\w){re.escape(str(path))}(?!\w)", str(error)):
+            raise
+        raise LogError(f"Expected a whole log in {path}, got a fault: {error}") from None
 
 
 @contextmanager
@@ -184,16 +229,11 @@ def opened(path: Path) -> Iterator[memoryview]:
     yield memoryview(mapped)  # released with the last array that looks at it
 
 
-def _read_mcap(
-    view: memoryview,
-    found: Contents,
-    path: Path,
-    columns: Sequence[str] | None,
-    robot: str | None,
-    raw: bool,
-    progress: Progress | None,
+def _recording(
+    view: memoryview, found: Contents, path: Path, clock: int, choice: Choice, progress: Progress | None
 ) -> tuple[Table, list[str]]:
-    clock = clock_channel(found, path, robot)
+    """Return the table of the robot with this clock channel, and what is damaged."""
+    columns = choice.columns
     sources = sources_of(found, clock)
     wanted = list(sources) if columns is None else list(columns)
     for name in wanted:
@@ -203,7 +243,7 @@ def _read_mcap(
     values, rows, damage = columns_at(view, found, clock, {name: sources[name] for name in needed}, progress)
     described = {name: sources[name].column for name in values}
     try:
-        table = recording_table(values, described, rows.log_ns, raw=raw)
+        table = recording_table(values, described, rows.log_ns, raw=choice.raw)
     except ArmlabError as error:  # the file's descriptions contradict the glossary or each other
         raise LogError(f"Expected columns that armlab knows in {path}, got others: {error}") from None
     t0_ns, clock_name = kept_clock(found, sources, table.t0_ns, table.clock)

@@ -1,19 +1,23 @@
-"""`Recorder`: writes what a link does to an MCAP file without ever holding up its loop."""
+"""`Recorder`: writes what a link does to an MCAP file without ever holding up its loop.
+
+Nothing of the loop wakes the thread that writes: that would be a system call in each cycle, and a thread that wants the
+interpreter when the controller does. It comes by itself and takes what there is.
+"""
 
 from __future__ import annotations
 
 import atexit
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from queue import Empty, SimpleQueue
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from armlab.log.column import Column
-from armlab.log.recording_file import RecordingFile
+from armlab.log.recording_file import RecordingFile, recording_path
 from armlab.log.rows import RowLayout, Tick
 from armlab.log.syncing import Syncing
 from armlab.state import Command, State
@@ -23,17 +27,19 @@ if TYPE_CHECKING:
 
 __all__ = ["Recorder"]
 
+WRITE_PERIOD = 0.04  # s; what the end of the process costs
 FLUSH_PERIOD = 0.8  # s; what a loss of power costs
 QUEUE_ROWS = 2500  # 10 s at 250 Hz
+MANY_ROWS = 1250  # that wait: they are written at once
 MOST_COMPLAINTS = 100
 
 
 class Recorder:
-    """Recording of one arm: `row()` in the loop, a thread that writes each row at once.
+    """Recording of one arm: `row()` in the loop, a thread that writes every 40 ms what has come.
 
     Parameters
     ----------
-    path : file to write; ``-2``, ``-3`` is added when it exists. The attribute `path` is the real one.
+    path : file to write, ending in .mcap; ``-2``, ``-3`` is added when it exists. The attribute `path` is the real one.
     robot : the arm; its name is the first part of every topic.
     extra : columns of the controller's own (``Command.record``); `wrench_hat` and `wrench_hat_cov` need none.
     attachments : name -> bytes kept in the file, for example the robot's description and the model used.
@@ -46,15 +52,15 @@ class Recorder:
 
     Raises
     ------
-    LogError : the file cannot be created or written.
+    ConfigError : a name of another ending. LogError : the file cannot be created or written.
     ShapeError, UnknownName : a declared column is not acceptable.
 
     Notes
     -----
     A row is packed into bytes and queued (10 s of rows). When the queue is full the arriving row is dropped and
-    counted, and two events mark the hole. The thread gives each row to the kernel, so that a killed process loses what
-    is queued. Another has the file synced every 0.8 s, what a loss of power costs at most: a disk that is slow to sync
-    holds up no row. A write error stops the recorder, never the loop.
+    counted, and two events mark the hole. The thread gives all rows to the kernel every 40 ms: a killed process loses
+    those that have come since. Another has the file synced every 0.8 s, what a loss of power costs at most: a disk that
+    is slow to sync holds up no row. A write error stops the recorder, never the loop.
     """
 
     def __init__(
@@ -68,7 +74,8 @@ class Recorder:
         wait: bool = False,
     ) -> None:
         self._layout = RowLayout(robot, extra)
-        self._file = RecordingFile(path, robot, self._layout, dict(attachments or {}), note)
+        self._pack, self._known = self._layout.pack, self._layout.extra.keys()
+        self._file = RecordingFile(recording_path(path), robot, self._layout, dict(attachments or {}), note)
         self.path = self._file.path
         self.rows = 0
         self.dropped = 0
@@ -78,7 +85,8 @@ class Recorder:
         self._hole: tuple[int, int, int] | None = None
         self._complained: set[str] = set()
         self._closed = False
-        self._queue: SimpleQueue[bytes | Callable[[], None] | None] = SimpleQueue()
+        self._queue: deque[bytes | Callable[[], None]] = deque()  # append and popleft are atomic
+        self._wake = threading.Event()
         self._syncing = Syncing(self._file.fileno(), f"sync {self.path.name}")
         self._thread = threading.Thread(target=self._run, name=f"recorder {self.path.name}", daemon=True)
         self._thread.start()
@@ -101,28 +109,26 @@ class Recorder:
         command : what it returned, None when it was not called.
         tick : what the bridge knows of the tick.
         """
-        if self._closed or self.failed is not None:
-            return self._drop(tick)
-        if self._queue.qsize() >= QUEUE_ROWS and not (self._wait and self._wait_for_room()):
+        if self._closed or (len(self._queue) >= MANY_ROWS and not self._has_room()) or self.failed is not None:
             return self._drop(tick)
         try:
-            row = self._layout.pack(state, command, tick)
+            row = self._pack(state, command, tick)
+            if command is not None and not command.record.keys() <= self._known:
+                unknown = ", ".join(sorted(map(str, command.record.keys() - self._known)))
+                self._complain(f"not written, as not declared with extra=: {unknown}", tick)
         except Exception as error:  # whatever it is: a row that cannot be packed must not stop the loop
             self._complain(f"row not written: {error}", tick)
             return self._drop(tick)
-        if command is not None and command.record and not command.record.keys() <= self._layout.extra.keys():
-            unknown = ", ".join(sorted(command.record.keys() - self._layout.extra.keys()))
-            self._complain(f"not written, as not declared with extra=: {unknown}", tick)
         if self._hole is not None:
             self._end_hole(tick.stamp_ns)
-        self._queue.put(row)
+        self._queue.append(row)
         self.rows += 1
         return True
 
     def event(self, text: str, stamp_ns: int) -> None:
         """Queue one line for the events of the recording, unless it has stopped."""
         if self.failed is None:
-            self._queue.put(partial(self._file.event, text, stamp_ns))
+            self._queue.append(partial(self._file.event, text, stamp_ns))
 
     def parameter(self, sequence: int, name: str, value: Any, who: str, stamp_ns: int) -> None:
         """Queue the value of a parameter that came into force, unless the recording has stopped.
@@ -132,7 +138,7 @@ class Recorder:
         sequence : number of the setting. name, value : what. who : set it. stamp_ns : wall clock.
         """
         if self.failed is None:
-            self._queue.put(partial(self._file.parameter, sequence, name, value, who, stamp_ns))
+            self._queue.append(partial(self._file.parameter, sequence, name, value, who, stamp_ns))
 
     def close(self, summary: Mapping[str, Any] | None = None) -> None:
         """Write what is queued, the summary and the footer, and close the file. A second call does nothing.
@@ -147,7 +153,7 @@ class Recorder:
         atexit.unregister(self.close)
         if self._hole is not None:
             self._end_hole(self._file.last_stamp_ns)
-        self._queue.put(None)
+        self._wake.set()
         self._thread.join()
         self._guarded(self._syncing.close)
         self.dropped += self.rows - self._file.rows  # rows that were queued when the disk failed
@@ -157,26 +163,32 @@ class Recorder:
             self._guarded(lambda: self._file.finish({**(summary or {}), **counts}))
 
     def _run(self) -> None:
-        """Write what comes from the queue; have it synced every `FLUSH_PERIOD`."""
+        """Write what comes, until the recorder is closed."""
         self._guarded(self._write_queue)
 
     def _write_queue(self) -> None:
-        due = time.monotonic() + FLUSH_PERIOD
-        while True:
-            try:
-                item = self._queue.get(timeout=max(0.0, due - time.monotonic()))
-            except Empty:
-                item = b""
-            if item is None:
-                return
-            if callable(item):
-                item()
-            elif item:
-                self._file.write(item)
+        due, is_last = time.monotonic() + FLUSH_PERIOD, False
+        while not is_last:
+            self._wake.wait(WRITE_PERIOD)
+            self._wake.clear()
+            is_last = self._closed  # looked at before the queue is emptied: what came until then is in it
+            self._write([self._queue.popleft() for _ in range(len(self._queue))])
             if time.monotonic() >= due:
                 self._file.close_chunk()
                 self._syncing.ask()
                 due = time.monotonic() + FLUSH_PERIOD
+
+    def _write(self, items: list[bytes | Callable[[], None]]) -> None:
+        """Write rows and what came between them, in their order."""
+        rows: list[bytes] = []
+        for item in items:
+            if isinstance(item, bytes):
+                rows.append(item)
+            else:
+                self._file.write(rows)
+                rows = []
+                item()
+        self._file.write(rows)
 
     def _guarded(self, work: Callable[[], None]) -> None:
         """Do work on the file; an error stops the recorder and is kept as a sentence."""
@@ -187,16 +199,18 @@ class Recorder:
             self.failed = f"The log {self.path} stopped after {self._file.rows} rows: {reason}."
             self._file.abandon()
 
-    def _wait_for_room(self) -> bool:
-        while self._queue.qsize() >= QUEUE_ROWS and self.failed is None:
+    def _has_room(self) -> bool:
+        """Have a long queue written soon. Return whether there is room for a row, with `wait` once there is."""
+        self._wake.set()
+        while self._wait and len(self._queue) >= QUEUE_ROWS and self.failed is None:
             time.sleep(0.001)
-        return self.failed is None
+        return len(self._queue) < QUEUE_ROWS
 
     def _drop(self, tick: Tick) -> bool:
         self.dropped += 1
         if self._hole is None:
             self._hole = (tick.number, tick.number, 0)
-            self.event(f"rows are dropped from tick {tick.number} on, {self._queue.qsize()} rows wait", tick.stamp_ns)
+            self.event(f"rows are dropped from tick {tick.number} on, {len(self._queue)} rows wait", tick.stamp_ns)
         first, _, count = self._hole
         self._hole = (first, tick.number, count + 1)
         return False

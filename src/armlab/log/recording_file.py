@@ -6,24 +6,41 @@ import contextlib
 import json
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
-from armlab.errors import LogError
+from armlab.errors import ConfigError, LogError
+from armlab.kernels import RowEncoder
 from armlab.log.mcap_writer import McapWriter
-from armlab.log.messages import Pen, clock_metadata, definition, event, parameter, topic_name, topics
+from armlab.log.messages import Plan, clock_metadata, definition, event, parameter, plan, topic_name, topics
 from armlab.log.recording_metadata import attached, metadata
 from armlab.log.rows import RowLayout
 
 if TYPE_CHECKING:
     from armlab.robots import Robot
 
-__all__ = ["RecordingFile", "open_new"]
+__all__ = ["RecordingFile", "open_new", "recording_path"]
 
 MAX_CHUNK_ROWS = 250  # a second at 250 Hz: what a damaged chunk can cost, also after a stall
 _EVENT_TYPE = "rcl_interfaces/msg/Log"
 _PARAMETER_TYPE = "armlab_msgs/msg/Parameter"
+
+
+def recording_path(path: str | Path) -> Path:
+    """Return the name of a recording as a path.
+
+    Raises
+    ------
+    ConfigError : it does not end in .mcap, so that it says of the file what is not true.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".mcap":
+        raise ConfigError(
+            f"Expected the name of a recording, ending in .mcap, got {path}. Change the ending; armlab log export and "
+            "log.write make files of other formats."
+        )
+    return path
 
 
 def open_new(path: str | Path) -> tuple[BinaryIO, Path]:
@@ -52,7 +69,7 @@ def open_new(path: str | Path) -> tuple[BinaryIO, Path]:
 
 
 class RecordingFile:
-    """One recording: topics of one arm in an MCAP file (profile ros2, zstd), written row by row.
+    """One recording: topics of one arm in an MCAP file (profile ros2, zstd).
 
     After construction header, metadata, attachments, schemas and channels are on the disk.
 
@@ -87,15 +104,15 @@ class RecordingFile:
             self._writer.metadata("armlab", metadata(robot, attachments, note))
             for name, data in attachments.items():
                 self.attach(name, data)
-            self._channels = self._register(robot)
+            self._encoder = RowEncoder(self._register(robot))
             self._opening = f"recording {robot.name}"  # an event too, stamped with whatever comes first
             self.sync()
         except OSError as error:
             self.abandon()
             raise LogError(f"Expected to write the log {self.path}, got: {error.strerror}.") from None
 
-    def _register(self, robot: Robot) -> list[tuple[int, Pen]]:
-        """Register all schemas and channels; return the pens with their channels."""
+    def _register(self, robot: Robot) -> list[Plan]:
+        """Register all schemas and channels; return how the messages of rows are written."""
         schemas: dict[str, int] = {}
 
         def channel(name: str, message_type: str, metadata: dict[str, str]) -> int:
@@ -105,34 +122,35 @@ class RecordingFile:
             return self._writer.channel(topic, "cdr", schemas[message_type], metadata)
 
         self._events = channel("events", _EVENT_TYPE, {})
-        slots, pens = self._layout.slots, []
+        slots, plans = self._layout.slots, []
         for topic in topics(self._layout, robot.joint_names):
             clock = clock_metadata(*self._clock) if self._clock and "t" in topic.fields else {}
-            pens.append((channel(topic.name, topic.type, topic.metadata(slots) | clock), Pen(topic, slots)))
+            number = channel(topic.name, topic.type, topic.metadata(slots) | clock)
+            plans.append(plan(number, topic, slots))
         self._parameters = channel("parameters", _PARAMETER_TYPE, {})
-        return pens
+        return plans
 
-    def write(self, row: bytes, sequence: int | None = None) -> None:
-        """Write the messages of one row: they survive the end of this process.
+    def write(self, rows: Sequence[bytes], first: int | None = None) -> None:
+        """Write the messages of some rows: they survive the end of this process.
 
         Parameters
         ----------
-        row : as the layout packs it. sequence : by which a reader puts its messages together; the tick when None.
+        rows : as the layout packs them. first : number of the first, by which a reader puts the messages of a row
+            together, and from which is counted on; None takes the numbers of the ticks.
         """
-        stamp_ns = int.from_bytes(row[:8], "little", signed=True)
-        tick = int.from_bytes(row[8:12], "little") if sequence is None else sequence  # MCAP's sequence has 32 bits
-        if self._opening:
-            self._open(stamp_ns)
-        for channel, pen in self._channels:
-            message = pen.message(row, stamp_ns)
-            if message is not None:
-                self._writer.message(channel, tick, stamp_ns, stamp_ns, message)
-        self._writer.push()
-        self.rows += 1
-        self.last_stamp_ns = stamp_ns
-        self._chunk_rows += 1
-        if self._chunk_rows >= MAX_CHUNK_ROWS:
-            self.close_chunk()
+        if self._opening and rows:
+            self._open(_stamp(rows[0]))
+        at = 0
+        while at < len(rows):
+            some = rows[at : at + MAX_CHUNK_ROWS - self._chunk_rows]
+            self._writer.records(*self._encoder.encode(some, None if first is None else first + at, self._writer.size))
+            self._writer.push()
+            at += len(some)
+            self._chunk_rows += len(some)
+            self.last_stamp_ns = _stamp(some[-1])
+            self.rows += len(some)
+            if self._chunk_rows >= MAX_CHUNK_ROWS:
+                self.close_chunk()
 
     def event(self, text: str, stamp_ns: int, tick: int = 0) -> None:
         """Write one line for the events."""
@@ -188,6 +206,10 @@ class RecordingFile:
         """Finish the chunk in progress, if any: other programs can read it then."""
         self._writer.close_chunk()
         self._chunk_rows = 0
+
+
+def _stamp(row: bytes) -> int:
+    return int.from_bytes(row[:8], "little", signed=True)
 
 
 def _fsync(file: BinaryIO) -> None:

@@ -7,7 +7,6 @@ import hashlib
 import json
 import os
 import platform
-import re
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -16,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from armlab.errors import RobotError
+from armlab.log.redaction import SECRET, redacted
 
 if TYPE_CHECKING:
     from armlab.robots import Robot
@@ -23,12 +23,6 @@ if TYPE_CHECKING:
 __all__ = ["attached", "metadata", "revision"]
 
 ROBOT = "robot.toml"
-_SECRET = r"[\w.-]*(?:token|password|passwd|secret|api[-_]?key)[\w.-]*"
-_OPTION = re.compile(rf"(?i)-+{_SECRET}$")
-_TEXT = r"""\"{3}[\s\S]*?\"{3}|'{3}[\s\S]*?'{3}|"(?:[^"\\\n]|\\.)*"|'[^'\n]*'"""
-_VALUE = rf"""({_TEXT}|[\[{{](?:{_TEXT}|#.*+|[^\]}}"'#])*+[\]}}]|[^\n,\]}}#]+)"""
-_SETTING = re.compile(rf"""(?im)(["']?{_SECRET}["']?\s*[=:]\s*){_VALUE}""")
-_TEXTS = (".toml", ".json", ".yaml", ".yml", ".cfg", ".ini")
 _PATIENCE = 2.0  # s for git
 
 
@@ -59,7 +53,7 @@ def attached(robot: Robot, attachments: Mapping[str, bytes]) -> dict[str, bytes]
 
     Parameters
     ----------
-    robot : the arm. attachments : name -> bytes; of settings (TOML, JSON, YAML) the values of secret keys go.
+    robot : the arm. attachments : name -> bytes; of settings (TOML, JSON, YAML, INI) the values of secret keys go.
     """
     from armlab.robots import to_toml
 
@@ -67,7 +61,7 @@ def attached(robot: Robot, attachments: Mapping[str, bytes]) -> dict[str, bytes]
     with contextlib.suppress(RobotError):  # a name that cannot stand in a file must not cost the recording
         found[ROBOT] = to_toml(robot).encode()
     for name, data in attachments.items():
-        found[name] = _redacted(data) if name.lower().endswith(_TEXTS) else bytes(data)
+        found[name] = redacted(name, data)
     return found
 
 
@@ -83,21 +77,13 @@ def revision(folder: Path) -> str:
     return done.stdout.strip() if done.returncode == 0 else ""
 
 
-def _redacted(data: bytes) -> bytes:
-    try:
-        text = data.decode()
-    except UnicodeDecodeError:
-        return bytes(data)
-    return _SETTING.sub(r'\1"***"', text).encode()
-
-
 def _without_secrets(words: list[str]) -> list[str]:
     """Replace what follows an option whose name tells a secret, and what such an option equals."""
     kept: list[str] = []
     hide = False
     for word in words:
         option, equals, _ = word.partition("=")
-        secret = bool(_OPTION.match(option))
+        secret = option.startswith("-") and bool(SECRET.search(option))
         kept.append("***" if hide else f"{option}=***" if secret and equals else word)
         hide = secret and not equals
     return kept

@@ -12,7 +12,7 @@ from armlab.log.formats import check_readable
 from armlab.log.mcap_copy import Registry, messages_in, new_file, pieces, records_at
 from armlab.log.mcap_records import CHUNK, Contents, contents
 from armlab.log.mcap_writer import McapWriter
-from armlab.log.reading import opened
+from armlab.log.reading import naming, opened
 
 __all__ = ["Recovery", "recover"]
 
@@ -58,7 +58,8 @@ def recover(path: str | Path, to: str | Path | None = None, *, progress: Progres
     if target.exists():
         raise LogError(f"Expected no file at {target}, got one; move it away or give another name.")
     with opened(path) as view:
-        found = contents(view)
+        with naming(path):
+            found = contents(view)
         if not found.channels:
             raise LogError(f"Expected messages in {path}, got none that can be read in {len(view)} bytes.")
         with new_file(target, target.with_name(f"{target.name}.part"), replace=False) as file:

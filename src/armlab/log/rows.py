@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from armlab.errors import RobotError, ShapeError, UnknownName
+from armlab.kernels import RowPacker
 from armlab.log.column import Column
 from armlab.log.states import QD_SOURCES, TAU_SOURCES
 from armlab.state import Command, State
@@ -23,27 +23,41 @@ __all__ = ["NO_CLOCK", "NO_COUNT", "NO_FLAG", "SELDOM", "RowLayout", "Slot", "Ti
 # Marks of values that are not there, in counts and in flags. A clock that reads zero was not sent.
 NO_COUNT, NO_CLOCK, NO_FLAG = -1, 0, 255
 
-_COUNTS = (
-    "stamp_ns", "tick", "seq", "seq_sent", "session", "missed", "drops", "robot_ns", "receive_ns", "send_ns",
-    "step_ns", "motors", "mci", "rapid", "qd_source", "tau_source",
-)  # fmt: skip
-_REALS = ("session_t", "dt", "utilization")
-_FLAGS = ("converged", "late")
-_SCALARS = struct.Struct(f"<{len(_COUNTS)}q{len(_REALS)}d{len(_FLAGS)}?")
-_JOINTS = ("q", "qd", "tau", "q_planned", "q_ref", "qd_ref", "tau_ref", "q_sent", "qd_sent", "tau_sent")
-_FIXED = {"wrench_raw": (6,), "wrench": (6,), "T_frame_tool": (4, 4), "q_ext": (6,)}
-_SELDOM = {
-    "q_ext_ref": (6,), "q_ext_sent": (6,), "rapid_data": (40,), "rapid_data_sent": (40,), "rapid_digital": (),
-    "rapid_digital_sent": (),
+# column -> the object and its attribute that hold it
+_COUNTS = {
+    "stamp_ns": "tick.stamp_ns", "tick": "tick.number", "seq": "state.seq", "seq_sent": "tick.seq_sent",
+    "session": "state.session", "missed": "state.missed", "drops": "tick.drops", "robot_ns": "state.robot_ns",
+    "receive_ns": "tick.receive_ns", "send_ns": "tick.send_ns", "step_ns": "tick.step_ns", "wake_ns": "tick.wake_ns",
+    "motors": "state.motors", "mci": "state.mci", "rapid": "state.rapid",
 }  # fmt: skip
+_CODES = {"qd_source": QD_SOURCES, "tau_source": TAU_SOURCES}
+_REALS = {"session_t": "state.t", "dt": "state.dt", "utilization": "state.utilization"}
+_FLAGS = {"converged": "state.converged", "late": "tick.late"}
+_JOINTS = {
+    "q": "state.q", "qd": "state.qd", "tau": "state.tau", "q_planned": "state.q_planned", "q_ref": "command.q",
+    "qd_ref": "command.qd", "tau_ref": "command.tau", "q_sent": "tick.q_sent", "qd_sent": "tick.qd_sent",
+    "tau_sent": "tick.tau_sent",
+}  # fmt: skip
+_ESTIMATE = {"wrench_hat": Column((6,)), "wrench_hat_cov": Column((6, 6))}
+# column -> source, form (see `kernels.RowPacker`) and shape
+_FIXED = {
+    "wrench_raw": ("state.wrench_raw", "doubles", (6,)),
+    "wrench": ("state.wrench", "doubles", (6,)),
+    "T_frame_tool": ("state.T_frame_tool", "doubles", (4, 4)),
+    "q_ext": ("state.q_ext", "padded", (6,)),
+}
+_SELDOM = {
+    "q_ext_ref": ("command.q_ext", "padded", (6,)),
+    "q_ext_sent": ("tick.q_ext_sent", "padded", (6,)),
+    "rapid_data": ("state.rapid_data", "padded", (40,)),
+    "rapid_data_sent": ("tick.rapid_data_sent", "padded", (40,)),
+    "rapid_digital": ("state.rapid_digital", "heard", ()),
+    "rapid_digital_sent": ("tick.rapid_digital_sent", "said", ()),
+}
 SELDOM = tuple(_SELDOM)
 """Columns of axes that are commanded and of values from and to RAPID: the end of a row, which most rows lack."""
 
-# Compared by identity: asking NumPy to convert what needs no conversion takes as long as copying.
-_F8, _U1 = np.dtype("<f8"), np.dtype("u1")
-_ESTIMATE = {"wrench_hat": Column((6,)), "wrench_hat_cov": Column((6, 6))}
-_QD_CODES = {name: code for code, name in enumerate(QD_SOURCES)}
-_TAU_CODES = {name: code for code, name in enumerate(TAU_SOURCES)}
+_DTYPES = {"count": "<i8", "code": "<i8", "flag": "u1", "bits": "u1"}  # of a form; others are real numbers
 
 
 class Tick(NamedTuple):
@@ -61,6 +75,8 @@ class Tick(NamedTuple):
     clamped : (n,) bits of the limits that acted, None when there were none to apply.
     record : values of declared columns that the bridge knows, besides those of the Command.
     q_ext_sent, rapid_data_sent, rapid_digital_sent : what went to external axes and to RAPID, None for nothing.
+    wake_ns : from the arrival of the packet, by the kernel's stamp where there is one, to the loop running, -1 when not
+        known.
     """
 
     number: int
@@ -79,6 +95,7 @@ class Tick(NamedTuple):
     q_ext_sent: np.ndarray | None = None
     rapid_data_sent: np.ndarray | None = None
     rapid_digital_sent: bool | None = None
+    wake_ns: int = NO_COUNT
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +131,8 @@ class RowLayout:
     Attributes
     ----------
     slots : name -> `Slot`. size : bytes of a row with all its parts. extra : the declared columns, resolved.
+    pack : called with State, Command or None, and Tick, returns one row as bytes. Values are copied; what is None or
+        empty is missing. Raises ShapeError for an array with the wrong number of values, and names the column.
 
     Raises
     ------
@@ -130,78 +149,46 @@ class RowLayout:
         self.extra = {name: column.resolved(name) for name, column in {**_ESTIMATE, **(extra or {})}.items()}
         self.slots: dict[str, Slot] = {}
         self.size = 0
-        self._add("stamp_ns", Column(unit="ns", kind="count"), "<i8")
-        for name in _COUNTS[1:]:
-            self._add(name, Column(), "<i8", NO_CLOCK if name in ("robot_ns", "receive_ns") else NO_COUNT)
-        for name in _REALS:
-            self._add(name, Column(), "<f8")
-        for name in _FLAGS:
-            self._add(name, Column(), "u1", NO_FLAG)
-        for name in _JOINTS:
-            self._add(name, Column((robot.n,), labels=robot.joint_names), "<f8")
-        for name, shape in _FIXED.items():
-            self._add(name, Column(shape), "<f8")
+        self._places: list[tuple[str, str, str, str, bytes, Any]] = []
+        self._add_standard(robot)
+        for name, (source, form, shape) in _FIXED.items():
+            self._add(name, source, form, Column(shape))
         for name, column in self.extra.items():
             if name in self.slots or column.kind == "text":
                 raise ShapeError(f"Expected numeric columns with new names in `extra`, got {name!r} ({column.kind}).")
-            self._add(name, column, "<f8")
-        self._add("clamped", Column((robot.n,), labels=robot.joint_names), "u1", NO_FLAG)
+            self._add(name, f"record.{name}", "doubles", column)
+        joints = Column((robot.n,), labels=robot.joint_names)
+        self._add("clamped", "tick.clamped", "bits", joints, NO_FLAG)
         self._short = self.size
-        for name, shape in _SELDOM.items():
-            self._add(name, Column(shape), "<f8")
-        self._nan = {name: slot.nothing for name, slot in self.slots.items()}
-        self._extra = [(name, self._nan[name]) for name in self.extra]
-        self._empty = b"".join(self._nan.values())
+        for name, (source, form, shape) in _SELDOM.items():
+            self._add(name, source, form, Column(shape), detail="rapid_data")
+        self._empty = b"".join(place[4] for place in self._places)
+        self.pack = RowPacker((State, Command, Tick), self._places, SELDOM[0]).pack
 
-    def _add(self, name: str, column: Column, dtype: str, missing: int | None = None) -> None:
-        column = column.resolved(name)
+    def _add_standard(self, robot: Robot) -> None:
+        for name, source in _COUNTS.items():
+            column = Column(unit="ns", kind="count") if name == "stamp_ns" else Column()
+            missing = {"stamp_ns": None, "robot_ns": NO_CLOCK, "receive_ns": NO_CLOCK}.get(name, NO_COUNT)
+            self._add(name, source, "count", column, missing)
+        for name, words in _CODES.items():
+            codes = {word: code for code, word in enumerate(words)}
+            self._add(name, f"state.{name}", "code", Column(), NO_COUNT, codes)
+        for name, source in _REALS.items():
+            self._add(name, source, "real", Column())
+        for name, source in _FLAGS.items():
+            self._add(name, source, "flag", Column(), NO_FLAG)
+        for name, source in _JOINTS.items():
+            self._add(name, source, "doubles", Column((robot.n,), labels=robot.joint_names))
+
+    def _add(
+        self, name: str, source: str, form: str, column: Column, missing: int | None = None, detail: Any = None
+    ) -> None:
+        column, dtype = column.resolved(name), _DTYPES.get(form, "<f8")
         stop = self.size + int(np.prod(column.shape, dtype=int)) * np.dtype(dtype).itemsize
-        self.slots[name] = Slot(column, self.size, stop, dtype, missing)
+        self.slots[name] = slot = Slot(column, self.size, stop, dtype, missing)
+        owner, field = source.split(".", 1)
+        self._places.append((name, owner, field, form, slot.nothing, detail))
         self.size = stop
-
-    def pack(self, state: State, command: Command | None, tick: Tick) -> bytes:
-        """Return one row as bytes. Values are copied; what is None or empty is NaN.
-
-        Raises
-        ------
-        ShapeError : an array has the wrong number of values; names the column.
-        """
-        n, nan, none = self.n, self._nan, self._nan["q"]
-        q_ref = qd_ref = tau_ref = None
-        record = tick.record
-        if command is not None:
-            q_ref, qd_ref, tau_ref = command.q, command.qd, command.tau
-            record = {**record, **command.record} if record else command.record
-        parts = [
-            _SCALARS.pack(
-                tick.stamp_ns, tick.number, state.seq, tick.seq_sent, state.session, state.missed, tick.drops,
-                state.robot_ns, tick.receive_ns, tick.send_ns, tick.step_ns, state.motors, state.mci, state.rapid,
-                _QD_CODES.get(state.qd_source, 0), _TAU_CODES.get(state.tau_source, 0),
-                state.t, state.dt, state.utilization, state.converged, tick.late,
-            ),
-            _raw("q", state.q, n, none),
-            _raw("qd", state.qd, n, none),
-            _raw("tau", state.tau, n, none),
-            _raw("q_planned", state.q_planned, n, none),
-            _raw("q_ref", q_ref, n, none),
-            _raw("qd_ref", qd_ref, n, none),
-            _raw("tau_ref", tau_ref, n, none),
-            _raw("q_sent", tick.q_sent, n, none),
-            _raw("qd_sent", tick.qd_sent, n, none),
-            _raw("tau_sent", tick.tau_sent, n, none),
-            _raw("wrench_raw", state.wrench_raw, 6, nan["wrench_raw"]),
-            _raw("wrench", state.wrench, 6, nan["wrench"]),
-            _raw("T_frame_tool", state.T_frame_tool, 16, nan["T_frame_tool"]),
-            self._padded("q_ext", state.q_ext),
-        ]  # fmt: skip
-        parts += [_raw(name, record.get(name), len(empty) // 8, empty) for name, empty in self._extra]
-        bits = tick.clamped
-        if getattr(bits, "dtype", None) is not _U1 and bits is not None:
-            bits = np.asarray(bits, dtype=_U1)
-        clamped = nan["clamped"] if bits is None else bits.tobytes()
-        if len(clamped) != n:
-            raise ShapeError(f"Expected {n} values in clamped, got {len(clamped)}.")
-        return b"".join([*parts, clamped, self._seldom(state, command, tick)])
 
     def pack_values(self, values: Mapping[str, Any]) -> bytes:
         """Return one row as bytes from values by column name; what is not given is missing.
@@ -238,25 +225,6 @@ class RowLayout:
             values[name] = with_holes(raw.reshape(len(block), *slot.column.shape), slot.missing)
         return values
 
-    def _seldom(self, state: State, command: Command | None, tick: Tick) -> bytes:
-        """Return the part of a row that is there when external axes are commanded or data goes to or from RAPID."""
-        q_ext_ref = None if command is None else command.q_ext
-        hears = state.rapid_digital or len(state.rapid_data) > 0
-        given = (
-            q_ext_ref, tick.q_ext_sent, state.rapid_data, tick.rapid_data_sent, (state.rapid_digital,) if hears else (),
-            () if tick.rapid_digital_sent is None else (tick.rapid_digital_sent,),
-        )  # fmt: skip
-        if all(values is None or len(values) == 0 for values in given):
-            return b""
-        return b"".join([self._padded(name, values) for name, values in zip(_SELDOM, given, strict=True)])
-
-    def _padded(self, name: str, values: Any) -> bytes:
-        """Return as many values as the column has, NaN behind those given."""
-        empty = self._nan[name]
-        if values is None or len(values) == 0:
-            return empty
-        return (np.asarray(values, dtype="<f8").tobytes() + empty)[: len(empty)]
-
 
 def with_holes(values: np.ndarray, missing: int | None) -> np.ndarray:
     """Return the values with NaN (so as floats) where they equal the mark for missing.
@@ -267,15 +235,3 @@ def with_holes(values: np.ndarray, missing: int | None) -> np.ndarray:
         return values
     holes = values == missing
     return np.where(holes, np.nan, values) if holes.any() else values
-
-
-def _raw(name: str, values: Any, count: int, empty: bytes) -> bytes:
-    """Return the bytes of `count` doubles, or `empty` for None and for an array without values."""
-    if values is None:
-        return empty
-    raw = values.tobytes() if getattr(values, "dtype", None) is _F8 else np.asarray(values, dtype=_F8).tobytes()
-    if len(raw) == len(empty):
-        return raw
-    if not raw:
-        return empty
-    raise ShapeError(f"Expected {count} values in {name}, got {len(raw) // 8}.")

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import numpy as np
 
 from armlab.errors import LogError
+from armlab.kernels import RowEncoder
 from armlab.log.column import Column
+from armlab.log.mcap_copy import messages_in
 from armlab.log.mcap_records import Channel
-from armlab.log.messages import Pen, column_topic, definition
+from armlab.log.messages import column_topic, definition, plan
 from armlab.log.recording_columns import Rows
 from armlab.log.rows import Slot
 
 __all__ = ["Arm", "seconds_channel"]
 
-_SECONDS = {"t": Slot(Column().resolved("t"), 0, 8, "<f8")}
+_ROW = struct.Struct("<qqd")  # stamp, number, t
+_SECONDS = {"t": Slot(Column().resolved("t"), _ROW.size - 8, _ROW.size, "<f8")}
 _NUMBERS = 1 << 32  # of MCAP's sequence
 _NEVER = (1 << 63) - 1
 
@@ -54,7 +58,7 @@ class Arm:
         self._first, self._last = 0, len(rows.t)
         self._offset = 0
         self._place = {int(number): place for place, number in enumerate(rows.sequence)}
-        self._pen = Pen(column_topic("t"), _SECONDS)
+        self._encoder = RowEncoder([plan(0, column_topic("t"), _SECONDS)])
         twice = len(rows.t) - len(self._place)
         if twice:
             raise LogError(
@@ -125,8 +129,8 @@ class Arm:
         self.inside, self.is_over = self._first <= place < self._last, place >= self._last
         if not self.inside:
             return None
-        message = self._pen.message(np.float64(self.t[place]).tobytes(), log_ns)
-        return None if message is None else bytes(message)
+        records, *_ = self._encoder.encode([_ROW.pack(log_ns, sequence, self.t[place])])
+        return next(message for *_, message in messages_in(records))
 
     def _wall(self, which: int) -> int:
         t = self.rows.t[self.rows.kept]

@@ -14,7 +14,7 @@ from armlab.log.formats import check_readable
 from armlab.log.mcap_records import DAMAGE, Contents, contents
 from armlab.log.messages import COLUMN_KEY, topic_name
 from armlab.log.provenance import file_hash
-from armlab.log.reading import earlier, opened, summary_of
+from armlab.log.reading import earlier, naming, opened, summary_of
 from armlab.log.recording_columns import clock_channel, clocks, rows_of
 from armlab.log.splice_arm import Arm
 
@@ -57,6 +57,23 @@ class Source:
     def summary(self) -> dict[str, Any]:
         """What was counted at its end, empty without."""
         return summary_of(self.view, self.found)
+
+    def keep(self, robot: str) -> None:
+        """Take the rows and events of one robot only; metadata and attachments are of the whole file, and stay.
+
+        Parameters
+        ----------
+        robot : its name.
+
+        Raises
+        ------
+        UnknownName : it is not in this file.
+        """
+        topic = self.found.channels[clock_channel(self.found, self.path, robot)].topic
+        others = tuple(arm.prefix for arm in self.arms if not topic.startswith(arm.prefix))
+        self.arms = [arm for arm in self.arms if arm.prefix not in others]
+        channels = self.found.channels.items()
+        self.found.channels = {number: one for number, one in channels if not one.topic.startswith(others)}
 
     def taken(self, channel: int, sequence: int, log_ns: int, publish_ns: int, data: bytes) -> tuple[Message, ...]:
         """Return what becomes of a message in the new file: nothing, it, or it and `t`.
@@ -101,7 +118,8 @@ def opened_source(path: Path) -> Iterator[Source]:
     check_readable(path)
     with opened(path) as view:
         try:
-            found = contents(view)
+            with naming(path):
+                found = contents(view)
             clock_channel(found, path, None) if not clocks(found) else None  # says that it is no recording
             arms = [_arm(path, view, found, topic) for topic in clocks(found).values()]
         except ArmlabError:
@@ -171,17 +189,18 @@ def summary(sources: list[Source], operation: str) -> dict[str, Any]:
     }
 
 
-def _holes(source: Source) -> list[list[int]]:
+def _holes(source: Source) -> list[list[Any]]:
     """Return the holes that the recorder left between the rows that are taken.
 
-    Each is first tick, last tick, rows, and the number of the first tick among the rows of the new file: of recordings
-    that are put together, rows are numbered on, and ticks come again.
+    Each is first tick, last tick, rows, the number of the first tick among the rows of the new file (of recordings that
+    are put together, rows are numbered on, and ticks come again), and whose rows they are.
     """
     found = []
-    for first, last, rows, *number in source.summary.get("holes", []):
-        begin = number[0] if number else first
+    for first, last, rows, *more in source.summary.get("holes", []):
+        begin, robot = (more[0] if more else first), (more[1] if len(more) > 1 else None)
         for arm in source.arms:
-            if arm.rows_left and arm.ticks[0] < begin and begin + last - first < arm.ticks[1]:
-                found.append([first, last, rows, arm.number(begin)])
+            own = robot in (None, arm.name) and arm.rows_left
+            if own and arm.ticks[0] < begin and begin + last - first < arm.ticks[1]:
+                found.append([first, last, rows, arm.number(begin), arm.name])
                 break
     return found

@@ -15,6 +15,7 @@ from armlab.errors import ConfigError, LogError
 from armlab.log.mcap_copy import Registry, messages_in, new_file, pieces, records_at
 from armlab.log.mcap_writer import McapWriter
 from armlab.log.messages import clock_metadata
+from armlab.log.recording_file import recording_path
 from armlab.log.splice_arm import Arm, seconds_channel
 from armlab.log.splice_source import Source, attachments, metadata, opened_source, summary
 
@@ -24,7 +25,13 @@ Progress = Callable[[int, int, str], None]
 
 
 def cut(
-    path: str | Path, to: str | Path, start: float = -np.inf, stop: float = np.inf, *, progress: Progress | None = None
+    path: str | Path,
+    to: str | Path,
+    start: float = -np.inf,
+    stop: float = np.inf,
+    *,
+    robot: str | None = None,
+    progress: Progress | None = None,
 ) -> Path:
     """Write the stretch start <= t < stop of a recording to a finished one, and return its path.
 
@@ -37,17 +44,21 @@ def cut(
     path : a recording, finished or not; of several robots each is cut on its own clock.
     to : the new file, ending in .mcap; an existing one is replaced in one step or not at all.
     start, stop : seconds of the table.
+    robot : whose rows and events are taken, of a recording of several; all when None.
     progress : called with (bytes done, bytes in all, what).
 
     Raises
     ------
     LogError : the file is no recording of armlab or has no rows there; the new one cannot be written.
+    UnknownName : no such robot in it.
     ConfigError : a name that does not end in .mcap, or a stretch that ends before it begins.
     """
-    path, to = Path(path), _checked(to)
+    path, to = Path(path), recording_path(to)
     if not start < stop:
         raise ConfigError(f"Expected a stretch from a time to a later one, got {start:g} s to {stop:g} s.")
     with opened_source(path) as source:
+        if robot is not None:
+            source.keep(robot)
         for arm in source.arms:
             arm.cut(start, stop)
         if not any(arm.rows_left for arm in source.arms):
@@ -77,7 +88,7 @@ def merge(paths: Sequence[str | Path], to: str | Path, *, progress: Progress | N
     have columns of one name that differ; robots that did not run at the same time; the new file cannot be written.
     ConfigError : fewer than two files, or a name that does not end in .mcap.
     """
-    to = _checked(to)
+    to = recording_path(to)
     if len(paths) < 2:
         raise ConfigError(f"Expected two recordings or more to merge, got {len(paths)}.")
     with contextlib.ExitStack() as stack:
@@ -93,12 +104,6 @@ def merge(paths: Sequence[str | Path], to: str | Path, *, progress: Progress | N
         names = ", ".join(source.path.name for source in sources)
         _write(to, sources, f"concat({len(sources)} tables)" if len(arms) == 1 else f"merge({names})", progress)
     return to
-
-
-def _checked(to: str | Path) -> Path:
-    if Path(to).suffix.lower() != ".mcap":
-        raise ConfigError(f"Expected the name of a recording, ending in .mcap, got {to}. Change the ending.")
-    return Path(to)
 
 
 def _line_up(arms: list[Arm]) -> None:

@@ -15,9 +15,8 @@ from armlab.log.description import Progress
 from armlab.log.formats import BAGS, bag_files, check_readable, format_at
 from armlab.log.mcap_records import Contents, contents
 from armlab.log.provenance import origin
-from armlab.log.reading import opened, torn_sentence
+from armlab.log.reading import names_robots, naming, opened, torn_sentence
 from armlab.log.recording_columns import clocks
-from armlab.log.rosbag2_file import is_ours
 from armlab.log.table import Table
 from armlab.log.topic_fields import JOINTS
 from armlab.log.topic_messages import TopicMessages, read_mcap_topics, read_rosbags_topics
@@ -39,9 +38,9 @@ def is_foreign(path: Path) -> bool:
     """
     kind = format_at(path)
     if kind == "MCAP":
-        with opened(path) as view:
+        with opened(path) as view, naming(path):
             return not clocks(contents(view))
-    return kind in BAGS and not (kind == "rosbag2" and is_ours(path))
+    return kind in BAGS and names_robots(path)
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,13 +149,18 @@ def _held(path: Path, choice: Choice, robot: Robot | str | None, progress: Progr
 
 def _held_in_mcap(files: Sequence[Path], choice: Choice, robot: Robot | str | None, progress: Progress | None) -> _Held:
     with ExitStack() as stack:
-        held = [(file, view, contents(view)) for file in files for view in [stack.enter_context(opened(file))]]
+        held = []
+        for file in files:
+            view = stack.enter_context(opened(file))
+            with naming(file):
+                held.append((file, view, contents(view)))
         topics = {channel.topic: channel.type for _, _, found in held for channel in found.channels.values()}
         choice, wanted = _chosen(topics, choice, robot)
         into = TopicMessages()
         into.damage += [sentence for _, _, found in held for _, sentence in found.damaged]
-        for _, view, found in held:
-            read_mcap_topics(view, found, wanted, into, progress)
+        for file, view, found in held:
+            with naming(file):
+                read_mcap_topics(view, found, wanted, into, progress)
     return _Held(files, choice, into, {file: found for file, _, found in held if not found.finished})
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,7 +10,7 @@ import numpy as np
 
 from armlab import glossary
 from armlab.errors import ArmlabError, LogError, UnknownName
-from armlab.log.assemble import in_time_order, spread
+from armlab.log.assemble import rows_in_order
 from armlab.log.description import distinct
 from armlab.log.table import Table
 from armlab.log.topic_fields import JOINTS
@@ -232,16 +231,10 @@ def _rows(path: Path, streams: Sequence[Stream], clock: str | None) -> Stream:
 def _table(rows: Stream, streams: Sequence[Stream], notes: Sequence[str], raw: bool) -> Table:
     stamps = _on_clock(rows, rows)
     t = (stamps - stamps[0]) / 1e9
-    keep, lost = in_time_order(t)
-    notes = list(notes)
-    if raw and lost:
-        t, keep = spread(t), np.ones(len(t), dtype=bool)
-    elif lost:
-        notes.append(f"{lost} rows of {rows.topic} dropped: their time does not advance")
-        warnings.warn(f"{notes[-1]}; log.read(..., raw=True) keeps them", stacklevel=5)
-    kept = rows.rows(keep) if lost and not raw else rows
+    t, keep, dropped = rows_in_order(t, raw, of=f" of {rows.topic}")
+    kept = rows.rows(keep) if dropped else rows
     start, columns = int(stamps[0]), {name: replace(one, shape=()) for name, one in rows.columns.items()}
-    table = Table(t[keep], kept.values, columns, t0_ns=start, notes=tuple(notes))
+    table = Table(t[keep], kept.values, columns, t0_ns=start, notes=(*notes, *dropped))
     for other in streams:
         if other is not rows:
             table = _joined(table, other, _on_clock(other, rows), stamps)

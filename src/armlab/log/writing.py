@@ -154,7 +154,9 @@ def _encodes(text: str) -> bool:
 
 def _write_mcap(table: Table, part: Path, path: Path, robot: Robot | None, tell: Progress) -> None:
     if robot is None:
-        raise ConfigError(f"Expected the robot of the table for {path}, got none. Give robot=, or write a .csv.")
+        raise ConfigError(
+            f"Expected the robot of the table for {path}, got none. Give robot= (--robot of commands), or write a .csv."
+        )
     standard = RowLayout(robot).slots
     extra = {name: table.columns[name] for name in table.names if name not in standard}
     layout = RowLayout(robot, {**extra, "t": Column()})
@@ -180,10 +182,9 @@ def _write_mcap(table: Table, part: Path, path: Path, robot: Robot | None, tell:
         block[:, slot.start : slot.stop] = raw.view(np.uint8).reshape(len(table), -1)
     file = RecordingFile(part, robot, layout, {}, "; ".join(table.source), (table.t0_ns, table.clock))
     try:
-        for done, row in enumerate(block):
-            file.write(row.tobytes(), done)  # ticks of tables put together come twice
-            if done % _TOLD == 0:
-                tell(done, len(block), "rows")
+        for done in range(0, len(block), _TOLD):
+            file.write([row.tobytes() for row in block[done : done + _TOLD]], done)  # ticks may come twice
+            tell(done, len(block), "rows")
         file.finish({"rows": len(table), "source": list(table.source)})
     except BaseException:
         file.abandon()

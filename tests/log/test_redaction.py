@@ -1,0 +1,159 @@
+"""Secrets of attached settings are replaced whatever their shape; everything else stays."""
+
+from __future__ import annotations
+
+import io
+import json
+import tomllib
+from typing import Any
+
+import pytest
+import tomli_w
+from hypothesis import given
+from hypothesis import strategies as st
+from ruamel.yaml import YAML
+
+from armlab.log.redaction import SECRET, redacted
+
+MARKER = "q7Zw"
+LETTERS = st.text("abcxyz", min_size=1, max_size=5)  # of which no name of a secret can be made
+SCALARS = st.one_of(st.integers(0, 9), st.booleans(), LETTERS)
+HIDING = st.recursive(
+    st.sampled_from([MARKER, f"a\n{MARKER}\n  b", f" {MARKER}", f"a # {MARKER}", f"]}}'\"\\\n{MARKER}"]),
+    lambda inside: st.one_of(
+        st.lists(st.one_of(inside, SCALARS), max_size=3),
+        st.dictionaries(LETTERS, st.one_of(inside, SCALARS), max_size=3),
+    ),
+    max_leaves=5,
+)
+NAMES = st.sampled_from(
+    ["token", "my_token", "PASSWORD", "api-key", "ApiKey", "the secret of it", "x.passwd", "token \"'", "tokens"]
+)
+
+
+def table(inside: st.SearchStrategy[Any]) -> st.SearchStrategy[dict[str, Any]]:
+    plain = st.dictionaries(LETTERS, st.one_of(SCALARS, inside, st.lists(inside, max_size=2)), max_size=3)
+    return st.builds(lambda open_, hidden: open_ | hidden, plain, st.dictionaries(NAMES, HIDING, max_size=2))
+
+
+TREES = table(st.recursive(SCALARS, table, max_leaves=8))
+
+
+def seen(value: Any) -> Any:
+    """Return what may be seen of a value, as the sources of this test build it."""
+    if isinstance(value, dict):
+        return {key: "***" if SECRET.search(key) else seen(one) for key, one in value.items()}
+    return [seen(one) for one in value] if isinstance(value, list) else value
+
+
+def yaml_text(tree: Any, flow: bool | None) -> str:
+    writer, out = YAML(typ="safe", pure=True), io.StringIO()
+    writer.default_flow_style = flow
+    writer.dump(tree, out)
+    return out.getvalue()
+
+
+@given(tree=TREES, flow=st.sampled_from([None, True, False]), width=st.sampled_from([None, 2]))
+def test_no_shape_of_a_secret_is_kept_and_nothing_else_is_lost(tree: Any, flow: bool | None, width: int | None) -> None:
+    for name, text, parse in (
+        ("a.toml", tomli_w.dumps(tree, multiline_strings=bool(flow)), tomllib.loads),
+        ("a.JSON", json.dumps(tree, indent=width), json.loads),
+        ("a.yaml", yaml_text(tree, flow), YAML(typ="safe", pure=True).load),
+    ):
+        told = redacted(name, text.encode()).decode()
+        assert MARKER not in told, name
+        assert parse(told) == seen(tree), name
+
+
+@given(
+    sections=st.dictionaries(st.sampled_from(["cell", "token", "my secrets"]), st.booleans(), max_size=3),
+    lines=st.lists(st.sampled_from([MARKER, f"x = {MARKER}", f"# {MARKER}"]), min_size=1, max_size=3),
+    between=st.sampled_from(["=", ":", " = "]),
+)
+def test_sections_and_long_values_of_ini_files(sections: dict[str, bool], lines: list[str], between: str) -> None:
+    text = f"api-key{between}" + "\n  ".join(lines) + "\nport = 1\n"
+    for section, has_value in sections.items():
+        secret = SECRET.search(section) is not None
+        text += f"[{section}]\nvalue{between}{MARKER if secret and has_value else 5}\npasswd{between}{MARKER}\n"
+    told = redacted("a.ini", text.encode()).decode()
+    assert MARKER not in told
+    assert "port = 1" in told
+    assert ("value = 5" in told) == ("cell" in sections)
+
+
+BLOCKS = f"""
+list:
+- secret: >-
+    {MARKER}
+    b
+- api-key: [a,
+{MARKER}]
+? token
+: {MARKER}
+base: &base {{password: "x
+  {MARKER}", port: 1}}
+again: *base
+merged:
+  <<: *base
+round: &round
+  - *round
+"t\\x6fken": {MARKER}
+--- # {MARKER}
+passwords: |2
+    {MARKER}
+kept: here
+"""
+
+
+def test_what_only_yaml_can_say() -> None:
+    told = redacted("cell.yml", BLOCKS.encode()).decode()
+    assert MARKER not in told
+    first, second = YAML(typ="safe", pure=True).load_all(told)
+    assert first["list"] == [{"secret": "***"}, {"api-key": "***"}]
+    assert first["merged"] == first["again"] == {"password": "***", "port": 1}
+    assert first["round"][0] is first["round"]
+    assert second == {"passwords": "***", "kept": "here"}
+
+
+def test_files_that_share_a_table_many_times_stay_small() -> None:
+    """Nine of nine of nine ...: a tree of it would not end."""
+    text = "a: &a [token]\n" + "".join(
+        f"{new}: &{new} [{', '.join(9 * ['*' + old])}]\n" for old, new in zip("abcdefghijk", "bcdefghijkl")
+    )
+    assert len(redacted("a.yaml", text.encode())) < 10 * len(text)  # not 9**11
+
+
+@pytest.mark.parametrize(
+    ("name", "data"),
+    [
+        ("a.toml", b"token = [" + 40 * b"# aaaa\n"),
+        ("a.json", b'{"token": '),
+        ("a.json", 100_000 * b"[" + b'"token"'),
+        ("a.yaml", b"token: [a\nb: }"),
+        ("a.yaml", b"x: !!pairs [token: a]"),
+        ("a.yaml", b"token: !!python/name:os.system"),
+        ("a.cfg", b"token\n=\n[\n"),
+        ("a.toml", 'token = "a"'.encode("utf-16")),
+        ("a.toml", b"\xff token"),
+    ],
+)
+def test_what_cannot_be_read_is_left_out(name: str, data: bytes) -> None:
+    assert redacted(name, data).startswith(b"# left out: ")
+
+
+def test_files_that_mention_no_secret_stay_as_they_are() -> None:
+    for name, data in (
+        ("odd.toml", b"\xff\xfe"),
+        ("data.bin", b"token = 1"),
+        ("a.toml", b"# mine\nx = 'a\\b'"),
+        ("a.json", b'{ "x":  "\\n" }'),
+        ("a.yaml", b"x: {a: 1}   # mine"),
+        ("a.json", b"\xef\xbb\xbf{}"),
+    ):
+        assert redacted(name, data) == data
+
+
+def test_a_text_that_tells_a_secret() -> None:
+    told = tomllib.loads(redacted("a.toml", b'url = "http://x?my_token=abc&y=1" # Token: abc').decode())
+    assert told == {"url": "http://x?my_token=***"}
+    assert json.loads(redacted("a.json", b'{"\\u0074oken": "abc", "x": 1}')) == {"token": "***", "x": 1}
