@@ -37,8 +37,11 @@ from websockets.typing import Subprotocol
 
 port, seconds = int(sys.argv[1]), float(sys.argv[2])
 unpack, end, seen = zstandard.ZstdDecompressor(), time.time() + seconds, []
+size = {"image_width": 800, "image_height": 600, "fov": 0.8, "near": 0.01, "far": 1000.0}
+camera = {"type": "ViewerCameraMessage", "wxyz": (1.0, 0.0, 0.0, 0.0), "position": (2.0, 1.0, 1.0), **size}
 words = {"subprotocols": [Subprotocol(f"viser-v{__version__}")], "max_size": None, "compression": None}
 with connect(f"ws://127.0.0.1:{port}", **words) as server:
+    server.send(msgspec.msgpack.encode({**camera, "look_at": (0.0, 0.0, 0.0), "up_direction": (0.0, 0.0, 1.0)}))
     while time.time() < end:
         try:
             data = server.recv(timeout=0.5)
@@ -46,7 +49,7 @@ with connect(f"ws://127.0.0.1:{port}", **words) as server:
             continue
         size = int.from_bytes(data[8:16], "little")
         for message in msgspec.msgpack.decode(unpack.decompress(data[16 : 16 + size]))["messages"]:
-            if message["type"] == "SetPositionMessage" and message["name"] == "/yumi_left/arm/tool":
+            if message["type"] == "SetPositionMessage" and message["name"] == "/yumi_left/force":
                 seen.append((time.time(), *message["position"]))
 json.dump(seen, sys.stdout)
 """
@@ -176,7 +179,7 @@ def _seconds(process: int) -> float:
 
 
 def _behind(seen: np.ndarray, rows: Any) -> np.ndarray:
-    """Return by how much each picture of the tool came after the packet that it shows [s].
+    """Return by how much each picture of the force at the tool came after the packet that it shows [s].
 
     Measured positions have noise, so that each is found among the packets before.
     """

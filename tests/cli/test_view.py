@@ -17,7 +17,7 @@ import pytest
 from armlab import log as logs
 from armlab import models, robots
 from armlab.cli import main
-from armlab.cli.view import beside
+from armlab.cli.view import _folders, beside
 from armlab.errors import LinkError
 from armlab.live import Player
 from armlab.log import Table
@@ -61,7 +61,7 @@ def test_a_file_that_is_no_log(tmp_path: Path, capsys: Any, text: str | None, se
 
 def test_a_file_of_another_kind_is_no_model(alone: None, tmp_path: Path, capsys: Any) -> None:
     models.save(robots.load("yumi_left"), tmp_path / "arm.toml")
-    assert main(["view", "--live", "--model", str(tmp_path / "arm.toml")]) == 1
+    assert main(["view", "--live", "--model", str(tmp_path / "arm.toml")]) == 2
     assert "Expected a file of kind 'torque_model'" in capsys.readouterr().err
 
 
@@ -84,15 +84,16 @@ def test_ctrl_c_ends_it_without_a_traceback(alone: None) -> None:
     pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     with subprocess.Popen(words, **pipes) as process:
         assert process.stdout is not None
+        assert process.stderr is not None
         line = process.stdout.readline()
         assert re.fullmatch(r"View: http://127\.0\.0\.1:\d+\n", line)
         page = urllib.request.urlopen(line.split()[1], timeout=20.0).read()
         assert b"<html" in page
+        assert process.stderr.readline().startswith("Waiting for a bridge of this user")
         process.send_signal(signal.SIGINT)
         _, said = process.communicate(timeout=20.0)
     assert process.returncode == 130
     assert "Traceback" not in said
-    assert said.startswith("Waiting for a bridge of this user")
 
 
 @pytest.fixture
@@ -136,3 +137,12 @@ def test_a_view_that_cannot_begin_says_why(alone: None, tmp_path: Path, monkeypa
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     with pytest.raises(LinkError, match=r"^Expected viser.*pip install 'armlab\[live\]'"), beside("nobody"):
         pass
+
+
+def test_meshes_of_a_robot_file_are_looked_for_around_it(tmp_path: Path) -> None:
+    """As packages of ROS have them: maker/urdf/arm.urdf names package://maker/meshes/link.stl."""
+    file = tmp_path / "maker" / "urdf" / "arm.urdf"
+    file.parent.mkdir(parents=True)
+    file.write_text("")
+    inside = tmp_path.resolve() / "maker"
+    assert _folders(["yumi_left", str(file)]) == [inside / "urdf", inside, inside.parent, Path()]

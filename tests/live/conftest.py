@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -16,6 +17,7 @@ from armlab.bridge.feed import OPERATOR, Exchange
 from armlab.bridge.local import socket_path
 from armlab.bridge.local_server import LocalServer
 from armlab.live.running import Running
+from armlab.live.server import HOST
 from armlab.log import Tick
 from armlab.robots import Robot
 from armlab.state import Command, State
@@ -36,6 +38,29 @@ def server(_server: Any) -> Any:
     _server.scene.reset()
     _server.gui.reset()
     return _server
+
+
+@pytest.fixture
+def page() -> Callable[..., Any]:
+    """Return what connects to a server as its page does, without a browser; from where the page says it is."""
+    viser = pytest.importorskip("viser", reason="the view in the browser needs the extra `live`")
+    import msgspec
+    from websockets.exceptions import ConnectionClosed
+    from websockets.sync.client import connect
+    from websockets.typing import Origin, Subprotocol
+
+    version = Subprotocol(f"viser-v{viser.__version__}")
+    camera = {"wxyz": (1.0, 0.0, 0.0, 0.0), "position": (2.0, 1.0, 1.0), "fov": 0.8, "near": 0.01, "far": 1000.0}
+    ways = {"look_at": (0.0, 0.0, 0.0), "up_direction": (0.0, 0.0, 1.0), "image_height": 600, "image_width": 800}
+
+    def open_(port: int, origin: str | None = None) -> Any:
+        said = None if origin is None else Origin(origin)
+        socket = connect(f"ws://{HOST}:{port}", subprotocols=[version], origin=said, max_size=None, proxy=None)
+        with contextlib.suppress(ConnectionClosed):  # whoever receives next hears of it
+            socket.send(msgspec.msgpack.encode({"type": "ViewerCameraMessage", **camera, **ways}))
+        return socket
+
+    return open_
 
 
 class Bridge:

@@ -97,7 +97,9 @@ def test_meshes_are_read_where_there_are_any(tmp_path: Path) -> None:
         trimesh.Trimesh(*box(np.zeros(3), np.array([0.0, 0.0, length]), 100.0)).export(tmp_path / name)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        found = mesh_bodies(with_mesh("package://maker/one.stl", "package://other/two.stl"), tmp_path)
+        found = mesh_bodies(
+            with_mesh("package://maker/one.stl", "package://other/two.stl"), [tmp_path / "no", tmp_path]
+        )
     assert [one is None for one in found] == [True, False, False, True, True, True, True]
     assert found[1] is not None
     np.testing.assert_allclose(np.ptp(found[1].vertices, axis=0), [0.1, 0.1, 0.3])  # mm in the file
@@ -106,6 +108,6 @@ def test_meshes_are_read_where_there_are_any(tmp_path: Path) -> None:
 def test_missing_meshes_are_told_once(tmp_path: Path) -> None:
     (tmp_path / "broken.stl").write_text("solid of nothing")
     with pytest.warns(UserWarning, match=r"no mesh for gone\.stl, broken\.stl of irb2400") as told:
-        found = mesh_bodies(with_mesh("gone.stl", "broken.stl"), tmp_path)
+        found = mesh_bodies(with_mesh("gone.stl", "broken.stl"), [tmp_path])
     assert len(told) == 1
     assert found == [None] * 7

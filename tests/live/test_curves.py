@@ -6,6 +6,7 @@ import re
 from types import SimpleNamespace
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -110,16 +111,34 @@ def test_a_band_that_is_missing_has_no_width() -> None:
         np.testing.assert_array_equal(gui.plots[0].data[2] - gui.plots[0].data[3], sizes)
 
 
+def test_curves_are_interrupted_where_they_are_missing() -> None:
+    """uPlot leaves a hole at null; NaN it would bridge by a line. All other columns go as plain numbers."""
+    gui = Gui()
+    plot = Curves(gui, "x", ["x", "y", "z"], ["#000000"] * 3, band=True, cursor=True)
+    values = np.arange(12.0).reshape(4, 3)
+    values[1, 0], values[:, 2] = np.nan, np.nan
+    plot.show(np.arange(4.0), values, np.ones((4, 3)), at=2.0)
+    t, x, y, z, x_high, x_low, *rest, now = gui.plots[0].data
+    assert [isinstance(one, msgspec.Raw) for one in (t, x, y, z, x_high, x_low, *rest, now)] == (
+        [False, True, False, False, True, True, False, False, False, False, False]
+    )
+    assert msgspec.msgpack.decode(x) == [0.0, None, 6.0, 6.0, 6.0, 9.0]
+    assert msgspec.msgpack.decode(x_low) == [-1.0, None, 5.0, 5.0, 5.0, 8.0]
+    assert np.isnan(z).all(), "nothing to interrupt"
+
+
 def test_a_window_slides_and_draws_ten_times_a_second() -> None:
     gui = Gui()
     window = Window(Curves(gui, "x", ["x"], ["#000000"], band=True))
     for k in range(5000):
         window.push(0.004 * k, [float(k)], [1.0] if k % 2 else None)
+        window.draw()
     data = gui.plots[0].data
     assert data[0][-1] == pytest.approx(20.0, abs=0.11)
     assert data[0][0] == pytest.approx(10.0, abs=0.2)
     assert 190 <= gui.plots[0].sent <= 201
     window.push(1.0, [5.0])  # another run
+    window.draw()
     np.testing.assert_array_equal(gui.plots[0].data[1], [5.0])
 
 
@@ -135,5 +154,7 @@ def test_shapes_that_do_not_fit_are_refused() -> None:
         plot.show([0.0, 1.0], [[1.0, 2.0], [1.0, 2.0]])
     with pytest.raises(ShapeError, match="band=True"):
         plot.show([0.0], [[1.0]], [[1.0]])
+    with pytest.raises(ShapeError, match="a sample of 1 curves"):
+        Window(plot).push(0.0, [1.0, 2.0])
     with pytest.raises(ShapeError, match="bands of shape"):
         Curves(Gui(), "x", ["x"], ["#000000"], band=True).show([0.0], [[1.0]], [1.0])

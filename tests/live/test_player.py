@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab import live, robots
+from armlab import robots
 from armlab.errors import LogError, ShapeError
 from armlab.kinematics import forward
-from armlab.lie import quaternion
+from armlab.lie import quaternion, se3
+from armlab.live.node import rgb
 from armlab.live.player import Player
 from armlab.live.recorded import Recorded
 from armlab.log import Table
@@ -35,7 +36,12 @@ def pressed() -> Recorded:
 
 
 def tool(server: Any, robot: robots.Robot) -> np.ndarray:
-    return np.array(server.scene.get_handle_by_name(f"/{robot.name}/arm/tool").position)  # viser writes into its own
+    path, T = f"/{robot.name}/arm", np.eye(4)
+    for name in (*(f"link_{i + 1}" for i in range(robot.n)), "tool"):
+        path += f"/{name}"
+        handle = server.scene.get_handle_by_name(path)
+        T = T @ se3.from_rp(quaternion.to_matrix(handle.wxyz), handle.position)
+    return T[:3, 3]
 
 
 def tip(arrow: Any) -> np.ndarray:
@@ -101,7 +107,7 @@ def test_the_force_of_that_instant_and_its_covariance_are_drawn(server: Any, pre
         player.advance(0.0)
         arrow = server.scene.get_handle_by_name("/yumi_left/force")
         np.testing.assert_allclose(tip(arrow), tool(server, LEFT) + 0.01 * t * np.eye(3)[0], atol=1e-9, rtol=0)
-        assert (tuple(arrow.color) == live.scene.rgb("#D55E00")) is significant
+        assert (tuple(arrow.color) == rgb("#D55E00")) is significant
         widths.append(max(server.scene.get_handle_by_name("/yumi_left/uncertainty").scale))
     np.testing.assert_allclose(widths, 0.02 * np.sqrt([25.0, 12.0]))
 

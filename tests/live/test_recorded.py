@@ -164,3 +164,7 @@ def test_logs_that_cannot_be_shown_are_refused(tmp_path: Path, table: Callable[.
     log.write(table(n=6), tmp_path / "six.csv")
     with pytest.raises(LogError, match=r"positions q \(N, 7\) of yumi_left.*\(500, 6\)"):
         read_arms([tmp_path / "six.csv"], [LEFT])
+    with Recorder(tmp_path / "nothing.mcap", LEFT):
+        pass
+    with pytest.raises(LogError, match=r"rows of yumi_left in .*nothing\.mcap, got a log without any"):
+        read_arms([tmp_path / "nothing.mcap"])

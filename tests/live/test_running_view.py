@@ -6,15 +6,17 @@ import socket
 import sys
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
 from armlab import robots
 from armlab.errors import MissingExtra
 from armlab.kinematics import forward
-from armlab.lie import quaternion
+from armlab.lie import quaternion, se3
 from armlab.live.running_view import RunningView, watch
 
+LOOKS = 1000  # frames; only a test that fails takes all
 LEFT, RIGHT = robots.load("yumi_left"), robots.load("yumi_right")
 HAT = np.array([0.0, 0.0, 10.0, 0.0, 0.5, 0.0])
 
@@ -24,8 +26,14 @@ def handle(server: Any, name: str) -> Any:
 
 
 def data(view: RunningView, arm: str, plot: str) -> np.ndarray:
-    """What a plot holds: times, then the curves."""
-    return np.stack(getattr(view._arms[arm], f"_{plot}")._curves._plot.data)
+    """What a plot holds: times, then the curves; NaN where they are interrupted."""
+    columns = [
+        [np.nan if value is None else value for value in msgspec.msgpack.decode(one)]
+        if isinstance(one, msgspec.Raw)
+        else one
+        for one in getattr(view._arms[arm], f"_{plot}")._curves._plot.data
+    ]
+    return np.stack(columns)
 
 
 def test_the_arms_are_drawn_as_the_bridge_has_them(server: Any, bridge: Any, following: Any, hear_until: Any) -> None:
@@ -35,12 +43,15 @@ def test_the_arms_are_drawn_as_the_bridge_has_them(server: Any, bridge: Any, fol
     assert "Waiting for a bridge" in view._state._html.content
     q = np.linspace(0.1, 0.7, 7)
     record = {"wrench_hat": HAT, "wrench_hat_cov": np.diag([1.0, 4.0, 9.0, 0.1, 0.1, 0.1])}
-    hear_until(running, lambda: running.row, lambda: one.row(RIGHT, record, q=q, tau=np.arange(7.0)))
+    row = {"q": q, "tau": np.arange(7.0), "later": 60.0}  # it is no old one, however long this takes
+    hear_until(running, lambda: running.row, lambda: one.row(RIGHT, record, **row))
     view.draw()
     T = forward(RIGHT, q)
-    tool = handle(server, "/yumi_right/arm/tool")
-    np.testing.assert_allclose(tool.position, T[:3, 3], atol=1e-9)
-    np.testing.assert_allclose(abs(tool.wxyz @ quaternion.from_matrix(T[:3, :3])), 1.0, atol=1e-9)
+    path, found = "/yumi_right/arm", np.eye(4)
+    for name in (*(f"link_{i}" for i in range(1, 8)), "tool"):
+        path += f"/{name}"
+        found = found @ se3.from_rp(quaternion.to_matrix(handle(server, path).wxyz), handle(server, path).position)
+    np.testing.assert_allclose(found, T, atol=1e-9)
     arrow = handle(server, "/yumi_right/force")
     assert arrow.visible
     along = quaternion.to_matrix(arrow.wxyz)[:, 2]
@@ -85,14 +96,14 @@ def test_curves_and_path_do_not_bridge_a_gap(server: Any, bridge: Any, following
     running.row = last._replace(mono_ns=last.mono_ns + 10**9, wall_ns=last.wall_ns + 10**9)
     view.draw()
     assert len(path) == 1
-    torque = view._arms["yumi_left"]._torque._rows
-    assert [bool(np.isnan(values).all()) for _, values, _ in torque] == [False, False, False, True, False]
+    torque = view._arms["yumi_left"]._torque._recent
+    assert np.isnan(torque.values[:, :7]).all(axis=1).tolist() == [False, False, False, True, False]
     running.row = running.row._replace(wall_ns=running.row.wall_ns - 10**7)  # the clock of another arm in lockstep
     view.draw()
     assert len(torque) == 5
     running.row = last._replace(wall_ns=last.wall_ns - 10**10)  # the clock of another run
     view.draw()
-    assert [t for t, *_ in view._arms["yumi_left"]._torque._rows][-1] == 0.0
+    assert torque.t[-1] == 0.0
 
 
 def test_other_arms_get_another_scene(server: Any, bridge: Any, following: Any, hear_until: Any) -> None:
@@ -128,6 +139,29 @@ def test_watch_tells_address_and_connection(bridge: Any) -> None:
     assert rest[-1] == "Cell small"
     with socket.socket() as probe:
         assert probe.connect_ex(("127.0.0.1", int(address.rpartition(":")[2]))) != 0
+
+
+def test_nothing_is_drawn_while_nobody_looks(bridge: Any, page: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Who comes is shown what was kept meanwhile."""
+    one, told, pages, drawn = bridge(LEFT), [], [], []
+    draw, rows = RunningView.draw, iter(range(LOOKS))
+
+    def spied(view: RunningView) -> None:
+        draw(view)
+        drawn.append(len(data(view, "yumi_left", "torque")[0]) if view._arms else 0)
+
+    def over() -> bool:
+        one.row(LEFT)
+        k = next(rows)
+        if "Cell small" in told and k > 20 and not pages:
+            assert not drawn
+            pages.append(page(int(told[0].rpartition(":")[2])))
+        return bool(drawn)
+
+    monkeypatch.setattr(RunningView, "draw", spied)
+    watch(opened=told.append, tell=told.append, port=0, over=over)
+    pages[0].close()
+    assert drawn[0] > 5
 
 
 def test_without_viser(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from armlab import live
 from armlab.errors import ConfigError, LinkError, MissingExtra
-from armlab.live.server import HOST, address, start, stop
+from armlab.live.server import HOST, address, is_own, start, stop
 
 
 def test_a_view_is_served_on_this_computer_only(server: Any) -> None:
@@ -35,6 +35,41 @@ def test_nothing_is_printed_and_a_port_that_is_taken_is_left_alone(
     finally:
         stop(other)
     assert capfd.readouterr() == ("", "")
+
+
+def test_a_page_of_another_site_sees_nothing(server: Any, page: Any) -> None:
+    """A browser would let it connect: the server has to look at the origin. Programs tell none."""
+    from websockets.exceptions import ConnectionClosed
+
+    port = server.get_port()
+    foreign = ("https://example.com", "http://example.com", f"http://{HOST}", f"http://{HOST}:{port + 1}", "null")
+    for origin in (*foreign, f"http://localhost:{port}"):  # asked for as 127.0.0.1, which is another site
+        with page(port, origin) as one, pytest.raises(ConnectionClosed) as closed:
+            one.recv(timeout=10.0)
+        assert closed.value.rcvd is not None, origin
+        assert closed.value.rcvd.code == 1008, origin
+    for origin in (None, address(server)):
+        with page(port, origin) as one:
+            assert len(one.recv(timeout=10.0)) > 16
+
+
+def test_origins_are_compared_with_the_server_that_was_asked() -> None:
+    assert is_own([], ["localhost:8080"])
+    for host in ("localhost:8080", "127.0.0.1:9000", "[::1]:8080"):  # 9000 forwarded by ssh
+        assert is_own([f"http://{host}"], [host])
+    for origins, hosts in (
+        (["http://localhost:8888"], ["localhost:8080"]),
+        (["http://example.com:8080"], ["example.com:8080"]),  # a name that was made to lead here
+        (["http://127.0.0.1.example.com:8080"], ["127.0.0.1.example.com:8080"]),
+        (["http://localhost:8080@example.com"], ["localhost:8080@example.com"]),
+        (["https://localhost:8080"], ["localhost:8080"]),
+        (["http://localhost:8080", "http://example.com"], ["localhost:8080"]),
+        (["http://localhost:8080"], []),
+        (["http://localhost:8080"], ["localhost:8080", "example.com"]),
+        (["null"], ["localhost:8080"]),
+        ([""], [""]),
+    ):
+        assert not is_own(origins, hosts), (origins, hosts)
 
 
 def test_no_tunnel_is_opened(server: Any) -> None:

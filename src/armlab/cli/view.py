@@ -13,7 +13,6 @@ from typing import IO, TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from armlab.models import TorqueModel
-    from armlab.robots import Robot
 
 __all__ = ["beside", "view"]
 
@@ -42,7 +41,8 @@ def view(
     live : bool
         Show a bridge of this user that runs.
     robot : str
-        Name in the library, or a robot file, for logs that do not tell their robot; one per log.
+        Name in the library, or a robot file, for logs that do not tell their robot; one per log. Meshes that it names
+        are looked for beside it and up to two folders above.
     model : Path
         Model file of `armlab identify` that estimates the force where neither log nor bridge holds an estimate; one
         per arm.
@@ -51,7 +51,7 @@ def view(
     port : int
         Port of the page; from 8080 on the first that is free when left out.
     """
-    from armlab import models, robots
+    from armlab import models
     from armlab.cli.output import note
     from armlab.errors import ConfigError
 
@@ -59,7 +59,7 @@ def view(
     if not live:
         if cell:
             raise ConfigError(f"Expected --cell {cell} together with --live, got logs. Leave one of them out.")
-        _play(what, [robots.load(name) for name in robot or ()], known, port)
+        _play(what, robot or (), known, port)
         return
     if robot:
         raise ConfigError("Expected --robot with logs only, since a bridge tells its robots. Leave it out.")
@@ -70,8 +70,9 @@ def view(
     watch(what[0] if what else None, cell=cell, models=known, port=port, opened=_open, tell=note)
 
 
-def _play(paths: Sequence[str], robots: Sequence[Robot], models: Sequence[TorqueModel], port: int | None) -> None:
+def _play(paths: Sequence[str], names: Sequence[str], models: Sequence[TorqueModel], port: int | None) -> None:
     """Show logs."""
+    from armlab import robots
     from armlab.cli.output import note
     from armlab.errors import ConfigError
     from armlab.live import Player, address, read_arms, start, stop
@@ -79,14 +80,20 @@ def _play(paths: Sequence[str], robots: Sequence[Robot], models: Sequence[Torque
     if not paths:
         raise ConfigError("Expected at least one log to show, got none. Name a file, or give --live for a bridge.")
     note(f"reading {', '.join(paths)}")
-    arms = read_arms(paths, robots, models)
+    arms = read_arms(paths, [robots.load(name) for name in names], models)
     server = start(port, label=" ".join(Path(path).name for path in paths))
     try:
-        player = Player(server, arms)
+        player = Player(server, arms, meshes=_folders(names))
         _open(address(server))
         player.run()
     finally:
         stop(server)
+
+
+def _folders(robots: Sequence[str]) -> list[Path]:
+    """Return where meshes are looked for: beside each robot file and up to two folders above, as packages have them."""
+    files = [Path(name).resolve() for name in robots if Path(name).is_file()]
+    return [*(folder for file in files for folder in file.parents[:3]), Path()]
 
 
 def _open(url: str) -> None:

@@ -135,21 +135,21 @@ def along(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return se3.from_rp(np.stack([x, np.cross(z, x), z], axis=1), a)
 
 
-def mesh_bodies(robot: Robot, folder: Path | None = None) -> list[Body | None]:
+def mesh_bodies(robot: Robot, folders: Sequence[Path] = ()) -> list[Body | None]:
     """Return n + 1 shapes from the robot's visual meshes (base axes, link frames); None for a link without.
 
     One warning names all files that are missing or cannot be read. ``package://maker/a/b.stl`` is looked for as
-    ``maker/a/b.stl`` and ``a/b.stl`` in the folder.
+    ``maker/a/b.stl`` and ``a/b.stl`` in each folder.
 
     Parameters
     ----------
-    robot : the arm. folder : where files of meshes are; the current one when None.
+    robot : the arm. folders : where files of meshes are looked for; the current one when none is given.
     """
     missing: list[str] = []
     shapes: list[Body | None] = []
     for i, link in enumerate(robot.meshes):
         visual = [mesh for mesh in link if mesh.kind == "visual"]
-        found = [_read(mesh, folder or Path()) for mesh in visual]
+        found = [_read(mesh, folders or [Path()]) for mesh in visual]
         missing += [mesh.file for mesh, one in zip(visual, found) if one is None]
         parts = [one for one in found if one is not None]
         whole = _together(parts) if parts and len(parts) == len(visual) else None
@@ -159,7 +159,7 @@ def mesh_bodies(robot: Robot, folder: Path | None = None) -> list[Body | None]:
     return shapes or [None] * (robot.n + 1)
 
 
-def _read(mesh: Mesh, folder: Path) -> Body | None:
+def _read(mesh: Mesh, folders: Sequence[Path]) -> Body | None:
     """Return what a file of a mesh holds, in its link frame."""
     import trimesh
 
@@ -169,7 +169,7 @@ def _read(mesh: Mesh, folder: Path) -> Body | None:
         names = (name, name.partition("/")[2])
     else:
         names = (name,)
-    for path in (folder / name for name in names):
+    for path in (folder / name for folder in folders for name in names):
         if path.is_file():
             try:
                 read = trimesh.load_mesh(path)

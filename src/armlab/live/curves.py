@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import html
-from collections import deque
 from collections.abc import Sequence
 from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab._numbers import numbers
 from armlab.errors import ShapeError
+from armlab.live.recent import Recent
 
 __all__ = ["Curves", "Window", "envelope"]
 
@@ -54,6 +55,10 @@ class Curves:
     cursor : whether a vertical line marks an instant.
     limits : ends of the scale; it follows the data when None.
     height : of the plot [pixels].
+
+    Attributes
+    ----------
+    k : how many curves.
     """
 
     def __init__(
@@ -68,7 +73,7 @@ class Curves:
         limits: tuple[float, float] | None = None,
         height: int = 130,
     ) -> None:
-        self._k, self._band, self._cursor, self._limits = len(labels), band, cursor, limits
+        self.k, self._band, self._cursor, self._limits = len(labels), band, cursor, limits
         series: list[dict[str, Any]] = [{"label": "t [s]"}]
         series += [{"label": name, "stroke": color, "width": 1.3} for name, color in zip(labels, colors, strict=True)]
         bands = []
@@ -108,7 +113,7 @@ class Curves:
 
         Parameters
         ----------
-        t : (N,) increasing [s]. values : (N, k); uPlot draws a straight line over NaN.
+        t : (N,) increasing [s]. values : (N, k); a curve is interrupted where it is NaN.
         half : (N, k) half width of the bands; no band where it is NaN. at : of the cursor [s].
 
         Raises
@@ -116,8 +121,8 @@ class Curves:
         ShapeError : shapes do not fit, or a band came for a plot without.
         """
         t, values = numbers(t, "times of curves", ShapeError), numbers(values, "curves", ShapeError)
-        if t.ndim != 1 or values.shape != (len(t), self._k):
-            raise ShapeError(f"Expected curves of shape (N, {self._k}) over t (N,), got {values.shape} over {t.shape}.")
+        if t.ndim != 1 or values.shape != (len(t), self.k):
+            raise ShapeError(f"Expected curves of shape (N, {self.k}) over t (N,), got {values.shape} over {t.shape}.")
         columns = values
         if self._band:
             half = np.full_like(values, np.nan) if half is None else numbers(half, "bands", ShapeError)
@@ -128,10 +133,13 @@ class Curves:
         elif half is not None:
             raise ShapeError("Expected no bands for these curves, got some. Make the plot with band=True.")
         t, columns = envelope(t, columns)
+        drawn = columns.shape[1]
         if self._cursor:
             t, columns = self._marked(t, columns, at)
         if len(t):
-            self._plot.data = (np.ascontiguousarray(t), *np.ascontiguousarray(columns.T))
+            t, *columns = np.ascontiguousarray(np.column_stack([t, columns]).T)
+            # a list, though viser declares a tuple: it spends 0.3 ms on the types of the members of a tuple
+            self._plot.data = [t, *_interrupted(columns[:drawn]), *columns[drawn:]]
 
     def _marked(self, t: np.ndarray, columns: np.ndarray, at: float | None) -> tuple[np.ndarray, np.ndarray]:
         """Add the column of the cursor: two rows at its time, from the lower to the upper end of the scale."""
@@ -150,38 +158,59 @@ class Curves:
         return np.insert(t, k, [at, at]), np.insert(columns, k, rows, axis=0)
 
 
+def _interrupted(columns: Sequence[np.ndarray]) -> list[Any]:
+    """Return columns that uPlot interrupts where they are NaN: it does so at null, while NaN is bridged by a line."""
+    found: list[Any] = []
+    missing = np.isnan(columns)
+    count = missing.sum(axis=1)
+    for column, holes, some in zip(columns, missing, (count > 0) & (count < len(columns[0]))):
+        if some:
+            values = column.astype(object)
+            values[holes] = None
+            found.append(msgspec.Raw(msgspec.msgpack.encode(values.tolist())))  # viser sends it as it is
+        else:
+            found.append(column)
+    return found
+
+
 class Window:
-    """The last seconds of a stream on a plot, drawn at most ten times per second of its clock.
+    """The last seconds of a stream on a plot.
 
     Parameters
     ----------
-    curves : the plot. seconds : shown. rate : pictures per second at most.
+    curves : the plot. seconds : shown. rate : pictures per second of the stream's clock at most.
     """
 
     def __init__(self, curves: Curves, seconds: float = 10.0, rate: float = 10.0) -> None:
-        self._curves, self._seconds, self._period = curves, seconds, 1.0 / rate
-        self._rows: deque[tuple[float, np.ndarray, np.ndarray | None]] = deque()
+        self._curves, self._period = curves, 1.0 / rate
+        self._recent = Recent(2 * curves.k, seconds)
         self._drawn = -np.inf
 
     def push(self, t: float, values: ArrayLike, half: ArrayLike | None = None) -> None:
-        """Add a sample; a time that does not advance begins anew.
+        """Add a sample, which the next `draw` shows; a time that does not advance begins anew.
 
         Parameters
         ----------
         t : [s]. values : (k,). half : (k,) half width of the bands.
-        """
-        if self._rows and t <= self._rows[-1][0]:
-            self._rows.clear()
-            self._drawn = -np.inf
-        self._rows.append((t, np.array(values, dtype=float), None if half is None else np.array(half, dtype=float)))
-        while self._rows[0][0] < t - self._seconds:
-            self._rows.popleft()
-        if t - self._drawn >= self._period:
-            self._drawn = t
-            self._draw()
 
-    def _draw(self) -> None:
-        times, values, bands = zip(*self._rows)
-        missing = np.full_like(values[0], np.nan)
-        half = None if all(one is None for one in bands) else np.stack([missing if b is None else b for b in bands])
-        self._curves.show(np.array(times), np.stack(values), half)
+        Raises
+        ------
+        ShapeError : a shape does not fit.
+        """
+        if len(self._recent) and t <= self._recent.t[-1]:
+            self._recent.clear()
+            self._drawn = -np.inf
+        values = numbers(values, "a sample of curves", ShapeError)
+        half = np.full_like(values, np.nan) if half is None else numbers(half, "a sample of bands", ShapeError)
+        if not values.shape == half.shape == (self._curves.k,):
+            raise ShapeError(f"Expected a sample of {self._curves.k} curves, got {values.shape} and {half.shape}.")
+        self._recent.add(t, np.concatenate([values, half]))
+
+    def draw(self) -> None:
+        """Show the samples, unless the last picture is too new."""
+        recent = self._recent
+        if not len(recent) or recent.t[-1] - self._drawn < self._period:
+            return
+        self._drawn = float(recent.t[-1])
+        values, half = recent.values[:, : self._curves.k], recent.values[:, self._curves.k :]
+        self._curves.show(recent.t, values, None if np.isnan(half).all() else half)

@@ -57,7 +57,7 @@ class Player:
         arms: Sequence[Recorded],
         T_world_base: Mapping[str, ArrayLike] | None = None,
         *,
-        meshes: Path | None = None,
+        meshes: Sequence[Path] = (),
     ) -> None:
         if not arms:
             raise LogError("Expected at least one recorded arm to play, got none. See read_arms.")

@@ -190,7 +190,9 @@ def read_arms(
     for path in map(Path, paths):
         for name, table, events, attached in _tables(path, given, waiting):
             robot = _robot(path, name, given, waiting, attached)
-            if "q" not in table or table["q"].shape[1] != robot.n or not len(table):
+            if not len(table):
+                raise LogError(f"Expected rows of {robot.name} in {path}, got a log without any. Nothing was recorded.")
+            if "q" not in table or table["q"].shape[1] != robot.n:
                 got = table["q"].shape if "q" in table else ", ".join(table.names)
                 raise LogError(f"Expected positions q (N, {robot.n}) of {robot.name} in {path}, got {got}.")
             if any(robot.name == other.name for other, _, _ in found):

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import html
 import time
-from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +12,7 @@ import numpy as np
 from armlab.kinematics import forward
 from armlab.live.curves import Window
 from armlab.live.panel import ArmPanel
+from armlab.live.recent import Recent
 from armlab.live.running import Running
 from armlab.live.scene import Scene
 from armlab.live.server import address, start, stop
@@ -72,7 +72,10 @@ def watch(
             if running.state != said:
                 said = running.state
                 tell(said)
-            view.draw()
+            if server.get_clients():
+                view.draw()
+            else:  # nobody looks: who comes is shown all that was kept
+                view.take()
             time.sleep(max(began + _FRAME - time.monotonic(), 0.0))
     finally:
         running.close()
@@ -89,24 +92,34 @@ class RunningView:
 
     def __init__(self, server: ViserServer, running: Running) -> None:
         self._server, self._running = server, running
-        self._robots, self._row = None, None
+        self._robots: Mapping[str, Robot] | None = None
+        self._row: Row | None = None
+        self._drawn: Row | None = None
         self._due = self._start = self._stamp = 0.0
         self._parts: list[Any] = []
         self._build()
 
-    def draw(self) -> None:
-        """Show the newest row, and four times a second what there is to say."""
-        running, now = self._running, time.monotonic()
+    def take(self) -> None:
+        """Keep the newest row for curves and paths."""
+        running = self._running
         if running.robots is not self._robots:
             self._build()
+        if running.row is not None and running.row is not self._row:
+            t, follows = self._time(running.row)
+            self._row = running.row
+            for arm in self._arms.values():
+                arm.take(running, t, follows)
+
+    def draw(self) -> None:
+        """Show the newest row, and four times a second what there is to say."""
+        self.take()
         with self._server.atomic():
-            if running.row is not None and running.row is not self._row:
-                t, follows = self._time(running.row)
-                self._row = running.row
+            if self._row is not self._drawn:
+                self._drawn = self._row
                 for arm in self._arms.values():
-                    arm.draw(running, t, follows)
-            if now >= self._due:
-                self._due = now + _WORDS
+                    arm.draw()
+            if time.monotonic() >= self._due:
+                self._due = time.monotonic() + _WORDS
                 self._say()
 
     def _build(self) -> None:
@@ -115,7 +128,7 @@ class RunningView:
         for part in self._parts:
             part.remove()
         server.scene.reset()
-        self._robots, self._row = running.robots, None
+        self._robots, self._row, self._drawn = running.robots, None, None
         self._arms: dict[str, _Arm] = {}
         self._state = _Lines(server.gui)
         self._parts = [self._state]
@@ -155,23 +168,24 @@ class _Arm:
     def __init__(self, scene: Scene, panel: ArmPanel, robot: Robot) -> None:
         self._scene, self._panel, self._robot = scene, panel, robot
         self._torque, self._force, self._moment = (Window(one) for one in (panel.torque, panel.force, panel.moment))
-        self._path: deque[tuple[float, np.ndarray]] = deque()
+        self._path = Recent(3, _PATH)
         self._t, self._traced, self._origin = -np.inf, -np.inf, "-"
+        self._picture: tuple[np.ndarray, np.ndarray | None, np.ndarray | None] | None = None
 
-    def draw(self, running: Running, t: float, follows: bool) -> None:
-        """Show the newest row, which may follow the last or come after a gap; its time [s]."""
+    def take(self, running: Running, t: float, follows: bool) -> None:
+        """Keep the newest row, which may follow the last or come after a gap; its time [s]."""
         name = self._robot.name
         q, tau, force = running.value(name, "q"), running.value(name, "tau"), running.force(name)
         if running.value(name, "age") > _GAP:  # it is silent while another arm sends: its last values are no news
             tau, force = np.full_like(tau, np.nan), None
         wrench, covariance, self._origin = (None, None, "-") if force is None else force
-        self._scene.show(name, q, wrench, covariance)
+        self._picture = (q, wrench, covariance)
         if t < self._t or not follows:
             self._path.clear()
-        if not follows and t > self._t >= 0.0:  # one straight line across the gap: uPlot has no other
+        if not follows and t > self._t >= 0.0:  # what is missing between interrupts the curves
             self._push(0.5 * (self._t + t), np.full_like(tau, np.nan))
         if t != self._t:
-            self._trace(t, forward(self._robot, q)[:3, 3])
+            self._path.add(t, forward(self._robot, q)[:3, 3])
             self._push(t, tau, wrench, covariance)
         self._t = t
 
@@ -186,17 +200,19 @@ class _Arm:
         self._force.push(t, values[:3], half[:3])
         self._moment.push(t, values[3:], half[3:])
 
+    def draw(self) -> None:
+        """Show what was taken last; curves and path of the tool ten times a second."""
+        if self._picture is None:
+            return
+        self._scene.show(self._robot.name, *self._picture)
+        for window in (self._torque, self._force, self._moment):
+            window.draw()
+        if not self._traced <= self._t < self._traced + _TRACE:
+            self._traced = self._t
+            self._scene.trace(self._robot.name, self._path.values)
+
     def say(self, words: dict[str, str]) -> None:
         self._panel.say({**words, "force from": self._origin})
-
-    def _trace(self, t: float, point: np.ndarray) -> None:
-        """Draw where the tool was, ten times a second."""
-        self._path.append((t, point))
-        while self._path[0][0] < t - _PATH:
-            self._path.popleft()
-        if not self._traced <= t < self._traced + _TRACE:
-            self._traced = t
-            self._scene.trace(self._robot.name, np.stack([point for _, point in self._path]))
 
 
 class _Lines:

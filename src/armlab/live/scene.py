@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,18 +10,20 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab._numbers import numbers, positive
-from armlab._palette import COLORS, GREY, VERMILION
+from armlab._palette import COLORS, GREY
 from armlab.errors import RobotError, ShapeError, UnknownName
 from armlab.kinematics import forward, link_transforms
 from armlab.lie import quaternion, se3
-from armlab.live.bodies import Body, along, arrow, bodies, drums, mesh_bodies
+from armlab.live.bodies import bodies, drums, mesh_bodies
+from armlab.live.force_arrow import ForceArrow
+from armlab.live.node import Node, rgb, solid
 from armlab.robots import Robot
 from armlab.robots.outline import arm_length
 
 if TYPE_CHECKING:
     from viser import ViserServer
 
-__all__ = ["ARROW", "LINK_COLORS", "TOOL_COLOR", "Scene", "ellipsoid_axes", "is_significant", "rgb"]
+__all__ = ["ARROW", "LINK_COLORS", "TOOL_COLOR", "Scene"]
 
 ARROW = 0.2 / 20.0
 """Length of a force [m/N] unless set otherwise."""
@@ -30,9 +32,7 @@ LINK_COLORS = ("#8FB4D9", "#E2BE8C")
 TOOL_COLOR = "#C800C8"
 """Of the ball at the tool point; nothing else has it."""
 
-_ZERO_OUTSIDE = 7.81  # 95 % quantile of chi-square with 3 degrees of freedom
 _TOOL, _AXES = 0.03, 0.1  # radius of the ball at the tool point, length of its axes: over the length of the arm
-_SHORTEST, _FULL = 1e-3, 0.15  # m: a shorter arrow is not drawn, or thinner
 _MOST_POINTS = 300  # of a path
 
 
@@ -49,7 +49,7 @@ class Scene:
     robots : the arms, of different names.
     T_world_base : (4, 4) pose of an arm's base in the world by its name; the world where none is given. The mount is
         part of the robot.
-    meshes : folder of the files that the descriptions name as meshes.
+    meshes : folders of the files that the descriptions name as meshes; the current one when none is given.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class Scene:
         robots: Iterable[Robot],
         T_world_base: Mapping[str, ArrayLike] | None = None,
         *,
-        meshes: Path | None = None,
+        meshes: Sequence[Path] = (),
     ) -> None:
         arms = list(robots)
         for robot in arms:
@@ -160,35 +160,33 @@ class Scene:
         self._server.scene.add_grid("/floor", 4.0 * reach, 4.0 * reach, cell_size=0.1, section_size=0.5)
         camera = self._server.initial_camera
         camera.look_at = tuple(centre + reach * np.array([0.25, 0.0, -0.05]))
-        camera.position = tuple(centre + reach * np.array([1.25, 0.65, 0.55]))
+        camera.position = tuple(centre + reach * np.array([1.75, 0.9, 0.7]))
         camera.fov = np.deg2rad(45.0)
 
 
 class _Arm:
     """What is drawn of one arm: nodes below ``/<name>``, whose axes are those of its base."""
 
-    def __init__(self, scene: Any, robot: Robot, T_world_base: np.ndarray, color: str, meshes: Path | None) -> None:
+    def __init__(self, scene: Any, robot: Robot, T_world_base: np.ndarray, color: str, meshes: Sequence[Path]) -> None:
         self.T_world_base = T_world_base
         self._robot = robot
         root, size = f"/{robot.name}", arm_length(robot)
         _place(scene.add_frame(root, show_axes=False), T_world_base)
         self._arm = scene.add_frame(f"{root}/arm", show_axes=False)
         shapes, given, joints = bodies(robot), mesh_bodies(robot, meshes), drums(robot)
-        _solid(scene, f"{root}/arm/mount", given[0] or shapes[0], color)
-        self._links: list[Any] = []
+        solid(scene, f"{root}/arm/mount", given[0] or shapes[0], color)
+        self._links: list[Node] = []
         self._placed, path = False, f"{root}/arm"
         for i in range(robot.n):
             path += f"/link_{i + 1}"  # below the link before: where it turns about its joint, only the turn is sent
-            self._links.append(_solid(scene, path, given[i + 1] or shapes[i + 1], color))
+            self._links.append(Node(solid(scene, path, given[i + 1] or shapes[i + 1], color)))
             if given[i + 1] is None:
-                _solid(scene, f"{path}/joint", joints[i], COLORS[i % len(COLORS)])
-        self._tool = scene.add_frame(f"{root}/arm/tool", axes_length=_AXES * size, axes_radius=0.05 * _AXES * size)
-        scene.add_icosphere(f"{root}/arm/tool/point", _TOOL * size, rgb(TOOL_COLOR), cast_shadow=False)
-        self._force = _solid(scene, f"{root}/force", arrow(), VERMILION)
-        self._force.visible = False
-        self._spread = scene.add_icosphere(
-            f"{root}/uncertainty", 1.0, rgb(VERMILION), opacity=0.3, visible=False, cast_shadow=False
+                solid(scene, f"{path}/joint", joints[i], COLORS[i % len(COLORS)])
+        _place(
+            scene.add_frame(f"{path}/tool", axes_length=_AXES * size, axes_radius=0.05 * _AXES * size), robot.frames[-1]
         )
+        scene.add_icosphere(f"{path}/tool/point", _TOOL * size, rgb(TOOL_COLOR), cast_shadow=False)
+        self._force = ForceArrow(scene, root)
         self._path = scene.add_line_segments(
             f"{root}/path", np.zeros((1, 2, 3)), rgb(GREY), thickness=2.0, thickness_units="screen", visible=False
         )
@@ -197,89 +195,23 @@ class _Arm:
         known = bool(np.isfinite(q).all())
         self._arm.visible = known
         if not known:
-            self._force.visible = self._spread.visible = False
+            self._force.hide()
             return
-        T_base_tool = forward(self._robot, q)
         T = link_transforms(self._robot, q)
         local = np.concatenate([T[:1], se3.inv(T[:-1]) @ T[1:]])
-        turns = quaternion.from_matrix(local[:, :3, :3])
-        for handle, pose, turn, slides in zip(self._links, local, turns, self._robot.prismatic):
-            handle.wxyz = turn
+        turns, places = quaternion.from_matrix(local[:, :3, :3]).tolist(), local[:, :3, 3].tolist()
+        for link, turn, place, slides in zip(self._links, turns, places, self._robot.prismatic):
+            link.set(wxyz=tuple(turn))
             if slides or not self._placed:
-                handle.position = pose[:3, 3]
+                link.set(position=tuple(place))
         self._placed = True
-        _place(self._tool, T_base_tool)
-        self._push(T_base_tool[:3, 3], force, spread, unit)
-
-    def _push(self, tool: np.ndarray, force: np.ndarray | None, spread: np.ndarray | None, unit: float) -> None:
-        """Draw the force at the tool point, and its uncertainty at the tip."""
-        if force is None or not np.isfinite(force).all():
-            self._force.visible = self._spread.visible = False
-            return
-        spread = None if spread is None or not np.isfinite(spread).all() else spread
-        color = rgb(VERMILION if is_significant(force, spread) else GREY)
-        tip = unit * force
-        length = float(np.linalg.norm(tip))
-        self._force.visible = length >= _SHORTEST
-        if length >= _SHORTEST:
-            _place(self._force, along(tool, tool + tip))
-            thick = min(max(length / _FULL, 0.3), 1.0)
-            self._force.scale, self._force.color = (thick, thick, length), color
-        self._spread.visible = spread is not None
-        if spread is not None:
-            axes, half = ellipsoid_axes(spread)
-            self._spread.position, self._spread.wxyz = tool + tip, quaternion.from_matrix(axes)
-            self._spread.scale = tuple(float(one) for one in unit * np.maximum(half, 1e-6))
-            self._spread.color = color
+        self._force.show(forward(self._robot, q)[:3, 3], force, spread, unit)
 
     def trace(self, points: np.ndarray) -> None:
         points = points[:: max(1, -(-len(points) // _MOST_POINTS))]
         self._path.visible = len(points) > 1
         if len(points) > 1:
             self._path.points = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
-
-
-def ellipsoid_axes(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the axes (3, 3), columns of a rotation, and half axes (3,) of the two-sigma ellipsoid.
-
-    ``{x : x^T C^-1 x = 4}``.
-
-    Parameters
-    ----------
-    covariance : (3, 3).
-    """
-    size, axes = np.linalg.eigh(covariance)
-    if np.linalg.det(axes) < 0.0:
-        axes[:, 0] *= -1.0
-    return axes, 2.0 * np.sqrt(np.maximum(size, 0.0))
-
-
-def is_significant(force: np.ndarray, covariance: np.ndarray | None) -> bool:
-    """Return whether zero lies outside the 95 % ellipsoid of a force: ``f^T C^-1 f >= 7.81``.
-
-    Parameters
-    ----------
-    force : (3,). covariance : (3, 3); None is no doubt at all.
-    """
-    if covariance is None:
-        return True
-    size, axes = np.linalg.eigh(covariance)
-    return bool(np.sum((axes.T @ force) ** 2 / np.maximum(size, 1e-12)) >= _ZERO_OUTSIDE)
-
-
-def rgb(color: str) -> tuple[int, int, int]:
-    """Return red, green and blue, 0 to 255, of a colour such as "#0072B2".
-
-    Parameters
-    ----------
-    color : as in style sheets.
-    """
-    red, green, blue = bytes.fromhex(color.removeprefix("#"))
-    return red, green, blue
-
-
-def _solid(scene: Any, name: str, body: Body, color: str) -> Any:
-    return scene.add_mesh_simple(name, body.vertices.astype(np.float32), body.faces.astype(np.uint32), color=rgb(color))
 
 
 def _place(handle: Any, T: np.ndarray) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import io
 import logging
+import re
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from armlab.errors import ConfigError, LinkError, MissingExtra
@@ -12,11 +14,12 @@ from armlab.errors import ConfigError, LinkError, MissingExtra
 if TYPE_CHECKING:
     from viser import ViserServer
 
-__all__ = ["HOST", "address", "start", "stop"]
+__all__ = ["HOST", "address", "is_own", "start", "stop"]
 
 HOST = "127.0.0.1"
 """The only address that is listened on."""
 
+_OWN_PAGE = re.compile(r"http://(127\.0\.0\.1|localhost|\[::1\])(:\d+)?")  # by any port: it may be a forwarded one
 _PORT = 8080
 _WIDTH = 420  # pixels of the panel
 
@@ -24,8 +27,8 @@ _WIDTH = 420  # pixels of the panel
 def start(port: int | None = None, *, label: str = "armlab") -> ViserServer:
     """Start the server of a view and return it; nothing is printed.
 
-    It listens on 127.0.0.1 only. Share links of viser, public tunnels, are refused. Bundle what makes up one picture in
-    ``with server.atomic():``.
+    It listens on 127.0.0.1 only, and a page of another site that is open in the same browser is not let in. Share links
+    of viser, public tunnels, are refused. Bundle what makes up one picture in ``with server.atomic():``.
 
     Parameters
     ----------
@@ -50,6 +53,7 @@ def start(port: int | None = None, *, label: str = "armlab") -> ViserServer:
     if port and server.get_port() != port:  # viser goes on to the next one
         stop(server)
         raise LinkError(f"Expected port {port} to be free for the view, but it is taken. Choose another: --port.")
+    _refuse_other_sites(server)
     server.request_share_url = _refused  # its pages have a way to ask, too
     server.gui.configure_theme(show_logo=False, show_share_button=False)
     server.gui.main_panel.dock_right()
@@ -76,6 +80,36 @@ def stop(server: ViserServer) -> None:
     """
     with contextlib.redirect_stdout(io.StringIO()):
         server.stop()
+
+
+def is_own(origins: Sequence[str], hosts: Sequence[str]) -> bool:
+    """Return whether a page that asks for a connection came from the server that it asks; also a program, not a page.
+
+    A page cannot forge these headers. Its name must be one of this computer: a foreign name may lead here as well.
+
+    Parameters
+    ----------
+    origins, hosts : values of the headers Origin and Host.
+
+    Reference: RFC 6455 section 10.2.
+    """
+    if not origins:
+        return True
+    return list(origins) == [f"http://{host}" for host in hosts] and bool(_OWN_PAGE.fullmatch(origins[0]))
+
+
+def _refuse_other_sites(server: ViserServer) -> None:
+    """Close connections of pages of other sites before anything is sent: viser does not look at the origin."""
+    sockets = server._websock_server  # viser has no public way to the request
+
+    async def look(client: Any) -> None:
+        connection: Any = sockets._live_connections[client.client_id]
+        headers = connection.request.headers
+        if not is_own(headers.get_all("Origin"), headers.get_all("Host")):
+            await connection.close(1008, "Expected a page of this server.")
+
+    sockets.on_client_connect(look)
+    sockets.disconnect_all_clients()  # who came in before; a page of this server tries again by itself
 
 
 def _refused(*_: Any, **__: Any) -> NoReturn:

@@ -16,8 +16,9 @@ import pytest
 from armlab import live, robots
 from armlab.kinematics import forward, link_transforms
 from armlab.lie import quaternion
+from armlab.live.node import rgb
 from armlab.live.recorded import Recorded
-from armlab.live.scene import ARROW, LINK_COLORS, TOOL_COLOR, rgb
+from armlab.live.scene import ARROW, LINK_COLORS, TOOL_COLOR
 from armlab.log import Table
 from armlab.robots import Robot
 

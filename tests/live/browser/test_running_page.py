@@ -12,8 +12,9 @@ import pytest
 from armlab import robots
 from armlab.kinematics import forward
 from armlab.lie import quaternion
+from armlab.live.node import rgb
 from armlab.live.running_view import RunningView
-from armlab.live.scene import TOOL_COLOR, rgb
+from armlab.live.scene import TOOL_COLOR
 
 pytestmark = pytest.mark.slow
 
@@ -75,10 +76,12 @@ def test_the_arms_in_the_browser_are_where_the_feed_says(
     view = RunningView(server, running)
     page = open_page(server)
 
+    fields = {"motors": 1, "rapid": 2, "mci": 3, "later": 600.0}  # no old news, however long a picture takes
+
     def show(one: Any, poses: dict[Any, np.ndarray]) -> float:
         for arm, q in poses.items():
             same = lambda arm=arm, q=q: running.row and np.array_equal(running.value(arm.name, "q"), q)  # noqa: E731
-            hear_until(running, same, lambda arm=arm, q=q: one.row(arm, q=q, motors=1, rapid=2, mci=3))
+            hear_until(running, same, lambda arm=arm, q=q: one.row(arm, q=q, **fields))
         view.draw()
         return seen(server, [forward(arm, q)[:3, 3] for arm, q in poses.items()], tmp_path / "pose.png")
 
