@@ -16,7 +16,7 @@ from armlab.errors import LinkError
 from armlab.sim.arm import Arm
 from armlab.sim.channel import Channel
 from armlab.sim.controller import Controller
-from armlab.sim.guidance import Settings
+from armlab.sim.settings import Settings
 from armlab.sim.truth import synthetic_truth
 from armlab.wire.egm import RobotSideCodec
 

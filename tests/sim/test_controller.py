@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from armlab import robots
 from armlab.sim.arm import Arm
 from armlab.sim.controller import Controller
-from armlab.sim.guidance import Settings
 from armlab.sim.inbox import QUEUE_LENGTH
 from armlab.sim.operator import Operator
 from armlab.sim.packets import EPOCH_NS
+from armlab.sim.settings import Settings
 from armlab.sim.truth import synthetic_truth
 from armlab.wire.egm import EgmCodec, Packet, Reference, RobotSideCodec
 

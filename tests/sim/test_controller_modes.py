@@ -11,11 +11,11 @@ from armlab import robots
 from armlab.errors import ShapeError
 from armlab.sim.arm import Arm
 from armlab.sim.controller import Controller
-from armlab.sim.guidance import Settings
 from armlab.sim.hand import HandPath
 from armlab.sim.lagging import LaggingArm
 from armlab.sim.scene import Scene
 from armlab.sim.script import MOTORS, RAPID, Script
+from armlab.sim.settings import Settings
 from armlab.sim.statistics import Event
 from armlab.sim.truth import synthetic_truth
 from armlab.wire.egm import EgmCodec, Packet, Reference, RobotSideCodec

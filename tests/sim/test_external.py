@@ -7,7 +7,7 @@ import pytest
 
 from armlab.errors import ConfigError
 from armlab.sim.external import ExternalAxes
-from armlab.sim.guidance import Settings
+from armlab.sim.settings import Settings
 
 
 def test_axes_follow_no_faster_than_one_radian_a_second() -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from armlab.errors import ConfigError
-from armlab.sim.faults import CORRUPTED, FaultRates, Faults
+from armlab.sim.fault_rates import FaultRates
+from armlab.sim.faults import CORRUPTED, Faults
 
 N = 4000
 
@@ -22,8 +22,6 @@ def numbers(rates: FaultRates) -> list[int]:
 
 def test_nothing_happens_without_rates() -> None:
     assert numbers(FaultRates()) == list(range(N))
-    assert not FaultRates().any
-    assert FaultRates(loss=0.1).any
 
 
 def test_rates() -> None:
@@ -92,16 +90,3 @@ def test_same_seed_same_faults() -> None:
     rates = FaultRates(loss=0.1, duplicate=0.1, reorder=0.1, corrupt=0.1, delay=(0.004, 0.002), burst=3)
     assert outcome(rates) == outcome(rates)
     assert outcome(rates) != outcome(rates, seed=2)
-
-
-def test_rates_out_of_range() -> None:
-    with pytest.raises(ConfigError, match="loss"):
-        FaultRates(loss=1.1)
-    with pytest.raises(ConfigError, match="pause"):
-        FaultRates(pause=(1.0, np.inf))
-    with pytest.raises(ConfigError, match="until"):
-        FaultRates(until=np.nan)
-    with pytest.raises(ConfigError, match="burst"):
-        FaultRates(burst=0)
-    with pytest.raises(ConfigError, match="delay"):
-        FaultRates(delay=(-1.0, 0.0))

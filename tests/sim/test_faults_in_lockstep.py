@@ -18,9 +18,10 @@ from armlab.bridge.port import Arrival, Port
 from armlab.bridge.surplus import Surplus
 from armlab.bridge.waiting import Waiting
 from armlab.sim.controller import Controller
-from armlab.sim.faults import FaultRates, Faults
-from armlab.sim.guidance import Settings
+from armlab.sim.fault_rates import FaultRates
+from armlab.sim.faults import Faults
 from armlab.sim.lagging import LaggingArm
+from armlab.sim.settings import Settings
 from armlab.state import Command, State
 from armlab.wire.egm import EgmCodec, Packet, RobotSideCodec
 

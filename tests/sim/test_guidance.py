@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.errors import ConfigError, UnknownName
 from armlab.robots import Robot
-from armlab.sim.guidance import Guidance, Settings
+from armlab.sim.guidance import Guidance
+from armlab.sim.settings import Settings
 
 T = Settings().period
 
@@ -107,28 +107,6 @@ def test_convergence_window(robot: Robot) -> None:
     assert not guidance.near(robot.q_home + 0.011)
     assert not guidance.near(None)
     assert not Guidance(robot, Settings(), robot.q_home).near(robot.q_home)
-
-
-def test_abb_defaults_are_slow_and_converge() -> None:
-    settings = Settings.abb_defaults()
-    assert settings.max_speed == pytest.approx(np.radians(1.0))
-    assert settings.window == pytest.approx(np.radians(0.5))
-    assert settings.condition_time == 1.0
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("gain", 21.0), ("filter", 0.0), ("level", 3), ("period", 0.0), ("gain", float("nan")), ("stream", np.inf)],
-)
-def test_settings_out_of_range(name: str, value: float) -> None:
-    with pytest.raises(ConfigError, match=name):
-        Settings(**{name: value})
-
-
-@pytest.mark.parametrize("name", ["program", "stream_queue", "mode", "activated"])
-def test_unknown_choices_are_refused(name: str) -> None:
-    with pytest.raises(UnknownName, match=f"{name} of the simulated controller"):
-        Settings(**{name: "sideways"})  # type: ignore[arg-type]
 
 
 def test_a_hand_leads_and_a_free_joint_is_let_go(robot: Robot) -> None:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.sim.guidance import Settings
 from armlab.sim.inbox import QUEUE_LENGTH, Inbox, Sent
+from armlab.sim.settings import Settings
 from armlab.sim.statistics import Statistics
 from armlab.wire.egm import Drop, EgmCodec, Reference, RobotSideCodec, SensorMessage
 

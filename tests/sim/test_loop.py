@@ -14,9 +14,10 @@ from armlab.errors import ConfigError
 from armlab.sim.arm import Arm
 from armlab.sim.channel import Channel
 from armlab.sim.controller import Controller
-from armlab.sim.faults import FaultRates, Faults
-from armlab.sim.guidance import Settings
+from armlab.sim.fault_rates import FaultRates
+from armlab.sim.faults import Faults
 from armlab.sim.loop import Pace, run
+from armlab.sim.settings import Settings
 from armlab.sim.truth import synthetic_truth
 from armlab.wire.egm import RobotSideCodec
 

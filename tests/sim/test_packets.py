@@ -10,8 +10,9 @@ import pytest
 from armlab import robots
 from armlab.errors import UnknownName
 from armlab.sim.arm import Arm
-from armlab.sim.guidance import Guidance, Settings
+from armlab.sim.guidance import Guidance
 from armlab.sim.packets import EPOCH_NS, OPTIONAL_FIELDS, Condition, Packets
+from armlab.sim.settings import Settings
 from armlab.sim.target import Target
 from armlab.sim.truth import synthetic_truth
 from armlab.wire.egm import EgmCodec, Packet, RobotSideCodec, SensorMessage

@@ -7,7 +7,7 @@ import pytest
 
 from armlab import robots
 from armlab.sim.drive import Drive
-from armlab.sim.guidance import Settings
+from armlab.sim.settings import Settings
 from armlab.sim.target import PATH_PERIOD, Target, has_numbers, is_number
 from armlab.wire.egm import SensorMessage
 

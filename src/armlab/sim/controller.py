@@ -17,13 +17,14 @@ import numpy as np
 
 from armlab.sim.arm import Arm
 from armlab.sim.external import ExternalAxes
-from armlab.sim.guidance import Guidance, Settings
+from armlab.sim.guidance import Guidance
 from armlab.sim.inbox import Inbox, Sent
 from armlab.sim.journal import Journal
 from armlab.sim.lagging import LaggingArm
 from armlab.sim.operator import Operator
 from armlab.sim.packets import Condition, Packets
 from armlab.sim.scene import Scene
+from armlab.sim.settings import Settings
 from armlab.sim.statistics import Event, Statistics
 from armlab.sim.target import PATH_PERIOD, Target, has_numbers
 from armlab.wire.egm import Drop, RobotSideCodec, SensorMessage

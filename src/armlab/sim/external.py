@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from armlab.errors import ConfigError
-from armlab.sim.guidance import Settings
+from armlab.sim.settings import Settings
 
 __all__ = ["ExternalAxes"]
 

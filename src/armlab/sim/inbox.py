@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
-from armlab.sim.guidance import Settings
+from armlab.sim.settings import Settings
 from armlab.sim.statistics import Statistics
 from armlab.wire.egm import Drop, RobotSideCodec, SensorMessage
 

@@ -9,22 +9,27 @@ a stream of its own: turning one knob leaves the draws of the others as they are
     drives   warm_up, load_friction, ripple_jump: friction that depends on more than position and velocity
     seen     elasticity, torque_delay, torque_constant, gear_ratio, gear_sign, quantisation: what the sensors report
     logged   jitter, lost: what is recorded of it
+
+The knobs are options of ``armlab sim``, whose help loads this file: NumPy is imported where something is drawn.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields, replace
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from armlab.errors import ConfigError
-from armlab.lie import so3
-from armlab.robots import Robot, inertia
-from armlab.sim.truth import Truth
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from armlab.robots import Robot
+    from armlab.sim.truth import Truth
 
 __all__ = ["Mismatch"]
 
-PAYLOAD_AT = np.array([0.0, 0.0, 0.06])  # m, centre of the unknown payload, tool axes
+PAYLOAD_AT = (0.0, 0.0, 0.06)  # m, centre of the unknown payload, tool axes
 SHARES = ("gear_ratio", "mass", "friction", "warm_up", "saturation", "lost", "torque_constant")
 COUNTS = ("gear_sign", "torque_delay", "seed")
 
@@ -109,7 +114,7 @@ class Mismatch:
         """Check the ranges."""
         for field in fields(self):
             value = getattr(self, field.name)
-            if not 0 <= value < np.inf or (field.name in SHARES and value >= 1):
+            if not 0 <= value < math.inf or (field.name in SHARES and value >= 1):
                 top = "below 1" if field.name in SHARES else "finite"
                 raise ConfigError(f"Expected the mismatch {field.name} of at least 0 and {top}, got {value}.")
             if field.name in COUNTS and value != int(value):
@@ -125,6 +130,8 @@ class Mismatch:
         return float(getattr(self, knob)) * self._random(knob).uniform(-1.0, 1.0, shape)
 
     def _random(self, knob: str) -> np.random.Generator:
+        import numpy as np
+
         return np.random.default_rng([self.seed, [field.name for field in fields(self)].index(knob)])
 
     def robot(self, robot: Robot) -> Robot:
@@ -134,6 +141,10 @@ class Mismatch:
         ----------
         robot : the description that its user has; its joint positions are those that are reported.
         """
+        import numpy as np
+
+        from armlab.lie import so3
+
         if not (self.base_turn or self.base_shift or self.link_length or self.joint_zero):
             return robot
         n, links, mount = robot.n, robot.links.copy(), robot.T_base_mount.copy()
@@ -154,6 +165,8 @@ class Mismatch:
         ----------
         truth : of the arm as described. robot : its description.
         """
+        from armlab.robots import inertia
+
         n, changed = robot.n, {}
         if self.mass or self.centre:
             mass, centre, about = inertia.to_body(truth.pi)

@@ -11,7 +11,7 @@ import numpy as np
 
 from armlab.robots import Robot
 from armlab.sim.drive import Drive
-from armlab.sim.guidance import Settings
+from armlab.sim.settings import Settings
 from armlab.wire.egm import SensorMessage
 
 __all__ = ["PATH_PERIOD", "Target", "has_numbers", "is_number"]

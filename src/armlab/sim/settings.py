@@ -1,0 +1,126 @@
+"""`Settings`: what RAPID and the system parameters set on the simulated controller.
+
+They are options of ``armlab sim``, whose help loads this file: it needs no NumPy.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from armlab.errors import ConfigError, UnknownName
+
+__all__ = ["Settings"]
+
+_RANGES: dict[str, tuple[float, float]] = {
+    "period": (1e-4, 0.1),
+    "gain": (0.0, 20.0),
+    "filter": (0.1, 100.0),
+    "level": (0, 2),
+    "position_gain": (0.0, 1.0),
+    "ramp_in": (0.005, 10.0),
+    "max_deviation": (0.0, math.inf),
+    "max_speed": (0.0, math.inf),
+    "window": (0.0, math.inf),
+    "condition_time": (0.0, math.inf),
+    "comm_timeout": (1e-3, math.inf),
+    "stream": (0.0, 1e6),
+    "restart": (0.0, math.inf),
+}
+
+_CHOICES = {
+    "program": ("loop", "once", "stream", "lead-through"),
+    "stream_queue": ("drop", "keep"),
+    "mode": ("joint", "pose", "path"),
+    "activated": (None, "joint", "pose", "path"),
+}
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What RAPID and the system parameters set on a real controller; the defaults follow our RAPID templates.
+
+    Attributes
+    ----------
+    period : float
+        Time between two packets [s]; 4.032 ms on a real controller.
+    gain : float
+        k, the proportional position gain [1/s].
+    filter : float
+        LpFilter, bandwidth of the speed filter [Hz].
+    level : int
+        0 filters once, 1 and 2 twice.
+    position_gain : float
+        g, PosCorrGain; 0 is pure velocity control.
+    ramp_in : float
+        RampInTime [s].
+    max_deviation : float
+        MaxPosDeviation from where guidance began [rad].
+    max_speed : float
+        MaxSpeedDeviation [rad/s]; never more than the fastest joint of the robot allows.
+    window : float
+        Half width of the convergence window [rad]; 0 is never converged.
+    condition_time : float
+        CondTime, how long the window must be met to end the session [s].
+    comm_timeout : float
+        CommTimeout, silence that ends the session [s].
+    stream : float
+        Time of packets before guidance begins, MCI stopped [s].
+    restart : float
+        Time from the end of a session to the next [s].
+    program : str
+        "loop" begins another session when one ends, "once" does not. "stream" only streams, without guidance;
+        "lead-through" too, while a hand leads the arm.
+    stream_queue : str
+        What becomes of messages that arrive while the controller only streams: "drop", or "keep" for the guidance
+        after it. Which of them a real controller does is not known.
+    mode : str
+        What is guided, and so what messages must hold: "joint" references, a "pose", or corrections of a "path".
+    activated : str
+        The mode that RAPID prepared; another than `mode` plays event 41826. None for the same.
+
+    Raises
+    ------
+    ConfigError : for a value outside its range.
+    """
+
+    period: float = 0.004032
+    gain: float = 5.0
+    filter: float = 20.0
+    level: int = 1
+    position_gain: float = 1.0
+    ramp_in: float = 0.5
+    max_deviation: float = math.radians(1000.0)
+    max_speed: float = math.inf
+    window: float = 0.0
+    condition_time: float = 1.0
+    comm_timeout: float = 1.0
+    stream: float = 0.0
+    restart: float = 0.2
+    program: Literal["loop", "once", "stream", "lead-through"] = "loop"
+    stream_queue: Literal["drop", "keep"] = "drop"
+    mode: Literal["joint", "pose", "path"] = "joint"
+    activated: Literal["joint", "pose", "path"] | None = None
+
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        for name, (low, high) in _RANGES.items():
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise ConfigError(f"Expected {name} of the simulated controller in [{low:g}, {high:g}], got {value}.")
+        for name, choices in _CHOICES.items():
+            if getattr(self, name) not in choices:
+                raise UnknownName.among(
+                    f"{name} of the simulated controller", getattr(self, name), filter(None, choices)
+                )
+
+    @property
+    def only_streams(self) -> bool:
+        """Whether guidance never begins."""
+        return self.program in ("stream", "lead-through")
+
+    @classmethod
+    def abb_defaults(cls) -> Settings:
+        """Return what ABB's own defaults give: hardly any speed, and sessions that end when the robot stands still."""
+        return cls(max_speed=math.radians(1.0), window=math.radians(0.5))
