@@ -12,6 +12,7 @@ from armlab.errors import NotExcited, ShapeError
 from armlab.estimation import Experiment, check_estimator
 from armlab.identify import fit_dynamics, fit_friction
 from armlab.identify.preparation import prepare
+from armlab.identify.residuals import model_residuals
 from armlab.identify.validation import held_out
 from armlab.log import Table
 from armlab.models import FrictionMap, RippleLines, TorqueModel, load, save, speed_basis
@@ -164,6 +165,24 @@ def test_a_weak_line_is_found_beside_friction_over_position(drives: Drives) -> N
         assert found.lines is not None
         np.testing.assert_allclose(found.lines.cycles, [100.0], atol=0.5)
         assert found.friction_map is not None
+
+
+@pytest.mark.slow  # 2 s
+def test_no_ripple_is_made_up_for_speeds_at_which_none_is_seen(drives: Drives) -> None:
+    """Lines are fitted where they are slow; the fast rows of a wrist had a residual of ten times the one before."""
+    t = np.arange(0.0, 40.0, 0.004)
+    q = np.array([0.9, 0.5]) * np.sin(9.0 * drives.f * t[:, None]) * (1.0 + np.sin(1.3 * t))[:, None]
+    qd = np.gradient(q, t, axis=0)
+    truth = replace(drives.base, lines=replace(drives.lines, coefficients=0.3 * np.asarray(drives.lines.coefficients)))
+    tau = truth.torque(q, qd, np.gradient(qd, t, axis=0)) + 0.05 * np.random.default_rng(0).standard_normal(q.shape)
+    table = Table(t, {"q": q, "qd": qd, "tau": tau})
+    found = fit_friction(table, drives.base)
+    assert found.value.lines is not None
+    fast = 100.0 * np.abs(qd[:, 0]) > 1.2 * 0.5 * np.pi * 250.0  # rows beyond those that tell the line
+    assert fast.sum() > 100
+    before, after = (model_residuals(table, model).y[:, 0] for model in (drives.base, found.value))
+    assert np.std(after[~fast]) < 0.7 * np.std(before[~fast])
+    assert np.std(after[fast]) < np.std(before[fast])
 
 
 @pytest.mark.slow  # 12 s

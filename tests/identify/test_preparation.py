@@ -9,7 +9,7 @@ import pytest
 
 from armlab.errors import NotExcited, RobotError, ShapeError, UnknownName
 from armlab.identify import Prepared, prepare, with_velocity
-from armlab.identify.preparation import pieces
+from armlab.identify.preparation import pieces, prepare_share
 from armlab.log import Table
 
 
@@ -142,3 +142,15 @@ def test_velocity_is_computed_where_the_log_has_none(truth, excited) -> None:
     assert np.abs(prepare(holed, truth.robot).qd).max() < 1.05 * np.abs(given.qd).max()
     alone = bare.rows(np.r_[0:50, 200:7500])
     assert np.isnan(with_velocity(alone)["qd"][:50]).all()
+
+
+def test_of_a_share_joints_may_rest_but_what_is_there_is_checked(short_arm) -> None:
+    """Others may move them. Two places of rest, in two logs, are no motion whose velocity is missing."""
+    logs = [short_arm.log(k, 1000, still={1: position}) for k, position in enumerate((0.0, 0.5))]
+    for table in logs:
+        with pytest.raises(NotExcited, match="joint_2"):
+            prepare(table, short_arm.robot)
+        assert prepare_share(table, short_arm.robot).segments == ((0, 1000),)
+    assert prepare(logs, short_arm.robot).segments == ((0, 1000), (1000, 2000))
+    with pytest.raises(ShapeError, match=r"derivative of q.*joint_1"):
+        prepare_share(logs[0].with_column("qd", -logs[0]["qd"]), short_arm.robot)

@@ -45,3 +45,16 @@ def test_a_fit_has_one_thread(fit, excited: Table, truth) -> None:
             fit(excited, robot, progress=look)
         assert [set(one.values()) for one in seen] == [{1}]
         assert threads() == before
+
+
+def test_the_last_of_two_that_overlap_gives_the_threads_back() -> None:
+    """As in threads of a pool: the first to begin is the first to end."""
+    with threadpool_limits(2, "blas"):
+        before = threads()
+        first, second = one_thread(), one_thread()
+        first.__enter__()
+        second.__enter__()
+        first.__exit__(None, None, None)
+        assert set(threads().values()) == {1}
+        second.__exit__(None, None, None)
+        assert threads() == before

@@ -95,7 +95,7 @@ class Excitation:
         _, found, rows = np.linalg.svd(scaled, full_matrices=True)
         singular = np.zeros(len(names))
         singular[: len(found)] = found
-        rank = int(np.count_nonzero((singular * max_condition >= singular[0]) & (singular > 0)))
+        rank = int(np.count_nonzero((singular >= singular[0] / max_condition) & (singular > 0)))
         return cls(rank, len(names), singular, _in_words(rows[-1], names), scale, rows.T)
 
     @classmethod

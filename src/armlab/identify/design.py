@@ -180,12 +180,11 @@ class Design:
         Parameters
         ----------
         theta : (p,) parameters of this design, without slopes, at which they are taken.
-        free : (J, 2) bool, which numbers; all that matter to the torque when left out.
+        free : (J, 2) bool, which numbers; those that matter to the torque when left out.
         """
         slopes = self._slopes(theta)
         power = np.sum(slopes * slopes, axis=0)
-        told = power > NOTHING * np.sum(self.tau * self.tau, axis=0)[:, None]
-        picked = told if free is None else told & free
+        picked = power > NOTHING * np.sum(self.tau * self.tau, axis=0)[:, None] if free is None else free
         local = []
         for i, (L, terms) in enumerate(zip(self.local, self.terms)):
             own = len(terms)

@@ -15,68 +15,20 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
 
-import numpy as np
-
-from armlab.errors import ModelMismatchError, NotExcited, UnknownName
-from armlab.estimation import BlockSums, Fit, LinearSolution, Prior, block_bootstrap, block_seconds, least_squares
+from armlab.estimation import Fit, block_bootstrap
 from armlab.identify.base_parameters import BaseParameters, base_parameters, measured_joints
-from armlab.identify.design import Design
-from armlab.identify.extrapolation import training
+from armlab.identify.drafting import Job, Progress, fit_of, fold_models, make_draft, model_of
 from armlab.identify.preparation import Prepared, prepare
-from armlab.identify.settling import ROBUST, linearised, settle, short_blocks
-from armlab.identify.spikes import spikes, without_spikes
 from armlab.identify.threads import one_thread
-from armlab.identify.torque_gains import calibrated, gain_share
-from armlab.identify.validation import assess, report
+from armlab.identify.torque_gains import gain_share
+from armlab.identify.validation import assess
 from armlab.log import Table
-from armlab.models import FrictionBound, Quality, TorqueModel, velocity_covariance
+from armlab.models import TorqueModel
 from armlab.robots import Robot
 
-__all__ = ["Job", "fit_dynamics", "fit_model"]
-
-CUTOFF = 10.0  # Hz, corner of the estimator's causal filter
-FEWEST = 8.0  # stretches that tell a number of the shape of friction
-UNKNOWN = 1e3  # deviation of what a prior does not know
-METHODS = ("irls", "lts", "wls", "ols")
-
-Progress = Callable[[int, int, str], None]
-
-
-@dataclass(frozen=True, eq=False)
-class Job:
-    """How to fit.
-
-    Attributes
-    ----------
-    what : is fitted, for messages. method : of `estimation.least_squares`. seed : of random starts and bootstrap.
-    tell : called with (done, total, what). prior : an earlier fit. joints : whose torque is measured; None for all.
-    """
-
-    what: str
-    method: str
-    seed: int
-    tell: Progress
-    prior: Fit[TorqueModel] | None = None
-    joints: tuple[int, ...] | None = None
-
-    def solve(self, design: Design, block: np.ndarray) -> LinearSolution:
-        """Solve for the linear parameters; `block` (M,) is the block of time of each kept row."""
-        names = [re.split(r" [+-] ", name)[0] for name in design.layout.names]  # a whole combination fills a line
-        rows, prior = design.stream(block), self._prior(design)
-        limits = {"lower": design.layout.lower, "prior": prior, "seed": self.seed}
-        return least_squares(rows, names, what=self.what, method=self.method, **limits)
-
-    def _prior(self, design: Design) -> Prior | None:
-        if self.prior is None:
-            return None
-        known = dict(zip(self.prior.names, zip(self.prior.parameters, self.prior.sd)))
-        values = [known.get(name, (0.0, UNKNOWN)) for name in design.layout.names]
-        values = [(0.0, 1.0) if slope else value for value, slope in zip(values, design.layout.slopes)]
-        return Prior(np.array([v for v, _ in values]), np.array([max(sd, 1e-12) for _, sd in values]))
+__all__ = ["fit_dynamics", "fit_model"]
 
 
 @one_thread()
@@ -142,154 +94,16 @@ def fit_model(
     table, robot : as there. base : which base parameters. job : how to fit.
     check : refuses records that are not of this kind.
     """
-    if job.prior is not None:
-        if not isinstance(getattr(job.prior, "value", None), TorqueModel):
-            raise ModelMismatchError(f"Expected an earlier fit as prior, got {type(job.prior).__name__}. See Fit.load.")
-        job.prior.value.check_robot(robot)
-    if job.method not in METHODS:
-        raise UnknownName.among("method of identification", job.method, METHODS)
+    job.check(robot)
     job.tell(0, 5, "checking the log")
     data = prepare(table, robot, job.joints)
     check(data)
-    design, theta, gain_cov = _settled(data, robot, base, job)
-    data = design.data
-    job.tell(3, 5, "covariance from blocks")
-    block, length = _blocks(design, theta, job.method)
-    design, sums = _summed(design, theta, job, block, length)
-    solution = sums.solution
-    cov = block_bootstrap(sums, seed=job.seed, length=length).cov
-    whole = cov + gain_share(solution, gain_cov)
-    parameters, cov_in_units, formal = design.in_units(solution.x, whole, solution.cov)
+    draft = make_draft(data, robot, base, job)
+    design, sums = draft.design, draft.sums
+    data, solution = design.data, sums.solution
+    cov = block_bootstrap(sums, seed=job.seed, length=draft.length).cov
     job.tell(4, 5, "held-out residuals")
-    model = _model(design, solution.x, cov, gain_cov)
-    model = assess(model, _fold_models(model, design, sums, block, length), data, design.joints)
+    model = model_of(design, solution.x, cov, draft.gain_cov)
+    model = assess(model, fold_models(model, design, sums, draft.block, draft.length), data, design.joints)
     job.tell(5, 5, "done")
-    return Fit(
-        value=model,
-        names=design.layout.names,
-        units=design.layout.units,
-        parameters=parameters,
-        cov=cov_in_units,
-        formal_cov=formal,
-        sigma=solution.sigma,
-        residuals=design.residuals(solution.x),
-        n=len(data.t),
-        excitation=solution.excitation,
-        summary=lambda fit: report(fit, solution),
-    )
-
-
-def _settled(data: Prepared, robot: Robot, base: BaseParameters, job: Job) -> tuple[Design, np.ndarray, np.ndarray]:
-    """Return the design with its gains and shape of friction, parameters (p,), and the covariance (J, J) of the gains.
-
-    Spikes are replaced twice: the second time by what the first fit makes of them.
-    """
-    known = None if job.prior is None else (job.prior.value.gains, job.prior.value.gain_cov)
-    found = spikes(data) if job.method in ROBUST else np.zeros(data.tau.shape, dtype=bool)
-    first = without_spikes(data, found) if found.any() else data.tau
-    job.tell(1, 5, "building the regressor")
-    design = calibrated(Design.build(replace(data, tau=first), robot, base, joints=job.joints), job.method, known)[0]
-    job.tell(2, 5, "choosing the shape of friction")
-    design, theta = settle(design, job.method, job.seed)
-    if found.any():
-        model = _model(design, theta, np.zeros((len(theta), len(theta))))
-        design = design.with_torque(without_spikes(data, found, model))
-        design, theta = settle(design, job.method, job.seed)
-    return calibrated(design, job.method, known)
-
-
-def _summed(design: Design, theta: np.ndarray, job: Job, block: np.ndarray, length: int) -> tuple[Design, BlockSums]:
-    """Return the design with its slopes and the sums of its blocks (B,).
-
-    A number of the shape that a few reversals tell keeps its value: its deviation cannot be drawn from them.
-    """
-    sloped = linearised(design, theta, job.method)
-    sums = BlockSums.of(job.solve(sloped, block[design.rows]))
-    spread = sums.spread(length)[sloped.layout.slopes] >= FEWEST
-    if spread.all():
-        return sloped, sums
-    free = sloped.free.copy()
-    free[sloped.free] = spread
-    sloped = design.with_slopes(theta, free)
-    return sloped, BlockSums.of(job.solve(sloped, block[design.rows]))
-
-
-def _blocks(design: Design, theta: np.ndarray, method: str) -> tuple[np.ndarray, int]:
-    """Return the block number (N,) of each sample and how many blocks make a stretch that stands for itself.
-
-    Stretches are longer than the residual remembers; of blocks that may be left out there are several in a stretch.
-    """
-    data = design.data
-    step = float(np.median(np.diff(data.t[design.rows])))
-    seconds = min(block_seconds(design.residuals(theta), step), data.seconds / 20.0)
-    block = data.blocks(short_blocks(data) if method == "lts" else seconds)
-    count = int(block[-1]) + 1
-    length = max(1, round(seconds * count / data.seconds))
-    if count < 8 * length:
-        raise NotExcited(
-            f"Expected at least 8 blocks of {seconds:.2g} s for a covariance, got {count // length}. "
-            "Record for longer.",
-            ["covariance"],
-            [f"{data.seconds:.1f} s"],
-        )
-    return block, length
-
-
-def _model(design: Design, theta: np.ndarray, cov: np.ndarray, gain_cov: np.ndarray | None = None) -> TorqueModel:
-    """Turn linear parameters and friction shapes into a model; covariance and quality are provisional."""
-    data, robot, base = design.data, design.robot, design.base
-    n, p = robot.n, len(base.names)
-    links, rotor = base.links_and_rotors(theta[:p])
-    friction, ripple = design.drives(theta)
-    tiny = np.full(n, 1e-18)
-    gains, spread = np.ones(n), np.zeros((n, n))
-    gains[design.joints] = design.gains
-    if gain_cov is not None:
-        spread[np.ix_(design.joints, design.joints)] = gain_cov
-    return TorqueModel(
-        robot_name=robot.name,
-        robot_hash=robot.hash,
-        frames=robot.frames,
-        prismatic=robot.prismatic,
-        gravity=robot.gravity,
-        link_parameters=links,
-        rotor=rotor,
-        friction=friction,
-        ripple=ripple,
-        covariance=velocity_covariance("const", tiny, tiny),
-        bound=FrictionBound.of(friction),
-        cutoff=CUTOFF,
-        base_names=base.names,
-        base_values=theta[:p],
-        base_cov=cov[:p, :p],
-        gains=gains,
-        gain_cov=spread,
-        quality=_quality(data),
-        training=training(data.t, data.q, data.qd, data.segments),
-        sources=data.sources,
-        coupled=design.coupled(theta),
-        quasi_static=base.quasi_static,
-    )
-
-
-def _quality(data: Prepared) -> Quality:
-    unknown = np.full(data.q.shape[1], np.nan)
-    return Quality(
-        torque_sd=np.std(data.tau, axis=0),
-        rms=unknown,
-        rms_cv=unknown,
-        coverage=unknown,
-        seconds=data.seconds,
-    )
-
-
-def _fold_models(
-    model: TorqueModel, design: Design, sums: BlockSums, block: np.ndarray, length: int
-) -> list[tuple[TorqueModel, np.ndarray]]:
-    """Return, for each fifth of the stretches, the model fitted without them and a mask (N,) of their samples."""
-    folds = []
-    for k in range(5):
-        kept = np.arange(len(sums.rows)) // length % 5 != k
-        theta = sums.solve(kept.astype(float))
-        folds.append((replace(_model(design, theta, sums.solution.cov), base_cov=model.base_cov), ~kept[block]))
-    return folds
+    return fit_of(model, design, solution, cov + gain_share(solution, draft.gain_cov), len(data.t))

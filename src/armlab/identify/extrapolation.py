@@ -62,17 +62,24 @@ class Extrapolation:
         return "\n".join([*lines, *(f"warning: {sentence}" for sentence in self.warnings)])
 
 
-def training(t: np.ndarray, q: np.ndarray, qd: np.ndarray, segments: tuple[tuple[int, int], ...]) -> Training:
+def training(
+    t: np.ndarray,
+    q: np.ndarray,
+    qd: np.ndarray,
+    segments: tuple[tuple[int, int], ...],
+    peak: np.ndarray | None = None,
+) -> Training:
     """Return the ranges of the data that a model is fitted to.
 
     Parameters
     ----------
     t : (N,) time [s]. q, qd : (N, n) position and velocity.
     segments : (start, stop) rows of each piece without a gap.
+    peak : (n,) speed that counts as the largest; that of the data when left out.
     """
-    peak = np.abs(qd).max(axis=0)
-    rest_share, longest = _rest(t, qd, peak, segments)
-    return Training(q.min(axis=0), q.max(axis=0), peak, _bins(qd, peak), rest_share, longest)
+    scale = np.abs(qd).max(axis=0) if peak is None else peak
+    rest_share, longest = _rest(t, qd, scale, segments)
+    return Training(q.min(axis=0), q.max(axis=0), scale, _bins(qd, scale), rest_share, longest)
 
 
 def extrapolation(model: TorqueModel, table: Table) -> Extrapolation:

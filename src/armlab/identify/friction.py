@@ -132,7 +132,8 @@ def fit_friction(table: Table | Sequence[Table], model: TorqueModel) -> Fit[Torq
         found = model_residuals(table, model)
     half = data.blocks(SHORTEST)
     basis, fifth = rbf_centres(data.q, data.qd), fold_of(data)
-    spread = [speed_basis(0.0, float(peak), SPEEDS) for peak in np.abs(data.qd).max(axis=0)]
+    peaks = np.abs(data.qd).max(axis=0)
+    spread = [speed_basis(0.0, float(peak), SPEEDS) for peak in peaks]
     lines: dict[int, _Part] = {}
     maps: dict[int, _Part] = {}
     every = max(1, len(data.t) // ROWS)
@@ -144,9 +145,10 @@ def fit_friction(table: Table | Sequence[Table], model: TorqueModel) -> Fit[Torq
         others = np.tile(y, (FIFTHS, 1))
         over = basis.functions(i, q, qd, s)
         clean = y - over @ ridge_solution(over, y, RIDGE)[0]
-        ripple = _ripple(rows, y, clean, (lowest, float(highest[i])), spread[i], f"ripple joint {i + 1}")
+        ripple = _ripple(rows, y, clean, (lowest, float(highest[i])), float(peaks[i]), f"ripple joint {i + 1}")
         if ripple is not None:
-            lines[i] = part = ripple
+            part, spread[i] = ripple
+            lines[i] = part
             A = ripple_regressor(q, qd, s, part.cycles, *spread[i])
             y, others = y - A @ part.k, others - part.folds @ A.T
         block = rows.blocks(y)
@@ -181,10 +183,13 @@ def _ripple(
     y: np.ndarray,
     clean: np.ndarray,
     ends: tuple[float, float],
-    spread: tuple[np.ndarray, np.ndarray],
+    peak: float,
     name: str,
-) -> _Part | None:
-    """Return the lines of one joint that stay with their coefficients, from the rows on which all of them are slow.
+) -> tuple[_Part, tuple[np.ndarray, np.ndarray]] | None:
+    """Return the lines of one joint that stay with their coefficients, and the Gaussians in speed of these.
+
+    They are fitted to the rows on which all of them are slow, and so far the Gaussians reach: beyond, the amplitude is
+    that at the end. Gaussians up to the peak speed would have coefficients that no row holds, of many times the ripple.
 
     They are found and chosen in `clean`, which friction over position has left: what it puts into some blocks and not
     into others would hide lines from the choice by held-out blocks.
@@ -192,7 +197,8 @@ def _ripple(
     cycles = ripple_lines(rows.q, rows.qd, clean, rows.rate, ends[1], max(ends[0], 1.0))
     if not len(cycles):
         return None
-    slow = cycles.max() * np.abs(rows.qd) < 0.5 * np.pi * rows.rate
+    fastest = 0.5 * np.pi * rows.rate / float(cycles.max())
+    slow, spread = np.abs(rows.qd) < fastest, speed_basis(0.0, min(peak, fastest), SPEEDS)
     rows, y, clean = rows.of(slow), y[slow], clean[slow]
     amplitudes = ripple_amplitudes(rows.qd, rows.s, *spread)
     A = ripple_regressor(rows.q, rows.qd, rows.s, cycles, *spread)
@@ -201,7 +207,7 @@ def _ripple(
         return None
     cycles, A, slopes = refine_lines(rows.q, amplitudes, y, cycles[kept])
     k, cov = rows.refit(A, y, LINE_RIDGE, slopes)
-    return _Part(name, k, cycles, cov, rows.folds(A, np.tile(y, (FIFTHS, 1)), LINE_RIDGE))
+    return _Part(name, k, cycles, cov, rows.folds(A, np.tile(y, (FIFTHS, 1)), LINE_RIDGE)), spread
 
 
 def _lines(

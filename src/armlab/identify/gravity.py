@@ -15,7 +15,8 @@ import numpy as np
 from armlab.errors import ShapeError
 from armlab.estimation import Fit
 from armlab.identify.base_parameters import base_parameters
-from armlab.identify.dynamics import Job, fit_model
+from armlab.identify.drafting import Job
+from armlab.identify.dynamics import fit_model
 from armlab.identify.preparation import Prepared
 from armlab.identify.threads import one_thread
 from armlab.log import Table

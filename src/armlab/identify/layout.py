@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,6 +56,11 @@ class Layout:
             own += [plain.get(term, f"{term} {self.robot.joint_names[i]}") for term in terms]
         motors = [f"{term} of motor {self.robot.joint_names[i]}" for i in self.owners for term in COUPLED]
         return (*self.base.names, *own, *motors)
+
+    @property
+    def heads(self) -> list[str]:
+        """Names without the combination that base parameters stand for, which fills a line."""
+        return [re.split(r" [+-] ", name)[0] for name in self.names]
 
     @property
     def units(self) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from armlab.log import Table
 from armlab.robots import Robot
 from armlab.signals import central_diff, lowpass_offline
 
-__all__ = ["Prepared", "pieces", "prepare", "with_velocity"]
+__all__ = ["Prepared", "pieces", "prepare", "prepare_share", "with_velocity"]
 
 MIN_SECONDS = 5.0
 MIN_TURN, MIN_SLIDE = np.deg2rad(5.0), 0.02  # rad, m: range of a joint that is said to move
@@ -97,7 +97,26 @@ def prepare(table: Table | Sequence[Table], robot: Robot, joints: Sequence[int] 
     NotExcited : too short, joints at rest by name, constant torque.
     """
     used = np.bincount(measured_joints(robot, joints), minlength=robot.n) > 0
-    tables = _tables(table)
+    return _checked(_tables(table), robot, used, used)
+
+
+def prepare_share(table: Table, robot: Robot, joints: Sequence[int] | None = None) -> Prepared:
+    """Check and cut one log of many as `prepare` does; joints may rest in it, since others may move them.
+
+    Parameters
+    ----------
+    table, robot, joints : as there.
+
+    Raises
+    ------
+    ShapeError, NotExcited : as there, but for joints at rest.
+    """
+    used = np.bincount(measured_joints(robot, joints), minlength=robot.n) > 0
+    return _checked(_tables(table), robot, used, np.zeros(robot.n, dtype=bool))
+
+
+def _checked(tables: list[Table], robot: Robot, used: np.ndarray, moving: np.ndarray) -> Prepared:
+    """Return the record of logs whose joints `moving` (n,) must move, and `used` (n,) have a torque."""
     parts = [_segments(one, robot) for one in tables]
     rate = _common_rate(tables)
     t = np.concatenate([t[a:b] for t, _, segs in parts for a, b in segs])
@@ -110,11 +129,13 @@ def prepare(table: Table | Sequence[Table], robot: Robot, joints: Sequence[int] 
     sources = tuple(f"{one.source or 'table'} sha256:{one.sha256}" for one in tables)
     prepared = Prepared(t, dt, q, qd, tau, segments, rate, _resolution(q), sources)
     check_position(q, robot)
-    moved = np.ptp(q, axis=0) >= np.where(robot.prismatic, MIN_SLIDE, MIN_TURN)
-    _check_motion(q, robot, used & ~moved)
+    least = np.where(robot.prismatic, MIN_SLIDE, MIN_TURN)
+    moved = np.ptp(q, axis=0) >= least
+    _check_motion(q, robot, moving & ~moved)
     slope = prepared.filter(prepared.differentiate(q), BAND)
-    check_velocity(slope, prepared.filter(qd, BAND), moved, robot)
-    check_torque(q, tau, used, robot)
+    turned = np.max([np.ptp(q[a:b], axis=0) for a, b in segments], axis=0) >= least  # not between two logs
+    check_velocity(slope, prepared.filter(qd, BAND), moved & turned, robot)
+    check_torque(q, tau, used & (moving | moved), robot)
     return prepared
 
 

@@ -7,17 +7,35 @@ that does other work: a fit took five times the processor time, and summed in an
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from importlib import import_module
+from threading import Lock
 
 __all__ = ["one_thread"]
+
+_lock = Lock()
+_inside = 0
+_limits = ExitStack()
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Give BLAS one thread in a `with` block or a decorated function, and as many as before after it."""
+    """Give BLAS one thread in a `with` block or a decorated function, and as many as before after it.
+
+    The number of threads belongs to the process: of blocks that overlap, in several threads, the last gives it back.
+    """
+    global _inside
     from threadpoolctl import threadpool_limits
 
     import_module("scipy.linalg")  # only libraries that are loaded can be limited
-    with threadpool_limits(limits=1, user_api="blas"):
+    with _lock:
+        if not _inside:
+            _limits.enter_context(threadpool_limits(limits=1, user_api="blas"))
+        _inside += 1
+    try:
         yield
+    finally:
+        with _lock:
+            _inside -= 1
+            if not _inside:
+                _limits.close()

@@ -223,8 +223,8 @@ def predict(model: TorqueModel, table: Table) -> Table:
     return (
         replace(table, notes=(*table.notes, *warned))
         .with_column("tau", tau)
-        .with_column("tau_model", modelled, unit="N m")
-        .with_column("tau_sigma", model.gains * np.sqrt(variance), unit="N m")
+        .with_column("tau_model", modelled)
+        .with_column("tau_sigma", model.gains * np.sqrt(variance))
     )
 
 

@@ -1,0 +1,108 @@
+"""`SumCache`: sums of logs kept on the disk, so that ten logs more cost ten logs and an interrupted run goes on.
+
+A file is named by what its sums depend on: the bytes of the log, the pattern (which holds the robot), and the version
+of the sums. Plain arrays in the .npz format, never objects; a file that does not read is made anew.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from armlab._whole_files import whole_file
+from armlab.errors import ShapeError
+from armlab.estimation.factors import Factors
+from armlab.identify.many import LogSums, Pattern
+from armlab.models import Training
+
+__all__ = ["SumCache", "default_folder"]
+
+VERSION = 1
+_PIECE = 1 << 20
+_TRAINING = ("q_min", "q_max", "qd_peak", "speed_share", "rest_share", "longest_rest")
+
+
+def default_folder() -> Path:
+    """Return where the sums of this user are kept."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "armlab" / "sums"
+
+
+class SumCache:
+    """Sums of logs in a folder.
+
+    Parameters
+    ----------
+    folder : made when it is missing; see `default_folder`. pattern : of the draft.
+    """
+
+    def __init__(self, folder: Path, pattern: Pattern) -> None:
+        self._folder, self._pattern = folder, pattern.sha256
+
+    def path(self, log: Path) -> Path:
+        """Return the file that keeps the sums of a log.
+
+        Parameters
+        ----------
+        log : file that exists.
+        """
+        digest = hashlib.sha256(f"{VERSION} {self._pattern} ".encode())
+        with log.open("rb") as file:
+            while part := file.read(_PIECE):
+                digest.update(part)
+        return self._folder / f"{digest.hexdigest()}.npz"
+
+    def load(self, path: Path) -> LogSums | None:
+        """Return the sums kept in a file, None when there are none that read.
+
+        Parameters
+        ----------
+        path : from `path`.
+        """
+        try:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as kept:
+                return _sums(kept)
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, ShapeError):
+            return None
+
+    def save(self, path: Path, sums: LogSums) -> None:
+        """Keep sums, whole or not at all.
+
+        Parameters
+        ----------
+        path : from `path`. sums : of that log.
+
+        Raises
+        ------
+        OSError : the folder cannot be written.
+        """
+        self._folder.mkdir(parents=True, exist_ok=True)
+        groups = {
+            f"{name}{g}": part[g]
+            for name in ("R", "columns")
+            for part in [getattr(sums.factors, name)]
+            for g in range(len(part))
+        }
+        training = {name: getattr(sums.training, name) for name in _TRAINING}
+        numbers = {
+            "counts": np.array([sums.factors.size, sums.inside, sums.n]),
+            "reals": np.array([sums.weight, sums.seconds]),
+            "source": np.array(sums.source),
+        }
+        with whole_file(path) as part, part.open("wb") as file:
+            np.savez(file, allow_pickle=False, rows=sums.factors.rows, **groups, **training, **numbers)
+
+
+def _sums(kept: Any) -> LogSums:
+    size, inside, n = kept["counts"].tolist()
+    weight, seconds = kept["reals"].tolist()
+    classes = range(kept["rows"].shape[1])
+    R, columns = (tuple(kept[f"{name}{g}"] for g in classes) for name in ("R", "columns"))
+    about = {name: kept[name] for name in _TRAINING}
+    about |= {name: float(about[name]) for name in _TRAINING[-2:]}
+    factors = Factors(size, columns, R, kept["rows"])
+    return LogSums(factors, weight, inside, n, seconds, Training(**about), str(kept["source"]))

@@ -1,0 +1,193 @@
+"""`each`: one piece of work per log on any executor, with results in order, failures by name, and no log lost.
+
+A killed worker of a process pool breaks the pool and every job in it. What was finished is kept, the rest starts again
+in a new pool; then the jobs that were under way are tried one by one, and one that ends its worker again is skipped.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+from armlab.errors import ArmlabError, ConfigError, LogError
+
+__all__ = ["Done", "Progress", "each"]
+
+Progress = Callable[[int, int, str], None]
+Result = TypeVar("Result")
+
+_AHEAD = 4  # jobs that wait per worker: thousands of pickled jobs are memory for nothing
+_WORKERS = 64  # assumed of executors that do not tell
+_TELL = 0.5  # s between two reports without a job that ends
+_LIVES = 2  # of a job that ends its worker
+_KILLED = "Expected a worker to survive this log, but it was killed again. Look at the log, and at the memory it takes."
+_KILLED_BY_DASK = "KilledWorker"  # its name, since Dask need not be there: it has tried several workers by then
+
+
+@dataclass(frozen=True)
+class Done(Generic[Result]):
+    """What became of all jobs.
+
+    Attributes
+    ----------
+    results : by name, in the order of the jobs, of those that gave one. skipped : sentence by name of the others.
+    """
+
+    results: Mapping[str, Result]
+    skipped: Mapping[str, str]
+
+    def some(self) -> Done[Result]:
+        """Return it.
+
+        Raises
+        ------
+        LogError : every log was skipped; says why the first was.
+        """
+        if not self.results:
+            count, reasons = len(self.skipped), list(self.skipped.values())
+            raise LogError(f"Expected a log that can be used among {count}, got none. {' '.join(reasons[:1])}".rstrip())
+        return self
+
+
+def each(
+    work: Callable[..., Result],
+    jobs: Mapping[str, Any],
+    *shared: Any,
+    executor: Executor | None = None,
+    progress: Progress = lambda done, total, what: None,
+) -> Done[Result]:
+    """Call ``work(job, *shared)`` for every job.
+
+    Parameters
+    ----------
+    work : a function of a module, so that it can travel. jobs : what it gets, by name. shared : what all get.
+    executor : where it runs; here, one after the other, when left out.
+    progress : called with (done, total, what) as jobs end.
+
+    Returns
+    -------
+    Done; a job that raised an `ArmlabError` or ended its worker is skipped.
+    """
+    run = _Run(work, jobs, shared, progress)
+    if executor is None:
+        for name in jobs:
+            run.keep(name, _guarded(work, jobs[name], *shared))
+    else:
+        run.on(executor)
+    order = list(jobs)
+    return Done(
+        {name: run.results[name] for name in order if name in run.results},
+        {name: run.skipped[name] for name in order if name in run.skipped},
+    )
+
+
+class _Run:
+    """What is done so far."""
+
+    def __init__(
+        self, work: Callable[..., Any], jobs: Mapping[str, Any], shared: Sequence[Any], tell: Progress
+    ) -> None:
+        self._work, self._jobs, self._shared, self._tell = work, jobs, shared, tell
+        self._began = time.monotonic()
+        self.results: dict[str, Any] = {}
+        self.skipped: dict[str, str] = {}
+
+    def keep(self, name: str, outcome: tuple[bool, Any]) -> None:
+        """Keep what a job gave, or why it gave nothing."""
+        worked, value = outcome
+        (self.results if worked else self.skipped)[name] = value
+        self._report()
+
+    def on(self, executor: Executor) -> None:
+        """Run all jobs on an executor; on new ones of its kind after a worker was killed.
+
+        A round settles at least one job, a suspect, so that there are no more rounds than jobs.
+        """
+        suspects = self._pass(executor, list(self._jobs), ahead=_AHEAD * getattr(executor, "_max_workers", _WORKERS))
+        while left := self._left(self._jobs):
+            if not isinstance(executor, ProcessPoolExecutor):
+                raise ConfigError("Expected an executor that goes on, but it broke. Start it anew and call again.")
+            self._alone(executor, suspects)
+            if left := self._left(left):
+                with _another(executor, None) as again:
+                    suspects = self._pass(again, left, ahead=_AHEAD * again._max_workers)  # pyright: ignore
+
+    def _alone(self, executor: ProcessPoolExecutor, suspects: Sequence[str]) -> None:
+        """Run jobs one after the other, so that nobody else can be blamed; skip one that ends its worker twice."""
+        killed: Counter[str] = Counter()
+        while suspects := self._left(suspects):
+            with _another(executor, 1) as alone:
+                killed.update(self._pass(alone, suspects, ahead=1))
+            for name in suspects:
+                if killed[name] == _LIVES:
+                    self.keep(name, (False, _KILLED))
+
+    def _left(self, names: Iterable[str]) -> list[str]:
+        return [name for name in names if name not in self.results and name not in self.skipped]
+
+    def _pass(self, executor: Executor, names: Sequence[str], ahead: int) -> list[str]:
+        """Run jobs until they are done or the executor breaks; return those that were under way then, at least one."""
+        waiting = list(reversed(names))
+        running: dict[Future[tuple[bool, Any]], str] = {}
+        try:
+            while waiting or running:
+                while waiting and len(running) < ahead:
+                    try:
+                        future = executor.submit(_guarded, self._work, self._jobs[waiting[-1]], *self._shared)
+                    except BrokenExecutor:
+                        return [*self._saved(running), waiting[-1]]
+                    running[future] = waiting.pop()
+                done, _ = wait(running, timeout=_TELL, return_when=FIRST_COMPLETED)
+                self._report()
+                for future in done:
+                    error = future.exception()
+                    if isinstance(error, BrokenExecutor):
+                        return self._saved(running)
+                    killed = type(error).__name__ == _KILLED_BY_DASK
+                    self.keep(running.pop(future), (False, _KILLED) if killed else future.result())
+        finally:
+            for future in running:
+                future.cancel()
+        return []
+
+    def _saved(self, running: Mapping[Future[tuple[bool, Any]], str]) -> list[str]:
+        """Keep what was finished before the executor broke; return the names of the rest."""
+        lost = []
+        for future, name in running.items():
+            if future.done() and not future.cancelled() and future.exception() is None:
+                self.keep(name, future.result())
+            else:
+                lost.append(name)
+        return lost
+
+    def _report(self) -> None:
+        done, total = len(self.results) + len(self.skipped), len(self._jobs)
+        what = f"{len(self.skipped)} skipped" if self.skipped else ""
+        if 0 < done < total:
+            left = (time.monotonic() - self._began) / done * (total - done)
+            what = f"{what}, {left:.0f} s left".lstrip(", ")
+        self._tell(done, total, what)
+
+
+def _another(executor: ProcessPoolExecutor, workers: int | None) -> ProcessPoolExecutor:
+    """Return a new pool like one that broke."""
+    about: Any = executor
+    return ProcessPoolExecutor(
+        workers or about._max_workers,
+        mp_context=about._mp_context,
+        initializer=about._initializer,
+        initargs=about._initargs,
+        max_tasks_per_child=about._max_tasks_per_child,
+    )
+
+
+def _guarded(work: Callable[..., Result], job: Any, *shared: Any) -> tuple[bool, Result | str]:
+    """Return (True, result), or (False, sentence) of a job whose log cannot be used."""
+    try:
+        return True, work(job, *shared)
+    except (ArmlabError, OSError, MemoryError) as error:
+        return False, str(error) or type(error).__name__

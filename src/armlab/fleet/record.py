@@ -1,0 +1,172 @@
+"""`FleetRecorder`: the rows of many robots over Zenoh, in a file per robot."""
+
+from __future__ import annotations
+
+import re
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from armlab.bridge.zenoh import EVERY, Place, close_session, key, open_session, robot_of
+from armlab.bridge.zenoh.session import zenoh
+from armlab.errors import LinkError
+from armlab.fleet.robot_record import RobotRecord
+from armlab.log.recorder import FLUSH_PERIOD, WRITE_PERIOD
+
+__all__ = ["FleetRecorder", "open_behind"]
+
+_INBOX = 50_000  # messages: 20 s of ten robots; what does not fit is a hole in the ticks
+_ASK_PERIOD = 0.5  # s between two questions to a bridge
+_TRY_PERIOD = 0.1  # s between two tries to reach the router
+_ROBOTS = 1000
+_NAME = re.compile(r"[\w+-][\w.+-]{0,99}")  # what can be the name of a file
+
+
+def open_behind(place: Place, patience: float = 5.0) -> Any:
+    """Return a session all of whose messages go through the router, however many robots there are.
+
+    Parameters
+    ----------
+    place : of the router. patience : s to wait for it.
+
+    Raises
+    ------
+    LinkError : nobody is there. MissingExtra : no Zenoh.
+    """
+    where, until = f"{place.host}:{place.port}", time.monotonic() + patience
+    while True:
+        try:
+            return open_session("client", [], [where], place.security)
+        except LinkError:
+            if time.monotonic() > until:
+                raise LinkError(
+                    f"Expected a Zenoh router at {where} within {patience:g} s, but none let us in. Start it: armlab "
+                    "fleet router; or see whether certificates and password fit."
+                ) from None
+            time.sleep(_TRY_PERIOD)
+
+
+class FleetRecorder:
+    """Records every robot whose rows come, from now until it is closed; a context manager.
+
+    A robot may come, go, and come again with other rows. One MCAP file per run of its bridge: ``lab1-yumi_left.mcap``,
+    then ``-2``. Rows that did not come show as holes in the robot's ticks: an event and the summary of the file name
+    them. A file that cannot be written is given up, with a sentence; the other robots go on.
+
+    Parameters
+    ----------
+    place : of the router; its `lab` may be `EVERY`. folder : for the files. tell : told what a person should know, in
+        a thread of the recorder's.
+
+    Attributes
+    ----------
+    robots : by "lab/robot": rows, lost, refused, late, paths, failed. strangers : messages under keys of no robot.
+
+    Raises
+    ------
+    LinkError : no router. MissingExtra : no Zenoh.
+    """
+
+    def __init__(self, place: Place, folder: str | Path, tell: Callable[[str], None] = lambda text: None) -> None:
+        self._folder, self._tell = Path(folder), tell
+        self._robots: dict[str, RobotRecord] = {}
+        self._asked: dict[str, float] = {}
+        self.strangers = 0
+        self._inbox: deque[tuple[Callable[[RobotRecord], None], str]] = deque()  # append and popleft are atomic
+        self._wake, self._closed = threading.Event(), False
+        self._session = open_behind(place)
+        declare, liveliness = self._session.declare_subscriber, self._session.liveliness()
+        self._thread = threading.Thread(target=self._run, name="fleet recorder", daemon=True)
+        self._thread.start()
+        self._rows = declare(key(place.lab, EVERY, "state"), self._take)
+        self._alive = liveliness.declare_subscriber(key(place.lab, EVERY, "alive"), self._take_life, history=True)
+
+    def __enter__(self) -> FleetRecorder:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def robots(self) -> Mapping[str, RobotRecord]:
+        """What is known of each robot."""
+        return dict(self._robots)
+
+    def close(self) -> None:
+        """Write what has come, and finish all files."""
+        if self._closed:
+            return
+        close_session(self._session)
+        self._closed = True
+        self._wake.set()
+        self._thread.join()
+
+    def _take(self, sample: Any) -> None:
+        if len(self._inbox) < _INBOX:
+            self._inbox.append((partial(RobotRecord.take, data=sample.payload.to_bytes()), str(sample.key_expr)))
+
+    def _take_life(self, sample: Any) -> None:
+        has_come = sample.kind == zenoh().SampleKind.PUT
+        self._inbox.append((partial(self._live, has_come=has_come), str(sample.key_expr)))
+
+    def _live(self, robot: RobotRecord, has_come: bool) -> None:
+        text = "its bridge is there" if has_come else "its bridge has gone, or the way to it"
+        robot.event(text)
+        self._tell(f"{robot.name}: {text}")
+
+    def _run(self) -> None:
+        due, is_last = time.monotonic() + FLUSH_PERIOD, False
+        while not is_last:
+            self._wake.wait(WRITE_PERIOD)
+            is_last = self._closed  # looked at before the inbox is emptied: what came until then is in it
+            for _ in range(len(self._inbox)):
+                work, where = self._inbox.popleft()
+                robot = self._robot(where)
+                if robot is None:
+                    self.strangers += 1
+                else:
+                    work(robot)
+            for robot in self._robots.values():
+                robot.write()
+                if robot.wants and not is_last:
+                    self._ask(robot)
+            if time.monotonic() >= due:
+                for robot in self._robots.values():
+                    robot.flush()
+                due = time.monotonic() + FLUSH_PERIOD
+        for robot in self._robots.values():
+            robot.close()
+
+    def _robot(self, where: str) -> RobotRecord | None:
+        lab, name = robot_of(where)
+        full = f"{lab}/{name}"
+        if full not in self._robots:
+            if len(self._robots) >= _ROBOTS or not (_NAME.fullmatch(lab) and _NAME.fullmatch(name)):
+                return None
+            self._robots[full] = RobotRecord(full, self._folder / f"{lab}-{name}.mcap", self._tell)
+        return self._robots[full]
+
+    def _ask(self, robot: RobotRecord) -> None:
+        """Ask what is in the rows of a robot; the answer comes as messages do."""
+        now = time.monotonic()
+        if now < self._asked.get(robot.name, 0.0):
+            return
+        self._asked[robot.name] = now + _ASK_PERIOD
+        lab, _, name = robot.name.partition("/")
+        where = key(lab, name, "about")
+
+        def answered(reply: Any) -> None:
+            if reply.ok is not None:
+                self._inbox.append((partial(RobotRecord.describe, about=reply.ok.payload.to_bytes()), where))
+
+        try:
+            self._session.get(where, answered, timeout=4.0 * _ASK_PERIOD)
+        except zenoh().ZError:  # the session is being closed
+            return

@@ -1,0 +1,261 @@
+"""`RobotRecord`: what comes of one robot, in files: one per run of its bridge, with what is missing counted."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import time
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from armlab.bridge.row import MAGIC
+from armlab.bridge.row_schema import RowSchema
+from armlab.errors import ArmlabError, LinkError
+from armlab.fleet.row_columns import RowColumns, stamp_of, tick_of
+from armlab.log.recording_file import RecordingFile
+from armlab.log.rows import RowLayout
+from armlab.log.syncing import Syncing
+from armlab.robots import Robot, from_toml
+
+__all__ = ["RobotRecord"]
+
+_WAITING = 2500  # rows that wait for their description: 10 s
+_STRANGE = 64  # schemas of wrong rows that are remembered
+_UNANSWERED = 5.0  # s after which rows that nobody describes are given up
+_AGAIN = 10.0  # s after a failed file until the next one
+_SILENT = 60.0  # s without a row after which a file is finished
+_MOST_HOLES = 10_000  # listed in a file; all are counted
+
+
+class RobotRecord:
+    """The recordings of one robot; all methods belong to one thread.
+
+    Parameters
+    ----------
+    name : "lab1/yumi_left". path : of its first file. tell : told what a person should know.
+
+    Attributes
+    ----------
+    rows, lost : rows written, and rows that never came or could not be written, by the ticks of the robot.
+    refused : messages that were no rows of this robot. late : rows that had come before.
+    last : newest tick, -1 before the first row. paths : files so far. failed : why the last one stopped, or None.
+    wants : rows wait for a description.
+    """
+
+    def __init__(self, name: str, path: Path, tell: Callable[[str], None]) -> None:
+        self.name, self._path, self._tell = name, path, tell
+        self.rows = self.lost = self.refused = self.late = 0
+        self.last = -1
+        self.paths: list[Path] = []
+        self.failed: str | None = None
+        self.wants = False
+        self._waiting: deque[bytes] = deque()
+        self._strange: deque[bytes] = deque(maxlen=_STRANGE)
+        self._since: float | None = None  # rows wait for a description
+        self._run: _Run | None = None
+        self._file: _File | None = None
+        self._heard = self._retry = 0.0
+
+    def take(self, data: bytes) -> None:
+        """Take a row; when too many wait it is lost, as its tick will show.
+
+        Parameters
+        ----------
+        data : as it came.
+        """
+        if len(self._waiting) < _WAITING:
+            self._waiting.append(data)
+
+    def describe(self, about: bytes) -> None:
+        """Take what a bridge says of itself and its robots; the rows that wait for it are of a new run.
+
+        Parameters
+        ----------
+        about : the answer to the query "about".
+        """
+        if not self.wants:
+            return
+        self.wants, self._since = False, None
+        try:
+            run = _Run(self.name.rpartition("/")[2], about)
+        except (ArmlabError, ValueError, LookupError, TypeError, AttributeError) as error:
+            self._refuse(f"its bridge says what cannot be understood: {error}")
+            return
+        if self._waiting and self._waiting[0][8:16] != run.schema.id:
+            self._strange.append(self._waiting[0][8:16])
+            return
+        self._finish()
+        self._run = run
+
+    def write(self) -> None:
+        """Write what has come."""
+        now = time.monotonic()
+        packed: list[bytes] = []
+        self._heard = now if self._waiting else self._heard
+        for _ in range(len(self._waiting) + 1):  # a run that ends is looked at twice
+            if not self._waiting:
+                break
+            data = self._waiting[0]
+            if self._run is None or data[8:16] != self._run.schema.id:
+                if data[:4] != MAGIC or data[8:16] in self._strange:
+                    self._waiting.popleft()
+                    self._refuse("rows of a schema that its bridge does not know")
+                    continue
+                self.wants, self._since = True, self._since or now
+                break
+            try:
+                row = self._run.columns.packed(data)
+            except LinkError as error:
+                self._waiting.popleft()
+                self._refuse(str(error))
+                continue
+            if self._run.has_begun_again(row):
+                packed = self._end_run(packed)
+                continue
+            self._waiting.popleft()
+            packed = self._sorted(self._run, row, packed)
+        self._put(packed)
+        if self._since is not None and now - self._since > _UNANSWERED:
+            self._refuse("nobody says what is in its rows", len(self._waiting))
+            self._waiting.clear()
+            self.wants, self._since = False, None
+        if self._file is not None and now - self._heard > _SILENT:
+            self._finish()
+
+    def flush(self) -> None:
+        """Bring to the disk what was written."""
+        if self._file is not None:
+            self._guarded(self._file.flush)
+
+    def event(self, text: str) -> None:
+        """Write a sentence into the file, if one is open."""
+        if self._file is not None:
+            self._guarded(self._file.file.event, text, time.time_ns())
+
+    def close(self) -> None:
+        """Write what waits, and finish the file."""
+        self.write()
+        self._finish()
+
+    def _end_run(self, packed: list[bytes]) -> list[bytes]:
+        """The ticks of the robot begin again: its bridge was started anew, and may have another description."""
+        self._put(packed)
+        self._finish()
+        self._run = None
+        self._tell(f"{self.name}: its bridge has started again")
+        return []
+
+    def _sorted(self, run: _Run, row: bytes, packed: list[bytes]) -> list[bytes]:
+        """Return the rows to be written next: a hole comes between rows."""
+        tick = tick_of(row)
+        if run.last is not None and tick <= run.last:
+            self.late += 1
+            return packed
+        if run.last is not None and tick > run.last + 1:
+            self._put(packed)
+            packed = []
+            self._hole(run.last + 1, tick - 1, stamp_of(row))
+        self.last = run.last = tick
+        run.stamp_ns = stamp_of(row)
+        packed.append(row)
+        return packed
+
+    def _hole(self, first: int, last: int, stamp_ns: int) -> None:
+        self.lost += last - first + 1
+        text = f"{last - first + 1} rows did not come, ticks {first} to {last}"
+        self._tell(f"{self.name}: {text}")
+        if self._open():
+            file = self._file
+            if file is not None:
+                file.lost += last - first + 1
+                file.holes.append((first, last, last - first + 1))
+                self._guarded(file.file.event, text, stamp_ns)
+
+    def _put(self, packed: list[bytes]) -> None:
+        if packed and self._open() and self._file is not None and self._guarded(self._file.file.write, packed):
+            self.rows += len(packed)
+        elif packed:
+            self.lost += len(packed)
+
+    def _open(self) -> bool:
+        """Whether there is a file; after one that failed there is none for a while."""
+        run = self._run
+        if self._file is None and run is not None and time.monotonic() >= self._retry:
+            try:
+                self._file = _File(self._path, run)
+            except ArmlabError as error:
+                self._fail(str(error))
+            else:
+                self.failed = None
+                self.paths.append(self._file.file.path)
+                self._tell(f"{self.name}: recording to {self._file.file.path}")
+        return self._file is not None
+
+    def _guarded(self, work: Callable[..., Any], *values: Any) -> bool:
+        try:
+            work(*values)
+        except Exception as error:  # whatever it is: the other robots go on
+            reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
+            file, self._file = self._file, None
+            if file is not None:
+                file.abandon()
+                self._fail(f"The log {file.file.path} stopped after {file.file.rows} rows: {reason}.")
+            return False
+        return True
+
+    def _fail(self, why: str) -> None:
+        if why != self.failed:
+            self._tell(f"{self.name}: {why} The next file is tried in {_AGAIN:g} s.")
+        self.failed, self._retry = why, time.monotonic() + _AGAIN
+
+    def _finish(self) -> None:
+        if self._file is not None:
+            self._guarded(self._file.finish)
+            self._file = None
+
+    def _refuse(self, why: str, count: int = 1) -> None:
+        if self.refused == 0 and count:
+            self._tell(f"{self.name}: messages are refused: {why}")
+        self.refused += count
+
+
+class _Run:
+    """What the rows of a bridge hold, from its start to its end."""
+
+    def __init__(self, robot: str, about: bytes) -> None:
+        said = json.loads(about)[0]
+        self.schema = RowSchema.read(said["schema"].encode())
+        self.robot: Robot = from_toml(said["robots"][robot], f"the bridge of {robot}")
+        self.layout = RowLayout(self.robot)
+        self.columns = RowColumns(self.schema, robot, self.layout)
+        self.last: int | None = None  # tick
+        self.stamp_ns = 0
+
+    def has_begun_again(self, row: bytes) -> bool:
+        """Whether ticks went back while time went on: its bridge has another run."""
+        return self.last is not None and tick_of(row) <= self.last and stamp_of(row) > self.stamp_ns
+
+
+class _File:
+    """One file, and what is kept of it."""
+
+    def __init__(self, path: Path, run: _Run) -> None:
+        self.file = RecordingFile(path, run.robot, run.layout, {}, "")
+        self.holes: deque[tuple[int, int, int]] = deque(maxlen=_MOST_HOLES)
+        self.lost = 0
+        self._syncing = Syncing(self.file.fileno(), f"sync {path.name}")
+
+    def flush(self) -> None:
+        self.file.close_chunk()
+        self._syncing.ask()
+
+    def finish(self) -> None:
+        self._syncing.close()
+        self.file.finish({"rows": self.file.rows, "dropped": self.lost, "holes": list(self.holes)})
+
+    def abandon(self) -> None:
+        self.file.abandon()
+        with contextlib.suppress(OSError):  # it is told already
+            self._syncing.close()

@@ -1,0 +1,107 @@
+"""`list_robots`: which robots of a fleet are there, and how their rows come."""
+
+from __future__ import annotations
+
+import json
+import math
+import threading
+import time
+from typing import Any, NamedTuple
+
+from armlab.bridge.row import read_row
+from armlab.bridge.row_schema import RowSchema
+from armlab.bridge.zenoh import EVERY, Place, close_session, key, queried, robot_of, robots_at
+from armlab.errors import ArmlabError
+from armlab.fleet.record import open_behind
+
+__all__ = ["FleetRobot", "list_robots"]
+
+
+class FleetRobot(NamedTuple):
+    """What was seen of a robot.
+
+    Attributes
+    ----------
+    lab, robot : names. rate : rows that came per second [Hz]. loss : rows that did not come, by the robot's ticks.
+    age : of the newest row by both computers' clocks [s], NaN without any. commander : who moves it, "" for nobody.
+    """
+
+    lab: str
+    robot: str
+    rate: float
+    loss: int
+    age: float
+    commander: str
+
+
+def list_robots(place: Place, seconds: float = 2.0) -> list[FleetRobot]:
+    """Return the robots whose bridges are alive, after listening to all their rows for a while.
+
+    Parameters
+    ----------
+    place : of the router; its `lab` may be `EVERY`. seconds : to listen.
+
+    Raises
+    ------
+    LinkError : no router. MissingExtra : no Zenoh.
+    """
+    session = open_behind(place)
+    try:
+        alive = robots_at(session, place.lab)
+        seen = {f"{lab}/{robot}": _Seen(lab, robot) for lab, robot in alive}
+        for where, data in queried(session, key(place.lab, EVERY, "about"), 1.0) if seen else ():
+            robot = seen.get("/".join(robot_of(where)))
+            if robot is not None:
+                robot.describe(data)
+
+        def take(sample: Any) -> None:
+            robot = seen.get("/".join(robot_of(str(sample.key_expr))))
+            if robot is not None:
+                robot.take(sample.payload.to_bytes())
+
+        rows = session.declare_subscriber(key(place.lab, EVERY, "live"), take)
+        threading.Event().wait(seconds if seen else 0.0)
+        rows.undeclare()
+        return [seen[name].summary() for name in sorted(seen)]
+    finally:
+        close_session(session)
+
+
+class _Seen:
+    """The rows of one robot."""
+
+    def __init__(self, lab: str, robot: str) -> None:
+        self._lab, self._robot = lab, robot
+        self._schema: RowSchema | None = None
+        self._rows = 0
+        self._times = self._ticks = (0, 0)  # of the first and the last row
+        self._commander, self._wall_ns = "", 0
+
+    def describe(self, about: bytes) -> None:
+        try:
+            self._schema = RowSchema.read(json.loads(about)[0]["schema"].encode())
+        except (ArmlabError, ValueError, LookupError, TypeError, AttributeError):
+            self._schema = None  # shown without rows
+
+    def take(self, data: bytes) -> None:
+        if self._schema is None:
+            return
+        try:
+            row = read_row(self._schema, data)
+            tick = row.values[f"{self._robot}.tick"]
+            self._commander = row.values[f"{self._robot}.commander"]
+        except (ArmlabError, KeyError):
+            return
+        now = time.monotonic_ns()
+        first = self._rows == 0
+        self._times = (now if first else self._times[0], now)
+        self._ticks = (tick if first else self._ticks[0], tick)
+        self._wall_ns = row.wall_ns
+        self._rows += 1
+
+    def summary(self) -> FleetRobot:
+        between = 1e-9 * (self._times[1] - self._times[0])
+        rate = (self._rows - 1) / between if between > 0.0 else 0.0
+        loss = max(self._ticks[1] - self._ticks[0] + 1 - self._rows, 0) if self._rows else 0
+        age = 1e-9 * (time.time_ns() - self._wall_ns) if self._rows else math.nan
+        return FleetRobot(self._lab, self._robot, rate, loss, age, self._commander)

@@ -1,0 +1,265 @@
+"""One model from any number of logs: a draft from the first minutes, sums of each log, and the fit to their sum.
+
+1. `fit_draft` fits the first few minutes as `fit_dynamics` does: that fixes what is not linear, which spikes of torque
+   are replaced, the gains, the shape of friction, and at which residual Huber's loss begins.
+2. `log_sums` reduces one log to triangular factors of its rows, weighted by their residuals to the draft, with the
+   slopes of the shape of friction among its columns. It needs nothing of the other logs, so that sums can be made
+   anywhere, in any order, and kept: ten logs more cost ten logs.
+3. `fit_sums` solves for the sum of all, in the order of the logs: the same bits whoever made the sums.
+
+One step of reweighting from a robust draft is as good as many when the draft's own error is small beside the noise of a
+row (Bickel 1975, One-step Huber estimates in the linear model); one Gauss-Newton step of the shape likewise.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from armlab.errors import NotExcited, ShapeError
+from armlab.estimation import BlockSums, Fit, block_bootstrap
+from armlab.estimation.factors import Factors, factorise
+from armlab.estimation.solution import LinearSolution, Question, solve
+from armlab.identify.base_parameters import BaseParameters, base_parameters
+from armlab.identify.design import Design
+from armlab.identify.drafting import Draft, Job, Progress, fit_of, fold_models, make_draft, model_of
+from armlab.identify.extrapolation import training
+from armlab.identify.preparation import Prepared, prepare, prepare_share
+from armlab.identify.shapes import Shapes
+from armlab.identify.spikes import spikes, without_spikes
+from armlab.identify.threads import one_thread
+from armlab.identify.torque_gains import gain_share
+from armlab.identify.validation import assess
+from armlab.log import Table
+from armlab.models import TorqueModel, Training
+from armlab.robots import Robot
+
+__all__ = ["LogSums", "Pattern", "fit_draft", "fit_sums", "log_sums", "same_rate"]
+
+HUBER = 1.345
+NORMAL_MAD = 0.6744897501960817  # median of |x| for x ~ N(0, 1)
+SAME_RATE = 1.1
+FEWEST_BLOCKS = 60  # in all, for a covariance
+BIN = 1e-9  # share of a sample
+
+
+@dataclass(frozen=True, eq=False)
+class Pattern:
+    """What the sums of a log need to know of the draft. It travels to workers.
+
+    Attributes
+    ----------
+    robot, base : the arm and its base parameters. shapes : of friction. free : (J, 2) bool, numbers with a slope.
+    gains : (J,) of the torques. theta, x : parameters of the draft without and with slopes.
+    limit : (J,) residual from which a row counts less [N m]. rate : of the draft [Hz].
+    model : of the draft, whose torque replaces spikes. blocks : of time in each log.
+    """
+
+    robot: Robot
+    base: BaseParameters
+    shapes: Shapes
+    free: np.ndarray
+    gains: np.ndarray
+    theta: np.ndarray
+    x: np.ndarray
+    limit: np.ndarray
+    rate: float
+    model: TorqueModel
+    blocks: int
+
+    @property
+    def sha256(self) -> str:
+        """Hash of all that the sums of a log depend on besides the log."""
+        shapes = [np.asarray(getattr(self.shapes, field.name)) for field in fields(self.shapes)]
+        numbers = (self.free, self.gains, self.theta, self.x, self.limit, self.rate, self.blocks)
+        digest = hashlib.sha256(self.robot.hash.encode())
+        for values in (*shapes, *map(np.asarray, numbers)):
+            digest.update(f"{values.dtype} {values.shape} {values.tolist()}".encode())
+        return digest.hexdigest()
+
+    def design(self, data: Prepared) -> Design:
+        """Return the regression problem of a record, with the draft's gains, shapes and slopes.
+
+        Parameters
+        ----------
+        data : the record, its spikes replaced.
+        """
+        built = Design.build(data, self.robot, self.base)
+        return built.with_gains(self.gains).with_shapes(self.shapes).with_slopes(self.theta, self.free)
+
+
+@dataclass(frozen=True, eq=False)
+class LogSums:
+    """What one log says of the parameters.
+
+    Attributes
+    ----------
+    factors : of its rows, per block of time. weight, inside : sum of the weights of its rows, and how many have 1.
+    n : samples. seconds : of motion. training : its ranges, speeds beside the draft's. source : its name and hash.
+    """
+
+    factors: Factors
+    weight: float
+    inside: int
+    n: int
+    seconds: float
+    training: Training
+    source: str
+
+
+@one_thread()
+def fit_draft(
+    tables: Sequence[Table], robot: Robot, logs: int, progress: Progress = lambda done, total, what: None
+) -> tuple[Draft, Pattern]:
+    """Fit the first logs, which fix what is not linear.
+
+    Parameters
+    ----------
+    tables : the first logs. robot : the arm. logs : how many there are in all.
+    progress : called with (done, total, what).
+
+    Raises
+    ------
+    ShapeError, NotExcited : as `fit_dynamics`.
+    """
+    job = Job("torque model", "irls", 0, progress)
+    base = base_parameters(robot)
+    draft = make_draft(prepare(tables, robot), robot, base, job)
+    design, solution = draft.design, draft.sums.solution
+    pattern = Pattern(
+        robot=robot,
+        base=base,
+        shapes=design.shapes,
+        free=design.free,
+        gains=design.gains,
+        theta=draft.theta,
+        x=solution.x,
+        limit=HUBER / NORMAL_MAD * np.median(np.abs(design.residuals(solution.x)), axis=0),
+        rate=design.data.rate,
+        model=model_of(design, solution.x, solution.cov),
+        blocks=max(1, -(-FEWEST_BLOCKS // logs)),
+    )
+    return draft, pattern
+
+
+@one_thread()
+def log_sums(table: Table, pattern: Pattern) -> LogSums:
+    """Reduce one log to sums; joints may rest in it.
+
+    Parameters
+    ----------
+    table : log with columns q, qd, tau (N, n), without contact. pattern : of the draft.
+
+    Raises
+    ------
+    ShapeError, NotExcited : a log that cannot be used; says why.
+    """
+    data = _without_spikes(prepare_share(table, pattern.robot), pattern)
+    if not same_rate(data.rate, pattern.rate):
+        raise ShapeError(
+            f"Expected the sampling rate of the first logs, {pattern.rate:.4g} Hz, got {data.rate:.4g} Hz. "
+            "Resample the log."
+        )
+    design = pattern.design(data)
+    away = np.abs(design.residuals(pattern.x))
+    weights = np.divide(pattern.limit, away, out=np.ones_like(away), where=away > pattern.limit)
+    block = _block(data, pattern.blocks)[design.rows]
+    factors = factorise(design.stream(block, np.sqrt(weights)), len(pattern.x))
+    return LogSums(
+        # As arrays come back from a worker or a file: another order in memory would add in another order.
+        factors=replace(factors, R=tuple(map(np.ascontiguousarray, factors.R))),
+        weight=float(weights.sum()),
+        inside=int(np.count_nonzero(away <= pattern.limit)),
+        n=len(data.t),
+        seconds=data.seconds,
+        training=training(data.t, data.q, data.qd, data.segments, pattern.model.training.qd_peak),
+        source=data.sources[0],
+    )
+
+
+@one_thread()
+def fit_sums(draft: Draft, pattern: Pattern, sums: Sequence[LogSums], first: Sequence[int]) -> Fit[TorqueModel]:
+    """Fit the model to the sum of all logs.
+
+    Parameters
+    ----------
+    draft, pattern : from `fit_draft`. sums : of all logs, in their order.
+    first : which of them the draft was made of; their held-out residuals give the torque covariance over velocity.
+
+    Raises
+    ------
+    NotExcited : the logs together do not determine everything, by name; or too few of them for a covariance.
+    """
+    solution, block_sums = _solved(draft.design, sums)
+    design = draft.design
+    cov = block_bootstrap(block_sums, seed=0).cov
+    model = model_of(design, solution.x, cov, draft.gain_cov)
+    block = _blocks_of_draft(design.data, pattern.blocks, sums, first)
+    model = assess(model, fold_models(model, design, block_sums, block, 1), design.data, design.joints)
+    model = replace(
+        model,
+        training=_trained([one.training for one in sums], np.array([one.n for one in sums], dtype=float)),
+        quality=replace(model.quality, seconds=sum(one.seconds for one in sums)),
+        sources=tuple(one.source for one in sums),
+    )
+    return fit_of(model, design, solution, cov + gain_share(solution, draft.gain_cov), sum(one.n for one in sums))
+
+
+def same_rate(one: float, other: float) -> bool:
+    """Return whether one filter serves logs of two rates [Hz]."""
+    return 1.0 / SAME_RATE < one / other < SAME_RATE
+
+
+def _solved(design: Design, sums: Sequence[LogSums]) -> tuple[LinearSolution, BlockSums]:
+    parts = [one.factors for one in sums]
+    R = tuple(np.concatenate(of_class) for of_class in zip(*(one.R for one in parts), strict=True))
+    factors = Factors(parts[0].size, parts[0].columns, R, np.concatenate([one.rows for one in parts]))
+    if len(factors.rows) < 8:
+        raise NotExcited(
+            f"Expected logs of at least 8 stretches of time for a covariance, got {len(factors.rows)}. Record more.",
+            ["covariance"],
+            [f"{len(factors.rows)} stretches"],
+        )
+    found = solve(Question.of(design.layout.heads, "torque model", lower=design.layout.lower), factors)
+    stretch = sum(one.weight for one in sums) / max(sum(one.inside for one in sums), 1)
+    found = replace(found, stretch=stretch)
+    return found, BlockSums.of(found)
+
+
+def _without_spikes(data: Prepared, pattern: Pattern) -> Prepared:
+    found = spikes(data)
+    return replace(data, tau=without_spikes(data, found, pattern.model)) if found.any() else data
+
+
+def _block(data: Prepared, count: int) -> np.ndarray:
+    """Return the number (N,) of the stretch of each sample, about `count` of them in a log."""
+    return data.blocks(data.seconds / count * (1.0 + BIN))
+
+
+def _blocks_of_draft(data: Prepared, count: int, sums: Sequence[LogSums], first: Sequence[int]) -> np.ndarray:
+    """Return the number (N,) of the stretch, among those of all logs, of each sample of the draft."""
+    starts = np.cumsum([0, *(len(one.factors.rows) for one in sums)])
+    numbers, row = [], 0
+    for k in first:
+        stop = row + sums[k].n
+        segments = tuple((a - row, b - row) for a, b in data.segments if row <= a < stop)
+        part = replace(data, t=data.t[row:stop], segments=segments)
+        numbers.append(starts[k] + _block(part, count))
+        row = stop
+    return np.concatenate(numbers)
+
+
+def _trained(parts: Sequence[Training], n: np.ndarray) -> Training:
+    """Return the ranges of all logs; shares are means over their samples, on the scale of the draft's speeds."""
+    share = n / n.sum()
+    return Training(
+        q_min=np.min([one.q_min for one in parts], axis=0),
+        q_max=np.max([one.q_max for one in parts], axis=0),
+        qd_peak=parts[0].qd_peak,
+        speed_share=np.einsum("k,kij->ij", share, np.stack([one.speed_share for one in parts])),
+        rest_share=float(share @ np.array([one.rest_share for one in parts])),
+        longest_rest=max(one.longest_rest for one in parts),
+    )

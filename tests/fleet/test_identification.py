@@ -1,0 +1,141 @@
+"""One model from many logs: the same bits on any executor, and what cannot be used is named."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from armlab import fleet, identify, log
+from armlab.errors import LogError, NotExcited
+from armlab.log import Table
+
+pytestmark = pytest.mark.usefixtures("early")
+
+
+def bits(found: fleet.Identified) -> list[bytes]:
+    fit = found.fit
+    return [np.ascontiguousarray(x).tobytes() for x in (fit.parameters, fit.cov, fit.residuals, fit.sigma)]
+
+
+def test_the_same_bits_here_in_threads_and_in_processes_also_when_one_is_killed(folder: Path, short_arm) -> None:
+    here = fleet.identify(folder, short_arm.robot)
+    assert len(here.used) == 6
+    with ThreadPoolExecutor(3) as pool:
+        assert bits(fleet.identify(folder, short_arm.robot, pool)) == bits(here)
+    with ProcessPoolExecutor(2) as pool:
+        assert bits(fleet.identify(folder, short_arm.robot, pool)) == bits(here)
+    killed: list[int] = []
+
+    def kill(done: int, total: int, what: str) -> None:
+        if total == 6 and done >= 3 and not killed:
+            killed.append(next(iter(pool._processes)))
+            os.kill(killed[0], signal.SIGKILL)
+
+    with ProcessPoolExecutor(2) as pool:
+        found = fleet.identify(folder, short_arm.robot, pool, progress=kill)
+    assert killed
+    assert bits(found) == bits(here)
+    assert found.skipped == {}
+
+
+def test_it_is_the_fit_of_all_logs_at_once(folder: Path, short_arm) -> None:
+    """The draft of a third of them has chosen its own terms of friction; the base parameters are the same."""
+    found = fleet.identify(folder, short_arm.robot).fit
+    tables = [log.read(path) for path in sorted(folder.iterdir())]
+    whole = identify.fit_dynamics(tables, short_arm.robot)
+    one, other = short_arm.of_base(found), short_arm.of_base(whole)
+    assert one.names == other.names
+    assert np.abs((one.parameters - other.parameters) / other.sd).max() < 0.5
+    assert found.n == sum(map(len, tables))
+    assert found.value.quality.seconds == pytest.approx(whole.value.quality.seconds)
+
+
+def spoilt(short_arm) -> dict[str, tuple[Table, str]]:
+    good, rows = short_arm.log(50, 1000), np.arange(1000)[:, None]
+    return {
+        "nan": (good.with_column("tau", np.where(rows == 5, np.nan, good["tau"])), "finite tau"),
+        "other": (Table(good.t, {name: np.tile(good[name], 2) for name in good.names}), "with 2 joints"),
+        "mute": (Table(good.t, {"q": good["q"], "qd": good["qd"]}), "none for tau"),
+        "slow": (good.rows(slice(None, None, 2)), "sampling rate of the first logs, 100 Hz, got 50 Hz"),
+    }
+
+
+def test_logs_that_cannot_be_used_are_named_with_their_sentence(folder: Path, short_arm, tmp_path: Path) -> None:
+    logs = shutil.copytree(folder, tmp_path / "logs")
+    (logs / "torn.parquet").write_bytes(b"PAR1 and nothing else")
+    wrong = {"torn": "torn.parquet"}
+    for name, (table, sentence) in spoilt(short_arm).items():
+        log.write(table, logs / f"{name}.parquet")
+        wrong[name] = sentence
+    found = fleet.identify(logs, short_arm.robot)
+    alone = fleet.identify(sorted(logs.glob("log*")), short_arm.robot)  # cuts them into more stretches of time
+    np.testing.assert_allclose(found.fit.parameters, alone.fit.parameters, rtol=1e-9)
+    assert {Path(name).stem for name in found.skipped} == set(wrong)
+    report, sources = found.report(), "\n".join(found.fit.value.sources)
+    assert "6 logs used, 5 skipped" in report
+    for name, reason in found.skipped.items():
+        assert wrong[Path(name).stem] in reason
+        assert f"skipped {name}: {reason}" in report
+        assert f"{name} skipped: {reason}" in sources
+
+
+def test_a_log_whose_rate_differs_first_does_not_decide(short_arm, tmp_path: Path) -> None:
+    """One at another rate among the first is read for the draft, and left out of it."""
+    tables = [short_arm.log(k, 1000) for k in range(3)]
+    tables.insert(1, short_arm.log(9, 1000).rows(slice(None, None, 2)))
+    found = fleet.identify(tables, short_arm.robot)
+    assert [name[-2:] for name in found.skipped] == ["#2"]
+
+
+def test_all_skipped_is_an_error_with_a_reason(short_arm) -> None:
+    bad = [table for name, (table, _) in spoilt(short_arm).items() if name != "slow"]
+    with pytest.raises(LogError, match=r"among 3, got none.*#1: Expected finite tau"):
+        fleet.identify(bad, short_arm.robot)
+
+
+def test_joints_may_move_in_a_log_each(short_arm) -> None:
+    """No log alone tells anything of the joint that rests; together they are excited."""
+    poses = [{1: -0.5}, {1: 0.2}, {1: 1.0}, {0: 0.3}, {0: -0.2}]
+    tables = [short_arm.log(k, 1000, still=still) for k, still in enumerate(poses)]
+    with pytest.raises(NotExcited, match="joint_2"):
+        identify.fit_dynamics(tables[0], short_arm.robot)
+    with pytest.raises(NotExcited, match="joint_1"):
+        identify.fit_dynamics(tables[-1], short_arm.robot)
+    found = fleet.identify(tables, short_arm.robot)
+    assert len(found.used) == 5
+    truth = short_arm.experiment()(0, 1000).truth
+    fit = short_arm.of_base(found.fit)
+    assert np.abs((fit.parameters - truth) / fit.sd).max() < 5.0
+
+
+def test_a_recording_that_was_not_finished_is_recovered_and_used(folder: Path, short_arm, tmp_path: Path) -> None:
+    whole = log.write(short_arm.log(7, 3000), tmp_path / "whole.mcap", short_arm.robot).read_bytes()
+    torn = tmp_path / "torn.mcap"
+    torn.write_bytes(whole[: int(0.8 * len(whole))])
+    with pytest.warns(UserWarning, match=r"torn\.mcap was not finished"):
+        found = fleet.identify([*sorted(folder.iterdir()), torn], short_arm.robot)
+    assert found.used[-1] == str(torn)
+    assert 7000 < found.fit.n < 9000
+
+
+@pytest.mark.slow  # 20 s beside other work
+def test_errors_shrink_with_more_logs_and_the_covariance_holds(short_arm) -> None:
+    """Four times the logs: half the error. NEES of the base parameters near 1 over twelve draws."""
+    truth = short_arm.experiment()(0, 1000).truth
+    errors, nees = {4: [], 16: []}, []
+    for draw in range(12):
+        for count, found in errors.items():
+            tables = [short_arm.log(1000 * draw + k, 1000) for k in range(count)]
+            fit = short_arm.of_base(fleet.identify(tables, short_arm.robot).fit)
+            e = fit.parameters - truth
+            found.append(e)
+            nees.append(e @ np.linalg.solve(fit.cov, e) / len(e))
+    few, many = (np.sqrt(np.mean(np.square(found), axis=0)) for found in errors.values())
+    assert 0.4 < np.median(many / few) < 0.6
+    assert 0.6 < np.mean(nees) < 1.5

@@ -1,0 +1,159 @@
+"""Every job is done once, in order, whoever does it, and whoever is killed while it is done.
+
+Jobs are calls of the standard library: workers of any kind know them without this file.
+"""
+
+from __future__ import annotations
+
+import math
+import signal
+import subprocess
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from functools import partial
+from operator import call
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab.errors import ConfigError
+from armlab.fleet.mapping import Done, Progress, each
+
+DIES = partial(signal.raise_signal, signal.SIGKILL)
+BAD = partial(Path.read_bytes, Path("/nowhere/at/all"))
+
+
+class Shuffled(Executor):
+    """Ends jobs in another order than they came in, four at a time."""
+
+    _max_workers = 2
+
+    def __init__(self) -> None:
+        self._rng = np.random.default_rng(0)
+        self._held: list[tuple[Future[Any], Callable[[], Any]]] = []
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        self._held.append((future, partial(fn, *args, **kwargs)))
+        if len(self._held) == 4:
+            for k in self._rng.permutation(4):
+                held, job = self._held[k]
+                try:
+                    held.set_result(job())
+                except ValueError as error:
+                    held.set_exception(error)
+            self._held = []
+        return future
+
+
+@pytest.fixture(params=["serial", "threads", "processes", "shuffled"])
+def executor(request: pytest.FixtureRequest) -> Iterator[Executor | None]:
+    if request.param in ("serial", "shuffled"):
+        yield Shuffled() if request.param == "shuffled" else None
+        return
+    with {"threads": ThreadPoolExecutor, "processes": ProcessPoolExecutor}[request.param](2) as pool:
+        yield pool
+
+
+def roots(count: int) -> dict[str, Callable[[], float]]:
+    return {str(k): partial(math.sqrt, k) for k in range(count)}
+
+
+def once(mark: Path) -> Callable[[], Any]:
+    """A job that kills its worker with signal 9, the first time."""
+    return partial(subprocess.check_output, ["sh", "-c", f"mkdir {mark} 2>/dev/null && kill -9 $PPID; echo alive"])
+
+
+def test_results_are_in_the_order_of_the_jobs(executor: Executor | None) -> None:
+    told: list[tuple[int, int, str]] = []
+    done = each(call, roots(40), executor=executor, progress=lambda *step: told.append(step))
+    assert list(done.results.items()) == [(str(k), math.sqrt(k)) for k in range(40)]
+    assert isinstance(done, Done)
+    assert done.skipped == {}
+    assert told[-1][:2] == (40, 40)
+    assert [step[0] for step in told] == sorted(step[0] for step in told)
+
+
+def test_a_job_that_raises_what_is_foreseen_is_skipped_by_name(executor: Executor | None) -> None:
+    told: list[str] = []
+    done = each(
+        call, {**roots(3), "bad": BAD}, executor=executor,
+        progress=lambda done, total, what: told.append(what),
+    )  # fmt: skip
+    assert list(done.results) == ["0", "1", "2"]
+    assert list(done.skipped) == ["bad"]
+    assert "/nowhere/at/all" in done.skipped["bad"]
+    assert told[-1] == "1 skipped"
+
+
+def test_a_mistake_in_the_program_is_not_hidden(executor: Executor | None) -> None:
+    with pytest.raises(ValueError, match="math domain"):
+        each(call, {**roots(3), "wrong": partial(math.sqrt, -1.0)}, executor=executor)
+
+
+def test_shared_arguments_reach_every_job(executor: Executor | None) -> None:
+    assert each(pow, {"a": 2, "b": 3, "c": 5, "d": 7}, 3, 10, executor=executor).results == {
+        "a": 8, "b": 7, "c": 5, "d": 3,
+    }  # fmt: skip
+
+
+def test_a_worker_killed_once_loses_nothing(tmp_path: Path) -> None:
+    jobs = {**roots(9), "killed": once(tmp_path / "one"), **{f"more {k}": partial(math.sqrt, k) for k in range(9)}}
+    with ProcessPoolExecutor(2) as pool:
+        done = each(call, jobs, executor=pool)
+    assert list(done.results) == list(jobs)
+    assert done.results["killed"] == b"alive\n"
+    assert done.skipped == {}
+
+
+def test_jobs_that_always_kill_their_worker_are_skipped_and_the_rest_is_done() -> None:
+    jobs = {"first": DIES, **roots(12), "middle": DIES, "beside": DIES, "more": partial(math.sqrt, 9), "last": DIES}
+    with ProcessPoolExecutor(2) as pool:
+        done = each(call, jobs, executor=pool)
+    assert list(done.skipped) == ["first", "middle", "beside", "last"]
+    assert all("killed again" in reason for reason in done.skipped.values())
+    assert list(done.results) == [*map(str, range(12)), "more"]
+
+
+def test_a_worker_killed_from_outside_while_its_job_is_tried_alone_does_not_cost_the_job(tmp_path: Path) -> None:
+    """The job kills its worker among others, and the first time alone; it is innocent the third time."""
+    marks = " || ".join(f"mkdir {tmp_path / name} 2>/dev/null" for name in "ab")
+    job = partial(subprocess.check_output, ["sh", "-c", f"({marks}) && kill -9 $PPID; echo alive"])
+    with ProcessPoolExecutor(2) as pool:
+        done = each(call, {"twice": job, **roots(3)}, executor=pool)
+    assert done.skipped == {}
+    assert done.results["twice"] == b"alive\n"
+
+
+def test_a_pool_that_was_broken_before_is_made_anew() -> None:
+    with ProcessPoolExecutor(1) as pool:
+        assert pool.submit(DIES).exception() is not None
+        assert each(call, roots(3), executor=pool).results == {"0": 0.0, "1": 1.0, "2": math.sqrt(2)}
+
+
+def test_workers_that_cannot_start_end_it() -> None:
+    with ProcessPoolExecutor(1, initializer=DIES) as pool:
+        done = each(call, roots(3), executor=pool)
+    assert list(done.skipped) == ["0", "1", "2"]
+
+
+def test_threads_that_cannot_start_are_told() -> None:
+    pool = ThreadPoolExecutor(1, initializer=partial(math.sqrt, -1.0))
+    with pool, pytest.raises(ConfigError, match="but it broke"):
+        each(call, roots(3), executor=pool)
+
+
+def test_an_interrupt_leaves_no_job_waiting() -> None:
+    """What waits for a worker is not started any more; the pool ends with the jobs that run."""
+
+    def stop(done: int, total: int, what: str) -> None:
+        if done:
+            raise KeyboardInterrupt
+
+    made: list[int] = []
+    tell: Progress = stop
+    with ThreadPoolExecutor(1) as pool, pytest.raises(KeyboardInterrupt):
+        each(call, {str(k): partial(made.append, k) for k in range(1000)}, executor=pool, progress=tell)
+    assert len(made) < 10

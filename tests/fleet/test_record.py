@@ -1,0 +1,147 @@
+"""`FleetRecorder`: many robots through a router, into files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from armlab import log
+from armlab.bridge.zenoh import EVERY, Place, close_session, open_session
+from armlab.errors import LinkError
+from armlab.fleet import FleetRecorder, Router, robot_record
+from armlab.fleet.record import open_behind
+from armlab.robots import Robot
+
+from .conftest import Started, free_port, until
+
+NAMES = ("yumi_left", "yumi_right", "ur5e")
+PAST = 250  # rows that make a good start
+
+
+def rows_of(recorder: FleetRecorder, name: str) -> int:
+    return recorder.robots[name].rows if name in recorder.robots else 0
+
+
+def check_ticks(path: Path, holes: int = 0) -> np.ndarray:
+    """Every tick between the first and the last is in the file."""
+    table = log.read(path)
+    ticks = np.asarray(table["tick"], dtype=int)
+    assert int(np.sum(np.diff(ticks) - 1)) == holes
+    return ticks
+
+
+def test_a_router_that_is_not_there_is_told(tmp_path: Path) -> None:
+    with pytest.raises(LinkError, match="Expected a Zenoh router"):
+        open_behind(Place(port=free_port()), patience=0.2)
+
+
+def test_messages_of_no_robot_are_counted_and_leave_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(robot_record, "_UNANSWERED", 0.3)
+    told: list[str] = []
+    with Router(port=(port := free_port())), FleetRecorder(Place(port=port, lab=EVERY), tmp_path, told.append) as fleet:
+        session = open_session("client", connect=[f"127.0.0.1:{port}"])
+
+        def sent() -> bool:
+            session.put("armlab/lab1/nobody/state", b"ALR1" + bytes(60))
+            session.put("armlab/lab1/other/state", b"hello")
+            session.put("armlab/lab1/.hidden/state", b"ALR1" + bytes(60))
+            known = fleet.robots
+            return fleet.strangers > 3 and "lab1/other" in known and known["lab1/other"].refused > 3
+
+        until(sent)
+        until(lambda: fleet.robots["lab1/nobody"].refused > 0)
+        close_session(session)
+    assert list(tmp_path.iterdir()) == []
+    assert any("nobody says what is in its rows" in text for text in told)
+    assert any("lab1/other: messages are refused" in text for text in told)
+
+
+@pytest.mark.slow
+def test_every_row_is_in_the_files(processes: Callable[..., Started], tmp_path: Path) -> None:
+    port = free_port()
+    processes("router", port)
+    with FleetRecorder(Place(port=port, lab="lab1"), tmp_path) as fleet:
+        publishers = [processes("publisher", port, name) for name in NAMES]
+        until(lambda: all(rows_of(fleet, f"lab1/{name}") > 4 * PAST for name in NAMES))
+        published = [one.end() for one in publishers]
+        until(lambda: all(rows_of(fleet, f"lab1/{name}") > 4 * PAST for name in NAMES))
+    for name, count in zip(NAMES, published, strict=True):
+        assert fleet.robots[f"lab1/{name}"].lost == 0
+        ticks = check_ticks(tmp_path / f"lab1-{name}.mcap")
+        assert ticks[-1] == count - 1  # to the very last
+        assert ticks[0] < PAST  # from about when the recorder heard of it
+        q = log.read(tmp_path / f"lab1-{name}.mcap")["q"]
+        np.testing.assert_allclose(q[-1] - q[0], 1e-6 * (ticks[-1] - ticks[0]), rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_a_router_that_dies_leaves_a_hole_that_is_counted(processes: Callable[..., Started], tmp_path: Path) -> None:
+    port, name = free_port(), "lab1/yumi_left"
+    router = processes("router", port)
+    with FleetRecorder(Place(port=port, lab="lab1"), tmp_path) as fleet:
+        publisher = processes("publisher", port, "yumi_left")
+        until(lambda: rows_of(fleet, name) > PAST)
+        router.kill()
+        seen = rows_of(fleet, name)
+        processes("router", port)
+        until(lambda: rows_of(fleet, name) > seen + PAST, patience=6.0)  # 5 s, and a second of rows
+        lost = fleet.robots[name].lost
+        publisher.end()
+    assert lost > 0
+    (path,) = tmp_path.iterdir()
+    check_ticks(path, holes=lost)
+    assert any("rows were dropped while recording" in note for note in log.read(path).notes)
+
+
+@pytest.mark.slow
+def test_a_robot_that_dies_and_comes_again_with_other_rows(processes: Callable[..., Started], tmp_path: Path) -> None:
+    port, name = free_port(), "lab1/arm"
+    processes("router", port)
+    with FleetRecorder(Place(port=port, lab="lab1"), tmp_path) as fleet:
+        other = processes("publisher", port, "yumi_left")
+        first = processes("publisher", port, "yumi_right", "arm")
+        until(lambda: rows_of(fleet, name) > PAST)
+        first.kill()
+        for again, kind in enumerate(("yumi_right", "ur5e"), 2):
+            publisher = processes("publisher", port, kind, "arm")
+            until(lambda again=again: len(fleet.robots[name].paths) == again)
+            seen = rows_of(fleet, name)
+            until(lambda seen=seen: rows_of(fleet, name) > seen + PAST)
+            publisher.kill()
+        other.end()
+    assert fleet.robots["lab1/yumi_left"].lost == 0
+    widths = [log.read(path)["q"].shape[1] for path in fleet.robots[name].paths]
+    assert widths == [7, 7, 6]
+    for path in fleet.robots[name].paths:
+        check_ticks(path)
+
+
+@pytest.mark.slow
+def test_a_file_that_cannot_be_written_costs_its_robot_alone(
+    processes: Callable[..., Started], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, robot: Robot
+) -> None:
+    from armlab.log.recording_file import RecordingFile
+
+    whole, told = RecordingFile.write, []
+
+    def full(self: RecordingFile, rows: list[bytes], first: int | None = None) -> None:
+        if "yumi_left" in self.path.name and self.rows > PAST:
+            raise OSError(28, "No space left on device")
+        whole(self, rows, first)
+
+    monkeypatch.setattr(RecordingFile, "write", full)
+    port = free_port()
+    processes("router", port)
+    with FleetRecorder(Place(port=port, lab="lab1"), tmp_path, told.append) as fleet:
+        publishers = [processes("publisher", port, name) for name in ("yumi_left", robot.name)]
+        until(lambda: any("No space left on device" in text for text in told))
+        seen = rows_of(fleet, f"lab1/{robot.name}")
+        until(lambda: rows_of(fleet, f"lab1/{robot.name}") > seen + PAST)
+        for one in publishers:
+            one.end()
+    assert fleet.robots["lab1/yumi_left"].lost > 0
+    assert fleet.robots[f"lab1/{robot.name}"].lost == 0
+    check_ticks(tmp_path / f"lab1-{robot.name}.mcap")

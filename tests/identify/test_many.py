@@ -1,0 +1,66 @@
+"""Sums of logs: each of one log alone, the fit to all of them that of all rows."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from armlab.errors import NotExcited, ShapeError
+from armlab.identify.many import LogSums, Pattern, fit_draft, fit_sums, log_sums, same_rate
+
+
+def test_the_fit_to_sums_is_the_draft_where_there_are_no_other_logs(short_arm) -> None:
+    """The draft has converged: one more step of weights and slopes from it moves it by little."""
+    tables = [short_arm.log(k, 2000, bad=0.02) for k in range(3)]
+    draft, pattern = fit_draft(tables, short_arm.robot, 3)
+    sums = [log_sums(table, pattern) for table in tables]
+    fit = fit_sums(draft, pattern, sums, [0, 1, 2])
+    assert fit.n == 6000
+    x, sd = draft.sums.solution.x, np.sqrt(np.diag(draft.sums.solution.cov))
+    in_units = draft.design.in_units(x, np.diag(sd**2), np.diag(sd**2))[0]
+    assert np.abs((fit.parameters - in_units) / fit.sd).max() < 0.5
+    assert np.all(fit.value.quality.coverage > 0.5)
+
+
+def test_sums_do_not_depend_on_other_logs_and_survive_a_journey(short_arm) -> None:
+    tables = [short_arm.log(k, 2000) for k in range(4)]
+    draft, pattern = fit_draft(tables[:2], short_arm.robot, 4)
+    sums = [log_sums(table, pattern) for table in tables]
+    assert all(isinstance(one, LogSums) for one in sums)
+    there: Pattern = pickle.loads(pickle.dumps(pattern))
+    assert there.sha256 == pattern.sha256
+    back = [pickle.loads(pickle.dumps(log_sums(table, there))) for table in reversed(tables)][::-1]
+    one, other = (fit_sums(draft, pattern, some, [0, 1]) for some in (sums, back))
+    assert one.parameters.tobytes() == other.parameters.tobytes()
+    assert one.cov.tobytes() == other.cov.tobytes()
+    assert [part.source for part in sums] == list(one.value.sources)
+
+
+def test_a_pattern_is_known_by_what_the_sums_depend_on(short_arm) -> None:
+    _, pattern = fit_draft([short_arm.log(0, 3000)], short_arm.robot, 4)
+    others = [
+        replace(pattern, limit=2 * pattern.limit),
+        replace(pattern, theta=pattern.theta + 1e-12),
+        replace(pattern, blocks=pattern.blocks + 1),
+        replace(pattern, rate=99.0),
+    ]
+    assert len({one.sha256 for one in (pattern, *others)}) == 5
+
+
+def test_logs_that_do_not_fit_are_refused(short_arm) -> None:
+    table = short_arm.log(0, 3000)
+    draft, pattern = fit_draft([table], short_arm.robot, 1)
+    with pytest.raises(ShapeError, match="100 Hz, got 50 Hz"):
+        log_sums(table.rows(slice(None, None, 2)), pattern)
+    sums = log_sums(table, replace(pattern, blocks=4))
+    with pytest.raises(NotExcited, match="at least 8 stretches"):
+        fit_sums(draft, replace(pattern, blocks=4), [sums], [0])
+
+
+def test_one_filter_serves_rates_within_a_tenth() -> None:
+    assert same_rate(250.0, 240.0)
+    assert not same_rate(250.0, 220.0)
+    assert not same_rate(220.0, 250.0)
