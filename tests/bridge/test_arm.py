@@ -44,6 +44,19 @@ def take(arm: Arm, packets: Any, k: int) -> Turn:
     return turn
 
 
+def test_how_long_a_packet_waited_for_the_loop_is_recorded(arm: Arm, packets: Any) -> None:
+    came = time.monotonic_ns() - 3_000_000
+    turn = arm.take(Arrival(packets(), ("127.0.0.1", arm.port.port), came))
+    assert turn is not None
+    assert 3_000_000 <= turn.wake_ns <= time.monotonic_ns() - came
+    later = arm.take(Arrival(packets(), ("127.0.0.1", arm.port.port), came + 10**12))  # while the loop ran
+    assert later is not None
+    assert later.wake_ns == 0
+    arm.reply(turn, None, arm.guide.answer(None, arm.period))
+    arm.record()
+    assert arm.recording.table()["wake_ns"][0] == turn.wake_ns
+
+
 def test_the_newest_is_answered_and_both_are_recorded(arm: Arm, packets: Any) -> None:
     first = take(arm, packets, 0)
     second = arm.take(Arrival(packets(), ("127.0.0.1", arm.port.port), first.sample.arrival_ns + PERIOD_NS), first)

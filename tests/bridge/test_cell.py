@@ -74,7 +74,7 @@ def test_a_force_sensor_with_its_calibration(cell_text: str, tmp_path: Path) -> 
         ('name = "yumi"', 'name = "../x"', r"regex.*\$.name"),
         ('name = "yumi"', "nam = 1", "unknown field `nam`"),
         ('name = "yumi"', "name =", "Expected TOML in cell.toml.*line 2"),
-        ('"local"]', '"ros2"]', "Invalid enum value 'ros2'"),
+        ('"local"]', '"ros9"]', "Invalid enum value 'ros9'"),
         ('"local"]', '"labcomm", "local"]\npace = "ur5e"', "robot of this cell"),
         ('name = "yumi_left"', 'name = "yumi_lef"', "yumi_left"),
         ("speed = 0.5", "speed = 2.0", r"speed in \(0, 1\]"),
@@ -106,6 +106,14 @@ def test_errors_are_one_line_with_the_path(cell_text: str, old: str, new: str, w
 def test_a_server_that_commands_must_be_enabled() -> None:
     with pytest.raises(ConfigError, match=r"got labcomm. Add \[servers.labcomm\]"):
         parse_cell('commands=["labcomm"]\n[[robots]]\nname="ur5e"\nlink="egm://127.0.0.1:6510"')
+
+
+def test_ros_2_in_a_domain() -> None:
+    text = 'commands=["ros2"]\n[[robots]]\nname="ur5e"\nlink="egm://127.0.0.1:6510"\n[servers.ros2]\n'
+    assert parse_cell(text).servers["ros2"] == {"domain": None}
+    assert parse_cell(f"{text}domain = 7").servers["ros2"] == {"domain": 7}
+    with pytest.raises(ConfigError, match=r"servers\.ros2\.domain"):
+        parse_cell(f"{text}domain = 233")
 
 
 def test_a_second_bridge_refuses_at_once(cell_text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from armlab.bridge.cell import parse_cell
-from armlab.bridge.listening import listening
+from armlab.bridge.listening import is_open, listening
 from armlab.errors import ConfigError, UnknownName
 
 FILE = """
@@ -30,3 +30,20 @@ def test_listening() -> None:
     assert listening(["labcomm=127.0.0.2"], commanding) == {"labcomm": "127.0.0.2"}
     with pytest.raises(ConfigError, match="no place for a secret and no encryption"):
         listening(["labcomm=0.0.0.0"], commanding)
+
+
+def test_who_commands_from_elsewhere_has_to_know_a_secret() -> None:
+    text = FILE.replace("labcomm", "rosbridge").replace('["local"]', '["rosbridge"]')
+    with pytest.raises(ConfigError, match="asks for no secret, or does not encrypt"):
+        listening(["rosbridge=0.0.0.0"], parse_cell(text))
+    with pytest.raises(ConfigError, match="asks for no secret, or does not encrypt"):
+        listening(["rosbridge=0.0.0.0"], parse_cell(text + 'token_file = "token"\ncertificate = "c.pem"'))
+    cell = parse_cell(text + 'token_file = "token"\ncertificate = "c.pem"\nkey = "k.pem"')
+    assert listening(["rosbridge=0.0.0.0"], cell) == {"rosbridge": "0.0.0.0"}
+
+
+def test_who_proves_nothing_only_reads() -> None:
+    assert not is_open({}, "127.0.0.1")
+    assert is_open({}, "192.168.1.5")
+    assert is_open({"guarded": False}, "0.0.0.0")
+    assert not is_open({"guarded": True}, "0.0.0.0")

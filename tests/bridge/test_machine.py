@@ -19,6 +19,7 @@ from armlab.bridge.machine import (
     packages,
     python,
     real_time,
+    ros_nodes,
     ros_on_path,
     throttle,
     wake_up,
@@ -27,7 +28,7 @@ from armlab.bridge.machine import (
 
 def test_all_checks_of_this_computer_say_something() -> None:
     found = machine(0.02)
-    assert len({finding.name for finding in found}) == len(found) == 12
+    assert len({finding.name for finding in found}) == len(found) == 13
     assert all(finding.value for finding in found)
     assert all(finding.advice for finding in found if finding.verdict != "ok")
 
@@ -80,6 +81,18 @@ def test_ros_on_the_path(environment: dict[str, str], path: list[str], where: st
 
 def test_no_ros_on_the_path() -> None:
     assert ros_on_path({"PYTHONPATH": "/home"}, ["/usr/lib"]).verdict == "ok"
+
+
+def test_settings_of_nodes_that_would_look_for_the_bridge() -> None:
+    assert ros_nodes({}).value.startswith("domain 0, nodes: no settings; bridge: 127.0.0.1")
+    told = {"ROS_DOMAIN_ID": "7", "RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}
+    found = ros_nodes(told)
+    assert found.value.startswith("domain 7, nodes: RMW_IMPLEMENTATION=rmw_cyclonedds_cpp;")
+    assert found.verdict == "warning"
+    assert "ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST" in found.advice
+    for more in ({"CYCLONEDDS_URI": "<CycloneDDS/>"}, {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}):
+        assert ros_nodes({**told, **more}).verdict == "ok"
+    assert ros_nodes({"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}).verdict == "ok"
 
 
 def test_clock() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,11 +13,13 @@ import pytest
 from armlab.bridge import connect
 from armlab.bridge.local import LocalFeed, cells
 from armlab.bridge.messages import CommandRequest, Stop, Subscribe
-from armlab.bridge.offering import offered, stoppable
+from armlab.bridge.offering import Offering, stoppable
 from armlab.bridge.row import Row
 from armlab.errors import LinkError
 from armlab.robots import Robot
 from armlab.state import Command, State
+
+MESSAGES = 2000  # among which there is a row
 
 
 def test_rows_of_a_link_are_offered_and_a_stop_holds_it(
@@ -24,7 +27,9 @@ def test_rows_of_a_link_are_offered_and_a_stop_holds_it(
 ) -> None:
     """In lockstep: the controller lets the client act between two packets."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    with offered([robot], "small") as exchange, LocalFeed() as feed:
+    with connect(f"sim://{robot.name}?lockstep=true", robot, offer="small") as link, LocalFeed() as feed:
+        assert link._offering is not None
+        exchange = link._offering.exchange
         assert cells() == ["small"]
         feed.ask(Subscribe(rate=None))
         feed.ask(CommandRequest(arm=robot.name, qd=[0.1] * 7))
@@ -44,8 +49,7 @@ def test_rows_of_a_link_are_offered_and_a_stop_holds_it(
                     exchange.poll()
             return Command(qd=np.full(7, 0.05))
 
-        with connect(f"sim://{robot.name}?lockstep=true", robot) as link:
-            run = link.run(stoppable(controller, exchange.arbiter), seconds=0.6, feeds=[exchange])
+        run = link.run(controller, seconds=0.6)
         assert f"{robot.name}.q" in heard(lambda message: isinstance(message, Row)).values
     assert "the controller of the run" in answers[0], "who holds the arm"
     sent = run.table["qd_sent"]
@@ -55,10 +59,38 @@ def test_rows_of_a_link_are_offered_and_a_stop_holds_it(
 
 
 def test_a_name_that_is_taken(robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The link that was opened for nothing leaves its port free."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    with (
-        offered([robot], "small"),
-        pytest.raises(LinkError, match="Expected the server local to listen"),
-        offered([robot], "small"),
-    ):
-        pass
+    offering = Offering([robot], "small")
+    try:
+        with pytest.raises(LinkError, match="Expected the server local to listen"):
+            connect("egm://127.0.0.1:0", robot, offer="small")
+    finally:
+        offering.close()
+    assert cells() == []
+
+
+def test_who_only_listens_offers_what_it_hears(robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Again in the next run of the same link."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    with connect(f"sim://{robot.name}", robot, offer="small") as link, LocalFeed() as feed:
+        feed.ask(Subscribe(rate=None))
+        for _ in range(2):
+            link.run(None, seconds=0.05)
+            for _ in range(MESSAGES):
+                message = feed.receive()
+                if isinstance(message, Row):
+                    break
+            else:
+                pytest.fail("no row came")
+
+
+def test_a_controller_holds_while_somebody_has_stopped_the_arms() -> None:
+    arbiter = SimpleNamespace(stopped=False, polled=0)
+    arbiter.poll = lambda: setattr(arbiter, "polled", arbiter.polled + 1)
+    controlled = stoppable(lambda state: Command(qd=np.ones(7)), arbiter)  # type: ignore[arg-type]
+    state: Any = None
+    assert controlled(state) is not None
+    arbiter.stopped = True
+    assert controlled(state) is None
+    assert arbiter.polled == 2

@@ -5,32 +5,28 @@ from __future__ import annotations
 import json
 import socket
 import sys
-from pathlib import Path
-from typing import Any
+from importlib import import_module
 
 from armlab.errors import ArmlabError
 
-
-def _local(feed: socket.socket, options: dict[str, Any]) -> None:
-    from armlab.bridge.local_server import LocalServer
-
-    LocalServer(feed, Path(options["path"])).run()
-
-
-def _labcomm(feed: socket.socket, options: dict[str, Any]) -> None:
-    from armlab.bridge.labcomm.process import LabCommProcess
-
-    LabCommProcess(feed, options).run()
-
-
-_SERVERS = {"local": _local, "labcomm": _labcomm}
+_SERVERS = {
+    "local": "armlab.bridge.local_server",
+    "labcomm": "armlab.bridge.labcomm.process",
+    "ros2": "armlab.bridge.ros.dds",
+    "rosbridge": "armlab.bridge.rosbridge.server",
+    "zenoh": "armlab.bridge.zenoh.process",
+    "rmw_zenoh": "armlab.bridge.ros.rmw_zenoh",
+    "ros1": "armlab.bridge.ros1.process",
+    "plotjuggler": "armlab.bridge.plotjuggler",
+}
+"""Module of each server, which has ``serve(feed, options)``."""
 
 
 def main(name: str, number: str, options: str) -> int:
     """Serve; return the status of the process."""
     with socket.socket(fileno=int(number)) as feed:
         try:
-            _SERVERS[name](feed, json.loads(options))
+            import_module(_SERVERS[name]).serve(feed, json.loads(options))
         except (ArmlabError, OSError) as error:
             sys.stderr.write(f"{error}\n")
             return 1

@@ -12,6 +12,7 @@ __all__ = ["Address", "addresses"]
 
 _PORT = 6510  # of one arm
 _PORTS = 6511  # of the first of several: 6511 left, 6512 right
+_ZENOH = 7447  # of the router
 _LABCOMM = 7511  # of the first arm of a LabComm server: 7511 left, 7512 right
 
 
@@ -20,9 +21,9 @@ class Address(NamedTuple):
 
     Attributes
     ----------
-    scheme : "egm", "sim" or "labcomm". host, port : where to listen, or of the LabComm server.
+    scheme : "egm", "sim", "labcomm" or "zenoh". host, port : where to listen, or of the server.
     robot : name of the simulated robot, else "".
-    options : of the simulator or the LabComm port.
+    options : of the simulator, the LabComm port or the Zenoh link, there with "lab".
     """
 
     scheme: str
@@ -37,8 +38,8 @@ def addresses(urls: Sequence[str], count: int) -> list[Address]:
 
     Parameters
     ----------
-    urls : ``egm://HOST:PORT`` or ``labcomm://HOST:PORT`` for each robot, or ``sim://NAME?option=value``, also
-        ``sim://NAME+NAME``. count : robots.
+    urls : ``egm://HOST:PORT``, ``labcomm://HOST:PORT`` or ``zenoh://HOST:PORT/LAB`` for each robot, or
+        ``sim://NAME?option=value``, also ``sim://NAME+NAME``. count : robots.
 
     Raises
     ------
@@ -51,7 +52,7 @@ def addresses(urls: Sequence[str], count: int) -> list[Address]:
         raise ConfigError(f"Expected one url per robot, got {len(found)} for {count}: {', '.join(urls)}.")
     if len({address.scheme for address in found}) > 1 or any(one.options != found[0].options for one in found):
         raise ConfigError(f"Expected urls of one kind and with the same options in one link, got {', '.join(urls)}.")
-    bound = [(one.host, one.port) for one in found if one.port]
+    bound = [(one.host, one.port) for one in found if one.port and one.scheme != "zenoh"]
     if len(set(bound)) < len(bound):
         raise ConfigError(f"Expected a port per arm, since each motion task needs its own, got {', '.join(urls)}.")
     return found
@@ -59,13 +60,15 @@ def addresses(urls: Sequence[str], count: int) -> list[Address]:
 
 def _taken_apart(url: str, port: int, rows: int) -> list[Address]:
     parts = urlsplit(url) if isinstance(url, str) else None
-    if parts is None or parts.scheme not in ("egm", "sim", "labcomm") or not parts.netloc:
+    if parts is None or parts.scheme not in ("egm", "sim", "labcomm", "zenoh") or not parts.netloc:
         raise ConfigError(f"Expected a link like egm://127.0.0.1:6510 or sim://yumi_right, got {url!r}.")
     options = dict(parse_qsl(parts.query, keep_blank_values=True))
     if parts.scheme == "sim":
         return [Address("sim", "127.0.0.1", 0, robot, options) for robot in parts.netloc.split("+")]
     if parts.scheme == "labcomm":
         port = rows
+    elif parts.scheme == "zenoh":
+        port, options = _ZENOH, {"lab": parts.path.strip("/"), **options}
     elif options:
         raise ConfigError(f"Expected no options in an egm link, got {', '.join(options)} in {url!r}.")
     number = parts.netloc.rpartition(":")[2] if ":" in parts.netloc else str(port)

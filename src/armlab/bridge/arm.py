@@ -31,10 +31,11 @@ _DEADLINE = 0.75  # of a period, from arrival to reply
 
 
 class Turn(NamedTuple):
-    """A packet that is about to be answered, and what the controller sees of it."""
+    """A packet that is about to be answered, what the controller sees of it, and how long it waited for the loop."""
 
     sample: Sample
     state: State
+    wake_ns: int
 
 
 class _Row(NamedTuple):
@@ -154,7 +155,7 @@ class Arm:
         ----------
         arrival : the first datagram. unanswered : a packet that waits for its reply.
         """
-        turn, refused = unanswered, 0
+        turn, refused, woken_ns = unanswered, 0, time.monotonic_ns()
         for _ in range(_BACKLOG):
             if arrival is None:
                 break
@@ -167,11 +168,11 @@ class Arm:
                 if turn is not None:
                     self._surpassed.append(turn)
                 self._arrival = arrival
-                turn = self._observe(sample)
+                turn = self._observe(sample, woken_ns)
             arrival = self.port.receive()
         return turn
 
-    def _observe(self, sample: Sample) -> Turn:
+    def _observe(self, sample: Sample, woken_ns: int) -> Turn:
         if sample.fresh and sample.session > 1:
             self._supervisor.judge()
         if sample.fresh and sample.session > 1 and not self._resumes:  # restarted before anyone saw the silence
@@ -183,7 +184,8 @@ class Arm:
         if self._details is not None and self._arrival is not None:
             fused = {**fused, "details": partial(self._details, self._arrival.data)}
         state = self.guide.state(sample, self._wall_ns + sample.arrival_ns, **fused)
-        self.newest = Turn(sample, state)
+        waited_ns = max(0, woken_ns - sample.arrival_ns)  # one that came while the loop ran did not wait for it
+        self.newest = Turn(sample, state, waited_ns)
         return self.newest
 
     def reply(
@@ -250,6 +252,7 @@ class Arm:
                 tau_sent=None if reply is None else reply.tau,
                 clamped=None if reply is None else reply.clamped,
                 **_beside(reply),
+                wake_ns=row.turn.wake_ns,
                 record=self._fusion.record(row.turn.state.sources, sample.arrival_ns),
             )
             self._ticks += 1

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ipaddress
 import math
 import re
 import tomllib
@@ -21,7 +20,7 @@ from armlab.bridge.labcomm import LabCommSource
 from armlab.bridge.labcomm.process import labcomm_options
 from armlab.bridge.limits import Limits
 from armlab.bridge.link import connect
-from armlab.bridge.listening import listening
+from armlab.bridge.listening import is_open, listening
 from armlab.bridge.local import socket_path
 from armlab.bridge.loop import Controller
 from armlab.bridge.offering import stoppable
@@ -98,8 +97,10 @@ def _cell(file: File) -> Cell:
     if file.pace is not None and file.pace not in names:
         raise UnknownName.among("robot of this cell", file.pace, names)
     servers: dict[str, Mapping[str, Any]] = {OPERATOR: {}}
-    if file.servers.labcomm is not None:
-        servers["labcomm"] = _labcomm(file.servers.labcomm, arms)
+    for name in file.servers.__struct_fields__:
+        table = getattr(file.servers, name)
+        if table is not None:
+            servers[name] = _labcomm(table, arms) if name == "labcomm" else table.options()
     idle = [name for name in file.commands if name not in servers]
     if idle:
         raise ConfigError(
@@ -220,7 +221,7 @@ def run_cell(
         sources={source.name: source.fields for source in sources},
         about=about,
         torque=cell.torque,
-        read_only=[name for name, host in addresses.items() if not ipaddress.ip_address(host).is_loopback],
+        read_only=[name for name, host in addresses.items() if is_open(cell.servers[name], host)],
     )
     if controller is not None:
         exchange.arbiter.reserve("the controller of the cell")

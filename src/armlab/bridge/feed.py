@@ -168,16 +168,16 @@ class Exchange:
         """
         self._told.append((text, warn))
 
-    def answer(self, client: str, text: str) -> None:
+    def answer(self, client: str, text: str, refused: Iterable[str] = ()) -> None:
         """Send a sentence to the client that asked.
 
         Parameters
         ----------
-        client : its identity, first its server. text : the sentence.
+        client : its identity, first its server. text : the sentence. refused : parameters that it could not set.
         """
         server, _, rest = client.partition(" ")
         if server in self.outlets:
-            self.outlets[server].send(text_message("answer", client=rest, text=text))
+            self.outlets[server].send(text_message("answer", client=rest, text=text, refused=list(refused)))
 
     def row(self, state: State, command: Command | None, tick: Tick) -> None:
         """Send a row to every server and see what came back."""
@@ -241,7 +241,9 @@ class Exchange:
             return
         client = f"{outlet.name} {request.client}"
         if outlet.name in self._read_only and not isinstance(request, Stop | Leave):
-            self.answer(client, f"Expected no requests through {outlet.name}: it listens beyond this computer. Read.")
+            refused = request.values if isinstance(request, SetRequest) else ()
+            text = f"Expected no requests through {outlet.name}: it listens beyond this computer. Read."
+            self.answer(client, text, refused)
             return
         if isinstance(request, SetRequest):
             self._set(client, request, outlet.name == OPERATOR)
@@ -265,7 +267,7 @@ class Exchange:
         try:
             self.parameters.set_together(request.values, client, commander=commander)
         except ArmlabError as error:
-            self.answer(client, str(error))
+            self.answer(client, str(error), request.values)
             self.tell(f"A setting of {client} was refused: {error}", warn=True)
 
     def _obey_operator(self, request: Request, client: str) -> None:

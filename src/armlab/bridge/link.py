@@ -18,6 +18,7 @@ from armlab.bridge.conditions import LOOP_PRIORITY, interrupts, priority, quiet_
 from armlab.bridge.events import Tell
 from armlab.bridge.limits import Limits
 from armlab.bridge.loop import Controller, Loop
+from armlab.bridge.offering import Offering, stoppable
 from armlab.bridge.port import Port
 from armlab.bridge.recording import Feed
 from armlab.bridge.run import Run, together
@@ -45,6 +46,7 @@ def connect(
     answer_stream: bool = True,
     clock: Literal["wall", "robot"] = "wall",
     patience: float = 30.0,
+    offer: str = "",
 ) -> Link:
     """Return a link to a robot, or to several arms; use it as a context manager.
 
@@ -54,7 +56,8 @@ def connect(
         robot and stops it with the link; ``?seed=1&lockstep=true`` are options of ``armlab sim``. Several arms have
         one url each, or ``sim://yumi_left+yumi_right``. Without a number the port is 6510, of several 6511, 6512, ...
         ``labcomm://host:7511`` goes to a LabComm server whose bridge has the robot; ``?order=chain&dialect=2014`` say
-        how its port is set.
+        how its port is set. ``zenoh://host:7447/lab`` goes to a bridge that serves Zenoh, or to a router that knows
+        it; ``?ca=lab.pem&secret=commander.secret`` are its certificate and our password.
     robot : the arm, or several in the order of the urls.
     codec : "egm", the name of an entry point of the group ``armlab.bridge.codecs``, or an object with the methods of
         `wire.egm.Codec`; one per arm.
@@ -62,11 +65,13 @@ def connect(
     answer_stream : answer also before guidance begins.
     clock : "robot" for a robot in lockstep: no deadline then. Implied by ``lockstep=true``.
     patience : seconds to wait for a packet before `NoRobot` or `SessionEnded` is raised.
+    offer : name of the cell under which ``armlab view --live`` and ``armlab monitor`` find the runs of this link, and
+        ``armlab bridge stop`` makes its arms hold. Nobody does when left out.
 
     Raises
     ------
     ConfigError, UnknownName : wrong url, codec or clock. RobotError : no robot, or one whose axes EGM does not give.
-    LinkError : a port cannot be bound.
+    LinkError : a port cannot be bound, or a bridge of that name runs.
     """
     robots = _robots(robot)
     where = addresses([url] if isinstance(url, str) else list(url), len(robots))
@@ -81,8 +86,11 @@ def connect(
     with ExitStack() as opened:
         ends: list[End] = []
         for one, address, wires in zip(robots, where, codecs, strict=True):
-            if address.scheme == "labcomm":
-                from armlab.bridge.labcomm.far import far_end
+            if address.scheme in ("labcomm", "zenoh"):
+                if address.scheme == "labcomm":
+                    from armlab.bridge.labcomm.far import far_end
+                else:
+                    from armlab.bridge.zenoh.far import far_end
 
                 ends.append(End(one, *far_end(one, address.host, address.port, address.options), (), None))
             else:
@@ -93,9 +101,11 @@ def connect(
         simulator = None
         if is_simulated:
             simulator = Simulator([one.robot for one in where], [end.port.port for end in ends], where[0].options)
+            opened.callback(simulator.stop)
             settings = replace(settings, alive=simulator.gone)
+        offering = Offering(robots, offer) if offer else None
         opened.pop_all()
-    return Link(ends, answer_stream, settings, simulator)
+    return Link(ends, answer_stream, settings, simulator, offering)
 
 
 def _robots(robot: Any) -> list[Robot]:
@@ -119,12 +129,17 @@ class Link:
     """
 
     def __init__(
-        self, ends: Sequence[End], answer_stream: bool, settings: Settings, simulator: Simulator | None = None
+        self,
+        ends: Sequence[End],
+        answer_stream: bool,
+        settings: Settings,
+        simulator: Simulator | None = None,
+        offering: Offering | None = None,
     ) -> None:
         self.robots, self.ports = tuple(end.robot for end in ends), tuple(end.port.port for end in ends)
         self.robot, self.host, self.port = ends[0].robot, ends[0].port.host, ends[0].port.port
         self._ends, self._answer_stream = tuple(ends), answer_stream
-        self._settings, self._simulator = settings, simulator
+        self._settings, self._simulator, self._offering = settings, simulator, offering
         self.last: Run | None = None
         self._closed = False
 
@@ -143,6 +158,8 @@ class Link:
             end.close()
         if self._simulator is not None:
             self._simulator.stop()
+        if self._offering is not None:
+            self._offering.close()
 
     def run(
         self,
@@ -210,6 +227,9 @@ class Link:
             raise ConfigError(f"Expected seconds of at least 0, or None for no end, got {seconds!r}.")
         paced = self._paced(pace)
         what = "listening" if controller is None else "moving"
+        if self._offering is not None:
+            exchange, feeds = self._offering.exchange, (*feeds, self._offering.exchange)
+            controller = None if controller is None else stoppable(controller, exchange.arbiter)
         tell = None if progress is None else lambda done: progress(done, seconds or done, what)
         settings = replace(self._settings, seconds=seconds, resume=reconnect == "resume", progress=tell)
         softness = admittances(torque, damping, torque_model, self.robots)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import ipaddress
 import socket
-from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
 
 from armlab.bridge.feed import OPERATOR
 from armlab.errors import ConfigError, UnknownName
@@ -13,7 +13,10 @@ from armlab.errors import ConfigError, UnknownName
 if TYPE_CHECKING:
     from armlab.bridge.cell import Cell
 
-__all__ = ["listening"]
+__all__ = ["is_open", "listening"]
+
+GUARDED = "guarded"
+"""Option by which a server says that who commands through it has to know a secret, and that nobody can overhear it."""
 
 
 def listening(listen: Iterable[str], cell: Cell) -> dict[str, str]:
@@ -25,7 +28,8 @@ def listening(listen: Iterable[str], cell: Cell) -> dict[str, str]:
 
     Raises
     ------
-    ConfigError, UnknownName : another form, server or interface, or a server that may command beyond this computer.
+    ConfigError, UnknownName : another form, server or interface, or a server that may command beyond this computer
+        without secret and encryption.
     """
     found = {name: "127.0.0.1" for name in cell.servers if name != OPERATOR}
     for word in listen:
@@ -33,13 +37,29 @@ def listening(listen: Iterable[str], cell: Cell) -> dict[str, str]:
         if server not in found:
             raise UnknownName.among("enabled server (--listen SERVER=ADDRESS)", server, found)
         found[server] = _address(place)
-        if server in cell.commands and not ipaddress.ip_address(found[server]).is_loopback:
+        options = cell.servers[server]
+        if server in cell.commands and is_open(options, found[server]):
             raise ConfigError(
-                f"Expected {server} on this computer only, since `commands` names it, got --listen {word}: it has no "
-                "place for a secret and no encryption. Take it out of `commands`, or let clients come through an "
-                "SSH tunnel."
+                f"Expected {server} on this computer only, since `commands` names it, got --listen {word}: "
+                f"{_why(options)} Or take it out of `commands`, or let clients come through an SSH tunnel."
             )
     return found
+
+
+def is_open(options: Mapping[str, Any], address: str) -> bool:
+    """Return whether a server is reached from beyond this computer by clients that prove nothing: they only read.
+
+    Parameters
+    ----------
+    options : of the server, whose "guarded" may say that it asks for a secret and encrypts. address : it listens on.
+    """
+    return not options.get(GUARDED, False) and not ipaddress.ip_address(address).is_loopback
+
+
+def _why(options: Mapping[str, Any]) -> str:
+    if GUARDED in options:
+        return "it asks for no secret, or does not encrypt. Give it both in its table of the cell."
+    return "it has no place for a secret and no encryption."
 
 
 def _address(place: str) -> str:

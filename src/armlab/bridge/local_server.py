@@ -9,7 +9,9 @@ import socket
 import struct
 import time
 from collections import deque
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
@@ -30,7 +32,7 @@ from armlab.bridge.row_schema import RowSchema
 from armlab.bridge.status import Status
 from armlab.errors import LinkError
 
-__all__ = ["LocalServer"]
+__all__ = ["LocalServer", "serve"]
 
 _CLIENTS = 8
 _LARGEST = 2**17
@@ -235,6 +237,20 @@ class LocalServer:
         except OSError:
             return False
         return True
+
+
+def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
+    """Serve until the loop closes the feed.
+
+    Parameters
+    ----------
+    feed : connected to the loop. options : "path", of the socket.
+
+    Raises
+    ------
+    LinkError : another bridge serves there.
+    """
+    LocalServer(feed, Path(options["path"])).run()
 
 
 def _listen(path: Path) -> socket.socket:

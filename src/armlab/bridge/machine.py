@@ -31,6 +31,7 @@ __all__ = [
     "packages",
     "python",
     "real_time",
+    "ros_nodes",
     "ros_on_path",
     "throttle",
     "wake_up",
@@ -44,6 +45,7 @@ _LONG = 0.1  # s of a full collection: more objects than imports make
 _CONFLICTS = (("viser", "rich", 15), ("viser", "websockets", 17))  # package, dependency, first version that is too new
 _SYSTEM = Path("/sys/devices/system/cpu")
 _THROTTLE = Path("/proc/sys/kernel/sched_rt_runtime_us")
+_ROS_SETTINGS = ("RMW_IMPLEMENTATION", "CYCLONEDDS_URI", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY")
 
 
 def machine(seconds: float = 2.0) -> list[Finding]:
@@ -58,6 +60,7 @@ def machine(seconds: float = 2.0) -> list[Finding]:
         compiled_kernels(),
         packages(),
         ros_on_path(os.environ, sys.path),
+        ros_nodes(os.environ),
         clock(),
         real_time(),
         throttle(),
@@ -141,6 +144,22 @@ def ros_on_path(environment: Mapping[str, str], path: Iterable[str]) -> Finding:
     value = f"/opt/ros on {', '.join(where)}" if where else "not on the path"
     advice = "Use a terminal in which no setup.bash was sourced, or: env -u PYTHONPATH -u LD_LIBRARY_PATH armlab ..."
     return Finding.judged("ROS", "warning", bool(where), value, advice)
+
+
+def ros_nodes(environment: Mapping[str, str]) -> Finding:
+    """Tell by which settings a ROS 2 node started here would look for the bridge, and the bridge for it.
+
+    Parameters
+    ----------
+    environment : of the process, and so of a node.
+    """
+    told = [f"{name}={environment[name][:80]}" for name in _ROS_SETTINGS if environment.get(name)]
+    domain = environment.get("ROS_DOMAIN_ID") or "0"
+    value = f"domain {domain}, nodes: {', '.join(told) or 'no settings'}; bridge: 127.0.0.1, no multicast"
+    cyclone = environment.get("RMW_IMPLEMENTATION") == "rmw_cyclonedds_cpp"
+    finds = environment.get("CYCLONEDDS_URI") or environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE") == "LOCALHOST"
+    advice = "Cyclone DDS asks by multicast only: start nodes with ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST."
+    return Finding.judged("ROS 2", "warning", cyclone and not finds, value, advice)
 
 
 def clock(resolution: float = time.get_clock_info("monotonic").resolution) -> Finding:
@@ -259,4 +278,4 @@ def other_programs(which: Callable[[str], str | None] = shutil.which) -> Finding
     """
     browser = next((name for name in ("chromium", "chromium-browser", "google-chrome") if which(name)), "no Chromium")
     zenoh = "Zenoh" if importlib.util.find_spec("zenoh") else "no Zenoh"
-    return Finding("other programs", "ok", f"{browser}, {zenoh}, ROS domain {os.environ.get('ROS_DOMAIN_ID', '0')}")
+    return Finding("other programs", "ok", f"{browser}, {zenoh}")

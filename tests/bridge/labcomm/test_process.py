@@ -12,7 +12,7 @@ import pytest
 from armlab import robots
 from armlab.bridge.feed import Exchange
 from armlab.bridge.labcomm import LabCommClient, Row, RowTypes
-from armlab.bridge.labcomm.process import LabCommProcess, labcomm_options
+from armlab.bridge.labcomm.process import LabCommProcess, labcomm_options, serve
 from armlab.bridge.parameters import Parameter, Parameters
 from armlab.bridge.servers import Servers, server_command
 from armlab.errors import ConfigError, LabCommError, LinkError, UnknownName
@@ -186,7 +186,7 @@ def test_a_loop_that_has_gone_ends_the_process(robot: Robot) -> None:
     feed.recv(2**17)
     exchange.close()
     with pytest.raises(LinkError, match="Start it again"), feed:
-        LabCommProcess(feed, labcomm_options([robot])).run()
+        serve(feed, labcomm_options([robot]))
 
 
 def test_it_is_one_of_the_bridge_s_servers(robot: Robot) -> None:

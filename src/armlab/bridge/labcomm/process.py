@@ -6,29 +6,27 @@ back by it. Nothing here can touch the loop: what it does not read is dropped th
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import math
 import socket
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from armlab.bridge.labcomm.channels import ArmChannel, Channel, FusedArm, FusedChannel, FusedSource
 from armlab.bridge.labcomm.parameter_channel import ParameterChannel, Value
 from armlab.bridge.labcomm.rows import Order, Row
 from armlab.bridge.labcomm.server import LabCommServer
-from armlab.bridge.messages import CommandRequest, Counted, Leave, Listening, Request, SetRequest, Stop
-from armlab.bridge.row import MAGIC, read_row
+from armlab.bridge.loop_end import LoopEnd
+from armlab.bridge.messages import CommandRequest, Leave, Listening, SetRequest, Stop
+from armlab.bridge.row import read_row
 from armlab.bridge.row_schema import RowSchema
-from armlab.errors import ConfigError, LinkError
+from armlab.errors import ConfigError
 from armlab.robots import Robot
 
-__all__ = ["LabCommProcess", "labcomm_options"]
+__all__ = ["LabCommProcess", "labcomm_options", "serve"]
 
-_LARGEST = 2**17
 _LEFT, _PARAMETERS, _FUSED = 7511, 7513, 7514
 _logger = logging.getLogger("armlab.bridge")
 
@@ -93,53 +91,28 @@ class LabCommProcess:
     """
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
-        self._feed, self._options = feed, options
-        self._schema: RowSchema | None = None
-        self._parameters: dict[str, dict[str, Any]] = {}
-        self._asked: dict[str, set[str]] = {}  # names that a client set, until the loop has answered
+        self._options = options
         self._server: LabCommServer | None = None
+        self._loop = LoopEnd(feed, lambda: {} if self._server is None else self._server.clients)
+        self._sequences = self._set_sequences()
 
     def run(self) -> None:
         """Serve until the loop closes the feed."""
-        said: set[str] = set()
-        while not {"about", "parameters"} <= said:
-            data = self._hear()
-            if data is None:
-                raise LinkError("Expected the loop to say what its rows hold, but it closed the feed. Start it again.")
-            if data[:4] != MAGIC:
-                said.add(self._text(data))
         with LabCommServer(self._channels(), self._options["host"], self._event, self._stop) as self._server:
             host, ports = self._options["host"], self._server.ports
-            self.ask(Listening(where=[f"{host}:{port} (labcomm, {name})" for name, port in ports.items()]))
-            while (data := self._hear()) is not None:
-                if data[:4] == MAGIC:
-                    self._row(data)
-                else:
-                    self._text(data)
-
-    def ask(self, request: Request) -> None:
-        """Send a request to the loop; one that finds no room is lost.
-
-        Parameters
-        ----------
-        request : see `messages`.
-        """
-        with contextlib.suppress(OSError):
-            self._feed.send(msgspec.json.encode(request), socket.MSG_DONTWAIT)
+            self._loop.ask(Listening(where=[f"{host}:{port} (labcomm, {name})" for name, port in ports.items()]))
+            while (messages := self._loop.receive(None)) is not None:
+                for message in messages:
+                    if isinstance(message, bytes):
+                        self._row(self._server, message)
+                    else:
+                        self._text(message)
 
     def _left(self, client: str) -> None:
-        self.ask(Leave(client))
+        self._loop.ask(Leave(client))
 
     def _stop(self, client: str) -> None:
-        """Ask the loop to stop all arms: this request waits for room."""
-        with contextlib.suppress(OSError):
-            self._feed.send(msgspec.json.encode(Stop(client)))
-
-    def _hear(self) -> bytes | None:
-        try:
-            return self._feed.recv(_LARGEST) or None
-        except OSError:
-            return None
+        self._loop.ask(Stop(client))
 
     def _channels(self) -> list[Channel]:
         options = self._options
@@ -152,55 +125,46 @@ class LabCommProcess:
             axes = next(iter(options["arms"].values()))["axes"]
             channels.append(FusedChannel(options["fused"], axes, options["order"], **common))
         if options["parameters"] is not None:
-            values = {name: self._value(name) for name in self._parameters}
+            values = {name: self._value(name) for name in self._loop.parameters}
             channels.append(ParameterChannel(values, options["parameters"], self._set, **common))
         return channels
 
     def _command(self, name: str, row: Row, client: str) -> None:
         q, qd, tau = (None if part is None else part.tolist() for part in (row.q, row.qd, row.tau))
-        self.ask(CommandRequest(client, name, q, qd, tau))
+        self._loop.ask(CommandRequest(client, name, q, qd, tau))
 
     def _set(self, name: str, value: Any, client: str) -> None:
         """Ask the loop; it answers with the values in force, or with why not."""
-        if self._parameters[name]["type"] == "int" and float(value).is_integer():
+        if self._loop.parameters[name]["type"] == "int" and float(value).is_integer():
             value = int(value)
-        self._asked.setdefault(client, set()).add(name)
-        self.ask(SetRequest(client, {name: value}))
+        self._loop.ask(SetRequest(client, {name: value}))
 
     def _value(self, name: str) -> Value:
         """Return a parameter as LabComm has it: all numbers are double."""
-        value = self._parameters[name]["value"]
+        value = self._loop.parameters[name]["value"]
         if isinstance(value, list):
             return [float(one) for one in value]
         return value if isinstance(value, bool | str) else float(value)
 
-    def _text(self, data: bytes) -> str:
-        message = msgspec.json.decode(data)
-        kind = message["kind"]
-        if kind == "about":
-            self._schema = RowSchema.read(message["schema"].encode())
-        elif kind == "parameters":
-            before, self._parameters = self._parameters, {one["name"]: one for one in message["parameters"]}
-            for name, about in self._parameters.items():
-                if before.get(name, {}).get("sequence") != about["sequence"]:
+    def _set_sequences(self) -> dict[str, int]:
+        return {name: about["sequence"] for name, about in self._loop.parameters.items()}
+
+    def _text(self, message: Mapping[str, Any]) -> None:
+        if message["kind"] == "parameters":
+            before, self._sequences = self._sequences, self._set_sequences()
+            for name, sequence in self._sequences.items():
+                if before.get(name) != sequence:
                     self._echo(name)
-                    for names in self._asked.values():
-                        names.discard(name)
-        elif kind == "count":
-            self.ask(Counted(clients={} if self._server is None else self._server.clients))
-        elif kind == "answer":  # what this client set is not in force
-            for name in self._asked.pop(message["client"], ()):
+        elif message["kind"] == "answer":
+            for name in message["refused"]:  # what this client set is not in force
                 self._echo(name)
-        return kind
 
     def _echo(self, name: str) -> None:
         if self._server is not None and "parameters" in self._server.ports:
             self._server.parameter(name, self._value(name))
 
-    def _row(self, data: bytes) -> None:
-        server, schema = self._server, self._schema
-        if server is None or schema is None:
-            return
+    def _row(self, server: LabCommServer, data: bytes) -> None:
+        schema = self._loop.schema
         row = read_row(schema, data)
         values, arms = row.values, list(self._options["arms"])
         for name in arms:
@@ -213,6 +177,20 @@ class LabCommProcess:
 
     def _event(self, text: str, warn: bool = False) -> None:
         _logger.log(logging.WARNING if warn else logging.INFO, "labcomm %s", text)
+
+
+def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
+    """Serve until the loop closes the feed.
+
+    Parameters
+    ----------
+    feed : connected to the loop. options : see `labcomm_options`.
+
+    Raises
+    ------
+    LinkError : the loop has gone, or a port is taken.
+    """
+    LabCommProcess(feed, options).run()
 
 
 def _arm_row(values: Mapping[str, Any], name: str) -> Row:

@@ -18,10 +18,10 @@ from typing import Any
 
 from armlab.bridge.events import Tell, nobody
 from armlab.bridge.labcomm.channels import Channel, FusedArm, FusedSource
-from armlab.bridge.labcomm.listening_socket import listening_socket
 from armlab.bridge.labcomm.parameter_channel import Value
 from armlab.bridge.labcomm.peer import Peer
 from armlab.bridge.labcomm.rows import STOP, Row
+from armlab.bridge.listening_socket import listening_socket
 from armlab.errors import LabCommError, LinkError, UnknownName
 from armlab.wire.labcomm import Definition, Encoder, Sample
 

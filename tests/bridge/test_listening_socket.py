@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from armlab.bridge.labcomm.listening_socket import listening_socket
+from armlab.bridge.listening_socket import listening_socket
 from armlab.errors import LinkError
 
 

@@ -1,0 +1,142 @@
+"""`LoopEnd`: the loop as a server process sees it: rows and texts come in, requests of clients go out."""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import msgspec
+
+from armlab.bridge.messages import CommandRequest, Counted, Request, SetRequest
+from armlab.bridge.row import MAGIC
+from armlab.bridge.row_schema import RowSchema
+from armlab.errors import LinkError
+
+__all__ = ["LoopEnd"]
+
+_LARGEST = 2**17
+_URGENT = 256  # requests that wait when the way to the loop is full
+_RETRY = 0.005  # s until they are tried again
+_AT_ONCE = 64  # messages that one look takes
+
+Clients = Mapping[str, tuple[int, int]]
+
+
+class LoopEnd:
+    """A server process's end of its socket to the loop (the other is `feed.Exchange`).
+
+    Parameters
+    ----------
+    feed : connected to the loop.
+    clients : asked for rows sent to each client so far and dropped for it, by its name.
+
+    Attributes
+    ----------
+    schema : of the rows. about : what the loop said of itself first: "cell", "robots" (TOML by name), "commands", ...
+    parameters : what is known of each, by name, its "value" in force. lost : requests that found no room.
+
+    Raises
+    ------
+    LinkError : the loop has gone before it said what its rows hold.
+
+    Notes
+    -----
+    `ask` may be called from any thread, everything else from one.
+    """
+
+    def __init__(self, feed: socket.socket, clients: Callable[[], Clients] = dict) -> None:
+        self._feed, self._clients = feed, clients
+        self._urgent: deque[bytes] = deque(maxlen=_URGENT)
+        self._lock = threading.Lock()
+        self.parameters: dict[str, dict[str, Any]] = {}
+        self.about: dict[str, Any] = {}
+        self.lost = 0
+        feed.setblocking(False)
+        said: set[str] = set()
+        while not {"about", "parameters"} <= said:
+            messages = self.receive(None)
+            if messages is None:
+                raise LinkError("Expected the loop to say what its rows hold, but it closed the feed. Start it again.")
+            said |= {message["kind"] for message in messages if isinstance(message, dict)}
+
+    def fileno(self) -> int:
+        """Return the number of the socket, for `select` and for event loops."""
+        return self._feed.fileno()
+
+    def receive(self, patience: float | None = 0.0) -> list[bytes | dict[str, Any]] | None:
+        """Return what has come: rows as bytes, texts as they say, by their "kind"; None when the loop has gone.
+
+        Parameters
+        ----------
+        patience : s to wait for the first message; None waits until one comes.
+        """
+        self._wait(patience)
+        found: list[bytes | dict[str, Any]] = []
+        while len(found) < _AT_ONCE:
+            try:
+                data = self._feed.recv(_LARGEST)
+            except BlockingIOError:
+                break
+            except OSError:
+                data = b""
+            if not data:
+                return found or None
+            found.append(data if data[:4] == MAGIC else self._text(data))
+        return found
+
+    def ask(self, request: Request) -> bool:
+        """Send a request to the loop; False when there is no room.
+
+        A command or setting is lost then, as a newer one follows; a stop or a release waits, and goes out by `receive`.
+
+        Parameters
+        ----------
+        request : see `messages`.
+        """
+        data = msgspec.json.encode(request)
+        with self._lock:
+            if not self._urgent and self._sent(data):
+                return True
+            if isinstance(request, CommandRequest | SetRequest):
+                self.lost += 1
+            else:
+                self._urgent.append(data)
+        return False
+
+    def _wait(self, patience: float | None) -> None:
+        """Wait for a message; send meanwhile what waits."""
+        until = None if patience is None else time.monotonic() + patience
+        while True:
+            self._retry()
+            left = None if until is None else max(0.0, until - time.monotonic())
+            if self._urgent:
+                left = _RETRY if left is None else min(left, _RETRY)
+            if select.select([self._feed], [], [], left)[0] or (until is not None and time.monotonic() >= until):
+                return
+
+    def _retry(self) -> None:
+        with self._lock:
+            while self._urgent and self._sent(self._urgent[0]):
+                self._urgent.popleft()
+
+    def _sent(self, data: bytes) -> bool:
+        with contextlib.suppress(OSError):
+            return self._feed.send(data) > 0
+        return False
+
+    def _text(self, data: bytes) -> dict[str, Any]:
+        message = msgspec.json.decode(data)
+        kind = message["kind"]
+        if kind == "about":
+            self.about, self.schema = message, RowSchema.read(message["schema"].encode())
+        elif kind == "parameters":
+            self.parameters = {one["name"]: one for one in message["parameters"]}
+        elif kind == "count":
+            self.ask(Counted(clients=dict(self._clients())))
+        return message

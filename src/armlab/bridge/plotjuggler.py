@@ -1,0 +1,139 @@
+"""`Datagrams`: one JSON datagram per row for PlotJuggler's UDP server, and the process that sends them."""
+
+from __future__ import annotations
+
+import ipaddress
+import math
+import socket
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import msgspec
+
+from armlab.bridge.loop_end import LoopEnd
+from armlab.bridge.messages import Listening
+from armlab.bridge.row import read_row
+from armlab.bridge.row_schema import RowField, RowSchema
+from armlab.errors import ConfigError, UnknownName
+
+__all__ = ["Datagrams", "serve"]
+
+_FIELDS = ("q", "qd", "tau", "wrench", "wrench_hat", "q_sent", "qd_sent", "tau_sent", "q_ref", "qd_ref", "tau_ref")
+_LARGEST = 1400  # bytes towards other computers: one packet of a network
+_LARGEST_HERE = 65507
+_NUMBER = len("-1.2345678901234567e-308")
+_STAMP = len('{"timestamp":1700000000.1234567}')
+
+
+class Datagrams:
+    """Makes datagrams of rows: {"timestamp": s, "yumi_left": {"q": {"1": ...}}}, a number that is not finite as null.
+
+    Parameters
+    ----------
+    schema : of the rows. fields : names without the robot, of what every robot has, in the order of their worth.
+    largest : bytes of a datagram, whatever the numbers are.
+
+    Attributes
+    ----------
+    fields : those that fit, or all that were asked for.
+
+    Raises
+    ------
+    UnknownName : a field that rows do not have. ConfigError : the fields asked for do not fit.
+    """
+
+    def __init__(self, schema: RowSchema, fields: Sequence[str] | None = None, largest: int = _LARGEST) -> None:
+        self._schema = schema
+        known = {name.partition(".")[2] for name, field in schema.fields.items() if field.type != "text"}
+        for name in fields or ():
+            if name not in known:
+                raise UnknownName.among("field of rows", name, known)
+        others = [one for one in schema.fields.values() if one.source not in schema.robots]
+        sizes = dict.fromkeys(schema.robots, _STAMP + sum(_size(one, len(one.source)) for one in others))
+        self.fields: list[str] = []
+        for name in fields or _FIELDS:
+            found = {robot: schema.fields.get(f"{robot}.{name}") for robot in schema.robots}
+            more = {robot: 0 if one is None else _size(one, len(robot)) for robot, one in found.items()}
+            if max(sizes[robot] + more[robot] for robot in sizes) <= largest:
+                sizes = {robot: sizes[robot] + more[robot] for robot in sizes}
+                self.fields.append(name)
+            elif fields:
+                raise ConfigError(
+                    f"Expected fields that fit into {largest} bytes for PlotJuggler on another computer, but {name} "
+                    "does not any more. Choose fewer."
+                )
+        self._parts = {
+            robot: [(name, field) for name in self.fields if (field := schema.fields.get(f"{robot}.{name}"))]
+            for robot in schema.robots
+        }
+        self._others = [(one.source, one.name.partition(".")[2], one) for one in others]
+
+    def datagram(self, data: bytes) -> bytes:
+        """Return the datagram of a row: of the arm that it is the row of, and of all sources besides.
+
+        Parameters
+        ----------
+        data : one row.
+
+        Raises
+        ------
+        LinkError : no row of the schema.
+        """
+        row = read_row(self._schema, data)
+        found: dict[str, Any] = {"timestamp": 1e-9 * row.wall_ns}
+        for robot, parts in self._parts.items():
+            if row.values[f"{robot}.fresh"]:
+                found[robot] = {name: _plain(row.values[field.name]) for name, field in parts}
+        for source, name, field in self._others:
+            found.setdefault(source, {})[name] = _plain(row.values[field.name])
+        return msgspec.json.encode(found)
+
+
+def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
+    """Send until the loop closes the feed.
+
+    Parameters
+    ----------
+    feed : connected to the loop. options : "to" and "port", where PlotJuggler is; "fields"; "host", to send from.
+
+    Raises
+    ------
+    ConfigError : an address elsewhere that the cell was not opened to, or fields that do not fit. LinkError : the loop
+        has gone.
+    """
+    to, port = options["to"], options["port"]
+    try:
+        is_here = ipaddress.IPv4Address(to).is_loopback
+    except ValueError:
+        raise ConfigError(f"Expected an IPv4 address as `to` of plotjuggler, got {to}.") from None
+    if not is_here and ipaddress.IPv4Address(options["host"]).is_loopback:
+        raise ConfigError(f"Expected --listen plotjuggler=ADDRESS too, since {to} is not this computer. Add it.")
+    counts = [0, 0]
+    loop = LoopEnd(feed, lambda: {f"{to}:{port}": (counts[0], counts[1])})
+    datagrams = Datagrams(loop.schema, options["fields"], _LARGEST_HERE if is_here else _LARGEST)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+        out.bind((options["host"], 0))
+        out.setblocking(False)
+        out.connect((to, port))  # the system tells then that nobody listens there
+        loop.ask(Listening(where=[f"to {to}:{port} (plotjuggler: {', '.join(datagrams.fields)})"]))
+        while (messages := loop.receive(None)) is not None:
+            for message in messages:
+                if isinstance(message, bytes):
+                    try:
+                        out.send(datagrams.datagram(message))
+                        counts[0] += 1
+                    except OSError:  # nobody listens there now
+                        counts[1] += 1
+
+
+def _plain(values: Any) -> Any:
+    """Return numbers by their index from 1, as PlotJuggler names curves; a single number as it is."""
+    if isinstance(values, int | float):
+        return values
+    return {str(k): value for k, value in enumerate(values.ravel().tolist(), start=1)}
+
+
+def _size(field: RowField, owner: int) -> int:
+    """Return the most bytes that a field takes, with its name and that of its owner."""
+    count = math.prod(field.shape)
+    return len(field.name) + owner + 16 + count * (_NUMBER + len(str(count)) + 4)

@@ -1,0 +1,138 @@
+"""`Writers` and `Readers`: the endpoints of ROS topics on a participant, as QoS of ROS 2 would have them."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from armlab.bridge.ros._cyclone import (
+    DataReader,
+    DataWriter,
+    DDSException,
+    DomainParticipant,
+    Listener,
+    Policy,
+    Qos,
+    Topic,
+)
+from armlab.bridge.ros.dds_types import carrier, topic_name
+from armlab.bridge.ros.topics import Published
+from armlab.bridge.ros.types import store
+
+__all__ = ["Readers", "Writers"]
+
+_BLOCKED = 1_000_000  # ns that a write may wait, which none does that keeps the last only
+_AT_ONCE = 16  # messages of one look
+_XCDR1 = Policy.DataRepresentation(use_cdrv0_representation=True)  # all that ROS 2 speaks
+_STATE = Qos(
+    Policy.Reliability.Reliable(_BLOCKED), Policy.Durability.Volatile, Policy.History.KeepLast(10), _XCDR1
+)  # never KeepAll: a reader that stopped would hold every write up
+_COMMAND = Qos(Policy.Reliability.BestEffort, Policy.Durability.Volatile, Policy.History.KeepLast(1), _XCDR1)
+_logger = logging.getLogger("armlab.bridge")
+
+
+class Writers:
+    """Writes topics that somebody reads.
+
+    Parameters
+    ----------
+    participant : that they belong to. published : topics by full name.
+
+    Attributes
+    ----------
+    wanted : names of topics that have a reader. counts : by name, messages written and such that found no room.
+    """
+
+    def __init__(self, participant: DomainParticipant, published: Mapping[str, Published]) -> None:
+        self.wanted: frozenset[str] = frozenset()
+        self.counts: dict[str, tuple[int, int]] = {}
+        self._lock = threading.Lock()
+        self._writers: dict[str, DataWriter[Any]] = {}
+        for name, topic in published.items():
+            listener = Listener(on_publication_matched=lambda _, status, name=name: self._matched(name, status))
+            made = Topic(participant, topic_name(name), carrier(topic.type))
+            self._writers[name] = DataWriter(participant, made, _STATE, listener)
+
+    def write(self, topic: Published, message: Any) -> None:
+        """Send one message.
+
+        Parameters
+        ----------
+        topic : where. message : of `store`.
+        """
+        cdr = bytes(store().serialize_cdr(message, topic.type))
+        written, full = self.counts.get(topic.name, (0, 0))
+        try:
+            self._writers[topic.name].write(carrier(topic.type)(cdr))
+            self.counts[topic.name] = written + 1, full
+        except DDSException:
+            self.counts[topic.name] = written, full + 1
+
+    def close(self) -> None:
+        """End all writers: none calls any more."""
+        self._writers.clear()
+
+    def _matched(self, name: str, status: Any) -> None:
+        with self._lock:
+            self.wanted = self.wanted | {name} if status.current_count else self.wanted - {name}
+
+
+class Readers:
+    """Reads topics; calls from threads of DDS.
+
+    Parameters
+    ----------
+    participant : that they belong to. types : ROS 2 message type by full name of the topic.
+    take : told the topic, its bytes and who wrote them. left : told who wrote and has gone.
+    """
+
+    def __init__(
+        self,
+        participant: DomainParticipant,
+        types: Mapping[str, str],
+        take: Callable[[str, bytes, str], None],
+        left: Callable[[str], None],
+    ) -> None:
+        self._take, self._left = take, left
+        self._clients: dict[int, str] = {}
+        self._readers = []
+        for name, type_ in types.items():
+            listener = Listener(
+                on_data_available=lambda reader, name=name: self._guarded(self._read, reader, name),
+                on_subscription_matched=lambda reader, status: self._guarded(self._matched, reader, status),
+            )
+            made = Topic(participant, topic_name(name), carrier(type_))
+            self._readers.append(DataReader(participant, made, _COMMAND, listener))
+
+    def close(self) -> None:
+        """End all readers: none calls any more, which it must not while Python ends."""
+        self._readers.clear()
+
+    def _guarded(self, call: Callable[..., None], *arguments: Any) -> None:
+        """Call; what fails is told and no more, since it would come up in C."""
+        try:
+            call(*arguments)
+        except Exception:
+            _logger.exception("ros2")
+
+    def _read(self, reader: DataReader[Any], name: str) -> None:
+        while samples := reader.take(_AT_ONCE):
+            for sample in samples:
+                if sample.sample_info.valid_data:  # else a writer that has gone
+                    self._take(name, sample.cdr, self._client(reader, sample.sample_info.publication_handle))
+
+    def _matched(self, reader: DataReader[Any], status: Any) -> None:
+        handle = int(status.last_publication_handle)
+        if status.current_count_change > 0:
+            self._client(reader, handle)
+        elif (client := self._clients.pop(handle, None)) is not None:
+            self._left(client)
+
+    def _client(self, reader: DataReader[Any], handle: int) -> str:
+        """Return who writes: the GUID, as ROS 2 tells it of a topic's publishers, or what DDS calls it here."""
+        if handle not in self._clients:
+            about = reader.get_matched_publication_data(handle)
+            self._clients[handle] = f"{handle:016x}" if about is None else about.key.hex
+        return self._clients[handle]

@@ -1,0 +1,145 @@
+"""`RmwZenohServer`: ROS 2 nodes with rmw_zenoh read and command, without a ROS installation here."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+from armlab.bridge.loop_end import LoopEnd
+from armlab.bridge.messages import Listening
+from armlab.bridge.ros.requests import Commands
+from armlab.bridge.ros.rmw_zenoh_names import ANY, Names, Origin, Writer
+from armlab.bridge.ros.ros2 import content, domain_number
+from armlab.bridge.ros.topics import Published, Topics
+from armlab.bridge.ros.types import store
+from armlab.bridge.zenoh.output import Output
+from armlab.bridge.zenoh.session import close_session, data_of, open_near
+from armlab.errors import CommandRefused, ConfigError
+from armlab.robots import from_toml
+
+__all__ = ["RmwZenohServer", "serve"]
+
+_AGAIN = 1.0  # s after which the parameters are told again, for readers that came later
+
+
+class RmwZenohServer:
+    """Serves until the loop closes the feed.
+
+    Parameters
+    ----------
+    feed : connected to the loop; see `feed.Exchange`.
+    options : "domain", None for that of ROS_DOMAIN_ID, "host", "port", "router" and "distribution".
+
+    Raises
+    ------
+    LinkError : the loop has gone, or the port is taken. ConfigError : ROS_DOMAIN_ID is no number, or commands
+        could come through a router elsewhere.
+    MissingExtra : Zenoh or xxhash is not installed.
+    """
+
+    def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
+        self._outputs: dict[str, Output] = {}
+        self._writers: dict[str, Writer] = {}
+        self._loop = LoopEnd(feed, self._counts)
+        about = self._loop.about
+        robots = {name: from_toml(text, f"the bridge of {about['cell']}") for name, text in about["robots"].items()}
+        self._topics, self._commands = Topics(robots, self._loop.schema), Commands(about["cell"], robots)
+        self._domain, self._told = domain_number(options["domain"]), 0.0
+        router = options["router"]
+        if router and not router.startswith("127.") and "rmw_zenoh" in about.get("commands", ()):
+            raise ConfigError(
+                f"Expected no commands through a router elsewhere ({router}), since ROS nodes prove nothing. Take "
+                "rmw_zenoh out of `commands`, or let them come through an SSH tunnel."
+            )
+        self._session, self._where = open_near(options["host"], options["port"], router)
+        self._names = Names(self._domain, str(self._session.zid()), options["distribution"])
+        self._declared: list[Any] = []  # tokens and readers: they go with the last that holds them
+
+    @property
+    def wanted(self) -> list[str]:
+        """Names of the topics that somebody reads."""
+        return [name for name, output in self._outputs.items() if output.wanted]
+
+    def run(self) -> None:
+        """Serve until the loop closes the feed."""
+        try:
+            self._declare()
+            self._loop.ask(Listening(where=[f"{self._where}, rmw_zenoh, domain {self._domain}"]))
+            while (messages := self._loop.receive(_AGAIN)) is not None:
+                for message in messages:
+                    if isinstance(message, bytes):
+                        for topic, made in self._topics.of_row(message, self.wanted):
+                            self._write(topic, made)
+                    elif message["kind"] == "parameters":
+                        self._tell_parameters()
+                    elif message["kind"] == "answer":
+                        self._answer(message["client"], message["text"])
+                if time.monotonic() - self._told > _AGAIN:
+                    self._tell_parameters()
+        finally:
+            close_session(self._session)
+
+    def _counts(self) -> dict[str, tuple[int, int]]:
+        """Return messages sent by topic: who reads them, and what is dropped for whom, is not known here."""
+        return {name: (output.sent, output.dropped) for name, output in self._outputs.items() if output.sent}
+
+    def _declare(self) -> None:
+        """Enter the graph: the node, its writers, its readers."""
+        session, names = self._session, self._names
+        tokens, number = [names.node()], 0
+        for number, one in enumerate(self._topics.published.values(), 1):
+            token = names.writer(number, one.name, one.type)
+            self._writers[one.name] = Writer(token)
+            self._outputs[one.name] = Output(session, names.data(one.name, one.type))
+            tokens.append(token)
+        for count, (topic, type_) in enumerate(self._commands.types.items(), number + 1):
+            tokens.append(names.reader(count, topic, type_))
+            key = names.data(topic, type_, ANY)
+            self._declared.append(session.declare_subscriber(key, partial(self._take, topic, type_)))
+        self._declared += [session.liveliness().declare_token(token) for token in tokens]
+
+    def _write(self, topic: Published, message: Any) -> None:
+        output = self._outputs[topic.name]
+        if output.wanted:
+            cdr = bytes(store().serialize_cdr(message, topic.type))
+            output.put(cdr, self._writers[topic.name].next(time.time_ns()))
+
+    def _tell_parameters(self) -> None:
+        self._told = time.monotonic()
+        for topic, made in self._topics.of_parameters(self._loop.parameters, self.wanted):
+            self._write(topic, made)
+
+    def _take(self, topic: str, type: str, sample: Any) -> None:
+        """Pass what a node wants on to the loop; called by a thread of Zenoh's."""
+        origin = Origin.read(data_of(sample.attachment))
+        if origin is None:  # rmw_zenoh drops it, too: who sent it is not known
+            self._answer("unknown", f"Expected 33 bytes attached on {topic}, as rmw_zenoh has them since June 2025.")
+            return
+        try:
+            requests = self._commands.requests(topic, content(type, sample.payload.to_bytes()), origin.client)
+        except CommandRefused as error:
+            self._answer(origin.client, str(error))
+        else:
+            for request in requests:
+                self._loop.ask(request)
+
+    def _answer(self, client: str, text: str) -> None:
+        """Tell a node; nothing leads back to it but the diagnostics, which all read."""
+        self._topics.answer = f"{client}: {text}"
+
+
+def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
+    """Serve until the loop closes the feed.
+
+    Parameters
+    ----------
+    feed : connected to the loop. options : see `RmwZenohServer`.
+
+    Raises
+    ------
+    LinkError, ConfigError, MissingExtra : see `RmwZenohServer`.
+    """
+    RmwZenohServer(feed, options).run()

@@ -1,0 +1,291 @@
+"""`Engine`: rosbridge v2 without sockets: what clients say becomes requests to the loop, rows become what they read."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, Protocol
+
+import msgspec
+
+from armlab.bridge.messages import CommandRequest, Leave, Request, SetRequest
+from armlab.bridge.ros import Commands, Published, Topics
+from armlab.bridge.rosbridge.dialect import Dialect, encoded, fields, read_type, type_name
+from armlab.bridge.rosbridge.operations import (
+    Advertise,
+    CallService,
+    Operation,
+    Publish,
+    ServiceResponse,
+    SetLevel,
+    Status,
+    Subscribe,
+    Unadvertise,
+    Unsubscribe,
+    id_of,
+    read_operation,
+)
+from armlab.bridge.rosbridge.rosapi import SET_PARAM, Rosapi, parameter_name
+from armlab.bridge.rosbridge.session import Session, Setting
+from armlab.bridge.rosbridge.subscription import Subscription
+from armlab.bridge.row_schema import RowSchema
+from armlab.errors import CommandRefused, UnknownName
+from armlab.robots import from_toml
+
+__all__ = ["Engine"]
+
+_PATIENCE = 1_000_000_000  # ns for the loop to say what became of a setting
+_SETTINGS = 64  # of a client that wait for the loop
+_ABSENT: Mapping[str, Any] = {"std_msgs/msg/Float64MultiArray": [], "std_msgs/msg/String": ""}
+
+
+class _Loop(Protocol):
+    """What is needed of `LoopEnd`."""
+
+    schema: RowSchema
+    about: dict[str, Any]
+    parameters: dict[str, dict[str, Any]]
+
+    def ask(self, request: Request) -> bool: ...
+
+
+class Engine:
+    """All clients of one server.
+
+    Parameters
+    ----------
+    loop : the server's end of the feed. server : its name, the first word of its clients' identities in the loop.
+    dialect : of clients whose texts do not tell.
+
+    Attributes
+    ----------
+    sessions : by identity.
+    """
+
+    def __init__(self, loop: _Loop, server: str = "rosbridge", dialect: Dialect = "ros2") -> None:
+        robots = {name: from_toml(text, name) for name, text in loop.about["robots"].items()}
+        self._dialect: Dialect = dialect
+        self._loop, self._server = loop, server
+        self._topics, self._commands = Topics(robots, loop.schema), Commands(loop.about["cell"], robots)
+        self._published = self._topics.published
+        types = {name: one.type for name, one in self._published.items()} | self._commands.types
+        self._rosapi = Rosapi(loop.about["cell"], types, lambda: self._loop.parameters)
+        self._numbers: Counter[str] = Counter()
+        self.sessions: dict[str, Session] = {}
+
+    def join(self, name: str, may_ask: bool = True) -> Session:
+        """Return the session of a new client.
+
+        Parameters
+        ----------
+        name, may_ask : see `Session`.
+        """
+        session = self.sessions[name] = Session(name, may_ask)
+        return session
+
+    def leave(self, session: Session) -> None:
+        """Forget a client that has gone.
+
+        Parameters
+        ----------
+        session : of the client.
+        """
+        del self.sessions[session.name]
+        self._loop.ask(Leave(session.name))
+
+    def take(self, session: Session, data: bytes | str, now_ns: int) -> None:
+        """Do what a client asks for; what cannot be done is told it by a status.
+
+        Parameters
+        ----------
+        session : of the client. data : one message of it. now_ns : monotonic clock.
+        """
+        operation = None
+        try:
+            operation = read_operation(data)
+            self._do(session, operation, now_ns)
+        except (CommandRefused, UnknownName) as error:
+            session.status("error", str(error), now_ns, id_of(data) if operation is None else operation.id)
+
+    def row(self, data: bytes, now_ns: int) -> None:
+        """Send a row to those who want it.
+
+        Parameters
+        ----------
+        data : one row of the loop. now_ns : monotonic clock.
+        """
+        self._publish(lambda wanted: self._topics.of_row(data, wanted), now_ns)
+
+    def text(self, message: Mapping[str, Any], now_ns: int) -> None:
+        """Take what the loop says besides rows.
+
+        Parameters
+        ----------
+        message : see `messages`. now_ns : monotonic clock.
+        """
+        if message["kind"] == "parameters":
+            self._publish(lambda wanted: self._topics.of_parameters(self._loop.parameters, wanted), now_ns)
+            for session in self.sessions.values():
+                self._confirm(session, now_ns)
+        elif message["kind"] == "answer" and message["client"] in self.sessions:
+            self._answer(self.sessions[message["client"]], message, now_ns)
+
+    def turn(self, now_ns: int) -> None:
+        """Do what is due without anybody saying anything; a few times a second.
+
+        Parameters
+        ----------
+        now_ns : monotonic clock.
+        """
+        for session in self.sessions.values():
+            for one in [one for one in session.settings if now_ns > one.until_ns]:
+                session.settings.remove(one)
+                about = self._loop.parameters[one.parameter]
+                why = (
+                    f"Expected the loop to set {one.parameter}, but it did not say so within 1 s. Its value is "
+                    f"{about['value']!r}, set by {about['who'] or 'nobody'}."
+                )
+                session.response(SET_PARAM, one.id, why, False, now_ns)
+
+    def _do(self, session: Session, operation: Operation, now_ns: int) -> None:
+        match operation:
+            case Publish():
+                self._take_message(session, operation, now_ns)
+            case Subscribe():
+                self._subscribe(session, operation, now_ns)
+            case Unsubscribe():
+                name = _full(operation.topic)
+                if name in session.subscriptions and session.subscriptions[name].remove(_id(operation)):
+                    del session.subscriptions[name]
+            case Advertise():
+                self._known(_full(operation.topic), operation.type, self._commands.types, "topic that this cell takes")
+                session.advertised.add(_full(operation.topic))
+            case Unadvertise():
+                session.advertised.discard(_full(operation.topic))
+            case CallService():
+                self._call(session, operation, now_ns)
+            case SetLevel():
+                session.level = operation.level
+            case ServiceResponse():
+                raise CommandRefused("Expected no answer: services of clients are never called.")
+            case Status():
+                pass
+
+    def _subscribe(self, session: Session, operation: Subscribe, now_ns: int) -> None:
+        name = _full(operation.topic)
+        types = {topic: one.type for topic, one in self._published.items()}
+        dialect = self._known(name, operation.type, types, "topic")
+        if operation.compression not in (None, "", "none"):
+            raise CommandRefused(f"Expected no compression, got {operation.compression[:80]!r}. Plain JSON is sent.")
+        if operation.fragment_size is not None:
+            raise CommandRefused("Expected no fragment_size: messages are sent whole.")
+        known = session.subscriptions.get(name)
+        if known is None or known.dialect != dialect:
+            known = session.subscriptions[name] = Subscription(name, session.outbox, dialect)
+        known.add(_id(operation) or "", operation.throttle_rate or 0.0, operation.queue_length or 0)
+        for published, message in self._topics.of_parameters(self._loop.parameters, {name}):
+            self._send(published, message, [known], now_ns)
+
+    def _known(self, topic: str, type_: str | None, types: Mapping[str, str], what: str) -> Dialect:
+        """Return the dialect of a client that names a topic and its type; both must fit."""
+        if topic not in types:
+            raise UnknownName.among(what, topic, types)
+        if not type_:
+            return self._dialect
+        wanted, dialect = read_type(type_)
+        if wanted != types[topic]:
+            raise CommandRefused(f"Expected {type_name(types[topic], dialect)} for {topic}, got {type_}.")
+        return dialect
+
+    def _take_message(self, session: Session, operation: Publish, now_ns: int) -> None:
+        name, types = _full(operation.topic), self._commands.types
+        if name not in types:
+            raise UnknownName.among("topic that this cell takes", name, types)
+        missing = [field for field in fields(types[name]) if field not in operation.msg]
+        if missing and name not in session.warned:
+            session.warned.add(name)
+            text = f"Expected {', '.join(missing)} in {types[name]} on {name}. The default is taken, now and later."
+            session.status("warning", text, now_ns, operation.id)
+        content = operation.msg.get("data", _ABSENT.get(types[name]))
+        for request in self._commands.requests(name, content, session.name):
+            if isinstance(request, CommandRequest | SetRequest):
+                _check_rights(session)
+            self._loop.ask(request)
+
+    def _call(self, session: Session, call: CallService, now_ns: int) -> None:
+        dialect: Dialect = self._dialect
+        if call.type:
+            dialect = "ros2" if call.type.count("/") == 2 else "ros1"
+        try:
+            given = self._rosapi.arguments(call.service, call.args)
+            if call.service == SET_PARAM:
+                self._set(session, call, given, now_ns)
+                return
+            values, is_done = self._rosapi.answer(call.service, given, dialect), True
+        except (CommandRefused, UnknownName) as error:
+            values, is_done = str(error), False
+        session.response(call.service, call.id, values, is_done, now_ns)
+
+    def _set(self, session: Session, call: CallService, given: Mapping[str, Any], now_ns: int) -> None:
+        """Ask the loop for a value; its answer comes later."""
+        _check_rights(session)
+        name = parameter_name(given, self._loop.parameters)
+        try:
+            value = msgspec.json.decode(str(given.get("value")))
+        except (msgspec.DecodeError, RecursionError, UnicodeError) as error:
+            raise CommandRefused(f"Expected the value of {name} as JSON text, but {error}.") from None
+        if len(session.settings) >= _SETTINGS:
+            raise CommandRefused(f"Expected at most {_SETTINGS} settings that wait for the loop. Send fewer.")
+        sequence = self._loop.parameters[name]["sequence"]
+        session.settings.append(Setting(call.id, name, sequence, now_ns + _PATIENCE))
+        self._loop.ask(SetRequest(session.name, {name: value}))
+
+    def _confirm(self, session: Session, now_ns: int) -> None:
+        """Answer the settings of a client that are in force now."""
+        for one in list(session.settings):
+            about = self._loop.parameters[one.parameter]
+            if about["sequence"] > one.sequence and about["who"] == f"{self._server} {session.name}":
+                session.settings.remove(one)
+                session.response(SET_PARAM, one.id, {}, True, now_ns)
+
+    def _answer(self, session: Session, message: Mapping[str, Any], now_ns: int) -> None:
+        """Pass on what the loop says to a client: as the answer to its setting, or as a status."""
+        text, refused = message["text"], message["refused"]
+        one = next((one for one in session.settings if one.parameter in refused), None)
+        if one is not None:
+            session.settings.remove(one)
+            session.response(SET_PARAM, one.id, text, False, now_ns)
+        else:
+            session.status("info" if text == "Done." else "error", text, now_ns)
+
+    def _publish(self, made: Callable[[Mapping[str, Any]], Any], now_ns: int) -> None:
+        wanted: dict[str, list[Subscription]] = {}
+        for session in self.sessions.values():
+            for name, one in session.subscriptions.items():
+                if one.is_due(now_ns):
+                    wanted.setdefault(name, []).append(one)
+        for published, message in made(wanted):
+            self._send(published, message, wanted[published.name], now_ns)
+
+    def _send(self, published: Published, message: Any, to: Iterable[Subscription], now_ns: int) -> None:
+        """Send a message, encoded once for all clients of one dialect."""
+        self._numbers[published.name] += 1
+        texts: dict[Dialect, bytes] = {}
+        for one in to:
+            if one.dialect not in texts:
+                number = self._numbers[published.name]
+                texts[one.dialect] = encoded(published.name, message, one.dialect, number)
+            one.offer(texts[one.dialect], now_ns)
+
+
+def _full(topic: str) -> str:
+    return f"/{topic.lstrip('/')}"
+
+
+def _id(operation: Subscribe | Unsubscribe) -> str | None:
+    return None if operation.id is None else str(operation.id)
+
+
+def _check_rights(session: Session) -> None:
+    if not session.may_ask:
+        raise CommandRefused("Expected a token from who commands or sets: send Authorization: Bearer. You may read.")

@@ -1,0 +1,181 @@
+"""`RosbridgeServer`: clients on WebSockets, between the loop's feed and the `Engine`, in a process of its own."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import socket
+import time
+from collections.abc import Mapping
+from http import HTTPStatus
+from typing import TYPE_CHECKING, Any
+
+from armlab.bridge.listening_socket import listening_socket
+from armlab.bridge.loop_end import LoopEnd
+from armlab.bridge.messages import Listening
+from armlab.bridge.rosbridge.access import read_access
+from armlab.bridge.rosbridge.engine import Engine
+from armlab.bridge.rosbridge.operations import LARGEST
+from armlab.bridge.rosbridge.session import Session
+from armlab.errors import MissingExtra
+
+if TYPE_CHECKING:
+    from websockets.asyncio.server import ServerConnection
+    from websockets.http11 import Request, Response
+
+__all__ = ["RosbridgeServer", "serve"]
+
+_CLIENTS = 16
+_SEND_BUFFER = 65536  # bytes; with the system's own a slow client would see data half a minute old
+_KEPT = 100  # clients that have left, of which is known what they got
+_TURN = 0.1  # s between two looks at what is due without anybody saying anything
+_WRITE_LIMIT = 16384  # bytes that wait in the process before a send waits
+_CLOSING = 0.5  # s for a client to say goodbye
+
+
+class RosbridgeServer:
+    """Serves until the loop closes the feed.
+
+    Parameters
+    ----------
+    feed : connected to the loop. options : "host", "port", "dialect", and what `read_access` reads.
+
+    Raises
+    ------
+    ConfigError : see `read_access`. LinkError : the port is taken, or the loop has gone.
+    MissingExtra : websockets is not installed.
+    """
+
+    def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
+        self._websockets = _websockets()
+        self._open = self._websockets.State.OPEN
+        self._access = read_access(options)
+        self._loop = LoopEnd(feed, self._counts)
+        self._engine = Engine(self._loop, dialect=options["dialect"])
+        self._connections: dict[str, ServerConnection] = {}
+        self._gone: dict[str, tuple[int, int]] = {}
+        self._over = asyncio.Event()
+        self._listener = listening_socket(options["host"], options["port"], "rosbridge", _CLIENTS)
+        self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)  # what it accepts inherits it
+
+    async def run(self) -> None:
+        """Serve until the loop closes the feed."""
+        server = self._websockets.serve(
+            self._client,
+            sock=self._listener,
+            ssl=self._access.context,
+            origins=self._access.origins,
+            process_request=self._judge,
+            compression=None,  # it would cost more than all the rest
+            max_size=LARGEST,
+            write_limit=_WRITE_LIMIT,
+            close_timeout=_CLOSING,
+            logger=logging.Logger("armlab.bridge.rosbridge", logging.ERROR),  # more would show headers: tokens
+        )
+        running = asyncio.get_running_loop()
+        async with server:
+            host, port = self._listener.getsockname()
+            words = "rosbridge" if self._access.context is None else "rosbridge, TLS"
+            self._loop.ask(Listening(where=[f"{host}:{port} ({words})"]))
+            running.add_reader(self._loop.fileno(), self._hear)
+            while not self._over.is_set():
+                self._turn()
+                with contextlib.suppress(TimeoutError):
+                    await asyncio.wait_for(self._over.wait(), _TURN)
+            running.remove_reader(self._loop.fileno())
+
+    def _hear(self) -> None:
+        """Take what the loop says, and send what comes of it."""
+        messages = self._loop.receive()
+        if messages is None:
+            self._over.set()
+            return
+        for message in messages:
+            if isinstance(message, bytes):
+                self._engine.row(message, time.monotonic_ns())
+            else:
+                self._engine.text(message, time.monotonic_ns())
+        for name, session in self._engine.sessions.items():
+            self._send(self._connections[name], session)
+
+    def _turn(self) -> None:
+        """Do what is due; give clients up that take nothing."""
+        now = time.monotonic_ns()
+        self._engine.turn(now)
+        self._hear()
+        for name, session in self._engine.sessions.items():
+            if session.outbox.is_stuck(now):
+                self._connections[name].transport.abort()
+
+    def _send(self, connection: ServerConnection, session: Session) -> None:
+        """Send a client what waits for it, in one piece, unless it has not taken what was sent before."""
+        protocol, transport = connection.protocol, connection.transport
+        if transport.get_write_buffer_size() > _WRITE_LIMIT or protocol.state is not self._open:
+            return
+        if messages := session.outbox.take(_SEND_BUFFER):
+            for data in messages:
+                protocol.send_text(data)
+            transport.write(b"".join(protocol.data_to_send()))
+
+    def _judge(self, connection: ServerConnection, request: Request) -> Response | None:
+        """Refuse a connection before it is one: too many clients, or a wrong token."""
+        if len(self._connections) >= _CLIENTS:
+            return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, f"Expected at most {_CLIENTS} clients.\n")
+        if self._may_ask(request) is None:
+            return connection.respond(HTTPStatus.UNAUTHORIZED, "Expected Authorization: Bearer and the right token.\n")
+        return None
+
+    def _may_ask(self, request: Request) -> bool | None:
+        headers = request.headers.get_all("Authorization")
+        return self._access.judge(",".join(headers) if headers else None)
+
+    async def _client(self, connection: ServerConnection) -> None:
+        """Serve one client until it goes."""
+        name = "{}:{}".format(*connection.remote_address[:2])
+        session = self._engine.join(name, bool(connection.request and self._may_ask(connection.request)))
+        self._connections[name] = connection
+        try:
+            async for message in connection:
+                self._engine.take(session, message, time.monotonic_ns())
+                self._send(connection, session)
+        except self._websockets.ConnectionClosed:
+            pass
+        finally:
+            del self._connections[name]
+            self._gone[name] = (session.outbox.sent, session.outbox.dropped)
+            if len(self._gone) > _KEPT:
+                del self._gone[next(iter(self._gone))]
+            self._engine.leave(session)
+
+    def _counts(self) -> Mapping[str, tuple[int, int]]:
+        here = {name: (one.outbox.sent, one.outbox.dropped) for name, one in self._engine.sessions.items()}
+        return {**self._gone, **here}
+
+
+def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
+    """Serve until the loop closes the feed.
+
+    Parameters
+    ----------
+    feed : connected to the loop. options : see `RosbridgeServer`.
+
+    Raises
+    ------
+    ConfigError, LinkError, MissingExtra : see `RosbridgeServer`.
+    """
+    asyncio.run(_run(feed, options))
+
+
+async def _run(feed: socket.socket, options: Mapping[str, Any]) -> None:
+    await RosbridgeServer(feed, options).run()
+
+
+def _websockets() -> Any:
+    try:
+        import websockets.asyncio.server
+    except ImportError:
+        raise MissingExtra(
+            "Expected websockets for the rosbridge server, got none. Install it: pip install 'armlab[net]'."
+        ) from None
+    return websockets

@@ -1,0 +1,27 @@
+"""Zenoh: rows, parameters, events and commands of a cell under ``armlab/<lab>/<robot>/`` (docs/how_to/zenoh.md).
+
+`ZenohFeed` reads a bridge elsewhere, ``bridge.connect("zenoh://host:7447/lab", robot)`` runs a controller over it.
+`open_session`, `key`, `robots_at`, `Place` and `Gaps` are for those who listen to many bridges.
+"""
+
+from armlab.bridge.zenoh.feed import ZenohFeed, robots_at
+from armlab.bridge.zenoh.gaps import Gaps
+from armlab.bridge.zenoh.keys import EVERY, Attached, key, robot_of
+from armlab.bridge.zenoh.place import Place
+from armlab.bridge.zenoh.security import Security
+from armlab.bridge.zenoh.session import close_session, open_session, queried
+
+__all__ = [
+    "EVERY",
+    "Attached",
+    "Gaps",
+    "Place",
+    "Security",
+    "ZenohFeed",
+    "close_session",
+    "key",
+    "open_session",
+    "queried",
+    "robot_of",
+    "robots_at",
+]

@@ -1,0 +1,184 @@
+"""`ZenohFeed`: what `LocalFeed` gives, from a bridge on another computer."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections import deque
+from types import TracebackType
+from typing import Any
+
+from armlab.bridge.messages import Request, SetRequest, Stop, Subscribe
+from armlab.bridge.row import Row, read_row
+from armlab.bridge.row_schema import RowSchema
+from armlab.bridge.zenoh.keys import EVERY, key, robot_of
+from armlab.bridge.zenoh.place import Place
+from armlab.bridge.zenoh.session import close_session, zenoh
+from armlab.errors import ConfigError, LinkError
+
+__all__ = ["ZenohFeed", "robots_at"]
+
+_VIEW = 30.0  # rows/s that a view gets
+_HEARD = 0.5  # s in which all robots of a lab are heard of
+_KEPT = 5000  # messages that wait to be read: the oldest are lost then
+
+
+def robots_at(session: Any, lab: str = EVERY, patience: float = 1.0) -> list[tuple[str, str]]:
+    """Return lab and name of the robots whose bridges are alive.
+
+    Parameters
+    ----------
+    session : open. lab : its name; all of them by default. patience : s to wait for an answer.
+    """
+    replies = session.liveliness().get(key(lab, EVERY, "alive"), timeout=patience)
+    return sorted({robot_of(str(reply.ok.key_expr)) for reply in replies if reply.ok is not None})
+
+
+class ZenohFeed:
+    """A client of a bridge elsewhere; a context manager with the methods of `LocalFeed`.
+
+    Parameters
+    ----------
+    url : see `Place.read`. robot : an arm of the cell; "" when one cell serves that lab. patience : s to wait.
+
+    Attributes
+    ----------
+    cell : its name.
+
+    Raises
+    ------
+    LinkError : nobody is there. ConfigError : wrong url, or several cells and no robot named.
+    """
+
+    def __init__(self, url: str, robot: str = "", patience: float = 5.0) -> None:
+        self._place, self._patience = Place.read(url), patience
+        self._messages: deque[bytes | dict[str, Any]] = deque(maxlen=_KEPT)
+        self._news = threading.Condition()
+        self._rows: list[Any] = []
+        self._every = self._due = 0.0
+        self._has_ended = False
+        self._session = self._place.open(patience)
+        try:
+            known = [robot] if robot else self._robots()
+            arm = known[0]
+            said = json.loads(self._place.ask(self._session, key(self._place.lab, arm, "about"), patience))
+            self._schema = RowSchema.read(said[0]["schema"].encode())
+            if not set(known) <= set(self._schema.robots):
+                names = ", ".join(known)
+                raise ConfigError(f"Expected the name of a robot, since several cells serve this lab: {names}.")
+        except BaseException:
+            self.close()
+            raise
+        self.cell: str = said[0].get("cell", "")
+        self._messages.extend(said)
+        declare, lab = self._session.declare_subscriber, self._place.lab
+        self._texts = [declare(key(lab, arm, what), self._take_text) for what in ("events", "status", "parameters")]
+        self._alive = self._session.liveliness().declare_subscriber(
+            key(lab, arm, "alive"), self._take_life, history=True
+        )
+
+    def __enter__(self) -> ZenohFeed:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Leave."""
+        close_session(self._session)
+
+    def wait(self, seconds: float) -> bool:
+        """Return whether a message comes within so many seconds.
+
+        Parameters
+        ----------
+        seconds : at most.
+        """
+        with self._news:
+            return self._news.wait_for(lambda: bool(self._messages) or self._has_ended, max(seconds, 0.0))
+
+    def ask(self, request: Request) -> None:
+        """Send a request: `Subscribe`, `SetRequest` or `Stop`.
+
+        Parameters
+        ----------
+        request : see `messages`.
+
+        Raises
+        ------
+        ConfigError : another request: only operators at the bridge's own computer may do that.
+        """
+        lab, robot = self._place.lab, self._schema.robots[0]
+        if isinstance(request, Subscribe):
+            self._subscribe(request.rate)
+        elif isinstance(request, SetRequest):
+            for name, value in request.values.items():
+                self._session.put(key(lab, robot, f"param/{name}"), json.dumps(value))
+        elif isinstance(request, Stop):
+            self._session.put(key(lab, robot, "stop"), b"")
+        else:
+            what = type(request).__name__
+            raise ConfigError(f"Expected a request that goes over Zenoh, got {what}. Ask at the bridge's own computer.")
+
+    def receive(self) -> Row | dict[str, Any]:
+        """Return the next message: a row, or what another message says, by name, with its "kind".
+
+        Raises
+        ------
+        LinkError : the bridge has ended, or nothing came in time.
+        """
+        if not self.wait(self._patience):
+            raise LinkError(f"Expected a message of {self.cell} in time, but none came. See whether its robot runs.")
+        with self._news:
+            if not self._messages:
+                raise LinkError(f"Expected the bridge of {self.cell} to go on, but it has gone.")
+            message = self._messages.popleft()
+        return message if isinstance(message, dict) else read_row(self._schema, message)
+
+    def _subscribe(self, rate: float | None) -> None:
+        for one in self._rows:
+            one.undeclare()
+        self._rows = []
+        if rate is None or rate > 0.0:
+            what = "live" if rate is None or rate > _VIEW else "view"
+            self._every = 0.0 if rate is None else 1.0 / rate
+            self._rows = [
+                self._session.declare_subscriber(key(self._place.lab, robot, what), self._take_row)
+                for robot in self._schema.robots
+            ]
+
+    def _robots(self) -> list[str]:
+        """Return the robots of the lab; who has just connected hears of them one after another."""
+        found: set[str] = set()
+        until = time.monotonic() + _HEARD
+        while time.monotonic() < until:
+            found |= {name for _, name in robots_at(self._session, self._place.lab)}
+            time.sleep(_HEARD / 10)
+        if not found:
+            raise LinkError(
+                f"Expected a robot in the lab {self._place.lab!r} at {self._place.host}:{self._place.port}, got none. "
+                "Start armlab bridge with [servers.zenoh], or name another lab."
+            )
+        return sorted(found)
+
+    def _take_row(self, sample: Any) -> None:
+        now = time.monotonic()
+        if now >= self._due:
+            self._due = max(self._due + self._every, now)
+            self._take(sample.payload.to_bytes())
+
+    def _take_text(self, sample: Any) -> None:
+        self._take(json.loads(sample.payload.to_bytes()))
+
+    def _take_life(self, sample: Any) -> None:
+        with self._news:
+            self._has_ended = sample.kind == zenoh().SampleKind.DELETE
+            self._news.notify()
+
+    def _take(self, message: bytes | dict[str, Any]) -> None:
+        with self._news:
+            self._messages.append(message)
+            self._news.notify()

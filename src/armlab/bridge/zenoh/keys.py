@@ -1,0 +1,83 @@
+"""Names on Zenoh: ``armlab/<lab>/<robot>/<what>``, and what is attached to a command."""
+
+from __future__ import annotations
+
+import struct
+from typing import NamedTuple
+
+from armlab.errors import CommandRefused
+
+__all__ = ["COMMANDS", "EVERY", "Attached", "key", "robot_of"]
+
+EVERY = "*"
+"""Stands for every lab or every robot in a key."""
+
+COMMANDS = {"position": "q", "velocity": "qd", "effort": "tau", "motion": "q qd"}
+"""Last word of a command's key, and what its numbers are: n of each, "motion" is positions and then velocities."""
+
+_ATTACHED = struct.Struct("<16sqq")
+
+
+def key(lab: str, robot: str, what: str) -> str:
+    """Return a key.
+
+    Parameters
+    ----------
+    lab, robot : names, or `EVERY`.
+    what : "state" (every row, for recorders: waits for a slow one), "live" (every row, for controllers: dropped for a
+        slow one), "view" (30 rows/s), "schema", "about", "parameters", "param/NAME", "command/KIND", "events",
+        "answer/SENDER", "status", "stop" or "alive".
+    """
+    return f"armlab/{lab}/{robot}/{what}"
+
+
+def robot_of(name: str) -> tuple[str, str]:
+    """Return lab and robot of a key.
+
+    Parameters
+    ----------
+    name : as of `key`.
+    """
+    _, lab, robot, *_ = name.split("/")
+    return lab, robot
+
+
+class Attached(NamedTuple):
+    """What is attached to a command or a setting: 32 bytes, little-endian.
+
+    Attributes
+    ----------
+    sender : 16 bytes that the sender chose at random. seq : increasing. stamp_ns : wall clock of the sender.
+    """
+
+    sender: bytes
+    seq: int
+    stamp_ns: int
+
+    def pack(self) -> bytes:
+        """Return the bytes."""
+        return _ATTACHED.pack(*self)
+
+    @classmethod
+    def read(cls, data: bytes | None) -> Attached:
+        """Return what the bytes say.
+
+        Parameters
+        ----------
+        data : of the attachment, None without one.
+
+        Raises
+        ------
+        CommandRefused : none, or another length.
+        """
+        if data is None or len(data) != _ATTACHED.size:
+            got = "none" if data is None else f"{len(data)} bytes"
+            raise CommandRefused(
+                f"Expected {_ATTACHED.size} bytes attached (16 of the sender's id, int64 number, int64 ns), got {got}."
+            )
+        return cls(*_ATTACHED.unpack(data))
+
+    @property
+    def client(self) -> str:
+        """The sender as people read it."""
+        return self.sender[:6].hex()

@@ -1,0 +1,50 @@
+"""One arm in one row: absent numbers are absent, and wrenches turn with the tool."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from armlab import kinematics, robots
+from armlab.bridge.ros.arm import Arm, header, joint_names
+from armlab.bridge.row import Row
+
+ROBOT = robots.load("irb120")
+Q = np.linspace(0.1, 0.6, 6)
+
+
+def arm(**values: object) -> Arm:
+    return Arm(ROBOT, Row(1, 2, 3, {f"{ROBOT.name}.{name}": value for name, value in {"q": Q, **values}.items()}))
+
+
+def test_a_column_with_a_hole_is_not_there() -> None:
+    one = arm(tau=np.array([1.0, np.nan, 1.0, 1.0, 1.0, 1.0]), qd=Q)
+    assert len(one.numbers("tau")) == 0
+    assert one.numbers("qd") is Q
+    assert one["q"] is Q
+
+
+def test_a_wrench_turns_with_the_tool() -> None:
+    one, rng = arm(), np.random.default_rng(0)
+    wrench, factor = rng.normal(size=6), rng.normal(size=(6, 6))
+    R = kinematics.forward(ROBOT, Q)[:3, :3]
+    turned = one.in_tool_axes(wrench)
+    np.testing.assert_allclose(R @ turned[:3], wrench[:3], atol=1e-14)
+    np.testing.assert_allclose(R @ turned[3:], wrench[3:], atol=1e-14)
+    cov = one.covariance_in_tool_axes(factor @ factor.T)
+    assert turned @ np.linalg.solve(cov, turned) == pytest.approx(wrench @ np.linalg.solve(factor @ factor.T, wrench))
+    w, *xyz = one.tool_quaternion
+    np.testing.assert_allclose(2.0 * np.arccos(abs(w)), np.arccos((np.trace(R) - 1.0) / 2.0), atol=1e-9)
+    assert np.linalg.norm([w, *xyz]) == pytest.approx(1.0)
+
+
+def test_a_header_holds_the_wall_clock() -> None:
+    made = header(1_700_000_000_999_999_999, "tool")
+    assert (made.stamp.sec, made.stamp.nanosec, made.frame_id) == (1_700_000_000, 999_999_999, "tool")
+
+
+def test_joints_of_a_yumi_have_the_names_of_abb_robot_driver() -> None:
+    left, right = joint_names(robots.load("yumi_left")), joint_names(robots.load("yumi_right_urdf"))
+    assert left == [f"yumi_robl_joint_{k}" for k in range(1, 8)]
+    assert right == [f"yumi_robr_joint_{k}" for k in range(1, 8)]
+    assert joint_names(ROBOT) == list(ROBOT.joint_names) == arm().joint_names

@@ -1,0 +1,97 @@
+"""Endpoints on a participant: what has a reader is known, a writer that goes is told, and nothing comes up in C."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+
+import pytest
+
+from armlab.bridge.ros import Published, store
+
+from .dds_peers import Node, free_domain, numbers, taken, until, write
+
+pytest.importorskip("cyclonedds", reason="the extra ros is not installed")
+
+from armlab.bridge.ros.dds_domain import joined
+from armlab.bridge.ros.dds_topics import Readers, Writers
+
+TEXT, ARRAY = "std_msgs/msg/String", "std_msgs/msg/Float64MultiArray"
+
+
+@pytest.fixture
+def node() -> Iterator[Node]:
+    domain = free_domain()
+    with joined(domain, "127.0.0.1"):
+        yield Node(domain)
+
+
+def test_a_topic_is_wanted_while_it_has_a_reader(node: Node) -> None:
+    topics = {name: Published(name, TEXT) for name in ("/a", "/b")}
+    writers = Writers(node.participant, topics)
+    assert writers.wanted == frozenset()
+    readers = [node.reader("/b", TEXT), node.reader("/b", TEXT)]
+    until(lambda: writers.wanted == {"/b"})
+    for k in range(3):
+        writers.write(topics["/b"], store().types[TEXT](f"text {k}"))
+    assert writers.counts == {"/b": (3, 0)}
+    for texts in [[message.data for message in taken(reader, TEXT)] for reader in readers]:
+        assert texts == ["text 0", "text 1", "text 2"]
+    readers.pop()
+    assert writers.wanted == {"/b"}
+    readers.clear()
+    until(lambda: writers.wanted == frozenset())
+    last = node.reader("/a", TEXT)
+    until(last.get_matched_publications)
+    writers.close()
+    until(lambda: not last.get_matched_publications())
+
+
+def test_of_what_a_reader_has_not_read_the_last_ten_are_kept(node: Node) -> None:
+    topic = Published("/a", TEXT)
+    writers = Writers(node.participant, {"/a": topic})
+    reader = node.reader("/a", TEXT)
+    for k in range(500):
+        writers.write(topic, store().types[TEXT](str(k)))
+    assert writers.counts == {"/a": (500, 0)}, "nothing waited"
+    assert [message.data for message in taken(reader, TEXT)] == [str(k) for k in range(490, 500)]
+
+
+def test_messages_come_with_their_writer_and_its_end_is_told(node: Node) -> None:
+    came: list[tuple[str, bytes, str]] = []
+    left: list[str] = []
+    readers = Readers(node.participant, {"/a": TEXT, "/b": ARRAY}, lambda *one: came.append(one), left.append)
+    writers = [node.writer("/a", TEXT), node.writer("/b", ARRAY), node.writer("/b", TEXT)]
+    clients = [writer.guid.hex for writer in writers]
+    write(writers[0], TEXT, "hello")
+    until(lambda: len(came) == 1)
+    write(writers[2], TEXT, "another type on the same topic is another topic")
+    write(writers[1], ARRAY, *numbers(1.0, 2.0))
+    until(lambda: len(came) == 2)
+    assert [(name, client) for name, _, client in came] == [("/a", clients[0]), ("/b", clients[1])]
+    assert store().deserialize_cdr(came[0][1], TEXT).data == "hello"
+    assert store().deserialize_cdr(came[1][1], ARRAY).data.tolist() == [1.0, 2.0]
+    writers.clear()  # both are told with a sample that holds no message, which is none
+    until(lambda: sorted(left) == sorted(clients[:2]))
+    assert len(came) == 2
+    writer = node.writer("/a", TEXT)
+    until(writer.get_matched_subscriptions)
+    readers.close()
+    until(lambda: not writer.get_matched_subscriptions())
+
+
+def test_what_fails_is_told_and_the_next_message_comes(node: Node, caplog: pytest.LogCaptureFixture) -> None:
+    came: list[str] = []
+
+    def take(name: str, cdr: bytes, client: str) -> None:
+        came.append(client)
+        raise ValueError("of the test")
+
+    readers = Readers(node.participant, {"/a": TEXT}, take, came.append)
+    writer = node.writer("/a", TEXT)
+    with caplog.at_level(logging.ERROR, "armlab.bridge"):
+        for k in range(2):
+            write(writer, TEXT, "hello")
+            until(lambda k=k: len(came) > k)
+    until(lambda: caplog.text.count("ValueError: of the test") == 2)
+    readers.close()

@@ -1,0 +1,146 @@
+"""What ROS programs read: which topics a row becomes, in whose axes, and what is absent."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab import kinematics, robots
+from armlab.bridge.ros import Published, Topics, store
+from armlab.bridge.row import RowWriter
+from armlab.bridge.row_schema import RowSchema
+from armlab.log import Tick
+from armlab.state import Command, State
+
+NAMES = ("yumi_left", "yumi_right")
+ARMS = {name: robots.load(name) for name in NAMES}
+SCHEMA = RowSchema.of(list(ARMS.values()))
+WRENCH = np.array([1.0, -2.0, 3.0, 0.1, 0.2, -0.3])
+COV = np.diag([1.0, 4.0, 9.0, 0.1, 0.2, 0.3])
+WALL, MONO = 1_700_000_000_123_456_789, 5_000_000_000
+
+
+def state(name: str = "yumi_left", **fields: Any) -> State:
+    q = np.array(ARMS[name].q_home)
+    nothing = np.full(7, np.nan)
+    given = {"q": q, "qd": nothing, "tau": nothing, **fields}
+    return State(t=1.0, dt=0.004, robot=name, **given)
+
+
+def messages(
+    state: State, command: Command | None = None, mono_ns: int = MONO, who: str = "", **tick: Any
+) -> dict[str, Any]:
+    topics = Topics(ARMS, SCHEMA)
+    data = RowWriter(SCHEMA).row(state, command, Tick(7, 7, WALL, 1_000, 2_000, 3, **tick), mono_ns, who)
+    return {topic.name: message for topic, message in topics.of_row(data, topics.published)}
+
+
+def test_what_the_row_lacks_is_empty_or_has_no_topic() -> None:
+    found = messages(state())
+    joints = found["/yumi_left/joint_states"]
+    assert joints.position.tolist() == ARMS["yumi_left"].q_home.tolist()
+    assert len(joints.velocity) == len(joints.effort) == 0  # never zeros
+    assert joints.name == [f"yumi_robl_joint_{k}" for k in range(1, 8)]
+    assert (joints.header.stamp.sec, joints.header.stamp.nanosec) == (1_700_000_000, 123_456_789)
+    absent = ("joint_states_ref", "joint_states_sent", "wrench", "wrench_hat", "wrench_hat_covariance")
+    assert not {f"/yumi_left/{name}" for name in absent} & found.keys()
+    assert not any(name.startswith("/yumi_right") and "diagnostics" not in name for name in found)
+
+
+def test_asked_and_sent_joints_have_topics_of_their_own() -> None:
+    q, sent = np.arange(7.0), np.arange(7.0) + 0.5
+    found = messages(state(), Command(q, qd=2.0 * q), q_sent=sent)
+    assert found["/yumi_left/joint_states_ref"].position.tolist() == q.tolist()
+    assert found["/yumi_left/joint_states_ref"].velocity.tolist() == (2.0 * q).tolist()
+    assert found["/yumi_left/joint_states_sent"].position.tolist() == sent.tolist()
+
+
+def test_wrenches_are_in_tool_axes_and_do_the_same_work() -> None:
+    command = Command(record={"wrench_hat": WRENCH, "wrench_hat_cov": COV})
+    found = messages(state(), command)
+    R = kinematics.forward(ARMS["yumi_left"], ARMS["yumi_left"].q_home)[:3, :3]
+    hat = found["/yumi_left/wrench_hat"]
+    force = [getattr(hat.wrench.force, axis) for axis in "xyz"]
+    moment = [getattr(hat.wrench.torque, axis) for axis in "xyz"]
+    np.testing.assert_allclose(R @ force, WRENCH[:3], atol=1e-14)
+    np.testing.assert_allclose(R @ moment, WRENCH[3:], atol=1e-14)
+    assert hat.header.frame_id == "yumi_left_tool"
+    cov = found["/yumi_left/wrench_hat_covariance"].data.reshape(6, 6)
+    numbers = np.array(force + moment)
+    assert numbers @ np.linalg.solve(cov, numbers) == pytest.approx(WRENCH @ np.linalg.solve(COV, WRENCH))
+    np.testing.assert_allclose(R @ cov[:3, :3] @ R.T, COV[:3, :3], atol=1e-13)
+
+
+def test_the_alias_is_the_sensor_and_without_one_the_estimate() -> None:
+    alias = "/yumi_left/force_torque_sensor_broadcaster/wrench"
+    command = Command(record={"wrench_hat": WRENCH})
+    only_hat = messages(state(), command)
+    assert only_hat[alias].wrench == only_hat["/yumi_left/wrench_hat"].wrench
+    both = messages(state(wrench=2.0 * WRENCH), command)
+    assert both[alias].wrench == both["/yumi_left/wrench"].wrench
+    assert both[alias].wrench != only_hat[alias].wrench
+
+
+def test_the_pose_is_that_of_the_tool_in_the_base() -> None:
+    pose = messages(state())["/yumi_left/tcp_pose"]
+    T = kinematics.forward(ARMS["yumi_left"], ARMS["yumi_left"].q_home)
+    p, r = pose.pose.position, pose.pose.orientation
+    np.testing.assert_allclose([p.x, p.y, p.z], T[:3, 3], atol=1e-15)
+    from scipy.spatial.transform import Rotation
+
+    np.testing.assert_allclose(Rotation.from_quat([r.x, r.y, r.z, r.w]).as_matrix(), T[:3, :3], atol=1e-12)
+    assert pose.header.frame_id == "yumi_left_base"
+
+
+def test_states_of_egm_count_from_one() -> None:
+    fields = {"motors": 1, "mci": 3, "rapid": 2, "converged": True, "utilization": 12.5}
+    (channel,) = messages(state(**fields))["/yumi_left/egm_states"].egm_channels
+    told = (channel.motor_state, channel.egm_client_state, channel.rapid_execution_state)
+    assert told == (2, 4, 3)  # MOTORS_ON, EGM_RUNNING, RAPID_RUNNING
+    assert channel.egm_convergence_met
+    assert channel.utilization_rate == 12.5
+    assert channel.name == "yumi_left"
+
+
+def test_diagnostics_come_once_a_second_for_every_arm() -> None:
+    topics, writer = Topics(ARMS, SCHEMA), RowWriter(SCHEMA)
+    count, faulty = 0, None
+    for k in range(501):
+        tick = Tick(k, k, WALL, 1_000, 2_000, 3, late=k == 400)
+        data = writer.row(state(), None, tick, MONO + 4_000_000 * k, "rosbridge 127.0.0.1:5")
+        for topic, message in topics.of_row(data, {"/yumi_left/diagnostics", "/yumi_right/diagnostics"}):
+            count += 1
+            if topic.name == "/yumi_left/diagnostics":
+                faulty = message
+    assert count == 6  # at 0, 1 and 2 s, two arms
+    assert faulty is not None
+    (status,) = faulty.status
+    values = {one.key: one.value for one in status.values}
+    assert status.level == 1
+    assert "1 late answers" in status.message
+    assert values["rate [1/s]"] == "250.0"
+    assert values["commander"] == "rosbridge 127.0.0.1:5"
+
+
+def test_only_what_is_read_is_made_and_everything_has_a_codec() -> None:
+    topics = Topics(ARMS, SCHEMA)
+    command = Command(np.zeros(7), record={"wrench_hat": WRENCH, "wrench_hat_cov": COV})
+    data = RowWriter(SCHEMA).row(state(wrench=WRENCH), command, Tick(1, 1, WALL, 1, 2, 3), MONO)
+    wanted = {"/yumi_left/tcp_pose", "/nobody/joint_states"}
+    assert [topic.name for topic, _ in topics.of_row(data, wanted)] == ["/yumi_left/tcp_pose"]
+    for topic, message in Topics(ARMS, SCHEMA).of_row(data, topics.published):
+        raw = store().serialize_cdr(message, topic.type)
+        again = store().deserialize_cdr(raw, topic.type)
+        assert bytes(store().serialize_cdr(again, topic.type)) == bytes(raw)
+
+
+def test_parameters_are_told_as_text() -> None:
+    topics = Topics(ARMS, SCHEMA)
+    assert topics.published["/yumi_right/parameters"] == Published("/yumi_right/parameters", "std_msgs/msg/String")
+    known = {"gain": {"value": 2.0}, "gentle": {"value": True}}
+    told = list(topics.of_parameters(known, {"/yumi_right/parameters"}))
+    assert [(topic.name, message.data) for topic, message in told] == [
+        ("/yumi_right/parameters", '{"gain": 2.0, "gentle": true}')
+    ]

@@ -1,0 +1,215 @@
+"""A real master, real nodes under the system's Python: what they read, what they command, what happens without them."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab import robots
+from armlab.bridge.cell import parse_cell, run_cell
+from armlab.bridge.feed import Exchange
+from armlab.bridge.parameters import Parameter, Parameters
+from armlab.bridge.ros.arm import joint_names
+from armlab.bridge.ros1.process import Ros1Process, serve
+from armlab.bridge.servers import Servers, server_command
+from armlab.errors import LinkError
+from armlab.log import Tick
+from armlab.state import State
+
+from .conftest import PATIENCE, PYTHON, Ros, end, free_port
+
+ROWS = 1500  # 6 s
+
+READER = """
+import json, sys, rospy
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from rosgraph_msgs.msg import Log
+numbers, names, texts = [], set(), []
+def state(message):
+    numbers.append(message.header.stamp.to_nsec())
+    names.update(message.name)
+rospy.init_node("reader")
+rospy.Subscriber("/yumi_right/joint_states", JointState, state, tcp_nodelay=True, queue_size=1000)
+rospy.Subscriber("/yumi_right/parameters", String, lambda message: texts.append(message.data))
+end = rospy.get_time() + 60.0
+while rospy.get_time() < end and (not numbers or numbers[-1] < int(sys.argv[1])):
+    rospy.sleep(0.01)
+print(json.dumps([numbers, sorted(names), texts]))
+"""
+
+COMMANDER = """
+import sys, rospy
+from std_msgs.msg import Float64MultiArray, Empty
+from rosgraph_msgs.msg import Log
+rospy.init_node("commander")
+said = []
+rospy.Subscriber("/rosout", Log, lambda message: said.append(message.msg))
+commands = rospy.Publisher(sys.argv[1], Float64MultiArray, tcp_nodelay=True, queue_size=1)
+data = [float(word) for word in sys.argv[2].split(",")]
+end = rospy.get_time() + 60.0
+while rospy.get_time() < end and not rospy.is_shutdown():
+    commands.publish(Float64MultiArray(data=data))
+    if any("/commander: " in text and sys.argv[3] in text for text in said):
+        print("told")
+        break
+    rospy.sleep(0.004)
+"""
+
+
+def options(uri: str, python: str = PYTHON) -> dict[str, Any]:
+    return {"host": "127.0.0.1", "master": uri, "python": python}
+
+
+class Running:
+    """The server's process at the other end of an exchange, and rows at 250 Hz for as long as a test wants."""
+
+    def __init__(self, stack: contextlib.ExitStack, uri: str) -> None:
+        self.robot = robots.load("yumi_right")
+        parameters = Parameters([Parameter("gain", 0.5)])
+        self.exchange = Exchange([self.robot], ["ros1"], parameters, ["ros1"], about={"cell": "yumi"})
+        self.told: list[str] = []
+        self.exchange.begin(lambda text, warn=False: self.told.append(text))
+        command = server_command("ros1", options(uri))
+        self.servers = stack.enter_context(Servers(self.exchange, {"ros1": command}, restarts=(1.0, 2.0)))
+        (self.where,) = self.servers.ready(PATIENCE)
+        self.number, self.due = 0, time.monotonic()
+
+    def state(self) -> State:
+        q = np.array(self.robot.q_home)
+        return State(t=1.5, dt=0.004, q=q, qd=np.zeros(7), tau=q, robot=self.robot.name, q_start=q)
+
+    def until(self, condition: Callable[[], Any]) -> Any:
+        """Send rows until something is so; the number of a row is in its stamp."""
+        end = time.monotonic() + PATIENCE
+        while not (found := condition()):
+            assert time.monotonic() < end, self.told
+            self.number += 1
+            now = self.state()
+            self.exchange.row(now, None, Tick(self.number, -1, self.number, 0, -1, 0))
+            self.exchange.arbiter(now)
+            self.due = max(self.due + 0.004, time.monotonic() - 0.1)
+            time.sleep(max(0.0, self.due - time.monotonic()))
+        return found
+
+
+@pytest.fixture
+def running(ros: Ros) -> Iterator[Running]:
+    with contextlib.ExitStack() as stack:
+        yield Running(stack, ros.uri)
+
+
+@pytest.mark.slow
+def test_a_node_gets_every_row_in_order(ros: Ros, running: Running) -> None:
+    assert running.where.startswith(f"127.0.0.1 (ros1, master {ros.uri}")
+    reader = ros.program(READER, str(10**9))
+
+    def is_read() -> bool:
+        return sum(running.exchange.outlets["ros1"].clients.get("/yumi_right/joint_states", (0, 0))) > 0  # type: ignore[union-attr]
+
+    running.exchange.outlets["ros1"].clients = {}
+    running.until(lambda: running.exchange.outlets["ros1"].send(b'{"kind":"count"}') and is_read())
+    last = running.number + ROWS
+    running.until(lambda: running.number >= last)
+    running.number = 10**9  # tells the reader to end
+    running.until(lambda: reader.poll() is not None)
+    assert reader.stdout is not None
+    numbers, names, texts = json.loads(reader.stdout.read())
+    assert names == sorted(joint_names(running.robot))
+    assert json.loads(texts[0]) == {"gain": 0.5}
+    assert np.all(np.diff(numbers) > 0)
+    counted = [number for number in numbers if numbers[0] + 500 <= number <= last]
+    assert len(counted) >= 0.999 * (last - numbers[0] - 500 + 1)
+    assert len(counted) > 500
+
+
+@pytest.mark.slow
+def test_a_refusal_is_in_the_log_of_ros(ros: Ros, running: Running) -> None:
+    """Wrong sizes, and a position far from the arm; the node is named."""
+    for data, words in (("0.0,0.0", "Expected 7 numbers"), (",".join(["9.0"] * 7), "first position within 0.05")):
+        topic = "/yumi_right/joint_group_position_controller/command"
+        commander = ros.program(COMMANDER, topic, data, words)
+        running.until(lambda commander=commander: commander.poll() is not None)
+        assert commander.stdout is not None
+        assert commander.stdout.read() == b"told\n", words
+    assert "ros1 /commander" in running.exchange.arbiter.refused
+
+
+@pytest.mark.slow
+def test_it_comes_back_when_the_master_does(ros: Ros, running: Running) -> None:
+    end(ros.master)
+    running.until(lambda: any("has gone or is another one" in text for text in running.told))
+    ros.start()
+    reader = ros.program(READER, str(10**9))
+    running.until(lambda: running.exchange.outlets["ros1"].where)
+    running.number = 10**9
+    running.until(lambda: reader.poll() is not None)
+    assert running.servers.dead == set()
+
+
+@pytest.mark.slow
+def test_a_relay_that_is_killed_ends_the_server_which_starts_again(ros: Ros, running: Running) -> None:
+    server = running.servers.processes()["ros1"]
+    (relay,) = Path(f"/proc/{server}/task/{server}/children").read_text().split()
+    os.kill(int(relay), signal.SIGKILL)
+    running.until(lambda: any("It starts again in 1 s" in text for text in running.told))
+    running.until(lambda: running.exchange.outlets["ros1"].where)
+
+
+def test_what_is_missing_is_told_in_one_sentence(tmp_path: Path) -> None:
+    exchange = Exchange([robots.load("yumi_right")], ["ros1"], about={"cell": "yumi"})
+    with exchange.open("ros1") as feed, pytest.raises(LinkError, match="Expected a Python with rospy at /none"):
+        serve(feed, options("http://127.0.0.1:1", "/none"))
+    without = tmp_path / "python"
+    without.write_text(f'#!/bin/sh\nexec {os.path.realpath(PYTHON)} -I -S "$@"\n')
+    without.chmod(0o755)
+    with exchange.open("ros1") as feed, pytest.raises(LinkError, match=r"No module named .* Install python3-rospy\."):
+        Ros1Process(feed, options("http://127.0.0.1:1", str(without))).run()
+    exchange.close()
+
+
+def test_no_master_is_told_in_one_sentence() -> None:
+    if subprocess.run([PYTHON, "-c", "import rospy"], capture_output=True, check=False).returncode:
+        pytest.skip(f"rospy is not installed for {PYTHON} (Debian: python3-rospy)")
+    exchange = Exchange([robots.load("yumi_right")], ["ros1"], about={"cell": "yumi"})
+    uri = f"http://127.0.0.1:{free_port()}"
+    with exchange.open("ros1") as feed, pytest.raises(LinkError, match=f"master at {uri}.*Start roscore"):
+        serve(feed, options(uri))
+    exchange.close()
+
+
+@pytest.mark.slow
+def test_a_node_moves_the_arm_of_a_cell(ros: Ros, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    text = f"""
+    commands = ["ros1"]
+    [[robots]]
+    name = "yumi_left"
+    link = "sim://yumi_left"
+    speed = 0.5
+    [servers.ros1]
+    master = "{ros.uri}"
+    """
+    started: list[subprocess.Popen[bytes]] = []
+
+    def ready(line: str) -> None:
+        assert re.search(r"127\.0\.0\.1 \(ros1, master", line)
+        topic = "/yumi_left/joint_group_velocity_controller/command"
+        started.append(ros.program(COMMANDER, topic, "0,0,0,0.05,0,0,0", "never"))
+
+    run = run_cell(parse_cell(text), seconds=6.0, ready=ready, patience=20.0)
+    assert any("ros1 /commander commands yumi_left." in event for _, event in run.events)
+    moved = run.table["q"][-1] - run.table["q"][0]
+    assert moved[3] > 0.05
+    assert np.abs(np.delete(moved, 3)).max() < 0.01

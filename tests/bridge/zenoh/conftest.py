@@ -1,0 +1,119 @@
+"""A Zenoh server at the other end of an exchange, and sessions that are closed after the test."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab import robots
+from armlab.bridge.feed import Exchange
+from armlab.bridge.parameters import Parameter, Parameters
+from armlab.bridge.zenoh import Place, close_session
+from armlab.bridge.zenoh.process import ZenohProcess
+from armlab.log import Tick
+from armlab.robots import Robot
+from armlab.state import State
+
+PATIENCE = 15.0  # s; only a test that fails waits so long
+
+
+def until(condition: Callable[[], Any], patience: float = PATIENCE) -> None:
+    """Wait for what another thread does."""
+    end = time.monotonic() + patience
+    while not condition():
+        assert time.monotonic() < end, "it did not happen"
+        time.sleep(0.002)
+
+
+def free_port() -> int:
+    """Return a port on which nobody listens."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+class Running:
+    """A Zenoh server in a thread, at the other end of an exchange."""
+
+    def __init__(self, robot: Robot, port: int, **options: Any) -> None:
+        declared = [Parameter("gain", 0.5, minimum=0.0, maximum=1.0, rights="anyone"), Parameter("n", 2, "int")]
+        self.robot, self.exchange = robot, Exchange([robot], ["zenoh"], Parameters(declared), ["zenoh"], about=ABOUT)
+        self.options = {"lab": "lab1", "host": "127.0.0.1", "port": port, **options}
+        self.feed = self.exchange.open("zenoh")
+        self.process = ZenohProcess(self.feed, self.options)
+        self.thread = threading.Thread(target=self.process.run)
+        self.thread.start()
+        self.tick = 0
+        until(lambda: self.exchange.poll() or self.exchange.outlets["zenoh"].where)
+
+    def state(self, **fields: Any) -> State:
+        q = np.array(self.robot.q_home)
+        nan = np.full(self.robot.n, np.nan)
+        known = {
+            "t": 0.004 * self.tick,
+            "dt": 0.004,
+            "q": q,
+            "qd": np.zeros(self.robot.n),
+            "tau": nan,
+            "seq": self.tick,
+        }
+        return State(robot=self.robot.name, q_start=q, **{**known, **fields})
+
+    def row(self, **fields: Any) -> State:
+        """Let the loop send one row, and see what came back."""
+        state = self.state(**fields)
+        self.exchange.row(state, None, Tick(self.tick, -1, time.time_ns(), time.time_ns(), -1, 0))
+        self.tick += 1
+        return state
+
+    def commanded(self) -> Any:
+        """One tick of the loop: what the arbiter commands."""
+        return self.exchange.arbiter(self.row())
+
+    def close(self) -> None:
+        self.exchange.close()
+        self.thread.join(PATIENCE)
+        assert not self.thread.is_alive()
+        self.feed.close()
+
+
+ABOUT = {"cell": "yumi", "commands": ["zenoh"]}
+
+
+@pytest.fixture(scope="session")
+def robot() -> Robot:
+    return robots.load("yumi_right")
+
+
+@pytest.fixture
+def start(robot: Robot) -> Iterator[Callable[..., Running]]:
+    """Return what starts servers."""
+    made: list[Running] = []
+
+    def begin(port: int = 0, **options: Any) -> Running:
+        made.append(Running(options.pop("robot", robot), port or free_port(), **options))
+        return made[-1]
+
+    yield begin
+    for one in made:
+        one.close()
+
+
+@pytest.fixture
+def session() -> Iterator[Callable[..., Any]]:
+    """Return what opens sessions to a server."""
+    made: list[Any] = []
+
+    def begin(port: int, **options: str) -> Any:
+        made.append(Place.of("127.0.0.1", port, options).open())
+        return made[-1]
+
+    yield begin
+    for one in made:
+        close_session(one)

@@ -1,0 +1,82 @@
+"""A viewer elsewhere gets what one on the bridge's own computer gets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab import robots
+from armlab.bridge.messages import CommandRequest, SetRequest, Stop, Subscribe
+from armlab.bridge.row import Row
+from armlab.bridge.watch import Watch
+from armlab.bridge.zenoh import Place, ZenohFeed, close_session, robots_at
+from armlab.errors import ConfigError, LinkError
+from armlab.robots import Robot
+
+from .conftest import Running, free_port, until
+
+Start = Callable[..., Running]
+
+
+def test_a_viewer_elsewhere(start: Start, robot: Robot) -> None:
+    one = start()
+    with ZenohFeed(f"zenoh://127.0.0.1:{one.options['port']}/lab1") as feed:
+        assert feed.cell == "yumi"
+        watch, got = Watch(), []
+        feed.ask(Subscribe(rate=10.0))
+
+        def seen(kind: Any) -> bool:
+            one.row(motors=1, mci=3, rapid=2)
+            while feed.wait(0.0):
+                got.append(feed.receive())
+                watch.take(got[-1])
+            return any(
+                isinstance(each, Row) if kind is Row else isinstance(each, dict) and each["kind"] == kind
+                for each in got
+            )
+
+        for kind in ("about", "parameters", Row, "status"):
+            until(lambda kind=kind: seen(kind))
+        assert watch.arms(0)[0]["arm"] == robot.name
+        rows = [each for each in got if isinstance(each, Row)]
+        assert np.array_equal(rows[0].values[f"{robot.name}.q"], robot.q_home)
+        feed.ask(Subscribe(rate=None))
+        feed.ask(SetRequest(values={"gain": 0.25}))
+        until(lambda: one.exchange.poll() or one.exchange.parameters.gain == 0.25)
+        one.exchange.event("Hello.")
+        until(lambda: seen("event"))
+        feed.ask(Stop())
+        until(lambda: one.exchange.poll() or one.exchange.arbiter.stopped)
+        with pytest.raises(ConfigError, match="got CommandRequest"):
+            feed.ask(CommandRequest())
+        feed.ask(Subscribe(rate=0.0))
+        one.exchange.close()
+        with pytest.raises(LinkError, match="has gone"):
+            all_of(feed)
+
+
+def all_of(feed: ZenohFeed) -> None:
+    """Read until it ends."""
+    for _ in range(10_000):
+        feed.receive()
+
+
+def test_nothing_to_view(start: Start, robot: Robot) -> None:
+    port = free_port()
+    with pytest.raises(LinkError, match="none let us in"):
+        ZenohFeed(f"zenoh://127.0.0.1:{port}", patience=0.3)
+    start(port)
+    with pytest.raises(LinkError, match="Expected a robot in the lab 'lab2'"):
+        ZenohFeed(f"zenoh://127.0.0.1:{port}/lab2")
+    start(port, robot=robots.load("yumi_left"))
+    session = Place("127.0.0.1", port).open()
+    until(lambda: robots_at(session) == [("lab1", "yumi_left"), ("lab1", robot.name)])
+    assert robots_at(session, "lab2") == []
+    close_session(session)
+    with pytest.raises(ConfigError, match="yumi_left, yumi_right"):
+        ZenohFeed(f"zenoh://127.0.0.1:{port}/lab1")
+    with ZenohFeed(f"zenoh://127.0.0.1:{port}/lab1", "yumi_left") as feed:
+        assert feed.receive()["robots"].keys() == {"yumi_left"}  # type: ignore[union-attr]
