@@ -163,7 +163,7 @@ def test_units_for_some_components_are_refused(labels: tuple[str, str], tmp_path
 
 def test_what_a_table_drops_is_said(tmp_path: Path, capsys) -> None:
     read_samples(written(tmp_path / "a.csv", {"t [s]": np.array([0.0, 0.0, 1.0]), "plane": np.arange(3.0)}))
-    assert "a.csv: 1 rows that repeat a time are dropped" in capsys.readouterr().err
+    assert "a.csv: 1 rows dropped: their time does not advance (line 3)" in capsys.readouterr().err
 
 
 def test_poses_of_an_hdf5_file_of_another_program_are_not_transposed(T: np.ndarray, tmp_path: Path) -> None:

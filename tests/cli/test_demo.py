@@ -44,7 +44,7 @@ def test_the_free_motion_stays_below_half_speed(plan: Plan) -> None:
     ],
 )
 def test_refusals_come_before_the_work(tmp_path, capsys, words: list[str], sentence: str) -> None:
-    assert main(["demo", "--fast", "-o", str(tmp_path), *words]) in (1, 2)
+    assert main(["demo", "--fast", "-o", str(tmp_path), *words]) == 2
     assert sentence in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 

@@ -26,10 +26,14 @@ def free_port() -> int:
 
 @contextmanager
 def simulated(port: int, *words: str) -> Iterator[None]:
-    """Run `armlab sim`, streaming."""
+    """Run `armlab sim`, streaming; it has begun, however long a busy machine took."""
     command = [sys.executable, "-m", "armlab", "sim", "yumi_left", "--to", f"127.0.0.1:{port}", "--stream", "1000"]
     with subprocess.Popen([*command, *words], stderr=subprocess.DEVNULL) as process:
         try:
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as first:
+                first.bind(("0.0.0.0", port))
+                first.settimeout(120.0)
+                first.recv(65535)
             yield
         finally:
             process.terminate()
@@ -86,7 +90,7 @@ def test_ports_follow_the_robots(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
     ],
 )
 def test_refusals(words: list[str], sentence: str, capsys: Any) -> None:
-    assert main(["doctor", *words]) in (1, 2)
+    assert main(["doctor", *words]) == 2
     assert sentence in capsys.readouterr().err
     assert doctor.__doc__
 

@@ -21,7 +21,7 @@ def pushed(monkeypatch, truth, model, tmp_path) -> str:
         return np.outer(8.0 * ((t > 3) & (t < 4)), np.eye(6)[0])
 
     table = truth.log(identify.dither(truth.robot.q_home, 6.0), seed=5, wrench=hand)
-    monkeypatch.setattr("armlab.log.read", lambda path, **_: table)
+    monkeypatch.setattr("armlab.log.arm_log.read", lambda path, **_: table)
     return str(models.save(model, tmp_path / "model.toml"))
 
 
@@ -59,7 +59,7 @@ def test_rows_without_torque_are_counted_and_none_at_all_is_an_error(pushed: str
         (table.with_column("tau", np.where(rows >= 0, np.nan, table["tau"])), 1, "none among 1000"),
         (table.rows(slice(0, 0)), 1, "none among 0"),
     ):
-        monkeypatch.setattr("armlab.log.read", lambda path, broken=broken, **_: broken)
+        monkeypatch.setattr("armlab.log.arm_log.read", lambda path, broken=broken, **_: broken)
         assert main(words) == code
         assert sentence in capsys.readouterr().err
 
@@ -75,7 +75,7 @@ def test_json(pushed: str, capsys) -> None:
 
 
 def test_the_model_of_another_arm_is_refused(pushed: str, capsys) -> None:
-    assert main(["estimate", "yumi_right", "push.mcap", "--model", pushed]) == 1
+    assert main(["estimate", "yumi_right", "push.mcap", "--model", pushed]) == 2
     assert "yumi_left" in capsys.readouterr().err
 
 
@@ -124,7 +124,7 @@ def test_prior_and_point_reach_the_estimator(pushed: str, capsys) -> None:
     assert main([*words, "--point", "0", "0", "0"]) == 0
     known = json.loads(capsys.readouterr().out)
     assert known["axes"][3]["two_sigma"] == pytest.approx(0.0, abs=1e-9)
-    assert main([*words, "--prior-force=-1"]) == 1
+    assert main([*words, "--prior-force=-1"]) == 2
     assert "six positive" in capsys.readouterr().err
     assert main([*words, "--method", "kalman"]) == 2
     assert main([*words, "--bias"]) == 2
@@ -145,7 +145,7 @@ def test_limits_of_the_method_interval_are_printed(pushed: str, capsys) -> None:
 def test_gaps_are_named(pushed: str, truth, monkeypatch, capsys) -> None:
     table = truth.log(identify.dither(truth.robot.q_home, 4.0), seed=5)
     torn = table.rows((table.t < 2.0) | (table.t >= 2.5))
-    monkeypatch.setattr("armlab.log.read", lambda path, **_: torn)
+    monkeypatch.setattr("armlab.log.arm_log.read", lambda path, **_: torn)
     words = ["estimate", "yumi_left", "push.mcap", "--model", pushed]
     assert main(words) == 0
     assert "Gap in the log: 0.504 s after 2.00 s" in capsys.readouterr().out

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -22,8 +23,13 @@ from armlab.motion import fit_dmp
 
 NEED_NOTHING = {  # verbs without a required argument
     ("bridge", "release"), ("bridge", "resume"), ("bridge", "set"), ("bridge", "stop"),
-    ("config", "show"), ("demo",), ("doctor",), ("monitor",), ("robot", "list"), ("view",),
+    ("config", "show"), ("demo",), ("doctor",), ("fleet", "list"), ("fleet", "router"), ("monitor",),
+    ("robot", "list"), ("view",),
 }  # fmt: skip
+HEAVY = (  # to import; what a help needs is cyclopts, and rich with it
+    "cvxpy", "google.protobuf", "h5py", "lz4", "matplotlib", "msgspec", "mujoco", "numpy", "pyarrow", "rosbags",
+    "ruckig", "scipy", "threadpoolctl", "tomli_w", "viser", "zstandard",
+)  # fmt: skip
 FILES = {
     "none": None,
     "folder": None,
@@ -89,11 +95,21 @@ NUMBERS = {
     "doctor": "seconds port",
     "excite yumi_left -o new.csv": "seconds f0 harmonics speed acceleration seed joint noise approach",
     "monitor": "seconds",
+    "fleet router": "seconds port",
+    "fleet record -o new": "seconds",
+    "fleet list": "seconds",
     "demo": "seed",
     "dmp fit good.csv -o new.toml": "start basis kind schedule",
     "estimate yumi_left good.csv --model m.toml": "prior-force method",
 }
 MAY_BE_INFINITE = {"seconds", "patience"}
+READING = {"log", "identify", "estimate", "payload", "calibrate", "dmp", "plot", "bridge"}  # a file, not a name
+NOBODY = 65534
+LISTENING = """
+record yumi_left --port {} -o new.mcap
+run yumi_left still.py:still --link egm://127.0.0.1:{} --no-log
+dmp play motion.toml --robot yumi_left --link egm://127.0.0.1:{} --log new.mcap
+"""
 FULL = """
 log export good.csv new.csv
 log cut good.mcap --from 0.5 -o new.mcap
@@ -133,6 +149,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     log.write(table, folder / "good.csv")
     log.write(table, folder / "good.mcap", arm)
     fit_dmp(t, q, n_basis=8).value.save(folder / "motion.toml")
+    (folder / "still.py").write_text("def still(state):\n    return None\n")
     return folder
 
 
@@ -160,7 +177,9 @@ def tried(desk: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFix
 
 
 def contents(folder: Path) -> dict[Path, bytes]:
-    return {path: path.read_bytes() if path.is_file() else b"" for path in folder.rglob("*")}
+    """Everything in a folder, but what Python keeps of a controller that it has read."""
+    found = (path for path in folder.rglob("*") if "__pycache__" not in path.parts)
+    return {path: path.read_bytes() if path.is_file() else b"" for path in found}
 
 
 @pytest.mark.parametrize("words", list(verbs()), ids=" ".join)
@@ -172,6 +191,19 @@ def test_help_of_a_command_ends_with_an_example_that_is_right(
     assert tuple(example[: len(words)]) == words
     _, _, ignored = cli.build_app().parse_args(example, exit_on_error=False, print_error=False)
     assert not ignored
+
+
+def test_no_help_imports_what_is_heavy() -> None:
+    """In one process that tells the first command of each: a help that must be waited for is not asked for."""
+    code = (
+        "import contextlib, io, sys\nfrom armlab import cli\nfound = {}\n"
+        f"for words in {[(), *verbs()]}:\n"
+        "    with contextlib.redirect_stdout(io.StringIO()):\n        assert cli.main([*words, '--help']) == 0\n"
+        f"    found = {{name: words for name in {HEAVY} if name in sys.modules}} | found\n"
+        "print(found)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert (done.stdout, done.stderr) == ("{}\n", "")
 
 
 def test_the_reference_names_every_command() -> None:
@@ -230,7 +262,38 @@ def test_what_exists_is_kept_and_a_missing_folder_named(words: str, tried, desk:
 def test_a_wrong_number_gets_a_sentence(words: str, option: str, value: str, tried) -> None:
     if (option in MAY_BE_INFINITE and value == "1e999") or (option == "start" and value == "-1"):
         pytest.skip("this is a time without end, or one before the first sample")
-    tried([*words.split(), f"--{option}={value}"], (cli.FAILED, cli.WRONG_USE))
+    tried([*words.split(), f"--{option}={value}"], (cli.WRONG_USE,))
+
+
+@pytest.mark.parametrize("words", rows(LISTENING))
+def test_a_port_in_use_is_told_with_who_has_it(words: str, tried) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        port = taken.getsockname()[1]
+        said = tried(words.format(port).split(), (cli.FAILED,))
+    assert f":{port} to be free" in said
+    assert f"process {os.getpid()}" in said
+
+
+@pytest.mark.parametrize("words", [words for words in rows(INPUTS) if words.split()[0] in READING])
+def test_a_file_of_somebody_else_is_named(words: str, tried, desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tried(words.format("toml").split(), (cli.FAILED, cli.WRONG_USE))  # imports what nobody else may read
+    main, me = cli.main, os.geteuid()
+
+    def as_somebody_else(words: list[str]) -> int:
+        (desk / "text").chmod(0)
+        try:
+            os.seteuid(me or NOBODY)  # root may read everything
+            return main(words)
+        finally:
+            os.seteuid(me)
+            (desk / "text").chmod(0o600)
+
+    desk.chmod(0o755)
+    monkeypatch.setattr(cli, "main", as_somebody_else)
+    said = tried(words.format("text").split(), (cli.FAILED, cli.WRONG_USE))
+    assert "text" in said
+    assert "Permission denied" in said
 
 
 @pytest.mark.parametrize("words", rows(FULL))

@@ -148,7 +148,7 @@ def test_export_refuses_in_one_sentence(path: Path, tmp_path: Path, capsys: pyte
         ("kept.csv", "kept.csv.toml, which exists"),
         ("other.mcap", "the robot of the table"),
     ):
-        assert cli.main(["log", "export", str(path), str(tmp_path / output)]) in (1, 2)
+        assert cli.main(["log", "export", str(path), str(tmp_path / output)]) == 2
         assert words in capsys.readouterr().err.splitlines()[-1]
     assert cli.main(["log", "export", str(path), str(tmp_path / "run.rosbag2"), "--storage", "zip"]) == 2
     assert cli.main(["log", "export", str(path)]) == 2
@@ -273,6 +273,17 @@ def test_both_arms_in_one_file_are_shown_and_exported(
     assert {name: data["rows"] for name, data in told.items()} == {"yumi_right": 300, "yumi_left": 20}
     assert cli.main(["log", "export", both, left, "--robot", "yumi_left"]) == 0
     assert read(left).sha256 == read(recorder.path).sha256
+    for name in ("part.csv", "part.mcap"):
+        words = ["log", "cut", both, "--to", "0.04", "--robot", "yumi_left", "-o", str(tmp_path / name)]
+        assert cli.main(words) == 0
+        assert read(tmp_path / name).sha256 == read(recorder.path).between(-np.inf, 0.04).sha256
+    assert cli.main(["log", "cut", both, "--robot", "yumi_left", "-o", str(tmp_path / "left_alone.mcap")]) == 0
+    assert read(tmp_path / "left_alone.mcap").sha256 == read(left).sha256
+    assert cli.main(["log", "cut", left, "--to", "0.04", "--robot", "yumi_left", "-o", str(tmp_path / "new.mcap")]) == 0
+    assert len(read(tmp_path / "new.mcap")) == 10
+    capsys.readouterr()
+    assert cli.main(["log", "cut", both, "--to", "0.04", "-o", str(tmp_path / "which.csv")]) == 1
+    assert "--robot" in capsys.readouterr().err
 
 
 def test_open_calls_an_installed_program(

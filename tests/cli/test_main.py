@@ -35,12 +35,15 @@ def test_help_imports_no_command() -> None:
 
 
 def test_wrong_use_is_2_and_an_error_1_each_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    """A name that does not exist is wrong use, as a word that is missing; a file that cannot be read is a failure."""
     assert cli.main(["robot", "show"]) == cli.WRONG_USE
-    assert cli.main(["robot", "show", "yumi_rihgt"]) == cli.FAILED
+    assert cli.main(["robot", "show", "yumi_rihgt"]) == cli.WRONG_USE
+    assert cli.main(["log", "show", "no_such_log.mcap"]) == cli.FAILED
     lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == 2
+    assert len(lines) == 3
     assert "--name requires an argument" in lines[0]
     assert "Did you mean 'yumi_right'?" in lines[1]
+    assert "no_such_log.mcap" in lines[2]
 
 
 @pytest.mark.parametrize(

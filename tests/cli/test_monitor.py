@@ -91,3 +91,8 @@ def test_plain_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: An
     assert callable(monitor)
     assert main(["monitor"]) == 1
     assert "found none" in capsys.readouterr().err
+
+
+def test_a_bridge_elsewhere(capsys: Any) -> None:
+    assert main(["monitor", "--zenoh", "http://host"]) != 0
+    assert "zenoh://192.168.1.5:7447/lab1" in capsys.readouterr().err

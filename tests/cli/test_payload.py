@@ -33,7 +33,7 @@ def tables(truth) -> dict[str, Table]:
 @pytest.fixture
 def words(monkeypatch, tables: dict[str, Table], model, tmp_path: Path) -> list[str]:
     """The logs by name, and the model file."""
-    monkeypatch.setattr("armlab.log.read", lambda path, **_: tables[path.name])
+    monkeypatch.setattr("armlab.log.arm_log.read", lambda path, **_: tables[path.name])
     saved = models.save(model, tmp_path / "model.toml")
     return ["payload", "yumi_left", "full.mcap", "--model", str(saved)]
 
@@ -79,5 +79,5 @@ def test_without_a_load_none_is_to_be_added(words: list[str], capsys) -> None:
 
 
 def test_the_model_of_another_arm_is_refused(words: list[str], capsys) -> None:
-    assert main([words[0], "yumi_right", *words[2:]]) == 1
+    assert main([words[0], "yumi_right", *words[2:]]) == 2
     assert "yumi_left" in capsys.readouterr().err

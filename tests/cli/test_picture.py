@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import get_args
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
 from armlab import kinematics, log, robots
-from armlab.cli.picture import BESIDE, WHOLE, Part, Picture, arm_of, joints_in, poses_in, torque_model
+from armlab.cli import main
+from armlab.cli.picture import BESIDE, WHOLE, Joints, OwnRobot, Part, Picture, arm_of, joints_in, poses_in, torque_model
 from armlab.errors import ConfigError, LogError, ModelMismatchError
 from armlab.lie import se3
 from armlab.log import Table
@@ -50,6 +52,9 @@ def test_part_of_a_log(tmp_path: Path) -> None:
     assert len(Part(end=5.0).read(path)) == 5
     with pytest.raises(LogError, match=r"from 20 to inf s, got none: it ends at 9\.000 s"):
         Part(20.0).read(path)
+    nothing = log.write(Table(np.zeros(0), {"q": np.zeros((0, 2))}), tmp_path / "none.csv")
+    with pytest.raises(LogError, match=r"Expected rows in .*none\.csv, got a log without any"):
+        WHOLE.read(nothing)
 
 
 def test_one_arm_of_a_recording_of_both(tmp_path: Path) -> None:
@@ -75,10 +80,24 @@ def test_poses_are_those_of_the_log_or_of_a_robot() -> None:
 
 
 def test_joints_are_numbers_from_one() -> None:
-    assert joints_in(None) is None
-    assert joints_in("1,3") == [0, 2]
-    with pytest.raises(ConfigError, match="with commas"):
-        joints_in("one")
+    assert joints_in("1,3", 3) == [0, 2]
+    for wrong in ("one", "0", "1,4", "1,", ""):
+        with pytest.raises(ConfigError, match="from 1 to 3 with commas"):
+            joints_in(wrong, 3)
+
+
+def test_options_of_several_figures_are_explained_once(capsys: pytest.CaptureFixture[str]) -> None:
+    for name, options in {
+        "spectrum": [Joints],
+        "two_dof": [Joints],
+        "residual_speed": [Joints, OwnRobot],
+        "autocorrelation": [Joints, OwnRobot],
+        "hypotheses": [OwnRobot],
+    }.items():
+        assert main(["plot", name, "--help"]) == 0
+        told = " ".join(capsys.readouterr().out.replace("│", " ").split())
+        for option in options:
+            assert get_args(option)[1].help in told
 
 
 def test_a_model_knows_its_robot(model: TorqueModel, tmp_path: Path) -> None:

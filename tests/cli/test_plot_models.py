@@ -10,7 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from armlab import calibrate, identify, log, sim
+from armlab import calibrate, identify, log, robots, sim
 from armlab.cli import main, plot_models
 from armlab.cli.picture import Part
 from armlab.estimation import Fit
@@ -54,7 +54,11 @@ def test_a_model_and_a_log(files: tuple[str, str], drawn: dict[str, Any], fitted
 
 
 def test_a_log_is_read_as_that_of_the_robot_of_the_model(
-    files: tuple[str, str], drawn: dict[str, Any], fitted: Fit[TorqueModel], monkeypatch: pytest.MonkeyPatch
+    files: tuple[str, str],
+    drawn: dict[str, Any],
+    fitted: Fit[TorqueModel],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
 ) -> None:
     """A bag has its joints in the order of their driver; see `Part.read`."""
     asked, read = [], Part.read
@@ -72,6 +76,13 @@ def test_a_log_is_read_as_that_of_the_robot_of_the_model(
     assert main(["plot", "coverage", run, "--model", model]) == 0
     assert asked == [fitted.value.robot_name] * 5
     assert len(drawn) == 5
+    file = str(tmp_path / "arm.toml")  # as of a robot that is not in the library
+    robots.save(robots.load(fitted.value.robot_name), file)
+    assert main(["plot", "torque_fit", model, run, "--robot", file]) == 0
+    assert main(["plot", "spectrum", model, run, "--joints", "2", "--robot", file]) == 0
+    assert main(["plot", "friction_map", model, run, "--joint", "2", "--robot", file]) == 0
+    assert main(["plot", "coverage", run, "--model", model, "--robot", file]) == 0
+    assert asked[5:] == [file] * 4
 
 
 def test_a_model_alone(files: tuple[str, str], drawn: dict[str, Any], fitted: Fit[TorqueModel]) -> None:
@@ -93,16 +104,18 @@ def test_a_calibration_without_its_residuals(drawn: dict[str, Any], tmp_path: Pa
 
 def test_wrong_files_get_a_sentence(files: tuple[str, str], drawn: dict[str, Any], tmp_path: Path, capsys) -> None:
     model, run = files
-    for words, sentence in {
-        ("torque_fit", run, model): "TOML",
-        ("torque_fit", model, str(tmp_path / "none.mcap")): "none.mcap",
-        ("friction_map", model, "--joint", "9"): "from 0 to 6",
-        ("spectrum", model, run, "--joints", "a"): "with commas",
-        ("residual_speed", model, run, "--robot", "ur5e"): "ur5e",
-        ("coverage", run): "--model MODEL",
-        ("calibration", model): "torque model",
+    for words, (code, sentence) in {
+        ("torque_fit", run, model): (2, "TOML"),
+        ("torque_fit", model, str(tmp_path / "none.mcap")): (1, "none.mcap"),
+        ("friction_map", model, "--joint", "9"): (2, "from 1 to 7"),
+        ("spectrum", model, run, "--joints", "a"): (2, "with commas"),
+        ("residual_speed", model, run, "--joints", "8"): (2, "from 1 to 7"),
+        ("residual_speed", model, run, "--robot", "ur5e"): (2, "ur5e"),
+        ("torque_fit", model, run, "--robot", "ur5e"): (2, "ur5e"),
+        ("coverage", run): (1, "--model MODEL"),
+        ("calibration", model): (2, "torque model"),
     }.items():
-        assert main(["plot", *words]) in (1, 2)
+        assert main(["plot", *words]) == code
         assert sentence in capsys.readouterr().err
     assert main(["plot", "friction_map", model]) == 2
     assert not drawn

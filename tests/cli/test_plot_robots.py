@@ -34,7 +34,7 @@ def test_an_arm_at_home_and_through_a_log(tmp_path: Path, monkeypatch: pytest.Mo
     assert found["irb2400_workspace.png"].axes[0].get_title(loc="left").startswith("irb2400")
     assert "rad/s" in found["run_manipulability.png"].get_title()
     capsys.readouterr()
-    assert main(["plot", "robot", "irb9999"]) == 1
+    assert main(["plot", "robot", "irb9999"]) == 2
     assert "irb9999" in capsys.readouterr().err
     assert all(command.__doc__ for command in (robot, workspace, manipulability))
     plt.close("all")

@@ -15,7 +15,7 @@ def test_every_tick_is_in_the_histogram() -> None:
     receive = 10**18 + np.arange(1000) * 4_000_000
     late = np.arange(1000) % 100 == 0
     reply = rng.integers(20_000, 300_000, 1000)
-    values = {"receive_ns": receive, "send_ns": receive + reply, "step_ns": reply // 4}
+    values = {"receive_ns": receive, "send_ns": receive + reply, "step_ns": reply // 4, "wake_ns": reply // 8}
     ax = latency(Table(np.arange(1000) * 0.004, {**values, "late": late, "missed": np.ones(1000, dtype=int)}))
     assert ax.get_title(loc="left") == "1000 ticks, 1000 missed, 10 late"
     assert ax.get_xlabel() == "time [s]"
@@ -26,7 +26,9 @@ def test_every_tick_is_in_the_histogram() -> None:
     assert low <= reply.min() * 1e-9 < reply.max() * 1e-9 <= high  # seconds
     assert ax.xaxis.get_major_formatter()(2e-4) == "200 µs"
     steps = [patch for patch in ax.patches if not patch.get_fill()]
-    assert len(steps) == 2
+    assert [text.split(":")[0] for text in texts] == ["packet to reply", "controller", "wake-up"]
+    assert f"p50 {np.median(reply // 8) / 1e3:.1f} µs" in texts[2]
+    assert len(steps) == 3
     for outline in steps:
         assert outline.get_path().vertices[1:-1:2, 1].sum() == 1000
     assert ax.get_xscale() == "log"

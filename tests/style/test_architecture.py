@@ -17,6 +17,8 @@ from pathlib import Path
 
 import pytest
 
+from armlab.glossary import columns
+
 ROOT = Path(__file__).parents[2]
 SOURCE = ROOT / "src" / "armlab"
 GENERATED = {SOURCE / "wire/egm/armlab_egm_pb2.py"}
@@ -176,6 +178,15 @@ def test_file_names(path: Path) -> None:
     assert package(path) not in BANNED_NAMES
 
 
+@each_file(FILES)
+def test_columns_that_are_made_are_in_the_glossary(path: Path) -> None:
+    """A name that every log may have says its unit once; columns of the user's own are named by the user."""
+    for call in calls(path, "with_column"):
+        name = call.args[0]
+        if isinstance(name, ast.Constant):
+            assert name.value in columns(), f"{name.value!r} at line {call.lineno} is not in glossary.toml"
+
+
 @each_file(PUBLIC)
 def test_exports_exist_and_are_documented(path: Path) -> None:
     module = tree(path)
@@ -236,6 +247,16 @@ def test_package_exports_are_imported(path: Path) -> None:
     submodules = {p.stem for p in path.parent.glob("*.py")} | {p.name for p in path.parent.iterdir() if p.is_dir()}
     missing = [name for name in names if name not in bound | submodules]
     assert not missing, f"{missing} are exported but do not exist"
+
+
+@each_file([p for p in FILES if p.name == "__init__.py" and "__getattr__" in {f.name for f in functions(p)}])
+def test_what_is_imported_on_first_use_is_not_hidden_by_a_module(path: Path) -> None:
+    """Whoever imports `armlab.sim.x` binds the module to that name of the package, and `sim.x` is no function more."""
+    modules = {p.stem for p in path.parent.iterdir()}
+    for node in nodes(path):
+        if isinstance(node, ast.ImportFrom) and (SOURCE.parent / (node.module or "").replace(".", "/")) != path.parent:
+            hidden = {alias.name for alias in node.names} & modules
+            assert not hidden, f"{hidden} of {node.module} and a module have one name: rename the module"
 
 
 @each_file([p for p in PUBLIC if p.stem != "__init__" and package(p) not in ("errors", "glossary", "state")])

@@ -13,7 +13,12 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 SOURCE = ROOT / "src" / "armlab"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-MODULES = {"protobuf": "google", "tomli-w": "tomli_w"}  # packages that are imported by another name
+MODULES = {
+    "eclipse-zenoh": "zenoh",
+    "protobuf": "google",
+    "ruamel.yaml": "ruamel",
+    "tomli-w": "tomli_w",
+}  # packages that are imported by another name
 BROUGHT = {"attrs", "mpl_toolkits", "trimesh"}  # by cyclopts, whose help it is; by matplotlib; by viser, for its scenes
 NAMED = re.compile(r"^\s*(?:import|from) (\w+)|(?:import_module|needed)\(\"(\w+)", flags=re.M)
 BLOCKED = """

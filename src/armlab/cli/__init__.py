@@ -42,6 +42,7 @@ _COMMANDS = {
     "bridge": ("bridge:bridge", "Run a cell: robots, LabComm and other clients, parameters, one commander."),
     "monitor": ("monitor:monitor", "Watch a bridge that runs: rates, round trips, clamps, commander, events."),
     "view": ("view:view", "Arms, forces and curves in the browser: of logs, or of a bridge that runs."),
+    "fleet": ("fleet:fleet", "Many robots at once: a router, recordings of all, one list of them."),
     "log": ("log:log", "Show, export, cut, merge, open and repair logs."),
     "config": ("config:config", "Show settings: of files, of the environment, of a cell. Writes nothing."),
     "completion": ("completion:completion", "Print what lets bash, zsh or fish complete the words of armlab."),
@@ -138,7 +139,7 @@ def _run(words: list[str]) -> int:
 
 def _report(error: Exception) -> int:
     """Say in one sentence what went wrong and return the exit code."""
-    from armlab.errors import ArmlabError, ConfigError
+    from armlab.errors import ArmlabError, ConfigError, ModelMismatchError, UnknownName
 
     if isinstance(error, BrokenPipeError):
         # The reader of our output (head, less) has enough; keep the interpreter from complaining about it at exit.
@@ -150,7 +151,8 @@ def _report(error: Exception) -> int:
         _say(f"{error.strerror or error}{f': {error.filename}' if error.filename else ''}.")
     else:
         _say(f"internal error, {type(error).__name__}: {error} (--debug shows where; please report it).")
-    return WRONG_USE if isinstance(error, ConfigError) else FAILED
+    # A name that does not exist, and a model of another kind or arm, are words to be put right, as a wrong option is.
+    return WRONG_USE if isinstance(error, (ConfigError, ModelMismatchError, UnknownName)) else FAILED
 
 
 def _say(message: str) -> None:

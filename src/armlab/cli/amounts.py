@@ -1,12 +1,28 @@
-"""Numbers that were given to options, refused before any work begins."""
+"""What was given to options, refused before any work begins."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 
-from armlab.errors import ConfigError
+from armlab.errors import ConfigError, ShapeError
 
-__all__ = ["require_positive"]
+__all__ = ["as_given", "require_positive"]
+
+
+@contextmanager
+def as_given() -> Iterator[None]:
+    """Take what the library refuses as wrong use: the block, or function, works on the words of a command alone.
+
+    Raises
+    ------
+    ConfigError : with the sentence of the library.
+    """
+    try:
+        yield
+    except ShapeError as error:
+        raise ConfigError(str(error)) from error
 
 
 def require_positive(option: str, value: float | None, unit: str = "") -> None:

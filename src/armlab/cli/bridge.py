@@ -15,7 +15,7 @@ from armlab.errors import ConfigError
 if TYPE_CHECKING:
     from armlab.bridge.messages import Request
 
-__all__ = ["bridge", "release", "resume", "set_parameters", "start", "stop"]
+__all__ = ["bridge", "certificates", "release", "resume", "set_parameters", "start", "stop"]
 
 _PATIENCE = 10.0  # s for an answer: reports go on when a request was lost
 
@@ -122,6 +122,23 @@ def resume(*, cell: str = "") -> None:
     from armlab.bridge.messages import Resume
 
     _operate(Resume(), cell)
+
+
+@bridge.command(help_epilogue="Example: armlab bridge certificates lab/ --host 192.168.1.5")
+def certificates(folder: Path, *, host: list[str] | None = None) -> None:
+    """Write what a bridge needs to take commands over Zenoh from other computers: certificates, users, passwords.
+
+    Parameters
+    ----------
+    folder
+        Where to. What is secret in it is readable by you alone.
+    host
+        Names and addresses of the bridge's computer, as others call it; localhost always.
+    """
+    from armlab.cli.certificates import write_certificates
+    from armlab.cli.output import result
+
+    result("\n".join(str(path) for path in write_certificates(folder, host or ())))
 
 
 def _operate(request: Request, cell: str) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 import re
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -184,10 +185,12 @@ def read_samples(path: Path) -> Samples:
     labels, separator = _header(path) if is_text(path) else ([], ",")
     _check_units(path, labels)
     timed = any(label.split("[")[0].strip() in _CLOCKS for label in labels)
-    if labels and (separator != "," or not timed):
-        table = logs.read_csv(path, rate=None if timed else 1.0, separator=separator)
-    else:
-        table = logs.read(path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the notes of the table say the same and are shown below
+        if labels and (separator != "," or not timed):
+            table = logs.read_csv(path, rate=None if timed else 1.0, separator=separator)
+        else:
+            table = logs.read(path)
     for line in table.notes:
         note(f"{path.name}: {line}")
     if is_foreign(path) and "q" in table:

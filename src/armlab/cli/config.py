@@ -38,7 +38,7 @@ def show(*, config: Path | None = None, origin: bool = False, json: bool = False
         (name, getattr(told.settings, name), told.origins[name]) for name in told.settings.__struct_fields__
     ]
     if config is not None:
-        rows = [(name, str(config), "--config") if name == "cell" else (name, *rest) for name, *rest in rows]  # type: ignore[misc]
+        rows = [row if row[0] != "cell" else ("cell", str(config), "--config") for row in rows]
     elif told.settings.cell is not None:
         config = Path(told.settings.cell)
     if config is not None:

@@ -24,7 +24,6 @@ from armlab.errors import ConfigError, ControllerLate, UnknownName
 if TYPE_CHECKING:
     import numpy as np
 
-    from armlab.bridge.feed import Exchange
     from armlab.contact import Estimator
     from armlab.identify import Trajectory
     from armlab.robots import Robot
@@ -197,18 +196,20 @@ def rehearse(robot_name: str, seed: int, folder: Path, fast: bool, view: bool = 
     rows = np.column_stack([plan.times, plan.wrenches])
     np.savetxt(press_file, rows, delimiter=",", header="t,fx,fy,fz,mx,my,mz", comments="", fmt="%.9g")
     with ExitStack() as stack:
-        feed = stack.enter_context(_shown(robot)) if view else None
+        cell = f"demo-{os.getpid()}" if view else ""
+        if view:
+            stack.enter_context(_shown(cell))
         with progress("1/3 excite") as tell:
             controller = plan.excitation.controller(APPROACH)
             seconds = APPROACH + plan.excitation.seconds
-            _drive(robot, _url(robot_name, fast, 2 * seed), controller, seconds, folder / "excite.mcap", tell, feed)
+            _drive(robot, _url(robot_name, fast, 2 * seed), controller, seconds, folder / "excite.mcap", tell, cell)
         with progress("2/3 identify") as tell:
             fit = fit_dynamics(log.read(folder / "excite.mcap"), robot, progress=tell)
             fit.save(folder / "model.toml")
         with progress("3/3 press") as tell:
             controller = _estimating(plan, Estimator(fit.value, robot))
             url = _url(robot_name, fast, 2 * seed + 1, press_file)
-            run = _drive(robot, url, controller, APPROACH + plan.test.seconds, folder / "press.mcap", tell, feed)
+            run = _drive(robot, url, controller, APPROACH + plan.test.seconds, folder / "press.mcap", tell, cell)
     return {"plan": plan, "fit": fit, "run": run, "estimate": log.read(folder / "press.mcap"), "robot": robot}
 
 
@@ -234,28 +235,21 @@ def _estimating(plan: Plan, estimator: Estimator) -> Any:
 
 
 @contextmanager
-def _shown(robot: Robot) -> Iterator[Exchange]:
-    """Show in the browser what is fed to what this yields; neither feed nor view can hold the loop up."""
-    from armlab.bridge.offering import offered
+def _shown(cell: str) -> Iterator[None]:
+    """Show in the browser what links offer under this name; the view can hold none of them up."""
     from armlab.cli.output import result
     from armlab.cli.view import beside
 
-    cell = f"demo-{os.getpid()}"
-    with offered([robot], cell) as feed, beside(cell) as line:
+    with beside(cell) as line:
         result(line)
         sys.stdout.flush()
-        yield feed
+        yield
 
 
-def _drive(
-    robot: Robot, url: str, controller: Any, seconds: float, path: Path, tell: Any, feed: Exchange | None
-) -> Any:
+def _drive(robot: Robot, url: str, controller: Any, seconds: float, path: Path, tell: Any, cell: str) -> Any:
     from armlab import bridge
-    from armlab.bridge.offering import stoppable
     from armlab.log import Column
 
     extra = {"observability": Column(shape=(6,))}  # wrench_hat and its covariance need no declaration
-    feeds = () if feed is None else (feed,)
-    step = controller if feed is None else stoppable(controller, feed.arbiter)
-    with bridge.connect(url, robot) as link:
-        return link.run(step, seconds, record=path, extra=extra, progress=tell, feeds=feeds)
+    with bridge.connect(url, robot, offer=cell) as link:
+        return link.run(controller, seconds, record=path, extra=extra, progress=tell)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import App, Parameter
 
@@ -157,34 +157,43 @@ def play(
     force : bool
         Replace an existing file of --output.
     """
-    from armlab import bridge, models, robots
     from armlab import log as logs
-    from armlab.cli.dmp_playing import motion_of, numbers_in, rehearsed, resolved, rolled_out
+    from armlab import models
+    from armlab.cli.dmp_playing import numbers_in, rehearsed, resolved, rolled_out
     from armlab.cli.output import check_output, note, print_json
-    from armlab.cli.settings import load_settings, log_folder
+    from armlab.cli.settings import log_folder
     from armlab.errors import ConfigError
 
-    if robot is None and output is None:
-        raise ConfigError("Expected --robot NAME to move, or --output FILE to write the motion to, got neither.")
-    if output is not None:
-        check_output(output, force, [".csv", ".mcap"])
     given = {"duration": duration, "amplitude": amplitude, "turns": turns, "via": via or None}
     given |= {"start": numbers_in(start, "start"), "goal": numbers_in(goal, "goal")}
-    motion, run = resolved(models.load(primitive), given)
-    arm = None if robot is None else robots.load(robot)
-    if arm is None:
-        table = rolled_out(motion, run)
+    if output is None:
+        if robot is None:
+            raise ConfigError("Expected --robot NAME to move, or --output FILE to write the motion to, got neither.")
+        plan = _plan(primitive, given, robot, speed, firm)
+        return _move(*plan, link, log or log_folder() / "dmp.mcap", json)
+    check_output(output, force, [".csv", ".mcap"])
+    if robot is None:
+        arm, table = None, rolled_out(*resolved(models.load(primitive), given))
     else:
-        share = load_settings().settings.speed if speed is None else speed
-        limits = bridge.Limits.of(arm, speed=share)
-        plan = motion_of(motion, run, arm, limits, firm)
-        if output is None:
-            return _move(arm, plan, limits, link, log or log_folder() / "dmp.mcap", json)
-        table = rehearsed(plan)
-    note(f"motion: {logs.write(table, output, arm)}")  # type: ignore[arg-type]  # without --output there is an arm
+        arm, motion, _ = _plan(primitive, given, robot, speed, firm)
+        table = rehearsed(motion)
+    note(f"motion: {logs.write(table, output, arm)}")
     if json:
         print_json({"seconds": float(table.t[-1]), "samples": len(table), "columns": list(table.names)})
     return 0
+
+
+def _plan(
+    primitive: Path, given: dict[str, Any], robot: str, speed: float | None, firm: bool
+) -> tuple[Robot, Motion, Limits]:
+    """Return the robot, its motion within the limits, and these."""
+    from armlab import bridge, models, robots
+    from armlab.cli.dmp_playing import motion_of, resolved
+    from armlab.cli.settings import load_settings
+
+    arm = robots.load(robot)
+    limits = bridge.Limits.of(arm, speed=load_settings().settings.speed if speed is None else speed)
+    return arm, motion_of(*resolved(models.load(primitive), given), arm, limits, firm), limits
 
 
 def _move(robot: Robot, motion: Motion, limits: Limits, link: str | None, log: Path, json: bool) -> int:

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from armlab.cli.amounts import as_given
+
 if TYPE_CHECKING:
     from armlab.bridge import Limits
     from armlab.log import Table
@@ -73,6 +75,7 @@ def numbers_in(text: str | None, option: str) -> np.ndarray | None:
         ) from None
 
 
+@as_given()
 def resolved(primitive: Any, given: Mapping[str, Any]) -> tuple[Any, dict[str, Any]]:
     """Return the primitive that passes the via-points, and what is left to set of its run.
 
@@ -84,7 +87,7 @@ def resolved(primitive: Any, given: Mapping[str, Any]) -> tuple[Any, dict[str, A
 
     Raises
     ------
-    ConfigError : no primitive, an option that its kind does not have, words that are no points.
+    ConfigError : no primitive, an option that its kind does not have, words that are no points or none it can pass.
     """
     from armlab.errors import ConfigError
     from armlab.motion import TwoDofDmp, fit_dmp, through
@@ -107,6 +110,7 @@ def resolved(primitive: Any, given: Mapping[str, Any]) -> tuple[Any, dict[str, A
     return primitive, run
 
 
+@as_given()
 def rolled_out(primitive: Any, run: Mapping[str, Any]) -> Table:
     """Return the motion at 250 Hz: y, yd and ydd (N, n), or poses of the tool.
 
@@ -131,6 +135,7 @@ def rolled_out(primitive: Any, run: Mapping[str, Any]) -> Table:
     return Table(found.t, names, {name: Column(unit="1") for name in names})  # rad or m, which no primitive knows
 
 
+@as_given()
 def motion_of(primitive: Any, run: Mapping[str, Any], robot: Robot, limits: Limits, firm: bool) -> Motion:
     """Return what leads the arm: stretched in time until it keeps to the limits of velocity.
 
@@ -140,7 +145,7 @@ def motion_of(primitive: Any, run: Mapping[str, Any], robot: Robot, limits: Limi
 
     Raises
     ------
-    ShapeError : a primitive of another arm, a goal outside the limits or out of reach.
+    ConfigError : a primitive of another arm, a goal outside the limits or out of reach.
     """
     from armlab.motion import PeriodicDmp, PoseDmp
 

@@ -98,6 +98,7 @@ def estimate(
     from armlab import models, robots
     from armlab.cli import estimate_report as reporting
     from armlab.cli import estimate_tables as tables
+    from armlab.cli.amounts import as_given
     from armlab.cli.output import FIGURES, check_output, note, progress, save_figure
     from armlab.cli.reading import doubts, read_log
     from armlab.contact import Estimator, contacts
@@ -108,7 +109,8 @@ def estimate(
     arm = robots.load(robot)
     known = models.load(model)
     options = {"force_rate": force_rate, "bias": bias}
-    estimator = Estimator(known, arm, method, prior.deviations, prior.point, **options)
+    with as_given():
+        estimator = Estimator(known, arm, method, prior.deviations, prior.point, **options)
     with progress("estimate") as tell:
         tell(0, 1, "reading the log")
         table = estimator.run(read_log(log, arm), progress=tell)

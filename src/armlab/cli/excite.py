@@ -101,7 +101,7 @@ def excite(
     """
     from armlab import log as logs
     from armlab import robots
-    from armlab.cli.amounts import require_positive
+    from armlab.cli.amounts import as_given, require_positive
     from armlab.cli.output import FIGURES, check_output, note, print_json, progress, result, save_figure
     from armlab.cli.settings import load_settings, log_folder
     from armlab.errors import ConfigError
@@ -121,7 +121,8 @@ def excite(
         _check_link(arm, run)
     with progress("design") as tell:
         if saved is None:
-            trajectory = _design(arm, motion, speed, joint, tell)
+            with as_given():
+                trajectory = _design(arm, motion, speed, joint, tell)
         else:
             tell(0, 2, f"reading {saved.name}")
             trajectory = Trajectory.from_table(logs.read(saved))
@@ -152,10 +153,11 @@ def _design(
     robot: Robot, motion: Motion, speed: float, joint: str | None, tell: Callable[[float, float, str], None]
 ) -> Trajectory:
     """Design a motion of all joints, or of one."""
+    from armlab.cli.picture import joints_in
     from armlab.identify import excitation, friction_run
 
     if joint is not None:
-        return friction_run(robot, int(joint) - 1 if joint.isdecimal() else joint)
+        return friction_run(robot, joints_in(joint, robot.n)[0] if joint.isdecimal() else joint)
     shape = motion.seconds, motion.f0, motion.harmonics, speed, motion.acceleration
     return excitation(
         robot,

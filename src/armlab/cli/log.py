@@ -91,8 +91,8 @@ def export(
     from armlab import log as logs
     from armlab import robots
     from armlab.cli.output import check_output, note, progress, refuse_overwrite, result
-    from armlab.log.formats import BAGS, format_at
     from armlab.log.mat_table import matlab_names
+    from armlab.log.reading import names_robots
     from armlab.log.sidecar import sidecar_path
     from armlab.log.writing import ENDINGS
 
@@ -105,7 +105,7 @@ def export(
         tell(0, 1, f"reading {file.name}")
         table = logs.read(
             file,
-            robot=robot if format_at(file) in ("MCAP", *BAGS) else None,
+            robot=robot if names_robots(file) else None,
             clock=clock,
             progress=lambda done, total, _: tell(done, total, f"reading {file.name}"),
         )
@@ -152,6 +152,7 @@ def cut(
     *,
     from_: Annotated[float | None, Parameter(name="--from")] = None,
     to: float | None = None,
+    robot: str | None = None,
     output: Annotated[Path, Parameter(alias="-o")],
     force: bool = False,
 ) -> None:
@@ -168,31 +169,37 @@ def cut(
         Seconds of the table, as armlab log show and the figures have them; from the beginning when not given.
     to
         Seconds of the table; to the end when not given.
+    robot
+        Which one, of a recording of several: all of them stay in .mcap when not given. Else as in armlab log export.
     output
         The new file: .mcap of a recording; else an ending that armlab log export knows.
     force
         Replace an existing file.
     """
     from armlab import log as logs
+    from armlab import robots
     from armlab.cli.output import check_output, progress, result
     from armlab.errors import ConfigError, LogError
     from armlab.log.formats import format_at
+    from armlab.log.reading import names_robots
+    from armlab.log.topic_reading import is_foreign
     from armlab.log.writing import ENDINGS
 
     start, stop = (-float("inf") if from_ is None else from_), (float("inf") if to is None else to)
-    if not start < stop or (from_ is None and to is None):
+    if not start < stop or (from_, to, robot) == (None, None, None):
         raise ConfigError(f"Expected --from S, --to S or both, the first before the second, got {from_} and {to}.")
     check_output(output, force, ENDINGS)
     with progress("cut") as tell:
-        if format_at(file) in ("MCAP", "") and output.suffix.lower() == ".mcap":
-            logs.cut(file, output, start, stop, progress=tell)
+        if output.suffix.lower() == ".mcap" and format_at(file) in ("MCAP", "") and not is_foreign(file):
+            logs.cut(file, output, start, stop, robot=robot, progress=tell)
         else:
-            table = logs.read(file)
+            arm = robots.load(robot) if robot is not None and output.suffix.lower() == ".mcap" else None
+            table = logs.read(file, robot=robot if names_robots(file) else None)
             part = table.between(start, stop)
             if not len(part):
                 has = f"{table.t[0]:g} s to {table.t[-1]:g} s" if len(table) else "no rows at all"
                 raise LogError(f"Expected rows between {start:g} s and {stop:g} s in {file}, got none; it has {has}.")
-            logs.write(part, output, progress=tell)
+            logs.write(part, output, arm, progress=tell)
     result(str(output))
 
 

@@ -19,7 +19,7 @@ _RATE = 10.0  # Hz of the display
 _LINES = 1.0  # s between two lines where there is no terminal
 
 
-def monitor(robot: str | None = None, *, cell: str = "", seconds: float | None = None) -> None:
+def monitor(robot: str | None = None, *, cell: str = "", zenoh: str = "", seconds: float | None = None) -> None:
     """Watch a bridge of this user that runs, until Ctrl-C or its end.
 
     Parameters
@@ -28,6 +28,8 @@ def monitor(robot: str | None = None, *, cell: str = "", seconds: float | None =
         Show this arm only.
     cell
         Name of the cell; needed when several run.
+    zenoh
+        A bridge on another computer, for example zenoh://192.168.1.5:7447/lab1.
     seconds
         Time after which to end [s].
     """
@@ -36,6 +38,7 @@ def monitor(robot: str | None = None, *, cell: str = "", seconds: float | None =
     from armlab.bridge.local import LocalFeed
     from armlab.bridge.messages import Subscribe
     from armlab.bridge.watch import Watch
+    from armlab.bridge.zenoh import ZenohFeed
     from armlab.cli.output import note, result
 
     if seconds is not None and not seconds >= 0.0:
@@ -43,7 +46,7 @@ def monitor(robot: str | None = None, *, cell: str = "", seconds: float | None =
     console = Console()
     watch = Watch(robot)
     end = math.inf if seconds is None else time.monotonic() + seconds
-    with LocalFeed(cell) as feed:
+    with ZenohFeed(zenoh, robot or "") if zenoh else LocalFeed(cell) as feed:
         feed.ask(Subscribe(rate=_RATE))
         try:
             if console.is_terminal:

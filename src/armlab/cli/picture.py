@@ -2,21 +2,39 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 from cyclopts import Parameter
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from armlab.log import Table
     from armlab.models import TorqueModel
     from armlab.robots import Robot
 
-__all__ = ["BESIDE", "WHOLE", "Part", "Picture", "arm_of", "joints_in", "poses_in", "torque_model"]
+__all__ = [
+    "BESIDE",
+    "WHOLE",
+    "Joints",
+    "OwnRobot",
+    "Part",
+    "Picture",
+    "arm_of",
+    "joints_in",
+    "poses_in",
+    "torque_model",
+]
 
 POSES = ("T_base_tool", "T_frame_tool")
+
+Joints = Annotated[str | None, Parameter(help="Numbers from 1 with commas between; all when not given.")]
+"""Which joints are drawn."""
+OwnRobot = Annotated[str | None, Parameter(help="Robot file, where the robot of the model is not in the library.")]
+"""The robot of a model."""
 
 
 @Parameter(name="*")
@@ -111,10 +129,11 @@ class Part:
             whole = read_joints(path, robots.load(robot))
         else:
             whole = log.read(path, robot=self.arm)
-        low, high = (-np.inf if self.start is None else self.start), (np.inf if self.end is None else self.end)
-        part = whole.between(low, high)
+        low, high = (-math.inf if self.start is None else self.start), (math.inf if self.end is None else self.end)
+        if not len(whole):
+            raise LogError(f"Expected rows in {path}, got a log without any. Nothing was recorded.")
+        part, last = whole.between(low, high), whole.t[-1]
         if not len(part):
-            last = whole.t[-1] if len(whole) else 0.0
             raise LogError(f"Expected rows of {path} from {low:g} to {high:g} s, got none: it ends at {last:.3f} s.")
         return part
 
@@ -185,22 +204,20 @@ def poses_in(table: Table, path: Path, column: str | None, robot: str | None) ->
     return table[name]
 
 
-def joints_in(words: str | None) -> list[int] | None:
-    """Return numbers of joints from 0; None for None.
+def joints_in(words: str, n: int) -> list[int]:
+    """Return numbers of joints from 0.
 
     Parameters
     ----------
-    words : numbers from 1 with commas between.
+    words : numbers from 1 with commas between. n : how many joints there are.
 
     Raises
     ------
-    ConfigError : something else.
+    ConfigError : something else, or no such joint.
     """
     from armlab.errors import ConfigError
 
-    if words is None:
-        return None
-    try:
-        return [int(word) - 1 for word in words.split(",")]
-    except ValueError:
-        raise ConfigError(f"Expected --joints as numbers from 1 with commas between, got {words!r}.") from None
+    numbers = [int(word) if word.strip().isdecimal() else 0 for word in words.split(",")]
+    if not all(1 <= number <= n for number in numbers):
+        raise ConfigError(f"Expected joints as numbers from 1 to {n} with commas between, got {words!r}.")
+    return [number - 1 for number in numbers]

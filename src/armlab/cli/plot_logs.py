@@ -112,9 +112,14 @@ def latency(log: Path, *, part: Part = WHOLE, picture: Picture = BESIDE) -> int:
         Recording of a run.
     """
     from armlab import plots
+    from armlab.errors import LogError, UnknownName
 
     path = picture.path(log, "latency")
-    return picture.save(plots.latency(part.read(log)), path)
+    try:
+        drawn = plots.latency(part.read(log))
+    except UnknownName as error:  # the log has not what is drawn; nobody named a column
+        raise LogError(str(error)) from error
+    return picture.save(drawn, path)
 
 
 def wrench(log: Path, *, part: Part = WHOLE, picture: Picture = BESIDE) -> int:

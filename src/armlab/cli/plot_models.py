@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from armlab.cli.picture import BESIDE, WHOLE, Part, Picture, arm_of, joints_in, torque_model
+from armlab.cli.picture import BESIDE, WHOLE, Joints, OwnRobot, Part, Picture, arm_of, joints_in, torque_model
 
 if TYPE_CHECKING:
     from armlab.log import Table
@@ -17,7 +17,7 @@ __all__ = [
 ]  # fmt: skip
 
 
-def torque_fit(model: Path, log: Path, *, part: Part = WHOLE, picture: Picture = BESIDE) -> int:
+def torque_fit(model: Path, log: Path, *, robot: OwnRobot = None, part: Part = WHOLE, picture: Picture = BESIDE) -> int:
     """Draw measured and modelled torque of each joint, and the residual with its 2-sigma band.
 
     Parameters
@@ -31,14 +31,14 @@ def torque_fit(model: Path, log: Path, *, part: Part = WHOLE, picture: Picture =
 
     path = picture.path(log, "torque_fit")
     known = torque_model(model)
-    return picture.save(plots.torque_fit(known, part.read(log, known.robot_name)), path)
+    return picture.save(plots.torque_fit(known, _log_of(known, robot, log, part)), path)
 
 
 def friction(
     model: Path,
     log: Path | None = None,
     *,
-    robot: str | None = None,
+    robot: OwnRobot = None,
     part: Part = WHOLE,
     picture: Picture = BESIDE,
 ) -> int:
@@ -50,8 +50,6 @@ def friction(
         Model file of `armlab identify`.
     log : Path
         Recording of free motion, drawn as points.
-    robot : str
-        Robot file, where the robot of the model is not in the library.
     """
     from armlab import plots
     from armlab.estimation import Fit
@@ -63,7 +61,13 @@ def friction(
 
 
 def friction_map(
-    model: Path, log: Path | None = None, *, joint: int, part: Part = WHOLE, picture: Picture = BESIDE
+    model: Path,
+    log: Path | None = None,
+    *,
+    joint: int,
+    robot: OwnRobot = None,
+    part: Part = WHOLE,
+    picture: Picture = BESIDE,
 ) -> int:
     """Draw the friction of one joint over position and velocity; what the log leaves open is hatched.
 
@@ -80,12 +84,19 @@ def friction_map(
 
     path = picture.path(model, f"friction_map_{joint}")
     known = torque_model(model)
-    covered = None if log is None else part.read(log, known.robot_name)
-    return picture.save(plots.friction_map(known, joint - 1, covered), path)
+    (number,) = joints_in(str(joint), known.n)
+    covered = None if log is None else _log_of(known, robot, log, part)
+    return picture.save(plots.friction_map(known, number, covered), path)
 
 
 def spectrum(
-    model: Path, log: Path, *, joints: str | None = None, part: Part = WHOLE, picture: Picture = BESIDE
+    model: Path,
+    log: Path,
+    *,
+    joints: Joints = None,
+    robot: OwnRobot = None,
+    part: Part = WHOLE,
+    picture: Picture = BESIDE,
 ) -> int:
     """Draw what is left of the torque over cycles per turn, without and with the ripple that the model has.
 
@@ -95,14 +106,13 @@ def spectrum(
         Model file of `armlab identify`.
     log : Path
         Recording of free motion.
-    joints : str
-        Numbers from 1 with commas between; all when not given.
     """
     from armlab import plots
 
     path = picture.path(log, "spectrum")
     known = torque_model(model)
-    return picture.save(plots.spectrum(known, part.read(log, known.robot_name), joints_in(joints)), path)
+    drawn = None if joints is None else joints_in(joints, known.n)
+    return picture.save(plots.spectrum(known, _log_of(known, robot, log, part), drawn), path)
 
 
 def velocity_covariance(model: Path, *, picture: Picture = BESIDE) -> int:
@@ -123,8 +133,8 @@ def residual_speed(
     model: Path,
     log: Path,
     *,
-    joints: str | None = None,
-    robot: str | None = None,
+    joints: Joints = None,
+    robot: OwnRobot = None,
     part: Part = WHOLE,
     picture: Picture = BESIDE,
 ) -> int:
@@ -136,25 +146,22 @@ def residual_speed(
         Model file of `armlab identify`.
     log : Path
         Recording of free motion.
-    joints : str
-        Numbers from 1 with commas between; all when not given.
-    robot : str
-        Robot file, where the robot of the model is not in the library.
     """
     from armlab import plots
 
     path = picture.path(log, "residual_speed")
     known = torque_model(model)
+    drawn = None if joints is None else joints_in(joints, known.n)
     left = _estimate(known, robot, log, part)
-    return picture.save(plots.residual_speed(left, {"model": known.covariance}, joints_in(joints)), path)
+    return picture.save(plots.residual_speed(left, {"model": known.covariance}, drawn), path)
 
 
 def autocorrelation(
     model: Path,
     log: Path,
     *,
-    joints: str | None = None,
-    robot: str | None = None,
+    joints: Joints = None,
+    robot: OwnRobot = None,
     part: Part = WHOLE,
     picture: Picture = BESIDE,
 ) -> int:
@@ -166,19 +173,19 @@ def autocorrelation(
         Model file of `armlab identify`.
     log : Path
         Recording of free motion.
-    joints : str
-        Numbers from 1 with commas between; all when not given.
-    robot : str
-        Robot file, where the robot of the model is not in the library.
     """
     from armlab import plots
 
     path = picture.path(log, "autocorrelation")
-    left = _estimate(torque_model(model), robot, log, part)
-    return picture.save(plots.autocorrelation(left, joints_in(joints)), path)
+    known = torque_model(model)
+    drawn = None if joints is None else joints_in(joints, known.n)
+    left = _estimate(known, robot, log, part)
+    return picture.save(plots.autocorrelation(left, drawn), path)
 
 
-def coverage(log: Path, *, model: Path | None = None, part: Part = WHOLE, picture: Picture = BESIDE) -> int:
+def coverage(
+    log: Path, *, model: Path | None = None, robot: OwnRobot = None, part: Part = WHOLE, picture: Picture = BESIDE
+) -> int:
     """Draw how many errors are inside 2 sigma, by speed: of the wrench against a sensor, of torques with --model.
 
     Parameters
@@ -194,7 +201,7 @@ def coverage(log: Path, *, model: Path | None = None, part: Part = WHOLE, pictur
 
     path = picture.path(log, "coverage")
     known = None if model is None else torque_model(model)
-    read = part.read(log, None if known is None else known.robot_name)
+    read = part.read(log, robot) if known is None else _log_of(known, robot, log, part)
     if known is None and not {"wrench", "wrench_true"} & set(read.names):
         raise LogError(
             f"Expected a force sensor in {log}, column wrench, to compare the estimate with, got none. "
@@ -203,9 +210,7 @@ def coverage(log: Path, *, model: Path | None = None, part: Part = WHOLE, pictur
     return picture.save(plots.coverage(read if known is None else predict(known, read)), path)
 
 
-def hypotheses(
-    model: Path, log: Path, *, robot: str | None = None, part: Part = WHOLE, picture: Picture = BESIDE
-) -> int:
+def hypotheses(model: Path, log: Path, *, robot: OwnRobot = None, part: Part = WHOLE, picture: Picture = BESIDE) -> int:
     """Draw how probable it is that there is a contact, and where.
 
     Parameters
@@ -214,8 +219,6 @@ def hypotheses(
         Model file of `armlab identify`.
     log : Path
         Recording with contact.
-    robot : str
-        Robot file, where the robot of the model is not in the library.
     """
     from armlab import contact, plots
 
@@ -262,8 +265,15 @@ def excitation(fit: Path, *, picture: Picture = BESIDE) -> int:
     return picture.save(plots.excitation(Fit.load(fit).excitation), path)
 
 
+def _log_of(model: TorqueModel, robot: str | None, log: Path, part: Part) -> Table:
+    """Return that part of a log, the joints of another program's in the order of the model's robot."""
+    if robot is not None:
+        arm_of(model, robot)  # refuses another
+    return part.read(log, robot or model.robot_name)
+
+
 def _estimate(model: TorqueModel, robot: str | None, log: Path, part: Part) -> Table:
     """Return that part of a log with what the estimator makes of it."""
     from armlab.contact import Estimator
 
-    return Estimator(model, arm_of(model, robot)).run(part.read(log, robot or model.robot_name))
+    return Estimator(model, arm_of(model, robot)).run(_log_of(model, robot, log, part))

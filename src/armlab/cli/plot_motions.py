@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from armlab.cli.picture import BESIDE, Picture
+from armlab.cli.picture import BESIDE, Joints, Picture, joints_in
 
 if TYPE_CHECKING:
     from armlab.log import Table
@@ -80,7 +80,7 @@ def two_dof(
     log: Path,
     *,
     disturbed: list[str] | None = None,
-    joints: str | None = None,
+    joints: Joints = None,
     duration: float | None = None,
     goal: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
     picture: Picture = BESIDE,
@@ -95,8 +95,6 @@ def two_dof(
         Recording of `armlab dmp play`.
     disturbed : list of str
         START,END of a time when something held the arm [s], which is shaded.
-    joints : str
-        Numbers from 1 with commas between; all when not given.
     duration : float
         Of the run [s]; that of the demonstration when not given.
     goal : str
@@ -105,7 +103,7 @@ def two_dof(
     from armlab import log as logs
     from armlab import models, plots
     from armlab.cli.dmp_playing import numbers_in
-    from armlab.errors import ConfigError
+    from armlab.errors import ConfigError, LogError
     from armlab.motion import Dmp, TwoDofDmp
 
     path = picture.path(log, "two_dof")
@@ -115,12 +113,11 @@ def two_dof(
         raise ConfigError(f"Expected a primitive of joints, got another kind in {primitive}. Name the right file.")
     table: Table = logs.read(log)
     if "path_error" not in table:
-        raise ConfigError(f"Expected a run that waits for its arm in {log}, got none. Record it without --firm.")
+        raise LogError(f"Expected a run that waits for its arm in {log}, got none. Record it without --firm.")
     spans = [numbers_in(word, "disturbed") for word in disturbed or ()]
     if any(span is None or len(span) != 2 for span in spans):
         raise ConfigError(f"Expected --disturbed as START,END, got {' '.join(disturbed or ())}.")
     held = [(float(span[0]), float(span[1])) for span in spans if span is not None]
     run = law.recorded(table, held, duration=duration, g=numbers_in(goal, "goal"))
-    numbers = numbers_in(joints, "joints")
-    which = None if numbers is None else [int(number) - 1 for number in numbers]
+    which = None if joints is None else joints_in(joints, run.yc.shape[1])
     return picture.save(plots.two_dof(run, which), path)

@@ -53,43 +53,11 @@ def read_log(path: Path, robot: Robot) -> Table:
     ------
     LogError : no positions or torques. ModelMismatchError : a recording of another robot.
     """
-    from armlab import log as logs
-    from armlab.errors import LogError
     from armlab.identify import with_velocity
-    from armlab.log.topic_reading import is_foreign, read_joints
+    from armlab.log import read_arm
 
-    several = _check_robot(path, robot)
     with reading_bar(path) as tell:
-        if is_foreign(path):
-            table = read_joints(path, robot, tell)
-        else:
-            table = logs.read(path, robot=robot.name if several else None, progress=tell)
-    missing = [name for name in ("q", "tau") if name not in table]
-    if missing:
-        raise LogError(
-            f"Expected positions and torques, columns q and tau, in {path}, got none for {' and '.join(missing)} among "
-            f"{', '.join(table.names)}. Record with the research extension, which sends torques."
-        )
-    return with_velocity(table)
-
-
-def _check_robot(path: Path, robot: Robot) -> bool:
-    """Refuse a recording without rows of a robot of this name; True when it holds several. Text knows none."""
-    from armlab import log as logs
-    from armlab.errors import ModelMismatchError
-    from armlab.log.messages import topic_name
-
-    if path.suffix != ".mcap" or not path.is_file():
-        return False
-    told = logs.inspect(path)
-    several = len(told.robots) > 1  # named by their topics, in which some letters cannot stand
-    names = told.robots if several else (told.metadata.get("armlab", {}).get("robot", robot.name),)
-    if (topic_name(robot.name) if several else robot.name) not in names:
-        raise ModelMismatchError(
-            f"Expected a recording of {robot.name!r}, got one of {' and '.join(map(repr, names))} in {path}. Name the "
-            "robot that was recorded."
-        )
-    return several
+        return with_velocity(read_arm(path, robot, tell))
 
 
 def doubts(table: Table, robot: Robot) -> tuple[str, ...]:

@@ -15,11 +15,10 @@ from cyclopts import Parameter
 
 from armlab._interrupts import deferred
 from armlab.cli import FAILED, INTERRUPTED
-from armlab.cli.sim_files import Written, truth_writer
 from armlab.cli.sim_options import Around, Content, FaultOptions
 from armlab.errors import ConfigError
-from armlab.sim.guidance import Settings
 from armlab.sim.mismatch import Mismatch
+from armlab.sim.settings import Settings
 
 if TYPE_CHECKING:
     from armlab.robots import Robot
@@ -102,6 +101,7 @@ def sim(
         Process with which to end; the one that started this one by default.
     """
     from armlab.cli.output import note
+    from armlab.cli.sim_files import Written, truth_writer
     from armlab.sim.loop import Pace, run
 
     os.environ.setdefault("MUJOCO_GL", "disable")  # nothing is drawn: MuJoCo need not load what opens windows

@@ -5,17 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from armlab.cli.sim_files import read_hand, read_operator
 from armlab.errors import ConfigError
-from armlab.robots import Robot
-from armlab.sim.faults import FaultRates
-from armlab.sim.grip import Grip
-from armlab.sim.hand import HandPath
-from armlab.sim.operator import Operator
-from armlab.sim.scene import Scene
-from armlab.sim.script import MOTORS, RAPID, Script
+from armlab.sim.fault_rates import FaultRates
+
+if TYPE_CHECKING:
+    from armlab.robots import Robot
+    from armlab.sim import Scene
 
 __all__ = ["Around", "Content", "FaultOptions", "pair"]
 
@@ -144,6 +141,9 @@ class Around:
         ------
         ConfigError, UnknownName : a file or a state that makes no sense.
         """
+        from armlab.cli.sim_files import read_hand, read_operator
+        from armlab.sim import MOTORS, RAPID, Grip, HandPath, Operator, Scene, Script
+
         operator = Operator.idle() if self.operator is None or index else read_operator(self.operator)
         hand = HandPath.random(robot, seed) if self.hand is None or index else read_hand(self.hand, robot.n)
         grip = None if self.grip is None or index else Grip(*pair("grip", self.grip))

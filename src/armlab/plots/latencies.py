@@ -22,11 +22,11 @@ _QUANTILES = (("p50", 0.5), ("p99", 0.99), ("p99.9", 0.999), ("max", 1.0))
 
 
 def latency(table: Table, ax: Any = None) -> Axes:
-    """Draw histograms of the time from packet to reply, and of the controller's step, on a logarithmic axis.
+    """Draw histograms of packet to reply, of the controller's step and of the loop's wake-up on a logarithmic axis.
 
     Parameters
     ----------
-    table : recording with receive_ns and send_ns, or step_ns (N,).
+    table : recording with receive_ns and send_ns, or step_ns, or wake_ns (N,).
     ax : Axes to draw into; a new figure when None.
 
     Returns
@@ -70,8 +70,10 @@ def _spans(table: Table) -> dict[str, np.ndarray]:
         found["packet to reply"] = (table["send_ns"] - table["receive_ns"]) / 1e9
     if "step_ns" in table:
         found["controller"] = table["step_ns"] / 1e9
+    if "wake_ns" in table:
+        found["wake-up"] = table["wake_ns"] / 1e9
     if not found:
-        raise UnknownName.among("column of loop times", "receive_ns, send_ns or step_ns", table.names)
+        raise UnknownName.among("column of loop times", "receive_ns, send_ns, step_ns or wake_ns", table.names)
     kept = {name: values[np.isfinite(values) & (values > 0)] for name, values in found.items()}
     if not any(map(len, kept.values())):
         raise ShapeError(f"Expected times of a loop above zero, got none in {len(table)} rows. Draw a log of a run.")
