@@ -38,6 +38,7 @@ ticks = 20_000
 receive = 4_000_000 * np.arange(ticks) + rng.exponential(30_000, ticks).astype(int)
 loop = {"receive_ns": receive, "step_ns": rng.lognormal(9.5, 0.3, ticks).astype(int)}
 loop |= {"send_ns": receive + loop["step_ns"] + rng.lognormal(11, 0.5, ticks).astype(int)}
+loop |= {"wake_ns": rng.lognormal(10, 0.4, ticks).astype(int)}
 loop |= {"missed": rng.binomial(1, 2e-4, ticks), "late": rng.binomial(1, 1e-4, ticks).astype(bool)}
 plots.latency(Table(0.004 * np.arange(ticks), loop)).figure.savefig("gallery_latency.png", dpi=110)
 # -- torque_fit
