@@ -4,10 +4,14 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 STAMP := .venv/.armlab-installed
 
+# Two tests at a time, as the smallest machine of today has two cores: one that waits for its robot costs the other
+# nothing. Small matrices: with several threads BLAS would only wait for itself.
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
+
 # Tests start many programs: with bytecode kept none of them compiles the package again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo test check docs bench api clean
+.PHONY: help setup demo test slow reference check docs bench api clean
 
 help:  ## list the commands
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "make %-8s %s\n", $$1, $$2}'
@@ -24,7 +28,14 @@ demo: $(STAMP)  ## simulated YuMi over EGM: excite, identify, estimate a hand's 
 	$(BIN)/armlab demo
 
 test: $(STAMP)  ## the default tests
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest  # small matrices: more threads of BLAS only wait
+	$(PYTEST)
+
+slow: $(STAMP)  ## the tests marked slow; those of the pages read what make docs wrote
+	$(PYTEST) -m slow --durations=25
+
+reference: $(STAMP)  ## tests of the kernels in NumPy; force and identification would take minutes, tests/contract holds them
+	ARMLAB_KERNELS=reference $(PYTEST) -W "ignore:armlab runs its NumPy:RuntimeWarning" \
+	  --ignore=tests/models/test_coupled.py $(addprefix tests/,kernels kinematics lie laws robots models estimation)
 
 check: $(STAMP)  ## linters and type checks
 	$(BIN)/ruff check .

@@ -23,6 +23,7 @@ VERBS = (
     "calibrate hand-eye",
     "dmp fit",
     "log show",
+    "plot",
     "bridge",
     "sim",
 )
