@@ -6,7 +6,8 @@ STAMP := .venv/.armlab-installed
 
 # Two tests at a time, as the smallest machine of today has two cores: one that waits for its robot costs the other
 # nothing. Small matrices: with several threads BLAS would only wait for itself.
-PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
+TOGETHER ?= 2
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(TOGETHER) --dist worksteal
 
 # Tests start many programs: with bytecode kept none of them compiles the package again.
 unexport PYTHONDONTWRITEBYTECODE
