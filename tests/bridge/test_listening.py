@@ -42,6 +42,20 @@ def test_who_commands_from_elsewhere_has_to_know_a_secret() -> None:
     assert listening(["rosbridge=0.0.0.0"], cell) == {"rosbridge": "0.0.0.0"}
 
 
+@pytest.mark.parametrize(("commanding", "opened"), [("zenoh", "rmw_zenoh"), ("rmw_zenoh", "zenoh")])
+def test_no_commands_come_through_the_open_router_of_the_other_server(commanding: str, opened: str) -> None:
+    text = FILE.replace("labcomm", opened).replace('["local"]', f'["{commanding}"]')
+    with pytest.raises(ConfigError, match=f"shares the router at port 7447 with {commanding}"):
+        listening([f"{opened}=0.0.0.0"], parse_cell(f"{text}\n[servers.{commanding}]"))
+    through = parse_cell(f'{text}\nport = 7448\n[servers.{commanding}]\nrouter = "127.0.0.1:7448"')
+    with pytest.raises(ConfigError, match="shares the router at port 7448"):
+        listening([f"{opened}=0.0.0.0"], through)
+    apart = parse_cell(f"{text}\n[servers.{commanding}]\nport = 7448")
+    assert listening([f"{opened}=0.0.0.0"], apart) == {opened: "0.0.0.0", commanding: "127.0.0.1"}
+    together = parse_cell(f"{text}\n[servers.{commanding}]")
+    assert set(listening([], together).values()) == {"127.0.0.1"}
+
+
 def test_who_proves_nothing_only_reads() -> None:
     assert not is_open({}, "127.0.0.1")
     assert is_open({}, "192.168.1.5")

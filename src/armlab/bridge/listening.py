@@ -18,6 +18,8 @@ __all__ = ["is_open", "listening"]
 GUARDED = "guarded"
 """Option by which a server says that who commands through it has to know a secret, and that nobody can overhear it."""
 
+_ZENOH = ("zenoh", "rmw_zenoh")  # at one port they share a router, and what reaches one of them reaches the other
+
 
 def listening(listen: Iterable[str], cell: Cell) -> dict[str, str]:
     """Return the address of each network server: loopback, or what the user asked for.
@@ -29,7 +31,7 @@ def listening(listen: Iterable[str], cell: Cell) -> dict[str, str]:
     Raises
     ------
     ConfigError, UnknownName : another form, server or interface, or a server that may command beyond this computer
-        without secret and encryption.
+        without secret and encryption, or shares its router with one that is open.
     """
     found = {name: "127.0.0.1" for name in cell.servers if name != OPERATOR}
     for word in listen:
@@ -43,6 +45,7 @@ def listening(listen: Iterable[str], cell: Cell) -> dict[str, str]:
                 f"Expected {server} on this computer only, since `commands` names it, got --listen {word}: "
                 f"{_why(options)} Or take it out of `commands`, or let clients come through an SSH tunnel."
             )
+    _check_routers(cell, found)
     return found
 
 
@@ -54,6 +57,28 @@ def is_open(options: Mapping[str, Any], address: str) -> bool:
     options : of the server, whose "guarded" may say that it asks for a secret and encrypts. address : it listens on.
     """
     return not options.get(GUARDED, False) and not ipaddress.ip_address(address).is_loopback
+
+
+def _check_routers(cell: Cell, addresses: Mapping[str, str]) -> None:
+    """Refuse that commands of one Zenoh server come through the router of another that anybody reaches."""
+    places = {name: _router_port(cell.servers[name]) for name in _ZENOH if name in cell.servers}
+    for name in places:
+        for other, place in places.items():
+            is_shared = other != name and place and place == places[name]
+            if is_shared and name in cell.commands and is_open(cell.servers[other], addresses[other]):
+                raise ConfigError(
+                    f"Expected {other} on this computer only, got --listen {other}={addresses[other]}: it shares the "
+                    f"router at port {place} with {name}, which `commands` names, so that anybody could command. Give "
+                    f"[servers.{other}] another `port`."
+                )
+
+
+def _router_port(options: Mapping[str, Any]) -> str:
+    """Return the port of the router on this computer that a Zenoh server uses, "" when it shares none."""
+    host, _, port = options["router"].rpartition(":")
+    if host:
+        return port if host.startswith("127.") else ""
+    return str(options["port"] or "")
 
 
 def _why(options: Mapping[str, Any]) -> str:
