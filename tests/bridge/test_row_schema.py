@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 
 import pytest
@@ -25,6 +26,17 @@ def test_the_schema_is_its_own_text() -> None:
     assert (field.unit, field.shape, field.labels[0]) == ("N m", (7,), LEFT.joint_names[0])
     assert all(field.offset % 8 == 0 for field in again.fields.values())
     assert RowSchema.of([LEFT]).id != BOTH.id
+
+
+def test_golden_text_and_id() -> None:
+    """Other programs read rows by this text and know it by this id."""
+    schema = RowSchema(["a"], [RowField("a.q", "float64", (2,), "rad", "", ("one", "two"), "a", 40)])
+    expected = (
+        b'{"fields":[{"frame":"","labels":["one","two"],"name":"a.q","offset":40,"shape":[2],"source":"a",'
+        b'"type":"float64","unit":"rad"}],"robots":["a"],"version":1}'
+    )
+    assert schema.text == expected
+    assert schema.id == hashlib.sha256(expected).digest()[:8] == bytes.fromhex("bee64d13376b7474")
 
 
 @pytest.mark.parametrize(

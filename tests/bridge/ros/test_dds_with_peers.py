@@ -20,14 +20,14 @@ import numpy as np
 import pytest
 
 from armlab import kinematics, robots
-from armlab.bridge.cell import parse_cell, run_cell
+from armlab.bridge.cell import parse_cell
 from armlab.bridge.feed import Exchange
-from armlab.bridge.rights import Arbiter
 from armlab.bridge.servers import Servers, server_command
 from armlab.log import Tick
 from armlab.state import Command, State
 
 from .dds_peers import free_domain, until
+from .ending import play
 
 pytest.importorskip("cyclonedds", reason="the extra ros is not installed")
 
@@ -199,29 +199,13 @@ def runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 def test_a_node_moves_the_simulated_arm(node: list[str], runtime: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A whole cell in real time. Takes 8 s."""
-    over, obey = threading.Event(), Arbiter.__call__
-
-    def obey_or_end(arbiter: Arbiter, state: Any) -> Any:
-        command = obey(arbiter, state)
-        return Command.stop() if over.is_set() else command
-
-    monkeypatch.setattr(Arbiter, "__call__", obey_or_end)
     domain = free_domain()
     cell = parse_cell(
         f'name = "yumi"\ncommands = ["ros2"]\n[[robots]]\nname = "yumi_left"\nlink = "sim://yumi_left"\n'
         f"[servers.ros2]\ndomain = {domain}\n"
     )
     found: dict[str, Any] = {}
-
-    def play() -> None:
-        try:
-            found.update(Peer(node, runtime, domain, 1000, 300, 700).ended())
-        finally:
-            over.set()
-
-    player = threading.Thread(target=play)
-    run = run_cell(cell, seconds=60.0, patience=20.0, ready=lambda line: player.start())
-    player.join()
+    run = play(monkeypatch, cell, lambda: found.update(Peer(node, runtime, domain, 1000, 300, 700).ended()))
     lines = found["J"]
     assert any(text.startswith("ros2 ") and text.endswith(" commands yumi_left.") for _, text in run.events)
     q = np.array([words[4:11] for words in lines], dtype=float)

@@ -36,9 +36,10 @@ import json, sys, rospy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from rosgraph_msgs.msg import Log
-numbers, names, texts = [], set(), []
+numbers, values, names, texts = [], [], set(), []
 def state(message):
     numbers.append(message.header.stamp.to_nsec())
+    values.append(message.position[6])
     names.update(message.name)
 rospy.init_node("reader")
 rospy.Subscriber("/yumi_right/joint_states", JointState, state, tcp_nodelay=True, queue_size=1000)
@@ -46,7 +47,7 @@ rospy.Subscriber("/yumi_right/parameters", String, lambda message: texts.append(
 end = rospy.get_time() + 60.0
 while rospy.get_time() < end and (not numbers or numbers[-1] < int(sys.argv[1])):
     rospy.sleep(0.01)
-print(json.dumps([numbers, sorted(names), texts]))
+print(json.dumps([numbers, values, sorted(names), texts]))
 """
 
 COMMANDER = """
@@ -88,6 +89,7 @@ class Running:
 
     def state(self) -> State:
         q = np.array(self.robot.q_home)
+        q[6] = np.sin(self.number)
         return State(t=1.5, dt=0.004, q=q, qd=np.zeros(7), tau=q, robot=self.robot.name, q_start=q)
 
     def until(self, condition: Callable[[], Any]) -> Any:
@@ -125,10 +127,11 @@ def test_a_node_gets_every_row_in_order(ros: Ros, running: Running) -> None:
     running.number = 10**9  # tells the reader to end
     running.until(lambda: reader.poll() is not None)
     assert reader.stdout is not None
-    numbers, names, texts = json.loads(reader.stdout.read())
+    numbers, values, names, texts = json.loads(reader.stdout.read())
     assert names == sorted(joint_names(running.robot))
     assert json.loads(texts[0]) == {"gain": 0.5}
     assert np.all(np.diff(numbers) > 0)
+    assert values == np.sin(numbers).tolist()
     counted = [number for number in numbers if numbers[0] + 500 <= number <= last]
     assert len(counted) >= 0.999 * (last - numbers[0] - 500 + 1)
     assert len(counted) > 500

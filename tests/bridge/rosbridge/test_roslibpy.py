@@ -108,5 +108,6 @@ def test_roslibpy_reads_sets_and_commands_while_another_client_is_stopped(
     assert len(numbers) >= 1250
     assert len(numbers) >= 0.999 * (numbers[-1] - numbers[0] + 1)
     assert joint[-1] - joint[0] > 0.02
+    assert set(joint) <= set(np.asarray(cell_run.table["q"])[:, 3]), "what the client read is what was measured"
     assert any("rosbridge 127.0.0.1:" in event and "commands yumi_left." in event for _, event in cell_run.events)
     assert cell_run.statistics["parameters"]["gain"] == 3.0
