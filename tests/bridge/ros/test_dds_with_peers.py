@@ -1,6 +1,6 @@
-"""Level 2 of the test ladder: nodes in Python, C (Cyclone DDS 0.10) and C++ (Fast DDS) that know nothing of armlab.
+"""Level 2 of the test ladder: nodes in Python, C (Cyclone DDS) and C++ (Fast DDS) that know nothing of armlab.
 
-What stands here is what docs/ros.md says was checked.
+What stands here is what docs/ros.md says was checked, with the versions of Debian 12, on which .ci/run runs.
 """
 
 from __future__ import annotations
@@ -68,8 +68,8 @@ def _fast(folder: Path) -> list[str]:
 
 PEERS: dict[str, Callable[[Path], list[str]]] = {
     "cyclonedds, Python": _python,
-    "Cyclone DDS 0.10, C": _cyclone,
-    "Fast DDS 2.9, C++": _fast,
+    "Cyclone DDS 0.10.2, C": _cyclone,
+    "Fast DDS 2.9.1, C++": _fast,
 }
 
 
