@@ -15,7 +15,7 @@ from typing import Any
 from armlab import robots
 from armlab.bridge.row import MAGIC
 from armlab.bridge.row_schema import RowSchema
-from armlab.bridge.zenoh import close_session, key, open_session
+from armlab.bridge.zenoh import checksum, close_session, key, open_session
 from armlab.bridge.zenoh.output import Waiting
 from armlab.robots import to_toml
 
@@ -59,7 +59,8 @@ class _Arm:
         schema = self.schema
         HEAD.pack_into(self.row, 0, MAGIC, schema.size, schema.id, tick + 1, time.monotonic_ns(), time.time_ns())
         struct.pack_into("<q", self.row, self.tick, tick)
-        self.output.put(bytes(self.row))
+        data = bytes(self.row)
+        self.output.put(data, checksum(data))
 
 
 def _answer(where: str, text: str, query: Any) -> None:

@@ -1,5 +1,6 @@
-"""Started by tests: `publisher.py router PORT`, or `publisher.py publisher PORT ROBOT [NAME]`: a Zenoh server at the
-other end of an exchange, as in a bridge, with a row of that robot every 4 ms until standard input is closed."""
+"""Started by tests: `publisher.py router PORT`, or `publisher.py publisher PORT ROBOT [NAME [PERIOD [TICK]]]`: a Zenoh
+server at the other end of an exchange, as in a bridge, with a row of that robot every 4 ms, or so many seconds, until
+standard input is closed; the first has that tick."""
 
 from __future__ import annotations
 
@@ -18,8 +19,6 @@ from armlab.fleet import Router
 from armlab.log import Tick
 from armlab.state import State
 
-PERIOD = 0.004
-
 
 def main() -> None:
     kind, port, *words = sys.argv[1:]
@@ -28,7 +27,8 @@ def main() -> None:
             print(router.where, flush=True)
             sys.stdin.read()
         return
-    robot = replace(robots.load(words[0]), name=words[-1])
+    model, name, period, first = [*words, *(words[0], "0.004", "0")[len(words) - 1 :]]
+    robot, period, tick = replace(robots.load(model), name=name), float(period), int(first)
     exchange = Exchange([robot], ["zenoh"], about={"cell": robot.name})
     options = {"lab": "lab1", "host": "127.0.0.1", "port": 0, "router": f"127.0.0.1:{port}"}
     process = ZenohProcess(exchange.open("zenoh"), options)
@@ -38,9 +38,9 @@ def main() -> None:
     rows, due, q = 0, time.monotonic(), np.array(robot.q_home)
     while not select.select([sys.stdin], [], [], max(0.0, due - time.monotonic()))[0]:
         now = time.time_ns()
-        state = State(t=PERIOD * rows, dt=PERIOD, q=q + 1e-6 * rows, qd=0 * q, tau=0 * q, robot=robot.name, seq=rows)
-        exchange.row(state, None, Tick(rows, -1, now, now, -1, 0))
-        rows, due = rows + 1, due + PERIOD
+        state = State(t=period * rows, dt=period, q=q + 1e-6 * rows, qd=0 * q, tau=0 * q, robot=robot.name, seq=rows)
+        exchange.row(state, None, Tick(tick + rows, -1, now, now, -1, 0))
+        rows, due = rows + 1, due + period
     exchange.close()
     serving.join()
     print(rows, flush=True)

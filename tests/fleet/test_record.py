@@ -9,16 +9,15 @@ import numpy as np
 import pytest
 
 from armlab import log
-from armlab.bridge.zenoh import EVERY, Place, close_session, open_session
-from armlab.errors import LinkError
+from armlab.bridge.zenoh import EVERY, Place, checksum, close_session, open_session
 from armlab.fleet import FleetRecorder, Router, robot_record
-from armlab.fleet.record import open_behind
 from armlab.robots import Robot
 
 from .conftest import Started, free_port, until
 
 NAMES = ("yumi_left", "yumi_right", "ur5e")
 PAST = 250  # rows that make a good start
+ROW = b"ALR1" + bytes(60)
 
 
 def rows_of(recorder: FleetRecorder, name: str) -> int:
@@ -33,11 +32,6 @@ def check_ticks(path: Path, holes: int = 0) -> np.ndarray:
     return ticks
 
 
-def test_a_router_that_is_not_there_is_told(tmp_path: Path) -> None:
-    with pytest.raises(LinkError, match="Expected a Zenoh router"):
-        open_behind(Place(port=free_port()), patience=0.2)
-
-
 def test_messages_of_no_robot_are_counted_and_leave_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(robot_record, "_UNANSWERED", 0.3)
     told: list[str] = []
@@ -45,18 +39,23 @@ def test_messages_of_no_robot_are_counted_and_leave_no_file(tmp_path: Path, monk
         session = open_session("client", connect=[f"127.0.0.1:{port}"])
 
         def sent() -> bool:
-            session.put("armlab/lab1/nobody/state", b"ALR1" + bytes(60))
-            session.put("armlab/lab1/other/state", b"hello")
-            session.put("armlab/lab1/.hidden/state", b"ALR1" + bytes(60))
+            for name, data in (("nobody", ROW), ("other", b"hello"), (".hidden", ROW)):
+                session.put(f"armlab/lab1/{name}/state", data, attachment=checksum(data))
+            session.put("armlab/lab1/damaged/state", ROW, attachment=checksum(ROW[:-1] + b"x"))
+            session.put("armlab/lab1/damaged/state", ROW)
             known = fleet.robots
             return fleet.strangers > 3 and "lab1/other" in known and known["lab1/other"].refused > 3
 
         until(sent)
         until(lambda: fleet.robots["lab1/nobody"].refused > 0)
+        damaged = fleet.robots["lab1/damaged"]
+        assert damaged.damaged > 6
+        assert (damaged.rows, damaged.refused) == (0, 0)
         close_session(session)
     assert list(tmp_path.iterdir()) == []
     assert any("nobody says what is in its rows" in text for text in told)
     assert any("lab1/other: messages are refused" in text for text in told)
+    assert sum("lab1/damaged: rows come damaged" in text for text in told) == 1
 
 
 @pytest.mark.slow
@@ -94,6 +93,29 @@ def test_a_router_that_dies_leaves_a_hole_that_is_counted(processes: Callable[..
     (path,) = tmp_path.iterdir()
     check_ticks(path, holes=lost)
     assert any("rows were dropped while recording" in note for note in log.read(path).notes)
+
+
+@pytest.mark.slow
+def test_a_bridge_that_restarts_while_the_router_is_down_is_no_hole(
+    processes: Callable[..., Started], tmp_path: Path
+) -> None:
+    """Also when its ticks are past those of the old one."""
+    port, name, told = free_port(), "lab1/yumi_left", []
+    router = processes("router", port)
+    with FleetRecorder(Place(port=port, lab="lab1"), tmp_path, told.append) as fleet:
+        first = processes("publisher", port, "yumi_left")
+        until(lambda: rows_of(fleet, name) > PAST)
+        router.kill()
+        first.kill()
+        seen = rows_of(fleet, name)
+        again = processes("publisher", port, "yumi_left", "yumi_left", "0.004", "1000000")
+        processes("router", port)
+        until(lambda: rows_of(fleet, name) > seen + PAST)
+        again.end()
+    assert any("its bridge has restarted" in text for text in told)
+    assert fleet.robots[name].lost == 0
+    old, new = (check_ticks(path) for path in fleet.robots[name].paths)
+    assert old[-1] < 1_000_000 <= new[0]
 
 
 @pytest.mark.slow

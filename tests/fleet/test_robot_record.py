@@ -22,8 +22,8 @@ from armlab.state import State
 class Bridge:
     """Makes rows and says what is in them."""
 
-    def __init__(self, robot: Robot) -> None:
-        self.schema, self.robot = RowSchema.of([robot]), robot
+    def __init__(self, robot: Robot, run: str = "first") -> None:
+        self.schema, self.robot, self.run = RowSchema.of([robot]), robot, run
         self.writer = RowWriter(self.schema)
 
     def row(self, tick: int, stamp: int) -> bytes:
@@ -34,7 +34,7 @@ class Bridge:
 
     @property
     def about(self) -> bytes:
-        said = {"schema": self.schema.text.decode(), "robots": {self.robot.name: to_toml(self.robot)}}
+        said = {"run": self.run, "schema": self.schema.text.decode(), "robots": {self.robot.name: to_toml(self.robot)}}
         return json.dumps([said]).encode()
 
 
@@ -78,6 +78,59 @@ def test_a_bridge_that_starts_again_gets_a_file_of_its_own(record: RobotRecord, 
     assert [path.name for path in record.paths] == ["arm.mcap", "arm-2.mcap"]
     assert [len(log.read(path)) for path in record.paths] == [10, 3]
     assert record.lost == 0
+
+
+def test_a_bridge_that_comes_again_in_the_same_run_has_a_hole(record: RobotRecord, robot: Robot) -> None:
+    fed(record, Bridge(robot), [(k, k) for k in range(10)])
+    record.doubt()
+    fed(record, Bridge(robot), [(k, k) for k in range(20, 25)])
+    record.close()
+    assert (record.rows, record.lost, len(record.paths)) == (15, 10, 1)
+
+
+@pytest.mark.parametrize("first", [0, 10, 20, 1_000_000])
+def test_a_bridge_that_restarted_unseen_has_no_hole(
+    record: RobotRecord, robot: Robot, told: list[str], first: int
+) -> None:
+    """Whatever its ticks are; what came before it had gone belongs to the old run."""
+    fed(record, Bridge(robot), [(k, k) for k in range(9)])
+    record.take(Bridge(robot).row(9, 9))
+    record.doubt()
+    fed(record, Bridge(robot, "second"), [(first + k, 100 + k) for k in range(3)])
+    record.close()
+    assert (record.rows, record.lost) == (13, 0)
+    assert [len(log.read(path)) for path in record.paths] == [10, 3]
+    assert sum("has restarted" in text for text in told) == 1
+
+
+def test_rows_of_a_bridge_that_does_not_answer_are_taken_for_the_same_run(
+    record: RobotRecord, robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fed(record, Bridge(robot), [(0, 0)])
+    record.doubt()
+    monkeypatch.setattr(robot_record, "_UNANSWERED", -1.0)
+    record.take(Bridge(robot).row(3, 3))
+    record.write()
+    record.write()
+    assert (record.rows, record.lost, record.refused, record.wants) == (2, 2, 0, False)
+    record.doubt()
+    record.take(Bridge(robot).row(4, 4))
+    monkeypatch.undo()
+    record.close()
+    assert record.rows == 3, "also at the end"
+
+
+def test_damaged_rows_are_counted_and_named_in_the_file(record: RobotRecord, robot: Robot, told: list[str]) -> None:
+    bridge = Bridge(robot)
+    record.take(None)
+    fed(record, bridge, [(0, 0)])
+    record.take(None)
+    fed(record, bridge, [(2, 2)])
+    record.close()
+    assert (record.rows, record.lost, record.damaged, record.refused) == (2, 1, 2, 0)
+    assert sum("rows come damaged" in text for text in told) == 1
+    events = [event.text for event in log.inspect(record.paths[0]).events]
+    assert sum("a row came damaged and was dropped" in text for text in events) == 1
 
 
 def test_wrong_rows_are_refused_and_the_right_ones_written(record: RobotRecord, robot: Robot, told: list[str]) -> None:

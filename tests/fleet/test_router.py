@@ -10,7 +10,6 @@ from armlab.bridge.zenoh import Place, Security, close_session
 from armlab.cli.certificates import write_certificates
 from armlab.errors import ConfigError, LinkError
 from armlab.fleet import Router
-from armlab.fleet.record import open_behind
 
 from .conftest import free_port, until
 
@@ -34,16 +33,16 @@ def test_who_has_no_password_is_not_let_in(tmp_path: Path) -> None:
     with Router(port=(port := free_port()), security=safe) as router:
         assert router.where == f"tls/127.0.0.1:{port}"
         viewer = Security(ca=tmp_path / "lab.pem", secret=tmp_path / "viewer.secret")
-        close_session(open_behind(Place(port=port, security=viewer)))
+        close_session(Place(port=port, security=viewer).open_behind())
         for stranger in (Security(ca=tmp_path / "lab.pem"), Security()):
             with pytest.raises(LinkError, match="certificates and password"):
-                open_behind(Place(port=port, security=stranger), patience=0.3)
+                Place(port=port, security=stranger).open_behind(0.3)
 
 
 def test_routers_that_are_connected_pass_on_what_is_read() -> None:
     near, far = free_port(), free_port()
     with Router(port=far), Router(port=near, connect=[f"127.0.0.1:{far}"]):
-        reader, writer, came = open_behind(Place(port=near)), open_behind(Place(port=far)), []
+        reader, writer, came = Place(port=near).open_behind(), Place(port=far).open_behind(), []
         rows = reader.declare_subscriber("armlab/*/*/state", lambda sample: came.append(sample.payload.to_bytes()))
 
         def has_come() -> bool:

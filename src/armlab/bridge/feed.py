@@ -6,6 +6,7 @@ loses rows, which are counted; it never holds the loop up.
 
 from __future__ import annotations
 
+import secrets
 import socket
 import threading
 import time
@@ -59,8 +60,8 @@ class Exchange:
     ----------
     robots : the arms. servers : names. parameters : of the run. allowed : servers that may command.
     sources : fields by source. about : told every client first, for example the name of the cell; the descriptions of
-        the arms go with it. torque : names of arms that take torques. read_only : servers whose clients may stop the
-        arms and nothing else.
+        the arms go with it, and "run", another id each time. torque : names of arms that take torques.
+    read_only : servers whose clients may stop the arms and nothing else.
 
     Attributes
     ----------
@@ -85,7 +86,11 @@ class Exchange:
         self.schema = RowSchema.of(robots, sources)
         self.mistakes = 0
         self._writer = RowWriter(self.schema)
-        self._about = {**(about or {}), "robots": {robot.name: to_toml(robot) for robot in robots}}
+        self._about = {
+            "run": secrets.token_hex(8),
+            **(about or {}),
+            "robots": {robot.name: to_toml(robot) for robot in robots},
+        }
         self._read_only = frozenset(read_only)
         self._told: deque[tuple[str, bool]] = deque(maxlen=_EVENTS)
         self._record: Tell | None = None

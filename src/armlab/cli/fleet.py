@@ -101,8 +101,10 @@ def record(
         finally:
             recorder.close()
             robots = recorder.robots
-            rows = [[name, *map(str, (one.rows, one.lost, one.refused))] for name, one in sorted(robots.items())]
-            result(aligned([["robot", "rows", "lost", "refused"], *rows], (1, 2, 3)) if rows else "No robot came.")
+            rows = [["robot", "rows", "lost", "damaged", "refused"]]
+            for name, one in sorted(robots.items()):
+                rows.append([name, *map(str, (one.rows, one.lost, one.damaged, one.refused))])
+            result(aligned(rows, (1, 2, 3, 4)) if robots else "No robot came.")
     return FAILED if any(one.failed for one in robots.values()) else 0
 
 
@@ -139,11 +141,12 @@ def list_fleet(
     if json:
         print_json([robot._asdict() for robot in found])
         return
-    rows: list[list[str]] = [["lab", "robot", "rate [Hz]", "lost", "age [s]", "commander"]]
+    rows: list[list[str]] = [["lab", "robot", "rate [Hz]", "lost", "damaged", "age [s]", "commander"]]
     for one in found:
         age = f"{one.age:.3f}" if one.age == one.age else "no rows"
-        rows.append([one.lab, one.robot, f"{one.rate:.1f}", str(one.loss), age, one.commander or "nobody"])
-    result(aligned(rows, (2, 3, 4)) if found else "No robot is there.")
+        counts = [f"{one.rate:.1f}", str(one.loss), str(one.damaged), age]
+        rows.append([one.lab, one.robot, *counts, one.commander or "nobody"])
+    result(aligned(rows, (2, 3, 4, 5)) if found else "No robot is there.")
 
 
 fleet.command(

@@ -12,43 +12,16 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from armlab.bridge.zenoh import EVERY, Place, close_session, key, open_session, robot_of
+from armlab.bridge.zenoh import EVERY, Asking, Place, close_session, key, robot_of, undamaged
 from armlab.bridge.zenoh.session import zenoh
-from armlab.errors import LinkError
 from armlab.fleet.robot_record import RobotRecord
 from armlab.log.recorder import FLUSH_PERIOD, WRITE_PERIOD
 
-__all__ = ["FleetRecorder", "open_behind"]
+__all__ = ["FleetRecorder"]
 
 _INBOX = 50_000  # messages: 20 s of ten robots; what does not fit is a hole in the ticks
-_ASK_PERIOD = 0.5  # s between two questions to a bridge
-_TRY_PERIOD = 0.1  # s between two tries to reach the router
 _ROBOTS = 1000
 _NAME = re.compile(r"[\w+-][\w.+-]{0,99}")  # what can be the name of a file
-
-
-def open_behind(place: Place, patience: float = 5.0) -> Any:
-    """Return a session all of whose messages go through the router, however many robots there are.
-
-    Parameters
-    ----------
-    place : of the router. patience : s to wait for it.
-
-    Raises
-    ------
-    LinkError : nobody is there. MissingExtra : no Zenoh.
-    """
-    where, until = f"{place.host}:{place.port}", time.monotonic() + patience
-    while True:
-        try:
-            return open_session("client", [], [where], place.security)
-        except LinkError:
-            if time.monotonic() > until:
-                raise LinkError(
-                    f"Expected a Zenoh router at {where} within {patience:g} s, but none let us in. Start it: armlab "
-                    "fleet router; or see whether certificates and password fit."
-                ) from None
-            time.sleep(_TRY_PERIOD)
 
 
 class FleetRecorder:
@@ -65,7 +38,8 @@ class FleetRecorder:
 
     Attributes
     ----------
-    robots : by "lab/robot": rows, lost, refused, late, paths, failed. strangers : messages under keys of no robot.
+    robots : by "lab/robot": rows, lost, damaged, refused, late, paths, failed.
+    strangers : messages under keys of no robot.
 
     Raises
     ------
@@ -75,11 +49,11 @@ class FleetRecorder:
     def __init__(self, place: Place, folder: str | Path, tell: Callable[[str], None] = lambda text: None) -> None:
         self._folder, self._tell = Path(folder), tell
         self._robots: dict[str, RobotRecord] = {}
-        self._asked: dict[str, float] = {}
         self.strangers = 0
         self._inbox: deque[tuple[Callable[[RobotRecord], None], str]] = deque()  # append and popleft are atomic
         self._wake, self._closed = threading.Event(), False
-        self._session = open_behind(place)
+        self._session = place.open_behind()
+        self._asking = Asking(self._session, self._answered)
         declare, liveliness = self._session.declare_subscriber, self._session.liveliness()
         self._thread = threading.Thread(target=self._run, name="fleet recorder", daemon=True)
         self._thread.start()
@@ -110,7 +84,7 @@ class FleetRecorder:
 
     def _take(self, sample: Any) -> None:
         if len(self._inbox) < _INBOX:
-            self._inbox.append((partial(RobotRecord.take, data=sample.payload.to_bytes()), str(sample.key_expr)))
+            self._inbox.append((partial(RobotRecord.take, data=undamaged(sample)), str(sample.key_expr)))
 
     def _take_life(self, sample: Any) -> None:
         has_come = sample.kind == zenoh().SampleKind.PUT
@@ -118,6 +92,8 @@ class FleetRecorder:
 
     def _live(self, robot: RobotRecord, has_come: bool) -> None:
         text = "its bridge is there" if has_come else "its bridge has gone, or the way to it"
+        if not has_come:
+            robot.doubt()
         robot.event(text)
         self._tell(f"{robot.name}: {text}")
 
@@ -136,7 +112,8 @@ class FleetRecorder:
             for robot in self._robots.values():
                 robot.write()
                 if robot.wants and not is_last:
-                    self._ask(robot)
+                    lab, _, name = robot.name.partition("/")
+                    self._asking.ask(lab, name)
             if time.monotonic() >= due:
                 for robot in self._robots.values():
                     robot.flush()
@@ -153,20 +130,5 @@ class FleetRecorder:
             self._robots[full] = RobotRecord(full, self._folder / f"{lab}-{name}.mcap", self._tell)
         return self._robots[full]
 
-    def _ask(self, robot: RobotRecord) -> None:
-        """Ask what is in the rows of a robot; the answer comes as messages do."""
-        now = time.monotonic()
-        if now < self._asked.get(robot.name, 0.0):
-            return
-        self._asked[robot.name] = now + _ASK_PERIOD
-        lab, _, name = robot.name.partition("/")
-        where = key(lab, name, "about")
-
-        def answered(reply: Any) -> None:
-            if reply.ok is not None:
-                self._inbox.append((partial(RobotRecord.describe, about=reply.ok.payload.to_bytes()), where))
-
-        try:
-            self._session.get(where, answered, timeout=4.0 * _ASK_PERIOD)
-        except zenoh().ZError:  # the session is being closed
-            return
+    def _answered(self, lab: str, name: str, about: bytes) -> None:
+        self._inbox.append((partial(RobotRecord.describe, about=about), key(lab, name, "about")))

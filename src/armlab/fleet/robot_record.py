@@ -39,6 +39,7 @@ class RobotRecord:
     Attributes
     ----------
     rows, lost : rows written, and rows that never came or could not be written, by the ticks of the robot.
+    damaged : rows whose checksum was another one; they are dropped and leave holes.
     refused : messages that were no rows of this robot. late : rows that had come before.
     last : newest tick, -1 before the first row. paths : files so far. failed : why the last one stopped, or None.
     wants : rows wait for a description.
@@ -46,11 +47,11 @@ class RobotRecord:
 
     def __init__(self, name: str, path: Path, tell: Callable[[str], None]) -> None:
         self.name, self._path, self._tell = name, path, tell
-        self.rows = self.lost = self.refused = self.late = 0
+        self.rows = self.lost = self.damaged = self.refused = self.late = 0
         self.last = -1
         self.paths: list[Path] = []
         self.failed: str | None = None
-        self.wants = False
+        self.wants = self._is_unsure = False
         self._waiting: deque[bytes] = deque()
         self._strange: deque[bytes] = deque(maxlen=_STRANGE)
         self._since: float | None = None  # rows wait for a description
@@ -58,15 +59,22 @@ class RobotRecord:
         self._file: _File | None = None
         self._heard = self._retry = 0.0
 
-    def take(self, data: bytes) -> None:
+    def take(self, data: bytes | None) -> None:
         """Take a row; when too many wait it is lost, as its tick will show.
 
         Parameters
         ----------
-        data : as it came.
+        data : as it came, None when it was damaged.
         """
-        if len(self._waiting) < _WAITING:
+        if data is None:
+            self._damage()
+        elif len(self._waiting) < _WAITING:
             self._waiting.append(data)
+
+    def doubt(self) -> None:
+        """The bridge has gone, or the way to it: what comes next may be another run of it."""
+        self.write()
+        self._is_unsure = self._run is not None
 
     def describe(self, about: bytes) -> None:
         """Take what a bridge says of itself and its robots; the rows that wait for it are of a new run.
@@ -86,6 +94,11 @@ class RobotRecord:
         if self._waiting and self._waiting[0][8:16] != run.schema.id:
             self._strange.append(self._waiting[0][8:16])
             return
+        if self._is_unsure:
+            self._is_unsure = False
+            if self._run is not None and self._run.id == run.id:
+                return
+            self._tell(f"{self.name}: its bridge has restarted")
         self._finish()
         self._run = run
 
@@ -98,7 +111,7 @@ class RobotRecord:
             if not self._waiting:
                 break
             data = self._waiting[0]
-            if self._run is None or data[8:16] != self._run.schema.id:
+            if self._run is None or self._is_unsure or data[8:16] != self._run.schema.id:
                 if data[:4] != MAGIC or data[8:16] in self._strange:
                     self._waiting.popleft()
                     self._refuse("rows of a schema that its bridge does not know")
@@ -118,9 +131,7 @@ class RobotRecord:
             packed = self._sorted(self._run, row, packed)
         self._put(packed)
         if self._since is not None and now - self._since > _UNANSWERED:
-            self._refuse("nobody says what is in its rows", len(self._waiting))
-            self._waiting.clear()
-            self.wants, self._since = False, None
+            self._give_up()
         if self._file is not None and now - self._heard > _SILENT:
             self._finish()
 
@@ -136,15 +147,33 @@ class RobotRecord:
 
     def close(self) -> None:
         """Write what waits, and finish the file."""
+        self._is_unsure = False
         self.write()
         self._finish()
+
+    def _give_up(self) -> None:
+        """Nobody said what is in the rows; those whose schema is known are taken for the same run."""
+        self.wants, self._since = False, None
+        if self._is_unsure:
+            self._is_unsure = False
+            return
+        self._refuse("nobody says what is in its rows", len(self._waiting))
+        self._waiting.clear()
+
+    def _damage(self) -> None:
+        self.damaged += 1
+        if self.damaged == 1:
+            self._tell(f"{self.name}: rows come damaged; they are dropped and leave holes")
+        if self._file is not None:
+            self._file.damaged += 1
+        self.event("a row came damaged and was dropped")
 
     def _end_run(self, packed: list[bytes]) -> list[bytes]:
         """The ticks of the robot begin again: its bridge was started anew, and may have another description."""
         self._put(packed)
         self._finish()
         self._run = None
-        self._tell(f"{self.name}: its bridge has started again")
+        self._tell(f"{self.name}: its bridge has restarted")
         return []
 
     def _sorted(self, run: _Run, row: bytes, packed: list[bytes]) -> list[bytes]:
@@ -226,6 +255,7 @@ class _Run:
 
     def __init__(self, robot: str, about: bytes) -> None:
         said = json.loads(about)[0]
+        self.id = said.get("run")
         self.schema = RowSchema.read(said["schema"].encode())
         self.robot: Robot = from_toml(said["robots"][robot], f"the bridge of {robot}")
         self.layout = RowLayout(self.robot)
@@ -244,7 +274,7 @@ class _File:
     def __init__(self, path: Path, run: _Run) -> None:
         self.file = RecordingFile(path, run.robot, run.layout, {}, "")
         self.holes: deque[tuple[int, int, int]] = deque(maxlen=_MOST_HOLES)
-        self.lost = 0
+        self.lost = self.damaged = 0
         self._syncing = Syncing(self.file.fileno(), f"sync {path.name}")
 
     def flush(self) -> None:
@@ -253,7 +283,8 @@ class _File:
 
     def finish(self) -> None:
         self._syncing.close()
-        self.file.finish({"rows": self.file.rows, "dropped": self.lost, "holes": list(self.holes)})
+        counted = {"rows": self.file.rows, "dropped": self.lost, "damaged": self.damaged}
+        self.file.finish({**counted, "holes": list(self.holes)})
 
     def abandon(self) -> None:
         self.file.abandon()

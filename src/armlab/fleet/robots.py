@@ -10,9 +10,8 @@ from typing import Any, NamedTuple
 
 from armlab.bridge.row import read_row
 from armlab.bridge.row_schema import RowSchema
-from armlab.bridge.zenoh import EVERY, Place, close_session, key, queried, robot_of, robots_at
+from armlab.bridge.zenoh import EVERY, Place, close_session, key, queried, robot_of, robots_at, undamaged
 from armlab.errors import ArmlabError
-from armlab.fleet.record import open_behind
 
 __all__ = ["FleetRobot", "list_robots"]
 
@@ -23,6 +22,7 @@ class FleetRobot(NamedTuple):
     Attributes
     ----------
     lab, robot : names. rate : rows that came per second [Hz]. loss : rows that did not come, by the robot's ticks.
+    damaged : rows whose checksum was another one; they count as lost as well, once a later one came.
     age : of the newest row by both computers' clocks [s], NaN without any. commander : who moves it, "" for nobody.
     """
 
@@ -30,6 +30,7 @@ class FleetRobot(NamedTuple):
     robot: str
     rate: float
     loss: int
+    damaged: int
     age: float
     commander: str
 
@@ -45,7 +46,7 @@ def list_robots(place: Place, seconds: float = 2.0) -> list[FleetRobot]:
     ------
     LinkError : no router. MissingExtra : no Zenoh.
     """
-    session = open_behind(place)
+    session = place.open_behind()
     try:
         alive = robots_at(session, place.lab)
         seen = {f"{lab}/{robot}": _Seen(lab, robot) for lab, robot in alive}
@@ -57,7 +58,7 @@ def list_robots(place: Place, seconds: float = 2.0) -> list[FleetRobot]:
         def take(sample: Any) -> None:
             robot = seen.get("/".join(robot_of(str(sample.key_expr))))
             if robot is not None:
-                robot.take(sample.payload.to_bytes())
+                robot.take(undamaged(sample))
 
         rows = session.declare_subscriber(key(place.lab, EVERY, "live"), take)
         threading.Event().wait(seconds if seen else 0.0)
@@ -73,7 +74,7 @@ class _Seen:
     def __init__(self, lab: str, robot: str) -> None:
         self._lab, self._robot = lab, robot
         self._schema: RowSchema | None = None
-        self._rows = 0
+        self._rows = self._damaged = 0
         self._times = self._ticks = (0, 0)  # of the first and the last row
         self._commander, self._wall_ns = "", 0
 
@@ -83,8 +84,9 @@ class _Seen:
         except (ArmlabError, ValueError, LookupError, TypeError, AttributeError):
             self._schema = None  # shown without rows
 
-    def take(self, data: bytes) -> None:
-        if self._schema is None:
+    def take(self, data: bytes | None) -> None:
+        self._damaged += data is None
+        if self._schema is None or data is None:
             return
         try:
             row = read_row(self._schema, data)
@@ -104,4 +106,4 @@ class _Seen:
         rate = (self._rows - 1) / between if between > 0.0 else 0.0
         loss = max(self._ticks[1] - self._ticks[0] + 1 - self._rows, 0) if self._rows else 0
         age = 1e-9 * (time.time_ns() - self._wall_ns) if self._rows else math.nan
-        return FleetRobot(self._lab, self._robot, rate, loss, age, self._commander)
+        return FleetRobot(self._lab, self._robot, rate, loss, self._damaged, age, self._commander)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import threading
 import time
@@ -36,6 +37,45 @@ def free_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return probe.getsockname()[1]
+
+
+class Wire:
+    """A way to a port that can be cut and mended."""
+
+    def __init__(self, to: int) -> None:
+        self.port, self._to, self._open = free_port(), to, list[socket.socket]()
+        self.mend()
+
+    def mend(self) -> None:
+        listener = socket.create_server(("127.0.0.1", self.port))
+        self._open = [listener]
+        threading.Thread(target=self._accept, args=(listener, self._open), daemon=True).start()
+
+    def cut(self) -> None:
+        for one in list(self._open):
+            with contextlib.suppress(OSError):
+                one.shutdown(socket.SHUT_RDWR)
+            one.close()
+
+    def _accept(self, listener: socket.socket, ends: list[socket.socket]) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                near, _ = listener.accept()
+                with contextlib.suppress(OSError):
+                    far = socket.create_connection(("127.0.0.1", self._to))
+                    ends += [near, far]
+                    for pair in ((near, far), (far, near)):
+                        threading.Thread(target=self._carry, args=pair, daemon=True).start()
+                    continue
+                near.close()
+
+    def _carry(self, near: socket.socket, far: socket.socket) -> None:
+        with contextlib.suppress(OSError):
+            while data := near.recv(65536):
+                far.sendall(data)
+        for one in (near, far):
+            with contextlib.suppress(OSError):
+                one.shutdown(socket.SHUT_RDWR)
 
 
 class Running:

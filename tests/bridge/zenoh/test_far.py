@@ -11,6 +11,7 @@ import pytest
 
 from armlab import bridge, robots
 from armlab.bridge.row_schema import RowSchema
+from armlab.bridge.zenoh import checksum, key
 from armlab.bridge.zenoh.far import FarCodec, FarPort, far_end
 from armlab.bridge.zenoh.place import Place
 from armlab.errors import ConfigError, LinkError, UnknownName
@@ -85,12 +86,15 @@ def test_the_port_gives_rows_as_packets_also_after_a_restart(start: Start, robot
     assert np.array_equal(got.q, robot.q_home)
     assert (got.tau, got.tau_source, got.tm_ms) == (None, "none", 4 * got.seqno)
     descriptor = port.fileno()
+    one.tick = 10**6
+    before = port.gaps.rows
+    until(lambda: one.row() and port.gaps.rows > before)
     one.exchange.close()
     one.thread.join()
     again = start(number)
-    until(lambda: again.row() and port.receive() is not None)
+    until(lambda: again.row() and port.gaps.starts == 2)
+    until(lambda: port.receive() is not None)
     assert port.fileno() == descriptor
-    assert port.gaps.starts == 2
     q = np.asarray(robot.q_home)
     until(lambda: port.send(codec.encode(Reference(q, None, None, 0, 0)), ("", 0)) and again.commanded() is not None)
     port.flush()
@@ -114,6 +118,25 @@ def packet(one: Running, port: FarPort, codec: Codec) -> Packet:
     got = codec.decode(arrivals[-1].data)
     assert isinstance(got, Packet)
     return got
+
+
+def test_a_damaged_row_is_dropped_and_counted_as_such(start: Start, robot: Robot) -> None:
+    one = start()
+    port = FarPort(robot.name, Place("127.0.0.1", one.options["port"], "lab1"))
+    codec = FarCodec(robot, port.schema)
+    session, whole = one.process._session, bytes(port.schema.size)
+    where, got = key("lab1", robot.name, "live"), list[Any]()
+
+    def dropped(**attached: bytes) -> bool:
+        session.put(where, whole, **attached)
+        got.append(port.receive())
+        return got[-1] is not None
+
+    until(lambda: dropped(attachment=checksum(whole[1:])))
+    until(dropped)
+    drops = {codec.decode(arrival.data) for arrival in got if arrival is not None}
+    assert drops == {Drop("damaged", "a row whose checksum is another one")}
+    port.close()
 
 
 def test_what_is_no_row_is_dropped(robot: Robot, start: Start) -> None:

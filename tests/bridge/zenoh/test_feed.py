@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,18 +13,18 @@ from armlab import robots
 from armlab.bridge.messages import CommandRequest, SetRequest, Stop, Subscribe
 from armlab.bridge.row import Row
 from armlab.bridge.watch import Watch
-from armlab.bridge.zenoh import Place, ZenohFeed, close_session, robots_at
+from armlab.bridge.zenoh import Place, ZenohFeed, checksum, close_session, key, robots_at
 from armlab.errors import ConfigError, LinkError
 from armlab.robots import Robot
 
-from .conftest import Running, free_port, until
+from .conftest import PATIENCE, Running, Wire, free_port, until
 
 Start = Callable[..., Running]
 
 
 def test_a_viewer_elsewhere(start: Start, robot: Robot) -> None:
     one = start()
-    with ZenohFeed(f"zenoh://127.0.0.1:{one.options['port']}/lab1") as feed:
+    with ZenohFeed(f"zenoh://127.0.0.1:{one.options['port']}/lab1", patience=2.0) as feed:
         assert feed.cell == "yumi"
         watch, got = Watch(), []
         feed.ask(Subscribe(rate=10.0))
@@ -62,6 +63,53 @@ def all_of(feed: ZenohFeed) -> None:
     """Read until it ends."""
     for _ in range(10_000):
         feed.receive()
+
+
+def test_damaged_rows_are_dropped_and_told(start: Start, robot: Robot) -> None:
+    one = start()
+    with ZenohFeed(f"zenoh://127.0.0.1:{one.options['port']}/lab1") as feed:
+        feed.ask(Subscribe(rate=None))
+        session, where, data = one.process._session, key("lab1", robot.name, "live"), bytes(feed._schema.size)
+        until(lambda: session.put(where, data, attachment=checksum(data[1:])) or feed.damaged > 2)
+        until(lambda: session.put(where, data) or feed.damaged > 10)
+        said: list[Any] = []
+        until(lambda: feed.wait(0.1) and (said.append(feed.receive()) or "4 so far" in said[-1].get("text", "")))
+        assert not any(isinstance(each, Row) for each in said)
+        assert said[-1]["text"] == "Rows came damaged and were dropped: 4 so far."
+
+
+def test_a_bridge_that_comes_again_is_told_from_one_that_restarted(start: Start, robot: Robot) -> None:
+    """Both while the way to it is cut; another run may have other rows."""
+    one = start()
+    wire, got = Wire(one.options["port"]), list[Any]()
+
+    def heard(bridge: Running, what: Any) -> bool:
+        bridge.row()
+        while feed.wait(0.0):
+            got.append(feed.receive())
+        return any(isinstance(each, Row) if what is Row else what in str(each) for each in got)
+
+    with ZenohFeed(f"zenoh://127.0.0.1:{wire.port}/lab1", patience=PATIENCE) as feed:
+        feed.ask(Subscribe(rate=None))
+        until(lambda: heard(one, Row))
+        wire.cut()
+        until(lambda: heard(one, "has gone, or the way to it"))
+        wire.mend()
+        until(lambda: heard(one, "is there again, in the same run"))
+        got.clear()
+        until(lambda: heard(one, Row))
+        wire.cut()
+        one.exchange.close()
+        one.thread.join()
+        got.clear()
+        again = start(one.options["port"], robot=replace(robots.load("ur5e"), name=robot.name))
+        again.tick = 10**6
+        wire.mend()
+        until(lambda: heard(again, "has restarted"))
+        got.clear()
+        until(lambda: heard(again, Row))
+        assert got[-1].values[f"{robot.name}.q"].shape == (6,)
+    wire.cut()
 
 
 def test_nothing_to_view(start: Start, robot: Robot) -> None:

@@ -22,8 +22,9 @@ def test_nothing_is_sent_to_nobody_and_a_waiting_output_counts_what_found_no_roo
     subscribers = [reader.declare_subscriber(name, samples.append) for name in "ab"]
     until(lambda: all(one.wanted for one in outputs))
     for one in outputs:
-        one.put(b"1")
+        one.put(b"1", b"attached")
     until(lambda: len(samples) == 2)
+    assert [one.attachment.to_bytes() for one in samples] == [b"attached", b"attached"]
     assert [one.sent for one in outputs] == [1, 1]
     for one in subscribers:
         one.undeclare()

@@ -30,3 +30,5 @@ def test_urls(tmp_path: Path) -> None:
 def test_nobody_there() -> None:
     with pytest.raises(LinkError, match="See whether it runs"):
         Place("127.0.0.1", free_port()).open(0.3)
+    with pytest.raises(LinkError, match="Expected a Zenoh router"):
+        Place(port=free_port()).open_behind(0.2)

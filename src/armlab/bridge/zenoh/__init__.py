@@ -1,9 +1,11 @@
 """Zenoh: rows, parameters, events and commands of a cell under ``armlab/<lab>/<robot>/`` (docs/how_to/zenoh.md).
 
 `ZenohFeed` reads a bridge elsewhere, ``bridge.connect("zenoh://host:7447/lab", robot)`` runs a controller over it.
-`open_session`, `key`, `robots_at`, `Place` and `Gaps` are for those who listen to many bridges.
+`open_session`, `key`, `robots_at`, `Asking`, `undamaged`, `Place` and `Gaps` are for those who listen to many bridges.
 """
 
+from armlab.bridge.zenoh.asking import Asking
+from armlab.bridge.zenoh.checksum import checksum, undamaged
 from armlab.bridge.zenoh.feed import ZenohFeed, robots_at
 from armlab.bridge.zenoh.gaps import Gaps
 from armlab.bridge.zenoh.keys import EVERY, Attached, key, robot_of
@@ -13,15 +15,18 @@ from armlab.bridge.zenoh.session import close_session, open_session, queried
 
 __all__ = [
     "EVERY",
+    "Asking",
     "Attached",
     "Gaps",
     "Place",
     "Security",
     "ZenohFeed",
+    "checksum",
     "close_session",
     "key",
     "open_session",
     "queried",
     "robot_of",
     "robots_at",
+    "undamaged",
 ]

@@ -16,6 +16,7 @@ from armlab.bridge.outlet import pair
 from armlab.bridge.port import Arrival, Port
 from armlab.bridge.row import read_row
 from armlab.bridge.row_schema import RowSchema
+from armlab.bridge.zenoh.checksum import undamaged
 from armlab.bridge.zenoh.gaps import Gaps
 from armlab.bridge.zenoh.keys import Attached, key
 from armlab.bridge.zenoh.place import Place
@@ -27,6 +28,7 @@ from armlab.wire.egm import Codec, Drop, Packet, Reference
 __all__ = ["FarCodec", "FarPort", "far_end"]
 
 _LARGEST = 2**14
+_DAMAGED = b"damaged"  # in place of a row that was
 
 
 def far_end(robot: Robot, host: str, port: int, options: dict[str, str]) -> tuple[Port, Codec]:
@@ -134,7 +136,7 @@ class FarPort:
         return True
 
     def _take(self, sample: Any) -> None:
-        data = sample.payload.to_bytes()
+        data = undamaged(sample) or _DAMAGED
         if data[8:16] == self.schema.id:
             self.gaps.take(data)
         try:
@@ -180,6 +182,8 @@ class FarCodec:
         ----------
         data : from `FarPort.receive`.
         """
+        if data == _DAMAGED:
+            return Drop("damaged", "a row whose checksum is another one")
         try:
             values = read_row(self._schema, data).values
         except LinkError as error:

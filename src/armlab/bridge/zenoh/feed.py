@@ -12,6 +12,8 @@ from typing import Any
 from armlab.bridge.messages import Request, SetRequest, Stop, Subscribe
 from armlab.bridge.row import Row, read_row
 from armlab.bridge.row_schema import RowSchema
+from armlab.bridge.zenoh.asking import Asking
+from armlab.bridge.zenoh.checksum import undamaged
 from armlab.bridge.zenoh.keys import EVERY, key, robot_of
 from armlab.bridge.zenoh.place import Place
 from armlab.bridge.zenoh.session import close_session, zenoh
@@ -40,11 +42,12 @@ class ZenohFeed:
 
     Parameters
     ----------
-    url : see `Place.read`. robot : an arm of the cell; "" when one cell serves that lab. patience : s to wait.
+    url : see `Place.read`. robot : an arm of the cell; "" when one cell serves that lab. patience : s to wait, also
+        for a bridge that has gone to come again: it may be the way to it, and what comes again another run.
 
     Attributes
     ----------
-    cell : its name.
+    cell : its name. damaged : rows whose checksum was another one; they were dropped.
 
     Raises
     ------
@@ -57,7 +60,9 @@ class ZenohFeed:
         self._news = threading.Condition()
         self._rows: list[Any] = []
         self._every = self._due = 0.0
-        self._has_ended = False
+        self._gone: float | None = None  # since when
+        self._is_unsure = False  # whether what comes again is the same run
+        self.damaged = 0
         self._session = self._place.open(patience)
         try:
             known = [robot] if robot else self._robots()
@@ -71,7 +76,9 @@ class ZenohFeed:
             self.close()
             raise
         self.cell: str = said[0].get("cell", "")
+        self._arm, self._run = arm, said[0].get("run")
         self._messages.extend(said)
+        self._asking = Asking(self._session, self._answered)
         declare, lab = self._session.declare_subscriber, self._place.lab
         self._texts = [declare(key(lab, arm, what), self._take_text) for what in ("events", "status", "parameters")]
         self._alive = self._session.liveliness().declare_subscriber(
@@ -98,7 +105,7 @@ class ZenohFeed:
         seconds : at most.
         """
         with self._news:
-            return self._news.wait_for(lambda: bool(self._messages) or self._has_ended, max(seconds, 0.0))
+            return self._news.wait_for(lambda: bool(self._messages) or self._has_ended(), max(seconds, 0.0))
 
     def ask(self, request: Request) -> None:
         """Send a request: `Subscribe`, `SetRequest` or `Stop`.
@@ -130,13 +137,21 @@ class ZenohFeed:
         ------
         LinkError : the bridge has ended, or nothing came in time.
         """
-        if not self.wait(self._patience):
-            raise LinkError(f"Expected a message of {self.cell} in time, but none came. See whether its robot runs.")
-        with self._news:
-            if not self._messages:
-                raise LinkError(f"Expected the bridge of {self.cell} to go on, but it has gone.")
-            message = self._messages.popleft()
-        return message if isinstance(message, dict) else read_row(self._schema, message)
+        until = time.monotonic() + self._patience
+        while self.wait(until - time.monotonic()):
+            with self._news:
+                if not self._messages:
+                    break
+                message = self._messages.popleft()
+            if isinstance(message, dict):
+                if message["kind"] == "about":
+                    self._schema = RowSchema.read(message["schema"].encode())
+                return message
+            if message[8:16] == self._schema.id:  # another is of a run that was not told of yet
+                return read_row(self._schema, message)
+        if self._gone is not None:
+            raise LinkError(f"Expected the bridge of {self.cell} to go on, but it has gone.")
+        raise LinkError(f"Expected a message of {self.cell} in time, but none came. See whether its robot runs.")
 
     def _subscribe(self, rate: float | None) -> None:
         for one in self._rows:
@@ -166,17 +181,46 @@ class ZenohFeed:
 
     def _take_row(self, sample: Any) -> None:
         now = time.monotonic()
-        if now >= self._due:
+        if self._is_unsure:
+            self._asking.ask(self._place.lab, self._arm)
+        elif (data := undamaged(sample)) is None:
+            self.damaged += 1
+            if self.damaged & (self.damaged - 1) == 0:  # 1, 2, 4, ...: all may be
+                self._tell(f"Rows came damaged and were dropped: {self.damaged} so far.")
+        elif now >= self._due:
             self._due = max(self._due + self._every, now)
-            self._take(sample.payload.to_bytes())
+            self._take(data)
 
     def _take_text(self, sample: Any) -> None:
         self._take(json.loads(sample.payload.to_bytes()))
 
     def _take_life(self, sample: Any) -> None:
+        has_gone = sample.kind == zenoh().SampleKind.DELETE
         with self._news:
-            self._has_ended = sample.kind == zenoh().SampleKind.DELETE
-            self._news.notify()
+            self._gone = time.monotonic() if has_gone else None
+            self._is_unsure = self._is_unsure or has_gone
+        if has_gone:
+            self._tell(f"The bridge of {self.cell} has gone, or the way to it.")
+
+    def _has_ended(self) -> bool:
+        return self._gone is not None and time.monotonic() - self._gone >= self._patience
+
+    def _answered(self, lab: str, robot: str, about: bytes) -> None:
+        """Take what a bridge says that has come again."""
+        said = json.loads(about)
+        if not self._is_unsure:
+            return
+        self._is_unsure = False
+        if said[0].get("run") == self._run:
+            self._tell(f"The bridge of {self.cell} is there again, in the same run.")
+            return
+        self._run = said[0].get("run")
+        with self._news:
+            self._messages.extend(said)
+        self._tell(f"The bridge of {self.cell} has restarted.")
+
+    def _tell(self, text: str) -> None:
+        self._take({"kind": "event", "stamp_ns": time.time_ns(), "text": text})
 
     def _take(self, message: bytes | dict[str, Any]) -> None:
         with self._news:

@@ -25,7 +25,8 @@ def key(lab: str, robot: str, what: str) -> str:
     ----------
     lab, robot : names, or `EVERY`.
     what : "state" (every row, for recorders: waits for a slow one), "live" (every row, for controllers: dropped for a
-        slow one), "view" (30 rows/s), "schema", "about", "parameters", "param/NAME", "command/KIND", "events",
+        slow one), "view" (30 rows/s), each row with its `checksum` attached; "schema", "about", "parameters",
+        "param/NAME", "command/KIND", "events",
         "answer/SENDER", "status", "stop" or "alive".
     """
     return f"armlab/{lab}/{robot}/{what}"

@@ -64,7 +64,7 @@ class Waiting(Output):
     """
 
     def __init__(self, session: Any, key: str) -> None:
-        self._queue: queue.Queue[bytes | None] = queue.Queue(_WAITING)
+        self._queue: queue.Queue[tuple[bytes, bytes | None] | None] = queue.Queue(_WAITING)
         self._thread = threading.Thread(target=self._send, name=key, daemon=True)
         super().__init__(session, key)
         self._thread.start()
@@ -74,11 +74,11 @@ class Waiting(Output):
 
         Parameters
         ----------
-        data : the message. attachment : none is taken.
+        data : the message. attachment : of it.
         """
         if self.wanted:
             try:
-                self._queue.put_nowait(data)
+                self._queue.put_nowait((data, attachment))
             except queue.Full:
                 self.dropped += 1
 
@@ -98,9 +98,9 @@ class Waiting(Output):
         )
 
     def _send(self) -> None:
-        while (data := self._queue.get()) is not None:
+        while (message := self._queue.get()) is not None:
             try:
-                self._publisher.put(data)
+                self._publisher.put(message[0], attachment=message[1])
                 self.sent += 1
             except zenoh().ZError:  # the session is closed
                 self.dropped += 1

@@ -19,6 +19,7 @@ PORT = 7447
 """Where Zenoh's routers listen."""
 
 _PATIENCE = 5.0  # s for the first connection
+_TRIED = 0.1  # s between two tries to reach a router
 _ANSWER = 2.0  # s for an answer
 _AGAIN = 0.1  # s until it is asked again: who has just connected does not know all of those who could answer
 _OPTIONS = ("ca", "secret")
@@ -99,6 +100,29 @@ class Place(NamedTuple):
                 f"See whether {secrets}."
             )
         return session
+
+    def open_behind(self, patience: float = _PATIENCE) -> Any:
+        """Return a session all of whose messages go through the router, however many robots there are.
+
+        Parameters
+        ----------
+        patience : s to wait for it.
+
+        Raises
+        ------
+        LinkError : nobody is there. MissingExtra : no Zenoh.
+        """
+        where, until = f"{self.host}:{self.port}", time.monotonic() + patience
+        while True:
+            try:
+                return open_session("client", [], [where], self.security)
+            except LinkError:
+                if time.monotonic() > until:
+                    raise LinkError(
+                        f"Expected a Zenoh router at {where} within {patience:g} s, but none let us in. Start it: "
+                        "armlab fleet router; or see whether certificates and password fit."
+                    ) from None
+                time.sleep(_TRIED)
 
     def ask(self, session: Any, selector: str, patience: float = _ANSWER) -> bytes:
         """Return the one answer to a query.

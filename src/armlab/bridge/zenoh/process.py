@@ -17,6 +17,7 @@ import numpy as np
 from armlab.bridge.loop_end import LoopEnd
 from armlab.bridge.messages import CommandRequest, Listening, Request, SetRequest, Stop
 from armlab.bridge.status import Status
+from armlab.bridge.zenoh.checksum import checksum
 from armlab.bridge.zenoh.keys import COMMANDS, Attached, key
 from armlab.bridge.zenoh.output import Output, Waiting
 from armlab.bridge.zenoh.security import Security
@@ -214,10 +215,11 @@ class _Arm:
         self._count(data)
         if not _HEAD_MONO.unpack_from(data, self._fresh)[0]:
             return
-        self.rows["live"].put(data)
-        self.rows["state"].put(data)
+        attached = checksum(data)
+        self.rows["live"].put(data, attached)
+        self.rows["state"].put(data, attached)
         if self._is_due("view", data, _VIEW):
-            self.rows["view"].put(data)
+            self.rows["view"].put(data, attached)
 
     def _count(self, data: bytes) -> None:
         output = self.texts["status"]

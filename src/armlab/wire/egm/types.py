@@ -24,8 +24,9 @@ DROP_REASONS = (
     "duplicate",
     "old",
     "after the end",
+    "damaged",
 )
-"""Why a datagram is dropped. The codec finds the first six, the session the others."""
+"""Why a datagram is dropped. The codec finds the first six, that of Zenoh's rows the last, the session the others."""
 
 
 class Arm(Protocol):
