@@ -56,6 +56,20 @@ def test_no_commands_come_through_the_open_router_of_the_other_server(commanding
     assert set(listening([], together).values()) == {"127.0.0.1"}
 
 
+@pytest.mark.parametrize("master", ["http://192.168.1.9:11311", "http://127.lab.example:11311", "http://[", "nothing"])
+def test_no_commands_come_from_the_network_of_a_master_elsewhere(master: str) -> None:
+    text = FILE.replace("labcomm", "ros1") + f'master = "{master}"'
+    assert listening([], parse_cell(text)) == {"ros1": "127.0.0.1"}
+    with pytest.raises(ConfigError, match="master of ROS 1 on this computer"):
+        listening([], parse_cell(text.replace('["local"]', '["ros1"]')))
+
+
+@pytest.mark.parametrize("master", ["http://127.0.0.1:11311", "http://localhost:11399"])
+def test_commands_come_by_a_master_of_this_computer(master: str) -> None:
+    text = FILE.replace("labcomm", "ros1").replace('["local"]', '["ros1"]')
+    assert listening([], parse_cell(f'{text}master = "{master}"')) == {"ros1": "127.0.0.1"}
+
+
 def test_who_proves_nothing_only_reads() -> None:
     assert not is_open({}, "127.0.0.1")
     assert is_open({}, "192.168.1.5")

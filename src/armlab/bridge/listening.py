@@ -6,6 +6,7 @@ import ipaddress
 import socket
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
 
 from armlab.bridge.feed import OPERATOR
 from armlab.errors import ConfigError, UnknownName
@@ -31,7 +32,7 @@ def listening(listen: Iterable[str], cell: Cell) -> dict[str, str]:
     Raises
     ------
     ConfigError, UnknownName : another form, server or interface, or a server that may command beyond this computer
-        without secret and encryption, or shares its router with one that is open.
+        without secret and encryption, shares its router with one that is open, or has its ROS master elsewhere.
     """
     found = {name: "127.0.0.1" for name in cell.servers if name != OPERATOR}
     for word in listen:
@@ -46,6 +47,7 @@ def listening(listen: Iterable[str], cell: Cell) -> dict[str, str]:
                 f"{_why(options)} Or take it out of `commands`, or let clients come through an SSH tunnel."
             )
     _check_routers(cell, found)
+    _check_master(cell)
     return found
 
 
@@ -71,6 +73,29 @@ def _check_routers(cell: Cell, addresses: Mapping[str, str]) -> None:
                     f"router at port {place} with {name}, which `commands` names, so that anybody could command. Give "
                     f"[servers.{other}] another `port`."
                 )
+
+
+def _check_master(cell: Cell) -> None:
+    """Refuse commands of ROS 1 when the master is elsewhere: it tells us to read from nodes of its network."""
+    if "ros1" not in cell.commands:
+        return
+    master = cell.servers["ros1"]["master"]
+    try:
+        host = urlsplit(master).hostname or ""
+    except ValueError:
+        host = ""
+    if host != "localhost" and not _is_loopback(host):
+        raise ConfigError(
+            f"Expected the master of ROS 1 on this computer, such as http://127.0.0.1:11311, since `commands` names "
+            f"ros1, got {master}: nodes of its network could command, and prove nothing. Take ros1 out of `commands`."
+        )
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
 
 
 def _router_port(options: Mapping[str, Any]) -> str:
