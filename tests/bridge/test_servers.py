@@ -16,7 +16,7 @@ import pytest
 
 from armlab import robots
 from armlab.bridge.feed import Exchange
-from armlab.bridge.servers import PLACE, RESTARTS, Servers, server_command
+from armlab.bridge.servers import PLACE, RESTARTS, WELL, Servers, server_command
 from armlab.errors import LinkError
 
 LEFT = robots.load("yumi_left")
@@ -76,6 +76,22 @@ def test_a_server_that_fails_is_left_dead() -> None:
     assert told[-1] == "The server a ended with status 3. It stays dead; the loop goes on. It said: no luck"
 
 
+@pytest.mark.parametrize(("well", "outcome"), [(0.0, "It starts again in 0.01 s."), (1e6, "It stays dead")])
+def test_a_server_that_ran_well_begins_a_new_series(well: float, outcome: str) -> None:
+    """One that ends once a day is never left dead; one that ends whenever it has started is."""
+    exchange = Exchange([LEFT], ["a"])
+    told: list[str] = []
+    exchange.begin(lambda text, warn=False: told.append(text))
+    with Servers(exchange, {"a": command(WAITS)}, restarts=(0.01, 0.02), well=well) as servers:
+        for ends in range(3):
+            assert servers.ready(60.0) == ["here"]
+            until(lambda: servers._children[0].since is not None)
+            os.kill(servers.processes()["a"], signal.SIGKILL)
+            until(lambda ends=ends: len(told) > ends)
+        assert servers.dead == (set() if well == 0.0 else {"a"})
+    assert outcome in told[-1]
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -133,6 +149,7 @@ def test_an_error_of_the_watch_does_not_end_it(monkeypatch: pytest.MonkeyPatch) 
 
 def test_times_and_command() -> None:
     assert RESTARTS == (1.0, 5.0, 30.0)
+    assert WELL == 300.0
     assert server_command("local", {"path": "x"})[-3:] == ["local", PLACE, '{"path": "x"}']
 
 

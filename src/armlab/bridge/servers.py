@@ -16,13 +16,16 @@ from typing import Any
 from armlab.bridge.feed import Exchange
 from armlab.errors import LinkError
 
-__all__ = ["PLACE", "RESTARTS", "Servers", "server_command"]
+__all__ = ["PLACE", "RESTARTS", "WELL", "Servers", "server_command"]
 
 PLACE = "{fd}"
 """Word of a command that stands for the number of the socket to the loop."""
 
 RESTARTS = (1.0, 5.0, 30.0)
 """Seconds after which a server that ended is started again; after the last it stays dead."""
+
+WELL = 300.0
+"""Seconds that a server has listened after which its next end is the first of a new series."""
 
 _LOOK = 0.05  # s
 _IDLE = 200_000_000  # ns without a packet of a robot, after which requests are taken here
@@ -49,6 +52,7 @@ class _Child:
         self.ends = 0
         self.due: float | None = 0.0
         self.has_listened = False
+        self.since: float | None = None  # when it was first seen listening, of the process that runs
         self.said = b""
         self.failure = ""
 
@@ -72,7 +76,7 @@ class Servers:
     Parameters
     ----------
     exchange : whose outlets are served. commands : by name of the server; see `server_command`.
-    restarts : see `RESTARTS`.
+    restarts, well : see `RESTARTS` and `WELL`.
 
     Attributes
     ----------
@@ -80,9 +84,13 @@ class Servers:
     """
 
     def __init__(
-        self, exchange: Exchange, commands: Mapping[str, Sequence[str]], restarts: Sequence[float] = RESTARTS
+        self,
+        exchange: Exchange,
+        commands: Mapping[str, Sequence[str]],
+        restarts: Sequence[float] = RESTARTS,
+        well: float = WELL,
     ) -> None:
-        self._exchange, self._restarts = exchange, tuple(restarts)
+        self._exchange, self._restarts, self._well = exchange, tuple(restarts), well
         self._children = [_Child(name, command) for name, command in commands.items()]
         self.dead: set[str] = set()
         self._over = threading.Event()
@@ -150,6 +158,8 @@ class Servers:
     def _look(self, child: _Child) -> None:
         if child.process is not None:
             child.read()
+            if child.since is None and self._exchange.outlets[child.name].where is not None:
+                child.since = time.monotonic()
             if child.process.poll() is not None:
                 self._ended(child, child.process)
         if child.process is None and child.due is not None and time.monotonic() >= child.due:
@@ -194,10 +204,17 @@ class Servers:
         self._plan(child, f"ended with status {process.returncode}")
 
     def _plan(self, child: _Child, what: str) -> None:
-        """Say when a server that is gone starts again: never, if it has not listened before."""
+        """Say when a server that is gone starts again: never, if it has not listened before.
+
+        Ends are counted as one series until a process has listened for long: a fault that comes back at once ends
+        the server, and one a day does not.
+        """
         outlet = self._exchange.outlets[child.name]
         child.has_listened |= outlet.where is not None
         outlet.close()
+        since, child.since = child.since, None
+        if since is not None and time.monotonic() - since >= self._well:
+            child.ends = 0
         if not child.has_listened:
             child.due, child.failure = None, f"{what}. It said: {child.words}"
             return
