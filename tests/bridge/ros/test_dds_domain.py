@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import socket
+import subprocess
+import sys
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
@@ -72,3 +74,92 @@ def test_an_interface_that_is_not_there() -> None:
         joined(free_domain(), "192.0.2.1"),
     ):
         pass
+
+
+OUTSIDE = """
+import contextlib, os, socket, subprocess, sys
+from pathlib import Path
+from armlab.bridge.ros.dds_domain import joined
+
+def ip(*words):
+    subprocess.run(["ip", *words], check=True, timeout=20)
+
+SENDS = '''
+import socket, sys
+print("there", flush=True)
+for port in sys.stdin.readline().split():
+    one = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    one.settimeout(2.0)
+    one.connect(("10.255.77.1", int(port)))
+    one.send(b"RTPS")
+    try:
+        print(port, one.recv(10).decode(), flush=True)
+    except ConnectionRefusedError:
+        print(port, "refused", flush=True)
+    except TimeoutError:
+        print(port, "taken", flush=True)
+'''
+
+ip("link", "set", "lo", "up")
+words = ["unshare", "-n", sys.executable, "-S", "-c", SENDS]
+with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
+    try:
+        other.stdout.readline()
+        ip("link", "add", "near0", "type", "veth", "peer", "name", "far0", "netns", str(other.pid))
+        ip("addr", "add", "10.255.77.1/24", "dev", "near0")
+        ip("link", "set", "near0", "up")
+        theirs = ["nsenter", "-t", str(other.pid), "-n", "ip"]
+        subprocess.run([*theirs, "addr", "add", "10.255.77.2/24", "dev", "far0"], check=True, timeout=20)
+        subprocess.run([*theirs, "link", "set", "far0", "up"], check=True, timeout=20)
+        with joined(0, "127.0.0.1"), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as control:
+            control.bind(("0.0.0.0", 0))
+            control.settimeout(60.0)
+            ports = set()
+            for entry in filter(Path.is_socket, Path("/proc/self/fd").iterdir()):
+                with socket.socket(fileno=os.dup(int(entry.name))) as one:
+                    if one.family == socket.AF_INET and one.type == socket.SOCK_DGRAM:
+                        ports.add(one.getsockname()[1])
+            mine = control.getsockname()[1]
+            ports.discard(mine)
+            other.stdin.write(" ".join(map(str, [*sorted(ports), mine])) + chr(10))
+            other.stdin.flush()
+            _, sender = control.recvfrom(10)
+            control.sendto(b"heard", sender)
+            sys.stdout.write(other.stdout.read())
+    finally:
+        other.kill()
+"""
+
+
+@pytest.mark.slow
+def test_packets_from_another_interface_reach_no_socket_of_a_participant() -> None:
+    """Seen from a network namespace at the other end of a cable; one socket that is open to all shows that it holds."""
+    try:
+        cable = [
+            "unshare",
+            "-rn",
+            "unshare",
+            "-n",
+            "ip",
+            "link",
+            "add",
+            "near0",
+            "type",
+            "veth",
+            "peer",
+            "name",
+            "far0",
+        ]
+        able = subprocess.run(cable, capture_output=True, check=False)
+    except FileNotFoundError as error:
+        pytest.skip(f"{error.filename} is not installed")
+    if able.returncode:
+        pytest.skip(f"no network namespaces and cables here: {able.stderr.decode().strip()}")
+    words = ["unshare", "-rn", sys.executable, "-c", OUTSIDE]
+    found = subprocess.run(words, capture_output=True, text=True, timeout=120.0, check=False)
+    assert not found.returncode, found.stderr
+    outcomes = dict(line.split() for line in found.stdout.splitlines())
+    *dds, control = outcomes.values()
+    assert control == "heard"
+    assert {"7410", "7411"} <= set(outcomes)
+    assert set(dds) == {"refused"}
