@@ -198,6 +198,19 @@ def test_noise_is_counted(cell: Cell) -> None:
     assert cell.exchange.mistakes == 1
 
 
+def test_what_a_server_refused_is_an_event_once_a_second(cell: Cell) -> None:
+    """Also of clients that may only read; and a flood of it is counted, not told."""
+    cell.exchange.begin(lambda text, warn=False: cell.told.append(text))
+    for _ in range(10):
+        cell.say("labcomm", "report", text="Expected 7 numbers, got 6." + 1500 * "x")
+        cell.exchange.poll()
+    (told,) = [text for text in cell.told if "Expected" in text]
+    assert told.startswith("labcomm 1: Expected 7 numbers, got 6.x")
+    assert len(told) < 1100
+    assert cell.exchange.summary()["commands_refused"] == {"labcomm 1": 10}
+    assert cell.texts("labcomm", "answer") == []
+
+
 def test_a_server_that_is_gone_holds_nothing_up(cell: Cell) -> None:
     cell.far["labcomm"].close()
     for _ in range(10):

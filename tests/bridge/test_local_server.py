@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import socket
 import stat
 import threading
@@ -141,6 +142,7 @@ def test_noise_gets_an_answer(bench: Bench) -> None:
     with LocalFeed() as feed:
         feed._socket.send(b"noise")
         assert "Expected a request" in bench.until(feed, "answer")["text"]
+        assert re.fullmatch(r"local \d+: Expected a request in JSON, .*", bench.until(feed, "event")["text"])
 
 
 def test_eight_clients(bench: Bench) -> None:

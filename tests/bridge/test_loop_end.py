@@ -12,7 +12,7 @@ import pytest
 from armlab import robots
 from armlab.bridge.feed import Exchange
 from armlab.bridge.loop_end import LoopEnd
-from armlab.bridge.messages import CommandRequest, Stop
+from armlab.bridge.messages import CommandRequest, Report, Stop
 from armlab.bridge.outlet import pair
 from armlab.bridge.parameters import Parameter, Parameters
 from armlab.bridge.row import read_row
@@ -77,6 +77,8 @@ def test_a_full_way_loses_commands_and_keeps_a_stop() -> None:
         while end.ask(command):
             pass
         assert end.lost == 1
+        assert not end.ask(Report("a", "Expected 7 numbers, got 6."))
+        assert end.lost == 2
         assert not end.ask(Stop("a"))
         assert not end.ask(command)  # behind a stop that waits
         while _received(loop):

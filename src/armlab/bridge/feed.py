@@ -24,6 +24,7 @@ from armlab.bridge.messages import (
     Leave,
     Listening,
     Release,
+    Report,
     Request,
     Resume,
     SetRequest,
@@ -51,6 +52,7 @@ OPERATOR = "local"
 _PATIENCE = 0.5  # s for a server to say what its clients got, when the arms rest
 _DRAINED = 16  # requests of a server per look
 _EVENTS = 1000  # that wait for a run to begin
+_SENTENCE = 1000  # characters of a report: what clients send may be quoted in it
 
 
 class Exchange:
@@ -244,7 +246,10 @@ class Exchange:
         if isinstance(request, Counted):
             outlet.clients = request.clients
             return
-        client = f"{outlet.name} {request.client}"
+        client = f"{outlet.name} {request.client}".rstrip()
+        if isinstance(request, Report):
+            self.arbiter.report(client, request.text[:_SENTENCE])
+            return
         if outlet.name in self._read_only and not isinstance(request, Stop | Leave):
             refused = request.values if isinstance(request, SetRequest) else ()
             text = f"Expected no requests through {outlet.name}: it listens beyond this computer. Read."

@@ -21,6 +21,7 @@ from armlab.bridge.messages import (
     Counted,
     Leave,
     Listening,
+    Report,
     Request,
     SetRequest,
     Subscribe,
@@ -205,10 +206,11 @@ class LocalServer:
                 request = read_request(data)
             except LinkError as error:
                 client.send(text_message("answer", client=client.name, text=str(error)))
+                self._ask(Report(client.name, str(error)))
                 continue
             if isinstance(request, Subscribe):
                 self._subscribe(client, request)
-            elif not isinstance(request, Listening | Counted):
+            elif not isinstance(request, Listening | Counted | Report):
                 self._ask(msgspec.structs.replace(request, client=client.name))
 
     def _subscribe(self, client: _Client, request: Subscribe) -> None:
@@ -227,7 +229,7 @@ class LocalServer:
     def _ask(self, request: Request) -> None:
         """Pass a request on. When the way is full, commands and settings are lost, but no stop and no release."""
         if self._urgent or not self._sent(request):
-            lost = isinstance(request, CommandRequest | SetRequest) or request in self._urgent
+            lost = isinstance(request, CommandRequest | SetRequest | Report) or request in self._urgent
             if not lost:
                 self._urgent.append(request)
 

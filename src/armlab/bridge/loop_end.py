@@ -13,7 +13,7 @@ from typing import Any
 
 import msgspec
 
-from armlab.bridge.messages import CommandRequest, Counted, Request, SetRequest
+from armlab.bridge.messages import CommandRequest, Counted, Report, Request, SetRequest
 from armlab.bridge.row import MAGIC
 from armlab.bridge.row_schema import RowSchema
 from armlab.errors import LinkError
@@ -93,7 +93,8 @@ class LoopEnd:
     def ask(self, request: Request) -> bool:
         """Send a request to the loop; False when there is no room.
 
-        A command or setting is lost then, as a newer one follows; a stop or a release waits, and goes out by `receive`.
+        A command, a setting or a report is lost then, as newer ones follow; a stop or a release waits, and goes out by
+        `receive`.
 
         Parameters
         ----------
@@ -103,7 +104,7 @@ class LoopEnd:
         with self._lock:
             if not self._urgent and self._sent(data):
                 return True
-            if isinstance(request, CommandRequest | SetRequest):
+            if isinstance(request, CommandRequest | SetRequest | Report):
                 self.lost += 1
             else:
                 self._urgent.append(data)

@@ -17,6 +17,7 @@ __all__ = [
     "Leave",
     "Listening",
     "Release",
+    "Report",
     "Request",
     "Resume",
     "SetRequest",
@@ -77,6 +78,12 @@ class Listening(_Message, tag="listening", frozen=True):
     where: list[str] = []
 
 
+class Report(_Message, tag="report", frozen=True):
+    """What a client sent was no request, or it was closed: why, for the events of the run."""
+
+    text: str = ""
+
+
 class Counted(_Message, tag="counted", frozen=True):
     """What the server's clients got so far, asked for by the message "count": rows sent and dropped, by client."""
 
@@ -89,7 +96,7 @@ class Subscribe(_Message, tag="subscribe", frozen=True):
     rate: float | None = 30.0
 
 
-Request = CommandRequest | SetRequest | Stop | Resume | Release | Leave | Listening | Counted | Subscribe
+Request = CommandRequest | SetRequest | Stop | Resume | Release | Leave | Report | Listening | Counted | Subscribe
 """What a server process or a client of the local feed may ask for."""
 
 _DECODER = msgspec.json.Decoder(Request)

@@ -167,6 +167,15 @@ class Arbiter:
                 self._free(arm, "it closed")
         self._answered.pop(client, None)
 
+    def report(self, client: str, why: str) -> None:
+        """Count what a client sent and its server refused, and tell it, at most once a second for each client.
+
+        Parameters
+        ----------
+        client : its identity. why : a sentence.
+        """
+        self._refuse(client, why, self._clock(), answer=False)
+
     def __call__(self, state: State) -> Command | tuple[Command | None, ...] | None:
         """Return what each arm shall do: the newest command of its holder, or None, hold.
 
@@ -230,14 +239,17 @@ class Arbiter:
         if holder is not None:
             self._tell(f"{holder.client} no longer commands {arm}: {why}. The arm holds.")
 
-    def _refuse(self, client: str, why: str, now: int) -> bool:
+    def _refuse(self, client: str, why: str, now: int, answer: bool = True) -> bool:
         _count(self.refused, client)
         if client not in self._answered and len(self._answered) >= _CLIENTS:
             self._answered.pop(next(iter(self._answered)))
         if now - self._answered.get(client, -_ANSWER_EVERY) >= _ANSWER_EVERY:
             self._answered[client] = now
-            self._answer(client, f"{why} {self.refused[client]} commands refused so far.")
-            self._tell(f"A command of {client} was refused: {why}", warn=True)
+            if answer:
+                self._answer(client, f"{why} {self.refused[client]} commands refused so far.")
+                self._tell(f"A command of {client} was refused: {why}", warn=True)
+            else:
+                self._tell(f"{client}: {why}", warn=True)
         return False
 
     def _robot(self, arm: str) -> Robot:

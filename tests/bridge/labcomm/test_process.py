@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import threading
 from collections.abc import Iterator
 from typing import Any
@@ -19,7 +20,7 @@ from armlab.errors import ConfigError, LabCommError, LinkError, UnknownName
 from armlab.log import Column, Tick
 from armlab.robots import Robot
 from armlab.state import State
-from armlab.wire.labcomm import Sample, parse_lc
+from armlab.wire.labcomm import Encoder, Sample, parse_lc
 
 from .conftest import PATIENCE, until
 
@@ -160,6 +161,25 @@ def test_stop_from_any_client_on_any_port(running: Running, port: str) -> None:
         client.stop()
         until(lambda: running.exchange.poll() or running.exchange.arbiter.stopped)
     assert running.exchange.arbiter.stopped.startswith("labcomm 127.0.0.1:")
+
+
+def test_what_is_no_command_and_what_is_no_labcomm_are_events(running: Running, robot: Robot) -> None:
+    told: list[str] = []
+    running.exchange.begin(lambda text, warn=False: told.append(text))
+
+    def said(words: str) -> bool:
+        running.exchange.arbiter._answered.clear()  # each is told at once
+        running.exchange.poll()
+        return any(text.startswith("labcomm: ") and words in text for text in told)
+
+    with socket.create_connection(("127.0.0.1", running.where[robot.name])) as one:
+        types, encoder = RowTypes(robot.abb_axes), Encoder("2014v1")
+        value = {name: 7 * [0.0] for name in ("pos", "vel", "trq")}
+        one.sendall(encoder.version() + encoder.define(types.sent) + encoder.data(types.sent, {"tm": 1, **value}))
+        until(lambda: said("got a sample 'robot_row'"))
+        one.sendall(64 * b"\xff")
+        until(lambda: said("was closed, offset"))
+    assert not running.exchange.arbiter.obeyed[robot.name]
 
 
 def test_options() -> None:

@@ -148,12 +148,16 @@ def test_wrong_numbers_are_answered_in_the_diagnostics(
 ) -> None:
     writer = running.node.writer(VELOCITY, type_)
     diagnostics = running.node.reader("/yumi_left/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+    events: list[str] = []
+    running.exchange.begin(lambda text, warn=False: events.append(text))
 
     def told() -> str:
         write(writer, type_, *fields)
         return answer(running, diagnostics)
 
-    assert until(told) == f"{writer.guid.hex}: {sentence.format(VELOCITY)}"
+    found = until(told)
+    until(lambda: running.row() or f"ros2 {found}" in events, "an event of the log")
+    assert found == f"{writer.guid.hex}: {sentence.format(VELOCITY)}"
     assert running.exchange.arbiter.commander("yumi_left") == ""
 
 

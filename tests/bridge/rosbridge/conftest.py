@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.bridge.messages import Request, parameter_message
+from armlab.bridge.messages import Report, Request, parameter_message
 from armlab.bridge.parameters import Parameter, Parameters
 from armlab.bridge.rosbridge import Engine
 from armlab.bridge.rosbridge.session import Session
@@ -36,10 +36,14 @@ class Loop:
             [Parameter("gain", 0.5, unit="N/m", minimum=0.0, maximum=1.0), Parameter("note", "a", "text")]
         )
         self.asked: list[Request] = []
+        self.reports: list[str] = []
         self.tell()
 
     def ask(self, request: Request) -> bool:
-        self.asked.append(request)
+        if isinstance(request, Report):
+            self.reports.append(request.text)
+        else:
+            self.asked.append(request)
         return True
 
     def tell(self) -> dict[str, Any]:

@@ -115,6 +115,7 @@ def test_what_cannot_be_done_comes_back_as_a_status(bench: Bench, operation: dic
     assert (status["op"], status["id"], status["level"]) == ("status", "mine", "error")
     assert re.search(words, status["msg"]), status["msg"]
     assert bench.loop.asked == []
+    assert re.search(words, bench.loop.reports[0])
     bench.row()
     assert bench.heard(client) == []
 

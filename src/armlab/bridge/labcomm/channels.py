@@ -125,17 +125,22 @@ class ArmChannel(Channel):
         _send(self.types.sent, self.types.value(item), peers)
 
     def take(self, peer: Peer, event: Event, peers: Iterable[Peer]) -> None:
-        """Take a command; other samples are counted."""
+        """Take a command; what is none is counted, and told by the server.
+
+        Raises
+        ------
+        LabCommError : a sample of another type, or values that are no command.
+        """
         if not isinstance(event, Sample):
             return
         if not self.types.accepts(SampleType(event.name, event.type)):
             self.counts["other type"] += 1
-            return
+            raise LabCommError(f"Expected {self.types.accepted.name} on this port, got a sample {event.name!r}.")
         try:
             row = self.types.command(event.value)
         except LabCommError:
             self.counts["refused"] += 1
-            return
+            raise
         self.counts["commands"] += 1
         if self._on_command is not None:
             self._on_command(self.name, row, peer.address)

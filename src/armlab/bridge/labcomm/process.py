@@ -19,7 +19,7 @@ from armlab.bridge.labcomm.parameter_channel import ParameterChannel, Value
 from armlab.bridge.labcomm.rows import Order, Row
 from armlab.bridge.labcomm.server import LabCommServer
 from armlab.bridge.loop_end import LoopEnd
-from armlab.bridge.messages import CommandRequest, Leave, Listening, SetRequest, Stop
+from armlab.bridge.messages import CommandRequest, Leave, Listening, Report, SetRequest, Stop
 from armlab.bridge.row import read_row
 from armlab.bridge.row_schema import RowSchema
 from armlab.errors import ConfigError
@@ -176,7 +176,10 @@ class LabCommProcess:
             server.fused(row.wall_ns // 1000, fused, _sources(schema, values, row.wall_ns))
 
     def _event(self, text: str, warn: bool = False) -> None:
-        _logger.log(logging.WARNING if warn else logging.INFO, "labcomm %s", text)
+        if warn:
+            self._loop.ask(Report(text=text))
+        else:
+            _logger.info("labcomm %s", text)
 
 
 def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from armlab.bridge.loop_end import LoopEnd
-from armlab.bridge.messages import Leave, Listening
+from armlab.bridge.messages import Leave, Listening, Report
 from armlab.bridge.ros.dds_domain import joined
 from armlab.bridge.ros.dds_topics import Readers, Writers
 from armlab.bridge.ros.requests import Commands
@@ -91,6 +91,7 @@ class DdsServer:
             requests = self._commands.requests(name, content(self._commands.types[name], cdr), client)
         except CommandRefused as error:
             self._answer(client, str(error))
+            self._loop.ask(Report(client, str(error)))
         else:
             for request in requests:
                 self._loop.ask(request)

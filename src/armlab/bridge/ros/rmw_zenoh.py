@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any
 
 from armlab.bridge.loop_end import LoopEnd
-from armlab.bridge.messages import Listening
+from armlab.bridge.messages import Listening, Report
 from armlab.bridge.ros.requests import Commands
 from armlab.bridge.ros.rmw_zenoh_names import ANY, Names, Origin, Writer
 from armlab.bridge.ros.ros2 import content, domain_number
@@ -116,15 +116,19 @@ class RmwZenohServer:
         """Pass what a node wants on to the loop; called by a thread of Zenoh's."""
         origin = Origin.read(data_of(sample.attachment))
         if origin is None:  # rmw_zenoh drops it, too: who sent it is not known
-            self._answer("unknown", f"Expected 33 bytes attached on {topic}, as rmw_zenoh has them since June 2025.")
+            self._refuse("unknown", f"Expected 33 bytes attached on {topic}, as rmw_zenoh has them since June 2025.")
             return
         try:
             requests = self._commands.requests(topic, content(type, sample.payload.to_bytes()), origin.client)
         except CommandRefused as error:
-            self._answer(origin.client, str(error))
+            self._refuse(origin.client, str(error))
         else:
             for request in requests:
                 self._loop.ask(request)
+
+    def _refuse(self, client: str, why: str) -> None:
+        self._answer(client, why)
+        self._loop.ask(Report(client, why))
 
     def _answer(self, client: str, text: str) -> None:
         """Tell a node; nothing leads back to it but the diagnostics, which all read."""

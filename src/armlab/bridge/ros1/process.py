@@ -16,7 +16,7 @@ from collections.abc import Iterator, Mapping
 from typing import IO, Any
 
 from armlab.bridge.loop_end import LoopEnd
-from armlab.bridge.messages import Listening
+from armlab.bridge.messages import Listening, Report
 from armlab.bridge.outlet import pair
 from armlab.bridge.ros import Commands, Topics, store
 from armlab.bridge.ros1 import relay
@@ -151,6 +151,7 @@ class Ros1Process:
                     asked = self._commands.requests(message["topic"], message["content"], message["client"])
                 except CommandRefused as error:
                     self._answer(node, message["client"], str(error))
+                    self._loop.ask(Report(message["client"], str(error)))
                 else:
                     for request in asked:
                         self._loop.ask(request)

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import msgspec
 
-from armlab.bridge.messages import CommandRequest, Leave, Request, SetRequest
+from armlab.bridge.messages import CommandRequest, Leave, Report, Request, SetRequest
 from armlab.bridge.ros import Commands, Published, Topics
 from armlab.bridge.rosbridge.dialect import Dialect, encoded, fields, read_type, type_name
 from armlab.bridge.rosbridge.operations import (
@@ -106,6 +106,7 @@ class Engine:
             self._do(session, operation, now_ns)
         except (CommandRefused, UnknownName) as error:
             session.status("error", str(error), now_ns, id_of(data) if operation is None else operation.id)
+            self._loop.ask(Report(session.name, str(error)))
 
     def row(self, data: bytes, now_ns: int) -> None:
         """Send a row to those who want it.

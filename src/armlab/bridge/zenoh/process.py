@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 import math
 import socket
 import struct
@@ -15,7 +14,7 @@ import msgspec
 import numpy as np
 
 from armlab.bridge.loop_end import LoopEnd
-from armlab.bridge.messages import CommandRequest, Listening, Request, SetRequest, Stop
+from armlab.bridge.messages import CommandRequest, Listening, Report, Request, SetRequest, Stop
 from armlab.bridge.status import Status
 from armlab.bridge.zenoh.checksum import checksum
 from armlab.bridge.zenoh.keys import COMMANDS, Attached, key
@@ -33,7 +32,6 @@ _MOST = 64  # joints
 _CLIENTS = 256  # of which is known where their answers go
 _HEAD_MONO = struct.Struct("<q")
 _NOBODY = "unknown"
-_logger = logging.getLogger("armlab.bridge")
 
 
 class ZenohProcess:
@@ -158,8 +156,8 @@ class ZenohProcess:
         self._loop.ask(request)
 
     def _refuse(self, robot: str, client: str, why: str) -> None:
-        _logger.warning("zenoh %s: %s", client, why)
         self._answer(robot, client, why)
+        self._loop.ask(Report(client, why))
 
     def _answer(self, robot: str, client: str, text: str) -> None:
         self._session.put(key(self._lab, robot, f"answer/{client}"), text)
