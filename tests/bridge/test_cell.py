@@ -103,6 +103,13 @@ def test_errors_are_one_line_with_the_path(cell_text: str, old: str, new: str, w
     assert "cell.toml" in str(caught.value)
 
 
+def test_two_arms_are_commanded_under_a_name_that_neither_has() -> None:
+    text = 'name = "yumi_left"\n[[robots]]\nname = "yumi_left"\nlink = "sim://yumi_left"\n'
+    assert parse_cell(text).name == "yumi_left"
+    with pytest.raises(ConfigError, match="that none of its robots has, got yumi_left"):
+        parse_cell(f'{text}[[robots]]\nname = "yumi_right"\nlink = "sim://yumi_right"\n')
+
+
 def test_a_server_that_commands_must_be_enabled() -> None:
     with pytest.raises(ConfigError, match=r"got labcomm. Add \[servers.labcomm\]"):
         parse_cell('commands=["labcomm"]\n[[robots]]\nname="ur5e"\nlink="egm://127.0.0.1:6510"')

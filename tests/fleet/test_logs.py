@@ -31,6 +31,16 @@ def test_tables_have_names_by_their_place(short_arm) -> None:
     assert as_table(found[next(iter(found))], short_arm.robot) is table
 
 
+def test_a_file_by_two_names_is_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "logs").mkdir()
+    (tmp_path / "logs" / "a.mcap").touch()
+    (tmp_path / "link.mcap").symlink_to(tmp_path / "logs" / "a.mcap")
+    monkeypatch.chdir(tmp_path)
+    for given in (["logs", tmp_path / "logs"], ["logs/a.mcap", "link.mcap"], ["logs", "logs/../logs/a.mcap"]):
+        with pytest.raises(ShapeError, match="twice"):
+            named(given)
+
+
 def test_bad_input(tmp_path: Path) -> None:
     for given, error, sentence in (
         ([], LogError, "at least one log, got none"),

@@ -94,6 +94,8 @@ def _cell(file: File) -> Cell:
     names = [arm.name for arm in arms]
     if len(set(names)) < len(names):
         raise ConfigError(f"Expected robots with different names, got {', '.join(names)}.")
+    if len(names) > 1 and file.name in names:  # both arms are commanded under the name of the cell
+        raise ConfigError(f"Expected a name of the cell that none of its robots has, got {file.name}.")
     if file.pace is not None and file.pace not in names:
         raise UnknownName.among("robot of this cell", file.pace, names)
     servers: dict[str, Mapping[str, Any]] = {OPERATOR: {}}

@@ -28,11 +28,14 @@ def named(logs: Iterable[Table | str | Path] | str | Path) -> Mapping[str, Log]:
     LogError : nothing there, or a folder without logs. ShapeError : something else than logs, or one name twice.
     """
     found: dict[str, Log] = {}
+    files: set[Path] = set()
     given = [logs] if isinstance(logs, str | Path) else list(logs)
     for number, one in enumerate(given):
         for name, log in _expanded(one, number):
-            if name in found:
-                raise ShapeError(f"Expected each log once, got {name} twice. Leave one out.")
+            if isinstance(log, Path):
+                if (file := log.resolve()) in files:
+                    raise ShapeError(f"Expected each log once, got {name} twice. Leave one out.")
+                files.add(file)
             found[name] = log
     if not found:
         raise LogError("Expected at least one log, got none. Give files, or a folder of recordings.")
