@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import logging
 import socket
+import struct
 import time
 from collections.abc import Mapping
 from http import HTTPStatus
@@ -32,6 +33,7 @@ _KEPT = 100  # clients that have left, of which is known what they got
 _TURN = 0.1  # s between two looks at what is due without anybody saying anything
 _WRITE_LIMIT = 16384  # bytes that wait in the process before a send waits
 _CLOSING = 0.5  # s for a client to say goodbye
+_PING, _PONG = 5.0, 10.0  # s between two pings, and for the answer: whose computer has gone is given up then
 
 
 class RosbridgeServer:
@@ -71,6 +73,8 @@ class RosbridgeServer:
             max_size=LARGEST,
             write_limit=_WRITE_LIMIT,
             close_timeout=_CLOSING,
+            ping_interval=_PING,
+            ping_timeout=_PONG,
             logger=logging.Logger("armlab.bridge.rosbridge", logging.ERROR),  # more would show headers: tokens
         )
         running = asyncio.get_running_loop()
@@ -110,13 +114,11 @@ class RosbridgeServer:
 
     def _send(self, connection: ServerConnection, session: Session) -> None:
         """Send a client what waits for it, in one piece, unless it has not taken what was sent before."""
-        protocol, transport = connection.protocol, connection.transport
-        if transport.get_write_buffer_size() > _WRITE_LIMIT or protocol.state is not self._open:
+        transport = connection.transport
+        if transport.get_write_buffer_size() > _WRITE_LIMIT or connection.state is not self._open:
             return
         if messages := session.outbox.take(_SEND_BUFFER):
-            for data in messages:
-                protocol.send_text(data)
-            transport.write(b"".join(protocol.data_to_send()))
+            transport.write(b"".join([part for data in messages for part in (_head(len(data)), data)]))
 
     def _judge(self, connection: ServerConnection, request: Request) -> Response | None:
         """Refuse a connection before it is one: too many clients, or a wrong token."""
@@ -151,6 +153,13 @@ class RosbridgeServer:
     def _counts(self) -> Mapping[str, tuple[int, int]]:
         here = {name: (one.outbox.sent, one.outbox.dropped) for name, one in self._engine.sessions.items()}
         return {**self._gone, **here}
+
+
+def _head(size: int) -> bytes:
+    """Return what stands before a text of so many bytes: RFC 6455, section 5.2, a whole message and no mask."""
+    if size < 126:
+        return struct.pack(">BB", 0x81, size)
+    return struct.pack(">BBH", 0x81, 126, size) if size < 65536 else struct.pack(">BBQ", 0x81, 127, size)
 
 
 def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
