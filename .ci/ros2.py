@@ -5,7 +5,8 @@
     .venv/bin/python .ci/ros2.py jazzy           # some distributions
 
 The bridge runs on this computer and the containers share its network. What came out is printed as a table, kept in
-.ci/ros2.json, and said in README.md; tests/bridge/ros/test_page.py holds README.md and docs/ros.md to that file.
+.ci/ros2.json, and said in README.md and docs/parity.md; tests/bridge/ros/test_page.py holds them to that file, and
+docs/ros.md, which a person has to change.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ import time
 from pathlib import Path
 
 FOLDER = Path(__file__).parent
-RESULTS, README, CHECKS = FOLDER / "ros2.json", FOLDER.parent / "README.md", FOLDER / "ros2_checks.sh"
+RESULTS, CHECKS = FOLDER / "ros2.json", FOLDER / "ros2_checks.sh"
+PAGES = (FOLDER.parent / "README.md", FOLDER.parent / "docs" / "parity.md")
 DISTRIBUTIONS = ("humble", "jazzy", "kilted")
 MIDDLEWARE = {"rmw_fastrtps_cpp": "ros2", "rmw_cyclonedds_cpp": "ros2", "rmw_zenoh_cpp": "rmw_zenoh"}
 DOMAIN = 77  # of no other robot on this computer
@@ -97,7 +99,7 @@ def judge(said: dict[str, str], distribution: str, middleware: str) -> dict[str,
 
 
 def clause(results: list[dict]) -> str:
-    """Return what the README says of ROS 2 itself."""
+    """Return what the pages say of ROS 2 itself."""
 
     def named(has_passed: bool) -> str:
         known = {name: [] for name in DISTRIBUTIONS}
@@ -111,9 +113,9 @@ def clause(results: list[dict]) -> str:
     return f"nodes of ROS 2 {named(True)} read and command" + (f", not those of {named(False)}" if named(False) else "")
 
 
-def stated(readme: str, results: list[dict]) -> str:
-    """Return the README with what was found in its sentence on ROS 2."""
-    return re.sub(r"(?<=; )[^;]*(?=\. ROS 1:)", clause(results), readme)
+def stated(page: str, results: list[dict]) -> str:
+    """Return a page with what was found in its sentence on ROS 2."""
+    return re.sub(r"(?<=; )[^;]*(?=\. ROS 1:)", clause(results), page)
 
 
 def settings(distribution: str, middleware: str) -> dict[str, str]:
@@ -176,7 +178,7 @@ def table(results: list[dict]) -> str:
     return "\n".join(lines)
 
 
-def main(wanted: list[str], file: Path = RESULTS, readme: Path = README) -> int:
+def main(wanted: list[str], file: Path = RESULTS, pages: tuple[Path, ...] = PAGES) -> int:
     """Run the checks of the wanted distributions; 0 when all held, 1 when not, 2 when they cannot be run here."""
     if unknown := set(wanted) - set(DISTRIBUTIONS):
         print(f"Expected some of {', '.join(DISTRIBUTIONS)}, got {', '.join(unknown)}.", file=sys.stderr)
@@ -197,7 +199,8 @@ def main(wanted: list[str], file: Path = RESULTS, readme: Path = README) -> int:
     print(table(results))
     everything = sorted([*kept, *results], key=lambda one: DISTRIBUTIONS.index(one["distribution"]))
     file.write_text(json.dumps(everything, indent=1) + "\n")
-    readme.write_text(stated(readme.read_text(encoding="utf-8"), everything), encoding="utf-8")
+    for page in pages:
+        page.write_text(stated(page.read_text(encoding="utf-8"), everything), encoding="utf-8")
     return int(any(any(one["checks"].values()) for one in results))
 
 

@@ -152,7 +152,7 @@ def program(folder: Path, name: str, text: str) -> None:
 def ask(folder: Path, *wanted: str) -> tuple[int, Path, Path]:
     results, readme = folder / "ros2.json", folder / "README.md"
     readme.write_text("Checked against others; not yet against a running ROS 2 node. ROS 1: with a roscore.\n")
-    return JOB.main(list(wanted), results, readme), results, readme
+    return JOB.main(list(wanted), results, (readme,)), results, readme
 
 
 def test_without_docker_it_refuses(programs: Path, capsys: pytest.CaptureFixture[str]) -> None:

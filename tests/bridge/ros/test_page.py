@@ -40,14 +40,17 @@ def test_what_is_said_to_be_checked_is_what_the_tests_check() -> None:
     assert re.findall(r"\*\*([^*]+)\*\*", zenoh) == [*RELEASES, f"zenoh-ros2-sdk {SDK}"]
 
 
-def test_the_readme_claims_what_the_tests_check() -> None:
+@pytest.mark.parametrize("page", JOB.PAGES, ids=lambda page: page.name)
+def test_the_readme_and_the_parity_table_claim_what_the_tests_check(page: Path) -> None:
     """Real ROS 2, which is not run here, as .ci/ros2.py left it in its file."""
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    text = page.read_text(encoding="utf-8")
     cyclone, fast = _claimed()
     first, last = min(RELEASES, key=_number), version("eclipse-zenoh").rpartition(".")[0]
-    assert f"checked against {fast}, {cyclone} and Zenoh {first} to {last}; {JOB.clause(RUNS)}. ROS 1: " in readme
-    assert JOB.stated(readme, RUNS) == readme
-    assert "a real roscore, rospy and roslibpy" in readme
+    assert (
+        f"ROS 2: wire-compatible, checked against {fast}, {cyclone} and Zenoh {first} to {last}; {JOB.clause(RUNS)}. "
+        "ROS 1: checked with a real roscore, rospy and roslibpy."
+    ) in text
+    assert JOB.stated(text, RUNS) == text
 
 
 @pytest.mark.parametrize(("place", "package"), [(0, "cyclonedds-dev"), (1, "libfastrtps-dev")])

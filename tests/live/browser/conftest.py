@@ -124,21 +124,30 @@ def _chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     process.wait(timeout=PATIENCE)
 
 
-@pytest.fixture(scope="module")
-def open_page(_chromium: str) -> Iterator[Callable[[Any], Page]]:
-    """Open the page of a server, and wait until it is connected and the scene is drawn."""
+@pytest.fixture(scope="session")
+def browse(_chromium: str) -> Callable[[str], Page]:
+    """Open an address in a page of its own, which the test closes."""
     from websockets.sync.client import connect
 
-    pages: list[tuple[Page, Any]] = []
-
-    def open_(server: Any) -> Page:
+    def open_(address: str) -> Page:
         asked = urllib.request.Request(f"{_chromium}/json/new?about:blank", method="PUT")
         with urllib.request.urlopen(asked, timeout=PATIENCE) as answer:
             about = json.load(answer)
-        socket = connect(about["webSocketDebuggerUrl"], max_size=None, max_queue=None, proxy=None)
-        page = Page(socket)
+        page = Page(connect(about["webSocketDebuggerUrl"], max_size=None, max_queue=None, proxy=None))
+        page.call("Page.navigate", url=address)
+        return page
+
+    return open_
+
+
+@pytest.fixture(scope="module")
+def open_page(browse: Callable[[str], Page]) -> Iterator[Callable[[Any], Page]]:
+    """Open the page of a server, and wait until it is connected and the scene is drawn."""
+    pages: list[tuple[Page, Any]] = []
+
+    def open_(server: Any) -> Page:
+        page = browse(live.address(server))
         pages.append((page, server))
-        page.call("Page.navigate", url=live.address(server))
         until = time.monotonic() + PATIENCE
         while not server.get_clients():
             assert time.monotonic() < until, page.text()
