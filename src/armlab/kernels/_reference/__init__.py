@@ -46,6 +46,7 @@ from armlab.kernels._reference.primitive_stepper import PrimitiveStepper
 from armlab.kernels._reference.records import RecordMaker
 from armlab.kernels._reference.rotation_primitive import RotationStepper, rotation_rollout
 from armlab.kernels._reference.row_encoder import RowEncoder
+from armlab.kernels._reference.row_messages import RowMessages
 from armlab.kernels._reference.row_packer import RowPacker
 from armlab.kernels._reference.signals import SignalOperator
 from armlab.kernels._reference.two_dof import TwoDof
@@ -67,6 +68,7 @@ __all__ = [
     "RecordMaker",
     "RotationStepper",
     "RowEncoder",
+    "RowMessages",
     "RowPacker",
     "SignalOperator",
     "TwoDof",
