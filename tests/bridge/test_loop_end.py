@@ -49,6 +49,22 @@ def test_the_loop_says_what_it_is_then_rows_come(exchange: Exchange) -> None:
         assert end.receive(None) is None
 
 
+def test_rows_come_one_by_one_and_texts_before_them_with_them(exchange: Exchange) -> None:
+    with exchange.open(SERVER) as feed:
+        end = LoopEnd(feed)
+        q = np.arange(7.0)
+        state = State(t=0.0, dt=0.004, q=q, qd=q, tau=q, robot="yumi_left")
+        exchange.event("first")
+        for k in range(3):
+            exchange.row(state, None, Tick(k, -1, 2_000, 1_000, -1, 0))
+        kinds = []
+        for patience in (None, 0.0, 20.0):
+            came = end.receive(patience) or []
+            kinds.append([one["kind"] if isinstance(one, dict) else "row" for one in came])
+        assert kinds == [["event", "row"], ["row"], ["row"]]
+        assert end.receive(0.01) == end.receive() == []  # it waits no longer than it is told
+
+
 def test_parameters_and_counts_are_kept_up_to_date(exchange: Exchange) -> None:
     with exchange.open(SERVER) as feed:
         end = LoopEnd(feed, lambda: {"10.0.0.1:5": (3, 1)})

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import select
 import socket
+import struct
 import threading
 import time
 from collections import deque
@@ -24,6 +26,7 @@ _LARGEST = 2**17
 _URGENT = 256  # requests that wait when the way to the loop is full
 _RETRY = 0.005  # s until they are tried again
 _AT_ONCE = 64  # messages that one look takes
+_LONGEST = 1.0  # s of one look
 
 Clients = Mapping[str, tuple[int, int]]
 
@@ -57,7 +60,9 @@ class LoopEnd:
         self.parameters: dict[str, dict[str, Any]] = {}
         self.about: dict[str, Any] = {}
         self.lost = 0
-        feed.setblocking(False)
+        self._buffer = memoryview(bytearray(_LARGEST))  # not a new one for each row: the system would map it each time
+        self._patience: float | None = None
+        feed.setblocking(True)
         said: set[str] = set()
         while not {"about", "parameters"} <= said:
             messages = self.receive(None)
@@ -70,24 +75,31 @@ class LoopEnd:
         return self._feed.fileno()
 
     def receive(self, patience: float | None = 0.0) -> list[bytes | dict[str, Any]] | None:
-        """Return what has come: rows as bytes, texts as they say, by their "kind"; None when the loop has gone.
+        """Return what has come, up to the first row: rows as bytes, texts as they say, by their "kind".
+
+        None when the loop has gone. Rows come one by one: to look whether there is a second one costs what a row costs.
 
         Parameters
         ----------
         patience : s to wait for the first message; None waits until one comes.
         """
-        self._wait(patience)
+        flags = self._wait(patience)
         found: list[bytes | dict[str, Any]] = []
         while len(found) < _AT_ONCE:
             try:
-                data = self._feed.recv(_LARGEST)
+                size = self._feed.recv_into(self._buffer, 0, flags)
             except BlockingIOError:
                 break
             except OSError:
-                data = b""
-            if not data:
+                size = 0
+            if not size:
                 return found or None
-            found.append(data if data[:4] == MAGIC else self._text(data))
+            data = self._buffer[:size].tobytes()
+            if data.startswith(MAGIC):
+                found.append(data)
+                break
+            found.append(self._text(data))
+            flags = socket.MSG_DONTWAIT
         return found
 
     def ask(self, request: Request) -> bool:
@@ -110,16 +122,25 @@ class LoopEnd:
                 self._urgent.append(data)
         return False
 
-    def _wait(self, patience: float | None) -> None:
-        """Wait for a message; send meanwhile what waits."""
-        until = None if patience is None else time.monotonic() + patience
-        while True:
+    def _wait(self, patience: float | None) -> int:
+        """Return the flags by which to receive the first message; wait for it here while something is to be sent."""
+        if self._urgent:
             self._retry()
-            left = None if until is None else max(0.0, until - time.monotonic())
-            if self._urgent:
-                left = _RETRY if left is None else min(left, _RETRY)
-            if select.select([self._feed], [], [], left)[0] or (until is not None and time.monotonic() >= until):
-                return
+        if patience == 0.0:
+            return socket.MSG_DONTWAIT
+        if not self._urgent:  # the system waits while it receives: one call for a row
+            if patience != self._patience:
+                self._patience = patience
+                seconds, rest = divmod(patience or 0.0, 1.0)
+                wait = struct.pack("@ll", int(seconds), round(1e6 * rest))
+                self._feed.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, wait)
+            return 0
+        until = math.inf if patience is None else time.monotonic() + patience
+        while (left := until - time.monotonic()) > 0.0:
+            if select.select([self._feed], [], [], min(left, _RETRY) if self._urgent else min(left, _LONGEST))[0]:
+                break
+            self._retry()
+        return socket.MSG_DONTWAIT
 
     def _retry(self) -> None:
         with self._lock:
@@ -128,7 +149,7 @@ class LoopEnd:
 
     def _sent(self, data: bytes) -> bool:
         with contextlib.suppress(OSError):
-            return self._feed.send(data) > 0
+            return self._feed.send(data, socket.MSG_DONTWAIT) > 0
         return False
 
     def _text(self, data: bytes) -> dict[str, Any]:
