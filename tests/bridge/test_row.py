@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from armlab import robots
 from armlab.bridge.fusion import Held
-from armlab.bridge.row import MAGIC, Row, RowWriter, read_row
+from armlab.bridge.row import MAGIC, MONO, WALL, Row, RowWriter, beginning, places, read_head, read_row
 from armlab.bridge.row_schema import LARGEST, RowSchema
 from armlab.errors import LinkError, UnknownName
 from armlab.log import Column, Tick
@@ -104,3 +104,24 @@ def test_mutated_rows(changes: list[tuple[int, int]]) -> None:
         assert bytes(data[:16]) != ROW[:16]
     else:
         assert row.values.keys() == BOTH.fields.keys()
+
+
+def test_places_are_where_the_values_are() -> None:
+    data = RowWriter(BOTH).row(state("yumi_right"), None, tick(3), 77)
+    row = read_row(BOTH, data)
+    for source in ("yumi_right", "force"):
+        found = places(BOTH, source)
+        names = {name for name, field in BOTH.fields.items() if field.source == source and field.type != "text"}
+        assert {f"{source}.{name}" for name in found} == names
+        for name, (form, offset) in found.items():
+            np.testing.assert_array_equal(form.unpack_from(data, offset), np.ravel(row.values[f"{source}.{name}"]))
+
+
+def test_the_head_of_a_row() -> None:
+    data = RowWriter(BOTH).row(state(), None, tick(3), 77)
+    assert read_head(BOTH, data) == (1, 77, 10**18 + 3)
+    assert [int.from_bytes(data[at : at + 8], "little") for at in (MONO, WALL)] == [77, 10**18 + 3]
+    assert data.startswith(beginning(BOTH))
+    assert beginning(RowSchema.of([LEFT])) != beginning(BOTH)
+    with pytest.raises(LinkError, match="Read whole messages"):
+        read_head(BOTH, data + bytes(8))

@@ -20,9 +20,15 @@ from armlab.errors import LinkError, UnknownName
 from armlab.log import Tick
 from armlab.state import Command, State
 
-__all__ = ["MAGIC", "Row", "RowWriter", "read_row"]
+__all__ = ["MAGIC", "MONO", "WALL", "Row", "RowWriter", "beginning", "places", "read_head", "read_row"]
 
 MAGIC = b"ALR1"
+
+MONO, WALL = HEAD.size - 16, HEAD.size - 8
+"""Places of the clocks in a row, int64 [ns]."""
+
+_BEGINNING = 16  # bytes until the number of the row
+_LETTERS = {"float64": "d", "int64": "q"}  # of `struct`
 
 
 class Row(NamedTuple):
@@ -74,6 +80,20 @@ def read_row(schema: RowSchema, data: bytes) -> Row:
     ------
     LinkError : no row, one of another schema, or of another length.
     """
+    return Row(*read_head(schema, data), _Values(schema.fields, data))
+
+
+def read_head(schema: RowSchema, data: bytes) -> tuple[int, int, int]:
+    """Return number, monotonic and wall clock [ns] of a row.
+
+    Parameters
+    ----------
+    schema, data : as of `read_row`.
+
+    Raises
+    ------
+    LinkError : as of `read_row`.
+    """
     if len(data) < HEAD.size or data[:4] != MAGIC:
         raise LinkError(f"Expected a row that begins with {MAGIC.decode()}, got {len(data)} bytes: {data[:8]!r}.")
     _, size, id_, seq, mono_ns, wall_ns = HEAD.unpack_from(data)
@@ -81,7 +101,36 @@ def read_row(schema: RowSchema, data: bytes) -> Row:
         raise LinkError(f"Expected a row of schema {schema.id.hex()}, got {id_.hex()}. Read the new schema first.")
     if size != len(data) or size != schema.size:
         raise LinkError(f"Expected a row of {schema.size} bytes, got {len(data)} that say {size}. Read whole messages.")
-    return Row(seq, mono_ns, wall_ns, _Values(schema.fields, data))
+    return seq, mono_ns, wall_ns
+
+
+def beginning(schema: RowSchema) -> bytes:
+    """Return what all rows of a schema begin with.
+
+    Parameters
+    ----------
+    schema : of the rows.
+    """
+    return HEAD.pack(MAGIC, schema.size, schema.id, 0, 0, 0)[:_BEGINNING]
+
+
+def places(schema: RowSchema, source: str) -> dict[str, tuple[struct.Struct, int]]:
+    """Return where the numbers of a source are in its rows: their form and their offset, by field without the source.
+
+    Who wants the same few fields of every row reads them at a tenth of the time.
+
+    Parameters
+    ----------
+    schema : of the rows. source : robot or source.
+    """
+    return {
+        field.name.removeprefix(f"{source}."): (
+            struct.Struct(f"<{math.prod(field.shape)}{_LETTERS[field.type]}"),
+            field.offset,
+        )
+        for field in schema.fields.values()
+        if field.source == source and field.type in _LETTERS
+    }
 
 
 class _Part:

@@ -7,28 +7,37 @@ import pytest
 
 from armlab import kinematics, robots
 from armlab.bridge.ros.arm import Arm, header, joint_names
-from armlab.bridge.row import Row
+from armlab.bridge.row import RowWriter, places
+from armlab.bridge.row_schema import RowSchema
+from armlab.log import Tick
+from armlab.state import State
 
 ROBOT = robots.load("irb120")
 Q = np.linspace(0.1, 0.6, 6)
 
 
-def arm(**values: object) -> Arm:
-    return Arm(ROBOT, Row(1, 2, 3, {f"{ROBOT.name}.{name}": value for name, value in {"q": Q, **values}.items()}))
+def arm(**values: np.ndarray) -> Arm:
+    schema = RowSchema.of([ROBOT])
+    state = State(1.0, 0.004, **{"q": Q, "qd": Q, "tau": Q, **values}, robot=ROBOT.name, motors=1)
+    data = RowWriter(schema).row(state, None, Tick(7, 7, 3, 1_000, 2_000, 3), 2)
+    return Arm(ROBOT, places(schema, ROBOT.name), data, 3)
 
 
 def test_a_column_with_a_hole_is_not_there() -> None:
-    one = arm(tau=np.array([1.0, np.nan, 1.0, 1.0, 1.0, 1.0]), qd=Q)
-    assert len(one.numbers("tau")) == 0
-    assert one.numbers("qd") is Q
-    assert one["q"] is Q
+    endless = np.array([np.inf, -np.inf, 1.0, 1.0, 1.0, 1.0])
+    one = arm(tau=np.array([1.0, np.nan, 1.0, 1.0, 1.0, 1.0]), qd=endless)
+    assert one.numbers("tau") == ()
+    assert one.numbers("qd") == tuple(endless)
+    assert one["q"] == tuple(Q)
+    assert one["motors"] == (1,)
+    assert one.wall_ns == 3
 
 
 def test_a_wrench_turns_with_the_tool() -> None:
     one, rng = arm(), np.random.default_rng(0)
     wrench, factor = rng.normal(size=6), rng.normal(size=(6, 6))
     R = kinematics.forward(ROBOT, Q)[:3, :3]
-    turned = one.in_tool_axes(wrench)
+    turned = np.array(one.in_tool_axes(wrench.tolist()))
     np.testing.assert_allclose(R @ turned[:3], wrench[:3], atol=1e-14)
     np.testing.assert_allclose(R @ turned[3:], wrench[3:], atol=1e-14)
     cov = one.covariance_in_tool_axes(factor @ factor.T)
@@ -47,4 +56,4 @@ def test_joints_of_a_yumi_have_the_names_of_abb_robot_driver() -> None:
     left, right = joint_names(robots.load("yumi_left")), joint_names(robots.load("yumi_right_urdf"))
     assert left == [f"yumi_robl_joint_{k}" for k in range(1, 8)]
     assert right == [f"yumi_robr_joint_{k}" for k in range(1, 8)]
-    assert joint_names(ROBOT) == list(ROBOT.joint_names) == arm().joint_names
+    assert joint_names(ROBOT) == list(ROBOT.joint_names)

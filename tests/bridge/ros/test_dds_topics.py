@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 from armlab.bridge.ros import Published, store
+from armlab.bridge.ros.mould import cdr
 
 from .dds_peers import Node, free_domain, numbers, taken, until, write
 
@@ -17,6 +18,11 @@ from armlab.bridge.ros.dds_domain import joined
 from armlab.bridge.ros.dds_topics import Readers, Writers
 
 TEXT, ARRAY = "std_msgs/msg/String", "std_msgs/msg/Float64MultiArray"
+
+
+def text(words: str) -> bytes:
+    """A message of any number of bytes, also such that are no multiple of 4."""
+    return cdr(store().types[TEXT](words), TEXT)
 
 
 @pytest.fixture
@@ -33,7 +39,7 @@ def test_a_topic_is_wanted_while_it_has_a_reader(node: Node) -> None:
     readers = [node.reader("/b", TEXT), node.reader("/b", TEXT)]
     until(lambda: writers.wanted == {"/b"})
     for k in range(3):
-        writers.write(topics["/b"], store().types[TEXT](f"text {k}"))
+        writers.write(topics["/b"], text(f"text {k}"))
     assert writers.counts == {"/b": (3, 0)}
     for texts in [[message.data for message in taken(reader, TEXT)] for reader in readers]:
         assert texts == ["text 0", "text 1", "text 2"]
@@ -52,7 +58,7 @@ def test_of_what_a_reader_has_not_read_the_last_ten_are_kept(node: Node) -> None
     writers = Writers(node.participant, {"/a": topic})
     reader = node.reader("/a", TEXT)
     for k in range(500):
-        writers.write(topic, store().types[TEXT](str(k)))
+        writers.write(topic, text(str(k)))
     assert writers.counts == {"/a": (500, 0)}, "nothing waited"
     assert [message.data for message in taken(reader, TEXT)] == [str(k) for k in range(490, 500)]
 

@@ -6,11 +6,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from armlab import kinematics, robots
-from armlab.bridge.ros import Published, Topics, store
+from armlab.bridge.ros import Encoded, Published, Topics, store
+from armlab.bridge.ros.mould import cdr
 from armlab.bridge.row import RowWriter
 from armlab.bridge.row_schema import RowSchema
+from armlab.errors import LinkError
 from armlab.log import Tick
 from armlab.state import Command, State
 
@@ -144,3 +148,67 @@ def test_parameters_are_told_as_text() -> None:
     assert [(topic.name, message.data) for topic, message in told] == [
         ("/yumi_right/parameters", '{"gain": 2.0, "gentle": true}')
     ]
+
+
+NUMBERS = st.lists(st.floats(width=64), min_size=7, max_size=7).map(np.array) | st.none()
+WRENCHES = st.lists(st.floats(-1e6, 1e6) | st.just(np.nan), min_size=6, max_size=6).map(np.array) | st.none()
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@given(
+    st.tuples(*[NUMBERS] * 8),
+    st.lists(st.floats(-3.0, 3.0), min_size=7, max_size=7).map(np.array) | st.none(),
+    WRENCHES,
+    WRENCHES,
+    st.integers(0, 2**31 * 10**9 - 1),
+    st.sampled_from(NAMES),
+)
+def test_bytes_are_those_of_the_messages(
+    drawn: tuple[np.ndarray | None, ...],
+    q: np.ndarray | None,
+    wrench: np.ndarray | None,
+    hat: np.ndarray | None,
+    wall_ns: int,
+    name: str,
+) -> None:
+    nothing = np.full(7, np.nan)
+    qd, tau, *asked = [nothing if one is None else one for one in drawn]
+    fields = {
+        "q": nothing if q is None else q,
+        "qd": qd,
+        "tau": tau,
+        "wrench": np.zeros(0) if wrench is None else wrench,
+    }
+    given_ = State(t=1.0, dt=0.004, robot=name, **fields)
+    record = {} if hat is None else {"wrench_hat": hat, "wrench_hat_cov": COV}
+    command = Command(*asked[:3], record=record)
+    sent: dict[str, Any] = {"q_sent": asked[3], "qd_sent": asked[4], "tau_sent": asked[5]}
+    data = RowWriter(SCHEMA).row(given_, command, Tick(7, 7, wall_ns, 1_000, 2_000, 3, **sent), MONO)
+    for encode in (cdr, ros1):
+        topics = Topics(ARMS, SCHEMA)
+        expected = {topic.name: encode(message, topic.type) for topic, message in topics.of_row(data, topics.published)}
+        encoded = {
+            topic.name: one for topic, one in Encoded(Topics(ARMS, SCHEMA), encode).of_row(data, topics.published)
+        }
+        assert encoded == expected
+
+
+def ros1(message: Any, type_: str) -> bytes:
+    return bytes(store().cdr_to_ros1(store().serialize_cdr(message, type_), type_))
+
+
+def test_bytes_of_what_is_wanted_now_and_of_rows_only() -> None:
+    encoded = Encoded(Topics(ARMS, SCHEMA), cdr)
+    data = RowWriter(SCHEMA).row(state(wrench=WRENCH), None, Tick(1, 1, WALL, 1, 2, 3), MONO)
+    for wanted in (
+        ["/yumi_left/tcp_pose", "/nobody/joint_states"],
+        ["/yumi_left/egm_states"],
+        ["/yumi_left/wrench"],
+        [],
+    ):
+        assert [topic.name for topic, _ in encoded.of_row(data, wanted)] == wanted[:1]
+    assert list(encoded.of_row(data, ["/yumi_right/joint_states"])) == []  # the row is of the other arm
+    with pytest.raises(LinkError, match="Read whole messages"):
+        list(encoded.of_row(data + bytes(8), []))
+    ((topic, message),) = encoded.of_parameters({"gain": {"value": 2.0}}, ["/yumi_left/parameters"])
+    assert store().deserialize_cdr(message, topic.type).data == '{"gain": 2.0}'

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from functools import cached_property
+import math
+from collections.abc import Mapping, Sequence
+from struct import Struct
 from typing import Any
 
 import numpy as np
 
 from armlab import kinematics
 from armlab.bridge.ros.types import store
-from armlab.bridge.row import Row
 from armlab.lie import quaternion
 from armlab.robots import Robot
 
@@ -24,40 +24,49 @@ class Arm:
 
     Parameters
     ----------
-    robot : the arm. row : in which it is fresh.
+    robot : the arm. places : of its fields, see `row.places`. data : the row. wall_ns : its wall clock.
     """
 
-    def __init__(self, robot: Robot, row: Row) -> None:
-        self.robot, self._values = robot, row.values
-        self.wall_ns = row.wall_ns
+    __slots__ = ("_T_base_tool", "_data", "_places", "robot", "wall_ns")
 
-    def __getitem__(self, name: str) -> Any:
-        """Return a value of the row, named without the robot."""
-        return self._values[f"{self.robot.name}.{name}"]
+    def __init__(self, robot: Robot, places: Mapping[str, tuple[Struct, int]], data: bytes, wall_ns: int) -> None:
+        self.robot, self.wall_ns = robot, wall_ns
+        self._places, self._data = places, data
+        self._T_base_tool: np.ndarray | None = None
 
-    def numbers(self, name: str) -> np.ndarray:
-        """Return an array of the row, or an empty one when it is not there (a number is NaN)."""
-        values = self[name]
-        return _NONE if np.isnan(values).any() else values
+    def __getitem__(self, name: str) -> tuple[Any, ...]:
+        """Return the numbers of a field of the row, named without the robot."""
+        form, offset = self._places[name]
+        return form.unpack_from(self._data, offset)
+
+    def numbers(self, name: str) -> tuple[float, ...]:
+        """Return the numbers of a field, or none when it is not there (one is NaN)."""
+        form, offset = self._places[name]
+        values = form.unpack_from(self._data, offset)
+        if math.isnan(sum(values)) and any(map(math.isnan, values)):  # a sum of infinities is NaN, too
+            return ()
+        return values
 
     @property
-    def joint_names(self) -> list[str]:
-        """Names that ROS programs know, base to tool."""
-        return joint_names(self.robot)
-
-    @cached_property
     def T_base_tool(self) -> np.ndarray:
         """(4, 4) by the measured joints."""
-        return kinematics.forward(self.robot, self["q"])
+        if self._T_base_tool is None:
+            self._T_base_tool = kinematics.forward(self.robot, self["q"])
+        return self._T_base_tool
 
     @property
     def tool_quaternion(self) -> np.ndarray:
         """Orientation of the tool in base axes, w x y z."""
         return quaternion.from_matrix(self.T_base_tool[:3, :3])
 
-    def in_tool_axes(self, wrench: np.ndarray) -> np.ndarray:
-        """Return a wrench (6,) of base axes at the tool point in the axes of the tool."""
-        return (wrench.reshape(2, 3) @ self.T_base_tool[:3, :3]).reshape(6)
+    def in_tool_axes(self, wrench: Sequence[float]) -> tuple[float, ...]:
+        """Return a wrench of six numbers, of base axes at the tool point, in the axes of the tool."""
+        (a, b, c, _), (d, e, f, _), (g, h, i, _), _ = self.T_base_tool.tolist()
+        x, y, z, u, v, w = wrench
+        return (
+            a * x + d * y + g * z, b * x + e * y + h * z, c * x + f * y + i * z,
+            a * u + d * v + g * w, b * u + e * v + h * w, c * u + f * v + i * w,
+        )  # fmt: skip
 
     def covariance_in_tool_axes(self, cov: np.ndarray) -> np.ndarray:
         """Return the covariance (6, 6) of a wrench in the axes of the tool."""
@@ -89,7 +98,3 @@ def header(stamp_ns: int, frame_id: str = "") -> Any:
     types: Mapping[str, Any] = store().types
     stamp = types["builtin_interfaces/msg/Time"](stamp_ns // 1_000_000_000, stamp_ns % 1_000_000_000)
     return types["std_msgs/msg/Header"](stamp, frame_id)
-
-
-_NONE = np.zeros(0)
-_NONE.flags.writeable = False

@@ -11,9 +11,10 @@ from armlab.bridge.loop_end import LoopEnd
 from armlab.bridge.messages import Leave, Listening, Report
 from armlab.bridge.ros.dds_domain import joined
 from armlab.bridge.ros.dds_topics import Readers, Writers
+from armlab.bridge.ros.mould import cdr
 from armlab.bridge.ros.requests import Commands
 from armlab.bridge.ros.ros2 import content, domain_number
-from armlab.bridge.ros.topics import Topics
+from armlab.bridge.ros.topics import Encoded, Topics
 from armlab.errors import CommandRefused
 from armlab.robots import from_toml
 
@@ -42,6 +43,7 @@ class DdsServer:
         about = self._loop.about
         robots = {name: from_toml(text, f"the bridge of {about['cell']}") for name, text in about["robots"].items()}
         self._topics = Topics(robots, self._loop.schema)
+        self._encoded = Encoded(self._topics, cdr)
         self._commands = Commands(about["cell"], robots)
         self._told = 0.0
 
@@ -67,7 +69,7 @@ class DdsServer:
         while (messages := self._loop.receive(_AGAIN)) is not None:
             for message in messages:
                 if isinstance(message, bytes):
-                    for topic, made in self._topics.of_row(message, writers.wanted):
+                    for topic, made in self._encoded.of_row(message, writers.wanted):
                         writers.write(topic, made)
                 else:
                     self._text(message)
@@ -82,7 +84,7 @@ class DdsServer:
 
     def _tell_parameters(self, writers: Writers) -> None:
         self._told = time.monotonic()
-        for topic, made in self._topics.of_parameters(self._loop.parameters, writers.wanted):
+        for topic, made in self._encoded.of_parameters(self._loop.parameters, writers.wanted):
             writers.write(topic, made)
 
     def _take(self, name: str, cdr: bytes, client: str) -> None:

@@ -10,16 +10,15 @@ from typing import Any
 from armlab.bridge.ros._cyclone import (
     DataReader,
     DataWriter,
-    DDSException,
     DomainParticipant,
     Listener,
     Policy,
     Qos,
     Topic,
+    write_cdr,
 )
 from armlab.bridge.ros.dds_types import carrier, topic_name
 from armlab.bridge.ros.topics import Published
-from armlab.bridge.ros.types import store
 
 __all__ = ["Readers", "Writers"]
 
@@ -55,20 +54,16 @@ class Writers:
             made = Topic(participant, topic_name(name), carrier(topic.type))
             self._writers[name] = DataWriter(participant, made, _STATE, listener)
 
-    def write(self, topic: Published, message: Any) -> None:
+    def write(self, topic: Published, cdr: bytes) -> None:
         """Send one message.
 
         Parameters
         ----------
-        topic : where. message : of `store`.
+        topic : where. cdr : a message, see `mould.cdr`.
         """
-        cdr = bytes(store().serialize_cdr(message, topic.type))
         written, full = self.counts.get(topic.name, (0, 0))
-        try:
-            self._writers[topic.name].write(carrier(topic.type)(cdr))
-            self.counts[topic.name] = written + 1, full
-        except DDSException:
-            self.counts[topic.name] = written, full + 1
+        went = write_cdr(self._writers[topic.name], cdr + bytes(-len(cdr) % 4))
+        self.counts[topic.name] = (written + 1, full) if went else (written, full + 1)
 
     def close(self) -> None:
         """End all writers: none calls any more."""

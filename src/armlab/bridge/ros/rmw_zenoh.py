@@ -10,11 +10,11 @@ from typing import Any
 
 from armlab.bridge.loop_end import LoopEnd
 from armlab.bridge.messages import Listening, Report
+from armlab.bridge.ros.mould import cdr
 from armlab.bridge.ros.requests import Commands
 from armlab.bridge.ros.rmw_zenoh_names import ANY, Names, Origin, Writer
 from armlab.bridge.ros.ros2 import content, domain_number
-from armlab.bridge.ros.topics import Published, Topics
-from armlab.bridge.ros.types import store
+from armlab.bridge.ros.topics import Encoded, Published, Topics
 from armlab.bridge.zenoh.output import Output
 from armlab.bridge.zenoh.session import close_session, data_of, open_near
 from armlab.errors import CommandRefused, ConfigError
@@ -47,6 +47,7 @@ class RmwZenohServer:
         about = self._loop.about
         robots = {name: from_toml(text, f"the bridge of {about['cell']}") for name, text in about["robots"].items()}
         self._topics, self._commands = Topics(robots, self._loop.schema), Commands(about["cell"], robots)
+        self._encoded = Encoded(self._topics, cdr)
         self._domain, self._told = domain_number(options["domain"]), 0.0
         router = options["router"]
         if router and not router.startswith("127.") and "rmw_zenoh" in about.get("commands", ()):
@@ -71,7 +72,7 @@ class RmwZenohServer:
             while (messages := self._loop.receive(_AGAIN)) is not None:
                 for message in messages:
                     if isinstance(message, bytes):
-                        for topic, made in self._topics.of_row(message, self.wanted):
+                        for topic, made in self._encoded.of_row(message, self.wanted):
                             self._write(topic, made)
                     elif message["kind"] == "parameters":
                         self._tell_parameters()
@@ -101,15 +102,14 @@ class RmwZenohServer:
             self._declared.append(session.declare_subscriber(key, partial(self._take, topic, type_)))
         self._declared += [session.liveliness().declare_token(token) for token in tokens]
 
-    def _write(self, topic: Published, message: Any) -> None:
+    def _write(self, topic: Published, data: bytes) -> None:
         output = self._outputs[topic.name]
         if output.wanted:
-            cdr = bytes(store().serialize_cdr(message, topic.type))
-            output.put(cdr, self._writers[topic.name].next(time.time_ns()))
+            output.put(data, self._writers[topic.name].next(time.time_ns()))
 
     def _tell_parameters(self) -> None:
         self._told = time.monotonic()
-        for topic, made in self._topics.of_parameters(self._loop.parameters, self.wanted):
+        for topic, made in self._encoded.of_parameters(self._loop.parameters, self.wanted):
             self._write(topic, made)
 
     def _take(self, topic: str, type: str, sample: Any) -> None:

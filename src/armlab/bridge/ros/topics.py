@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from struct import Struct
 from typing import Any
 
-from armlab.bridge.ros.arm import Arm, header
+from armlab.bridge.ros.arm import Arm
 from armlab.bridge.ros.diagnostics import diagnostics
+from armlab.bridge.ros.forms import FORMS, Kind
+from armlab.bridge.ros.mould import Encode, plan
 from armlab.bridge.ros.types import store
-from armlab.bridge.row import read_row
+from armlab.bridge.row import MONO, WALL, beginning, places, read_head, read_row
 from armlab.bridge.row_schema import RowSchema
 from armlab.bridge.status import Status
+from armlab.errors import ShapeError
+from armlab.kernels import RowMessages
 from armlab.robots import Robot
 
-__all__ = ["Published", "Topics"]
+__all__ = ["Encoded", "Published", "Topics"]
 
 _SELDOM = 1_000_000_000  # ns between two messages of the topics that change seldom
+_MONO = Struct("<q")
 
 
 @dataclass(frozen=True)
@@ -37,18 +43,19 @@ class Topics:
 
     Attributes
     ----------
-    published : by full name. answer : to a client that has no other way to learn why it was refused; it goes with the
-        diagnostics.
+    published : by full name. often : names of those that come with every row. schema : as given.
+    answer : to a client that has no other way to learn why it was refused; it goes with the diagnostics.
     """
 
     def __init__(self, robots: Mapping[str, Robot], schema: RowSchema) -> None:
         self.answer = ""
-        self._robots, self._schema, self._status = dict(robots), schema, Status(schema)
+        self.schema, self._robots, self._status = schema, dict(robots), Status(schema)
         self._due = 0
-        makers = {f"/{robot}/{name}": (robot, type_, make) for robot in robots for name, (type_, make) in _MADE.items()}
-        self._makers = {name: (robot, make) for name, (robot, _, make) in makers.items()}
-        self._seldom = {f"/{robot}/{name}": type_ for robot in robots for name, type_ in _SELDOM_TYPES.items()}
-        found = {name: type_ for name, (_, type_, _) in makers.items()} | self._seldom
+        self._places = {name: places(schema, name) for name in robots}
+        self._forms = {f"/{robot}/{name}": (robot, form) for robot in robots for name, form in FORMS.items()}
+        self.often = frozenset(self._forms)
+        seldom = {f"/{robot}/{name}": type_ for robot in robots for name, type_ in _SELDOM_TYPES.items()}
+        found = {name: form.type for name, (_, form) in self._forms.items()} | seldom
         self.published = {name: Published(name, type_) for name, type_ in found.items()}
 
     def of_row(self, data: bytes, wanted: Collection[str]) -> Iterator[tuple[Published, Any]]:
@@ -66,20 +73,74 @@ class Topics:
         ------
         LinkError : no row of this schema.
         """
-        row = read_row(self._schema, data)
-        self._status.add(data)
-        arms = {name: Arm(robot, row) for name, robot in self._robots.items() if row.values[f"{name}.fresh"]}
+        yield from self.often_of_row(data, wanted)
+        yield from self.seldom_of_row(data, wanted)
+
+    def often_of_row(self, data: bytes, wanted: Collection[str]) -> Iterator[tuple[Published, Any]]:
+        """Yield the messages that come with every row.
+
+        Parameters
+        ----------
+        data, wanted : as of `of_row`.
+
+        Yields
+        ------
+        As `of_row`.
+
+        Raises
+        ------
+        LinkError : no row of this schema.
+        """
+        _, _, wall_ns = read_head(self.schema, data)
+        arms: dict[str, Arm] = {}
+        for name, robot in self._robots.items():
+            arm = Arm(robot, self._places[name], data, wall_ns)
+            if arm["fresh"][0]:
+                arms[name] = arm
         for name in wanted:
-            robot, make = self._makers.get(name, ("", None))
-            if make is None or robot not in arms:
-                continue
-            message = make(arms[robot])
-            if message is not None:
-                yield self.published[name], message
-        if row.mono_ns >= self._due:
-            self._due = row.mono_ns + _SELDOM
-            commanders = {name: row.values[f"{name}.commander"] for name in self._robots}
-            yield from self._diagnostics(row.wall_ns, commanders, wanted)
+            robot, form = self._forms.get(name, ("", None))
+            if form is not None and robot in arms:
+                columns = form.columns(arms[robot])
+                if columns is not None:
+                    yield self.published[name], form.message(arms[robot].robot, wall_ns, columns)
+
+    def maker(self, encode: Encode) -> tuple[dict[str, int], RowMessages]:
+        """Return what makes bytes of rows without message objects, and its number of each topic that it makes.
+
+        Parameters
+        ----------
+        encode : what the bytes are like.
+        """
+        made = {name: about for name, about in self._forms.items() if about[1].kind is not Kind.OTHER}
+        plans = [plan(form, self._robots[robot], self._places[robot], encode) for robot, form in made.values()]
+        maker = RowMessages(beginning(self.schema), self.schema.size, WALL, plans)
+        return {name: number for number, name in enumerate(made)}, maker
+
+    def seldom_of_row(self, data: bytes, wanted: Collection[str]) -> Iterable[tuple[Published, Any]]:
+        """Count a row, and return the messages that are due once a second.
+
+        Parameters
+        ----------
+        data : one row, of the schema. wanted : full names.
+
+        Returns
+        -------
+        As `of_row` yields them; nearly always none.
+        """
+        self._status.add(data)
+        (mono_ns,) = _MONO.unpack_from(data, MONO)
+        if mono_ns < self._due:
+            return ()
+        self._due = mono_ns + _SELDOM
+        return self._diagnostics(data, [robot for robot in self._robots if f"/{robot}/diagnostics" in wanted])
+
+    def _diagnostics(self, data: bytes, names: list[str]) -> Iterator[tuple[Published, Any]]:
+        if names:
+            row, arms = read_row(self.schema, data), self._status.summary()["arms"]
+            for robot in names:
+                commander = row.values[f"{robot}.commander"]
+                message = diagnostics(robot, row.wall_ns, arms[robot], commander, self.answer)
+                yield self.published[f"/{robot}/diagnostics"], message
 
     def of_parameters(
         self, parameters: Mapping[str, Mapping[str, Any]], wanted: Collection[str]
@@ -96,86 +157,61 @@ class Topics:
             if name in wanted:
                 yield self.published[name], message
 
-    def _diagnostics(
-        self, wall_ns: int, commanders: Mapping[str, str], wanted: Collection[str]
-    ) -> Iterator[tuple[Published, Any]]:
-        names = [robot for robot in self._robots if f"/{robot}/diagnostics" in wanted]
-        if names:
-            arms = self._status.summary()["arms"]
-            for robot in names:
-                message = diagnostics(robot, wall_ns, arms[robot], commanders[robot], self.answer)
-                yield self.published[f"/{robot}/diagnostics"], message
+
+class Encoded:
+    """The messages of topics as bytes. Those that people read at the rate of the rows are made without their objects.
+
+    Parameters
+    ----------
+    topics : see `Topics`. encode : see `mould.Encode`.
+    """
+
+    def __init__(self, topics: Topics, encode: Encode) -> None:
+        self._topics, self._encode = topics, encode
+        self._numbers, self._maker = topics.maker(encode)
+        self._choose(frozenset())
+
+    def of_row(self, data: bytes, wanted: Collection[str]) -> Iterator[tuple[Published, bytes]]:
+        """Yield the bytes of what `Topics.of_row` yields.
+
+        Parameters
+        ----------
+        data, wanted : see there.
+        """
+        if wanted != self._wanted:
+            self._choose(frozenset(wanted))
+        try:
+            made = self._maker.of_row(data, self._asked)
+        except ShapeError:
+            read_head(self._topics.schema, data)
+            raise
+        for topic, message in zip(self._often, made):
+            if message is not None:
+                yield topic, message
+        if self._others:
+            for topic, message in self._topics.often_of_row(data, self._others):
+                yield topic, self._encode(message, topic.type)
+        for topic, message in self._topics.seldom_of_row(data, wanted):
+            yield topic, self._encode(message, topic.type)
+
+    def _choose(self, wanted: frozenset[str]) -> None:
+        self._wanted = wanted
+        names = [name for name in wanted if name in self._numbers]
+        self._often = [self._topics.published[name] for name in names]
+        self._asked = [self._numbers[name] for name in names]
+        self._others = wanted & self._topics.often - self._numbers.keys()
+
+    def of_parameters(
+        self, parameters: Mapping[str, Mapping[str, Any]], wanted: Collection[str]
+    ) -> Iterator[tuple[Published, bytes]]:
+        """Yield the bytes of what `Topics.of_parameters` yields.
+
+        Parameters
+        ----------
+        parameters, wanted : see there.
+        """
+        for topic, message in self._topics.of_parameters(parameters, wanted):
+            yield topic, self._encode(message, topic.type)
 
 
-def _joints(*columns: str) -> Callable[[Arm], Any]:
-    def make(arm: Arm) -> Any:
-        values = [arm.numbers(name) for name in columns]
-        if not any(map(len, values)):
-            return None
-        return store().types["sensor_msgs/msg/JointState"](header(arm.wall_ns), arm.joint_names, *values)
-
-    return make
-
-
-def _wrench(*columns: str) -> Callable[[Arm], Any]:
-    """Return the maker of the wrench of the first of these columns that is there, in tool axes."""
-
-    def make(arm: Arm) -> Any:
-        wrench = next((values for name in columns if len(values := arm.numbers(name))), None)
-        if wrench is None:
-            return None
-        types, numbers = store().types, arm.in_tool_axes(wrench).tolist()
-        vector = types["geometry_msgs/msg/Vector3"]
-        both = types["geometry_msgs/msg/Wrench"](vector(*numbers[:3]), vector(*numbers[3:]))
-        return types["geometry_msgs/msg/WrenchStamped"](header(arm.wall_ns, f"{arm.robot.name}_tool"), both)
-
-    return make
-
-
-def _covariance(arm: Arm) -> Any:
-    cov = arm.numbers("wrench_hat_cov")
-    if not len(cov):
-        return None
-    types = store().types
-    layout = types["std_msgs/msg/MultiArrayLayout"]([], 0)
-    return types["std_msgs/msg/Float64MultiArray"](layout, arm.covariance_in_tool_axes(cov).ravel())
-
-
-def _pose(arm: Arm) -> Any:
-    if not len(arm.numbers("q")):
-        return None
-    types = store().types
-    w, x, y, z = arm.tool_quaternion.tolist()
-    position = types["geometry_msgs/msg/Point"](*arm.T_base_tool[:3, 3].tolist())
-    pose = types["geometry_msgs/msg/Pose"](position, types["geometry_msgs/msg/Quaternion"](x, y, z, w))
-    return types["geometry_msgs/msg/PoseStamped"](header(arm.wall_ns, f"{arm.robot.name}_base"), pose)
-
-
-def _egm(arm: Arm) -> Any:
-    """Return the states of EGM; the message counts from 1 what ABB counts from 0."""
-    types = store().types
-    channel = types["abb_egm_msgs/msg/EGMChannelState"](
-        name=arm.robot.name,
-        active=True,
-        egm_convergence_met=arm["converged"] == 1,
-        egm_client_state=arm["mci"] + 1,
-        motor_state=arm["motors"] + 1,
-        rapid_execution_state=arm["rapid"] + 1,
-        utilization_rate=arm["utilization"],
-    )
-    return types["abb_egm_msgs/msg/EGMState"](header(arm.wall_ns), [channel])
-
-
-_JOINT_STATE, _WRENCH = "sensor_msgs/msg/JointState", "geometry_msgs/msg/WrenchStamped"
-_MADE: dict[str, tuple[str, Callable[[Arm], Any]]] = {
-    "joint_states": (_JOINT_STATE, _joints("q", "qd", "tau")),
-    "joint_states_ref": (_JOINT_STATE, _joints("q_ref", "qd_ref", "tau_ref")),
-    "joint_states_sent": (_JOINT_STATE, _joints("q_sent", "qd_sent", "tau_sent")),
-    "wrench": (_WRENCH, _wrench("wrench")),
-    "wrench_hat": (_WRENCH, _wrench("wrench_hat")),
-    "wrench_hat_covariance": ("std_msgs/msg/Float64MultiArray", _covariance),
-    "force_torque_sensor_broadcaster/wrench": (_WRENCH, _wrench("wrench", "wrench_hat")),
-    "tcp_pose": ("geometry_msgs/msg/PoseStamped", _pose),
-    "egm_states": ("abb_egm_msgs/msg/EGMState", _egm),
-}
 _SELDOM_TYPES = {"diagnostics": "diagnostic_msgs/msg/DiagnosticArray", "parameters": "std_msgs/msg/String"}

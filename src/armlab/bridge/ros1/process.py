@@ -18,7 +18,7 @@ from typing import IO, Any
 from armlab.bridge.loop_end import LoopEnd
 from armlab.bridge.messages import Listening, Report
 from armlab.bridge.outlet import pair
-from armlab.bridge.ros import Commands, Topics, store
+from armlab.bridge.ros import Commands, Encoded, Topics, store
 from armlab.bridge.ros1 import relay
 from armlab.errors import CommandRefused, LinkError
 from armlab.robots import from_toml
@@ -53,6 +53,7 @@ class Ros1Process:
         about = self._loop.about
         robots = {name: from_toml(text, name) for name, text in about["robots"].items()}
         self._topics, self._commands = Topics(robots, self._loop.schema), Commands(about["cell"], robots)
+        self._encoded = Encoded(self._topics, _encoded)
         self._numbers = {name: number for number, name in enumerate(self._topics.published)}
         self._wanted: frozenset[str] = frozenset()
         self._spoken: dict[str, float] = {}
@@ -145,7 +146,7 @@ class Ros1Process:
             if message["kind"] == "wanted":
                 new = frozenset(message["topics"]) - self._wanted
                 self._wanted = frozenset(message["topics"])
-                self._send(node, self._topics.of_parameters(self._loop.parameters, new))
+                self._send(node, self._encoded.of_parameters(self._loop.parameters, new))
             elif message["kind"] == "command":
                 try:
                     asked = self._commands.requests(message["topic"], message["content"], message["client"])
@@ -158,9 +159,9 @@ class Ros1Process:
 
     def _pass_on(self, node: socket.socket, message: bytes | dict[str, Any]) -> None:
         if isinstance(message, bytes):
-            self._send(node, self._topics.of_row(message, self._wanted))
+            self._send(node, self._encoded.of_row(message, self._wanted))
         elif message["kind"] == "parameters":
-            self._send(node, self._topics.of_parameters(self._loop.parameters, self._wanted))
+            self._send(node, self._encoded.of_parameters(self._loop.parameters, self._wanted))
         elif message["kind"] == "answer":
             self._answer(node, message["client"], message["text"])
 
@@ -173,9 +174,7 @@ class Ros1Process:
                 node.send(struct.pack("<H", _SAYING) + f"{client}: {text}".encode())
 
     def _send(self, node: socket.socket, messages: Any) -> None:
-        for published, message in messages:
-            kind = published.type
-            raw = store().cdr_to_ros1(store().serialize_cdr(message, kind), kind)
+        for published, raw in messages:
             name = published.name
             self._sent[name] += 0
             try:
@@ -197,6 +196,11 @@ def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
     LinkError : see `Ros1Process.run`.
     """
     Ros1Process(feed, options).run()
+
+
+def _encoded(message: Any, type_: str) -> bytes:
+    """Return a message as ROS 1 has it."""
+    return bytes(store().cdr_to_ros1(store().serialize_cdr(message, type_), type_))
 
 
 def _old(type_: str) -> str:
