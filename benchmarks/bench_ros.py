@@ -1,124 +1,137 @@
-"""ROS programs: what the server of each way costs at 250 Hz, what its client misses, and how late messages come."""
+"""What servers send to programs: what one costs at 250 Hz, what its client misses, and how late messages come."""
 
 from __future__ import annotations
 
-import os
-import subprocess
-import tempfile
 import threading
 import time
-from pathlib import Path
+from contextlib import ExitStack
 from typing import NamedTuple
 
 import numpy as np
-from blocks import Contender, Table, alternate, figures
+from blocks import Contender, Figure, Table, figures
+from path_ends import PERIOD, ROBOT
+from path_runs import PATIENCE, SETTLED, Reader, Received, Writer, usage
 from ros_paths import WAYS, Way
 
 from armlab import robots
 from armlab.bridge.feed import Exchange
 from armlab.bridge.servers import Servers, server_command
+from armlab.errors import ArmlabError
 from armlab.log import Tick
 from armlab.state import State
 
-PERIOD = 0.004  # s
-SETTLED = 2.0  # s after the first message that do not count
+SHARE = 0.001  # of the messages, missing
 CPU = 0.05  # s of one core per second, with one client
 LATENCY = 0.35e-3  # s, median
-ARM = "yumi_left"
 
 
 class Found(NamedTuple):
-    """One run: processor time of the server per second, latencies [s], messages received in order, and sent."""
+    """One run: processor time of the publisher per second, and what the client received."""
 
     cpu: float
-    latency: np.ndarray
-    received: int
-    sent: int
+    got: Received
 
 
 def run(quick: bool) -> list[Table]:
-    """Measure every way whose programs are there."""
-    rounds, seconds = (1, 4.0) if quick else (5, 12.0)
-    with tempfile.TemporaryDirectory() as folder:
-        ways = {name: way for name, make in WAYS.items() if (way := make(Path(folder))) is not None}
-        found = {name: [_run(way, seconds) for _ in range(rounds + 1)] for name, way in ways.items()}  # one to warm up
+    """Measure every way whose programs are there, and a bare publisher of the same messages beside it."""
+    seconds, bare = (4.0, 4.0) if quick else (58.0, 18.0)
+    found: dict[str, tuple[Found, Found | None]] = {}
+    missing = []
+    for name, make in WAYS.items():
+        with ExitStack() as opened:
+            way = make(opened)
+            if way is None:
+                missing.append(name)
+            else:
+                found[name] = _served(way, seconds), _bare(way, bare)
     text = (
-        "Joint states and wrenches of one arm at 250 Hz from a loop through the feed and a server, a process, to a "
-        f"client, another process; {seconds:g} s a run, counted from 2 s after the first message. Latency is from the "
-        "stamp of the row to the client's callback."
+        "Joint states and wrenches of one arm at 250 Hz (zenoh, plotjuggler, labcomm, local: rows) from a loop through "
+        f"the feed and a server, a process, to a client, another process; {seconds:g} s, counted from 2 s after the "
+        "first message. Latency is from the stamp of the row to the client's callback. Beside it, for "
+        f"{bare:g} s, a bare publisher of the same messages, without loop, feed and armlab, to the same client: what "
+        "is slow there is slow because of the machine or the library. Processor time is of the server with all that "
+        "it started. All processes share the machine's cores."
     )
+    if missing:
+        text += f" Not measured, since programs are missing: {', '.join(missing)}."
 
-    def contenders(field: str, bar: float | None) -> list[Contender]:
-        told = []
-        for name, runs in found.items():
-            values = iter([np.atleast_1d(getattr(one, field)) for one in runs])
-            received, sent = (sum(getattr(one, what) for one in runs) for what in ("received", "sent"))
-            note = f"{received} of {sent} messages"
-            told.append(Contender(name, lambda values=values: next(values), "armlab", bar, note))
-        return told
-
-    def told(title: str, unit: str, field: str, bar: float | None, share: float = 50.0) -> Table:
-        one = contenders(field, bar)
-        reduced = figures(one, alternate(one, rounds), lambda values: np.percentile(values, share))
-        return Table(f"ROS: {title}", text, unit, reduced, rounds)
+    def told(title: str, unit: str, bar: float | None, value: str, share: float = 50.0) -> Table:
+        rows = [row for name, both in found.items() for row in _rows(name, both, bar, value, share)]
+        return Table(f"Paths: {title}", text, unit, tuple(rows), 1)
 
     return [
-        told("processor time of the server per second", "ms", "cpu", CPU),
-        told("latency, median", "µs", "latency", LATENCY),
-        told("latency, 99th percentile", "µs", "latency", None, 99.0),
+        told("messages missing or out of order", "%", SHARE, "missing"),
+        told("processor time, share of one core", "%", CPU, "cpu"),
+        told("latency, median", "µs", LATENCY, "latency"),
+        told("latency, 99th percentile", "µs", None, "latency", 99.0),
     ]
 
 
-def _run(way: Way, seconds: float) -> Found:
-    exchange, over = Exchange([robots.load(ARM)], [way.server], about={"cell": "benchmark"}), threading.Event()
+def _rows(
+    name: str, both: tuple[Found, Found | None], bar: float | None, value: str, share: float
+) -> tuple[Figure, ...]:
+    """Return the rows of one way: armlab's, and that of the bare publisher with the ratio of the two."""
+    values = [
+        float(np.percentile(one.got.latency, share) if value == "latency" else _plain(one, value))
+        for one in both
+        if one is not None
+    ]
+    note = f"{both[0].got.received} of {both[0].got.due} messages, in order"
+    if len(values) == 2 and value == "latency":
+        note = f"{1e6 * (values[0] - values[1]):+.0f} µs to the bare publisher"
+    contenders = [Contender(name, lambda: np.zeros(0), "armlab", bar, note)]
+    if both[1] is not None:
+        bare = f"{both[1].got.received} of {both[1].got.due} messages"
+        contenders.append(Contender(f"{name}: bare publisher", lambda: np.zeros(0), note=bare))
+    return figures(contenders, [[np.array([one])] for one in values])
+
+
+def _plain(one: Found, value: str) -> float:
+    return one.cpu if value == "cpu" else one.got.missing
+
+
+def _served(way: Way, seconds: float) -> Found:
+    about = {"cell": "cell"}
+    exchange, over = Exchange([robots.load(ROBOT)], [way.server], about=about), threading.Event()
     sent: list[int] = []
-    count = round((seconds + SETTLED) / PERIOD)
-    server = {way.server: server_command(way.server, way.options)}
-    with tempfile.TemporaryFile() as out, Servers(exchange, server) as servers:  # a pipe that is full would stop it
-        servers.ready()
+    command = {way.server: server_command(way.server, way.options())}
+    with Servers(exchange, command) as servers:
+        servers.ready(PATIENCE)
         loop = threading.Thread(target=_loop, args=(exchange, over, sent))
         loop.start()
         try:
-            environment = {**os.environ, **way.environment}
-            client = subprocess.Popen(way.client(count), env=environment, stdout=out, stderr=subprocess.DEVNULL)
-            time.sleep(SETTLED)
-            before, began = _seconds(servers.processes()[way.server]), time.monotonic()
-            time.sleep(seconds)
-            cpu = (_seconds(servers.processes()[way.server]) - before) / (time.monotonic() - began)
-            client.wait(60.0)
+            with Reader(way.reader(round((seconds + SETTLED) / PERIOD)), way.environment) as reader:
+                cpu = usage(servers.processes()[way.server], reader, seconds + PATIENCE)
+                return Found(cpu, _received(reader, np.array(sent)))
         finally:
             over.set()
             loop.join()
-        out.seek(0)
-        return _counted(cpu, out.read().decode(), sent)
 
 
-def _counted(cpu: float, out: str, sent: list[int]) -> Found:
-    """Return what a client's lines tell; a message out of order counts as missing."""
-    received, latency = 0, []
-    due = 0
-    for kind in "JW":
-        lines = np.array([line.split()[1:3] for line in out.splitlines() if line.startswith(kind)], dtype=np.int64)
-        lines = lines[lines[:, 0] >= lines[0, 0] + round(1e9 * SETTLED)]
-        due += sum(lines[0, 0] <= stamp <= lines[-1, 0] for stamp in sent)
-        received += 1 + int(np.sum(np.diff(lines[:, 0]) > 0))
-        latency.append(1e-9 * (lines[:, 1] - lines[:, 0]))
-    return Found(cpu, np.concatenate(latency), received, due)
+def _bare(way: Way, seconds: float) -> Found | None:
+    if way.writer is None:
+        return None
+    with (
+        Writer(way.writer, way.environment) as writer,
+        Reader(way.reader(round((seconds + SETTLED) / PERIOD)), way.environment) as reader,
+    ):
+        cpu = usage(writer.process.pid, reader, seconds + PATIENCE)
+        return Found(cpu, _received(reader, writer.end()))
+
+
+def _received(reader: Reader, sent: np.ndarray) -> Received:
+    if not reader.wait(PATIENCE):
+        raise ArmlabError("Expected a reader to end when it has what it wants, but it goes on.")
+    return reader.received(sent)
 
 
 def _loop(exchange: Exchange, over: threading.Event, sent: list[int]) -> None:
     """Give a row every period until it is over."""
-    arm, due = robots.load(ARM), time.monotonic()
+    arm, due = robots.load(ROBOT), time.monotonic()
     q = np.array(arm.q_home)
     while not over.is_set():
-        state = State(t=1.0, dt=PERIOD, q=q, qd=0.1 * q, tau=q, robot=ARM, wrench=np.arange(6.0))
+        state = State(t=1.0, dt=PERIOD, q=q, qd=0.1 * q, tau=q, robot=ROBOT, wrench=np.arange(6.0))
         sent.append(time.time_ns())
         exchange.row(state, None, Tick(len(sent), len(sent), sent[-1], 1_000, 2_000, 3))
         due += PERIOD
         time.sleep(max(0.0, due - time.monotonic()))
-
-
-def _seconds(process: int) -> float:
-    """Return processor time of a process [s]."""
-    words = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
-    return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")

@@ -160,8 +160,10 @@ def figures(
     told = []
     for contender, blocks, median in zip(contenders, values, medians, strict=True):
         lower, upper = np.percentile(blocks, (25, 75))
-        ratio_lower, ratio_upper = np.percentile(values[0] / blocks, (25, 75))
-        spread = (median, blocks.min(), lower, upper, medians[0] / median, ratio_lower, ratio_upper)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio_lower, ratio_upper = np.percentile(values[0] / blocks, (25, 75))
+            ratio = medians[0] / median
+        spread = (median, blocks.min(), lower, upper, ratio, ratio_lower, ratio_upper)
         told.append(
             Figure(contender.name, contender.role, contender.note, contender.bar, *(float(value) for value in spread))
         )

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from blocks import Figure, Table
 
-SCALE = {"µs": 1e6, "ms": 1e3, "s": 1.0}
+SCALE = {"µs": 1e6, "ms": 1e3, "s": 1.0, "%": 1e2}
 SHARED = 0.1  # cores; above it the report warns
 
 METHOD = """\
@@ -94,6 +95,8 @@ def _row(figure: Figure, scale: float) -> str:
 
 
 def _ratio(figure: Figure) -> str:
+    if not math.isfinite(figure.ratio):  # nothing was missing on either side
+        return "–"
     return f"{_digits(figure.ratio)} ({_digits(figure.ratio_lower)}–{_digits(figure.ratio_upper)})"
 
 

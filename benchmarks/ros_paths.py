@@ -1,20 +1,39 @@
-"""The ways by which a ROS program reads joint states and wrenches: a function each, which others are added beside.
+"""The ways by which programs read what a server of the bridge sends: a function each, which others are added beside.
 
-A client takes a number of joint states and then prints a line for each message: "J" for joint states or "W" for
-wrenches, the stamp in the message, and when it was received [ns, wall clock].
+A reader takes a number of joint states and then prints a line for each message; see `path_ends`.
 """
 
 from __future__ import annotations
 
+import contextlib
+import json
 import os
 import shutil
+import signal
+import socket
 import subprocess
 import sys
+import tempfile
+import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
-PEERS = Path(__file__).resolve().parents[1] / "tests" / "bridge" / "ros" / "peers"
+from path_ends import ROBOT
+from path_zenoh import Key
+
+from armlab import robots
+from armlab.bridge.cell import parse_cell
+from armlab.bridge.ros import store
+from armlab.bridge.row import MAGIC
+from armlab.bridge.row_schema import RowSchema
+
+HERE = Path(__file__).resolve().parent
+PEERS = HERE.parent / "tests" / "bridge" / "ros" / "peers"
+SYSTEM = "/usr/bin/python3"
+PATIENCE = 30.0  # s
 
 
 class Way(NamedTuple):
@@ -22,39 +41,145 @@ class Way(NamedTuple):
 
     Attributes
     ----------
-    server, options : see `servers.server_command`. client : command for a number of joint states.
-    environment : of the client, besides ours.
+    server, table : its name, and the lines of its table in a cell file.
+    reader : command for a number of joint states. environment : of reader and writer, besides ours.
+    writer : command of a bare publisher of the same messages, None where there is none.
     """
 
     server: str
-    options: Mapping[str, Any]
-    client: Callable[[int], Sequence[str]]
+    table: str
+    reader: Callable[[int], Sequence[str]]
     environment: Mapping[str, str]
+    writer: Sequence[str] | None = None
+
+    def options(self) -> dict[str, Any]:
+        """Return what the server is told."""
+        text = f'[[robots]]\nname = "{ROBOT}"\nlink = "sim://{ROBOT}"\n'
+        if self.server == "local":
+            return {"path": self.table}
+        servers = parse_cell(f"{text}[servers.{self.server}]\n{self.table}\n").servers
+        return {**servers[self.server], "host": "127.0.0.1"}
 
 
-def dds_python(folder: Path) -> Way | None:
+def dds_python(opened: ExitStack) -> Way | None:
     """cyclonedds in Python, with its own codec."""
     return _dds([sys.executable, str(PEERS / "cyclone.py")])
 
 
-def dds_cyclone(folder: Path) -> Way | None:
+def dds_cyclone(opened: ExitStack) -> Way | None:
     """Cyclone DDS in C; None where its tools are missing."""
-    return _dds(_built("cyclone", folder)) if shutil.which("idlc") else None
+    return _dds(_built("cyclone", opened)) if shutil.which("idlc") else None
 
 
-def dds_fast(folder: Path) -> Way | None:
+def dds_fast(opened: ExitStack) -> Way | None:
     """Fast DDS in C++; None where its tools are missing."""
-    return _dds(_built("fast", folder)) if shutil.which("fastddsgen") else None
+    return _dds(_built("fast", opened)) if shutil.which("fastddsgen") else None
 
 
-WAYS: dict[str, Callable[[Path], Way | None]] = {
-    "DDS to Python, cyclonedds": dds_python,
-    "DDS to C, Cyclone DDS": dds_cyclone,
-    "DDS to C++, Fast DDS": dds_fast,
+def rmw_zenoh(opened: ExitStack) -> Way | None:
+    """A peer that reads the keys that a node with rmw_zenoh would; of the bytes it reads the stamps."""
+    from armlab.bridge.ros.rmw_zenoh_names import Names
+
+    names, keys = Names(0, "1"), []
+    for kind, topic, type_ in (
+        ("J", "joint_states", "sensor_msgs/msg/JointState"),
+        ("W", "wrench", "geometry_msgs/msg/WrenchStamped"),
+    ):
+        name = names.data(f"/{ROBOT}/{topic}", type_)
+        keys.append(Key(name, kind, 4, True, bytes(store().serialize_cdr(_message(type_), type_)).hex()))
+    return _zenoh("rmw_zenoh", "domain = 0", keys)
+
+
+def zenoh(opened: ExitStack) -> Way | None:
+    """A plain peer that reads the rows for controllers."""
+    size = RowSchema.of([robots.load(ROBOT)]).size
+    return _zenoh("zenoh", "", [Key(f"armlab/lab/{ROBOT}/live", "J", 32, False, MAGIC.hex() + "00" * (size - 4))])
+
+
+def zenoh_feed(opened: ExitStack) -> Way | None:
+    """`ZenohFeed`."""
+    port = _free_port()
+    return Way("zenoh", f"port = {port}", _program("path_feed.py", "zenoh", f"zenoh://127.0.0.1:{port}"), {})
+
+
+def rosbridge(opened: ExitStack) -> Way | None:
+    """A client with websockets alone."""
+    port = _free_port()
+    return Way("rosbridge", f"port = {port}", _program("path_rosbridge.py", "read", port), {}, _writer("rosbridge", port))
+
+
+def roslibpy(opened: ExitStack) -> Way | None:
+    """roslibpy; None where it is missing."""
+    port = _free_port()
+    if find_spec("roslibpy") is None:
+        return None
+    return Way("rosbridge", f"port = {port}", _program("path_roslibpy.py", port), {}, _writer("rosbridge", port))
+
+
+def ros1(opened: ExitStack) -> Way | None:
+    """A real master and rospy; None where they are missing."""
+    look = [SYSTEM, "-c", "import rospy, sensor_msgs.msg, geometry_msgs.msg"]
+    if shutil.which("roscore") is None or subprocess.run(look, capture_output=True, check=False).returncode:
+        return None
+    folder, port = opened.enter_context(tempfile.TemporaryDirectory(ignore_cleanup_errors=True)), _free_port()
+    master = f"http://127.0.0.1:{port}"
+    environment = {"ROS_MASTER_URI": master, "ROS_IP": "127.0.0.1", "ROS_HOME": folder}
+    _roscore(opened, port, environment)
+    words = [SYSTEM, str(HERE / "path_ros1.py")]
+    return Way(
+        "ros1", f'master = "{master}"', lambda count: [*words, "read", str(count)], environment, [*words, "write"]
+    )
+
+
+def plotjuggler(opened: ExitStack) -> Way | None:
+    """A receiver of datagrams."""
+    port = _free_port(socket.SOCK_DGRAM)
+    reader, writer = _program("path_plotjuggler.py", "read", port), _writer("plotjuggler", port)
+    return Way("plotjuggler", f"port = {port}", reader, {}, writer)
+
+
+def labcomm(opened: ExitStack) -> Way | None:
+    """`LabCommClient` on the port of fused rows."""
+    port = _free_port()
+    table = f"ports = {{{ROBOT} = 0}}\nparameters = 0\nrows = {port}"
+    return Way("labcomm", table, _program("path_feed.py", "labcomm", port), {})
+
+
+def local(opened: ExitStack) -> Way | None:
+    """`LocalFeed`, a Unix socket; its table is the path of the socket."""
+    folder = opened.enter_context(tempfile.TemporaryDirectory())
+    path = Path(folder) / "armlab" / "cell.sock"
+    path.parent.mkdir(mode=0o700)
+    return Way("local", str(path), _program("path_feed.py", "local", "cell"), {"XDG_RUNTIME_DIR": folder})
+
+
+Make = Callable[[ExitStack], Way | None]
+WAYS: dict[str, Make] = {
+    "ros2, DDS to Python, cyclonedds": dds_python,
+    "ros2, DDS to C, Cyclone DDS": dds_cyclone,
+    "ros2, DDS to C++, Fast DDS": dds_fast,
+    "rmw_zenoh to a plain Zenoh peer": rmw_zenoh,
+    "rosbridge to websockets": rosbridge,
+    "rosbridge to roslibpy": roslibpy,
+    "ros1 to rospy": ros1,
+    "zenoh to a plain Zenoh peer": zenoh,
+    "zenoh to ZenohFeed": zenoh_feed,
+    "plotjuggler to a UDP socket": plotjuggler,
+    "labcomm to LabCommClient": labcomm,
+    "local to LocalFeed": local,
 }
 
 
-def _built(name: str, folder: Path) -> list[str]:
+def _program(name: str, *words: Any) -> Callable[[int], list[str]]:
+    return lambda count: [sys.executable, str(HERE / name), *map(str, words), str(count)]
+
+
+def _writer(name: str, port: int) -> list[str]:
+    return [sys.executable, str(HERE / f"path_{name}.py"), "write", str(port)]
+
+
+def _built(name: str, opened: ExitStack) -> list[str]:
+    folder = Path(opened.enter_context(tempfile.TemporaryDirectory()))
     command = ["make", "-f", str(PEERS / "Makefile"), name]
     subprocess.run(command, cwd=folder, env={"PATH": "/usr/bin:/bin"}, check=True, stdout=subprocess.DEVNULL)
     return [str(folder / name)]
@@ -64,6 +189,64 @@ def _dds(words: Sequence[str]) -> Way:
     from armlab.bridge.ros.dds_domain import configuration
 
     domain = 1 + os.getpid() % 100
-    options = {"domain": domain, "host": "127.0.0.1"}
     settings = {"CYCLONEDDS_URI": configuration("127.0.0.1")}
-    return Way("ros2", options, lambda count: [*words, str(domain), str(count), "0", "0"], settings)
+    writer = [sys.executable, str(HERE / "path_dds.py"), str(domain)]
+    return Way(
+        "ros2", f"domain = {domain}", lambda count: [*words, str(domain), str(count), "0", "0"], settings, writer
+    )
+
+
+def _zenoh(server: str, table: str, keys: Sequence[Key]) -> Way:
+    port, words = _free_port(), [json.dumps(key) for key in keys]
+    program = [sys.executable, str(HERE / "path_zenoh.py")]
+    return Way(
+        server,
+        f"port = {port}\n{table}",
+        lambda count: [*program, "read", str(port), str(count), *words],
+        {},
+        [*program, "write", str(port), *words],
+    )
+
+
+def _message(type_: str) -> Any:
+    """Return a message as long as those of the server."""
+    types = store().types
+    header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](0, 0), "")
+    if type_.endswith("JointState"):
+        import numpy as np
+
+        values = [np.arange(7.0) for _ in range(3)]
+        return types[type_](header, [f"yumi_robl_joint_{k}" for k in range(1, 8)], *values)
+    vector = types["geometry_msgs/msg/Vector3"](0.0, 1.0, 2.0)
+    return types[type_](header, types["geometry_msgs/msg/Wrench"](vector, vector))
+
+
+def _roscore(opened: ExitStack, port: int, environment: Mapping[str, str]) -> None:
+    """Start a master, and wait until it answers; it ends with all that it started."""
+    master = subprocess.Popen(
+        ["roscore", "-p", str(port)],
+        env={**os.environ, **environment},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+
+    def end() -> None:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(master.pid, signal.SIGTERM)
+        master.wait(10.0)
+
+    opened.callback(end)
+    until = time.monotonic() + PATIENCE
+    while True:
+        with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0):
+            return
+        if time.monotonic() > until or master.poll() is not None:
+            raise RuntimeError("Expected roscore to answer, but it does not.")
+        time.sleep(0.05)
+
+
+def _free_port(kind: int = socket.SOCK_STREAM) -> int:
+    with socket.socket(socket.AF_INET, kind) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]

@@ -1,0 +1,74 @@
+"""Both ends of a path, for the programs `path_*.py`: what a reader keeps, and the pace of a bare publisher.
+
+Only the standard library: the nodes of ROS 1 run under the system's Python. A reader takes a number of joint states and
+then prints a line for each message: "J" for joint states or "W" for wrenches, the stamp in the message, and when it was
+received [ns, wall clock]. A publisher prints the stamps that it sent.
+"""
+
+from __future__ import annotations
+
+import select
+import signal
+import sys
+import threading
+import time
+
+PERIOD = 0.004  # s
+ROBOT = "yumi_left"
+PATIENCE = 150.0  # s
+JOINTS = 7
+
+
+class Lines:
+    """What a reader received; says "reading" on standard error at the first joint state.
+
+    A signal to end ends the reading, and what came is printed all the same.
+    """
+
+    def __init__(self, count):
+        self._found, self._left = [], count
+        self.over = threading.Event()
+        signal.signal(signal.SIGTERM, lambda *_: self.over.set())
+
+    def add(self, kind, stamp_ns):
+        """Keep a message; call it first in a callback."""
+        self._found.append((kind, stamp_ns, time.time_ns()))
+        if kind == "J":
+            if len(self._found) == 1 or (len(self._found) == 2 and self._found[0][0] == "W"):
+                sys.stderr.write("reading\n")
+                sys.stderr.flush()
+            self._left -= 1
+            if self._left == 0:
+                self.over.set()
+
+    def wait(self):
+        """Wait until enough has come, then print."""
+        self.over.wait(PATIENCE)
+        self.tell()
+
+    def tell(self):
+        """Print what came."""
+        sys.stdout.write("".join("%s %d %d\n" % one for one in list(self._found)))
+        sys.stdout.flush()
+
+
+def paced(send):
+    """Call a function with the time [ns] every period until standard input is closed; then print all the times."""
+    stamps, due = [], time.monotonic()
+    while not select.select([sys.stdin], [], [], max(0.0, due - time.monotonic()))[0]:
+        stamps.append(time.time_ns())
+        send(stamps[-1])
+        due += PERIOD
+    tell(stamps)
+
+
+def tell(stamps):
+    """Print the times that were sent."""
+    sys.stdout.write("".join("%d\n" % one for one in stamps))
+    sys.stdout.flush()
+
+
+def numbers(stamp_ns):
+    """Return positions, velocities and efforts that change with time."""
+    q = [1e-9 * (stamp_ns % 10**9) + 0.1 * k for k in range(JOINTS)]
+    return q, [0.1 * value for value in q], q

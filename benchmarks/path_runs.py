@@ -1,0 +1,147 @@
+"""Programs at the ends of a path: `Reader`, `Writer`, the processor time of a process and of those it started."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import subprocess
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import NamedTuple
+
+import numpy as np
+
+from armlab.errors import ArmlabError
+
+SETTLED = 2.0  # s after the first message that do not count
+PATIENCE = 60.0  # s
+
+
+class Received(NamedTuple):
+    """What a reader got of what was sent: latencies [s], messages in order, and due."""
+
+    latency: np.ndarray
+    received: int
+    due: int
+
+    @property
+    def missing(self) -> float:
+        """Share that did not come, or not in order."""
+        return 1.0 - self.received / self.due
+
+
+class Reader:
+    """A reading program; a context manager."""
+
+    def __init__(self, command: Sequence[str], environment: Mapping[str, str]) -> None:
+        self._out = tempfile.TemporaryFile()  # a pipe that is full would stop it
+        self._command = list(command)
+        self.process = subprocess.Popen(
+            self._command, env={**os.environ, **environment}, stdout=self._out, stderr=subprocess.PIPE
+        )
+
+    def __enter__(self) -> Reader:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.process.kill()
+        self.process.wait()
+        if self.process.stderr is not None:
+            self.process.stderr.close()
+        self._out.close()
+
+    def begun(self) -> None:
+        """Wait for its first message."""
+        pipe, said, until = self.process.stderr, b"", time.monotonic() + PATIENCE
+        assert pipe is not None
+        while b"reading" not in said:
+            part = b""
+            if select.select([pipe], [], [], max(0.0, until - time.monotonic()))[0]:
+                part = os.read(pipe.fileno(), 4096)
+            if not part:
+                words = " ".join(said.decode(errors="replace").split()[-40:])
+                raise ArmlabError(f"Expected {' '.join(self._command)[:200]} to read, but nothing came: {words}")
+            said += part
+
+    def wait(self, seconds: float) -> bool:
+        """Return whether it ends by itself in time."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self.process.wait(seconds)
+        return self.process.poll() is not None
+
+    def received(self, sent: np.ndarray) -> Received:
+        """Return what it got of messages of each kind with these stamps, once it has ended."""
+        self._out.seek(0)
+        received = due = 0
+        latency = []
+        lines = self._out.read().decode().splitlines()
+        for kind in "JW":
+            found = np.array([line.split()[1:3] for line in lines if line.startswith(kind)], dtype=np.int64)
+            if not len(found):
+                continue
+            found = found[found[:, 0] >= found[0, 0] + round(1e9 * SETTLED)]
+            near = 1000  # ns: stamps as microseconds, or as float seconds
+            due += int(np.sum((sent >= found[0, 0] - near) & (sent <= found[-1, 0] + near)))
+            received += 1 + int(np.sum(np.diff(found[:, 0]) > 0))
+            latency.append(1e-9 * (found[:, 1] - found[:, 0]))
+        return Received(np.concatenate(latency), received, due)
+
+
+class Writer:
+    """A bare publisher; a context manager."""
+
+    def __init__(self, command: Sequence[str], environment: Mapping[str, str]) -> None:
+        self._out = tempfile.TemporaryFile()
+        self.process = subprocess.Popen(
+            list(command),
+            env={**os.environ, **environment},
+            stdin=subprocess.PIPE,
+            stdout=self._out,
+            stderr=subprocess.DEVNULL,
+        )
+
+    def __enter__(self) -> Writer:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.process.kill()
+        self.process.wait()
+        self._out.close()
+
+    def end(self) -> np.ndarray:
+        """Let it end, and return the stamps that it sent."""
+        self.process.communicate(timeout=PATIENCE)
+        self._out.seek(0)
+        return np.array(self._out.read().split(), dtype=np.int64)
+
+
+def processor_time(process: int) -> float:
+    """Return processor time of a process and of those that it started [s]."""
+    with contextlib.suppress(OSError):
+        words = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+        total = (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
+        for task in Path(f"/proc/{process}/task").iterdir():
+            total += sum(processor_time(int(child)) for child in (task / "children").read_text().split())
+        return total
+    return 0.0
+
+
+def usage(process: int, reader: Reader, most: float) -> float:
+    """Return processor time per second of a process, from `SETTLED` after a reader's first message until it ends."""
+    reader.begun()
+    time.sleep(SETTLED)
+    before, began = processor_time(process), time.monotonic()
+    used = passed = 0.0
+    while not reader.wait(0.25) and passed < most:
+        used, passed = processor_time(process) - before, time.monotonic() - began
+    if not passed:
+        raise ArmlabError("Expected a reader to read for some time, but it ended at once.")
+    return used / passed
