@@ -2,7 +2,7 @@
 
 Only the standard library: the nodes of ROS 1 run under the system's Python. A reader takes a number of joint states and
 then prints a line for each message: "J" for joint states or "W" for wrenches, the stamp in the message, and when it was
-received [ns, wall clock]. A publisher prints the stamps that it sent.
+received [ns, wall clock]. A publisher says "ready" and, in the end, prints the stamps that it sent.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Lines:
     """
 
     def __init__(self, count):
-        self._found, self._left = [], count
+        self._found, self._count, self._left = [], count, count
         self.over = threading.Event()
         signal.signal(signal.SIGTERM, lambda *_: self.over.set())
 
@@ -34,9 +34,8 @@ class Lines:
         """Keep a message; call it first in a callback."""
         self._found.append((kind, stamp_ns, time.time_ns()))
         if kind == "J":
-            if len(self._found) == 1 or (len(self._found) == 2 and self._found[0][0] == "W"):
-                sys.stderr.write("reading\n")
-                sys.stderr.flush()
+            if self._left == self._count:
+                say("reading")
             self._left -= 1
             if self._left == 0:
                 self.over.set()
@@ -52,8 +51,15 @@ class Lines:
         sys.stdout.flush()
 
 
+def say(word):
+    """Write a word to standard error."""
+    sys.stderr.write(word + "\n")
+    sys.stderr.flush()
+
+
 def paced(send):
     """Call a function with the time [ns] every period until standard input is closed; then print all the times."""
+    say("ready")
     stamps, due = [], time.monotonic()
     while not select.select([sys.stdin], [], [], max(0.0, due - time.monotonic()))[0]:
         stamps.append(time.time_ns())

@@ -10,7 +10,7 @@ from armlab.bridge.local import LocalFeed
 from armlab.bridge.messages import Subscribe
 from armlab.bridge.row import Row
 from armlab.wire.labcomm import Sample
-from path_ends import PATIENCE, Lines
+from path_ends import PATIENCE, ROBOT, Lines
 
 
 def main() -> None:
@@ -43,7 +43,7 @@ def _feed(kind: str, where: str, lines: Lines) -> None:
     feed.ask(Subscribe(rate=None))
     while not lines.over.is_set():
         message = feed.receive()
-        if isinstance(message, Row):
+        if isinstance(message, Row) and message.values[f"{ROBOT}.fresh"]:
             lines.add("J", message.wall_ns)
 
 

@@ -25,7 +25,9 @@ def main() -> None:
             lines = Lines(int(count[0]))
             while not lines.over.is_set():
                 with contextlib.suppress(TimeoutError):
-                    lines.add("J", round(1e9 * json.loads(one.recv(65536))["timestamp"]))
+                    found = json.loads(one.recv(65536))
+                    if ROBOT in found:
+                        lines.add("J", round(1e9 * found["timestamp"]))
             lines.tell()
         else:
             one.connect(("127.0.0.1", int(port)))

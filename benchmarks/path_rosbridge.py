@@ -13,7 +13,7 @@ import time
 from typing import Any
 
 import msgspec
-from path_ends import JOINTS, PERIOD, ROBOT, Lines, numbers, tell
+from path_ends import JOINTS, PERIOD, ROBOT, Lines, numbers, say, tell
 from websockets.asyncio.client import connect
 from websockets.asyncio.server import serve
 from websockets.exceptions import ConnectionClosed
@@ -60,6 +60,7 @@ async def write(port: int) -> None:
                 await asyncio.sleep(max(0.0, due - time.monotonic()))
 
     async with serve(send, "127.0.0.1", port, compression=None):
+        say("ready")
         await asyncio.get_running_loop().run_in_executor(None, sys.stdin.read)
     tell(stamps)
 

@@ -50,24 +50,12 @@ class Reader:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.process.kill()
-        self.process.wait()
-        if self.process.stderr is not None:
-            self.process.stderr.close()
+        _killed(self.process)
         self._out.close()
 
     def begun(self) -> None:
         """Wait for its first message."""
-        pipe, said, until = self.process.stderr, b"", time.monotonic() + PATIENCE
-        assert pipe is not None
-        while b"reading" not in said:
-            part = b""
-            if select.select([pipe], [], [], max(0.0, until - time.monotonic()))[0]:
-                part = os.read(pipe.fileno(), 4096)
-            if not part:
-                words = " ".join(said.decode(errors="replace").split()[-40:])
-                raise ArmlabError(f"Expected {' '.join(self._command)[:200]} to read, but nothing came: {words}")
-            said += part
+        _wait_for("reading", self.process, self._command)
 
     def wait(self, seconds: float) -> bool:
         """Return whether it ends by itself in time."""
@@ -94,26 +82,26 @@ class Reader:
 
 
 class Writer:
-    """A bare publisher; a context manager."""
+    """A bare publisher that is ready; a context manager."""
 
     def __init__(self, command: Sequence[str], environment: Mapping[str, str]) -> None:
-        self._out = tempfile.TemporaryFile()
+        self._out, self._command = tempfile.TemporaryFile(), list(command)
         self.process = subprocess.Popen(
-            list(command),
+            self._command,
             env={**os.environ, **environment},
             stdin=subprocess.PIPE,
             stdout=self._out,
-            stderr=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
         )
 
     def __enter__(self) -> Writer:
+        _wait_for("ready", self.process, self._command)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.process.kill()
-        self.process.wait()
+        _killed(self.process)
         self._out.close()
 
     def end(self) -> np.ndarray:
@@ -121,6 +109,27 @@ class Writer:
         self.process.communicate(timeout=PATIENCE)
         self._out.seek(0)
         return np.array(self._out.read().split(), dtype=np.int64)
+
+
+def _killed(process: subprocess.Popen[bytes]) -> None:
+    process.kill()
+    process.wait()
+    for pipe in (process.stdin, process.stderr):
+        if pipe is not None:
+            pipe.close()
+
+
+def _wait_for(word: str, process: subprocess.Popen[bytes], command: Sequence[str]) -> None:
+    """Wait until a program says a word on standard error."""
+    pipe, said, until = process.stderr, b"", time.monotonic() + PATIENCE
+    while word.encode() not in said:
+        part = b""
+        if pipe is not None and select.select([pipe], [], [], max(0.0, until - time.monotonic()))[0]:
+            part = os.read(pipe.fileno(), 4096)
+        if not part:
+            words = " ".join(said.decode(errors="replace").split()[-40:])
+            raise ArmlabError(f"Expected {' '.join(command)[:200]} to say {word!r}, but it did not. It said: {words}")
+        said += part
 
 
 def processor_time(process: int) -> float:

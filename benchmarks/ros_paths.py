@@ -169,6 +169,9 @@ WAYS: dict[str, Make] = {
     "local to LocalFeed": local,
 }
 
+ONE_EACH = tuple(name for name in WAYS if not name.endswith((" Cyclone DDS", " Fast DDS", "roslibpy", "ZenohFeed")))
+"""One way of each server."""
+
 
 def _program(name: str, *words: Any) -> Callable[[int], list[str]]:
     return lambda count: [sys.executable, str(HERE / name), *map(str, words), str(count)]

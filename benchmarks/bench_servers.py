@@ -1,0 +1,255 @@
+"""The loop of a whole cell with all servers on, and with clients that stop reading."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from typing import Any, NamedTuple
+
+import numpy as np
+from blocks import Contender, Figure, Table, alternate, figures
+from path_ends import ROBOT
+from path_runs import PATIENCE, SETTLED, Reader, Received
+from ros_paths import ONE_EACH, WAYS, Way
+
+from armlab import bridge, robots
+from armlab.bridge.cell import parse_cell, run_cell
+from armlab.errors import ArmlabError
+
+ARMS = (ROBOT, "yumi_right")
+RATE = 248  # packets of an arm per second
+MORE = 20e-6  # s that the median answer may take longer with all servers
+SHARE = 0.001  # of the messages to others, missing
+ENOUGH = 10**9  # messages: a client that reads until it is ended
+
+
+class Window(NamedTuple):
+    """The loop while clients read: seconds from arrival to answer, ticks, and those missed, overtaken or late."""
+
+    answer: np.ndarray
+    ticks: int
+    missed: int
+
+
+class Slow(NamedTuple):
+    """One run with a client that stands still: the loop, what the other client got, and what the run's numbers say."""
+
+    loop: Window
+    other: Received | None
+    reported: Mapping[str, Any]
+
+
+def run(quick: bool) -> list[Table]:
+    """Measure runs without and with all servers in turns, then one run per server with a client that stands still."""
+    rounds, seconds, long = (1, 5.0, 6.0) if quick else (5, 20.0, 58.0)
+    with ExitStack() as opened:
+        ways = {name: way for name in ONE_EACH if (way := WAYS[name](opened)) is not None}
+        loops: list[list[Window]] = [[], []]
+
+        def block(k: int) -> np.ndarray:
+            loops[k].append(_all_on(list(ways.values()), seconds) if k == 0 else _alone(seconds))
+            return loops[k][-1].answer
+
+        contenders = [Contender("", lambda: block(0)), Contender("", lambda: block(1))]
+        samples = alternate(contenders, rounds)
+        slow = {name: _slow(way, long) for name, way in ways.items()}
+    text = (
+        f"Two arms simulated in real time over EGM by another process, {seconds:g} s a run after all clients have read "
+        f"for {SETTLED:g} s; the arms hold. With: a server each for {', '.join(way.server for way in ways.values())}, "
+        "each with one client that reads joint states and wrenches, or rows. Without: the loop alone. Simulator, loop, "
+        f"servers and clients, {2 + 2 * len(ways)} processes and more with ROS 1, share the machine's {os.cpu_count()} "
+        "cores, so that the loop also waits for those that on a robot run elsewhere: the clients and the simulator. "
+        "Runs without and with alternate."
+    )
+    return [*_loops(text, loops, samples, rounds), *_slows(slow, loops[1], long)]
+
+
+def _loops(text: str, loops: list[list[Window]], samples: list[list[np.ndarray]], rounds: int) -> list[Table]:
+    def told(title: str, unit: str, blocks: list[list[np.ndarray]], reduce: Callable[..., Any], more: float) -> Table:
+        allowed = float(np.median([reduce(one) for one in blocks[1]])) + more
+        notes = [f"{sum(w.missed for w in one)} of {sum(w.ticks for w in one)} ticks missed or late" for one in loops]
+        both = [
+            Contender("all servers, a client each", lambda: np.zeros(0), "armlab", allowed, notes[0]),
+            Contender("no servers", lambda: np.zeros(0), note=notes[1]),
+        ]
+        return Table(f"Loop with all servers on: {title}", text, unit, figures(both, blocks, reduce), rounds)
+
+    shares = [[np.array([w.missed / w.ticks]) for w in one[1:]] for one in loops]  # one to warm up
+    return [
+        told("answer, median", "µs", samples, np.median, MORE),
+        told("answer, 99th percentile", "µs", samples, lambda one: np.percentile(one, 99.0), np.inf),
+        told("ticks missed, overtaken or late", "%", shares, np.median, 0.0),
+    ]
+
+
+def _slows(slow: Mapping[str, Slow], alone: Sequence[Window], seconds: float) -> list[Table]:
+    text = (
+        f"Two simulated arms and one server. A client begins to read and is stopped by a signal for the rest of the "
+        f"run; another then reads for {seconds:g} s, counted from {SETTLED:g} s after its first message. Reported: "
+        "what the run's own numbers say of rows the server did not take and of messages dropped for clients. "
+        "Datagrams for PlotJuggler go to one program, so that there is no other."
+    )
+    allowed = float(np.median([one.missed / one.ticks for one in alone]))
+    others: list[Figure] = []
+    loops: list[Figure] = []
+    for name, one in slow.items():
+        if one.other is not None:
+            note = f"{one.other.received} of {one.other.due} messages, in order; {_reported(one.reported)}"
+            others += _row(name, one.other.missing, SHARE, note)
+        note = f"{one.loop.missed} of {one.loop.ticks}; {_reported(one.reported)}"
+        loops += _row(name, one.loop.missed / one.loop.ticks, allowed, note)
+    return [
+        Table("A client stands still: messages that another misses", text, "%", tuple(others), 1),
+        Table("A client stands still: ticks missed, overtaken or late", text, "%", tuple(loops), 1),
+    ]
+
+
+def _row(name: str, value: float, bar: float, note: str) -> tuple[Figure, ...]:
+    return figures([Contender(name, lambda: np.zeros(0), "armlab", bar, note)], [[np.array([value])]])
+
+
+def _reported(said: Mapping[str, Any]) -> str:
+    clients = said["clients"]
+    dropped = "unknown" if clients is None else sum(dropped for _, dropped in clients.values())
+    return f"reported: {said['lost']} rows lost, {dropped} messages dropped"
+
+
+def _all_on(ways: Sequence[Way], seconds: float) -> Window:
+    def script(opened: ExitStack) -> tuple[int, int]:
+        readers = [opened.enter_context(Reader(way.reader(ENOUGH), way.environment)) for way in ways]
+        for reader in readers:
+            reader.begun()
+        return _passed(seconds)
+
+    found, (begin, end) = _played(ways, script)
+    return _window(found, begin, end)
+
+
+def _alone(seconds: float) -> Window:
+    started = threading.Event()
+
+    def script(opened: ExitStack) -> tuple[int, int]:
+        started.wait(PATIENCE)
+        return _passed(seconds)
+
+    def hold(state: Any) -> None:
+        started.set()
+
+    arms = [robots.load(name) for name in ARMS]
+    with bridge.connect([f"sim://{name}" for name in ARMS], arms, patience=PATIENCE) as link, _Script(script) as told:
+        told.start()
+        with contextlib.suppress(KeyboardInterrupt):
+            link.run(hold)
+        return _window(link.last, *told.result())
+
+
+def _slow(way: Way, seconds: float) -> Slow:
+    kept: list[Reader] = []
+
+    def script(opened: ExitStack) -> tuple[int, int]:
+        still = opened.enter_context(Reader(way.reader(ENOUGH), way.environment))
+        still.begun()
+        os.kill(still.process.pid, signal.SIGSTOP)
+        if way.server == "plotjuggler":
+            return _passed(seconds)
+        count = round((seconds + SETTLED) * RATE)
+        kept.append(Reader(way.reader(count), way.environment))
+        kept[0].begun()
+        time.sleep(SETTLED)
+        begin = time.time_ns()
+        if not kept[0].wait(seconds + PATIENCE):
+            kept[0].process.terminate()  # it tells what came
+            kept[0].wait(PATIENCE)
+        return begin, time.time_ns()
+
+    try:
+        found, (begin, end) = _played([way], script)
+        sent = np.asarray(found.arms[0].table["receive_ns"])
+        other = kept[0].received(sent) if kept else None
+        return Slow(_window(found, begin, end), other, found.arms[0].statistics["servers"][way.server])
+    finally:
+        for reader in kept:
+            reader.__exit__(None, None, None)
+
+
+def _passed(seconds: float) -> tuple[int, int]:
+    """Return when the time that counts began and ended [ns, wall clock]."""
+    time.sleep(SETTLED)
+    begin = time.time_ns()
+    time.sleep(seconds)
+    return begin, time.time_ns()
+
+
+def _played(ways: Sequence[Way], script: Callable[[ExitStack], tuple[int, int]]) -> tuple[Any, tuple[int, int]]:
+    """Run a cell while a script plays its clients; it ends with the script."""
+    text = "".join(f'[[robots]]\nname = "{name}"\nlink = "sim://{name}"\n' for name in ARMS)
+    found: list[Any] = []
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ["XDG_RUNTIME_DIR"] = folder
+        for way in ways:
+            if way.server == "local":  # every cell has it: where its client looks
+                os.environ["XDG_RUNTIME_DIR"] = way.environment["XDG_RUNTIME_DIR"]
+            else:
+                table = way.table.replace(f"{ROBOT} = 0", ", ".join(f"{name} = 0" for name in ARMS))
+                text += f"[servers.{way.server}]\n{table}\n"
+        told = _Script(script)
+        with told, contextlib.suppress(KeyboardInterrupt):
+            run_cell(parse_cell(text), patience=PATIENCE, ready=lambda line: told.start(), ended=found.append)
+    return found[0], told.result()
+
+
+class _Script:
+    """Plays the clients of a run in a thread, and ends the run as Ctrl-C does."""
+
+    def __init__(self, body: Callable[[ExitStack], tuple[int, int]]) -> None:
+        self._body = body
+        self._found: list[tuple[int, int] | BaseException] = []
+        self._thread = threading.Thread(target=self._play, daemon=True)
+
+    def __enter__(self) -> _Script:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._thread.ident is not None:
+            self._thread.join(PATIENCE)
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def result(self) -> tuple[int, int]:
+        """Return what the script returned, or raise what it raised."""
+        if not self._found:
+            raise ArmlabError("Expected the clients of a run to have their time, but the run ended before.")
+        if isinstance(self._found[0], BaseException):
+            raise self._found[0]
+        return self._found[0]
+
+    def _play(self) -> None:
+        with ExitStack() as opened:
+            try:
+                self._found.append(self._body(opened))
+            except BaseException as error:
+                self._found.append(error)
+            os.kill(os.getpid(), signal.SIGINT)
+
+
+def _window(run: Any, begin: int, end: int) -> Window:
+    """Return what the loop did for both arms in that time."""
+    answers, ticks, missed = [], 0, 0
+    for arm in run.arms:
+        table = arm.table
+        came = table["receive_ns"]
+        inside = (came >= begin) & (came < end)
+        answered = inside & (table["send_ns"] > 0)
+        answers.append(1e-9 * (table["send_ns"] - came)[answered])
+        lost = int(np.sum(table["missed"][inside]))
+        ticks += int(np.sum(inside)) + lost
+        missed += lost + int(np.sum(inside & ~answered)) + int(np.sum(table["late"][answered]))
+    return Window(np.concatenate(answers), ticks, missed)
