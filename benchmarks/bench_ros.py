@@ -102,7 +102,7 @@ def _served(way: Way, seconds: float) -> Found:
         try:
             with Reader(way.reader(round((seconds + SETTLED) / PERIOD)), way.environment) as reader:
                 cpu = usage(servers.processes()[way.server], reader, seconds + PATIENCE)
-                return Found(cpu, _received(reader, np.array(sent)))
+                return Found(cpu, _received(way, reader, np.array(sent)))
         finally:
             over.set()
             loop.join()
@@ -116,13 +116,13 @@ def _bare(way: Way, seconds: float) -> Found | None:
         Reader(way.reader(round((seconds + SETTLED) / PERIOD)), way.environment) as reader,
     ):
         cpu = usage(writer.process.pid, reader, seconds + PATIENCE)
-        return Found(cpu, _received(reader, writer.end()))
+        return Found(cpu, _received(way, reader, writer.end()))
 
 
-def _received(reader: Reader, sent: np.ndarray) -> Received:
+def _received(way: Way, reader: Reader, sent: np.ndarray) -> Received:
     if not reader.wait(PATIENCE):
         raise ArmlabError("Expected a reader to end when it has what it wants, but it goes on.")
-    return reader.received(sent)
+    return reader.received(sent, way.kinds)
 
 
 def _loop(exchange: Exchange, over: threading.Event, sent: list[int]) -> None:

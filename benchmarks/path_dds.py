@@ -1,4 +1,4 @@
-"""`path_dds.py DOMAIN`: joint states and wrenches by cyclonedds alone, 250 of each per second, a new message each time."""
+"""`path_dds.py DOMAIN`: joint states and wrenches by cyclonedds alone, 250 of each per second."""
 
 from __future__ import annotations
 

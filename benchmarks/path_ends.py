@@ -47,7 +47,7 @@ class Lines:
 
     def tell(self):
         """Print what came."""
-        sys.stdout.write("".join("%s %d %d\n" % one for one in list(self._found)))
+        sys.stdout.write("".join(f"{kind} {sent} {came}\n" for kind, sent, came in list(self._found)))
         sys.stdout.flush()
 
 
@@ -70,7 +70,7 @@ def paced(send):
 
 def tell(stamps):
     """Print the times that were sent."""
-    sys.stdout.write("".join("%d\n" % one for one in stamps))
+    sys.stdout.write("".join(f"{one}\n" for one in stamps))
     sys.stdout.flush()
 
 

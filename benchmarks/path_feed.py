@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 import sys
 
+from path_ends import PATIENCE, ROBOT, Lines
+
 from armlab.bridge.labcomm import LabCommClient
 from armlab.bridge.local import LocalFeed
 from armlab.bridge.messages import Subscribe
 from armlab.bridge.row import Row
 from armlab.wire.labcomm import Sample
-from path_ends import PATIENCE, ROBOT, Lines
 
 
 def main() -> None:

@@ -10,8 +10,8 @@ from geometry_msgs.msg import WrenchStamped
 from path_ends import JOINTS, ROBOT, Lines, numbers, paced
 from sensor_msgs.msg import JointState
 
-NAMES = ["yumi_robl_joint_%d" % k for k in range(1, JOINTS + 1)]
-TOPICS = {"J": ("/%s/joint_states" % ROBOT, JointState), "W": ("/%s/wrench" % ROBOT, WrenchStamped)}
+NAMES = [f"yumi_robl_joint_{k}" for k in range(1, JOINTS + 1)]
+TOPICS = {"J": (f"/{ROBOT}/joint_states", JointState), "W": (f"/{ROBOT}/wrench", WrenchStamped)}
 
 
 def read(count):

@@ -19,6 +19,8 @@ from armlab.errors import ArmlabError
 
 SETTLED = 2.0  # s after the first message that do not count
 PATIENCE = 60.0  # s
+LAST = 0.1  # s before the last joint state that do not count: the wrench beside it may be on its way
+NEAR = 1000  # ns: some stamps are microseconds, or seconds as float
 
 
 class Received(NamedTuple):
@@ -38,7 +40,7 @@ class Reader:
     """A reading program; a context manager."""
 
     def __init__(self, command: Sequence[str], environment: Mapping[str, str]) -> None:
-        self._out = tempfile.TemporaryFile()  # a pipe that is full would stop it
+        self._out = tempfile.TemporaryFile()  # noqa: SIM115 - a pipe that is full would stop it
         self._command = list(command)
         self.process = subprocess.Popen(
             self._command, env={**os.environ, **environment}, stdout=self._out, stderr=subprocess.PIPE
@@ -63,29 +65,35 @@ class Reader:
             self.process.wait(seconds)
         return self.process.poll() is not None
 
-    def received(self, sent: np.ndarray) -> Received:
-        """Return what it got of messages of each kind with these stamps, once it has ended."""
+    def received(self, sent: np.ndarray, kinds: str = "JW") -> Received:
+        """Return what it got of messages of these kinds with these stamps, once it has ended.
+
+        All kinds count from `SETTLED` after the first joint state until shortly before the last.
+        """
         self._out.seek(0)
-        received = due = 0
-        latency = []
         lines = self._out.read().decode().splitlines()
-        for kind in "JW":
-            found = np.array([line.split()[1:3] for line in lines if line.startswith(kind)], dtype=np.int64)
-            if not len(found):
-                continue
-            found = found[found[:, 0] >= found[0, 0] + round(1e9 * SETTLED)]
-            near = 1000  # ns: stamps as microseconds, or as float seconds
-            due += int(np.sum((sent >= found[0, 0] - near) & (sent <= found[-1, 0] + near)))
-            received += 1 + int(np.sum(np.diff(found[:, 0]) > 0))
-            latency.append(1e-9 * (found[:, 1] - found[:, 0]))
-        return Received(np.concatenate(latency), received, due)
+        found = {
+            kind: np.array([line.split()[1:3] for line in lines if line.startswith(kind)], dtype=np.int64).reshape(
+                -1, 2
+            )
+            for kind in kinds
+        }
+        if len(found["J"]) < 2:
+            raise ArmlabError(f"Expected joint states, got {len(found['J'])} from {' '.join(self._command)[:200]}.")
+        begin, end = found["J"][0, 0] + round(1e9 * SETTLED), found["J"][-1, 0] - round(1e9 * LAST)
+        due = int(np.sum((sent >= begin - NEAR) & (sent <= end + NEAR)))
+        counted = [one[(one[:, 0] >= begin) & (one[:, 0] <= end)] for one in found.values()]
+        received = sum(int(np.sum(np.diff(one[:, 0], prepend=0) > 0)) for one in counted)
+        latency = np.concatenate([1e-9 * (one[:, 1] - one[:, 0]) for one in counted])
+        return Received(latency, received, due * len(kinds))
 
 
 class Writer:
     """A bare publisher that is ready; a context manager."""
 
     def __init__(self, command: Sequence[str], environment: Mapping[str, str]) -> None:
-        self._out, self._command = tempfile.TemporaryFile(), list(command)
+        self._out = tempfile.TemporaryFile()  # noqa: SIM115 - as above
+        self._command = list(command)
         self.process = subprocess.Popen(
             self._command,
             env={**os.environ, **environment},

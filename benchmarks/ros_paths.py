@@ -21,6 +21,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 from path_ends import ROBOT
 from path_zenoh import Key
 
@@ -44,6 +45,7 @@ class Way(NamedTuple):
     server, table : its name, and the lines of its table in a cell file.
     reader : command for a number of joint states. environment : of reader and writer, besides ours.
     writer : command of a bare publisher of the same messages, None where there is none.
+    kinds : "J" joint states, "W" wrenches; a whole row is "J".
     """
 
     server: str
@@ -51,6 +53,7 @@ class Way(NamedTuple):
     reader: Callable[[int], Sequence[str]]
     environment: Mapping[str, str]
     writer: Sequence[str] | None = None
+    kinds: str = "JW"
 
     def options(self) -> dict[str, Any]:
         """Return what the server is told."""
@@ -99,13 +102,15 @@ def zenoh(opened: ExitStack) -> Way | None:
 def zenoh_feed(opened: ExitStack) -> Way | None:
     """`ZenohFeed`."""
     port = _free_port()
-    return Way("zenoh", f"port = {port}", _program("path_feed.py", "zenoh", f"zenoh://127.0.0.1:{port}"), {})
+    return Way("zenoh", f"port = {port}", _program("path_feed.py", "zenoh", f"zenoh://127.0.0.1:{port}"), {}, kinds="J")
 
 
 def rosbridge(opened: ExitStack) -> Way | None:
     """A client with websockets alone."""
     port = _free_port()
-    return Way("rosbridge", f"port = {port}", _program("path_rosbridge.py", "read", port), {}, _writer("rosbridge", port))
+    return Way(
+        "rosbridge", f"port = {port}", _program("path_rosbridge.py", "read", port), {}, _writer("rosbridge", port)
+    )
 
 
 def roslibpy(opened: ExitStack) -> Way | None:
@@ -135,14 +140,14 @@ def plotjuggler(opened: ExitStack) -> Way | None:
     """A receiver of datagrams."""
     port = _free_port(socket.SOCK_DGRAM)
     reader, writer = _program("path_plotjuggler.py", "read", port), _writer("plotjuggler", port)
-    return Way("plotjuggler", f"port = {port}", reader, {}, writer)
+    return Way("plotjuggler", f"port = {port}", reader, {}, writer, "J")
 
 
 def labcomm(opened: ExitStack) -> Way | None:
     """`LabCommClient` on the port of fused rows."""
     port = _free_port()
     table = f"ports = {{{ROBOT} = 0}}\nparameters = 0\nrows = {port}"
-    return Way("labcomm", table, _program("path_feed.py", "labcomm", port), {})
+    return Way("labcomm", table, _program("path_feed.py", "labcomm", port), {}, kinds="J")
 
 
 def local(opened: ExitStack) -> Way | None:
@@ -150,7 +155,7 @@ def local(opened: ExitStack) -> Way | None:
     folder = opened.enter_context(tempfile.TemporaryDirectory())
     path = Path(folder) / "armlab" / "cell.sock"
     path.parent.mkdir(mode=0o700)
-    return Way("local", str(path), _program("path_feed.py", "local", "cell"), {"XDG_RUNTIME_DIR": folder})
+    return Way("local", str(path), _program("path_feed.py", "local", "cell"), {"XDG_RUNTIME_DIR": folder}, kinds="J")
 
 
 Make = Callable[[ExitStack], Way | None]
@@ -208,6 +213,7 @@ def _zenoh(server: str, table: str, keys: Sequence[Key]) -> Way:
         lambda count: [*program, "read", str(port), str(count), *words],
         {},
         [*program, "write", str(port), *words],
+        "".join(key.kind for key in keys),
     )
 
 
@@ -216,8 +222,6 @@ def _message(type_: str) -> Any:
     types = store().types
     header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](0, 0), "")
     if type_.endswith("JointState"):
-        import numpy as np
-
         values = [np.arange(7.0) for _ in range(3)]
         return types[type_](header, [f"yumi_robl_joint_{k}" for k in range(1, 8)], *values)
     vector = types["geometry_msgs/msg/Vector3"](0.0, 1.0, 2.0)
