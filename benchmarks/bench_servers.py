@@ -20,21 +20,26 @@ from ros_paths import ONE_EACH, WAYS, Way
 
 from armlab import bridge, robots
 from armlab.bridge.cell import parse_cell, run_cell
-from armlab.errors import ArmlabError
+from armlab.errors import ArmlabError, LinkError
 
 ARMS = (ROBOT, "yumi_right")
-RATE = 248  # packets of an arm per second
 MORE = 20e-6  # s that the median answer may take longer with all servers
 SHARE = 0.001  # of the messages to others, missing
+SLOWED = (
+    "An arm in real time sends 248 packets per second: where fewer came, the simulator did not get its share of the "
+    "machine, and the figures tell nothing of a robot's loop."
+)
+TRIES = 3  # to start all servers at once
 ENOUGH = 10**9  # messages: a client that reads until it is ended
 
 
 class Window(NamedTuple):
-    """The loop while clients read: seconds from arrival to answer, ticks, and those missed, overtaken or late."""
+    """The loop while clients read: seconds from arrival to answer, ticks, those missed, overtaken or late, and s."""
 
     answer: np.ndarray
     ticks: int
     missed: int
+    seconds: float
 
 
 class Slow(NamedTuple):
@@ -47,7 +52,7 @@ class Slow(NamedTuple):
 
 def run(quick: bool) -> list[Table]:
     """Measure runs without and with all servers in turns, then one run per server with a client that stands still."""
-    rounds, seconds, long = (1, 5.0, 6.0) if quick else (5, 20.0, 58.0)
+    rounds, seconds, long = (1, 4.0, 4.0) if quick else (5, 20.0, 58.0)
     with ExitStack() as opened:
         ways = {name: way for name in ONE_EACH if (way := WAYS[name](opened)) is not None}
         loops: list[list[Window]] = [[], []]
@@ -62,10 +67,11 @@ def run(quick: bool) -> list[Table]:
     text = (
         f"Two arms simulated in real time over EGM by another process, {seconds:g} s a run after all clients have read "
         f"for {SETTLED:g} s; the arms hold. With: a server each for {', '.join(way.server for way in ways.values())}, "
-        "each with one client that reads joint states and wrenches, or rows. Without: the loop alone. Simulator, loop, "
+        "each with one client that reads joint states and wrenches, or rows (the simulated arms have no force sensor, "
+        "so that no wrenches come). Without: the loop alone. Simulator, loop, "
         f"servers and clients, {2 + 2 * len(ways)} processes and more with ROS 1, share the machine's {os.cpu_count()} "
         "cores, so that the loop also waits for those that on a robot run elsewhere: the clients and the simulator. "
-        "Runs without and with alternate."
+        f"Runs without and with alternate. {SLOWED}"
     )
     return [*_loops(text, loops, samples, rounds), *_slows(slow, loops[1], long)]
 
@@ -73,7 +79,7 @@ def run(quick: bool) -> list[Table]:
 def _loops(text: str, loops: list[list[Window]], samples: list[list[np.ndarray]], rounds: int) -> list[Table]:
     def told(title: str, unit: str, blocks: list[list[np.ndarray]], reduce: Callable[..., Any], more: float) -> Table:
         allowed = float(np.median([reduce(one) for one in blocks[1]])) + more
-        notes = [f"{sum(w.missed for w in one)} of {sum(w.ticks for w in one)} ticks missed or late" for one in loops]
+        notes = [_counted(one) for one in loops]
         both = [
             Contender("all servers, a client each", lambda: np.zeros(0), "armlab", allowed, notes[0]),
             Contender("no servers", lambda: np.zeros(0), note=notes[1]),
@@ -94,7 +100,7 @@ def _slows(slow: Mapping[str, Slow], alone: Sequence[Window], seconds: float) ->
         f"run; another then reads for {seconds:g} s, counted from {SETTLED:g} s after its first message. Reported: "
         "what the run's own numbers say of rows the server did not take and of messages dropped for clients; libraries "
         "of DDS, Zenoh and ROS 1 do not tell the server what they drop for one client. "
-        "Datagrams for PlotJuggler go to one program, so that there is no other."
+        f"Datagrams for PlotJuggler go to one program, so that there is no other. {SLOWED}"
     )
     allowed = float(np.median([one.missed / one.ticks for one in alone]))
     others: list[Figure] = []
@@ -103,7 +109,7 @@ def _slows(slow: Mapping[str, Slow], alone: Sequence[Window], seconds: float) ->
         if one.other is not None:
             note = f"{one.other.received} of {one.other.due} messages, in order; {_reported(one.reported)}"
             others += _row(name, one.other.missing, SHARE, note)
-        note = f"{one.loop.missed} of {one.loop.ticks}; {_reported(one.reported)}"
+        note = f"{_counted([one.loop])}; {_reported(one.reported)}"
         loops += _row(name, one.loop.missed / one.loop.ticks, allowed, note)
     return [
         Table("A client stands still: messages that another misses", text, "%", tuple(others), 1),
@@ -113,6 +119,12 @@ def _slows(slow: Mapping[str, Slow], alone: Sequence[Window], seconds: float) ->
 
 def _row(name: str, value: float, bar: float, note: str) -> tuple[Figure, ...]:
     return figures([Contender(name, lambda: np.zeros(0), "armlab", bar, note)], [[np.array([value])]])
+
+
+def _counted(loops: Sequence[Window]) -> str:
+    ticks, seconds = sum(one.ticks for one in loops), sum(one.seconds for one in loops)
+    rate = ticks / seconds / len(ARMS)
+    return f"{sum(one.missed for one in loops)} of {ticks} ticks missed or late; {rate:.0f} per second and arm"
 
 
 def _reported(said: Mapping[str, Any]) -> str:
@@ -159,20 +171,17 @@ def _slow(way: Way, seconds: float) -> Slow:
         os.kill(still.process.pid, signal.SIGSTOP)
         if way.server == "plotjuggler":
             return _passed(seconds)
-        count = round((seconds + SETTLED) * RATE)
-        kept.append(Reader(way.reader(count), way.environment))
+        kept.append(Reader(way.reader(ENOUGH), way.environment))
         kept[0].begun()
-        time.sleep(SETTLED)
-        begin = time.time_ns()
-        if not kept[0].wait(seconds + PATIENCE):
-            kept[0].process.terminate()  # it tells what came
-            kept[0].wait(PATIENCE)
-        return begin, time.time_ns()
+        begin, end = _passed(seconds)
+        kept[0].process.terminate()  # it tells what came
+        kept[0].wait(PATIENCE)
+        return begin, end
 
     try:
         found, (begin, end) = _played([way], script)
         sent = np.asarray(found.arms[0].table["receive_ns"])
-        other = kept[0].received(sent, way.kinds) if kept else None
+        other = kept[0].received(sent, "J") if kept else None
         return Slow(_window(found, begin, end), other, found.arms[0].statistics["servers"][way.server])
     finally:
         for reader in kept:
@@ -199,9 +208,15 @@ def _played(ways: Sequence[Way], script: Callable[[ExitStack], tuple[int, int]])
             else:
                 table = way.table.replace(f"{ROBOT} = 0", ", ".join(f"{name} = 0" for name in ARMS))
                 text += f"[servers.{way.server}]\n{table}\n"
-        told = _Script(script)
-        with told, contextlib.suppress(KeyboardInterrupt):
-            run_cell(parse_cell(text), patience=PATIENCE, ready=lambda line: told.start(), ended=found.append)
+        told, cell = _Script(script), parse_cell(text)
+        for left in reversed(range(TRIES)):
+            try:
+                with told, contextlib.suppress(KeyboardInterrupt):
+                    run_cell(cell, patience=PATIENCE, ready=lambda line: told.start(), ended=found.append)
+                break
+            except LinkError:  # servers that were not up in time, on a machine with other work
+                if found or not left:
+                    raise
     return found[0], told.result()
 
 
@@ -253,4 +268,4 @@ def _window(run: Any, begin: int, end: int) -> Window:
         lost = int(np.sum(table["missed"][inside]))
         ticks += int(np.sum(inside)) + lost
         missed += lost + int(np.sum(inside & ~answered)) + int(np.sum(table["late"][answered]))
-    return Window(np.concatenate(answers), ticks, missed)
+    return Window(np.concatenate(answers), ticks, missed, 1e-9 * (end - begin))

@@ -43,6 +43,8 @@ def _feed(kind: str, where: str, lines: Lines) -> None:
         feed = LocalFeed(where, patience=PATIENCE)
     feed.ask(Subscribe(rate=None))
     while not lines.over.is_set():
+        if not feed.wait(1.0):
+            continue
         message = feed.receive()
         if isinstance(message, Row) and message.values[f"{ROBOT}.fresh"]:
             lines.add("J", message.wall_ns)

@@ -36,12 +36,18 @@ async def read(port: int, lines: Lines) -> None:
     async with connect(f"ws://127.0.0.1:{port}", compression=None) as socket:
         for topic, (_, type_) in TOPICS.items():
             await socket.send(json.dumps({"op": "subscribe", "topic": topic, "type": type_}))
+        ending = asyncio.create_task(_end(socket, lines))
         async for text in socket:
             said = json.loads(text)
             if said["op"] == "publish":
                 lines.add(TOPICS[said["topic"]][0], stamp(said["msg"]))
-                if lines.over.is_set():
-                    return
+        await ending
+
+
+async def _end(socket: Any, lines: Lines) -> None:
+    while not lines.over.is_set():
+        await asyncio.sleep(0.1)
+    await socket.close()
 
 
 async def write(port: int) -> None:

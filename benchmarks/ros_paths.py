@@ -66,17 +66,18 @@ class Way(NamedTuple):
 
 def dds_python(opened: ExitStack) -> Way | None:
     """cyclonedds in Python, with its own codec."""
-    return _dds([sys.executable, str(PEERS / "cyclone.py")])
+    domain = str(_domain())
+    return _dds(lambda count: [sys.executable, str(HERE / "path_dds.py"), "read", domain, str(count)])
 
 
 def dds_cyclone(opened: ExitStack) -> Way | None:
     """Cyclone DDS in C; None where its tools are missing."""
-    return _dds(_built("cyclone", opened)) if shutil.which("idlc") else None
+    return _dds(_node(_built("cyclone", opened))) if shutil.which("idlc") else None
 
 
 def dds_fast(opened: ExitStack) -> Way | None:
     """Fast DDS in C++; None where its tools are missing."""
-    return _dds(_built("fast", opened)) if shutil.which("fastddsgen") else None
+    return _dds(_node(_built("fast", opened))) if shutil.which("fastddsgen") else None
 
 
 def rmw_zenoh(opened: ExitStack) -> Way | None:
@@ -186,22 +187,27 @@ def _writer(name: str, port: int) -> list[str]:
     return [sys.executable, str(HERE / f"path_{name}.py"), "write", str(port)]
 
 
-def _built(name: str, opened: ExitStack) -> list[str]:
+def _built(name: str, opened: ExitStack) -> str:
     folder = Path(opened.enter_context(tempfile.TemporaryDirectory()))
     command = ["make", "-f", str(PEERS / "Makefile"), name]
     subprocess.run(command, cwd=folder, env={"PATH": "/usr/bin:/bin"}, check=True, stdout=subprocess.DEVNULL)
-    return [str(folder / name)]
+    return str(folder / name)
 
 
-def _dds(words: Sequence[str]) -> Way:
+def _domain() -> int:
+    return 1 + os.getpid() % 100
+
+
+def _node(program: str) -> Callable[[int], list[str]]:
+    return lambda count: [program, str(_domain()), str(count), "0", "0"]
+
+
+def _dds(reader: Callable[[int], list[str]]) -> Way:
     from armlab.bridge.ros.dds_domain import configuration
 
-    domain = 1 + os.getpid() % 100
     settings = {"CYCLONEDDS_URI": configuration("127.0.0.1")}
-    writer = [sys.executable, str(HERE / "path_dds.py"), str(domain)]
-    return Way(
-        "ros2", f"domain = {domain}", lambda count: [*words, str(domain), str(count), "0", "0"], settings, writer
-    )
+    writer = [sys.executable, str(HERE / "path_dds.py"), "write", str(_domain())]
+    return Way("ros2", f"domain = {_domain()}", reader, settings, writer)
 
 
 def _zenoh(server: str, table: str, keys: Sequence[Key]) -> Way:
