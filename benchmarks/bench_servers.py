@@ -25,9 +25,10 @@ from armlab.errors import ArmlabError, LinkError
 ARMS = (ROBOT, "yumi_right")
 MORE = 20e-6  # s that the median answer may take longer with all servers
 SHARE = 0.001  # of the messages to others, missing
+RATE = 248  # packets of an arm per second
 SLOWED = (
-    "An arm in real time sends 248 packets per second: where fewer came, the simulator did not get its share of the "
-    "machine, and the figures tell nothing of a robot's loop."
+    f"An arm in real time sends {RATE} packets per second: where fewer than 95 % of them came, the simulator did not "
+    "get its share of the machine, and nothing is judged."
 )
 TRIES = 3  # to start all servers at once
 ENOUGH = 10**9  # messages: a client that reads until it is ended
@@ -63,6 +64,7 @@ def run(quick: bool) -> list[Table]:
 
         contenders = [Contender("", lambda: block(0)), Contender("", lambda: block(1))]
         samples = alternate(contenders, rounds)
+        loops = [one[1:] for one in loops]  # one to warm up
         slow = {name: _slow(way, long) for name, way in ways.items()}
     text = (
         f"Two arms simulated in real time over EGM by another process, {seconds:g} s a run after all clients have read "
@@ -77,8 +79,12 @@ def run(quick: bool) -> list[Table]:
 
 
 def _loops(text: str, loops: list[list[Window]], samples: list[list[np.ndarray]], rounds: int) -> list[Table]:
-    def told(title: str, unit: str, blocks: list[list[np.ndarray]], reduce: Callable[..., Any], more: float) -> Table:
-        allowed = float(np.median([reduce(one) for one in blocks[1]])) + more
+    def told(
+        title: str, unit: str, blocks: list[list[np.ndarray]], reduce: Callable[..., Any], more: float | None
+    ) -> Table:
+        allowed = None
+        if more is not None and all(map(_kept_up, loops)):
+            allowed = float(np.median([reduce(one) for one in blocks[1]])) + more
         notes = [_counted(one) for one in loops]
         both = [
             Contender("all servers, a client each", lambda: np.zeros(0), "armlab", allowed, notes[0]),
@@ -86,10 +92,10 @@ def _loops(text: str, loops: list[list[Window]], samples: list[list[np.ndarray]]
         ]
         return Table(f"Loop with all servers on: {title}", text, unit, figures(both, blocks, reduce), rounds)
 
-    shares = [[np.array([w.missed / w.ticks]) for w in one[1:]] for one in loops]  # one to warm up
+    shares = [[np.array([w.missed / w.ticks]) for w in one] for one in loops]
     return [
         told("answer, median", "µs", samples, np.median, MORE),
-        told("answer, 99th percentile", "µs", samples, lambda one: np.percentile(one, 99.0), np.inf),
+        told("answer, 99th percentile", "µs", samples, lambda one: np.percentile(one, 99.0), None),
         told("ticks missed, overtaken or late", "%", shares, np.median, 0.0),
     ]
 
@@ -108,17 +114,22 @@ def _slows(slow: Mapping[str, Slow], alone: Sequence[Window], seconds: float) ->
     for name, one in slow.items():
         if one.other is not None:
             note = f"{one.other.received} of {one.other.due} messages, in order; {_reported(one.reported)}"
-            others += _row(name, one.other.missing, SHARE, note)
+            others += _row(name, one.other.missing, SHARE if _kept_up([one.loop]) else None, note)
         note = f"{_counted([one.loop])}; {_reported(one.reported)}"
-        loops += _row(name, one.loop.missed / one.loop.ticks, allowed, note)
+        loops += _row(name, one.loop.missed / one.loop.ticks, allowed if _kept_up([one.loop]) else None, note)
     return [
         Table("A client stands still: messages that another misses", text, "%", tuple(others), 1),
         Table("A client stands still: ticks missed, overtaken or late", text, "%", tuple(loops), 1),
     ]
 
 
-def _row(name: str, value: float, bar: float, note: str) -> tuple[Figure, ...]:
+def _row(name: str, value: float, bar: float | None, note: str) -> tuple[Figure, ...]:
     return figures([Contender(name, lambda: np.zeros(0), "armlab", bar, note)], [[np.array([value])]])
+
+
+def _kept_up(loops: Sequence[Window]) -> bool:
+    """Return whether the simulator sent in real time."""
+    return min(one.ticks / one.seconds / len(ARMS) for one in loops) > 0.95 * RATE
 
 
 def _counted(loops: Sequence[Window]) -> str:
