@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import numpy as np
 import pytest
 
 from armlab.bridge.ros import store
 from armlab.bridge.ros.arm import header
-from armlab.bridge.rosbridge.dialect import HEADER, TIME, Dialect, encoded, fields, read_type, type_name
+from armlab.bridge.rosbridge.dialect import HEADER, TIME, Dialect, fields, flat, publish, read_type, type_name
 from armlab.errors import CommandRefused
 
 TYPES = store().types
+
+
+def encoded(topic: str, message: Any, dialect: Dialect, seq: int) -> bytes:
+    return publish(topic, flat(message, message.__msgtype__), dialect, seq)
 
 
 def test_the_text_of_a_type_tells_the_dialect() -> None:
@@ -67,3 +72,9 @@ def test_stamps_wherever_they_are(dialect: Dialect, names: set[str]) -> None:
 def test_fields_are_those_of_the_definition() -> None:
     assert fields("std_msgs/msg/Float64MultiArray") == ("layout", "data")
     assert fields("std_msgs/msg/Empty") == ()
+
+
+def test_text_that_looks_like_what_is_replaced_stays() -> None:
+    words = '%b %% {"sec":1,"nanosec":2} {"stamp":{ \x00 \x01'
+    message = TYPES["diagnostic_msgs/msg/KeyValue"]("key", words)
+    assert json.loads(encoded("/k", message, "ros1", 1))["msg"] == {"key": "key", "value": words}

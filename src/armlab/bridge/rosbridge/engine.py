@@ -9,8 +9,8 @@ from typing import Any, Protocol
 import msgspec
 
 from armlab.bridge.messages import CommandRequest, Leave, Report, Request, SetRequest
-from armlab.bridge.ros import Commands, Published, Topics
-from armlab.bridge.rosbridge.dialect import Dialect, encoded, fields, read_type, type_name
+from armlab.bridge.ros import Commands, Encoded, Published, Topics
+from armlab.bridge.rosbridge.dialect import Dialect, fields, flat, publish, read_type, type_name
 from armlab.bridge.rosbridge.operations import (
     Advertise,
     CallService,
@@ -67,7 +67,7 @@ class Engine:
         self._dialect: Dialect = dialect
         self._loop, self._server = loop, server
         self._topics, self._commands = Topics(robots, loop.schema), Commands(loop.about["cell"], robots)
-        self._published = self._topics.published
+        self._encoded, self._published = Encoded(self._topics, flat), self._topics.published
         types = {name: one.type for name, one in self._published.items()} | self._commands.types
         self._rosapi = Rosapi(loop.about["cell"], types, lambda: self._loop.parameters)
         self._numbers: Counter[str] = Counter()
@@ -115,7 +115,7 @@ class Engine:
         ----------
         data : one row of the loop. now_ns : monotonic clock.
         """
-        self._publish(lambda wanted: self._topics.of_row(data, wanted), now_ns)
+        self._publish(lambda wanted: self._encoded.of_row(data, wanted.keys()), now_ns)
 
     def text(self, message: Mapping[str, Any], now_ns: int) -> None:
         """Take what the loop says besides rows.
@@ -125,7 +125,7 @@ class Engine:
         message : see `messages`. now_ns : monotonic clock.
         """
         if message["kind"] == "parameters":
-            self._publish(lambda wanted: self._topics.of_parameters(self._loop.parameters, wanted), now_ns)
+            self._publish(lambda wanted: self._encoded.of_parameters(self._loop.parameters, wanted), now_ns)
             for session in self.sessions.values():
                 self._confirm(session, now_ns)
         elif message["kind"] == "answer" and message["client"] in self.sessions:
@@ -184,7 +184,7 @@ class Engine:
         if known is None or known.dialect != dialect:
             known = session.subscriptions[name] = Subscription(name, session.outbox, dialect)
         known.add(_id(operation) or "", operation.throttle_rate or 0.0, operation.queue_length or 0)
-        for published, message in self._topics.of_parameters(self._loop.parameters, {name}):
+        for published, message in self._encoded.of_parameters(self._loop.parameters, {name}):
             self._send(published, message, [known], now_ns)
 
     def _known(self, topic: str, type_: str | None, types: Mapping[str, str], what: str) -> Dialect:
@@ -268,14 +268,14 @@ class Engine:
         for published, message in made(wanted):
             self._send(published, message, wanted[published.name], now_ns)
 
-    def _send(self, published: Published, message: Any, to: Iterable[Subscription], now_ns: int) -> None:
-        """Send a message, encoded once for all clients of one dialect."""
+    def _send(self, published: Published, message: bytes, to: Iterable[Subscription], now_ns: int) -> None:
+        """Send a message (see `flat`) as text, made once for all clients of one dialect."""
         self._numbers[published.name] += 1
         texts: dict[Dialect, bytes] = {}
         for one in to:
             if one.dialect not in texts:
                 number = self._numbers[published.name]
-                texts[one.dialect] = encoded(published.name, message, one.dialect, number)
+                texts[one.dialect] = publish(published.name, message, one.dialect, number)
             one.offer(texts[one.dialect], now_ns)
 
 
