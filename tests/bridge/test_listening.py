@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from armlab.bridge.cell import parse_cell
-from armlab.bridge.listening import is_open, listening
+from armlab.bridge.listening import is_here, is_open, listening
 from armlab.errors import ConfigError, UnknownName
 
 FILE = """
@@ -68,6 +68,36 @@ def test_no_commands_come_from_the_network_of_a_master_elsewhere(master: str) ->
 def test_commands_come_by_a_master_of_this_computer(master: str) -> None:
     text = FILE.replace("labcomm", "ros1").replace('["local"]', '["ros1"]')
     assert listening([], parse_cell(f'{text}master = "{master}"')) == {"ros1": "127.0.0.1"}
+
+
+@pytest.mark.parametrize("server", ["zenoh", "rmw_zenoh"])
+def test_rows_go_to_a_router_elsewhere_only_when_that_is_asked_for(server: str) -> None:
+    text = FILE.replace("labcomm", server)
+    cell = parse_cell(f'{text}router = "192.168.1.9:7447"')
+    with pytest.raises(ConfigError, match=f"Expected --listen {server}=ADDRESS too"):
+        listening([], cell)
+    assert listening([f"{server}=192.168.1.5"], cell) == {server: "192.168.1.5"}
+    assert listening([], parse_cell(f'{text}router = "127.0.0.1:7448"')) == {server: "127.0.0.1"}
+
+
+@pytest.mark.parametrize("place", ["127.0.0.1:1", "[::1]:1", "localhost:1"])
+def test_routers_of_this_computer(place: str) -> None:
+    assert is_here(place)
+
+
+@pytest.mark.parametrize("place", ["192.168.1.9:7447", "127.lab.example:7447", "0.0.0.0:7447", "7447", ""])
+def test_routers_elsewhere(place: str) -> None:
+    assert not is_here(place)
+
+
+def test_addresses_that_are_no_place_to_listen_at() -> None:
+    for place in ("224.0.0.1", "239.255.0.1", "255.255.255.255"):
+        with pytest.raises(ConfigError, match="Expected the address of a network card"):
+            listening([f"labcomm={place}"], parse_cell(FILE))
+    ros = parse_cell(FILE.replace("labcomm", "ros1"))
+    with pytest.raises(ConfigError, match="address by which other nodes reach ros1"):
+        listening(["ros1=0.0.0.0"], ros)
+    assert listening(["ros1=127.0.0.2"], ros) == {"ros1": "127.0.0.2"}
 
 
 def test_who_proves_nothing_only_reads() -> None:

@@ -11,6 +11,7 @@ import pytest
 from armlab import log
 from armlab.bridge.zenoh import EVERY, Place, checksum, close_session, open_session
 from armlab.fleet import FleetRecorder, Router, robot_record
+from armlab.fleet.robot_record import RobotRecord
 from armlab.robots import Robot
 
 from .conftest import Started, free_port, until
@@ -56,6 +57,32 @@ def test_messages_of_no_robot_are_counted_and_leave_no_file(tmp_path: Path, monk
     assert any("nobody says what is in its rows" in text for text in told)
     assert any("lab1/other: messages are refused" in text for text in told)
     assert sum("lab1/damaged: rows come damaged" in text for text in told) == 1
+
+
+def test_what_goes_wrong_with_one_robot_ends_its_recording_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole, told = RobotRecord.write, []
+
+    def wrong(self: RobotRecord) -> None:
+        if self.name == "lab1/bad":
+            raise RuntimeError("not thought of")
+        whole(self)
+
+    monkeypatch.setattr(RobotRecord, "write", wrong)
+    with Router(port=(port := free_port())), FleetRecorder(Place(port=port, lab=EVERY), tmp_path, told.append) as fleet:
+        session = open_session("client", connect=[f"127.0.0.1:{port}"])
+
+        def sent(name: str) -> int:
+            session.put(f"armlab/lab1/{name}/state", b"hello", attachment=checksum(b"hello"))
+            return fleet.robots[f"lab1/{name}"].refused if f"lab1/{name}" in fleet.robots else 0
+
+        until(lambda: sent("bad") or any("lab1/bad" in text for text in told))
+        seen = sent("good")
+        until(lambda: sent("bad") + sent("good") > seen + 3)
+        close_session(session)
+    assert fleet.robots["lab1/bad"].failed == "RuntimeError: not thought of"
+    assert sum("its recording has ended: RuntimeError: not thought of" in text for text in told) == 1
 
 
 @pytest.mark.slow

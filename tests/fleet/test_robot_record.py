@@ -144,7 +144,9 @@ def test_wrong_rows_are_refused_and_the_right_ones_written(record: RobotRecord, 
     assert sum("messages are refused" in text for text in told) == 1
 
 
-@pytest.mark.parametrize("about", [b"", b"[]", b"[1]", b'[{"schema": "{}"}]', b'[{"schema": 1}]', b"\xff"])
+@pytest.mark.parametrize(
+    "about", [b"", b"[]", b"[1]", b'[{"schema": "{}"}]', b'[{"schema": 1}]', b"\xff", b"[" * 200_000]
+)
 def test_a_description_that_is_none_leaves_no_file(record: RobotRecord, robot: Robot, about: bytes) -> None:
     record.take(Bridge(robot).row(0, 0))
     record.write()
@@ -152,6 +154,17 @@ def test_a_description_that_is_none_leaves_no_file(record: RobotRecord, robot: R
     record.describe(about)
     record.close()
     assert (record.paths, record.rows, record.refused) == ([], 0, 1)
+
+
+def test_a_recording_that_is_given_up_leaves_what_was_written(
+    record: RobotRecord, robot: Robot, told: list[str]
+) -> None:
+    fed(record, Bridge(robot), [(k, k) for k in range(3)])
+    record.flush()
+    record.end("ValueError: wrong")
+    assert told[-1] == f"lab1/{robot.name}: its recording has ended: ValueError: wrong"
+    assert (record.failed, record.wants) == ("ValueError: wrong", False)
+    assert len(log.read(record.paths[0])) == 3
 
 
 def test_rows_that_nobody_describes_are_given_up(

@@ -55,3 +55,10 @@ def test_damaged_rows_are_counted_and_not_read() -> None:
     seen.describe(json.dumps([{"schema": schema.text.decode()}]).encode())
     seen.take(None)
     assert seen.summary()[2:5] == (0.0, 0, 1)
+
+
+def test_a_bridge_that_says_what_cannot_be_read_is_shown_without_rows() -> None:
+    seen = _Seen("lab1", "ur5e")
+    seen.describe(b"[" * 200_000)
+    seen.take(b"ALR1" + bytes(60))
+    assert seen.summary()[2:5] == (0.0, 0, 0)

@@ -19,6 +19,8 @@ def test_beyond_this_computer_it_asks_for_certificates_and_users() -> None:
         Router("0.0.0.0", 0)
     with pytest.raises(ConfigError, match="Expected the address of a network card"):
         Router("eth0", 0)
+    with pytest.raises(ConfigError, match=r"Expected certificates and users for a router connected to 192.168.1.9:1"):
+        Router(port=0, connect=["192.168.1.9:1"])
 
 
 def test_a_taken_port_is_told() -> None:

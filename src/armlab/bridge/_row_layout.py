@@ -7,7 +7,7 @@ import struct
 VERSION = 1
 HEAD = struct.Struct("<4sI8sQqq")
 TYPES = {"float64": "<f8", "int64": "<i8", "text": "S1"}
-WORDS = 40  # bytes of a commander's name
+WORDS = 48  # bytes of a commander's name: a server, a blank, 16 bytes in hexadecimal digits
 REALS = ("session_t", "dt", "utilization", "age")
 COUNTS = (
     "tick", "seq", "seq_sent", "session", "missed", "drops", "robot_ns", "receive_ns", "send_ns", "step_ns", "motors",

@@ -14,7 +14,7 @@ from armlab.errors import ConfigError, UnknownName
 if TYPE_CHECKING:
     from armlab.bridge.cell import Cell
 
-__all__ = ["is_open", "listening"]
+__all__ = ["is_here", "is_open", "listening"]
 
 GUARDED = "guarded"
 """Option by which a server says that who commands through it has to know a secret, and that nobody can overhear it."""
@@ -32,7 +32,8 @@ def listening(listen: Iterable[str], cell: Cell) -> dict[str, str]:
     Raises
     ------
     ConfigError, UnknownName : another form, server or interface, or a server that may command beyond this computer
-        without secret and encryption, shares its router with one that is open, or has its ROS master elsewhere.
+        without secret and encryption, shares its router with one that is open, or has its ROS master elsewhere; or
+        one whose router is elsewhere and that is not asked for there.
     """
     found = {name: "127.0.0.1" for name in cell.servers if name != OPERATOR}
     for word in listen:
@@ -40,12 +41,15 @@ def listening(listen: Iterable[str], cell: Cell) -> dict[str, str]:
         if server not in found:
             raise UnknownName.among("enabled server (--listen SERVER=ADDRESS)", server, found)
         found[server] = _address(place)
+        if server == "ros1" and found[server] == "0.0.0.0":
+            raise ConfigError(f"Expected the address by which other nodes reach ros1, got --listen {word}. Name it.")
         options = cell.servers[server]
         if server in cell.commands and is_open(options, found[server]):
             raise ConfigError(
                 f"Expected {server} on this computer only, since `commands` names it, got --listen {word}: "
                 f"{_why(options)} Or take it out of `commands`, or let clients come through an SSH tunnel."
             )
+    _check_readers(cell, found)
     _check_routers(cell, found)
     _check_master(cell)
     return found
@@ -59,6 +63,28 @@ def is_open(options: Mapping[str, Any], address: str) -> bool:
     options : of the server, whose "guarded" may say that it asks for a secret and encrypts. address : it listens on.
     """
     return not options.get(GUARDED, False) and not ipaddress.ip_address(address).is_loopback
+
+
+def is_here(place: str) -> bool:
+    """Return whether "HOST:PORT" is on this computer; a name that is to be looked up is not, but for localhost.
+
+    Parameters
+    ----------
+    place : of a router.
+    """
+    host = place.rpartition(":")[0].strip("[]")
+    return host == "localhost" or _is_loopback(host)
+
+
+def _check_readers(cell: Cell, addresses: Mapping[str, str]) -> None:
+    """Refuse that rows go to a router elsewhere unless --listen says that this server is read from there."""
+    for name in _ZENOH:
+        router = cell.servers.get(name, {}).get("router", "")
+        if router and not is_here(router) and ipaddress.ip_address(addresses[name]).is_loopback:
+            raise ConfigError(
+                f"Expected --listen {name}=ADDRESS too, since its router {router} is not on this computer: whoever "
+                "reads there reads the rows. Add it."
+            )
 
 
 def _check_routers(cell: Cell, addresses: Mapping[str, str]) -> None:
@@ -102,7 +128,7 @@ def _router_port(options: Mapping[str, Any]) -> str:
     """Return the port of the router on this computer that a Zenoh server uses, "" when it shares none."""
     host, _, port = options["router"].rpartition(":")
     if host:
-        return port if host.startswith("127.") else ""
+        return port if is_here(options["router"]) else ""
     return str(options["port"] or "")
 
 
@@ -115,9 +141,13 @@ def _why(options: Mapping[str, Any]) -> str:
 def _address(place: str) -> str:
     """Return the IPv4 address of an address or a network interface."""
     try:
-        return str(ipaddress.IPv4Address(place))
+        address = ipaddress.IPv4Address(place)
     except ValueError:
         pass
+    else:
+        if address.is_multicast or address == ipaddress.IPv4Address("255.255.255.255"):
+            raise ConfigError(f"Expected the address of a network card after --listen SERVER=, got {place}.")
+        return str(address)
     if place not in [name for _, name in socket.if_nameindex()]:
         known = ", ".join(name for _, name in socket.if_nameindex())
         raise ConfigError(

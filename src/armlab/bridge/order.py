@@ -67,6 +67,6 @@ def _vector(values: Any, name: str, robot: Robot) -> tuple[np.ndarray | None, st
     if not np.isfinite(array).all():
         i = int(np.argmin(np.isfinite(array)))
         joint = f"joint {i + 1} ({robot.joint_names[i]})"
-        return None, f"Expected finite numbers in {name} for {robot.name}, got {array[i]} for {joint}."
+        return None, f"Expected finite numbers in {name} for {robot.name}, but that of {joint} is not."
     array.flags.writeable = False
     return array, ""

@@ -114,7 +114,7 @@ class Servers:
             if child.process is not None:
                 self._end(child, child.process)
 
-    def ready(self, patience: float = 10.0) -> list[str]:
+    def ready(self, patience: float = 30.0) -> list[str]:
         """Wait until every server listens, and return who listens where.
 
         Parameters

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import threading
 import time
@@ -29,7 +30,8 @@ class FleetRecorder:
 
     A robot may come, go, and come again with other rows. One MCAP file per run of its bridge: ``lab1-yumi_left.mcap``,
     then ``-2``. Rows that did not come show as holes in the robot's ticks: an event and the summary of the file name
-    them. A file that cannot be written is given up, with a sentence; the other robots go on.
+    them. A file that cannot be written is given up, with a sentence, and the recording of a robot in which something
+    else goes wrong has ended; the other robots go on.
 
     Parameters
     ----------
@@ -49,6 +51,7 @@ class FleetRecorder:
     def __init__(self, place: Place, folder: str | Path, tell: Callable[[str], None] = lambda text: None) -> None:
         self._folder, self._tell = Path(folder), tell
         self._robots: dict[str, RobotRecord] = {}
+        self._ended: set[str] = set()  # robots of whom nothing more is recorded
         self.strangers = 0
         self._inbox: deque[tuple[Callable[[RobotRecord], None], str]] = deque()  # append and popleft are atomic
         self._wake, self._closed = threading.Event(), False
@@ -108,18 +111,29 @@ class FleetRecorder:
                 if robot is None:
                     self.strangers += 1
                 else:
-                    work(robot)
+                    self._do(robot, work)
             for robot in self._robots.values():
-                robot.write()
+                self._do(robot, RobotRecord.write)
                 if robot.wants and not is_last:
                     lab, _, name = robot.name.partition("/")
                     self._asking.ask(lab, name)
             if time.monotonic() >= due:
                 for robot in self._robots.values():
-                    robot.flush()
+                    self._do(robot, RobotRecord.flush)
                 due = time.monotonic() + FLUSH_PERIOD
         for robot in self._robots.values():
-            robot.close()
+            self._do(robot, RobotRecord.close)
+
+    def _do(self, robot: RobotRecord, work: Callable[[RobotRecord], None]) -> None:
+        """Do something for a robot; what goes wrong there ends its recording, and not the others'."""
+        if robot.name in self._ended:
+            return
+        try:
+            work(robot)
+        except Exception as error:
+            self._ended.add(robot.name)
+            with contextlib.suppress(OSError):  # of the file that is given up
+                robot.end(f"{type(error).__name__}: {error}")
 
     def _robot(self, where: str) -> RobotRecord | None:
         lab, name = robot_of(where)

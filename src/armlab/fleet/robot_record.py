@@ -88,7 +88,7 @@ class RobotRecord:
         self.wants, self._since = False, None
         try:
             run = _Run(self.name.rpartition("/")[2], about)
-        except (ArmlabError, ValueError, LookupError, TypeError, AttributeError) as error:
+        except (ArmlabError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
             self._refuse(f"its bridge says what cannot be understood: {error}")
             return
         if self._waiting and self._waiting[0][8:16] != run.schema.id:
@@ -150,6 +150,18 @@ class RobotRecord:
         self._is_unsure = False
         self.write()
         self._finish()
+
+    def end(self, why: str) -> None:
+        """Give the recording up; nothing more may be asked of it.
+
+        Parameters
+        ----------
+        why : a sentence.
+        """
+        file, self._file, self.wants, self.failed = self._file, None, False, why
+        self._tell(f"{self.name}: its recording has ended: {why}")
+        if file is not None:
+            file.abandon()
 
     def _give_up(self) -> None:
         """Nobody said what is in the rows; those whose schema is known are taken for the same run."""

@@ -81,7 +81,7 @@ class _Seen:
     def describe(self, about: bytes) -> None:
         try:
             self._schema = RowSchema.read(json.loads(about)[0]["schema"].encode())
-        except (ArmlabError, ValueError, LookupError, TypeError, AttributeError):
+        except (ArmlabError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
             self._schema = None  # shown without rows
 
     def take(self, data: bytes | None) -> None:

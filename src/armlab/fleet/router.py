@@ -6,6 +6,7 @@ import ipaddress
 from collections.abc import Sequence
 from types import TracebackType
 
+from armlab.bridge.listening import is_here
 from armlab.bridge.zenoh import Security, close_session, open_session
 from armlab.errors import ConfigError
 
@@ -27,7 +28,8 @@ class Router:
 
     Raises
     ------
-    ConfigError : not on this computer alone, and without certificates and users: whoever comes could command.
+    ConfigError : not on this computer alone, or connected to a router elsewhere, and without certificates and users:
+        whoever comes could command.
     LinkError : the port is taken. MissingExtra : no Zenoh.
     """
 
@@ -43,9 +45,10 @@ class Router:
             is_near = ipaddress.ip_address(host).is_loopback
         except ValueError:
             raise ConfigError(f"Expected the address of a network card to listen at, got {host!r}.") from None
-        if not is_near and not safe.is_safe:
+        far = [f"at {host}"] if not is_near else [f"connected to {other}" for other in connect if not is_here(other)]
+        if far and not safe.is_safe:
             raise ConfigError(
-                f"Expected certificates and users for a router at {host}, since commands to robots pass through it. "
+                f"Expected certificates and users for a router {far[0]}, since commands to robots pass through it. "
                 "Write them: armlab bridge certificates; then give ca, certificate, key and users."
             )
         place = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"

@@ -149,7 +149,7 @@ def test_a_node_commands_and_a_second_one_is_refused(running: Running) -> None:
         return command is not None and command.qd is not None and np.allclose(command.qd, wanted)
 
     until(commanded)
-    assert running.exchange.arbiter.commander(ARM.name) == "rmw_zenoh " + b"ssssss".hex()
+    assert running.exchange.arbiter.commander(ARM.name) == "rmw_zenoh " + (b"s" * 16).hex()
 
     def refused() -> str:
         running.write(VELOCITY, ARRAY, numbers([0.0] * 7), b"o" * 16)

@@ -59,7 +59,7 @@ def test_other_attachments_are_none(data: bytes) -> None:
     assert (found is not None) == (len(data) == 33 and data[16] == 16)
     if found is not None:
         assert found.pack() == data
-        assert len(found.client) == 12
+        assert len(found.client) == 32
     assert Origin.read(None) is None
 
 

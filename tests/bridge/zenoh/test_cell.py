@@ -84,14 +84,17 @@ def test_a_client_moves_the_arm_and_another_may_only_read(tmp_path: Path, monkey
         def commanded() -> bool:
             step = next(steps)
             one.command(start + 0.02 * min(step / 100, 1.0) * np.eye(7)[3])
-            if one.last()["yumi_left.commander"] == "zenoh 616161616161" and not other.answers:
+            if one.last()["yumi_left.commander"] == "zenoh 61616161616161616161616161616161" and not other.answers:
                 other.command(start)  # not when the first has lost the arm: it was late, and this one would keep it
             moved.append(one.last()["yumi_left.q"][3] - start[3])
             return moved[-1] > 0.018 and bool(other.answers)
 
         until(commanded)
-        assert "is commanded by zenoh 616161616161. You may read." in other.answers[0].payload.to_string()
-        assert one.last()["yumi_left.commander"] == "zenoh 616161616161"
+        assert (
+            "is commanded by zenoh 61616161616161616161616161616161. You may read."
+            in other.answers[0].payload.to_string()
+        )
+        assert one.last()["yumi_left.commander"] == "zenoh 61616161616161616161616161616161"
         for client in clients:
             close_session(client.session)
 

@@ -22,7 +22,8 @@ def test_names() -> None:
 def test_golden_attachment() -> None:
     one = Attached(bytes(range(16)), 1, -2)
     assert one.pack().hex() == "000102030405060708090a0b0c0d0e0f0100000000000000feffffffffffffff"
-    assert one.client == "000102030405"
+    assert one.client == "000102030405060708090a0b0c0d0e0f"
+    assert Attached(b"labpc-" + b"A" * 10, 1, 0).client != Attached(b"labpc-" + b"B" * 10, 1, 0).client
 
 
 @given(st.binary(max_size=80))

@@ -77,7 +77,7 @@ def test_a_command_comes_back_and_a_second_commander_gets_a_sentence(start: Star
         return command is not None and np.array_equal(command.q, wanted)
 
     until(commanded)
-    assert one.exchange.arbiter.commander(robot.name) == f"zenoh {ME[:6].hex()}"
+    assert one.exchange.arbiter.commander(robot.name) == f"zenoh {ME.hex()}"
 
     def refused() -> bool:
         others.put(where, (wanted + 0.01).tobytes(), attachment=attached(1, OTHER))
@@ -85,7 +85,7 @@ def test_a_command_comes_back_and_a_second_commander_gets_a_sentence(start: Star
 
     until(refused)
     assert "is commanded by zenoh" in answers[0].payload.to_string()
-    assert str(answers[0].key_expr).endswith(OTHER[:6].hex())
+    assert str(answers[0].key_expr).endswith(OTHER.hex())
 
 
 NO_COMMANDS = [

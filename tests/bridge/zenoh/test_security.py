@@ -74,7 +74,7 @@ def test_a_commander_commands_and_a_viewer_reads(start: Start, session: Open, la
     assert one.exchange.parameters.gain == 0.5
     until(lambda: put(commander, b"c" * 16) is not None)
     until(lambda: one.exchange.poll() or one.exchange.parameters.gain == 0.75)
-    assert list(one.exchange.arbiter.obeyed[robot.name]) == [f"zenoh {(b'c' * 6).hex()}"]
+    assert list(one.exchange.arbiter.obeyed[robot.name]) == [f"zenoh {(b'c' * 16).hex()}"]
     until(lambda: viewer.put(key("lab1", robot.name, "stop"), b"") or (one.row() and one.exchange.arbiter.stopped))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from typing import Any
@@ -17,7 +18,7 @@ from armlab.bridge.zenoh.session import (
     wait_for_router,
     zenoh,
 )
-from armlab.errors import LinkError, MissingExtra
+from armlab.errors import ConfigError, LinkError, MissingExtra
 
 from .conftest import free_port, until
 
@@ -52,6 +53,51 @@ def test_two_find_each_other_through_a_router_and_ask() -> None:
         open_session("router", [f"127.0.0.1:{port}"])
     for session in (*peers, router, router):
         close_session(session)
+
+
+def test_commands_do_not_come_by_a_router_that_listens_at_every_address() -> None:
+    port = free_port()
+    everywhere = open_session("router", [f"0.0.0.0:{port}"])
+    for router in ("", f"127.0.0.1:{port}"):
+        with pytest.raises(ConfigError, match=f"the Zenoh router at port {port} listens at every address"):
+            open_near("127.0.0.1", port, router, commands=True)
+    reading, where = open_near("127.0.0.1", port)
+    assert f"through the router at 127.0.0.1:{port}" in where
+    for session in (reading, everywhere):
+        close_session(session)
+    near = open_session("router", [f"127.0.0.1:{port}"])
+    commanding, _ = open_near("127.0.0.1", port, commands=True)
+    with pytest.raises(LinkError, match="another router listens there on this computer only"):
+        open_near("0.0.0.0", port)
+    for session in (commanding, near):
+        close_session(session)
+
+
+def test_a_server_with_a_router_elsewhere_is_found_at_its_own_port() -> None:
+    far, own = free_port(), free_port()
+    router = open_session("router", [f"127.0.0.1:{far}"])
+    first, where = open_near("127.0.0.1", own, f"127.0.0.1:{far}")
+    assert where == f"tcp/127.0.0.1:{own} (zenoh, through the router at 127.0.0.1:{far})"
+    second, where = open_near("127.0.0.1", own, f"127.0.0.1:{far}")
+    assert re.fullmatch(rf"tcp/127.0.0.1:[1-9]\d* \(zenoh, through the router at 127.0.0.1:{far}\)", where)
+    assert f":{own} " not in where
+    for address in (f"127.0.0.1:{own}", where.split()[0].removeprefix("tcp/")):
+        client = open_session("client", connect=[address])
+        close_session(client)
+    chosen, where = open_near("127.0.0.1", 0)
+    assert re.fullmatch(r"tcp/127.0.0.1:[1-9]\d* \(zenoh router\)", where)
+    for session in (chosen, second, first, router):
+        close_session(session)
+
+
+@pytest.mark.parametrize("router", ["192.168.1.9:7447", "127.lab.example:7447"])
+def test_no_commands_by_a_router_elsewhere(router: str) -> None:
+    with pytest.raises(ConfigError, match="is not on this computer"):
+        open_near("127.0.0.1", free_port(), router, commands=True)
+    with pytest.raises(ConfigError, match=r"Expected a router like"):
+        open_near("127.0.0.1", free_port(), "192.168.1.9")
+    with pytest.raises(LinkError, match=r"Expected an address of this computer"):
+        open_near("192.0.2.1", 0)
 
 
 def test_nobody_is_found() -> None:

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
+from armlab.bridge.listening import is_here
 from armlab.bridge.loop_end import LoopEnd
 from armlab.bridge.messages import Listening, Report
 from armlab.bridge.ros.mould import cdr
@@ -49,13 +50,13 @@ class RmwZenohServer:
         self._topics, self._commands = Topics(robots, self._loop.schema), Commands(about["cell"], robots)
         self._encoded = Encoded(self._topics, cdr)
         self._domain, self._told = domain_number(options["domain"]), 0.0
-        router = options["router"]
-        if router and not router.startswith("127.") and "rmw_zenoh" in about.get("commands", ()):
+        router, commands = options["router"], "rmw_zenoh" in about.get("commands", ())
+        if router and commands and not is_here(router):
             raise ConfigError(
                 f"Expected no commands through a router elsewhere ({router}), since ROS nodes prove nothing. Take "
                 "rmw_zenoh out of `commands`, or let them come through an SSH tunnel."
             )
-        self._session, self._where = open_near(options["host"], options["port"], router)
+        self._session, self._where = open_near(options["host"], options["port"], router, commands=commands)
         self._names = Names(self._domain, str(self._session.zid()), options["distribution"])
         self._declared: list[Any] = []  # tokens and readers: they go with the last that holds them
 

@@ -111,8 +111,8 @@ class Origin(NamedTuple):
 
     @property
     def client(self) -> str:
-        """The writer as people read it."""
-        return self.writer[:6].hex()
+        """The writer as people read it: all of its id, so that no two are one."""
+        return self.writer.hex()
 
 
 class Writer:

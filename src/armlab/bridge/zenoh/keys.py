@@ -80,5 +80,5 @@ class Attached(NamedTuple):
 
     @property
     def client(self) -> str:
-        """The sender as people read it."""
-        return self.sender[:6].hex()
+        """The sender as people read it: all of its id, so that no two are one."""
+        return self.sender.hex()

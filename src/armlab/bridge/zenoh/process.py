@@ -21,7 +21,7 @@ from armlab.bridge.zenoh.keys import COMMANDS, Attached, key
 from armlab.bridge.zenoh.output import Output, Waiting
 from armlab.bridge.zenoh.security import Security
 from armlab.bridge.zenoh.session import close_session, data_of, open_near
-from armlab.errors import CommandRefused, ConfigError
+from armlab.errors import CommandRefused
 
 __all__ = ["ZenohProcess", "serve"]
 
@@ -44,7 +44,7 @@ class ZenohProcess:
 
     Raises
     ------
-    LinkError : the loop has gone, or the port is taken. ConfigError : see `Security`. MissingExtra : see `zenoh`.
+    LinkError, ConfigError : the loop has gone, or see `open_near` and `Security`. MissingExtra : see `zenoh`.
     """
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
@@ -54,18 +54,10 @@ class ZenohProcess:
         self._recording: dict[str, Any] = {}
         self._answers: dict[str, str] = {}  # client -> robot under which it is answered
         self._declared: list[Any] = []  # they go with the last that holds them
-        router, security = options.get("router", ""), Security.of(options)
-        if (
-            router
-            and not router.startswith("127.")
-            and "zenoh" in self._loop.about.get("commands", ())
-            and not security.is_safe
-        ):
-            raise ConfigError(
-                f"Expected certificates and users in [servers.zenoh], since `commands` names it and {router} is not on "
-                "this computer. Write them: armlab bridge certificates; or take zenoh out of `commands`."
-            )
-        self._session, self._where = open_near(options["host"], options["port"], router, security)
+        commands = "zenoh" in self._loop.about.get("commands", ())
+        self._session, self._where = open_near(
+            options["host"], options["port"], options.get("router", ""), Security.of(options), commands
+        )
 
     def run(self) -> None:
         """Serve until the loop closes the feed."""
@@ -95,7 +87,7 @@ class ZenohProcess:
         self._declared += [
             session.declare_subscriber(key(lab, arm.name, "command/*"), partial(self._command, arm.name)),
             session.declare_subscriber(key(lab, arm.name, "param/*"), partial(self._set, arm.name)),
-            session.declare_subscriber(key(lab, arm.name, "stop"), self._stop),
+            session.declare_subscriber(key(lab, arm.name, "stop"), partial(self._stop, arm.name)),
             session.declare_queryable(key(lab, arm.name, "schema"), partial(self._schema, arm.name)),
             session.declare_queryable(key(lab, arm.name, "about"), partial(self._about, arm.name)),
             session.declare_queryable(key(lab, arm.name, "param/*"), partial(self._value, arm.name)),
@@ -140,13 +132,13 @@ class ZenohProcess:
         except CommandRefused as error:
             self._refuse(robot, client, str(error))
 
-    def _stop(self, sample: Any) -> None:
+    def _stop(self, robot: str, sample: Any) -> None:
         attachment = data_of(sample.attachment)
         try:
             client = _NOBODY if attachment is None else Attached.read(attachment).client
         except CommandRefused:
             client = _NOBODY  # a stop counts, whoever it is from
-        self._loop.ask(Stop(client))
+        self._ask(robot, Stop(client))
 
     def _ask(self, robot: str, request: Request) -> None:
         client = request.client

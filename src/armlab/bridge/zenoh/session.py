@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+import socket
 import threading
 import time
 from collections.abc import Sequence
 from typing import Any, Literal
 
+from armlab.bridge.listening import is_here
 from armlab.bridge.zenoh.security import Security
-from armlab.errors import LinkError, MissingExtra
+from armlab.errors import ConfigError, LinkError, MissingExtra
 
 __all__ = ["close_session", "data_of", "open_near", "open_session", "queried", "wait_for_router", "zenoh"]
 
@@ -20,6 +22,8 @@ _BEFORE_DROP = 20_000  # us for room, once when a reader falls behind: it may on
 _BEFORE_CLOSE = 250_000  # us, after seconds in buffers: a put that waits holds up whoever declares, and they all others
 _TRIES = 2  # to be router or else to find one: it may end just then
 _FOUND = 1.0  # s in which a router on this computer is found
+_ANYWHERE = "0.0.0.0"
+_UNUSED = "127.0.0.2"  # of this computer; nobody listens there who does not listen at every address
 
 _open: set[Any] = set()
 _lock = threading.Lock()
@@ -91,35 +95,115 @@ def open_session(
     return session
 
 
-def open_near(host: str, port: int, router: str = "", security: Security | None = None) -> tuple[Any, str]:
+def open_near(
+    host: str, port: int, router: str = "", security: Security | None = None, commands: bool = False
+) -> tuple[Any, str]:
     """Return the session of a server, and where it is in words: a router of its own, unless there is one.
 
     Parameters
     ----------
-    host, port : where others find it. When the port is taken, by the router of another server, that one is used.
-    router : "HOST:PORT" of a router elsewhere. security : see `open_session`.
+    host, port : where others find it. When the port is taken, by the router of another server, that one is used, and
+        the session is found directly at a port that the system chooses. router : "HOST:PORT" of a router elsewhere.
+    security : see `open_session`. commands : whether the server may command.
 
     Raises
     ------
-    LinkError : the port is taken by something else than a router.
+    ConfigError : the router at the port is reached from other computers, and commands would come by it from anybody.
+    LinkError : the port is taken by something else than a router, or by one that is not found where `host` says.
     """
-    protocol = "tls" if security is not None and security.ca is not None else "tcp"
-    place = router or f"{host}:{port}"
+    safe = security or Security()
+    protocol = "tls" if safe.ca is not None else "tcp"
+    is_open = commands and not safe.is_safe  # to whoever comes
+    if router:
+        _check_router(router, is_open)
+    else:
+        port = port or _free_port(host)
+    near = "127.0.0.1" if host == _ANYWHERE else host
+    place = router or f"{near}:{port}"
     for _ in range(_TRIES):
         if not router:
-            try:
-                return open_session("router", [place], security=security), f"{protocol}/{place} (zenoh router)"
-            except LinkError as error:
-                if "in use" not in str(error):
-                    raise
-        session = open_session("peer", [f"{host}:0"], [place], security)
-        if router or wait_for_router(session, _FOUND):
-            return session, f"{protocol}/{host}:0 (zenoh, through the router at {place})"
-        close_session(session)
+            session = _opened("router", f"{host}:{port}", [], safe)
+            if session is not None:
+                return session, f"{protocol}/{host}:{port} (zenoh router)"
+            _check_holder(host, port, is_open)
+        for own in dict.fromkeys((port if router and port else _free_port(host), _free_port(host))):
+            session = _opened("peer", f"{host}:{own}", [place], safe)
+            if session is None:
+                continue
+            if router or wait_for_router(session, _FOUND):
+                return session, f"{protocol}/{host}:{own} (zenoh, through the router at {place})"
+            close_session(session)
+            break
     raise LinkError(
         f"Expected a Zenoh router at {place} or a free port, but something else holds it, or it asks for other "
         "certificates and passwords. Choose another `port`."
     )
+
+
+def _opened(mode: Literal["router", "peer"], listen: str, connect: Sequence[str], security: Security) -> Any | None:
+    """Return a session, None when the port to listen at is taken."""
+    try:
+        return open_session(mode, [listen], connect, security)
+    except LinkError as error:
+        if "in use" not in str(error):
+            raise
+        return None
+
+
+def _free_port(host: str) -> int:
+    """Return a port that is free now; Zenoh does not tell which one it was given."""
+    with socket.socket() as probe:
+        try:
+            probe.bind((host, 0))
+        except OSError as error:
+            raise LinkError(
+                f"Expected an address of this computer to listen at, got {host} ({error.strerror})."
+            ) from None
+        return int(probe.getsockname()[1])
+
+
+def _check_router(router: str, is_open: bool) -> None:
+    """Refuse that commands come from anybody by a router that is named.
+
+    Parameters
+    ----------
+    router : "HOST:PORT". is_open : whether the server takes commands from whoever comes.
+    """
+    port = router.rpartition(":")[2]
+    if not (port.isascii() and port.isdigit() and 0 < int(port) < 2**16):
+        raise ConfigError(f"Expected a router like 192.168.1.9:7447, got {router!r}.")
+    if is_open and not is_here(router):
+        raise ConfigError(
+            f"Expected certificates and users, since `commands` names this server and its router {router} is not on "
+            "this computer: whoever reaches it could command. Write them: armlab bridge certificates; or take the "
+            "server out of `commands`."
+        )
+    _check_holder("", int(port), is_open)
+
+
+def _check_holder(host: str, port: int, is_open: bool) -> None:
+    """Refuse to use the router that holds our port: commands come by it from anybody, or it is not where we would be.
+
+    Parameters
+    ----------
+    host, port : of the server, "" where it need not be found. is_open : whether it takes commands from whoever comes.
+    """
+    with socket.socket() as probe:
+        try:
+            probe.bind((_UNUSED, port))
+        except OSError:  # taken by what listens at every address; or, where one cannot tell, maybe
+            if is_open:
+                raise ConfigError(
+                    f"Expected no commands from other computers, but the Zenoh router at port {port} listens at every "
+                    "address of this one, and whoever reaches it could command. Let it listen at 127.0.0.1 only, or "
+                    "choose another `port`, or write certificates and users: armlab bridge certificates."
+                ) from None
+            return
+    if host == _ANYWHERE:
+        raise LinkError(
+            f"Expected TCP port {port} to be free at every address, but another router listens there on this computer "
+            "only. Choose another `port`, or give both servers the same --listen."
+        )
 
 
 def wait_for_router(session: Any, patience: float) -> bool:
