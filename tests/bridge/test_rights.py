@@ -149,6 +149,7 @@ def test_an_order_that_waited_too_long_is_dropped() -> None:
     bench = Bench()
     bench.arbiter.submit(order())
     assert bench(after=LEASE + 0.01) is None
+    assert bench.arbiter.refused == {"labcomm a": 1}
 
 
 def test_stop_is_for_everybody_and_resume_for_operators() -> None:

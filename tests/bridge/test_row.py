@@ -77,7 +77,7 @@ def test_odd_commands_leave_holes() -> None:
     values = read_row(BOTH, writer.row(state(), odd, tick(), 0, "é" * 100)).values
     assert np.isnan(values["yumi_left.q_ref"]).all()
     assert np.isnan(values["yumi_left.qd_ref"]).all()
-    assert len(values["yumi_left.commander"].encode()) <= 44
+    assert len(values["yumi_left.commander"].encode()) <= 48
     with pytest.raises(UnknownName, match="robot of these rows"):
         writer.row(state("ur5e"), None, tick(), 0)
 

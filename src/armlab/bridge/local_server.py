@@ -28,6 +28,7 @@ from armlab.bridge.messages import (
     read_request,
     text_message,
 )
+from armlab.bridge.pace import Pace
 from armlab.bridge.row import MAGIC
 from armlab.bridge.row_schema import RowSchema
 from armlab.bridge.status import Status
@@ -42,16 +43,16 @@ _EVENTS = 20  # that a new client gets
 _KEPT = 100  # clients that have left, of which is known what they got
 _URGENT = 256  # requests that wait when the way to the loop is full
 _RETRY = 0.005  # s until they are tried again
+_FRESH = struct.Struct("<q")
 _TAKEN = 16  # messages of a client before the others have their turn
 
 
 class _Client:
-    """One connection: its name, how often it wants rows [s between two], and when the next is due."""
+    """One connection: its name, and how often it wants rows, None for never."""
 
     def __init__(self, connection: socket.socket, name: str) -> None:
         self.connection, self.name = connection, name
-        self.every: float | None = None
-        self.due = 0.0
+        self.pace: Pace | None = None
         self.rows = self.dropped = 0
 
     def send(self, data: bytes) -> bool:
@@ -88,6 +89,7 @@ class LocalServer:
         self._events: deque[bytes] = deque(maxlen=_EVENTS)
         self._urgent: deque[Request] = deque(maxlen=_URGENT)
         self._status: Status | None = None
+        self._fresh: list[int] = []  # where a row says for which arms it is fresh
         self._gone: dict[str, tuple[int, int]] = {}  # what clients got that have left, the last of them
         self._count = 0
         self._reported = 0.0
@@ -144,9 +146,9 @@ class LocalServer:
             if now - self._reported > _STATUS:
                 self._reported = now
                 self._tell_all(text_message("status", **self._status.summary()))
+        arms = [offset for offset in self._fresh if _FRESH.unpack_from(data, offset)[0]]
         for client in self._clients.values():
-            if client.every is not None and now >= client.due:
-                client.due = max(client.due + client.every, now)
+            if client.pace is not None and client.pace.takes(arms, now):
                 client.row(data)
 
     def _text(self, data: bytes) -> None:
@@ -162,7 +164,9 @@ class LocalServer:
                     client.send(data)
             return
         if kind == "about":
-            self._status = Status(RowSchema.read(message["schema"].encode()))
+            schema = RowSchema.read(message["schema"].encode())
+            self._status = Status(schema)
+            self._fresh = [schema.fields[f"{robot}.fresh"].offset for robot in schema.robots]
         if kind == "event":
             self._events.append(data)
         else:
@@ -215,7 +219,7 @@ class LocalServer:
 
     def _subscribe(self, client: _Client, request: Subscribe) -> None:
         rate = request.rate
-        client.every = 0.0 if rate is None else (1.0 / rate if rate > 0.0 else None)
+        client.pace = Pace(0.0 if rate is None else 1.0 / rate) if rate is None or rate > 0.0 else None
 
     def _leave(self, client: _Client) -> None:
         self._selector.unregister(client.connection)

@@ -193,7 +193,9 @@ class Arbiter:
         by_name = dict(zip((robot.name for robot in self._robots), states, strict=True))
         fresh = set()
         for came_ns, order in tuple(inbox.values()):
-            if now - came_ns <= self._lease_ns and self._judge(order, by_name[order.arm], now):
+            if now - came_ns > self._lease_ns:
+                _count(self.refused, order.client)
+            elif self._judge(order, by_name[order.arm], now):
                 fresh.add(order.arm)
         commands = tuple(
             self._command(robot, at, robot.name in fresh) for robot, at in zip(self._robots, states, strict=True)

@@ -10,6 +10,7 @@ from types import TracebackType
 from typing import Any
 
 from armlab.bridge.messages import Request, SetRequest, Stop, Subscribe
+from armlab.bridge.pace import Pace
 from armlab.bridge.row import Row, read_row
 from armlab.bridge.row_schema import RowSchema
 from armlab.bridge.zenoh.asking import Asking
@@ -59,7 +60,7 @@ class ZenohFeed:
         self._messages: deque[bytes | dict[str, Any]] = deque(maxlen=_KEPT)
         self._news = threading.Condition()
         self._rows: list[Any] = []
-        self._every = self._due = 0.0
+        self._pace = Pace(0.0)
         self._gone: float | None = None  # since when
         self._is_unsure = False  # whether what comes again is the same run
         self.damaged = 0
@@ -159,7 +160,7 @@ class ZenohFeed:
         self._rows = []
         if rate is None or rate > 0.0:
             what = "live" if rate is None or rate > _VIEW else "view"
-            self._every = 0.0 if rate is None else 1.0 / rate
+            self._pace = Pace(0.0 if rate is None else 1.0 / rate)
             self._rows = [
                 self._session.declare_subscriber(key(self._place.lab, robot, what), self._take_row)
                 for robot in self._schema.robots
@@ -187,8 +188,7 @@ class ZenohFeed:
             self.damaged += 1
             if self.damaged & (self.damaged - 1) == 0:  # 1, 2, 4, ...: all may be
                 self._tell(f"Rows came damaged and were dropped: {self.damaged} so far.")
-        elif now >= self._due:
-            self._due = max(self._due + self._every, now)
+        elif self._pace.takes([robot_of(str(sample.key_expr))], now):
             self._take(data)
 
     def _take_text(self, sample: Any) -> None:
