@@ -56,6 +56,18 @@ def test_no_commands_come_through_the_open_router_of_the_other_server(commanding
     assert set(listening([], together).values()) == {"127.0.0.1"}
 
 
+def test_two_servers_with_one_router_are_at_the_same_address() -> None:
+    text = FILE.replace("labcomm", "zenoh") + "{}\n[servers.rmw_zenoh]\n"
+    everywhere = ["zenoh=0.0.0.0", "rmw_zenoh=0.0.0.0"]
+    with pytest.raises(ConfigError, match="zenoh and rmw_zenoh at the same address"):
+        listening(everywhere[:1], parse_cell(text.format("")))
+    assert set(listening(everywhere, parse_cell(text.format(""))).values()) == {"0.0.0.0"}
+    assert listening(everywhere[:1], parse_cell(text.format("port = 7448"))) == {
+        "zenoh": "0.0.0.0",
+        "rmw_zenoh": "127.0.0.1",
+    }
+
+
 @pytest.mark.parametrize("master", ["http://192.168.1.9:11311", "http://127.lab.example:11311", "http://[", "nothing"])
 def test_no_commands_come_from_the_network_of_a_master_elsewhere(master: str) -> None:
     text = FILE.replace("labcomm", "ros1") + f'master = "{master}"'

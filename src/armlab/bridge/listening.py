@@ -19,6 +19,7 @@ __all__ = ["is_here", "is_open", "listening"]
 GUARDED = "guarded"
 """Option by which a server says that who commands through it has to know a secret, and that nobody can overhear it."""
 
+_ANYWHERE = "0.0.0.0"
 _ZENOH = ("zenoh", "rmw_zenoh")  # at one port they share a router, and what reaches one of them reaches the other
 
 
@@ -33,7 +34,7 @@ def listening(listen: Iterable[str], cell: Cell) -> dict[str, str]:
     ------
     ConfigError, UnknownName : another form, server or interface, or a server that may command beyond this computer
         without secret and encryption, shares its router with one that is open, or has its ROS master elsewhere; or
-        one whose router is elsewhere and that is not asked for there.
+        one whose router is elsewhere and that is not asked for there, or two with one router at different addresses.
     """
     found = {name: "127.0.0.1" for name in cell.servers if name != OPERATOR}
     for word in listen:
@@ -41,7 +42,7 @@ def listening(listen: Iterable[str], cell: Cell) -> dict[str, str]:
         if server not in found:
             raise UnknownName.among("enabled server (--listen SERVER=ADDRESS)", server, found)
         found[server] = _address(place)
-        if server == "ros1" and found[server] == "0.0.0.0":
+        if server == "ros1" and found[server] == _ANYWHERE:
             raise ConfigError(f"Expected the address by which other nodes reach ros1, got --listen {word}. Name it.")
         options = cell.servers[server]
         if server in cell.commands and is_open(options, found[server]):
@@ -99,6 +100,12 @@ def _check_routers(cell: Cell, addresses: Mapping[str, str]) -> None:
                     f"router at port {place} with {name}, which `commands` names, so that anybody could command. Give "
                     f"[servers.{other}] another `port`."
                 )
+    at = {addresses[name] for name, place in places.items() if place and not cell.servers[name]["router"]}
+    if len(set(places.values())) == 1 and len(at) == 2 and _ANYWHERE in at:
+        raise ConfigError(
+            f"Expected zenoh and rmw_zenoh at the same address, since one is at port {places['zenoh']} of every one "
+            "and both share that router. Give --listen for both, or another `port` to one of them."
+        )
 
 
 def _check_master(cell: Cell) -> None:

@@ -147,6 +147,10 @@ def test_a_stop_of_anybody_and_events(start: Start, session: Open, robot: Robot)
     assert json.loads(events[0].payload.to_bytes())["text"] == "Hello."
     until(lambda: mine.put(key("lab1", robot.name, "stop"), b"") or one.exchange.poll() or one.exchange.arbiter.stopped)
     assert one.exchange.arbiter.stopped == "zenoh unknown"
+    answers = heard(mine, key("lab1", robot.name, f"answer/{ME.hex()}"))
+    stop = key("lab1", robot.name, "stop")
+    until(lambda: mine.put(stop, b"", attachment=attached(1)) or one.exchange.poll() or answers)
+    assert answers[0].payload.to_string() == "Done."
 
 
 def test_two_servers_at_one_port_share_the_router_and_a_restart_of_it_is_survived(

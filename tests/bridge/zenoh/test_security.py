@@ -13,9 +13,10 @@ import pytest
 from armlab.bridge.cell import parse_cell
 from armlab.bridge.feed import Exchange
 from armlab.bridge.listening import listening
-from armlab.bridge.zenoh import Attached, Place, Security, key, queried, robots_at
+from armlab.bridge.zenoh import Attached, Place, Security, close_session, key, queried, robots_at
 from armlab.bridge.zenoh.process import ZenohProcess
 from armlab.bridge.zenoh.security import BRIDGE, COMMANDER
+from armlab.bridge.zenoh.session import open_near, wait_for_router
 from armlab.cli.certificates import write_certificates
 from armlab.errors import ConfigError, LinkError
 from armlab.robots import Robot
@@ -146,6 +147,21 @@ def test_commands_through_a_router_elsewhere_need_both(robot: Robot) -> None:
     ):
         ZenohProcess(feed, options)
     exchange.close()
+
+
+def test_a_bridge_comes_to_a_router_with_passwords(lab: Path) -> None:
+    files, far, own = bridge_files(lab), free_port(), free_port()
+    router, _ = open_near("127.0.0.1", far, security=Security.of(files))
+    secret = {"secret": str(lab / "bridge.secret")}
+    place = f"127.0.0.1:{far}"
+    reading, where = open_near("127.0.0.1", own, place, Security.of({"ca": files["ca"], **secret}))
+    assert where == f"tls (zenoh, only through the router at {place})"
+    assert wait_for_router(reading, 20.0)
+    commanded, where = open_near("127.0.0.1", own, place, Security.of({**files, **secret}), commands=True)
+    assert where == f"tls/127.0.0.1:{own} (zenoh, through the router at {place})"
+    commander = Place.of("127.0.0.1", own, user(lab, "commander")).open(20.0)
+    for session in (commander, commanded, reading, router):
+        close_session(session)
 
 
 def test_configuration(lab: Path) -> None:

@@ -104,7 +104,8 @@ def open_near(
     ----------
     host, port : where others find it. When the port is taken, by the router of another server, that one is used, and
         the session is found directly at a port that the system chooses. router : "HOST:PORT" of a router elsewhere.
-    security : see `open_session`. commands : whether the server may command.
+    security : see `open_session`; with `ca` and no certificate the session is found through the router alone.
+    commands : whether the server may command.
 
     Raises
     ------
@@ -122,16 +123,18 @@ def open_near(
     place = router or f"{near}:{port}"
     for _ in range(_TRIES):
         if not router:
-            session = _opened("router", f"{host}:{port}", [], safe)
+            session = _opened("router", [f"{host}:{port}"], [], safe)
             if session is not None:
                 return session, f"{protocol}/{host}:{port} (zenoh router)"
             _check_holder(host, port, is_open)
-        for own in dict.fromkeys((port if router and port else _free_port(host), _free_port(host))):
-            session = _opened("peer", f"{host}:{own}", [place], safe)
+        can_listen = safe.ca is None or safe.certificate is not None
+        for own in (port if router and port else _free_port(host), _free_port(host)):
+            session = _opened("peer", [f"{host}:{own}"] if can_listen else [], [place], safe)
             if session is None:
                 continue
             if router or wait_for_router(session, _FOUND):
-                return session, f"{protocol}/{host}:{own} (zenoh, through the router at {place})"
+                where = f"{protocol}/{host}:{own} (zenoh, through" if can_listen else f"{protocol} (zenoh, only through"
+                return session, f"{where} the router at {place})"
             close_session(session)
             break
     raise LinkError(
@@ -140,10 +143,12 @@ def open_near(
     )
 
 
-def _opened(mode: Literal["router", "peer"], listen: str, connect: Sequence[str], security: Security) -> Any | None:
+def _opened(
+    mode: Literal["router", "peer"], listen: Sequence[str], connect: Sequence[str], security: Security
+) -> Any | None:
     """Return a session, None when the port to listen at is taken."""
     try:
-        return open_session(mode, [listen], connect, security)
+        return open_session(mode, listen, connect, security)
     except LinkError as error:
         if "in use" not in str(error):
             raise
