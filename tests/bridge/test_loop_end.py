@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 import threading
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,15 +13,22 @@ import pytest
 from armlab import robots
 from armlab.bridge.feed import Exchange
 from armlab.bridge.loop_end import LoopEnd
-from armlab.bridge.messages import CommandRequest, Report, Stop
+from armlab.bridge.messages import CommandRequest, Report, SetRequest, Stop
 from armlab.bridge.outlet import pair
 from armlab.bridge.parameters import Parameter, Parameters
 from armlab.bridge.row import read_row
-from armlab.errors import LinkError
+from armlab.errors import CommandRefused, LinkError
 from armlab.log import Tick
 from armlab.state import State
 
 SERVER = "rosbridge"
+
+
+def _nested(depth: int) -> list[Any]:
+    found: list[Any] = []
+    for _ in range(depth):
+        found = [found]
+    return found
 
 
 @pytest.fixture
@@ -81,6 +89,17 @@ def test_parameters_and_counts_are_kept_up_to_date(exchange: Exchange) -> None:
         waiting.start()
         assert exchange.summary()["servers"][SERVER]["clients"] == {"10.0.0.1:5": (3, 1)}
         waiting.join()
+
+
+@pytest.mark.parametrize("value", ["\ud800", {"\ud800": 1.0}, _nested(5000)], ids=range(3))
+def test_what_no_json_can_say_is_refused_and_the_next_goes_out(exchange: Exchange, value: Any) -> None:
+    with exchange.open(SERVER) as feed:
+        end = LoopEnd(feed)
+        with pytest.raises(CommandRefused, match="Expected what JSON in UTF-8 can say"):
+            end.ask(SetRequest("a", {"gain": value}))
+        assert end.ask(SetRequest("a", {"gain": 2.0}))
+        exchange.poll()
+        assert exchange.parameters.gain == 2.0
 
 
 def test_a_full_way_loses_commands_and_keeps_a_stop() -> None:

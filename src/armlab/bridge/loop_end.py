@@ -18,7 +18,7 @@ import msgspec
 from armlab.bridge.messages import CommandRequest, Counted, Report, Request, SetRequest
 from armlab.bridge.row import MAGIC
 from armlab.bridge.row_schema import RowSchema
-from armlab.errors import LinkError
+from armlab.errors import CommandRefused, LinkError
 
 __all__ = ["LoopEnd"]
 
@@ -111,8 +111,12 @@ class LoopEnd:
         Parameters
         ----------
         request : see `messages`.
+
+        Raises
+        ------
+        CommandRefused : it holds what no JSON in UTF-8 can say, for example half of a surrogate pair.
         """
-        data = msgspec.json.encode(request)
+        data = _encoded(request)
         with self._lock:
             if not self._urgent and self._sent(data):
                 return True
@@ -162,3 +166,10 @@ class LoopEnd:
         elif kind == "count":
             self.ask(Counted(clients=dict(self._clients())))
         return message
+
+
+def _encoded(request: Request) -> bytes:
+    try:
+        return msgspec.json.encode(request)
+    except (ValueError, TypeError, OverflowError, RecursionError, msgspec.MsgspecError) as error:
+        raise CommandRefused(f"Expected what JSON in UTF-8 can say and armlab can read, but {error}.") from None

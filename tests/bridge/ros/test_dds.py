@@ -161,6 +161,17 @@ def test_wrong_numbers_are_answered_in_the_diagnostics(
     assert running.exchange.arbiter.commander("yumi_left") == ""
 
 
+def test_half_a_surrogate_pair_is_answered(running: Running) -> None:
+    writer = running.node.writer("/yumi_left/set_parameter", TEXT)
+    diagnostics = running.node.reader("/yumi_left/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+
+    def told() -> str:
+        write(writer, TEXT, '{"gain": "\\ud800"}')
+        return answer(running, diagnostics)
+
+    assert "Expected what JSON in UTF-8 can say" in until(told)
+
+
 def test_parameters_are_set_and_told_again_to_who_comes_later(running: Running) -> None:
     writer = running.node.writer("/yumi_left/set_parameter", TEXT)
     until(lambda: write(writer, TEXT, '{"gain": 0.75}') or running.row() or running.exchange.parameters.gain == 0.75)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -20,6 +21,13 @@ POSITION = "/yumi_left/joint_group_position_controller/command"
 SEVEN = [0.1 * k for k in range(7)]
 
 
+def _nested(depth: int) -> list[Any]:
+    found: list[Any] = []
+    for _ in range(depth):
+        found = [found]
+    return found
+
+
 @pytest.mark.parametrize(("kind", "field"), [("position", "q"), ("velocity", "qd"), ("effort", "tau")])
 @pytest.mark.parametrize("spelling", ["command", "commands"])
 def test_a_command_of_either_spelling_is_for_one_arm(kind: str, field: str, spelling: str) -> None:
@@ -29,6 +37,13 @@ def test_a_command_of_either_spelling_is_for_one_arm(kind: str, field: str, spel
     assert isinstance(request, CommandRequest)
     assert (request.client, request.arm, getattr(request, field)) == ("me", "yumi_left", SEVEN)
     assert sum(values is not None for values in (request.q, request.qd, request.tau)) == 1
+
+
+def test_numbers_may_be_a_list_a_tuple_or_an_array() -> None:
+    for content in (SEVEN, tuple(SEVEN), np.array(SEVEN)):
+        (request,) = COMMANDS.requests(POSITION, content, "me")
+        assert isinstance(request, CommandRequest)
+        assert request.q == SEVEN
 
 
 def test_fourteen_numbers_are_left_then_right() -> None:
@@ -57,6 +72,13 @@ def test_settings_and_stops() -> None:
         ([*SEVEN[:6], 10**400], "Expected 7 numbers"),
         (None, "Expected 7 numbers"),
         (0.5, "Expected 7 numbers"),
+        ([True] * 7, "Expected 7 numbers .* got .True"),
+        (np.ones(7, bool), "Expected 7 numbers .* got .True"),
+        (["0"] * 7, "Expected 7 numbers"),
+        ("0000000", "Expected 7 numbers"),
+        ({str(k): 0 for k in range(7)}, "Expected 7 numbers .* got ."),
+        (np.ones((7, 1)), "Expected 7 numbers"),
+        (_nested(900), "Expected 7 numbers"),
     ],
 )
 def test_one_bad_number_refuses_the_whole(content: Any, words: str) -> None:

@@ -174,6 +174,14 @@ def test_what_is_no_command_is_told(running: Running) -> None:
 
         until(told)
 
+    half = bytes(store().serialize_cdr(store().types[TEXT]('{"gain": "\\ud800"}'), TEXT))
+
+    def answered() -> bool:
+        running.write("/yumi_left/set_parameter", TEXT, half)
+        return "Expected what JSON in UTF-8 can say" in answer(running, diagnostics)
+
+    until(answered)
+
     def dropped() -> bool:
         running.node.put(running.names.data(VELOCITY, ARRAY), numbers([0.0] * 7))
         words = "33 bytes attached"

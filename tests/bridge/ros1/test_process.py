@@ -8,6 +8,7 @@ import os
 import re
 import signal
 import subprocess
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -19,6 +20,7 @@ import pytest
 from armlab import robots
 from armlab.bridge.cell import parse_cell, run_cell
 from armlab.bridge.feed import Exchange
+from armlab.bridge.outlet import pair
 from armlab.bridge.parameters import Parameter, Parameters
 from armlab.bridge.ros.arm import joint_names
 from armlab.bridge.ros1.process import Ros1Process, serve
@@ -147,6 +149,19 @@ def test_a_refusal_is_in_the_log_of_ros(ros: Ros, running: Running) -> None:
         assert commander.stdout is not None
         assert commander.stdout.read() == b"told\n", words
     assert "ros1 /commander" in running.exchange.arbiter.refused
+
+
+def test_half_a_surrogate_pair_is_refused_and_the_server_goes_on() -> None:
+    exchange = Exchange([robots.load("yumi_right")], ["ros1"], about={"cell": "yumi"})
+    content = '{"gain": "\\ud800"}'
+    message = {"kind": "command", "topic": "/yumi_right/set_parameter", "client": "/node", "content": content}
+    ours, theirs = pair()
+    with exchange.open("ros1") as feed, ours, theirs, tempfile.TemporaryFile() as log:
+        process = Ros1Process(feed, options("http://127.0.0.1:1"))
+        theirs.send(json.dumps(message).encode())
+        process._hear(ours, log)
+        assert b"/node: Expected what JSON in UTF-8 can say" in theirs.recv(1000)
+    exchange.close()
 
 
 @pytest.mark.slow

@@ -90,13 +90,11 @@ class DdsServer:
     def _take(self, name: str, cdr: bytes, client: str) -> None:
         """Pass what a node wants on to the loop; called by threads of DDS."""
         try:
-            requests = self._commands.requests(name, content(self._commands.types[name], cdr), client)
+            for request in self._commands.requests(name, content(self._commands.types[name], cdr), client):
+                self._loop.ask(request)
         except CommandRefused as error:
             self._answer(client, str(error))
             self._loop.ask(Report(client, str(error)))
-        else:
-            for request in requests:
-                self._loop.ask(request)
 
     def _left(self, client: str) -> None:
         self._loop.ask(Leave(client))

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import math
+import reprlib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from armlab.bridge.messages import CommandRequest, Request, SetRequest, Stop
 from armlab.bridge.ros.arm import joint_names
@@ -20,6 +22,7 @@ _KINDS = {"position": "q", "velocity": "qd", "effort": "tau"}
 _SPELLINGS = ("command", "commands")  # of ROS 1 and of ROS 2
 _NUMBERS, _TEXT, _EMPTY = "std_msgs/msg/Float64MultiArray", "std_msgs/msg/String", "std_msgs/msg/Empty"
 _LONGEST = 65536  # characters of a text
+_NUMERIC = {int, float, type(None)}  # not bool, which is an int; null is a number that is not finite
 
 
 class Commands:
@@ -77,10 +80,13 @@ class Commands:
 
 def _numbers(topic: str, content: Any, arms: Sequence[Robot]) -> list[float]:
     count = sum(arm.n for arm in arms)
+    given = content.tolist() if isinstance(content, np.ndarray) else content
     try:
-        values = [math.nan if value is None else float(value) for value in content]
-    except (TypeError, ValueError, OverflowError):
-        raise CommandRefused(f"Expected {count} numbers on {topic}, got {str(content)[:80]!r}.") from None
+        if not isinstance(given, list | tuple) or not {type(value) for value in given} <= _NUMERIC:
+            raise TypeError
+        values = [math.nan if value is None else float(value) for value in given]
+    except (TypeError, OverflowError):
+        raise CommandRefused(f"Expected {count} numbers on {topic}, got {reprlib.repr(given)}.") from None
     if len(values) != count:
         raise CommandRefused(f"Expected {count} numbers on {topic}, got {len(values)}.")
     bad = [k for k, value in enumerate(values) if not math.isfinite(value)]

@@ -120,12 +120,10 @@ class RmwZenohServer:
             self._refuse("unknown", f"Expected 33 bytes attached on {topic}, as rmw_zenoh has them since June 2025.")
             return
         try:
-            requests = self._commands.requests(topic, content(type, sample.payload.to_bytes()), origin.client)
+            for request in self._commands.requests(topic, content(type, sample.payload.to_bytes()), origin.client):
+                self._loop.ask(request)
         except CommandRefused as error:
             self._refuse(origin.client, str(error))
-        else:
-            for request in requests:
-                self._loop.ask(request)
 
     def _refuse(self, client: str, why: str) -> None:
         self._answer(client, why)

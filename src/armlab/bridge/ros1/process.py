@@ -149,13 +149,11 @@ class Ros1Process:
                 self._send(node, self._encoded.of_parameters(self._loop.parameters, new))
             elif message["kind"] == "command":
                 try:
-                    asked = self._commands.requests(message["topic"], message["content"], message["client"])
+                    for request in self._commands.requests(message["topic"], message["content"], message["client"]):
+                        self._loop.ask(request)
                 except CommandRefused as error:
                     self._answer(node, message["client"], str(error))
                     self._loop.ask(Report(message["client"], str(error)))
-                else:
-                    for request in asked:
-                        self._loop.ask(request)
 
     def _pass_on(self, node: socket.socket, message: bytes | dict[str, Any]) -> None:
         if isinstance(message, bytes):
