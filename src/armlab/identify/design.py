@@ -76,8 +76,10 @@ class Design:
         cutoff: float | None = None,
         every: int | None = None,
         joints: Sequence[int] | None = None,
+        shapes: Shapes | None = None,
+        geared: bool | None = None,
     ) -> Design:
-        """Filter and thin all columns; friction starts with presliding over 1e-3 rad.
+        """Filter and thin all columns.
 
         Parameters
         ----------
@@ -87,6 +89,8 @@ class Design:
         cutoff : of the zero-phase filter [Hz]; a tenth of the rate, at most 25 Hz, when left out; infinite for none.
         every : rows from one kept row to the next; 2.5 kept rows per period of the cut-off when left out.
         joints : whose torque counts; all when left out.
+        shapes : of friction; presliding over 1e-3 rad when left out.
+        geared : whether there are columns of ripple, see `Columns`.
         """
         corner = min(data.rate / 10.0, CUTOFF) if cutoff is None else cutoff
         step = max(1, int(data.rate / (2.5 * corner))) if every is None else every
@@ -94,7 +98,7 @@ class Design:
         ratios = np.linalg.inv(robot.coupling)
         turning = ratios / np.diag(ratios)[:, None]
         owners = np.flatnonzero(np.count_nonzero(turning, axis=1) > 1)
-        columns = Columns(data, Thinning.of(data, corner, step), robot, measured, turning[owners])
+        columns = Columns(data, Thinning.of(data, corner, step), robot, measured, turning[owners], geared)
         qdd = data.differentiate(data.qd)
         tau, fixed, inertial = columns.plain(qdd)
         design = cls(
@@ -106,7 +110,7 @@ class Design:
             rigid=columns.rigid(qdd, base),
             fixed=fixed,
             coupled_motors=np.concatenate([inertial, columns.coupled_sign()[:, :, None]], axis=2),
-            shapes=Shapes.start(len(measured)),
+            shapes=shapes or Shapes.start(len(measured)),
             free=np.zeros((len(measured), 2), dtype=bool),
         )
         return design.with_shapes(design.shapes)
@@ -194,13 +198,15 @@ class Design:
     def _slopes(self, theta: np.ndarray) -> np.ndarray:
         """Return the derivatives (M, J, 2) by central differences."""
         c = self._own(theta)[[1, 2, 5, 4]].T  # in the order of `Columns.shaped`
-        slopes = []
-        for step in np.eye(2) * STEP:
-            ends = [self.shapes.moved(np.tile(s * step, (len(self.joints), 1))) for s in (1.0, -1.0)]
-            up, down = (self.made.shaped(end.delta, end.smooth, end.speed[None]) for end in ends)
-            apart = np.log(ends[0].numbers / ends[1].numbers).sum(axis=1)
-            slopes.append(np.einsum("mjk,jk->mj", up - down, c / apart[:, None]))
-        return np.stack(slopes, axis=2)
+        up, down, wide, narrow = (
+            self.shapes.moved(np.tile(step, (len(self.joints), 1)))
+            for step in STEP * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+        )
+        apart, bump = (np.log(a.numbers / b.numbers).sum(axis=1) for a, b in ((up, down), (wide, narrow)))
+        more, less = (self.made.shaped(one.delta, one.smooth, one.speed[None]) for one in (up, down))
+        bumps = self.made.shaped(self.shapes.delta, self.shapes.smooth, np.stack([wide.speed, narrow.speed]))
+        signs = np.einsum("mjk,jk->mj", more - less, c / apart[:, None])
+        return np.stack([signs, (bumps[:, :, 3] - bumps[:, :, 4]) * (c[:, 3] / bump)], axis=2)
 
     def moved(self, theta: np.ndarray) -> Shapes:
         """Return the shapes with the steps among parameters theta (p,) taken, each by half at most."""
@@ -283,4 +289,8 @@ class Design:
         weights = np.ones_like(target) if trust is None else np.asarray(trust, dtype=float)
         used = np.cumsum(weights.any(axis=1))  # blocks of what is used: all folds have as much
         fold = used // max(1, round(BLOCK * self.data.rate / self.thinning.every)) % FOLDS
-        return self.with_shapes(choose(self.made.shaped, fixed, target, fold, weights))
+        found = [
+            choose(self.made.of_joint(i), *(x[:, i : i + 1] for x in (fixed, target)), fold, weights[:, i : i + 1])
+            for i in range(len(self.joints))
+        ]
+        return self.with_shapes(Shapes.together(found))

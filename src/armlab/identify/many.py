@@ -53,6 +53,7 @@ class Pattern:
     Attributes
     ----------
     robot, base : the arm and its base parameters. shapes : of friction. free : (J, 2) bool, numbers with a slope.
+    geared : whether there are columns of ripple, also in logs that alone would have none, or some.
     gains : (J,) of the torques. theta, x : parameters of the draft without and with slopes.
     limit : (J,) residual from which a row counts less [N m]. rate : of the draft [Hz].
     model : of the draft, whose torque replaces spikes. blocks : of time in each log.
@@ -62,6 +63,7 @@ class Pattern:
     base: BaseParameters
     shapes: Shapes
     free: np.ndarray
+    geared: bool
     gains: np.ndarray
     theta: np.ndarray
     x: np.ndarray
@@ -74,7 +76,8 @@ class Pattern:
     def sha256(self) -> str:
         """Hash of all that the sums of a log depend on besides the log."""
         shapes = [np.asarray(getattr(self.shapes, field.name)) for field in fields(self.shapes)]
-        numbers = (self.free, self.gains, self.theta, self.x, self.limit, self.rate, self.blocks)
+        peak = self.model.training.qd_peak
+        numbers = (self.free, self.geared, self.gains, self.theta, self.x, self.limit, self.rate, self.blocks, peak)
         digest = hashlib.sha256(self.robot.hash.encode())
         for values in (*shapes, *map(np.asarray, numbers)):
             digest.update(f"{values.dtype} {values.shape} {values.tolist()}".encode())
@@ -87,8 +90,8 @@ class Pattern:
         ----------
         data : the record, its spikes replaced.
         """
-        built = Design.build(data, self.robot, self.base)
-        return built.with_gains(self.gains).with_shapes(self.shapes).with_slopes(self.theta, self.free)
+        built = Design.build(data, self.robot, self.base, shapes=self.shapes, geared=self.geared)
+        return built.with_gains(self.gains).with_slopes(self.theta, self.free)
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,6 +137,7 @@ def fit_draft(
         base=base,
         shapes=design.shapes,
         free=design.free,
+        geared=design.geared,
         gains=design.gains,
         theta=draft.theta,
         x=solution.x,

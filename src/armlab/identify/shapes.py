@@ -8,9 +8,10 @@ is told as two Coulomb torques, one for each direction.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cache
+from itertools import compress, pairwise
 
 import numpy as np
 
@@ -64,6 +65,11 @@ class Shapes:
         """Return presliding over 1e-3 rad with all terms but the root, for n joints."""
         return cls(np.full(n, 1e-3), np.zeros(n), np.full(n, 0.1), np.tile([True, True, False], (n, 1)))
 
+    @classmethod
+    def together(cls, parts: Sequence[Shapes]) -> Shapes:
+        """Return the shapes of all joints of several."""
+        return cls(*(np.concatenate([getattr(one, field.name) for one in parts]) for field in fields(cls)))
+
     @property
     def numbers(self) -> np.ndarray:
         """What is not linear in the torque (n, 2): delta or v_t, whichever the sign has, and v_s."""
@@ -93,9 +99,10 @@ class Shapes:
 
 def term_names(terms: np.ndarray, ripple: bool) -> tuple[str, ...]:
     """Return the names of the columns that a joint with these terms (3,) has; `ripple` where the gears are known."""
-    names = np.array(COLUMNS if ripple else COLUMNS[:6])
-    picks = [names[column > 0] for column in mixing(terms, len(names)).T]
-    return tuple(str(pick[0]) if len(pick) == 1 else "coulomb" for pick in picks)
+    asymmetric, stribeck, root = terms
+    coulomb = COLUMNS[1:3] if asymmetric else ("coulomb",)
+    rest = compress(COLUMNS[4:6], (stribeck, root))
+    return (COLUMNS[0], *coulomb, COLUMNS[3], *rest, *(COLUMNS[6:] if ripple else ()))
 
 
 def mixing(terms: np.ndarray, width: int) -> np.ndarray:
@@ -112,30 +119,33 @@ def mixing(terms: np.ndarray, width: int) -> np.ndarray:
     return np.hstack([eye[:, :1], coulomb, eye[:, 3:4], *rest, eye[:, 6:]])
 
 
-@dataclass(eq=False)
 class _Search:
     """Held-out errors of shapes, tried one after the other."""
 
-    shaped: Shaped
-    fixed: np.ndarray
-    target: np.ndarray
-    trust: np.ndarray
-    fold: np.ndarray
+    def __init__(
+        self, shaped: Shaped, fixed: np.ndarray, target: np.ndarray, fold: np.ndarray, trust: np.ndarray
+    ) -> None:
+        self._shaped = shaped
+        self._order = np.argsort(fold, kind="stable")
+        self._edges = np.searchsorted(fold[self._order], np.arange(FOLDS + 1)).tolist()
+        self._fastest = np.abs(fixed[:, :, 0]).max(axis=0)
+        self._trust = trust[self._order]
+        self._fixed = fixed[self._order] * self._trust[:, :, None]
+        self._target = target[self._order] * self._trust
 
     def scores(self, delta: np.ndarray, smooth: np.ndarray, speeds: np.ndarray) -> np.ndarray:
         """Return the held-out error (n, S, 8) of shapes with speeds (S, n), relative to the torque, for all TERMS."""
-        columns = self.shaped(delta, smooth, speeds)
+        columns = self._shaped(delta, smooth, speeds)[self._order] * self._trust[:, :, None]
         n, S = columns.shape[1], len(speeds)
         out = np.empty((n, S, len(TERMS)))
         for i in range(n):
-            fixed = self.fixed[:, i]
+            fixed, y = self._fixed[:, i], self._target[:, i]
             A = np.column_stack([fixed[:, :1], columns[:, i, :2], fixed[:, 1:2], columns[:, i, 2:], fixed[:, 2:]])
-            A, y = A * self.trust[:, i, None], self.target[:, i] * self.trust[:, i]
-            sums = [_sums(A[rows], y[rows]) for rows in (self.fold == k for k in range(FOLDS))]
+            sums = [_sums(A[a:b], y[a:b]) for a, b in pairwise(self._edges)]
             ripple = list(range(5 + S, A.shape[1]))
             picks = np.array([[0, 1, 2, 3, 5 + s, 4, *ripple] for s in range(S)])
             out[i] = _held_out(sums, picks)
-            wide = speeds[:, i] > np.abs(fixed[:, 0]).max()  # beyond the log's speeds it is one more viscous term
+            wide = speeds[:, i] > self._fastest[i]  # beyond the log's speeds it is one more viscous term
             out[i][np.ix_(wide, TERMS[:, 1])] = np.inf
         return out
 
@@ -200,7 +210,7 @@ def choose(shaped: Shaped, fixed: np.ndarray, target: np.ndarray, fold: np.ndarr
     target : (M, n) torque that friction has to explain.
     fold : (M,) number of the fold of each row, 0 to FOLDS - 1. trust : (M, n) weights of the rows, 0 to leave one out.
     """
-    search = _Search(shaped, fixed, target, trust, fold)
+    search = _Search(shaped, fixed, target, fold, trust)
     n = target.shape[1]
     every = np.repeat(STRIBECK_SPEEDS[:, None], n, axis=1)
     trials = [(np.full(n, delta), np.zeros(n)) for delta in DELTAS]
@@ -238,8 +248,9 @@ def _refine(search: _Search, shapes: Shapes, best: np.ndarray) -> Shapes:
     """Try factors on distance or speed of the sign and on Stribeck's speed; keep what lowers the held-out error."""
     joints = np.arange(len(best))
     which = [int(np.flatnonzero((terms == TERMS).all(axis=1))[0]) for terms in shapes.terms]
+    ways = ((1.0, 0.0), (0.0, 1.0)) if shapes.terms[:, 1].any() else ((1.0, 0.0),)
     for step in (s * np.log(factor) for factor in REFINEMENTS for s in (1.0, -1.0)):
-        for steps in ((step, 0.0), (0.0, step)):
+        for steps in (tuple(step * way for way in both) for both in ways):
             trial = shapes.moved(np.tile(steps, (len(best), 1)))
             score = search.scores(trial.delta, trial.smooth, trial.speed[None])[joints, 0, which]
             better = score < best

@@ -15,6 +15,9 @@ from armlab.models import TorqueModel
 __all__ = ["spikes", "without_spikes"]
 
 SPIKE, WINDOW = 6.0, 9  # robust deviations from the median of so many samples
+AT_ONCE = 4096  # rows: nine copies of them stay in the cache
+# Exchanges after which the fifth of nine values is their median (Smith 1996, Implementing median filters in XC4000E).
+EXCHANGES = "12 45 78 01 34 67 12 45 78 03 58 47 36 14 25 47 42 64 42"
 NORMAL_MAD = 0.6744897501960817  # median of |x| for x ~ N(0, 1)
 
 
@@ -45,9 +48,17 @@ def without_spikes(data: Prepared, found: np.ndarray, model: TorqueModel | None 
 
 
 def _median(x: np.ndarray, data: Prepared) -> np.ndarray:
-    from scipy.ndimage import median_filter
-
-    return np.concatenate([median_filter(x[a:b], size=(WINDOW, 1), mode="nearest") for a, b in data.segments])
+    """Return the median (N, n) of nine samples around each, the first and last of a segment repeated."""
+    out, reach = np.empty_like(x), WINDOW // 2
+    for a, b in data.segments:
+        wide = np.concatenate([np.repeat(x[a : a + 1], reach, axis=0), x[a:b], np.repeat(x[b - 1 : b], reach, axis=0)])
+        for k in range(0, b - a, AT_ONCE):
+            stop = min(k + AT_ONCE, b - a)
+            around = [wide[k + j : stop + j] for j in range(WINDOW)]
+            for i, j in (map(int, pair) for pair in EXCHANGES.split()):
+                around[i], around[j] = np.minimum(around[i], around[j]), np.maximum(around[i], around[j])
+            out[a + k : a + stop] = around[reach]
+    return out
 
 
 def _modelled(model: TorqueModel, data: Prepared) -> np.ndarray:

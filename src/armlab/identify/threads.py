@@ -8,8 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from functools import cache
 from importlib import import_module
 from threading import Lock
+from typing import Any
 
 __all__ = ["one_thread"]
 
@@ -25,12 +27,9 @@ def one_thread() -> Iterator[None]:
     The number of threads belongs to the process: of blocks that overlap, in several threads, the last gives it back.
     """
     global _inside
-    from threadpoolctl import threadpool_limits
-
-    import_module("scipy.linalg")  # only libraries that are loaded can be limited
     with _lock:
         if not _inside:
-            _limits.enter_context(threadpool_limits(limits=1, user_api="blas"))
+            _limits.enter_context(_libraries().limit(limits=1, user_api="blas"))
         _inside += 1
     try:
         yield
@@ -39,3 +38,12 @@ def one_thread() -> Iterator[None]:
             _inside -= 1
             if not _inside:
                 _limits.close()
+
+
+@cache
+def _libraries() -> Any:
+    """Return what limits the threads of the libraries of this process; to look for them takes milliseconds."""
+    from threadpoolctl import ThreadpoolController
+
+    import_module("scipy.linalg")  # only libraries that are loaded can be limited
+    return ThreadpoolController()
