@@ -85,7 +85,7 @@ def test_a_job_that_raises_what_is_foreseen_is_skipped_by_name(executor: Executo
     assert list(done.results) == ["0", "1", "2"]
     assert list(done.skipped) == ["bad"]
     assert "/nowhere/at/all" in done.skipped["bad"]
-    assert told[-1] == "1 skipped"
+    assert told[-1] == "4 of 4 logs, 1 skipped"
 
 
 def test_a_mistake_in_the_program_is_not_hidden(executor: Executor | None) -> None:

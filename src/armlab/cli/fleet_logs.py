@@ -3,27 +3,80 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from armlab.robots import Robot
 
-__all__ = ["estimate", "export", "identify"]
+__all__ = ["Job", "estimate", "export", "identify"]
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Job:
+    """What the commands over many logs have in common.
+
+    Attributes
+    ----------
+    robot : str
+        Name in the library, or a robot file; the one that the recordings name when not given.
+    workers : int
+        Processes on this computer.
+    dask : str
+        Address of a Dask scheduler, tcp://HOST:PORT; its workers must see the files by the same paths.
+    json : bool
+        Print JSON for scripts.
+    force : bool
+        Replace existing files.
+    """
+
+    robot: str | None = None
+    workers: int = 1
+    dask: str | None = None
+    json: bool = False
+    force: bool = False
+
+    def arm(self, logs: tuple[Path, ...]) -> Robot:
+        """Return the arm that is named, or else the one that the first recording names."""
+        from armlab import robots
+        from armlab.errors import ArmlabError, ConfigError
+        from armlab.fleet.logs import named
+        from armlab.log import inspect
+
+        if self.robot is not None:
+            return robots.load(self.robot)
+        for log in named(logs):
+            if not log.endswith(".mcap"):
+                continue
+            try:
+                return robots.load(inspect(log).metadata["armlab"]["robot"])
+            except (ArmlabError, OSError, KeyError):
+                continue
+        raise ConfigError("Expected recordings that name a robot of the library, got none. Name it with --robot.")
+
+    @contextmanager
+    def work(self, title: str) -> Iterator[tuple[Executor | None, Callable[[int, int, str], None]]]:
+        """Yield the executor of the block, and what shows its progress."""
+        from armlab.cli.output import progress
+        from armlab.fleet.workers import workers
+
+        with workers(self.workers, self.dask) as executor, progress(title) as tell:
+            yield executor, tell
 
 
 def identify(
     *logs: Path,
     output: Annotated[Path, Parameter(alias="-o")],
-    robot: str | None = None,
-    workers: int = 1,
-    dask: str | None = None,
     no_cache: bool = False,
-    json: bool = False,
-    force: bool = False,
+    job: Job = Job(),
 ) -> int:
     """Identify gravity, inertia and friction from many logs of one arm; save the model.
 
@@ -36,31 +89,22 @@ def identify(
         Recordings of free motion without contact, and folders of such.
     output
         Model file to write, ends in .toml.
-    robot
-        Name in the library, or a robot file; the one that the recordings name when not given.
-    workers
-        Processes on this computer.
-    dask
-        Address of a Dask scheduler, tcp://HOST:PORT; its workers must see the files by the same paths.
     no_cache
         Keep no sums, and use none.
-    json
-        Print JSON for scripts.
-    force
-        Replace an existing file.
+    job
+        See `Job`.
     """
     from armlab import fleet
     from armlab.cli import SKIPPED
-    from armlab.cli.output import check_output, note, print_json, progress, result
+    from armlab.cli.output import check_output, note, print_json, result
     from armlab.fleet.cache import default_folder
-    from armlab.fleet.workers import workers as at_work
 
-    check_output(output, force, [".toml"])
-    arm = _arm(logs, robot)
+    check_output(output, job.force, [".toml"])
+    arm = job.arm(logs)
     cache = None if no_cache else default_folder()
-    with at_work(workers, dask) as executor, progress("identify") as tell:
+    with job.work("identify") as (executor, tell):
         found = fleet.identify(logs, arm, executor, tell, cache)
-    if json:
+    if job.json:
         fit = found.fit
         parameters = [
             {"name": name, "value": value, "sd": sd, "unit": unit}
@@ -78,13 +122,9 @@ def estimate(
     *logs: Path,
     model: Path,
     output: Annotated[Path, Parameter(alias="-o")],
-    robot: str | None = None,
     method: Literal["map", "bounded", "interval", "observer", "kf", "clip", "ls", "lund"] = "map",
     csv: bool = False,
-    workers: int = 1,
-    dask: str | None = None,
-    json: bool = False,
-    force: bool = False,
+    job: Job = Job(),
 ) -> int:
     """Estimate the contact force in many logs of one arm; write a file of it for each.
 
@@ -99,31 +139,22 @@ def estimate(
         Model file of armlab identify.
     output
         Folder for the estimates.
-    robot
-        Name in the library, or a robot file; the one that the recordings name when not given.
     method
         As of armlab estimate.
     csv
         Write text instead of recordings.
-    workers
-        Processes on this computer.
-    dask
-        Address of a Dask scheduler, tcp://HOST:PORT; its workers must see the files by the same paths.
-    json
-        Print JSON for scripts.
-    force
-        Replace existing files.
+    job
+        See `Job`.
     """
     from armlab import fleet, models
     from armlab.cli import SKIPPED
-    from armlab.cli.output import aligned, note, print_json, progress, result
-    from armlab.fleet.workers import workers as at_work
+    from armlab.cli.output import aligned, note, print_json, result
 
-    arm, known = _arm(logs, robot), models.load(model)
-    about = {"method": method, "ending": ".csv" if csv else ".mcap", "force": force}
-    with at_work(workers, dask) as executor, progress("estimate") as tell:
+    arm, known = job.arm(logs), models.load(model)
+    about = {"method": method, "ending": ".csv" if csv else ".mcap", "force": job.force}
+    with job.work("estimate") as (executor, tell):
         done = fleet.estimate(logs, known, arm, output, executor, tell, **about)
-    if json:
+    if job.json:
         told = {name: {**vars(one), "path": str(one.path)} for name, one in done.results.items()}
         print_json({"logs": told, "skipped": done.skipped})
     else:
@@ -142,11 +173,7 @@ def export(
     *logs: Path,
     format: Literal["csv", "mat", "parquet", "h5", "mcap", "rosbag2"],
     output: Annotated[Path, Parameter(alias="-o")],
-    robot: str | None = None,
-    workers: int = 1,
-    dask: str | None = None,
-    json: bool = False,
-    force: bool = False,
+    job: Job = Job(),
 ) -> int:
     """Write many logs in another format.
 
@@ -160,26 +187,17 @@ def export(
         To write: csv, mat, parquet, h5, mcap or rosbag2.
     output
         Folder for the files.
-    robot
-        Of recordings in mcap: name in the library, or a robot file; the one that the logs name when not given.
-    workers
-        Processes on this computer.
-    dask
-        Address of a Dask scheduler, tcp://HOST:PORT; its workers must see the files by the same paths.
-    json
-        Print JSON for scripts.
-    force
-        Replace existing files.
+    job
+        See `Job`; the robot is for recordings in mcap.
     """
     from armlab import fleet
     from armlab.cli import SKIPPED
-    from armlab.cli.output import note, print_json, progress, result
-    from armlab.fleet.workers import workers as at_work
+    from armlab.cli.output import note, print_json, result
 
-    arm = _arm(logs, robot) if format == "mcap" else None
-    with at_work(workers, dask) as executor, progress("export") as tell:
-        done = fleet.export(logs, output, f".{format}", executor, tell, robot=arm, force=force)
-    if json:
+    arm = job.arm(logs) if format == "mcap" else None
+    with job.work("export") as (executor, tell):
+        done = fleet.export(logs, output, f".{format}", executor, tell, robot=arm, force=job.force)
+    if job.json:
         print_json({"files": {name: str(path) for name, path in done.results.items()}, "skipped": done.skipped})
     else:
         result("\n".join(map(str, done.results.values())))
@@ -199,22 +217,3 @@ def _skipped(reasons: Mapping[str, str]) -> None:
 
     for name, reason in reasons.items():
         note(f"skipped {name}: {reason}")
-
-
-def _arm(logs: tuple[Path, ...], robot: str | None) -> Robot:
-    """Return the arm that is named, or else the one that the first recording names."""
-    from armlab import robots
-    from armlab.errors import ArmlabError, ConfigError
-    from armlab.fleet.logs import named
-    from armlab.log import inspect
-
-    if robot is not None:
-        return robots.load(robot)
-    for log in named(logs):
-        if not log.endswith(".mcap"):
-            continue
-        try:
-            return robots.load(inspect(log).metadata["armlab"]["robot"])
-        except (ArmlabError, OSError, KeyError):
-            continue
-    raise ConfigError("Expected recordings that name a robot of the library, got none. Name it with --robot.")

@@ -1,7 +1,7 @@
 """`SumCache`: sums of logs kept on the disk, so that ten logs more cost ten logs and an interrupted run goes on.
 
-A file is named by what its sums depend on: the bytes of the log, the pattern (which holds the robot), and the version
-of the sums. Plain arrays in the .npz format, never objects; a file that does not read is made anew.
+A file is named by what its sums depend on: the bytes of the log, the pattern (which holds the robot), the version of
+armlab and that of the sums. Plain arrays in the .npz format, never objects; a file that does not read is made anew.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from armlab import __version__
 from armlab._whole_files import whole_file
 from armlab.errors import ShapeError
 from armlab.estimation.factors import Factors
@@ -22,7 +23,7 @@ from armlab.models import Training
 
 __all__ = ["SumCache", "default_folder"]
 
-VERSION = 1
+VERSION = 2  # of the sums: another when the same log gives others
 _PIECE = 1 << 20
 _TRAINING = ("q_min", "q_max", "qd_peak", "speed_share", "rest_share", "longest_rest")
 
@@ -50,7 +51,7 @@ class SumCache:
         ----------
         log : file that exists.
         """
-        digest = hashlib.sha256(f"{VERSION} {self._pattern} ".encode())
+        digest = hashlib.sha256(f"{__version__} {VERSION} {self._pattern} ".encode())
         with log.open("rb") as file:
             while part := file.read(_PIECE):
                 digest.update(part)

@@ -30,12 +30,13 @@ class Estimated:
     Attributes
     ----------
     path : file with the columns of the estimate, a row for each of the log.
-    seconds : of the log. left_out : rows without an estimate.
+    rows, seconds : of the log. left_out : rows without an estimate.
     contacts : intervals of contact. contact_seconds : their sum.
     peak : largest estimated force while in contact [N], NaN without any. band : mean 2-sigma of the worst axis [N].
     """
 
     path: Path
+    rows: int
     seconds: float
     left_out: int
     contacts: int
@@ -78,10 +79,9 @@ def estimate(
     jobs = named(logs)
     paths = targets(jobs, Path(folder), ending, "_estimate", force)
     work = {name: (log, paths[name]) for name, log in jobs.items()}
-    done = each(
-        _work, work, model, robot, method, executor=executor, progress=progress or (lambda done, total, what: None)
-    )
-    return done.some()
+    tell = progress or (lambda done, total, what: None)
+    shared = model, robot, method
+    return each(_work, work, *shared, executor=executor, progress=tell, rows=lambda one: one.rows).some()
 
 
 def _work(job: tuple[Log, Path], model: TorqueModel, robot: Robot, method: Method) -> Estimated:
@@ -101,6 +101,7 @@ def _work(job: tuple[Log, Path], model: TorqueModel, robot: Robot, method: Metho
     write(table.select(*(name for name in table.names if name not in given.names)), path, robot)
     return Estimated(
         path=path,
+        rows=len(table),
         seconds=float(table.t[-1] - table.t[0]),
         left_out=int(np.count_nonzero(~known)),
         contacts=len(found),

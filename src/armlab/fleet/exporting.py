@@ -49,11 +49,13 @@ def export(
     paths = targets(jobs, Path(folder), ending, force=force)
     work = {name: (log, paths[name]) for name, log in jobs.items()}
     tell = progress or (lambda done, total, what: None)
-    return each(_work, work, robot, executor=executor, progress=tell).some()
+    done = each(_work, work, robot, executor=executor, progress=tell, rows=lambda one: one[1]).some()
+    return Done({name: path for name, (path, _) in done.results.items()}, done.skipped)
 
 
-def _work(job: tuple[Log, Path], robot: Robot | None) -> Path:
+def _work(job: tuple[Log, Path], robot: Robot | None) -> tuple[Path, int]:
+    """Return the file that was written, and its rows."""
     log, path = job
     table = log if isinstance(log, Table) else read(log)
     path.parent.mkdir(parents=True, exist_ok=True)
-    return write(table, path, robot)
+    return write(table, path, robot), len(table)

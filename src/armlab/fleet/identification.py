@@ -81,7 +81,7 @@ def identify(
     jobs = named(logs)
     tell = progress or (lambda done, total, what: None)
     draft, pattern, first = _draft(jobs, robot, tell)
-    done = each(_work, jobs, pattern, cache, executor=executor, progress=tell)
+    done = each(_work, jobs, pattern, cache, executor=executor, progress=tell, rows=lambda sums: sums.n)
     lost = [name for name in first if name not in done.results]
     if lost:
         raise LogError(f"Expected {lost[0]} to read as before, but: {done.skipped[lost[0]]}")

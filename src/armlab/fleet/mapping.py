@@ -23,6 +23,7 @@ Result = TypeVar("Result")
 _AHEAD = 4  # jobs that wait per worker: thousands of pickled jobs are memory for nothing
 _WORKERS = 64  # assumed of executors that do not tell
 _TELL = 0.5  # s between two reports without a job that ends
+_SAY = 1.0  # s between two sentences: a line each where nobody watches
 _LIVES = 2  # of a job that ends its worker
 _KILLED = "Expected a worker to survive this log, but it was killed again. Look at the log, and at the memory it takes."
 _KILLED_BY_DASK = "KilledWorker"  # its name, since Dask need not be there: it has tried several workers by then
@@ -59,6 +60,7 @@ def each(
     *shared: Any,
     executor: Executor | None = None,
     progress: Progress = lambda done, total, what: None,
+    rows: Callable[[Result], int] | None = None,
 ) -> Done[Result]:
     """Call ``work(job, *shared)`` for every job.
 
@@ -66,13 +68,15 @@ def each(
     ----------
     work : a function of a module, so that it can travel. jobs : what it gets, by name. shared : what all get.
     executor : where it runs; here, one after the other, when left out.
-    progress : called with (done, total, what) as jobs end.
+    progress : called with (done, total, what) as jobs end; `what` tells logs done, rows per second, skipped, time left.
+    rows : how many rows a result stands for; not told when left out.
 
     Returns
     -------
     Done; a job that raised an `ArmlabError` or ended its worker is skipped.
     """
-    run = _Run(work, jobs, shared, progress)
+    run = _Run(work, jobs, shared, progress, rows)
+    run.report()
     if executor is None:
         for name in jobs:
             run.keep(name, _guarded(work, jobs[name], *shared))
@@ -89,10 +93,16 @@ class _Run:
     """What is done so far."""
 
     def __init__(
-        self, work: Callable[..., Any], jobs: Mapping[str, Any], shared: Sequence[Any], tell: Progress
+        self,
+        work: Callable[..., Any],
+        jobs: Mapping[str, Any],
+        shared: Sequence[Any],
+        tell: Progress,
+        rows: Callable[[Any], int] | None,
     ) -> None:
-        self._work, self._jobs, self._shared, self._tell = work, jobs, shared, tell
+        self._work, self._jobs, self._shared, self._tell, self._count = work, jobs, shared, tell, rows
         self._began = time.monotonic()
+        self._said, self._what, self._rows = -_SAY, "", 0
         self.results: dict[str, Any] = {}
         self.skipped: dict[str, str] = {}
 
@@ -100,7 +110,8 @@ class _Run:
         """Keep what a job gave, or why it gave nothing."""
         worked, value = outcome
         (self.results if worked else self.skipped)[name] = value
-        self._report()
+        self._rows += self._count(value) if worked and self._count else 0
+        self.report()
 
     def on(self, executor: Executor) -> None:
         """Run all jobs on an executor; on new ones of its kind after a worker was killed.
@@ -142,7 +153,7 @@ class _Run:
                         return [*self._saved(running), waiting[-1]]
                     running[future] = waiting.pop()
                 done, _ = wait(running, timeout=_TELL, return_when=FIRST_COMPLETED)
-                self._report()
+                self.report()
                 for future in done:
                     error = future.exception()
                     if isinstance(error, BrokenExecutor):
@@ -164,13 +175,20 @@ class _Run:
                 lost.append(name)
         return lost
 
-    def _report(self) -> None:
+    def report(self) -> None:
+        """Tell how far it is; the sentence once a second."""
         done, total = len(self.results) + len(self.skipped), len(self._jobs)
-        what = f"{len(self.skipped)} skipped" if self.skipped else ""
-        if 0 < done < total:
-            left = (time.monotonic() - self._began) / done * (total - done)
-            what = f"{what}, {left:.0f} s left".lstrip(", ")
-        self._tell(done, total, what)
+        passed = time.monotonic() - self._began
+        if done == total or passed - self._said >= _SAY:
+            self._said, parts = passed, [f"{done} of {total} logs"]
+            if self._rows:
+                parts.append(f"{self._rows / max(passed, 1e-3):.0f} rows/s")
+            if self.skipped:
+                parts.append(f"{len(self.skipped)} skipped")
+            if 0 < done < total:
+                parts.append(f"{passed / done * (total - done):.0f} s left")
+            self._what = ", ".join(parts)
+        self._tell(done, total, self._what)
 
 
 def _another(executor: ProcessPoolExecutor, workers: int | None) -> ProcessPoolExecutor:

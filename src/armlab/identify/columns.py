@@ -6,9 +6,7 @@ No column exists at the full rate for the whole record: a long one would not fit
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -114,48 +112,15 @@ class Columns:
         ----------
         delta, smooth : (J,) shape of the sign. speeds : (S, J) of Stribeck's term.
         """
+        data, joints, J = self.data, self.joints, len(self.joints)
         sign = self._sign(delta, smooth)
-        return np.concatenate([self._plain_signs(sign), self._bumps(sign, speeds)], axis=2)
-
-    def of_joint(self, i: int) -> Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
-        """Return `shaped` of joint number i of these alone, (M, 1, 3 + S); it remembers its last signs."""
-        data, joint = self.data, self.joints[i : i + 1]
-        q, qd, tau = (np.ascontiguousarray(x[:, joint]) for x in (data.q, data.qd, data.tau))
-        data = replace(data, q=q, qd=qd, tau=tau, resolution=data.resolution[joint])
-        made = replace(self, data=data, joints=np.zeros(1, dtype=int))
-
-        @lru_cache(maxsize=2)
-        def signs(delta: float, smooth: float) -> tuple[np.ndarray, np.ndarray]:
-            sign = made._sign(np.array([delta]), np.array([smooth]))
-            return sign, made._plain_signs(sign)
-
-        def shaped(delta: np.ndarray, smooth: np.ndarray, speeds: np.ndarray) -> np.ndarray:
-            sign, plain = signs(float(delta[0]), float(smooth[0]))
-            return np.concatenate([plain, made._bumps(sign, speeds)], axis=2)
-
-        return shaped
-
-    def _plain_signs(self, sign: np.ndarray) -> np.ndarray:
-        """Return the columns (M, J, 3) s+, s-, root of a sign (N, J)."""
 
         def columns(a: int, b: int) -> np.ndarray:
-            s, qd = sign[a:b], self.data.qd[a:b, self.joints]
-            return np.concatenate([np.maximum(s, 0.0), np.minimum(s, 0.0), s * np.sqrt(np.abs(qd))], axis=1)
+            s, qd = sign[a:b], data.qd[a:b, joints]
+            bumps = [s * np.exp(-((qd / speed) ** 2)) for speed in speeds]
+            return np.concatenate([np.maximum(s, 0.0), np.minimum(s, 0.0), s * np.sqrt(np.abs(qd)), *bumps], axis=1)
 
-        return self._of_joints(columns, 3)
-
-    def _bumps(self, sign: np.ndarray, speeds: np.ndarray) -> np.ndarray:
-        """Return the columns (M, J, S) of Stribeck's term of a sign (N, J)."""
-
-        def columns(a: int, b: int) -> np.ndarray:
-            s, qd = sign[a:b], self.data.qd[a:b, self.joints]
-            return np.concatenate([s * np.exp(-((qd / speed) ** 2)) for speed in speeds], axis=1)
-
-        return self._of_joints(columns, len(speeds))
-
-    def _of_joints(self, columns: Callable[[int, int], np.ndarray], count: int) -> np.ndarray:
-        """Return the kept rows (M, J, count) of columns that stand kind by kind."""
-        J = len(self.joints)
+        count = 3 + len(speeds)
         return np.moveaxis(self.thinning.run(columns, J * count).reshape(-1, count, J), 1, 2)
 
     def _sign(self, delta: np.ndarray, smooth: np.ndarray) -> np.ndarray:

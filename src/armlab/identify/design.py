@@ -289,8 +289,4 @@ class Design:
         weights = np.ones_like(target) if trust is None else np.asarray(trust, dtype=float)
         used = np.cumsum(weights.any(axis=1))  # blocks of what is used: all folds have as much
         fold = used // max(1, round(BLOCK * self.data.rate / self.thinning.every)) % FOLDS
-        found = [
-            choose(self.made.of_joint(i), *(x[:, i : i + 1] for x in (fixed, target)), fold, weights[:, i : i + 1])
-            for i in range(len(self.joints))
-        ]
-        return self.with_shapes(Shapes.together(found))
+        return self.with_shapes(choose(self.made.shaped, fixed, target, fold, weights))

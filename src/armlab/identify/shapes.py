@@ -8,8 +8,8 @@ is told as two Coulomb torques, one for each direction.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import compress, pairwise
 
@@ -64,11 +64,6 @@ class Shapes:
     def start(cls, n: int) -> Shapes:
         """Return presliding over 1e-3 rad with all terms but the root, for n joints."""
         return cls(np.full(n, 1e-3), np.zeros(n), np.full(n, 0.1), np.tile([True, True, False], (n, 1)))
-
-    @classmethod
-    def together(cls, parts: Sequence[Shapes]) -> Shapes:
-        """Return the shapes of all joints of several."""
-        return cls(*(np.concatenate([getattr(one, field.name) for one in parts]) for field in fields(cls)))
 
     @property
     def numbers(self) -> np.ndarray:

@@ -1,0 +1,76 @@
+"""Many logs to one model: 1, 2 and 4 workers on 10, 100 and 1000 logs of 20 s of a YuMi.
+
+There is no peer: FIGAROH holds the regressor of all samples at once and has neither workers nor logs in its interface;
+its time beside ours on one record is in "Identification".
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import identified
+import numpy as np
+from blocks import Contender, Disagreement, Table, figures
+from fleet_identify import ROBOT
+
+from armlab import log, robots
+
+SECONDS, DISTINCT = 20.0, 20
+LOGS, QUICK = (10, 100, 1000), (10, 40)
+WORKERS = (1, 2, 4)
+BARS = {2: 1.6, 4: 3.0}  # times serial, at the most logs, where there are as many cores
+PROGRAM = Path(__file__).with_name("fleet_identify.py")
+
+
+def run(quick: bool) -> list[Table]:
+    """Measure `fleet.identify`, the sums of logs never kept; the bits of the results must be equal."""
+    counts, rounds = (QUICK, 1) if quick else (LOGS, 1)
+    robot, cores = robots.load(ROBOT), len(os.sched_getaffinity(0))
+    contenders, samples = [], []
+    with tempfile.TemporaryDirectory() as folder:
+        first = Path(folder, "made")
+        first.mkdir()
+        made = [log.write(identified.log(robot, SECONDS, k), first / f"{k}.mcap", robot) for k in range(DISTINCT)]
+        cost = _told(first, 0)
+        for count in counts:
+            logs = Path(folder, str(count))
+            logs.mkdir()
+            for k in range(count):
+                os.link(made[k % DISTINCT], logs / f"log{k:04d}.mcap")
+            alone = None
+            for workers in WORKERS:
+                found = _told(logs, workers)
+                alone = alone or found
+                if found["digest"] != alone["digest"] or found["used"] != count:
+                    raise Disagreement(f"{count} logs: expected the bits of one worker from {workers}, got others.")
+                whole, serial = (one["draft"] + one["map"] + one["solution"] for one in (found, alone))
+                bar = serial / BARS[workers] if count == counts[-1] and workers in BARS and workers <= cores else None
+                note = (
+                    f"draft {found['draft']:.1f}, sums {found['map']:.1f}, solution {found['solution']:.1f} s; sums of "
+                    f"{found['rows'] / found['map']:.0f} rows/s; {serial / whole:.2f} times one worker, the sums alone "
+                    f"{alone['map'] / found['map']:.2f}; memory: caller {1e-6 * found['caller']:.0f} MB, worker "
+                    f"{1e-6 * found['worker']:.0f} MB"
+                )
+                name = f"{count} logs, {workers} worker{'s' * (workers > 1)}"
+                contenders.append(Contender(name, lambda: np.zeros(0), "armlab", bar, note))
+                samples.append([np.array([whole])])
+    text = (
+        f"Wall clock of `fleet.identify` with workers that have started; {DISTINCT} logs of {SECONDS:g} s at 250 Hz, "
+        f"linked under as many names as are needed, so that files come from memory, not from a disk; no cache of sums. "
+        f"{cores} cores. One log: {1e3 * cost['read']:.1f} ms of a core to read it, {1e3 * cost['sums']:.1f} ms for its "
+        f"sums; {1e-3 * cost['there']:.0f} kB go to the worker, {1e-3 * cost['back']:.0f} kB come back. The bits of all "
+        "results were equal. Bars: 1.6 times with two workers, three times with four where there are four cores."
+    )
+    return [Table("Fleet: one model from many logs", text, "s", figures(contenders, samples), rounds)]
+
+
+def _told(folder: Path, workers: int) -> dict[str, float]:
+    """Return what `fleet_identify.py` told of a folder."""
+    words = [sys.executable, str(PROGRAM), str(folder), str(workers)]
+    said = subprocess.run(words, stdout=subprocess.PIPE, check=True, text=True)
+    return json.loads(said.stdout)
