@@ -61,9 +61,9 @@ def run(quick: bool) -> list[Table]:
                 samples.append([np.array([whole])])
     text = (
         f"Wall clock of `fleet.identify` with workers that have started; {DISTINCT} logs of {SECONDS:g} s at 250 Hz, "
-        f"linked under as many names as are needed, so that files come from memory, not from a disk; no cache of sums. "
-        f"{cores} cores. One log: {1e3 * cost['read']:.1f} ms of a core to read it, {1e3 * cost['sums']:.1f} ms for its "
-        f"sums; {1e-3 * cost['there']:.0f} kB go to the worker, {1e-3 * cost['back']:.0f} kB come back. The bits of all "
+        f"linked under as many names as are needed: files come from memory, not from a disk; no cache of sums. {cores} "
+        f"cores. One log: {1e3 * cost['read']:.1f} ms of a core to read it, {1e3 * cost['sums']:.1f} ms for its sums; "
+        f"{1e-3 * cost['there']:.0f} kB go to the worker, {1e-3 * cost['back']:.0f} kB come back. The bits of all "
         "results were equal. Bars: 1.6 times with two workers, three times with four where there are four cores."
     )
     return [Table("Fleet: one model from many logs", text, "s", figures(contenders, samples), rounds)]

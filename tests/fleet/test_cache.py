@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import pickle
 import shutil
+import signal
+import subprocess
+import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -32,9 +36,7 @@ def same(one: fleet.Identified, other: fleet.Identified) -> bool:
     )
 
 
-def test_a_second_run_makes_no_sums_and_more_logs_cost_only_themselves(
-    folder: Path, short_arm, tmp_path: Path, made: list[int]
-) -> None:
+def test_a_second_run_makes_no_sums(folder: Path, short_arm, tmp_path: Path, made: list[int]) -> None:
     logs = shutil.copytree(folder, tmp_path / "logs")
     cache = tmp_path / "cache"
     plain = fleet.identify(logs, short_arm.robot)
@@ -44,11 +46,71 @@ def test_a_second_run_makes_no_sums_and_more_logs_cost_only_themselves(
     assert same(fleet.identify(logs, short_arm.robot, cache=cache), first)
     assert same(first, plain)
     assert len(made) == 6
-    for k in range(2):
-        log.write(short_arm.log(10 + k, 1000), logs / f"more{k}.parquet")
-    assert len(fleet.identify(logs, short_arm.robot, cache=cache).used) == 8
-    # Fewer blocks per log are enough for more logs, until there are sixty of them: then all are made again.
-    assert len(made) in (8, 14)
+
+
+@pytest.mark.slow  # 60 logs
+def test_of_sixty_logs_and_more_ten_new_ones_cost_ten(short_arm, tmp_path: Path, made: list[int]) -> None:
+    logs, cache = tmp_path / "logs", tmp_path / "cache"
+    logs.mkdir()
+    for k in range(70):
+        log.write(short_arm.log(k, 600), tmp_path / f"log{k:02d}.parquet")
+        if k < 60:
+            shutil.move(tmp_path / f"log{k:02d}.parquet", logs)
+    fleet.identify(logs, short_arm.robot, cache=cache)
+    assert len(made) == 60
+    for path in tmp_path.glob("*.parquet"):
+        shutil.move(path, logs)
+    found = fleet.identify(logs, short_arm.robot, cache=cache)
+    assert len(found.used) == 70
+    assert len(made) == 70
+    assert same(found, fleet.identify(logs, short_arm.robot))
+
+
+CALLER = """
+import os, pickle, signal, sys
+from pathlib import Path
+from armlab import fleet
+from armlab.fleet import identification
+identification.DRAFT_SECONDS = 15.0
+
+def stop(done, total, what):
+    if (done, total) == (3, 6):
+        os.kill(os.getpid(), int(sys.argv[4]))
+
+robot = pickle.loads(Path(sys.argv[2]).read_bytes())
+fleet.identify(sys.argv[1], robot, None, stop, Path(sys.argv[3]))
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_an_interrupted_run_goes_on(folder: Path, short_arm, tmp_path: Path, made: list[int], number: int) -> None:
+    """The process that called ends half-way, by Ctrl-C or by kill -9; nothing that it kept is made again."""
+    cache, robot = tmp_path / "cache", tmp_path / "robot"
+    robot.write_bytes(pickle.dumps(short_arm.robot))
+    words = [sys.executable, "-c", CALLER, str(folder), str(robot), str(cache), str(int(number))]
+    ended = subprocess.run(words, stderr=subprocess.DEVNULL, timeout=300.0)
+    assert ended.returncode == -number
+    assert len(list(cache.glob("*.npz"))) == 3
+    found = fleet.identify(folder, short_arm.robot, cache=cache)
+    assert len(made) == 3
+    assert same(found, fleet.identify(folder, short_arm.robot))
+
+
+@pytest.mark.parametrize("name", ["__version__", "VERSION"])
+def test_another_version_of_the_code_makes_all_sums_anew(
+    folder: Path, short_arm, tmp_path: Path, made: list[int], monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    fleet.identify(folder, short_arm.robot, cache=tmp_path)
+    monkeypatch.setattr(f"armlab.fleet.cache.{name}", "another")
+    fleet.identify(folder, short_arm.robot, cache=tmp_path)
+    assert len(made) == 12
+
+
+def test_another_robot_makes_all_sums_anew(folder: Path, short_arm, tmp_path: Path, made: list[int]) -> None:
+    fleet.identify(folder, short_arm.robot, cache=tmp_path)
+    other = replace(short_arm.robot, gravity=0.99 * np.asarray(short_arm.robot.gravity))
+    fleet.identify(folder, other, cache=tmp_path)
+    assert len(made) == 12
 
 
 def test_files_that_do_not_read_are_made_anew(folder: Path, short_arm, tmp_path: Path, made: list[int]) -> None:

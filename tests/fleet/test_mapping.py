@@ -6,6 +6,7 @@ Jobs are calls of the standard library: workers of any kind know them without th
 from __future__ import annotations
 
 import math
+import re
 import signal
 import subprocess
 from collections.abc import Callable, Iterator
@@ -157,3 +158,14 @@ def test_an_interrupt_leaves_no_job_waiting() -> None:
     with ThreadPoolExecutor(1) as pool, pytest.raises(KeyboardInterrupt):
         each(call, {str(k): partial(made.append, k) for k in range(1000)}, executor=pool, progress=tell)
     assert len(made) < 10
+
+
+def test_progress_tells_logs_rows_skipped_and_time_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("armlab.fleet.mapping._SAY", 0.0)
+    told: list[tuple[int, int, str]] = []
+    jobs = {"a": partial(int, 100), "bad": BAD, "b": partial(int, 200)}
+    each(call, jobs, progress=lambda *step: told.append(step), rows=lambda rows: rows)
+    assert told[0] == (0, 3, "0 of 3 logs")
+    assert re.fullmatch(r"1 of 3 logs, \d+ rows/s, \d+ s left", told[1][2])
+    assert re.fullmatch(r"2 of 3 logs, \d+ rows/s, 1 skipped, \d+ s left", told[2][2])
+    assert re.fullmatch(r"3 of 3 logs, \d+ rows/s, 1 skipped", told[3][2])

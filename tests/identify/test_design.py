@@ -54,6 +54,8 @@ def test_ripple_that_folds_back_is_not_fitted(truth, excited) -> None:
         coarse = Design.build(prepare(excited.rows(slice(None, None, 5)), robot), robot, base)
     assert not coarse.geared
     data = prepare(excited, robot)
+    told = Design.build(prepare(excited.rows(slice(None, None, 5)), robot), robot, base, geared=True)
+    assert told.layout.names == Design.build(data, robot, base).layout.names, "another record may decide"
     fixed = Design.build(data, robot, base, cutoff=np.inf, every=1).fixed
     fast = 202 * np.abs(data.qd[:, 5]) > 2 * np.pi * 62.5
     assert 0.0 < fast.mean() < 0.5

@@ -8,8 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from armlab import robots
 from armlab.errors import NotExcited, ShapeError
+from armlab.identify.design import Design
 from armlab.identify.many import LogSums, Pattern, fit_draft, fit_sums, log_sums, same_rate
+from armlab.identify.preparation import prepare_share
+from armlab.log import Table
 
 
 def test_the_fit_to_sums_is_the_draft_where_there_are_no_other_logs(short_arm) -> None:
@@ -46,8 +50,25 @@ def test_a_pattern_is_known_by_what_the_sums_depend_on(short_arm) -> None:
         replace(pattern, theta=pattern.theta + 1e-12),
         replace(pattern, blocks=pattern.blocks + 1),
         replace(pattern, rate=99.0),
+        replace(pattern, geared=True),
+        replace(pattern, robot=robots.load("ur5e")),
     ]
-    assert len({one.sha256 for one in (pattern, *others)}) == 5
+    assert len({one.sha256 for one in (pattern, *others)}) == 7
+
+
+def test_the_draft_decides_on_ripple_for_every_log(short_arm) -> None:
+    """A log alone would have its own columns, and its sums could not be added to those of the others."""
+    robot = replace(short_arm.robot, coupling=np.eye(2) / 60.0)
+    slow = short_arm.log(0, 3000)
+    fast = Table(slow.t, {"q": 6.0 * slow["q"], "qd": 6.0 * slow["qd"], "tau": slow["tau"]})
+    _, pattern = fit_draft([slow], robot, 4)
+    assert pattern.geared
+    data = prepare_share(fast, robot)
+    with pytest.warns(UserWarning, match="no ripple is fitted"):
+        assert not Design.build(data, robot, pattern.base).geared
+    assert pattern.design(data).geared
+    one, other = (log_sums(table, pattern).factors for table in (slow, fast))
+    assert [R.shape for R in one.R] == [R.shape for R in other.R]
 
 
 def test_logs_that_do_not_fit_are_refused(short_arm) -> None:

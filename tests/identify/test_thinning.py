@@ -55,3 +55,16 @@ def test_pieces_ask_for_no_row_beyond_their_segment(data) -> None:
     got = np.empty((first.last, 2))
     thinning.thin(first, x[first.start : first.stop], got)
     np.testing.assert_allclose(got, thinning.run(lambda a, b: x[a:b], 2)[: first.last], rtol=1e-13)
+
+
+@pytest.mark.parametrize("rows", [100, 5000])
+def test_ends_are_continued_by_point_reflection(data, rows: int) -> None:
+    """Also where the filter reaches beyond the other end of the piece."""
+    short = replace(data, rate=2500.0, segments=((0, rows),))
+    thinning = Thinning.of(short, 25.0, 10)
+    reach = len(thinning.taps) // 2
+    assert reach > 200
+    x = data.tau[:rows]
+    wide = np.pad(x, ((reach, reach), (0, 0)), mode="reflect", reflect_type="odd")
+    expected = [thinning.taps @ wide[k : k + 2 * reach + 1] for k in thinning.rows]
+    np.testing.assert_allclose(thinning.run(lambda a, b: x[a:b], x.shape[1]), expected, rtol=1e-9, atol=1e-9)
