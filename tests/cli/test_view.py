@@ -39,6 +39,11 @@ def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         (["--live", "--robot", "yumi_left"], "a bridge tells its robots"),
         ([], "Expected at least one log to show, got none"),
         (["--cell", "yumi", "run.mcap"], "Expected --cell yumi together with --live"),
+        (["--zenoh", "zenoh://host/lab1", "run.mcap"], "Expected --zenoh zenoh://host/lab1 together with --live"),
+        (["--live", "--zenoh", "http://host"], "Expected a place like zenoh://"),
+        (["--live", "--zenoh", "zenoh://host", "--cell", "a"], "Expected --cell of this computer or --zenoh"),
+        (["--fleet", "run.mcap"], "Expected at most --zenoh and --port with --fleet"),
+        (["--fleet", "--zenoh", "host:7447"], "Expected a place like zenoh://"),
         (["--live", "--port", "99999"], "Expected a port from 0 to 65535"),
     ],
 )

@@ -22,6 +22,8 @@ from armlab.log import Tick
 from armlab.robots import Robot
 from armlab.state import Command, State
 
+from .fleet_bridges import fleet as fleet
+
 LOOKS = 200  # each at most 0.1 s; only a test that fails takes all
 
 

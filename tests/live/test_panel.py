@@ -13,11 +13,11 @@ from armlab.live.panel import ArmPanel
 def test_words_are_escaped_and_sent_when_they_change(server: Any) -> None:
     panel = ArmPanel(server.gui, robots.load("irb2400"))
     panel.say({"state": "holding", "why": "<no> packet"})
-    text = panel._words.content
+    text = panel._words._html.content
     assert "holding" in text
     assert "&lt;no&gt; packet" in text
     panel.say({"state": "holding", "why": "<no> packet"})
-    assert panel._words.content is text
+    assert panel._words._html.content is text
 
 
 def test_plots_have_one_curve_per_joint_and_axis(server: Any) -> None:

@@ -16,6 +16,8 @@ from armlab.log import Table
 from armlab.models import TorqueModel
 from armlab.state import State
 
+from .fleet_bridges import Fleet
+
 LEFT, RIGHT = robots.load("yumi_left"), robots.load("yumi_right")
 
 
@@ -53,6 +55,28 @@ def test_it_finds_the_bridge_again_that_started_again(bridge: Any, following: An
     hear_until(running, lambda: "yumi_right" in running.robots)
     hear_until(running, lambda: running.row, lambda: other.row(RIGHT))
     assert running.robots == {"yumi_right": RIGHT}
+
+
+def test_a_bridge_over_zenoh_is_waited_for_followed_and_found_again(
+    fleet: Fleet, following: Any, hear_until: Any
+) -> None:
+    running = following(zenoh=f"zenoh://127.0.0.1:{fleet.port}/lab1")
+    assert running.state.startswith("Waiting for a bridge at zenoh://127.0.0.1:")
+    assert not running.hear(0.0)
+    one = fleet.bridge(LEFT)
+    one.q = LEFT.q_home + 0.3
+    hear_until(running, lambda: running.row)
+    assert running.state == "Cell yumi_left"
+    assert running.robots == {"yumi_left": LEFT}
+    np.testing.assert_array_equal(running.value("yumi_left", "q"), one.q)
+    one.close()
+    hear_until(running, lambda: "has ended" in running.state)
+    fleet.bridge(RIGHT)
+    hear_until(running, lambda: "yumi_right" in running.robots)
+    running.row = None
+    hear_until(running, lambda: running.row)
+    with pytest.raises(ConfigError, match="Expected a place like zenoh"):
+        following(zenoh="http://host")
 
 
 def test_the_newest_counts_after_a_stall(bridge: Any, following: Any, hear_until: Any) -> None:

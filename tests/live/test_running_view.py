@@ -62,7 +62,7 @@ def test_the_arms_are_drawn_as_the_bridge_has_them(server: Any, bridge: Any, fol
     np.testing.assert_allclose(data(view, "yumi_right", "force")[4:, -1], [2.0, -2.0, 4.0, -4.0, 16.0, 4.0])
     view._due = 0.0
     view.draw()
-    said = view._arms["yumi_right"]._panel._words.content
+    said = view._arms["yumi_right"]._panel._words._html.content
     for word in ("the motors are off", "rate [Hz]", "p50 / p99 / max [us]", "clamps per joint", "commander", "refused"):
         assert word in said
     assert "estimate of the controller" in said

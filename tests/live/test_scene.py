@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -53,6 +54,31 @@ def test_links_and_tool_stand_where_the_kinematics_put_them(server: Any) -> None
         np.testing.assert_allclose(found, forward(robot, q), atol=1e-12, rtol=0)
     np.testing.assert_allclose(pose(node(server, "/yumi_right")), T_world_base, atol=1e-12, rtol=0)
     np.testing.assert_allclose(pose(node(server, "/yumi_left")), np.eye(4), atol=1e-12, rtol=0)
+
+
+def test_arms_come_go_and_move(server: Any) -> None:
+    """An arm of the same name takes the place of the old one; the floor is below all."""
+    scene = Scene(server, [LEFT])
+    scene.add(RIGHT, se3.from_rp(np.eye(3), [0.0, 2.0, 0.0]))
+    scene.show("yumi_right", RIGHT.q_home)
+    far = se3.from_rp(np.eye(3), [-3.0, 4.0, 0.0])
+    scene.arrange({"yumi_right": far})
+    np.testing.assert_allclose(pose(node(server, "/yumi_right")), far)
+    camera, floor = server.initial_camera, node(server, "/floor")
+    assert np.linalg.norm(np.subtract(camera.position, camera.look_at)) > 3.0
+    assert floor.width > 4.0
+    assert floor.height > 5.0
+    scene.remove("yumi_left")
+    assert list(scene.robots) == ["yumi_right"]
+    assert server.scene.get_handle_by_name(link(LEFT, 1)) is None
+    with pytest.raises(UnknownName, match="yumi_left"):
+        scene.remove("yumi_left")
+    with pytest.raises(UnknownName, match="yumi_left"):
+        scene.arrange({"yumi_left": np.eye(4)})
+    six = replace(robots.load("ur5e"), name="yumi_right")
+    scene.add(six)
+    scene.show("yumi_right", six.q_home)
+    assert server.scene.get_handle_by_name(link(RIGHT, 7)) is None
 
 
 def test_a_link_that_slides_moves_along(server: Any) -> None:

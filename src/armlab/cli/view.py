@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import IO, TYPE_CHECKING, Any
+from urllib.parse import urlsplit
 
 if TYPE_CHECKING:
     from armlab.models import TorqueModel
@@ -23,12 +24,14 @@ _END = 5.0  # s for it to end
 def view(
     *what: str,
     live: bool = False,
+    fleet: bool = False,
+    zenoh: str = "",
     robot: list[str] | None = None,
     model: list[Path] | None = None,
     cell: str = "",
     port: int | None = None,
 ) -> None:
-    """Show logs in the browser, or with --live a bridge that runs; until Ctrl-C.
+    """Show logs in the browser, with --live a bridge that runs, with --fleet all robots at a router; until Ctrl-C.
 
     Prints the address to open. The page comes from this computer and is for this computer only: to look from another
     one, forward the port by ssh -L. A view of a bridge only reads: it can neither delay it nor command it, waits for
@@ -39,7 +42,12 @@ def view(
     what : str
         Log files, of one arm or of several; with --live the name of the arm to show, all when left out.
     live : bool
-        Show a bridge of this user that runs.
+        Show a bridge that runs, of this user unless --zenoh names one elsewhere.
+    fleet : bool
+        Show all robots side by side that armlab fleet list would list; with --zenoh those of another router or of one
+        lab. One that comes is added, one that goes is shown as gone.
+    zenoh : str
+        Where bridge or router are, for example zenoh://192.168.1.5:7447/lab1; zenoh://127.0.0.1:7447 with --fleet.
     robot : str
         Name in the library, or a robot file, for logs that do not tell their robot; one per log. Meshes that it names
         are looked for beside it and up to two folders above.
@@ -52,22 +60,48 @@ def view(
         Port of the page; from 8080 on the first that is free when left out.
     """
     from armlab import models
-    from armlab.cli.output import note
     from armlab.errors import ConfigError
 
+    if fleet:
+        if what or live or robot or model or cell:
+            raise ConfigError("Expected at most --zenoh and --port with --fleet, got more. Leave it out.")
+        _watch_fleet(zenoh, port)
+        return
     known = [models.load(path, "torque_model") for path in model or ()]
     if not live:
-        if cell:
-            raise ConfigError(f"Expected --cell {cell} together with --live, got logs. Leave one of them out.")
+        for option, value in (("--cell", cell), ("--zenoh", zenoh)):
+            if value:
+                raise ConfigError(f"Expected {option} {value} together with --live, got logs. Leave one of them out.")
         _play(what, robot or (), known, port)
         return
     if robot:
         raise ConfigError("Expected --robot with logs only, since a bridge tells its robots. Leave it out.")
+    if cell and zenoh:
+        raise ConfigError(
+            f"Expected --cell of this computer or --zenoh, got {cell} and {zenoh}. Leave one of them out."
+        )
     if len(what) > 1:
         raise ConfigError(f"Expected one arm with --live, got {', '.join(what)}. Leave them out to see all arms.")
+    _watch(what[0] if what else None, cell, zenoh, known, port)
+
+
+def _watch(arm: str | None, cell: str, zenoh: str, models: Sequence[TorqueModel], port: int | None) -> None:
+    """Show a bridge that runs."""
+    from armlab.cli.output import note
     from armlab.live import watch
 
-    watch(what[0] if what else None, cell=cell, models=known, port=port, opened=_open, tell=note)
+    watch(arm, cell=cell, zenoh=zenoh, models=models, port=port, opened=_open, tell=note)
+
+
+def _watch_fleet(url: str, port: int | None) -> None:
+    """Show all robots at a router."""
+    from armlab.bridge.zenoh import EVERY, Place
+    from armlab.cli.output import note
+    from armlab.live import watch_fleet
+
+    place = Place.read(url or "zenoh://127.0.0.1")
+    has_lab = urlsplit(url).path.strip("/") != ""
+    watch_fleet(place if has_lab else place._replace(lab=EVERY), port=port, opened=_open, tell=note)
 
 
 def _play(paths: Sequence[str], names: Sequence[str], models: Sequence[TorqueModel], port: int | None) -> None:

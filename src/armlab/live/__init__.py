@@ -1,4 +1,4 @@
-"""The view in the browser: arms, forces with their uncertainty, curves; of a log, or of a bridge that runs.
+"""The view in the browser: arms, forces with their uncertainty, curves; of a log, a bridge that runs, or many robots.
 
 It needs viser (extra `live`), which loads on first use. Everything stays on this computer.
 """
@@ -6,6 +6,8 @@ It needs viser (extra `live`), which loads on first use. Everything stays on thi
 from __future__ import annotations
 
 from armlab.live.curves import Curves, Window
+from armlab.live.fleet_rows import FleetRows, SeenRobot
+from armlab.live.fleet_view import FleetView, watch_fleet
 from armlab.live.panel import ArmPanel
 from armlab.live.player import Player
 from armlab.live.recorded import Recorded, read_arms
@@ -17,16 +19,20 @@ from armlab.live.server import address, start, stop
 __all__ = [
     "ArmPanel",
     "Curves",
+    "FleetRows",
+    "FleetView",
     "Force",
     "Player",
     "Recorded",
     "Running",
     "RunningView",
     "Scene",
+    "SeenRobot",
     "Window",
     "address",
     "read_arms",
     "start",
     "stop",
     "watch",
+    "watch_fleet",
 ]

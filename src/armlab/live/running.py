@@ -1,4 +1,4 @@
-"""A bridge that runs, seen through its local feed: found, followed, and found again after its end."""
+"""A bridge that runs, seen through its local feed or over Zenoh: found, followed, and found again after its end."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from armlab.bridge.local import LocalFeed
 from armlab.bridge.messages import Subscribe
 from armlab.bridge.row import Row
 from armlab.bridge.watch import Watch
+from armlab.bridge.zenoh import Place, ZenohFeed
 from armlab.contact import Estimator
 from armlab.errors import LinkError, ModelMismatchError, UnknownName
 from armlab.models import TorqueModel
@@ -23,6 +24,7 @@ __all__ = ["Force", "Running"]
 
 _AGAIN = 0.5  # s between two looks for a bridge
 _MOST = 5000  # messages taken at once: ten seconds of all rows of two arms
+_PATIENCE = 2.0  # s for a bridge over Zenoh, also to come again
 _GAP = 1.0  # s without a packet, after which an estimate begins anew
 
 
@@ -46,7 +48,7 @@ class Running:
     Parameters
     ----------
     robot : this arm only; None for all.
-    cell : name of the cell; "" when only one runs.
+    cell : name of the cell; "" when only one runs. zenoh : of a bridge elsewhere, see `bridge.zenoh.Place.read`.
     rate : rows per second to ask for; with models every row is.
     models : torque models, each for the arm that it was identified on, for a bridge that sends no estimate.
 
@@ -57,17 +59,26 @@ class Running:
     """
 
     def __init__(
-        self, robot: str | None = None, cell: str = "", *, rate: float = 30.0, models: Sequence[TorqueModel] = ()
+        self,
+        robot: str | None = None,
+        cell: str = "",
+        *,
+        zenoh: str = "",
+        rate: float = 30.0,
+        models: Sequence[TorqueModel] = (),
     ) -> None:
-        self._robot, self._cell, self._models = robot, cell, tuple(models)
+        if zenoh:
+            Place.read(zenoh)
+        self._robot, self._cell, self._zenoh, self._models = robot, cell, zenoh, tuple(models)
         self._rate = None if models else rate
-        self._feed: LocalFeed | None = None
+        self._feed: LocalFeed | ZenohFeed | None = None
         self._due = 0.0
         self._estimates: dict[str, _Estimate] = {}
         self.robots: Mapping[str, Robot] = {}
         self.row: Row | None = None
         self.watch = Watch(robot)
-        self.state = "Waiting for a bridge of this user, as armlab bridge --config CELL starts one."
+        where = f"at {zenoh}" if zenoh else "of this user"
+        self.state = f"Waiting for a bridge {where}, as armlab bridge --config CELL starts one."
 
     def close(self) -> None:
         """Leave the feed."""
@@ -86,7 +97,7 @@ class Running:
 
         Raises
         ------
-        ConfigError : several bridges run and no cell was named. UnknownName : the arm is not in this cell.
+        ConfigError : several bridges run and neither cell nor arm was named. UnknownName : the arm is not in this cell.
         ModelMismatchError : a model is of no arm of this cell.
         """
         if self._feed is None:
@@ -112,7 +123,10 @@ class Running:
             return
         self._due = time.monotonic() + _AGAIN
         try:
-            self._feed = LocalFeed(self._cell)
+            if self._zenoh:
+                self._feed = ZenohFeed(self._zenoh, self._robot or "", _PATIENCE)
+            else:
+                self._feed = LocalFeed(self._cell)
             self._feed.ask(Subscribe(rate=self._rate))
         except LinkError:
             self.close()

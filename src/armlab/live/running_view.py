@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -11,7 +10,7 @@ import numpy as np
 
 from armlab.kinematics import forward
 from armlab.live.curves import Window
-from armlab.live.panel import ArmPanel
+from armlab.live.panel import ArmPanel, Lines
 from armlab.live.recent import Recent
 from armlab.live.running import Running
 from armlab.live.scene import Scene
@@ -37,6 +36,7 @@ def watch(
     robot: str | None = None,
     *,
     cell: str = "",
+    zenoh: str = "",
     models: Sequence[TorqueModel] = (),
     port: int | None = None,
     opened: Callable[[str], None] = lambda url: None,
@@ -45,12 +45,13 @@ def watch(
 ) -> None:
     """Show a bridge that runs in the browser, until `over` or an interrupt: before it starts, and after its end.
 
-    The bridge notices nothing of it: rows come from its local feed, and nothing is sent back.
+    The bridge notices nothing of it: rows come from its local feed or over Zenoh, and nothing is sent back.
 
     Parameters
     ----------
     robot : this arm only; None for all.
     cell : name of the cell; "" when only one runs.
+    zenoh : where a bridge elsewhere is, see `bridge.zenoh.Place.read`; "" for one of this user.
     models : torque models for a bridge that sends no estimate of the force.
     port : of the view on this computer; from 8080 on the first that is free when None.
     opened : told the address to open. tell : told what becomes of the connection.
@@ -62,7 +63,7 @@ def watch(
     LinkError : the port is taken. UnknownName : the arm is not in the cell. ModelMismatchError : a model is of no arm.
     """
     server = start(port)
-    running = Running(robot, cell, rate=1.0 / _FRAME, models=models)
+    running = Running(robot, cell, zenoh=zenoh, rate=1.0 / _FRAME, models=models)
     try:
         opened(address(server))
         view, said = RunningView(server, running), ""
@@ -130,7 +131,7 @@ class RunningView:
         server.scene.reset()
         self._robots, self._row, self._drawn = running.robots, None, None
         self._arms: dict[str, _Arm] = {}
-        self._state = _Lines(server.gui)
+        self._state = Lines(server.gui)
         self._parts = [self._state]
         if running.robots:
             scene = Scene(server, running.robots.values())
@@ -138,7 +139,7 @@ class RunningView:
             for name, robot in running.robots.items():
                 with tabs.add_tab(name):
                     self._arms[name] = _Arm(scene, ArmPanel(server.gui, robot), robot)
-        self._notes = _Lines(server.gui)
+        self._notes = Lines(server.gui)
         self._parts.append(self._notes)
 
     def _time(self, row: Row) -> tuple[float, bool]:
@@ -156,10 +157,10 @@ class RunningView:
 
     def _say(self) -> None:
         watch = self._running.watch
-        self._state.show([self._running.state])
+        self._state.show(self._running.state)
         for words in watch.arms(time.time_ns()):
             self._arms[words.pop("arm")].say(words)
-        self._notes.show(watch.notes() if self._arms else [])
+        self._notes.show("\n".join(watch.notes() if self._arms else []))
 
 
 class _Arm:
@@ -213,22 +214,6 @@ class _Arm:
 
     def say(self, words: dict[str, str]) -> None:
         self._panel.say({**words, "force from": self._origin})
-
-
-class _Lines:
-    """Lines of text in the panel; the same again sends nothing."""
-
-    def __init__(self, gui: Any) -> None:
-        self._html, self._shown = gui.add_html(""), ""
-
-    def show(self, lines: Sequence[str]) -> None:
-        text = "<br>".join(html.escape(line) for line in lines)
-        if text != self._shown:
-            self._shown = text
-            self._html.content = f"<div style='font-size:0.85em;margin:0.3em 0.8em'>{text}</div>"
-
-    def remove(self) -> None:
-        self._html.remove()
 
 
 def _arrow(gui: Any, scene: Scene) -> Any:

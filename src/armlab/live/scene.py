@@ -73,20 +73,67 @@ class Scene:
         for robot in arms:
             if not isinstance(robot, Robot):
                 raise RobotError.no_robot(robot)
-        self.robots = {robot.name: robot for robot in arms}
-        if not arms or len(self.robots) < len(arms):
+        names = {robot.name for robot in arms}
+        if not arms or len(names) < len(arms):
             names = ", ".join(robot.name for robot in arms) or "none"
             raise RobotError(f"Expected robots of different names to show, got {names}. Rename one.")
         self.arrow = ARROW
-        self._server = server
+        self._server, self._meshes = server, meshes
         bases = dict(T_world_base or {})
         for name in bases:
-            self._robot(name)
-        self._arms = {
-            robot.name: _Arm(server.scene, robot, _pose(bases.get(robot.name, np.eye(4))), LINK_COLORS[k % 2], meshes)
-            for k, robot in enumerate(arms)
-        }
+            if name not in names:
+                raise UnknownName.among("arm in this view", name, names)
+        self.robots: dict[str, Robot] = {}
+        self._arms: dict[str, _Arm] = {}
+        for robot in arms:
+            self.add(robot, bases.get(robot.name))
         self._frames: dict[str, Any] = {}
+        self._surround()
+
+    def add(self, robot: Robot, T_world_base: ArrayLike | None = None) -> None:
+        """Add an arm; one of this name goes.
+
+        Parameters
+        ----------
+        robot : the arm. T_world_base : (4, 4) pose of its base; the world when None.
+        """
+        if robot.name in self.robots:
+            self.remove(robot.name)
+        T = _pose(np.eye(4) if T_world_base is None else T_world_base)
+        self._arms[robot.name] = _Arm(self._server.scene, robot, T, LINK_COLORS[len(self._arms) % 2], self._meshes)
+        self.robots[robot.name] = robot
+
+    def remove(self, name: str) -> None:
+        """Take an arm away.
+
+        Parameters
+        ----------
+        name : of the arm.
+
+        Raises
+        ------
+        UnknownName : no such arm.
+        """
+        self._robot(name)
+        del self.robots[name]
+        self._arms.pop(name).root.remove()
+
+    def arrange(self, T_world_base: Mapping[str, ArrayLike]) -> None:
+        """Put arms elsewhere, floor and camera about them all; who looks already keeps the camera.
+
+        Parameters
+        ----------
+        T_world_base : (4, 4) poses of bases by name of the arm.
+
+        Raises
+        ------
+        UnknownName : no such arm. ShapeError : no pose.
+        """
+        for name, T in T_world_base.items():
+            self._robot(name)
+            arm = self._arms[name]
+            arm.T_world_base = _pose(T)
+            _place(arm.root, arm.T_world_base)
         self._surround()
 
     def show(
@@ -156,11 +203,14 @@ class Scene:
             (arm.T_world_base @ robot.T_base_mount)[:3, 3]
             for arm, robot in zip(self._arms.values(), self.robots.values())
         ]
-        centre = np.mean(bases, axis=0)
-        self._server.scene.add_grid("/floor", 4.0 * reach, 4.0 * reach, cell_size=0.1, section_size=0.5)
+        low, high = np.min(bases, axis=0), np.max(bases, axis=0)
+        centre, wide = (low + high) / 2.0, high - low
+        floor, away = 4.0 * reach + wide, reach + 0.5 * float(np.linalg.norm(wide))
+        place = (centre[0], centre[1], 0.0)
+        self._server.scene.add_grid("/floor", floor[0], floor[1], cell_size=0.1, section_size=0.5, position=place)
         camera = self._server.initial_camera
         camera.look_at = tuple(centre + reach * np.array([0.25, 0.0, -0.05]))
-        camera.position = tuple(centre + reach * np.array([1.75, 0.9, 0.7]))
+        camera.position = tuple(centre + away * np.array([1.75, 0.9, 0.7]))
         camera.fov = np.deg2rad(45.0)
 
 
@@ -171,7 +221,8 @@ class _Arm:
         self.T_world_base = T_world_base
         self._robot = robot
         root, size = f"/{robot.name}", arm_length(robot)
-        _place(scene.add_frame(root, show_axes=False), T_world_base)
+        self.root = scene.add_frame(root, show_axes=False)
+        _place(self.root, T_world_base)
         self._arm = scene.add_frame(f"{root}/arm", show_axes=False)
         shapes, given, joints = bodies(robot), mesh_bodies(robot, meshes), drums(robot)
         solid(scene, f"{root}/arm/mount", given[0] or shapes[0], color)

@@ -11,60 +11,13 @@ import pytest
 
 from armlab import robots
 from armlab.kinematics import forward
-from armlab.lie import quaternion
-from armlab.live.node import rgb
 from armlab.live.running_view import RunningView
-from armlab.live.scene import TOOL_COLOR
+
+from .camera import seen
 
 pytestmark = pytest.mark.slow
 
 LEFT, RIGHT = robots.load("yumi_left"), robots.load("yumi_right")
-WIDTH, HEIGHT, FOV = 600, 400, np.deg2rad(45.0)
-POSITION, LOOK_AT = np.array([1.6, 0.0, 0.9]), np.array([0.2, 0.0, 0.35])
-PICTURES = 12  # until the page has drawn what it was sent
-
-
-def axes() -> np.ndarray:
-    """Right, down and forward of the camera, columns."""
-    z = (LOOK_AT - POSITION) / np.linalg.norm(LOOK_AT - POSITION)
-    x = np.cross(z, [0.0, 0.0, 1.0])
-    x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(z, x), z], axis=1)
-
-
-def projected(point: np.ndarray) -> np.ndarray:
-    """Return column and row of a point: a pinhole camera."""
-    x, y, z = (point - POSITION) @ axes()
-    return np.array([WIDTH, HEIGHT]) / 2.0 + HEIGHT / 2.0 / np.tan(FOV / 2.0) * np.array([x, y]) / z
-
-
-def off(picture: np.ndarray, at: np.ndarray) -> float:
-    """Return how far the ball at the tool is from where it should be [pixels]; infinite where there is none."""
-    color = np.array(rgb(TOOL_COLOR), dtype=float)
-    pixels = picture[..., :3].astype(float)
-    shade = pixels @ color / (color @ color)  # light changes the length, not the direction
-    alike = np.linalg.norm(pixels - shade[..., None] * color, axis=-1) < 0.12 * np.linalg.norm(pixels, axis=-1)
-    rows, columns = np.nonzero(alike & (shade > 0.3))
-    there = np.hypot(columns - at[0], rows - at[1]) < 40.0
-    if there.sum() < 8:
-        return np.inf
-    return float(np.hypot(columns[there].mean() - at[0], rows[there].mean() - at[1]))
-
-
-def seen(server: Any, points: list[np.ndarray], path: Path) -> float:
-    """Return how far the tools in the picture are from where they should be, once they are there or too late."""
-    import imageio.v3 as iio
-
-    client = next(iter(server.get_clients().values()))
-    worst = np.inf
-    for _ in range(PICTURES):
-        view = {"wxyz": quaternion.from_matrix(axes()), "position": POSITION, "fov": FOV}
-        picture = client.get_render(HEIGHT, WIDTH, **view, transport_format="png", timeout=120.0)
-        iio.imwrite(path, picture)
-        worst = max(off(picture, projected(point)) for point in points)
-        if worst < 6.0:
-            break
-    return worst
 
 
 def test_the_arms_in_the_browser_are_where_the_feed_says(

@@ -1,0 +1,63 @@
+"""A camera of the tests' own before an arm, and where the balls at the tools are in its pictures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armlab.lie import quaternion
+from armlab.live.node import rgb
+from armlab.live.scene import TOOL_COLOR
+
+WIDTH, HEIGHT, FOV = 600, 400, np.deg2rad(45.0)
+POSITION, LOOK_AT = np.array([1.6, 0.0, 0.9]), np.array([0.2, 0.0, 0.35])
+PICTURES = 12  # until the page has drawn what it was sent
+
+
+def axes() -> np.ndarray:
+    """Right, down and forward of the camera, columns."""
+    z = (LOOK_AT - POSITION) / np.linalg.norm(LOOK_AT - POSITION)
+    x = np.cross(z, [0.0, 0.0, 1.0])
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z], axis=1)
+
+
+def projected(point: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """Return column and row of a point: a pinhole camera."""
+    x, y, z = (point - position) @ axes()
+    return np.array([WIDTH, HEIGHT]) / 2.0 + HEIGHT / 2.0 / np.tan(FOV / 2.0) * np.array([x, y]) / z
+
+
+def off(picture: np.ndarray, at: np.ndarray) -> float:
+    """Return how far the ball at the tool is from where it should be [pixels]; infinite where there is none."""
+    color = np.array(rgb(TOOL_COLOR), dtype=float)
+    pixels = picture[..., :3].astype(float)
+    shade = pixels @ color / (color @ color)  # light changes the length, not the direction
+    alike = np.linalg.norm(pixels - shade[..., None] * color, axis=-1) < 0.12 * np.linalg.norm(pixels, axis=-1)
+    rows, columns = np.nonzero(alike & (shade > 0.3))
+    there = np.hypot(columns - at[0], rows - at[1]) < 40.0
+    if there.sum() < 8:
+        return np.inf
+    return float(np.hypot(columns[there].mean() - at[0], rows[there].mean() - at[1]))
+
+
+def seen(server: Any, points: list[np.ndarray], path: Path, place: ArrayLike = (0.0, 0.0, 0.0)) -> float:
+    """Return how far the tools in the picture are from where they should be, once they are there or too late.
+
+    The camera looks at an arm whose base is at `place`.
+    """
+    import imageio.v3 as iio
+
+    client = next(iter(server.get_clients().values()))
+    worst, position = np.inf, POSITION + place
+    for _ in range(PICTURES):
+        view = {"wxyz": quaternion.from_matrix(axes()), "position": position, "fov": FOV}
+        picture = client.get_render(HEIGHT, WIDTH, **view, transport_format="png", timeout=120.0)
+        iio.imwrite(path, picture)
+        worst = max(off(picture, projected(point, position)) for point in points)
+        if worst < 6.0:
+            break
+    return worst
