@@ -58,7 +58,7 @@ def test_one_lab_alone_and_damaged_rows(fleet: Fleet) -> None:
     assert list(rows.robots) == ["lab2/ur5e"]
     seen = rows.robots["lab2/ur5e"]
     hear_fleet(rows, lambda: seen.damaged > 1, lambda: fleet.put("armlab/lab2/ur5e/view", b"ALR1 and no sum"))
-    assert seen.state == "there"
+    hear_fleet(rows, lambda: seen.state == "there")
 
 
 def test_without_a_router() -> None:

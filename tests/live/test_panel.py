@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from armlab import robots
-from armlab.live.panel import ArmPanel
+from armlab.live.panel import ArmPanel, Lines, Markup
 
 
 def test_words_are_escaped_and_sent_when_they_change(server: Any) -> None:
@@ -18,6 +18,16 @@ def test_words_are_escaped_and_sent_when_they_change(server: Any) -> None:
     assert "&lt;no&gt; packet" in text
     panel.say({"state": "holding", "why": "<no> packet"})
     assert panel._words._html.content is text
+
+
+def test_lines_are_text_and_markup_is_not(server: Any) -> None:
+    lines, markup = Lines(server.gui), Markup(server.gui)
+    lines.show("<b>\nsecond")
+    markup.show("<b>bold</b>")
+    assert "&lt;b&gt;<br>second" in lines._html.content
+    assert markup._html.content == "<b>bold</b>"
+    lines.remove()
+    markup.remove()
 
 
 def test_plots_have_one_curve_per_joint_and_axis(server: Any) -> None:

@@ -1,4 +1,4 @@
-"""The view of all robots at a Zenoh router: side by side, each with its name, its rate and the age of its rows."""
+"""The view of all robots at a Zenoh router: side by side, each under its name, and how they do in the panel."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def watch_fleet(
                 began = time.monotonic()
                 rows.hear(_WORDS)
                 for name, robot in rows.robots.items():
-                    if states.get(name) != robot.state:
+                    if states.get(name) != robot.state and (robot.rows or robot.state == "gone"):
                         states[name] = robot.state
                         tell(f"{name} is {robot.state}")
                 if server.get_clients():
@@ -153,7 +153,7 @@ class FleetView:
             words = _words(robots[name])
             lines.append("".join(f"<td style='{cell}'>{html.escape(word)}</td>" for word in words))
             if name in self._labels:
-                self._labels[name].say(words)
+                self._labels[name].say(*words[:2])
         body = "".join(f"<tr>{line}</tr>" for line in lines)
         self._table.show(f"<table style='font-size:0.75em;line-height:1.4;margin:0 1em'>{body}</table>")
 
@@ -162,16 +162,13 @@ class _Label:
     """What stands over a robot."""
 
     def __init__(self, server: ViserServer, robot: Robot) -> None:
-        above = tuple(robot.T_base_mount[:3, 3] + [0.0, 0.0, 1.15 * arm_length(robot)])
+        above = tuple(robot.T_base_mount[:3, 3] + [0.0, 0.0, 0.9 * arm_length(robot)])
         self._handle = server.scene.add_label(
             f"/{robot.name}/label", robot.name, position=above, anchor="bottom-center"
         )
 
-    def say(self, words: tuple[str, ...]) -> None:
-        name, state, rate, missed, damaged, age, _ = words
-        text = f"{name}: {rate} Hz, {age} s old, {missed} missed" if state == "there" else f"{name}: {state}"
-        if state == "there" and damaged != "0":
-            text += f", {damaged} damaged"
+    def say(self, name: str, state: str) -> None:
+        text = name if state == "there" else f"{name}: {state}"
         if text != self._handle.text:
             self._handle.text = text
 
