@@ -1,0 +1,219 @@
+"""Whole cells with a simulated robot in real time whose Zenoh clients are killed, or stopped by a signal."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab.bridge.cell import parse_cell, run_cell
+from armlab.bridge.feed import Exchange
+from armlab.bridge.local import LocalFeed
+from armlab.bridge.messages import Subscribe
+from armlab.bridge.rights import Arbiter
+from armlab.bridge.row import Row
+from armlab.errors import LinkError
+from armlab.state import Command
+
+from .zenoh.conftest import free_port, until
+
+pytest.importorskip("zenoh", reason="the extra net is not installed")
+
+from .zenoh_client import SPEED
+
+pytestmark = pytest.mark.slow
+
+PROGRAM = Path(__file__).with_name("zenoh_client.py")
+PATIENCE = 60.0  # s; only a test that fails waits so long
+MISSED = 0.1  # of the ticks: a busy machine misses some; a loop that a client holds up misses nearly all
+SOON = 1_000_000_000  # ns: ten times the lease, since machines that test are loaded
+STOPPED = 2500  # ticks that a reader stands still: more than its buffers hold
+CELL = """
+commands = ["{dialect}"]
+[[robots]]
+name = "yumi_left"
+link = "sim://yumi_left"
+[servers.{dialect}]
+port = {port}
+"""
+
+
+class Bench:
+    """A cell and its clients; the run ends when the script has."""
+
+    def __init__(self, dialect: str) -> None:
+        self.dialect, self.port, self.over = dialect, free_port(), threading.Event()
+        self.clients: list[subprocess.Popen[str]] = []
+        self.told: list[str] = []
+
+    def client(self, role: str, letter: str = "r") -> subprocess.Popen[str]:
+        words = [sys.executable, str(PROGRAM), self.dialect, str(self.port), role, letter]
+        self.clients.append(subprocess.Popen(words, stdout=subprocess.PIPE, text=True))
+        return self.clients[-1]
+
+    def name(self, letter: str) -> str:
+        """Who the arbiter says that this is."""
+        return f"{self.dialect} {6 * letter.encode().hex()}"
+
+    def run(self, script: Callable[[Watch], None]) -> Any:
+        """Play the script beside the cell."""
+        failures: list[BaseException] = []
+
+        def play() -> None:
+            try:
+                script(Watch())
+            except BaseException as error:
+                failures.append(error)
+            self.over.set()
+
+        thread = threading.Thread(target=play, daemon=True)
+        cell = parse_cell(CELL.format(dialect=self.dialect, port=self.port))
+        try:
+            return run_cell(cell, seconds=300.0, patience=PATIENCE, ready=lambda line: thread.start())
+        finally:
+            thread.join(PATIENCE)
+            assert not thread.is_alive()
+            if failures:
+                raise failures[0]
+
+    def close(self) -> None:
+        for one in self.clients:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(one.pid, signal.SIGCONT)
+            one.kill()
+            one.wait()
+            assert one.stdout is not None
+            one.stdout.close()
+
+
+class Watch:
+    """A reader of another server, which must get every row; it reads in a thread of its own."""
+
+    def __init__(self) -> None:
+        self.ticks: list[int] = []
+        self.row: Row | None = None
+        self.thread = threading.Thread(target=self._read, daemon=True)
+        self.thread.start()
+
+    def _read(self) -> None:
+        with LocalFeed() as feed, contextlib.suppress(LinkError):  # the bridge ends
+            feed.ask(Subscribe(rate=None))
+            while True:
+                message = feed.receive()
+                if isinstance(message, Row):
+                    self.row = message
+                    self.ticks.append(message.values["yumi_left.tick"])
+
+    def __getitem__(self, name: str) -> Any:
+        """A value of the newest row."""
+        assert self.row is not None
+        return self.row.values[f"yumi_left.{name}"]
+
+    def until(self, condition: Callable[[], bool]) -> None:
+        until(lambda: self.row is not None and condition(), PATIENCE)
+
+    def commands(self, who: str) -> bool:
+        return self["commander"] == who
+
+    def check(self) -> None:
+        """It got every row, in order."""
+        steps = np.diff(self.ticks)
+        assert steps.min() == 1
+        assert np.sum(steps - 1) <= 0.001 * len(self.ticks)
+
+
+@pytest.fixture(params=["zenoh", "rmw_zenoh"])
+def bench(request: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    if request.param == "rmw_zenoh":
+        pytest.importorskip("xxhash", reason="the extra net is not installed")
+        monkeypatch.setenv("ROS_DOMAIN_ID", "0")
+    made = Bench(request.param)
+    obey = Arbiter.__call__
+
+    def obey_or_end(arbiter: Arbiter, state: Any) -> Any:
+        command = obey(arbiter, state)
+        return Command.stop() if made.over.is_set() else command
+
+    tell = Exchange.tell
+
+    def keep_and_tell(exchange: Exchange, text: str, warn: bool = False) -> None:
+        made.told.append(text)  # in the log, of what flaps some is left out
+        tell(exchange, text, warn)
+
+    monkeypatch.setattr(Arbiter, "__call__", obey_or_end)
+    monkeypatch.setattr(Exchange, "tell", keep_and_tell)
+    yield made
+    made.close()
+
+
+def test_a_commander_that_dies_or_stands_still_loses_the_arm_and_another_takes_it(bench: Bench) -> None:
+    """What is killed says nothing, and what is stopped is half open: it is the lease that ends both. Takes 10 s."""
+    ends: list[int] = []
+
+    def script(watch: Watch) -> None:
+        for letter, sign in (("a", signal.SIGKILL), ("b", signal.SIGSTOP)):
+            one = bench.client("command", letter)
+            watch.until(lambda letter=letter: watch.commands(bench.name(letter)) and watch["qd_sent"][0] > 0.5 * SPEED)
+            now = time.monotonic_ns()
+            os.kill(one.pid, sign)
+            watch.until(lambda: watch.commands(""))
+            ends.append(time.monotonic_ns() - now)
+            watch.until(lambda: np.abs(watch["qd_sent"]).max() < 1e-9)
+        bench.client("command", "c")
+        watch.until(lambda: watch.commands(bench.name("c")))
+        os.kill(one.pid, signal.SIGCONT)  # it goes on where it was, and asks like any other
+        count = len(watch.ticks)
+        watch.until(lambda: len(watch.ticks) > count + 250)
+        watch.check()
+
+    run = bench.run(script)
+    assert max(ends) < SOON
+    changes = [text for text in bench.told if " commands yumi_left." in text or " no longer commands yumi_left" in text]
+    takers = []
+    for taken, lost in zip(changes[::2], [*changes[1::2], ""], strict=False):
+        takers.append(taken.removesuffix(" commands yumi_left."))
+        assert lost in ("", f"{takers[-1]} no longer commands yumi_left: silent for 0.1 s. The arm holds.")
+    assert set(takers) == {bench.name(letter) for letter in "abc"}
+    assert any(text.startswith(f"A command of {bench.name('b')} was refused: yumi_left is") for text in bench.told)
+    assert np.nanmax(np.abs(run.table["qd_sent"])) <= SPEED * (1.0 + 1e-9), "no jump at a takeover"
+    assert run.statistics["missed"] <= MISSED * len(run.table["tick"])
+
+
+def test_a_reader_that_stands_still_disturbs_nobody_and_sees_what_it_missed(bench: Bench) -> None:
+    """It reads every key and is stopped for longer than its buffers last. Takes 15 s."""
+
+    def script(watch: Watch) -> None:
+        slow, other = bench.client("read"), bench.client("read")
+        for one in (slow, other):
+            assert one.stdout is not None
+            assert one.stdout.readline() == "row\n"
+        count = len(watch.ticks)
+        os.kill(slow.pid, signal.SIGSTOP)
+        watch.until(lambda: len(watch.ticks) > count + STOPPED)
+        os.kill(slow.pid, signal.SIGCONT)
+        assert slow.stdout is not None
+        heard: list[str] = []
+        reader = threading.Thread(target=lambda: heard.append(slow.stdout.readline()), daemon=True)
+        reader.start()
+        watch.until(lambda: bool(heard))
+        assert heard[0].startswith("gap ")
+        watch.check()
+        other.kill()
+        assert other.stdout is not None
+        lost = sum(int(line.split()[1]) for line in other.stdout)
+        assert lost <= 0.001 * STOPPED, f"the other lost {lost}"
+
+    run = bench.run(script)
+    assert run.statistics["missed"] <= MISSED * len(run.table["tick"])
+    assert run.reason == "the controller ended the run"

@@ -1,0 +1,77 @@
+"""Started by tests: `zenoh_client.py DIALECT PORT ROLE LETTER`, a client of a cell with the arm yumi_left.
+
+DIALECT is zenoh or rmw_zenoh. ROLE "command" asks for a small velocity at 250 Hz; "read" reads all that there is, says
+"row" at the first and "gap 3" when three are missing. LETTER makes the identity of the sender. Ends by a signal.
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from typing import Any
+
+import numpy as np
+
+from armlab.bridge.ros import store
+from armlab.bridge.ros.rmw_zenoh_names import Names, Origin
+from armlab.bridge.zenoh import Attached, Place, key
+
+ARRAY, JOINTS = "std_msgs/msg/Float64MultiArray", "sensor_msgs/msg/JointState"
+VELOCITY = "/yumi_left/joint_group_velocity_controller/commands"
+PERIOD = 0.004
+SPEED = 0.01  # rad/s
+
+
+def command(session: Any, dialect: str, sender: bytes) -> None:
+    """Ask for a velocity until the process ends."""
+    qd = np.full(7, SPEED)
+    types, names = store().types, Names(0, str(session.zid()))
+    message = types[ARRAY](types["std_msgs/msg/MultiArrayLayout"]([], 0), qd)
+    cdr, due = bytes(store().serialize_cdr(message, ARRAY)), time.monotonic()
+    for k in range(1, 10**6):
+        if dialect == "zenoh":
+            place = key("lab", "yumi_left", "command/velocity")
+            session.put(place, qd.tobytes(), attachment=Attached(sender, k, 0).pack())
+        else:
+            session.put(names.data(VELOCITY, ARRAY), cdr, attachment=Origin(k, 0, sender).pack())
+        due = max(due + PERIOD, time.monotonic() - PERIOD)
+        time.sleep(max(0.0, due - time.monotonic()))
+
+
+def read(session: Any, dialect: str) -> None:
+    """Read everything; what counts is in the rows of every tick."""
+    last: dict[str, int] = {}
+
+    def take(sample: Any) -> None:
+        name = str(sample.key_expr)
+        if dialect == "rmw_zenoh":
+            origin = Origin.read(sample.attachment.to_bytes())
+            number = -1 if origin is None else origin.seq
+        elif name.endswith(("/live", "/state")):
+            number = int.from_bytes(sample.payload.to_bytes()[16:24], "little")
+        else:
+            return
+        if not last:
+            print("row", flush=True)
+        missing = number - last.get(name, number - 1) - 1
+        if missing > 0:
+            print("gap", missing, flush=True)
+        last[name] = number
+
+    every = key("lab", "yumi_left", "*") if dialect == "zenoh" else "0/yumi_left/**"
+    session.declare_subscriber(every, take)
+    threading.Event().wait(600.0)
+
+
+def main() -> None:
+    dialect, port, role, letter = sys.argv[1:]
+    session = Place("127.0.0.1", int(port)).open(20.0)
+    if role == "command":
+        command(session, dialect, 16 * letter.encode())
+    else:
+        read(session, dialect)
+
+
+if __name__ == "__main__":
+    main()
