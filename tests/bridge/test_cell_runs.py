@@ -5,8 +5,10 @@ from __future__ import annotations
 import contextlib
 import os
 import re
+import shutil
 import signal
 import socket
+import subprocess
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -38,8 +40,8 @@ def server_process(name: str) -> int:
     return max(found)
 
 
-def bound() -> set[str]:
-    """Addresses on which this process and those it started wait for others, as /proc writes them."""
+def bound(but: int = -1) -> set[str]:
+    """Addresses on which this process and those it started wait for others, as /proc writes them; without one."""
     parents = {}
     for folder in Path("/proc").iterdir():
         with contextlib.suppress(OSError, ValueError, IndexError):
@@ -47,7 +49,7 @@ def bound() -> set[str]:
     family, inodes = {os.getpid()}, set()
     for _ in range(5):
         family |= {child for child, parent in parents.items() if parent in family}
-    for process in family:
+    for process in family - {but}:
         with contextlib.suppress(OSError):
             inodes |= {str(entry.readlink()) for entry in Path(f"/proc/{process}/fd").iterdir()}
     found = set()
@@ -60,6 +62,29 @@ def bound() -> set[str]:
 
 
 JOINT = np.eye(7)[3]
+
+ALL = """
+[servers.ros2]
+domain = {domain}
+[servers.rmw_zenoh]
+domain = {domain}
+port = {router}
+[servers.zenoh]
+port = {zenoh}
+[servers.rosbridge]
+port = 0
+[servers.plotjuggler]
+port = {free}
+"""
+
+
+def free_ports(count: int) -> list[int]:
+    """Return ports on which nobody listens."""
+    with contextlib.ExitStack() as stack:
+        probes = [stack.enter_context(socket.socket()) for _ in range(count)]
+        for probe in probes:
+            probe.bind(("127.0.0.1", 0))
+        return [probe.getsockname()[1] for probe in probes]
 
 
 class Bench:
@@ -285,3 +310,27 @@ def test_ten_idle_clients_and_one_that_never_reads(cell_text: str, bench: Bench)
     assert run.statistics["missed"] == 0
     told = [text for _, text in run.events]
     assert any("The server labcomm ended with status -9. It starts again in 1 s." in text for text in told)
+
+
+@pytest.mark.slow
+def test_a_full_run_with_every_server_listens_on_this_computer_only(cell_text: str, bench: Bench) -> None:
+    """Cyclone DDS alone binds to all addresses, and is tied to loopback: see ros/test_dds_domain.py. Takes 10 s."""
+    for module, extra in (("cyclonedds", "ros"), ("zenoh", "net"), ("websockets", "net"), ("xxhash", "net")):
+        pytest.importorskip(module, reason=f"the extra {extra} is not installed")
+    from .ros.dds_peers import free_domain
+
+    def script(ports: dict[str, int]) -> None:
+        ros2 = server_process("ros2")
+        assert bound(but=ros2) == {"0100007F"}
+        if shutil.which("ss"):
+            listed = subprocess.run(["ss", "-Huanp"], capture_output=True, text=True, check=True).stdout.splitlines()
+            own = [line.split()[3] for line in listed if f"pid={ros2}," in line]
+            assert any("%lo:" in one for one in own)
+            assert all(one.startswith("127.0.0.1:") or "%lo:" in one for one in own), own
+
+    router, zenoh, free = free_ports(3)
+    text = cell_text.replace("?lockstep=true", "")
+    text += ALL.format(domain=free_domain(), router=router, zenoh=zenoh, free=free)
+    bench(parse_cell(text), script, seconds=1.0)
+    for name in ("labcomm", "ros2", "rmw_zenoh", f"127.0.0.1:{zenoh}", "rosbridge", "plotjuggler", "local"):
+        assert name in bench.line
