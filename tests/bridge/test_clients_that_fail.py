@@ -63,7 +63,7 @@ class Bench:
 
     def name(self, letter: str) -> str:
         """Who the arbiter says that this is."""
-        return f"{self.dialect} {6 * letter.encode().hex()}"
+        return f"{self.dialect} {16 * letter.encode().hex()}"
 
     def run(self, script: Callable[[Watch], None]) -> Any:
         """Play the script beside the cell."""
