@@ -61,7 +61,7 @@ class Node:
     """A participant in this process, beside that of the server."""
 
     def __init__(self, domain: int) -> None:
-        self.participant = DomainParticipant(domain)
+        self.domain, self.participant = domain, DomainParticipant(domain)
 
     def reader(self, name: str, type_: str) -> DataReader[Any]:
         return DataReader(self.participant, Topic(self.participant, topic_name(name), carrier(type_)), RELIABLE)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -31,8 +31,8 @@ VELOCITY = "/yumi_left/joint_group_velocity_controller/commands"
 class Running:
     """The server's work in a thread, a loop that gives rows, and a node."""
 
-    def __init__(self, **options: Any) -> None:
-        declared = Parameters([Parameter("gain", 0.5, minimum=0.0, maximum=1.0, rights="anyone")])
+    def __init__(self, rights: Literal["anyone", "commander"] = "anyone", **options: Any) -> None:
+        declared = Parameters([Parameter("gain", 0.5, minimum=0.0, maximum=1.0, rights=rights)])
         self.exchange = Exchange([ARM], ["ros2"], declared, ["ros2"], about={"cell": "yumi"}, **options)
         self.feed = self.exchange.open("ros2")
         domain = free_domain()
@@ -42,7 +42,7 @@ class Running:
         self.ticks = 0
         until(lambda: self.exchange.poll() or self.exchange.outlets["ros2"].where, "the server listening")
         self.where = self.exchange.outlets["ros2"].where
-        self.domain, self.node = domain, Node(domain)
+        self.domain, self.node = domain, Node(domain)  # a participant, so one client
 
     def row(self, q: np.ndarray = ARM.q_home) -> Command | None:
         """One tick of the loop; what the arm is told."""
@@ -67,6 +67,10 @@ def running() -> Iterator[Running]:
     one = Running()
     yield one
     one.close()
+
+
+def client(writer: Any) -> str:
+    return writer.guid.hex[:24]
 
 
 def answer(running: Running, diagnostics: Any) -> str:
@@ -113,7 +117,7 @@ def test_commands_take_the_arm_until_the_writer_leaves(running: Running) -> None
 
     until(obeyed)
     who = running.exchange.arbiter.commander("yumi_left")
-    assert who == f"ros2 {writers['velocity'].guid.hex}"
+    assert who == f"ros2 {client(writers['velocity'])}"
     events: list[str] = []
     running.exchange.begin(lambda text, warn=False: events.append(text))
     running.exchange.arbiter._lease_ns = 10**12  # what ends it is that the writer leaves
@@ -124,7 +128,8 @@ def test_commands_take_the_arm_until_the_writer_leaves(running: Running) -> None
 def test_a_second_commander_is_refused_by_a_sentence(running: Running) -> None:
     first = running.node.writer(VELOCITY, ARRAY)
     until(lambda: write(first, ARRAY, *numbers(*[0.01] * 7)) or running.row())
-    second = running.node.writer("/yumi_left/joint_group_position_controller/command", ARRAY)
+    other = Node(running.domain)
+    second = other.writer("/yumi_left/joint_group_position_controller/command", ARRAY)
     diagnostics = running.node.reader("/yumi_left/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
 
     def told() -> str:
@@ -132,8 +137,33 @@ def test_a_second_commander_is_refused_by_a_sentence(running: Running) -> None:
         write(second, ARRAY, *numbers(*ARM.q_home))
         return answer(running, diagnostics)
 
-    said = f"{second.guid.hex}: yumi_left is commanded by ros2 {first.guid.hex}. You may read."
+    said = f"{client(second)}: yumi_left is commanded by ros2 {client(first)}. You may read."
     assert until(told).startswith(said)
+
+
+def test_who_commands_with_one_topic_sets_parameters_and_commands_with_another() -> None:
+    running = Running(rights="commander")
+    velocity = running.node.writer(VELOCITY, ARRAY)
+    writers = [running.node.writer("/yumi_left/joint_group_position_controller/command", ARRAY)]
+    setter = running.node.writer("/yumi_left/set_parameter", TEXT)
+
+    def is_set() -> bool:
+        write(velocity, ARRAY, *numbers(*[0.01] * 7))
+        write(setter, TEXT, '{"gain": 0.75}')
+        running.row()
+        return running.exchange.parameters.gain == 0.75 and running.exchange.arbiter.commander(ARM.name) != ""
+
+    def moves() -> bool:
+        write(writers[0], ARRAY, *numbers(*ARM.q_home))
+        command = running.row()
+        return command is not None and command.q is not None
+
+    until(is_set)
+    running.exchange.arbiter._lease_ns = 10**12  # silence frees nothing
+    until(moves)
+    writers.clear()
+    assert until(lambda: running.row() and running.exchange.arbiter.commander(ARM.name)) == f"ros2 {client(velocity)}"
+    running.close()
 
 
 @pytest.mark.parametrize(
@@ -157,7 +187,7 @@ def test_wrong_numbers_are_answered_in_the_diagnostics(
 
     found = until(told)
     until(lambda: running.row() or f"ros2 {found}" in events, "an event of the log")
-    assert found == f"{writer.guid.hex}: {sentence.format(VELOCITY)}"
+    assert found == f"{client(writer)}: {sentence.format(VELOCITY)}"
     assert running.exchange.arbiter.commander("yumi_left") == ""
 
 
@@ -184,7 +214,7 @@ def test_parameters_are_set_and_told_again_to_who_comes_later(running: Running) 
 def test_any_node_may_stop_the_arms(running: Running) -> None:
     writer = running.node.writer("/yumi_left/stop", "std_msgs/msg/Empty")
     until(lambda: write(writer, "std_msgs/msg/Empty") or running.row() or running.exchange.arbiter.stopped)
-    assert running.exchange.arbiter.stopped == f"ros2 {writer.guid.hex}"
+    assert running.exchange.arbiter.stopped == f"ros2 {client(writer)}"
 
 
 def test_a_server_that_listens_beyond_this_computer_is_for_reading() -> None:

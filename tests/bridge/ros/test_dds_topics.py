@@ -68,18 +68,28 @@ def test_messages_come_with_their_writer_and_its_end_is_told(node: Node) -> None
     left: list[str] = []
     readers = Readers(node.participant, {"/a": TEXT, "/b": ARRAY}, lambda *one: came.append(one), left.append)
     writers = [node.writer("/a", TEXT), node.writer("/b", ARRAY), node.writer("/b", TEXT)]
-    clients = [writer.guid.hex for writer in writers]
+    client = writers[0].guid.hex[:24]  # of the participant
+    other = Node(node.domain)
+    last = other.writer("/a", TEXT)
     write(writers[0], TEXT, "hello")
     until(lambda: len(came) == 1)
     write(writers[2], TEXT, "another type on the same topic is another topic")
     write(writers[1], ARRAY, *numbers(1.0, 2.0))
     until(lambda: len(came) == 2)
-    assert [(name, client) for name, _, client in came] == [("/a", clients[0]), ("/b", clients[1])]
+    assert [(name, client) for name, _, client in came] == [("/a", client), ("/b", client)]
     assert store().deserialize_cdr(came[0][1], TEXT).data == "hello"
     assert store().deserialize_cdr(came[1][1], ARRAY).data.tolist() == [1.0, 2.0]
-    writers.clear()  # both are told with a sample that holds no message, which is none
-    until(lambda: sorted(left) == sorted(clients[:2]))
+    until(lambda: len(readers._clients) == 3)
+    del writers[0]
+    until(lambda: len(readers._clients) == 2)
+    assert left == [], "it has another writer"
+    writers.clear()  # it is told with a sample that holds no message, which is none
+    until(lambda: left)
+    assert left == [client]
     assert len(came) == 2
+    del last
+    until(lambda: len(left) == 2)
+    assert left[1] == other.participant.guid.hex[:24] != client
     writer = node.writer("/a", TEXT)
     until(writer.get_matched_subscriptions)
     readers.close()

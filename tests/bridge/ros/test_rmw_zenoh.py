@@ -14,7 +14,7 @@ from armlab.bridge.feed import Exchange
 from armlab.bridge.parameters import Parameter, Parameters
 from armlab.bridge.ros import store
 from armlab.bridge.ros.arm import joint_names
-from armlab.bridge.ros.rmw_zenoh_names import Names, Origin
+from armlab.bridge.ros.rmw_zenoh_names import Names, Origin, Writer
 from armlab.errors import ConfigError, LinkError
 from armlab.log import Tick
 from armlab.state import Command, State
@@ -156,6 +156,34 @@ def test_a_node_commands_and_a_second_one_is_refused(running: Running) -> None:
         return answer(running, diagnostics) if commanded() else ""
 
     until(lambda: "is commanded by rmw_zenoh 737373737373" in refused())
+
+
+def test_all_writers_of_a_node_are_one_client_until_the_last_goes(running: Running) -> None:
+    names, node = running.names, running.node
+    tokens = [names.writer(1, VELOCITY, ARRAY), names.writer(2, "/yumi_left/set_parameter", TEXT)]
+    lives = [node.liveliness().declare_token(token) for token in tokens]
+    ids = [Writer(token).id for token in tokens]
+    until(lambda: all(one in running.server._nodes._clients for one in ids))
+    who = f"rmw_zenoh /theirs@{str(node.zid())}"
+
+    def commanded(k: int) -> bool:
+        running.write(VELOCITY, ARRAY, numbers([0.0] * 7), ids[k])
+        return running.row() is not None
+
+    until(lambda: commanded(0))
+    running.exchange.arbiter._lease_ns = 10**12  # silence frees nothing
+    assert running.exchange.arbiter.commander(ARM.name) == who
+    refused = running.exchange.arbiter.refused
+    obeyed = running.exchange.arbiter.obeyed[ARM.name]
+    so_far = obeyed[who]
+    until(lambda: commanded(1) and obeyed[who] > so_far + 1)
+    assert not refused
+    lives[0].undeclare()
+    until(lambda: ids[0] not in running.server._nodes._clients)
+    running.row()
+    assert running.exchange.arbiter.commander(ARM.name) == who
+    lives[1].undeclare()
+    until(lambda: running.row() is None and running.exchange.arbiter.commander(ARM.name) == "")
 
 
 def test_what_is_no_command_is_told(running: Running) -> None:

@@ -24,6 +24,7 @@ __all__ = ["Readers", "Writers"]
 
 _BLOCKED = 1_000_000  # ns that a write may wait, which none does that keeps the last only
 _AT_ONCE = 16  # messages of one look
+_PREFIX = 24  # hexadecimal digits of a GUID that all endpoints of a participant have
 _XCDR1 = Policy.DataRepresentation(use_cdrv0_representation=True)  # all that ROS 2 speaks
 _STATE = Qos(
     Policy.Reliability.Reliable(_BLOCKED), Policy.Durability.Volatile, Policy.History.KeepLast(10), _XCDR1
@@ -80,7 +81,7 @@ class Readers:
     Parameters
     ----------
     participant : that they belong to. types : ROS 2 message type by full name of the topic.
-    take : told the topic, its bytes and who wrote them. left : told who wrote and has gone.
+    take : told the topic, its bytes and who wrote them. left : told the participant whose last writer has gone.
     """
 
     def __init__(
@@ -116,18 +117,26 @@ class Readers:
         while samples := reader.take(_AT_ONCE):
             for sample in samples:
                 if sample.sample_info.valid_data:  # else a writer that has gone
-                    self._take(name, sample.cdr, self._client(reader, sample.sample_info.publication_handle))
+                    self._take(name, sample.cdr, self._client(reader, _handle(sample.sample_info.publication_handle)))
 
     def _matched(self, reader: DataReader[Any], status: Any) -> None:
-        handle = int(status.last_publication_handle)
+        handle = _handle(status.last_publication_handle)
         if status.current_count_change > 0:
             self._client(reader, handle)
-        elif (client := self._clients.pop(handle, None)) is not None:
+        elif (client := self._clients.pop(handle, None)) is not None and client not in list(self._clients.values()):
             self._left(client)
 
     def _client(self, reader: DataReader[Any], handle: int) -> str:
-        """Return who writes: the GUID, as ROS 2 tells it of a topic's publishers, or what DDS calls it here."""
+        """Return who writes: the participant's part of the GUID, or what DDS calls the writer here.
+
+        All writers of a participant are one client: with one it commands, with another it sets a parameter.
+        """
         if handle not in self._clients:
             about = reader.get_matched_publication_data(handle)
-            self._clients[handle] = f"{handle:016x}" if about is None else about.key.hex
+            self._clients[handle] = f"{handle % 2**64:016x}" if about is None else about.participant_key.hex[:_PREFIX]
         return self._clients[handle]
+
+
+def _handle(number: int) -> int:
+    """Return a handle as 64 bits with a sign: samples say it without one, conditions and calls with one."""
+    return (int(number) + 2**63) % 2**64 - 2**63

@@ -10,14 +10,15 @@ from typing import Any
 
 from armlab.bridge.listening import is_here
 from armlab.bridge.loop_end import LoopEnd
-from armlab.bridge.messages import Listening, Report
+from armlab.bridge.messages import Leave, Listening, Report
 from armlab.bridge.ros.mould import cdr
 from armlab.bridge.ros.requests import Commands
 from armlab.bridge.ros.rmw_zenoh_names import ANY, Names, Origin, Writer
+from armlab.bridge.ros.rmw_zenoh_nodes import Nodes
 from armlab.bridge.ros.ros2 import content, domain_number
 from armlab.bridge.ros.topics import Encoded, Published, Topics
 from armlab.bridge.zenoh.output import Output
-from armlab.bridge.zenoh.session import close_session, data_of, open_near
+from armlab.bridge.zenoh.session import close_session, data_of, open_near, zenoh
 from armlab.errors import CommandRefused, ConfigError
 from armlab.robots import from_toml
 
@@ -58,6 +59,7 @@ class RmwZenohServer:
             )
         self._session, self._where = open_near(options["host"], options["port"], router, commands=commands)
         self._names = Names(self._domain, str(self._session.zid()), options["distribution"])
+        self._nodes = Nodes(lambda client: self._loop.ask(Leave(client)) and None)
         self._declared: list[Any] = []  # tokens and readers: they go with the last that holds them
 
     @property
@@ -97,11 +99,16 @@ class RmwZenohServer:
             self._writers[one.name] = Writer(token)
             self._outputs[one.name] = Output(session, names.data(one.name, one.type))
             tokens.append(token)
+        lives = session.liveliness()
+        self._declared.append(lives.declare_subscriber(names.writers(), self._token, history=True))
         for count, (topic, type_) in enumerate(self._commands.types.items(), number + 1):
             tokens.append(names.reader(count, topic, type_))
             key = names.data(topic, type_, ANY)
             self._declared.append(session.declare_subscriber(key, partial(self._take, topic, type_)))
-        self._declared += [session.liveliness().declare_token(token) for token in tokens]
+        self._declared += [lives.declare_token(token) for token in tokens]
+
+    def _token(self, sample: Any) -> None:
+        self._nodes.token(str(sample.key_expr), sample.kind == zenoh().SampleKind.PUT)
 
     def _write(self, topic: Published, data: bytes) -> None:
         output = self._outputs[topic.name]
@@ -119,11 +126,12 @@ class RmwZenohServer:
         if origin is None:  # rmw_zenoh drops it, too: who sent it is not known
             self._refuse("unknown", f"Expected 33 bytes attached on {topic}, as rmw_zenoh has them since June 2025.")
             return
+        client = self._nodes.client(origin)
         try:
-            for request in self._commands.requests(topic, content(type, sample.payload.to_bytes()), origin.client):
+            for request in self._commands.requests(topic, content(type, sample.payload.to_bytes()), client):
                 self._loop.ask(request)
         except CommandRefused as error:
-            self._refuse(origin.client, str(error))
+            self._refuse(client, str(error))
 
     def _refuse(self, client: str, why: str) -> None:
         self._answer(client, why)

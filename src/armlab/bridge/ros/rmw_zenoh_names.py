@@ -62,6 +62,10 @@ class Names:
         """Return the token of the node, whose number is 0."""
         return f"{self._graph}/0/0/NN/%/%/{self._node}"
 
+    def writers(self) -> str:
+        """Return what the tokens of all writers of the domain match."""
+        return f"@ros2_lv/{self._domain}/*/*/*/MP/**"
+
     def writer(self, number: int, topic: str, type: str) -> str:
         """Return the token of a reliable writer that keeps the last ten.
 
