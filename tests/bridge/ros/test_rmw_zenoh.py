@@ -164,7 +164,7 @@ def test_all_writers_of_a_node_are_one_client_until_the_last_goes(running: Runni
     lives = [node.liveliness().declare_token(token) for token in tokens]
     ids = [Writer(token).id for token in tokens]
     until(lambda: all(one in running.server._nodes._clients for one in ids))
-    who = f"rmw_zenoh /theirs@{str(node.zid())}"
+    who = f"rmw_zenoh /theirs@{node.zid()!s}"
 
     def commanded(k: int) -> bool:
         running.write(VELOCITY, ARRAY, numbers([0.0] * 7), ids[k])

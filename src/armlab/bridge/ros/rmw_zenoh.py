@@ -59,7 +59,7 @@ class RmwZenohServer:
             )
         self._session, self._where = open_near(options["host"], options["port"], router, commands=commands)
         self._names = Names(self._domain, str(self._session.zid()), options["distribution"])
-        self._nodes = Nodes(lambda client: self._loop.ask(Leave(client)) and None)
+        self._nodes = Nodes(self._left)
         self._declared: list[Any] = []  # tokens and readers: they go with the last that holds them
 
     @property
@@ -109,6 +109,9 @@ class RmwZenohServer:
 
     def _token(self, sample: Any) -> None:
         self._nodes.token(str(sample.key_expr), sample.kind == zenoh().SampleKind.PUT)
+
+    def _left(self, client: str) -> None:
+        self._loop.ask(Leave(client))
 
     def _write(self, topic: Published, data: bytes) -> None:
         output = self._outputs[topic.name]
