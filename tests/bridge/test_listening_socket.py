@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 
 import pytest
 
@@ -17,6 +18,14 @@ def test_a_port_that_is_taken_names_who_has_it() -> None:
         words = rf"TCP port 127.0.0.1:{port} for right to be free, but it is in use by process {os.getpid()} \("
         with pytest.raises(LinkError, match=words):
             listening_socket("127.0.0.1", port, "right", 2)
+
+
+def test_small_messages_wait_for_no_acknowledgement() -> None:
+    """A client acknowledges after up to 40 ms; with Nagle's algorithm the next message would wait for that."""
+    with listening_socket("127.0.0.1", 0, "left", 2) as listener:
+        listener.setblocking(True)
+        with socket.create_connection(listener.getsockname()), listener.accept()[0] as accepted:
+            assert accepted.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
 
 
 @pytest.mark.parametrize(("host", "port"), [("203.0.113.7", 7511), ("127.0.0.1", 70_000)])

@@ -223,6 +223,25 @@ def test_a_setting_is_answered_when_the_loop_has_decided(bench: Bench) -> None:
     assert answer == {**done, "values": "Expected less.", "result": False}
 
 
+def test_settings_of_one_parameter_are_answered_each_by_its_own_outcome(bench: Bench) -> None:
+    """The loop's answers name the parameter, so a setting waits for the one before it."""
+    client = bench.client("me")
+    for id_, value in enumerate(("1.0", "99", "0.5")):
+        bench.say(client, op="call_service", service="/rosapi/set_param", id=id_, args=["gain", value])
+
+    def in_force(value: float) -> None:
+        bench.loop.declared.set("gain", value, "rosbridge me")
+        bench.loop.declared.apply()
+        bench.engine.text(bench.loop.tell(), bench.now)
+
+    assert bench.loop.asked == [SetRequest("me", {"gain": 1.0})]
+    in_force(1.0)
+    bench.engine.text({"kind": "answer", "client": "me", "text": "Expected less.", "refused": ["gain"]}, bench.now)
+    in_force(0.5)
+    assert bench.loop.asked == [SetRequest("me", {"gain": value}) for value in (1.0, 99, 0.5)]
+    assert [(one["id"], one["result"]) for one in bench.heard(client)] == [(0, True), (1, False), (2, True)]
+
+
 def test_a_setting_that_the_loop_does_not_answer(bench: Bench) -> None:
     client = bench.client("me")
     for _ in range(65):

@@ -293,17 +293,6 @@ def test_a_loop_that_has_gone_ends_it_and_no_port_stays_open() -> None:
         serve(feed, OPTIONS)  # it ends by itself
 
 
-def test_small_messages_wait_for_no_acknowledgement() -> None:
-    """A client acknowledges after up to 40 ms; with Nagle's algorithm the next message would wait for that."""
-    exchange = Exchange([robots.load("yumi_right")], ["rosbridge"], about={"cell": "yumi"})
-    with exchange.open("rosbridge") as feed, RosbridgeServer(feed, OPTIONS)._listener as listener:
-        with socket.create_connection(listener.getsockname()):
-            accepted, _ = listener.accept()
-            with accepted:
-                assert accepted.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
-        exchange.close()
-
-
 @pytest.mark.slow
 def test_it_says_why_it_does_not_start(start: Callable[..., Running], tmp_path: Path) -> None:
     secret = tmp_path / "token"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from typing import Any, Protocol
 
 import msgspec
@@ -139,8 +140,9 @@ class Engine:
         now_ns : monotonic clock.
         """
         for session in self.sessions.values():
-            for one in [one for one in session.settings if now_ns > one.until_ns]:
-                session.settings.remove(one)
+            late = [one for one in session.settings if now_ns > one.until_ns]
+            session.settings = [one for one in session.settings if one not in late]
+            for one in late:
                 about = self._loop.parameters[one.parameter]
                 why = (
                     f"Expected the loop to set {one.parameter}, but it did not say so within 1 s. Its value is "
@@ -237,25 +239,36 @@ class Engine:
             raise CommandRefused(f"Expected the value of {name} as JSON text, but {error}.") from None
         if len(session.settings) >= _SETTINGS:
             raise CommandRefused(f"Expected at most {_SETTINGS} settings that wait for the loop. Send fewer.")
-        sequence = self._loop.parameters[name]["sequence"]
-        session.settings.append(Setting(call.id, name, sequence, now_ns + _PATIENCE))
-        self._loop.ask(SetRequest(session.name, {name: value}))
+        session.settings.append(Setting(call.id, name, value, now_ns + _PATIENCE))
+        self._ask_next(session, name)
+
+    def _ask_next(self, session: Session, parameter: str) -> None:
+        """Ask the loop for a client's first setting of a parameter, unless it has been asked for it."""
+        for k, one in enumerate(session.settings):
+            if one.parameter == parameter:
+                if one.sequence is None:
+                    session.settings[k] = replace(one, sequence=self._loop.parameters[parameter]["sequence"])
+                    self._loop.ask(SetRequest(session.name, {parameter: one.value}))
+                return
+
+    def _settle(self, session: Session, one: Setting, values: Any, is_done: bool, now_ns: int) -> None:
+        session.settings.remove(one)
+        session.response(SET_PARAM, one.id, values, is_done, now_ns)
+        self._ask_next(session, one.parameter)
 
     def _confirm(self, session: Session, now_ns: int) -> None:
         """Answer the settings of a client that are in force now."""
-        for one in list(session.settings):
+        for one in [one for one in session.settings if one.sequence is not None]:
             about = self._loop.parameters[one.parameter]
             if about["sequence"] > one.sequence and about["who"] == f"{self._server} {session.name}":
-                session.settings.remove(one)
-                session.response(SET_PARAM, one.id, {}, True, now_ns)
+                self._settle(session, one, {}, True, now_ns)
 
     def _answer(self, session: Session, message: Mapping[str, Any], now_ns: int) -> None:
         """Pass on what the loop says to a client: as the answer to its setting, or as a status."""
         text, refused = message["text"], message["refused"]
         one = next((one for one in session.settings if one.parameter in refused), None)
         if one is not None:
-            session.settings.remove(one)
-            session.response(SET_PARAM, one.id, text, False, now_ns)
+            self._settle(session, one, text, False, now_ns)
         else:
             session.status("info" if text == "Done." else "error", text, now_ns)
 

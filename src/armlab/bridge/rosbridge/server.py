@@ -59,8 +59,7 @@ class RosbridgeServer:
         self._gone: dict[str, tuple[int, int]] = {}
         self._over = asyncio.Event()
         self._listener = listening_socket(options["host"], options["port"], "rosbridge", _CLIENTS)
-        self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)  # what it accepts inherits these
-        self._listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # asyncio does so for its own sockets only
+        self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)  # what it accepts inherits it
 
     async def run(self) -> None:
         """Serve until the loop closes the feed."""

@@ -22,13 +22,16 @@ class Setting:
 
     Attributes
     ----------
-    id : of the call. parameter : its name. sequence : of its last change before. until_ns : how long to wait.
+    id : of the call. parameter, value : what it sets. until_ns : how long to wait.
+    sequence : of the parameter's last change when the loop was asked; None while an earlier setting of it waits, as
+        the loop's answers name the parameter, not the call.
     """
 
     id: str | int | None
     parameter: str
-    sequence: int
+    value: Any
     until_ns: int
+    sequence: int | None = None
 
 
 class Session:
