@@ -97,6 +97,7 @@ class Status:
             p50, p99 = np.percentile(arm.trips, (50.0, 99.0)) if arm.trips else (math.nan, math.nan)
             arms[name] = {
                 "rows": arm.rows,
+                "last_ns": arm.times[-1] if arm.times else None,
                 "rate": (len(arm.times) - 1) / seconds if seconds > 0.0 else math.nan,
                 "p50": float(p50),
                 "p99": float(p99),

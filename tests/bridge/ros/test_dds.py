@@ -191,6 +191,20 @@ def test_wrong_numbers_are_answered_in_the_diagnostics(
     assert running.exchange.arbiter.commander("yumi_left") == ""
 
 
+def test_diagnostics_come_and_say_so_when_no_row_comes(running: Running) -> None:
+    diagnostics = running.node.reader("/yumi_left/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+    found: list[Any] = []
+
+    def words() -> str:
+        found.extend(taken(diagnostics, "diagnostic_msgs/msg/DiagnosticArray"))
+        return found[-1].status[0].message if found else ""
+
+    until(lambda: words() == "no packet yet")
+    running.row()
+    until(lambda: "no packet for" in words())
+    assert found[-1].status[0].level == 2
+
+
 def test_half_a_surrogate_pair_is_answered(running: Running) -> None:
     writer = running.node.writer("/yumi_left/set_parameter", TEXT)
     diagnostics = running.node.reader("/yumi_left/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")

@@ -19,6 +19,16 @@ def test_all_is_well() -> None:
     assert values["commander"] == "nobody"
 
 
+def test_an_arm_that_is_silent_is_an_error() -> None:
+    for silent, level, words in ((0.9, 0, "every packet answered"), (3.21, 2, "no packet for 3.2 s")):
+        (status,) = diagnostics("irb120", 5, COUNTS, "", silent=silent).status
+        assert (status.level, status.message) == (level, words)
+    values = {one.key: one.value for one in status.values}
+    assert (values["link"], values["rate [1/s]"]) == ("no packet for 3.2 s", "0.0")
+    (status,) = diagnostics("irb120", 5, COUNTS, "", silent=math.inf).status
+    assert (status.level, status.message) == (2, "no packet yet")
+
+
 def test_faults_are_a_warning_and_unknowns_are_said() -> None:
     faulty = {**COUNTS, "missed": 3, "drops": 1, "rate": math.nan}
     (status,) = diagnostics("irb120", 5, faulty, "labcomm 127.0.0.1:4").status

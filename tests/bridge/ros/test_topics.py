@@ -212,3 +212,30 @@ def test_bytes_of_what_is_wanted_now_and_of_rows_only() -> None:
         list(encoded.of_row(data + bytes(8), []))
     ((topic, message),) = encoded.of_parameters({"gain": {"value": 2.0}}, ["/yumi_left/parameters"])
     assert store().deserialize_cdr(message, topic.type).data == '{"gain": 2.0}'
+
+
+def statuses(found: Any) -> dict[str, tuple[int, str]]:
+    return {topic.name: (one.status[0].level, one.status[0].message) for topic, one in found}
+
+
+def test_an_arm_that_falls_silent_is_an_error_with_rows_of_the_other_and_with_none() -> None:
+    topics, writer, wanted = Topics(ARMS, SCHEMA), RowWriter(SCHEMA), {f"/{name}/diagnostics" for name in NAMES}
+    second, well = 1_000_000_000, (0, "every packet answered")
+    assert not list(topics.of_silence(0, wanted)), "the first call only looks"
+    assert set(statuses(topics.of_silence(2 * second, wanted)).values()) == {(2, "no packet yet")}
+
+    def row(name: str, mono_ns: int) -> dict[str, tuple[int, str]]:
+        tick = Tick(7, 7, WALL, 1_000, 2_000, 3)
+        return statuses(topics.of_row(writer.row(state(name), None, tick, mono_ns, "me"), wanted))
+
+    assert row("yumi_right", MONO)["/yumi_right/diagnostics"] == well
+    row("yumi_left", MONO + 1)
+    assert set(row("yumi_left", MONO + second).values()) == {well}
+    found = row("yumi_left", MONO + 3 * second)
+    assert found == {"/yumi_left/diagnostics": well, "/yumi_right/diagnostics": (2, "no packet for 3.0 s")}
+    assert not list(topics.of_silence(7 * second, wanted)), "a row came since the call before"
+    assert not list(topics.of_silence(7 * second + 10, wanted)), "it is not due"
+    found = statuses(topics.of_silence(9 * second, wanted))
+    assert found["/yumi_left/diagnostics"] == (2, "no packet for 2.0 s")
+    assert found["/yumi_right/diagnostics"] == (2, "no packet for 5.0 s")
+    assert set(row("yumi_left", MONO + 6 * second)) == wanted, "rows again"

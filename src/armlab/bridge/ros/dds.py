@@ -86,6 +86,8 @@ class DdsServer:
         self._told = time.monotonic()
         for topic, made in self._encoded.of_parameters(self._loop.parameters, writers.wanted):
             writers.write(topic, made)
+        for topic, made in self._encoded.of_silence(time.monotonic_ns(), writers.wanted):
+            writers.write(topic, made)
 
     def _take(self, name: str, cdr: bytes, client: str) -> None:
         """Pass what a node wants on to the loop; called by threads of DDS."""

@@ -11,21 +11,27 @@ from armlab.bridge.ros.types import store
 
 __all__ = ["diagnostics"]
 
-_OK, _WARN = 0, 1
+_OK, _WARN, _ERROR = 0, 1, 2
+_SILENT = 1.0  # s without a packet that are a fault
 
 
-def diagnostics(robot: str, wall_ns: int, counts: Mapping[str, Any], commander: str, answer: str = "") -> Any:
+def diagnostics(
+    robot: str, wall_ns: int, counts: Mapping[str, Any], commander: str, answer: str = "", silent: float = 0.0
+) -> Any:
     """Return the message of one arm.
 
     Parameters
     ----------
     robot : its name. wall_ns : wall clock. counts : of `Status.summary`. commander : who commands, "" for nobody.
-    answer : the last to a client, "" for none.
+    answer : the last to a client, "" for none. silent : s since the last packet; infinite before the first.
     """
     types = store().types
     faults = [f"{counts[name]} {words}" for name, words in _FAULTS.items() if counts[name]]
+    is_silent = silent > _SILENT
+    link = ("no packet yet" if math.isinf(silent) else f"no packet for {silent:.1f} s") if is_silent else "receiving"
     shown = {
-        "rate [1/s]": _number(counts["rate"]),
+        "link": link,
+        "rate [1/s]": _number(0.0 if is_silent else counts["rate"]),
         **{f"round trip {name} [us]": _number(counts[key]) for name, key in _TRIPS.items()},
         **{words: str(counts[name]) for name, words in _FAULTS.items()},
         "clamped samples": str(sum(map(sum, counts["clamps"].values()))),
@@ -35,9 +41,9 @@ def diagnostics(robot: str, wall_ns: int, counts: Mapping[str, Any], commander: 
     }
     values = [types["diagnostic_msgs/msg/KeyValue"](key, value) for key, value in shown.items()]
     status = types["diagnostic_msgs/msg/DiagnosticStatus"](
-        level=_WARN if faults else _OK,
+        level=_ERROR if is_silent else _WARN if faults else _OK,
         name=f"armlab: {robot}",
-        message=", ".join(faults) or "every packet answered",
+        message=", ".join([link] * is_silent + faults) or "every packet answered",
         hardware_id=robot,
         values=values,
     )

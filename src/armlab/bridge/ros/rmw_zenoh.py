@@ -122,6 +122,8 @@ class RmwZenohServer:
         self._told = time.monotonic()
         for topic, made in self._encoded.of_parameters(self._loop.parameters, self.wanted):
             self._write(topic, made)
+        for topic, made in self._encoded.of_silence(time.monotonic_ns(), self.wanted):
+            self._write(topic, made)
 
     def _take(self, topic: str, type: str, sample: Any) -> None:
         """Pass what a node wants on to the loop; called by a thread of Zenoh's."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
+import time
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from struct import Struct
@@ -50,7 +52,8 @@ class Topics:
     def __init__(self, robots: Mapping[str, Robot], schema: RowSchema) -> None:
         self.answer = ""
         self.schema, self._robots, self._status = schema, dict(robots), Status(schema)
-        self._due = 0
+        self._due, self._last = 0, b""
+        self._silence: tuple[bytes, int] | None = None  # the last row, and since when none came
         self._places = {name: places(schema, name) for name in robots}
         self._forms = {f"/{robot}/{name}": (robot, form) for robot in robots for name, form in FORMS.items()}
         self.often = frozenset(self._forms)
@@ -128,19 +131,44 @@ class Topics:
         As `of_row` yields them; nearly always none.
         """
         self._status.add(data)
+        self._last = data
         (mono_ns,) = _MONO.unpack_from(data, MONO)
+        return self._seldom(mono_ns, 0, wanted)
+
+    def of_silence(self, now_ns: int, wanted: Collection[str]) -> Iterable[tuple[Published, Any]]:
+        """Return what is due once a second while no row comes; to be called about as often.
+
+        Parameters
+        ----------
+        now_ns : any clock that goes on. wanted : full names.
+
+        Returns
+        -------
+        As `of_row` yields them; nothing when a row came since the call before.
+        """
+        if self._silence is None or self._silence[0] is not self._last:
+            self._silence = self._last, now_ns
+            return ()
+        silent_ns = now_ns - self._silence[1]
+        mono_ns = _MONO.unpack_from(self._last, MONO)[0] if self._last else 0
+        return self._seldom(mono_ns + silent_ns, silent_ns, wanted)
+
+    def _seldom(self, mono_ns: int, silent_ns: int, wanted: Collection[str]) -> Iterable[tuple[Published, Any]]:
         if mono_ns < self._due:
             return ()
         self._due = mono_ns + _SELDOM
-        return self._diagnostics(data, [robot for robot in self._robots if f"/{robot}/diagnostics" in wanted])
+        names = [robot for robot in self._robots if f"/{robot}/diagnostics" in wanted]
+        return self._diagnostics(names, mono_ns, silent_ns) if names else ()
 
-    def _diagnostics(self, data: bytes, names: list[str]) -> Iterator[tuple[Published, Any]]:
-        if names:
-            row, arms = read_row(self.schema, data), self._status.summary()["arms"]
-            for robot in names:
-                commander = row.values[f"{robot}.commander"]
-                message = diagnostics(robot, row.wall_ns, arms[robot], commander, self.answer)
-                yield self.published[f"/{robot}/diagnostics"], message
+    def _diagnostics(self, names: list[str], mono_ns: int, silent_ns: int) -> Iterator[tuple[Published, Any]]:
+        row, arms = read_row(self.schema, self._last) if self._last else None, self._status.summary()["arms"]
+        wall_ns = time.time_ns() if row is None else row.wall_ns + silent_ns
+        for robot in names:
+            commander = "" if row is None or silent_ns > _SELDOM else row.values[f"{robot}.commander"]
+            last_ns = arms[robot]["last_ns"]
+            silent = math.inf if last_ns is None else 1e-9 * (mono_ns - last_ns)
+            message = diagnostics(robot, wall_ns, arms[robot], commander, self.answer, silent)
+            yield self.published[f"/{robot}/diagnostics"], message
 
     def of_parameters(
         self, parameters: Mapping[str, Mapping[str, Any]], wanted: Collection[str]
@@ -192,6 +220,16 @@ class Encoded:
             for topic, message in self._topics.often_of_row(data, self._others):
                 yield topic, self._encode(message, topic.type)
         for topic, message in self._topics.seldom_of_row(data, wanted):
+            yield topic, self._encode(message, topic.type)
+
+    def of_silence(self, now_ns: int, wanted: Collection[str]) -> Iterator[tuple[Published, bytes]]:
+        """Yield the bytes of what `Topics.of_silence` returns.
+
+        Parameters
+        ----------
+        now_ns, wanted : see there.
+        """
+        for topic, message in self._topics.of_silence(now_ns, wanted):
             yield topic, self._encode(message, topic.type)
 
     def _choose(self, wanted: frozenset[str]) -> None:

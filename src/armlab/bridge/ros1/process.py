@@ -77,6 +77,8 @@ class Ros1Process:
                     return
                 for message in messages:
                     self._pass_on(node, message)
+                if not messages:
+                    self._send(node, self._encoded.of_silence(time.monotonic_ns(), self._wanted))
 
     @contextlib.contextmanager
     def _relay(self, home: str, log: IO[bytes]) -> Iterator[socket.socket]:

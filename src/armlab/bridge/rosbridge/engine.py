@@ -139,6 +139,7 @@ class Engine:
         ----------
         now_ns : monotonic clock.
         """
+        self._publish(lambda wanted: self._encoded.of_silence(now_ns, wanted.keys()), now_ns)
         for session in self.sessions.values():
             late = [one for one in session.settings if now_ns > one.until_ns]
             session.settings = [one for one in session.settings if one not in late]
