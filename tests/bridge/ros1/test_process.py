@@ -7,6 +7,7 @@ import json
 import os
 import re
 import signal
+import socket
 import subprocess
 import tempfile
 import time
@@ -161,6 +162,22 @@ def test_half_a_surrogate_pair_is_refused_and_the_server_goes_on() -> None:
         theirs.send(json.dumps(message).encode())
         process._hear(ours, log)
         assert b"/node: Expected what JSON in UTF-8 can say" in theirs.recv(1000)
+    exchange.close()
+
+
+def test_each_of_many_nodes_is_answered_at_most_once_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
+    exchange = Exchange([robots.load("yumi_right")], ["ros1"], about={"cell": "yumi"})
+    ours, theirs = pair()
+    with exchange.open("ros1") as feed, ours, theirs:
+        process = Ros1Process(feed, options("http://127.0.0.1:1"))
+        monkeypatch.setattr("armlab.bridge.ros1.process.time.monotonic", lambda: 100.0)
+        for k in range(300):
+            for _ in range(2):
+                process._answer(ours, f"/node_{k}", "no")
+            assert theirs.recv(1000)[2:] == f"/node_{k}: no".encode()
+            with pytest.raises(BlockingIOError):
+                theirs.recv(1000, socket.MSG_DONTWAIT)
+        assert len(process._spoken) == 256
     exchange.close()
 
 

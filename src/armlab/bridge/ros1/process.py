@@ -30,6 +30,7 @@ _SAYING = 65535
 _START = 8.0  # s for the relay to be a node
 _END = 2.0  # s for it to end by itself
 _SPOKEN = 1.0  # s between two sentences to one node
+_CLIENTS = 256  # of which it is known when they were answered
 
 
 class Ros1Process:
@@ -168,7 +169,10 @@ class Ros1Process:
     def _answer(self, node: socket.socket, client: str, text: str) -> None:
         """Write a sentence for a node into the log of ROS, at most once a second."""
         now = time.monotonic()
-        if now - self._spoken.get(client, -_SPOKEN) >= _SPOKEN and len(self._spoken) < 256:
+        if now - self._spoken.get(client, -_SPOKEN) >= _SPOKEN:
+            self._spoken.pop(client, None)
+            if len(self._spoken) >= _CLIENTS:
+                del self._spoken[next(iter(self._spoken))]  # who was answered longest ago
             self._spoken[client] = now
             with contextlib.suppress(OSError):
                 node.send(struct.pack("<H", _SAYING) + f"{client}: {text}".encode())
