@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import fields
 from pathlib import Path
 
 import pytest
 
-from armlab import cli, log, models
+from armlab import cli, log, models, robots
 from armlab.cli.fleet_logs import Job, estimate, export, identify
 
 
@@ -70,6 +71,26 @@ def test_estimates_and_exports_of_many_logs(logs: Path, model, tmp_path: Path, c
     assert cli.main(words) == cli.SKIPPED
     (path,) = json.loads(capsys.readouterr().out)["files"].values()
     assert log.read(path).sha256 == log.read(logs / "one.mcap").sha256
+
+
+@pytest.mark.slow  # a thousand logs
+def test_a_damaged_log_among_a_thousand_is_named(short_arm, tmp_path: Path, capsys) -> None:
+    logs, robot = tmp_path / "logs", tmp_path / "short.toml"
+    logs.mkdir()
+    robots.save(short_arm.robot, robot)
+    for k in range(20):
+        log.write(short_arm.log(k, 600), tmp_path / f"{k}.parquet")
+    for k in range(999):
+        os.link(tmp_path / f"{k % 20}.parquet", logs / f"log{k:03d}.parquet")
+    whole = (tmp_path / "0.parquet").read_bytes()
+    (logs / "log500_damaged.parquet").write_bytes(whole[: len(whole) // 2])
+    words = ["fleet", "identify", str(logs), "-o", str(tmp_path / "model.toml"), "--robot", str(robot), "--no-cache"]
+    assert cli.main([*words, "--workers", "2"]) == cli.SKIPPED == 3
+    said = capsys.readouterr()
+    assert "999 logs used, 1 skipped" in said.out
+    assert f"skipped {logs / 'log500_damaged.parquet'}: " in said.out
+    assert "1000 of 1000 logs, " in said.err
+    assert "log500_damaged" in (tmp_path / "model.toml").read_text()
 
 
 def test_the_commands_have_the_same_options(capsys) -> None:

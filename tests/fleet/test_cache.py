@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from armlab import fleet
+from armlab import fleet, log
 from armlab.fleet import identification
 from armlab.fleet.cache import SumCache, default_folder
 
@@ -46,6 +46,24 @@ def test_a_second_run_makes_no_sums(folder: Path, short_arm, tmp_path: Path, mad
     assert same(fleet.identify(logs, short_arm.robot, cache=cache), first)
     assert same(first, plain)
     assert len(made) == 6
+
+
+@pytest.mark.slow  # 60 logs
+def test_of_sixty_logs_and_more_ten_new_ones_cost_ten(short_arm, tmp_path: Path, made: list[int]) -> None:
+    logs, cache = tmp_path / "logs", tmp_path / "cache"
+    logs.mkdir()
+    for k in range(70):
+        log.write(short_arm.log(k, 600), tmp_path / f"log{k:02d}.parquet")
+        if k < 60:
+            shutil.move(tmp_path / f"log{k:02d}.parquet", logs)
+    fleet.identify(logs, short_arm.robot, cache=cache)
+    assert len(made) == 60
+    for path in tmp_path.glob("*.parquet"):
+        shutil.move(path, logs)
+    found = fleet.identify(logs, short_arm.robot, cache=cache)
+    assert len(found.used) == 70
+    assert len(made) == 70
+    assert same(found, fleet.identify(logs, short_arm.robot))
 
 
 CALLER = """
@@ -109,6 +127,33 @@ def test_files_that_do_not_read_are_made_anew(folder: Path, short_arm, tmp_path:
     assert len(made) == 4
     assert same(fleet.identify(folder, short_arm.robot, cache=cache), first)
     assert len(made) == 4
+
+
+def test_two_that_keep_the_sums_of_equal_files_at_once(
+    folder: Path, short_arm, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As with one log under two names, or two runs over one folder."""
+    first = fleet.identify(folder, short_arm.robot, cache=tmp_path / "cache")
+    write, deep = np.savez, []
+
+    def meanwhile(*given, **named) -> None:
+        if not deep:
+            deep.append(1)
+            fleet.identify(folder, short_arm.robot, cache=tmp_path / "other")
+        write(*given, **named)
+
+    monkeypatch.setattr(np, "savez", meanwhile)
+    assert same(fleet.identify(folder, short_arm.robot, cache=tmp_path / "other"), first)
+    assert sorted(path.name for path in (tmp_path / "other").iterdir()) == sorted(
+        path.name for path in (tmp_path / "cache").iterdir()
+    )
+
+
+def test_a_cache_that_cannot_be_written_costs_time_only(folder: Path, short_arm, tmp_path: Path) -> None:
+    (tmp_path / "cache").write_text("a file in its place")
+    found = fleet.identify(folder, short_arm.robot, cache=tmp_path / "cache")
+    assert found.skipped == {}
+    assert same(found, fleet.identify(folder, short_arm.robot))
 
 
 def test_nothing_in_them_is_a_pickle(folder: Path, short_arm, tmp_path: Path) -> None:

@@ -9,13 +9,14 @@ from __future__ import annotations
 import hashlib
 import os
 import zipfile
+from contextlib import suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
 from armlab import __version__
-from armlab._whole_files import whole_file
 from armlab.errors import ShapeError
 from armlab.estimation.factors import Factors
 from armlab.identify.many import LogSums, Pattern
@@ -71,17 +72,12 @@ class SumCache:
             return None
 
     def save(self, path: Path, sums: LogSums) -> None:
-        """Keep sums, whole or not at all.
+        """Keep sums, whole or not at all; where the disk takes none they are made again the next time.
 
         Parameters
         ----------
         path : from `path`. sums : of that log.
-
-        Raises
-        ------
-        OSError : the folder cannot be written.
         """
-        self._folder.mkdir(parents=True, exist_ok=True)
         groups = {
             f"{name}{g}": part[g]
             for name in ("R", "columns")
@@ -94,8 +90,12 @@ class SumCache:
             "reals": np.array([sums.weight, sums.seconds]),
             "source": np.array(sums.source),
         }
-        with whole_file(path) as part, part.open("wb") as file:
-            np.savez(file, allow_pickle=False, rows=sums.factors.rows, **groups, **training, **numbers)
+        with suppress(OSError):
+            self._folder.mkdir(parents=True, exist_ok=True)
+            with TemporaryDirectory(dir=self._folder) as own:  # others may keep the sums of an equal file just now
+                part = Path(own, path.name)
+                np.savez(part, allow_pickle=False, rows=sums.factors.rows, **groups, **training, **numbers)
+                part.replace(path)
 
 
 def _sums(kept: Any) -> LogSums:
