@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from armlab.bridge.messages import CommandRequest, Leave, SetRequest, Stop, read_request
 from armlab.bridge.rosbridge import Engine
 from armlab.bridge.rosbridge.operations import LARGEST
+from armlab.errors import CommandRefused
 
 from .conftest import Bench
 
@@ -240,6 +241,18 @@ def test_settings_of_one_parameter_are_answered_each_by_its_own_outcome(bench: B
     in_force(0.5)
     assert bench.loop.asked == [SetRequest("me", {"gain": value}) for value in (1.0, 99, 0.5)]
     assert [(one["id"], one["result"]) for one in bench.heard(client)] == [(0, True), (1, False), (2, True)]
+
+
+def test_a_setting_that_cannot_be_asked_for_is_answered_once(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    client = bench.client("me")
+
+    def refuse(request: Any) -> bool:
+        raise CommandRefused("Expected another text.")
+
+    monkeypatch.setattr(bench.loop, "ask", refuse)
+    bench.say(client, op="call_service", service="/rosapi/set_param", id=1, args=["note", '"x"'])
+    bench.engine.turn(bench.now + 2 * 10**9)
+    assert [(one["id"], one["values"]) for one in bench.heard(client)] == [(1, "Expected another text.")]
 
 
 def test_a_setting_that_the_loop_does_not_answer(bench: Bench) -> None:

@@ -241,21 +241,25 @@ class Engine:
         if len(session.settings) >= _SETTINGS:
             raise CommandRefused(f"Expected at most {_SETTINGS} settings that wait for the loop. Send fewer.")
         session.settings.append(Setting(call.id, name, value, now_ns + _PATIENCE))
-        self._ask_next(session, name)
+        self._ask_next(session, name, now_ns)
 
-    def _ask_next(self, session: Session, parameter: str) -> None:
+    def _ask_next(self, session: Session, parameter: str, now_ns: int) -> None:
         """Ask the loop for a client's first setting of a parameter, unless it has been asked for it."""
         for k, one in enumerate(session.settings):
             if one.parameter == parameter:
                 if one.sequence is None:
-                    session.settings[k] = replace(one, sequence=self._loop.parameters[parameter]["sequence"])
-                    self._loop.ask(SetRequest(session.name, {parameter: one.value}))
+                    one = replace(one, sequence=self._loop.parameters[parameter]["sequence"])
+                    session.settings[k] = one
+                    try:
+                        self._loop.ask(SetRequest(session.name, {parameter: one.value}))
+                    except CommandRefused as error:
+                        self._settle(session, one, str(error), False, now_ns)
                 return
 
     def _settle(self, session: Session, one: Setting, values: Any, is_done: bool, now_ns: int) -> None:
         session.settings.remove(one)
         session.response(SET_PARAM, one.id, values, is_done, now_ns)
-        self._ask_next(session, one.parameter)
+        self._ask_next(session, one.parameter, now_ns)
 
     def _confirm(self, session: Session, now_ns: int) -> None:
         """Answer the settings of a client that are in force now."""
