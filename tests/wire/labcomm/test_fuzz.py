@@ -12,7 +12,7 @@ import pytest
 from armlab.errors import LabCommError
 from armlab.wire.labcomm import Decoder
 
-SLOWEST = 0.5  # s of processor time per stream
+SLOWEST = 5.0  # s of processor time per stream: one that a number in it makes long takes minutes, a slow machine 0.6
 LARGEST = 16 * 2**20  # bytes
 
 
