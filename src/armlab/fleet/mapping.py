@@ -2,6 +2,8 @@
 
 A killed worker of a process pool breaks the pool and every job in it. What was finished is kept, the rest starts again
 in a new pool; then the jobs that were under way are tried one by one, and one that ends its worker again is skipped.
+Dask starts its workers anew by itself, and blames every job that waited at workers that died: those are tried one by
+one in the same way.
 """
 
 from __future__ import annotations
@@ -103,6 +105,7 @@ class _Run:
         self._work, self._jobs, self._shared, self._tell, self._count = work, jobs, shared, tell, rows
         self._began = time.monotonic()
         self._said, self._what, self._rows = -_SAY, "", 0
+        self._blamed: list[str] = []
         self.results: dict[str, Any] = {}
         self.skipped: dict[str, str] = {}
 
@@ -119,6 +122,11 @@ class _Run:
         A round settles at least one job, a suspect, so that there are no more rounds than jobs.
         """
         suspects = self._pass(executor, list(self._jobs), ahead=_AHEAD * getattr(executor, "_max_workers", _WORKERS))
+        if self._blamed and not suspects:
+            blamed, self._blamed = self._blamed, []
+            suspects = self._pass(executor, blamed, ahead=1)
+            for name in self._blamed:
+                self.keep(name, (False, _KILLED))
         while left := self._left(self._jobs):
             if not isinstance(executor, ProcessPoolExecutor):
                 raise ConfigError("Expected an executor that goes on, but it broke. Start it anew and call again.")
@@ -158,8 +166,10 @@ class _Run:
                     error = future.exception()
                     if isinstance(error, BrokenExecutor):
                         return self._saved(running)
-                    killed = type(error).__name__ == _KILLED_BY_DASK
-                    self.keep(running.pop(future), (False, _KILLED) if killed else future.result())
+                    if type(error).__name__ == _KILLED_BY_DASK:
+                        self._blamed.append(running.pop(future))
+                    else:
+                        self.keep(running.pop(future), future.result())
         finally:
             for future in running:
                 future.cancel()
