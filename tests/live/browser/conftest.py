@@ -40,12 +40,9 @@ class Page:
             self.call(f"{domain}.enable")
         self.call("Target.setAutoAttach", autoAttach=True, waitForDebuggerOnStart=False, flatten=True)
 
-    def call(self, method: str, session: str | None = None, **parameters: Any) -> dict[str, Any]:
+    def call(self, method: str, **parameters: Any) -> dict[str, Any]:
         """Return the answer of the browser."""
-        self._number += 1
-        request = {"id": self._number, "method": method, "params": parameters}
-        self._socket.send(json.dumps(request | ({} if session is None else {"sessionId": session})))
-        number, until = self._number, time.monotonic() + PATIENCE
+        number, until = self._ask(method, None, **parameters), time.monotonic() + PATIENCE
         while time.monotonic() < until:
             message = json.loads(self._socket.recv(timeout=PATIENCE))
             if message.get("id") == number:
@@ -54,10 +51,17 @@ class Page:
             self._hear(message)
         raise TimeoutError(method)
 
+    def _ask(self, method: str, session: str | None, **parameters: Any) -> int:
+        """Return the number under which the answer comes."""
+        self._number += 1
+        request = {"id": self._number, "method": method, "params": parameters}
+        self._socket.send(json.dumps(request | ({} if session is None else {"sessionId": session})))
+        return self._number
+
     def _hear(self, event: dict[str, Any]) -> None:
         what, about = event.get("method", ""), event.get("params", {})
         if what == "Target.attachedToTarget":  # a worker: it has the socket to the server
-            self.call("Network.enable", session=about["sessionId"])
+            self._ask("Network.enable", about["sessionId"])  # not waited for: its answer may come after another's
         elif what in ("Network.requestWillBeSent", "Network.webSocketCreated"):
             self.requests.append(about["request"]["url"] if "request" in about else about["url"])
         elif what == "Runtime.exceptionThrown":

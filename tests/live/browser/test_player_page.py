@@ -185,10 +185,17 @@ def test_no_marker_without_an_arm(view: View) -> None:
 
 def test_pictures_change_while_playing_and_not_while_paused(view: View) -> None:
     view.at(2.0)
-    view.until("still", lambda found: not np.isnan(marker(found, view.project(tool_points(ARMS[0], 2.0)))).any())
-    first = view.picture("paused_1")
+    view.until("there", lambda found: not np.isnan(marker(found, view.project(tool_points(ARMS[0], 2.0)))).any())
+    last = [view.picture("still")]
+
+    def still(now: np.ndarray) -> bool:
+        """Whether all parts of the arms have come."""
+        before, last[0] = last[0], now
+        return equal(now, before)
+
+    first = view.until("paused_1", still)
     view.player.advance(1.0)
-    assert equal(first, view.picture("paused_2"))
+    assert all(equal(first, view.picture(f"paused_{k}")) for k in (2, 3))
     view.player.play()
     view.player.advance(1.0)
     second = view.until("playing", lambda found: not equal(found, first))
@@ -267,14 +274,9 @@ def test_a_force_that_may_be_zero_is_grey(view: View) -> None:
 
 def test_the_page_shows_curves_and_words(view: View) -> None:
     view.at(SHARP)
-    view.page.wait(
-        "document.body.innerText.includes('running') && document.querySelectorAll('.uplot canvas').length >= 4"
-    )
-    text = view.page.text()
-    assert "50.0 Hz" in text
-    assert "p50 400 µs" in text
-    assert "yumi_right" in text
-    assert "4.00 s: half way" in text
+    for words in ("running", "50.0 Hz", "p50 400 µs", "yumi_right", "4.00 s: half way"):
+        view.page.wait(f"document.body.innerText.includes({words!r})")
+    view.page.wait("document.querySelectorAll('.uplot canvas').length >= 4")
     script = """[...document.querySelectorAll('.uplot canvas')].map(canvas => {
         const data = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data, seen = {};
         for (let i = 0; i < data.length; i += 4) if (data[i + 3] > 250) {
