@@ -1,0 +1,137 @@
+"""The rules of docs/security.md that can be read from the sources: nothing that is read can run, nothing listens wide.
+
+As for the rules of structure, sources are read and never imported.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+SOURCE = ROOT / "src" / "armlab"
+FILES = sorted(SOURCE.rglob("*.py"))
+
+RUNS_DATA = {"pickle", "cPickle", "dill", "cloudpickle", "marshal", "shelve", "joblib", "runpy", "code", "ctypes"}
+"""Modules by which data can become code."""
+
+CALLS = {"eval", "exec", "compile", "__import__"}
+ATTRIBUTES = {("os", "system"), ("os", "popen"), ("tempfile", "mktemp"), ("yaml", "load"), ("yaml", "unsafe_load")}
+
+RUNS_THE_USERS_CODE = {  # file: what the user names on the command line is the user's own program
+    "cli/run.py": "the file of a controller; and a prompt after the run, when asked",
+}
+
+WIDE = {  # file: why "every address" stands there
+    "bridge/listening.py": "named by --listen",
+    "bridge/network.py": "armlab doctor listens where robots send, and answers nobody",
+    "bridge/ros/dds_domain.py": "recognises Cyclone's sockets to narrow them",
+    "bridge/zenoh/session.py": "recognises routers that anybody reaches, to refuse them",
+    "cli/record.py": "armlab record listens where robots send, and answers nobody",
+    "cli/__init__.py": "an example of a command",
+}
+
+
+@cache
+def nodes(path: Path) -> tuple[ast.AST, ...]:
+    return tuple(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+
+
+def found(path: Path, rule) -> Iterator[str]:
+    for node in nodes(path):
+        for what in rule(node):
+            yield f"{path.relative_to(SOURCE).as_posix()}:{node.lineno}: {what}"  # pyright: ignore
+
+
+def runs_data(node: ast.AST) -> list[str]:
+    """What could make code of data."""
+    if isinstance(node, ast.Import):
+        return [one.name for one in node.names if one.name.partition(".")[0] in RUNS_DATA]
+    if isinstance(node, ast.ImportFrom) and node.level == 0:
+        names = [node.module or "", *(one.name for one in node.names)]
+        return [one for one in names if one.partition(".")[0] in RUNS_DATA | {"spec_from_file_location"}]
+    if not isinstance(node, ast.Call):
+        return []
+    if isinstance(node.func, ast.Name):
+        return [node.func.id] if node.func.id in CALLS else []
+    if isinstance(node.func, ast.Attribute) and isinstance(node.func.value, ast.Name):
+        pair = (node.func.value.id, node.func.attr)
+        return [".".join(pair)] if pair in ATTRIBUTES else []
+    return []
+
+
+def uses_a_shell(node: ast.AST) -> list[str]:
+    """Programs are started with a list of words, never by a line for a shell, nor objects read by NumPy."""
+    if not isinstance(node, ast.Call):
+        return []
+    starts = ast.unparse(node.func).startswith("subprocess.")
+    bad = ("allow_pickle", "shell") if starts else ("allow_pickle",)
+    found = {one.arg: ast.unparse(one.value) for one in node.keywords if one.arg in bad}
+    return [f"{name}={value}" for name, value in found.items() if value != "False"]
+
+
+def listens_wide(node: ast.AST) -> list[str]:
+    """An address that stands for all of this computer, or a socket that is bound to one."""
+    if isinstance(node, ast.Constant) and isinstance(node.value, str):
+        return [repr(node.value)] if "0.0.0.0" in node.value else []
+    is_bind = isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "bind"
+    if is_bind and node.args and isinstance(node.args[0], ast.Tuple):  # pyright: ignore
+        host = node.args[0].elts[0]  # pyright: ignore
+        return ["bind to every address"] if isinstance(host, ast.Constant) and host.value == "" else []
+    return []
+
+
+def reads_without_a_bound(node: ast.AST) -> list[str]:
+    """A datagram or stream of a socket is read up to a size."""
+    is_read = isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)
+    return [node.func.attr] if is_read and node.func.attr in ("recv", "recvfrom") and not node.args else []  # pyright: ignore
+
+
+@pytest.mark.parametrize("rule", [runs_data, uses_a_shell])
+def test_what_is_read_cannot_run(rule) -> None:
+    said = [one for path in FILES for one in found(path, rule)]
+    assert [one for one in said if one.partition(":")[0] not in RUNS_THE_USERS_CODE] == []
+
+
+def test_the_users_own_code_runs_where_it_is_said() -> None:
+    for name in RUNS_THE_USERS_CODE:
+        assert list(found(SOURCE / name, runs_data))
+
+
+def test_only_what_is_listed_knows_all_addresses() -> None:
+    said = [one for path in FILES for one in found(path, listens_wide)]
+    assert sorted({one.partition(":")[0] for one in said}) == sorted(WIDE)
+
+
+def test_sockets_are_read_up_to_a_size() -> None:
+    assert [one for path in FILES for one in found(path, reads_without_a_bound)] == []
+
+
+def test_the_page_names_tests_that_are_there() -> None:
+    named = re.findall(r"`(tests/[^`]+)`", (ROOT / "docs/security.md").read_text(encoding="utf-8"))
+    assert len(named) > 10
+    assert [one for one in named if not (ROOT / one).exists()] == []
+
+
+BAD = {
+    "import pickle": runs_data,
+    "from marshal import loads": runs_data,
+    "from importlib.util import spec_from_file_location": runs_data,
+    "eval('1')": runs_data,
+    "os.system('ls')": runs_data,
+    "subprocess.run('ls', shell=True)": uses_a_shell,
+    "np.load(path, allow_pickle=True)": uses_a_shell,
+    "one = '0.0.0.0'": listens_wide,
+    "one.bind(('', 80))": listens_wide,
+    "one.recv()": reads_without_a_bound,
+}
+
+
+@pytest.mark.parametrize("line", BAD)
+def test_the_rules_see_what_they_forbid(line: str) -> None:
+    assert [what for node in ast.walk(ast.parse(line)) for what in BAD[line](node)]
