@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "arrays.h"
+#include "bytes.h"
 #include "kinematics.h"
 #include "lie.h"
 
@@ -19,22 +20,8 @@ constexpr std::size_t pose_numbers = 7;
 enum class Kind { copied, turned, pose };
 
 template <class T>
-T get(const char *from) {
-  T value;
-  std::memcpy(&value, from, sizeof value);
-  return value;
-}
-
-template <class T>
 void put(char *to, T value) {
   std::memcpy(to, &value, sizeof value);
-}
-
-std::string_view view(nb::handle bytes) {
-  char *data;
-  Py_ssize_t size;
-  if (PyBytes_AsStringAndSize(bytes.ptr(), &data, &size) < 0) throw nb::python_error();
-  return {data, static_cast<std::size_t>(size)};
 }
 
 struct Column {

@@ -16,7 +16,7 @@ from armlab.bridge.plotjuggler import Datagrams, serve
 from armlab.bridge.row import RowWriter
 from armlab.bridge.row_schema import RowSchema
 from armlab.bridge.servers import Servers, server_command
-from armlab.errors import ConfigError, UnknownName
+from armlab.errors import ConfigError, LinkError, UnknownName
 from armlab.log import Column, Tick
 from armlab.state import Command, State
 
@@ -105,3 +105,15 @@ def test_another_computer_only_where_the_cell_is_opened() -> None:
         serve(nobody, {**OPTIONS, "to": "192.0.2.1"})
     with socket.socket() as nobody, pytest.raises(ConfigError, match="Expected an IPv4 address"):
         serve(nobody, {**OPTIONS, "to": "300.0.0.1"})
+
+
+def test_arms_beside_each_other() -> None:
+    """Each row tells of its own arm, whichever came first; a row of another schema is refused."""
+    schema = RowSchema.of(ARMS)
+    made, writer = Datagrams(schema, ["q"]), RowWriter(schema)
+    for k, robot in enumerate(["yumi_left", "yumi_right", "yumi_left"]):
+        now = State(t=1.5, dt=0.004, q=np.full(7, k), qd=np.zeros(7), tau=np.zeros(7), robot=robot)
+        found = json.loads(made.datagram(writer.row(now, None, Tick(k, -1, k, 1 + k, -1, 0), 0)))
+        assert found == {"timestamp": 1e-9 * k, robot: {"q": {str(joint): k for joint in range(1, 8)}}}
+    with pytest.raises(LinkError, match="Expected a row of schema"):
+        made.datagram(row(RowSchema.of(ARMS[:1]), state()))

@@ -12,9 +12,10 @@ import msgspec
 
 from armlab.bridge.loop_end import LoopEnd
 from armlab.bridge.messages import Listening
-from armlab.bridge.row import read_row
+from armlab.bridge.row import WALL, read_head
 from armlab.bridge.row_schema import RowField, RowSchema
 from armlab.errors import ConfigError, UnknownName
+from armlab.kernels import JsonText
 
 __all__ = ["Datagrams", "serve"]
 
@@ -22,6 +23,8 @@ _FIELDS = ("q", "qd", "tau", "wrench", "wrench_hat", "q_sent", "qd_sent", "tau_s
 _LARGEST = 1400  # bytes towards other computers: one packet of a network
 _LARGEST_HERE = 65507
 _NUMBER = len("-1.2345678901234567e-308")
+_SLOT = b"\0"  # JSON has no such byte
+_FORMS = {"float64": b"d", "int64": b"q"}
 _STAMP = len('{"timestamp":1700000000.1234567}')
 
 
@@ -63,10 +66,12 @@ class Datagrams:
                     "does not any more. Choose fewer."
                 )
         self._parts = {
-            robot: [(name, field) for name in self.fields if (field := schema.fields.get(f"{robot}.{name}"))]
+            robot: [field for name in self.fields if (field := schema.fields.get(f"{robot}.{name}"))]
             for robot in schema.robots
         }
-        self._others = [(one.source, one.name.partition(".")[2], one) for one in others]
+        self._others = [one for one in others if one.type in _FORMS]
+        self._fresh = [(robot, schema.fields[f"{robot}.fresh"].offset) for robot in schema.robots]
+        self._texts: dict[tuple[str, ...], JsonText] = {}
 
     def datagram(self, data: bytes) -> bytes:
         """Return the datagram of a row: of the arm that it is the row of, and of all sources besides.
@@ -79,14 +84,25 @@ class Datagrams:
         ------
         LinkError : no row of the schema.
         """
-        row = read_row(self._schema, data)
-        found: dict[str, Any] = {"timestamp": 1e-9 * row.wall_ns}
-        for robot, parts in self._parts.items():
-            if row.values[f"{robot}.fresh"]:
-                found[robot] = {name: _plain(row.values[field.name]) for name, field in parts}
-        for source, name, field in self._others:
-            found.setdefault(source, {})[name] = _plain(row.values[field.name])
-        return msgspec.json.encode(found)
+        read_head(self._schema, data)
+        robots = tuple([robot for robot, place in self._fresh if any(data[place : place + 8])])
+        text = self._texts.get(robots)
+        if text is None:
+            text = self._texts[robots] = self._text(robots)
+        return text.of(data)
+
+    def _text(self, robots: Sequence[str]) -> JsonText:
+        """Return the text of rows of these arms."""
+        slots = [(WALL, b"t")]
+        found: dict[str, Any] = {"timestamp": msgspec.Raw(_SLOT), **{robot: {} for robot in robots}}
+        for field in [one for robot in robots for one in self._parts[robot]] + self._others:
+            count = math.prod(field.shape)
+            slots += [(field.offset + 8 * k, _FORMS[field.type]) for k in range(count)]
+            many = {str(k): msgspec.Raw(_SLOT) for k in range(1, count + 1)}
+            found.setdefault(field.source, {})[field.name.partition(".")[2]] = (
+                many if field.shape else msgspec.Raw(_SLOT)
+            )
+        return JsonText(msgspec.json.encode(found).split(_SLOT), slots)
 
 
 def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
@@ -124,13 +140,6 @@ def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
                         counts[0] += 1
                     except OSError:  # nobody listens there now
                         counts[1] += 1
-
-
-def _plain(values: Any) -> Any:
-    """Return numbers by their index from 1, as PlotJuggler names curves; a single number as it is."""
-    if isinstance(values, int | float):
-        return values
-    return {str(k): value for k, value in enumerate(values.ravel().tolist(), start=1)}
 
 
 def _size(field: RowField, owner: int) -> int:

@@ -13,6 +13,7 @@ from armlab.kernels._reference.estimator import WrenchEstimator
 from armlab.kernels._reference.euler import euler_from_rpy, euler_to_rpy
 from armlab.kernels._reference.hand_eye import hand_eye_rows
 from armlab.kernels._reference.inverse import InverseSolver
+from armlab.kernels._reference.json_text import JsonText
 from armlab.kernels._reference.lie import (
     quaternion_from_matrix,
     quaternion_multiply,
@@ -60,6 +61,7 @@ __all__ = [
     "EgmReader",
     "EgmWriter",
     "InverseSolver",
+    "JsonText",
     "MessageCopier",
     "MomentumEstimator",
     "Obstacles",
