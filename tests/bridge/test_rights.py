@@ -300,3 +300,14 @@ def test_a_stop_while_a_command_comes_into_force_wins() -> None:
     for _ in range(5):
         assert bench(order()) is None
         assert arbiter.stopped == "local 1"
+
+
+def test_a_client_of_ros_is_told_of_its_own_joints() -> None:
+    """Of fourteen numbers the right arm's are the last seven, and ROS calls a YuMi's joints by their place."""
+    bench = Bench((RIGHT,), ("rosbridge",))
+    q = np.array(RIGHT.q_home)
+    q[2] += 1.0
+    bench(Order("rosbridge a", RIGHT.name, q, first=7))
+    assert "for yumi_robr_joint_3 (number 10 of the message) of yumi_right, measured" in bench.answers[0][1]
+    bench(Order("rosbridge b", RIGHT.name, np.where(np.arange(7) == 3, np.nan, 0.0), first=0))
+    assert "but that of yumi_robr_joint_4 (number 4 of the message) is not" in bench.answers[1][1]

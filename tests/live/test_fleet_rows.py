@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections import deque
 
 import numpy as np
 import pytest
@@ -83,5 +84,28 @@ def test_a_silent_robot_and_rows_of_another_schema() -> None:
     seen.take(b"ALR1    " + schema.id)  # too short
     assert seen.state == "there"
     assert not seen.decode()
+    seen.listened(1.9)
+    assert seen.state == "there"
+    seen.listened(0.2)
+    assert seen.state == "silent"
     seen.take(bytes(schema.size))
     assert seen.wants
+
+
+def test_a_viewer_that_was_not_run_takes_no_robot_for_silent(fleet: Fleet) -> None:
+    """Time in which nobody listened says nothing of a robot; two seconds of listening do."""
+    rows = fleet.rows()
+    bridge = fleet.bridge(LEFT)
+    hear_fleet(rows, lambda: "lab1/yumi_left" in rows.robots and rows.robots["lab1/yumi_left"].state == "there")
+    seen, looks = rows.robots["lab1/yumi_left"], 0
+    rows._inbox = deque(maxlen=0)  # nothing of what comes is taken
+    for _ in range(3):
+        rows._looked -= 60.0
+        rows.hear(0.0)
+        assert seen.state == "there"
+    while seen.state == "there":
+        rows._looked -= 60.0
+        rows.hear(0.0)
+        looks += 1
+    assert looks > 10
+    bridge.close()

@@ -259,7 +259,7 @@ class Exchange:
             self._set(client, request, outlet.name == OPERATOR)
         elif isinstance(request, CommandRequest):
             q, qd, tau = (None if one is None else _numbers(one) for one in (request.q, request.qd, request.tau))
-            self.arbiter.submit(Order(client, request.arm, q, qd, tau, request.seq))
+            self.arbiter.submit(Order(client, request.arm, q, qd, tau, request.seq, request.first))
         elif isinstance(request, Resume | Release) and outlet.name == OPERATOR:
             self._obey_operator(request, client)
         elif isinstance(request, Release):

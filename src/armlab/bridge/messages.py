@@ -41,13 +41,14 @@ class _Message(msgspec.Struct, frozen=True, tag_field="kind", forbid_unknown_fie
 
 
 class CommandRequest(_Message, tag="command", frozen=True):
-    """References for one arm; see `rights.Order`. A number that is not finite stands as null."""
+    """References for one arm; see `order.Order`. A number that is not finite stands as null."""
 
     arm: str = ""
     q: _Joints | None = None
     qd: _Joints | None = None
     tau: _Joints | None = None
     seq: int | None = None
+    first: int | None = None
 
 
 class SetRequest(_Message, tag="set", frozen=True):

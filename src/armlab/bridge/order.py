@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from armlab.bridge.joint_names import called
 from armlab.robots import Robot
 from armlab.state import Command
 
@@ -19,6 +20,7 @@ class Order(NamedTuple):
     ----------
     client : identity of the connection, first its server: "labcomm 127.0.0.1:40312". arm : name of the robot.
     q, qd, tau : (n,) references, None for not commanded. seq : number in the client's order, None without one.
+    first : place of the first number in the ROS message, which may be for several arms; None when it came otherwise.
     """
 
     client: str
@@ -27,6 +29,7 @@ class Order(NamedTuple):
     qd: Any = None
     tau: Any = None
     seq: int | None = None
+    first: int | None = None
 
     @property
     def server(self) -> str:
@@ -43,7 +46,7 @@ def read_order(order: Order, robot: Robot, has_torque: bool = False) -> tuple[Co
     """
     values: dict[str, np.ndarray | None] = {}
     for name in ("q", "qd", "tau"):
-        values[name], problem = _vector(getattr(order, name), name, robot)
+        values[name], problem = _vector(getattr(order, name), name, robot, order.first)
         if problem:
             return Command(), problem
     if values["tau"] is not None and not has_torque:
@@ -54,7 +57,7 @@ def read_order(order: Order, robot: Robot, has_torque: bool = False) -> tuple[Co
     return Command(values["q"], values["qd"], values["tau"]), ""
 
 
-def _vector(values: Any, name: str, robot: Robot) -> tuple[np.ndarray | None, str]:
+def _vector(values: Any, name: str, robot: Robot, first: int | None) -> tuple[np.ndarray | None, str]:
     """Return the (n,) numbers of a command, and what is wrong with them."""
     if values is None:
         return None, ""
@@ -65,8 +68,7 @@ def _vector(values: Any, name: str, robot: Robot) -> tuple[np.ndarray | None, st
     if array.shape != (robot.n,):
         return None, f"Expected {robot.n} numbers in {name} for {robot.name}, got {np.shape(array)}."
     if not np.isfinite(array).all():
-        i = int(np.argmin(np.isfinite(array)))
-        joint = f"joint {i + 1} ({robot.joint_names[i]})"
+        joint = called(robot, int(np.argmin(np.isfinite(array))), first)
         return None, f"Expected finite numbers in {name} for {robot.name}, but that of {joint} is not."
     array.flags.writeable = False
     return array, ""

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from armlab.bridge.events import Tell, nobody
+from armlab.bridge.joint_names import called
 from armlab.bridge.limits import Limits
 from armlab.bridge.order import Order, read_order
 from armlab.robots import Robot
@@ -216,9 +217,13 @@ class Arbiter:
         q = command.q
         if q is not None and not problem:
             if holder is None:
-                problem = _distance(q, state.q, np.full(robot.n, self._entry), "first position", "measured", robot)
+                problem = _distance(
+                    q, state.q, np.full(robot.n, self._entry), "first position", "measured", robot, order.first
+                )
             else:
-                problem = _distance(q, _sent(state), self._jumps[order.arm], "position", "last sent", robot)
+                problem = _distance(
+                    q, _sent(state), self._jumps[order.arm], "position", "last sent", robot, order.first
+                )
         if problem:
             return self._refuse(order.client, problem, now)
         if holder is None:
@@ -271,13 +276,16 @@ def _sent(state: State) -> np.ndarray:
     return q if len(q) and not np.isnan(q).any() else state.q
 
 
-def _distance(q: np.ndarray, near: np.ndarray, bound: np.ndarray, what: str, where: str, robot: Robot) -> str:
+def _distance(
+    q: np.ndarray, near: np.ndarray, most: np.ndarray | float, what: str, where: str, robot: Robot, first: int | None
+) -> str:
     """Return the sentence for a position too far from another, "" when it is near enough."""
+    bound = np.broadcast_to(most, q.shape)
     excess = np.abs(q - near) - bound
     i = int(np.argmax(excess))
     if excess[i] <= 0.0:
         return ""
     return (
-        f"Expected the {what} within {bound[i]:g} of the one {where}, got {q[i]:.4f} for joint {i + 1} "
-        f"({robot.joint_names[i]}) of {robot.name}, {where} {near[i]:.4f}. {_CAUSES}"
+        f"Expected the {what} within {bound[i]:g} of the one {where}, got {q[i]:.4f} for "
+        f"{called(robot, i, first)} of {robot.name}, {where} {near[i]:.4f}. {_CAUSES}"
     )

@@ -21,7 +21,8 @@ __all__ = ["FleetRows", "SeenRobot"]
 
 _MOST = 1000  # robots
 _INBOX = 20_000  # messages that wait, the oldest are lost: ten seconds of fifty robots
-_SILENT = 2.0  # s without a row after which a robot is silent
+_SILENT = 2.0  # s of listening without a row after which a robot is silent
+_LATE = 0.1  # s: what a look takes longer than it was to wait is no listening, as the process may not have been run
 
 
 class SeenRobot:
@@ -49,7 +50,7 @@ class SeenRobot:
         self.rate = math.nan
         self._text, self._run = "", ""
         self._schema: RowSchema | None = None
-        self._heard = -math.inf
+        self._quiet = math.inf  # s of listening since the newest row
         self._data = b""
 
     def live(self, is_alive: bool) -> None:
@@ -61,7 +62,7 @@ class SeenRobot:
         """
         self.is_alive = is_alive
         self.wants = True
-        self._data, self._heard = b"", -math.inf
+        self._data, self._quiet = b"", math.inf
 
     def take(self, data: bytes | None) -> None:
         """Take a row.
@@ -75,7 +76,16 @@ class SeenRobot:
         elif self._schema is None or data[8:16] != self._schema.id:
             self.wants = True
         elif not self.wants:
-            self.rows, self._data, self._heard = self.rows + 1, data, time.monotonic()
+            self.rows, self._data, self._quiet = self.rows + 1, data, 0.0
+
+    def listened(self, seconds: float) -> None:
+        """Take that somebody listened; what came meanwhile is taken after this.
+
+        Parameters
+        ----------
+        seconds : how long.
+        """
+        self._quiet += seconds
 
     def describe(self, about: bytes) -> None:
         """Take what the bridge says of itself; what cannot be understood is asked again.
@@ -137,10 +147,10 @@ class SeenRobot:
 
     @property
     def state(self) -> str:
-        """How it is: "there", "silent" without a row for two seconds, "gone" when its bridge has, or the way."""
+        """How it is: "there", "silent" after two seconds of listening without a row, "gone" with its bridge."""
         if not self.is_alive:
             return "gone"
-        return "there" if time.monotonic() - self._heard < _SILENT else "silent"
+        return "there" if self._quiet < _SILENT else "silent"
 
 
 class FleetRows:
@@ -163,6 +173,7 @@ class FleetRows:
         self.place, self.robots = place, dict[str, SeenRobot]()
         self._inbox: deque[tuple[str, str, Any]] = deque(maxlen=_INBOX)  # append and popleft are atomic
         self._came = threading.Event()
+        self._looked = time.monotonic()
         self._session = place.open_behind(patience)
         self._asking = Asking(self._session, lambda lab, robot, data: self._put("describe", key(lab, robot, ""), data))
         declare, alive = self._session.declare_subscriber, key(place.lab, EVERY, "alive")
@@ -190,6 +201,10 @@ class FleetRows:
         """
         self._came.wait(seconds)
         self._came.clear()
+        now = time.monotonic()
+        listened, self._looked = min(now - self._looked, seconds + _LATE), now
+        for robot in self.robots.values():
+            robot.listened(listened)
         for _ in range(len(self._inbox)):
             what, where, data = self._inbox.popleft()
             lab, name = robot_of(where)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from armlab import kinematics, robots
-from armlab.bridge.ros.arm import Arm, header, joint_names
+from armlab.bridge.ros.arm import Arm, header
 from armlab.bridge.row import RowWriter, places
 from armlab.bridge.row_schema import RowSchema
 from armlab.log import Tick
@@ -50,10 +50,3 @@ def test_a_wrench_turns_with_the_tool() -> None:
 def test_a_header_holds_the_wall_clock() -> None:
     made = header(1_700_000_000_999_999_999, "tool")
     assert (made.stamp.sec, made.stamp.nanosec, made.frame_id) == (1_700_000_000, 999_999_999, "tool")
-
-
-def test_joints_of_a_yumi_have_the_names_of_abb_robot_driver() -> None:
-    left, right = joint_names(robots.load("yumi_left")), joint_names(robots.load("yumi_right_urdf"))
-    assert left == [f"yumi_robl_joint_{k}" for k in range(1, 8)]
-    assert right == [f"yumi_robr_joint_{k}" for k in range(1, 8)]
-    assert joint_names(ROBOT) == list(ROBOT.joint_names)

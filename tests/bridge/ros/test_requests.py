@@ -48,8 +48,8 @@ def test_numbers_may_be_a_list_a_tuple_or_an_array() -> None:
 
 def test_fourteen_numbers_are_left_then_right() -> None:
     both = COMMANDS.requests("/yumi/joint_group_velocity_controller/commands", [*range(14)], "me")
-    told = [(one.arm, one.qd) for one in both if isinstance(one, CommandRequest)]
-    assert told == [("yumi_left", [0, 1, 2, 3, 4, 5, 6]), ("yumi_right", [7, 8, 9, 10, 11, 12, 13])]
+    told = [(one.arm, one.qd, one.first) for one in both if isinstance(one, CommandRequest)]
+    assert told == [("yumi_left", [0, 1, 2, 3, 4, 5, 6], 0), ("yumi_right", [7, 8, 9, 10, 11, 12, 13], 7)]
 
 
 def test_a_cell_of_one_arm_has_no_topics_of_two() -> None:

@@ -11,9 +11,9 @@ import pytest
 
 from armlab import robots
 from armlab.bridge.feed import Exchange
+from armlab.bridge.joint_names import joint_names
 from armlab.bridge.parameters import Parameter, Parameters
 from armlab.bridge.ros import store
-from armlab.bridge.ros.arm import joint_names
 from armlab.bridge.ros.rmw_zenoh_names import Names, Origin, Writer
 from armlab.errors import ConfigError, LinkError
 from armlab.log import Tick

@@ -21,9 +21,9 @@ import pytest
 from armlab import robots
 from armlab.bridge.cell import parse_cell, run_cell
 from armlab.bridge.feed import Exchange
+from armlab.bridge.joint_names import joint_names
 from armlab.bridge.outlet import pair
 from armlab.bridge.parameters import Parameter, Parameters
-from armlab.bridge.ros.arm import joint_names
 from armlab.bridge.ros1.process import Ros1Process, serve
 from armlab.bridge.servers import Servers, server_command
 from armlab.errors import LinkError

@@ -144,9 +144,9 @@ def test_commands_carry_the_identity_of_the_connection(bench: Bench) -> None:
     me = "127.0.0.1:4711"
     zeros = [0.0] * 7
     assert bench.loop.asked == [
-        CommandRequest(me, "yumi_left", q=SEVEN),
-        CommandRequest(me, "yumi_left", qd=zeros),
-        CommandRequest(me, "yumi_right", qd=zeros),
+        CommandRequest(me, "yumi_left", q=SEVEN, first=0),
+        CommandRequest(me, "yumi_left", qd=zeros, first=0),
+        CommandRequest(me, "yumi_right", qd=zeros, first=7),
         SetRequest(me, {"gain": 1.0}),
         Stop(me),
         Leave(me),

@@ -14,9 +14,7 @@ from armlab.bridge.ros.types import store
 from armlab.lie import quaternion
 from armlab.robots import Robot
 
-__all__ = ["Arm", "header", "joint_names"]
-
-_YUMI = (1, 2, 7, 3, 4, 5, 6)
+__all__ = ["Arm", "header"]
 
 
 class Arm:
@@ -72,20 +70,6 @@ class Arm:
         """Return the covariance (6, 6) of a wrench in the axes of the tool."""
         both = np.kron(np.eye(2), self.T_base_tool[:3, :3])
         return both.T @ cov @ both
-
-
-def joint_names(robot: Robot) -> list[str]:
-    """Return the names of the joints in ROS: the description's, but of a YuMi those of abb_robot_driver.
-
-    Those count from base to tool; ABB, and so the description, calls the third of a YuMi's joints the seventh.
-
-    Parameters
-    ----------
-    robot : the arm.
-    """
-    if robot.abb_axes == _YUMI and robot.side:
-        return [f"yumi_rob{robot.side[0]}_joint_{k}" for k in range(1, robot.n + 1)]
-    return list(robot.joint_names)
 
 
 def header(stamp_ns: int, frame_id: str = "") -> Any:

@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from armlab.bridge.ros.arm import Arm, header, joint_names
+from armlab.bridge.joint_names import joint_names
+from armlab.bridge.ros.arm import Arm, header
 from armlab.bridge.ros.types import store
 from armlab.robots import Robot
 

@@ -11,8 +11,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from armlab.bridge.joint_names import called
 from armlab.bridge.messages import CommandRequest, Request, SetRequest, Stop
-from armlab.bridge.ros.arm import joint_names
 from armlab.errors import CommandRefused
 from armlab.robots import Robot
 
@@ -72,9 +72,12 @@ class Commands:
         field, names = self._orders[topic]
         values = _numbers(topic, content, [self._robots[name] for name in names])
         found: list[Request] = []
+        first = 0
         for name in names:
-            mine, values = values[: self._robots[name].n], values[self._robots[name].n :]
-            found.append(msgspec.structs.replace(CommandRequest(client, name), **{field: mine}))
+            end = first + self._robots[name].n
+            request = CommandRequest(client, name, first=first)
+            found.append(msgspec.structs.replace(request, **{field: values[first:end]}))
+            first = end
         return found
 
 
@@ -91,7 +94,8 @@ def _numbers(topic: str, content: Any, arms: Sequence[Robot]) -> list[float]:
         raise CommandRefused(f"Expected {count} numbers on {topic}, got {len(values)}.")
     bad = [k for k, value in enumerate(values) if not math.isfinite(value)]
     if bad:
-        joints = [name for arm in arms for name in joint_names(arm)]
+        firsts = np.cumsum([0, *(arm.n for arm in arms)]).tolist()
+        joints = [called(arm, i, first) for arm, first in zip(arms, firsts, strict=False) for i in range(arm.n)]
         raise CommandRefused(f"Expected finite numbers on {topic}, got {values[bad[0]]} for {joints[bad[0]]}.")
     return values
 
