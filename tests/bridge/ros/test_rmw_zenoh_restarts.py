@@ -36,7 +36,9 @@ class Cell:
     """A loop with a row every 4 ms, the server, and a node that has no way to it but the router."""
 
     def __init__(self, router: int) -> None:
-        self.exchange = Exchange([ARM], ["rmw_zenoh"], None, ["rmw_zenoh"], about={"cell": "yumi", "commands": ["rmw_zenoh"]})
+        self.exchange = Exchange(
+            [ARM], ["rmw_zenoh"], None, ["rmw_zenoh"], about={"cell": "yumi", "commands": ["rmw_zenoh"]}
+        )
         self.feed = self.exchange.open("rmw_zenoh")
         place = {"host": "127.0.0.1", "port": 0, "router": f"127.0.0.1:{router}"}
         self.server = RmwZenohServer(self.feed, {"domain": 0, "distribution": "jazzy", **place})
