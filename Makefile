@@ -12,7 +12,7 @@ PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(TOGETHER) --dist workst
 # Tests start many programs: with bytecode kept none of them compiles the package again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo test slow reference check docs bench api clean
+.PHONY: help setup demo test slow reference check docs bench fuzz api clean
 
 help:  ## list the commands
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "make %-8s %s\n", $$1, $$2}'
@@ -49,6 +49,13 @@ docs: $(STAMP)  ## build the documentation into docs/_build, from scratch: nothi
 
 bench: $(STAMP)  ## benchmarks side by side with peers (a separate environment)
 	$(BIN)/python benchmarks/run.py
+
+FUZZ_SECONDS ?= 600
+fuzz: $(STAMP)  ## fuzz every decoder for FUZZ_SECONDS, guided by coverage
+	@$(BIN)/python -c "import atheris" 2>/dev/null || \
+	  $(PIP) install --quiet --only-binary :all: --constraint constraints.txt "atheris>=3.0" 2>/dev/null || \
+	  { echo "Expected a Python that atheris has a wheel for, such as 3.11 on Linux, got another, or no network."; exit 1; }
+	$(BIN)/python fuzz/run.py --seconds $(FUZZ_SECONDS)
 
 api: $(STAMP)  ## list the public names anew, after a change that is meant
 	$(BIN)/python tests/style/test_public_api.py

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from armlab.bridge.address import Address, addresses
+from armlab.bridge.address import Address, addresses, split_url
 from armlab.errors import ConfigError
 
 
@@ -33,3 +33,12 @@ def test_a_number_of_robots_that_is_not_that_of_the_urls() -> None:
         addresses(["sim://a+b"], 1)
     with pytest.raises(ConfigError, match="got None"):
         addresses([None], 1)  # type: ignore[list-item]
+
+
+def test_half_a_bracket_is_no_address() -> None:
+    assert split_url("egm://[::1]:6510/a").port == 6510
+    for url in ("egm://[::1", "sim://a]"):
+        with pytest.raises(ConfigError, match="Expected a url like egm"):
+            split_url(url)
+        with pytest.raises(ConfigError, match="Expected a url like egm"):
+            addresses([url], 1)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import NamedTuple
-from urllib.parse import parse_qsl, urlsplit
+from urllib.parse import SplitResult, parse_qsl, urlsplit
 
 from armlab.errors import ConfigError
 
-__all__ = ["Address", "addresses"]
+__all__ = ["Address", "addresses", "split_url"]
 
 _PORT = 6510  # of one arm
 _PORTS = 6511  # of the first of several: 6511 left, 6512 right
@@ -58,9 +58,26 @@ def addresses(urls: Sequence[str], count: int) -> list[Address]:
     return found
 
 
+def split_url(url: str) -> SplitResult:
+    """Return the parts of a url.
+
+    Parameters
+    ----------
+    url : of any form.
+
+    Raises
+    ------
+    ConfigError : no url, or half a bracket of an IPv6 address.
+    """
+    try:
+        return urlsplit(url if isinstance(url, str) else "")
+    except ValueError as error:
+        raise ConfigError(f"Expected a url like egm://127.0.0.1:6510, got {url!r} ({error}).") from None
+
+
 def _taken_apart(url: str, port: int, rows: int) -> list[Address]:
-    parts = urlsplit(url) if isinstance(url, str) else None
-    if parts is None or parts.scheme not in ("egm", "sim", "labcomm", "zenoh") or not parts.netloc:
+    parts = split_url(url)
+    if parts.scheme not in ("egm", "sim", "labcomm", "zenoh") or not parts.netloc:
         raise ConfigError(f"Expected a link like egm://127.0.0.1:6510 or sim://yumi_right, got {url!r}.")
     options = dict(parse_qsl(parts.query, keep_blank_values=True))
     if parts.scheme == "sim":

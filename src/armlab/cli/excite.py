@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
-from urllib.parse import urlsplit
 
 from cyclopts import Parameter
 
@@ -183,9 +182,10 @@ def _plain(expected: Expectation) -> dict[str, Any]:
 
 def _check_link(robot: Robot, url: str) -> None:
     """Refuse a simulated arm of another name: the log would say that it is of this one."""
+    from armlab.bridge.address import split_url
     from armlab.errors import ConfigError
 
-    link = urlsplit(url)
+    link = split_url(url)
     if not link.netloc:
         raise ConfigError(f"Expected a link like egm://127.0.0.1:6510 or sim://{robot.name}, got {url!r}.")
     if link.scheme == "sim" and link.netloc != robot.name:

@@ -164,12 +164,10 @@ def _raised_at(error: Exception) -> str:
 
 def _check_links(urls: list[str], names: list[str]) -> None:
     """Refuse links that cannot be, and simulated arms of other names: the log would say that it is of these."""
-    from urllib.parse import urlsplit
-
-    from armlab.bridge.address import addresses
+    from armlab.bridge.address import addresses, split_url
     from armlab.errors import ConfigError
 
-    links = [urlsplit(url) for url in urls]
+    links = [split_url(url) for url in urls]
     simulated = [name for link in links if link.scheme == "sim" for name in link.netloc.split("+")]
     if simulated and simulated != names:
         raise ConfigError(

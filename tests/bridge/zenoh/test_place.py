@@ -21,6 +21,8 @@ def test_urls(tmp_path: Path) -> None:
     for url in ("http://host", "zenoh://", "zenoh://host/a/b", "zenoh://host/*", "zenoh://host:x", "zenoh"):
         with pytest.raises(ConfigError, match="Expected a place like"):
             Place.read(url)
+    with pytest.raises(ConfigError, match="Invalid IPv6"):
+        Place.read("zenoh://[::1/a")
     with pytest.raises(ConfigError, match="only ca and secret"):
         Place.read("zenoh://host?seed=1")
     with pytest.raises(ConfigError, match="there is none"):

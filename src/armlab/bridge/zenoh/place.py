@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import time
 from typing import Any, NamedTuple
-from urllib.parse import parse_qsl, urlsplit
+from urllib.parse import parse_qsl
 
+from armlab.bridge.address import split_url
 from armlab.bridge.zenoh.security import Security
 from armlab.bridge.zenoh.session import close_session, open_session, queried, wait_for_router
 from armlab.errors import ConfigError, LinkError
@@ -50,7 +51,7 @@ class Place(NamedTuple):
         ------
         ConfigError : another form, other options, or see `Security`.
         """
-        parts = urlsplit(url)
+        parts = split_url(url)
         try:
             host, port = parts.hostname, parts.port
         except ValueError:

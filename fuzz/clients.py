@@ -1,0 +1,190 @@
+"""What clients of the servers send: rosbridge, ROS over DDS and Zenoh, Zenoh, LabComm, UDP, requests to the loop."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import socket
+from collections.abc import Callable
+from functools import cache
+from types import SimpleNamespace
+from typing import Any
+
+import msgspec
+
+from armlab import robots
+from armlab.bridge.labcomm.channels import ArmChannel
+from armlab.bridge.labcomm.parameter_channel import ParameterChannel
+from armlab.bridge.labcomm.peer import Peer
+from armlab.bridge.messages import parameter_message, read_request
+from armlab.bridge.parameters import Parameter, Parameters
+from armlab.bridge.ros import Commands
+from armlab.bridge.ros.rmw_zenoh_names import Names, Origin
+from armlab.bridge.ros.rmw_zenoh_nodes import Nodes
+from armlab.bridge.ros.ros2 import content
+from armlab.bridge.rosbridge import Engine
+from armlab.bridge.row import read_row
+from armlab.bridge.row_schema import RowSchema
+from armlab.bridge.udp import UdpSource
+from armlab.bridge.zenoh.process import ZenohProcess
+from armlab.errors import ArmlabError, CommandRefused, LabCommError
+from armlab.log import Column
+from armlab.robots import to_toml
+from armlab.wire.labcomm import Encoder
+
+_NOW = 10**12
+
+
+@cache
+def _arms() -> dict[str, Any]:
+    return {name: robots.load(name) for name in ("yumi_left", "yumi_right")}
+
+
+@cache
+def _schema() -> RowSchema:
+    return RowSchema.of(list(_arms().values()))
+
+
+class _Loop:
+    """What a server needs of the loop; every request must be one that the loop can read."""
+
+    def __init__(self) -> None:
+        self.schema = _schema()
+        self.about: dict[str, Any] = {"cell": "yumi", "robots": {arm.name: to_toml(arm) for arm in _arms().values()}}
+        declared = Parameters([Parameter("gain", 0.5, minimum=0.0, maximum=1.0), Parameter("note", "a", "text")])
+        said = json.loads(parameter_message(declared))
+        self.parameters = {one["name"]: one for one in said["parameters"]}
+
+    def ask(self, request: Any) -> bool:
+        """Take a request."""
+        text = msgspec.json.encode(request)
+        if len(text) <= 65536:
+            read_request(text)
+        return True
+
+
+@cache
+def _engine() -> Engine:
+    return Engine(_Loop())
+
+
+def rosbridge(data: bytes) -> None:
+    """Texts of a client, line by line: no exception, and what goes out is JSON."""
+    engine = _engine()
+    session = engine.join("127.0.0.1:5000")
+    try:
+        for line in data.split(b"\n")[:8]:
+            engine.take(session, line.decode(errors="surrogateescape"), _NOW)
+        engine.take(session, data, _NOW)
+        engine.turn(_NOW + 2 * 10**9)
+        for one in session.outbox.take(2**30):
+            json.loads(one)
+    finally:
+        engine.leave(session)
+
+
+@cache
+def _commands() -> Commands:
+    return Commands("yumi", _arms())
+
+
+def ros_command(data: bytes) -> None:
+    """A message of ROS in CDR, or its content in JSON, as the node of ROS 1 says it, to a topic of the first byte."""
+    topics = list(_commands().types)
+    topic, raw = topics[(data[0] if data else 0) % len(topics)], data[1:]
+    reads: list[Callable[[], Any]] = [lambda: content(_commands().types[topic], raw)]
+    try:
+        said = json.loads(raw)
+    except (ValueError, RecursionError):
+        pass
+    else:
+        reads.append(lambda: said)
+    for read in reads:
+        try:
+            for request in _commands().requests(topic, read(), "me"):
+                _Loop.ask(None, request)  # type: ignore[arg-type]
+        except CommandRefused:
+            pass
+
+
+def _graph(data: bytes) -> None:
+    """Tokens of the graph line by line, and the bytes attached to a message behind the last."""
+    *tokens, attached = data.split(b"\n")
+    nodes = Nodes(lambda client: None)
+    for number, token in enumerate(tokens[:16]):
+        nodes.token(token.decode(errors="replace"), number % 3 != 2)
+    origin = Origin.read(attached)
+    if origin is not None:
+        assert origin.pack() == attached
+        assert nodes.client(origin)
+    name = tokens[0].decode(errors="replace") if tokens else ""
+    names = Names(0, "a1")
+    assert names.data(name, "std_msgs/msg/String").startswith("0/")
+
+
+class _Bytes(SimpleNamespace):
+    def to_bytes(self) -> bytes:
+        """Return the bytes, as Zenoh's have it."""
+        return self.raw
+
+
+@cache
+def _zenoh() -> ZenohProcess:
+    server = object.__new__(ZenohProcess)  # without a session
+    server._loop, server._lab, server._answers = _Loop(), "lab", {}  # type: ignore[assignment]
+    server._session = SimpleNamespace(put=lambda key, text: text.encode())
+    return server
+
+
+def zenoh(data: bytes) -> None:
+    """A command, a setting or a stop: length and last word of the key, length and attachment, payload.
+
+    And the same bytes as rmw_zenoh has tokens and attachments.
+    """
+    _graph(data)
+    first = data[0] if data else 0
+    word, data = data[1 : 1 + first], data[1 + first :]
+    second = data[0] if data else 0
+    attached = _Bytes(raw=data[1 : 1 + second]) if second else None
+    name = word.decode(errors="replace") or "position"
+    sample = SimpleNamespace(key_expr=f"armlab/lab/yumi_left/command/{name}", payload=_Bytes(raw=data[1 + second :]))
+    sample.attachment = attached
+    for take in (_zenoh()._command, _zenoh()._set, _zenoh()._stop):
+        take("yumi_left", sample)
+
+
+def labcomm_client(data: bytes) -> None:
+    """What a client of a LabComm server sends: commands to an arm's port, or settings."""
+    ours, theirs = socket.socketpair()
+    with ours, theirs:
+        peer = Peer(ours, "127.0.0.1:5000", Encoder())
+        values = {"gain": 0.5, "on": True, "note": "a", "list": [1.0, 2.0]}
+        channels = ArmChannel("left", 0, lambda *said: None), ParameterChannel(values)
+        channel = channels[(data[0] if data else 0) % 2]
+        channel.greet(peer)
+        try:
+            for event in peer.decoder.feed(data[1:]):
+                with contextlib.suppress(LabCommError):
+                    channel.take(peer, event, [peer])
+        except LabCommError:
+            pass
+        channel.left(peer)
+
+
+def _datagram(data: bytes) -> None:
+    fields = {"force": Column(shape=(3,), unit="N", frame="base"), "on": Column(unit="1")}
+    for layout in ("json", {"force": "<f4", "on": "u1", "seq": "<u8"}):
+        source = UdpSource("sensor", fields, 0.01, 0, layout)  # type: ignore[arg-type]
+        if source._take(data, _NOW, 1):
+            source._take(data, _NOW + 1, 1)
+        else:
+            assert source.drops == 1
+
+
+def request(data: bytes) -> None:
+    """A request to the loop, a row, the schema of rows, a datagram to a source of numbers."""
+    _datagram(data)
+    reads = (read_request, RowSchema.read, lambda raw: dict(read_row(_schema(), raw).values))
+    for read in reads:
+        with contextlib.suppress(ArmlabError):
+            read(data)

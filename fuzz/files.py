@@ -1,0 +1,97 @@
+"""Files: logs of all formats that are decoded here, and the secrets of attached settings."""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from armlab import log, robots
+from armlab.errors import ArmlabError
+from armlab.log.redaction import redacted
+
+_FOLDER = tempfile.TemporaryDirectory(prefix="armlab-fuzz-")
+_RATE = 250.0
+
+
+def _file(name: str, data: bytes) -> Path:
+    path = Path(_FOLDER.name) / name
+    path.write_bytes(data)
+    return path
+
+
+def mcap(data: bytes) -> None:
+    """An MCAP file, torn or not: what is read of it is read of its recovered copy."""
+    path, copy = _file("a.mcap", data), Path(_FOLDER.name) / "b.mcap"
+    copy.unlink(missing_ok=True)
+    with contextlib.suppress(ArmlabError):
+        log.inspect(path)
+    try:
+        table = log.read(path)
+    except ArmlabError:
+        table = None
+    try:
+        log.recover(path, copy)
+        again = log.read(copy)
+    except ArmlabError:
+        assert table is None or not len(table), "rows that are read are lost by recover"
+        return
+    if table is not None:
+        assert table.names == again.names
+        assert all(_equal(table[name], again[name]) for name in table.names)
+
+
+def _equal(a: np.ndarray, b: np.ndarray) -> bool:
+    return np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
+
+
+def text(data: bytes) -> None:
+    """A text file of numbers, of ABB's research interface or of a tracker, a description of it behind NUL.
+
+    What is read and written as text is read back.
+    """
+    content, _, beside = data.partition(b"\0\0")
+    described = Path(_FOLDER.name) / "a.csv.toml"
+    described.unlink(missing_ok=True)
+    if beside:
+        described.write_bytes(beside)
+    path = _file("a.csv", content)
+    for read in (log.nikon.read_cloud, log.nikon.read_plane):
+        with contextlib.suppress(ArmlabError):
+            read(path)
+    try:
+        table = log.read_csv(path, rate=None if beside else _RATE if b"rate" in content[:64] else None)
+    except ArmlabError:
+        return
+    with contextlib.suppress(ArmlabError):
+        log.from_orca(table, robots.load("yumi_left"), 0)
+    if not len(table):
+        return
+    try:
+        written = log.write(table, Path(_FOLDER.name) / "b.csv")
+    except ArmlabError:
+        return
+    again = log.read(written)
+    assert again.names == table.names
+    assert all(_equal(table[name], again[name]) for name in table.names)
+
+
+def abb(data: bytes) -> None:
+    """A text file of test signals, and its map behind NUL."""
+    content, _, about = data.partition(b"\0\0")
+    with contextlib.suppress(ArmlabError):
+        log.read_abb(_file("signals.txt", content), _file("map.toml", about))
+
+
+def bag(data: bytes) -> None:
+    """A bag of ROS 1; `rosbags` takes it apart."""
+    with contextlib.suppress(ArmlabError):
+        log.read(_file("a.bag", data))
+
+
+def secrets(data: bytes) -> None:
+    """Settings that are attached to a log."""
+    for ending in ("toml", "json", "yaml", "ini"):
+        redacted(f"a.{ending}", data)

@@ -1,0 +1,164 @@
+"""What comes over sockets as EGM and LabComm, and messages in CDR."""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from armlab import log, robots
+from armlab.bridge.port import Arrival
+from armlab.bridge.session import Session
+from armlab.errors import ArmlabError, LabCommError, LogError
+from armlab.wire import cdr
+from armlab.wire.egm import Drop, EgmCodec, Packet, Reference, RobotMessage, RobotSideCodec
+from armlab.wire.labcomm import Decoder, Sample, parse_lc, to_lc, write_packet
+
+_FOLDER = tempfile.TemporaryDirectory(prefix="armlab-fuzz-")
+_ARMS = ("yumi_left", "irb120", "irb2400")
+_CLOSE = {"rtol": 1e-12, "atol": 1e-300, "equal_nan": True}
+
+
+def pieces(data: bytes) -> Iterator[bytes]:
+    """Yield what stands behind each length (uint16, big-endian)."""
+    while len(data) >= 2:
+        stop = 2 + int.from_bytes(data[:2], "big")
+        yield data[2:stop]
+        data = data[stop:]
+
+
+@cache
+def _arm(number: int) -> Any:
+    return robots.load(_ARMS[number % len(_ARMS)])
+
+
+def egm_robot(data: bytes) -> None:
+    """Two packets of a robot: read by the layout of the first, the second is what parsing it anew gives."""
+    arm = _arm(data[0] if data else 0)
+    codec = EgmCodec(arm, extension=True)
+    found = Drop("unparsable", "")
+    for packet in list(pieces(data[1:]))[:4]:
+        fresh = EgmCodec(arm, extension=True)
+        fresh.robotware = codec.robotware
+        found, parsed = codec.decode(packet), fresh.decode(packet)
+        assert _same(found, parsed), (found, parsed)
+        codec.details(packet)
+    if isinstance(found, Packet):
+        _said_again(arm, found)
+
+
+def _same(a: Any, b: Any) -> bool:
+    if type(a) is not type(b):
+        return False
+    return all(
+        np.array_equal(x, y, equal_nan=True) if isinstance(x, np.ndarray) else x == y or x != x for x, y in zip(a, b)
+    )
+
+
+def _said_again(arm: Any, packet: Packet) -> None:
+    """What the robot's side writes of a packet is read back."""
+    said = RobotMessage(packet.seqno, packet.tm_ms, packet.q, utilization=packet.utilization)
+    heard = EgmCodec(arm).decode(RobotSideCodec(arm, "6.10").encode_robot(said))
+    assert isinstance(heard, Packet), heard
+    assert (heard.seqno, heard.tm_ms) == (packet.seqno, packet.tm_ms)
+    if np.abs(packet.q).max() < 1e300:  # else degrees are infinite
+        np.testing.assert_allclose(heard.q, packet.q, **_CLOSE)
+
+
+def egm_sensor(data: bytes) -> None:
+    """A reply to the robot; what it asks for comes back when the bridge writes it."""
+    arm = _arm(data[0] if data else 0)
+    side = RobotSideCodec(arm)
+    found = side.decode_sensor(data[1:])
+    if isinstance(found, Drop) or found.q is None or not np.isfinite(found.q).all() or np.abs(found.q).max() > 1e300:
+        return
+    reference = Reference(found.q, None, None, found.seqno or 0, found.tm_ms or 0)
+    again = side.decode_sensor(EgmCodec(arm).encode(reference))
+    assert not isinstance(again, Drop), again
+    np.testing.assert_allclose(again.q, found.q, **_CLOSE)
+
+
+def egm_session(data: bytes) -> None:
+    """Packets with a port and a time before each: two bytes."""
+    session, ns = Session(EgmCodec(_arm(data[0] if data else 0))), 10**12
+    for piece in pieces(data[1:]):
+        if len(piece) >= 2:
+            ns += 4_000_000 * piece[1] // 16
+            sample = session.accept(Arrival(piece[2:], ("127.0.0.1", 6510 + piece[0] % 2), ns))
+            assert sample is None or np.isfinite(sample.qd).all() or not np.isfinite(sample.packet.q).all()
+            session.replied(ns)
+    session.end()
+
+
+def labcomm(data: bytes) -> None:
+    """A stream in one piece and in many: the same events, the same fault; written again, the same events; as a log."""
+    cut, stream = 1 + (data[0] if data else 0), data[1:]
+    whole, fault = _events(stream, len(stream) + 1)
+    parts, same = _events(stream, cut)
+    assert repr(whole) == repr(parts)
+    assert (fault is None) == (same is None)
+    assert fault is None or same is None or (str(fault), fault.offset) == (str(same), same.offset)
+    dialect = _dialect(stream)
+    if whole and dialect is not None:
+        written = b"".join(write_packet(event, dialect) for event in whole)
+        again, refused = _events(written, len(written) + 1)
+        assert refused is None, refused
+        assert repr(again) == repr(whole)
+    if any(isinstance(event, Sample) for event in whole):
+        _as_log(stream)
+
+
+def _as_log(stream: bytes) -> None:
+    path = Path(_FOLDER.name) / "stream"
+    path.write_bytes(stream)
+    for rate in (None, 250.0):
+        with contextlib.suppress(ArmlabError):
+            log.read_labcomm(path, rate=rate)
+
+
+def _events(stream: bytes, size: int) -> tuple[list[Any], LabCommError | None]:
+    decoder, found = Decoder(), []
+    try:
+        for start in range(0, len(stream), size):
+            found += decoder.feed(stream[start : start + size])
+        decoder.close()
+    except LabCommError as error:
+        return [*found, *error.events], error
+    return found, None
+
+
+def _dialect(stream: bytes) -> str | None:
+    decoder = Decoder()
+    with contextlib.suppress(LabCommError):
+        decoder.feed(stream)
+    return decoder.dialect
+
+
+def _language(text: str) -> None:
+    """What is written of declarations declares the same."""
+    try:
+        found = parse_lc(text, "2014i")
+        again = parse_lc(to_lc(found), "2014i")
+    except LabCommError:
+        return
+    assert again == found
+
+
+def definitions(data: bytes) -> None:
+    """Declarations of LabComm, or a definition of a message type of ROS, and a message in CDR behind NUL."""
+    text, _, raw = data.partition(b"\0\0")
+    _language(text.decode(errors="replace"))
+    name = "a/msg/B"
+    encoding = "ros2idl" if text.startswith(b"module") else "ros2msg"
+    try:
+        types = cdr.definitions(name, text.decode(errors="replace"), encoding)
+        if name in types:
+            found = cdr.layout(raw, name, types)
+            assert all(field.stop <= len(raw) for field in found.fields)
+    except LogError:
+        pass
