@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from armlab.identify.base_parameters import BaseParameters
+from armlab.identify.friction_columns import FrictionColumns
 from armlab.identify.plausibility import slow_enough
 from armlab.identify.preparation import Prepared
 from armlab.identify.thinning import Thinning
-from armlab.kernels import presliding
 from armlab.robots import Robot
 
 __all__ = ["SMOOTH", "Columns"]
@@ -47,6 +47,12 @@ class Columns:
     def cycles(self) -> np.ndarray:
         """Ripple line of each joint (J,) [rad/rad]: strain-wave gears press twice per input turn."""
         return 2.0 * np.abs(np.diag(np.linalg.inv(self.robot.coupling)))[self.joints]
+
+    @property
+    def friction(self) -> FrictionColumns:
+        """What makes the columns that depend on the shape of friction."""
+        data, joints = self.data, self.joints
+        return FrictionColumns(self.thinning, data.q[:, joints], data.qd[:, joints], data.resolution[joints])
 
     def plain(self, qdd: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return what has neither shape nor base parameters.
@@ -112,26 +118,8 @@ class Columns:
         ----------
         delta, smooth : (J,) shape of the sign. speeds : (S, J) of Stribeck's term.
         """
-        data, joints, J = self.data, self.joints, len(self.joints)
-        sign = self._sign(delta, smooth)
-
-        def columns(a: int, b: int) -> np.ndarray:
-            s, qd = sign[a:b], data.qd[a:b, joints]
-            bumps = [s * np.exp(-((qd / speed) ** 2)) for speed in speeds]
-            return np.concatenate([np.maximum(s, 0.0), np.minimum(s, 0.0), s * np.sqrt(np.abs(qd)), *bumps], axis=1)
-
-        count = 3 + len(speeds)
-        return np.moveaxis(self.thinning.run(columns, J * count).reshape(-1, count, J), 1, 2)
-
-    def _sign(self, delta: np.ndarray, smooth: np.ndarray) -> np.ndarray:
-        """Return s (N, J) along the record: presliding state, or smooth sign."""
-        data, joints = self.data, self.joints
-        z = np.empty((len(data.q), len(joints)))
-        for a, b in data.segments:
-            z[a:b] = presliding(np.ascontiguousarray(data.q[a:b, joints]), delta, data.resolution[joints])
-        for i in np.flatnonzero(smooth > 0):
-            z[:, i] = np.tanh(data.qd[:, joints[i]] / smooth[i])
-        return z
+        friction = self.friction
+        return friction.columns(friction.sign(delta, smooth), [friction.bell(speed) for speed in speeds])
 
     def coupled_sign(self) -> np.ndarray:
         """Return the smooth sign (M, K) of the coupled motors' velocity."""

@@ -23,7 +23,16 @@ from armlab.identify.columns import SMOOTH, Columns
 from armlab.identify.design_rows import DesignRows
 from armlab.identify.layout import Layout
 from armlab.identify.preparation import Prepared
-from armlab.identify.shapes import COLUMNS, FOLDS, Shapes, choose, mixing, term_names
+from armlab.identify.shapes import (
+    COLUMNS,
+    FOLDS,
+    Choice,
+    Chooser,
+    Shapes,
+    choose_here,
+    mixing,
+    term_names,
+)
 from armlab.identify.thinning import Thinning
 from armlab.models import CoupledMotors, Friction, Ripple
 from armlab.robots import Robot
@@ -272,21 +281,28 @@ class Design:
     def _width(self) -> int:
         return len(COLUMNS) if self.geared else len(COLUMNS) - 2
 
-    def choose_shapes(self, theta: np.ndarray, trust: np.ndarray | None = None) -> Design:
+    def choose_shapes(
+        self, theta: np.ndarray, trust: np.ndarray | None = None, chooser: Chooser = choose_here
+    ) -> Design:
         """Choose the shape of friction of each joint on held-out blocks of half a second.
 
         Parameters
         ----------
         theta : (p,) parameters, of which the base parameters are held.
-        trust : (M, J) weights of the rows; 0 leaves one out.
+        trust : (M, J) weights of the rows; 0 leaves one out. chooser : calls `choose` for each joint.
         """
-        target, free = self.tau.copy(), np.zeros((*self.tau.shape, 3 * len(self.made.motors)))
-        for i, (A, L, c) in enumerate(zip(self.rigid, self.local, self.layout.columns)):
-            target[:, i] -= A @ theta[c[: A.shape[1]]]
-            coupled = L[:, len(self.terms[i]) :]
-            free[:, i, : coupled.shape[1]] = coupled
-        fixed = np.concatenate([self.fixed, free], axis=2)
-        weights = np.ones_like(target) if trust is None else np.asarray(trust, dtype=float)
+        weights = np.ones_like(self.tau) if trust is None else np.asarray(trust, dtype=float)
         used = np.cumsum(weights.any(axis=1))  # blocks of what is used: all folds have as much
         fold = used // max(1, round(BLOCK * self.data.rate / self.thinning.every)) % FOLDS
-        return self.with_shapes(choose(self.made.shaped, fixed, target, fold, weights))
+        motion = self.made.friction
+
+        def choice(i: int) -> Choice:
+            A, L, c = self.rigid[i], self.local[i], self.layout.columns[i]
+            coupled = L[:, len(self.terms[i]) :]
+            free = np.zeros((len(L), 3 * len(self.made.motors)))
+            free[:, : coupled.shape[1]] = coupled
+            target = self.tau[:, i] - A @ theta[c[: A.shape[1]]]
+            fixed = np.concatenate([self.fixed[:, i], free], axis=1)
+            return Choice(motion.of(i), fixed, target, fold, weights[:, i])
+
+        return self.with_shapes(Shapes.joined(chooser(map(choice, range(len(self.joints))))))

@@ -18,6 +18,7 @@ from armlab.identify.design import Design
 from armlab.identify.extrapolation import training
 from armlab.identify.preparation import Prepared
 from armlab.identify.settling import ROBUST, linearised, settle, short_blocks
+from armlab.identify.shapes import Chooser, choose_here
 from armlab.identify.spikes import spikes, without_spikes
 from armlab.identify.torque_gains import calibrated
 from armlab.identify.validation import report
@@ -42,6 +43,7 @@ class Job:
     ----------
     what : is fitted, for messages. method : of `estimation.least_squares`. seed : of random starts and bootstrap.
     tell : called with (done, total, what). prior : an earlier fit. joints : whose torque is measured; None for all.
+    chooser : of the shapes of friction, see `Design.choose_shapes`.
     """
 
     what: str
@@ -50,6 +52,7 @@ class Job:
     tell: Progress
     prior: Fit[TorqueModel] | None = None
     joints: tuple[int, ...] | None = None
+    chooser: Chooser = choose_here
 
     def check(self, robot: Robot) -> None:
         """Refuse another method, and a prior that is no fit or of another robot."""
@@ -124,11 +127,11 @@ def _settled(data: Prepared, robot: Robot, base: BaseParameters, job: Job) -> tu
     job.tell(1, 5, "building the regressor")
     design = calibrated(Design.build(replace(data, tau=first), robot, base, joints=job.joints), job.method, known)[0]
     job.tell(2, 5, "choosing the shape of friction")
-    design, theta = settle(design, job.method, job.seed)
+    design, theta = settle(design, job.method, job.seed, chooser=job.chooser)
     if found.any():
         model = model_of(design, theta, np.zeros((len(theta), len(theta))))
         design = design.with_torque(without_spikes(data, found, model))
-        design, theta = settle(design, job.method, job.seed)
+        design, theta = settle(design, job.method, job.seed, chooser=job.chooser)
     return calibrated(design, job.method, known)
 
 

@@ -28,7 +28,7 @@ from armlab.identify.design import Design
 from armlab.identify.drafting import Draft, Job, Progress, fit_of, fold_models, make_draft, model_of
 from armlab.identify.extrapolation import training
 from armlab.identify.preparation import Prepared, prepare, prepare_share
-from armlab.identify.shapes import Shapes
+from armlab.identify.shapes import Chooser, Shapes, choose_here
 from armlab.identify.spikes import spikes, without_spikes
 from armlab.identify.threads import one_thread
 from armlab.identify.torque_gains import gain_share
@@ -115,20 +115,24 @@ class LogSums:
 
 @one_thread()
 def fit_draft(
-    tables: Sequence[Table], robot: Robot, logs: int, progress: Progress = lambda done, total, what: None
+    tables: Sequence[Table],
+    robot: Robot,
+    logs: int,
+    progress: Progress = lambda done, total, what: None,
+    chooser: Chooser = choose_here,
 ) -> tuple[Draft, Pattern]:
     """Fit the first logs, which fix what is not linear.
 
     Parameters
     ----------
     tables : the first logs. robot : the arm. logs : how many there are in all.
-    progress : called with (done, total, what).
+    progress : called with (done, total, what). chooser : of the shapes of friction, see `Design.choose_shapes`.
 
     Raises
     ------
     ShapeError, NotExcited : as `fit_dynamics`.
     """
-    job = Job("torque model", "irls", 0, progress)
+    job = Job("torque model", "irls", 0, progress, chooser=chooser)
     base = base_parameters(robot)
     draft = make_draft(prepare(tables, robot), robot, base, job)
     design, solution = draft.design, draft.sums.solution

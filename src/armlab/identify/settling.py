@@ -14,6 +14,7 @@ import numpy as np
 from armlab.estimation import LinearSolution, least_squares
 from armlab.identify.design import Design
 from armlab.identify.preparation import Prepared
+from armlab.identify.shapes import Chooser, choose_here
 
 __all__ = ["ROBUST", "linearised", "settle", "short_blocks", "solved"]
 
@@ -29,7 +30,9 @@ NORMAL_MAD = 0.6744897501960817  # median of |x| for x ~ N(0, 1)
 ROBUST = ("irls", "lts")
 
 
-def settle(design: Design, method: str, seed: int = 0, use: np.ndarray | None = None) -> tuple[Design, np.ndarray]:
+def settle(
+    design: Design, method: str, seed: int = 0, use: np.ndarray | None = None, chooser: Chooser = choose_here
+) -> tuple[Design, np.ndarray]:
     """Alternate between the linear parameters and the shape of friction until the shape stays; return both.
 
     Directions that the log does not tell are no fault here: the last fit judges.
@@ -37,7 +40,7 @@ def settle(design: Design, method: str, seed: int = 0, use: np.ndarray | None = 
     Parameters
     ----------
     design : with any shapes. method : of `fit_dynamics`. seed : of "lts".
-    use : (M,) kept rows to fit to; all when left out.
+    use : (M,) kept rows to fit to; all when left out. chooser : of `Design.choose_shapes`.
     """
     use = np.ones(len(design.rows), dtype=bool) if use is None else use
     trust = np.repeat(use[:, None].astype(float), len(design.joints), axis=1)
@@ -46,7 +49,7 @@ def settle(design: Design, method: str, seed: int = 0, use: np.ndarray | None = 
     for _ in range(ROUNDS):
         if method in ROBUST:
             trust = _trust(design, theta, block, method, seed) * use[:, None]
-        shaped = design.choose_shapes(theta, trust)
+        shaped = design.choose_shapes(theta, trust, chooser)
         settled = shaped.shapes.same(design.shapes)
         design, theta = shaped, solved(shaped, trust, method).x
         if settled:

@@ -8,12 +8,15 @@ is told as two Coulomb torques, one for each direction.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from itertools import compress, pairwise
 
 import numpy as np
+
+from armlab.identify.friction_columns import FrictionColumns
+from armlab.identify.threads import one_thread
 
 __all__ = [
     "COLUMNS",
@@ -22,8 +25,11 @@ __all__ = [
     "SMOOTH_SPEEDS",
     "STRIBECK_SPEEDS",
     "TERMS",
+    "Choice",
+    "Chooser",
     "Shapes",
     "choose",
+    "choose_here",
     "mixing",
     "term_names",
 ]
@@ -41,9 +47,6 @@ EXACT = 1e-12  # squared error, relative to the torque, that is rounding
 COLUMNS = ("viscous", "coulomb+", "coulomb-", "offset", "stribeck", "root", "ripple cos", "ripple sin")
 # Which of asymmetry, Stribeck and root a joint may have, fewest first.
 TERMS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, 0, 1], [0, 1, 1], [1, 1, 1]], dtype=bool)
-
-Shaped = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
-
 
 @dataclass(frozen=True, eq=False)
 class Shapes:
@@ -64,6 +67,12 @@ class Shapes:
     def start(cls, n: int) -> Shapes:
         """Return presliding over 1e-3 rad with all terms but the root, for n joints."""
         return cls(np.full(n, 1e-3), np.zeros(n), np.full(n, 0.1), np.tile([True, True, False], (n, 1)))
+
+    @classmethod
+    def joined(cls, parts: Iterable[Shapes]) -> Shapes:
+        """Return the shapes of all joints of some shapes, in their order."""
+        listed = list(parts)
+        return cls(*(np.concatenate([getattr(part, field.name) for part in listed]) for field in fields(cls)))
 
     @property
     def numbers(self) -> np.ndarray:
@@ -114,34 +123,52 @@ def mixing(terms: np.ndarray, width: int) -> np.ndarray:
     return np.hstack([eye[:, :1], coulomb, eye[:, 3:4], *rest, eye[:, 6:]])
 
 
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """What the shape of one joint's friction is chosen by; it may travel to a worker.
+
+    Attributes
+    ----------
+    motion : of the joint. fixed : (M, 2 or more) columns viscous, offset, and whatever else has no shape.
+    target : (M,) torque that friction has to explain.
+    fold : (M,) number of the fold of each row, 0 to FOLDS - 1. trust : (M,) weights of the rows, 0 to leave one out.
+    """
+
+    motion: FrictionColumns
+    fixed: np.ndarray
+    target: np.ndarray
+    fold: np.ndarray
+    trust: np.ndarray
+
+
 class _Search:
-    """Held-out errors of shapes, tried one after the other."""
+    """Held-out errors of shapes of one joint, tried one after the other."""
 
-    def __init__(
-        self, shaped: Shaped, fixed: np.ndarray, target: np.ndarray, fold: np.ndarray, trust: np.ndarray
-    ) -> None:
-        self._shaped = shaped
-        self._order = np.argsort(fold, kind="stable")
-        self._edges = np.searchsorted(fold[self._order], np.arange(FOLDS + 1)).tolist()
-        self._fastest = np.abs(fixed[:, :, 0]).max(axis=0)
-        self._trust = trust[self._order]
-        self._fixed = fixed[self._order] * self._trust[:, :, None]
-        self._target = target[self._order] * self._trust
+    def __init__(self, choice: Choice) -> None:
+        self.motion = choice.motion
+        self._order = np.argsort(choice.fold, kind="stable")
+        self._edges = np.searchsorted(choice.fold[self._order], np.arange(FOLDS + 1)).tolist()
+        self._fastest = np.abs(choice.fixed[:, 0]).max()
+        self._trust = choice.trust[self._order, None]
+        self._fixed = choice.fixed[self._order] * self._trust
+        self._target = choice.target[self._order] * self._trust[:, 0]
 
-    def scores(self, delta: np.ndarray, smooth: np.ndarray, speeds: np.ndarray) -> np.ndarray:
-        """Return the held-out error (n, S, 8) of shapes with speeds (S, n), relative to the torque, for all TERMS."""
-        columns = self._shaped(delta, smooth, speeds)[self._order] * self._trust[:, :, None]
-        n, S = columns.shape[1], len(speeds)
-        out = np.empty((n, S, len(TERMS)))
-        for i in range(n):
-            fixed, y = self._fixed[:, i], self._target[:, i]
-            A = np.column_stack([fixed[:, :1], columns[:, i, :2], fixed[:, 1:2], columns[:, i, 2:], fixed[:, 2:]])
-            sums = [_sums(A[a:b], y[a:b]) for a, b in pairwise(self._edges)]
-            ripple = list(range(5 + S, A.shape[1]))
-            picks = np.array([[0, 1, 2, 3, 5 + s, 4, *ripple] for s in range(S)])
-            out[i] = _held_out(sums, picks)
-            wide = speeds[:, i] > self._fastest[i]  # beyond the log's speeds it is one more viscous term
-            out[i][np.ix_(wide, TERMS[:, 1])] = np.inf
+    def scores(self, columns: np.ndarray, speeds: np.ndarray, kinds: slice) -> np.ndarray:
+        """Return the held-out error (S, k), relative to the torque.
+
+        Parameters
+        ----------
+        columns : (M, 1, 3 + S) from `FrictionColumns.columns`. speeds : (S,) of its bells. kinds : which k of TERMS.
+        """
+        fixed, S = self._fixed, len(speeds)
+        shaped = columns[:, 0][self._order] * self._trust
+        A = np.column_stack([fixed[:, :1], shaped[:, :2], fixed[:, 1:2], shaped[:, 2:], fixed[:, 2:]])
+        sums = [_sums(A[a:b], self._target[a:b]) for a, b in pairwise(self._edges)]
+        ripple = list(range(5 + S, A.shape[1]))
+        picks = np.array([[0, 1, 2, 3, 5 + s, 4, *ripple] for s in range(S)])
+        out = _held_out(sums, picks, _mixings(picks.shape[1])[kinds])
+        wide = speeds > self._fastest  # beyond the log's speeds it is one more viscous term
+        out[np.ix_(wide, TERMS[kinds, 1])] = np.inf
         return out
 
 
@@ -149,16 +176,16 @@ def _sums(A: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     return A.T @ A, A.T @ y, float(y @ y)
 
 
-def _held_out(sums: list[tuple[np.ndarray, np.ndarray, float]], picks: np.ndarray) -> np.ndarray:
-    """Return the squared error (S, 8) of each fold by the parameters of the others, over that of the torque.
+def _held_out(sums: list[tuple[np.ndarray, np.ndarray, float]], picks: np.ndarray, T: np.ndarray) -> np.ndarray:
+    """Return the squared error (S, k) of each fold by the parameters of the others, over that of the torque.
 
     Parameters
     ----------
     sums : of each fold A^T A, A^T y and y^T y. picks : (S, w) columns of A that each speed of Stribeck has.
+    T : (k, w, w) of `_mixings`.
     """
-    T = _mixings(picks.shape[1])
     grams = [(G[picks[:, :, None], picks[:, None, :]][:, None], v[picks][:, None, :, None]) for G, v, _ in sums]
-    error, told = np.zeros((len(picks), len(TERMS))), np.ones((len(picks), len(TERMS)), dtype=bool)
+    error, told = np.zeros((len(picks), len(T))), np.ones((len(picks), len(T)), dtype=bool)
     G, v = sum(G for G, _ in grams), sum(v for _, v in grams)
     for (H, u), (_, _, power) in zip(grams, sums):
         A, scale = _scaled(T.transpose(0, 2, 1) @ (G - H) @ T)
@@ -191,8 +218,9 @@ def _scaled(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return A, scale
 
 
-def choose(shaped: Shaped, fixed: np.ndarray, target: np.ndarray, fold: np.ndarray, trust: np.ndarray) -> Shapes:
-    """Choose the shape of each joint's friction: fitted to all folds of the data but one, judged on that one, in turn.
+@one_thread()
+def choose(choice: Choice) -> Shapes:
+    """Choose the shape of one joint's friction: fitted to all folds of the data but one, judged on that one, in turn.
 
     Presliding distance or v_t, the speed of Stribeck's term, and which terms there are come from a grid; of all that
     come within 1 % of the smallest squared error the one with the fewest terms wins, with presliding before tanh. Its
@@ -200,30 +228,31 @@ def choose(shaped: Shaped, fixed: np.ndarray, target: np.ndarray, fold: np.ndarr
 
     Parameters
     ----------
-    shaped : (delta (n,), smooth (n,), speeds (S, n)) -> columns (M, n, 3 + S): s+, s-, root, Stribeck of each speed.
-    fixed : (M, n, 2 or more) columns viscous, offset, and whatever else has no shape.
-    target : (M, n) torque that friction has to explain.
-    fold : (M,) number of the fold of each row, 0 to FOLDS - 1. trust : (M, n) weights of the rows, 0 to leave one out.
+    choice : of the joint.
     """
-    search = _Search(shaped, fixed, target, fold, trust)
-    n = target.shape[1]
-    every = np.repeat(STRIBECK_SPEEDS[:, None], n, axis=1)
-    trials = [(np.full(n, delta), np.zeros(n)) for delta in DELTAS]
-    trials += [(np.full(n, DELTAS[3]), np.full(n, smooth)) for smooth in SMOOTH_SPEEDS]
-    scores = np.stack([search.scores(*trial, every) for trial in trials])  # (trial, n, speed, terms)
-    picked = [_pick(scores[:, i]) for i in range(n)]
-    best = np.array([scores[t, i, s, k] for i, (t, s, k) in enumerate(picked)])
-    shapes = Shapes(
-        delta=np.array([trials[t][0][i] for i, (t, _, _) in enumerate(picked)]),
-        smooth=np.array([trials[t][1][i] for i, (t, _, _) in enumerate(picked)]),
-        speed=STRIBECK_SPEEDS[[s for _, s, _ in picked]],
-        terms=TERMS[[k for _, _, k in picked]],
-    )
-    shapes = _refine(search, shapes, best)
-    scores = search.scores(shapes.delta, shapes.smooth, shapes.speed[None])[:, 0]
-    simplest = np.argmax(scores <= (1.0 + GAIN) * scores.min(axis=1, keepdims=True), axis=1)
-    shapes = replace(shapes, terms=TERMS[simplest])  # on the grid a term may stand in for a width between two points
-    return _refine(search, shapes, scores[np.arange(n), simplest])
+    search, motion = _Search(choice), choice.motion
+    trials = [(delta, 0.0) for delta in DELTAS] + [(DELTAS[3], smooth) for smooth in SMOOTH_SPEEDS]
+    bells = [motion.bell(np.array([speed]))[:] for speed in STRIBECK_SPEEDS]
+    scores = []
+    for delta, smooth in trials:
+        s = motion.sign(np.array([delta]), np.array([smooth]))
+        scores.append(search.scores(motion.columns(s, bells), STRIBECK_SPEEDS, slice(None)))
+    t, k, terms = _pick(np.array(scores))  # (trial, speed, terms)
+    delta, smooth = trials[t]
+    shape = Shapes(np.array([delta]), np.array([smooth]), STRIBECK_SPEEDS[[k]], TERMS[[terms]])
+    shape = _refine(search, shape, scores[t][k, terms])
+    errors = search.scores(motion.columns(motion.sign(shape.delta, shape.smooth), [motion.bell(shape.speed)]), shape.speed, slice(None))[0]
+    simplest = int(np.argmax(errors <= (1.0 + GAIN) * errors.min()))
+    shape = replace(shape, terms=TERMS[[simplest]])  # on the grid a term may stand in for a width between two points
+    return _refine(search, shape, errors[simplest])
+
+
+Chooser = Callable[[Iterable[Choice]], Iterable[Shapes]]
+
+
+def choose_here(choices: Iterable[Choice]) -> list[Shapes]:
+    """Return what `choose` says of joints, one after the other."""
+    return list(map(choose, choices))
 
 
 def _pick(scores: np.ndarray) -> tuple[int, int, int]:
@@ -239,21 +268,22 @@ def _pick(scores: np.ndarray) -> tuple[int, int, int]:
     return next(choice for score, choice in choices if score <= limit)
 
 
-def _refine(search: _Search, shapes: Shapes, best: np.ndarray) -> Shapes:
+def _refine(search: _Search, shape: Shapes, best: float) -> Shapes:
     """Try factors on distance or speed of the sign and on Stribeck's speed; keep what lowers the held-out error."""
-    joints = np.arange(len(best))
-    which = [int(np.flatnonzero((terms == TERMS).all(axis=1))[0]) for terms in shapes.terms]
-    ways = ((1.0, 0.0), (0.0, 1.0)) if shapes.terms[:, 1].any() else ((1.0, 0.0),)
-    for step in (s * np.log(factor) for factor in REFINEMENTS for s in (1.0, -1.0)):
-        for steps in (tuple(step * way for way in both) for both in ways):
-            trial = shapes.moved(np.tile(steps, (len(best), 1)))
-            score = search.scores(trial.delta, trial.smooth, trial.speed[None])[joints, 0, which]
-            better = score < best
-            best = np.where(better, score, best)
-            shapes = replace(
-                shapes,
-                delta=np.where(better, trial.delta, shapes.delta),
-                smooth=np.where(better, trial.smooth, shapes.smooth),
-                speed=np.where(better, trial.speed, shapes.speed),
-            )
-    return shapes
+    motion, kind = search.motion, int(np.flatnonzero((shape.terms == TERMS).all(axis=1))[0])
+    ways = ((1.0, 0.0), (0.0, 1.0)) if shape.terms[0, 1] else ((1.0, 0.0),)
+    s = motion.sign(shape.delta, shape.smooth)
+    columns = motion.columns(s, [motion.bell(shape.speed)])
+    for step in (sign * np.log(factor) for factor in REFINEMENTS for sign in (1.0, -1.0)):
+        for way in ways:
+            trial = shape.moved(step * np.array([way]))
+            bells = [motion.bell(trial.speed)]
+            if way[0]:
+                z = motion.sign(trial.delta, trial.smooth)
+                tried = motion.columns(z, bells)
+            else:  # the columns of the sign stay
+                z, tried = s, np.concatenate([columns[:, :, :3], motion.columns(s, bells, signs=False)], axis=2)
+            score = float(search.scores(tried, trial.speed, slice(kind, kind + 1))[0, 0])
+            if score < best:
+                best, shape, s, columns = score, trial, z, tried
+    return shape
