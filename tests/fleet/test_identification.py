@@ -6,6 +6,7 @@ import os
 import shutil
 import signal
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 
 from armlab import fleet, identify, log
 from armlab.errors import LogError, NotExcited
+from armlab.fleet import identification
 from armlab.log import Table
 
 pytestmark = pytest.mark.usefixtures("early")
@@ -91,6 +93,47 @@ def test_a_log_whose_rate_differs_first_does_not_decide(short_arm, tmp_path: Pat
     tables.insert(1, short_arm.log(9, 1000).rows(slice(None, None, 2)))
     found = fleet.identify(tables, short_arm.robot)
     assert [name[-2:] for name in found.skipped] == ["#2"]
+
+
+def test_a_file_that_ends_its_reader_is_skipped_by_name_also_among_the_first(
+    folder: Path, short_arm, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A reader that ends its process stands for libraries that do so over a damaged file; workers are forked of it."""
+    logs = shutil.copytree(folder, tmp_path / "logs")
+    deadly, here = logs / "log0 deadly.parquet", os.getpid()
+    shutil.copy(folder / "log0.parquet", deadly)
+
+    def read(log, robot):
+        if log == deadly and os.getpid() != here:
+            os.kill(os.getpid(), signal.SIGKILL)
+        assert log != deadly, "it was read by the caller"
+        return as_table(log, robot)
+
+    as_table = identification.as_table
+    monkeypatch.setattr(identification, "as_table", read)
+    with ProcessPoolExecutor(2, mp_context=get_context("fork")) as pool:
+        found = fleet.identify(logs, short_arm.robot, pool)
+    assert list(found.skipped) == [str(deadly)]
+    assert "killed again" in found.skipped[str(deadly)]
+    alone = fleet.identify(sorted(logs.glob("log?.parquet")), short_arm.robot)
+    np.testing.assert_allclose(found.fit.parameters, alone.fit.parameters, rtol=1e-9)
+
+
+def test_shapes_of_friction_that_no_worker_can_choose_end_it(
+    folder: Path, short_arm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(identification, "choose", lambda choice: (_ for _ in ()).throw(MemoryError("too large")))
+    with pytest.raises(LogError, match="shape of friction of joint 1, but: too large"):
+        fleet.identify(folder, short_arm.robot)
+
+
+def test_it_tells_what_is_read_and_which_joints_are_done(folder: Path, short_arm) -> None:
+    told: list[str] = []
+    with ThreadPoolExecutor(2) as pool:
+        fleet.identify(folder, short_arm.robot, pool, progress=lambda done, total, what: told.append(what))
+    assert told[0] == "reading the first logs"
+    assert "choosing the shape of friction, 1 of 2 joints" in told
+    assert told[-1].startswith("6 of 6 logs")
 
 
 def test_all_skipped_is_an_error_with_a_reason(short_arm) -> None:

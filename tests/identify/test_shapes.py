@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from armlab.identify.friction_columns import FrictionColumns
 from armlab.identify.shapes import (
     COLUMNS,
     DELTAS,
@@ -12,11 +15,15 @@ from armlab.identify.shapes import (
     SMOOTH_SPEEDS,
     STRIBECK_SPEEDS,
     TERMS,
+    Choice,
+    Chooser,
     Shapes,
     choose,
+    choose_here,
     mixing,
     term_names,
 )
+from armlab.identify.thinning import Thinning
 from armlab.kernels import presliding
 
 
@@ -29,18 +36,18 @@ def record(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     return (0.05 * np.sin(wave)).sum(axis=1)[:, None], (0.05 * 2 * np.pi * f * np.cos(wave)).sum(axis=1)[:, None]
 
 
-def columns(q: np.ndarray, qd: np.ndarray, delta, smooth, speeds) -> np.ndarray:
-    s = np.tanh(qd / smooth) if smooth[0] > 0 else presliding(q, delta, np.zeros(1))
-    bumps = [s * np.exp(-((qd / speed) ** 2)) for speed in speeds]
-    return np.stack([np.maximum(s, 0), np.minimum(s, 0), s * np.sqrt(np.abs(qd)), *bumps], axis=2)
+def choice(q: np.ndarray, qd: np.ndarray, y: np.ndarray, trust: np.ndarray) -> Choice:
+    """All rows of a record without a filter, in folds of half a second."""
+    rows = np.arange(len(q))
+    motion = FrictionColumns(Thinning(((0, len(q)),), 1, np.ones(1), rows), q, qd, np.zeros(1))
+    fixed = np.column_stack([qd, np.ones_like(qd)])
+    return Choice(motion, fixed, y[:, 0], rows // 50 % FOLDS, trust)
 
 
 def chosen(torque, noise: float = 0.02) -> Shapes:
     q, qd = record()
     y = torque(q, qd) + noise * np.random.default_rng(1).standard_normal(q.shape)
-    fold = np.arange(len(q)) // 50 % FOLDS
-    fixed = np.stack([qd, np.ones_like(qd)], axis=2)
-    return choose(lambda *shape: columns(q, qd, *shape), fixed, y, fold, np.ones_like(q))
+    return choose(choice(q, qd, y, np.ones(len(q))))
 
 
 def test_presliding_friction_is_told_from_a_smooth_sign_and_refined() -> None:
@@ -80,10 +87,20 @@ def test_rows_without_trust_do_not_count() -> None:
     y = presliding(q, np.array([1e-3]), np.zeros(1))
     bad = np.arange(len(q)) % 20 == 0
     y = np.where(bad[:, None], 50.0, y)
-    fold = np.arange(len(q)) // 50 % FOLDS
-    fixed = np.stack([qd, np.ones_like(qd)], axis=2)
-    found = choose(lambda *shape: columns(q, qd, *shape), fixed, y, fold, 1.0 - bad[:, None])
+    found = choose(choice(q, qd, y, 1.0 - bad))
     assert found.delta[0] == pytest.approx(1e-3, rel=0.1)
+
+
+def test_joints_are_chosen_one_after_the_other_and_joined() -> None:
+    q, qd = record()
+    y = presliding(q, np.array([1e-3]), np.zeros(1))
+    one = choice(q, qd, y, np.ones(len(q)))
+    chooser: Chooser = choose_here
+    both = Shapes.joined(chooser([one, replace(one, target=np.tanh(qd[:, 0] / 0.05))]))
+    assert both.delta.shape == both.smooth.shape == both.speed.shape == (2,)
+    assert both.terms.shape == (2, 3)
+    assert both.smooth[0] == 0.0 < both.smooth[1]
+    assert [bool(soft) for soft in choose(one).smooth] == [False]
 
 
 @pytest.mark.parametrize("terms", TERMS)

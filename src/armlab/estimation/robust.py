@@ -52,7 +52,7 @@ def huber(rows: Iterable[Rows], start: LinearSolution) -> LinearSolution:
     ----------
     Huber and Ronchetti (2009), Robust Statistics, equations 7.8 and 7.84.
     """
-    found, sigma, used, step = start, start.sigma, start.sigma, np.inf
+    found, x, sigma, used, step = start, start.x, start.sigma, start.sigma, np.inf
     residuals: dict[int, list[np.ndarray]] = {}
     weights: list[np.ndarray] = []
     rounds = 0
@@ -61,10 +61,13 @@ def huber(rows: Iterable[Rows], start: LinearSolution) -> LinearSolution:
         x, used = found.x, sigma
         residuals, weights = {}, []
         pieces = _reweighted(rows, x, used, residuals, weights)
-        found = solve(start.question, factorise(pieces, len(x)), 1.0 / used)
+        whole = (replace(piece, block=np.zeros_like(piece.block)) for piece in pieces)
+        found = solve(start.question, factorise(whole, len(x)), 1.0 / used)
         step = np.linalg.norm(found.R @ (found.x - x)) / (max(found.scale, 1e-300) * np.sqrt(len(x)))
         sigma = np.array([mad(np.concatenate(residuals[g])) if g in residuals else s for g, s in enumerate(used)])
         sigma = np.maximum(sigma, EXACT * start.sigma)
+    # Blocks of time are kept apart only now: a triangle for each costs more than its rows.
+    found = solve(start.question, factorise(_reweighted(rows, x, used, {}, []), len(x)), 1.0 / used)
     scaled = np.concatenate([np.concatenate(r) / used[g] for g, r in residuals.items()])
     return _finish(start, found, scaled, used, np.concatenate(weights), rounds, bool(step <= HUBER_STEP))
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from armlab.errors import ArmlabError, LogError, NotExcited
+from armlab.errors import LogError, NotExcited
 from armlab.estimation import Fit
 from armlab.fleet.cache import SumCache
 from armlab.fleet.logs import Log, as_table, named
@@ -15,6 +15,7 @@ from armlab.fleet.mapping import Progress, each
 from armlab.identify.drafting import Draft
 from armlab.identify.many import LogSums, Pattern, fit_draft, fit_sums, log_sums, same_rate
 from armlab.identify.preparation import prepare_share
+from armlab.identify.shapes import Choice, Chooser, Shapes, choose
 from armlab.log import Table
 from armlab.models import TorqueModel
 from armlab.robots import Robot
@@ -22,6 +23,7 @@ from armlab.robots import Robot
 __all__ = ["Identified", "identify"]
 
 DRAFT_SECONDS = 200.0  # of the first logs: ten of 20 s
+AT_ONCE = 4  # logs that are tried at once, at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,51 +82,105 @@ def identify(
     """
     jobs = named(logs)
     tell = progress or (lambda done, total, what: None)
-    draft, pattern, first = _draft(jobs, robot, tell)
-    done = each(_work, jobs, pattern, cache, executor=executor, progress=tell, rows=lambda sums: sums.n)
+    draft, pattern, first, refused = _draft(jobs, robot, executor, tell)
+    rest = {name: log for name, log in jobs.items() if name not in refused}
+    done = each(_work, rest, pattern, cache, executor=executor, progress=tell, rows=lambda sums: sums.n)
     lost = [name for name in first if name not in done.results]
     if lost:
         raise LogError(f"Expected {lost[0]} to read as before, but: {done.skipped[lost[0]]}")
     used = list(done.results)
     fit = fit_sums(draft, pattern, [done.results[name] for name in used], [used.index(name) for name in first])
-    skipped = tuple(f"{name} skipped: {reason}" for name, reason in done.skipped.items())
-    fit = replace(fit, value=replace(fit.value, sources=(*fit.value.sources, *skipped)))
-    return Identified(fit, tuple(used), done.skipped)
+    reasons = {**refused, **done.skipped}
+    skipped = {name: reasons[name] for name in jobs if name in reasons}
+    sources = tuple(f"{name} skipped: {reason}" for name, reason in skipped.items())
+    fit = replace(fit, value=replace(fit.value, sources=(*fit.value.sources, *sources)))
+    return Identified(fit, tuple(used), skipped)
 
 
-def _draft(jobs: Mapping[str, Log], robot: Robot, tell: Progress) -> tuple[Draft, Pattern, list[str]]:
-    """Fit the first logs that can be used, more of them while they do not tell enough; return the names of these."""
-    tables: dict[str, Table] = {}
-    waiting, wanted, seconds = iter(jobs.items()), DRAFT_SECONDS, 0.0
-    rates: list[float] = []
-    reasons: list[str] = []
+def _draft(
+    jobs: Mapping[str, Log], robot: Robot, executor: Executor | None, tell: Progress
+) -> tuple[Draft, Pattern, list[str], Mapping[str, str]]:
+    """Fit the first logs that can be used, more of them while they do not tell enough.
+
+    Returns the names of these, and the reason by name of those before and between them that cannot be used. Logs are
+    tried by the workers before they are read here: one that ends its reader does not end this process.
+    """
+    tried = _Tried(jobs, robot, executor, lambda: tell(0, 5, "reading the first logs"))
+    wanted = DRAFT_SECONDS
     while True:
-        for name, log in waiting:
-            try:
-                table = as_table(log, robot)
-                rate = prepare_share(table, robot).rate
-            except (ArmlabError, OSError) as error:
-                reasons.append(f"{name}: {error}")
-                continue
-            rates.append(rate)
-            if not same_rate(rate, rates[0]):
-                continue
-            tables[name] = table
-            seconds += float(table.t[-1])
-            if seconds >= wanted:
-                break
-        else:
-            wanted = float("inf")
-        if not tables:
+        names = tried.of(wanted)
+        if not names:
+            reasons = [f"{name}: {reason}" for name, reason in tried.refused.items()]
             raise LogError(f"Expected a log that can be used among {len(jobs)}, got none. {reasons[0]}")
         try:
-            draft, pattern = fit_draft(list(tables.values()), robot, len(jobs), tell)
+            tables = [as_table(jobs[name], robot) for name in names]
+            draft, pattern = fit_draft(tables, robot, len(jobs), tell, _chooser(executor, tell))
         except NotExcited:
-            if wanted == float("inf"):
+            if tried.all:
                 raise
             wanted *= 2.0
         else:
-            return draft, pattern, list(tables)
+            return draft, pattern, names, tried.refused
+
+
+class _Tried:
+    """Rates and lengths of the first logs, or why they cannot be used."""
+
+    def __init__(
+        self, jobs: Mapping[str, Log], robot: Robot, executor: Executor | None, tell: Callable[[], None]
+    ) -> None:
+        self._jobs, self._robot, self._executor, self._tell = jobs, robot, executor, tell
+        self._waiting = list(jobs)[::-1]
+        self._at_once = 1 if executor is None else min(getattr(executor, "_max_workers", AT_ONCE), AT_ONCE)
+        self._known: dict[str, tuple[float, float]] = {}
+        self.refused: dict[str, str] = {}
+
+    @property
+    def all(self) -> bool:
+        """Whether there are no others."""
+        return not self._waiting
+
+    def of(self, wanted: float) -> list[str]:
+        """Return names of the first logs of one rate that last so many seconds together, or all."""
+        while True:
+            names, seconds = [], 0.0
+            rates = [rate for rate, _ in self._known.values()]
+            for name, (rate, length) in self._known.items():
+                if seconds < wanted and same_rate(rate, rates[0]):
+                    names.append(name)
+                    seconds += length
+            if seconds >= wanted or self.all:
+                return names
+            some = [self._waiting.pop() for _ in range(min(self._at_once, len(self._waiting)))]
+            done = each(
+                _try, {name: self._jobs[name] for name in some}, self._robot,
+                executor=self._executor, progress=lambda done, total, what: self._tell(),
+            )  # fmt: skip
+            self._known.update(done.results)
+            self.refused.update(done.skipped)
+
+
+def _try(log: Log, robot: Robot) -> tuple[float, float]:
+    """Return the rate [Hz] of a log that can be used, and its last time [s]."""
+    table = as_table(log, robot)
+    return prepare_share(table, robot).rate, float(table.t[-1])
+
+
+def _chooser(executor: Executor | None, tell: Progress) -> Chooser:
+    """Return what chooses the shapes of friction of the joints on an executor."""
+
+    def choose_all(choices: Iterable[Choice]) -> list[Shapes]:
+        joints = {f"joint {number + 1}": choice for number, choice in enumerate(choices)}
+        done = each(
+            choose, joints, executor=executor,
+            progress=lambda done, total, what: tell(2, 5, f"choosing the shape of friction, {done} of {total} joints"),
+        )  # fmt: skip
+        if done.skipped:
+            name, reason = next(iter(done.skipped.items()))
+            raise LogError(f"Expected the shape of friction of {name}, but: {reason}")
+        return list(done.results.values())
+
+    return choose_all
 
 
 def _work(log: Log, pattern: Pattern, cache: Path | None) -> LogSums:

@@ -121,7 +121,10 @@ class _Run:
 
         A round settles at least one job, a suspect, so that there are no more rounds than jobs.
         """
-        suspects = self._pass(executor, list(self._jobs), ahead=_AHEAD * getattr(executor, "_max_workers", _WORKERS))
+        suspects: list[str] = []
+        if not getattr(executor, "_broken", False):  # what it was given before has ended its workers
+            ahead = _AHEAD * getattr(executor, "_max_workers", _WORKERS)
+            suspects = self._pass(executor, list(self._jobs), ahead)
         if self._blamed and not suspects:
             blamed, self._blamed = self._blamed, []
             suspects = self._pass(executor, blamed, ahead=1)

@@ -47,7 +47,8 @@ def workers(count: int = 1, dask: str | None = None) -> Iterator[Executor | None
         client = Client(dask, timeout=_PATIENCE)
     except (OSError, ValueError) as error:
         raise LinkError(
-            f"Expected a Dask scheduler at {dask}, got: {error}. Start it by dask scheduler --host 127.0.0.1."
+            f"Expected a Dask scheduler at {dask}, got: {error}. Start it by dask scheduler "
+            "--host 127.0.0.1 --dashboard-address 127.0.0.1:8787."
         ) from None
     with client:
         yield client.get_executor(pure=False)

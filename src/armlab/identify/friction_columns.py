@@ -81,7 +81,8 @@ class FrictionColumns:
 
         Parameters
         ----------
-        s : (N, J) from `sign`. bells : S from `bell`, or their arrays (N, J). signs : whether the first three are wanted.
+        s : (N, J) from `sign`. bells : S from `bell`, or their arrays (N, J).
+        signs : whether the first three are wanted.
         """
 
         def made(a: int, b: int) -> np.ndarray:

@@ -48,6 +48,7 @@ COLUMNS = ("viscous", "coulomb+", "coulomb-", "offset", "stribeck", "root", "rip
 # Which of asymmetry, Stribeck and root a joint may have, fewest first.
 TERMS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, 0, 1], [0, 1, 1], [1, 1, 1]], dtype=bool)
 
+
 @dataclass(frozen=True, eq=False)
 class Shapes:
     """Shape of the friction of all joints; vectors are (n,).
@@ -241,7 +242,8 @@ def choose(choice: Choice) -> Shapes:
     delta, smooth = trials[t]
     shape = Shapes(np.array([delta]), np.array([smooth]), STRIBECK_SPEEDS[[k]], TERMS[[terms]])
     shape = _refine(search, shape, scores[t][k, terms])
-    errors = search.scores(motion.columns(motion.sign(shape.delta, shape.smooth), [motion.bell(shape.speed)]), shape.speed, slice(None))[0]
+    columns = motion.columns(motion.sign(shape.delta, shape.smooth), [motion.bell(shape.speed)])
+    errors = search.scores(columns, shape.speed, slice(None))[0]
     simplest = int(np.argmax(errors <= (1.0 + GAIN) * errors.min()))
     shape = replace(shape, terms=TERMS[[simplest]])  # on the grid a term may stand in for a width between two points
     return _refine(search, shape, errors[simplest])

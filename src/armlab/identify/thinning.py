@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from armlab.identify.preparation import Prepared
 
@@ -22,6 +23,7 @@ __all__ = ["Piece", "Thinning"]
 ORDER = 4
 DECAYED = 1e-6  # of the largest tap
 AT_ONCE = 1024  # rows of the record: their regressor stays in the cache
+WIDE, NARROW = 64, 16  # columns: of fewer than the first more rows at once
 BAND = 32  # kept rows of one product
 
 
@@ -77,13 +79,13 @@ class Thinning:
         width : number of columns.
         """
         out = np.empty((len(self.rows), width))
-        for piece in self.pieces():
+        for piece in self.pieces(AT_ONCE * max(1, WIDE // max(width, 1))):
             self.thin(piece, columns(piece.start, piece.stop), out[piece.first : piece.last])
         return out
 
-    def pieces(self) -> Iterator[Piece]:
-        """Yield what rows of the record are needed for what kept rows."""
-        reach, count = len(self.taps) // 2, max(BAND, AT_ONCE // self.every)
+    def pieces(self, rows: int = AT_ONCE) -> Iterator[Piece]:
+        """Yield what rows of the record are needed for what kept rows, about so many rows of the record at once."""
+        reach, count = len(self.taps) // 2, max(BAND, rows // self.every // BAND * BAND)
         first = 0
         for a, b in self.segments:
             kept = -(-(b - a) // self.every)
@@ -106,9 +108,15 @@ class Thinning:
         if len(self.taps) == 1:
             out[:] = x[:: self.every]
             return
-        kept = piece.last - piece.first
-        T = self._band[:kept]
-        for k in range(0, kept, BAND):
+        T, kept, done = self._band, piece.last - piece.first, 0
+        if 0 < x.shape[1] <= NARROW and kept >= BAND:
+            # Few columns: all bands side by side, in one product.
+            bands = kept // BAND
+            windows = sliding_window_view(x, T.shape[1], axis=0)[:: self.every * BAND][:bands]
+            product = T @ windows.transpose(2, 0, 1).reshape(T.shape[1], -1)
+            done = bands * BAND
+            out[:done] = product.reshape(BAND, bands, -1).transpose(1, 0, 2).reshape(done, -1)
+        for k in range(done, kept, BAND):
             m = min(BAND, kept - k)
             width = self.every * (m - 1) + len(self.taps)
             np.matmul(T[:m, :width], x[self.every * k : self.every * k + width], out=out[k : k + m])
