@@ -14,13 +14,14 @@ def test_nothing_is_sent_to_nobody_and_a_waiting_output_counts_what_found_no_roo
     port = free_port()
     router = open_session("router", [f"127.0.0.1:{port}"])
     reader = open_session("peer", ["127.0.0.1:0"], [f"127.0.0.1:{port}"])
-    outputs = [Output(router, "a"), Waiting(router, "b")]
+    seen: list[int] = []
+    outputs = [Output(router, "a", lambda: seen.append(len(seen))), Waiting(router, "b")]
     for one in outputs:
         one.put(b"nobody")
         assert (one.wanted, one.sent, one.dropped) == (False, 0, 0)
     samples: list[Any] = []
     subscribers = [reader.declare_subscriber(name, samples.append) for name in "ab"]
-    until(lambda: all(one.wanted for one in outputs))
+    until(lambda: all(one.wanted for one in outputs) and seen == [0])
     for one in outputs:
         one.put(b"1", b"attached")
     until(lambda: len(samples) == 2)
@@ -28,7 +29,7 @@ def test_nothing_is_sent_to_nobody_and_a_waiting_output_counts_what_found_no_roo
     assert [one.sent for one in outputs] == [1, 1]
     for one in subscribers:
         one.undeclare()
-    until(lambda: not any(one.wanted for one in outputs))
+    until(lambda: not any(one.wanted for one in outputs) and seen == [0, 1])
     waiting = outputs[1]
     assert isinstance(waiting, Waiting)
     waiting.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import threading
 import time
 from collections.abc import Mapping
 from functools import partial
@@ -35,6 +36,10 @@ class RmwZenohServer:
     feed : connected to the loop; see `feed.Exchange`.
     options : "domain", None for that of ROS_DOMAIN_ID, "host", "port", "router" and "distribution".
 
+    Attributes
+    ----------
+    wanted : names of the topics that somebody reads.
+
     Raises
     ------
     LinkError : the loop has gone, or the port is taken. ConfigError : ROS_DOMAIN_ID is no number, or commands
@@ -45,6 +50,8 @@ class RmwZenohServer:
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._outputs: dict[str, Output] = {}
         self._writers: dict[str, Writer] = {}
+        self.wanted: frozenset[str] = frozenset()
+        self._reading = threading.Lock()
         self._loop = LoopEnd(feed, self._counts)
         about = self._loop.about
         robots = {name: from_toml(text, f"the bridge of {about['cell']}") for name, text in about["robots"].items()}
@@ -61,11 +68,6 @@ class RmwZenohServer:
         self._names = Names(self._domain, str(self._session.zid()), options["distribution"])
         self._nodes = Nodes(self._left)
         self._declared: list[Any] = []  # tokens and readers: they go with the last that holds them
-
-    @property
-    def wanted(self) -> list[str]:
-        """Names of the topics that somebody reads."""
-        return [name for name, output in self._outputs.items() if output.wanted]
 
     def run(self) -> None:
         """Serve until the loop closes the feed."""
@@ -97,8 +99,9 @@ class RmwZenohServer:
         for number, one in enumerate(self._topics.published.values(), 1):
             token = names.writer(number, one.name, one.type)
             self._writers[one.name] = Writer(token)
-            self._outputs[one.name] = Output(session, names.data(one.name, one.type))
+            self._outputs[one.name] = Output(session, names.data(one.name, one.type), self._read)
             tokens.append(token)
+        self._read()
         lives = session.liveliness()
         self._declared.append(lives.declare_subscriber(names.writers(), self._token, history=True))
         for count, (topic, type_) in enumerate(self._commands.types.items(), number + 1):
@@ -106,6 +109,11 @@ class RmwZenohServer:
             key = names.data(topic, type_, ANY)
             self._declared.append(session.declare_subscriber(key, partial(self._take, topic, type_)))
         self._declared += [lives.declare_token(token) for token in tokens]
+
+    def _read(self) -> None:
+        """Take note of what is read now: the same set until it changes, as `Encoded` likes it; by any thread."""
+        with self._reading:
+            self.wanted = frozenset([name for name, output in list(self._outputs.items()) if output.wanted])
 
     def _token(self, sample: Any) -> None:
         self._nodes.token(str(sample.key_expr), sample.kind == zenoh().SampleKind.PUT)

@@ -143,7 +143,7 @@ class Writer:
         stamp_ns : wall clock.
         """
         self._seq += 1
-        return Origin(self._seq, stamp_ns, self.id).pack()
+        return _ORIGIN.pack(self._seq, stamp_ns, _ID, self.id)
 
 
 def _hashed(token: str) -> bytes:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import queue
 import threading
+from collections.abc import Callable
 from typing import Any
 
 from armlab.bridge.zenoh.session import zenoh
@@ -20,15 +21,16 @@ class Output:
 
     Parameters
     ----------
-    session : open. key : of what goes out.
+    session : open. key : of what goes out. changed : called after `wanted` has changed, by a thread of Zenoh's.
 
     Attributes
     ----------
     wanted : whether somebody reads it. sent : messages handed to Zenoh. dropped : not sent, though they were wanted.
     """
 
-    def __init__(self, session: Any, key: str) -> None:
+    def __init__(self, session: Any, key: str, changed: Callable[[], None] = lambda: None) -> None:
         self.wanted, self.sent, self.dropped = False, 0, 0
+        self._changed = changed
         self._publisher = self._declared(session, key)
         self._listener = self._publisher.declare_matching_listener(self._matched)
         self.wanted = self.wanted or self._publisher.matching_status.matching
@@ -50,6 +52,7 @@ class Output:
 
     def _matched(self, status: Any) -> None:
         self.wanted = status.matching
+        self._changed()
 
 
 class Waiting(Output):
