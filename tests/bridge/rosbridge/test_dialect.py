@@ -78,3 +78,28 @@ def test_text_that_looks_like_what_is_replaced_stays() -> None:
     words = '%b %% {"sec":1,"nanosec":2} {"stamp":{ \x00 \x01'
     message = TYPES["diagnostic_msgs/msg/KeyValue"]("key", words)
     assert json.loads(encoded("/k", message, "ros1", 1))["msg"] == {"key": "key", "value": words}
+
+
+@pytest.mark.parametrize("dialect", ["ros1", "ros2"])
+def test_messages_of_one_form_have_their_own_numbers(dialect: Dialect) -> None:
+    """What is kept of a message for the next one is its text: none of its numbers, nor the topic or dialect."""
+    kind = TYPES["abb_egm_msgs/msg/EGMChannelState"]
+    for seq, active in enumerate([True, False, True], start=1):
+        state = kind(
+            name="a",
+            active=active,
+            egm_convergence_met=not active,
+            egm_client_state=seq,
+            motor_state=2,
+            rapid_execution_state=3,
+            utilization_rate=0.1 * seq,
+        )
+        message = TYPES["abb_egm_msgs/msg/EGMState"](header(10**9 * seq), [state])
+        for topic in ("/a", "/b"):
+            found = json.loads(encoded(topic, message, dialect, seq))
+            assert found["topic"] == topic
+            (channel,) = found["msg"]["egm_channels"]
+            assert (channel["active"], channel["egm_convergence_met"]) == (active, not active)
+            assert (channel["egm_client_state"], channel["utilization_rate"]) == (seq, 0.1 * seq)
+            assert found["msg"]["header"]["stamp"].popitem() == ("nsecs" if dialect == "ros1" else "nanosec", 0)
+            assert found["msg"]["header"].get("seq") == (seq if dialect == "ros1" else None)

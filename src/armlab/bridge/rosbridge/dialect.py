@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import re
 import struct
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any, Literal
 
 import msgspec
 
 from armlab.bridge.ros import store
 from armlab.errors import CommandRefused
+from armlab.kernels import JsonText
 
 __all__ = ["HEADER", "TIME", "Dialect", "fields", "flat", "publish", "read_type", "type_name"]
 
@@ -18,6 +19,10 @@ Dialect = Literal["ros1", "ros2"]
 
 _TYPE = re.compile(r"([A-Za-z]\w{0,100})/(msg/)?([A-Za-z]\w{0,100})")
 TIME, HEADER = "builtin_interfaces/msg/Time", "std_msgs/msg/Header"
+_SLOT, _SEQ_SLOT = b"\0", b"\2"  # of a number, of the number of the message: JSON has no such bytes
+_SLOTS = re.compile(b"([\0\2])")
+_SEQ = struct.Struct("<Q")
+_KNOWN = 256  # texts that are kept: those of diagnostics change
 _FILLER = "structure_needs_at_least_one_member"  # of types without a field, in rosbags
 
 
@@ -65,8 +70,8 @@ def fields(type_: str) -> tuple[str, ...]:
 def flat(message: Any, type_: str) -> bytes:
     """Return a message as the text of its JSON with the numbers apart, packed, so that others can replace them.
 
-    Text with "%b" for each number, what `struct` calls the numbers, and the numbers, between bytes 1: JSON has no such
-    byte. A byte stands before each array and after a stamp, so that `Encoded` can tell them apart.
+    Text with a byte 0 for each number, what `struct` calls the numbers, and the numbers, between bytes 1: JSON has no
+    such bytes. A byte stands before each array and after a stamp, so that `Encoded` can tell them apart.
 
     Parameters
     ----------
@@ -74,7 +79,7 @@ def flat(message: Any, type_: str) -> bytes:
     """
     form: list[str] = ["<"]
     numbers: list[Any] = []
-    text = msgspec.json.encode(_opened(message, type_, form, numbers)).replace(b"%", b"%%").replace(_SLOT, b"%b")
+    text = msgspec.json.encode(_opened(message, type_, form, numbers))
     letters = "".join(form)
     return b"\1".join([text, letters.encode(), struct.pack(letters, *numbers)])
 
@@ -82,21 +87,33 @@ def flat(message: Any, type_: str) -> bytes:
 def publish(topic: str, message: bytes, dialect: Dialect, seq: int) -> bytes:
     """Return the operation "publish" of a message as JSON; a number that is not finite is null.
 
-    What ROS 1 calls otherwise is put in afterwards: quotes in a string of JSON stand behind a backslash, so no string
-    holds what is replaced.
-
     Parameters
     ----------
     topic : its full name. message : see `flat`. dialect : of the client.
     seq : number of the message, which the headers of ROS 1 carry.
     """
     text, form, packed = message.split(b"\1", 2)
-    numbers = struct.unpack(form, packed)
-    text %= tuple(msgspec.json.encode(numbers)[1:-1].split(b",")) if numbers else ()
+    made = _text(topic, text, form, dialect)
+    return made.of(packed + _SEQ.pack(seq) if dialect == "ros1" else packed)
+
+
+@lru_cache(_KNOWN)
+def _text(topic: str, text: bytes, form: bytes, dialect: Dialect) -> JsonText:
+    """Return what puts the numbers into a text: those of `flat` and, in ROS 1, one more behind them.
+
+    What ROS 1 calls otherwise is replaced: quotes in a string of JSON stand behind a backslash, so no string holds it.
+    """
+    places, size = [], 0
+    for letter in form[1:].decode():
+        if letter != "x":
+            places.append((size, letter.encode()))
+        size += struct.calcsize(f"<{letter}")
     if dialect == "ros1":
         text = text.replace(b'{"sec":', b'{"secs":').replace(b',"nanosec":', b',"nsecs":')
-        text = text.replace(b'{"stamp":{', b'{"seq":%d,"stamp":{' % seq)
-    return b'{"op":"publish","topic":"%b","msg":%b}' % (topic.encode(), text)
+        text = text.replace(b'{"stamp":{', b'{"seq":%b,"stamp":{' % _SEQ_SLOT)
+    numbers = iter(places)
+    parts = _SLOTS.split(b'{"op":"publish","topic":"%b","msg":%b}' % (topic.encode(), text))
+    return JsonText(parts[::2], [next(numbers) if one == _SLOT else (size, b"Q") for one in parts[1::2]])
 
 
 def _opened(message: Any, type_: str, form: list[str], numbers: list[Any]) -> dict[str, Any]:
@@ -123,7 +140,6 @@ def _part(value: Any, shape: Any, form: list[str], numbers: list[Any]) -> Any:
     return msgspec.Raw(_SLOT)
 
 
-_SLOT = b"\0"  # in no JSON either
 _LETTERS = {
     "bool": "?", "byte": "B", "octet": "B", "char": "B", "float32": "f", "float64": "d", "int8": "b", "uint8": "B",
     "int16": "h", "uint16": "H", "int32": "i", "uint32": "I", "int64": "q", "uint64": "Q",
