@@ -21,7 +21,16 @@ author = "The armlab authors"
 copyright = author
 version = release = armlab.__version__
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "mathml", "plain_docstrings", "library_table", "figures", "notebooks"]
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "mathml",
+    "plain_docstrings",
+    "library_table",
+    "accuracy_table",
+    "figures",
+    "notebooks",
+]
 exclude_patterns = ["_build", "_figures"]
 default_role = "literal"
 nb_execution_raise_on_error = True

@@ -1,4 +1,4 @@
-"""The kernels compiled in other ways give the same bits: without vectors, and for a machine that has only SSE2."""
+"""The kernels compiled in other ways give the same bits: without vectors, for SSE2, AVX2 and AVX-512."""
 
 from __future__ import annotations
 
@@ -33,7 +33,14 @@ int main() {{
   return read == {16 * (JOINTS + 1) + JOINTS + JOINTS * COUNT} ? 0 : 1;
 }}
 """
-WAYS = {"plain": ["-DARMLAB_PLAIN"], "sse2": ["-DARMLAB_VECTORISED="]}
+ONE_LEVEL = "-DARMLAB_VECTORISED="
+WAYS = {
+    "plain": ["-DARMLAB_PLAIN"],
+    "sse2": [ONE_LEVEL],
+    "avx2": [ONE_LEVEL, "-march=x86-64-v3"],
+    "avx512vl": [ONE_LEVEL, "-march=x86-64-v4"],
+}
+PROCESSOR = Path("/proc/cpuinfo").read_text() if Path("/proc/cpuinfo").exists() else ""
 COMPILER = shutil.which("c++")
 
 
@@ -42,6 +49,8 @@ COMPILER = shutil.which("c++")
 @pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")
 @pytest.mark.parametrize("way", WAYS)
 def test_same_bits_however_compiled(way: str, tmp_path: Path) -> None:
+    if way.startswith("avx") and way not in PROCESSOR:
+        pytest.skip(f"this processor has no {way}")
     rng = np.random.default_rng(0)
     frames = np.tile(np.eye(4), (JOINTS + 1, 1, 1))
     for frame, alpha in zip(frames, (0.3, np.pi / 2, -np.pi / 2, 0.0, np.pi, 1.1, np.pi / 2, 0.2)):

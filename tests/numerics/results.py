@@ -1,0 +1,151 @@
+"""What the kernels make of the inputs in `tables`: `python results.py native|reference FILE` writes the results."""
+
+from __future__ import annotations
+
+import json
+import sys
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+FOLDER = Path(__file__).with_name("tables")
+UNIT = 2.0**-53  # the largest relative error of one rounding
+BOUND = 8.0  # in these units: twice the largest error found, but for
+BOUNDS = {  # the largest found on any instruction set, and half as much to twice as much again
+    "jacobian_derivative tool": (32.0, "what turns with the tool is taken off, and is larger than what is left"),
+    "rnea": (32.0, "torques of velocity and acceleration, which cancel in part"),
+    "SignalOperator lowpass": (64.0, "the lag behind a line through two samples, seven times the signal"),
+    "SignalOperator slope": (64.0, "the same"),
+    "SignalOperator notch": (64.0, "the same"),
+    "presliding": (16.0, "twenty steps one after the other"),
+    "solve_wrench map 0": (6400.0, "the condition 6300 of the covariance of torque errors"),
+    "solve_wrench bounded 1": (400.0, "the condition of the information, about 1000"),
+    "solve_wrench ls": (400.0, "the same"),
+}
+MANY = 1000  # random samples, for what differs seldom
+
+
+def unpacked(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: unpacked(inside) for key, inside in value.items()}
+    shape, digits = value
+    return np.frombuffer(bytes.fromhex(digits), dtype=">f8").astype(float).reshape(shape)
+
+
+def tables() -> dict[str, dict[str, Any]]:
+    """Return inputs and exact results by topic and name."""
+    texts = {path.stem: path.read_text(encoding="utf-8") for path in sorted(FOLDER.glob("*.json"))}
+    return {
+        f"{topic}/{name}": unpacked(table) for topic, text in texts.items() for name, table in json.loads(text).items()
+    }
+
+
+def of_group(module: Any, name: str, given: dict[str, np.ndarray], _: dict[str, np.ndarray]) -> Any:
+    name, chosen = (*name.split(), "")[:2]
+    given = given | ({"s": given["s"][:, 0]} if "s" in given else {})
+    more: dict[str, Any] = {"screw": True} if chosen == "screw" else {}
+    if name.startswith("euler"):
+        more = {axis: "xyz".index(letter) for axis, letter in zip(("first", "middle", "last"), chosen)}
+    result = getattr(module, name)(*given.values(), **more)
+    return result[0] if name == "so3_nearest" else result
+
+
+def of_chain(module: Any, name: str, given: dict[str, np.ndarray], fixed: dict[str, np.ndarray]) -> Any:
+    chain, words = module.Chain(fixed["frames"], fixed["prismatic"]), name.split()
+    found = getattr(chain, words[0])(**given, **({"tool": True} if "tool" in words else {}))
+    return np.stack(found, axis=-2) if words[0] == "momentum" else found
+
+
+def of_filter(module: Any, name: str, given: dict[str, np.ndarray], fixed: dict[str, np.ndarray]) -> Any:
+    words, values = name.split(), list(given.values())
+    match words[0]:
+        case "SignalOperator":
+            return module.SignalOperator(words[1], *given["constants"].tolist()).run(given["x"])
+        case "Drive":
+            return module.Drive(*values[:2]).torque(*values[2:])
+        case "basis" | "rollout":
+            shape = (fixed["centres"], fixed["widths"], fixed["weights"])
+            primitive = module.Primitive(*shape, *fixed["rates"].tolist(), words[1])
+            if words[0] == "basis":
+                return primitive.basis(given["x"])
+            return primitive.rollout(given["t"], float(given["tau"]), *given["ends"])[
+                ("y", "yd", "ydd").index(words[2])
+            ]
+        case "solve_wrench":
+            return module.solve_wrench(*values, ("map", "bounded", "clip", "interval", "ls").index(words[1]))[
+                int(words[2])
+            ]
+        case "momentum_step":
+            return module.momentum_step(*values[:6], float(given["h"][0]), *values[7:])[int(words[1])]
+    return getattr(module, name)(*values)
+
+
+FAMILIES = {"chains": of_chain, "filters": of_filter, "groups": of_group}
+
+
+def result(module: Any, key: str, table: dict[str, Any]) -> np.ndarray:
+    """Return what a module makes of the inputs of a table, in the shape of its exact results."""
+    topic, _, name = key.partition("/")
+    found = FAMILIES[topic](module, name, table["given"], table.get("fixed", {}))
+    return np.reshape(found, table["wanted"].shape)
+
+
+def bound(key: str) -> float:
+    """Return how large the error of a table may be."""
+    return next((limit for name, (limit, _) in BOUNDS.items() if key.partition("/")[2].startswith(name)), BOUND)
+
+
+def error(table: dict[str, Any], found: np.ndarray) -> float:
+    """Return the worst error of a sample by its largest entry, in units of one rounding.
+
+    An angle beyond 1 rad is a double that is rounded by itself: there the unit grows as the angle.
+    """
+    wanted, given = table["wanted"], table["given"]
+    off, size = (np.abs(a).reshape(len(wanted), -1).max(axis=1) for a in (found - wanted, wanted))
+    angles = next((given[key] for key in ("w", "xi", "q", "x") if key in given), np.zeros(1))
+    angles = angles[:, -3:] if "xi" in given else angles
+    turns = np.abs(angles.reshape(len(angles), -1)).max(axis=1) if len(angles) == len(wanted) else 1.0
+    return float(np.max(off / np.where(off == 0, 1.0, size * np.maximum(turns, 1.0))) / UNIT)
+
+
+def drawn(key: str, name: str, like: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return random samples of one input, made with sums, products and roots alone: the same on every machine."""
+    if like.shape[1:] not in ((3, 3), (4, 4)) and "quaternion" not in key:
+        return rng.uniform(0.0 if name == "s" else -3.0, 1.0 if name == "s" else 3.0, (MANY, *like.shape[1:]))
+    if name == "s":
+        return rng.uniform(0.0, 1.0, (MANY, 1))
+    w, x, y, z = quaternion = rng.uniform(-1.0, 1.0, (4, MANY))
+    w, x, y, z = quaternion = quaternion / np.sqrt(w * w + x * x + y * y + z * z)
+    if like.ndim == 2:
+        return np.ascontiguousarray(quaternion.T)
+    M = np.tile(np.eye(like.shape[1]), (MANY, 1, 1))
+    rows = (
+        (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
+        (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),
+        (2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)),
+    )
+    M[:, :3, :3] = np.moveaxis(np.array(rows), -1, 0)
+    if like.shape[1] == 4:
+        M[:, :3, 3] = rng.uniform(-1.0, 1.0, (MANY, 3))
+    return M
+
+
+def many() -> dict[str, dict[str, Any]]:
+    """Return the tables with random samples instead of theirs, where a kernel takes samples; without exact results."""
+    rng, found = np.random.default_rng(3), {}
+    for key, table in tables().items():
+        count = len(table["wanted"])
+        if count > 1:
+            of_samples = {k for k, v in table["given"].items() if v.shape[:1] == (count,) and k != "pi"}
+            given = {k: drawn(key, k, v, rng) if k in of_samples else v for k, v in table["given"].items()}
+            found[key] = {**table, "given": given, "wanted": np.zeros((MANY, *table["wanted"].shape[1:]))}
+    return found
+
+
+if __name__ == "__main__":
+    backend = import_module({"native": "armlab.kernels._native", "reference": "armlab.kernels._reference"}[sys.argv[1]])
+    found = {key: result(backend, key, table) for key, table in tables().items()}
+    found |= {f"many {key}": result(backend, key, table) for key, table in many().items()}
+    np.savez(sys.argv[2], **{key.replace("/", ":"): values for key, values in found.items()})
