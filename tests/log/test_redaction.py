@@ -133,6 +133,7 @@ def test_files_that_share_a_table_many_times_stay_small() -> None:
         ("a.yaml", b"x: !!pairs [token: a]"),
         ("a.yaml", b"token: !!python/name:os.system"),
         ("a.cfg", b"token\n=\n[\n"),
+        ("a.ini", b"token:b :\na\n  c = 1\n"),  # a line goes on with a key without a value: AttributeError
         ("a.toml", 'token = "a"'.encode("utf-16")),
         ("a.toml", b"\xff token"),
     ],
