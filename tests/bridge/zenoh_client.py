@@ -1,7 +1,8 @@
 """Started by tests: `zenoh_client.py DIALECT PORT ROLE LETTER`, a client of a cell with the arm yumi_left.
 
-DIALECT is zenoh or rmw_zenoh. ROLE "command" asks for a small velocity at 250 Hz; "read" reads all that there is, says
-"row" at the first and "gap 3" when three are missing. LETTER makes the identity of the sender. Ends by a signal.
+DIALECT is zenoh or rmw_zenoh. ROLE "command" asks for a small velocity at 250 Hz, and says what it is answered over
+zenoh; "read" reads all that there is, says "row" at the first and "gap 3" when three are missing. LETTER makes the
+identity of the sender. Ends by a signal.
 """
 
 from __future__ import annotations
@@ -28,6 +29,9 @@ def command(session: Any, dialect: str, sender: bytes) -> None:
     qd = np.full(7, SPEED)
     types, names = store().types, Names(0, str(session.zid()))
     message = types[ARRAY](types["std_msgs/msg/MultiArrayLayout"]([], 0), qd)
+    if dialect == "zenoh":
+        place = key("lab", "yumi_left", f"answer/{sender.hex()}")
+        session.declare_subscriber(place, lambda sample: print(sample.payload.to_string(), flush=True))
     cdr, due = bytes(store().serialize_cdr(message, ARRAY)), time.monotonic()
     for k in range(1, 10**6):
         if dialect == "zenoh":
