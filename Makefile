@@ -31,12 +31,13 @@ demo: $(STAMP)  ## simulated YuMi over EGM: excite, identify, estimate a hand's 
 test: $(STAMP)  ## the default tests
 	$(PYTEST)
 
+# Only the files that say "slow" are read: the others, most of them, would be collected and left out.
 slow: $(STAMP)  ## the tests marked slow; those of the pages read what make docs wrote
-	$(PYTEST) -m slow --durations=25
+	$(PYTEST) -m slow --durations=25 $(sort $(shell grep -rlw --include='test_*.py' slow tests))
 
 reference: $(STAMP)  ## tests of the kernels in NumPy; force and identification would take minutes, tests/contract holds them
 	ARMLAB_KERNELS=reference $(PYTEST) -W "ignore:armlab runs its NumPy:RuntimeWarning" \
-	  --ignore=tests/models/test_coupled.py $(addprefix tests/,kernels kinematics lie laws robots models estimation)
+	  --ignore=tests/models/test_coupled.py $(addprefix tests/,kernels kinematics lie laws robots models)
 
 check: $(STAMP)  ## linters and type checks
 	$(BIN)/ruff check .

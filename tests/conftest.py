@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import fcntl
 import gc
+import os
+import pickle
 import resource
 import signal
 from collections.abc import Callable, Iterator
@@ -213,12 +216,29 @@ def excited(truth: Truth) -> Table:
     return truth.log(identify.excitation(truth.robot, seconds=30, seed=1), seed=1)
 
 
+def _once(run: Path, name: str, fit: Callable[[], Fit[TorqueModel]]) -> Fit[TorqueModel]:
+    """Return what the first process of a run of tests has fitted; the others wait for it and read it."""
+    with (run / f"{name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        kept = run / f"{name}.pickle"
+        if not kept.exists():
+            kept.write_bytes(pickle.dumps(fit()))
+        return pickle.loads(kept.read_bytes())
+
+
 @pytest.fixture(scope="session")
-def fitted(truth: Truth, excited: Table) -> Fit[TorqueModel]:
+def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of this run of tests, the same in each of its processes."""
+    own = tmp_path_factory.getbasetemp()
+    return own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
+
+
+@pytest.fixture(scope="session")
+def fitted(truth: Truth, excited: Table, run_folder: Path) -> Fit[TorqueModel]:
     """The torque model identified from that log, with its covariance."""
     if kernels.backend == "reference":
         pytest.skip("identification takes minutes in NumPy; the contract test holds the kernels")
-    return identify.fit_dynamics(excited, truth.robot)
+    return _once(run_folder, "fitted", lambda: identify.fit_dynamics(excited, truth.robot))
 
 
 @pytest.fixture(scope="session")
@@ -234,9 +254,9 @@ def slow(truth: Truth) -> Table:
 
 
 @pytest.fixture(scope="session")
-def gravity(truth: Truth, slow: Table) -> Fit[TorqueModel]:
+def gravity(truth: Truth, slow: Table, run_folder: Path) -> Fit[TorqueModel]:
     """The model of slow motion identified from it: gravity, friction and offsets."""
-    return identify.fit_gravity(slow, truth.robot)
+    return _once(run_folder, "gravity", lambda: identify.fit_gravity(slow, truth.robot))
 
 
 @contextmanager
