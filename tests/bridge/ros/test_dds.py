@@ -170,7 +170,11 @@ def test_who_commands_with_one_topic_sets_parameters_and_commands_with_another()
     ("type_", "fields", "sentence"),
     [
         (ARRAY, numbers(0.0, 1.0), "Expected 7 numbers on {}, got 2."),
-        (ARRAY, numbers(*[0.0] * 6, np.nan), "Expected finite numbers on {}, got nan for yumi_robl_joint_7."),
+        (
+            ARRAY,
+            numbers(*[0.0] * 6, np.nan),
+            "Expected finite numbers on {}, got nan for yumi_robl_joint_7 (number 7 of the message).",
+        ),
     ],
 )
 def test_wrong_numbers_are_answered_in_the_diagnostics(
