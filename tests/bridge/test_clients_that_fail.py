@@ -190,7 +190,9 @@ def test_a_commander_that_dies_or_stands_still_loses_the_arm_and_another_takes_i
         takers.append(taken.removesuffix(" commands yumi_left."))
         assert lost in ("", f"{takers[-1]} no longer commands yumi_left: silent for 0.1 s. The arm holds.")
     assert set(takers) == {bench.name(letter) for letter in "abc"}
-    assert any(text.startswith(f"A command of {bench.name('b')} was refused: yumi_left is") for text in bench.told)
+    # Both ask from then on: on a busy machine c may have been silent for a lease, and b have it again.
+    refused = [f"A command of {bench.name(letter)} was refused: yumi_left is" for letter in "bc"]
+    assert any(text.startswith(tuple(refused)) for text in bench.told)
     assert np.nanmax(np.abs(run.table["qd_sent"])) <= SPEED * (1.0 + 1e-9), "no jump at a takeover"
     assert run.statistics["missed"] <= MISSED * len(run.table["tick"])
 
