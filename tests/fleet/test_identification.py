@@ -157,6 +157,16 @@ def test_joints_may_move_in_a_log_each(short_arm) -> None:
     assert np.abs((fit.parameters - truth) / fit.sd).max() < 5.0
 
 
+def test_workers_that_try_all_logs_at_once_go_on_with_more_as_one_process_does(short_arm) -> None:
+    """The draft's first two logs do not tell enough; four workers know the others by then."""
+    poses = [{1: -0.5}, {1: 0.2}, {0: 0.3}, {0: -0.2}]
+    tables = [short_arm.log(k, 1000, still=still) for k, still in enumerate(poses)]
+    here = fleet.identify(tables, short_arm.robot)
+    with ThreadPoolExecutor(4) as pool:
+        assert bits(fleet.identify(tables, short_arm.robot, pool)) == bits(here)
+    assert len(here.used) == 4
+
+
 def test_a_recording_that_was_not_finished_is_recovered_and_used(folder: Path, short_arm, tmp_path: Path) -> None:
     whole = log.write(short_arm.log(7, 3000), tmp_path / "whole.mcap", short_arm.robot).read_bytes()
     torn = tmp_path / "torn.mcap"

@@ -49,6 +49,34 @@ class Shuffled(Executor):
         return future
 
 
+class KilledWorker(Exception):
+    """What Dask says of a job that was at workers which died, by this name."""
+
+
+class Blaming(Executor):
+    """Blames all jobs of the first pass but one, then those that are deadly."""
+
+    def __init__(self, jobs: int, deadly: set[int]) -> None:
+        self._left, self._deadly = jobs, deadly
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        self._left -= 1
+        if self._left > 0 or (self._left < 0 and args[1] in self._deadly):
+            future.set_exception(KilledWorker())
+        else:
+            future.set_result(fn(*args, **kwargs))
+        return future
+
+
+def test_whom_dask_blames_is_tried_alone_and_skipped_only_then() -> None:
+    jobs = {f"log {k}": k for k in range(6)}
+    done = each(abs, jobs, executor=Blaming(len(jobs), {1, 4}))
+    assert list(done.skipped) == ["log 1", "log 4"]
+    assert all("killed again" in reason for reason in done.skipped.values())
+    assert done.results == {name: k for name, k in jobs.items() if k not in (1, 4)}
+
+
 @pytest.fixture(params=["serial", "threads", "processes", "shuffled"])
 def executor(request: pytest.FixtureRequest) -> Iterator[Executor | None]:
     if request.param in ("serial", "shuffled"):

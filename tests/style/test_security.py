@@ -21,7 +21,19 @@ RUNS_DATA = {"pickle", "cPickle", "dill", "cloudpickle", "marshal", "shelve", "j
 """Modules by which data can become code."""
 
 CALLS = {"eval", "exec", "compile", "__import__"}
-ATTRIBUTES = {("os", "system"), ("os", "popen"), ("tempfile", "mktemp"), ("yaml", "load"), ("yaml", "unsafe_load")}
+ATTRIBUTES = {("tempfile", "mktemp"), ("yaml", "load"), ("yaml", "unsafe_load"), ("subprocess", "getoutput")} | {
+    ("os", name) for name in ("system", "popen", "execv", "execve", "execvp", "spawnv", "spawnlp", "posix_spawn")
+}
+
+STARTS_PROGRAMS = {  # file: which
+    "bridge/ros1/process.py": "the Python that has rospy, of the system or named in the cell",
+    "bridge/servers.py": "armlab: a server of the cell",
+    "bridge/simulator.py": "armlab: the simulated robot",
+    "cli/certificates.py": "openssl",
+    "cli/view.py": "armlab: the demo that is viewed",
+    "cli/viewers.py": "the viewer that the user names, or the first that is installed",
+    "log/recording_metadata.py": "git",
+}
 
 RUNS_THE_USERS_CODE = {  # file: what the user names on the command line is the user's own program
     "cli/run.py": "the file of a controller; and a prompt after the run, when asked",
@@ -65,6 +77,17 @@ def runs_data(node: ast.AST) -> list[str]:
     return []
 
 
+def starts_programs(node: ast.AST) -> list[str]:
+    """What starts another program; by name of the module, so that the rule on shells sees its calls."""
+    if isinstance(node, ast.Import):
+        return [one.name for one in node.names if one.name == "subprocess"]
+    if isinstance(node, ast.ImportFrom) and node.module == "subprocess":
+        return ["from subprocess import"]
+    if isinstance(node, ast.Attribute):
+        return [node.attr] if node.attr.startswith("create_subprocess") else []
+    return []
+
+
 def uses_a_shell(node: ast.AST) -> list[str]:
     """Programs are started with a list of words, never by a line for a shell, nor objects read by NumPy."""
     if not isinstance(node, ast.Call):
@@ -103,6 +126,12 @@ def test_the_users_own_code_runs_where_it_is_said() -> None:
         assert list(found(SOURCE / name, runs_data))
 
 
+def test_only_what_is_listed_starts_programs() -> None:
+    said = [one for path in FILES for one in found(path, starts_programs)]
+    assert sorted({one.partition(":")[0] for one in said}) == sorted(STARTS_PROGRAMS)
+    assert {one.rpartition(" ")[2] for one in said} == {"subprocess"}
+
+
 def test_only_what_is_listed_knows_all_addresses() -> None:
     said = [one for path in FILES for one in found(path, listens_wide)]
     assert sorted({one.partition(":")[0] for one in said}) == sorted(WIDE)
@@ -124,6 +153,9 @@ BAD = {
     "from importlib.util import spec_from_file_location": runs_data,
     "eval('1')": runs_data,
     "os.system('ls')": runs_data,
+    "os.execv('/bin/ls', words)": runs_data,
+    "from subprocess import run": starts_programs,
+    "await asyncio.create_subprocess_shell('ls')": starts_programs,
     "subprocess.run('ls', shell=True)": uses_a_shell,
     "np.load(path, allow_pickle=True)": uses_a_shell,
     "one = '0.0.0.0'": listens_wide,

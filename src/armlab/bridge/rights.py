@@ -277,15 +277,14 @@ def _sent(state: State) -> np.ndarray:
 
 
 def _distance(
-    q: np.ndarray, near: np.ndarray, most: np.ndarray | float, what: str, where: str, robot: Robot, first: int | None
+    q: np.ndarray, near: np.ndarray, most: np.ndarray, what: str, where: str, robot: Robot, first: int | None
 ) -> str:
     """Return the sentence for a position too far from another, "" when it is near enough."""
-    bound = np.broadcast_to(most, q.shape)
-    excess = np.abs(q - near) - bound
+    excess = np.abs(q - near) - most
     i = int(np.argmax(excess))
     if excess[i] <= 0.0:
         return ""
     return (
-        f"Expected the {what} within {bound[i]:g} of the one {where}, got {q[i]:.4f} for "
+        f"Expected the {what} within {most[i]:g} of the one {where}, got {q[i]:.4f} for "
         f"{called(robot, i, first)} of {robot.name}, {where} {near[i]:.4f}. {_CAUSES}"
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
@@ -113,12 +114,12 @@ def _draft(
             reasons = [f"{name}: {reason}" for name, reason in tried.refused.items()]
             raise LogError(f"Expected a log that can be used among {len(jobs)}, got none. {reasons[0]}")
         try:
-            tables = [as_table(jobs[name], robot) for name in names]
+            tables = [_table(name, jobs[name], robot) for name in names]
             draft, pattern = fit_draft(tables, robot, len(jobs), tell, _chooser(executor, tell))
         except NotExcited:
-            if tried.all:
+            if tried.all and names == tried.of(math.inf):  # workers try more of them than a fit may need
                 raise
-            wanted *= 2.0
+            wanted = 2.0 * max(wanted, tried.seconds(names))
         else:
             return draft, pattern, names, tried.refused
 
@@ -140,6 +141,10 @@ class _Tried:
         """Whether there are no others."""
         return not self._waiting
 
+    def seconds(self, names: Iterable[str]) -> float:
+        """Return how long logs last together."""
+        return sum(self._known[name][1] for name in names)
+
     def of(self, wanted: float) -> list[str]:
         """Return names of the first logs of one rate that last so many seconds together, or all."""
         while True:
@@ -158,6 +163,14 @@ class _Tried:
             )  # fmt: skip
             self._known.update(done.results)
             self.refused.update(done.skipped)
+
+
+def _table(name: str, log: Log, robot: Robot) -> Table:
+    """Return a log that could be read before."""
+    try:
+        return as_table(log, robot)
+    except OSError as error:
+        raise LogError(f"Expected {name} to read here as it did before, but: {error}") from None
 
 
 def _try(log: Log, robot: Robot) -> tuple[float, float]:
