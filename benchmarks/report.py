@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from blocks import Figure, Table
 
-SCALE = {"µs": 1e6, "ms": 1e3, "s": 1.0, "%": 1e2}
+SCALE = {"µs": 1e6, "ms": 1e3, "s": 1.0, "%": 1e2, "N": 1.0}
 SHARED = 0.1  # cores; above it the report warns
 
 METHOD = """\
@@ -31,14 +31,24 @@ class Section:
     failure: str = ""
 
 
-def render(date: str, machine: Sequence[str], sections: Sequence[Section], quick: bool = False) -> str:
+def render(
+    date: str,
+    machine: Sequence[str],
+    sections: Sequence[Section],
+    quick: bool = False,
+    picture: str = "",
+    compared: Sequence[str] = (),
+) -> str:
     """Return the report.
 
     Parameters
     ----------
     date : as told. machine : sentences. quick : say that the run was too short to judge by.
+    picture : file of the picture, beside the report. compared : lines about the baseline.
     """
     lines = ["# Benchmarks", "", f"Measured by `make bench`, {date}.", *machine, ""]
+    if picture:
+        lines += [f"![armlab's time over that of each peer, and what was measured over its bar]({picture})", ""]
     if quick:
         lines += ["**A quick run: good for a look, too short to judge by.**", ""]
     others = max((section.other_cores for section in sections), default=0.0)
@@ -49,7 +59,7 @@ def render(date: str, machine: Sequence[str], sections: Sequence[Section], quick
             "",
         ]
     lines += [f"**{section.name} failed:** {section.failure}\n" for section in sections if section.failure]
-    lines += [METHOD, *_bars(sections)]
+    lines += [METHOD, *_bars(sections), *compared]
     for section in sections:
         for table in section.tables:
             lines += _table(table, section)

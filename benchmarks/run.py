@@ -3,22 +3,30 @@
     python benchmarks/run.py                   all of them
     python benchmarks/run.py --only pose       one
     python benchmarks/run.py --quick           a short look
-    python benchmarks/run.py --publish         also write docs/benchmarks.md
+    python benchmarks/run.py --publish         also write docs/benchmarks.md, its picture, and the baseline
 
 A benchmark is a file ``bench_NAME.py`` here with a function ``run(quick) -> list[blocks.Table]``. It runs in a process
-of its own, so that none meets what another left behind. Reports go to ``benchmarks/results``.
+of its own, so that none meets what another left behind. A report, Markdown and a picture, goes to
+``benchmarks/results``; it compares with the baseline of the last published run.
 """
 
 from __future__ import annotations
 
 import argparse
+import shutil
 import sys
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import environment
 
+if TYPE_CHECKING:  # the others need the peers' environment
+    from report import Section
+
 HERE = Path(__file__).resolve().parent
+DOCS = HERE.parent / "docs"
 NAMES = tuple(sorted(path.stem.removeprefix("bench_") for path in HERE.glob("bench_*.py")))
 
 
@@ -27,33 +35,52 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Benchmarks of armlab beside its peers.")
     parser.add_argument("--only", choices=NAMES, action="append", metavar="NAME", help=f"one of {', '.join(NAMES)}")
     parser.add_argument("--quick", action="store_true", help="a short look")
-    parser.add_argument("--publish", action="store_true", help="also write docs/benchmarks.md")
+    parser.add_argument("--publish", action="store_true", help="also write docs/benchmarks.md and the baseline")
     options = parser.parse_args()
     if options.publish and (options.only or options.quick):
         parser.error("only a whole run is published: leave out --only and --quick")
     if not environment.is_inside():
         environment.prepare()
         environment.enter(__file__, sys.argv[1:])
+    return _measured(options.only or NAMES, options.quick, bool(options.only), options.publish)
 
+
+def _measured(names: Sequence[str], quick: bool, some: bool, publish: bool) -> int:
+    import baseline
     import machine
     from measure import measure
-    from report import render
 
-    start = datetime.now(UTC)
-    sections = [measure(name, options.quick) for name in options.only or NAMES]
-    text = render(f"{start:%Y-%m-%d %H:%M} UTC", machine.describe(), sections, options.quick)
-    results = HERE / "results"
-    results.mkdir(exist_ok=True)
-    path = results / f"{start:%Y-%m-%d-%H%M%S}.md"
-    path.write_text(text, encoding="utf-8")
+    start, about = datetime.now(UTC), machine.describe()
+    date = f"{start:%Y-%m-%d %H:%M} UTC"
+    path = HERE / "results" / f"{start:%Y-%m-%d-%H%M%S}.md"
+    path.parent.mkdir(exist_ok=True)
+    sections: list[Section] = []
+    for name in names:
+        sections.append(measure(name, quick))
+        text = _written(path, date, about, sections, quick, some)  # after each: a run of hours that is cut off is kept
     failed = [section.name for section in sections if section.failure]
-    if options.publish and not failed:
-        (environment.ROOT / "docs" / "benchmarks.md").write_text(text, encoding="utf-8")
+    if publish and not failed:
+        shown = path.with_suffix(".png").name
+        (DOCS / "benchmarks.md").write_text(text.replace(shown, "_static/benchmarks.png"), encoding="utf-8")
+        shutil.copy(path.with_suffix(".png"), DOCS / "_static" / "benchmarks.png")
+        baseline.store(date, about[0], sections)
     print(text)
-    print(f"Report: {path.relative_to(environment.ROOT)}")
+    print(f"Report: {path.relative_to(environment.ROOT)}, its picture beside it")
     if failed:
         print(f"Failed: {', '.join(failed)}. Nothing was published.", file=sys.stderr)
     return 1 if failed else 0
+
+
+def _written(path: Path, date: str, about: Sequence[str], sections: Sequence[Section], quick: bool, some: bool) -> str:
+    import baseline
+    import picture
+    from report import render
+
+    compared = baseline.render(baseline.compare(about[0], sections, whole=not some))
+    drawn = picture.draw(f"{date}. {about[0]}", sections, path.with_suffix(".png"))
+    text = render(date, about, sections, quick, path.with_suffix(".png").name if drawn else "", compared)
+    path.write_text(text, encoding="utf-8")
+    return text
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ BENCHMARKS = sorted(HERE.glob("bench_*.py"))
 @pytest.fixture
 def harness(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, ModuleType]]:
     """The modules that need no peer."""
-    names = ("blocks", "report", "environment")
+    names = ("blocks", "report", "environment", "baseline", "picture")
     monkeypatch.syspath_prepend(str(HERE))
     yield {name: importlib.import_module(name) for name in names}
     for name in names:
@@ -125,3 +125,68 @@ def test_benchmarks_have_one_entry(path: Path) -> None:
     run = next(entry for entry in entries if entry.name == "run")
     assert [argument.arg for argument in run.args.args] == ["quick"]
     assert ast.get_docstring(run)
+
+
+def section(harness: dict[str, ModuleType], ours: float, theirs: float, alone: float = 1.0) -> object:
+    """A benchmark with a peer, whose ratios scatter by 2 %, and one without."""
+    blocks = harness["blocks"]
+    spread = (0.98, 1.0, 1.02)
+    peer = [
+        blocks.Contender("armlab forward", constant(1.0, *(ours * one for one in spread)), "armlab", bar=2.0),
+        blocks.Contender("Peer", constant(1.0, theirs, theirs, theirs), bar=0.5),
+        blocks.Contender("writing", constant(1.0, 1.0, 1.0, 1.0), "limit"),
+    ]
+    lone = [blocks.Contender("armlab alone", constant(1.0, *(alone * one for one in spread)), "armlab")]
+    tables = [blocks.table("One pose", "", "s", peer, rounds=3), blocks.table("Alone", "", "s", lone, rounds=3)]
+    return harness["report"].Section("pose", tables, 0.0)
+
+
+@pytest.fixture
+def baseline(harness: dict[str, ModuleType], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> ModuleType:
+    """The module, with a file of its own that holds one run."""
+    baseline = harness["baseline"]
+    monkeypatch.setattr(baseline, "PATH", tmp_path / "baseline.json")
+    baseline.store("2026-01-02", "Fast.", [section(harness, 1.0, 4.0)])
+    return baseline
+
+
+def test_baseline_compares_ratios_of_any_machine_and_times_of_the_same(
+    harness: dict[str, ModuleType], baseline: ModuleType
+) -> None:
+    elsewhere = baseline.compare("Slow.", [section(harness, 3.0, 12.0, alone=3.0)], whole=True)
+    assert [(one.contender, one.kind, one.is_clear) for one in elsewhere.changes] == [("Peer", "ratio", False)]
+    assert (elsewhere.gone, elsewhere.new) == ([], []), "a time is there, and not compared"
+    here = baseline.compare("Fast.", [section(harness, 1.0, 4.0, alone=1.5)], whole=True)
+    assert [(one.contender, one.is_clear) for one in here.changes] == [("Peer", False), ("armlab alone", True)]
+    assert here.changes[1].times == pytest.approx(1.5)
+
+
+def test_baseline_names_what_became_slower(harness: dict[str, ModuleType], baseline: ModuleType) -> None:
+    text = "\n".join(baseline.render(baseline.compare("Slow.", [section(harness, 2.0, 4.0)], whole=True)))
+    assert "1 differ by more than a tenth with quartiles apart, 1 of them for the worse" in text
+    assert "| One pose | Peer | ratio | 0.25 | 0.5 | 2.00 |" in text
+    better = "\n".join(baseline.render(baseline.compare("Slow.", [section(harness, 0.5, 4.0)], whole=True)))
+    assert "1 differ by more than a tenth with quartiles apart, 0 of them for the worse" in better
+
+
+def test_baseline_tells_what_only_one_run_has(harness: dict[str, ModuleType], baseline: ModuleType) -> None:
+    part = harness["report"].Section("pose", [], 0.0)
+    assert baseline.compare("Fast.", [part], whole=True).gone == ["One pose: Peer", "Alone: armlab alone"]
+    assert baseline.compare("Fast.", [part], whole=False).gone == [], "only some benchmarks ran"
+    baseline.store("2026-01-02", "Fast.", [part])
+    assert baseline.compare("Fast.", [section(harness, 1.0, 4.0)], whole=True).new == [
+        "One pose: Peer",
+        "Alone: armlab alone",
+    ]
+    baseline.PATH.unlink()
+    assert baseline.render(baseline.compare("Fast.", [part], whole=True)) == []
+
+
+def test_picture_has_a_row_per_table(harness: dict[str, ModuleType], tmp_path: Path) -> None:
+    picture, path = harness["picture"], tmp_path / "report.png"
+    sections = [section(harness, 1.0, 4.0)]
+    assert picture._rows(sections, picture._over_peer) == {"One pose": [("Peer", 0.25, 0.2475, 0.2525, True)]}
+    assert [dot.name for dot in picture._rows(sections, picture._over_bar)["One pose"]] == ["armlab forward", "Peer"]
+    assert picture.draw("A machine.", sections, path)
+    assert path.read_bytes().startswith(b"\x89PNG")
+    assert not picture.draw("A machine.", [harness["report"].Section("pose", [], 0.0)], path)

@@ -1,0 +1,37 @@
+"""How true the estimated force of a hand is; `accuracy.py` tells more of it, over more seeds."""
+
+from __future__ import annotations
+
+import force_protocol as protocol
+import numpy as np
+from blocks import Contender, Table, figures
+
+ROBOT = "yumi_left"
+METHODS = ("map", "bounded", "observer", "kf")
+GAINS = {0.0: 1.0, 0.05: 1.5}  # unknown gain of each torque sensor, at most: bar [N]
+
+
+def run(quick: bool) -> list[Table]:
+    """Identify and estimate with every method on logs of the simulated arm; no peer estimates from such logs."""
+    seeds = 1 if quick else 5
+    text = (
+        f"{seeds} seeds of the protocol of *How true the forces are* on the simulated {ROBOT}: a model from 60 s of "
+        "motion, pushes of 5 N on another motion of 60 s; RMS of the error of the force while somebody pushes, of the "
+        "worst axis. A median is that of the seeds. The bars are the project's for `map`."
+    )
+    tables = []
+    for gains, bar in GAINS.items():
+        rms: dict[str, list[np.ndarray]] = {method: [] for method in METHODS}
+        for seed in range(seeds):
+            logs = protocol.record(ROBOT, seed, gains)
+            for method in METHODS:
+                score = protocol.judge(logs, method)
+                rms[method].append(np.array([score.rms.max()]))
+        contenders = [
+            Contender(f"armlab contact.Estimator, {method}", lambda: np.zeros(0), "armlab",
+                      bar if method == METHODS[0] else None)
+            for method in METHODS
+        ]  # fmt: skip
+        title = f"Force error{', torque sensors off by up to 5 %' if gains else ''}"
+        tables.append(Table(title, text, "N", figures(contenders, list(rms.values())), seeds))
+    return tables

@@ -1,0 +1,100 @@
+"""The report as one picture: armlab's time over that of each peer, and what was measured over its bar."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import matplotlib as mpl
+from blocks import Figure
+from matplotlib.axes import Axes
+from report import Section
+
+mpl.use("Agg")
+
+import matplotlib.pyplot as plt
+
+GOOD, BAD, LINE = "#0a7f5a", "#b3341f", "#4a5a6a"
+ROW = 0.2  # inches
+
+
+class Dot(NamedTuple):
+    """A figure: its name, value with quartiles, and whether it is good."""
+
+    name: str
+    value: float
+    lower: float
+    upper: float
+    good: bool
+
+
+def draw(head: str, sections: Sequence[Section], path: Path) -> bool:
+    """Write the picture; tell whether there was something to draw.
+
+    Parameters
+    ----------
+    head : date, machine. sections : what was measured. path : PNG file.
+    """
+    panels = {
+        "armlab's time over the peer's, a dot each": _rows(sections, _over_peer),
+        "measured over the project's own bar": _rows(sections, _over_bar),
+    }
+    panels = {title: rows for title, rows in panels.items() if rows}
+    if not panels:
+        return False
+    heights = [ROW * len(rows) + 0.9 for rows in panels.values()]
+    figure, axes = plt.subplots(
+        len(panels), figsize=(10.0, sum(heights) + 0.5), height_ratios=heights, squeeze=False, layout="constrained"
+    )
+    figure.suptitle(head, fontsize=8)
+    for one, (title, rows) in zip(axes[:, 0], panels.items(), strict=True):
+        _panel(one, rows, title)
+    figure.savefig(path, dpi=100)
+    plt.close(figure)
+    return True
+
+
+def _panel(axes: Axes, rows: Mapping[str, Sequence[Dot]], title: str) -> None:
+    for row, dots in enumerate(rows.values()):
+        for dot in dots:
+            colour = GOOD if dot.good else BAD
+            axes.plot([dot.lower, dot.upper], [row, row], color=colour, linewidth=1.2)
+            axes.plot(dot.value, row, "o", color=colour, markersize=4.0, alpha=0.8)
+            if not dot.good:
+                axes.annotate(f"  {dot.name}", (dot.upper, row), fontsize=5, va="center", color=colour)
+    dots = [dot for some in rows.values() for dot in some]
+    axes.axvline(1.0, color=LINE, linewidth=0.8)
+    axes.set_xscale("log")
+    axes.set_ylim(len(rows) - 0.4, -0.6)
+    axes.set_yticks(range(len(rows)), list(rows), fontsize=6.5)
+    axes.set_title(f"{title}; left of 1 is better: {sum(dot.good for dot in dots)} of {len(dots)}", fontsize=8)
+    axes.tick_params(axis="x", labelsize=7, top=True, labeltop=len(rows) > 40)
+    axes.grid(axis="both", color="#dddddd", linewidth=0.4)
+    axes.set_axisbelow(True)
+
+
+def _rows(sections: Sequence[Section], dot: Callable[[Figure], Dot | None]) -> dict[str, list[Dot]]:
+    """Return the dots of each table that has some; zero and infinity have no place on a scale of factors."""
+    rows: dict[str, list[Dot]] = {}
+    for table in (table for section in sections for table in section.tables):
+        dots = [one for figure in table.figures if (one := dot(figure)) and 0.0 < one.value < math.inf]
+        if dots:
+            rows[table.title] = dots
+    return rows
+
+
+def _over_peer(one: Figure) -> Dot | None:
+    if one.role != "peer":
+        return None
+    return Dot(one.name, one.ratio, one.ratio_lower, one.ratio_upper, one.ratio <= 1.0)
+
+
+def _over_bar(one: Figure) -> Dot | None:
+    if one.bar is None or one.role == "limit":
+        return None
+    values = (one.median, one.lower, one.upper)
+    if one.role == "peer":
+        values = (one.ratio, one.ratio_lower, one.ratio_upper)
+    return Dot(one.name, *(value / one.bar for value in values), bool(one.is_met))
