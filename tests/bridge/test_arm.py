@@ -95,3 +95,25 @@ def test_another_rehearsal_needs_time_before_the_packet(arm: Arm, packets: Any, 
     assert [one.ns for one in rehearsed] == [turn.sample.arrival_ns] * times
     arm.rehearse()
     assert len(rehearsed) == times  # once for each packet
+
+
+def test_a_reply_that_the_system_refuses_is_told_and_is_no_step(
+    arm: Arm, packets: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fast = Command(qd=np.full(7, 0.5))
+    for k in range(60):
+        if k == 30:
+            monkeypatch.setattr(arm.port, "send", lambda data, to: False)
+        if k == 50:
+            monkeypatch.undo()
+        turn = take(arm, packets, k)
+        arm.reply(turn, fast, arm.guide.answer(fast, arm.period))
+        arm.record()
+    table = arm.recording.table()
+    answered = np.isfinite(np.asarray(table["seq_sent"], dtype=float))
+    np.testing.assert_array_equal(np.flatnonzero(~answered), np.arange(30, 50))
+    np.testing.assert_allclose(np.diff(table["q_sent"][answered], axis=0)[15:], 0.5 * arm.period)
+    told = [text for _, text in arm.recording.events if "did not go out" in text]
+    assert told == [
+        f"A reply to 127.0.0.1:{arm.port.port} did not go out: the system refused it. The robot keeps the last one."
+    ]

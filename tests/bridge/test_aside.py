@@ -116,6 +116,9 @@ def test_a_refusal_stops_the_run_and_every_reply_says_where_the_axes_stay(feed: 
         return reply.beside
 
     assert cycle(None) is None
+    assert cycle(Command(q_ext=here)) is not None
+    guide.take_back()
+    assert cycle(None) is None, "the first reference of the axes did not go out"
     for k in range(20):
         moving = cycle(Command(q_ext=here + 0.002 * k))
     assert moving is not None

@@ -231,6 +231,11 @@ def test_the_limiter_remembers_what_it_sent(robot: Robot) -> None:
     assert not limiter.hold(T).qd.any()
     with pytest.raises(ValueError, match="read-only"):
         first.q[0] = 0.0
+    before = limiter.memory
+    again = limiter.step(robot.q_home, None, T)
+    assert not limiter.at_rest
+    limiter.memory = before
+    np.testing.assert_array_equal(limiter.step(robot.q_home, None, T).q, again.q)
 
 
 def test_limits_of_axes_beyond_the_robot(robot: Robot) -> None:

@@ -69,6 +69,13 @@ def test_who_was_served() -> None:
     assert served({}) == []
 
 
+def test_replies_that_were_left_out_are_in_the_report(play: Any) -> None:
+    run = play(lambda peer: peer.rest(), rush, seconds=0.05)
+    assert "Left out" not in run.report()
+    run.statistics["left_out"] = 3
+    assert "Left out 3 replies: so many messages waited in the robot's queue." in run.report()
+
+
 def test_the_table_and_the_wire_agree_on_clamps(play: Any) -> None:
     run = play(lambda peer: peer.rest(), rush, seconds=0.3)
     clamped = run.table["clamped"].astype(int)

@@ -318,3 +318,20 @@ def test_implausible_feedback_after_the_end_is_not_sent_back(bench: Bench) -> No
         bench.reply()
     assert bench() is not None
     assert bench(seqno=0, tm_ms=99_000, q=np.degrees(bench.home) + 100.0) is None
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_a_reply_that_did_not_go_out_is_no_step(bench: Bench, late: bool) -> None:
+    """Else the next one would be a step of two, or of as many as were not sent."""
+    fast = Command(qd=np.full(7, 1.0))
+    sent = [bench.reply(fast) for _ in range(30)][-1]
+    for _ in range(20):
+        bench.see()
+        unsent = bench.guide.hold(T) if late else bench.guide.answer(fast, T)
+        assert unsent is not None
+        assert np.abs(unsent.q - sent.q).max() > 1e-3
+        bench.guide.take_back()
+        np.testing.assert_array_equal(bench.see().q_sent, sent.q)
+    following = bench.reply(fast)
+    np.testing.assert_allclose(following.q - sent.q, T, rtol=1e-9)
+    np.testing.assert_allclose(following.qd, sent.qd)

@@ -115,6 +115,8 @@ def test_a_torque_alone_follows_the_arm_and_ends_in_a_hold(feed: Any, robot: Rob
         np.testing.assert_allclose(reply.q, home + 1e-3 * k)
         assert reply.tau[1] == pytest.approx(0.4 * (k + 1))
     assert guide.mode is Mode.RUNNING
+    guide.take_back()
+    assert see(home, Command(tau=push)).tau[1] == pytest.approx(0.4 * 5), "what did not go out does not count"
     held = see(home + 5e-3, None)
     assert not held.free
     assert guide.mode is Mode.HOLDING

@@ -214,6 +214,12 @@ class Arm:
                 self.replies += 1
                 self.latency.add(now - sample.arrival_ns)
                 late = late or (not self._in_lockstep and now > self.deadline(sample))
+            else:
+                host, port = session.source
+                what = f"A reply to {host}:{port} did not go out: the system refused it. The robot keeps the last one."
+                self.recording.event(what, warn=True)
+        if reply is not None and send_ns < 0:
+            self.guide.take_back()
         self._answered = command
         self.was_late = late
         self.late += late

@@ -38,6 +38,18 @@ class Aside:
         """Whether the references of the external axes stand still."""
         return not self._moves or self._limiter is None or self._limiter.at_rest
 
+    @property
+    def memory(self) -> tuple[bool, Any]:
+        """What the next references depend on. Set it back when the last ones did not go out."""
+        return self._moves, None if self._limiter is None else self._limiter.memory
+
+    @memory.setter
+    def memory(self, memory: tuple[bool, Any]) -> None:
+        """Go on from what it was."""
+        self._moves, sent = memory
+        if self._limiter is not None:
+            self._limiter.memory = sent
+
     def begin(self) -> None:
         """Forget what was asked for: a new session."""
         self._moves = False

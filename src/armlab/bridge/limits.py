@@ -167,6 +167,16 @@ class Limiter:
         return self._sent[0]
 
     @property
+    def memory(self) -> tuple[np.ndarray, np.ndarray | None]:
+        """What the next reference depends on. Set it back when the last one did not go out."""
+        return self._sent, self._asked
+
+    @memory.setter
+    def memory(self, memory: tuple[np.ndarray, np.ndarray | None]) -> None:
+        """Go on from what it was."""
+        self._sent, self._asked = memory
+
+    @property
     def at_rest(self) -> bool:
         """Whether the last reference stood still."""
         return not self._sent[1:].any()

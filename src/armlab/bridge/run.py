@@ -72,6 +72,8 @@ class Run:
             f"late {s['late']}, commands refused {s['refused']}.",
             f"Arrival to reply [us]: {latency}.",
         ]
+        if s["left_out"]:
+            lines.append(f"Left out {s['left_out']} replies: so many messages waited in the robot's queue.")
         drops = ", ".join(f"{number} {kind}" for kind, number in s["drops"].items())
         lines.append(f"Dropped datagrams: {drops or 'none'}. Socket errors: {s['socket_errors']}.")
         for kind, counts in s["clamps"].items():

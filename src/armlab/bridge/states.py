@@ -94,6 +94,7 @@ class Guide:
         self.worst_ratio = 1.0
         self.refused = self._refused_in_a_row = 0
         self._packet: Packet | None = None
+        self._before = self._memory
         self._qd = self._last.qd
         self.guided = self._plausible = self._warned = False
 
@@ -101,6 +102,10 @@ class Guide:
     def calls(self) -> bool:
         """Whether the controller is asked for this packet."""
         return self.ready and self.mode in _ASKED
+
+    @property
+    def _memory(self) -> tuple[Reply, Any, Any, Any]:
+        return self._last, self._limiter.memory, self._torques.memory, self._aside.memory
 
     @property
     def _is_silent(self) -> bool:
@@ -158,7 +163,7 @@ class Guide:
         ----------
         command : what the controller returned; None holds. period : cycle time of the robot [s].
         """
-        packet = self._packet
+        packet, self._before = self._packet, self._memory
         if packet is None or self.mode in _UNANSWERED or self._is_silent:
             return None
         if not self.ready:
@@ -187,8 +192,13 @@ class Guide:
         """
         if not self.calls:
             return self.answer(None, period)
+        self._before = self._memory
         self._last = self._held(period)
         return self._last
+
+    def take_back(self) -> None:
+        """Forget the last reply, which did not go out: the next one may be one step from what the robot has."""
+        self._last, self._limiter.memory, self._torques.memory, self._aside.memory = self._before
 
     def stop(self, reason: str, failure: LinkError | None = None) -> None:
         """Bring the arm to rest and end; the first reason stays.

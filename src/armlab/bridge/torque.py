@@ -84,6 +84,16 @@ class Torques:
         """Forget what was sent: the arm does not follow references."""
         self._sent: np.ndarray | None = None
 
+    @property
+    def memory(self) -> np.ndarray | None:
+        """What the next torque depends on. Set it back when the last one did not go out."""
+        return self._sent
+
+    @memory.setter
+    def memory(self, memory: np.ndarray | None) -> None:
+        """Go on from what it was."""
+        self._sent = memory
+
     def wanted(
         self, command: Command, q: np.ndarray, qd: np.ndarray
     ) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray | None]:
