@@ -115,9 +115,11 @@ nb::object weights(nb::handle x_, nb::handle centres_, nb::handle widths_) {
   const npy_intp shape[2] = {x.size(), m};
   const nb::object array = fresh_array(2, shape);
   double *to = static_cast<double *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(array.ptr())));
-  nb::gil_scoped_release released;
-  for (npy_intp k = 0; k < x.size(); ++k)
-    basis_weights(x.data()[k], static_cast<int>(m), middle.data(), widths.data(), to + m * k);
+  {
+    nb::gil_scoped_release released;
+    for (npy_intp k = 0; k < x.size(); ++k)
+      basis_weights(x.data()[k], static_cast<int>(m), middle.data(), widths.data(), to + m * k);
+  }
   return array;
 }
 
@@ -179,8 +181,10 @@ nb::object model_torque(const Chain &chain, nb::handle gravity_, nb::handle link
     rnea(chain, in[0], in[1], in[2], gravity.data(), links.data(), to[0]);
     for (int i = 0; i < n; ++i) to[0][i] = to[0][i] + inertia[i] * in[2][i];
   });
-  nb::gil_scoped_release released;
-  add_drive_torque(drive, N, q.data(), qd.data(), qdd.data(), dt_.is_none() ? nullptr : dt.data(), tau.samples().data);
+  {
+    nb::gil_scoped_release released;  // not at `return`, which counts one more reference to the array
+    add_drive_torque(drive, N, q.data(), qd.data(), qdd.data(), dt_.is_none() ? nullptr : dt.data(), tau.samples().data);
+  }
   return tau.array();
 }
 
@@ -193,18 +197,20 @@ nb::object presliding(nb::handle q_, nb::handle delta_, nb::handle resolution_) 
   const npy_intp shape[2] = {N, n};
   const nb::object array = fresh_array(2, shape);
   double *z = static_cast<double *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(array.ptr())));
-  nb::gil_scoped_release released;
-  std::vector<double> state(n, 0.0), play;
-  for (npy_intp k = 0; k < N; ++k, z += n) {
-    const double *row = q.data() + n * k;
-    if (!finite(row, static_cast<int>(n))) {
-      std::fill(z, z + n, nan);
-      continue;
-    }
-    if (play.empty()) play.assign(row, row + n);
-    for (npy_intp i = 0; i < n; ++i) {
-      const double dy = follow(play[i], row[i], resolution.data()[i]);
-      z[i] = state[i] = slide(state[i], dy, delta.data()[i]);
+  {
+    nb::gil_scoped_release released;
+    std::vector<double> state(n, 0.0), play;
+    for (npy_intp k = 0; k < N; ++k, z += n) {
+      const double *row = q.data() + n * k;
+      if (!finite(row, static_cast<int>(n))) {
+        std::fill(z, z + n, nan);
+        continue;
+      }
+      if (play.empty()) play.assign(row, row + n);
+      for (npy_intp i = 0; i < n; ++i) {
+        const double dy = follow(play[i], row[i], resolution.data()[i]);
+        z[i] = state[i] = slide(state[i], dy, delta.data()[i]);
+      }
     }
   }
   return array;
