@@ -86,6 +86,23 @@ def test_damaged_fields_are_refused_in_one_line(tmp_path: Path) -> None:
         read_value({"meta": {"kind": "test_outer", "format": 1}}, path)
 
 
+@pytest.mark.parametrize(
+    ("sources", "said"),
+    [
+        ("tuples = []", "got one with 'tuples'"),
+        ("", "fields of a test_outer"),
+        ("tuple = [1]", "texts for sources .* 1"),
+    ],
+)
+def test_sources_that_no_file_could_name_are_refused(sources: str, said: str, tmp_path: Path) -> None:
+    """A value of them would be refused, with a traceback, when it is saved again."""
+    path = models.save(value(), tmp_path / "outer.toml")
+    head, _, rest = path.read_text().partition("[value.sources]")
+    path.write_text(f"{head}[value.sources]\n{sources}\n{rest[rest.index(']') + 1 :]}")
+    with pytest.raises(ConfigError, match=said):
+        models.load(path)
+
+
 def test_values_without_a_format_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="file format, got float"):
         kind_of(1.0)

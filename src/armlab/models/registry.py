@@ -107,6 +107,17 @@ def _check_units(written: Any, known: Mapping[str, str]) -> None:
             )
 
 
+def _check_texts(value: Any, path: Path) -> None:
+    """Refuse a value whose sources and robot could not be named again in [meta]."""
+    known = provenance("", value)
+    for name, text in (
+        *(("sources", one) for one in known["sources"]),
+        *((k, known[k]) for k in ("robot", "robot_hash")),
+    ):
+        if not isinstance(text, str):
+            raise ConfigError(f"Expected texts for {name} at {path}, got {text!r}. Make the file again.")
+
+
 def read_value(raw: Mapping[str, Any], path: Path) -> Any:
     """Return the value of a file's tables.
 
@@ -131,6 +142,7 @@ def read_value(raw: Mapping[str, Any], path: Path) -> Any:
     try:
         value = decode({"kind": kind, "fields": raw["value"]})
         _check_units(meta.get("units", {}), _units(value))
+        _check_texts(value, path)
         return value
     except ConfigError:
         raise
@@ -179,4 +191,9 @@ def decode(item: Any) -> Any:
         return {key: decode(part) for key, part in item["table"].items()}
     if "kind" in item:
         return _CLASSES[item["kind"]](**{name: decode(part) for name, part in item["fields"].items()})
+    if item:
+        raise ConfigError(
+            "Expected a table with array, tuple, table or kind, or an empty one, got one with "
+            f"{sorted(item)[0][:60]!r}. Make the file again."
+        )
     return None
