@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import tracemalloc
 from pathlib import Path
 
 import pytest
@@ -57,6 +58,34 @@ def test_other_readers_find_everything() -> None:
     assert ours.indexed
     assert not ours.damaged
     assert ours.channels[a].metadata == {"k": "v"}
+
+
+def test_memory_does_not_grow_with_the_chunks_of_a_day(tmp_path: Path) -> None:
+    """Fails when the index of the chunks, which comes last, is kept in memory."""
+    count, path = 4000, tmp_path / "long.mcap"
+    with path.open("xb", buffering=0) as file:
+        writer, a, b = begun(file)
+        tracemalloc.start()
+        try:
+            for i in range(count):
+                writer.message(a, i, count - i, i, b"")
+                writer.message(b, i, i, i, b"")
+                writer.close_chunk()
+                if i == count // 2:
+                    before, _ = tracemalloc.get_traced_memory()
+            grown = tracemalloc.get_traced_memory()[0] - before
+        finally:
+            tracemalloc.stop()
+        assert grown < 2**17, "bytes; in memory it would be 2**19"
+        writer.finish()
+    assert [one.name for one in tmp_path.iterdir()] == ["long.mcap"]
+    with path.open("rb") as file:
+        summary = make_reader(file, validate_crcs=True).get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    assert len(summary.chunk_indexes) == summary.statistics.chunk_count == count
+    assert [len(one.message_index_offsets) for one in summary.chunk_indexes] == [2] * count
+    assert (summary.statistics.message_start_time, summary.statistics.message_end_time) == (0, count)
 
 
 def test_cut_at_every_byte_the_messages_pushed_before_are_there() -> None:

@@ -9,8 +9,11 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import chain
+from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any, BinaryIO
 
 from armlab.log.mcap_records import (
@@ -39,6 +42,7 @@ _MESSAGE_PREFIX = 22
 _CHUNK = struct.Struct("<BQQQQII4sQ")  # record, times, size, checksum, "zstd", length of the data
 _CHUNK_BODY = _CHUNK.size - 9
 _ENTRY = struct.Struct("<QQ")
+_KEPT = 2**16  # bytes of the index of the chunks in memory, five minutes of one arm
 
 
 @dataclass(slots=True)
@@ -54,6 +58,32 @@ class _OpenChunk:
     packed: int = 0
     pending: list[bytes] = field(default_factory=list)
     indexes: dict[int, bytearray] = field(default_factory=dict)
+
+
+class _Index:
+    """Records that come last in a file. Those of a day have 20 MB: they wait on the disk, in a file without a name."""
+
+    def __init__(self, folder: Path | None) -> None:
+        self._folder = folder
+        self._newest = bytearray()
+        self._file: BinaryIO | None = None
+
+    def add(self, record: bytes) -> None:
+        self._newest += record
+        if len(self._newest) > _KEPT:
+            if self._file is None:
+                self._file = TemporaryFile(dir=self._folder)  # noqa: SIM115 - closed by `taken`
+            self._file.write(self._newest)
+            self._newest.clear()
+
+    def taken(self) -> Iterator[bytes]:
+        """Give all of it, once."""
+        if self._file is not None:
+            with self._file as file:
+                file.seek(0)
+                while part := file.read(_KEPT):
+                    yield part
+        yield bytes(self._newest)
 
 
 class McapWriter:
@@ -79,8 +109,8 @@ class McapWriter:
         self._schemas: list[bytes] = []
         self._channels: list[bytes] = []
         self._counts: dict[int, int] = {}
-        self._times: list[tuple[int, int]] = []  # of the chunks
-        self._chunks: list[bytes] = []
+        self._times: tuple[int, int] | None = None  # first and last of all chunks
+        self._index, self._chunks = _Index(_folder(file)), 0
         self._attachments: list[bytes] = []
         self._metadata: list[bytes] = []
         self._put(MAGIC + _record(HEADER, _text(profile), _text(library)))
@@ -199,20 +229,23 @@ class McapWriter:
             self._counts[channel] += len(entries) // _ENTRY.size
         where = struct.pack("<QQI", chunk.start, length + 9, sum(map(len, places)))
         sizes = struct.pack("<QI4sQQ", at - self._at, 4, b"zstd", chunk.packed, chunk.size)
-        self._chunks.append(_record(CHUNK_INDEX, times, where, *places, sizes))
-        self._times.append((chunk.first_ns, chunk.last_ns))
+        self._index.add(_record(CHUNK_INDEX, times, where, *places, sizes))
+        self._chunks += 1
+        first, last = self._times or (chunk.first_ns, chunk.last_ns)
+        self._times = min(first, chunk.first_ns), max(last, chunk.last_ns)
         self._put(b"".join(indexes))
 
     def finish(self) -> None:
         """Write the chunk in progress, the summary and the footer."""
         self.close_chunk()
         self._put(_record(DATA_END, struct.pack("<I", 0)))
-        start = self._at
-        groups = (self._schemas, self._channels, [self._statistics()], self._chunks, self._attachments, self._metadata)
-        summary = b"".join(record for group in groups for record in group)
-        footer = struct.pack("<BQQQ", FOOTER, 20, start, 0)
-        crc = zlib.crc32(footer, zlib.crc32(summary))
-        self._put(b"".join([summary, footer, struct.pack("<I", crc), MAGIC]))
+        before = [*self._schemas, *self._channels, self._statistics()]
+        footer = struct.pack("<BQQQ", FOOTER, 20, self._at, 0)
+        crc = 0
+        for part in chain(before, self._index.taken(), self._attachments, self._metadata, [footer]):
+            crc = zlib.crc32(part, crc)
+            self._put(part)
+        self._put(struct.pack("<I", crc) + MAGIC)
 
     def _push(self, chunk: _OpenChunk, how: int) -> None:
         data = b"".join(chunk.pending)
@@ -233,12 +266,17 @@ class McapWriter:
             done += self._file.write(memoryview(data)[done:])
 
     def _statistics(self) -> bytes:
-        first = min((first for first, _ in self._times), default=0)
-        last = max((last for _, last in self._times), default=0)
+        first, last = self._times or (0, 0)
         counts = [struct.pack("<HQ", channel, count) for channel, count in self._counts.items() if count]
         numbers = (len(self._schemas), len(self._channels), len(self._attachments), len(self._metadata))
-        head = struct.pack("<QHIIIIQQ", sum(self._counts.values()), *numbers, len(self._chunks), first, last)
+        head = struct.pack("<QHIIIIQQ", sum(self._counts.values()), *numbers, self._chunks, first, last)
         return _record(STATISTICS, head, struct.pack("<I", sum(map(len, counts))), *counts)
+
+
+def _folder(file: BinaryIO) -> Path | None:
+    """Return the folder of a file, None for one without."""
+    name = getattr(file, "name", None)
+    return Path(name).parent if isinstance(name, str) else None
 
 
 def _record(kind: int, *parts: bytes) -> bytes:
