@@ -7,26 +7,24 @@ import json
 import os
 import select
 import socket
-import struct
 import subprocess
 import tempfile
 import time
-from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import IO, Any
 
 from armlab.bridge.loop_end import LoopEnd
 from armlab.bridge.messages import Listening, Report
 from armlab.bridge.outlet import pair
-from armlab.bridge.ros import Commands, Encoded, Topics, store
+from armlab.bridge.ros import Commands, Encoded, Published, Topics, store
 from armlab.bridge.ros1 import relay
+from armlab.bridge.ros1.subscribers import Subscribers
 from armlab.errors import CommandRefused, LinkError
 from armlab.robots import from_toml
 
 __all__ = ["Ros1Process", "serve"]
 
-_BUFFER = 2**19  # bytes that wait for the relay: about 1 s of two topics
-_SAYING = 65535
+_LOOK = 1000  # ms of one look
 _START = 8.0  # s for the relay to be a node
 _END = 2.0  # s for it to end by itself
 _SPOKEN = 1.0  # s between two sentences to one node
@@ -48,15 +46,13 @@ class Ros1Process:
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._options = options
-        self._lost: Counter[str] = Counter()
-        self._sent: Counter[str] = Counter()
-        self._loop = LoopEnd(feed, lambda: {name: (self._sent[name], self._lost[name]) for name in self._sent})
+        self._looks = select.poll()
+        self._subscribers = Subscribers(self._looks)
+        self._loop = LoopEnd(feed, lambda: self._subscribers.counts)
         about = self._loop.about
         robots = {name: from_toml(text, name) for name, text in about["robots"].items()}
         self._topics, self._commands = Topics(robots, self._loop.schema), Commands(about["cell"], robots)
         self._encoded = Encoded(self._topics, _encoded)
-        self._numbers = {name: number for number, name in enumerate(self._topics.published)}
-        self._wanted: frozenset[str] = frozenset()
         self._spoken: dict[str, float] = {}
 
     def run(self) -> None:
@@ -67,25 +63,29 @@ class Ros1Process:
         LinkError : no rospy, no master, or it has gone.
         """
         own = tempfile.TemporaryDirectory(prefix="armlab-ros-", ignore_cleanup_errors=True)
-        with own as home, tempfile.TemporaryFile() as log, self._relay(home, log) as node:
+        held = contextlib.closing(self._subscribers)
+        with own as home, tempfile.TemporaryFile() as log, self._relay(home, log) as node, held:
             self._begin(node, log)
+            self._looks.register(self._loop, select.POLLIN)
+            self._looks.register(node, select.POLLIN)
             while True:
-                ready, _, _ = select.select([self._loop, node], [], [], 1.0)
-                if node in ready:
-                    self._hear(node, log)
+                for number, _ in self._looks.poll(_LOOK):
+                    if number == node.fileno():
+                        self._hear(node, log)
+                    elif number != self._loop.fileno():
+                        self._subscribers.look(number)
                 messages = self._loop.receive()
                 if messages is None:
                     return
                 for message in messages:
                     self._pass_on(node, message)
                 if not messages:
-                    self._send(node, self._encoded.of_silence(time.monotonic_ns(), self._wanted))
+                    self._send(self._encoded.of_silence(time.monotonic_ns(), self._subscribers.wanted))
 
     @contextlib.contextmanager
     def _relay(self, home: str, log: IO[bytes]) -> Iterator[socket.socket]:
         """Start the node; it ends with its input."""
         ours, theirs = pair()
-        ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)
         master, host = self._options["master"], self._options["host"]
         own = {"ROS_MASTER_URI": master, "ROS_IP": host, "ROS_HOME": home}
         environment = {name: value for name, value in os.environ.items() if name not in _NOT_INHERITED}
@@ -123,10 +123,12 @@ class Ros1Process:
             node.send(json.dumps(about).encode())
         if not select.select([node], [], [], _START)[0]:
             raise LinkError(f"Expected a node of ROS 1 within {_START:g} s, but nothing came. Look at the master.")
-        (ready,) = self._messages(node, log)[:1]
+        ready, *others = self._messages(node, log)
         master = self._options["master"]
         without = f", not installed: {', '.join(ready['missing'])}" if ready["missing"] else ""
         self._loop.ask(Listening(where=[f"{self._options['host']} (ros1, master {master}{without})"]))
+        for message in others:
+            self._take(node, message)
 
     def _messages(self, node: socket.socket, log: IO[bytes]) -> list[dict[str, Any]]:
         """Return what the node says now; raise what it said last when it has ended."""
@@ -134,35 +136,39 @@ class Ros1Process:
         with contextlib.suppress(BlockingIOError):
             for _ in range(64):
                 try:
-                    data = node.recv(2**17)
+                    data, connections, _, _ = socket.recv_fds(node, 2**17, 1)
                 except ConnectionError:
-                    data = b""
+                    data, connections = b"", []
                 if not data:
                     log.seek(0)
                     words = log.read().decode(errors="replace").strip().splitlines()
                     raise LinkError(words[-1] if words else "Expected the node of ROS 1 to go on, but it ended.")
-                found.append(json.loads(data))
+                found.append({**json.loads(data), "connections": connections})
         return found
 
     def _hear(self, node: socket.socket, log: IO[bytes]) -> None:
         for message in self._messages(node, log):
-            if message["kind"] == "wanted":
-                new = frozenset(message["topics"]) - self._wanted
-                self._wanted = frozenset(message["topics"])
-                self._send(node, self._encoded.of_parameters(self._loop.parameters, new))
-            elif message["kind"] == "command":
-                try:
-                    for request in self._commands.requests(message["topic"], message["content"], message["client"]):
-                        self._loop.ask(request)
-                except CommandRefused as error:
-                    self._answer(node, message["client"], str(error))
-                    self._loop.ask(Report(message["client"], str(error)))
+            self._take(node, message)
+
+    def _take(self, node: socket.socket, message: Mapping[str, Any]) -> None:
+        """Take what the node says: who reads a topic, or what another node commands."""
+        if message["kind"] == "subscriber":
+            for number in message["connections"]:  # none when this process may have no more
+                known = self._encoded.of_parameters(self._loop.parameters, {message["topic"]})
+                self._subscribers.add(message["topic"], socket.socket(fileno=number), [raw for _, raw in known])
+        elif message["kind"] == "command":
+            try:
+                for request in self._commands.requests(message["topic"], message["content"], message["client"]):
+                    self._loop.ask(request)
+            except CommandRefused as error:
+                self._answer(node, message["client"], str(error))
+                self._loop.ask(Report(message["client"], str(error)))
 
     def _pass_on(self, node: socket.socket, message: bytes | dict[str, Any]) -> None:
         if isinstance(message, bytes):
-            self._send(node, self._encoded.of_row(message, self._wanted))
+            self._send(self._encoded.of_row(message, self._subscribers.wanted))
         elif message["kind"] == "parameters":
-            self._send(node, self._encoded.of_parameters(self._loop.parameters, self._wanted))
+            self._send(self._encoded.of_parameters(self._loop.parameters, self._subscribers.wanted))
         elif message["kind"] == "answer":
             self._answer(node, message["client"], message["text"])
 
@@ -175,17 +181,11 @@ class Ros1Process:
                 del self._spoken[next(iter(self._spoken))]  # who was answered longest ago
             self._spoken[client] = now
             with contextlib.suppress(OSError):
-                node.send(struct.pack("<H", _SAYING) + f"{client}: {text}".encode())
+                node.send(f"{client}: {text}".encode())
 
-    def _send(self, node: socket.socket, messages: Any) -> None:
+    def _send(self, messages: Iterable[tuple[Published, bytes]]) -> None:
         for published, raw in messages:
-            name = published.name
-            self._sent[name] += 0
-            try:
-                node.send(struct.pack("<H", self._numbers[name]) + raw)
-                self._sent[name] += 1
-            except OSError:  # the relay does not read, or has ended, which the next look tells
-                self._lost[name] += 1
+            self._subscribers.send(published, raw)
 
 
 def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:

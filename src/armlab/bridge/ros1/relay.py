@@ -1,28 +1,26 @@
 """The node of `Ros1Process`: a program for the system's Python (3.6 or newer), of which it needs rospy and no more.
 
 Standard input and output are one socket that keeps messages whole. In: first a JSON object with "node", and "published"
-and "taken" types by topic; then messages of ROS 1, each behind the number of its topic (uint16), or a sentence for the
-log behind 65535. Out: JSON objects by "kind": "ready", "wanted" topics, "command". It ends with its input, and with a
-sentence on standard error when the master goes.
+and "taken" types by topic; then sentences for the log of ROS. Out: JSON objects by "kind": "ready", "command", and
+"subscriber" of a topic, with its connection: rospy negotiates, and what is published the bridge itself writes there. It
+ends with its input, and with a sentence on standard error when the master goes.
 """
 
+import array
 import contextlib
 import importlib
 import json
 import os
 import socket
-import struct
 import sys
 import threading
 from pathlib import Path
 
 __all__ = ["main"]
 
-_QUEUE = 500  # messages that wait for a slow subscriber: 1 s of two topics
 _LARGEST = 2**17
 _LOOK = 0.5  # s between two looks whether the master is still the same
 _PATIENCE = 3.0  # s for the master to answer
-_SAYING = 65535
 
 
 def main() -> int:
@@ -53,17 +51,15 @@ class _Node:
 
     def __init__(self, rospy, pipe, about):
         self._rospy, self._pipe = rospy, pipe
-        self._makers, self._publishers, missing = [], [], set()
+        self._lock, self._handed = threading.Lock(), {}
+        listener, missing = self._listener(), set()
+        self._publishers, self._subscribers = {}, []
         for topic, name in about["published"].items():
             kind = _type(name)
-            self._makers.append(None if kind is None else _raw(kind))
-            self._publishers.append(None)
             if kind is None:
                 missing.add(name)
             else:
-                publisher = rospy.Publisher(topic, kind, self._listener(rospy), tcp_nodelay=True, queue_size=_QUEUE)
-                self._publishers[-1] = publisher
-        self._subscribers = []
+                self._publishers[topic] = rospy.Publisher(topic, kind, queue_size=1)  # nothing is published here
         for topic, name in about["taken"].items():
             kind = _type(name)
             if kind is None:
@@ -72,35 +68,38 @@ class _Node:
                 taken = rospy.Subscriber(topic, kind, self._take, topic, queue_size=1, tcp_nodelay=True)
                 self._subscribers.append(taken)
         self._say(kind="ready", missing=sorted(missing))
+        for publisher in self._publishers.values():
+            publisher.impl.add_subscriber_listener(listener)
+            self._hand_over(publisher)  # who came before
 
     def run(self):
-        """Publish what comes until the input ends."""
+        """Write what comes into the log of ROS until the input ends."""
         while True:
             data = self._pipe.recv(_LARGEST)
             if not data:
                 return
-            (number,) = struct.unpack_from("<H", data)
-            if number == _SAYING:
-                self._rospy.logwarn(data[2:].decode(errors="replace"))
-            elif self._publishers[number] is not None:
-                self._publishers[number].publish(self._makers[number](data[2:]))
+            self._rospy.logwarn(data.decode(errors="replace"))
 
-    def _listener(self, rospy):
+    def _listener(self):
         node = self
 
-        class Listener(rospy.SubscribeListener):
+        class Listener(self._rospy.SubscribeListener):
             def peer_subscribe(self, topic, publish, publish_single):
-                node.tell_wanted()
-
-            def peer_unsubscribe(self, topic, count):
-                node.tell_wanted()
+                node._hand_over(node._publishers[topic])
 
         return Listener()
 
-    def tell_wanted(self):
-        """Say which topics have subscribers."""
-        known = [one for one in self._publishers if one is not None]
-        self._say(kind="wanted", topics=[one.resolved_name for one in known if one.get_num_connections()])
+    def _hand_over(self, publisher):
+        """Give the bridge the connections of a topic that it has not."""
+        with self._lock:
+            name, connections = publisher.resolved_name, publisher.impl.connections
+            said = json.dumps({"kind": "subscriber", "topic": name}).encode()
+            for one in connections:
+                if one.id not in self._handed.get(name, ()):
+                    with contextlib.suppress(AttributeError, OSError):  # it has gone
+                        number = array.array("i", [one.socket.fileno()])
+                        self._pipe.sendmsg([said], [(socket.SOL_SOCKET, socket.SCM_RIGHTS, number)])
+            self._handed[name] = {one.id for one in connections}
 
     def _take(self, message, topic):
         content = getattr(message, "data", None)
@@ -111,23 +110,6 @@ class _Node:
     def _say(self, **fields):
         with contextlib.suppress(BlockingIOError):  # the bridge does not read: a newer command follows
             self._pipe.send(json.dumps(fields).encode(), socket.MSG_DONTWAIT)
-
-
-def _raw(kind):
-    """Return a type of message that is serialized already, but for the number in its header."""
-
-    class Raw(kind):
-        __slots__ = ["raw"]
-
-        def __init__(self, raw):
-            kind.__init__(self)
-            self.raw = raw
-
-        def serialize(self, buff):
-            raw = self.raw
-            buff.write(struct.pack("<I", self.header.seq) + raw[4:] if self._has_header else raw)
-
-    return Raw
 
 
 def _type(name):
