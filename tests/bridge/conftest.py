@@ -91,11 +91,14 @@ class Feed:
     def __init__(self, robot: Robot, **options: Any) -> None:
         self.packets = Packets(robot)
         self.events: list[str] = []
+        self.warnings: list[str] = []  # those of the events that warn
         self.session = Session(EgmCodec(robot), on_event=self.tell, **options)
         self.now = 1_000_000_000
 
     def tell(self, text: str, warn: bool = False) -> None:
         self.events.append(text)
+        if warn:
+            self.warnings.append(text)
 
     def raw(self, data: bytes, port: int = 5000, host: str = "127.0.0.1", after: int = PERIOD_NS) -> Sample | None:
         self.now += after

@@ -45,9 +45,10 @@ def test_the_sentence_names_joint_and_values(robot: Robot) -> None:
     q = np.zeros(7)
     q[2] = np.nan
     assert f"q = nan for joint 3 ({robot.joint_names[2]})" in refusal(3, q, None, np.zeros(7), robot)
+    assert f"got q = nan, qd = 0.0 for joint 3 ({robot.joint_names[2]})" in refusal(3, q, np.zeros(7), q, robot)
     q[2] = 57.3
-    sentence = refusal(-3, q, None, np.zeros(7), robot)
-    assert "57.3" in sentence
+    sentence = refusal(-3, q, None, np.full(7, 0.3), robot)
+    assert f"sent, 0.3000, for joint 3 ({robot.joint_names[2]}), got 57.3000: a jump of 57.0000" in sentence
     assert "degrees" in sentence
 
 

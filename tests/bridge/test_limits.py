@@ -1,195 +1,18 @@
-"""Limits hold for any command; the compiled kernel is its reference."""
+"""`Limits` and `Limiter`; the law of the kernel is tested in kernels/_reference/test_limits.py."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from importlib.util import find_spec
-from types import ModuleType
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from armlab.bridge.limits import Limiter, Limits, Reply
-from armlab.errors import ConfigError, ShapeError
+from armlab.errors import ConfigError
 from armlab.kernels import _reference
-from armlab.robots import Robot
+from armlab.robots import Robot, from_links
 
 T = 0.004
-SLACK = 1e-7
-KERNELS = ["_reference", *(["_native"] if find_spec("armlab.kernels._native") else [])]
-
-
-@pytest.fixture(params=KERNELS)
-def kernel(request: pytest.FixtureRequest) -> ModuleType:
-    if request.param == "_reference":
-        return _reference
-    from armlab.kernels import _native
-
-    return _native
-
-
-def bounds(n: int, reach: float = 1.0, speed: float = 1.0, acceleration: float = 10.0) -> np.ndarray:
-    return np.stack([np.full(n, x) for x in (-reach, reach, speed, acceleration, 0.1)])
-
-
-def test_a_reference_that_can_be_followed_is_followed_exactly(kernel: ModuleType) -> None:
-    sent, asked = np.zeros((3, 2)), None
-    for k in range(500):
-        q = np.array([0.3, -0.2]) * (1.0 - np.cos(0.8 * T * k))
-        sent, clamped, ratio, refused = kernel.limit_reference(sent, bounds(2), T, q, asked)
-        asked = q
-        np.testing.assert_array_equal(sent[0], q)
-        assert (clamped.any(), ratio, refused) == (False, 1.0, 0)
-
-
-def test_velocity_ratio_keeps_the_direction(kernel: ModuleType) -> None:
-    limits = bounds(2, reach=np.inf, acceleration=1e6)
-    sent, clamped, ratio, _ = kernel.limit_reference(np.zeros((3, 2)), limits, T, None, None, np.array([4.0, 1.0]))
-    np.testing.assert_allclose(sent[1], [1.0, 0.25])
-    np.testing.assert_allclose(sent[0], [T, 0.25 * T])
-    assert (clamped.tolist(), ratio) == ([2, 0], 0.25)
-
-
-def test_hold_is_a_ramp_then_rest(kernel: ModuleType) -> None:
-    sent = np.array([[0.0], [0.1], [0.1]])
-    speeds = []
-    for _ in range(4):
-        sent, clamped, *_ = kernel.limit_reference(sent, bounds(1), T)
-        speeds.append(sent[2, 0])
-    np.testing.assert_allclose(speeds, [0.06, 0.02, 0.0, 0.0], atol=1e-12)
-    assert not clamped.any()
-
-
-def test_catching_up_does_not_overshoot(kernel: ModuleType) -> None:
-    sent, asked, target = np.zeros((3, 1)), None, np.array([0.09])
-    path = []
-    for _ in range(100):
-        sent, *_ = kernel.limit_reference(sent, bounds(1), T, target, asked)
-        asked = target
-        path.append(sent[0, 0])
-    assert max(path) <= 0.09 + 1e-12
-    assert path[-1] == 0.09
-    assert np.all(np.diff(path) >= 0.0)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "refused"),
-    [
-        (([np.nan, 0.0], None, None), 1),
-        (([0.0, np.inf], None, None), 2),
-        (([0.0, 0.0], None, [0.0, np.nan]), 2),
-        ((None, None, [-np.inf, 0.0]), 1),
-        (([0.0, -0.105], None, None), -2),
-        (([0.0, 0.103], None, None), 0),
-    ],
-)
-def test_refusals_hold(kernel: ModuleType, arguments: tuple[list[float] | None, ...], refused: int) -> None:
-    moving = np.array([[0.0, 0.0], [0.5, 0.0], [0.5, 0.0]])
-    arrays = [None if a is None else np.array(a) for a in arguments]
-    sent, _, _, found = kernel.limit_reference(moving, bounds(2), T, *arrays)
-    assert found == refused
-    if refused:
-        np.testing.assert_array_equal(sent, kernel.limit_reference(moving, bounds(2), T)[0])
-    assert np.isfinite(sent).all()
-
-
-@st.composite
-def commands(draw: st.DrawFn) -> list[tuple[np.ndarray | None, np.ndarray | None]]:
-    """Anything a controller may return, in pieces that go on for a while."""
-    rng = np.random.default_rng(draw(st.integers(0, 2**32)))
-    found: list[tuple[np.ndarray | None, np.ndarray | None]] = []
-    for kind in draw(
-        st.lists(st.sampled_from(["still", "walk", "edge", "velocity", "both", "hold", "bad"]), min_size=1)
-    ):
-        centre = rng.uniform(-1.2, 1.2, 3)
-        scale = 10.0 ** rng.uniform(-4, 0)
-        for _ in range(draw(st.integers(1, 60))):
-            noise = scale * rng.standard_normal(3)
-            found.append(
-                {
-                    "still": (centre, None),
-                    "walk": (noise, None),
-                    "edge": (np.sign(centre) * 0.99, None),
-                    "velocity": (None, 5.0 * centre),
-                    "both": (0.05 * centre, 10.0 * noise),
-                    "hold": (None, None),
-                    "bad": (centre * np.nan, noise),
-                }[kind]
-            )
-    return found
-
-
-@given(commands(), st.sampled_from(KERNELS))
-@settings(max_examples=60)
-def test_no_command_steps_above_the_limits(
-    script: list[tuple[np.ndarray | None, np.ndarray | None]], name: str
-) -> None:
-    kernel = _reference if name == "_reference" else __import__("armlab.kernels._native", fromlist=["x"])
-    limits, sent, asked = bounds(3, reach=0.99), np.zeros((3, 3)), None
-    a, fastest = 10.0, 1.0
-    for q, qd in script:
-        before = sent
-        sent, _, ratio, refused = kernel.limit_reference(sent, limits, T, q, asked, qd)
-        asked = None if refused else q
-        assert np.isfinite(sent).all()
-        assert np.abs(sent[0]).max() <= 0.99 + SLACK
-        assert np.abs(sent[1:]).max() <= fastest + SLACK
-        assert np.abs(sent[1:] - before[1:]).max() <= a * T + SLACK
-        np.testing.assert_allclose(sent[0] - before[0], sent[1] * T, atol=SLACK)
-        assert 0.0 < ratio <= 1.0
-
-
-def test_an_arm_outside_its_limits_may_only_come_back(kernel: ModuleType) -> None:
-    limits = bounds(1, reach=0.5)
-    outside = np.array([[0.6], [0.0], [0.0]])
-    away, clamped, *_ = kernel.limit_reference(outside, limits, T, np.array([0.65]))
-    assert away[0, 0] == 0.6
-    assert clamped[0] & 1
-    back, *_ = kernel.limit_reference(outside, limits, T, np.array([0.55]))
-    assert 0.599 < back[0, 0] < 0.6
-
-
-@given(st.integers(0, 2**32))
-@settings(max_examples=200)
-def test_native_is_the_reference(seed: int) -> None:
-    if "_native" not in KERNELS:
-        pytest.skip("the extension is not built")
-    from armlab.kernels import _native
-
-    rng = np.random.default_rng(seed)
-    n, period = int(rng.integers(1, 9)), 10.0 ** rng.uniform(-3, -1.5)
-    sent = rng.uniform(-1.5, 1.5, (3, n))
-    limits = np.abs(rng.normal(1.0, 0.5, (5, n))) * [[-1.2], [1.2], [1.0], [15.0], [0.3]] + 1e-3
-    if rng.random() < 0.3:
-        limits[[0, 1, 3], 0] = [-np.inf, np.inf, np.inf]
-    q = sent[0] + rng.choice([1e-4, 1e-2, 0.2]) * rng.standard_normal(n)
-    last = q + rng.choice([0.0, 1e-5, 1e-2]) * rng.standard_normal(n)
-    qd = rng.choice([0.1, 1.0, 10.0]) * rng.standard_normal(n)
-    if rng.random() < 0.1:
-        qd[-1] = np.nan
-    arguments = [x if rng.random() < 0.6 else None for x in (q, last, qd)]
-    ours = _native.limit_reference(sent, limits, period, *arguments)
-    wanted = _reference.limit_reference(sent, limits, period, *arguments)
-    np.testing.assert_allclose(ours[0], wanted[0], rtol=0.0, atol=1e-12)
-    np.testing.assert_array_equal(ours[1], wanted[1])
-    assert ours[1].dtype == wanted[1].dtype == np.uint8
-    assert ours[2] == pytest.approx(wanted[2], abs=1e-15)
-    assert ours[3] == wanted[3]
-
-
-def test_the_kernel_checks_shapes() -> None:
-    if "_native" not in KERNELS:
-        pytest.skip("the extension is not built")
-    from armlab.kernels import _native
-
-    with pytest.raises(ShapeError, match="bounds"):
-        _native.limit_reference(np.zeros((3, 2)), np.zeros((4, 2)), T)
-    with pytest.raises(ShapeError, match="q_ref"):
-        _native.limit_reference(np.zeros((3, 2)), bounds(2), T, np.zeros(3))
-    with pytest.raises(ShapeError, match="positive period"):
-        _native.limit_reference(np.zeros((3, 2)), bounds(2), 0.0)
 
 
 def test_limits_of_a_robot(robot: Robot) -> None:
@@ -197,8 +20,10 @@ def test_limits_of_a_robot(robot: Robot) -> None:
     np.testing.assert_allclose(limits.q_max, robot.q_max - 0.02)
     np.testing.assert_allclose(limits.qd_max, 0.5 * robot.qd_max)
     assert limits.jump.tolist() == [0.1] * 7
-    with pytest.raises(ConfigError, match="speed"):
-        Limits.of(robot, speed=2.0)
+    np.testing.assert_array_equal(Limits.of(robot, margin=0.0).q_max, robot.q_max)
+    for options in ({"speed": 2.0}, {"speed": 0.0}, {"entry": 0.0}):
+        with pytest.raises(ConfigError, match=r"speed in \(0, 1\], entry above 0"):
+            Limits.of(robot, **options)
     for margin in (10.0, -0.01, np.nan):
         with pytest.raises(ConfigError, match="margin"):
             Limits.of(robot, margin=margin)
@@ -213,6 +38,15 @@ def test_a_limit_that_would_never_act_is_refused(robot: Robot, name: str) -> Non
         replace(limits, **{name: bad})
     with pytest.raises(ConfigError, match=r"of one shape \(n,\).* \(6,\)"):
         replace(limits, **{name: bad[:6]})
+    bad[3] = limits.q_max[3] if name == "q_min" else limits.q_min[3] if name == "q_max" else 0.0
+    with pytest.raises(ConfigError, match=r"q_min below q_max|above 0"):
+        replace(limits, **{name: bad})
+
+
+def test_a_sliding_joint_may_jump_by_two_centimetres() -> None:
+    links = [np.eye(4)] * 3
+    robot = from_links("table", links, [True, False], q_min=[-1.0, -1.0], q_max=[1.0, 1.0], qd_max=[1.0, 1.0])
+    assert Limits.of(robot).jump.tolist() == [0.02, 0.1]
 
 
 def test_the_limiter_remembers_what_it_sent(robot: Robot) -> None:
@@ -236,6 +70,46 @@ def test_the_limiter_remembers_what_it_sent(robot: Robot) -> None:
     assert not limiter.at_rest
     limiter.memory = before
     np.testing.assert_array_equal(limiter.step(robot.q_home, None, T).q, again.q)
+
+
+def test_a_new_limiter_stands_at_zero(robot: Robot) -> None:
+    limiter = Limiter(Limits.of(robot))
+    assert limiter.at_rest
+    assert not limiter.hold(T).q.any()
+
+
+def test_a_limiter_knows_what_was_asked_before(robot: Robot) -> None:
+    """As the law of `kernels.limit_reference` says; what was asked before a rest is forgotten."""
+    limits = Limits.of(robot)
+    limiter, rows = (
+        Limiter(limits),
+        np.stack((limits.q_min, limits.q_max, limits.qd_max, limits.qdd_max, limits.jump)),
+    )
+    path = robot.q_home + 0.05 + 0.3 * T * np.arange(80)[:, None]
+    for begin in (limiter.rest, lambda q: limiter.follow(q, np.zeros(7))):
+        begin(robot.q_home)
+        sent, asked = np.stack((robot.q_home, np.zeros(7), np.zeros(7))), None
+        for q in path:
+            sent = _reference.limit_reference(sent, rows, T, q, asked)[0]
+            asked = q
+            np.testing.assert_allclose(limiter.step(q, None, T).q, sent[0], rtol=0.0, atol=1e-12)
+        assert not np.allclose(sent, _reference.limit_reference(sent, rows, T, q + 0.05)[0])
+
+
+def test_an_arm_is_at_rest_when_position_and_speed_are(robot: Robot) -> None:
+    limiter = Limiter(Limits.of(robot))
+    limiter.rest(robot.q_home)
+    assert not limiter.step(robot.q_home + 1e-4, np.zeros(7), T).qd.any()
+    assert not limiter.at_rest
+
+
+def test_replies_are_read_only(robot: Robot) -> None:
+    limiter = Limiter(Limits.of(robot))
+    for reply in (limiter.rest(robot.q_home.copy()), limiter.follow(robot.q_home.copy(), np.zeros(7))):
+        assert not any(array.flags.writeable for array in (reply.q, reply.qd, reply.clamped))
+        assert (reply.ratio, reply.refused, reply.tau, reply.beside) == (1.0, 0, None, None)
+    assert reply.free
+    assert not limiter.rest(robot.q_home).free
 
 
 def test_limits_of_axes_beyond_the_robot(robot: Robot) -> None:

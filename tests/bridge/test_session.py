@@ -1,4 +1,4 @@
-"""Sequence numbers, sources, begin and end of sessions."""
+"""Sources, begin and end of sessions; the order of packets is in test_session_order.py."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from armlab.bridge.port import Arrival
 from armlab.bridge.session import EGM_ERROR, Sample, Session
 from armlab.robots import Robot
-from armlab.wire.egm import EgmCodec
+from armlab.wire.egm import Drop, EgmCodec, Packet, RobotMessage, RobotSideCodec
 
 SILENCE = 600_000_000  # ns
 PERIOD_NS = 4_000_000
@@ -31,99 +32,16 @@ def test_lost_packets_are_counted_and_dt_grows(feed: Any) -> None:
     assert (sample.missed, feed.session.missed) == (2, 2)
     assert sample.dt == pytest.approx(0.012)
     assert feed.session.period.seconds == pytest.approx(0.004)
+    feed.packets()
+    assert feed.sample().missed == 1
+    assert feed.session.missed == 3
 
 
-@pytest.mark.parametrize(
-    ("seqno", "reason"),
-    [(7, "duplicate"), (6, "old"), ((7 - 2**31 + 1) % 2**32, "old"), (7 + 2**31, "old"), (7 + 2**30, "old")],
-)
-def test_duplicates_and_old_packets_are_dropped(feed: Any, seqno: int, reason: str) -> None:
-    feed(seqno=7)
-    assert feed(seqno=seqno) is None
-    assert feed.session.drops == {reason: 1}
-    assert feed.sample(seqno=8).missed == 0
-
-
-def test_numbers_wrap(feed: Any) -> None:
-    feed(seqno=2**32 - 1)
-    sample = feed.sample(seqno=0)
-    assert (sample.session, sample.missed) == (1, 0)
-    assert feed.sample(seqno=3).missed == 2
-
-
-def test_number_zero_is_a_new_session(feed: Any) -> None:
-    for _ in range(5):
+def test_the_period_is_measured(feed: Any) -> None:
+    for _ in range(20):
         feed()
-    feed.session.replied(feed.now)
-    sample = feed.sample(seqno=0)
-    assert (sample.session, sample.fresh, sample.dt, feed.session.seq) == (2, True, 0.004, 0)
-
-
-def test_a_late_duplicate_of_the_first_packet_is_none(feed: Any) -> None:
-    feed(seqno=0, tm_ms=77)
-    feed()
-    assert feed(seqno=0, tm_ms=77) is None
-    assert feed.session.drops == {"duplicate": 1}
-    assert feed.session.number == 1
-
-
-@pytest.mark.parametrize("seqno", [3, 40])
-def test_a_late_packet_of_the_session_before_is_old(feed: Any, seqno: int) -> None:
-    """Its number may be ahead of ours: only its tm tells."""
-    feed(seqno=0, tm_ms=1000)
-    feed(seqno=0, tm_ms=3000)
-    feed(seqno=1, tm_ms=3004)
-    assert feed(seqno=seqno, tm_ms=2000) is None
-    assert feed.session.drops == {"old": 1}
-    assert feed.sample(seqno=2, tm_ms=3008).missed == 0
-    assert feed.session.number == 2
-
-
-def test_the_first_packet_of_the_session_before_is_old(feed: Any) -> None:
-    feed(seqno=0, tm_ms=1000)
-    feed(seqno=0, tm_ms=3000)
-    feed(seqno=1, tm_ms=3004)
-    assert feed(seqno=0, tm_ms=1000) is None
-    assert feed.session.drops == {"old": 1}
-    assert feed.session.number == 2
-
-
-@pytest.mark.parametrize("tm", [12, 50_000, 2**32 - 9])
-def test_number_zero_with_a_clock_that_went_back_is_a_robot_that_restarted(feed: Any, tm: int) -> None:
-    """Without waiting for half a second of silence, in which the controller would time out."""
-    for k in range(5):
-        feed(seqno=k, tm_ms=60_000 + 4 * k)
-    sample = feed.sample(seqno=0, tm_ms=tm)
-    assert (sample.session, sample.fresh, feed.session.seq) == (2, True, 0)
-    assert feed.sample(seqno=1, tm_ms=(tm + 4) % 2**32).missed == 0
-    assert not feed.session.drops
-
-
-@pytest.mark.parametrize(("seqno", "tm"), [(1, 200), (1, 60_050), (70, 200)])
-def test_a_session_whose_first_packet_was_lost_begins_after_five_periods(feed: Any, seqno: int, tm: int) -> None:
-    """Number or clock went back, and the packets go on from each other while nothing else comes."""
-    for k in range(50):
-        feed(seqno=k, tm_ms=60_000 + 4 * k)
-    found = [feed(seqno=seqno + k, tm_ms=tm + 4 * k) for k in range(7)]
-    assert found[:5] == [None] * 5
-    assert found[5].fresh
-    assert (found[6].missed, found[6].session) == (0, 2)
-    assert feed.session.drops == {"old": 5}
-
-
-def test_old_packets_in_a_row_do_not_take_over_from_a_session_that_goes_on(feed: Any) -> None:
-    """A stall that delayed many packets behind newer ones; and single packets after a pause."""
-    for k in range(50):
-        feed(seqno=k, tm_ms=60_000 + 4 * k)
-    for k in range(20):
-        assert feed(seqno=k, tm_ms=60_000 + 4 * k, after=1000) is None
-    assert feed.sample(seqno=50, tm_ms=60_200).session == 1
-    assert feed(seqno=1, tm_ms=60_004, after=8 * PERIOD_NS) is None
-    for k in range(2, 20):
-        assert feed(seqno=k, tm_ms=60_000 + 4 * k, after=1000) is None
-    for k in (7, 3, 9, 11):
-        assert feed(seqno=k, tm_ms=60_000 + 4 * k, after=12 * PERIOD_NS) is None
-    assert feed.sample(seqno=51, tm_ms=60_204).session == 1
+        feed.packets.cycle += 1
+    assert feed.session.period.seconds == pytest.approx(0.008)
 
 
 def test_replies_to_another_port_that_took_over_begin_at_zero(feed: Any) -> None:
@@ -144,11 +62,6 @@ def test_replies_to_another_port_that_took_over_begin_at_zero(feed: Any) -> None
     assert feed.session.drops == {"duplicate": 1, "foreign source": 2}
 
 
-def test_tm_wraps(feed: Any) -> None:
-    feed(seqno=5, tm_ms=2**32 - 2)
-    assert feed.sample(seqno=6, tm_ms=2).missed == 0
-
-
 def test_silence_begins_a_new_session(feed: Any) -> None:
     feed(seqno=10)
     sample = feed.sample(seqno=11, after=SILENCE)
@@ -156,10 +69,20 @@ def test_silence_begins_a_new_session(feed: Any) -> None:
     assert feed.session.reason == "the controller stopped sending"
 
 
-def test_a_robot_in_lockstep_may_be_silent(robot: Robot) -> None:
-    from armlab.bridge.port import Arrival
-    from armlab.wire.egm import RobotMessage, RobotSideCodec
+def test_a_session_ends_once_after_half_a_second(feed: Any) -> None:
+    assert feed.session.end() == ""
+    assert feed.session.period.seconds == 0.004
+    feed()
+    assert not feed.session.silent(feed.now + 499_999_999)
+    assert feed.session.silent(feed.now + 500_000_000)
+    for _ in range(2):
+        assert feed.session.end() == "the controller stopped sending"
+        assert feed.warnings == ["Session 1 ended: the controller stopped sending."]
+    assert len(feed.events) == 2
+    assert not feed.session.silent(feed.now + 10**12)
 
+
+def test_a_robot_in_lockstep_may_be_silent(robot: Robot) -> None:
     session, side = Session(EgmCodec(robot), timeout=float("inf")), RobotSideCodec(robot)
     for k in range(2):
         data = side.encode_robot(RobotMessage(k, k, robot.q_home))
@@ -190,11 +113,17 @@ def test_why_a_session_ended(feed: Any, fields: dict[str, int], words: str) -> N
 def test_our_own_silence_is_named(feed: Any) -> None:
     for _ in range(60):
         feed()
-    assert "41822" in feed.session.end()
+    assert "did not answer for 0.24 s (event 41822" in feed.session.end()
     feed(seqno=0)
     for _ in range(60):
         feed()
         feed.session.replied(feed.now)
+    assert "stopped sending" in feed.session.end()
+
+
+def test_our_own_silence_is_longer_than_150_ms(feed: Any) -> None:
+    feed()
+    feed(after=150_000_000)
     assert "stopped sending" in feed.session.end()
 
 
@@ -236,6 +165,11 @@ def test_each_kind_of_drop_is_told_once_per_session(feed: Any) -> None:
     assert feed.session.total_drops == 6
     assert len(feed.events) == begun + 2
     assert "ff fe" in feed.events[begun]
+    assert feed.warnings == feed.events[begun:]
+    feed.session.end()
+    feed()
+    feed.raw(bytes([255] * 40))
+    assert feed.events[-1].endswith(" It begins " + " ".join(["ff"] * 32) + "."), "not more than 32 bytes of it"
     feed(seqno=0)
     feed.raw(b"\xff")
     assert "unparsable" in feed.events[-1]
@@ -255,24 +189,43 @@ def test_velocity_from_differences_is_filtered_and_converges(feed: Any) -> None:
         sample = feed.sample(q=q + speed * 0.004 * k)
         if k == 0:
             assert not sample.qd.any()
+        assert not sample.qd.flags.writeable
+        if k == 1:
+            np.testing.assert_allclose(sample.qd, speed * (1.0 - np.exp(-2.0 * np.pi * 30.0 * 0.004)))
     np.testing.assert_allclose(sample.qd, speed, rtol=1e-6)
     assert sample.qd_source == "difference"
 
 
+def test_velocity_that_was_measured_is_taken(robot: Robot, feed: Any) -> None:
+    feed.packets.codec = RobotSideCodec(robot, extension=True)
+    sample = feed.sample(qd=np.arange(7.0))
+    np.testing.assert_allclose(sample.qd, np.arange(7.0), atol=1e-12)
+    assert sample.qd_source == "measured"
+
+
+class Forgetful(EgmCodec):
+    """Refuses the first packet after each reset."""
+
+    def reset(self) -> None:
+        super().reset()
+        self.is_new = True
+
+    def decode(self, data: bytes) -> Packet | Drop:
+        is_new, self.is_new = self.is_new, False
+        return Drop("stale", "of the flavour before") if is_new else super().decode(data)
+
+
+def test_a_packet_refused_by_the_codec_of_its_new_session_begins_none(robot: Robot) -> None:
+    codec, side = Forgetful(robot), RobotSideCodec(robot)
+    codec.is_new = False
+    session = Session(codec)
+    assert session.accept(Arrival(side.encode_robot(RobotMessage(0, 0, robot.q_home)), ("127.0.0.1", 1), 0)) is None
+    assert (session.number, session.active, session.drops) == (0, False, {"stale": 1})
+
+
 def test_the_flavour_is_decided_anew_in_each_session(robot: Robot, feed: Any) -> None:
     feed()
-    from armlab.wire.egm import RobotSideCodec
-
     feed.packets.codec = RobotSideCodec(robot, "6.06")
     sample = feed.sample(seqno=0)
     assert sample.packet.robotware == "6.06"
     np.testing.assert_allclose(sample.packet.q, robot.q_home)
-
-
-def test_a_first_packet_that_was_overtaken_begins_no_session(feed: Any) -> None:
-    assert feed(seqno=1, tm_ms=10_004) is not None
-    assert feed(seqno=0, tm_ms=10_000) is None
-    assert feed(seqno=2, tm_ms=10_008) is not None
-    assert feed.session.number == 1
-    assert feed(seqno=0, tm_ms=500) is not None
-    assert feed.session.number == 2

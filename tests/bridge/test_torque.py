@@ -39,15 +39,29 @@ def test_a_torque_is_clipped_and_rises_slowly(robot: Robot, limits: Limits) -> N
     assert found[0].clamped.tolist() == [48, 0, 0, 0, 0, 0, 0]
     assert found[-1].clamped[0] == 16
     assert not found[-1].tau.flags.writeable  # type: ignore[union-attr]
+    assert not found[-1].clamped.flags.writeable
     back = [torques.limited(reply, None, T) for _ in range(30)]
     assert np.abs(np.diff([one.tau[0] for one in back if one.tau is not None])).max() <= 0.4 + 1e-12
     assert back[-1].tau is None
+
+
+def test_rounding_is_not_a_clamp(robot: Robot, limits: Limits) -> None:
+    """What is asked for exactly at a limit is sent, and no bit tells of it; a millionth more is told."""
+    reply = Limiter(limits).rest(robot.q_home)
+    for more, slowed, clipped in ((0.0, 0, 0), (1e-6, 32, 16)):
+        torques = Torques(robot, limits, ABLE)
+        assert torques.limited(reply, np.full(7, 0.4 + more), T).clamped.tolist() == [slowed] * 7
+        for k in range(1, 25):
+            torques.limited(reply, np.full(7, 0.4 * (k + 1)), T)
+        assert torques.limited(reply, np.full(7, 10.0 + more), T).clamped.tolist() == [clipped] * 7
 
 
 def test_without_the_capability_a_torque_is_refused_by_name(robot: Robot, limits: Limits) -> None:
     plain = Torques(robot, limits, frozenset(("position", "velocity")))
     with pytest.raises(CommandRefused, match=r'can carry position, velocity only.*torque="admittance"'):
         plain.wanted(Command(tau=np.zeros(7)), robot.q_home, np.zeros(7))
+    with pytest.raises(CommandRefused, match="can carry nothing only"):
+        Torques(robot, limits, frozenset()).wanted(Command(tau=np.zeros(7)), robot.q_home, np.zeros(7))
     with pytest.raises(CommandRefused, match=r"no torque limits.*tau_max"):
         Torques(robot, Limits.of(robot), ABLE).wanted(Command(tau=np.zeros(7)), robot.q_home, np.zeros(7))
 
@@ -73,6 +87,9 @@ def test_admittance_by_hand(robot: Robot, limits: Limits) -> None:
     np.testing.assert_allclose(speed, (12.0 - (q + 2.0)) / 5.0)
     with pytest.raises(CommandRefused, match="tau alone"):
         torques.wanted(Command(q, tau=q), q, qd)
+    plain = Admittance([5.0] * 7)  # type: ignore[arg-type]
+    assert isinstance(plain.damping, np.ndarray)
+    np.testing.assert_allclose(plain.velocity(q, q, qd), q / 5.0)
 
 
 @pytest.mark.parametrize("damping", [[0.0] * 7, [-1.0] * 7, [np.nan] * 7, 3.0])
@@ -88,6 +105,12 @@ def test_admittances_of_each_arm() -> None:
     assert first is not None
     assert second is not None
     assert (len(first.damping), second.damping[0]) == (7, 8.0)
+    models: list[TorqueModel] = [lambda q, qd: q, lambda q, qd: qd, lambda q, qd: q + qd]
+    three = admittances("admittance", np.arange(1.0, 21.0), models, [*arms, arms[0]])
+    assert [(one.damping[0], one.model) for one in three if one] == list(zip((1.0, 8.0, 14.0), models, strict=True))
+    (alone,) = admittances("admittance", np.ones(7), models[0], arms[:1])
+    assert alone is not None
+    assert alone.model is models[0]
     for torque, damping, model, words in (
         ("always", None, None, "refuse, admittance"),
         ("admittance", None, None, "13 joints"),
@@ -133,8 +156,15 @@ def test_a_torque_alone_is_refused_beyond_the_limits_of_the_arm(feed: Any, robot
         reply: Any = guide.answer(Command(tau=np.ones(7)), T)
         assert not reply.free
     assert guide.mode is Mode.STOPPING
-    assert "joint 4" in str(guide.failure)
-    assert "joint 2" in Torques(robot, limits, ABLE).outside(robot.q_home, np.array([0, 99.0, 0, 0, 0, 0, 0]))
+    low, high = limits.q_min[3], limits.q_max[3]
+    assert f"joint 4 ({robot.joint_names[3]}) is at {q[3]:.4f}, allowed is from {low:.4f} to {high:.4f}." in str(
+        guide.failure
+    )
+    outside, fast = Torques(robot, limits, ABLE).outside, np.array([0, 99.0, 0, 0, 0, 0, 0])
+    words = f"joint 2 ({robot.joint_names[1]}) is moving at 99.0000, allowed is up to {limits.qd_max[1]:.4f}."
+    assert words in outside(robot.q_home, fast)
+    for end, sign in ((limits.q_min, 1.0), (limits.q_max, -1.0)):
+        assert outside(end, sign * limits.qd_max) == "", "the limits themselves are within"
 
 
 def test_a_simulated_arm_moves_as_it_is_pushed() -> None:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import threading
+from types import SimpleNamespace
+
+import pytest
 
 from armlab.bridge.watchdog import Guard, Lateness
 
@@ -32,10 +35,26 @@ def test_five_percent_in_one_second() -> None:
     assert not any(rarely.add(k * PERIOD, k % 25 == 0, 0) for k in range(1000))
 
 
+def test_what_was_late_a_second_ago_counts_no_more_and_what_is_late_now_does() -> None:
+    lateness = Lateness()
+    assert not any(lateness.add(k * PERIOD, k % 25 == 0, 0) for k in range(1000))
+    assert any(lateness.add(k * PERIOD, k % 10 == 0, 0) for k in range(1000, 1250))
+
+
+def test_exactly_five_percent_is_not_too_much() -> None:
+    """A hundred cycles, the oldest of them exactly a second ago."""
+    step = 10**9 // 99
+    for share, words in ((20, ""), (19, "6 of 100 cycles within one second were late")):
+        lateness = Lateness()
+        found = [lateness.add(k * step, k % share == 0, 0) for k in range(100)]
+        assert found[-1] == words
+
+
 def test_one_long_call() -> None:
     lateness = Lateness()
+    assert lateness.add(0, True, 250_000_000) == ""
     assert lateness.add(0, True, 249_000_000) == ""
-    assert "one call took 0.26 s" in lateness.add(PERIOD, True, 260_000_000)
+    assert "one call took 0.26 s, allowed are 0.25 s" in lateness.add(PERIOD, True, 260_000_000)
 
 
 def test_the_guard_acts_only_when_overdue() -> None:
@@ -50,3 +69,24 @@ def test_the_guard_acts_only_when_overdue() -> None:
         assert not acted.is_set()
         left[0] = -0.001
         assert acted.wait(5.0)
+
+
+def test_the_guard_sleeps_until_the_deadline_at_most_two_milliseconds(monkeypatch: pytest.MonkeyPatch) -> None:
+    slept: list[float] = []
+    left = iter([1.0, 0.5e-3, 0.0])
+    done = threading.Event()
+
+    def overdue() -> float:
+        return next(left, 1.0)
+
+    def sleep(seconds: float) -> None:
+        slept.append(seconds)
+        done.wait(1e-3)
+
+    monkeypatch.setattr("armlab.bridge.watchdog.time", SimpleNamespace(sleep=sleep))
+    with Guard(overdue, done.set) as guard:
+        assert done.wait(5.0)
+        assert guard._thread.daemon, "a program that ends does not wait for it"
+        assert guard._thread.name == "armlab guard"
+    assert not guard._thread.is_alive()
+    assert slept[:2] == [2e-3, 0.5e-3]

@@ -32,8 +32,7 @@ def wanted(command: Command, robot: Robot) -> tuple[np.ndarray | None, np.ndarra
             f"Expected the controller to return a Command or None, got {type(command).__name__}. "
             "Write Command(q) for positions, Command(qd=...) for velocities."
         )
-    tau = None if command.tau is None else _vector("tau", command.tau, robot)
-    return _vector("q", command.q, robot), _vector("qd", command.qd, robot), tau
+    return _vector("q", command.q, robot), _vector("qd", command.qd, robot), _vector("tau", command.tau, robot)
 
 
 def _vector(name: str, values: Any, robot: Robot) -> np.ndarray | None:
@@ -65,13 +64,12 @@ def refusal(refused: int, q: np.ndarray | None, qd: np.ndarray | None, sent: np.
     """
     i = abs(refused) - 1
     joint = f"joint {i + 1} ({robot.joint_names[i]})"
-    if refused > 0:
+    if refused > 0 or q is None:  # only a position can jump
         got = ", ".join(f"{name} = {values[i]}" for name, values in (("q", q), ("qd", qd)) if values is not None)
         return f"Expected finite numbers in the Command, got {got} for {joint}. NaN never goes to a robot."
-    asked = float("nan") if q is None else q[i]
     return (
-        f"Expected a position near the last one sent, {sent[i]:.4f}, for {joint}, got {asked:.4f}: a jump of "
-        f"{abs(asked - sent[i]):.4f}. Move there gradually. {_CAUSES}"
+        f"Expected a position near the last one sent, {sent[i]:.4f}, for {joint}, got {q[i]:.4f}: a jump of "
+        f"{abs(q[i] - sent[i]):.4f}. Move there gradually. {_CAUSES}"
     )
 
 

@@ -190,8 +190,7 @@ class Session:
         return last is not None and arrival.ns - last.arrival_ns > _SILENT_PERIODS * 1e9 * self.period.seconds
 
     def _begin(self, arrival: Arrival) -> Sample | None:
-        if self.active:
-            self.end()
+        self.end()
         self._codec.reset()
         packet = self._codec.decode(arrival.data)
         if isinstance(packet, Drop):
