@@ -122,6 +122,17 @@ def test_a_full_way_loses_commands_and_keeps_a_stop() -> None:
         assert b'"stop"' in _received(loop)
 
 
+def test_who_asks_for_counts_before_the_server_is_there_gets_none() -> None:
+    """A server that begins when a run ends: what counts its clients is made after its end of the feed."""
+    loop, feed = pair()
+    loop.send(b'{"kind":"about","schema":"' + _schema() + b'"}')
+    loop.send(b'{"kind":"parameters","parameters":[]}')
+    loop.send(b'{"kind":"count"}')
+    with loop, feed:
+        LoopEnd(feed, lambda: pytest.fail("nobody can count yet"))
+        assert b'"clients":{}' in _received(loop)
+
+
 def test_a_loop_that_has_gone_is_said() -> None:
     loop, feed = pair()
     loop.close()

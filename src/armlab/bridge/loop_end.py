@@ -54,7 +54,8 @@ class LoopEnd:
     """
 
     def __init__(self, feed: socket.socket, clients: Callable[[], Clients] = dict) -> None:
-        self._feed, self._clients = feed, clients
+        self._feed = feed
+        self._clients: Callable[[], Clients] = dict  # the server is not there yet
         self._urgent: deque[bytes] = deque(maxlen=_URGENT)
         self._lock = threading.Lock()
         self.parameters: dict[str, dict[str, Any]] = {}
@@ -69,6 +70,7 @@ class LoopEnd:
             if messages is None:
                 raise LinkError("Expected the loop to say what its rows hold, but it closed the feed. Start it again.")
             said |= {message["kind"] for message in messages if isinstance(message, dict)}
+        self._clients = clients
 
     def fileno(self) -> int:
         """Return the number of the socket, for `select` and for event loops."""

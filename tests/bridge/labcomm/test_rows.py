@@ -11,7 +11,7 @@ import pytest
 from armlab import robots
 from armlab.bridge.labcomm.rows import STOP, Order, Row, RowTypes, signed
 from armlab.errors import ConfigError, LabCommError
-from armlab.wire.labcomm import Decoder, Encoder, SampleType, parse_lc
+from armlab.wire.labcomm import VOID, Decoder, Encoder, Sample, SampleType, parse_lc
 
 CHAIN = np.array([1.0, 2.0, 7.0, 3.0, 4.0, 5.0, 6.0])  # number of each joint from base to tool
 
@@ -60,6 +60,25 @@ def test_a_row_of_another_number_of_joints_is_not_sent(wrong: np.ndarray) -> Non
         RowTypes().value(Row(1, wrong))
     with pytest.raises(LabCommError, match=r"Expected 7 numbers in vel of a row, got shape"):
         RowTypes().value(Row(1, np.zeros(7), wrong))
+
+
+def test_rows_are_the_samples_of_the_type_that_is_sent() -> None:
+    """By name and type, which the stream of each client defines anew."""
+    types, (other,) = RowTypes(), parse_lc("sample struct { int tm; double pos[7]; } robot_row;")
+    assert isinstance(other, SampleType)
+    named = SampleType("state", types.sent.type)
+    value = types.value(Row(7, CHAIN, -CHAIN))
+    for _ in range(2):
+        encoder, decoder = Encoder(), Decoder()
+        definitions = [encoder.define(sample) for sample in (types.sent, named, other)]
+        decoder.feed(encoder.version() + b"".join(definitions))
+        assert types.rows(decoder.feed(encoder.data(named, value))) == []
+        (row,) = types.rows(decoder.feed(encoder.data(types.sent, value) + encoder.data(named, value)))
+        assert (row.tm, row.q.tolist(), row.qd.tolist()) == (7, CHAIN.tolist(), (-CHAIN).tolist())
+        assert types.rows(decoder.feed(encoder.data(other, {"tm": 7, "pos": value["pos"]}))) == []
+        definition = decoder.samples[0x41]
+        assert types.rows([Sample(0x41, "state", value, definition.type)]) == []
+        assert types.rows([Sample(0x41, "robot_row", value, VOID)]) == []
 
 
 def test_accepted_types_are_the_command_row_or_less_of_it() -> None:

@@ -118,6 +118,25 @@ def stream(text: str, *rows: Any, dialect: str = "2014v1") -> bytes:
     return encoder.version() + encoder.define(sample) + b"".join(encoder.data(sample, row) for row in rows)
 
 
+def test_fields_that_are_read_together_keep_their_order_and_their_names() -> None:
+    """Numbers side by side are read at once, between others that are not; a name may be empty."""
+    doubles = Array((2,), PRIMS["double"])
+    names = {"": "string", "a": "short", "i": "int", "s": "string", "b": "long", "t": "string"}
+    fields = [Field(name, PRIMS[kind]) for name, kind in names.items()]
+    kind = SampleType("n", Struct((*fields, Field("c", doubles), Field("d", PRIMS["float"]))))
+    value = {"": "y", "a": 2, "i": 1, "s": "x", "b": 3, "t": "", "c": [4.0, 5.0], "d": 6.0}
+    encoder, decoder = Encoder(), Decoder()
+    decoder.feed(encoder.version() + encoder.define(kind))
+    packet = encoder.data(kind, value)
+    assert packet[2:].hex(" ") == (
+        "01 79 00 02 00 00 00 01 01 78 00 00 00 00 00 00 00 03 00 40 10 00 00 00 00 00 00 40 14 00 00 00 00 "
+        "00 00 40 c0 00 00"
+    )
+    (event,) = decoder.feed(packet)
+    assert isinstance(event, Sample)
+    assert list(event.value.items()) == list(value.items())
+
+
 def test_an_error_is_raised_again_and_keeps_the_events_before_it() -> None:
     raw = stream("sample int n;", 7)
     decoder = Decoder()

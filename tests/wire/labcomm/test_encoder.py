@@ -100,6 +100,14 @@ def bad(name: str, value: Any) -> dict[str, Any]:
         ("struct { int a; int b; } n", {"a": 1}, "n: the fields a, b expected, b missing"),
         ("struct { int a; int b; } n", {"a": 1, "b": 2, "c": 3}, "n: the fields a, b expected, c given"),
         ("struct { int a; int b; } n", 3, "n: a dict expected, 3 given"),
+        ("struct { string s; int a; double b[2]; } n", {"s": "", "a": 1, "b": [1.0]}, r"n\.b: 2 values expected"),
+        ("struct { string s; int a; double b[2]; } n", {"s": "", "a": 1}, "n: the fields s, a, b expected, b missing"),
+        (
+            "struct { string s; int a; int b; } n",
+            {"s": "", "a": 1, "c": 2},
+            "n: the fields s, a, b expected, b missing",
+        ),
+        ("struct { int a; int b; string s; } n", [1, 2, ""], r"n: a dict expected, \[1, 2, ''\] given"),
         ("struct { struct { string s; } p[_]; } n", {"p": [{"s": "a"}, {"s": 1}]}, r"n.p\[1\].s: a string expected"),
     ],
 )

@@ -200,8 +200,6 @@ class FusedChannel(Channel):
         value = {
             "t_us": t_us,
             "arm": [{"name": one.name, "t_us": one.t_us, **self._types.value(one.row)} for one in arms],
-            "source": [
-                {"name": one.name, "t_us": one.t_us, "value": np.asarray(one.value, dtype=float)} for one in sources
-            ],
+            "source": [one._asdict() for one in sources],
         }
         _send(self._sample, value, peers)

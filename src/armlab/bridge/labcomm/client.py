@@ -7,12 +7,12 @@ import socket
 import time
 from collections.abc import Callable
 from types import TracebackType
-from typing import Any, TypeGuard
+from typing import Any
 
 from armlab.bridge.labcomm.peer import Peer
 from armlab.bridge.labcomm.rows import STOP, Row, RowTypes
 from armlab.errors import LabCommError, LinkError
-from armlab.wire.labcomm import Encoder, Event, Sample, SampleType
+from armlab.wire.labcomm import Encoder, Event, SampleType
 
 __all__ = ["LabCommClient", "connected"]
 
@@ -159,16 +159,14 @@ class LabCommClient:
         ------
         LinkError : the server has closed the connection, or its stream is malformed.
         """
-        return self._awaited(
-            seconds, lambda events: [self._types.row(one.value) for one in events if self._is_row(one)]
-        )
+        return self._awaited(seconds, self._types.rows)
 
     def _awaited(self, seconds: float, wanted: Callable[[list[Event]], list[Any]]) -> list[Any]:
         """Return what is wanted of what came, once there is any or the time is up."""
-        end = time.monotonic() + seconds
+        end, left = time.monotonic() + seconds, max(seconds, 0.0)
         while True:
-            self._push(b"", may_drop=True)
-            select.select([self._peer.socket], [], [], max(end - time.monotonic(), 0.0))
+            self._flush()
+            select.select([self._peer.socket], [], [], left)
             try:
                 events = self._peer.read()
             except LabCommError as error:
@@ -176,7 +174,8 @@ class LabCommClient:
             if events is None:
                 raise self._gone()
             found = wanted(events)
-            if found or time.monotonic() >= end:
+            left = 0.0 if found else max(end - time.monotonic(), 0.0)
+            if not left:
                 return found
 
     def run(self, on_row: Callable[[Row], Row | None], seconds: float | None = None, reconnects: bool = True) -> int:
@@ -230,13 +229,12 @@ class LabCommClient:
                     raise
                 time.sleep(0.1)
 
-    def _is_row(self, event: Event) -> TypeGuard[Sample]:
-        sent = self._types.sent
-        return isinstance(event, Sample) and (event.name, event.type) == (sent.name, sent.type)
-
     def _push(self, packet: bytes, may_drop: bool = True) -> None:
-        if packet:
-            self._peer.push(packet, may_drop)
+        self._peer.push(packet, may_drop)
+        self._flush()
+
+    def _flush(self) -> None:
+        """Send what waits."""
         if self._peer.socket.fileno() < 0 or not self._peer.flush():
             raise self._gone()
 

@@ -24,7 +24,7 @@ from armlab.bridge.port import Arrival, Port
 from armlab.errors import ConfigError, LabCommError
 from armlab.robots import Robot
 from armlab.wire.egm import Codec, Drop, Packet, Reference
-from armlab.wire.labcomm import Encoder, Event, Sample
+from armlab.wire.labcomm import Encoder, Event
 
 __all__ = ["RowCodec", "RowPort", "far_end"]
 
@@ -132,21 +132,13 @@ class RowPort:
         except LabCommError as error:
             events, is_gone = error.events, True
         now = time.monotonic_ns()
-        for event in events or ():
-            row = self._row(event)
-            if row is not None:
-                parts = [_NAN[: self._types.n] if part is None else part for part in (row.q, row.qd, row.tau)]
-                data = self._form.pack(self._count, row.tm, *np.concatenate(parts).tolist())
-                self._rows.append(Arrival(data, (self.host, self.port), now))
-                self._count += 1
+        for row in self._types.rows(events or ()):
+            parts = [_NAN[: self._types.n] if part is None else part for part in (row.q, row.qd, row.tau)]
+            data = self._form.pack(self._count, row.tm, *np.concatenate(parts).tolist())
+            self._rows.append(Arrival(data, (self.host, self.port), now))
+            self._count += 1
         if events is None or is_gone:
             self._lose()
-
-    def _row(self, event: Event) -> Row | None:
-        sent = self._types.sent
-        if not isinstance(event, Sample) or (event.name, event.type) != (sent.name, sent.type):
-            return None
-        return self._types.row(event.value)
 
     def _greeted(self) -> Peer:
         encoder = Encoder(self._dialect)

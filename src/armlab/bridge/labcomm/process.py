@@ -1,27 +1,25 @@
 """`LabCommProcess`: a LabComm server in a process of its own, between the loop's feed and its clients.
 
 Rows, events and parameters come from the loop by a socket (see `bridge.feed`); commands and settings of parameters go
-back by it. Nothing here can touch the loop: what it does not read is dropped there.
+back by it. Nothing here can touch the loop: what it does not read is dropped there. One thread does all: a row that is
+handed to another one costs more than the row.
 """
 
 from __future__ import annotations
 
 import logging
-import math
 import socket
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
-from armlab.bridge.labcomm.channels import ArmChannel, Channel, FusedArm, FusedChannel, FusedSource
+from armlab.bridge.labcomm.channels import ArmChannel, Channel, FusedChannel
+from armlab.bridge.labcomm.held import ArmPlaces, SourcePlaces
 from armlab.bridge.labcomm.parameter_channel import ParameterChannel, Value
+from armlab.bridge.labcomm.ports import Ports
 from armlab.bridge.labcomm.rows import Order, Row
-from armlab.bridge.labcomm.server import LabCommServer
 from armlab.bridge.loop_end import LoopEnd
 from armlab.bridge.messages import CommandRequest, Leave, Listening, Report, SetRequest, Stop
-from armlab.bridge.row import read_row
-from armlab.bridge.row_schema import RowSchema
+from armlab.bridge.row import read_head
 from armlab.errors import ConfigError
 from armlab.robots import Robot
 
@@ -92,21 +90,28 @@ class LabCommProcess:
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._options = options
-        self._server: LabCommServer | None = None
-        self._loop = LoopEnd(feed, lambda: {} if self._server is None else self._server.clients)
+        self._loop = LoopEnd(feed, lambda: self._ports.clients)
         self._sequences = self._set_sequences()
+        schema = self._loop.schema
+        self._arms = [ArmPlaces(schema, name) for name in options["arms"]]
+        sources = dict.fromkeys(field.source for field in schema.fields.values())
+        self._sources = [SourcePlaces(schema, name) for name in sources if name not in schema.robots]
+        self._ports = Ports(self._channels(), options["host"], self._event, self._stop, feed)
 
     def run(self) -> None:
         """Serve until the loop closes the feed."""
-        with LabCommServer(self._channels(), self._options["host"], self._event, self._stop) as self._server:
-            host, ports = self._options["host"], self._server.ports
-            self._loop.ask(Listening(where=[f"{host}:{port} (labcomm, {name})" for name, port in ports.items()]))
-            while (messages := self._loop.receive(None)) is not None:
+        host, ports = self._options["host"], self._ports
+        self._loop.ask(Listening(where=[f"{host}:{port} (labcomm, {name})" for name, port in ports.numbers.items()]))
+        try:
+            while (messages := self._loop.receive()) is not None:
                 for message in messages:
                     if isinstance(message, bytes):
-                        self._row(self._server, message)
+                        self._row(message)
                     else:
                         self._text(message)
+                ports.turn()
+        finally:
+            ports.close()
 
     def _left(self, client: str) -> None:
         self._loop.ask(Leave(client))
@@ -160,20 +165,19 @@ class LabCommProcess:
                 self._echo(name)
 
     def _echo(self, name: str) -> None:
-        if self._server is not None and "parameters" in self._server.ports:
-            self._server.parameter(name, self._value(name))
+        if "parameters" in self._ports.numbers:
+            self._ports.put("parameters", (name, self._value(name)))
 
-    def _row(self, server: LabCommServer, data: bytes) -> None:
-        schema = self._loop.schema
-        row = read_row(schema, data)
-        values, arms = row.values, list(self._options["arms"])
-        for name in arms:
-            if values[f"{name}.fresh"]:
-                server.row(name, _arm_row(values, name))
-        if "fused" in server.ports and values[f"{arms[0]}.fresh"]:
-            heard = [name for name in arms if math.isfinite(values[f"{name}.age"])]
-            fused = [FusedArm(name, values[f"{name}.receive_ns"] // 1000, _arm_row(values, name)) for name in heard]
-            server.fused(row.wall_ns // 1000, fused, _sources(schema, values, row.wall_ns))
+    def _row(self, data: bytes) -> None:
+        ports, pace = self._ports, next(iter(self._options["arms"]))
+        _, _, wall_ns = read_head(self._loop.schema, data)
+        held = [one for places in self._arms if (one := places.held(data)) is not None]
+        for is_fresh, arm in held:
+            if is_fresh and ports.has_clients(arm.name):
+                ports.put(arm.name, arm.row)
+            if is_fresh and arm.name == pace and ports.has_clients("fused"):
+                sources = [one for places in self._sources if (one := places.held(data, wall_ns)) is not None]
+                ports.put("fused", (wall_ns // 1000, [one.arm for one in held], sources))
 
     def _event(self, text: str, warn: bool = False) -> None:
         if warn:
@@ -194,23 +198,3 @@ def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
     LinkError : the loop has gone, or a port is taken.
     """
     LabCommProcess(feed, options).run()
-
-
-def _arm_row(values: Mapping[str, Any], name: str) -> Row:
-    robot_ns = values[f"{name}.robot_ns"]
-    tm = robot_ns // 10**6 if robot_ns else round(1e3 * values[f"{name}.session_t"])
-    return Row(tm, values[f"{name}.q"], values[f"{name}.qd"], values[f"{name}.tau"])
-
-
-def _sources(schema: RowSchema, values: Mapping[str, Any], now_ns: int) -> list[FusedSource]:
-    """Return what sources besides the arms gave last; those that were never heard are left out."""
-    parts: dict[str, list[np.ndarray]] = {}
-    for field in schema.fields.values():
-        if field.source not in schema.robots and field.name != f"{field.source}.age":
-            parts.setdefault(field.source, []).append(np.ravel(values[field.name]))
-    ages = {name: values[f"{name}.age"] for name in parts}
-    return [
-        FusedSource(name, (now_ns - round(1e9 * ages[name])) // 1000, np.concatenate(numbers))
-        for name, numbers in parts.items()
-        if math.isfinite(ages[name])
-    ]

@@ -7,13 +7,14 @@ kinematic order from base to tool, as everywhere in armlab. What is not given is
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from armlab.errors import ConfigError, LabCommError
-from armlab.wire.labcomm import Array, Prim, SampleType, Struct, idl, parse_lc
+from armlab.wire.labcomm import Array, Event, Prim, Sample, SampleType, Struct, idl, parse_lc
+from armlab.wire.labcomm.types import Type
 
 __all__ = ["STOP", "Order", "Row", "RowTypes", "signed"]
 
@@ -33,7 +34,8 @@ class Row(NamedTuple):
     Attributes
     ----------
     tm : time stamp of the robot's packet [ms, modulo 2**32]; in a command that of the row it answers.
-    q, qd, tau : (n,) positions [rad], velocities [rad/s], torques [N m], None where not given.
+    q, qd, tau : (n,) positions [rad], velocities [rad/s], torques [N m], None where not given. What was received is an
+        array; to send, any sequence will do.
     """
 
     tm: int
@@ -86,7 +88,9 @@ class RowTypes:
         for sample in (self.sent, self.accepted):
             self._check(sample)
         columns = np.arange(self.n) if order == "chain" else np.asarray(axes) - 1
-        self._to_chain, self._to_wire = columns, np.argsort(columns)
+        self._to_chain, self._to_wire = columns, np.argsort(columns).tolist()
+        self._sent = tuple(_fields(self.sent))
+        self._met: Type | None = None  # the newest type that was seen to be that of `sent`
 
     def accepts(self, sample: SampleType) -> bool:
         """Return whether values of a client's type are commands: some fields of the accepted type, `pos` among them.
@@ -110,12 +114,9 @@ class RowTypes:
         ------
         LabCommError : a wrong number of joints.
         """
-        parts: dict[str, Any] = {"tm": signed(row.tm), "pos": row.q, "vel": row.qd, "trq": row.tau}
-        value = {}
-        for name in _fields(sample or self.sent):
-            part = parts[name]
-            value[name] = part if name == "tm" else self._wired(name, part)
-        return value
+        parts = {"pos": row.q, "vel": row.qd, "trq": row.tau}
+        names = self._sent if sample is None else _fields(sample)
+        return {name: signed(row.tm) if name == "tm" else self._wired(name, parts[name]) for name in names}
 
     def row(self, value: Mapping[str, Any]) -> Row:
         """Return the row of a value from the wire; a vector that is NaN or zero throughout is not given, but for `pos`.
@@ -130,6 +131,19 @@ class RowTypes:
         """
         parts = [self._chained(name, value.get(name)) for name in _VECTORS]
         return Row(value.get("tm", 0), *parts)
+
+    def rows(self, events: Iterable[Event]) -> list[Row]:
+        """Return the rows among what came: samples of the type `sent`.
+
+        Parameters
+        ----------
+        events : of a decoder.
+
+        Raises
+        ------
+        LabCommError : a wrong number of joints.
+        """
+        return [self.row(event.value) for event in events if isinstance(event, Sample) and self._is_sent(event)]
 
     def command(self, value: Mapping[str, Any]) -> Row:
         """Return the command of a value from the wire; zeros and NaN in `vel` and `trq` ask for nothing.
@@ -152,13 +166,23 @@ class RowTypes:
             parts.append(None if part is None or not np.nan_to_num(part).any() else np.nan_to_num(part))
         return Row(row.tm, row.q, *parts)
 
-    def _wired(self, name: str, part: np.ndarray | None) -> list[float]:
+    def _is_sent(self, sample: Sample) -> bool:
+        """Whether it is of the type `sent`; a tree that was seen before is not compared again."""
+        if sample.type is not self._met:
+            if (sample.name, sample.type) != (self.sent.name, self.sent.type):
+                return False
+            self._met = sample.type
+        return sample.name == self.sent.name
+
+    def _wired(self, name: str, part: Any) -> list[float]:
         if part is None:
             return [math.nan] * self.n
-        numbers = np.asarray(part, dtype=float)
-        if numbers.shape != (self.n,):
-            raise LabCommError(f"Expected {self.n} numbers in {name} of a row, got shape {numbers.shape}.")
-        return numbers[self._to_wire].tolist()
+        if type(part) is not tuple or len(part) != self.n:  # tuples are of numbers, from a row of the loop
+            array = np.asarray(part, dtype=float)
+            if array.shape != (self.n,):
+                raise LabCommError(f"Expected {self.n} numbers in {name} of a row, got shape {array.shape}.")
+            part = array.tolist()
+        return [part[k] for k in self._to_wire]
 
     def _chained(self, name: str, part: Sequence[float] | None) -> np.ndarray | None:
         if part is None:

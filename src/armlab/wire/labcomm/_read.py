@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from operator import itemgetter
 from struct import Struct as Format
 from struct import unpack_from
@@ -12,9 +12,9 @@ from armlab.errors import LabCommError
 from armlab.wire.labcomm._shape import Shape, Size, checked_shape, nest
 from armlab.wire.labcomm._source import Cut
 from armlab.wire.labcomm.limits import Limits
-from armlab.wire.labcomm.types import Array, Prim, Struct, Type, containers
+from armlab.wire.labcomm.types import Array, Field, Prim, Struct, Type, containers
 
-__all__ = ["Cursor", "Reader", "flat_fields", "reader"]
+__all__ = ["Cursor", "Reader", "reader", "row_size", "runs"]
 
 
 class Cursor:
@@ -83,22 +83,30 @@ def reader(node: Type) -> Reader:
     if isinstance(node, Array):
         return _array(node)
     if isinstance(node, Struct):
-        flat = flat_fields(node)
-        return _struct(node) if flat is None else _flat(node, flat)
+        return _struct(node)
     raise LabCommError(f"Expected a type whose values can be read, got a reference to type {node.index}.")
 
 
-def flat_fields(node: Struct) -> list[tuple[str, int]] | None:
-    """Return (name, count) per field, count -1 for a scalar, where all are numbers or rows of a fixed size."""
-    fields = []
-    for name, part, _ in node.fields:
-        count = -1
-        if isinstance(part, Array) and len(part.dims) == 1 and part.dims[0]:
-            count, part = part.dims[0], part.elem
-        if not isinstance(part, Prim) or part.letter in ("", "?", "B"):
-            return None
-        fields.append((name, count))
-    return fields if len(fields) > 1 else None
+def runs(node: Struct) -> list[list[Field]]:
+    """Return the fields of a struct in order, those together that one `struct` call takes."""
+    found: list[list[Field]] = []
+    was_flat = False
+    for field in node.fields:
+        is_flat = row_size(field.type) is not None
+        if is_flat and was_flat:
+            found[-1].append(field)
+        else:
+            found.append([field])
+        was_flat = is_flat
+    return found
+
+
+def row_size(node: Type) -> int | None:
+    """Return how many numbers a fixed row has, -1 for a scalar; None of what is not numbers alone."""
+    size = -1
+    if isinstance(node, Array) and len(node.dims) == 1 and node.dims[0]:
+        size, node = node.dims[0], node.elem
+    return size if isinstance(node, Prim) and node.letter not in ("", "?", "B") else None
 
 
 def decoded(raw: bytes) -> str:
@@ -138,12 +146,13 @@ def _prim(node: Prim) -> Reader:
     return read
 
 
-def _flat(node: Struct, fields: list[tuple[str, int]]) -> Reader:
+def _flat(fields: Sequence[Field]) -> Reader:
     """One `struct` call for all; a slice or an index of its result per field."""
+    node = Struct(tuple(fields))
     unpack, size = Format(node.struct_format or "").unpack_from, node.size
-    names, places, at = [], [], 0
-    for name, count in fields:
-        names.append(name)
+    names, places, at = [field.name for field in fields], [], 0
+    for field in fields:
+        count = row_size(field.type) or 0
         places.append(at if count < 0 else slice(at, at + count))
         at += abs(count)
     pick = itemgetter(*places)
@@ -159,10 +168,18 @@ def _flat(node: Struct, fields: list[tuple[str, int]]) -> Reader:
 
 
 def _struct(node: Struct) -> Reader:
-    fields = [(field.name, reader(field.type)) for field in node.fields]
+    parts = [(None, _flat(run)) if len(run) > 1 else (run[0].name, reader(run[0].type)) for run in runs(node)]
+    if len(parts) == 1 and parts[0][0] is None:
+        return parts[0][1]
 
     def read(cursor: Cursor) -> dict[str, Any]:
-        return {name: part(cursor) for name, part in fields}
+        value: dict[str, Any] = {}
+        for name, part in parts:
+            if name is None:
+                value.update(part(cursor))
+            else:
+                value[name] = part(cursor)
+        return value
 
     return read
 

@@ -8,9 +8,9 @@ from struct import Struct as Format
 from typing import Any, NamedTuple
 
 from armlab.errors import LabCommError
-from armlab.wire.labcomm._read import flat_fields
+from armlab.wire.labcomm._read import row_size, runs
 from armlab.wire.labcomm.dialects import Dialect
-from armlab.wire.labcomm.types import SAMPLE, Array, Prim, SampleType, Struct, Type, typename
+from armlab.wire.labcomm.types import SAMPLE, Array, Field, Prim, SampleType, Struct, Type, typename
 
 __all__ = ["Misfit", "Wire", "Writer", "writer"]
 
@@ -40,9 +40,7 @@ def writer(node: Type, wire: Wire) -> Writer:
     if isinstance(node, Array):
         return _array(node, wire)
     if isinstance(node, Struct):
-        flat = flat_fields(node)
-        slow = _struct(node, wire)
-        return slow if flat is None else _flat(node, flat, slow)
+        return _struct(node, wire)
     raise LabCommError(f"Expected a type whose values can be written, got a reference to type {node.index}.")
 
 
@@ -79,16 +77,31 @@ def _text(value: Any, wire: Wire) -> bytes:
         raise Misfit(f"a string that UTF-8 can write expected, {value!r} given") from None
 
 
-def _flat(node: Struct, fields: list[tuple[str, int]], slow: Writer) -> Writer:
-    """One `struct` call for all; whatever is odd goes the slow way, which says what is wrong."""
-    pack = Format(node.struct_format or "").pack
+def _struct(node: Struct, wire: Wire) -> Writer:
+    parts = [_flat(run, wire) if len(run) > 1 else _field(run[0], wire) for run in runs(node)]
+    count = len(node.fields)
+
+    def write(value: Any) -> bytes:
+        try:
+            if len(value) == count:
+                return b"".join([part(value) for part in parts])
+        except (TypeError, LookupError):
+            pass
+        raise _unlike(value, [field.name for field in node.fields])
+
+    return write
+
+
+def _flat(fields: Sequence[Field], wire: Wire) -> Writer:
+    """One `struct` call for all these fields of a value; whatever is odd goes one by one, which says what is wrong."""
+    pack = Format(Struct(tuple(fields)).struct_format or "").pack
+    counts = [(field.name, row_size(field.type) or 0) for field in fields]
+    one_by_one = [_field(field, wire) for field in fields]
 
     def write(value: Any) -> bytes:
         flat: list[Any] = []
         try:
-            if len(value) != len(fields):
-                return slow(value)
-            for name, count in fields:
+            for name, count in counts:
                 part = value[name]
                 if count < 0:
                     flat.append(part)
@@ -96,36 +109,38 @@ def _flat(node: Struct, fields: list[tuple[str, int]], slow: Writer) -> Writer:
                 if type(part) is not list and type(part) is not tuple:
                     part = part.tolist()
                 if len(part) != count:
-                    return slow(value)
+                    break
                 flat += part
-            return pack(*flat)
-        except (struct.error, TypeError, ValueError, OverflowError, AttributeError, LookupError):
-            return slow(value)
+            else:
+                return pack(*flat)
+        except (struct.error, TypeError, ValueError, OverflowError, AttributeError):
+            pass
+        return b"".join([part(value) for part in one_by_one])
 
     return write
 
 
-def _struct(node: Struct, wire: Wire) -> Writer:
-    fields = [(field.name, writer(field.type, wire)) for field in node.fields]
-    names = {name for name, _ in fields}
+def _field(field: Field, wire: Wire) -> Writer:
+    """One field of a value."""
+    name, part = field.name, writer(field.type, wire)
 
     def write(value: Any) -> bytes:
-        if not isinstance(value, Mapping):
-            raise Misfit(f"a dict expected, {value!r} given")
-        if value.keys() != names:
-            missing, extra = sorted(names - value.keys()), sorted(map(str, value.keys() - names))
-            given = f"{', '.join(missing)} missing" if missing else f"{', '.join(extra)} given"
-            raise Misfit(f"the fields {', '.join(name for name, _ in fields) or '(none)'} expected, {given}")
-        parts = []
-        for name, part in fields:
-            try:
-                parts.append(part(value[name]))
-            except Misfit as error:
-                error.path.append(f".{name}")
-                raise
-        return b"".join(parts)
+        try:
+            return part(value[name])
+        except Misfit as error:
+            error.path.append(f".{name}")
+            raise
 
     return write
+
+
+def _unlike(value: Any, names: Sequence[str]) -> Misfit:
+    """Return what is wrong with a value that has not the fields of its struct."""
+    if not isinstance(value, Mapping):
+        return Misfit(f"a dict expected, {value!r} given")
+    missing, extra = sorted(set(names) - value.keys()), sorted(map(str, value.keys() - set(names)))
+    given = f"{', '.join(missing)} missing" if missing else f"{', '.join(extra)} given"
+    return Misfit(f"the fields {', '.join(names) or '(none)'} expected, {given}")
 
 
 def _array(node: Array, wire: Wire) -> Writer:
@@ -161,6 +176,10 @@ def _flattened(value: Any, node: Array) -> tuple[Sequence[Any], list[int]]:
         sizes, flat = list(shape), value.reshape(-1).tolist()
         _check(sizes, dims)
         return flat, sizes
+    if len(dims) == 1:
+        row = _row(value, node, "")
+        _check([len(row)], dims)
+        return row, [len(row)]
     flat, sizes, path = [value], [], ""
     for level, fixed in enumerate(dims):
         rows = [_row(one, node, path) for one in flat]

@@ -177,17 +177,15 @@ class Decoder:
         """Decode a packet that has come whole and must be used up; `offset` is that of its length."""
         cursor.end = cursor.at + length
         try:
-            event = self._packet(tag, known, cursor)
+            event = self._packet(tag, cursor) if known is None else self._sample(known, cursor)
         except Cut:
             raise _bad(offset, f"a body that is longer than {length} bytes", "its end") from None
         if cursor.at != cursor.end:
             raise _bad(offset, f"a length of {length - cursor.end + cursor.at}", str(length))
         return event
 
-    def _packet(self, tag: int, known: Known | None, cursor: Cursor) -> Event:
-        """Decode one whole packet."""
-        if known is not None:
-            return self._sample(known, cursor)
+    def _packet(self, tag: int, cursor: Cursor) -> Event:
+        """Decode one whole packet that is no data of a defined index."""
         if tag in _KINDS:
             return self._define(tag, cursor)
         if tag == TYPE_BINDING:

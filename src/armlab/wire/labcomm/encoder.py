@@ -42,6 +42,7 @@ class Encoder:
         self._samples: dict[SampleType, int] = {}
         self._refs: dict[SampleType, int] = {}
         self._writers: dict[SampleType, Callable[[Any], bytes]] = {}
+        self._last: tuple[SampleType | None, Callable[[Any], bytes]] = None, bytes  # found without a look at its tree
 
     @property
     def dialect(self) -> str:
@@ -100,9 +101,12 @@ class Encoder:
         ------
         LabCommError : the type is not defined, or the value does not fit: `path` says where.
         """
-        write = self._writers.get(sample)
-        if write is None:
-            write = self._writers[sample] = self._writer(sample)
+        last, write = self._last
+        if last is not sample:
+            if sample not in self._writers:
+                self._writers[sample] = self._writer(sample)
+            write = self._writers[sample]
+            self._last = sample, write
         try:
             return write(value)
         except Misfit as error:
