@@ -20,3 +20,5 @@ def test_a_joint_is_called_as_its_client_knows_it() -> None:
     yumi = robots.load("yumi_right")
     assert called(yumi, 2, None) == f"joint 3 ({yumi.joint_names[2]})"
     assert called(yumi, 2, 7) == "yumi_robr_joint_3 (number 10 of the message)"
+    assert called(yumi, 2, by_axis=True) == "axis_7 (number 7 of the vector)"
+    assert called(yumi, 3, by_axis=True) == "axis_3 (number 3 of the vector)"

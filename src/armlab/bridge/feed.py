@@ -259,7 +259,8 @@ class Exchange:
             self._set(client, request, outlet.name == OPERATOR)
         elif isinstance(request, CommandRequest):
             q, qd, tau = (None if one is None else _numbers(one) for one in (request.q, request.qd, request.tau))
-            self.arbiter.submit(Order(client, request.arm, q, qd, tau, request.seq, request.first))
+            order = Order(client, request.arm, q, qd, tau, request.seq, request.first, request.by_axis)
+            self.arbiter.submit(order)
         elif isinstance(request, Resume | Release) and outlet.name == OPERATOR:
             self._obey_operator(request, client)
         elif isinstance(request, Release):

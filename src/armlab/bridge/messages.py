@@ -49,6 +49,7 @@ class CommandRequest(_Message, tag="command", frozen=True):
     tau: _Joints | None = None
     seq: int | None = None
     first: int | None = None
+    by_axis: bool = False
 
 
 class SetRequest(_Message, tag="set", frozen=True):

@@ -21,6 +21,7 @@ class Order(NamedTuple):
     client : identity of the connection, first its server: "labcomm 127.0.0.1:40312". arm : name of the robot.
     q, qd, tau : (n,) references, None for not commanded. seq : number in the client's order, None without one.
     first : place of the first number in the ROS message, which may be for several arms; None when it came otherwise.
+    by_axis : the client's own vectors are in ABB's order of axes, for sentences to it; q, qd and tau never are.
     """
 
     client: str
@@ -30,6 +31,7 @@ class Order(NamedTuple):
     tau: Any = None
     seq: int | None = None
     first: int | None = None
+    by_axis: bool = False
 
     @property
     def server(self) -> str:
@@ -46,7 +48,7 @@ def read_order(order: Order, robot: Robot, has_torque: bool = False) -> tuple[Co
     """
     values: dict[str, np.ndarray | None] = {}
     for name in ("q", "qd", "tau"):
-        values[name], problem = _vector(getattr(order, name), name, robot, order.first)
+        values[name], problem = _vector(order, name, robot)
         if problem:
             return Command(), problem
     if values["tau"] is not None and not has_torque:
@@ -57,8 +59,9 @@ def read_order(order: Order, robot: Robot, has_torque: bool = False) -> tuple[Co
     return Command(values["q"], values["qd"], values["tau"]), ""
 
 
-def _vector(values: Any, name: str, robot: Robot, first: int | None) -> tuple[np.ndarray | None, str]:
+def _vector(order: Order, name: str, robot: Robot) -> tuple[np.ndarray | None, str]:
     """Return the (n,) numbers of a command, and what is wrong with them."""
+    values = getattr(order, name)
     if values is None:
         return None, ""
     try:
@@ -68,7 +71,7 @@ def _vector(values: Any, name: str, robot: Robot, first: int | None) -> tuple[np
     if array.shape != (robot.n,):
         return None, f"Expected {robot.n} numbers in {name} for {robot.name}, got {np.shape(array)}."
     if not np.isfinite(array).all():
-        joint = called(robot, int(np.argmin(np.isfinite(array))), first)
+        joint = called(robot, int(np.argmin(np.isfinite(array))), order.first, order.by_axis)
         return None, f"Expected finite numbers in {name} for {robot.name}, but that of {joint} is not."
     array.flags.writeable = False
     return array, ""

@@ -217,13 +217,11 @@ class Arbiter:
         q = command.q
         if q is not None and not problem:
             if holder is None:
-                problem = _distance(
-                    q, state.q, np.full(robot.n, self._entry), "first position", "measured", robot, order.first
-                )
+                most = np.full(robot.n, self._entry)
+                problem = _distance(q, state.q, most, "first position", "measured", robot, order)
             else:
-                problem = _distance(
-                    q, _sent(state), self._jumps[order.arm], "position", "last sent", robot, order.first
-                )
+                most = self._jumps[order.arm]
+                problem = _distance(q, _sent(state), most, "position", "last sent", robot, order)
         if problem:
             return self._refuse(order.client, problem, now)
         if holder is None:
@@ -277,7 +275,7 @@ def _sent(state: State) -> np.ndarray:
 
 
 def _distance(
-    q: np.ndarray, near: np.ndarray, most: np.ndarray, what: str, where: str, robot: Robot, first: int | None
+    q: np.ndarray, near: np.ndarray, most: np.ndarray, what: str, where: str, robot: Robot, order: Order
 ) -> str:
     """Return the sentence for a position too far from another, "" when it is near enough."""
     excess = np.abs(q - near) - most
@@ -286,5 +284,5 @@ def _distance(
         return ""
     return (
         f"Expected the {what} within {most[i]:g} of the one {where}, got {q[i]:.4f} for "
-        f"{called(robot, i, first)} of {robot.name}, {where} {near[i]:.4f}. {_CAUSES}"
+        f"{called(robot, i, order.first, order.by_axis)} of {robot.name}, {where} {near[i]:.4f}. {_CAUSES}"
     )

@@ -6,9 +6,10 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import pytest
 
 from armlab import bridge, robots
-from armlab.bridge.labcomm import ArmChannel, FusedChannel, Row
+from armlab.bridge.labcomm import ArmChannel, FusedChannel, Row, RowTypes
 from armlab.bridge.labcomm.feed import RowFeed, to_arbiter
 from armlab.state import Command, State
 from armlab.wire.labcomm import Sample
@@ -53,3 +54,23 @@ def test_commands_pass_the_rights_of_an_arbiter() -> None:
     assert np.allclose(command.q, home + 0.01)
     assert arbiter.commander(arm.name) == "labcomm near"
     assert arbiter.refused == {"labcomm far": 1}
+
+
+CALLED = [("abb", "axis_7 (number 7 of the vector)"), ("chain", "joint 3 (axis_7)")]
+
+
+@pytest.mark.parametrize(("order", "called"), CALLED)
+def test_a_refusal_names_the_number_that_the_client_sent(order: Any, called: str) -> None:
+    """The third joint from the base is ABB's axis 7: where its number stands depends on the order of the port."""
+    arm = robots.load("yumi_left")
+    said: list[str] = []
+    arbiter = bridge.Arbiter([arm], ["labcomm"], answer=lambda client, text: said.append(text))
+    home, types = np.array(arm.q_home), RowTypes(arm.abb_axes, order)
+    far = home.copy()
+    far[2] += 0.5
+    sent = types.value(Row(1, far))["pos"]
+    to_arbiter(arbiter, arm.name, order)("left", types.command({"pos": sent}), "far")
+    arbiter(State(0.0, 0.004, home, 0 * home, 0 * home, robot=arm.name))
+    (text,) = said
+    assert f"got {far[2]:.4f} for {called} of yumi_left" in text
+    assert sent[6 if order == "abb" else 2] == far[2]

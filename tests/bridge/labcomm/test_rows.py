@@ -62,6 +62,12 @@ def test_a_row_of_another_number_of_joints_is_not_sent(wrong: np.ndarray) -> Non
         RowTypes().value(Row(1, np.zeros(7), wrong))
 
 
+def test_a_refusal_shows_the_numbers_as_they_came() -> None:
+    vel = [0.0] * 6 + [math.inf]
+    with pytest.raises(LabCommError, match=r"in vel of a command, got \[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, inf\]"):
+        RowTypes().command(command(vel=vel))
+
+
 def test_rows_are_the_samples_of_the_type_that_is_sent() -> None:
     """By name and type, which the stream of each client defines anew."""
     types, (other,) = RowTypes(), parse_lc("sample struct { int tm; double pos[7]; } robot_row;")

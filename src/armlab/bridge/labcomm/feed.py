@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Literal
 
 from armlab.bridge.labcomm.channels import FusedArm, OnCommand
 from armlab.bridge.labcomm.rows import Row
@@ -57,15 +58,16 @@ class RowFeed:
         """
 
 
-def to_arbiter(arbiter: Arbiter, arm: str) -> OnCommand:
+def to_arbiter(arbiter: Arbiter, arm: str, order: Literal["abb", "chain"] = "abb") -> OnCommand:
     """Return what an `ArmChannel` calls so that its clients command an arm by the rights of an arbiter.
 
     Parameters
     ----------
     arbiter : the controller of the run; it must allow the server "labcomm". arm : name of the robot.
+    order : of the joints on the channel, so that a refusal names the number that its client sent.
     """
 
     def submit(name: str, row: Row, client: str) -> None:
-        arbiter.submit(Order(f"labcomm {client}", arm, row.q, row.qd, row.tau))
+        arbiter.submit(Order(f"labcomm {client}", arm, row.q, row.qd, row.tau, by_axis=order == "abb"))
 
     return submit

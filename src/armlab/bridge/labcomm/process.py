@@ -136,7 +136,7 @@ class LabCommProcess:
 
     def _command(self, name: str, row: Row, client: str) -> None:
         q, qd, tau = (None if part is None else part.tolist() for part in (row.q, row.qd, row.tau))
-        self._loop.ask(CommandRequest(client, name, q, qd, tau))
+        self._loop.ask(CommandRequest(client, name, q, qd, tau, by_axis=self._options["order"] == "abb"))
 
     def _set(self, name: str, value: Any, client: str) -> None:
         """Ask the loop; it answers with the values in force, or with why not."""

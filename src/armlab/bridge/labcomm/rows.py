@@ -160,9 +160,9 @@ class RowTypes:
         if row.q is None or not np.isfinite(row.q).all():
             raise LabCommError(f"Expected finite positions in a command, got {value.get('pos')}.")
         parts = []
-        for part in (row.qd, row.tau):
+        for name, part in (("vel", row.qd), ("trq", row.tau)):
             if part is not None and np.isinf(part).any():
-                raise LabCommError(f"Expected finite velocities and torques in a command, got {part.tolist()}.")
+                raise LabCommError(f"Expected finite numbers in {name} of a command, got {value[name]}.")
             parts.append(None if part is None or not np.nan_to_num(part).any() else np.nan_to_num(part))
         return Row(row.tm, row.q, *parts)
 
