@@ -12,7 +12,7 @@ PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(TOGETHER) --dist workst
 # Tests start many programs: with bytecode kept none of them compiles the package again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo test slow reference check docs bench fuzz api clean
+.PHONY: help setup demo test slow reference check docs bench fuzz soak api clean
 
 help:  ## list the commands
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "make %-8s %s\n", $$1, $$2}'
@@ -57,6 +57,14 @@ fuzz: $(STAMP)  ## fuzz every decoder for FUZZ_SECONDS, guided by coverage
 	  $(PIP) install --quiet --only-binary :all: --constraint constraints.txt "atheris>=3.0" 2>/dev/null || \
 	  { echo "Expected a Python that atheris has a wheel for, such as 3.11 on Linux, got another, or no network."; exit 1; }
 	$(BIN)/python fuzz/run.py --seconds $(FUZZ_SECONDS)
+
+SOAK_SECONDS ?= 1800
+SOAK_ROBOT_SECONDS ?= 86400
+soak: $(STAMP)  ## 30 min with everything on, then a day in lockstep; nothing may grow. SOAK_SECONDS, SOAK_ROBOT_SECONDS
+	@status=0; \
+	$(BIN)/python soak/run.py real_time --seconds $(SOAK_SECONDS) || status=1; \
+	$(BIN)/python soak/run.py lockstep --seconds $(SOAK_ROBOT_SECONDS) || status=1; \
+	exit $$status
 
 api: $(STAMP)  ## list the public names anew, after a change that is meant
 	$(BIN)/python tests/style/test_public_api.py

@@ -6,7 +6,7 @@ import ctypes
 import os
 import platform
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from time import process_time
@@ -16,9 +16,9 @@ import numpy as np
 PACKAGES = ("armlab", "numpy", "scipy", "protobuf", "pin", "roboticstoolbox-python", "ABBRobotEGM", "pytransform3d")
 
 
-def describe() -> list[str]:
-    """Return the machine line, the versions and the commit, one sentence each."""
-    versions = ", ".join(f"{name} {version(name)}" for name in PACKAGES)
+def describe(packages: Sequence[str] = PACKAGES) -> list[str]:
+    """Return the machine line, the versions of packages and the commit, one sentence each."""
+    versions = ", ".join(f"{name} {version(name)}" for name in packages)
     return [
         f"{_cpu()}, {os.cpu_count()} cores, {_memory():.0f} GiB, {platform.system()} {platform.release()}, "
         f"Python {platform.python_version()}.",

@@ -1,0 +1,114 @@
+"""The soak in real time: `armlab bridge` with two arms and all servers, and ten clients, one of which commands.
+
+The simulated arms have no masses, and the commander sleeps until a row comes: on a robot neither shares the bridge's
+cores, and two are to carry all of it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from soak.processes import Watch, family, label
+from soak.programs import Program
+
+HERE = Path(__file__).resolve().parent
+sys.path.append(str(HERE.parent / "benchmarks"))
+
+from ros_paths import ONE_EACH, WAYS, Way  # noqa: E402
+
+__all__ = ["ARMS", "COMMANDER", "run"]
+
+ARMS = ("yumi_left", "yumi_right")
+COMMANDER = "commander"
+_LOOKS = 300  # at the processes in a run
+_SERVED = "ros2", "rmw_zenoh", "zenoh", "rosbridge", "plotjuggler", "labcomm", "local"  # ros1 where it is installed
+
+
+def run(folder: Path, seconds: float) -> dict[str, Any]:
+    """Run it and return what is told of it, see `series.told`.
+
+    Parameters
+    ----------
+    folder : for all that it leaves. seconds : that count.
+    """
+    with ExitStack() as opened:
+        ways = [way for name in ONE_EACH if (way := WAYS[name](opened)) is not None]
+        served = [way.server for way in ways]
+        socket = next(way for way in ways if way.server == "local")
+        (folder / "cell.toml").write_text(_cell(ways, folder / "run-.mcap"))
+        words = [sys.executable, "-m", "armlab", "bridge", "--config", str(folder / "cell.toml")]
+        bridge = opened.enter_context(Program("bridge", words, folder, socket.environment))
+        bridge.await_word("Listening:")
+        readers = [opened.enter_context(one) for one in _readers(ways, folder)]
+        for reader in readers:
+            reader.await_word("reading")
+        commander = opened.enter_context(Program(COMMANDER, _commands(ways, folder), folder))
+        commander.await_word("ready")
+        begin, end = _watched(folder, bridge, commander, seconds)
+        statuses = {COMMANDER: commander.end(signal.SIGINT)}
+        statuses["bridge"] = bridge.end(signal.SIGINT)
+        for reader in readers:
+            reader.end()
+    return {
+        "part": "real time",
+        "begin": begin,
+        "end": end,
+        "servers": served,
+        "without": [name for name in ("ros1", *_SERVED) if name not in served],
+        "clients": [one.name for one in readers],
+        "statuses": statuses,
+    }
+
+
+def _watched(folder: Path, bridge: Program, commander: Program, seconds: float) -> tuple[int, int]:
+    """Watch the processes for a time. Return when that began and ended [ns, wall clock]."""
+
+    def processes() -> Iterator[tuple[int, str]]:
+        yield commander.process.pid, COMMANDER
+        for pid in family(bridge.process.pid):
+            with contextlib.suppress(OSError):
+                yield pid, label(pid, bridge.process.pid)
+
+    begin, until = time.time_ns(), time.monotonic() + seconds
+    with Watch(folder / "held.csv", max(seconds / _LOOKS, 0.5), processes):
+        while (left := until - time.monotonic()) > 0.0 and bridge.process.poll() is None:
+            print(f"  {seconds - left:.0f} of {seconds:.0f} s", flush=True)
+            time.sleep(min(left, max(seconds / 10.0, 1.0)))
+        return begin, time.time_ns()
+
+
+def _cell(ways: Sequence[Way], record: Path) -> str:
+    text = f'commands = ["zenoh"]\nrecord = "{record}"\n'
+    text += "".join(f'[[robots]]\nname = "{name}"\nlink = "sim://{name}?lagging=true"\n' for name in ARMS)
+    for way in ways:
+        if way.server != "local":  # every cell has it
+            table = way.table.replace(f"{ARMS[0]} = 0", ", ".join(f"{name} = 0" for name in ARMS))
+            text += f"[servers.{way.server}]\n{table}\n"
+    return text
+
+
+def _readers(ways: Sequence[Way], folder: Path) -> Iterator[Program]:
+    """Give a reader of each server, and `ZenohFeed` as a second one of that."""
+    for way in ways:
+        yield Program(f"reader of {way.server}", way.reader(0), folder, way.environment)
+    words = [sys.executable, str(HERE.parent / "benchmarks" / "path_feed.py"), "zenoh", _zenoh(ways), "0"]
+    yield Program("feed of zenoh", words, folder)
+
+
+def _commands(ways: Sequence[Way], folder: Path) -> list[str]:
+    """Return the command of the one that moves both arms."""
+    words = [sys.executable, "-m", "armlab", "run", "+".join(ARMS), str(HERE / "sway.py")]
+    words += ["--link", ",".join(len(ARMS) * [f"{_zenoh(ways)}/lab"]), "--wait", "block"]
+    return [*words, "--log", str(folder / COMMANDER)]
+
+
+def _zenoh(ways: Sequence[Way]) -> str:
+    port = next(way.table for way in ways if way.server == "zenoh").split("port = ")[1].split()[0]
+    return f"zenoh://127.0.0.1:{port}"

@@ -1,0 +1,75 @@
+"""All that a soak is judged by, from the folder that it left."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from soak import series, verdict
+from soak.verdict import Finding
+
+__all__ = ["judged"]
+
+_STILL = 10.0  # s before the end in which every client still got messages
+_PERIOD = 0.004032  # s between two packets of an arm
+_KEPT_UP = 5.0  # % of the packets that a simulator may leave out for want of a core; beyond it this was not real time
+
+
+def judged(
+    about: Mapping[str, Any],
+    held: Mapping[str, series.Held],
+    recorded: Mapping[str, series.Recorded],
+    clients: Mapping[str, np.ndarray],
+) -> list[Finding]:
+    """Return a finding for each quantity.
+
+    Parameters
+    ----------
+    about, held, recorded, clients : see `series`.
+    """
+    return [
+        *_processes(about, held),
+        *_recordings(recorded),
+        *_clients(about, clients),
+        *(
+            Finding(f"{name}: status", "", float(status not in (0, 130)), 0.0)
+            for name, status in about["statuses"].items()
+        ),
+    ]
+
+
+def _processes(about: Mapping[str, Any], held: Mapping[str, series.Held]) -> Iterator[Finding]:
+    wanted = ["loop and recorder", "simulator", *(f"server {name}" for name in about.get("servers", ()))]
+    for name in dict.fromkeys([*wanted, *held]):
+        if name not in held:
+            yield verdict.equal(f"{name}: processes", 0, 1)
+            continue
+        t, values = held[name]
+        yield verdict.memory(name, t, values["memory"])
+        yield verdict.count(f"{name}: descriptors", values["descriptors"])
+        yield verdict.count(f"{name}: threads", values["threads"])
+        yield verdict.equal(f"{name}: starts anew", int(np.sum(np.diff(values["cpu"]) < 0.0)), 0)
+
+
+def _recordings(recorded: Mapping[str, series.Recorded]) -> Iterator[Finding]:
+    for name, one in recorded.items():
+        yield verdict.delay(f"{name}: arrival to reply, median", one.p50)
+        yield verdict.delay(f"{name}: arrival to reply, 99 %", one.p99)
+        if name.startswith("run"):  # not what came to a commander
+            share = one.summary.get("packets", np.nan) * _PERIOD / one.summary.get("seconds", np.nan)
+            yield Finding(f"{name}: packets left out of {1 / _PERIOD:.0f} a second", " %", 100 * (1 - share), _KEPT_UP)
+        yield verdict.equal(f"{name}: rows that can be read, of packets", one.rows, one.summary.get("packets", np.nan))
+        yield verdict.equal(f"{name}: recordings finished", int(one.is_whole), 1)
+        yield verdict.equal(f"{name}: rows dropped", one.summary.get("dropped", np.nan), 0)
+        ended = [text for text in one.events if "It starts again in" in text or "It stays dead" in text]
+        yield verdict.equal(f"{name}: servers that ended", len(ended), 0)
+
+
+def _clients(about: Mapping[str, Any], clients: Mapping[str, np.ndarray]) -> Iterator[Finding]:
+    length = 1e-9 * (about.get("end", 0) - about.get("begin", 0))
+    for name, lines in clients.items():
+        yield verdict.delay(f"{name}: stamp to receipt, median", lines[:, 2])
+        last = lines[-1, 0] if len(lines) else -np.inf
+        yield Finding(f"{name}: without messages at the end", " s", length - last, _STILL)

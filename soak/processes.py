@@ -1,0 +1,112 @@
+"""What processes hold: memory of their own, descriptors, threads, processor time; of a program and all that it started.
+
+Memory is what is anonymous (heap, stacks) and swapped: pages of files that are mapped come and go with the cache.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import NamedTuple, TextIO
+
+__all__ = ["COLUMNS", "Sample", "Watch", "family", "held", "label"]
+
+HEAD = "t,process,memory,descriptors,threads,cpu"
+COLUMNS = ("memory", "descriptors", "threads")
+"""What is judged of a process."""
+
+
+class Sample(NamedTuple):
+    """What a process held at a time [s since the watch began]: bytes, counts, s of processor time."""
+
+    t: float
+    process: str
+    memory: int
+    descriptors: int
+    threads: int
+    cpu: float
+
+
+def held(pid: int) -> tuple[int, int, int, float]:
+    """Return memory, descriptors, threads and processor time.
+
+    Raises
+    ------
+    OSError : it has ended.
+    """
+    place = Path(f"/proc/{pid}")
+    lines = (line.split() for line in (place / "smaps_rollup").read_text().splitlines()[1:])
+    sizes = {words[0]: int(words[1]) for words in lines}
+    words = (place / "stat").read_text().rpartition(")")[2].split()
+    cpu = (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
+    memory = 1024 * (sizes["Anonymous:"] + sizes["Swap:"])
+    return memory, len(list((place / "fd").iterdir())), int(words[17]), cpu
+
+
+def family(pid: int) -> Iterator[int]:
+    """Give a process and all that it and its children started."""
+    yield pid
+    with contextlib.suppress(OSError):
+        for task in Path(f"/proc/{pid}/task").iterdir():
+            for child in (task / "children").read_text().split():
+                yield from family(int(child))
+
+
+def label(pid: int, root: int) -> str:
+    """Return what a process of a bridge is.
+
+    Raises
+    ------
+    OSError : it has ended.
+    """
+    words = Path(f"/proc/{pid}/cmdline").read_bytes().decode(errors="replace").split("\0")
+    if "armlab.bridge._serve" in words:
+        return f"server {words[words.index('armlab.bridge._serve') + 1]}"
+    if "sim" in words[:4]:
+        return "simulator"
+    if pid == root:
+        return "loop and recorder"
+    scripts = [Path(word).stem for word in words if word.endswith(".py")]
+    return f"helper {(scripts or [Path(words[0]).name])[0]}"
+
+
+class Watch:
+    """Writes samples of processes to a file, every few seconds, in a thread; a context manager.
+
+    Parameters
+    ----------
+    path : file to write, a line for each sample. period : s. processes : gives pid and name of each, again each time.
+    """
+
+    def __init__(self, path: Path, period: float, processes: Callable[[], Iterator[tuple[int, str]]]) -> None:
+        self._path, self._period, self._processes = path, period, processes
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="watch", daemon=True)
+
+    def __enter__(self) -> Watch:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        start = time.monotonic()
+        with self._path.open("w") as file:
+            file.write(HEAD + "\n")
+            while True:
+                self._look(file, time.monotonic() - start)
+                if self._over.wait(self._period):
+                    return
+
+    def _look(self, file: TextIO, t: float) -> None:
+        for pid, name in self._processes():
+            with contextlib.suppress(OSError):
+                memory, descriptors, threads, cpu = held(pid)
+                file.write(f"{t:.2f},{name},{memory},{descriptors},{threads},{cpu:.2f}\n")
+        file.flush()

@@ -1,0 +1,102 @@
+"""Hours of the bridge with everything on, watched for what grows.
+
+    python soak/run.py real_time --seconds 1800     two arms, all servers, ten clients, recording
+    python soak/run.py lockstep --seconds 86400     one arm, as fast as both ends can; --most: s of the wall clock
+    python soak/run.py judge FOLDER                 what an earlier one left
+    python soak/run.py publish FOLDER ...            write docs/soak.md from what was judged
+
+All that it measures goes to build/soak/PART: `held.csv`, the recordings, `result.json` and `soak.png`. It ends with a
+line for each judged quantity, and with status 1 where one is beyond its bound.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import shutil
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT), str(ROOT / "benchmarks")]
+
+from machine import describe  # noqa: E402
+
+from soak import cell, lockstep, series  # noqa: E402
+from soak.figure import draw  # noqa: E402
+from soak.judged import judged  # noqa: E402
+from soak.page import page  # noqa: E402
+
+__all__ = ["judge", "main", "publish"]
+
+PACKAGES = ("armlab", "numpy", "zstandard", "cyclonedds", "eclipse-zenoh", "websockets", "msgspec")
+
+
+def main() -> int:
+    """Run a part and judge it, or tell of those that were run."""
+    parser = argparse.ArgumentParser(description="Hours of the bridge, watched for what grows.")
+    parts = parser.add_subparsers(dest="part", required=True)
+    for name, seconds in (("real_time", 1800.0), ("lockstep", 86400.0)):
+        part = parts.add_parser(name)
+        part.add_argument("--seconds", type=float, default=seconds, help="how long; robot time in lockstep")
+        part.add_argument("--most", type=float, default=math.inf, help="s of the wall clock, in lockstep")
+        part.add_argument("--folder", type=Path, default=ROOT / "build" / "soak" / name)
+    parts.add_parser("judge").add_argument("folder", type=Path)
+    parts.add_parser("publish").add_argument("folder", type=Path, nargs="+")
+    options = parser.parse_args()
+    if options.part == "publish":
+        publish(options.folder)
+        return 0
+    folder = options.folder.resolve()
+    if options.part != "judge":
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
+        print(f"Soak, {options.part}: {options.seconds:g} s into {folder}.", flush=True)
+        if options.part == "real_time":
+            told = cell.run(folder, options.seconds)
+        else:
+            told = lockstep.run(folder, options.seconds, options.most)
+        told["date"] = time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime(1e-9 * told["begin"]))
+        told["machine"] = describe(PACKAGES)
+        (folder / "told.json").write_text(json.dumps(told, indent=1))
+    return judge(folder)
+
+
+def judge(folder: Path) -> int:
+    """Judge what a soak left, draw it, print a line for each quantity, and return the status."""
+    about, held = series.told(folder), series.held(folder)
+    recorded, clients = series.recorded(folder), series.clients(folder)
+    found = judged(about, held, recorded, clients)
+    draw(about, held, recorded, clients, folder / "soak.png")
+    result = {
+        **about,
+        **series.levels(held, recorded, clients),
+        "judged": [{**one._asdict(), "is_met": one.is_met} for one in found],
+    }
+    (folder / "result.json").write_text(json.dumps(result, indent=1, default=str))
+    for one in found:
+        print(one)
+    for name, one in result["recordings"].items():
+        print(f"     {name}: {100.0 * one['missed']:.3f} % of the ticks missed or late")
+    failed = [one for one in found if not one.is_met]
+    print(f"{len(found) - len(failed)} of {len(found)} quantities within their bounds. All is in {folder}.")
+    return 1 if failed else 0
+
+
+def publish(folders: Sequence[Path]) -> None:
+    """Write results into the page of the documentation, and its pictures."""
+    results = {}
+    for folder in folders:
+        result = json.loads((folder / "result.json").read_text())
+        part = result["part"].replace(" ", "_")
+        results[part] = result
+        shutil.copyfile(folder / "soak.png", ROOT / "docs" / "_static" / f"soak_{part}.png")
+    text = ROOT / "docs" / "soak.md"
+    text.write_text(page(text.read_text(), results))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
