@@ -65,6 +65,17 @@ def all_of(feed: ZenohFeed) -> None:
         feed.receive()
 
 
+def test_who_does_not_read_loses_the_oldest_messages(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("armlab.bridge.zenoh.feed._KEPT", 5)
+    one = start()
+    with ZenohFeed(f"zenoh://127.0.0.1:{one.options['port']}/lab1") as feed:
+        for number in range(20):
+            feed._take({"kind": "event", "text": str(number)})
+        found: list[Any] = [feed.receive() for _ in range(5)]
+        assert [each.get("text") for each in found] == ["15", "16", "17", "18", "19"]
+        assert not feed.wait(0.0)
+
+
 def test_damaged_rows_are_dropped_and_told(start: Start, robot: Robot) -> None:
     one = start()
     with ZenohFeed(f"zenoh://127.0.0.1:{one.options['port']}/lab1") as feed:

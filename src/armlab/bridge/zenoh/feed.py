@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
-import threading
+import queue
 import time
-from collections import deque
 from types import TracebackType
 from typing import Any
 
@@ -57,10 +57,10 @@ class ZenohFeed:
 
     def __init__(self, url: str, robot: str = "", patience: float = 5.0) -> None:
         self._place, self._patience = Place.read(url), patience
-        self._messages: deque[bytes | dict[str, Any]] = deque(maxlen=_KEPT)
-        self._news = threading.Condition()
+        self._messages: queue.SimpleQueue[bytes | dict[str, Any]] = queue.SimpleQueue()
+        self._next: bytes | dict[str, Any] | None = None
         self._rows: list[Any] = []
-        self._pace = Pace(0.0)
+        self._pace: Pace | None = None
         self._gone: float | None = None  # since when
         self._is_unsure = False  # whether what comes again is the same run
         self.damaged = 0
@@ -78,7 +78,7 @@ class ZenohFeed:
             raise
         self.cell: str = said[0].get("cell", "")
         self._arm, self._run = arm, said[0].get("run")
-        self._messages.extend(said)
+        self._take(*said)
         self._asking = Asking(self._session, self._answered)
         declare, lab = self._session.declare_subscriber, self._place.lab
         self._texts = [declare(key(lab, arm, what), self._take_text) for what in ("events", "status", "parameters")]
@@ -105,8 +105,10 @@ class ZenohFeed:
         ----------
         seconds : at most.
         """
-        with self._news:
-            return self._news.wait_for(lambda: bool(self._messages) or self._has_ended(), max(seconds, 0.0))
+        if self._next is None:
+            with contextlib.suppress(queue.Empty):
+                self._next = self._messages.get(timeout=0.0 if self._has_ended() else max(seconds, 0.0))
+        return self._next is not None or self._has_ended()
 
     def ask(self, request: Request) -> None:
         """Send a request: `Subscribe`, `SetRequest` or `Stop`.
@@ -140,10 +142,9 @@ class ZenohFeed:
         """
         until = time.monotonic() + self._patience
         while self.wait(until - time.monotonic()):
-            with self._news:
-                if not self._messages:
-                    break
-                message = self._messages.popleft()
+            message, self._next = self._next, None
+            if message is None:
+                break
             if isinstance(message, dict):
                 if message["kind"] == "about":
                     self._schema = RowSchema.read(message["schema"].encode())
@@ -160,7 +161,7 @@ class ZenohFeed:
         self._rows = []
         if rate is None or rate > 0.0:
             what = "live" if rate is None or rate > _VIEW else "view"
-            self._pace = Pace(0.0 if rate is None else 1.0 / rate)
+            self._pace = None if rate is None else Pace(1.0 / rate)
             self._rows = [
                 self._session.declare_subscriber(key(self._place.lab, robot, what), self._take_row)
                 for robot in self._schema.robots
@@ -181,14 +182,13 @@ class ZenohFeed:
         return sorted(found)
 
     def _take_row(self, sample: Any) -> None:
-        now = time.monotonic()
         if self._is_unsure:
             self._asking.ask(self._place.lab, self._arm)
         elif (data := undamaged(sample)) is None:
             self.damaged += 1
             if self.damaged & (self.damaged - 1) == 0:  # 1, 2, 4, ...: all may be
                 self._tell(f"Rows came damaged and were dropped: {self.damaged} so far.")
-        elif self._pace.takes([robot_of(str(sample.key_expr))], now):
+        elif self._pace is None or self._pace.takes([robot_of(str(sample.key_expr))], time.monotonic()):
             self._take(data)
 
     def _take_text(self, sample: Any) -> None:
@@ -196,14 +196,14 @@ class ZenohFeed:
 
     def _take_life(self, sample: Any) -> None:
         has_gone = sample.kind == zenoh().SampleKind.DELETE
-        with self._news:
-            self._gone = time.monotonic() if has_gone else None
-            self._is_unsure = self._is_unsure or has_gone
+        self._gone = time.monotonic() if has_gone else None
         if has_gone:
+            self._is_unsure = True
             self._tell(f"The bridge of {self.cell} has gone, or the way to it.")
 
     def _has_ended(self) -> bool:
-        return self._gone is not None and time.monotonic() - self._gone >= self._patience
+        gone = self._gone  # which a thread of Zenoh's changes
+        return gone is not None and time.monotonic() - gone >= self._patience
 
     def _answered(self, lab: str, robot: str, about: bytes) -> None:
         """Take what a bridge says that has come again."""
@@ -215,14 +215,16 @@ class ZenohFeed:
             self._tell(f"The bridge of {self.cell} is there again, in the same run.")
             return
         self._run = said[0].get("run")
-        with self._news:
-            self._messages.extend(said)
+        self._take(*said)
         self._tell(f"The bridge of {self.cell} has restarted.")
 
     def _tell(self, text: str) -> None:
         self._take({"kind": "event", "stamp_ns": time.time_ns(), "text": text})
 
-    def _take(self, message: bytes | dict[str, Any]) -> None:
-        with self._news:
-            self._messages.append(message)
-            self._news.notify()
+    def _take(self, *messages: bytes | dict[str, Any]) -> None:
+        """Keep messages; in a thread of Zenoh's, which wakes who waits."""
+        for message in messages:
+            if self._messages.qsize() >= _KEPT:
+                with contextlib.suppress(queue.Empty):
+                    self._messages.get_nowait()
+            self._messages.put(message)
