@@ -12,15 +12,23 @@ PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(TOGETHER) --dist workst
 # Tests start many programs: with bytecode kept none of them compiles the package again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo test slow reference check docs bench fuzz soak api clean
+# The slow tests that wait more than they compute: for robots, clients and browsers in real time.
+SLOW = $(sort $(shell grep -rlw --include='test_*.py' slow tests))
+WAITING = $(filter $(patsubst %,tests/%/%,bridge examples faults interoperability live soak) \
+  tests/fleet/test_record.py tests/fleet/test_robots.py $(addprefix tests/cli/test_,bridge.py doctor.py every_verb.py),$(SLOW))
+# Of those that compute the longest come first: at the end both workers have something to do.
+LONGEST := tests/cli/test_demo.py tests/identify/test_dynamics.py tests/style/test_wheel.py
+
+.PHONY: help setup demo test slow waiting computing reference check docs bench atheris fuzz sanitize soak api clean
 
 help:  ## list the commands
-	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "make %-8s %s\n", $$1, $$2}'
+	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "make %-9s %s\n", $$1, $$2}'
 
 $(STAMP): pyproject.toml constraints.txt CMakeLists.txt $(wildcard native/*.cpp native/*.h)
 	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	@echo "Installing armlab and what it needs into .venv (about two minutes the first time)."
-	PIP_CONSTRAINT=constraints.txt $(PIP) install --quiet --editable ".[dev]"
+	CMAKE_BUILD_PARALLEL_LEVEL=$$(getconf _NPROCESSORS_ONLN) PIP_CONSTRAINT=constraints.txt \
+	  $(PIP) install --quiet --editable ".[dev]"
 	@touch $@
 
 setup: $(STAMP)  ## make .venv and install everything
@@ -33,7 +41,13 @@ test: $(STAMP)  ## the default tests
 
 # Only the files that say "slow" are read: the others, most of them, would be collected and left out.
 slow: $(STAMP)  ## the tests marked slow; those of the pages read what make docs wrote
-	$(PYTEST) -m slow --durations=25 $(sort $(shell grep -rlw --include='test_*.py' slow tests))
+	$(PYTEST) -m slow --durations=25 $(SLOW)
+
+waiting: $(STAMP)
+	$(PYTEST) -m slow --durations=25 $(WAITING)
+
+computing: $(STAMP)
+	$(PYTEST) -m slow --durations=25 $(LONGEST) $(filter-out $(WAITING) $(LONGEST),$(SLOW))
 
 reference: $(STAMP)  ## tests of the kernels in NumPy; force and identification would take minutes, tests/contract holds them
 	ARMLAB_KERNELS=reference $(PYTEST) -W "ignore:armlab runs its NumPy:RuntimeWarning" \
@@ -52,11 +66,30 @@ bench: $(STAMP)  ## benchmarks side by side with peers (a separate environment)
 	$(BIN)/python benchmarks/run.py
 
 FUZZ_SECONDS ?= 600
-fuzz: $(STAMP)  ## fuzz every decoder for FUZZ_SECONDS, guided by coverage
+fuzz: atheris  ## fuzz every decoder for FUZZ_SECONDS, guided by coverage
+	$(BIN)/python fuzz/run.py --seconds $(FUZZ_SECONDS)
+
+atheris: $(STAMP)
 	@$(BIN)/python -c "import atheris" 2>/dev/null || \
 	  $(PIP) install --quiet --only-binary :all: --constraint constraints.txt "atheris>=3.0" 2>/dev/null || \
 	  { echo "Expected a Python that atheris has a wheel for, such as 3.11 on Linux, got another, or no network."; exit 1; }
-	$(BIN)/python fuzz/run.py --seconds $(FUZZ_SECONDS)
+
+# One instruction set compiles in a quarter of the time; the assertions of nanobind and of the C++ library are on. The
+# environment's own packages come from PYTHONPATH: its loader of this package would find the extension without checks.
+SANITIZED := $(CURDIR)/build/sanitized
+sanitize: $(STAMP)  ## contract tests of the compiled core, with address and undefined-behaviour sanitizers
+	$(BIN)/cmake -S . -B $(SANITIZED) -G "Unix Makefiles" --log-level=WARNING -DCMAKE_CXX_COMPILER=$(CXX) -DCMAKE_BUILD_TYPE=None \
+	  -DCMAKE_CXX_FLAGS="-O1 -g1 \
+	  -fno-omit-frame-pointer -fsanitize=address,undefined -fno-sanitize-recover=all -D_GLIBCXX_ASSERTIONS \
+	  -DARMLAB_VECTORISED=" -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python -Dnanobind_DIR=$$($(BIN)/python -m nanobind --cmake_dir)
+	$(BIN)/cmake --build $(SANITIZED) --parallel $$(getconf _NPROCESSORS_ONLN) -- -s
+	rm -rf $(SANITIZED)/site && mkdir $(SANITIZED)/site && cp -r src/armlab $(SANITIZED)/site
+	$(BIN)/cmake --install $(SANITIZED) --prefix $(SANITIZED)/site >/dev/null
+	OMP_NUM_THREADS=1 ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1 ARMLAB_KERNELS=native \
+	  LD_PRELOAD="$$($(CXX) -print-file-name=libasan.so) $$($(CXX) -print-file-name=libstdc++.so)" \
+	  PYTHONPATH=$(SANITIZED)/site:$$($(BIN)/python -c "import sysconfig; print(sysconfig.get_path('purelib'))") \
+	  $(BIN)/python -S -c "import sys, pytest; from armlab import kernels as k; assert '$(SANITIZED)' in k.__file__; \
+	  sys.exit(pytest.main('-q -p no:cacheprovider tests/contract tests/kernels'.split()))"
 
 SOAK_SECONDS ?= 1800
 SOAK_ROBOT_SECONDS ?= 86400
