@@ -71,10 +71,10 @@ def test_mutated_streams(seeds: list[bytes]) -> None:
     assert fuzz(20_000, 1, seeds) > 5_000
 
 
-@pytest.mark.slow
-def test_a_million_mutated_streams(seeds: list[bytes]) -> None:
-    """About two minutes."""
-    assert fuzz(1_000_000, 2, seeds) > 250_000
+@pytest.mark.slow  # 10 s, on a busy machine 30
+def test_many_mutated_streams(seeds: list[bytes]) -> None:
+    """The same in each run, so that more of them tell no more: new ones are looked for by the target of fuzz/."""
+    assert fuzz(200_000, 2, seeds) > 50_000
 
 
 def test_the_memory_of_a_hostile_stream(seeds: list[bytes]) -> None:
