@@ -69,7 +69,10 @@ def test_the_demo_meets_its_bars_and_leaves_its_files(tmp_path, capsys) -> None:
     said = capsys.readouterr().out
     assert "every bar is met" in said
     assert "p50" in said
-    log, model = str(tmp_path / "demo" / "press.mcap"), str(tmp_path / "demo" / "model.toml")
+    log, model = str(tmp_path / "demo" / "press.mcap"), str(tmp_path / "again.toml")
+    assert main(["identify", "yumi_right", str(tmp_path / "demo" / "excite.mcap"), "-o", model]) == 0
+    assert main(["log", "show", log]) == 0
+    capsys.readouterr()
     assert main(["estimate", "yumi_right", log, "--model", model]) == 0
     assert capsys.readouterr().out.count("contact") >= len(PRESSES) - 1
 
