@@ -157,14 +157,9 @@ class RowTypes:
         LabCommError : a position that is not finite, an infinite velocity or torque, a wrong number of joints.
         """
         row = self.row(value)
-        if row.q is None or not np.isfinite(row.q).all():
+        if row.q is None or not all(map(math.isfinite, value["pos"])):
             raise LabCommError(f"Expected finite positions in a command, got {value.get('pos')}.")
-        parts = []
-        for name, part in (("vel", row.qd), ("trq", row.tau)):
-            if part is not None and np.isinf(part).any():
-                raise LabCommError(f"Expected finite numbers in {name} of a command, got {value[name]}.")
-            parts.append(None if part is None or not np.nan_to_num(part).any() else np.nan_to_num(part))
-        return Row(row.tm, row.q, *parts)
+        return Row(row.tm, row.q, _asked(row.qd, "vel", value), _asked(row.tau, "trq", value))
 
     def _is_sent(self, sample: Sample) -> bool:
         """Whether it is of the type `sent`; a tree that was seen before is not compared again."""
@@ -200,6 +195,15 @@ class RowTypes:
                 f"Expected {sample.name} to be a struct with fields among tm (int, long), pos, vel and trq (float or "
                 f"double, [{self.n}] or [_]), got {', '.join(fields) or 'no struct'}."
             )
+
+
+def _asked(part: np.ndarray | None, name: str, value: Mapping[str, Any]) -> np.ndarray | None:
+    """Return what a vector of a command asks for, None when that is nothing; on lists, faster than on short arrays."""
+    if part is None or not any(number and not math.isnan(number) for number in value[name]):
+        return None
+    if any(map(math.isinf, value[name])):
+        raise LabCommError(f"Expected finite numbers in {name} of a command, got {value[name]}.")
+    return np.nan_to_num(part) if any(map(math.isnan, value[name])) else part
 
 
 def _fields(sample: SampleType) -> dict[str, Any]:
