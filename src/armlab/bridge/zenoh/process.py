@@ -233,9 +233,10 @@ def _order(robot: str, kind: str, data: bytes, attached: Attached) -> CommandReq
     if kind not in COMMANDS:
         known = ", ".join(COMMANDS)
         raise CommandRefused(f"Expected the last word of a command's key to be one of {known}, got {kind!r}.")
-    if not data or len(data) % 8 or len(data) > 16 * _MOST:
-        raise CommandRefused(f"Expected float64 numbers for {robot}, 8 bytes each, got {len(data)} bytes.")
     fields = COMMANDS[kind].split()
+    most = _MOST * len(fields)
+    if not data or len(data) % 8 or len(data) > 8 * most:
+        raise CommandRefused(f"Expected 1 to {most} numbers for {robot}, float64, 8 bytes each, got {len(data)} bytes.")
     if len(data) % (8 * len(fields)):
         raise CommandRefused(f"Expected as many velocities as positions for {robot}, got {len(data) // 8} numbers.")
     parts = np.frombuffer(data, "<f8").reshape(len(fields), -1)
