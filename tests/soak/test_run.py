@@ -17,7 +17,7 @@ ROOT = Path(__file__).parents[2]
 def soaked(part: str, seconds: float, folder: Path) -> dict[str, dict[str, object]]:
     """Run a part. Return its findings that a short run can judge, by what they are of."""
     words = [sys.executable, str(ROOT / "soak" / "run.py"), part, "--seconds", str(seconds), "--folder", str(folder)]
-    ended = subprocess.run(words, capture_output=True, text=True, timeout=240.0, check=False)
+    ended = subprocess.run(words, capture_output=True, text=True, timeout=500.0, check=False)
     assert (folder / "result.json").exists(), ended.stdout + ended.stderr
     result = json.loads((folder / "result.json").read_text())
     assert (folder / "soak.png").stat().st_size > 10_000
