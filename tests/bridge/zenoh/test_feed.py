@@ -123,6 +123,35 @@ def test_a_bridge_that_comes_again_is_told_from_one_that_restarted(start: Start,
     wire.cut()
 
 
+def test_rows_that_did_not_come_or_were_not_read_in_time_are_counted(
+    start: Start, robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("armlab.bridge.zenoh.feed._KEPT", 50)
+    one, got = start(), []
+    with ZenohFeed(f"zenoh://127.0.0.1:{one.options['port']}/lab1") as feed:
+        feed.ask(Subscribe(rate=None))
+
+        def read(what: Any) -> bool:
+            one.row()
+            while feed.wait(0.0):
+                got.append(feed.receive())
+            return any(what(each) for each in got)
+
+        until(lambda: read(lambda each: isinstance(each, Row)))
+        assert feed.lost == 0
+        one.tick += 3
+        until(lambda: read(lambda each: "3 so far" in str(each)))
+        last = one.tick - 1
+        until(lambda: read(lambda each: isinstance(each, Row) and each.values[f"{robot.name}.tick"] == last))
+        assert feed.lost == 3
+        for _ in range(100):
+            one.row()
+        last = one.tick - 1
+        until(lambda: read(lambda each: isinstance(each, Row) and each.values[f"{robot.name}.tick"] > last))
+    ticks = [each.values[f"{robot.name}.tick"] for each in got if isinstance(each, Row)]
+    assert feed.lost == ticks[-1] - ticks[0] + 1 - len(ticks) > 3
+
+
 def test_nothing_to_view(start: Start, robot: Robot) -> None:
     port = free_port()
     with pytest.raises(LinkError, match="none let us in"):

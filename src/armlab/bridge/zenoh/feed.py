@@ -15,6 +15,7 @@ from armlab.bridge.row import Row, read_row
 from armlab.bridge.row_schema import RowSchema
 from armlab.bridge.zenoh.asking import Asking
 from armlab.bridge.zenoh.checksum import undamaged
+from armlab.bridge.zenoh.gaps import Gaps
 from armlab.bridge.zenoh.keys import EVERY, key, robot_of
 from armlab.bridge.zenoh.place import Place
 from armlab.bridge.zenoh.session import close_session, zenoh
@@ -49,6 +50,7 @@ class ZenohFeed:
     Attributes
     ----------
     cell : its name. damaged : rows whose checksum was another one; they were dropped.
+    lost : rows that did not come, or not read in time, counted by their numbers while every row is asked for.
 
     Raises
     ------
@@ -60,10 +62,11 @@ class ZenohFeed:
         self._messages: queue.SimpleQueue[bytes | dict[str, Any]] = queue.SimpleQueue()
         self._next: bytes | dict[str, Any] | None = None
         self._rows: list[Any] = []
+        self._gaps: dict[str, Gaps] = {}  # of the robots of which every row is asked for
         self._pace: Pace | None = None
         self._gone: float | None = None  # since when
         self._is_unsure = False  # whether what comes again is the same run
-        self.damaged = 0
+        self.damaged = self.lost = 0
         self._session = self._place.open(patience)
         try:
             known = [robot] if robot else self._robots()
@@ -148,9 +151,12 @@ class ZenohFeed:
             if isinstance(message, dict):
                 if message["kind"] == "about":
                     self._schema = RowSchema.read(message["schema"].encode())
+                    self._gaps = {robot: Gaps(self._schema, robot) for robot in self._gaps}
                 return message
             if message[8:16] == self._schema.id:  # another is of a run that was not told of yet
-                return read_row(self._schema, message)
+                row = read_row(self._schema, message)
+                self._count(row, message)
+                return row
         if self._gone is not None:
             raise LinkError(f"Expected the bridge of {self.cell} to go on, but it has gone.")
         raise LinkError(f"Expected a message of {self.cell} in time, but none came. See whether its robot runs.")
@@ -159,6 +165,7 @@ class ZenohFeed:
         for one in self._rows:
             one.undeclare()
         self._rows = []
+        self._gaps = {robot: Gaps(self._schema, robot) for robot in self._schema.robots if rate is None}
         if rate is None or rate > 0.0:
             what = "live" if rate is None or rate > _VIEW else "view"
             self._pace = None if rate is None else Pace(1.0 / rate)
@@ -166,6 +173,13 @@ class ZenohFeed:
                 self._session.declare_subscriber(key(self._place.lab, robot, what), self._take_row)
                 for robot in self._schema.robots
             ]
+
+    def _count(self, row: Row, data: bytes) -> None:
+        """Count what is missing before a row: Zenoh tells the bridge nothing of what it drops for a slow reader."""
+        told = self.lost.bit_length()
+        self.lost += sum(gaps.take(data) for robot, gaps in self._gaps.items() if row.values[f"{robot}.fresh"])
+        if self.lost.bit_length() > told:  # 1, 2, 4, ...
+            self._tell(f"Rows did not come, or were not read in time: {self.lost} so far.")
 
     def _robots(self) -> list[str]:
         """Return the robots of the lab; who has just connected hears of them one after another."""
