@@ -34,12 +34,12 @@ def test_nobody_listens(capsys: pytest.CaptureFixture[str]) -> None:
 SECOND = 10**9
 
 
-def told_of(*said: tuple[str, float]) -> list[tuple[str, int]]:
+def told_of(*said: tuple[str, float], each: bool = False) -> list[tuple[str, int]]:
     """What is passed on of sentences at times [s], and when it came."""
     told: list[tuple[str, int]] = []
     limited = Limited(lambda text, warn, stamp_ns: told.append((text, stamp_ns)))
     for text, seconds in said:
-        limited(text, False, round(SECOND * seconds))
+        limited(text, False, round(SECOND * seconds), each)
     limited.close()
     return told
 
@@ -58,6 +58,15 @@ def test_of_a_kind_one_a_second() -> None:
 def test_other_kinds_are_not_touched() -> None:
     said = [("Ready.", 0.0), ("Not ready.", 0.1), ("Stopped by a 1.", 0.2), ("Ready.", 0.3), ("Not ready.", 5.0)]
     assert [text for text, _ in told_of(*said)] == [text for text, _ in said]
+
+
+def test_what_must_be_told_one_by_one_is_unless_it_floods() -> None:
+    """Ten a second for ten seconds, as the lease allows; a client that takes an arm and lets go of it in every tick."""
+    said = [(f"zenoh {k} commands arm.", 0.1 * k) for k in range(100)]
+    assert [text for text, _ in told_of(*said, each=True)] == [text for text, _ in said]
+    told = told_of(*((f"zenoh {k} commands arm.", 0.004 * k) for k in range(1000)), each=True)
+    assert len(told) == 4 * 50 + 1
+    assert told[50] == ("zenoh 249 commands arm. (199 like it left out.)", 996_000_000)
 
 
 def test_a_clock_that_begins_anew() -> None:

@@ -101,7 +101,7 @@ def test_null_is_not_a_number(cell: Cell) -> None:
 
 
 def test_parameters_are_set_between_ticks_echoed_and_told(cell: Cell) -> None:
-    cell.exchange.begin(lambda text, warn=False: cell.told.append(text))
+    cell.exchange.begin(lambda text, *_: cell.told.append(text))
     cell.say("labcomm", "set", values={"gain": 3.0})
     assert cell.params.gain == 2.0
     cell.row()
@@ -113,7 +113,7 @@ def test_parameters_are_set_between_ticks_echoed_and_told(cell: Cell) -> None:
 
 
 def test_refused_settings(cell: Cell) -> None:
-    cell.exchange.begin(lambda text, warn=False: cell.told.append(text))
+    cell.exchange.begin(lambda text, *_: cell.told.append(text))
     cell.exchange.arbiter.stop("x")  # nobody holds, so labcomm has the rights of a commander
     for _ in range(5):
         cell.say("labcomm", "set", values={"gain": -1.0})
@@ -200,7 +200,7 @@ def test_noise_is_counted(cell: Cell) -> None:
 
 def test_what_a_server_refused_is_an_event_once_a_second(cell: Cell) -> None:
     """Also of clients that may only read; and a flood of it is counted, not told."""
-    cell.exchange.begin(lambda text, warn=False: cell.told.append(text))
+    cell.exchange.begin(lambda text, *_: cell.told.append(text))
     for _ in range(10):
         cell.say("labcomm", "report", text="Expected 7 numbers, got 6." + 1500 * "x")
         cell.exchange.poll()
@@ -235,7 +235,7 @@ def test_listening(cell: Cell) -> None:
 
 def test_the_summary_of_a_run(cell: Cell) -> None:
     kept: list[Any] = []
-    cell.exchange.begin(lambda text, warn=False: cell.told.append(text), (), kept.append)
+    cell.exchange.begin(lambda text, *_: cell.told.append(text), (), kept.append)
     assert cell.params.running
     cell.say(OPERATOR, "set", values={"gain": 4.0})
     cell.exchange.arbiter.refused["labcomm 1"] = 3

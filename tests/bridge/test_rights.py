@@ -32,7 +32,7 @@ class Bench:
         self.q_sent = {robot.name: np.array(robot.q_home) for robot in arms}
         self.arms = arms
 
-    def tell(self, text: str, warn: bool = False) -> None:
+    def tell(self, text: str, warn: bool = False, each: bool = False) -> None:
         self.events.append(text)
         if warn:
             self.warnings.append(text)
@@ -345,7 +345,7 @@ def test_a_stop_while_a_command_comes_into_force_wins() -> None:
     """Requests are taken by the guard's and the servers' thread too: a stop may come between check and command."""
     bench = Bench()
     arbiter = bench.arbiter
-    arbiter._tell = lambda text, warn=False: arbiter.stop("local 1") if "commands yumi_left" in text else None
+    arbiter._tell = lambda text, *_, **__: arbiter.stop("local 1") if "commands yumi_left" in text else None
     for _ in range(5):
         assert bench(order()) is None
         assert arbiter.stopped == "local 1"

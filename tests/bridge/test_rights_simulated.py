@@ -44,7 +44,7 @@ def test_two_commanders_of_a_simulated_arm() -> None:
         [LEFT],
         ["labcomm"],
         poll=poll,
-        tell=lambda text, warn=False: events.append(text),
+        tell=lambda text, *_, **__: events.append(text),
         clock=lambda: 10**12 + TICK * ticks[0],
     )
     holders: list[str] = []

@@ -51,7 +51,7 @@ def test_a_server_listens_and_ends_with_the_bridge() -> None:
 def test_a_killed_server_starts_again() -> None:
     exchange = Exchange([LEFT], ["a"])
     told: list[str] = []
-    exchange.begin(lambda text, warn=False: told.append(text))
+    exchange.begin(lambda text, *_: told.append(text))
     with Servers(exchange, {"a": command(WAITS)}, restarts=(0.01, 0.01)) as servers:
         servers.ready()
         first = servers.processes()["a"]
@@ -65,7 +65,7 @@ def test_a_killed_server_starts_again() -> None:
 def test_a_server_that_fails_is_left_dead() -> None:
     exchange = Exchange([LEFT], ["a"])
     told: list[str] = []
-    exchange.begin(lambda text, warn=False: told.append(text))
+    exchange.begin(lambda text, *_: told.append(text))
     program = QUIET + "while b'Now.' not in s.recv(100000): pass\n" + FAILS
     with Servers(exchange, {"a": command(program)}, restarts=(0.01, 0.01)) as servers:
         for ends in range(3):
@@ -81,7 +81,7 @@ def test_a_server_that_ran_well_begins_a_new_series(well: float, outcome: str) -
     """One that ends once a day is never left dead; one that ends whenever it has started is."""
     exchange = Exchange([LEFT], ["a"])
     told: list[str] = []
-    exchange.begin(lambda text, warn=False: told.append(text))
+    exchange.begin(lambda text, *_: told.append(text))
     with Servers(exchange, {"a": command(WAITS)}, restarts=(0.01, 0.02), well=well) as servers:
         for ends in range(3):
             assert servers.ready(60.0) == ["here"]
@@ -118,7 +118,7 @@ def test_an_error_of_the_watch_does_not_end_it(monkeypatch: pytest.MonkeyPatch) 
     """A server that cannot be watched starts again as one that ended, as often and no oftener."""
     exchange = Exchange([LEFT], ["a", "b"])
     told: list[str] = []
-    exchange.begin(lambda text, warn=False: told.append(text))
+    exchange.begin(lambda text, *_: told.append(text))
     look, idle, broken = Servers._look, exchange.idle, [False]
 
     def fail(servers: Servers, child: Any) -> None:

@@ -11,6 +11,7 @@ from typing import Protocol
 __all__ = ["Limited", "Tell", "nobody"]
 
 _EVERY = 1_000_000_000  # ns between two sentences of one kind
+_EACH = 50  # of a kind in that time that are told one by one: arms that the lease frees change hands ten times a second
 _KINDS = 64  # that are told apart at a time; more are a flood and share one turn
 _CHANGING = re.compile(r"'[^']*'|\"[^\"]*\"|\d[\d.]*")  # what differs between sentences of one kind
 
@@ -18,25 +19,26 @@ _CHANGING = re.compile(r"'[^']*'|\"[^\"]*\"|\d[\d.]*")  # what differs between s
 class Tell(Protocol):
     """Takes sentences."""
 
-    def __call__(self, text: str, warn: bool = False) -> None:
-        """Take one sentence; `warn` when something is wrong."""
+    def __call__(self, text: str, warn: bool = False, each: bool = False) -> None:
+        """Take one sentence; `warn` when something is wrong, `each` when others like it do not stand for it."""
         ...
 
 
-def nobody(text: str, warn: bool = False) -> None:
+def nobody(text: str, warn: bool = False, each: bool = False) -> None:
     """Ignore a sentence.
 
     Parameters
     ----------
-    text : the sentence. warn : something is wrong.
+    text : the sentence. warn : something is wrong. each : others like it do not stand for it.
     """
 
 
 @dataclass(slots=True)
 class _Kind:
-    """When its last sentence was passed on, the one that waits since then, and how many it has replaced."""
+    """When its turn began, how many were passed on in it, the one that waits since then, how many it has replaced."""
 
     told_ns: int
+    told: int = 1
     waits: tuple[str, bool, int] | None = None
     left_out: int = 0
 
@@ -47,6 +49,7 @@ class Limited:
     Sentences are of one kind when they differ only in numbers and quoted words. Of those that come too soon the newest
     waits for its turn, with its own stamp; it says how many it stands for. So something that flaps with every packet
     fills no disk, and its last state is always known.
+    What must be told one by one is, up to fifty of a kind in a second; who sends more floods the log.
 
     Parameters
     ----------
@@ -59,12 +62,12 @@ class Limited:
         self._waiting = 0
         self._lock = threading.RLock()  # to tell may lead to another sentence
 
-    def __call__(self, text: str, warn: bool, stamp_ns: int) -> None:
+    def __call__(self, text: str, warn: bool, stamp_ns: int, each: bool = False) -> None:
         """Take one sentence.
 
         Parameters
         ----------
-        text : the sentence. warn : something is wrong. stamp_ns : now.
+        text : the sentence. warn : something is wrong. stamp_ns : now. each : others like it do not stand for it.
         """
         with self._lock:
             self.due(stamp_ns)
@@ -76,7 +79,9 @@ class Limited:
             if kind is None:
                 self._kinds[name] = _Kind(stamp_ns)
             elif _is_over(kind, stamp_ns):
-                kind.told_ns = stamp_ns
+                kind.told_ns, kind.told = stamp_ns, 1
+            elif each and kind.told < _EACH:
+                kind.told += 1
             else:
                 self._waiting += kind.waits is None
                 kind.left_out += kind.waits is not None
@@ -104,7 +109,7 @@ class Limited:
             for kind in sorted(ready, key=_stamp):
                 if kind.waits is not None:
                     (text, warn, stamp_ns), left_out = kind.waits, kind.left_out
-                    kind.told_ns, kind.waits, kind.left_out = now_ns, None, 0
+                    kind.told_ns, kind.told, kind.waits, kind.left_out = now_ns, 1, None, 0
                     self._waiting -= 1
                     self._tell(f"{text} ({left_out} like it left out.)" if left_out else text, warn, stamp_ns)
 

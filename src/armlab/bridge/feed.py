@@ -94,7 +94,7 @@ class Exchange:
             "robots": {robot.name: to_toml(robot) for robot in robots},
         }
         self._read_only = frozenset(read_only)
-        self._told: deque[tuple[str, bool]] = deque(maxlen=_EVENTS)
+        self._told: deque[tuple[str, bool, bool]] = deque(maxlen=_EVENTS)
         self._record: Tell | None = None
         self._keep: Callable[[Change], None] = lambda change: None
         self._files = b""
@@ -166,14 +166,14 @@ class Exchange:
         self.poll()
         return {"rows": outlet.rows, "lost": outlet.lost, "clients": outlet.clients}
 
-    def tell(self, text: str, warn: bool = False) -> None:
+    def tell(self, text: str, warn: bool = False, each: bool = False) -> None:
         """Keep a sentence for the events of the run; from any thread.
 
         Parameters
         ----------
-        text : the sentence. warn : something is wrong.
+        text : the sentence. warn : something is wrong. each : others like it do not stand for it.
         """
-        self._told.append((text, warn))
+        self._told.append((text, warn, each))
 
     def answer(self, client: str, text: str, refused: Iterable[str] = ()) -> None:
         """Send a sentence to the client that asked.
@@ -230,7 +230,11 @@ class Exchange:
                 for outlet in self.outlets.values():
                     outlet.send(message)
             while self._told:
-                (self._record or self.event)(*self._told.popleft())
+                text, warn, each = self._told.popleft()
+                if self._record is None:
+                    self.event(text, warn)
+                else:
+                    self._record(text, warn, each)
         finally:
             self._lock.release()
 

@@ -176,7 +176,7 @@ def clock(resolution: float = time.get_clock_info("monotonic").resolution) -> Fi
 def real_time() -> Finding:
     """Check that the loop may run under SCHED_FIFO."""
     told: list[str] = []
-    with priority(LOOP_PRIORITY, lambda text, warn=False: told.append(text)) as permitted:
+    with priority(LOOP_PRIORITY, lambda text, warn=False, each=False: told.append(text)) as permitted:
         pass
     advice = (
         "Add the line `@realtime - rtprio 60` to /etc/security/limits.d/realtime.conf, yourself to the group realtime, "

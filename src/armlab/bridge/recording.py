@@ -118,13 +118,13 @@ class Recording:
             self._tell_feeds(lambda feed: feed.row(state, command, tick))
         self.catch_up()
 
-    def event(self, text: str, warn: bool = False) -> None:
+    def event(self, text: str, warn: bool = False, each: bool = False) -> None:
         """Keep a sentence; it also goes to the logger ``armlab.bridge``, as a warning when something is wrong."""
-        self.note(f"{self._label}: {text}" if self._label else text, warn)
+        self.note(f"{self._label}: {text}" if self._label else text, warn, each)
 
-    def note(self, text: str, warn: bool = False) -> None:
+    def note(self, text: str, warn: bool = False, each: bool = False) -> None:
         """Keep a sentence that concerns the whole run; see `event`, and `Limited` for those that come too often."""
-        self._limited(text, warn, self._clock())
+        self._limited(text, warn, self._clock(), each)
 
     def parameter(self, change: Change) -> None:
         """Keep the value of a parameter that came into force.

@@ -225,7 +225,7 @@ class Arbiter:
         if problem:
             return self._refuse(order.client, problem, now)
         if holder is None:
-            self._tell(f"{order.client} commands {order.arm}.")
+            self._tell(f"{order.client} commands {order.arm}.", each=True)
         self._holders[order.arm] = _Holder(order.client, command, order.seq, now)
         _count(self.obeyed[order.arm], order.client)
         return True
@@ -242,7 +242,7 @@ class Arbiter:
     def _free(self, arm: str, why: str) -> None:
         holder, self._holders[arm] = self._holders[arm], None
         if holder is not None:
-            self._tell(f"{holder.client} no longer commands {arm}: {why}. The arm holds.")
+            self._tell(f"{holder.client} no longer commands {arm}: {why}. The arm holds.", each=True)
 
     def _refuse(self, client: str, why: str, now: int, answer: bool = True) -> bool:
         _count(self.refused, client)

@@ -106,7 +106,7 @@ def test_rows_go_out_and_commands_come_back(running: Running, robot: Robot) -> N
 def test_a_refusal_names_the_number_that_the_client_sent(running: Running, robot: Robot) -> None:
     """In the log, since LabComm has no place for it: the third joint from the base is the last number of `pos`."""
     told: list[str] = []
-    running.exchange.begin(lambda text, warn=False: told.append(text))
+    running.exchange.begin(lambda text, *_: told.append(text))
     now, far = state(robot), np.array(robot.q_home)
     far[2] += 0.5
 
@@ -182,7 +182,7 @@ def test_stop_from_any_client_on_any_port(running: Running, port: str) -> None:
 
 def test_what_is_no_command_and_what_is_no_labcomm_are_events(running: Running, robot: Robot) -> None:
     told: list[str] = []
-    running.exchange.begin(lambda text, warn=False: told.append(text))
+    running.exchange.begin(lambda text, *_: told.append(text))
 
     def said(words: str) -> bool:
         running.exchange.arbiter._answered.clear()  # each is told at once

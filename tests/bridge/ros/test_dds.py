@@ -119,7 +119,7 @@ def test_commands_take_the_arm_until_the_writer_leaves(running: Running) -> None
     who = running.exchange.arbiter.commander("yumi_left")
     assert who == f"ros2 {client(writers['velocity'])}"
     events: list[str] = []
-    running.exchange.begin(lambda text, warn=False: events.append(text))
+    running.exchange.begin(lambda text, *_: events.append(text))
     running.exchange.arbiter._lease_ns = 10**12  # what ends it is that the writer leaves
     writers.clear()
     until(lambda: running.row() is None and f"{who} no longer commands yumi_left: it closed. The arm holds." in events)
@@ -183,7 +183,7 @@ def test_wrong_numbers_are_answered_in_the_diagnostics(
     writer = running.node.writer(VELOCITY, type_)
     diagnostics = running.node.reader("/yumi_left/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
     events: list[str] = []
-    running.exchange.begin(lambda text, warn=False: events.append(text))
+    running.exchange.begin(lambda text, *_: events.append(text))
 
     def told() -> str:
         write(writer, type_, *fields)

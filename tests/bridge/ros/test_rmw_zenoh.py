@@ -189,7 +189,7 @@ def test_all_writers_of_a_node_are_one_client_until_the_last_goes(running: Runni
 def test_what_is_no_command_is_told(running: Running) -> None:
     diagnostics = running.read("/yumi_left/diagnostics", DIAGNOSTICS)
     events: list[str] = []
-    running.exchange.begin(lambda text, warn=False: events.append(text))
+    running.exchange.begin(lambda text, *_: events.append(text))
     for type_, raw, words in (
         (ARRAY, numbers([0.0] * 6), "Expected 7 numbers"),
         (ARRAY, b"\0\1\0\0nothing", "Expected a std_msgs/msg/Float64MultiArray, got 11 bytes"),

@@ -84,7 +84,7 @@ class Running:
         parameters = Parameters([Parameter("gain", 0.5)])
         self.exchange = Exchange([self.robot], ["ros1"], parameters, ["ros1"], about={"cell": "yumi"})
         self.told: list[str] = []
-        self.exchange.begin(lambda text, warn=False: self.told.append(text))
+        self.exchange.begin(lambda text, *_: self.told.append(text))
         command = server_command("ros1", options(uri))
         self.servers = stack.enter_context(Servers(self.exchange, {"ros1": command}, restarts=(1.0, 2.0)))
         (self.where,) = self.servers.ready(PATIENCE)

@@ -107,7 +107,7 @@ def test_what_is_no_command_gets_a_sentence(start: Start, session: Open, robot: 
     one = start()
     mine = session(one.options["port"])
     answers, told = heard(mine, key("lab1", robot.name, "answer/*")), []
-    one.exchange.begin(lambda text, warn=False: told.append(text))
+    one.exchange.begin(lambda text, *_: told.append(text))
     for kind, data, attachment, words in NO_COMMANDS:
 
         def refused(kind: str = kind, data: bytes = data, attachment: Any = attachment, words: str = words) -> bool:

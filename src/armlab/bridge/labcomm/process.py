@@ -179,7 +179,7 @@ class LabCommProcess:
                 sources = [one for places in self._sources if (one := places.held(data, wall_ns)) is not None]
                 ports.put("fused", (wall_ns // 1000, [one.arm for one in held], sources))
 
-    def _event(self, text: str, warn: bool = False) -> None:
+    def _event(self, text: str, warn: bool = False, each: bool = False) -> None:
         if warn:
             self._loop.ask(Report(text=text))
         else:
