@@ -25,6 +25,8 @@ from armlab.log import Table
 from armlab.models import Friction, TorqueModel
 from armlab.robots import Robot
 
+from .processes import processes  # noqa: F401  a fixture
+
 # The same examples each time, so that a change fails only for what it did; `--hypothesis-profile=default` looks for
 # new ones, and twice as many. No deadline: the machines are shared.
 settings.register_profile("armlab", derandomize=True, deadline=None, max_examples=50)

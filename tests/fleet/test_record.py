@@ -14,7 +14,7 @@ from armlab.fleet import FleetRecorder, Router, robot_record
 from armlab.fleet.robot_record import RobotRecord
 from armlab.robots import Robot
 
-from .conftest import Started, free_port, until
+from ..processes import Started, free_port, until
 
 NAMES = ("yumi_left", "yumi_right", "ur5e")
 PAST = 250  # rows that make a good start

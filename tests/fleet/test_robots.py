@@ -14,7 +14,7 @@ from armlab.bridge.zenoh import EVERY, Place
 from armlab.fleet import FleetRobot, Router, list_robots
 from armlab.fleet.robots import _Seen
 
-from .conftest import PATIENCE, Started, free_port, until
+from ..processes import PATIENCE, Started, free_port, until
 
 
 def test_nobody_is_there() -> None:

@@ -11,7 +11,7 @@ from armlab.cli.certificates import write_certificates
 from armlab.errors import ConfigError, LinkError
 from armlab.fleet import Router
 
-from .conftest import free_port, until
+from ..processes import free_port, until
 
 
 def test_beyond_this_computer_it_asks_for_certificates_and_users() -> None:

@@ -11,8 +11,7 @@ import pytest
 from armlab.bridge.feed import Exchange
 from armlab.bridge.ros.rmw_zenoh_names import Names, Origin
 
-from ...fleet.conftest import Started, processes  # noqa: F401  a fixture
-from ..zenoh.conftest import free_port, until
+from ...processes import Started, free_port, until
 
 pytest.importorskip("zenoh", reason="the extra net is not installed")
 pytest.importorskip("xxhash", reason="the extra net is not installed")
@@ -90,7 +89,7 @@ class Cell:
 
 
 @pytest.fixture
-def cell(processes: Callable[..., Started]) -> Iterator[tuple[Cell, Callable[[], Started]]]:  # noqa: F811
+def cell(processes: Callable[..., Started]) -> Iterator[tuple[Cell, Callable[[], Started]]]:
     """Return the cell, and what kills the router and returns what starts the next one."""
     port = free_port()
     routers = [processes("router", port)]

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab import robots
 from armlab.bridge.feed import Exchange
 from armlab.bridge.parameters import Parameter, Parameters
 from armlab.bridge.zenoh import Place, close_session
@@ -21,22 +20,9 @@ from armlab.log import Tick
 from armlab.robots import Robot
 from armlab.state import State
 
+from ...processes import free_port, until
+
 PATIENCE = 15.0  # s; only a test that fails waits so long
-
-
-def until(condition: Callable[[], Any], patience: float = PATIENCE) -> None:
-    """Wait for what another thread does."""
-    end = time.monotonic() + patience
-    while not condition():
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.002)
-
-
-def free_port() -> int:
-    """Return a port on which nobody listens."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 class Wire:
@@ -124,11 +110,6 @@ class Running:
 
 
 ABOUT = {"cell": "yumi", "commands": ["zenoh"]}
-
-
-@pytest.fixture(scope="session")
-def robot() -> Robot:
-    return robots.load("yumi_right")
 
 
 @pytest.fixture
