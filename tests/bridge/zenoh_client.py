@@ -1,8 +1,8 @@
 """Started by tests: `zenoh_client.py DIALECT PORT ROLE LETTER`, a client of a cell with the arm yumi_left.
 
 DIALECT is zenoh or rmw_zenoh. ROLE "command" asks for a small velocity at 250 Hz, and says what it is answered over
-zenoh; "read" reads all that there is, says "row" at the first and "gap 3" when three are missing. LETTER makes the
-identity of the sender. Ends by a signal.
+zenoh; "read" reads all that there is, says "row" at the first, "gap 3 KEY" when three are missing and "back 1 KEY" when
+one comes that is not after the last. LETTER makes the identity of the sender. Ends by a signal.
 """
 
 from __future__ import annotations
@@ -59,8 +59,8 @@ def read(session: Any, dialect: str) -> None:
         if not last:
             print("row", flush=True)
         missing = number - last.get(name, number - 1) - 1
-        if missing > 0:
-            print("gap", missing, flush=True)
+        if missing:
+            print("gap" if missing > 0 else "back", abs(missing), name, flush=True)
         last[name] = number
 
     every = key("lab", "yumi_left", "*") if dialect == "zenoh" else "0/yumi_left/**"
