@@ -122,6 +122,25 @@ def test_joint_states_reach_a_node_that_reads_them(running: Running) -> None:
     assert samples[0].payload.to_bytes()[:4] == b"\0\1\0\0"
 
 
+def test_what_a_reader_missed_that_comes_again_is_numbered(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+    topic = "/yumi_left/joint_states"
+    output = running.server._outputs[topic]
+    samples: list[Any] = []
+    for last in (1, 5):
+        reader = running.node.declare_subscriber(running.names.data(topic, JOINTS), samples.append)
+        until(lambda: output.wanted)
+        running.row()
+        until(lambda last=last: samples and Origin.read(samples[-1].attachment.to_bytes()).seq == last)
+        reader.undeclare()
+        until(lambda: not output.wanted)
+        for _ in range(3):
+            running.row()
+    assert len(samples) == output.sent == 2
+    monkeypatch.setattr("armlab.bridge.ros.rmw_zenoh._MAY_COME_AGAIN", 0.0)
+    running.server._read_until[topic] = 0.0
+    until(lambda: running.server.wanted == frozenset())
+
+
 def test_the_graph_has_the_node_its_writers_and_readers(running: Running) -> None:
     def tokens() -> list[list[str]]:
         replies = running.node.liveliness().get("@ros2_lv/0/**", timeout=2.0)

@@ -26,6 +26,7 @@ from armlab.robots import from_toml
 __all__ = ["RmwZenohServer", "serve"]
 
 _AGAIN = 1.0  # s after which the parameters are told again, for readers that came later
+_MAY_COME_AGAIN = 30.0  # s after a reader: what it misses while its router starts anew must show in the numbers
 
 
 class RmwZenohServer:
@@ -38,7 +39,7 @@ class RmwZenohServer:
 
     Attributes
     ----------
-    wanted : names of the topics that somebody reads.
+    wanted : names of the topics that somebody reads, or has read in the last half minute.
 
     Raises
     ------
@@ -51,6 +52,7 @@ class RmwZenohServer:
         self._outputs: dict[str, Output] = {}
         self._writers: dict[str, Writer] = {}
         self.wanted: frozenset[str] = frozenset()
+        self._read_until: dict[str, float] = {}
         self._reading = threading.Lock()
         self._loop = LoopEnd(feed, self._counts)
         about = self._loop.about
@@ -84,6 +86,7 @@ class RmwZenohServer:
                     elif message["kind"] == "answer":
                         self._answer(message["client"], message["text"])
                 if time.monotonic() - self._told > _AGAIN:
+                    self._read()
                     self._tell_parameters()
         finally:
             close_session(self._session)
@@ -111,9 +114,17 @@ class RmwZenohServer:
         self._declared += [lives.declare_token(token) for token in tokens]
 
     def _read(self) -> None:
-        """Take note of what is read now: the same set until it changes, as `Encoded` likes it; by any thread."""
+        """Take note of what is read now: the same set until it changes, as `Encoded` likes it; by any thread.
+
+        A reader whose way is cut is as one that has left. What it would have got is numbered still, for a while.
+        """
+        now = time.monotonic()
         with self._reading:
-            self.wanted = frozenset([name for name, output in list(self._outputs.items()) if output.wanted])
+            read = [name for name, output in list(self._outputs.items()) if output.wanted]
+            self._read_until.update(dict.fromkeys(read, now + _MAY_COME_AGAIN))
+            wanted = frozenset([name for name, until in self._read_until.items() if until > now])
+            if wanted != self.wanted:
+                self.wanted = wanted
 
     def _token(self, sample: Any) -> None:
         self._nodes.token(str(sample.key_expr), sample.kind == zenoh().SampleKind.PUT)
@@ -122,9 +133,7 @@ class RmwZenohServer:
         self._loop.ask(Leave(client))
 
     def _write(self, topic: Published, data: bytes) -> None:
-        output = self._outputs[topic.name]
-        if output.wanted:
-            output.put(data, self._writers[topic.name].next(time.time_ns()))
+        self._outputs[topic.name].put(data, self._writers[topic.name].next(time.time_ns()))
 
     def _tell_parameters(self) -> None:
         self._told = time.monotonic()
