@@ -1,4 +1,4 @@
-"""Sphinx extension: the directive ``accuracy``, errors of the kernels as they are when the pages are built."""
+"""Sphinx extension: ``accuracy``, errors of the kernels as they are when the pages are built; ``accuracy-left-out``."""
 
 from __future__ import annotations
 
@@ -28,14 +28,30 @@ class Accuracy(SphinxDirective):
             errors = (nodes.Text(f"{results['error'](exact, values):.1f}") for values in found)
             name = nodes.literal("", key.partition("/")[2])
             rows.append(row([name, *errors, nodes.Text(f"{results['bound'](key):.0f}")]))
-        reasons = nodes.definition_list()
-        for name, (_, reason) in results["BOUNDS"].items():
-            term = nodes.term("", "", nodes.literal("", name))
-            reasons += nodes.definition_list_item("", term, nodes.definition("", nodes.paragraph("", reason)))
-        return [table(("kernel", "compiled", "NumPy", "bound"), rows), reasons]
+        reasons = {name: reason for name, (_, reason) in results["BOUNDS"].items()}
+        return [table(("kernel", "compiled", "NumPy", "bound"), rows), definitions(reasons)]
+
+
+class LeftOut(SphinxDirective):
+    """The kernels without a table, with what holds them instead."""
+
+    def run(self) -> list[nodes.Node]:
+        """Return the list."""
+        self.env.note_dependency(str(SCRIPT))
+        return [definitions(runpy.run_path(str(SCRIPT))["LEFT_OUT"])]
+
+
+def definitions(reasons: dict[str, str]) -> nodes.definition_list:
+    """Return a list of names and what is said of each."""
+    found = nodes.definition_list()
+    for name, reason in reasons.items():
+        term = nodes.term("", "", nodes.literal("", name))
+        found += nodes.definition_list_item("", term, nodes.definition("", nodes.paragraph("", reason)))
+    return found
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Register the directive."""
+    """Register the directives."""
     app.add_directive("accuracy", Accuracy)
+    app.add_directive("accuracy-left-out", LeftOut)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

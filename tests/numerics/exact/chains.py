@@ -160,9 +160,9 @@ def arm(n: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     bodies = np.zeros((n, 10))
     for body in bodies:
         masses, points = rng.uniform(0.1, 1.0, 6), rng.normal(scale=0.2, size=(6, 3))
-        second = np.einsum("a,ai,aj->ij", masses, points, points)
+        second = sum(m * np.outer(x, x) for m, x in zip(masses, points))  # in this order on every machine
         inertia = np.trace(second) * np.eye(3) - second
-        body[0], body[1:4] = masses.sum(), masses @ points
+        body[0], body[1:4] = sum(masses), sum(m * x for m, x in zip(masses, points))
         body[4:] = inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
     return frames, (np.arange(n) == 1) & (n > 3), bodies
 

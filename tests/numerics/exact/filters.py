@@ -172,6 +172,11 @@ def motions(rng: np.random.Generator) -> dict[str, Table]:
     return found
 
 
+def square(root: np.ndarray) -> np.ndarray:
+    """Return ``root rootᵀ``, summed in the same order on every machine."""
+    return np.sum([np.outer(column, column) for column in root.T], axis=0)
+
+
 def forces(rng: np.random.Generator) -> dict[str, Table]:
     found: dict[str, Table] = {}
     A, error, bound = rng.normal(size=(6, 7)), rng.normal(size=7), rng.uniform(0, 0.5, 7)
@@ -188,8 +193,8 @@ def forces(rng: np.random.Generator) -> dict[str, Table]:
     n, m = 3, 2
     root, spread = rng.normal(size=(n + m, n + m)), rng.normal(size=(n, n))
     given = {
-        "x": rng.normal(size=n + m), "P": root @ root.T, "G": rng.normal(size=(n, m)), "u": rng.normal(size=n),
-        "y": rng.normal(size=n), "R": 1e-3 * spread @ spread.T, "h": np.array([STEP]), "Qp": rng.uniform(0.1, 1, n),
+        "x": rng.normal(size=n + m), "P": square(root), "G": rng.normal(size=(n, m)), "u": rng.normal(size=n),
+        "y": rng.normal(size=n), "R": 1e-3 * square(spread), "h": np.array([STEP]), "Qp": rng.uniform(0.1, 1, n),
         "q": rng.uniform(0.1, 1, m), "a": np.array([0.0, 6.0]),
     }  # fmt: skip
     for name in ("P", "R"):

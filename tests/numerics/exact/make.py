@@ -1,6 +1,7 @@
 """Write the tables anew: `python tests/numerics/exact/make.py [folder [topic ...]]`.
 
-Arrays are their shape and their doubles, of 16 hexadecimal digits each.
+Arrays are their shape and their doubles, of 16 hexadecimal digits each. Inputs are made without BLAS, whose sums
+depend on the processor: every machine makes the same tables.
 """
 
 from __future__ import annotations
@@ -15,10 +16,13 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent))
 
 import chains
+import contacts
 import filters
 import groups
+import limits
+import primitives
 
-TOPICS = {"chains": chains, "filters": filters, "groups": groups}
+TOPICS = {module.__name__: module for module in (chains, contacts, filters, groups, limits, primitives)}
 
 
 def packed(value: Any) -> Any:

@@ -20,14 +20,24 @@ def exact(values: np.ndarray) -> mp.matrix:
 
 def rounded(value: mpf) -> float:
     """Return the nearest double."""
-    if not value:
-        return 0.0
+    if not value or mp.isinf(value):
+        return float(value)
     sign, mantissa, exponent, _ = mpf(value)._mpf_
     return float((-1) ** sign * int(mantissa) * Fraction(2) ** int(exponent))
 
 
 def array(matrix: mp.matrix | Sequence[mpf]) -> np.ndarray:
-    """Return the nearest doubles, a column as (r,)."""
+    """Return the nearest doubles, a column as (r,).
+
+    What is 1e-60 to 1e-100 of the largest entry is zero: no sum or product of the inputs is so small, but what rounding
+    to 80 digits leaves of a difference that is none.
+    """
+    found = doubles(matrix)
+    share = np.abs(found) / np.max(np.abs(found), initial=np.finfo(float).tiny, where=np.isfinite(found))
+    return np.where((share > 1e-100) & (share < 1e-60), 0.0, found)
+
+
+def doubles(matrix: mp.matrix | Sequence[mpf]) -> np.ndarray:
     if not isinstance(matrix, mp.matrix):
         return np.array([rounded(value) for value in matrix])
     rows = np.array([[rounded(matrix[i, j]) for j in range(matrix.cols)] for i in range(matrix.rows)])

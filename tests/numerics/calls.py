@@ -1,0 +1,139 @@
+"""How the kernels are called with the inputs of a table, topic by topic."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+
+def of_group(module: Any, name: str, given: dict[str, np.ndarray], _: dict[str, np.ndarray]) -> Any:
+    name, chosen = (*name.split(), "")[:2]
+    given = given | ({"s": given["s"][:, 0]} if "s" in given else {})
+    more: dict[str, Any] = {"screw": True} if chosen == "screw" else {}
+    if name.startswith("euler"):
+        more = {axis: "xyz".index(letter) for axis, letter in zip(("first", "middle", "last"), chosen)}
+    result = getattr(module, name)(*given.values(), **more)
+    return result[0] if name == "so3_nearest" else result
+
+
+def of_chain(module: Any, name: str, given: dict[str, np.ndarray], fixed: dict[str, np.ndarray]) -> Any:
+    chain, words = module.Chain(fixed["frames"], fixed["prismatic"]), name.split()
+    found = getattr(chain, words[0])(**given, **({"tool": True} if "tool" in words else {}))
+    return np.stack(found, axis=-2) if words[0] == "momentum" else found
+
+
+def of_filter(module: Any, name: str, given: dict[str, np.ndarray], fixed: dict[str, np.ndarray]) -> Any:
+    words, values = name.split(), list(given.values())
+    match words[0]:
+        case "SignalOperator":
+            return module.SignalOperator(words[1], *given["constants"].tolist()).run(given["x"])
+        case "Drive":
+            return module.Drive(*values[:2]).torque(*values[2:])
+        case "basis" | "rollout":
+            shape = (fixed["centres"], fixed["widths"], fixed["weights"])
+            primitive = module.Primitive(*shape, *fixed["rates"].tolist(), words[1])
+            if words[0] == "basis":
+                return primitive.basis(given["x"])
+            return primitive.rollout(given["t"], float(given["tau"]), *given["ends"])[
+                ("y", "yd", "ydd").index(words[2])
+            ]
+        case "solve_wrench":
+            return module.solve_wrench(*values, ("map", "bounded", "clip", "interval", "ls").index(words[1]))[
+                int(words[2])
+            ]
+        case "momentum_step":
+            return module.momentum_step(*values[:6], float(given["h"][0]), *values[7:])[int(words[1])]
+    return getattr(module, name)(*values)
+
+
+def of_limits(module: Any, _: str, given: dict[str, np.ndarray], __: dict[str, np.ndarray]) -> Any:
+    rows = []
+    for sent, bounds, period, asked in zip(*given.values()):
+        wanted = (None if np.isnan(row).all() else row for row in asked)
+        state, bits, ratio, refused = module.limit_reference(sent, bounds, float(period[0]), *wanted)
+        rows += [*state, bits, (ratio, refused, 0.0)]
+    return np.array(rows, dtype=float)
+
+
+def of_primitive(module: Any, name: str, given: dict[str, np.ndarray], fixed: dict[str, np.ndarray]) -> Any:
+    words, outputs = name.split(), ("y", "yd", "ydd")
+    kind = "time" if words[0] == "rotation_rollout" else words[1]
+    primitive = module.Primitive(fixed["centres"], fixed["widths"], fixed["weights"], *fixed["rates"].tolist(), kind)
+    match words[0]:
+        case "rollout":
+            return primitive.rollout(given["t"], float(given["tau"]), *given["ends"])[outputs.index(words[2])]
+        case "response":
+            return np.concatenate(primitive.response(given["t"], float(given["tau"]), float(given["longest"])), axis=-1)
+        case "forcing":
+            return primitive.forcing(given["phase"])
+        case "PrimitiveStepper":
+            return run(module.PrimitiveStepper(primitive, float(fixed["filter"])), given)[
+                ..., outputs.index(words[2]), :
+            ]
+        case "TwoDof":
+            return controlled(module.TwoDof(primitive, *fixed_of_control(fixed)), words[2], **given)
+    values = (given[key] for key in ("q0", "w0", "goal", "turn"))
+    found = module.rotation_rollout(primitive, given["t"], float(given["tau"]), *values)
+    return found[("q", "w", "wd").index(words[1])]
+
+
+def run(stepper: Any, given: dict[str, np.ndarray]) -> np.ndarray:
+    """Return what each step gives of a run that is given another goal, scale and time constant before the fourth."""
+    *start, goal, scale = given["ends"]
+    stepper.start(*start, float(given["taus"][0]))
+    rows = []
+    for k, dt in enumerate(given["dt"].tolist()):
+        if k == 3:
+            stepper.change_goal(goal, scale)
+            stepper.change_tau(float(given["taus"][1]))
+        rows.append(stepper.step(dt))
+    return np.array(rows)
+
+
+def fixed_of_control(fixed: dict[str, np.ndarray]) -> tuple[Any, ...]:
+    return (float(fixed["tau"]), *(fixed[key] for key in ("y0", "goal", "scale", "gains", "dead_zone", "unit")))
+
+
+def controlled(law: Any, name: str, states: np.ndarray, speed: np.ndarray) -> np.ndarray:
+    n = law.n
+    match name:
+        case "time_constant":
+            return np.array([[law.time_constant(state)] for state in states])
+        case "slopes" | "reference":
+            return np.concatenate([np.atleast_2d(getattr(law, name)(state, speed)) for state in states])
+    velocity = [state[4 * n : 5 * n] if name == "driven" else np.full(n, np.nan) for state in states]
+    return np.array([law.advance(state, 0.02, 2, moved, speed) for state, moved in zip(states, velocity)])
+
+
+def of_contact(module: Any, name: str, given: dict[str, np.ndarray], fixed: dict[str, np.ndarray]) -> Any:
+    words = name.split()
+    match words[0]:
+        case "model_torque":
+            lines = tuple(fixed[f"line_{part}"] for part in ("joints", "cycles", "speeds", "widths", "coefficients"))
+            parts = ("positions", "position_widths", "speeds", "speed_widths", "coefficients")
+            over = tuple(fixed[f"map_{part}"] for part in parts)
+            drive = module.Drive(fixed["friction"], fixed["ripple"], lines, over, fixed["warm_up"])
+            gravity, links, rotor, *motion = given.values()
+            return module.model_torque(
+                module.Chain(fixed["frames"], fixed["prismatic"]), gravity, links, rotor, drive, *motion
+            )
+        case "wrench_interval":
+            return module.wrench_interval(*given.values())[0]
+        case "turned_weight":
+            mass = 1.25 if "mass" in words else None
+            found = module.turned_weight(*given.values(), mass=mass, biased="unbiased" not in words)
+            k = ("R", "bias", "residuals", "cov", "products", "numbers").index(words[1])
+            return found[k][[0, 2, 4, 5, 6, 7]] if words[1] == "numbers" else found[k]
+    r, J = module.hand_eye_rows(*given.values(), *fixed.values())
+    return r if words[1] == "r" else J.reshape(-1, 3, 12)
+
+
+FAMILIES = {
+    "chains": of_chain,
+    "contacts": of_contact,
+    "filters": of_filter,
+    "groups": of_group,
+    "limits": of_limits,
+    "primitives": of_primitive,
+}

@@ -1,0 +1,266 @@
+"""Tables of what torques and forces say: model torques, intervals of a wrench, a weight on a sensor, hand and eye.
+
+Torques follow from Lagrange's equations, an interval from the corner of its polytope with multipliers that prove it,
+fits from their normal equations, derivatives are differences of what they derive.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from chains import GRAVITY, Motion, arm, rnea
+from mpmath import mp
+from rigid import array, exact, hat, logarithm, nearest, part, series
+
+Table = dict[str, Any]
+SMALL = mp.mpf(10) ** -26
+Vector = Any
+
+
+def gaussians(x: Any, centres: Vector, widths: Vector) -> list[Any]:
+    x = min(max(x, centres[0]), centres[len(centres) - 1])
+    psi = [mp.exp(-(((x - c) / s) ** 2)) for c, s in zip(centres, widths)]
+    return [p / mp.fsum(psi) for p in psi]
+
+
+class Joint:
+    """What rubs and pulls in one joint, with its memory."""
+
+    def __init__(self, parts: dict[str, np.ndarray], i: int) -> None:
+        self.friction, self.ripple = exact(parts["friction"][:, i]), exact(parts["ripple"][:, i])
+        self.warm_up = exact(parts["warm_up"][:, i])
+        self.map = [
+            exact(parts[f"map_{name}"][i]) for name in ("positions", "position_widths", "speeds", "speed_widths")
+        ]
+        self.of_map = [exact(side) for side in parts["map_coefficients"][i]]
+        self.lines = [exact(parts[f"line_{name}"][i]) for name in ("speeds", "widths")]
+        chosen = [k for k, joint in enumerate(parts["line_joints"]) if joint == i]
+        self.of_lines = [
+            (mp.mpf(float(parts["line_cycles"][k])), [exact(s) for s in parts["line_coefficients"][k]]) for k in chosen
+        ]
+        self.z, self.warmth, self.play = mp.zero, self.warm_up[4], None
+
+    def torque(self, q: Any, qd: Any, dt: Any) -> Any:
+        """Move by one sample and return the torque of the drive."""
+        b, up, down, offset, stribeck, speed, length, half, root, smooth = self.friction
+        self.play = q if self.play is None else self.play
+        moved = min(max(self.play, q - half), q + half)
+        dy, self.play = moved - self.play, moved
+        self.z = mp.sign(dy) + (self.z - mp.sign(dy)) * mp.exp(-abs(dy) / length)
+        s = mp.tanh(qd / smooth) if smooth else self.z
+        of_coulomb, of_viscous, time, reference, _ = self.warm_up
+        rubbing = b * (1 + of_viscous * self.warmth) * qd
+        rubbing += (up * max(s, 0) + down * min(s, 0)) * (1 + of_coulomb * self.warmth)
+        rubbing += stribeck * s * mp.exp(-((qd / speed) ** 2)) + root * s * mp.sqrt(abs(qd))
+        power = abs(rubbing * qd) / reference
+        self.warmth = power + (self.warmth - power) * mp.exp(-dt / time)
+        cycles, c, sine = self.ripple
+        total = rubbing + offset + c * mp.cos(cycles * q) + sine * mp.sin(cycles * q)
+        sides = ((1 + s) / 2, (1 - s) / 2)
+        at, fast = gaussians(q, *self.map[:2]), gaussians(abs(qd), *self.map[2:])
+        for side, K in zip(sides, self.of_map):
+            total += side * mp.fsum(x * K[a, d] * y for a, x in enumerate(at) for d, y in enumerate(fast))
+        along = gaussians(abs(qd), *self.lines)
+        for cycles, both in self.of_lines:
+            for side, K in zip(sides, both):
+                total += side * mp.fsum(
+                    w * (K[d, 0] * mp.cos(cycles * q) + K[d, 1] * mp.sin(cycles * q)) for d, w in enumerate(along)
+                )
+        return total
+
+
+def drives(rng: np.random.Generator, n: int) -> dict[str, np.ndarray]:
+    friction = np.abs(rng.normal(size=(10, n)))
+    friction[2], friction[6], friction[7], friction[9] = -friction[2], 0.02, [0.0, 1e-3, 1e-4], [0.0, 0.1, 0.0]
+    centres = np.sort(rng.uniform(-2, 2, (n, 4)), axis=1)
+    speeds = np.sort(rng.uniform(0, 2, (n, 3)), axis=1)
+    return {
+        "friction": friction, "ripple": rng.normal(size=(3, n)) * 3,
+        "line_joints": np.array([0.0, 2.0, 2.0]), "line_cycles": np.array([6.0, 12.0, 24.0]), "line_speeds": speeds,
+        "line_widths": rng.uniform(0.3, 1.0, (n, 3)), "line_coefficients": rng.normal(size=(3, 2, 3, 2)),
+        "map_positions": centres, "map_position_widths": rng.uniform(0.3, 1.0, (n, 4)), "map_speeds": speeds,
+        "map_speed_widths": rng.uniform(0.3, 1.0, (n, 3)), "map_coefficients": rng.normal(size=(n, 2, 4, 3)),
+        "warm_up": np.array([[-0.3, -0.4, -0.1, 0.5, 0.2]] * n).T + np.array([[0], [0], [60.1], [0], [0]]),
+    }  # fmt: skip
+
+
+def torques() -> dict[str, Table]:
+    """Return the table of a record of an arm with all that its drives can have."""
+    rng, n, count = np.random.default_rng(37), 3, 6
+    frames, prismatic, bodies = arm(n, n)
+    parts = drives(rng, n)
+    q = np.cumsum(rng.normal(size=(count, n)) * 0.01, axis=0) + rng.normal(size=n)
+    qd, qdd, dt = rng.normal(size=(count, n)), rng.normal(size=(count, n)), rng.uniform(1e-3, 5.0, count)
+    qd[1], q[2], dt[3] = [0.0, 1e-300, -1e-9], q[1], 1e-9
+    rotor = rng.uniform(0.1, 1.0, n)
+    joints, rows = [Joint(parts, i) for i in range(n)], []
+    for at, speed, bend, step in zip(q, qd, qdd, dt):
+        given = [exact(value) for value in (at, speed, bend)]
+        rigid = rnea(Motion(frames, prismatic, *given), exact(GRAVITY), exact(bodies))
+        drive = [joint.torque(x, v, mp.mpf(float(step))) for joint, x, v in zip(joints, *given[:2])]
+        inertia = [mp.mpf(float(r)) * a for r, a in zip(rotor, given[2])]
+        rows.append(array([a + b + c for a, b, c in zip(rigid, drive, inertia)]))
+    given = {"gravity": GRAVITY, "links": bodies, "rotor": rotor, "angle": q, "qd": qd, "qdd": qdd, "dt": dt}
+    fixed = parts | {"frames": frames, "prismatic": prismatic.astype(float)}
+    return {"model_torque": {"fixed": fixed, "given": given, "wanted": np.array(rows)}}
+
+
+def corner(rows: mp.matrix, limits: mp.matrix, aim: mp.matrix, guess: np.ndarray) -> mp.matrix:
+    """Return where ``aim . x`` is least with ``rows x <= limits``.
+
+    The constraints that hold with equality are among those that nearly do at the guess; that none is broken and that
+    `aim` is a sum of their normals with multipliers not above zero proves the corner.
+    """
+    k = rows.cols
+    slack = array(limits) - array(rows) @ guess
+    for active in combinations(np.argsort(slack)[: k + 3].tolist(), k):
+        N = mp.matrix([list(rows[i, :]) for i in active])
+        if abs(mp.det(N)) < mp.mpf(10) ** -20:
+            continue
+        x, multipliers = mp.lu_solve(N, mp.matrix([limits[i] for i in active])), mp.lu_solve(N.T, aim)
+        over = max(a - b for a, b in zip(rows * x, limits))
+        if over <= mp.mpf(10) ** -60 and all(m <= 0 for m in multipliers):
+            return x
+    raise ValueError("no corner")
+
+
+def interval(A: np.ndarray, error: np.ndarray, spread: np.ndarray, box: np.ndarray) -> np.ndarray:
+    """Return the least and the largest value of each unknown (k, 2)."""
+    from scipy.optimize import linprog
+
+    k = len(A)
+    M, e, s, b = (exact(value) for value in (A, error, spread, box))
+    rows = mp.matrix([*M.T.tolist(), *(-M.T).tolist(), *mp.eye(k).tolist(), *(-mp.eye(k)).tolist()])
+    limits = mp.matrix([*(e + s), *(s - e), *b, *b])
+    ends = np.empty((k, 2))
+    for i in range(k):
+        for end, sign in enumerate((1.0, -1.0)):
+            aim = mp.zeros(k, 1)
+            aim[i] = sign
+            found = linprog(array(aim), array(rows), array(limits), bounds=(None, None), method="highs")
+            ends[i, end] = array([corner(rows, limits, aim, found.x)[i]])[0]
+    return ends
+
+
+def intervals() -> dict[str, Table]:
+    rng, found = np.random.default_rng(41), {}
+    for k, n in ((3, 4), (3, 7), (6, 7)):
+        A, x = rng.normal(size=(k, n)), rng.normal(size=k)
+        spread, box = rng.uniform(0.1, 1.0, n), np.array([30.0, 20.0, 50.0, 3.0, 2.0, 5.0])[:k]
+        error = np.sum(A * x[:, None], axis=0) + rng.uniform(-0.9, 0.9, n) * spread
+        given = {"A": A, "error": error, "spread": spread, "box": box}
+        found[f"wrench_interval {k} {n}"] = {"given": given, "wanted": interval(*given.values())[None]}
+    return found
+
+
+def weights() -> dict[str, Table]:
+    """Return tables of a weight on a sensor: its turn, and from normal equations mass, bias, residuals, covariance."""
+    rng, N = np.random.default_rng(43), 12
+    turns = [array(series(hat(exact(w)))) for w in rng.uniform(-2, 2, (N + 1, 3))]
+    R_BT, pull = np.array(turns[:N]), np.array([0.3, -0.2, -9.80665])
+    w = rng.uniform(0.1, 3.0, N)
+    weighed = np.array([array(exact(turns[N]).T * exact(R).T * exact(pull)) for R in R_BT])
+    force = 1.3 * weighed + rng.normal(size=3) + 0.05 * rng.normal(size=(N, 3))
+    given = {"R_base_tool": R_BT, "force": force, "pull": pull, "weight": w}
+    found: dict[str, Table] = {}
+    for name, biased, mass in (("", True, None), ("unbiased", False, None), ("known mass", True, 1.25)):
+        parts = fitted(*(exact(value) if value.ndim < 3 else value for value in given.values()), biased, mass)
+        for part_name, wanted in parts.items():
+            found[f"turned_weight {part_name} {name}".rstrip()] = {"given": given, "wanted": wanted[None]}
+    return found
+
+
+def fitted(
+    R_BT: np.ndarray, f: Vector, g: Vector, w: Vector, biased: bool, mass: float | None
+) -> dict[str, np.ndarray]:
+    N, total = len(R_BT), mp.fsum(w)
+    h = [exact(R).T * g for R in R_BT]
+    force = [f[i, :].T for i in range(N)]
+    zero = mp.zeros(3, 1)
+    means = [sum((x * c for x, c in zip(rows, w)), zero) / total * biased for rows in (h, force)]
+    S = sum(((a - means[0]) * (b - means[1]).T * c for a, b, c in zip(h, force, w)), mp.zeros(3))
+    H = sum(((a - means[0]) * (a - means[0]).T * c for a, c in zip(h, w)), mp.zeros(3))
+    R = S / mp.norm(S)
+    if mp.det(R) <= 0:
+        raise ValueError("the nearest orthonormal matrix is no rotation")
+    for _ in range(4):
+        R = nearest(R)
+    known = [mp.mpf(mass)] if mass else []
+
+    def residual(x: Vector) -> list[Any]:  # of a turn R Exp(x), then the mass, and the bias
+        free = list(x[3:])
+        m, b = (known or [free.pop(0)])[0], mp.matrix(free) if biased else zero
+        Q = R * series(hat(x[:3]))
+        return [value for i in range(N) for value in mp.sqrt(w[i]) * (force[i] - m * (Q.T * h[i]) - b)]
+
+    d = 3 + (mass is None) + 3 * biased
+    x = mp.zeros(d, 1)
+    J = slopes(residual, x)[:, 3:]
+    if J.cols:
+        rest = -mp.lu_solve(J.T * J, J.T * mp.matrix(residual(x)))
+        x = mp.matrix([0, 0, 0, *rest])
+    J = slopes(residual, x)
+    if mp.norm(J.T * mp.matrix(residual(x))) > mp.mpf(10) ** -20:
+        raise ValueError("no minimum")
+    r = mp.matrix(residual(x))
+    plain = [[r[3 * i + k] / mp.sqrt(w[i]) for k in range(3)] for i in range(N)]
+    m = known[0] if known else x[3]
+    spread = sum((c * ((b - means[1]).T * (b - means[1]))[0] for b, c in zip(force, w)), mp.zero)
+    moved = mp.eigsy(H / total / (g.T * g)[0], eigvals_only=True)
+    return {
+        "R": array(R), "bias": array(x[d - 3 :] if biased else zero), "residuals": array(mp.matrix(plain)),
+        "cov": array(mp.inverse(J.T * J)), "products": np.stack([array(H), array(S)]),
+        "numbers": array([m, (r.T * r)[0], spread, *(mp.sqrt(e) for e in sorted(moved))]),
+    }  # fmt: skip
+
+
+def slopes(call: Callable[[Vector], list[Any]], x: Vector) -> mp.matrix:
+    columns = []
+    for k in range(len(x)):
+        step = mp.zeros(len(x), 1)
+        step[k] = SMALL
+        columns.append([(a - b) / (2 * SMALL) for a, b in zip(call(x + step), call(x - step))])
+    return mp.matrix(columns).T
+
+
+def hand_eye() -> dict[str, Table]:
+    rng, count = np.random.default_rng(47), 6
+    w = rng.uniform(-1.5, 1.5, (2 * count + 2, 3))
+    w[count - 1] *= 1e-9
+    R, t = np.array([array(series(hat(exact(v)))) for v in w]), rng.normal(size=(2 * count + 2, 3))
+    t[:3] *= 1e6
+    R_X, t_X, R_Y, t_Y = R[-2], t[-2], R[-1], t[-1]
+    R_B, t_B = R[count : 2 * count].copy(), t[count : 2 * count].copy()
+    for k, turn in ((3, 1e-9), (4, 3.1)):  # two residuals next to no turn and to a half one
+        off = series(hat(exact(turn * np.array([0.6, -0.48, 0.64]))))
+        R_B[k] = array(exact(R_Y).T * exact(R[k]) * exact(R_X) * off)
+    given = {"R_A": R[:count], "t_A": t[:count], "R_B": R_B, "t_B": t_B}
+    fixed = {"R_X": R_X, "t_X": t_X, "R_Y": R_Y, "t_Y": t_Y}
+    residuals, derivatives = [], []
+    for rows in zip(*given.values()):
+        call = partial(apart, [exact(v) for v in rows], [exact(v) for v in fixed.values()])
+        r, J = call(mp.zeros(12, 1)), slopes(call, mp.zeros(12, 1))
+        residuals.append(array(r))
+        derivatives += [array(part(J, range(3), range(12))), array(part(J, range(3, 6), range(12)))]
+    return {
+        "hand_eye_rows r": {"fixed": fixed, "given": given, "wanted": np.array(residuals)},
+        "hand_eye_rows J": {"fixed": fixed, "given": given, "wanted": np.array(derivatives)},
+    }
+
+
+def apart(readings: list[Vector], poses: list[Vector], step: Vector) -> list[Any]:
+    """Return by how much ``Y^-1 A X`` and B differ, X and Y moved by a step."""
+    (R_A, t_A, R_B, t_B), (X, x, Y, y) = readings, poses
+    v_x, w_x, v_y, w_y = (mp.matrix(list(step[k : k + 3])) for k in (0, 3, 6, 9))
+    R_X, R_Y = nearest(X) * series(hat(w_x)), nearest(Y) * series(hat(w_y))
+    position = R_Y.T * (nearest(R_A) * (x + v_x) + t_A - y - v_y)
+    return [*(t_B - position), *logarithm((R_Y.T * nearest(R_A) * R_X).T * nearest(R_B))]
+
+
+def tables() -> dict[str, Table]:
+    """Return all of them."""
+    return torques() | intervals() | weights() | hand_eye()
