@@ -38,6 +38,7 @@ def files(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.mark.slow  # 5 s beside other work
 def test_hand_eye_ends_in_a_file_a_page_and_a_figure(files: Path, tmp_path: Path, capsys) -> None:
     assert hand_eye.__doc__
     out = [tmp_path / name for name in ("camera.toml", "camera.html", "camera.svg")]

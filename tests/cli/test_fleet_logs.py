@@ -22,6 +22,7 @@ def logs(truth, excited, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pat
     return tmp_path / "logs"
 
 
+@pytest.mark.slow  # 5 s beside other work
 def test_the_robot_is_the_one_of_the_recordings_and_skipped_logs_are_named(logs: Path, truth, capsys) -> None:
     assert identify.__doc__
     model = logs.parent / "model.toml"

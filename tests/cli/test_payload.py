@@ -38,6 +38,7 @@ def words(monkeypatch, tables: dict[str, Table], model, tmp_path: Path) -> list[
     return ["payload", "yumi_left", "full.mcap", "--model", str(saved)]
 
 
+@pytest.mark.slow  # 5 s beside other work
 def test_a_load_is_weighed_saved_and_reported(words: list[str], tmp_path: Path, capsys) -> None:
     assert payload.__doc__
     files = [tmp_path / name for name in ("load.toml", "load.html", "load.png")]

@@ -78,6 +78,7 @@ def decisions(made: Pushes, **options) -> tuple[list[str], np.ndarray, Hypothese
     return [found.decision[i] for i in rows], found.link[rows], found
 
 
+@pytest.mark.slow  # 5 s beside other work
 def test_clear_pushes_are_taken_for_what_they_are() -> None:
     """At the known point 94 %, somewhere on the segment 97 %: what is left looks like a push on link 4, through the
     axes of the wrist, and is undecided for the most part."""

@@ -14,6 +14,7 @@ from armlab.identify.settling import settle
 from armlab.identify.shapes import DELTAS, STRIBECK_SPEEDS
 
 
+@pytest.mark.slow  # 5 s beside other work
 def test_design_finds_the_shape_of_friction_and_the_parameters_of_a_clean_log(truth) -> None:
     """Noise-free data, truth between the grids DELTAS and STRIBECK_SPEEDS: both shapes come out within 15 %."""
     robot = truth.robot

@@ -206,6 +206,7 @@ def test_a_small_sway_of_all_joints_is_refused_by_direction(truth) -> None:
     assert any("m c" in direction or "I_" in direction for direction in caught.value.directions)
 
 
+@pytest.mark.slow  # 5 s beside other work
 def test_a_prior_holds_what_a_small_sway_does_not_tell_and_is_of_this_robot(truth, fitted) -> None:
     robot = truth.robot
     t = np.arange(0, 6, 0.004)
@@ -227,6 +228,7 @@ def test_an_unknown_method_is_refused_before_the_log_is_read(truth) -> None:
         fit_model([], truth.robot, base_parameters(truth.robot), job)
 
 
+@pytest.mark.slow  # 5 s beside other work
 def test_joints_without_torque_are_left_out_of_the_model(truth, excited) -> None:
     """Two wrist joints send nothing. The others come out as before, and no estimator listens to the two."""
     robot, measured = truth.robot, [0, 1, 2, 3, 4]

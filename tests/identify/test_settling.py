@@ -12,6 +12,7 @@ from armlab.identify.design import Design
 from armlab.identify.settling import ROBUST, linearised, settle, short_blocks, solved
 
 
+@pytest.mark.slow  # 5 s beside other work
 def test_settle_uses_the_rows_it_is_told_and_spares_outliers(truth, excited) -> None:
     """Half of the blocks spoilt: used, they ruin the fit; left out, the other half gives it."""
     robot = truth.robot
