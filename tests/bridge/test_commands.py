@@ -58,3 +58,6 @@ def test_entry(robot: Robot) -> None:
     far = held.copy()
     far[[1, 4]] = [0.06, -0.5]
     assert f"-0.5000 for joint 5 ({robot.joint_names[4]})" in entry_refusal(far, held, entry, robot)
+    wide = np.where(np.arange(7) == 4, 0.4, 0.05)
+    far[1] = 0.1
+    assert "joint 2" in entry_refusal(far, held, wide, robot), "twice what is allowed is more than 1.25 times"

@@ -186,6 +186,7 @@ def test_a_commander_may_lead_the_arm_further_than_it_may_enter() -> None:
     bench = Bench()
     for offset in (0.04, 0.08, 0.12):
         assert bench(order(offset=offset)).q[0] == HOME[0] + offset
+    assert bench.events == ["labcomm a commands yumi_left."]
 
 
 def test_a_first_command_far_from_what_was_sent_is_for_the_guide_to_refuse() -> None:
@@ -197,11 +198,18 @@ def test_a_first_command_far_from_what_was_sent_is_for_the_guide_to_refuse() -> 
 
 def test_before_anything_was_sent_the_measured_joints_count() -> None:
     bench = Bench()
-    bench.q_sent["yumi_left"] = np.full(7, np.nan)
-    bench.arbiter.submit(order())
-    for _ in range(2):
-        bench.now += TICK
-        assert bench.arbiter(bench.state()) is not None
+    for offset, taken in ((0.01, 0.01), (0.02, 0.02), (0.2, 0.02)):
+        bench.q_sent["yumi_left"] = np.full(7, np.nan)
+        assert bench(order(offset=offset)).q[0] == HOME[0] + taken
+
+
+def test_the_ends_of_what_is_allowed_are_within() -> None:
+    q = HOME + 0.05 * (np.arange(7) == 0)
+    bench = Bench(entry=abs(q[0] - HOME[0]))
+    assert bench(Order("labcomm a", "yumi_left", q)) is not None
+    bench.arbiter._jumps["yumi_left"] = np.abs(q - HOME)
+    bench.q_sent["yumi_left"] = HOME
+    assert bench() is not None
 
 
 def test_states_of_other_arms_are_none_of_ours() -> None:

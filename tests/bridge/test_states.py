@@ -20,9 +20,9 @@ NOT_READY = [{"motors": 2}, {"motors": None}, {"mci": 2}, {"mci": None}, {"rapid
 class Bench:
     """A guide fed with packets."""
 
-    def __init__(self, feed: Any, robot: Robot, **options: Any) -> None:
+    def __init__(self, feed: Any, robot: Robot, limits: Limits | None = None, **options: Any) -> None:
         self.feed, self.robot, self.events = feed, robot, feed.events
-        self.guide = Guide(robot, Limits.of(robot), on_event=feed.tell, **options)
+        self.guide = Guide(robot, limits or Limits.of(robot), on_event=feed.tell, **options)
 
     def see(self, **fields: Any) -> Any:
         sample = self.feed.sample(**fields)
@@ -60,6 +60,8 @@ def bench(feed: Any, robot: Robot) -> Bench:
 
 def test_waiting_sends_nothing(bench: Bench) -> None:
     assert bench.mode is Mode.WAITING
+    assert (bench.guide.ready, bench.guide.guided, bench.guide.reason, bench.guide.worst_ratio) == (False, False, "", 1)
+    assert np.isnan(bench.guide.q_start).all()
     assert not bench.guide.calls
     assert bench.guide.answer(Command(bench.home), T) is None
 
@@ -71,19 +73,24 @@ def test_listening_sends_nothing_ever(feed: Any, robot: Robot) -> None:
         assert bench.mode is Mode.LISTENING
     assert bench.guide.elapsed == pytest.approx(3 * T)
     assert bench.guide.t == pytest.approx(3 * T)
+    bench.guide.lose("the motors were switched off", resume=True)
+    assert bench.mode is Mode.LISTENING
     bench.guide.stop("the time is up")
     assert bench.mode is Mode.ENDED
+    assert bench.events[-1] == "Stopping: the time is up."
 
 
 @pytest.mark.parametrize("fields", NOT_READY)
 def test_not_ready_sends_back_the_feedback_of_this_packet(bench: Bench, fields: dict[str, Any]) -> None:
-    for k in range(3):
-        q = bench.home + 0.01 * k
+    for k in range(200):
+        q = bench.home + 1e-3 * k
         reply = bench.reply(Command(bench.home), q=q, **fields)
+        np.testing.assert_allclose(bench.guide.state(bench.feed.session._last, 0).q_start, q, rtol=1e-14)
         np.testing.assert_allclose(reply.q, q, rtol=1e-14)
         assert not reply.qd.any()
         assert not bench.guide.calls
     assert bench.mode is Mode.HOLDING
+    assert not bench.feed.warnings, "it was not ready before"
 
 
 def test_a_stream_may_stay_unanswered(feed: Any, robot: Robot) -> None:
@@ -103,7 +110,9 @@ def test_ready_freezes_the_position(bench: Bench) -> None:
     np.testing.assert_array_equal(moved.q, first.q)
     assert not moved.qd.any()
     np.testing.assert_allclose(state.q_start, bench.home, rtol=1e-14)
+    np.testing.assert_allclose(bench.see(q=bench.home + 0.1).q_start, bench.home, rtol=1e-14)
     assert state.t == 0.0
+    assert bench.events[-1] == "The robot is ready and holds."
 
 
 def test_time_counts_from_readiness(bench: Bench) -> None:
@@ -114,6 +123,8 @@ def test_time_counts_from_readiness(bench: Bench) -> None:
     assert bench.see(motors=2).t == pytest.approx(2 * T)
     assert bench.see().t == pytest.approx(3 * T)
     assert bench.guide.elapsed == pytest.approx(T)
+    bench.see()
+    assert bench.guide.elapsed == pytest.approx(2 * T)
 
 
 def test_entry_near_the_hold_runs(bench: Bench) -> None:
@@ -132,7 +143,7 @@ def test_entry_far_from_the_hold_is_refused_and_told_after_a_second(bench: Bench
     assert not any("Begin at" in event for event in bench.events)
     bench.reply(Command(bench.home + 0.051))
     bench.reply(Command(bench.home + 0.051))
-    assert sum("Begin at state.q_start" in event for event in bench.events) == 1
+    assert sum("Begin at state.q_start" in event for event in bench.feed.warnings) == 1
     assert bench.guide.refused == 251
 
 
@@ -176,7 +187,9 @@ def test_the_state_shows_the_previous_reply(bench: Bench) -> None:
 @pytest.mark.parametrize("fields", NOT_READY)
 def test_losing_readiness_holds_and_needs_entry_again(bench: Bench, fields: dict[str, Any]) -> None:
     bench.run()
-    reply = bench.reply(Command(bench.home), **fields)
+    for _ in range(2):
+        reply = bench.reply(Command(bench.home), **fields)
+    assert [text.partition(":")[0] for text in bench.feed.warnings] == ["The robot is not ready"]
     assert bench.mode is Mode.HOLDING
     np.testing.assert_allclose(reply.q, bench.home, rtol=1e-14)
     assert bench.mode is Mode.HOLDING
@@ -194,9 +207,25 @@ def test_three_commands_that_are_not_finite_end_the_run(bench: Bench, bad: float
         reply = bench.reply(Command(np.full(7, bad)))
         assert np.isfinite(reply.q).all()
         assert np.isfinite(reply.qd).all()
+        assert sum("finite" in text for text in bench.feed.warnings) == 1, "the first of those in a row"
     assert bench.mode is Mode.STOPPING
     assert isinstance(bench.guide.failure, CommandRefused)
     assert "finite" in str(bench.guide.failure)
+
+
+def test_a_hold_between_bad_ones_goes_on(bench: Bench) -> None:
+    bench.run()
+    for command in (*[Command(np.full(7, np.nan))] * 2, None, *[Command(np.full(7, np.nan))] * 2):
+        bench.reply(command)
+    assert bench.guide.calls
+
+
+def test_a_far_entry_after_a_motion_is_told_after_a_second_too(bench: Bench) -> None:
+    bench.run()
+    for _ in range(30):
+        bench.reply(None)
+    bench.reply(Command(bench.home - 1.0))
+    assert not bench.feed.warnings
 
 
 def test_a_good_command_between_bad_ones_goes_on(bench: Bench) -> None:
@@ -235,6 +264,18 @@ def test_stopping_ramps_rests_and_ends(bench: Bench) -> None:
     assert (bench.guide.reason, bench.guide.failure) == ("the time is up", None)
 
 
+def test_an_arm_that_is_not_ready_while_it_stops_ends_after_the_same_time(bench: Bench) -> None:
+    bench.run()
+    bench.guide.stop("the time is up")
+    cycles = 0
+    while bench.mode is Mode.STOPPING:
+        bench.reply(None, mci=2)
+        cycles += 1
+    assert cycles == pytest.approx(STOP_TIME / T, abs=1)
+    bench.guide.lose("the controller stopped sending", resume=False)
+    assert bench.guide.answer(None, T) is None, "to a packet of the session before"
+
+
 def test_the_first_reason_stays(bench: Bench) -> None:
     bench.run()
     bench.guide.stop("first")
@@ -251,11 +292,14 @@ def test_the_controller_ends_the_run(bench: Bench) -> None:
 
 def test_a_lost_session_is_waited_for_or_ends(bench: Bench) -> None:
     bench.run()
+    begun: list[str] = []
+    bench.guide._aside.begin = lambda: begun.append("again")  # type: ignore[method-assign]
     bench.guide.lose("the motors were switched off", resume=True)
-    assert bench.mode is Mode.WAITING
+    assert (bench.mode, bench.guide.ready, begun) == (Mode.WAITING, False, [])
     assert bench.guide.answer(Command(bench.home), T) is None
     bench.reply(None, seqno=0, q=bench.home + 0.2)
     assert bench.guide.t == 0.0
+    assert begun == ["again"], "external axes keep no reference of the session before"
     np.testing.assert_allclose(bench.guide.q_start, bench.home + 0.2, rtol=1e-14)
     bench.guide.lose("the motors were switched off", resume=False)
     assert bench.mode is Mode.ENDED
@@ -298,6 +342,10 @@ def test_the_overdue_hold_stays_in_its_mode(bench: Bench) -> None:
     assert reply is not None
     assert 0.0 < reply.qd.max() < 0.8
     assert bench.mode is Mode.RUNNING
+    bench.see(motors=2, q=bench.home + 0.1)
+    feedback = bench.guide.hold(T)
+    assert feedback is not None
+    np.testing.assert_allclose(feedback.q, bench.home + 0.1, rtol=1e-14)
 
 
 def test_clamps_are_counted_per_joint(bench: Bench) -> None:
@@ -308,6 +356,16 @@ def test_clamps_are_counted_per_joint(bench: Bench) -> None:
     assert bench.guide.clamps[:, 3].tolist() == [0, 1, 1, 0, 0, 0]
     assert bench.guide.clamps.sum() == 2
     assert 0.0 < bench.guide.worst_ratio < 0.1
+
+
+def test_each_limit_is_counted_in_its_row(bench: Bench) -> None:
+    bench.reply(None)
+    still = bench.guide._limiter.hold(T)
+    for k, bit in enumerate((1, 2, 4, 8, 16, 32)):
+        clamped = still._replace(clamped=bit * np.eye(7, dtype=np.uint8)[k])
+        bench.guide._limiter.step = lambda *_, reply=clamped: reply  # type: ignore[method-assign]
+        bench.reply(Command(bench.home))
+    np.testing.assert_array_equal(bench.guide.clamps, np.eye(6, 7))
 
 
 def test_implausible_feedback_after_the_end_is_not_sent_back(bench: Bench) -> None:

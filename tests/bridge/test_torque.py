@@ -16,6 +16,8 @@ from armlab.errors import CommandRefused, ConfigError
 from armlab.robots import Robot
 from armlab.state import Command, State
 
+from .test_states import Bench
+
 ABLE = frozenset(("position", "velocity", "torque"))
 T = 0.004
 
@@ -197,3 +199,30 @@ def test_torque_limits_of_a_robot(robot: Robot) -> None:
         Limits(*np.stack([-np.ones(6), *[np.ones(6)] * 5]), tau_max=np.ones(6))
     with pytest.raises(ConfigError, match="tau_max above 0"):
         Limits.of(robot, tau_max=-1.0)
+
+
+@pytest.fixture
+def pushed(feed: Any, robot: Robot, limits: Limits) -> Bench:
+    return Bench(feed, robot, limits, capabilities=ABLE)
+
+
+def test_a_torque_beside_a_position(pushed: Bench, robot: Robot) -> None:
+    """It rises from zero whenever the robot becomes ready, and goes when the position is refused."""
+    for _ in range(2):
+        pushed.reply(None)
+        for k in range(3):
+            assert pushed.reply(Command(pushed.home, tau=np.full(7, 10.0))).tau == pytest.approx(0.4 * (k + 1))
+        refused = pushed.reply(Command(pushed.home + 1.0, tau=np.full(7, 10.0)))
+        assert refused.tau == pytest.approx(0.8)
+        pushed.see(motors=2)
+
+
+def test_a_torque_alone_ends_a_row_of_refusals(pushed: Bench, robot: Robot) -> None:
+    pushed.run()
+    bad, push = Command(np.full(7, np.nan)), Command(tau=np.zeros(7))
+    for command in (bad, bad, push, bad, bad, push, None):
+        pushed.reply(command)
+    assert pushed.mode is Mode.HOLDING
+    warned = len(pushed.feed.warnings)
+    pushed.reply(Command(pushed.home + 1.0))
+    assert len(pushed.feed.warnings) == warned, "a far entry is told after a second"

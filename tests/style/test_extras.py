@@ -43,7 +43,9 @@ def modules(requirements: list[str]) -> set[str]:
 
 REQUIRED = modules(PROJECT["dependencies"])
 EXTRAS = {
-    extra: modules(names) for extra, names in PROJECT["optional-dependencies"].items() if extra not in ("dev", "fuzz")
+    extra: modules(names)
+    for extra, names in PROJECT["optional-dependencies"].items()
+    if extra not in ("dev", "fuzz", "mutation")
 }
 OPTIONAL = {module: extra for extra, names in EXTRAS.items() for module in names}
 

@@ -31,7 +31,7 @@ __all__ = ["Guide", "Mode"]
 STOP_TIME = 0.5  # s at rest before a run ends
 _REFUSALS = 3  # in a row end the run
 _ENTRY_PATIENCE = 1.0  # s of refused entries before a warning
-_BITS = {"position": 1, "velocity": 2, "acceleration": 4, "braking": 8, "torque": 16, "torque rate": 32}
+_BITS = 1, 2, 4, 8, 16, 32  # of `Reply.clamped`
 
 
 class Mode(Enum):
@@ -170,7 +170,6 @@ class Guide:
             self._rest(period)
             if not (self._answer_stream or packet.mci == MCI_RUNNING):
                 return None
-            self._torques.reset()
             self._last = joined(self._limiter.rest(packet.q), self._aside.rest(packet))
         elif self.mode in _LAST:
             self._last = self._held(period)
@@ -179,7 +178,7 @@ class Guide:
         else:
             self._last = self._follow(Command() if command is None else command, packet, period)
         if any(self._last.clamped.tobytes()):  # a tenth of the time of its method `any`
-            self.clamps += [(self._last.clamped & bit) != 0 for bit in _BITS.values()]
+            self.clamps += [(self._last.clamped & bit) != 0 for bit in _BITS]
             self.worst_ratio = min(self.worst_ratio, self._last.ratio)
         return self._last
 

@@ -1,0 +1,183 @@
+"""Mutants of a file, and how one takes the place of the original in this process.
+
+mutmut makes them (its operators, and where they apply); three of its rules are ours, since it leaves out what matters
+here: decorated functions are mutated too, conditions are forced either way, calls are left out. Sentences are not
+mutated: that they are the right ones is for their reader.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import CodeType, FunctionType, ModuleType
+from typing import Any
+
+import libcst as cst
+from libcst.metadata import MetadataWrapper
+from mutmut.mutation import mutators
+from mutmut.mutation.file_mutation import MutationVisitor
+from mutmut.mutation.pragma_handling import get_ignored_lines
+
+__all__ = ["Mutant", "codes", "mutants", "transplant"]
+
+_LARGE = 100  # to which 1 more makes no difference
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """One change of a file: the lines `before` in the function `where` became `after`."""
+
+    file: str
+    where: str
+    before: str
+    after: str
+    source: str
+
+
+def _number(node: cst.BaseNumber) -> Iterator[cst.CSTNode]:
+    if isinstance(node, cst.Integer | cst.Float) and node.evaluated_value >= _LARGE:
+        yield node.with_changes(value=repr(2 * node.evaluated_value))
+    else:
+        yield from mutators.operator_number(node)
+
+
+def _word(node: cst.BaseString) -> Iterator[cst.CSTNode]:
+    if isinstance(node, cst.SimpleString) and " " not in node.value:
+        yield from list(mutators.operator_string(node))[:1]
+
+
+def _left_out(node: cst.Expr | cst.Assign) -> Iterator[cst.CSTNode]:
+    if isinstance(node, cst.Expr):
+        is_felt = not isinstance(node.value, cst.BaseString)
+    else:
+        is_felt = all(isinstance(one.target, cst.Attribute | cst.Subscript) for one in node.targets)
+    if is_felt:
+        yield cst.Pass()
+
+
+_REPLACED = {
+    mutators.operator_number,
+    mutators.operator_string,
+    mutators.operator_assignment,  # None for a value, or for an argument: almost always a crash, which any test sees
+    mutators.operator_arg_removal,
+}
+_OPERATORS = [
+    *((kind, operator) for kind, operator in mutators.mutation_operators if operator not in _REPLACED),
+    (cst.BaseNumber, _number),
+    (cst.BaseString, _word),
+    (cst.If, mutators.operator_if_exp),
+    (cst.Expr, _left_out),
+    (cst.Assign, _left_out),
+]
+
+
+class _Visitor(MutationVisitor):
+    """Also visits decorated functions: nothing is wrapped here."""
+
+    def _skip_node_and_children(self, node: cst.CSTNode) -> bool:
+        return not isinstance(node, cst.FunctionDef) and super()._skip_node_and_children(node)
+
+
+def mutants(path: Path, file: str) -> Iterator[Mutant]:
+    """Return the mutants of a file; some may compile to the same, or not at all."""
+    source = path.read_text()
+    wrapper = MetadataWrapper(cst.parse_module(source))
+    visitor = _Visitor(_OPERATORS, get_ignored_lines(file, source, wrapper))
+    module = wrapper.visit(visitor)
+    found, tree = set(), ast.parse(source)
+    for mutation in visitor.mutations:
+        changed = module.deep_replace(mutation.original_node, mutation.mutated_node).code  # type: ignore[arg-type]
+        if changed != source and changed not in found:
+            found.add(changed)
+            first, before, after = _difference(source, changed)
+            yield Mutant(file, _function(tree, first + 1), before, after, changed)
+
+
+def _difference(old: str, new: str) -> tuple[int, str, str]:
+    """Return where the lines differ, those that do, and what became of them, each on one line.
+
+    Lines that stand in the file more than once come with those before them, until they do not.
+    """
+    ours, theirs = ([line.strip() for line in text.splitlines()] for text in (old, new))
+    shorter = min(len(ours), len(theirs))
+    first = next((i for i in range(shorter) if ours[i] != theirs[i]), shorter - 1)
+    end = next((i for i in range(shorter - first) if ours[-1 - i] != theirs[-1 - i]), shorter - first - 1)
+    begin, everything = first, " ".join(ours)
+    while everything.count(before := " ".join(ours[begin : len(ours) - end])) > 1 and begin > 0:
+        begin -= 1
+    return first, before, " ".join(theirs[begin : len(theirs) - end])
+
+
+def _function(tree: ast.AST, line: int, name: str = "") -> str:
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.ClassDef | ast.FunctionDef) and node.lineno <= line <= (node.end_lineno or 0):
+            return _function(node, line, f"{name}.{node.name}".lstrip("."))
+    return name
+
+
+def codes(module: ModuleType) -> dict[str, FunctionType]:
+    """Return the functions that a module defines, methods and properties too, by qualified name."""
+    found: dict[str, FunctionType] = {}
+    todo = [
+        (name, value) for name, value in vars(module).items() if getattr(value, "__module__", "") == module.__name__
+    ]
+    for name, value in todo:
+        for way in ("__func__", "fget", "__wrapped__"):
+            value = getattr(value, way, value)
+        if isinstance(value, FunctionType):
+            found[name] = value
+        elif isinstance(value, type) and name.rpartition(".")[2] == value.__name__:
+            todo += [(f"{name}.{key}", one) for key, one in vars(value).items()]
+    return found
+
+
+def transplant(mutant: Mutant, module: ModuleType) -> tuple[set[CodeType], bool]:
+    """Put a mutant in the place of its module; return the code that changed, and whether anything else did.
+
+    Functions keep their identity, whoever holds them: their code is exchanged. Constants are exchanged wherever a
+    module of ours has them under that name.
+    """
+    name = module.__name__
+    scratch = ModuleType(name)
+    scratch.__dict__.update({key: vars(module)[key] for key in ("__file__", "__package__", "__spec__")})
+    code = compile(mutant.source, str(module.__file__), "exec")
+    exec(code, scratch.__dict__)
+    ours, theirs, changed, beside = codes(module), codes(scratch), set(), False
+    for key in ours.keys() & theirs.keys():
+        one, other = ours[key], theirs[key]
+        if _plain(one.__code__) != _plain(other.__code__):
+            changed.add(one.__code__)
+            one.__code__ = other.__code__
+        if _said((one.__defaults__, one.__kwdefaults__)) != _said((other.__defaults__, other.__kwdefaults__)):
+            one.__defaults__, one.__kwdefaults__, beside = other.__defaults__, other.__kwdefaults__, True
+    for key, value in vars(scratch).items():
+        old = vars(module).get(key)
+        if _is_constant(value) and not key.startswith("__") and repr(old) != repr(value):
+            beside = True
+            for one in [one for at, one in sys.modules.items() if at.startswith("armlab")]:
+                if vars(one).get(key) is old:
+                    setattr(one, key, value)
+    return changed, beside
+
+
+def _said(defaults: Any) -> str:
+    return re.sub(" at 0x[0-9a-f]+", "", repr(defaults))  # of functions
+
+
+def _is_constant(value: Any) -> bool:
+    simple = value is None or isinstance(value, bool | int | float | str)
+    return (
+        simple
+        or (isinstance(value, tuple | frozenset | dict) and not hasattr(value, "__module__"))
+        or (type(value).__name__ == "Drop")
+    )
+
+
+def _plain(code: CodeType) -> Any:
+    """Return what a code does, without where it stands."""
+    constants = tuple(_plain(one) if isinstance(one, CodeType) else (type(one), repr(one)) for one in code.co_consts)
+    return code.co_code, constants, code.co_names, code.co_varnames, code.co_freevars, code.co_exceptiontable

@@ -1,0 +1,222 @@
+"""Mutation testing of what moves the robot: `python mutation/run.py [WORD ...] [--again]`; words choose files by path.
+
+One pytest session collects the tests once. For each mutant this process forks; the child puts the mutant in its own
+memory, no file is ever changed, and runs the tests that call the changed function, the fastest first, until one fails.
+A mutant that none kills must stand in `survivors.toml` with the reason why no test can tell it from the original.
+
+mutmut makes the mutants. It does not run them, since it imports a copy of `src` which the finder of the editable
+install overrules, leaves out constants and decorated functions, and numbers the survivors, so that an explanation
+would belong to another mutant after the next edit.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import importlib
+import json
+import os
+import signal
+import sys
+import threading
+import time
+import tomllib
+import warnings
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from types import CodeType, ModuleType
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "mutation"))
+from mutants import Mutant, codes, mutants, transplant  # noqa: E402
+
+EXPLAINED, LAST = ROOT / "mutation" / "survivors.toml", ROOT / "build" / "mutation.json"
+BRIDGE, KERNELS = "src/armlab/bridge", "src/armlab/kernels/_reference"
+FILES = {  # each with the tests that hold it
+    f"{BRIDGE}/limits.py": ["bridge/limits", "bridge/states", "bridge/torque"],
+    f"{BRIDGE}/linked.py": ["bridge/linked"],
+    f"{BRIDGE}/torque.py": ["bridge/torque", "bridge/linked", "bridge/states"],
+    f"{BRIDGE}/commands.py": ["bridge/commands", "bridge/states"],
+    f"{BRIDGE}/watchdog.py": ["bridge/watchdog"],
+    f"{BRIDGE}/session.py": ["bridge/session", "bridge/session_order"],
+    f"{BRIDGE}/states.py": ["bridge/states", "bridge/torque"],
+    f"{BRIDGE}/rights.py": ["bridge/rights"],
+    f"{KERNELS}/limits.py": ["kernels/_reference/limits"],
+}
+# Not tests of whole simulated runs, which are slow; nor that the kernels agree, which would spare a law for both.
+MARKED, NAMED = "not slow", "not (native_is or simulated or follows[)"
+PATIENCE, AT_LEAST = 10.0, 5.0  # times what a test takes without a mutant, and s
+
+
+class Runner:
+    """A plugin of pytest: runs the collected tests for each mutant instead of once."""
+
+    def __init__(self, files: list[str], only: set[tuple[str, ...]] | None) -> None:
+        self.files, self.only = files, only
+        self.results: list[tuple[Mutant, str]] = []
+        self.failed = False
+
+    def pytest_sessionstart(self) -> None:
+        from hypothesis import Phase, settings  # not before pytest, which rewrites it
+
+        usual = settings.get_profile("armlab")
+        settings.register_profile("mutants", usual, phases=[Phase.explicit, Phase.generate])  # one failure is enough
+        settings.load_profile("mutants")
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        self.failed = self.failed or report.failed
+
+    def pytest_runtestloop(self, session: pytest.Session) -> bool:
+        if session.testsfailed:
+            raise SystemExit("Expected tests that can be collected, got errors: run them with pytest.")
+        modules = {file: importlib.import_module(file[4:-3].replace("/", ".")) for file in self.files}
+        watched = {one.__code__ for module in modules.values() for one in codes(module).values()}
+        gc.collect()
+        gc.freeze()  # what a child does not touch it shares
+        calls = json.loads(forked(lambda: self.without(session.items, watched)) or "null")
+        if calls is None:
+            raise SystemExit("Expected tests that pass without a mutant, got one that fails: run them with pytest.")
+        for file, module in modules.items():
+            items = [item for item in session.items if item.path in tests(file)]
+            for mutant in mutants(ROOT / file, file):
+                if self.only is None or key(mutant) in self.only:
+                    self.judge(mutant, module, items, calls)
+        return True
+
+    def judge(self, mutant: Mutant, module: ModuleType, items: list[pytest.Item], calls: dict[str, Any]) -> None:
+        outcome = forked(lambda: self.outcome(mutant, module, items, calls)) or "killed by time"
+        if outcome != "same":
+            self.results.append((mutant, outcome))
+        if outcome == "survived" and key(mutant) not in explained():
+            print(f"{mutant.file} {mutant.where}\n  - {mutant.before}\n  + {mutant.after}", flush=True)
+
+    def without(self, items: list[pytest.Item], watched: set[CodeType]) -> str:
+        """Run all tests without a mutant; return for each what it took [s] and called, nothing when one failed."""
+        found = {}
+        for item, following in zip(items, [*items[1:], None], strict=True):
+            called: set[CodeType] = set()
+
+            def watch(frame: Any, event: str, _: Any, called: set[CodeType] = called) -> None:
+                if event == "call" and frame.f_code in watched:
+                    called.add(frame.f_code)
+
+            threading.setprofile(watch)
+            sys.setprofile(watch)
+            start = time.perf_counter()
+            item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
+            sys.setprofile(None)
+            threading.setprofile(None)  # type: ignore[arg-type]
+            if self.failed:
+                return ""
+            found[item.nodeid] = time.perf_counter() - start, [name(code) for code in called]
+        return json.dumps(found)
+
+    def outcome(self, mutant: Mutant, module: ModuleType, items: list[pytest.Item], calls: dict[str, Any]) -> str:
+        """Run the tests that see a mutant, in a child; return what became of it."""
+        names = {name(one.__code__) for one in codes(module).values()}
+        try:
+            changed, has_more = transplant(mutant, module)
+        except SyntaxError:
+            return "same"
+        except Exception as error:
+            return f"killed by its import: {error}"
+        if not changed and not has_more:
+            return "same"
+        names = names if has_more else {name(code) for code in changed}
+        seen = sorted((item for item in items if names & set(calls[item.nodeid][1])), key=lambda i: calls[i.nodeid][0])
+        for item, following in zip(seen, [*seen[1:], None], strict=True):
+            signal.setitimer(signal.ITIMER_REAL, AT_LEAST + PATIENCE * calls[item.nodeid][0])  # then SIGALRM ends it
+            item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
+            if self.failed:
+                return f"killed by {item.nodeid}"
+        return "survived"
+
+
+def tests(file: str) -> list[Path]:
+    """Return the files of the tests that hold a file."""
+    return [ROOT / "tests" / Path(one).parent / f"test_{Path(one).name}.py" for one in FILES[file]]
+
+
+def name(code: CodeType) -> str:
+    """Return the name of a code, the same in each process."""
+    return f"{code.co_filename}:{code.co_firstlineno}:{code.co_qualname}"
+
+
+def key(mutant: Mutant) -> tuple[str, ...]:
+    """Return by what an explanation knows a mutant."""
+    return mutant.file, mutant.where, mutant.before, mutant.after
+
+
+def explained() -> set[tuple[str, ...]]:
+    """Return the mutants that no test can tell from the original."""
+    found = tomllib.loads(EXPLAINED.read_text())["survivor"]
+    return {(one["file"], one["where"], one["before"], one["after"]) for one in found}
+
+
+def forked(work: Callable[[], str]) -> str | None:
+    """Return what `work` returns in a child of its own; None when it did not come to its end."""
+    source, sink = os.pipe()
+    with warnings.catch_warnings(action="ignore"):  # of threads: those that run now hold no locks of ours
+        child = os.fork()
+    if child == 0:
+        status = 1
+        try:
+            os.setsid()
+            os.close(source)
+            null = os.open(os.devnull, os.O_RDWR)
+            os.dup2(null, 1)
+            os.dup2(null, 2)
+            answer = work().encode()
+            with os.fdopen(sink, "wb") as stream:
+                stream.write(answer)
+            status = 0
+        finally:
+            os._exit(status)
+    os.close(sink)
+    with os.fdopen(source, "rb") as stream:
+        found = stream.read()
+    _, status = os.waitpid(child, 0)
+    return found.decode() if status == 0 else None
+
+
+def main() -> int:
+    """Run what the command line says; return 1 when a mutant survived that is not explained."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("words", nargs="*")
+    parser.add_argument("--again", action="store_true", help="only those that survived last time")
+    given = parser.parse_args()
+    os.chdir(ROOT)
+    files = [file for file in FILES if not given.words or any(word in file for word in given.words)]
+    only = {tuple(one) for one in json.loads(LAST.read_text())} if given.again else None
+    runner, start = Runner(files, only), time.monotonic()
+    options = ["-p", "no:terminal", "-p", "no:xdist", "-s", "-o", "addopts=", "--import-mode=importlib"]
+    chosen = sorted({str(test) for file in files for test in tests(file)})
+    pytest.main([*options, "-m", MARKED, "-k", NAMED, *chosen], [runner])
+    status = report(files, runner.results)
+    print(f"{time.monotonic() - start:.0f} s")
+    return status
+
+
+def report(files: list[str], results: list[tuple[Mutant, str]]) -> int:
+    """Print the figures of each file and keep the survivors; return 1 when one is not explained."""
+    LAST.parent.mkdir(exist_ok=True)
+    others = [one for one in json.loads(LAST.read_text()) if one[0] not in files] if LAST.exists() else []
+    LAST.write_text(json.dumps(others + [key(mutant) for mutant, outcome in results if outcome == "survived"]))
+    known, table = explained(), {file: Counter[str]() for file in files}
+    for mutant, outcome in results:
+        kind = "killed" if outcome != "survived" else "explained" if key(mutant) in known else "survived"
+        table[mutant.file][kind] += 1
+        if kind == "killed" and key(mutant) in known:
+            print(f"Explained, but {outcome}: {mutant.before} -> {mutant.after}")
+    for file, counts in table.items():
+        words = ", ".join(f"{counts[kind]} {kind}" for kind in ("killed", "explained", "survived"))
+        print(f"{file}: {counts.total()} mutants, {words}")
+    return int(not results or any(counts["survived"] for counts in table.values()))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
