@@ -189,6 +189,7 @@ def test_files_that_do_not_fit(lab: Path, tmp_path: Path) -> None:
     bad.chmod(0o600)
     for options, words in (
         ({"secret": tmp_path / "none"}, "there is none"),
+        ({"secret": tmp_path / ("long" * 100)}, "there is none"),
         ({"secret": open_}, "chmod 600"),
         ({"secret": two}, "got 2"),
         ({"secret": bad}, "line 1 of"),
@@ -198,3 +199,5 @@ def test_files_that_do_not_fit(lab: Path, tmp_path: Path) -> None:
     ):
         with pytest.raises(ConfigError, match=words):
             Security(**options)
+    with pytest.raises(ConfigError, match="users of this computer"):
+        Security.of({"secret": "~nobody-has-this-name/secret"})

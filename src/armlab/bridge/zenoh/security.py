@@ -45,7 +45,7 @@ class Security:
 
     def __post_init__(self) -> None:
         for path in (self.ca, self.certificate, self.key, self.users, self.secret):
-            if path is not None and not path.is_file():
+            if path is not None and not _is_file(path):
                 raise ConfigError(f"Expected the file {path}, but there is none. Write it: armlab bridge certificates.")
         for path in (self.key, self.users, self.secret):
             if path is not None and path.stat().st_mode & 0o077:
@@ -70,7 +70,10 @@ class Security:
         ConfigError : see `Security`.
         """
         names = [name for name in cls.__dataclass_fields__ if options.get(name)]
-        return cls(**{name: Path(options[name]).expanduser() for name in names})
+        try:
+            return cls(**{name: Path(options[name]).expanduser() for name in names})
+        except RuntimeError as error:  # ~somebody
+            raise ConfigError(f"Expected files of users of this computer, but {error} Give whole paths.") from None
 
     @property
     def is_safe(self) -> bool:
@@ -97,6 +100,13 @@ class Security:
             found["transport/auth/usrpwd/dictionary_file"] = str(self.users.absolute())
             found["access_control"] = _rules()
         return found
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # of a name that is too long
+        return False
 
 
 def _own(path: Path) -> tuple[str, str]:
