@@ -185,7 +185,7 @@ def _chooser(executor: Executor | None, tell: Progress) -> Chooser:
     def choose_all(choices: Iterable[Choice]) -> list[Shapes]:
         joints = {f"joint {number + 1}": choice for number, choice in enumerate(choices)}
         done = each(
-            choose, joints, executor=executor,
+            choose, joints, executor=executor, kind="joint",
             progress=lambda done, total, what: tell(2, 5, f"choosing the shape of friction, {done} of {total} joints"),
         )  # fmt: skip
         if done.skipped:

@@ -27,7 +27,7 @@ _WORKERS = 64  # assumed of executors that do not tell
 _TELL = 0.5  # s between two reports without a job that ends
 _SAY = 1.0  # s between two sentences: a line each where nobody watches
 _LIVES = 2  # of a job that ends its worker
-_KILLED = "Expected a worker to survive this log, but it was killed again. Look at the log, and at the memory it takes."
+_KILLED = "Expected a worker to survive this {}, but it was killed again. Look at the log, and at the memory it takes."
 _KILLED_BY_DASK = "KilledWorker"  # its name, since Dask need not be there: it has tried several workers by then
 
 
@@ -63,6 +63,7 @@ def each(
     executor: Executor | None = None,
     progress: Progress = lambda done, total, what: None,
     rows: Callable[[Result], int] | None = None,
+    kind: str = "log",
 ) -> Done[Result]:
     """Call ``work(job, *shared)`` for every job.
 
@@ -71,13 +72,13 @@ def each(
     work : a function of a module, so that it can travel. jobs : what it gets, by name. shared : what all get.
     executor : where it runs; here, one after the other, when left out.
     progress : called with (done, total, what) as jobs end; `what` tells logs done, rows per second, skipped, time left.
-    rows : how many rows a result stands for; not told when left out.
+    rows : how many rows a result stands for; not told when left out. kind : what a job is of, for sentences.
 
     Returns
     -------
     Done; a job that raised an `ArmlabError` or ended its worker is skipped.
     """
-    run = _Run(work, jobs, shared, progress, rows)
+    run = _Run(work, jobs, shared, progress, rows, kind)
     run.report()
     if executor is None:
         for name in jobs:
@@ -101,8 +102,10 @@ class _Run:
         shared: Sequence[Any],
         tell: Progress,
         rows: Callable[[Any], int] | None,
+        kind: str,
     ) -> None:
         self._work, self._jobs, self._shared, self._tell, self._count = work, jobs, shared, tell, rows
+        self._kind, self._killed = f"{kind}s", _KILLED.format(kind)
         self._began = time.monotonic()
         self._said, self._what, self._rows = -_SAY, "", 0
         self._blamed: list[str] = []
@@ -129,7 +132,7 @@ class _Run:
             blamed, self._blamed = self._blamed, []
             suspects = self._pass(executor, blamed, ahead=1)
             for name in self._blamed:
-                self.keep(name, (False, _KILLED))
+                self.keep(name, (False, self._killed))
         while left := self._left(self._jobs):
             if not isinstance(executor, ProcessPoolExecutor):
                 raise ConfigError("Expected an executor that goes on, but it broke. Start it anew and call again.")
@@ -146,7 +149,7 @@ class _Run:
                 killed.update(self._pass(alone, suspects, ahead=1))
             for name in suspects:
                 if killed[name] == _LIVES:
-                    self.keep(name, (False, _KILLED))
+                    self.keep(name, (False, self._killed))
 
     def _left(self, names: Iterable[str]) -> list[str]:
         return [name for name in names if name not in self.results and name not in self.skipped]
@@ -193,7 +196,7 @@ class _Run:
         done, total = len(self.results) + len(self.skipped), len(self._jobs)
         passed = time.monotonic() - self._began
         if done == total or passed - self._said >= _SAY:
-            self._said, parts = passed, [f"{done} of {total} logs"]
+            self._said, parts = passed, [f"{done} of {total} {self._kind}"]
             if self._rows:
                 parts.append(f"{self._rows / max(passed, 1e-3):.0f} rows/s")
             if self.skipped:
