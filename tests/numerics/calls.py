@@ -129,11 +129,24 @@ def of_contact(module: Any, name: str, given: dict[str, np.ndarray], fixed: dict
     return r if words[1] == "r" else J.reshape(-1, 3, 12)
 
 
+def of_obstacles(module: Any, name: str, given: dict[str, np.ndarray], fixed: dict[str, np.ndarray]) -> Any:
+    words = name.split()
+    body = (3, np.zeros(0), np.zeros((0, 7)))
+    if words[1] == "arm":
+        body = (module.Chain(fixed["frames"], fixed["prismatic"]), fixed["links"], fixed["bodies"])
+    obstacles = module.Obstacles(*body, *fixed["rule"].tolist(), words[2] == "potential")
+    obstacles.place(fixed["capsules"])
+    if words[2] == "distance":
+        return obstacles.distance(given["y"])
+    return np.array([obstacles.add(*row) for row in zip(*given.values())])
+
+
 FAMILIES = {
     "chains": of_chain,
     "contacts": of_contact,
     "filters": of_filter,
     "groups": of_group,
     "limits": of_limits,
+    "obstacles": of_obstacles,
     "primitives": of_primitive,
 }

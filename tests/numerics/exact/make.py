@@ -20,9 +20,10 @@ import contacts
 import filters
 import groups
 import limits
+import obstacles
 import primitives
 
-TOPICS = {module.__name__: module for module in (chains, contacts, filters, groups, limits, primitives)}
+TOPICS = {module.__name__: module for module in (chains, contacts, filters, groups, limits, obstacles, primitives)}
 
 
 def packed(value: Any) -> Any:

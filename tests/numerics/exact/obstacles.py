@@ -1,0 +1,183 @@
+"""Tables of the motion around obstacles: capsules in space and on an arm.
+
+Distances are the least over all pairs of ends and feet, velocities and accelerations of a point on a link come from
+the derivatives of its frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import product
+from typing import Any
+
+import numpy as np
+from chains import Motion, arm
+from mpmath import mp
+from rigid import array, exact
+
+Table = dict[str, Any]
+Vector = Any
+CLEARANCE, REACH = 0.05, 0.4
+STEERING, PUSHING, SLOWEST, FASTEST, SLIDE, DAMPING, SWEEPS = (
+    12, mp.mpf(0.15), 15, 200, mp.mpf(0.3), mp.mpf(0.02), 8,
+)  # fmt: skip
+
+
+def dot(a: Vector, b: Vector) -> Any:
+    return (a.T * b)[0]
+
+
+def nearest_points(a: Vector, b: Vector, c: Vector, d: Vector) -> tuple[Vector, Vector]:
+    """Return the nearest points of two segments: of all candidates those that are nearest."""
+    u, v, w = b - a, d - c, a - c
+
+    def foot(p: Vector, start: Vector, way: Vector) -> Any:
+        return min(max(dot(p - start, way) / dot(way, way), mp.zero), mp.one) if dot(way, way) else mp.zero
+
+    pairs = [(mp.mpf(s), foot(a + s * u, c, v)) for s in (0, 1)] + [(foot(c + t * v, a, u), mp.mpf(t)) for t in (0, 1)]
+    grid = mp.matrix([[dot(u, u), -dot(u, v)], [-dot(u, v), dot(v, v)]])
+    if mp.det(grid) > mp.mpf(10) ** -60 * dot(u, u) * dot(v, v):
+        s, t = mp.inverse(grid) * mp.matrix([-dot(u, w), dot(v, w)])
+        pairs += [(s, t)] if 0 <= s <= 1 and 0 <= t <= 1 else []
+    points = [(a + s * u, c + t * v) for s, t in pairs]
+    return min(points, key=lambda two: mp.norm(two[0] - two[1]))
+
+
+class Contact:
+    """A body and an obstacle: nearest points, direction away, velocity, and Jacobian and its drift at the body."""
+
+    def __init__(self, ends: list[Vector], radius: Any, obstacle: Vector) -> None:
+        self.middle = (obstacle[:3] + obstacle[3:6]) / 2
+        self.p, other = nearest_points(*ends, obstacle[:3], obstacle[3:6])
+        gap = mp.norm(self.p - other)
+        self.away, self.distance = (self.p - other) / gap, gap - radius - obstacle[6]
+
+    def move(self, J: mp.matrix, qd: Vector, drift: Vector, obstacle: Vector) -> Contact:
+        self.J, self.velocity, self.drift = J, J * qd - obstacle[7:], drift
+        return self
+
+    def acts(self, e: Vector, damped: bool) -> Vector:
+        """Return the least motion that moves the point along e."""
+        j = self.J.T * e
+        return j / (dot(j, j) + DAMPING**2) if damped else j
+
+    def steer(self, by_potential: bool) -> Vector:
+        """Return the acceleration of the rule, at the point."""
+        u = min(max((REACH_ - self.distance) / (REACH_ - CLEARANCE_), mp.zero), mp.one)
+        weight, speed = u**3 * (10 - 15 * u + 6 * u**2), mp.norm(self.velocity)
+        across = self.away - dot(self.away, self.velocity) / speed**2 * self.velocity
+        cosine, sine = -dot(self.away, self.velocity) / speed, mp.norm(across)
+        across, theta = across / sine, mp.atan2(sine, cosine)
+        if not by_potential:
+            return weight * STEERING * theta * mp.exp(-20 * theta / mp.pi) * speed * across
+        if cosine <= 0:
+            return 0 * across
+        near = max(self.distance, REACH_ / 10)
+        return weight * PUSHING * cosine * speed / near**2 * (2 * sine * across + cosine * self.away)
+
+    def lacks(self, a: Vector) -> Any:
+        """Return by how much the guard misses the acceleration of the point."""
+        h, rate = self.distance - CLEARANCE_, dot(self.away, self.velocity)
+        k = min(max(-rate / h, SLOWEST), FASTEST) if h > 0 else mp.mpf(SLOWEST)
+        return -2 * k * rate - k**2 * h - dot(self.away, self.J * a + self.drift)
+
+    def along(self, goal: Vector | None) -> Vector:
+        """Return the way along the surface: to the nearer end of the obstacle, or to the goal where there is none."""
+        for way in (self.p - self.middle, *([] if goal is None else [goal - self.p])):
+            part = way - dot(way, self.away) * self.away
+            if mp.norm(part) > mp.mpf(1e-3):
+                return part / mp.norm(part)
+        raise ValueError("no way along the surface")
+
+
+CLEARANCE_, REACH_ = mp.mpf(CLEARANCE), mp.mpf(REACH)
+
+
+def added(contacts: list[Contact], a: Vector, goal: Vector | None, by_potential: bool) -> Vector:
+    damped = goal is None  # an arm
+    near = [c for c in contacts if c.distance < REACH_]
+    for c in near:
+        wanted = c.steer(by_potential)
+        size = mp.norm(wanted)
+        a = a + size * c.acts(wanted / size, damped) if size else a
+    for sweep in range(SWEEPS):
+        kept = True
+        for c in near:
+            lacks = c.lacks(a)
+            if lacks > 0:
+                kept = False
+                a = a + lacks * c.acts(c.away, damped)
+                a = a + SLIDE * lacks * c.acts(c.along(goal), damped) if sweep == 0 else a
+        if kept:
+            break
+    return a
+
+
+def in_space(y: Vector, yd: Vector, capsules: np.ndarray) -> list[Contact]:
+    rows = [exact(row) for row in capsules]
+    return [Contact([y, y], mp.zero, row).move(mp.eye(3), yd, mp.zeros(3, 1), row) for row in rows]
+
+
+def on_arm(robot: Any, q: Vector, qd: Vector, capsules: np.ndarray) -> list[Contact]:
+    frames, prismatic, links, bodies = robot
+    motion, found, n = Motion(frames, prismatic, q, qd), [], len(prismatic)
+    for (link, body), row in product(zip(links, bodies), capsules):
+        T, shape, k, obstacle = motion.transform(int(link)), exact(body), int(link) - 1, exact(row)
+        ends = [(T * mp.matrix([*shape[i : i + 3], 1]))[:3] for i in (0, 3)]
+        contact = Contact(ends, shape[6], obstacle)
+        x = mp.inverse(T) * mp.matrix([*contact.p, 1])
+        J = mp.matrix([list((D * x)[:3]) for D in motion.first[k]]).T
+        drift = sum(
+            ((motion.second[k][i][j] * x)[:3] * (qd[i] * qd[j]) for i in range(n) for j in range(n)), mp.zeros(3, 1)
+        )
+        found.append(contact.move(J, qd, drift, obstacle))
+    return found
+
+
+def table(
+    call: Callable[..., list[Contact]],
+    given: dict[str, np.ndarray],
+    fixed: dict[str, np.ndarray],
+    damped: bool,
+    name: str,
+) -> dict[str, Table]:
+    rows = [call(exact(y), exact(yd), fixed["capsules"]) for y, yd in zip(given["y"], given["yd"])]
+    least = np.array([array([min(c.distance for c in row)]) for row in rows])
+    found = {f"Obstacles {name} distance": {"fixed": fixed, "given": given, "wanted": least}}
+    for rule in ("steering", "potential"):
+        goals = [None if damped else exact(g) for g in given["g"]]
+        motions = zip(rows, map(exact, given["ydd"]), goals)
+        wanted = [array(added(row, a, goal, rule == "potential")) for row, a, goal in motions]
+        found[f"Obstacles {name} {rule}"] = {"fixed": fixed, "given": given, "wanted": np.array(wanted)}
+    return found
+
+
+def tables() -> dict[str, Table]:
+    """Return the tables of a point in space and of an arm of three joints."""
+    rng, count = np.random.default_rng(59), 8
+    capsules = rng.uniform(-0.6, 0.6, (3, 10)) * np.array([1] * 6 + [0.1] * 4)
+    capsules[:, 6], capsules[1, 3:6] = [0.05, 0.1, 0.0], capsules[1, :3]
+    given = {
+        name: rng.normal(size=(count, 3)) * size for name, size in (("y", 0.3), ("yd", 0.5), ("g", 0.5), ("ydd", 2.0))
+    }
+    given["y"][0] = capsules[1, :3] + [0.1, 1e-9, 0.0]
+    given["y"][1], given["y"][2] = capsules[0, :3] + [0.02, 0.03, 0.0], [5.0, -4.0, 3.0]
+    fixed = {"capsules": capsules.copy(), "rule": np.array([CLEARANCE, REACH])}
+    found = table(in_space, given, fixed, False, "space")
+    frames, prismatic, _ = arm(3, 3)
+    links, bodies = np.array([2.0, 3.0]), rng.uniform(-0.3, 0.3, (2, 7))
+    bodies[:, 6], bodies[1, 3:6] = [0.04, 0.0], bodies[1, :3]
+    robot = {"frames": frames, "prismatic": prismatic.astype(float), "links": links, "bodies": bodies}
+    given = {
+        name: rng.uniform(-1, 1, (6, 3)) * size for name, size in (("y", 0.3), ("yd", 1.0), ("g", 3.0), ("ydd", 2.0))
+    }
+    for row, body, link in zip(capsules, bodies, links):  # near the bodies where they are at zero
+        T = array(Motion(frames, prismatic, mp.zeros(3, 1)).transform(int(link)))
+        row[:3] = np.sum(T[:3, :3] * body[:3], axis=1) + T[:3, 3] + [0.15, -0.1, 0.05]
+        row[3:6] = row[:3] + np.array([0.05, 0.1, -0.1])
+    fixed = {"capsules": capsules, "rule": fixed["rule"]}
+
+    def call(q: Vector, qd: Vector, capsules: np.ndarray) -> list[Contact]:
+        return on_arm((frames, prismatic, links, bodies), q, qd, capsules)
+
+    return found | table(call, given, fixed | robot, True, "arm")
