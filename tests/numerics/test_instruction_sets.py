@@ -70,8 +70,10 @@ def test_the_c_library_without_fused_multiply_add(run: Run) -> None:
     """Its exp, sin, tanh ... round otherwise then. Rotations, rigid motions and chains of joints do not notice."""
     plain, here = run(**PLAIN_C), run()
     for key in differing(plain, here):
-        assert "filters/" in key
-        assert RESULTS["error"](SAMPLES[key] | {"wanted": here[key]}, plain[key]) <= OF_THE_C_LIBRARY
+        topic = key.removeprefix("many ").partition("/")[0]
+        assert topic not in ("chains", "groups", "limits")
+        most = OF_THE_C_LIBRARY if topic == "filters" else RESULTS["bound"](key)  # the others carry it further
+        assert RESULTS["error"](SAMPLES[key] | {"wanted": here[key]}, plain[key]) <= most
     for key, table in TABLES.items():
         assert RESULTS["error"](table, plain[key]) <= RESULTS["bound"](key), key
 
