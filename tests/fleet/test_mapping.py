@@ -80,10 +80,10 @@ def test_whom_dask_blames_is_tried_alone_and_skipped_only_then() -> None:
 def test_sentences_name_what_a_job_is_of() -> None:
     said: list[str] = []
     done = each(
-        abs, {"joint 1": 1, "joint 2": 2}, executor=Blaming(2, {2}), kind="joint",
+        abs, {"joint 1": 1, "joint 2": 2}, executor=Blaming(2, {1}), kind="joint",
         progress=lambda done, total, what: said.append(what),
     )  # fmt: skip
-    assert done.skipped["joint 2"].startswith("Expected a worker to survive this joint, but")
+    assert done.skipped["joint 1"].startswith("Expected a worker to survive this joint, but")
     assert said[-1].startswith("2 of 2 joints")
 
 
