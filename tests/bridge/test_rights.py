@@ -27,6 +27,7 @@ class Bench:
         self.now = 10**12
         self.events: list[str] = []
         self.warnings: list[str] = []  # those of the events that warn
+        self.each: list[str] = []  # and those that are told each time
         self.answers: list[tuple[str, str]] = []
         self.arbiter = Arbiter(arms, allowed, tell=self.tell, answer=self.answer, clock=lambda: self.now, **options)
         self.q_sent = {robot.name: np.array(robot.q_home) for robot in arms}
@@ -36,6 +37,8 @@ class Bench:
         self.events.append(text)
         if warn:
             self.warnings.append(text)
+        if each:
+            self.each.append(text)
 
     def answer(self, client: str, text: str) -> None:
         self.answers.append((client, text))
@@ -132,6 +135,7 @@ def test_the_lease() -> None:
         "labcomm a no longer commands yumi_left: silent for 0.1 s. The arm holds.",
         "labcomm b commands yumi_left.",
     ]
+    assert bench.each[-2:] == bench.events[-2:]
 
 
 def test_refused_commands_keep_nothing() -> None:
