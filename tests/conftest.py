@@ -36,7 +36,7 @@ PERIOD = 0.004
 SUBSTEPS = 4  # friction runs finer than the log, as in nature
 
 HERE = Path(__file__).parent
-LOOPS = {"bridge", "cli", "examples", "sim"}  # loops collect garbage before they begin
+LOOPS = {"bridge", "cli", "examples", "faults", "sim"}  # loops collect garbage before they begin
 
 
 @pytest.hookimpl(wrapper=True)

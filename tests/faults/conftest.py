@@ -1,0 +1,20 @@
+"""The bench."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from .bench import Bench
+
+
+@pytest.fixture
+def make_bench(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> Callable[[], Bench]:
+    """Return what makes a bench with a time of its own; one at a time runs."""
+    return lambda: Bench(monkeypatch, tmp_path_factory.mktemp("logs"))
+
+
+@pytest.fixture
+def bench(make_bench: Callable[[], Bench]) -> Bench:
+    return make_bench()

@@ -1,0 +1,207 @@
+"""A controller that raises, sleeps, or returns what is no command; in virtual time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from armlab.errors import CommandRefused, ControllerFailed, ControllerLate
+from armlab.state import Command, State
+
+from .bench import PERIOD, ROBOT, Bench
+from .judge import judge
+from .matrix import Cell, cells, shows
+from .motion import Motion
+
+BEGINS = {"holding": 0.0, "running": 0.3}
+CALLED = "holding, running"
+AFTER = 0.5  # s of motion when it is over
+
+
+class Wrong(NamedTuple):
+    """What it does, how often, and what the run raises then."""
+
+    does: Callable[[Bench, State], Any]
+    times: float = np.inf
+    failure: type[BaseException] | None = None
+
+
+def raises(error: BaseException) -> Callable[[Bench, State], Any]:
+    def does(bench: Bench, state: State) -> Any:
+        raise error
+
+    return does
+
+
+def returns(make: Callable[[State], Any]) -> Callable[[Bench, State], Any]:
+    return lambda bench, state: make(state)
+
+
+def sleeps(seconds: float) -> Callable[[Bench, State], Any]:
+    def does(bench: Bench, state: State) -> Any:
+        bench.pass_time(seconds)
+        return Command(qd=np.full(7, 0.2))
+
+    return does
+
+
+def nan(state: State) -> Command:
+    return Command(np.full(7, np.nan))
+
+
+HOLDS = "the arm comes to rest, and the run ends"
+AGAIN = "the next run"
+
+
+def ends(fault: str, told: str, wrong: Wrong, states: str = CALLED) -> tuple[Cell, ...]:
+    return cells("controller", fault, states, HOLDS, told, AGAIN, wrong)
+
+
+@shows(
+    ends(
+        "raises",
+        "The controller raised ValueError: bad luck. …",
+        Wrong(raises(ValueError("bad luck")), 1, ControllerFailed),
+    ),
+    ends("exits", "The controller raised SystemExit: 1. …", Wrong(raises(SystemExit(1)), 1, ControllerFailed)),
+    ends(
+        "has no memory left", "The controller raised MemoryError: …", Wrong(raises(MemoryError()), 1, ControllerFailed)
+    ),
+    ends(
+        "returns no Command",
+        "Expected the controller to return a Command or None, got str.",
+        Wrong(returns(lambda state: "left"), 1, CommandRefused),
+    ),
+    ends(
+        "returns a wrong shape",
+        "Expected Command.q of shape (7,) for yumi_right, got (6,).",
+        Wrong(returns(lambda state: Command(state.q[:6])), 1, CommandRefused),
+    ),
+    ends(
+        "returns NaN again and again",
+        "Expected finite numbers in the Command, …",
+        Wrong(returns(nan), np.inf, CommandRefused),
+    ),
+    ends(
+        "returns an infinite speed",
+        "Expected finite numbers in the Command, …",
+        Wrong(returns(lambda state: Command(qd=np.full(7, np.inf))), np.inf, CommandRefused),
+    ),
+    ends(
+        "returns a jump again and again",
+        "Expected a position near the last one sent, …",
+        Wrong(returns(lambda state: Command(state.q_start + 0.5)), np.inf, CommandRefused),
+        "running",
+    ),
+    ends(
+        "is late again and again",
+        "The controller was too slow: … cycles … late. …",
+        Wrong(sleeps(0.0035), np.inf, ControllerLate),
+    ),
+    ends(
+        "sleeps for seconds",
+        "The controller was too slow: one call took 3.00 s, …",
+        Wrong(sleeps(3.0), 1, ControllerLate),
+    ),
+)
+def test_the_run_ends(bench: Bench, cell: Cell) -> None:
+    wrong, good, at = cell.given, Motion(), BEGINS[cell.state]
+    done = [0]
+
+    def script(t: float, state: State) -> Any:
+        if t < at or done[0] >= wrong.times:
+            return good(t, state)
+        done[0] += 1
+        return wrong.does(bench, state)
+
+    outcome = bench.run(script)
+    assert type(outcome.failure) is wrong.failure
+    assert cell.is_told(outcome.told), outcome.told
+    judge(bench, outcome)
+    assert not bench.heard()[-1].qd.any(), "it came to rest"
+    assert np.ptp([reply.q for reply in bench.heard()[-50:]], axis=0).max() < 1e-9, "and rested"
+    gaps = np.diff([sent.t for sent in bench.sent])
+    assert gaps.max() < 2.0 * PERIOD, "no packet had to wait for the controller"
+    failure: Any = outcome.failure
+    assert len(failure.table) > 100, "the error has the last rows"
+    count = len(bench.sent)
+    again = bench.run(Motion(), seconds=0.3)
+    judge(bench, again, count)
+    assert again.run.reason == "the time is up"
+
+
+@shows(
+    cells(
+        "controller", "returns nothing", CALLED, "the arm holds as long as that goes on", "–", "with the next command",
+        Wrong(returns(lambda state: None), 50),
+    ),
+    cells(
+        "controller", "returns NaN once", CALLED, "the arm holds for that packet",
+        "Expected finite numbers in the Command, …", "with the next command", Wrong(returns(nan), 1),
+    ),
+    cells(
+        "controller", "returns a jump once", "running", "the arm holds for that packet",
+        "Expected a position near the last one sent, …", "with the next command",
+        Wrong(returns(lambda state: Command(state.q_start + 0.5)), 1),
+    ),
+    cells(
+        "controller", "begins far from where the arm is", "holding", "the arm holds, as long as that goes on",
+        "Expected the first position within 0.05 of where the arm holds, …", "with a command near the arm",
+        Wrong(returns(lambda state: Command(state.q_start + 0.06)), 300),
+    ),
+    cells(
+        "controller", "is late once", CALLED, "the guard answers in its place: hold for that packet", "late 1,",
+        "with the next command", Wrong(sleeps(0.0035), 1),
+    ),
+    cells(
+        "controller", "takes half of the period", CALLED, "its commands are sent", "–", "nothing to recover",
+        Wrong(sleeps(0.5 * PERIOD), 50),
+    ),
+)  # fmt: skip
+def test_the_run_goes_on(bench: Bench, cell: Cell) -> None:
+    wrong, good, at = cell.given, Motion(), BEGINS[cell.state]
+    done, over = [0], [0.0]
+
+    def script(t: float, state: State) -> Any:
+        if t < at or done[0] >= wrong.times:
+            return good(t, state)
+        done[0] += 1
+        over[0] = t
+        made = wrong.does(bench, state)
+        if made is None:
+            good.begin_anew()  # else its first position would be too far away
+        return made
+
+    outcome = bench.run(script, seconds=at + 300 * PERIOD * (wrong.times > 100) + AFTER + 0.3)
+    assert outcome.failure is None
+    assert outcome.run.reason == "the time is up"
+    assert cell.is_told(outcome.told), outcome.told
+    judge(bench, outcome)
+    gaps = np.diff([sent.t for sent in bench.sent])
+    assert gaps.max() < 2.0 * PERIOD, "no packet had to wait for the controller"
+    moved = [reply.q for reply, sent in zip(bench.heard(), bench.sent, strict=True) if sent.t > over[0]]
+    assert np.ptp(moved, axis=0).min() > 0.01, "it moves again"
+
+
+@shows(
+    cells(
+        "controller", "whatever it does", "waiting, stopping", "it is not called", "–", "nothing to recover"
+    )
+)  # fmt: skip
+def test_it_is_not_called(bench: Bench, cell: Cell) -> None:
+    robot, calls = bench.stations[0], [0]
+    robot.alive = cell.state == "stopping"
+    bench.at[0.3] = lambda: setattr(robot, "alive", True)
+
+    def script(t: float, state: State) -> Command:
+        calls[0] += 1
+        assert t >= 0.3 or cell.state == "stopping"
+        return Command.stop()
+
+    outcome = bench.run(script)
+    judge(bench, outcome)
+    assert calls[0] == 1
+    assert len(bench.sent) > 100
+    assert ROBOT.n == len(bench.heard()[-1].q)

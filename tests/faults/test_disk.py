@@ -1,0 +1,247 @@
+"""A disk that is full, read-only or slow, and memory that is short, while the arm moves; in virtual time."""
+
+from __future__ import annotations
+
+import errno
+import resource
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab.errors import LogError
+from armlab.log import Table, inspect, read, recording_file
+
+from .bench import Bench, Outcome
+from .judge import log_is_what_was_sent, within_limits
+from .matrix import Cell, cells, shows
+from .motion import Motion
+
+BEGUN = "holding, running, stopping"
+AT = {"holding": 0.3, "running": 0.3, "stopping": 0.3}
+PATIENCE = 20.0  # s of the real clock; only a test that fails waits so long
+
+
+class Disk:
+    """A file that fails, or stands still, when told."""
+
+    def __init__(self, file: Any) -> None:
+        self.file = file
+        self.error: BaseException | None = None
+        self.moves, self.reached = threading.Event(), threading.Event()
+        self.moves.set()
+
+    def write(self, data: bytes) -> int:
+        if self.error is not None or not self.moves.is_set():
+            self.reached.set()
+        self.moves.wait(PATIENCE)
+        if self.error is not None:
+            raise self.error
+        return self.file.write(data)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.file, name)
+
+
+@pytest.fixture
+def disks(monkeypatch: pytest.MonkeyPatch) -> list[Disk]:
+    """The files of the recordings."""
+    made: list[Disk] = []
+    real = recording_file.open_new
+
+    def opened(path: Path) -> tuple[Disk, Path]:
+        file, path = real(path)
+        made.append(Disk(file))
+        return made[-1], path
+
+    monkeypatch.setattr(recording_file, "open_new", opened)
+    return made
+
+
+def motion(cell: Cell) -> Motion:
+    at = AT[cell.state]
+    return Motion(
+        holds=(0.0, 0.6 if cell.state == "holding" else 0.0), stops=at - 0.01 if cell.state == "stopping" else np.inf
+    )
+
+
+def read_unfinished(outcome: Outcome) -> Table:
+    path = outcome.run.path
+    assert path is not None
+    with pytest.warns(UserWarning, match="not finished"):
+        return read(path)
+
+
+def log_ends(outcome: Outcome, bench: Bench, cell: Cell) -> None:
+    """The arm did not notice; the log has every row up to where it ends, and says that it was not finished."""
+    assert outcome.failure is None
+    assert cell.is_told(outcome.told), outcome.told
+    within_limits(bench)
+    table = read_unfinished(outcome)
+    assert 0 < len(table) < len(bench.sent)
+    log_is_what_was_sent(bench, table, end=len(table))
+    np.testing.assert_array_equal(table["tick"], np.arange(len(table)))
+    lost = outcome.run.statistics["packets"] - len(table)
+    assert f"The recording lost {lost} rows: they came after it stopped." in outcome.told
+
+
+ENDS = "the log ends with the row before; the arm goes on"
+NEW = "the next run has a file of its own"
+
+
+@shows(
+    *(
+        cells("disk", fault, BEGUN, ENDS, f"The recording stopped: The log … stopped after … rows: {words}", NEW, error)
+        for fault, words, error in (
+            ("is full", "No space left on device.", OSError(errno.ENOSPC, "No space left on device")),
+            ("becomes read-only", "Read-only file system.", OSError(errno.EROFS, "Read-only file system")),
+            ("fails", "Input/output error.", OSError(errno.EIO, "Input/output error")),
+        )
+    ),
+    cells(
+        "memory",
+        "none is left for the recorder",
+        BEGUN,
+        ENDS,
+        "The recording stopped: … MemoryError",
+        NEW,
+        MemoryError(),
+    ),
+)
+def test_the_log_ends_and_the_arm_goes_on(bench: Bench, cell: Cell, disks: list[Disk]) -> None:
+    rows = 0
+
+    def fail() -> None:
+        nonlocal rows
+        rows = bench.written(PATIENCE)
+        disks[0].error = cell.given
+
+    bench.at[AT[cell.state]] = fail
+    outcome = bench.run(motion(cell), seconds=1.0)
+    log_ends(outcome, bench, cell)
+    assert len(read_unfinished(outcome)) == rows > 50, "the log is whole up to the fault"
+    count = len(bench.sent)
+    again = bench.run(Motion(), seconds=0.3)
+    within_limits(bench, count)
+    log_is_what_was_sent(bench, again.table, count)
+
+
+@contextmanager
+def files_of_at_most(size: int) -> Iterator[None]:
+    """Let the kernel refuse what goes beyond."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@shows(
+    cells(
+        "disk",
+        "the file grows beyond what the system allows",
+        "running",
+        ENDS,
+        "The recording stopped: … File too large.",
+        NEW,
+    )
+)
+def test_the_kernel_refuses_more(bench: Bench, cell: Cell) -> None:
+    with files_of_at_most(60_000):
+        outcome = bench.run(motion(cell), seconds=1.0)
+    log_ends(outcome, bench, cell)
+
+
+@shows(
+    cells(
+        "disk",
+        "the log cannot be created",
+        "waiting",
+        "the run does not begin: nothing is sent",
+        "Expected to create the log …, got: …",
+        "the next run",
+    )
+)
+def test_the_log_cannot_be_created(bench: Bench, cell: Cell, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(LogError) as caught:
+        bench.link.run(lambda state: None, record=tmp_path / "file" / "run.mcap")
+    assert cell.is_told(str(caught.value))
+    assert not bench.sent
+    assert bench.run(Motion(), seconds=0.1).failure is None
+
+
+@shows(
+    cells(
+        "disk",
+        "stands still",
+        "holding, running",
+        "rows wait in memory, up to ten seconds of them; the arm goes on",
+        "–",
+        "with the disk; nothing is lost",
+    ),
+    cells(
+        "disk",
+        "stands still",
+        "stopping",
+        "the arm comes to rest; `run` returns when the disk goes on",
+        "–",
+        "with the disk; nothing is lost",
+    ),
+)
+def test_a_disk_that_stands_still(bench: Bench, cell: Cell, disks: list[Disk]) -> None:
+    bench.at[AT[cell.state]] = lambda: disks[0].moves.clear()
+    if cell.state == "stopping":
+        closing = threading.Thread(target=lambda: bench.closing(PATIENCE) and disks[0].moves.set())
+        bench.at[0.4] = closing.start
+    else:
+        bench.at[0.7] = lambda: disks[0].moves.set()
+    outcome = bench.run(motion(cell), seconds=1.0)
+    assert outcome.failure is None
+    within_limits(bench)
+    log_is_what_was_sent(bench, outcome.table)
+
+
+@shows(
+    cells(
+        "disk",
+        "stands still for longer than ten seconds",
+        "running",
+        "rows that find no room are dropped and counted; the arm goes on",
+        "The recording lost … rows: the disk was too slow.",
+        "with the disk; the log names the hole",
+    )
+)
+def test_a_disk_that_stands_still_for_long(
+    bench: Bench, cell: Cell, disks: list[Disk], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("armlab.log.recorder.QUEUE_ROWS", 100)  # instead of ten seconds
+    monkeypatch.setattr("armlab.log.recorder.MANY_ROWS", 50)
+    hangs = threading.Event()
+
+    def stand_still() -> None:
+        disks[0].moves.clear()
+        hangs.set()
+
+    def go_on() -> None:
+        assert disks[0].reached.is_set()
+        disks[0].moves.set()
+
+    bench.at[0.3], bench.at[1.2] = stand_still, go_on
+    outcome = bench.run(Motion(), seconds=1.5)
+    assert hangs.is_set()
+    assert outcome.failure is None
+    assert cell.is_told(outcome.told), outcome.told
+    within_limits(bench)
+    path = outcome.run.path
+    assert path is not None
+    [[first, last, count]] = inspect(path).summary["holes"]
+    table = read(path)
+    kept = np.r_[0:first, last + 1 : len(bench.sent)]
+    np.testing.assert_array_equal(table["tick"], kept)
+    assert len(table) + count == outcome.run.statistics["packets"]
