@@ -1,0 +1,225 @@
+"""Processes that are killed with signal 9, and a process that has no memory left: real ones, in real time."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+import pytest
+
+from armlab import bridge, log
+from armlab.bridge.limits import Limits
+from armlab.errors import LinkError
+from armlab.log import Table
+from armlab.state import Command, State
+
+from .bench import PERIOD, ROBOT
+from .matrix import Cell, cells, shows
+
+pytestmark = pytest.mark.slow
+
+PATIENCE = 30.0  # s; only a test that fails waits so long
+LIMITS = Limits.of(ROBOT)
+
+
+def sway(state: State) -> Command:
+    return Command(state.q_start + 0.1 * (1.0 - np.cos(4.0 * state.t)))
+
+
+def is_whole(table: Table) -> None:
+    """Rows without a hole, references without a jump; a packet that was overtaken has no reference."""
+    if not len(table):
+        return
+    np.testing.assert_array_equal(table["tick"], np.arange(len(table)))
+    step = 1.5 * max(PERIOD, table["dt"].max())  # on a busy machine the simulated robot leaves cycles out
+    for session in np.unique(table["session"]):
+        sent = table["q_sent"][table["session"] == session]
+        sent = sent[np.isfinite(sent).all(axis=1)]
+        assert (np.abs(np.diff(sent, axis=0)) <= LIMITS.qd_max * step).all()
+        assert ((sent >= LIMITS.q_min) & (sent <= LIMITS.q_max)).all()
+
+
+@contextlib.contextmanager
+def program(*words: str) -> Iterator[subprocess.Popen[str]]:
+    """A program of ours, ended with the test."""
+    process = subprocess.Popen([sys.executable, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate(timeout=PATIENCE)
+
+
+def line(file: IO[str] | None) -> str:
+    assert file is not None
+    return file.readline()
+
+
+GONE = "Expected `armlab sim yumi_right … to go on, but it ended with status -9. …"
+
+
+@shows(
+    cells(
+        "process",
+        "kill -9 of the simulated robot",
+        "waiting, holding, running",
+        "the run ends; the log is finished",
+        GONE,
+        "a new link",
+    ),
+    cells(
+        "process",
+        "kill -9 of the simulated robot",
+        "stopping",
+        "the run ends; the log is finished",
+        "Session 1 ended: …",
+        "a new link",
+    ),
+)
+def test_a_simulator_is_killed(cell: Cell, tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with bridge.connect("sim://yumi_right", ROBOT, patience=PATIENCE) as link:
+        assert link._simulator is not None
+        process = link._simulator._process
+
+        def controller(state: State) -> Command | None:
+            if state.t < 0.2:
+                return None if cell.state == "holding" else sway(state)
+            process.kill()
+            if cell.state == "stopping":
+                return Command.stop()
+            return None if cell.state == "holding" else sway(state)
+
+        if cell.state == "waiting":
+            process.kill()
+        failure = None
+        try:
+            link.run(controller, record=path)
+        except LinkError as error:
+            failure = error
+        assert (failure is None) == (cell.state == "stopping")
+        assert link.last is not None
+        told = f"{failure}\n" + "\n".join(text for _, text in link.last.events)
+        assert cell.is_told(told), told
+    assert log.inspect(path).finished
+    table = log.read(path)
+    is_whole(table)
+    assert len(table) == link.last.statistics["packets"]
+    with bridge.connect("sim://yumi_right?lockstep=true", ROBOT) as link:
+        assert link.run(sway, seconds=0.1).reason == "the time is up"
+
+
+BRIDGE = """
+import sys
+from armlab import bridge, robots
+from armlab.state import Command
+import numpy as np
+port, path, phase = sys.argv[1:]
+told = []
+def controller(state):
+    if state.t > 0.3 and not told:
+        told.append(print("now", flush=True))
+        if phase == "stopping":
+            return Command.stop()
+    return None if phase == "holding" else Command(state.q_start + 0.1 * (1.0 - np.cos(4.0 * state.t)))
+with bridge.connect(f"egm://127.0.0.1:{port}", robots.load("yumi_right")) as link:
+    link.run(controller, record=path)
+"""
+
+
+@shows(
+    cells(
+        "process",
+        "kill -9 of the bridge",
+        "holding, running, stopping",
+        "the robot's time-out stops the arm; the log lacks the last hundredths of a second",
+        "41822 No data from the UdpUc device",
+        "another bridge takes the robot's next session",
+    )
+)
+def test_a_bridge_is_killed(cell: Cell, tmp_path: Path) -> None:
+    port, path = bridge.connect("egm://127.0.0.1:0", ROBOT), tmp_path / "run.mcap"
+    number, stats = port.port, tmp_path / "stats.json"
+    port.close()
+    robot = ("-m", "armlab", "sim", "yumi_right", "--to", f"127.0.0.1:{number}", "--extension", "--stats", str(stats))
+    with program(*robot, "--comm-timeout", "0.2", "--seconds", "60") as simulator:
+        with program("-c", BRIDGE, str(number), str(path), cell.state) as first:
+            assert line(first.stdout) == "now\n", first.communicate()[1]
+            first.kill()
+            first.wait(PATIENCE)
+        with bridge.connect(f"egm://127.0.0.1:{number}", ROBOT, patience=PATIENCE) as link:
+            run = link.run(sway, seconds=0.3)
+        simulator.terminate()
+        simulator.wait(PATIENCE)
+    assert run.reason == "the time is up"
+    is_whole(run.table)
+    [counted] = json.loads(stats.read_text()).values()
+    assert any(cell.is_told(f"{event['number']} {event['text']}") for event in counted["events"])
+    assert not any("out of bounds" in event["text"] for event in counted["events"])
+    with pytest.warns(UserWarning, match="not finished"):
+        table = log.read(path)
+    is_whole(table)
+    assert table["session_t"][-1] > 0.2
+
+
+READER = """
+from armlab.bridge.local import LocalFeed
+from armlab.bridge.messages import Subscribe
+from armlab.bridge.row import Row
+with LocalFeed() as feed:
+    feed.ask(Subscribe(rate=None))
+    while not isinstance(feed.receive(), Row):
+        pass
+    print("row", flush=True)
+    while True:
+        feed.receive()
+"""
+
+
+@shows(
+    cells(
+        "process",
+        "kill -9 of a viewer",
+        "holding, running",
+        "the run goes on without it",
+        "–",
+        "another viewer sees the run",
+    )
+)
+def test_a_viewer_is_killed(cell: Cell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a view or a monitor is to the bridge: a reader of its local feed."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    with contextlib.ExitStack() as stack:
+        link = stack.enter_context(bridge.connect("sim://yumi_right", ROBOT, offer="small", patience=PATIENCE))
+        viewers: list[Any] = [stack.enter_context(program("-c", READER))]
+        since: list[float] = []
+
+        def controller(state: State) -> Command | None:
+            return Command.stop() if over() else None if cell.state == "holding" else sway(state)
+
+        def over() -> bool:
+            return bool(since) and time.monotonic() > since[0] + 0.3
+
+        def watch() -> None:
+            for _ in range(2):
+                assert line(viewers[-1].stdout) == "row\n", viewers[-1].communicate()[1]
+                viewers[-1].kill()
+                viewers.append(stack.enter_context(program("-c", READER)))
+            since.append(time.monotonic())
+
+        watching = threading.Thread(target=watch, daemon=True)
+        watching.start()
+        run = link.run(controller, record=tmp_path / "run.mcap", seconds=PATIENCE)
+        watching.join(PATIENCE)
+        assert since, "both saw the run"
+    assert run.reason == "the controller ended the run"
+    is_whole(run.table)
+    assert log.inspect(tmp_path / "run.mcap").finished
