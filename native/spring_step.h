@@ -63,11 +63,25 @@ inline void long_response(double alpha, double stiffness, double r, double &G, d
 inline SpringStep::SpringStep(double alpha, double stiffness, double r) {
   double G, slope, zeroth, first, second;  // impulse response, its derivative, its moments
   r = std::max(r, 1e-100);                 // shorter steps change nothing, and their powers would be 0
-  if (std::max(alpha, std::sqrt(stiffness)) * r < 1.0) {
-    short_moments(alpha, stiffness, r, first, second);
-    zeroth = 0.5 * (r * r - stiffness * second) - alpha * first;
-    G = r - alpha * zeroth - stiffness * first;
+  const double fastest = std::max(alpha, std::sqrt(stiffness));
+  if (fastest * r < 1.0 || stiffness * r < alpha) {  // what is slow has hardly moved: its moments would cancel
+    double h = r;
+    int doublings = 0;
+    for (; fastest * h >= 1.0; ++doublings) h *= 0.5;
+    short_moments(alpha, stiffness, h, first, second);
+    zeroth = 0.5 * (h * h - stiffness * second) - alpha * first;
+    G = h - alpha * zeroth - stiffness * first;
     slope = 1.0 - alpha * G - stiffness * zeroth;
+    for (; doublings > 0; --doublings) {  // the first half goes on freely, the second adds its own
+      const double stays = slope + alpha * G + 1.0;
+      second = stays * second + 2.0 * (G + h) * first + h * h * zeroth;
+      first = stays * first + (G + h) * zeroth;
+      zeroth = stays * zeroth + G * G;
+      const double before = slope;
+      slope = slope * slope - stiffness * (G * G);
+      G *= 2.0 * before + alpha * G;
+      h *= 2.0;
+    }
   } else {
     long_response(alpha, stiffness, r, G, slope);
     zeroth = (1.0 - slope - alpha * G) / stiffness;

@@ -29,11 +29,7 @@ BOUNDS = {  # the largest found on any instruction set, and half as much to twic
     "solve_wrench ls": (400.0, "the same"),
     "PrimitiveStepper canonical ydd": (128.0, "accelerations of spring and force, which cancel in part"),
     "PrimitiveStepper time": (64.0, "the same, and speeds that are their sum over the steps"),
-    "PrimitiveStepper periodic": (
-        4096.0,
-        "a spring of alpha 4 and stiffness 1: the weights of its steps lose digits as (stiffness r²)⁻³, r the step in "
-        "time constants, where the damping is far above the critical one",
-    ),
+    "PrimitiveStepper periodic y": (32.0, "positions that are the sum of what springs and forces add over the steps"),
     "Obstacles space distance": (64.0, "a gap less a radius, of which a fortieth is left"),
     "Obstacles space": (32.0, "what guards the clearance grows as speed over distance, which is a small difference"),
     "Obstacles arm distance": (256.0, "a gap less radii, of which a hundredth is left"),

@@ -16,7 +16,9 @@ spring asks for.
 
 With G the impulse response of the spring and I_k = integral of G(r - s) s^k over the step r,
 ``stiffness I_k + alpha k I_(k-1) + k (k - 1) I_(k-2) = r^k`` (k = 0: ``- G'``; k = 1: ``- G``), upwards for long steps
-and downwards from the series of I_1 and I_2 for short ones, where it would cancel.
+and downwards from the series of I_1 and I_2 for short ones, where it would cancel. Steps that are long for the damping
+but not for the spring, ``stiffness r < alpha``, are a short one, doubled: the first half goes on freely in the second,
+``I_k(2 r) = (1 - stiffness I_0) I_k + G I_k' + sum of (k over j) r^(k - j) I_j``.
 """
 
 from __future__ import annotations
@@ -67,11 +69,22 @@ class SpringStep:
 
     def __init__(self, alpha: float, stiffness: float, r: float) -> None:
         r = max(r, 1e-100)  # shorter steps change nothing, and their powers would be 0
-        if max(alpha, np.sqrt(stiffness)) * r < 1.0:
-            first, second = _short_moments(alpha, stiffness, r)
-            zeroth = 0.5 * (r * r - stiffness * second) - alpha * first
-            G = r - alpha * zeroth - stiffness * first
+        fastest = max(alpha, np.sqrt(stiffness))
+        if fastest * r < 1.0 or stiffness * r < alpha:  # what is slow has hardly moved: its moments would cancel
+            h, doublings = r, 0
+            while fastest * h >= 1.0:
+                h, doublings = 0.5 * h, doublings + 1
+            first, second = _short_moments(alpha, stiffness, h)
+            zeroth = 0.5 * (h * h - stiffness * second) - alpha * first
+            G = h - alpha * zeroth - stiffness * first
             slope = 1.0 - alpha * G - stiffness * zeroth
+            for _ in range(doublings):  # the first half goes on freely, the second adds its own
+                stays = slope + alpha * G + 1.0
+                second = stays * second + 2.0 * (G + h) * first + h * h * zeroth
+                first = stays * first + (G + h) * zeroth
+                zeroth = stays * zeroth + G * G
+                slope, G = slope * slope - stiffness * (G * G), G * (2.0 * slope + alpha * G)
+                h *= 2.0
         else:
             G, slope = _long_response(alpha, stiffness, r)
             zeroth = (1.0 - slope - alpha * G) / stiffness
