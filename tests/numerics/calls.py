@@ -106,14 +106,31 @@ def controlled(law: Any, name: str, states: np.ndarray, speed: np.ndarray) -> np
     return np.array([law.advance(state, 0.02, 2, moved, speed) for state, moved in zip(states, velocity)])
 
 
+def driven(module: Any, fixed: dict[str, np.ndarray]) -> Any:
+    """Return a drive with all that it can have."""
+    lines = tuple(fixed[f"line_{part}"] for part in ("joints", "cycles", "speeds", "widths", "coefficients"))
+    parts = ("positions", "position_widths", "speeds", "speed_widths", "coefficients")
+    over = tuple(fixed[f"map_{part}"] for part in parts)
+    return module.Drive(fixed["friction"], fixed["ripple"], lines, over, fixed["warm_up"])
+
+
+def of_estimator(module: Any, name: str, given: dict[str, np.ndarray], fixed: dict[str, np.ndarray]) -> Any:
+    chain = module.Chain(fixed["frames"], fixed["prismatic"])
+    still = np.stack([np.zeros(chain.n), np.ones(chain.n), np.zeros(chain.n)])
+    estimator = module.WrenchEstimator(
+        chain, fixed["gravity"], fixed["links"], fixed["rotor"], driven(module, fixed), fixed["gains"],
+        float(fixed["gain_variance"]), fixed["covariance"], still, fixed["prior"], float(fixed["cutoff"]), 0,
+        fixed["point"],
+    )  # fmt: skip
+    F, P, _, error, variance, *_ = estimator.run(*given.values())
+    return {"F": F, "P": P, "error": error, "variance": variance}[name.split()[1]]
+
+
 def of_contact(module: Any, name: str, given: dict[str, np.ndarray], fixed: dict[str, np.ndarray]) -> Any:
     words = name.split()
     match words[0]:
         case "model_torque":
-            lines = tuple(fixed[f"line_{part}"] for part in ("joints", "cycles", "speeds", "widths", "coefficients"))
-            parts = ("positions", "position_widths", "speeds", "speed_widths", "coefficients")
-            over = tuple(fixed[f"map_{part}"] for part in parts)
-            drive = module.Drive(fixed["friction"], fixed["ripple"], lines, over, fixed["warm_up"])
+            drive = driven(module, fixed)
             gravity, links, rotor, *motion = given.values()
             return module.model_torque(
                 module.Chain(fixed["frames"], fixed["prismatic"]), gravity, links, rotor, drive, *motion
@@ -144,6 +161,7 @@ def of_obstacles(module: Any, name: str, given: dict[str, np.ndarray], fixed: di
 FAMILIES = {
     "chains": of_chain,
     "contacts": of_contact,
+    "estimators": of_estimator,
     "filters": of_filter,
     "groups": of_group,
     "limits": of_limits,

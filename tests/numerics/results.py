@@ -30,6 +30,10 @@ BOUNDS = {  # the largest found on any instruction set, and half as much to twic
     "PrimitiveStepper canonical ydd": (128.0, "accelerations of spring and force, which cancel in part"),
     "PrimitiveStepper time": (64.0, "the same, and speeds that are their sum over the steps"),
     "PrimitiveStepper periodic y": (32.0, "positions that are the sum of what springs and forces add over the steps"),
+    "WrenchEstimator": (
+        64.0,
+        "accelerations that are differences of speeds in 4 ms, and the condition of the Jacobian",
+    ),
     "Obstacles space distance": (64.0, "a gap less a radius, of which a fortieth is left"),
     "Obstacles space": (32.0, "what guards the clearance grows as speed over distance, which is a small difference"),
     "Obstacles arm distance": (256.0, "a gap less radii, of which a hundredth is left"),
@@ -53,6 +57,7 @@ TABLED = {  # tables of kernels that are not called as these are
     "TwoDof.reference": "TwoDof time reference",
     "TwoDof.slopes": "TwoDof time slopes",
     "TwoDof.time_constant": "TwoDof time time_constant",
+    "WrenchEstimator.run": "WrenchEstimator",
 }
 BYTES = "bytes and texts, no numbers are computed: tests/contract holds what comes out to what was put in"
 LEFT_OUT = {  # kernels without a table, and what holds them instead
@@ -78,7 +83,8 @@ LEFT_OUT = {  # kernels without a table, and what holds them instead
     "SignalOperator.reset": "forgets, and computes nothing",
     "SignalOperator.step": "the samples of run, one after the other",
     "TwoDof.follow": "advance, then reference",
-    "WrenchEstimator": "torques, presliding and wrench have tables; what joins them is held to NumPy",
+    "WrenchEstimator.reset": "forgets, and computes nothing",
+    "WrenchEstimator.step": "the samples of run, one after the other",
     "backend": "a name",
     "follow_path": "the same, row by row",
     "poses": "refuses what is no pose, and returns the rest as it came",

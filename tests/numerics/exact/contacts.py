@@ -49,7 +49,8 @@ class Joint:
         b, up, down, offset, stribeck, speed, length, half, root, smooth = self.friction
         self.play = q if self.play is None else self.play
         moved = min(max(self.play, q - half), q + half)
-        dy, self.play = moved - self.play, moved
+        dy = self.dy = moved - self.play
+        self.play = moved
         self.z = mp.sign(dy) + (self.z - mp.sign(dy)) * mp.exp(-abs(dy) / length)
         s = mp.tanh(qd / smooth) if smooth else self.z
         of_coulomb, of_viscous, time, reference, _ = self.warm_up

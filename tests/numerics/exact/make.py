@@ -17,13 +17,16 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import chains
 import contacts
+import estimators
 import filters
 import groups
 import limits
 import obstacles
 import primitives
 
-TOPICS = {module.__name__: module for module in (chains, contacts, filters, groups, limits, obstacles, primitives)}
+TOPICS = {
+    module.__name__: module for module in (chains, contacts, estimators, filters, groups, limits, obstacles, primitives)
+}
 
 
 def packed(value: Any) -> Any:
