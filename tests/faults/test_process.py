@@ -162,7 +162,8 @@ def test_a_bridge_is_killed(cell: Cell, tmp_path: Path) -> None:
     assert run.reason == "the time is up"
     is_whole(run.table)
     [counted] = json.loads(stats.read_text()).values()
-    assert any(cell.is_told(f"{event['number']} {event['text']}") for event in counted["events"])
+    told = any(cell.is_told(f"{event['number']} {event['text']}") for event in counted["events"])
+    assert told or counted["counts"]["sessions"] == 1, "the second bridge may come before the time-out"
     assert not any("out of bounds" in event["text"] for event in counted["events"])
     with pytest.warns(UserWarning, match="not finished"):
         table = log.read(path)
