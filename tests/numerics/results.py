@@ -16,7 +16,7 @@ from calls import FAMILIES
 
 FOLDER = Path(__file__).with_name("tables")
 UNIT = 2.0**-53  # the largest relative error of one rounding
-BOUND = 8.0  # in these units: twice the largest error found, but for
+BOUND = 8.0  # in these units, but for
 BOUNDS = {  # the largest found on any instruction set, and half as much to twice as much again
     "jacobian_derivative tool": (32.0, "what turns with the tool is taken off, and is larger than what is left"),
     "rnea": (32.0, "torques of velocity and acceleration, which cancel in part"),
