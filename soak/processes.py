@@ -71,7 +71,7 @@ def label(pid: int, root: int) -> str:
     if pid == root:
         return "loop and recorder"
     scripts = [Path(word).stem for word in words if word.endswith(".py")]
-    return f"helper {(scripts or [Path(words[0]).name])[0]}"
+    return f"program {(scripts or [Path(words[0]).name])[0]}"
 
 
 class Watch:
