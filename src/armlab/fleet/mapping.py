@@ -27,7 +27,7 @@ _WORKERS = 64  # assumed of executors that do not tell
 _TELL = 0.5  # s between two reports without a job that ends
 _SAY = 1.0  # s between two sentences: a line each where nobody watches
 _LIVES = 2  # of a job that ends its worker
-_KILLED = "Expected a worker to survive this {}, but it was killed again. Look at the log, and at the memory it takes."
+_KILLED = "Expected a worker to survive this {}, but it was killed again. Look at the memory it takes, and at its logs."
 _KILLED_BY_DASK = "KilledWorker"  # its name, since Dask need not be there: it has tried several workers by then
 
 

@@ -60,6 +60,7 @@ class RmwZenohServer:
         self._topics, self._commands = Topics(robots, self._loop.schema), Commands(about["cell"], robots)
         self._encoded = Encoded(self._topics, cdr)
         self._domain, self._told = domain_number(options["domain"]), 0.0
+        self._looked = 0.0
         router, commands = options["router"], "rmw_zenoh" in about.get("commands", ())
         if router and commands and not is_here(router):
             raise ConfigError(
@@ -85,8 +86,11 @@ class RmwZenohServer:
                         self._tell_parameters()
                     elif message["kind"] == "answer":
                         self._answer(message["client"], message["text"])
-                if time.monotonic() - self._told > _AGAIN:
+                now = time.monotonic()
+                if now - self._looked > _AGAIN:  # also while parameters are told more often than that
+                    self._looked = now
                     self._read()
+                if now - self._told > _AGAIN:
                     self._tell_parameters()
         finally:
             close_session(self._session)

@@ -151,7 +151,8 @@ class ZenohFeed:
             if isinstance(message, dict):
                 if message["kind"] == "about":
                     self._schema = RowSchema.read(message["schema"].encode())
-                    self._gaps = {robot: Gaps(self._schema, robot) for robot in self._gaps}
+                    there = [robot for robot in self._gaps if robot in self._schema.robots]
+                    self._gaps = {robot: Gaps(self._schema, robot) for robot in there}
                 return message
             if message[8:16] == self._schema.id:  # another is of a run that was not told of yet
                 row = read_row(self._schema, message)
