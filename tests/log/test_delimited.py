@@ -225,3 +225,12 @@ def test_the_fields_of_the_first_lines(tmp_path: Path) -> None:
 def test_a_whole_number_that_no_float_holds_stays_whole_beside_a_small_one(large: int, tmp_path: Path) -> None:
     table = Table([1.0], {"id": np.array([[large, 0]])}, {"id": Column(shape=(2,), unit="1", kind="count")})
     assert read_csv(write(table, tmp_path / "run.csv"))["id"].tolist() == [[large, 0]]
+
+
+def test_spaces_that_only_python_knows_are_spaces(tmp_path: Path) -> None:
+    """A group separator beside a number: one reader took it for a word, the other for a number."""
+    path = tmp_path / "log.csv"
+    path.write_text("t,a,b\n0,1\x1d,x\n0.1, \x1c2,\x1d\n", encoding="utf-8")
+    table = read_csv(path)
+    assert np.array_equal(table["a"], [1.0, 2.0])
+    assert table["b"].dtype.kind == "U"

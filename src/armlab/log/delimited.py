@@ -243,7 +243,7 @@ def _numbers(path: Path, name: str, texts: Sequence[str], skip: int) -> np.ndarr
     array = _decimals(texts)
     if array is not None:
         return _whole_numbers(texts, array) if (np.abs(array) >= _EXACT).any() else array
-    filled = ["nan" if not text.strip() else text for text in texts]
+    filled = [text.strip() or "nan" for text in texts]  # Python knows more kinds of space than NumPy
     try:
         array = np.array(filled, dtype=float)
         return _whole_numbers(texts, array) if (np.abs(array) >= _EXACT).any() else array
@@ -266,7 +266,7 @@ def _whole_numbers(texts: Sequence[str], array: np.ndarray) -> np.ndarray:
 
 def _is_number(text: str) -> bool:
     try:
-        float(text.strip() or "nan")
+        np.array(text.strip() or "nan", dtype=float)
     except ValueError:
         return False
     return True
