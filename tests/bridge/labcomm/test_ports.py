@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import select
 import socket
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -13,9 +14,9 @@ from armlab.bridge.labcomm import ArmChannel
 from armlab.bridge.labcomm.ports import Ports
 from armlab.bridge.labcomm.rows import STOP
 from armlab.errors import LinkError
-from armlab.wire.labcomm import Encoder, Sample
+from armlab.wire.labcomm import Encoder, Sample, SampleType, parse_lc
 
-from .conftest import Plain, row
+from .conftest import Plain, row, until
 
 TURNS = 200  # of 50 ms at most; only a test that fails waits so long
 
@@ -107,8 +108,37 @@ def test_a_client_that_reads_again_gets_what_waited(bench: Bench) -> None:
 def test_what_comes_beside_ends_a_turn(bench: Bench) -> None:
     """And it is left to its owner."""
     bench.ours.send(b"x")
-    bench.ports.turn()
+    assert not bench.ports.turn()
     assert bench.beside.recv(1) == b"x"
+
+
+def test_clients_share_what_a_turn_reads(bench: Bench) -> None:
+    encoder = Encoder()
+    raw = encoder.version() + encoder.define(STOP) + 30_000 * encoder.data(STOP, {})
+    clients = [bench.client() for _ in range(4)]
+    for client in clients:
+        client.socket.sendall(raw)
+    peers = bench.ports._peers["left"]
+    until(lambda: len(select.select([peer.socket for peer in peers], [], [], 0.0)[0]) == 4)
+    for k in range(1, 20):
+        assert bench.ports.turn()
+        read = [peer.decoder.offset + peer.decoder.pending for peer in peers]
+        assert read == 4 * [1024 * k]
+        assert len(bench.stops) == 4 * k, "one stop of a read is enough"
+
+
+def test_what_was_not_taken_is_told_once_and_counted(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    client, encoder, (nothing,) = bench.client(), Encoder(), parse_lc("sample void x;")
+    assert isinstance(nothing, SampleType)
+    client.socket.sendall(encoder.version() + encoder.define(nothing) + 1500 * encoder.data(nothing, {}))
+    bench.until(lambda: bench.ports.counts["left"].get("other type") == 1500)
+    assert sum("was not taken (1 so far), LabCommError" in text for text in bench.said) == 1
+    assert len(bench.said) == 2
+    monkeypatch.setattr("armlab.bridge.labcomm.ports._EVERY", 0.0)
+    client.socket.sendall(encoder.data(nothing, {}))
+    bench.until(lambda: any("was not taken (1501 so far)" in text for text in bench.said))
+    client.socket.close()
+    bench.until(lambda: bench.said[-1].endswith("left; 1501 samples of it were not taken."))
 
 
 def test_a_port_that_is_taken_leaves_none_open(bench: Bench) -> None:

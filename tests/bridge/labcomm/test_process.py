@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import select
 import socket
 import threading
 from collections.abc import Iterator
@@ -20,10 +21,11 @@ from armlab.errors import ConfigError, LabCommError, LinkError, UnknownName
 from armlab.log import Column, Tick
 from armlab.robots import Robot
 from armlab.state import State
-from armlab.wire.labcomm import Encoder, Sample, parse_lc
+from armlab.wire.labcomm import Encoder, Sample, SampleType, parse_lc
 
-from .conftest import PATIENCE, until
+from .conftest import PATIENCE, Plain, until
 
+TURNS = 60
 TICK = Tick(0, -1, 5_000_000_000, 4_999_000_000, -1, 0)
 
 
@@ -170,6 +172,60 @@ def test_parameters_of_every_type(running: Running) -> None:
             return seen == {"gentle": False, "note": "h\u00e9", "n": 5.0, "push": [3.0, 4.0, 5.0]}
 
         until(echoed)
+
+
+def flood(kind: str) -> tuple[bytes, bytes]:
+    """What a client sends first, and then without pause: commands, or 2 bytes of a type that no port takes."""
+    encoder, types, (nothing,) = Encoder(), RowTypes(), parse_lc("sample void x;")
+    assert isinstance(nothing, SampleType)
+    if kind == "wrong":
+        return encoder.version() + encoder.define(nothing), encoder.data(nothing, {})
+    value = {"tm": 1, **{name: 7 * [0.1] for name in ("pos", "vel", "trq")}}
+    return encoder.version() + encoder.define(types.accepted), encoder.data(types.accepted, value)
+
+
+@pytest.mark.parametrize("kind", ["commands", "wrong"])
+def test_who_sends_without_pause_holds_up_no_row(robot: Robot, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
+    """Three rows come before each turn and are out before the next; the loop is asked little, whatever comes."""
+    monkeypatch.setattr("armlab.bridge.labcomm.ports._EVERY", 1e6)
+    exchange = Exchange([robot], ["labcomm"])
+    feed = exchange.open("labcomm")
+    process = LabCommProcess(feed, labcomm_options([robot], ports=[0], parameters=None, fused=None))
+    ports, real_turn, ask = process._ports, process._ports.turn, process._loop.ask
+    asked: list[str] = []
+    monkeypatch.setattr(process._loop, "ask", lambda request: asked.append(type(request).__name__) or ask(request))
+    behind: list[int] = []
+    begin, again = flood(kind)
+    with feed, socket.create_connection(("127.0.0.1", ports.numbers[robot.name]), PATIENCE) as bad:
+        until(lambda: ports.turn() and ports.clients)
+        good = Plain(ports.numbers[robot.name])
+        until(lambda: ports.turn() and len(ports.clients) == 2)
+        flooding, reading = ports._peers[robot.name]
+        bad.sendall(begin + 65_536 // len(again) * again)
+
+        def turn() -> bool:
+            behind.append(3 * len(behind) - reading.sent)
+            if len(behind) > TURNS:
+                exchange.close()
+                return False
+            for k in range(3):
+                exchange.row(state(robot, robot_ns=1_000_000 * (3 * len(behind) + k)), None, TICK)
+            bad.sendall(2048 // len(again) * again)
+            assert select.select([flooding.socket], [], [], PATIENCE)[0]
+            before = flooding.decoder.offset + flooding.decoder.pending
+            is_served = real_turn()
+            assert 0 < flooding.decoder.offset + flooding.decoder.pending - before <= 4096
+            return is_served
+
+        monkeypatch.setattr(ports, "turn", turn)
+        process.run()
+        with good.socket:
+            rows = [event.value["tm"] for event in good.read(2 + 3 * TURNS) if isinstance(event, Sample)]
+    assert max(behind) == 0
+    assert rows == list(range(3, 3 * TURNS + 3))
+    assert flooding.refused > 100 * TURNS if kind == "wrong" else not flooding.refused
+    assert asked.count("CommandRequest") == (0 if kind == "wrong" else TURNS)
+    assert asked.count("Report") == (1 if kind == "wrong" else 0)
 
 
 @pytest.mark.parametrize("port", ["yumi_right", "parameters", "fused"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import socket
 import time
 from collections import deque
@@ -14,7 +15,7 @@ __all__ = ["QUEUE", "Peer"]
 QUEUE = 64
 """Packets that wait for a slow peer; then the oldest data packets go."""
 
-_TURN = 65_536  # bytes read at once
+_AT_ONCE = 65_536  # bytes read
 _PATIENCE = 5.0  # s for a packet to be complete, and for a peer to take something
 _KERNEL = 65_536  # bytes that the system may hold back: rows of a slow peer shall not be old
 
@@ -30,7 +31,7 @@ class Peer:
     Attributes
     ----------
     decoder : of what comes. sent, dropped : data packets whose sending began, and that a full queue lost.
-    began : when it connected, monotonic [s].
+    began : when it connected, monotonic [s]. refused : samples of it that were not taken. told : when that was told.
     """
 
     def __init__(self, connection: socket.socket, address: str, encoder: Encoder | None) -> None:
@@ -39,8 +40,8 @@ class Peer:
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _KERNEL)
         with contextlib.suppress(OSError):
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self.decoder, self.sent, self.dropped = Decoder(), 0, 0
-        self.began = time.monotonic()
+        self.decoder, self.sent, self.dropped, self.refused = Decoder(), 0, 0, 0
+        self.began, self.told = time.monotonic(), -math.inf
         self._queue: deque[tuple[bytes, bool]] = deque()  # packet, whether it may be dropped
         self._rest = b""  # of a packet that was sent in part
         self._stuck: float | None = None  # since when nothing could be sent
@@ -96,15 +97,19 @@ class Peer:
             self._rest, self._stuck = data[sent:], None
         return True
 
-    def read(self) -> list[Event] | None:
-        """Return the events of one turn, None when the other side has closed.
+    def read(self, most: int = _AT_ONCE) -> list[Event] | None:
+        """Return the events of one read, None when the other side has closed.
+
+        Parameters
+        ----------
+        most : bytes.
 
         Raises
         ------
         LabCommError : the stream is malformed, or ended within a packet; its `events` came before.
         """
         try:
-            data = self.socket.recv(_TURN)
+            data = self.socket.recv(most)
         except (BlockingIOError, InterruptedError):
             return []
         except OSError:

@@ -10,7 +10,7 @@ import contextlib
 import selectors
 import socket
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from armlab.bridge.events import Tell
@@ -19,13 +19,16 @@ from armlab.bridge.labcomm.peer import Peer
 from armlab.bridge.labcomm.rows import STOP
 from armlab.bridge.listening_socket import listening_socket
 from armlab.errors import LabCommError, LinkError
-from armlab.wire.labcomm import Definition, Encoder, Sample
+from armlab.wire.labcomm import Definition, Encoder, Event, Sample
 
 __all__ = ["Ports"]
 
 _CLIENTS = 8  # per port
 _KEPT = 100  # clients that have left, of which is known what they got
 _LOOK = 0.05  # s between two looks at what is overdue
+_TURN = 4096  # bytes that a turn reads of all clients together: what they send in it delays everything else
+_LEAST = 256  # of them for each
+_EVERY = 1.0  # s between two sentences on what a client sent and was not taken
 _SNIFF = 0.2  # s that a port which follows its client waits for the first packets
 
 
@@ -122,18 +125,27 @@ class Ports:
             self._tell(f"{name}: a row was not sent, {type(error).__name__}: {error}", warn=True)
         self._flush_all(channel)
 
-    def turn(self) -> None:
-        """Wait until something comes, 50 ms at most, and serve the clients it comes from."""
-        for key, mask in self._selector.select(_LOOK):
+    def turn(self) -> bool:
+        """Wait until something comes, 50 ms at most, and serve the clients it comes from; return whether any did.
+
+        A little of each: who sends without pause has a share of the turn, and costs the others no more than that.
+        """
+        ready = self._selector.select(_LOOK)
+        served, most = False, max(_TURN // max(len(ready), 1), _LEAST)
+        for key, mask in ready:
+            if key.data is None:
+                continue
+            served = True
             if isinstance(key.data, Channel):
                 self._accept(key.fileobj, key.data)
-            elif key.data is not None:
+            else:
                 channel, peer = key.data
-                self._serve(channel, peer, mask)
+                self._serve(channel, peer, mask, most)
         now = time.monotonic()
         if now - self._looked > _LOOK or self._unknown:
             self._looked = now
             self._look(now)
+        return served
 
     def close(self) -> None:
         """Close all connections and ports."""
@@ -170,30 +182,45 @@ class Ports:
             channel.greet(peer)
             self._flush(channel, peer)
 
-    def _serve(self, channel: Channel, peer: Peer, mask: int) -> None:
+    def _serve(self, channel: Channel, peer: Peer, mask: int, most: int) -> None:
         """Read from and write to one client, once."""
         if mask & selectors.EVENT_READ:
             reason = ""
             try:
-                events = peer.read()
+                events = peer.read(most)
             except LabCommError as error:
                 events, reason = error.events, f"offset {error.offset}: {error}"
-            for event in events or ():
-                self._settle(channel, peer, isinstance(event, Definition))
-                try:
-                    if isinstance(event, Sample) and (event.name, event.type) == (STOP.name, STOP.type):
-                        self._on_stop(peer.address)
-                    else:
-                        channel.take(peer, event, self._peers[channel.name])
-                except Exception as error:  # of the user's callback: other clients are served too
-                    what = f"{type(error).__name__}: {error}"
-                    self._tell(f"{channel.name}: what {peer.address} sent was not taken, {what}", warn=True)
+            self._take(channel, peer, events or ())
             if events is None or reason:
                 self._drop(channel, peer, reason)
             if events:
                 self._flush_all(channel)
         if mask & selectors.EVENT_WRITE:
             self._flush(channel, peer)
+
+    def _take(self, channel: Channel, peer: Peer, events: Iterable[Event]) -> None:
+        has_stopped = False  # one stop of a read is enough
+        for event in events:
+            self._settle(channel, peer, isinstance(event, Definition))
+            try:
+                if isinstance(event, Sample) and (event.name, event.type) == (STOP.name, STOP.type):
+                    if not has_stopped:
+                        self._on_stop(peer.address)
+                    has_stopped = True
+                else:
+                    channel.take(peer, event, self._peers[channel.name])
+            except Exception as error:  # of the user's callback: other clients are served too
+                self._refused(channel, peer, error)
+
+    def _refused(self, channel: Channel, peer: Peer, error: Exception) -> None:
+        """Count what was not taken; tell the newest, once a second for each client."""
+        peer.refused += 1
+        now = time.monotonic()
+        if now - peer.told >= _EVERY:
+            peer.told = now
+            what = f"{type(error).__name__}: {error}"
+            text = f"{channel.name}: what {peer.address} sent was not taken ({peer.refused} so far), {what}"
+            self._tell(text, warn=True)
 
     def _look(self, now: float) -> None:
         """Close whom patience has ended for; speak to clients whose dialect was awaited."""
@@ -244,7 +271,8 @@ class Ports:
         channel.left(peer)
         why = f" was closed, {reason.rstrip('.')}" if reason else " left"
         lost = f"; {peer.dropped} packets were dropped for it" if peer.dropped else ""
-        self._tell(f"{channel.name}: {peer.address}{why}{lost}.", warn=bool(reason))
+        refused = f"; {peer.refused} samples of it were not taken" if peer.refused else ""
+        self._tell(f"{channel.name}: {peer.address}{why}{lost}{refused}.", warn=bool(reason))
 
     def _tell(self, text: str, warn: bool = False) -> None:
         with contextlib.suppress(Exception):  # who cannot log must not end the server

@@ -26,6 +26,7 @@ from armlab.robots import Robot
 __all__ = ["LabCommProcess", "labcomm_options", "serve"]
 
 _LEFT, _PARAMETERS, _FUSED = 7511, 7513, 7514
+_ROWS = 64  # that are sent between two turns of clients who send without pause
 _logger = logging.getLogger("armlab.bridge")
 
 
@@ -90,6 +91,7 @@ class LabCommProcess:
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._options = options
+        self._commands: dict[tuple[str, str], CommandRequest] = {}  # the newest of a turn: the loop takes no other
         self._loop = LoopEnd(feed, lambda: self._ports.clients)
         self._sequences = self._set_sequences()
         schema = self._loop.schema
@@ -103,17 +105,33 @@ class LabCommProcess:
         host, ports = self._options["host"], self._ports
         self._loop.ask(Listening(where=[f"{host}:{port} (labcomm, {name})" for name, port in ports.numbers.items()]))
         try:
-            while (messages := self._loop.receive()) is not None:
-                for message in messages:
-                    if isinstance(message, bytes):
-                        self._row(message)
-                    else:
-                        self._text(message)
-                ports.turn()
+            most = 1
+            while self._take(most):
+                most = _ROWS if ports.turn() else 1  # a row that came alone is worth no second look
+                for request in self._commands.values():
+                    self._loop.ask(request)
+                self._commands.clear()
         finally:
             ports.close()
 
+    def _take(self, most: int) -> bool:
+        """Send what has come from the loop, so many rows at most; False when the loop has gone."""
+        for _ in range(most):
+            messages = self._loop.receive()
+            if messages is None:
+                return False
+            for message in messages:
+                if isinstance(message, bytes):
+                    self._row(message)
+                else:
+                    self._text(message)
+            if not messages:
+                break
+        return True
+
     def _left(self, client: str) -> None:
+        for arm in self._options["arms"]:
+            self._commands.pop((arm, client), None)
         self._loop.ask(Leave(client))
 
     def _stop(self, client: str) -> None:
@@ -136,7 +154,8 @@ class LabCommProcess:
 
     def _command(self, name: str, row: Row, client: str) -> None:
         q, qd, tau = (None if part is None else part.tolist() for part in (row.q, row.qd, row.tau))
-        self._loop.ask(CommandRequest(client, name, q, qd, tau, by_axis=self._options["order"] == "abb"))
+        by_axis = self._options["order"] == "abb"
+        self._commands[name, client] = CommandRequest(client, name, q, qd, tau, by_axis=by_axis)
 
     def _set(self, name: str, value: Any, client: str) -> None:
         """Ask the loop; it answers with the values in force, or with why not."""
