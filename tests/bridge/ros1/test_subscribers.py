@@ -112,6 +112,40 @@ def test_a_node_that_has_gone_is_let_go(nodes: Nodes) -> None:
     assert stays.recv(1) == b""
 
 
+def test_the_first_is_dropped_after_500_and_what_the_buffers_of_the_system_hold(nodes: Nodes) -> None:
+    nodes.node(STATES)
+    sent = 0
+    while nodes.subscribers.counts.get(STATES.name, (0, 0))[1] == 0:
+        sent += 1
+        nodes.subscribers.send(STATES, bytes(400))
+        assert sent < 2000, "8 s of joint states"
+    assert sent > 500
+
+
+def test_what_waited_for_a_node_that_ends_is_lost(nodes: Nodes) -> None:
+    nodes.node(STATES)
+    for _ in range(400):
+        nodes.subscribers.send(STATES, bytes(10_000))
+    assert nodes.subscribers.counts == {STATES.name: (400, 0)}
+    nodes.subscribers.close()
+    sent, lost = nodes.subscribers.counts[STATES.name]
+    assert sent + lost == 400
+    assert lost > 200
+
+
+def test_beyond_64_connections_a_node_is_ended_and_the_reason_told(nodes: Nodes) -> None:
+    first, *_ = [nodes.node(STATES) for _ in range(64)]
+    assert nodes.node(TEXTS).recv(1) == b""
+    assert nodes.subscribers.wanted == {STATES.name}
+    surplus, other = socket.socketpair()
+    with other:
+        assert "Expected at most 64 connections" in nodes.subscribers.add(TEXTS.name, surplus)
+    first.close()
+    nodes.look()
+    nodes.node(TEXTS)
+    assert nodes.subscribers.wanted == {STATES.name, TEXTS.name}
+
+
 def test_in_the_end_nodes_see_that_it_is_over(nodes: Nodes) -> None:
     node = nodes.node(STATES)
     nodes.subscribers.close()
@@ -123,5 +157,10 @@ def test_a_node_that_is_cut_off_while_it_is_written_to_is_let_go(nodes: Nodes) -
     gone = nodes.node(STATES)
     gone.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     gone.close()
-    nodes.subscribers.send(STATES, bytes(8))
+    sent = 0
+    while nodes.subscribers.wanted and sent < 1000:  # the system may tell later
+        nodes.subscribers.send(STATES, bytes(8))
+        sent += 1
+        nodes.looks.poll(20.0)
     assert nodes.subscribers.wanted == frozenset()
+    assert nodes.subscribers.counts == {STATES.name: (sent - 1, 1)}

@@ -15,6 +15,8 @@ from armlab.bridge.ros import Published, store
 __all__ = ["Subscribers"]
 
 _ROOM = 500  # messages that wait for a slow node: 2 s of one topic
+_SEND_BUFFER = 65536  # bytes; with the system's own a slow node would see data half a minute old
+_MOST = 64  # connections
 _SIZE = struct.Struct("<I")
 _SIZE_AND_SEQ = struct.Struct("<II")
 
@@ -41,21 +43,28 @@ class Subscribers:
         self._seq: Counter[str] = Counter()
         self._headed: dict[str, bool] = {}
 
-    def add(self, topic: str, connection: socket.socket, known: Iterable[bytes] = ()) -> None:
+    def add(self, topic: str, connection: socket.socket, known: Iterable[bytes] = ()) -> str:
         """Take a connection over, on which the header of ROS has gone out.
+
+        Returns why it was ended instead, a sentence; nothing when it was taken.
 
         Parameters
         ----------
         topic : full name. connection : of TCP. known : messages without a header that only this node gets.
         """
+        one = _Connection(topic, connection)
+        if len(self._connections) >= _MOST:
+            one.close()
+            return f"Expected at most {_MOST} connections of nodes, got one more. End one that nobody needs."
         with contextlib.suppress(OSError):  # it has gone, which the first look tells
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # else messages wait for acknowledgements
-        one = _Connection(topic, connection)
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
         self._connections[connection.fileno()] = one
         self._looks.register(connection, select.POLLIN)
         self._sort()
         for raw in known:
             self._put(one, _SIZE.pack(len(raw)) + raw)
+        return ""
 
     def send(self, topic: Published, raw: bytes) -> None:
         """Send a message to all nodes that read it; their connections that have ended are let go.
@@ -93,22 +102,27 @@ class Subscribers:
 
     def _put(self, one: _Connection, data: bytes | None) -> None:
         was_behind = bool(one.waiting)
+        if data is not None:
+            self._count(one, 1, one.add(data))
         try:
-            dropped = one.put(data)
+            one.write()
         except OSError:
             self._let_go(one)
             return
-        if data is not None:
-            sent, lost = self.counts.get(one.topic, (0, 0))
-            self.counts[one.topic] = sent + 1 - dropped, lost + dropped
         if was_behind != bool(one.waiting):
             self._looks.modify(one.socket, select.POLLIN | (select.POLLOUT if one.waiting else 0))
 
     def _let_go(self, one: _Connection) -> None:
         if self._connections.pop(one.socket.fileno(), None) is not None:
             self._looks.unregister(one.socket)
+            if one.waiting:
+                self._count(one, 0, len(one.waiting))
             one.close()
             self._sort()
+
+    def _count(self, one: _Connection, added: int, dropped: int) -> None:
+        sent, lost = self.counts.get(one.topic, (0, 0))
+        self.counts[one.topic] = sent + added - dropped, lost + dropped
 
     def _sort(self) -> None:
         held = list(self._connections.values())
@@ -123,14 +137,16 @@ class _Connection:
         self.topic, self.socket = topic, connection
         self.waiting: deque[bytes] = deque()
 
-    def put(self, data: bytes | None) -> int:
-        """Write what waits and this; return how many messages were dropped. OSError when it has ended."""
-        dropped = 0
-        if data is not None:
-            if len(self.waiting) > _ROOM:
-                del self.waiting[1]  # of the first one some may have gone out
-                dropped = 1
-            self.waiting.append(data)
+    def add(self, data: bytes) -> int:
+        """Let this wait; return how many messages were dropped."""
+        dropped = len(self.waiting) > _ROOM
+        if dropped:
+            del self.waiting[1]  # of the first one some may have gone out
+        self.waiting.append(data)
+        return int(dropped)
+
+    def write(self) -> None:
+        """Write what waits, as far as there is room. OSError when it has ended."""
         while self.waiting:
             data = self.waiting[0]
             try:
@@ -141,7 +157,6 @@ class _Connection:
                 self.waiting[0] = data[written:]
                 break
             self.waiting.popleft()
-        return dropped
 
     def has_ended(self) -> bool:
         try:
