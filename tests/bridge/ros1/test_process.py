@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import json
 import os
 import re
+import select
 import signal
 import socket
 import subprocess
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -70,6 +71,9 @@ while rospy.get_time() < end and not rospy.is_shutdown():
         break
     rospy.sleep(0.004)
 """
+
+
+LONG = ",".join(["0.123456"] * 8000), "Expected at most 65536 bytes of JSON"
 
 
 def options(uri: str, python: str = PYTHON) -> dict[str, Any]:
@@ -142,8 +146,8 @@ def test_a_node_gets_every_row_in_order(ros: Ros, running: Running) -> None:
 
 @pytest.mark.slow
 def test_a_refusal_is_in_the_log_of_ros(ros: Ros, running: Running) -> None:
-    """Wrong sizes, and a position far from the arm; the node is named."""
-    for data, words in (("0.0,0.0", "Expected 7 numbers"), (",".join(["9.0"] * 7), "first position within 0.05")):
+    """Wrong sizes, a position far from the arm, far too many numbers; the node is named."""
+    for data, words in (("0.0,0.0", "Expected 7 numbers"), (",".join(["9.0"] * 7), "first position within 0.05"), LONG):
         topic = "/yumi_right/joint_group_position_controller/command"
         commander = ros.program(COMMANDER, topic, data, words)
         running.until(lambda commander=commander: commander.poll() is not None)
@@ -152,51 +156,107 @@ def test_a_refusal_is_in_the_log_of_ros(ros: Ros, running: Running) -> None:
     assert "ros1 /commander" in running.exchange.arbiter.refused
 
 
-def test_half_a_surrogate_pair_is_refused_and_the_server_goes_on() -> None:
-    exchange = Exchange([robots.load("yumi_right")], ["ros1"], about={"cell": "yumi"})
-    content = '{"gain": "\\ud800"}'
-    message = {"kind": "command", "topic": "/yumi_right/set_parameter", "client": "/node", "content": content}
-    ours, theirs = pair()
-    with exchange.open("ros1") as feed, ours, theirs, tempfile.TemporaryFile() as log:
-        process = Ros1Process(feed, options("http://127.0.0.1:1"))
-        theirs.send(json.dumps(message).encode())
-        process._hear(ours, log)
-        assert b"/node: Expected what JSON in UTF-8 can say" in theirs.recv(1000)
-    exchange.close()
+class Alone:
+    """The server's object between an exchange and a node that the test plays."""
+
+    def __init__(self, stack: contextlib.ExitStack) -> None:
+        self.exchange = Exchange(
+            [robots.load("yumi_right")], ["ros1"], Parameters([Parameter("gain", 0.5)]), about={"cell": "yumi"}
+        )
+        stack.callback(self.exchange.close)
+        feed = stack.enter_context(self.exchange.open("ros1"))
+        ours, theirs = pair()
+        self.ours, self.node = stack.enter_context(ours), stack.enter_context(theirs)
+        self.node.settimeout(PATIENCE)
+        self.log = io.BytesIO()
+        self.process = Ros1Process(feed, options("http://127.0.0.1:1"))
+        stack.callback(self.process._subscribers.close)
+
+    def say(self, kind: str, *connections: int, **fields: Any) -> None:
+        socket.send_fds(self.node, [json.dumps({"kind": kind, **fields}).encode()], connections)
+
+    def hear(self) -> None:
+        self.process._hear(self.ours, self.log)
+
+    def told(self) -> dict[str, Any]:
+        """Return what the node is told."""
+        return json.loads(self.node.recv(10_000))
+
+    def asked(self) -> dict[str, Any]:
+        """Return what the loop is asked."""
+        data = self.exchange.outlets["ros1"].receive()
+        assert data is not None
+        return json.loads(data)
 
 
-def test_a_connection_that_the_node_hands_over_is_written_to() -> None:
-    exchange = Exchange(
-        [robots.load("yumi_right")], ["ros1"], Parameters([Parameter("gain", 0.5)]), about={"cell": "yumi"}
-    )
-    ours, theirs = pair()
-    with exchange.open("ros1") as feed, ours, theirs, tempfile.TemporaryFile() as log, socket.socket() as server:
-        server.bind(("127.0.0.1", 0))
-        server.listen()
-        process = Ros1Process(feed, options("http://127.0.0.1:1"))
-        with socket.create_connection(server.getsockname()) as reader, server.accept()[0] as accepted:
-            said = json.dumps({"kind": "subscriber", "topic": "/yumi_right/parameters"}).encode()
-            socket.send_fds(theirs, [said], [accepted.fileno()])
-            process._hear(ours, log)
-            assert json.loads(reader.recv(1000)[8:]) == {"gain": 0.5}
-        process._subscribers.close()
-    exchange.close()
+@pytest.fixture
+def alone() -> Iterator[Alone]:
+    with contextlib.ExitStack() as stack:
+        yield Alone(stack)
 
 
-def test_each_of_many_nodes_is_answered_at_most_once_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
-    exchange = Exchange([robots.load("yumi_right")], ["ros1"], about={"cell": "yumi"})
-    ours, theirs = pair()
-    with exchange.open("ros1") as feed, ours, theirs:
-        process = Ros1Process(feed, options("http://127.0.0.1:1"))
-        monkeypatch.setattr("armlab.bridge.ros1.process.time.monotonic", lambda: 100.0)
-        for k in range(300):
-            for _ in range(2):
-                process._answer(ours, f"/node_{k}", "no")
-            assert theirs.recv(1000) == f"/node_{k}: no".encode()
-            with pytest.raises(BlockingIOError):
-                theirs.recv(1000, socket.MSG_DONTWAIT)
-        assert len(process._spoken) == 256
-    exchange.close()
+def test_half_a_surrogate_pair_is_refused_and_the_server_goes_on(alone: Alone) -> None:
+    alone.say("command", topic="/yumi_right/set_parameter", client="/node", content='{"gain": "\\ud800"}')
+    alone.hear()
+    assert "/node: Expected what JSON in UTF-8 can say" in alone.told()["text"]
+
+
+def test_a_command_may_come_before_the_node_is_ready(alone: Alone) -> None:
+    alone.say("command", topic="/yumi_right/set_parameter", client="/node", content='{"gain": 2.0}')
+    alone.say("ready", missing=["geometry_msgs/Wrench"])
+    alone.process._begin(alone.ours, alone.log)
+    assert "not installed: geometry_msgs/Wrench" in alone.asked()["where"][0]
+    assert alone.asked()["values"] == {"gain": 2.0}
+
+
+def test_what_is_too_long_or_no_json_is_told_and_the_server_goes_on(alone: Alone) -> None:
+    alone.node.send(b'{"kind": "command", "topic": "/yumi_right/stop", "clie')
+    alone.say("refused", client="/node", text="Expected less.")
+    alone.say("command", topic="/yumi_right/stop", client="/node", content=None)
+    alone.hear()
+    assert "Expected JSON from the node of ROS 1" in alone.asked()["text"]
+    assert alone.asked() == {"kind": "report", "client": "/node", "text": "Expected less."}
+    assert alone.asked()["kind"] == "stop"
+    assert alone.told() == {"text": "/node: Expected less."}
+
+
+def test_a_connection_that_the_node_hands_over_is_written_to(alone: Alone) -> None:
+    ours, theirs = socket.socketpair()
+    with ours, theirs:
+        alone.say("subscriber", ours.fileno(), topic="/yumi_right/parameters", client="/node", id=3)
+        alone.hear()
+        assert json.loads(theirs.recv(1000)[8:]) == {"gain": 0.5}
+
+
+@pytest.mark.parametrize("came", [True, False])
+def test_a_connection_without_room_is_ended_and_the_reason_told(
+    alone: Alone, came: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """There are too many connections; or the process may have no more files, and none came with the message."""
+    monkeypatch.setattr("armlab.bridge.ros1.subscribers._MOST", 0)
+    ours, theirs = socket.socketpair()
+    with ours, theirs:
+        numbers = [ours.fileno()] if came else []
+        alone.say("subscriber", *numbers, topic="/yumi_right/parameters", client="/node", id=3)
+        alone.hear()
+        theirs.settimeout(PATIENCE)
+        assert not came or theirs.recv(1) == b""
+    words = "Expected at most 0 connections of nodes" if came else "Raise `ulimit -n`."
+    assert words in alone.told()["text"]
+    assert alone.told() == {"topic": "/yumi_right/parameters", "id": 3}
+    asked = alone.asked()
+    assert (asked["kind"], asked["client"]) == ("report", "/node")
+    assert words in asked["text"]
+
+
+def test_each_of_many_nodes_is_answered_at_most_once_a_second(alone: Alone, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("armlab.bridge.ros1.process.time.monotonic", lambda: 100.0)
+    for k in range(300):
+        for _ in range(2):
+            alone.process._answer(alone.ours, f"/node_{k}", "no")
+        assert alone.told() == {"text": f"/node_{k}: no"}
+        assert not select.select([alone.node], [], [], 0.0)[0]
+    assert len(alone.process._spoken) == 256
 
 
 @pytest.mark.slow

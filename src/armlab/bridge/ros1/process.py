@@ -29,6 +29,7 @@ _START = 8.0  # s for the relay to be a node
 _END = 2.0  # s for it to end by itself
 _SPOKEN = 1.0  # s between two sentences to one node
 _CLIENTS = 256  # of which it is known when they were answered
+_SENTENCE = 1000  # characters of an answer
 
 
 class Ros1Process:
@@ -121,13 +122,17 @@ class Ros1Process:
         about = {"node": f"armlab_{self._loop.about['cell'].replace('-', '_')}", "published": published, "taken": taken}
         with contextlib.suppress(OSError):  # it has ended: its words say why
             node.send(json.dumps(about).encode())
-        if not select.select([node], [], [], _START)[0]:
-            raise LinkError(f"Expected a node of ROS 1 within {_START:g} s, but nothing came. Look at the master.")
-        ready, *others = self._messages(node, log)
-        master = self._options["master"]
-        without = f", not installed: {', '.join(ready['missing'])}" if ready["missing"] else ""
+        until = time.monotonic() + _START
+        messages: list[dict[str, Any]] = []
+        while not (ready := [message for message in messages if message["kind"] == "ready"]):
+            left = until - time.monotonic()
+            if left < 0.0 or not select.select([node], [], [], left)[0]:
+                raise LinkError(f"Expected a node of ROS 1 within {_START:g} s, but none came. Look at the master.")
+            messages += self._messages(node, log)
+        master, missing = self._options["master"], ready[0]["missing"]
+        without = f", not installed: {', '.join(missing)}" if missing else ""
         self._loop.ask(Listening(where=[f"{self._options['host']} (ros1, master {master}{without})"]))
-        for message in others:
+        for message in messages:
             self._take(node, message)
 
     def _messages(self, node: socket.socket, log: IO[bytes]) -> list[dict[str, Any]]:
@@ -143,7 +148,10 @@ class Ros1Process:
                     log.seek(0)
                     words = log.read().decode(errors="replace").strip().splitlines()
                     raise LinkError(words[-1] if words else "Expected the node of ROS 1 to go on, but it ended.")
-                found.append({**json.loads(data), "connections": connections})
+                try:
+                    found.append({**json.loads(data), "connections": connections})
+                except ValueError as error:
+                    self._loop.ask(Report(text=f"Expected JSON from the node of ROS 1, but {error}."))
         return found
 
     def _hear(self, node: socket.socket, log: IO[bytes]) -> None:
@@ -153,16 +161,30 @@ class Ros1Process:
     def _take(self, node: socket.socket, message: Mapping[str, Any]) -> None:
         """Take what the node says: who reads a topic, or what another node commands."""
         if message["kind"] == "subscriber":
-            for number in message["connections"]:  # none when this process may have no more
-                known = self._encoded.of_parameters(self._loop.parameters, {message["topic"]})
-                self._subscribers.add(message["topic"], socket.socket(fileno=number), [raw for _, raw in known])
+            if why := self._connect(message):
+                self._refuse(node, message["client"], why)
+                with contextlib.suppress(OSError):
+                    node.send(json.dumps({"topic": message["topic"], "id": message["id"]}).encode())
+        elif message["kind"] == "refused":
+            self._refuse(node, message["client"], message["text"])
         elif message["kind"] == "command":
             try:
                 for request in self._commands.requests(message["topic"], message["content"], message["client"]):
                     self._loop.ask(request)
             except CommandRefused as error:
-                self._answer(node, message["client"], str(error))
-                self._loop.ask(Report(message["client"], str(error)))
+                self._refuse(node, message["client"], str(error))
+
+    def _connect(self, message: Mapping[str, Any]) -> str:
+        """Write to a node from now on; a sentence when that cannot be: it would wait for ever."""
+        if not message["connections"]:
+            return "Expected room for the connection in the server's process, got none. Raise `ulimit -n`."
+        topic = message["topic"]
+        known = [raw for _, raw in self._encoded.of_parameters(self._loop.parameters, {topic})]
+        return self._subscribers.add(topic, socket.socket(fileno=message["connections"][0]), known)
+
+    def _refuse(self, node: socket.socket, client: str, text: str) -> None:
+        self._answer(node, client, text)
+        self._loop.ask(Report(client, text))
 
     def _pass_on(self, node: socket.socket, message: bytes | dict[str, Any]) -> None:
         if isinstance(message, bytes):
@@ -181,7 +203,7 @@ class Ros1Process:
                 del self._spoken[next(iter(self._spoken))]  # who was answered longest ago
             self._spoken[client] = now
             with contextlib.suppress(OSError):
-                node.send(f"{client}: {text}".encode())
+                node.send(json.dumps({"text": f"{client}: {text}"[:_SENTENCE]}).encode())
 
     def _send(self, messages: Iterable[tuple[Published, bytes]]) -> None:
         for published, raw in messages:

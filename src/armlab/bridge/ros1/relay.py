@@ -1,9 +1,10 @@
 """The node of `Ros1Process`: a program for the system's Python (3.6 or newer), of which it needs rospy and no more.
 
-Standard input and output are one socket that keeps messages whole. In: first a JSON object with "node", and "published"
-and "taken" types by topic; then sentences for the log of ROS. Out: JSON objects by "kind": "ready", "command", and
-"subscriber" of a topic, with its connection: rospy negotiates, and what is published the bridge itself writes there. It
-ends with its input, and with a sentence on standard error when the master goes.
+Standard input and output are one socket that keeps messages whole, JSON objects. In: first "node", and "published" and
+"taken" types by topic; then each time a "text" for the log of ROS, or "topic" and "id" of a connection to end. Out, by
+"kind": "ready" first; "command", or "refused" when it is too long; "subscriber" of a topic, with its connection: rospy
+negotiates, and what is published the bridge itself writes there. It ends with its input, and with a sentence on
+standard error when the master goes.
 """
 
 import array
@@ -19,6 +20,8 @@ from pathlib import Path
 __all__ = ["main"]
 
 _LARGEST = 2**17
+_COMMAND = 65536  # bytes of a command, as of a request to the loop
+_NAME = 256  # characters of a node's name, which it says itself
 _LOOK = 0.5  # s between two looks whether the master is still the same
 _PATIENCE = 3.0  # s for the master to answer
 
@@ -52,33 +55,36 @@ class _Node:
     def __init__(self, rospy, pipe, about):
         self._rospy, self._pipe = rospy, pipe
         self._lock, self._handed = threading.Lock(), {}
-        listener, missing = self._listener(), set()
-        self._publishers, self._subscribers = {}, []
-        for topic, name in about["published"].items():
-            kind = _type(name)
-            if kind is None:
-                missing.add(name)
-            else:
-                self._publishers[topic] = rospy.Publisher(topic, kind, queue_size=1)  # nothing is published here
-        for topic, name in about["taken"].items():
-            kind = _type(name)
-            if kind is None:
-                missing.add(name)
-            else:
-                taken = rospy.Subscriber(topic, kind, self._take, topic, queue_size=1, tcp_nodelay=True)
-                self._subscribers.append(taken)
-        self._say(kind="ready", missing=sorted(missing))
+        listener = self._listener()
+        types = {name: _type(name) for name in {*about["published"].values(), *about["taken"].values()}}
+        self._publishers = {  # nothing is published here
+            topic: rospy.Publisher(topic, types[name], queue_size=1)
+            for topic, name in about["published"].items()
+            if types[name] is not None
+        }
+        self._say(kind="ready", missing=sorted(name for name, kind in types.items() if kind is None))
+        self._subscribers = [  # each may call at once, in another thread
+            rospy.Subscriber(topic, types[name], self._take, topic, queue_size=1, tcp_nodelay=True)
+            for topic, name in about["taken"].items()
+            if types[name] is not None
+        ]
         for publisher in self._publishers.values():
             publisher.impl.add_subscriber_listener(listener)
             self._hand_over(publisher)  # who came before
 
     def run(self):
-        """Write what comes into the log of ROS until the input ends."""
+        """Do what comes until the input ends: write into the log of ROS, end connections."""
         while True:
             data = self._pipe.recv(_LARGEST)
             if not data:
                 return
-            self._rospy.logwarn(data.decode(errors="replace"))
+            said = json.loads(data.decode())
+            if "text" in said:
+                self._rospy.logwarn(said["text"])
+            else:
+                for one in self._publishers[said["topic"]].impl.connections:
+                    if one.id == said["id"]:
+                        _end(one)
 
     def _listener(self):
         node = self
@@ -92,24 +98,42 @@ class _Node:
     def _hand_over(self, publisher):
         """Give the bridge the connections of a topic that it has not."""
         with self._lock:
-            name, connections = publisher.resolved_name, publisher.impl.connections
-            said = json.dumps({"kind": "subscriber", "topic": name}).encode()
-            for one in connections:
-                if one.id not in self._handed.get(name, ()):
-                    with contextlib.suppress(AttributeError, OSError):  # it has gone
-                        number = array.array("i", [one.socket.fileno()])
-                        self._pipe.sendmsg([said], [(socket.SOL_SOCKET, socket.SCM_RIGHTS, number)])
-            self._handed[name] = {one.id for one in connections}
+            name = publisher.resolved_name
+            before = self._handed.get(name, ())
+            connections = publisher.impl.connections
+            self._handed[name] = {one.id for one in connections if one.id in before or self._hand(name, one)}
+
+    def _hand(self, name, one):
+        said = {"kind": "subscriber", "topic": name, "client": one.endpoint_id[:_NAME], "id": one.id}
+        try:
+            number = array.array("i", [one.socket.fileno()])
+            self._pipe.sendmsg([json.dumps(said).encode()], [(socket.SOL_SOCKET, socket.SCM_RIGHTS, number)])
+        except (AttributeError, OSError):  # it has gone, or the system refuses: the node would wait for ever
+            _end(one)
+            return False
+        return True
 
     def _take(self, message, topic):
         content = getattr(message, "data", None)
         content = list(content) if isinstance(content, (list, tuple)) else content
-        client = message._connection_header.get("callerid", "?")
-        self._say(kind="command", topic=topic, client=client, content=content)
+        client = message._connection_header.get("callerid", "?")[:_NAME]
+        size = self._say(kind="command", topic=topic, client=client, content=content)
+        if size > _COMMAND:
+            text = f"Expected at most {_COMMAND} bytes of JSON on {topic}, got {size}. Send less."
+            self._say(kind="refused", client=client, text=text)
 
     def _say(self, **fields):
-        with contextlib.suppress(BlockingIOError):  # the bridge does not read: a newer command follows
-            self._pipe.send(json.dumps(fields).encode(), socket.MSG_DONTWAIT)
+        """Send to the bridge what is not too long; return its size in bytes."""
+        data = json.dumps(fields).encode()
+        if len(data) <= _COMMAND:
+            with contextlib.suppress(OSError):  # the bridge does not read, a newer command follows; or it has gone
+                self._pipe.send(data, socket.MSG_DONTWAIT)
+        return len(data)
+
+
+def _end(connection):
+    with contextlib.suppress(AttributeError, OSError):  # it has gone
+        connection.socket.shutdown(socket.SHUT_RDWR)
 
 
 def _type(name):
