@@ -51,15 +51,17 @@ def run(folder: Path, seconds: float) -> dict[str, Any]:
             reader.await_word("reading")
         commander = opened.enter_context(Program(COMMANDER, _commands(ways, folder), folder))
         commander.await_word("ready")
-        begin, end = _watched(folder, bridge, commander, seconds)
+        begin, end, cut_off = _watched(folder, bridge, commander, seconds)
         statuses = {COMMANDER: commander.end(signal.SIGINT)}
         statuses["bridge"] = bridge.end(signal.SIGINT)
         for reader in readers:
             reader.end()
     return {
         "part": "real time",
+        "seconds": seconds,
         "begin": begin,
         "end": end,
+        "cut_off": cut_off,
         "servers": served,
         "without": [name for name in ("ros1", *_SERVED) if name not in served],
         "clients": [one.name for one in readers],
@@ -67,8 +69,8 @@ def run(folder: Path, seconds: float) -> dict[str, Any]:
     }
 
 
-def _watched(folder: Path, bridge: Program, commander: Program, seconds: float) -> tuple[int, int]:
-    """Watch the processes for a time. Return when that began and ended [ns, wall clock]."""
+def _watched(folder: Path, bridge: Program, commander: Program, seconds: float) -> tuple[int, int, str]:
+    """Watch the processes for a time. Return when that began and ended [ns, wall clock], and what cut it off."""
 
     def processes() -> Iterator[tuple[int, str]]:
         yield commander.process.pid, COMMANDER
@@ -76,12 +78,17 @@ def _watched(folder: Path, bridge: Program, commander: Program, seconds: float) 
             with contextlib.suppress(OSError):
                 yield pid, label(pid, bridge.process.pid)
 
-    begin, until = time.time_ns(), time.monotonic() + seconds
-    with Watch(folder / "held.csv", max(seconds / _LOOKS, 0.5), processes):
-        while (left := until - time.monotonic()) > 0.0 and bridge.process.poll() is None:
-            print(f"  {seconds - left:.0f} of {seconds:.0f} s", flush=True)
-            time.sleep(min(left, max(seconds / 10.0, 1.0)))
-        return begin, time.time_ns()
+    begin, until, told, cut_off = time.time_ns(), time.monotonic() + seconds, 0.0, ""
+    with Watch(folder / "held.csv", max(seconds / _LOOKS, 0.5), processes) as watch:
+        try:
+            while (left := until - time.monotonic()) > 0.0 and bridge.process.poll() is None:
+                if seconds - left >= told:
+                    print(f"  {seconds - left:.0f} of {seconds:.0f} s", flush=True)
+                    told += seconds / 10.0
+                watch.pause(min(left, 1.0))
+        except KeyboardInterrupt:
+            cut_off = "a signal"
+        return begin, time.time_ns(), cut_off
 
 
 def _cell(ways: Sequence[Way], record: Path) -> str:

@@ -12,6 +12,7 @@ from soak.verdict import Finding
 
 __all__ = ["judged"]
 
+_SHORT = 0.02  # of the time wanted, or of the run: as much may be missing from its end
 _STILL = 10.0  # s before the end in which every client still got messages
 _PERIOD = 0.004032  # s between two packets of an arm
 _KEPT_UP = 5.0  # % of the packets that a simulator may leave out for want of a core; beyond it this was not real time
@@ -30,6 +31,7 @@ def judged(
     about, held, recorded, clients : see `series`.
     """
     return [
+        *_length(about, recorded),
         *_processes(about, held),
         *_recordings(recorded),
         *_clients(about, clients),
@@ -40,6 +42,20 @@ def judged(
     ]
 
 
+def _watched(about: Mapping[str, Any]) -> float:
+    return 1e-9 * (about.get("end", 0) - about.get("begin", 0))
+
+
+def _length(about: Mapping[str, Any], recorded: Mapping[str, series.Recorded]) -> Iterator[Finding]:
+    """Judge whether it took as long as it was to, by the robot's time in lockstep."""
+    robot = max((one.seconds for one in recorded.values()), default=0.0)
+    reached = robot if about.get("part") == "lockstep" else _watched(about)
+    short = 1.0 - reached / about.get("seconds", np.nan)
+    yield Finding("length, short of what was wanted by", " %", 100.0 * short, 100.0 * _SHORT)
+    by = about.get("cut_off", "")
+    yield Finding(f"cut off by {by}" if by else "cut off", "", float(by != ""), 0.0)
+
+
 def _processes(about: Mapping[str, Any], held: Mapping[str, series.Held]) -> Iterator[Finding]:
     wanted = ["loop and recorder", "simulator", *(f"server {name}" for name in about.get("servers", ()))]
     for name in dict.fromkeys([*wanted, *held]):
@@ -47,6 +63,8 @@ def _processes(about: Mapping[str, Any], held: Mapping[str, series.Held]) -> Ite
             yield verdict.equal(f"{name}: processes", 0, 1)
             continue
         t, values = held[name]
+        length = _watched(about)
+        yield Finding(f"{name}: last look, before the end", " s", length - t[-1], _SHORT * length)
         yield verdict.memory(name, t, values["memory"])
         yield verdict.count(f"{name}: descriptors", values["descriptors"])
         yield verdict.count(f"{name}: threads", values["threads"])
@@ -68,8 +86,7 @@ def _recordings(recorded: Mapping[str, series.Recorded]) -> Iterator[Finding]:
 
 
 def _clients(about: Mapping[str, Any], clients: Mapping[str, np.ndarray]) -> Iterator[Finding]:
-    length = 1e-9 * (about.get("end", 0) - about.get("begin", 0))
     for name, lines in clients.items():
         yield verdict.delay(f"{name}: stamp to receipt, median", lines[:, 2])
         last = lines[-1, 0] if len(lines) else -np.inf
-        yield Finding(f"{name}: without messages at the end", " s", length - last, _STILL)
+        yield Finding(f"{name}: without messages at the end", " s", _watched(about) - last, _STILL)

@@ -18,7 +18,7 @@ __all__ = ["LINK", "run"]
 LINK = "sim://yumi_left?lockstep=true&lagging=true"
 """Both ends of EGM as bytes in datagrams; the arm has no masses, since its dynamics would take half of the time."""
 
-_LOOK = 10.0  # s between two looks at the processes, at most
+_LOOK = 2.0  # s between two looks at the processes, at most: the last one is near the end of an hour of robot time too
 
 
 def run(folder: Path, seconds: float, most: float) -> dict[str, Any]:
@@ -39,21 +39,36 @@ def run(folder: Path, seconds: float, most: float) -> dict[str, Any]:
                     yield pid, label(pid, program.process.pid)
 
         program.await_word("ready")
-        print(f"  Runs; `kill -INT {program.process.pid}` ends it early, and it is judged all the same.", flush=True)
         begin = time.time_ns()
-        with Watch(folder / "held.csv", min(seconds / 200.0, _LOOK), processes):
-            _wait(program, folder, most)
+        with Watch(folder / "held.csv", min(seconds / 200.0, _LOOK), processes) as watch:
+            cut_off = _wait(program, watch, folder, most)
             end = time.time_ns()
         status = program.end(signal.SIGINT)
-    return {"part": "lockstep", "begin": begin, "end": end, "statuses": {"run": status}}
+    statuses = {"run": status}
+    return {
+        "part": "lockstep",
+        "seconds": seconds,
+        "begin": begin,
+        "end": end,
+        "cut_off": cut_off,
+        "statuses": statuses,
+    }
 
 
-def _wait(program: Program, folder: Path, most: float) -> None:
+def _wait(program: Program, watch: Watch, folder: Path, most: float) -> str:
+    """Wait until the program ends; return what cut it off, if anything did."""
     begin = time.monotonic()
     told = begin
-    while program.process.poll() is None and time.monotonic() - begin < most:
-        if time.monotonic() - told > 60.0:
-            told = time.monotonic()
-            size = sum(path.stat().st_size for path in folder.glob("*.mcap"))
-            print(f"  {told - begin:.0f} s of the wall clock, {1e-6 * size:.0f} MB recorded", flush=True)
-        time.sleep(0.1)
+    try:
+        print("  Runs; Ctrl-C cuts it off, and it is judged all the same.", flush=True)
+        while (status := program.process.poll()) is None:
+            if time.monotonic() - begin > most:
+                return "--most"
+            if time.monotonic() - told > 60.0:
+                told = time.monotonic()
+                size = sum(path.stat().st_size for path in folder.glob("*.mcap"))
+                print(f"  {told - begin:.0f} s of the wall clock, {1e-6 * size:.0f} MB recorded", flush=True)
+            watch.pause(0.1)
+    except KeyboardInterrupt:
+        return "a signal"
+    return "a signal" if status < 0 or status == 128 + signal.SIGINT else ""

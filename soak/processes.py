@@ -13,6 +13,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple, TextIO
 
+from armlab.errors import ArmlabError
+
 __all__ = ["COLUMNS", "Sample", "Watch", "family", "held", "label"]
 
 HEAD = "t,process,memory,descriptors,threads,cpu"
@@ -61,9 +63,11 @@ def label(pid: int, root: int) -> str:
 
     Raises
     ------
-    OSError : it has ended.
+    OSError : it has ended, or has not begun.
     """
     words = Path(f"/proc/{pid}/cmdline").read_bytes().decode(errors="replace").split("\0")
+    if not words[0]:
+        raise ProcessLookupError(f"Expected a process that runs, got {pid}, which has no command line.")
     if "armlab.bridge._serve" in words:
         return f"server {words[words.index('armlab.bridge._serve') + 1]}"
     if "sim" in words[:4]:
@@ -75,7 +79,7 @@ def label(pid: int, root: int) -> str:
 
 
 class Watch:
-    """Writes samples of processes to a file, every few seconds, in a thread; a context manager.
+    """Writes samples of processes to a file, every few seconds and at the end, in a thread; a context manager.
 
     Parameters
     ----------
@@ -85,28 +89,54 @@ class Watch:
     def __init__(self, path: Path, period: float, processes: Callable[[], Iterator[tuple[int, str]]]) -> None:
         self._path, self._period, self._processes = path, period, processes
         self._over = threading.Event()
+        self._error: Exception | None = None
         self._thread = threading.Thread(target=self._run, name="watch", daemon=True)
 
     def __enter__(self) -> Watch:
         self._thread.start()
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self._over.set()
         self._thread.join()
+        if kind is None:
+            self._check()
+
+    def pause(self, seconds: float) -> None:
+        """Wait [s] while it looks.
+
+        Raises
+        ------
+        ArmlabError : it cannot look any more.
+        """
+        self._thread.join(seconds)
+        self._check()
+
+    def _check(self) -> None:
+        if self._error is not None:
+            text = f"Expected to look at the processes until the end, got {self._error!r}: run it again."
+            raise ArmlabError(text) from self._error
 
     def _run(self) -> None:
-        start = time.monotonic()
+        try:
+            self._look_again_and_again()
+        except Exception as error:  # of any kind: who waits is told
+            self._error = error
+
+    def _look_again_and_again(self) -> None:
+        start, is_last = time.monotonic(), False
         with self._path.open("w") as file:
             file.write(HEAD + "\n")
-            while True:
+            while not is_last:
+                is_last = self._over.is_set()
                 self._look(file, time.monotonic() - start)
-                if self._over.wait(self._period):
-                    return
+                self._over.wait(self._period)
 
     def _look(self, file: TextIO, t: float) -> None:
         for pid, name in self._processes():
-            with contextlib.suppress(OSError):
+            try:
                 memory, descriptors, threads, cpu = held(pid)
-                file.write(f"{t:.2f},{name},{memory},{descriptors},{threads},{cpu:.2f}\n")
+            except OSError:  # it has ended
+                continue
+            file.write(f"{t:.2f},{name},{memory},{descriptors},{threads},{cpu:.2f}\n")
         file.flush()

@@ -6,7 +6,8 @@
     python soak/run.py publish FOLDER ...            write docs/soak.md from what was judged
 
 All that it measures goes to build/soak/PART: `held.csv`, the recordings, `result.json` and `soak.png`. It ends with a
-line for each judged quantity, and with status 1 where one is beyond its bound.
+line for each judged quantity, and with status 1 where one is beyond its bound. Ctrl-C, SIGTERM and --most cut it off:
+what there is then is judged all the same, named "cut off", with status 1.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import argparse
 import json
 import math
 import shutil
+import signal
 import sys
 import time
 from collections.abc import Sequence
@@ -25,6 +27,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "benchmarks")]
 
 from machine import describe  # noqa: E402
 
+from armlab.errors import ArmlabError  # noqa: E402
 from soak import cell, lockstep, series  # noqa: E402
 from soak.figure import draw  # noqa: E402
 from soak.judged import judged  # noqa: E402
@@ -50,6 +53,7 @@ def main() -> int:
     if options.part == "publish":
         publish(options.folder)
         return 0
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     folder = options.folder.resolve()
     if options.part != "judge":
         shutil.rmtree(folder, ignore_errors=True)
@@ -99,4 +103,7 @@ def publish(folders: Sequence[Path]) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    try:
+        sys.exit(main())
+    except ArmlabError as error:
+        sys.exit(str(error))

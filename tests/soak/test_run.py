@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -29,7 +30,7 @@ def soaked(part: str, seconds: float, folder: Path) -> dict[str, dict[str, objec
 
 def failed(judged: dict[str, dict[str, object]]) -> list[str]:
     """What is beyond its bound, but for what some seconds on a busy machine cannot tell."""
-    short = ("memory, growth", "arrival to reply", "stamp to receipt", "packets left out")
+    short = ("memory, growth", "arrival to reply", "stamp to receipt", "packets left out", "last look")
     return [what for what, one in judged.items() if not one["is_met"] and not any(word in what for word in short)]
 
 
@@ -50,3 +51,24 @@ def test_lockstep(tmp_path: Path) -> None:
     judged = soaked("lockstep", 20.0, tmp_path)
     assert failed(judged) == []
     assert any(what.startswith("run: rows that can be read, of packets (50") for what in judged)
+
+
+@pytest.mark.parametrize("way", ["--most", "a signal"])
+def test_a_run_that_is_cut_off_is_judged_and_says_so(way: str, tmp_path: Path) -> None:
+    """Takes 5 s each."""
+    words = [sys.executable, str(ROOT / "soak" / "run.py"), "lockstep", "--folder", str(tmp_path)]
+    words += ["--most", "1"] if way == "--most" else []
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as child:
+        assert child.stdout is not None
+        said = ""
+        while "judged all the same" not in said:
+            line = child.stdout.readline()
+            assert line, said
+            said += line
+        if way != "--most":
+            child.send_signal(signal.SIGTERM)
+        said += child.stdout.read()
+    assert child.returncode == 1
+    assert f"FAIL cut off by {way}" in said
+    assert "FAIL length, short of what was wanted by" in said
+    assert "ok   run: recordings finished" in said
