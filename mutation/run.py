@@ -2,7 +2,8 @@
 
 One pytest session collects the tests once. For each mutant this process forks; the child puts the mutant in its own
 memory, no file is ever changed, and runs the tests that call the changed function, the fastest first, until one fails.
-A mutant that none kills must stand in `survivors.toml` with the reason why no test can tell it from the original.
+A mutant that none kills must stand in `survivors.toml` with the reason why no test can tell it from the original; so
+must one that could not be put there. Status 0 says that all mutants of the files were judged, and by tests.
 
 mutmut makes the mutants. It does not run them, since it imports a copy of `src` which the finder of the editable
 install overrules, leaves out constants and decorated functions, and numbers the survivors, so that an explanation
@@ -32,7 +33,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "mutation"))
-from mutants import Mutant, codes, mutants, transplant  # noqa: E402
+from mutants import Mutant, codes, is_same, loaded, mutants, transplant  # noqa: E402
 
 EXPLAINED, LAST = ROOT / "mutation" / "survivors.toml", ROOT / "build" / "mutation.json"
 BRIDGE, KERNELS = "src/armlab/bridge", "src/armlab/kernels/_reference"
@@ -49,6 +50,8 @@ FILES = {  # each with the tests that hold it
 }
 # Not tests of whole simulated runs, which are slow; nor that the kernels agree, which would spare a law for both.
 MARKED, NAMED = "not slow", "not (native_is or simulated or follows[)"
+NONE, FAILED = ("same", "no program"), "harness failed"  # what is no mutant, and what is no judgement of one
+KINDS = "killed", "survived", "not reached", FAILED
 PATIENCE, AT_LEAST = 10.0, 5.0  # times what a test takes without a mutant, and s
 
 
@@ -77,7 +80,8 @@ class Runner:
         watched = {one.__code__ for module in modules.values() for one in codes(module).values()}
         gc.collect()
         gc.freeze()  # what a child does not touch it shares
-        calls = json.loads(forked(lambda: self.without(session.items, watched)) or "null")
+        told, _ = forked(lambda: self.without(session.items, watched))
+        calls = json.loads(told or "null")
         if calls is None:
             raise SystemExit("Expected tests that pass without a mutant, got one that fails: run them with pytest.")
         for file, module in modules.items():
@@ -88,11 +92,15 @@ class Runner:
         return True
 
     def judge(self, mutant: Mutant, module: ModuleType, items: list[pytest.Item], calls: dict[str, Any]) -> None:
-        outcome = forked(lambda: self.outcome(mutant, module, items, calls)) or "killed by time"
-        if outcome != "same":
-            self.results.append((mutant, outcome))
-        if outcome == "survived" and key(mutant) not in explained():
-            print(f"{mutant.file} {mutant.where}\n  - {mutant.before}\n  + {mutant.after}", flush=True)
+        outcome, end = forked(lambda: self.outcome(mutant, module, items, calls))
+        if not outcome:
+            outcome = "killed by time" if end == -signal.SIGALRM else f"{FAILED}, status {end}"
+        if outcome in NONE:
+            return
+        self.results.append((mutant, outcome))
+        if not outcome.startswith("killed") and key(mutant) not in explained():
+            told = f"{mutant.file} {mutant.where}: {outcome}\n  - {mutant.before}\n  + {mutant.after}"
+            print(told, flush=True)
 
     def without(self, items: list[pytest.Item], watched: set[CodeType]) -> str:
         """Run all tests without a mutant; return for each what it took [s] and called, nothing when one failed."""
@@ -119,13 +127,16 @@ class Runner:
         """Run the tests that see a mutant, in a child; return what became of it."""
         names = {name(one.__code__) for one in codes(module).values()}
         try:
-            changed, has_more = transplant(mutant, module)
+            if is_same(mutant, module):
+                return "same"
+            scratch = loaded(mutant, module)
         except SyntaxError:
-            return "same"
+            return "no program"
         except Exception as error:
             return f"killed by its import: {error}"
+        changed, has_more = transplant(scratch, module)
         if not changed and not has_more:
-            return "same"
+            return "not reached"
         names = names if has_more else {name(code) for code in changed}
         seen = sorted((item for item in items if names & set(calls[item.nodeid][1])), key=lambda i: calls[i.nodeid][0])
         for item, following in zip(seen, [*seen[1:], None], strict=True):
@@ -157,8 +168,11 @@ def explained() -> set[tuple[str, ...]]:
     return {(one["file"], one["where"], one["before"], one["after"]) for one in found}
 
 
-def forked(work: Callable[[], str]) -> str | None:
-    """Return what `work` returns in a child of its own; None when it did not come to its end."""
+def forked(work: Callable[[], str]) -> tuple[str | None, int]:
+    """Return what `work` returns in a child of its own, None when it did not come to its end, and the child's status.
+
+    The status is that of the process, the number of a signal that ended it below 0.
+    """
     source, sink = os.pipe()
     with warnings.catch_warnings(action="ignore"):  # of threads: those that run now hold no locks of ours
         child = os.fork()
@@ -180,11 +194,11 @@ def forked(work: Callable[[], str]) -> str | None:
     with os.fdopen(source, "rb") as stream:
         found = stream.read()
     _, status = os.waitpid(child, 0)
-    return found.decode() if status == 0 else None
+    return found.decode() if status == 0 else None, os.waitstatus_to_exitcode(status)
 
 
 def main() -> int:
-    """Run what the command line says; return 1 when a mutant survived that is not explained."""
+    """Run what the command line says; return 1 when a mutant survived that is not explained, or was not judged."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("words", nargs="*")
     parser.add_argument("--again", action="store_true", help="only those that survived last time")
@@ -195,27 +209,38 @@ def main() -> int:
     runner, start = Runner(files, only), time.monotonic()
     options = ["-p", "no:terminal", "-p", "no:xdist", "-s", "-o", "addopts=", "--import-mode=importlib"]
     chosen = sorted({str(test) for file in files for test in tests(file)})
-    pytest.main([*options, "-m", MARKED, "-k", NAMED, *chosen], [runner])
-    status = report(files, runner.results)
+    ended = pytest.main([*options, "-m", MARKED, "-k", NAMED, *chosen], [runner])
+    is_whole = ended == pytest.ExitCode.OK
+    if is_whole:
+        keep(files, runner.results)
+    else:
+        print(f"Expected to judge all mutants, got {ended!r} from pytest after {len(runner.results)}: run it again.")
+    status = report(files, runner.results) or int(not is_whole)
     print(f"{time.monotonic() - start:.0f} s")
     return status
 
 
-def report(files: list[str], results: list[tuple[Mutant, str]]) -> int:
-    """Print the figures of each file and keep the survivors; return 1 when one is not explained."""
+def keep(files: list[str], results: list[tuple[Mutant, str]]) -> None:
+    """Keep for `--again` those that no test killed."""
     LAST.parent.mkdir(exist_ok=True)
     others = [one for one in json.loads(LAST.read_text()) if one[0] not in files] if LAST.exists() else []
-    LAST.write_text(json.dumps(others + [key(mutant) for mutant, outcome in results if outcome == "survived"]))
+    LAST.write_text(json.dumps(others + [key(one) for one, outcome in results if not outcome.startswith("killed")]))
+
+
+def report(files: list[str], results: list[tuple[Mutant, str]]) -> int:
+    """Print the figures of each file; return 1 when a mutant was neither killed nor explained."""
     known, table = explained(), {file: Counter[str]() for file in files}
     for mutant, outcome in results:
-        kind = "killed" if outcome != "survived" else "explained" if key(mutant) in known else "survived"
+        kind = next(one for one in KINDS if outcome.startswith(one))
+        if kind in ("survived", "not reached") and key(mutant) in known:
+            kind = "explained"
         table[mutant.file][kind] += 1
         if kind == "killed" and key(mutant) in known:
             print(f"Explained, but {outcome}: {mutant.before} -> {mutant.after}")
     for file, counts in table.items():
-        words = ", ".join(f"{counts[kind]} {kind}" for kind in ("killed", "explained", "survived"))
+        words = ", ".join(f"{counts[kind]} {kind}" for kind in ("killed", "explained", *KINDS[1:]))
         print(f"{file}: {counts.total()} mutants, {words}")
-    return int(not results or any(counts["survived"] for counts in table.values()))
+    return int(not results or any(counts[kind] for counts in table.values() for kind in KINDS[1:]))
 
 
 if __name__ == "__main__":
