@@ -1,7 +1,8 @@
 """The stored figures that a run is compared with: `baseline.json`, written by `--publish`.
 
 Times of two machines are not compared: a ratio of armlab's time to that of a peer, measured in one run, nearly is the
-same on both, so ratios are. A benchmark without a peer is compared by its own times, on the same processor only.
+same on both, so ratios are. A benchmark without a peer is compared by its own figures: times on the same processor
+only, values of another unit, such as errors in N, on any.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from blocks import Figure
 from report import Section
 
 PATH = Path(__file__).with_name("baseline.json")
+TIMES = ("µs", "ms", "s", "%")  # units of what the processor decides; a share is one of its time, or of its rows
 LEAST = 1.1  # times: smaller changes are noise, whatever the quartiles say
 
 
@@ -24,13 +26,13 @@ class Change(NamedTuple):
 
     table: str
     contender: str
-    kind: str  # "ratio" or "time"
+    kind: str  # "ratio", "time" or "value"
     before: tuple[float, float, float]
     now: tuple[float, float, float]
 
     @property
     def times(self) -> float:
-        """Now over before: above 1 armlab has become slower."""
+        """Now over before: above 1 armlab has become slower, or its error larger."""
         return self.now[0] / self.before[0]
 
     @property
@@ -73,7 +75,7 @@ def compare(machine: str, sections: Sequence[Section], whole: bool) -> Compariso
         before = left.pop(f"{table}: {name}", {}).get(kind)
         if before is None:
             new.append(f"{table}: {name}")
-        elif kind == "ratio" or stored["machine"] == machine:
+        elif kind != "time" or stored["machine"] == machine:
             changes.append(Change(table, name, kind, tuple(before), value))
     return Comparison(stored["date"], stored["machine"], changes, list(left) if whole else [], new)
 
@@ -89,7 +91,7 @@ def render(comparison: Comparison | None) -> list[str]:
         "",
         f"Baseline: {comparison.date}, {comparison.machine} {len(changes)} figures are in both; {len(clear)} differ by "
         f"more than a tenth with quartiles apart, {sum(one.times > 1 for one in clear)} of them for the worse. Ratios "
-        "are compared, armlab's time over the peer's; times only on the same processor.",
+        "are compared, armlab's time over the peer's, and values that are no times; times only on the same processor.",
         "",
     ]
     if clear:
@@ -111,14 +113,14 @@ def _values(sections: Sequence[Section]) -> Iterator[tuple[str, str, str, tuple[
         for table in section.tables:
             has_peer = any(figure.role == "peer" for figure in table.figures)
             for figure in table.figures:
-                value = _value(figure, has_peer)
+                value = _value(figure, has_peer, "time" if table.unit in TIMES else "value")
                 if value is not None and all(math.isfinite(one) and one > 0 for one in value[1]):
                     yield table.title, figure.name, *value
 
 
-def _value(figure: Figure, has_peer: bool) -> tuple[str, tuple[float, float, float]] | None:
+def _value(figure: Figure, has_peer: bool, kind: str) -> tuple[str, tuple[float, float, float]] | None:
     if figure.role == "peer":
         return "ratio", (figure.ratio, figure.ratio_lower, figure.ratio_upper)
     if figure.role == "armlab" and not has_peer:
-        return "time", (figure.median, figure.lower, figure.upper)
+        return kind, (figure.median, figure.lower, figure.upper)
     return None

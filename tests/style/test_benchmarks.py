@@ -161,6 +161,19 @@ def test_baseline_compares_ratios_of_any_machine_and_times_of_the_same(
     assert here.changes[1].times == pytest.approx(1.5)
 
 
+def test_baseline_compares_values_that_are_no_times_on_any_machine(
+    harness: dict[str, ModuleType], baseline: ModuleType
+) -> None:
+    def errors(newtons: float) -> object:
+        contenders = [harness["blocks"].Contender("estimate", constant(1.0, newtons), "armlab")]
+        table = harness["blocks"].table("Force", "", "N", contenders, rounds=1)
+        return harness["report"].Section("force", [table], 0.0)
+
+    baseline.store("2026-01-02", "Fast.", [errors(1.0)])
+    (change,) = baseline.compare("Slow.", [errors(2.0)], whole=True).changes
+    assert (change.kind, change.times, change.is_clear) == ("value", 2.0, True)
+
+
 def test_baseline_names_what_became_slower(harness: dict[str, ModuleType], baseline: ModuleType) -> None:
     text = "\n".join(baseline.render(baseline.compare("Slow.", [section(harness, 2.0, 4.0)], whole=True)))
     assert "1 differ by more than a tenth with quartiles apart, 1 of them for the worse" in text
