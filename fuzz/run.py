@@ -62,7 +62,7 @@ def aside(name: str, seconds: int, seed: int, folder: str) -> str:
     """Fuzz one target in a process of its own; return what came of it in one line."""
     BUILD.mkdir(parents=True, exist_ok=True)
     command = [sys.executable, __file__, name, "--here", f"--seconds={seconds}", f"--seed={seed}"]
-    environment = {**os.environ, "TMPDIR": folder, "OMP_NUM_THREADS": "1"}
+    environment = {**os.environ, "TMPDIR": folder, "OMP_NUM_THREADS": "1", "PYTHONHASHSEED": "0"}  # the same again
     log = BUILD / f"{name}.log"
     with log.open("wb") as out:
         status = subprocess.run(command, stdout=out, stderr=out, env=environment, cwd=ROOT, check=False).returncode
