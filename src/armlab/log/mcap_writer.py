@@ -7,6 +7,7 @@ behind it grows one zstd frame, block by block. What `push` has given to the ker
 
 from __future__ import annotations
 
+import contextlib
 import struct
 import zlib
 from collections.abc import Iterator, Mapping
@@ -256,7 +257,12 @@ class McapWriter:
         self._put(packed)
 
     def _put(self, data: bytes) -> None:
-        self._write(data)
+        try:
+            self._write(data)
+        except BaseException:  # what the disk took of it would be read as messages that nobody counted
+            with contextlib.suppress(OSError):
+                self._file.truncate(self._at)
+            raise
         self._at += len(data)
 
     def _write(self, data: bytes) -> None:
