@@ -51,6 +51,8 @@ def within_limits(bench: Bench, since: int = 0) -> None:
         q, qd = before
         assert (np.abs(reply.q - q) <= LIMITS.qd_max * STEP + SLACK).all(), f"a jump at {sent.t:.3f} s"
         assert (np.abs(reply.qd) <= LIMITS.qd_max + SLACK).all(), f"too fast at {sent.t:.3f} s"
+        along = (reply.q - q) / PERIOD - qd  # the speed that is said is the one at which the reference moves
+        assert (np.abs(along) <= LIMITS.qdd_max * STEP + SLACK / PERIOD).all(), f"not as fast as said at {sent.t:.3f} s"
         assert (np.abs(reply.qd - qd) <= LIMITS.qdd_max * STEP + SLACK).all(), f"too sudden at {sent.t:.3f} s"
         before = reply.q, reply.qd
 
