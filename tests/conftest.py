@@ -36,7 +36,20 @@ PERIOD = 0.004
 SUBSTEPS = 4  # friction runs finer than the log, as in nature
 
 HERE = Path(__file__).parent
+SLOW_FILES = pytest.StashKey[set[Path]]()
 LOOPS = {"bridge", "cli", "examples", "faults", "sim"}  # loops collect garbage before they begin
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Note which files have slow tests, before those are left out."""
+    config.stash[SLOW_FILES] = {item.path for item in items if item.get_closest_marker("slow")}
+
+
+@pytest.fixture(scope="session")
+def slow_files(pytestconfig: pytest.Config) -> set[Path]:
+    """The files with slow tests, of those that pytest collected."""
+    return pytestconfig.stash[SLOW_FILES]
 
 
 @pytest.hookimpl(wrapper=True)

@@ -1,4 +1,4 @@
-"""Clocks that are set, and a bridge that stands still; in virtual time."""
+"""Clocks that are set, and a bridge that stands still; in virtual time. States other than running are slow tests."""
 
 from __future__ import annotations
 

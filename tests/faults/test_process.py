@@ -1,4 +1,4 @@
-"""Processes that are killed with signal 9, and a process that has no memory left: real ones, in real time."""
+"""Processes that are killed with signal 9: real ones, in real time."""
 
 from __future__ import annotations
 
