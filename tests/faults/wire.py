@@ -44,13 +44,17 @@ class Way:
     ----------
     bad : what goes wrong. begin, end : virtual time in which it does [s]. seed : another one for each direction.
     period : of the robot [s].
+
+    Attributes
+    ----------
+    lost : datagrams so far.
     """
 
     def __init__(self, bad: Bad, begin: float, end: float, seed: list[int], period: float) -> None:
         self._bad, self._begin, self._end, self._period = bad, begin, end, period
         self._random = np.random.default_rng(seed)
         self._under_way: list[tuple[float, int, bytes]] = []
-        self._count = self._losing = 0
+        self._count = self._losing = self.lost = 0
 
     @property
     def due(self) -> float:
@@ -65,6 +69,7 @@ class Way:
         late = WIRE + max(0.0, bad.delay + bad.jitter * self._random.standard_normal())
         if self._losing or lost:
             self._losing = (self._losing or bad.burst) - 1
+            self.lost += 1
             return
         for _ in range(1 + int(twice)):
             self._count += 1
