@@ -25,6 +25,8 @@ FIELDS = {"p": Column((3,), unit="m"), "grip": Column(unit="N")}
     [
         ({"name": "a.b"}, ConfigError, "without dots"),
         ({"fields": {}}, ConfigError, "with fields"),
+        ({"fields": {"f": Column((10**27,))}}, ConfigError, "at most 1024 numbers"),
+        ({"fields": {"f": Column((-1,))}}, ConfigError, r"the shape \(-1,\) of 'f' in the source"),
         (
             {"fields": {"age": Column(unit="s")}},
             ConfigError,

@@ -6,6 +6,7 @@ A source holds its latest `Reading`; the loop looks at it in each tick (`fusion`
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -14,6 +15,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from armlab.bridge.row_schema import LARGEST
 from armlab.errors import ConfigError, ModelMismatchError, UnknownName
 from armlab.log import Column
 from armlab.models import ForceSensor
@@ -71,7 +73,7 @@ class Source:
     Raises
     ------
     ConfigError : a name with a dot or none, no fields, a period or an age that is not above 0, an unknown role, a
-        calibration without raw readings.
+        calibration without raw readings, a field of a size below 0 or larger than a row.
     ShapeError, UnknownName : a field contradicts the glossary or lacks its unit.
     """
 
@@ -100,6 +102,7 @@ class Source:
         taken = [field for field in fields if field in TICK_COLUMNS]
         if taken:
             raise ConfigError(f"Expected other names than those of the log's own columns, got {', '.join(taken)}.")
+        _check_shapes(name, fields)
         self.fields = {field: column.resolved(field) for field, column in fields.items()}
         self._missing = {field: np.full(column.shape, np.nan) for field, column in fields.items()}
         self.max_age = max(3.0 * period, _DEFAULT_AGE) if max_age is None else float(max_age)
@@ -165,6 +168,16 @@ class Source:
             array.flags.writeable = False
             checked[name] = array
         return MappingProxyType(checked)
+
+
+def _check_shapes(name: str, fields: Mapping[str, Column]) -> None:
+    for field, column in fields.items():
+        if any(size < 0 for size in column.shape) or math.prod(column.shape) * 8 > LARGEST:
+            shape = str(column.shape)[:60]
+            raise ConfigError(
+                f"Expected a field of sizes from 0 and at most {LARGEST // 8} numbers, as a row has, got the shape "
+                f"{shape} of {field!r} in the source {name!r}."
+            )
 
 
 def _check_calibration(name: str, fields: Mapping[str, Column], calibration: object) -> None:
