@@ -16,6 +16,8 @@ from armlab.log import Recorder, inspect, read, recording_file
 from armlab.log.recorder import QUEUE_ROWS
 from armlab.robots import Robot
 
+PATIENCE = 20.0  # s: only a test that fails waits so long
+
 
 class Stalled:
     """A file whose disk stands still until it is released; `fails` makes it full in the next write, by half."""
@@ -28,7 +30,7 @@ class Stalled:
     def write(self, data) -> int:
         if not self.gate.is_set():
             self.reached.set()
-        self.gate.wait()
+        self.gate.wait(PATIENCE)
         if self.fails:
             self.file.write(data[: len(data) // 2])
             raise OSError(errno.ENOSPC, "No space left on device")
@@ -118,12 +120,14 @@ def test_a_disk_that_is_slow_to_sync_holds_up_no_row(
     gate, reached = threading.Event(), threading.Event()
     monkeypatch.setattr("armlab.log.recorder.FLUSH_PERIOD", 0.0)
     recorder = Recorder(tmp_path / "run.mcap", robot)
-    monkeypatch.setattr("armlab.log.syncing.os.fsync", lambda _: (reached.set(), gate.wait()))
+    monkeypatch.setattr("armlab.log.syncing.os.fsync", lambda _: (reached.set(), gate.wait(PATIENCE)))
     recorder.row(*rows(0))
-    reached.wait()
+    assert reached.wait(PATIENCE)
     for i in range(1, 5):
         recorder.row(*rows(i))
+    until = time.monotonic() + PATIENCE
     while recorder._file.rows < 5 or recorder._file._chunk_rows:  # a chunk that is being closed is no file to read
+        assert time.monotonic() < until
         time.sleep(0.001)
     with pytest.warns(UserWarning, match="not finished"):
         assert len(read(recorder.path)) == 5
@@ -161,7 +165,7 @@ def test_a_sync_that_fails_last_is_told_when_the_recorder_closes(
     monkeypatch.setattr("armlab.log.syncing.os.fsync", broken_once)
     recorder.row(*rows(0))
     recorder._syncing.ask()
-    recorder._syncing._thread.join()
+    recorder._syncing._thread.join(PATIENCE)
     recorder.close()
     assert str(recorder.failed).endswith("Input/output error.")
 
