@@ -43,6 +43,8 @@ def test_one_that_speaks_of_other_columns_is_not_used(path: Path) -> None:
         ('kind = "count"', "kind = 3", r"Expected `str`, got `int`"),
         ('clock = "file"', 'clok = "file"', "unknown field `clok`"),
         ("shape = []", "shape = [", "run.csv.toml"),
+        ("shape = []", "shape = [1000000, 1000000]", "at most 1048576 numbers"),
+        ("shape = []", "shape = [-1]", "sizes from 0"),
     ],
 )
 def test_damaged_ones_are_one_sentence(path: Path, old: str, new: str, words: str) -> None:

@@ -6,6 +6,7 @@ A CSV file keeps it beside itself, a MAT file in a variable, Parquet and rosbag2
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +24,8 @@ from armlab.log.table import Table
 __all__ = ["Description", "Progress", "components", "distinct", "headings", "of_json", "put_together"]
 
 Key = TypeVar("Key", bound=Hashable)
+
+_LARGEST = 2**20  # numbers in a row: each has a heading
 
 Progress = Callable[[float, float, str], None]
 """Is called with what is done, what there is to do, and what it is."""
@@ -45,6 +48,11 @@ class Description(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     notes: tuple[str, ...]
     source: tuple[str, ...]
     columns: dict[str, _Column]
+
+    def __post_init__(self) -> None:
+        count = sum(math.prod(column.shape) for column in self.columns.values())
+        if count > _LARGEST or any(size < 0 for column in self.columns.values() for size in column.shape):
+            raise ValueError(f"Expected columns of at most {_LARGEST} numbers in a row together, with sizes from 0")
 
     @classmethod
     def of(cls, table: Table) -> Description:

@@ -199,5 +199,6 @@ def test_files_that_do_not_fit(lab: Path, tmp_path: Path) -> None:
     ):
         with pytest.raises(ConfigError, match=words):
             Security(**options)
-    with pytest.raises(ConfigError, match="users of this computer"):
-        Security.of({"secret": "~nobody-has-this-name/secret"})
+    for name in ("~nobody-has-this-name/secret", "~\0/secret"):
+        with pytest.raises(ConfigError, match="users of this computer"):
+            Security.of({"secret": name})

@@ -72,8 +72,10 @@ class Security:
         names = [name for name in cls.__dataclass_fields__ if options.get(name)]
         try:
             return cls(**{name: Path(options[name]).expanduser() for name in names})
-        except RuntimeError as error:  # ~somebody
-            raise ConfigError(f"Expected files of users of this computer, but {error} Give whole paths.") from None
+        except (RuntimeError, ValueError) as error:  # ~somebody, ~ and a byte that no name has
+            raise ConfigError(
+                f"Expected files of users of this computer, but {str(error).rstrip('.')}. Give whole paths."
+            ) from None
 
     @property
     def is_safe(self) -> bool:
