@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+METHODS = ("map", "bounded", "clip", "interval", "ls", "lund")  # by their numbers
+
 
 def of_group(module: Any, name: str, given: dict[str, np.ndarray], _: dict[str, np.ndarray]) -> Any:
     name, chosen = (*name.split(), "")[:2]
@@ -37,10 +39,6 @@ def of_filter(module: Any, name: str, given: dict[str, np.ndarray], fixed: dict[
                 return primitive.basis(given["x"])
             return primitive.rollout(given["t"], float(given["tau"]), *given["ends"])[
                 ("y", "yd", "ydd").index(words[2])
-            ]
-        case "solve_wrench":
-            return module.solve_wrench(*values, ("map", "bounded", "clip", "interval", "ls").index(words[1]))[
-                int(words[2])
             ]
         case "momentum_step":
             return module.momentum_step(*values[:6], float(given["h"][0]), *values[7:])[int(words[1])]
@@ -114,16 +112,49 @@ def driven(module: Any, fixed: dict[str, np.ndarray]) -> Any:
     return module.Drive(fixed["friction"], fixed["ripple"], lines, over, fixed["warm_up"])
 
 
-def of_estimator(module: Any, name: str, given: dict[str, np.ndarray], fixed: dict[str, np.ndarray]) -> Any:
+def known_of_arm(module: Any, fixed: dict[str, np.ndarray]) -> tuple[Any, ...]:
+    """Return what every estimator is given first."""
     chain = module.Chain(fixed["frames"], fixed["prismatic"])
-    still = np.stack([np.zeros(chain.n), np.ones(chain.n), np.zeros(chain.n)])
+    drive = driven(module, fixed)
+    gains = (fixed["gains"], float(fixed["gain_variance"]), fixed["covariance"])
+    return chain, fixed["gravity"], fixed["links"], fixed["rotor"], drive, *gains
+
+
+def of_estimator(module: Any, name: str, given: dict[str, np.ndarray], fixed: dict[str, np.ndarray]) -> Any:
+    _, method, *_, part = name.split()
     estimator = module.WrenchEstimator(
-        chain, fixed["gravity"], fixed["links"], fixed["rotor"], driven(module, fixed), fixed["gains"],
-        float(fixed["gain_variance"]), fixed["covariance"], still, fixed["prior"], float(fixed["cutoff"]), 0,
-        fixed["point"],
+        *known_of_arm(module, fixed), fixed["bound"], fixed["prior"], float(fixed["cutoff"]), METHODS.index(method),
+        fixed["point"] if " point " in name else None,
     )  # fmt: skip
-    F, P, _, error, variance, *_ = estimator.run(*given.values())
-    return {"F": F, "P": P, "error": error, "variance": variance}[name.split()[1]]
+    return said(estimator.run(*given.values()))[part]
+
+
+def of_observer(module: Any, name: str, given: dict[str, np.ndarray], fixed: dict[str, np.ndarray]) -> Any:
+    words = name.split()
+    estimator = module.MomentumEstimator(
+        *known_of_arm(module, fixed), *(fixed[key] for key in ("prior", "memory", "qd_noise", "rate", "leak")),
+        float(fixed["gain"]), "filter" in words, "biased" in words, fixed["point"] if "point" in words else None,
+    )  # fmt: skip
+    rows = []
+    for k, row in enumerate(zip(*given.values())):
+        rows.append(estimator.step(*row[:3], float(row[3])))
+        if k == 1 and "biased" in words and not estimator.tare():
+            raise ValueError("no tare")
+    found = said(tuple(np.array(column) for column in zip(*rows)))
+    return found["flags"] if words[-1] == "said" else found[words[-1]]
+
+
+def said(outputs: tuple[Any, ...]) -> dict[str, Any]:
+    """Return outputs by name, shares beside the one that they are of."""
+    parts = ("F", "P", "observability", "error", "variance", "flags", "active", "interval")
+    found = dict(zip(parts, outputs))
+    shares = np.column_stack([found["observability"], np.ones(len(found["F"]))])
+    return found | {"observability": shares, "said": np.column_stack([found["flags"], found["active"]])}
+
+
+def of_wrench(module: Any, name: str, given: dict[str, np.ndarray], _: dict[str, np.ndarray]) -> Any:
+    _, method, part, *_ = name.split()
+    return module.solve_wrench(*given.values(), METHODS.index(method))[int(part)]
 
 
 def of_contact(module: Any, name: str, given: dict[str, np.ndarray], fixed: dict[str, np.ndarray]) -> Any:
@@ -165,6 +196,8 @@ FAMILIES = {
     "filters": of_filter,
     "groups": of_group,
     "limits": of_limits,
+    "observers": of_observer,
     "obstacles": of_obstacles,
     "primitives": of_primitive,
+    "wrenches": of_wrench,
 }

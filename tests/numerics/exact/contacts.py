@@ -44,8 +44,8 @@ class Joint:
         ]
         self.z, self.warmth, self.play = mp.zero, self.warm_up[4], None
 
-    def torque(self, q: Any, qd: Any, dt: Any) -> Any:
-        """Move by one sample and return the torque of the drive."""
+    def torque(self, q: Any, qd: Any, dt: Any, share: Any = 1) -> Any:
+        """Move by one sample and return the torque of the drive, of which dry friction counts by a share."""
         b, up, down, offset, stribeck, speed, length, half, root, smooth = self.friction
         self.play = q if self.play is None else self.play
         moved = min(max(self.play, q - half), q + half)
@@ -54,17 +54,17 @@ class Joint:
         self.z = mp.sign(dy) + (self.z - mp.sign(dy)) * mp.exp(-abs(dy) / length)
         s = mp.tanh(qd / smooth) if smooth else self.z
         of_coulomb, of_viscous, time, reference, _ = self.warm_up
-        rubbing = b * (1 + of_viscous * self.warmth) * qd
-        rubbing += (up * max(s, 0) + down * min(s, 0)) * (1 + of_coulomb * self.warmth)
-        rubbing += stribeck * s * mp.exp(-((qd / speed) ** 2)) + root * s * mp.sqrt(abs(qd))
-        power = abs(rubbing * qd) / reference
+        viscous = b * (1 + of_viscous * self.warmth) * qd
+        dry = (up * max(s, 0) + down * min(s, 0)) * (1 + of_coulomb * self.warmth)
+        dry += stribeck * s * mp.exp(-((qd / speed) ** 2)) + root * s * mp.sqrt(abs(qd))
+        power = abs((viscous + dry) * qd) / reference
         self.warmth = power + (self.warmth - power) * mp.exp(-dt / time)
         cycles, c, sine = self.ripple
-        total = rubbing + offset + c * mp.cos(cycles * q) + sine * mp.sin(cycles * q)
+        total = viscous + share * dry + offset + c * mp.cos(cycles * q) + sine * mp.sin(cycles * q)
         sides = ((1 + s) / 2, (1 - s) / 2)
         at, fast = gaussians(q, *self.map[:2]), gaussians(abs(qd), *self.map[2:])
         for side, K in zip(sides, self.of_map):
-            total += side * mp.fsum(x * K[a, d] * y for a, x in enumerate(at) for d, y in enumerate(fast))
+            total += share * side * mp.fsum(x * K[a, d] * y for a, x in enumerate(at) for d, y in enumerate(fast))
         along = gaussians(abs(qd), *self.lines)
         for cycles, both in self.of_lines:
             for side, K in zip(sides, both):
@@ -129,21 +129,21 @@ def corner(rows: mp.matrix, limits: mp.matrix, aim: mp.matrix, guess: np.ndarray
     raise ValueError("no corner")
 
 
-def interval(A: np.ndarray, error: np.ndarray, spread: np.ndarray, box: np.ndarray) -> np.ndarray:
-    """Return the least and the largest value of each unknown (k, 2)."""
+def interval(A: mp.matrix, error: Vector, spread: Vector, box: Vector) -> list[tuple[Any, Any]]:
+    """Return the least and the largest value of each unknown."""
     from scipy.optimize import linprog
 
-    k = len(A)
-    M, e, s, b = (exact(value) for value in (A, error, spread, box))
-    rows = mp.matrix([*M.T.tolist(), *(-M.T).tolist(), *mp.eye(k).tolist(), *(-mp.eye(k)).tolist()])
-    limits = mp.matrix([*(e + s), *(s - e), *b, *b])
-    ends = np.empty((k, 2))
+    k, ends = A.rows, []
+    rows = mp.matrix([*A.T.tolist(), *(-A.T).tolist(), *mp.eye(k).tolist(), *(-mp.eye(k)).tolist()])
+    limits = mp.matrix([*(error + spread), *(spread - error), *box, *box])
     for i in range(k):
-        for end, sign in enumerate((1.0, -1.0)):
+        both = []
+        for sign in (1.0, -1.0):
             aim = mp.zeros(k, 1)
             aim[i] = sign
             found = linprog(array(aim), array(rows), array(limits), bounds=(None, None), method="highs")
-            ends[i, end] = array([corner(rows, limits, aim, found.x)[i]])[0]
+            both.append(corner(rows, limits, aim, found.x)[i])
+        ends.append((both[0], both[1]))
     return ends
 
 
@@ -154,7 +154,8 @@ def intervals() -> dict[str, Table]:
         spread, box = rng.uniform(0.1, 1.0, n), np.array([30.0, 20.0, 50.0, 3.0, 2.0, 5.0])[:k]
         error = np.sum(A * x[:, None], axis=0) + rng.uniform(-0.9, 0.9, n) * spread
         given = {"A": A, "error": error, "spread": spread, "box": box}
-        found[f"wrench_interval {k} {n}"] = {"given": given, "wanted": interval(*given.values())[None]}
+        wanted = np.array([array(ends) for ends in interval(*(exact(value) for value in given.values()))])
+        found[f"wrench_interval {k} {n}"] = {"given": given, "wanted": wanted[None]}
     return found
 
 

@@ -1,4 +1,4 @@
-"""Tables of the kernels of signals, movement primitives, friction, contact wrenches and the momentum filter.
+"""Tables of the kernels of signals, movement primitives, friction and the momentum filter.
 
 Linear systems are matrix exponentials of the system with its input, minima are roots of their gradients.
 """
@@ -96,30 +96,14 @@ def rollout(phase: str, t: np.ndarray, weights: np.ndarray, ends: np.ndarray) ->
     return mp.matrix(rows)
 
 
-def wrench(A: mp.matrix, error: mp.matrix, variance: mp.matrix, bound: mp.matrix, prior: mp.matrix) -> mp.matrix:
-    """Return the most probable x, then its covariance: Newton until the joints beyond their bounds stay the same."""
-    k, n = A.rows, A.cols
-    x, active = mp.zeros(k, 1), list(range(n))
-    for _ in range(50):
-        r = error - A.T * x
-        active = [i for i in range(n) if abs(r[i]) > bound[i]]
-        H = mp.diag([1 / p for p in prior])
-        pull = mp.matrix([-x[a] / prior[a] for a in range(k)])
-        for i in active:
-            H += A[:, i] * A[:, i].T / variance[i]
-            pull += A[:, i] * (mp.sign(r[i]) * (abs(r[i]) - bound[i]) / variance[i])
-        x += mp.inverse(H) * pull
-    return blocks([[x, mp.inverse(H)]])
-
-
 def filtered(x: Any, P: Any, G: Any, u: Any, y: Any, R: Any, h: Any, Qp: Any, q: Any, a: Any) -> mp.matrix:
     """Return state and covariance: the step by Van Loan's exponential, then Bayes' rule for the measurement."""
     n, m = G.rows, G.cols
     F = blocks([[mp.zeros(n), G], [mp.zeros(m, n), mp.diag([-value for value in a])]])
-    Q = mp.diag([*Qp, *q])
-    both = series(blocks([[-F, Q], [mp.zeros(n + m), F.T]]) * h[0])
+    Q, size = mp.diag([*Qp, *q]), max(*Qp, *q)  # the noise grows with it, and a small matrix has a short series
+    both = series(blocks([[-F, Q / size], [mp.zeros(n + m), F.T]]) * h[0])
     Phi = mp.matrix([[both[n + m + j, n + m + i] for j in range(n + m)] for i in range(n + m)])
-    noise = Phi * mp.matrix([[both[i, n + m + j] for j in range(n + m)] for i in range(n + m)])
+    noise = size * Phi * mp.matrix([[both[i, n + m + j] for j in range(n + m)] for i in range(n + m)])
     x = Phi * x + mp.matrix([*(h[0] * u), *mp.zeros(m, 1)])
     P = Phi * P * Phi.T + noise
     H = blocks([[mp.eye(n), mp.zeros(n, m)]])
@@ -177,19 +161,8 @@ def square(root: np.ndarray) -> np.ndarray:
     return np.sum([np.outer(column, column) for column in root.T], axis=0)
 
 
-def forces(rng: np.random.Generator) -> dict[str, Table]:
+def estimates(rng: np.random.Generator) -> dict[str, Table]:
     found: dict[str, Table] = {}
-    A, error, bound = rng.normal(size=(6, 7)), rng.normal(size=7), rng.uniform(0, 0.5, 7)
-    variance, prior = rng.uniform(0.01, 1, 7), np.array([100.0, 100, 100, 1, 1, 1])
-    for method, limit, before in (
-        ("map", 0 * bound, prior),
-        ("bounded", bound, prior),
-        ("ls", 0 * bound, prior * np.inf),
-    ):
-        whole = array(wrench(*(exact(a) for a in (A, error, variance, limit, before))))
-        given = {"A": A, "error": error, "variance": variance, "bound": bound, "prior": prior}
-        for k, wanted in enumerate((whole[:, 0], whole[:, 1:])):
-            found[f"solve_wrench {method} {k}"] = {"given": given, "wanted": np.ascontiguousarray(wanted[None])}
     n, m = 3, 2
     root, spread = rng.normal(size=(n + m, n + m)), rng.normal(size=(n, n))
     given = {
@@ -231,4 +204,4 @@ def tables() -> dict[str, Table]:
     q = np.cumsum(rng.normal(size=(20, 2)) * 1e-3, axis=0)
     given = {"q": q, "delta": np.array([1e-3, 5e-4]), "resolution": np.array([1e-4, 0.0])}
     found["presliding"] = {"given": given, "wanted": states(*given.values())[None]}
-    return found | motions(rng) | forces(rng)
+    return found | motions(rng) | estimates(rng)

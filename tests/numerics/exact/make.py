@@ -1,13 +1,14 @@
 """Write the tables anew: `python tests/numerics/exact/make.py [folder [topic ...]]`.
 
-Arrays are their shape and their doubles, of 16 hexadecimal digits each. Inputs are made without BLAS, whose sums
-depend on the processor: every machine makes the same tables.
+Arrays are their shape and their doubles, of 16 hexadecimal digits each; for what an earlier table has as well stands
+its name. Inputs are made without BLAS, whose sums depend on the processor: every machine makes the same tables.
 """
 
 from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,27 +22,44 @@ import estimators
 import filters
 import groups
 import limits
+import observers
 import obstacles
 import primitives
+import wrenches
 
-TOPICS = {
-    module.__name__: module for module in (chains, contacts, estimators, filters, groups, limits, obstacles, primitives)
-}
+MODULES = (chains, contacts, estimators, filters, groups, limits, observers, obstacles, primitives, wrenches)
+TOPICS = {module.__name__: module for module in MODULES}
 
 
-def packed(value: Any) -> Any:
-    """Return arrays as shape and big-endian bytes in hexadecimal digits."""
-    if isinstance(value, dict):
-        return {key: packed(inside) for key, inside in value.items()}
-    if isinstance(value, np.ndarray):
-        return [list(value.shape), value.astype(">f8").tobytes().hex()]
-    return value
+def packed(value: np.ndarray) -> list[Any]:
+    """Return shape and big-endian bytes in hexadecimal digits."""
+    return [list(value.shape), value.astype(">f8").tobytes().hex()]
+
+
+def lines(tables: dict[str, Any]) -> Iterator[str]:
+    """Yield a line for each table, with the name of an earlier one in the place of what that has as well."""
+    first: dict[str, str] = {}
+
+    def named(name: str, value: Any, *place: str) -> Any:
+        known = first.setdefault(json.dumps([place, value]), name)
+        return value if known == name else known
+
+    for name, table in tables.items():
+        found: dict[str, Any] = {}
+        for part, arrays in table.items():
+            whole = (
+                {key: packed(array) for key, array in arrays.items()} if isinstance(arrays, dict) else packed(arrays)
+            )
+            found[part] = named(name, whole, part)
+            if isinstance(found[part], dict):
+                found[part] = {key: named(name, array, part, key) for key, array in whole.items()}
+        yield f'"{name}": {json.dumps(found)}'
 
 
 def main(folder: Path, topics: list[str]) -> None:
     for topic in topics:
-        lines = (f'"{name}": {json.dumps(packed(table))}' for name, table in TOPICS[topic].tables().items())
-        (folder / f"{topic}.json").write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
+        text = ",\n".join(lines(TOPICS[topic].tables()))
+        (folder / f"{topic}.json").write_text("{\n" + text + "\n}\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
