@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import sys
+from collections.abc import Iterable
 from importlib import import_module
 from importlib.machinery import ModuleSpec
 from importlib.util import module_from_spec
@@ -32,15 +34,23 @@ def cells() -> list[Any]:
 
 
 def rows(kind: str) -> list[tuple[str, ...]]:
-    """Return the texts of one kind; states in which the same happens share a row."""
+    """Return the texts of one kind. States in which the same happens share a row, and so do faults."""
+    same = [(cell.happens, cell.told, cell.recovers, cell.test, cell) for cell in cells() if cell.kind == kind]
     found = []
-    words = [(cell.fault, cell.happens, cell.told, cell.recovers, cell.test, cell) for cell in cells()]
-    for (fault, happens, told, recovers, test), group in groupby(
-        (one for one in words if one[-1].kind == kind), key=lambda one: one[:-1]
-    ):
-        states = ", ".join(one[-1].state for one in group)
-        found.append((fault, states, happens, told, recovers, test))
+    for (happens, told, recovers, test), alike in groupby(same, key=lambda one: one[:-1]):
+        by_fault = groupby((one[-1] for one in alike), key=lambda cell: cell.fault)
+        by_states = groupby(
+            ((fault, _listed(one.state for one in group)) for fault, group in by_fault), lambda one: one[1]
+        )
+        for states, group in by_states:
+            found.append((_listed(fault for fault, _ in group), states, happens, told, recovers, test))
     return found
+
+
+def _listed(texts: Iterable[str]) -> str:
+    """Return texts behind one another, in their order: with semicolons where one of them has a comma."""
+    texts = list(texts)
+    return ("; " if any("," in text for text in texts) else ", ").join(texts)
 
 
 class Faults(SphinxDirective):
@@ -54,9 +64,11 @@ class Faults(SphinxDirective):
             self.env.note_dependency(str(path))
         made = []
         for fault, states, happens, told, recovers, test in rows(self.arguments[0]):
-            where = nodes.literal("", test.replace("/", "/\u200b").replace("::", "::\u200b"))
+            where = nodes.literal("", re.sub(r"(/|::|_)", "\\1\u200b", test.removeprefix("tests/faults/")))
             made.append(row([*map(nodes.Text, (fault, states, happens, told, recovers)), where]))
-        return [table(HEAD, made)]
+        whole = table(HEAD, made)
+        whole["classes"].append("faults")
+        return [whole]
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
