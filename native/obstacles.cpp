@@ -18,6 +18,7 @@ constexpr double slide = 0.3;      // of what the guard adds: along the surface
 constexpr double still = 1e-9;     // m/s
 constexpr double straight = 1e-9;  // sine of an angle
 constexpr double apart = 1e-3;     // m: a way that leads anywhere
+constexpr double parallel = 1e-24; // squared sine: what rounding makes of parallel axes is below it
 constexpr double damping = 0.02;   // m/rad: of directions in which an arm hardly moves
 constexpr int sweeps = 8;          // of the guard over all that is near
 
@@ -41,8 +42,10 @@ std::pair<double, double> shares(const Capsule &one, const Capsule &two) {
   const double a = dot(d1, d1), e = dot(d2, d2), c = dot(d1, r), f = dot(d2, r);
   if (a == 0.0) return {0.0, e == 0.0 ? 0.0 : clamped(f / e, 0.0, 1.0)};
   if (e == 0.0) return {clamped(-c / a, 0.0, 1.0), 0.0};
-  const double b = dot(d1, d2), square = a * e - b * b;
-  const double s = square > 1e-12 * a * e ? clamped((b * f - c * e) / square, 0.0, 1.0) : 0.0, t = (b * s + f) / e;
+  const Point normal = cross(d1, d2);  // of which a e - b^2 is the square, but without digits next to parallel
+  const double b = dot(d1, d2), square = dot(normal, normal);
+  const double s = square > parallel * a * e ? clamped(dot(normal, cross(d2, r)) / square, 0.0, 1.0) : 0.0;
+  const double t = (b * s + f) / e;
   if (t < 0.0) return {clamped(-c / a, 0.0, 1.0), 0.0};
   if (t > 1.0) return {clamped((b - c) / a, 0.0, 1.0), 1.0};
   return {s, t};
@@ -177,12 +180,12 @@ Point Obstacles::steer(const Contact &c) const {
   const double sine = length(side);
   side = sine > straight ? (1.0 / sine) * side : across(c.velocity, axes_);
   if (rule_.form == Form::steering) {
-    const double theta = std::acos(cosine);
+    const double theta = std::atan2(sine, cosine);  // the cosine has no digits of a small angle
     return (weight * steering * theta * std::exp(-turn * theta) * speed) * side;
   }
   if (cosine <= 0.0) return {0.0, 0.0, 0.0};
   const double near = std::max(c.distance, 0.1 * rule_.reach);
-  const Point force = (2.0 * std::sqrt(1.0 - cosine * cosine)) * side + cosine * c.away;
+  const Point force = (2.0 * sine) * side + cosine * c.away;
   return (weight * pushing * cosine * speed / (near * near)) * force;
 }
 

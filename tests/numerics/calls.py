@@ -178,13 +178,13 @@ def of_contact(module: Any, name: str, given: dict[str, np.ndarray], fixed: dict
 
 
 def of_obstacles(module: Any, name: str, given: dict[str, np.ndarray], fixed: dict[str, np.ndarray]) -> Any:
-    words = name.split()
-    body = (3, np.zeros(0), np.zeros((0, 7)))
-    if words[1] == "arm":
+    rule = name.split()[-1]
+    body: tuple[Any, ...] = (given["y"].shape[1], np.zeros(0), np.zeros((0, 7)))
+    if "frames" in fixed:
         body = (module.Chain(fixed["frames"], fixed["prismatic"]), fixed["links"], fixed["bodies"])
-    obstacles = module.Obstacles(*body, *fixed["rule"].tolist(), words[2] == "potential")
+    obstacles = module.Obstacles(*body, *fixed["rule"].tolist(), rule == "potential")
     obstacles.place(fixed["capsules"])
-    if words[2] == "distance":
+    if rule == "distance":
         return obstacles.distance(given["y"])
     return np.array([obstacles.add(*row) for row in zip(*given.values())])
 

@@ -1,4 +1,4 @@
-"""Tables of the motion around obstacles: capsules in space and on an arm.
+"""Tables of the motion around obstacles: capsules in the plane, in space and on arms, of which one slides.
 
 Distances are the least over all pairs of ends and feet, velocities and accelerations of a point on a link come from
 the derivatives of its frame.
@@ -18,8 +18,8 @@ from rigid import array, exact
 Table = dict[str, Any]
 Vector = Any
 CLEARANCE, REACH = 0.05, 0.4
-STEERING, PUSHING, SLOWEST, FASTEST, SLIDE, DAMPING, SWEEPS = (
-    12, mp.mpf(0.15), 15, 200, mp.mpf(0.3), mp.mpf(0.02), 8,
+STEERING, PUSHING, SLOWEST, FASTEST, SLIDE, DAMPING, SWEEPS, STILL = (
+    12, mp.mpf(0.15), 15, 200, mp.mpf(0.3), mp.mpf(0.02), 8, mp.mpf(1e-9),
 )  # fmt: skip
 
 
@@ -43,17 +43,25 @@ def nearest_points(a: Vector, b: Vector, c: Vector, d: Vector) -> tuple[Vector, 
     return min(points, key=lambda two: mp.norm(two[0] - two[1]))
 
 
+def across(v: Vector, axes: int) -> Vector:
+    """Return a unit vector across another: of the axis that is the least in it."""
+    e = mp.eye(3)[:, min(range(axes), key=lambda i: abs(v[i]))]
+    part = e - dot(e, v) / dot(v, v) * v
+    return part / mp.norm(part)
+
+
 class Contact:
     """A body and an obstacle: nearest points, direction away, velocity, and Jacobian and its drift at the body."""
 
-    def __init__(self, ends: list[Vector], radius: Any, obstacle: Vector) -> None:
+    def __init__(self, ends: list[Vector], radius: Any, obstacle: Vector, axes: int = 3) -> None:
+        self.axes = axes
         self.middle = (obstacle[:3] + obstacle[3:6]) / 2
         self.p, other = nearest_points(*ends, obstacle[:3], obstacle[3:6])
         gap = mp.norm(self.p - other)
         self.away, self.distance = (self.p - other) / gap, gap - radius - obstacle[6]
 
-    def move(self, J: mp.matrix, qd: Vector, drift: Vector, obstacle: Vector) -> Contact:
-        self.J, self.velocity, self.drift = J, J * qd - obstacle[7:], drift
+    def move(self, J: mp.matrix, qd: Vector, drift: Vector, obstacle: Vector, goal: Vector) -> Contact:
+        self.J, self.velocity, self.drift, self.goal = J, J * qd - obstacle[7:], drift, goal
         return self
 
     def acts(self, e: Vector, damped: bool) -> Vector:
@@ -65,15 +73,17 @@ class Contact:
         """Return the acceleration of the rule, at the point."""
         u = min(max((REACH_ - self.distance) / (REACH_ - CLEARANCE_), mp.zero), mp.one)
         weight, speed = u**3 * (10 - 15 * u + 6 * u**2), mp.norm(self.velocity)
-        across = self.away - dot(self.away, self.velocity) / speed**2 * self.velocity
-        cosine, sine = -dot(self.away, self.velocity) / speed, mp.norm(across)
-        across, theta = across / sine, mp.atan2(sine, cosine)
+        if speed < STILL:
+            return mp.zeros(3, 1)
+        side = self.away - dot(self.away, self.velocity) / speed**2 * self.velocity
+        cosine, sine = -dot(self.away, self.velocity) / speed, mp.norm(side)
+        side, theta = side / sine if sine > STILL else across(self.velocity, self.axes), mp.atan2(sine, cosine)
         if not by_potential:
-            return weight * STEERING * theta * mp.exp(-20 * theta / mp.pi) * speed * across
+            return weight * STEERING * theta * mp.exp(-20 * theta / mp.pi) * speed * side
         if cosine <= 0:
-            return 0 * across
+            return 0 * side
         near = max(self.distance, REACH_ / 10)
-        return weight * PUSHING * cosine * speed / near**2 * (2 * sine * across + cosine * self.away)
+        return weight * PUSHING * cosine * speed / near**2 * (2 * sine * side + cosine * self.away)
 
     def lacks(self, a: Vector) -> Any:
         """Return by how much the guard misses the acceleration of the point."""
@@ -81,20 +91,19 @@ class Contact:
         k = min(max(-rate / h, SLOWEST), FASTEST) if h > 0 else mp.mpf(SLOWEST)
         return -2 * k * rate - k**2 * h - dot(self.away, self.J * a + self.drift)
 
-    def along(self, goal: Vector | None) -> Vector:
+    def along(self) -> Vector:
         """Return the way along the surface: to the nearer end of the obstacle, or to the goal where there is none."""
-        for way in (self.p - self.middle, *([] if goal is None else [goal - self.p])):
+        for way in (self.p - self.middle, self.goal - self.p):
             part = way - dot(way, self.away) * self.away
             if mp.norm(part) > mp.mpf(1e-3):
                 return part / mp.norm(part)
-        raise ValueError("no way along the surface")
+        return across(self.away, self.axes)
 
 
 CLEARANCE_, REACH_ = mp.mpf(CLEARANCE), mp.mpf(REACH)
 
 
-def added(contacts: list[Contact], a: Vector, goal: Vector | None, by_potential: bool) -> Vector:
-    damped = goal is None  # an arm
+def added(contacts: list[Contact], a: Vector, damped: bool, by_potential: bool) -> Vector:
     near = [c for c in contacts if c.distance < REACH_]
     for c in near:
         wanted = c.steer(by_potential)
@@ -107,20 +116,23 @@ def added(contacts: list[Contact], a: Vector, goal: Vector | None, by_potential:
             if lacks > 0:
                 kept = False
                 a = a + lacks * c.acts(c.away, damped)
-                a = a + SLIDE * lacks * c.acts(c.along(goal), damped) if sweep == 0 else a
+                a = a + SLIDE * lacks * c.acts(c.along(), damped) if sweep == 0 else a
         if kept:
             break
     return a
 
 
-def in_space(y: Vector, yd: Vector, capsules: np.ndarray) -> list[Contact]:
+def in_space(y: Vector, yd: Vector, g: Vector, capsules: np.ndarray) -> list[Contact]:
+    axes = len(y)
+    J = mp.eye(3)[:, :axes]
     rows = [exact(row) for row in capsules]
-    return [Contact([y, y], mp.zero, row).move(mp.eye(3), yd, mp.zeros(3, 1), row) for row in rows]
+    return [Contact([J * y] * 2, mp.zero, row, axes).move(J, yd, mp.zeros(3, 1), row, J * g) for row in rows]
 
 
-def on_arm(robot: Any, q: Vector, qd: Vector, capsules: np.ndarray) -> list[Contact]:
+def on_arm(robot: Any, q: Vector, qd: Vector, g: Vector, capsules: np.ndarray) -> list[Contact]:
     frames, prismatic, links, bodies = robot
     motion, found, n = Motion(frames, prismatic, q, qd), [], len(prismatic)
+    then = Motion(frames, prismatic, g)
     for (link, body), row in product(zip(links, bodies), capsules):
         T, shape, k, obstacle = motion.transform(int(link)), exact(body), int(link) - 1, exact(row)
         ends = [(T * mp.matrix([*shape[i : i + 3], 1]))[:3] for i in (0, 3)]
@@ -130,7 +142,7 @@ def on_arm(robot: Any, q: Vector, qd: Vector, capsules: np.ndarray) -> list[Cont
         drift = sum(
             ((motion.second[k][i][j] * x)[:3] * (qd[i] * qd[j]) for i in range(n) for j in range(n)), mp.zeros(3, 1)
         )
-        found.append(contact.move(J, qd, drift, obstacle))
+        found.append(contact.move(J, qd, drift, obstacle, (then.transform(int(link)) * x)[:3]))
     return found
 
 
@@ -141,43 +153,87 @@ def table(
     damped: bool,
     name: str,
 ) -> dict[str, Table]:
-    rows = [call(exact(y), exact(yd), fixed["capsules"]) for y, yd in zip(given["y"], given["yd"])]
+    rows = [
+        call(exact(y), exact(yd), exact(g), fixed["capsules"]) for y, yd, g in zip(given["y"], given["yd"], given["g"])
+    ]
     least = np.array([array([min(c.distance for c in row)]) for row in rows])
     found = {f"Obstacles {name} distance": {"fixed": fixed, "given": given, "wanted": least}}
     for rule in ("steering", "potential"):
-        goals = [None if damped else exact(g) for g in given["g"]]
-        motions = zip(rows, map(exact, given["ydd"]), goals)
-        wanted = [array(added(row, a, goal, rule == "potential")) for row, a, goal in motions]
+        wanted = [array(added(row, exact(a), damped, rule == "potential")) for row, a in zip(rows, given["ydd"])]
         found[f"Obstacles {name} {rule}"] = {"fixed": fixed, "given": given, "wanted": np.array(wanted)}
     return found
 
 
-def tables() -> dict[str, Table]:
-    """Return the tables of a point in space and of an arm of three joints."""
-    rng, count = np.random.default_rng(59), 8
-    capsules = rng.uniform(-0.6, 0.6, (3, 10)) * np.array([1] * 6 + [0.1] * 4)
-    capsules[:, 6], capsules[1, 3:6] = [0.05, 0.1, 0.0], capsules[1, :3]
-    given = {
-        name: rng.normal(size=(count, 3)) * size for name, size in (("y", 0.3), ("yd", 0.5), ("g", 0.5), ("ydd", 2.0))
-    }
+def drawn(rng: np.random.Generator, shape: tuple[int, int], **sizes: float) -> dict[str, np.ndarray]:
+    return {name: rng.normal(size=shape) * size for name, size in sizes.items()}
+
+
+def points(rng: np.random.Generator, fixed: dict[str, np.ndarray]) -> dict[str, Table]:
+    """Return the tables of a point in space, and in the plane."""
+    capsules, sizes = fixed["capsules"], {"y": 0.3, "yd": 0.5, "g": 0.5, "ydd": 2.0}
+    given = drawn(rng, (8, 3), **sizes)
     given["y"][0] = capsules[1, :3] + [0.1, 1e-9, 0.0]
     given["y"][1], given["y"][2] = capsules[0, :3] + [0.02, 0.03, 0.0], [5.0, -4.0, 3.0]
-    fixed = {"capsules": capsules.copy(), "rule": np.array([CLEARANCE, REACH])}
     found = table(in_space, given, fixed, False, "space")
-    frames, prismatic, _ = arm(3, 3)
-    links, bodies = np.array([2.0, 3.0]), rng.uniform(-0.3, 0.3, (2, 7))
+    flat = capsules * np.array([1, 1, 0, 1, 1, 0, 1, 1, 1, 0])
+    given = drawn(rng, (6, 2), **sizes)
+    given["y"][0], given["y"][1] = flat[1, :2] + [0.1, 0.01], flat[0, :2] + [0.02, 0.06]
+    return found | table(in_space, given, fixed | {"capsules": flat}, False, "plane")
+
+
+def straight(rng: np.random.Generator, fixed: dict[str, np.ndarray]) -> dict[str, Table]:
+    """Return the tables of ways that lead to the middle of a ball, all but some angle, or end where they are."""
+    angles = np.array([0.0, 1e-300, 1e-12, 1e-8, 1e-6, 1e-4, 0.01, 0.0, 0.0])
+    given = drawn(rng, (len(angles), 3), y=0.3, yd=0.0, g=0.5, ydd=2.0)
+    given["y"][:], given["yd"][:, 0], given["yd"][:, 1] = [0.25, 0.0, 0.0], -0.5, 0.5 * angles
+    given["y"][6] = [0.2, -0.1, 0.15]
+    given["yd"][6] = -given["y"][6] * (1.0 + 1e-7 * np.arange(3))
+    given["y"][7], given["yd"][7], given["yd"][8] = [0.12, 0.0, 0.0], 0.0, 1e-10
+    given["g"][7] = given["y"][7]
+    ball = np.array([[0.0] * 6 + [0.1, 0.0, 0.0, 0.0]])
+    return table(in_space, given, fixed | {"capsules": ball}, False, "straight")
+
+
+def arms(rng: np.random.Generator, fixed: dict[str, np.ndarray], n: int, name: str, ball: bool) -> dict[str, Table]:
+    """Return the tables of an arm with two bodies and obstacles near them, balls or none."""
+    frames, prismatic, _ = arm(n, n)
+    links, bodies, capsules = np.array([n - 1.0, n]), rng.uniform(-0.3, 0.3, (2, 7)), fixed["capsules"].copy()
     bodies[:, 6], bodies[1, 3:6] = [0.04, 0.0], bodies[1, :3]
     robot = {"frames": frames, "prismatic": prismatic.astype(float), "links": links, "bodies": bodies}
-    given = {
-        name: rng.uniform(-1, 1, (6, 3)) * size for name, size in (("y", 0.3), ("yd", 1.0), ("g", 3.0), ("ydd", 2.0))
-    }
+    sizes = {"y": 0.3, "yd": 1.0, "g": 3.0, "ydd": 2.0}
+    given = {key: rng.uniform(-1, 1, (6 if n == 3 else 4, n)) * size for key, size in sizes.items()}
     for row, body, link in zip(capsules, bodies, links):  # near the bodies where they are at zero
-        T = array(Motion(frames, prismatic, mp.zeros(3, 1)).transform(int(link)))
+        T = array(Motion(frames, prismatic, mp.zeros(n, 1)).transform(int(link)))
         row[:3] = np.sum(T[:3, :3] * body[:3], axis=1) + T[:3, 3] + [0.15, -0.1, 0.05]
-        row[3:6] = row[:3] + np.array([0.05, 0.1, -0.1])
-    fixed = {"capsules": capsules, "rule": fixed["rule"]}
+        row[3:6] = row[:3] + (0.0 if ball else np.array([0.05, 0.1, -0.1]))
 
-    def call(q: Vector, qd: Vector, capsules: np.ndarray) -> list[Contact]:
-        return on_arm((frames, prismatic, links, bodies), q, qd, capsules)
+    def call(q: Vector, qd: Vector, g: Vector, capsules: np.ndarray) -> list[Contact]:
+        return on_arm((frames, prismatic, links, bodies), q, qd, g, capsules)
 
-    return found | table(call, given, fixed | robot, True, "arm")
+    return table(call, given, fixed | robot | {"capsules": capsules}, True, name)
+
+
+def parallel(fixed: dict[str, np.ndarray]) -> dict[str, Table]:
+    """Return the table of a bar that turns about its middle, beside one that it is parallel to but for an angle."""
+    angles = np.array([0.0, 1e-300, 2e-12, 1e-9, 1e-8, 1e-7, 9e-7, 1.1e-6, 1e-4, 0.01])
+    y = np.concatenate([angles, -angles[2:]])[:, None]
+    robot = {"frames": np.tile(np.eye(4), (2, 1, 1)), "prismatic": np.zeros(1), "links": np.ones(1)}
+    bar = np.array([-0.5, 0.0, 0.0, 0.5, 0.0, 0.0, 0.01])
+    capsules = np.array([[-0.5, 0.06, 0.08, 0.5, 0.06, 0.08, 0.02, 0.0, 0.0, 0.0]])
+    found = []
+    for q in y:
+        T, obstacle = Motion(robot["frames"], robot["prismatic"], exact(q)).transform(1), exact(capsules[0])
+        ends = [(T * mp.matrix([*exact(bar)[i : i + 3], 1]))[:3] for i in (0, 3)]
+        found.append(array([Contact(ends, exact(bar)[6], obstacle).distance]))
+    fixed = fixed | robot | {"capsules": capsules, "bodies": bar[None]}
+    return {"Obstacles parallel distance": {"fixed": fixed, "given": {"y": y}, "wanted": np.array(found)}}
+
+
+def tables() -> dict[str, Table]:
+    """Return all of them."""
+    rng = np.random.default_rng(59)
+    capsules = rng.uniform(-0.6, 0.6, (3, 10)) * np.array([1] * 6 + [0.1] * 4)
+    capsules[:, 6], capsules[1, 3:6] = [0.05, 0.1, 0.0], capsules[1, :3]
+    fixed = {"capsules": capsules, "rule": np.array([CLEARANCE, REACH])}
+    found = points(rng, fixed) | arms(rng, fixed, 3, "arm", False)
+    return found | straight(rng, fixed) | arms(rng, fixed, 5, "rail", True) | parallel(fixed)

@@ -31,6 +31,7 @@ PUSHING = 0.15
 SLOWEST, FASTEST = 15.0, 200.0
 SLIDE = 0.3
 STILL, STRAIGHT, APART = 1e-9, 1e-9, 1e-3
+PARALLEL = 1e-24
 DAMPING = 0.02
 SWEEPS = 8
 
@@ -204,12 +205,12 @@ class Obstacles:
         sine = np.sqrt(side @ side)
         side = side / sine if sine > STRAIGHT else _across(c.velocity, self._axes)
         if not self._by_potential:
-            theta = np.arccos(cosine)
+            theta = np.arctan2(sine, cosine)  # the cosine has no digits of a small angle
             return weight * STEERING * theta * np.exp(-TURN * theta) * speed * side
         if cosine <= 0.0:
             return np.zeros(3)
         near = max(c.distance, 0.1 * reach)
-        force = 2.0 * np.sqrt(1 - cosine**2) * side + cosine * c.away
+        force = 2.0 * sine * side + cosine * c.away
         return weight * PUSHING * cosine * speed / near**2 * force
 
     def _missing(self, c: _Contact, a: np.ndarray, rows: Any) -> float:
@@ -268,8 +269,9 @@ def _shares(one: np.ndarray, two: np.ndarray) -> tuple[float, float]:
         return 0.0, 0.0 if e == 0.0 else min(max(f / e, 0.0), 1.0)
     if e == 0.0:
         return min(max(-c / a, 0.0), 1.0), 0.0
-    square = a * e - b * b
-    s = min(max((b * f - c * e) / square, 0.0), 1.0) if square > 1e-12 * a * e else 0.0
+    normal = np.cross(d1, d2)  # of which a e - b^2 is the square, but without digits next to parallel
+    square = float(normal @ normal)
+    s = min(max(float(normal @ np.cross(d2, r)) / square, 0.0), 1.0) if square > PARALLEL * a * e else 0.0
     t = (b * s + f) / e
     if t < 0.0:
         return min(max(-c / a, 0.0), 1.0), 0.0
