@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from armlab.bridge.recording import Recording
 from armlab.errors import LinkError
 from armlab.state import Command, State
 from armlab.wire.egm import EgmCodec
@@ -98,3 +99,29 @@ def test_errors_while_the_arm_stops_end_the_run(play: Any, robot: Any) -> None:
     with pytest.raises(LinkError, match=r"without errors, got ZeroDivisionError: division by zero\.") as caught:
         play(script, controller, play.link(codec=codec))
     assert np.nanmax(caught.value.table["qd_sent"]) > 0.05
+
+
+def test_a_row_for_which_there_is_no_memory_is_recorded_later(play: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No hole and none twice: the table has a row for each packet."""
+    kept, failures = Recording.row, [MemoryError()]
+
+    def row(self: Recording, state: State, command: Command | None, tick: Any) -> None:
+        if tick.number == 30 and failures:
+            raise failures.pop()
+        kept(self, state, command, tick)
+
+    monkeypatch.setattr(Recording, "row", row)
+
+    def script(peer: Any) -> None:
+        peer.begin()
+        while not peer.over.is_set():
+            peer.send()
+            with contextlib.suppress(TimeoutError):
+                peer.answer(0.05)
+
+    with pytest.raises(LinkError, match=r"without errors, got MemoryError: no memory is left\.") as caught:
+        play(script, lambda state: Command(qd=np.full(7, 0.1)))
+    table = caught.value.table
+    np.testing.assert_array_equal(table["tick"], np.arange(len(table)))
+    assert len(table) > 31
+    assert not table["qd_sent"][-1].any()

@@ -6,9 +6,11 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
+import pytest
 
-from armlab.errors import CommandRefused, ControllerFailed, ControllerLate
+from armlab.errors import CommandRefused, ControllerFailed, ControllerLate, LinkError
 from armlab.state import Command, State
+from armlab.wire.egm import EgmCodec
 
 from .bench import PERIOD, ROBOT, Bench
 from .judge import judge
@@ -183,6 +185,40 @@ def test_the_run_goes_on(bench: Bench, cell: Cell) -> None:
     assert gaps.max() < 2.0 * PERIOD, "no packet had to wait for the controller"
     moved = [reply.q for reply, sent in zip(bench.heard(), bench.sent, strict=True) if sent.t > over[0]]
     assert np.ptp(moved, axis=0).min() > 0.01, "it moves again"
+
+
+@shows(
+    cells(
+        "controller",
+        "a codec of your own raises as it encodes",
+        "holding, running, stopping",
+        HOLDS,
+        "Expected a cycle without errors, got ZeroDivisionError: division by zero.",
+        AGAIN,
+    )
+)
+def test_a_codec_raises(bench: Bench, cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One packet has no reply; the next one is one step from the last that went out."""
+    raised = [False]
+    encode = EgmCodec.encode
+
+    def broken(codec: EgmCodec, reference: Any) -> bytes:
+        if bench.now >= 0.3 and not raised[0]:
+            raised[0] = True
+            raise ZeroDivisionError("division by zero")
+        return encode(codec, reference)
+
+    monkeypatch.setattr(EgmCodec, "encode", broken)
+    holds, stops = (0.0, 1.0 if cell.state == "holding" else 0.0), 0.29 if cell.state == "stopping" else np.inf
+    outcome = bench.run(Motion(holds=holds, stops=stops), seconds=1.0)
+    assert type(outcome.failure) is LinkError
+    assert cell.is_told(str(outcome.failure))
+    judge(bench, outcome)
+    assert not bench.heard()[-1].qd.any(), "it came to rest"
+    count = len(bench.sent)
+    again = bench.run(Motion(), seconds=0.3)
+    judge(bench, again, count)
+    assert again.run.reason == "the time is up"
 
 
 @shows(

@@ -198,28 +198,14 @@ class Arm:
         turn : the packet. command : what the controller wanted. reply : what the guide makes of it, None for nothing.
         call_ns : time spent in the controller. late : the controller missed its deadline.
         """
-        sample, session = turn.sample, self.session
         seq = send_ns = -1
-        depth = -1 if self._in_lockstep else sample.packet.queue_depth  # lockstep waits for every reply
-        if reply is not None and session.source is not None and not self.surplus.leaves_out(depth):
-            packet = sample.packet
-            tm_ms = 0 if packet.tm_ms is None else packet.tm_ms
-            echoes = packet.seqno, packet.robot_mono_ns
-            reference = Reference(reply.q, reply.qd, reply.tau, session.seq, tm_ms, *echoes, reply.free, reply.beside)
-            data = self.codec.encode(reference)
-            now = time.monotonic_ns()
-            if self.port.send(data, session.source):
-                seq, send_ns = session.seq, now
-                session.replied(now)
-                self.replies += 1
-                self.latency.add(now - sample.arrival_ns)
-                late = late or (not self._in_lockstep and now > self.deadline(sample))
-            else:
-                host, port = session.source
-                what = f"A reply to {host}:{port} did not go out: the system refused it. The robot keeps the last one."
-                self.recording.event(what, warn=True)
-        if reply is not None and send_ns < 0:
-            self.guide.take_back()
+        try:
+            if reply is not None:
+                seq, send_ns = self._send(turn.sample, reply)
+        finally:  # also when the codec raises: the robot has not got it
+            if reply is not None and send_ns < 0:
+                self.guide.take_back()
+        late = late or (not self._in_lockstep and send_ns > self.deadline(turn.sample))
         self._answered = command
         self.was_late = late
         self.late += late
@@ -228,6 +214,27 @@ class Arm:
             self._rows.append(_Row(older))
         self._surpassed.clear()
         self._rows.append(_Row(turn, command, reply if send_ns >= 0 else None, seq, send_ns, call_ns, late))
+
+    def _send(self, sample: Sample, reply: Reply) -> tuple[int, int]:
+        """Send a reply. Return its number and when [ns], -1 and -1 when nothing went out."""
+        session, packet = self.session, sample.packet
+        depth = -1 if self._in_lockstep else packet.queue_depth  # lockstep waits for every reply
+        if session.source is None or self.surplus.leaves_out(depth):
+            return -1, -1
+        tm_ms = 0 if packet.tm_ms is None else packet.tm_ms
+        echoes = packet.seqno, packet.robot_mono_ns
+        reference = Reference(reply.q, reply.qd, reply.tau, session.seq, tm_ms, *echoes, reply.free, reply.beside)
+        data = self.codec.encode(reference)
+        now, seq = time.monotonic_ns(), session.seq
+        if not self.port.send(data, session.source):
+            host, port = session.source
+            what = f"A reply to {host}:{port} did not go out: the system refused it. The robot keeps the last one."
+            self.recording.event(what, warn=True)
+            return -1, -1
+        session.replied(now)
+        self.replies += 1
+        self.latency.add(now - sample.arrival_ns)
+        return seq, now
 
     def rehearse(self) -> None:
         """Do the work of the last packet once more; see `rehearsal`."""
@@ -240,8 +247,12 @@ class Arm:
                 break
 
     def record(self) -> None:
-        """Record what was answered or overtaken since the last call: when no reply has to wait for that."""
-        for row in self._rows:
+        """Record what was answered or overtaken since the last call: when no reply has to wait for that.
+
+        A row that could not be recorded, for want of memory, is the first of the next call.
+        """
+        while self._rows:
+            row = self._rows[0]
             sample, reply, wall_ns = row.turn.sample, row.reply, self._wall_ns
             self.prediction.add(sample.arrival_ns, sample.missed + 1, self.period)
             tick = Tick(
@@ -261,9 +272,9 @@ class Arm:
                 wake_ns=row.turn.wake_ns,
                 record=self._fusion.record(row.turn.state.sources, sample.arrival_ns),
             )
-            self._ticks += 1
             self.recording.row(row.turn.state, row.command, tick)
-        self._rows.clear()
+            self._ticks += 1
+            del self._rows[0]
 
 
 def _beside(reply: Reply | None) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -272,8 +272,9 @@ class Link:
             self.last = run = finished(arms, loop.reason or "interrupted", feeds)
         failure = loop.failure
         if failure is not None:
-            tails = {arm.robot.name: arm.recording.tail() for arm in arms}
-            failure.table = together(tails) if len(tails) > 1 else arms[0].recording.tail()
+            with suppress(MemoryError):  # the reason is told in any case
+                tails = {arm.robot.name: arm.recording.tail() for arm in arms}
+                failure.table = together(tails) if len(tails) > 1 else tails[arms[0].robot.name]
             raise failure
         if loop.interrupted:
             raise KeyboardInterrupt

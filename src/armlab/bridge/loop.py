@@ -35,6 +35,7 @@ _SPARE = 1_000_000  # ns to the next packet that leave time to collect garbage
 _PROGRESS = 0.1  # s between two calls of progress
 _STALE_PERIODS, _STALE = 3.0, 0.02  # an arm unheard for longer, the larger of the two, holds the others
 _SERVES = 2.5  # periods of the pacing arm for which a command serves another arm
+_RESERVE = 2**24  # bytes, given back by what ends the run: to bring the arms to rest and to tell why needs some
 
 
 class Packets(Protocol):
@@ -70,6 +71,7 @@ class Loop:
         self.interrupted = self._has_failed = False
         self.reason = ""
         self._lock = threading.Lock()
+        self._reserve: bytearray | None = bytearray(_RESERVE)  # never touched: address space only
         self._next_progress = 0.0
         self._looked_ns = time.monotonic_ns()
         self._sessions: tuple[int, ...] = ()
@@ -97,22 +99,28 @@ class Loop:
 
     def run(self) -> None:
         """Run until every guide has ended."""
-        while not self._have_ended():
+        ended = False
+        while not ended:
             try:
-                self.cycle()
+                ended = self._have_ended()
+                if not ended:
+                    self.cycle()
             except Exception as error:
                 with self._lock:
                     if self._has_failed:  # again: the arms cannot be brought to rest
                         self._pace.guide.failure = self.failure or _broken(error)
-                        return
-                    self._fail(error)
+                        ended = True
+                    else:
+                        self._fail(error)
+        self._reserve = None
 
     def _fail(self, error: Exception) -> None:
         """Stop after an error of a codec or a source of the user's, or ours: no arm goes on at its speed."""
-        self._has_failed = True
+        self._reserve, self._has_failed = None, True
         failure = _broken(error)
         self._pace.recording.event(str(failure), warn=True)
         self._stop("the bridge failed", failure)
+        self._pace.guide.failure = self.failure or failure  # also when the arms were to stop already
 
     def cycle(self) -> None:
         """Wait for one packet, answer it, record it."""
@@ -206,7 +214,8 @@ class Loop:
         except BaseException as error:  # also SystemExit: the arm must not go on at its last speed
             if isinstance(error, KeyboardInterrupt) and self.interrupted:
                 raise  # the second Ctrl-C
-            failure = ControllerFailed(f"The controller raised {type(error).__name__}: {error}. The arm was stopped.")
+            self._reserve = None
+            failure = ControllerFailed(f"The controller raised {_named(error)}. The arm was stopped.")
             failure.__cause__ = error
         finally:
             call_ns = time.monotonic_ns() - start
@@ -278,7 +287,8 @@ class Loop:
             try:
                 settings.progress(elapsed)
             except Exception as error:
-                failure = ControllerFailed(f"`progress` raised {type(error).__name__}: {error}. The arm was stopped.")
+                self._reserve = None
+                failure = ControllerFailed(f"`progress` raised {_named(error)}. The arm was stopped.")
                 failure.__cause__ = error
                 self._stop("the display of progress failed", failure)
         spare_ns = time.monotonic_ns() + _SPARE
@@ -311,6 +321,12 @@ class Loop:
 
 
 def _broken(error: Exception) -> LinkError:
-    failure = LinkError(f"Expected a cycle without errors, got {type(error).__name__}: {error}.")
+    failure = LinkError(f"Expected a cycle without errors, got {_named(error)}.")
     failure.__cause__ = error
     return failure
+
+
+def _named(error: BaseException) -> str:
+    """Return type and text of an error."""
+    text = "no memory is left" if isinstance(error, MemoryError) else str(error)
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__

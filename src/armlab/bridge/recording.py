@@ -106,6 +106,8 @@ class Recording:
             self._stamp_early(tick.stamp_ns)
         try:
             self._log.row(state, command, tick)
+        except MemoryError:  # no fault of the command
+            raise
         except Exception as error:  # what a controller returned may be anything
             if str(error) not in self._told:
                 self._told.add(str(error))

@@ -209,8 +209,8 @@ class Guide:
         if self.mode in _LAST:
             return
         self.reason, self.failure = reason, failure
+        self.mode = Mode.ENDED if self.mode in _UNANSWERED else Mode.STOPPING  # whatever becomes of the sentence
         self._on_event(f"Stopping: {reason}.")
-        self.mode = Mode.ENDED if self.mode in _UNANSWERED else Mode.STOPPING
 
     def lose(self, reason: str, resume: bool) -> None:
         """Take note that the session ended.

@@ -80,6 +80,7 @@ class Recorder:
         self.rows = 0
         self.dropped = 0
         self.failed: str | None = None
+        self._stopped = f"The log {self.path} stopped."
         self._wait = wait
         self._holes: list[tuple[int, int, int]] = []  # first tick, last tick, rows
         self._hole: tuple[int, int, int] | None = None
@@ -117,7 +118,7 @@ class Recorder:
                 unknown = ", ".join(sorted(map(str, command.record.keys() - self._known)))
                 self._complain(f"not written, as not declared with extra=: {unknown}", tick)
         except Exception as error:  # whatever it is: a row that cannot be packed must not stop the loop
-            self._complain(f"row not written: {error}", tick)
+            self._complain(f"row not written: {str(error) or type(error).__name__}", tick)
             return self._drop(tick)
         if self._hole is not None:
             self._end_hole(tick.stamp_ns)
@@ -195,6 +196,7 @@ class Recorder:
         try:
             work()
         except Exception as error:  # the loop goes on, so this thread has nobody to raise to
+            self.failed = self._stopped  # there may be no memory for more words
             reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
             self.failed = f"The log {self.path} stopped after {self._file.rows} rows: {reason}."
             self._file.abandon()
