@@ -33,8 +33,7 @@ def of_filter(module: Any, name: str, given: dict[str, np.ndarray], fixed: dict[
         case "Drive":
             return module.Drive(*values[:2]).torque(*values[2:])
         case "basis" | "rollout":
-            shape = (fixed["centres"], fixed["widths"], fixed["weights"])
-            primitive = module.Primitive(*shape, *fixed["rates"].tolist(), words[1])
+            primitive = primitive_of(module, words[1], fixed)
             if words[0] == "basis":
                 return primitive.basis(given["x"])
             return primitive.rollout(given["t"], float(given["tau"]), *given["ends"])[
@@ -57,7 +56,7 @@ def of_limits(module: Any, _: str, given: dict[str, np.ndarray], __: dict[str, n
 def of_primitive(module: Any, name: str, given: dict[str, np.ndarray], fixed: dict[str, np.ndarray]) -> Any:
     words, outputs = name.split(), ("y", "yd", "ydd")
     kind = "time" if words[0] == "rotation_rollout" else words[1]
-    primitive = module.Primitive(fixed["centres"], fixed["widths"], fixed["weights"], *fixed["rates"].tolist(), kind)
+    primitive = primitive_of(module, kind, fixed)
     match words[0]:
         case "rollout":
             return primitive.rollout(given["t"], float(given["tau"]), *given["ends"])[outputs.index(words[2])]
@@ -65,10 +64,6 @@ def of_primitive(module: Any, name: str, given: dict[str, np.ndarray], fixed: di
             return np.concatenate(primitive.response(given["t"], float(given["tau"]), float(given["longest"])), axis=-1)
         case "forcing":
             return primitive.forcing(given["phase"])
-        case "PrimitiveStepper":
-            return run(module.PrimitiveStepper(primitive, float(fixed["filter"])), given)[
-                ..., outputs.index(words[2]), :
-            ]
         case "TwoDof":
             return controlled(module.TwoDof(primitive, *fixed_of_control(fixed)), words[2], **given)
     values = (given[key] for key in ("q0", "w0", "goal", "turn"))
@@ -76,17 +71,27 @@ def of_primitive(module: Any, name: str, given: dict[str, np.ndarray], fixed: di
     return found[("q", "w", "wd").index(words[1])]
 
 
-def run(stepper: Any, given: dict[str, np.ndarray]) -> np.ndarray:
+def of_stepper(module: Any, name: str, given: dict[str, np.ndarray], fixed: dict[str, np.ndarray]) -> Any:
     """Return what each step gives of a run that is given another goal, scale and time constant before the fourth."""
+    around = None
+    if "capsules" in fixed:
+        around = module.Obstacles(2, np.zeros(0), np.zeros((0, 7)), *fixed["rule"].tolist())
+        around.place(fixed["capsules"])
+    _, kind, *_, output = name.split()
+    stepper = module.PrimitiveStepper(primitive_of(module, kind, fixed), float(fixed["filter"]), around)
     *start, goal, scale = given["ends"]
     stepper.start(*start, float(given["taus"][0]))
     rows = []
     for k, dt in enumerate(given["dt"].tolist()):
         if k == 3:
-            stepper.change_goal(goal, scale)
+            stepper.change_goal(goal, scale, *([given["limit"]] if "limit" in given else []))
             stepper.change_tau(float(given["taus"][1]))
-        rows.append(stepper.step(dt))
+        rows.append(stepper.step(dt)[("y", "yd", "ydd").index(output)])
     return np.array(rows)
+
+
+def primitive_of(module: Any, kind: str, fixed: dict[str, np.ndarray]) -> Any:
+    return module.Primitive(fixed["centres"], fixed["widths"], fixed["weights"], *fixed["rates"].tolist(), kind)
 
 
 def fixed_of_control(fixed: dict[str, np.ndarray]) -> tuple[Any, ...]:
@@ -199,5 +204,6 @@ FAMILIES = {
     "observers": of_observer,
     "obstacles": of_obstacles,
     "primitives": of_primitive,
+    "steppers": of_stepper,
     "wrenches": of_wrench,
 }

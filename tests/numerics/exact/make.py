@@ -25,9 +25,10 @@ import limits
 import observers
 import obstacles
 import primitives
+import steppers
 import wrenches
 
-MODULES = (chains, contacts, estimators, filters, groups, limits, observers, obstacles, primitives, wrenches)
+MODULES = (chains, contacts, estimators, filters, groups, limits, observers, obstacles, primitives, steppers, wrenches)
 TOPICS = {module.__name__: module for module in MODULES}
 
 
