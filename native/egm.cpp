@@ -24,6 +24,7 @@ using Cut = std::tuple<int, int, int>;
 using Integers = std::array<std::uint64_t, 6>;  // seqno, tm, seconds, microseconds, monotonic clock, queue depth
 
 constexpr int pose_numbers = 7, matrix_numbers = 16, after_scaled = pose_numbers + 1;
+constexpr double most = 1e9;  // degrees or mm: no arm is there, and differences of larger ones would not be finite
 constexpr std::uint64_t low_32 = 0xffffffff, max_seconds = 9'000'000'000, max_microseconds = 1'000'000'000;
 
 // x, y, z [mm] and a quaternion to the rows of a matrix [m]; NaN for a quaternion without a usable norm.
@@ -145,7 +146,7 @@ class EgmReader {
   nb::object made(const double *numbers, const Integers &integers) const {
     for (const auto &[start, stop] : finite_)
       for (int k = start; k < stop; ++k)
-        if (!std::isfinite(numbers[k])) return nb::none();
+        if (!(std::abs(numbers[k]) <= most)) return nb::none();
     const int scaled = count() - after_scaled;
     const npy_intp length = scaled + matrix_numbers;
     const nb::object values = fresh_array(1, &length);

@@ -198,6 +198,7 @@ def drops(wire: Any) -> dict[str, tuple[bytes, str]]:
         "five joints": (wire.robot(wire.joints(*TEN[:5])), "joint count"),
         "NaN": (wire.robot(wire.joints(*TEN[:5], math.nan)), "not finite"),
         "infinity": (wire.robot(wire.joints(*TEN[:5], math.inf)), "not finite"),
+        "too large": (wire.robot(wire.joints(*TEN[:5], -1e10)), "not finite"),
         "both infinities": (wire.robot(wire.joints(*TEN[:4], math.inf, -math.inf)), "not finite"),
         "external NaN": (wire.robot(good, external=wire.d(1, math.nan)), "not finite"),
         "extension NaN": (wire.robot(good, wire.m(101, wire.packed(1, *TEN[:5], math.nan))), "not finite"),
@@ -210,8 +211,8 @@ def drops(wire: Any) -> dict[str, tuple[bytes, str]]:
     "kind",
     [
         *("empty", "one byte", "huge varint", "no seqno", "sensor", "unknown type", "no feedback", "no joints"),
-        *("five joints", "NaN", "infinity", "both infinities", "external NaN", "extension NaN", "extension count"),
-        "joints are text",
+        *("five joints", "NaN", "infinity", "too large", "both infinities", "external NaN", "extension NaN"),
+        *("extension count", "joints are text"),
     ],
 )
 def test_drops_by_kind(six: Any, wire: Any, kind: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -65,12 +66,12 @@ def test_a_state_that_changes_is_seen(yumi: Any) -> None:
         assert (packet.mci, packet.converged) == (mci, converged)
 
 
-def test_nan_is_dropped_by_a_layout_too(six: Any) -> None:
+def test_what_is_no_position_is_dropped_by_a_layout_too(six: Any) -> None:
     robot, codec = RobotSideCodec(six), EgmCodec(six)
     good = message(six, 1)
     assert isinstance(codec.decode(robot.encode_robot(good)), Packet)
-    for name in ("q", "q_ext"):
-        bad = robot.encode_robot(good._replace(**{name: np.full(len(getattr(good, name)), np.nan)}))
+    for name, value in itertools.product(("q", "q_ext"), (np.nan, 1e200)):
+        bad = robot.encode_robot(good._replace(**{name: np.full(len(getattr(good, name)), value)}))
         found: Any = codec.decode(bad)
         assert (type(found), found.reason) == (Drop, "not finite")
 

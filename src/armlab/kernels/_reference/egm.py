@@ -7,7 +7,7 @@ states of a datagram are those of the one that was learnt from; then its numbers
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import isfinite, nan
+from math import nan
 from struct import pack_into, unpack_from
 from typing import Any
 
@@ -20,6 +20,7 @@ __all__ = ["EgmReader", "EgmWriter"]
 _POSE, _MATRIX = 7, 16
 _INTEGERS = 6
 _UINT32, _UINT64 = 2**32 - 1, 2**64 - 1
+_MOST = 1e9  # degrees or mm: no arm is there, and differences of larger ones would not be finite
 _MAX_SECONDS, _MAX_MICROSECONDS = 9_000_000_000, 10**9  # a later clock does not fit int64 nanoseconds
 
 
@@ -38,7 +39,7 @@ class EgmReader:
     scalars : fields of the sequence number, tm, the robot's clock [ns], utilization, the monotonic clock and the depth
         of the queue, -1 where the fixed one stays.
     scale : SI per wire unit, NaN for what is absent; the last 16 stand for the matrix.
-    finite : (start, stop) of numbers without which there is no packet.
+    finite : (start, stop) of numbers without which there is no packet: finite, and no larger than 1e9.
 
     Raises
     ------
@@ -89,7 +90,7 @@ class EgmReader:
         self._spans = tuple(spans)
 
     def read(self, data: bytes) -> Any | None:
-        """Return the packet, None for a datagram that looks otherwise or lacks a finite number.
+        """Return the packet, None for a datagram that looks otherwise or lacks such a number.
 
         Parameters
         ----------
@@ -106,7 +107,7 @@ class EgmReader:
         return self.packet([_double(data, at) if at >= 0 else 0.0 for at in self._offsets], integers)
 
     def packet(self, numbers: Sequence[float], integers: Sequence[int]) -> Any | None:
-        """Return the packet, None when a number that must be is not finite.
+        """Return the packet, None when a number that must be finite is not, or is too large.
 
         Parameters
         ----------
@@ -120,7 +121,7 @@ class EgmReader:
             raise ShapeError(
                 f"Expected {self._count} numbers and {_INTEGERS} integers, got {len(numbers)} and {len(integers)}."
             )
-        if not all(isfinite(x) for start, stop in self._finite for x in numbers[start:stop]):
+        if not all(abs(x) <= _MOST for start, stop in self._finite for x in numbers[start:stop]):
             return None
         with np.errstate(invalid="ignore", over="ignore"):  # a signalling NaN, or 1e308 degrees, from the wire
             scaled = np.array(numbers[: -_POSE - 1]) * self._scale

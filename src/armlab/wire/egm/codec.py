@@ -89,7 +89,7 @@ class EgmCodec:
             return refused.drop
         packet = shape.reader.packet(numbers, integers)
         if packet is None:
-            return Drop("not finite", "a joint, a velocity or an external axis is no number")
+            return Drop("not finite", "a joint, a velocity or an external axis is no number, or beyond 1e9")
         self.robotware = packet.robotware
         self._learn(data, shape, packet)
         return packet if self._linkage is None else self._linkage.heard(packet)
