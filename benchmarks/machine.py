@@ -6,19 +6,21 @@ import ctypes
 import os
 import platform
 import subprocess
-from collections.abc import Callable, Sequence
-from importlib.metadata import version
+from collections.abc import Callable
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from time import process_time
 
 import numpy as np
 
-PACKAGES = ("armlab", "numpy", "scipy", "protobuf", "pin", "roboticstoolbox-python", "ABBRobotEGM", "pytransform3d")
+PACKAGES = ("armlab", "numpy", "scipy", "protobuf", "rosbags")
 
 
-def describe(packages: Sequence[str] = PACKAGES) -> list[str]:
-    """Return the machine line, the versions of packages and the commit, one sentence each."""
-    versions = ", ".join(f"{name} {version(name)}" for name in packages)
+def describe() -> list[str]:
+    """Return the machine line, the versions of armlab, of what it uses and of its peers, and the commit."""
+    peers = [line.split("==")[0] for file in sorted(Path(__file__).parent.glob("requirements*.txt"))
+             for line in file.read_text(encoding="utf-8").splitlines() if "==" in line]  # fmt: skip
+    versions = ", ".join(f"{name} {version(name)}" for name in (*PACKAGES, *peers) if _is_here(name))
     return [
         f"{_cpu()}, {os.cpu_count()} cores, {_memory():.0f} GiB, {platform.system()} {platform.release()}, "
         f"Python {platform.python_version()}.",
@@ -79,6 +81,13 @@ def _clocks() -> tuple[float, float, float]:
     own = os.times()
     busy = (user + nice + system + irq + softirq + steal) / os.sysconf("SC_CLK_TCK")
     return busy, sum(own[:4]), own.elapsed
+
+
+def _is_here(package: str) -> bool:
+    try:
+        return bool(version(package))
+    except PackageNotFoundError:  # a heavy one
+        return False
 
 
 def _cpu() -> str:
