@@ -19,6 +19,7 @@ from report import Section
 PATH = Path(__file__).with_name("baseline.json")
 TIMES = ("µs", "ms", "s", "%")  # units of what the processor decides; a share is one of its time, or of its rows
 LEAST = 1.1  # times: smaller changes are noise, whatever the quartiles say
+ONCE = 1.5  # the same of what was measured once, which has no quartiles
 
 
 class Change(NamedTuple):
@@ -37,9 +38,10 @@ class Change(NamedTuple):
 
     @property
     def is_clear(self) -> bool:
-        """Whether the ranges of quartiles lie apart and the change is more than a tenth."""
+        """Whether the ranges of quartiles lie apart and the change is more than noise."""
         apart = self.now[1] > self.before[2] or self.now[2] < self.before[1]
-        return apart and not 1 / LEAST <= self.times <= LEAST
+        least = ONCE if any(one[1] == one[2] for one in (self.before, self.now)) else LEAST
+        return apart and not 1 / least <= self.times <= least
 
 
 class Comparison(NamedTuple):
@@ -90,8 +92,9 @@ def render(comparison: Comparison | None) -> list[str]:
         "## Compared with the baseline",
         "",
         f"Baseline: {comparison.date}, {comparison.machine} {len(changes)} figures are in both; {len(clear)} differ by "
-        f"more than a tenth with quartiles apart, {sum(one.times > 1 for one in clear)} of them for the worse. Ratios "
-        "are compared, armlab's time over the peer's, and values that are no times; times only on the same processor.",
+        f"more than a tenth with quartiles apart (by half, where it was measured once), "
+        f"{sum(one.times > 1 for one in clear)} of them for the worse. Ratios are compared, armlab's time over the "
+        "peer's, and values that are no times; times only on the same processor.",
         "",
     ]
     if clear:

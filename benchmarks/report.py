@@ -23,12 +23,20 @@ ratio, or of armlab's own time. Bold lines are armlab's, lines in italics are li
 
 @dataclass(frozen=True)
 class Section:
-    """The tables of one benchmark, the cores that other processes used meanwhile, and why there is no table."""
+    """The tables of one benchmark, or why there are none.
+
+    Attributes
+    ----------
+    other_cores : that other processes used meanwhile. seconds : by the clock on the wall.
+    failure : why it failed. earlier : why it failed before it was run once more.
+    """
 
     name: str
     tables: Sequence[Table]
     other_cores: float
+    seconds: float = 0.0
     failure: str = ""
+    earlier: str = ""
 
 
 def render(
@@ -59,11 +67,20 @@ def render(
             "",
         ]
     lines += [f"**{section.name} failed:** {section.failure}\n" for section in sections if section.failure]
+    lines += [f"**{section.name} failed at first:** {section.earlier}\n" for section in sections if section.earlier]
     lines += [METHOD, *_bars(sections), *compared]
     for section in sections:
         for table in section.tables:
             lines += _table(table, section)
-    return "\n".join(lines).rstrip() + "\n"
+    return "\n".join([*lines, *_times(sections)]).rstrip() + "\n"
+
+
+def _times(sections: Sequence[Section]) -> list[str]:
+    """Return how long each benchmark took, by the clock on the wall, and how quiet the machine was meanwhile."""
+    total = sum(section.seconds for section in sections)
+    rows = [f"| {section.name} | {section.seconds:.0f} | {section.other_cores:.2f} |" for section in sections]
+    head = ["| benchmark | s | cores used by others |", "|---|---|---|"]
+    return ["## How long it took", "", f"{total / 60.0:.0f} minutes in all.", "", *head, *rows, ""]
 
 
 def _bars(sections: Sequence[Section]) -> list[str]:

@@ -1,13 +1,13 @@
 """Run the benchmarks side by side with armlab's peers and write a report.
 
-    python benchmarks/run.py                   all of them
+    python benchmarks/run.py                   all of them, half an hour on a quiet machine of two cores
     python benchmarks/run.py --only pose       one
     python benchmarks/run.py --quick           a short look
     python benchmarks/run.py --publish         also write docs/benchmarks.md, its picture, and the baseline
 
 A benchmark is a file ``bench_NAME.py`` here with a function ``run(quick) -> list[blocks.Table]``. It runs in a process
 of its own, so that none meets what another left behind. A report, Markdown and a picture, goes to
-``benchmarks/results``; it compares with the baseline of the last published run.
+``benchmarks/results``; it tells how long each took, and compares with the baseline of the last published run.
 """
 
 from __future__ import annotations
@@ -48,6 +48,7 @@ def main() -> int:
 def _measured(names: Sequence[str], quick: bool, some: bool, publish: bool) -> int:
     import baseline
     import machine
+    import picture
     from measure import measure
 
     start, about = datetime.now(UTC), machine.describe()
@@ -55,14 +56,18 @@ def _measured(names: Sequence[str], quick: bool, some: bool, publish: bool) -> i
     path = HERE / "results" / f"{start:%Y-%m-%d-%H%M%S}.md"
     path.parent.mkdir(exist_ok=True)
     sections: list[Section] = []
-    for name in names:
+    for k, name in enumerate(names, start=1):
+        minutes = (datetime.now(UTC) - start).total_seconds() / 60.0
+        print(f"Measuring {name} ({k} of {len(names)}, {minutes:.0f} min) ...", flush=True)
         sections.append(measure(name, quick))
-        text = _written(path, date, about, sections, quick, some)  # after each: a run of hours that is cut off is kept
+        _write(path, date, about, sections, quick, some)  # after each: a run that is cut off is kept
+    drawn = path.with_suffix(".png")
+    shown = drawn.name if picture.draw(f"{date}. {about[0]}", sections, drawn) else ""
+    text = _write(path, date, about, sections, quick, some, shown)
     failed = [section.name for section in sections if section.failure]
     if publish and not failed:
-        shown = path.with_suffix(".png").name
-        (DOCS / "benchmarks.md").write_text(text.replace(shown, "_static/benchmarks.png"), encoding="utf-8")
-        shutil.copy(path.with_suffix(".png"), DOCS / "_static" / "benchmarks.png")
+        (DOCS / "benchmarks.md").write_text(text.replace(f"({shown})", "(_static/benchmarks.png)"), encoding="utf-8")
+        shutil.copy(drawn, DOCS / "_static" / "benchmarks.png")
         baseline.store(date, about[0], sections)
     print(text)
     print(f"Report: {path.relative_to(environment.ROOT)}, its picture beside it")
@@ -71,14 +76,20 @@ def _measured(names: Sequence[str], quick: bool, some: bool, publish: bool) -> i
     return 1 if failed else 0
 
 
-def _written(path: Path, date: str, about: Sequence[str], sections: Sequence[Section], quick: bool, some: bool) -> str:
+def _write(
+    path: Path,
+    date: str,
+    about: Sequence[str],
+    sections: Sequence[Section],
+    quick: bool,
+    some: bool,
+    picture: str = "",
+) -> str:
     import baseline
-    import picture
     from report import render
 
     compared = baseline.render(baseline.compare(about[0], sections, whole=not some))
-    drawn = picture.draw(f"{date}. {about[0]}", sections, path.with_suffix(".png"))
-    text = render(date, about, sections, quick, path.with_suffix(".png").name if drawn else "", compared)
+    text = render(date, about, sections, quick, picture, compared)
     path.write_text(text, encoding="utf-8")
     return text
 

@@ -21,7 +21,7 @@ BENCHMARKS = sorted(HERE.glob("bench_*.py"))
 @pytest.fixture
 def harness(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, ModuleType]]:
     """The modules that need no peer."""
-    names = ("blocks", "report", "environment", "baseline", "picture")
+    names = ("blocks", "report", "environment", "baseline", "picture", "machine", "measure", "run")
     monkeypatch.syspath_prepend(str(HERE))
     yield {name: importlib.import_module(name) for name in names}
     for name in names:
@@ -85,11 +85,12 @@ def test_report_tells_bars_and_noise(harness: dict[str, ModuleType]) -> None:
         blocks.Contender("Peer", constant(3e-3, 3e-3), bar=0.0005, note="its best"),
         blocks.Contender("writing", constant(1e-6, 1e-6), "limit"),
     ]
-    section = report.Section("pose", [blocks.table("One pose", "A pose.", "µs", contenders, rounds=1)], 0.25)
+    section = report.Section("pose", [blocks.table("One pose", "A pose.", "µs", contenders, rounds=1)], 0.25, 90.0)
     text = report.render("2026-01-02", ["A machine."], [section], quick=True)
     assert "| One pose | armlab forward | 2 µs | 3 µs | met |" in text
     assert re.search(r"\| One pose \| Peer \| 0\.000667 .*\| 0\.0005 \| \*\*missed\*\* \|", text)
     assert "| Peer | 3000 | 3000 | 3000–3000 |" in text
+    assert "| pose | 90 | 0.25 |" in text, "how long it took"
     assert "armlab at 50 % of it" in text
     assert "other processes used 0.25 cores" in text
     assert "The machine was shared" in text
@@ -176,10 +177,20 @@ def test_baseline_compares_values_that_are_no_times_on_any_machine(
 
 def test_baseline_names_what_became_slower(harness: dict[str, ModuleType], baseline: ModuleType) -> None:
     text = "\n".join(baseline.render(baseline.compare("Slow.", [section(harness, 2.0, 4.0)], whole=True)))
-    assert "1 differ by more than a tenth with quartiles apart, 1 of them for the worse" in text
+    assert re.search(r"1 differ by more than a tenth with quartiles apart .*, 1 of them for the worse", text)
     assert "| One pose | Peer | ratio | 0.25 | 0.5 | 2.00 |" in text
     better = "\n".join(baseline.render(baseline.compare("Slow.", [section(harness, 0.5, 4.0)], whole=True)))
-    assert "1 differ by more than a tenth with quartiles apart, 0 of them for the worse" in better
+    assert re.search(r"1 differ by more than a tenth with quartiles apart .*, 0 of them for the worse", better)
+
+
+def test_what_was_measured_once_must_change_by_half(harness: dict[str, ModuleType]) -> None:
+    def is_clear(before: tuple[float, ...], now: tuple[float, ...]) -> bool:
+        return harness["baseline"].Change("Path", "armlab", "time", before, now).is_clear
+
+    assert is_clear((1.0, 0.9, 1.1), (1.4, 1.3, 1.5))
+    assert not is_clear((1.0, 1.0, 1.0), (1.4, 1.4, 1.4)), "its noise is not known"
+    assert is_clear((1.0, 1.0, 1.0), (1.6, 1.6, 1.6))
+    assert not is_clear((1.0, 0.8, 1.5), (1.4, 1.3, 1.5)), "quartiles overlap"
 
 
 def test_baseline_tells_what_only_one_run_has(harness: dict[str, ModuleType], baseline: ModuleType) -> None:
@@ -203,3 +214,57 @@ def test_picture_has_a_row_per_table(harness: dict[str, ModuleType], tmp_path: P
     assert picture.draw("A machine.", sections, path)
     assert path.read_bytes().startswith(b"\x89PNG")
     assert not picture.draw("A machine.", [harness["report"].Section("pose", [], 0.0)], path)
+
+
+def test_what_fails_is_run_once_more(harness: dict[str, ModuleType], monkeypatch: pytest.MonkeyPatch) -> None:
+    measure, report = harness["measure"], harness["report"]
+
+    def told(*failures: str) -> list[str]:
+        tries = iter(failures)
+        monkeypatch.setattr(measure, "_tried", lambda name, quick: report.Section(name, [], 0.0, failure=next(tries)))
+        text = report.render("2026-01-02", [], [measure.measure("pose", False)])
+        return [line for line in text.splitlines() if "failed" in line]
+
+    assert told("") == []
+    assert told("late", "") == ["**pose failed at first:** late"]
+    assert told("late", "later") == ["**pose failed:** later", "**pose failed at first:** late"]
+
+
+@pytest.fixture
+def run(harness: dict[str, ModuleType], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> ModuleType:
+    """`run.py` in an empty repository, on a machine without peers."""
+    (tmp_path / "docs" / "_static").mkdir(parents=True)
+    (tmp_path / "benchmarks").mkdir()
+    run = harness["run"]
+    monkeypatch.setattr(run, "HERE", tmp_path / "benchmarks")
+    monkeypatch.setattr(run, "DOCS", tmp_path / "docs")
+    monkeypatch.setattr(harness["environment"], "ROOT", tmp_path)
+    monkeypatch.setattr(harness["baseline"], "PATH", tmp_path / "benchmarks" / "baseline.json")
+    monkeypatch.setattr(harness["machine"], "describe", lambda: ["Fast.", "peer 1.0."])
+    monkeypatch.setattr(harness["picture"], "draw", lambda head, sections, path: path.write_bytes(b"drawn") > 0)
+    return run
+
+
+def test_second_run_is_compared_with_the_published_one(
+    harness: dict[str, ModuleType], run: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page, picture = run.DOCS / "benchmarks.md", run.DOCS / "_static" / "benchmarks.png"
+
+    def measured(ours: float, failure: str = "", publish: bool = True) -> int:
+        made = {"pose": section(harness, ours, 4.0), "lie": harness["report"].Section("lie", [], 0.0, failure=failure)}
+        monkeypatch.setattr(harness["measure"], "measure", lambda name, quick: made[name])
+        return run._measured(list(made), False, False, publish)
+
+    assert (measured(1.0, failure="Disagreement"), measured(1.0, publish=False)) == (1, 0)
+    assert not any(one.exists() for one in (page, picture, harness["baseline"].PATH)), "a failure, and not asked for"
+    assert measured(1.0) == 0
+    first = page.read_text(encoding="utf-8")
+    assert "Fast." in first
+    assert "(_static/benchmarks.png)" in first
+    assert "Compared with the baseline" not in first
+    assert picture.read_bytes() == b"drawn"
+    assert measured(2.0) == 0
+    assert "| One pose | Peer | ratio | 0.25 | 0.5 | 2.00 |" in page.read_text(encoding="utf-8")
+    assert measured(2.0) == 0
+    assert "0 differ by more than a tenth" in page.read_text(encoding="utf-8"), "with the last one published"
+    assert "Measuring lie (2 of 2, 0 min) ..." in capsys.readouterr().out
