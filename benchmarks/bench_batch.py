@@ -58,7 +58,7 @@ class Job:
 def run(quick: bool) -> list[Table]:
     """Measure batches of `kinematics.forward` and `kinematics.forward_jacobian`."""
     robot = robots.load(ROBOT)
-    count, rounds = (100_000, 5) if quick else (1_000_000, 25)
+    count, rounds = (100_000, 5) if quick else (1_000_000, 6)
     q = np.random.default_rng(2).uniform(robot.q_min, robot.q_max, (count, robot.n))
     poses, both = _poses(robot, q), _poses_and_jacobians(robot, q)
     few = replace(both, q=q[:10_000], out=(both.out[0][:10_000], both.out[1][:10_000]), peers=())

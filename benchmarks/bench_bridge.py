@@ -62,9 +62,9 @@ rows = 0
 
 def run(quick: bool) -> list[Table]:
     """Measure one run of a cell whose LabComm clients come and go in blocks, and the loop without servers."""
-    rounds = 8 if quick else 80
-    busy, free = _bridge(rounds + 1)  # one to warm up
-    alone = iter(np.array_split(_alone(3.0 if quick else 15.0), rounds + 1))
+    rounds = 8 if quick else 30
+    busy, free = _bridge(rounds)
+    alone = iter(np.array_split(_alone(3.0 if quick else 10.0), rounds))
     contenders = [
         Contender("ten idle clients and one that never reads", lambda: next(busy), "armlab"),
         Contender("no clients", lambda: next(free), bar=BAR, note="servers run"),
@@ -76,7 +76,7 @@ def run(quick: bool) -> list[Table]:
         f"and go: blocks of {BLOCK:g} s with and without them alternate, and each is compared with the one beside it. "
         "All but one client read what comes. Simulator, servers, clients and loop share the machine's cores."
     )
-    return [table("Bridge: what clients cost the loop", text, "µs", contenders, rounds)]
+    return [table("Bridge: what clients cost the loop", text, "µs", contenders, rounds, warm=False)]
 
 
 def _bridge(rounds: int) -> tuple[Iterator[np.ndarray], Iterator[np.ndarray]]:

@@ -7,9 +7,11 @@ those at the true values. Offsets are compared as o = -R b, tool axes.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import repeat
 from typing import Any
 
 import numpy as np
+from all_cores import on_all_cores
 from blocks import Contender, Table, loop, table
 
 from armlab.calibrate import fit_accelerometer, fit_force_sensor
@@ -71,7 +73,7 @@ def run(quick: bool) -> list[Table]:
     lines = [
         f"{runs} runs each; error over the bound per part, bar {BAR}; NEES over its dimension; refused as mirrored."
     ]
-    lines += [_judged(case, runs) for case in CASES]
+    lines += on_all_cores(_judged, CASES, repeat(runs))
     contenders = []
     for case, bar in ((CASES[0], 1e-4), (CASES[5], None), (CASES[10], None), (CASES[13], None)):
         data = [_draw(case, i)[0] for i in range(20)]
@@ -79,7 +81,7 @@ def run(quick: bool) -> list[Table]:
         contenders.append(Contender(f"armlab {case.name}", fit, "armlab", bar))
     clouds = [(G @ one["T_base_tool"], one["wrench"]) for one in (_draw(CASES[0], i)[0] for i in range(20))]
     contenders.append(Contender("the decomposition alone", loop(_decomposition, clouds), "limit"))
-    return [table("Force sensors by gravity", "\n\n".join(lines), "µs", contenders, 3 if quick else 20)]
+    return [table("Force sensors by gravity", "\n\n".join(lines), "µs", contenders, 3 if quick else 10)]
 
 
 def _decomposition(cloud: tuple[np.ndarray, np.ndarray]) -> Any:

@@ -11,10 +11,12 @@ from collections.abc import Callable
 import cv2
 import hand_eye_bars as bars
 import numpy as np
+from all_cores import on_all_cores
 from blocks import Contender, Table, agree, loop, table
 
 from armlab.calibrate import fit_hand_eye, fit_hand_eye_points
 from armlab.lie import se3, so3
+from armlab.sim._cell_hand_eye import MARKER
 
 BAR, BAR_MANY, BAR_ROBUST = 1.0e-3, 10.0e-3, 6.0e-3  # s
 BOTH = {"SHAH": cv2.CALIB_ROBOT_WORLD_HAND_EYE_SHAH, "LI": cv2.CALIB_ROBOT_WORLD_HAND_EYE_LI}
@@ -28,17 +30,17 @@ Solve = Callable[[bars.Poses], tuple[np.ndarray, np.ndarray]]
 
 
 def run(quick: bool) -> list[Table]:
-    """Measure 30 and 1000 pairs of poses, with outliers, and points; then 1000 runs of every case for the errors."""
+    """Measure 30 and 1000 pairs of poses, with outliers, and points; then many runs of every case for the errors."""
     cv2.setNumThreads(1)  # as armlab: one of them must not wait for the other's threads
-    rounds, runs = (5, 50) if quick else (40, 1000)
+    rounds, runs = (5, 50) if quick else (20, 500)
     few = [bars.poses(1000, k)[0] for k in range(20)]
-    many = [bars.poses(1000, k, N=1000)[0] for k in range(2)]
+    many = [bars.poses(1000, 0, N=1000)[0]]
     wrong = [bars.poses(1000, k, bad=3)[0] for k in range(20)]
     worst = _agreement()
     text = f"Noise of the camera given. On exact data all agree to {worst:.1g}."
     return [
         table("Hand-eye, 30 pairs of poses", f"{text}\n\n{_errors(runs)}", "ms", _contenders(few, BAR, ""), rounds),
-        table("Hand-eye, 1000 pairs of poses", text, "ms", _contenders(many, BAR_MANY, ""), max(rounds // 8, 2)),
+        table("Hand-eye, 1000 pairs of poses", text, "ms", _contenders(many, BAR_MANY, ""), 2),
         table("Hand-eye, 10 % of 30 pairs wrong", "OpenCV has no means against them: its errors are 18 to 346 bounds.",
               "ms", _contenders(wrong, BAR_ROBUST, "robust"), rounds),
         table("Hand-eye from points of a marker", "100 samples of three LEDs; no peer measures them.", "ms",
@@ -68,10 +70,10 @@ def _points() -> list[Contender]:
     for k in range(10):
         sample, _ = bars.poses(1500, k, N=100)
         T = se3.inv(sample.Y) @ sample.A @ sample.X
-        data.append((sample.A, np.einsum("nij,kj->nki", T[:, :3, :3], bars.LEDS) + T[:, None, :3, 3]))
+        data.append((sample.A, np.einsum("nij,kj->nki", T[:, :3, :3], MARKER) + T[:, None, :3, 3]))
 
     def known(sample: tuple[np.ndarray, np.ndarray]) -> object:
-        return fit_hand_eye_points(*sample, marker=bars.LEDS, noise=5e-4)
+        return fit_hand_eye_points(*sample, marker=MARKER, noise=5e-4)
 
     def free(sample: tuple[np.ndarray, np.ndarray]) -> object:
         return fit_hand_eye_points(*sample, noise=5e-4)
@@ -136,22 +138,24 @@ def _errors(runs: int) -> str:
     ours = [bars.HEAD, "|---|---|---|---|---|---|", *(bar.text() for bar in bars.bars(runs))]
     head = ["| OpenCV, error over the bound | H1: X rotation, position, Y rotation, position | H2 (tilt 30 degrees) |",
             "|---|---|---|"]  # fmt: skip
-    theirs = []
-    for name, solve, _ in _peers():
-        both = [" ".join(f"{x:.2f}" for x in _ratios(solve, runs, tilt)) for tilt in (False, True)]
-        theirs.append(f"| {name} | {both[0]} | {both[1]} |")
+    both = zip(*on_all_cores(_ratios, [runs, runs], [False, True]), strict=True)
+    theirs = [
+        f"| {name} | {uniform} | {tilted} |" for (name, _, _), (uniform, tilted) in zip(_peers(), both, strict=True)
+    ]
     deviation = 1.0 / np.sqrt(6.0 * runs)
     what = f"Errors over the Cramér-Rao bound in {runs} runs; the standard error of a ratio is {deviation:.3f}."
     return "\n".join([what, "", *ours, "", *head, *theirs])
 
 
-def _ratios(solve: Solve, runs: int, tilt: bool) -> np.ndarray:
-    """Return the errors of a peer over the bounds of H1 or H2."""
-    e = []
+def _ratios(runs: int, tilt: bool) -> list[str]:
+    """Return the errors of each peer over the bounds of H1 or H2."""
+    bound = bars.pose_case("bound", 1000, min(runs, 200), tilt=tilt).crb
+    errors: list[list[np.ndarray]] = [[] for _ in _peers()]
     for k in range(runs):
         data, _ = bars.poses(1000, k, tilt=tilt)
-        X, Y = solve(data)
-        e.append([*bars.pose_error(X, data.X), *bars.pose_error(Y, data.Y)])
-    squares = np.array(e).reshape(runs, 4, 3) ** 2
-    rms = np.sqrt(squares.sum(axis=2).mean(axis=0))[[1, 0, 3, 2]] * [np.degrees(1.0), 1e3, np.degrees(1.0), 1e3]
-    return rms / bars.pose_case("bound", 1000, min(runs, 200), tilt=tilt).crb
+        for (_, solve, _), e in zip(_peers(), errors, strict=True):
+            X, Y = solve(data)
+            e.append(np.concatenate([bars.pose_error(X, data.X), bars.pose_error(Y, data.Y)]))
+    squares = np.array(errors).reshape(len(errors), runs, 4, 3) ** 2
+    rms = np.sqrt(squares.sum(axis=3).mean(axis=1))[:, [1, 0, 3, 2]]
+    return [" ".join(f"{x:.2f}" for x in row) for row in rms * [np.degrees(1.0), 1e3, np.degrees(1.0), 1e3] / bound]

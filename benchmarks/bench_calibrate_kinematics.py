@@ -34,8 +34,8 @@ Forward = Callable[[np.ndarray], np.ndarray]
 
 
 def run(quick: bool) -> list[Table]:
-    """Measure 50 poses, 50 positions, outliers, many samples, two arms; then 1000 runs of every case for the errors."""
-    rounds, runs, tries = (5, 20, 1) if quick else (30, 1000, 2)
+    """Measure 50 poses, 50 positions, outliers, many samples, two arms; then many runs of every case for the errors."""
+    rounds, runs, tries = (5, 20, 1) if quick else (10, 400, 2)
     one, waves, two = (cell(bars.SEEDS[name]) for name in ("K1", "K4", "K6"))
     few, tool = [one.kinematics(k, tool=False) for k in range(10)], [one.kinematics(k) for k in range(10)]
     text = f"Noise given: {1e3 * few[0].noise[0]:.1f} mm, 0.01 degrees. {_errors(tries)}"

@@ -33,7 +33,7 @@ def run(quick: bool) -> list[Table]:
         f"1e6 samples of {JOINTS} joints, {SHARED} shared and {OWN} own columns per joint, {SIZE} in all, as 1000 "
         f"blocks of time; rows are made on the fly from one piece of {PIECE} samples. Solutions agree to {worst:.1g}."
     )
-    return [table("Least squares", text, "s", contenders, 2 if quick else 5)]
+    return [table("Least squares", text, "s", contenders, 2 if quick else 3)]
 
 
 _RNG = np.random.default_rng(0)

@@ -54,10 +54,10 @@ def run(quick: bool) -> list[Table]:
         "the more so on a shared machine."
     )
     return [
-        *_tables("Estimator step", tight, contenders(1000, 0.0), 5 if quick else 20),
-        *_tables("Estimator step, paced", paced, contenders(250, PERIOD), 2 if quick else 10),
-        *_momentum(torque_model, robot, states, 5 if quick else 20),
-        _methods(torque_model, robot, states, 5 if quick else 20),
+        *_tables("Estimator step", tight, contenders(1000, 0.0), 5 if quick else 15),
+        *_tables("Estimator step, paced", paced, contenders(250, PERIOD), 2 if quick else 5),
+        *_momentum(torque_model, robot, states, 5 if quick else 15),
+        _methods(torque_model, robot, states, 5 if quick else 15),
     ]
 
 

@@ -21,7 +21,7 @@ from armlab.errors import ArmlabError
 from armlab.fleet import FleetRecorder
 
 RATE = 250
-SETTLE = 2.0  # s after the first rows that do not count
+SETTLE = 1.0  # s after the first rows that do not count
 TOGETHER = 10  # robots of a publishing process
 BAR = 5e-3  # s, p99 of ten robots
 WHOLE = 0.999  # share of the rows below which no more robots are tried
@@ -31,7 +31,7 @@ PUBLISHER = Path(__file__).with_name("fleet_publisher.py")
 
 def run(quick: bool) -> list[Table]:
     """Measure 1, 5, 10, 20, ... robots, until the machine does not carry them."""
-    seconds, rounds = (3.0, 1) if quick else (10.0, 3)
+    seconds, rounds = (2.0, 1) if quick else (2.0, 2)
     contenders, samples, count = [], [], 1
     while count <= MOST:
         found = [_measured(count, seconds) for _ in range(rounds)]

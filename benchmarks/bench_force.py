@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from itertools import repeat
+
 import force_protocol as protocol
 import numpy as np
+from all_cores import on_all_cores
 from blocks import Contender, Table, figures
 
 ROBOT = "yumi_left"
@@ -21,17 +24,18 @@ def run(quick: bool) -> list[Table]:
     )
     tables = []
     for gains, bar in GAINS.items():
-        rms: dict[str, list[np.ndarray]] = {method: [] for method in METHODS}
-        for seed in range(seeds):
-            logs = protocol.record(ROBOT, seed, gains)
-            for method in METHODS:
-                score = protocol.judge(logs, method)
-                rms[method].append(np.array([score.rms.max()]))
+        rms = np.array(on_all_cores(_rms, range(seeds), repeat(gains)))
         contenders = [
             Contender(f"armlab contact.Estimator, {method}", lambda: np.zeros(0), "armlab",
                       bar if method == METHODS[0] else None)
             for method in METHODS
         ]  # fmt: skip
         title = f"Force error{', torque sensors off by up to 5 %' if gains else ''}"
-        tables.append(Table(title, text, "N", figures(contenders, list(rms.values())), seeds))
+        tables.append(Table(title, text, "N", figures(contenders, list(rms.T[..., None])), seeds))
     return tables
+
+
+def _rms(seed: int, gains: float) -> list[float]:
+    """Return the error of the worst axis by each method [N]."""
+    logs = protocol.record(ROBOT, seed, gains)
+    return [float(protocol.judge(logs, method).rms.max()) for method in METHODS]

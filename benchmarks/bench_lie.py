@@ -36,7 +36,7 @@ class Job:
 def run(quick: bool) -> list[Table]:
     """Measure `lie` beside SciPy, pytransform3d, and Pinocchio where it has the function."""
     jobs = _jobs(100_000 if quick else 1_000_000)
-    rounds = (20, 3) if quick else (100, 7)
+    rounds = (20, 3) if quick else (50, 3)
     return [_one(job, rounds[0]) for job in jobs] + [_many(job, rounds[1]) for job in jobs]
 
 

@@ -27,7 +27,7 @@ BROWSERS = (None, 0, 1, 4)  # None: no view either
 CPU = 0.12  # s of one core per second, with one browser
 BEHIND = 0.5  # s
 LONGEST = 120.0  # s of a run
-SETTLE = 4.0  # s after the browsers have come that do not count: the scene is sent once
+SETTLE = 3.0  # s after the browsers have come that do not count: the scene is sent once
 BROWSER = """
 import json, sys, time
 import msgspec, zstandard
@@ -68,8 +68,11 @@ class Found(NamedTuple):
 
 def run(quick: bool) -> list[Table]:
     """Measure runs without a view, and with one that no browser, one and four look at."""
-    rounds, seconds = (1, 8.0) if quick else (5, 20.0)
-    runs = {count: [_run(count, seconds) for _ in range(rounds + 1)] for count in BROWSERS}  # one to warm up
+    rounds, seconds = (1, 4.0) if quick else (3, 5.0)
+    runs: dict[int | None, list[Found]] = {count: [] for count in BROWSERS}
+    for _ in range(rounds):
+        for count, found in runs.items():
+            found.append(_run(count, seconds))
     text = (
         "Two arms simulated in real time at 250 Hz; their controller sways both and gives a wrench with its "
         "covariance. 30 pictures a second, ten of the curves. Browsers are programs that take and unpack all that a "
@@ -89,14 +92,14 @@ def run(quick: bool) -> list[Table]:
     loop = [contender(count, "latency") for count in BROWSERS]
     behind_title, loop_title = "Live view: how far the picture is behind", "Live view: from packet to reply of the loop"
     return [
-        table("Live view: processor time per second", text, "ms", cpu, rounds),
+        table("Live view: processor time per second", text, "ms", cpu, rounds, warm=False),
         Table(behind_title, f"{worst} {text}", "ms", _worst(behind, rounds), rounds),
-        table(loop_title, text, "µs", loop, rounds),
+        table(loop_title, text, "µs", loop, rounds, warm=False),
     ]
 
 
 def _worst(contenders: list[Contender], rounds: int) -> tuple[Figure, ...]:
-    return figures(contenders, alternate(contenders, rounds), np.max)
+    return figures(contenders, alternate(contenders, rounds, warm=False), np.max)
 
 
 def _name(count: int | None) -> str:

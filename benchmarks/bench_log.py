@@ -31,7 +31,7 @@ known of the columns, and hashes what it reads, {size:.0f} MB. The same values a
 def run(quick: bool) -> list[Table]:
     """Measure `log.write` and `log.read` of every format."""
     with tempfile.TemporaryDirectory() as folder:
-        bench = _Bench(Path(folder), 2 if quick else 7)
+        bench = _Bench(Path(folder), 2 if quick else 3)
         return [
             *bench.tables("MAT, version 5", ".mat", _savemat, _loadmat, "scipy.io"),
             *bench.tables("CSV", ".csv", _write_csv, _read_csv, "pyarrow.csv"),

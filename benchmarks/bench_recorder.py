@@ -6,6 +6,7 @@ import os
 import tempfile
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from mcap.writer import Writer
 from recorder_kill import killed
 from recorder_loop import in_the_loop
 from recorder_rows import PERIOD, fresh, full_rows, signals
-from recorder_stall import stalled
+from recorder_stall import AFTER, BEFORE, stalled
 from rosbags.typesys import Stores, get_typestore
 
 from armlab import robots
@@ -26,6 +27,7 @@ ROBOT = "yumi_right"
 ROW = (10e-6, 40e-6)  # s, p50 and p99
 CPU = 0.03  # of a core
 LOSS = 1.0  # s
+TOGETHER = 4  # processes that record until they are killed
 PRIORITY = 50  # as the bridge has
 Rows = list[tuple[State, Command, Tick]]
 
@@ -34,10 +36,10 @@ def run(quick: bool) -> list[Table]:
     """Measure rows in a paced loop, processor time, processes killed, and a disk that stands still."""
     with tempfile.TemporaryDirectory() as folder:
         return [
-            *_row(Path(folder), 2.0 if quick else 6.0, 2 if quick else 5),
-            _cpu(Path(folder), 3.0 if quick else 8.0, 2 if quick else 5),
-            _kill(Path(folder), 3 if quick else 20),
-            _stall(Path(folder), 15.0),
+            *_row(Path(folder), 2.0 if quick else 3.0, 2 if quick else 3),
+            _cpu(Path(folder), 3.0 if quick else 4.0, 2 if quick else 3),
+            _kill(Path(folder), 4 if quick else 20),
+            _stall(Path(folder), 4.0 if quick else 15.0),
         ]
 
 
@@ -154,17 +156,19 @@ def _cpu(folder: Path, seconds: float, rounds: int) -> Table:
         f"Processor time of all threads in a second at {1 / PERIOD:g} Hz: q, qd, tau of 7 joints, a wrench and 3 of "
         f"the user's, and the numbers of the tick. Blocks of {seconds:g} s with and without follow each other."
     )
-    samples = alternate(contenders, rounds)
+    samples = alternate(contenders, rounds, warm=False)
     return Table("Recorder: processor time of a second", text, "s", figures(contenders, samples), rounds)
 
 
 def _kill(folder: Path, trials: int) -> Table:
     """Kill processes with two recorders at random times; tell the seconds of rows that each recorder lost."""
-    losses = PERIOD * np.array([killed(folder / f"{k}", seed=k) for k in range(trials)])
+    with ThreadPoolExecutor(TOGETHER) as pool:
+        losses = PERIOD * np.array(list(pool.map(killed, [folder / f"{k}" for k in range(trials)], range(trials))))
     text = (
-        f"{trials} processes with two recorders, the full layout at {1 / PERIOD:g} Hz in real time, killed with signal "
-        f"9 after 1 s to 4 s: seconds of rows that were recorded and cannot be read. Metadata, attachments and the "
-        f"events of all {2 * trials} files are whole; {int((losses == 0).sum())} of the recorders lost no row. "
+        f"{trials} processes, {TOGETHER} at a time, with two recorders, the full layout at {1 / PERIOD:g} Hz in real "
+        "time, killed with signal 9 after 1 s to 4 s: seconds of rows that were recorded and cannot be read. Metadata, "
+        f"attachments and the events of all {2 * trials} files are whole; {int((losses == 0).sum())} of the recorders "
+        "lost no row. "
         "In the first column is the worst of all, which the bar is for."
     )
     worst = _figure("armlab Recorder, the worst of two", losses.max(axis=1), LOSS)
@@ -173,7 +177,7 @@ def _kill(folder: Path, trials: int) -> Table:
 
 def _stall(folder: Path, seconds: float) -> Table:
     """Run a simulated arm while the disk answers, and while it stands still in the middle."""
-    free, held = stalled(folder / "free", ROBOT, 0.0), stalled(folder / "held", ROBOT, seconds)
+    free, held = (stalled(folder / name, ROBOT, seconds, still) for name, still in (("free", False), ("held", True)))
     for one in (free, held):
         if one.written + one.dropped != one.packets or one.told != one.dropped:
             raise Disagreement(
@@ -181,10 +185,10 @@ def _stall(folder: Path, seconds: float) -> Table:
                 f"{one.dropped} dropped, of which events tell {one.told}."
             )
     text = (
-        f"`sim://{ROBOT}` at 250 Hz for {seconds + 10:g} s, the arm holds; in the second run no write or sync "
-        f"returns for {seconds:g} s. Arrival to reply by kernel stamps, of the ticks of those {seconds:g} s. Without: "
-        f"{free.missed} of {free.packets} packets missed, {free.late} late; with: {held.missed} of {held.packets}, "
-        f"{held.late} late, and {held.dropped} rows dropped, exactly as summary and events tell."
+        f"`sim://{ROBOT}` at 250 Hz for {BEFORE + seconds + AFTER:g} s, the arm holds; in the second run no write or "
+        f"sync returns for {seconds:g} s. Arrival to reply by kernel stamps, of the ticks of those {seconds:g} s. "
+        f"Without: {free.missed} of {free.packets} packets missed, {free.late} late; with: {held.missed} of "
+        f"{held.packets}, {held.late} late, and {held.dropped} rows dropped, exactly as summary and events tell."
     )
     told = (
         _figure("armlab bridge, disk stalled", held.latencies, None),

@@ -137,11 +137,16 @@ def each(
     return block
 
 
-def alternate(contenders: Sequence[Contender], rounds: int, seed: int = 0) -> list[list[np.ndarray]]:
-    """Run every contender once to warm up, then `rounds` times in turns; return samples by contender and round."""
-    rng = np.random.default_rng(seed)
+def alternate(contenders: Sequence[Contender], rounds: int, warm: bool = True) -> list[list[np.ndarray]]:
+    """Run every contender `rounds` times in turns; return samples by contender and round.
+
+    Parameters
+    ----------
+    warm : run each once before; needless where a block starts processes of its own.
+    """
+    rng = np.random.default_rng(0)
     samples: list[list[np.ndarray]] = [[] for _ in contenders]
-    for contender in contenders:
+    for contender in contenders if warm else ():
         contender.block()
     for _ in range(rounds):
         for k in rng.permutation(len(contenders)):
@@ -170,6 +175,6 @@ def figures(
     return tuple(told)
 
 
-def table(title: str, text: str, unit: str, contenders: Sequence[Contender], rounds: int) -> Table:
+def table(title: str, text: str, unit: str, contenders: Sequence[Contender], rounds: int, warm: bool = True) -> Table:
     """Measure the contenders and return the table of their medians."""
-    return Table(title, text, unit, figures(contenders, alternate(contenders, rounds)), rounds)
+    return Table(title, text, unit, figures(contenders, alternate(contenders, rounds, warm)), rounds)

@@ -32,7 +32,7 @@ TOLD = {
 
 def round_trips(quick: bool) -> list[Table]:
     """Measure at 250 Hz in alternating blocks, two arms in one loop, and lateness at 1 kHz once."""
-    seconds, rounds = (3.0, 2) if quick else (6.0, 5)
+    seconds, rounds = (3.0, 2) if quick else (3.0, 3)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "model.toml"
         robot = robots.load(ROBOT)
@@ -43,9 +43,9 @@ def round_trips(quick: bool) -> list[Table]:
             return lambda: np.array([1e-6 * run(client, file, seconds, 0.004)[0]["round_trip_us"]["p50"]])
 
         contenders = [Contender(client, block(client)) for client in clients]
-        samples = alternate(contenders, rounds)
+        samples = alternate(contenders, rounds, warm=False)
         both = _two_arms(file, seconds, rounds)
-        long = 10.0 if quick else 60.0
+        long = 5.0 if quick else 15.0
         late = {client: _late(run(client, file, long, 0.001)[0]) for client in ("ahead", "spin")}
     text = (
         f"`armlab sim {ROBOT} --robotware 7 --extension` at 250 Hz and one client, each in a process and, where there "
@@ -63,7 +63,7 @@ def _two_arms(file: Path, seconds: float, rounds: int) -> Table:
     def block(client: str) -> Callable[[], np.ndarray]:
         return lambda: np.array([1e-6 * one["round_trip_us"]["p50"] for one in run(client, file, seconds, 0.004)])
 
-    rounds = min(rounds, 3)
+    rounds = min(rounds, 2)
     contenders = [
         Contender("each of two arms in one loop", block("both"), "armlab"),
         Contender("one arm", block("ahead"), "limit"),
@@ -73,7 +73,7 @@ def _two_arms(file: Path, seconds: float, rounds: int) -> Table:
         f"first arm. Both packets leave at the same time. Mean of the arms' medians over blocks of {seconds:g} s, "
         f"{rounds} blocks each in turns."
     )
-    samples = alternate(contenders, rounds)
+    samples = alternate(contenders, rounds, warm=False)
     return Table("EGM round trip, two arms", text, "µs", figures(contenders, samples, np.mean), rounds)
 
 
@@ -93,12 +93,13 @@ def run(client: str, file: Path, seconds: float, period: float) -> list[dict]:
             subprocess.run(
                 [
                     *(sys.executable, "-m", "armlab", "sim", *arms, "--robotware", "7", "--extension", "--force"),
-                    *("--to", ",".join(f"127.0.0.1:{port}" for port in ports), "--seconds", str(seconds + 3.0)),
+                    *("--to", ",".join(f"127.0.0.1:{port}" for port in ports), "--seconds", str(seconds)),
                     *("--period", str(period), "--stats", str(stats), *(["--lagging"] if period < 0.002 else [])),
                 ],
                 check=True,
                 capture_output=True,
             )
+        peer.kill()  # it waits for more
     return list(json.loads(stats.read_text()).values())
 
 

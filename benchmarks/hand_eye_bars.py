@@ -11,11 +11,13 @@ square of the bound; NEES is e^T C^-1 e over its dimension with the covariance t
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import repeat
 from typing import Any
 
 import numpy as np
+from all_cores import on_all_cores
 
 from armlab.calibrate import fit_hand_eye, fit_hand_eye_points
 from armlab.calibrate._hand_eye_equation import Equation, Pair
@@ -27,7 +29,6 @@ from armlab.sim._cell_hand_eye import CAMERA, MARKER, Poses
 
 ROBOTS = ((0.2e-3, np.radians(0.03)), (0.5e-3, np.radians(0.05)))
 TILT = np.radians(30.0)
-BLOCKS = ("X rotation", "X position", "Y rotation", "Y position")
 
 
 def poses(
@@ -147,31 +148,40 @@ def led_case(
     return tally.bar()
 
 
-def bars(runs: int, shift: int = 0) -> Iterator[Bar]:
-    """Yield every case of the specification.
+def bars(runs: int, shift: int = 0) -> list[Bar]:
+    """Return every case of the specification.
 
     Parameters
     ----------
     runs : of each. shift : added to the seeds of the specification: 0 are those, any other are others.
     """
-    exact, robots, leds = 1000 + shift, 1100 + shift, 1500 + shift
-    yield pose_case("H1 uniform", exact, runs)
-    yield pose_case("H2 tilt 30 degrees", exact, runs, tilt=True)
-    yield pose_case("H1, noise estimated", exact, runs, given=False)
-    yield pose_case("H2, noise estimated", exact, runs, given=False, tilt=True)
-    for bad, share in ((2, 5), (3, 10), (6, 20), (9, 30)):
-        yield pose_case(f"H3 {share} % outliers", exact, runs, bad=bad)
-    yield pose_case("H3 30 %, noise estimated", exact, runs, given=False, bad=9)
-    for robot, size in zip(ROBOTS, ("smaller", "larger")):
-        yield pose_case(f"H4 {size} noise of the robot", robots, runs, robot=robot)
-        yield pose_case(f"H4 {size}, tilt", robots, runs, robot=robot, tilt=True)
-    yield led_case("H5 LEDs", leds, runs)
-    yield led_case("H5, 20 % missing", leds, runs, missing=True)
-    yield led_case("H5, 50 mm of noise", leds, runs, sigma=0.05)
-    yield led_case("H5, 50 mm, 20 % missing", leds, runs, sigma=0.05, missing=True)
-    yield led_case("H5, 20 % missing, larger noise of the robot", leds, runs, missing=True, robot=ROBOTS[1])
-    yield led_case("H5, unknown marker", leds, runs, known=False)
-    yield led_case("H5, unknown marker, 50 mm", leds, runs, sigma=0.05, known=False)
+    return on_all_cores(_case, range(len(CASES)), repeat(runs), repeat(shift))
+
+
+def _case(number: int, runs: int, shift: int) -> Bar:
+    case, name, seed, how = CASES[number]
+    return case(name, seed + shift, runs, **how)
+
+
+CASES: tuple[tuple[Callable[..., Bar], str, int, dict[str, Any]], ...] = (
+    (pose_case, "H1 uniform", 1000, {}),
+    (pose_case, "H2 tilt 30 degrees", 1000, {"tilt": True}),
+    (pose_case, "H1, noise estimated", 1000, {"given": False}),
+    (pose_case, "H2, noise estimated", 1000, {"given": False, "tilt": True}),
+    *((pose_case, f"H3 {share} % outliers", 1000, {"bad": bad}) for bad, share in ((2, 5), (3, 10), (6, 20), (9, 30))),
+    (pose_case, "H3 30 %, noise estimated", 1000, {"given": False, "bad": 9}),
+    (pose_case, "H4 smaller noise of the robot", 1100, {"robot": ROBOTS[0]}),
+    (pose_case, "H4 smaller, tilt", 1100, {"robot": ROBOTS[0], "tilt": True}),
+    (pose_case, "H4 larger noise of the robot", 1100, {"robot": ROBOTS[1]}),
+    (pose_case, "H4 larger, tilt", 1100, {"robot": ROBOTS[1], "tilt": True}),
+    (led_case, "H5 LEDs", 1500, {}),
+    (led_case, "H5, 20 % missing", 1500, {"missing": True}),
+    (led_case, "H5, 50 mm of noise", 1500, {"sigma": 0.05}),
+    (led_case, "H5, 50 mm, 20 % missing", 1500, {"sigma": 0.05, "missing": True}),
+    (led_case, "H5, 20 % missing, larger noise of the robot", 1500, {"missing": True, "robot": ROBOTS[1]}),
+    (led_case, "H5, unknown marker", 1500, {"known": False}),
+    (led_case, "H5, unknown marker, 50 mm", 1500, {"sigma": 0.05, "known": False}),
+)
 
 
 HEAD = (

@@ -12,11 +12,13 @@ at least twice as many rows as the rank.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import repeat
 from typing import Any
 
 import numpy as np
+from all_cores import on_all_cores
 
 from armlab.calibrate import fit_dual_arm, fit_kinematics
 from armlab.estimation import Fit
@@ -27,6 +29,7 @@ from armlab.robots import from_local_poe
 from armlab.sim import cell
 
 HEAD = "| case | bound | error / bound | rank | NEES | outliers missed | good flagged |"
+CASES = 12
 SEEDS = {"K1": 2000, "K4": 2200, "K5": 2300, "K6": 2400}
 
 
@@ -61,8 +64,12 @@ class Sample:
     bad: int
 
 
-def bars(runs: int, shift: int = 0) -> Iterator[Bar]:
-    """Yield all cases; `shift` is added to the seeds."""
+def bars(runs: int, shift: int = 0) -> list[Bar]:
+    """Return all cases; `shift` is added to the seeds."""
+    return on_all_cores(_case, range(CASES), repeat(runs), repeat(shift))
+
+
+def _case(number: int, runs: int, shift: int) -> Bar:
     one, wave, far, two = (cell(seed + shift) for seed in SEEDS.values())
     pose, point = ("mm", "deg"), ("mm",)
     cases: list[tuple[str, Callable[[int], Sample], tuple[str, ...]]] = [
@@ -81,8 +88,8 @@ def bars(runs: int, shift: int = 0) -> Iterator[Bar]:
         ("K7 5 of 50 wrong", lambda k: arm_sample(one.kinematics(k, wrong=5), bad=5), pose),
         ("K7 two arms, 6 of 60 wrong", lambda k: dual_sample(two.two_arms(k, wrong=6), bad=6), pose),
     ]  # fmt: skip
-    for name, make, units in cases:
-        yield _bar(name, [make(k) for k in range(runs)], units)
+    name, make, units = cases[number]
+    return _bar(name, [make(k) for k in range(runs)], units)
 
 
 def _bar(name: str, samples: list[Sample], units: tuple[str, ...]) -> Bar:

@@ -13,8 +13,7 @@ import numpy as np
 from armlab import bridge, log, robots
 from armlab.log import recording_file
 
-BEFORE, AFTER = 5.0, 5.0  # s
-LONGEST = 15.0  # s, of a stall
+BEFORE, AFTER = 3.0, 3.0  # s
 
 
 @dataclass(frozen=True)
@@ -67,8 +66,8 @@ class Watch:
         """Take no event: they are in the file."""
 
 
-def stalled(folder: Path, robot: str, seconds: float) -> Stall:
-    """Return the counts of a run whose disk stands still for some seconds, zero for never."""
+def stalled(folder: Path, robot: str, seconds: float, stands: bool) -> Stall:
+    """Return the counts of a run whose disk, if told so, stands still for some seconds in the middle."""
     folder.mkdir()
     real, still, watch = recording_file.open_new, [0.0, 0.0], Watch()
 
@@ -79,15 +78,16 @@ def stalled(folder: Path, robot: str, seconds: float) -> Stall:
     recording_file.open_new = opened
     try:
         with bridge.connect(f"sim://{robot}", robots.load(robot), patience=20.0) as link:
-            still[:] = time.monotonic() + BEFORE, time.monotonic() + BEFORE + seconds
-            run = link.run(lambda state: None, BEFORE + LONGEST + AFTER, record=folder / "run.mcap", feeds=[watch])
+            if stands:
+                still[:] = time.monotonic() + BEFORE, time.monotonic() + BEFORE + seconds
+            run = link.run(lambda state: None, BEFORE + seconds + AFTER, record=folder / "run.mcap", feeds=[watch])
     finally:
         recording_file.open_new = real
     held = log.inspect(folder / "run.mcap")
     told = [re.match(r"(\d+) rows were dropped", event.text) for event in held.events]
     stamp, came, sent = np.array(watch.stamps).T
     after = 1e-9 * (stamp - stamp[0])
-    middle = (after > BEFORE) & (after < BEFORE + LONGEST) & (sent > 0)
+    middle = (after > BEFORE) & (after < BEFORE + seconds) & (sent > 0)
     return Stall(
         packets=len(stamp),
         missed=run.statistics["missed"],

@@ -244,7 +244,7 @@ def test_fit_plane_keeps_the_contract(uniform_rotation: Draw) -> None:
         ],
         refusals={"tilt about the long axis": {"p": rod(), "noise": SIGMA, "normal": [0, 0, 1]}},
         spoil=spoil,
-        skip={"efficient": "benchmarks/bench_calibrate_frames.py judges it on 2000 runs"},
+        skip={"efficient": "benchmarks/bench_calibrate_frames.py judges it on 1000 runs of two seeds"},
     )
     assert contract.passed, contract.text()
 
@@ -263,7 +263,7 @@ def test_fit_line_keeps_the_contract(uniform_rotation: Draw) -> None:
         ],
         refusals={"in one place": {"p": one_place, "noise": SIGMA, "along": [1, 0, 0]}},
         spoil=spoil,
-        skip={"efficient": "benchmarks/bench_calibrate_frames.py judges it on 2000 runs"},
+        skip={"efficient": "benchmarks/bench_calibrate_frames.py judges it on 1000 runs of two seeds"},
     )
     assert contract.passed, contract.text()
 

@@ -128,7 +128,7 @@ def there(c: np.ndarray) -> np.ndarray:
     return MOVE[:3, :3] @ c + MOVE[:3, 3]
 
 
-SKIP = {"efficient": "benchmarks/bench_calibrate_frames.py judges it on 2000 runs"}
+SKIP = {"efficient": "benchmarks/bench_calibrate_frames.py judges it on 1000 runs of two seeds"}
 
 
 @pytest.mark.slow  # 4 s
