@@ -76,7 +76,7 @@ class Station:
     Parameters
     ----------
     source : where it sends from. bad, begin, end : of both directions, see `Way`. begins_at : its first cycle [s].
-    q : (n,) where the arm is then.
+    q : (n,) where the arm is then. seed : of what goes wrong.
 
     Attributes
     ----------
@@ -93,13 +93,14 @@ class Station:
         end: float = math.inf,
         begins_at: float = 0.0,
         q: np.ndarray = MIDDLE,
+        seed: int = 7,
     ) -> None:
         self.source, self.due, self.alive = source, begins_at, True
         self.sources = (source,)
         self.change: Callable[[bytes], bytes] = lambda data: data
         codec = RobotSideCodec(ROBOT, extension=True)
         self.controller = Controller(LaggingArm(ROBOT, PERIOD, q), codec, RobotSettings(period=PERIOD))
-        self.out, self.back = (Way(bad, begin, end, [7, way], PERIOD) for way in (1, 2))
+        self.out, self.back = (Way(bad, begin, end, [seed, way], PERIOD) for way in (1, 2))
         self.packets: dict[int, tuple[np.ndarray, bool]] = {}
         self.motion: list[tuple[np.ndarray, np.ndarray]] = []
 

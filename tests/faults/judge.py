@@ -10,7 +10,7 @@ from armlab.wire.egm import EgmCodec, Reference
 
 from .bench import PERIOD, ROBOT, Bench, Outcome
 
-__all__ = ["judge"]
+__all__ = ["judge", "log_is_what_was_sent", "met_in_motion", "within_limits"]
 
 LIMITS = Limits.of(ROBOT)
 STEP = 1.01 * PERIOD  # s that one reference may move on; not one that a gap in the packets makes longer
@@ -25,6 +25,12 @@ def judge(bench: Bench, outcome: Outcome, since: int = 0) -> None:
         q, qd = (np.array(values) for values in zip(*station.motion))
         assert ((q >= ROBOT.q_min) & (q <= ROBOT.q_max)).all(), "the arm left its limits"
         assert (np.abs(qd) <= ROBOT.qd_max).all(), "the arm was too fast"
+
+
+def met_in_motion(bench: Bench, at: float) -> None:
+    """What was sent last before a time had a speed."""
+    before = [reply.qd for reply, sent in zip(bench.heard(), bench.sent, strict=True) if sent.t <= at]
+    assert before[-1].any(), "the arm was at rest before anything failed"
 
 
 def within_limits(bench: Bench, since: int = 0) -> None:

@@ -33,7 +33,8 @@ class Cell:
     Attributes
     ----------
     kind, fault, state : what goes wrong, and when. happens : what must happen.
-    told : words that the user reads, with "…" for what differs; "–" when there is nothing to tell.
+    told : words that the user reads, with "…" for what differs and "N" for a number above zero; "–" when there is
+        nothing to tell.
     recovers : what it takes to go on. given : what else its test needs. test : node id.
     """
 
@@ -51,7 +52,8 @@ class Cell:
 
     def is_told(self, text: str) -> bool:
         """Whether a text has the words."""
-        words = ".*?".join(re.escape(part) for part in self.told.split("…"))
+        words = re.escape(self.told).replace("…", ".*?")
+        words = re.sub(r"\bN\b", r"[1-9]\\d*", words)
         return self.told == NO_WORDS or re.search(words, text) is not None
 
 

@@ -11,8 +11,6 @@ from armlab.state import Command, State
 
 __all__ = ["Motion"]
 
-AMPLITUDE, RATE = 0.1, 4.0  # rad, rad/s
-
 
 @dataclass
 class Motion:
@@ -21,11 +19,19 @@ class Motion:
     Attributes
     ----------
     holds : virtual time in which it holds, as (begin, end) [s]. stops : from when on it ends the run [s].
+    amplitude, rate : of the sway [rad, rad/s].
     """
 
     holds: tuple[float, float] = (0.0, 0.0)
     stops: float = math.inf
+    amplitude: float = 0.1
+    rate: float = 4.0
     _from: tuple[int, float, np.ndarray] | None = None
+
+    @classmethod
+    def that_stops(cls, at: float) -> Motion:
+        """Be fast at a time, and stop half a cycle before: the arm needs eight more to come to rest."""
+        return cls(stops=at - 0.002, amplitude=0.18, rate=6.0)
 
     def begin_anew(self) -> None:
         """Sway from where the arm is then: another controller was in charge."""
@@ -40,4 +46,4 @@ class Motion:
         if self._from is None or self._from[0] != state.session:
             self._from = state.session, state.t, state.q_sent
         _, since, q = self._from
-        return Command(q + AMPLITUDE * (1.0 - math.cos(RATE * (state.t - since))))
+        return Command(q + self.amplitude * (1.0 - math.cos(self.rate * (state.t - since))))

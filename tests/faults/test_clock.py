@@ -9,7 +9,7 @@ import numpy as np
 from armlab.wire.egm import armlab_egm_pb2 as pb
 
 from .bench import PERIOD, Bench, Outcome
-from .judge import judge
+from .judge import judge, met_in_motion
 from .matrix import Cell, cells, shows
 from .motion import Motion
 
@@ -19,9 +19,9 @@ AT = {"waiting": 0.0, "holding": 0.3, "running": 0.3, "stopping": 0.3}
 
 
 def motion(cell: Cell) -> Motion:
-    return Motion(
-        holds=(0.0, 0.6 if cell.state == "holding" else 0.0), stops=0.29 if cell.state == "stopping" else np.inf
-    )
+    if cell.state == "stopping":
+        return Motion.that_stops(AT["stopping"])
+    return Motion(holds=(0.0, 0.6 if cell.state == "holding" else 0.0))
 
 
 def set_by(bench: Bench, hours: int) -> Callable[[], None]:
@@ -74,6 +74,8 @@ def test_a_clock_that_is_set(bench: Bench, make_bench: Callable[[], Bench], cell
         outcomes.append(one.run(motion(cell), seconds=1.0))
         judge(one, outcomes[-1])
         assert outcomes[-1].failure is None
+        if cell.state == "stopping":
+            met_in_motion(one, AT["stopping"])
     undisturbed, disturbed = (outcome.table for outcome in outcomes)
     assert len(undisturbed) == len(disturbed)
     np.testing.assert_allclose(np.diff(disturbed.t), PERIOD, atol=1e-4)
@@ -120,6 +122,8 @@ def test_a_bridge_that_stands_still(bench: Bench, cell: Cell) -> None:
     assert outcome.failure is None
     assert cell.is_told(outcome.told), outcome.told
     judge(bench, outcome)
+    if cell.state == "stopping":
+        met_in_motion(bench, AT["stopping"])
     robot = bench.stations[0].controller.statistics
     assert [event.number for event in robot.events] == ([41822] if cell.given > 1.0 else [])
     assert robot.last_age == 1

@@ -209,8 +209,9 @@ def test_a_codec_raises(bench: Bench, cell: Cell, monkeypatch: pytest.MonkeyPatc
         return encode(codec, reference)
 
     monkeypatch.setattr(EgmCodec, "encode", broken)
-    holds, stops = (0.0, 1.0 if cell.state == "holding" else 0.0), 0.29 if cell.state == "stopping" else np.inf
-    outcome = bench.run(Motion(holds=holds, stops=stops), seconds=1.0)
+    motion = Motion.that_stops(0.3) if cell.state == "stopping" else Motion()
+    motion.holds = (0.0, 1.0 if cell.state == "holding" else 0.0)
+    outcome = bench.run(motion, seconds=1.0)
     assert type(outcome.failure) is LinkError
     assert cell.is_told(str(outcome.failure))
     judge(bench, outcome)

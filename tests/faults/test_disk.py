@@ -18,7 +18,7 @@ from armlab.errors import LogError
 from armlab.log import Table, inspect, read, recording_file
 
 from .bench import Bench, Outcome
-from .judge import log_is_what_was_sent, within_limits
+from .judge import log_is_what_was_sent, met_in_motion, within_limits
 from .matrix import Cell, cells, shows
 from .motion import Motion
 
@@ -67,10 +67,9 @@ def disks(monkeypatch: pytest.MonkeyPatch) -> list[Disk]:
 
 
 def motion(cell: Cell) -> Motion:
-    at = AT[cell.state]
-    return Motion(
-        holds=(0.0, 0.6 if cell.state == "holding" else 0.0), stops=at - 0.01 if cell.state == "stopping" else np.inf
-    )
+    if cell.state == "stopping":
+        return Motion.that_stops(AT["stopping"])
+    return Motion(holds=(0.0, 0.6 if cell.state == "holding" else 0.0))
 
 
 def read_unfinished(outcome: Outcome) -> Table:
@@ -127,6 +126,8 @@ def test_the_log_ends_and_the_arm_goes_on(bench: Bench, cell: Cell, disks: list[
     bench.at[AT[cell.state]] = fail
     outcome = bench.run(motion(cell), seconds=1.0)
     log_ends(outcome, bench, cell)
+    if cell.state == "stopping":
+        met_in_motion(bench, AT["stopping"])
     assert len(read_unfinished(outcome)) == rows > 50, "the log is whole up to the fault"
     assert outcome.run.path is not None
     assert outcome.run.path.stat().st_size == disks[0].size, "of what failed nothing is left"

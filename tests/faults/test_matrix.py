@@ -58,3 +58,6 @@ def test_words_with_a_gap() -> None:
     assert not cell.is_told("The log stopped after 12 rows. full.")
     assert not cell.is_told("")
     assert str(cell) == "is full, running"
+    (cell,) = cells("network", "loss", "running", "a gap", "missed N, late", "at once")
+    assert cell.is_told("Packets 20, missed 10, late 0.")
+    assert not cell.is_told("Packets 20, missed 0, late 1.")

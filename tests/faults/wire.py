@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["GOOD", "Bad", "Way"]
+__all__ = ["FIRST", "GOOD", "Bad", "Way", "unlucky"]
 
 WIRE = 1e-4  # s that a datagram takes at best
 NEVER_VALID = 0x07  # a first byte that no protobuf message has
@@ -35,6 +35,9 @@ class Bad:
 
 GOOD = Bad()
 """Nothing goes wrong."""
+
+FIRST = 6
+"""Datagrams of which one is lost, see `unlucky`: an arm that is to stop is not at rest yet."""
 
 
 class Way:
@@ -63,7 +66,10 @@ class Way:
 
     def put(self, now: float, data: bytes) -> None:
         """Send one datagram."""
-        bad = self._bad if self._begin <= now < self._end else GOOD
+        if not self._begin <= now < self._end:  # nothing is drawn: a seed tells what happens from the beginning on
+            self._deliver(now + WIRE, data)
+            return
+        bad = self._bad
         begins = bad.loss / (bad.burst - bad.loss * (bad.burst - 1))  # a burst, so often that `loss` is the share
         lost, twice, behind, damaged = self._random.random(4) < (begins, bad.duplicate, bad.reorder, bad.corrupt)
         late = WIRE + max(0.0, bad.delay + bad.jitter * self._random.standard_normal())
@@ -72,9 +78,12 @@ class Way:
             self.lost += 1
             return
         for _ in range(1 + int(twice)):
-            self._count += 1
             spoiled = self._spoil(data) if damaged else data
-            heapq.heappush(self._under_way, (now + late + 1.5 * self._period * behind, self._count, spoiled))
+            self._deliver(now + late + 1.5 * self._period * behind, spoiled)
+
+    def _deliver(self, due: float, data: bytes) -> None:
+        self._count += 1
+        heapq.heappush(self._under_way, (due, self._count, data))
 
     def take(self, now: float) -> bytes | None:
         """Return the next datagram that has arrived, None when none has."""
@@ -87,3 +96,15 @@ class Way:
     def _spoil(self, data: bytes) -> bytes:
         """Cut it somewhere, so that it can never be read."""
         return bytes([NEVER_VALID]) + data[1 : int(self._random.integers(1, len(data)))]
+
+
+def unlucky(bad: Bad, period: float) -> int:
+    """Return the first seed with which both directions lose one of their first datagrams."""
+    for seed in range(10_000):
+        ways = [Way(bad, 0.0, math.inf, [seed, way], period) for way in (1, 2)]
+        for way in ways:
+            for k in range(FIRST):
+                way.put(k * period, b"..")
+        if all(way.lost for way in ways):
+            return seed
+    raise AssertionError(bad)
