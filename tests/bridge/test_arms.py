@@ -29,7 +29,15 @@ def test_fuse() -> None:
     assert [arm.age for arm in both.arms] == [0.003, 0.0]
     np.testing.assert_array_equal(both.arms[0].q, np.ones(7))
     assert not both.q.flags.writeable
+    assert not both.clamped.flags.writeable
     assert np.isnan(both.T_frame_tool).all()
+
+
+def test_an_arm_heard_after_the_one_that_paces_has_no_age() -> None:
+    both = state("a", 1.0), state("b", 2.0)
+    found = fuse(both, [-0.001, 0.0], 1, 5.0)
+    assert found.arms[0] is both[0]
+    assert found.arms[1] is both[1]
 
 
 def test_shares_of_a_common_command() -> None:
@@ -43,6 +51,11 @@ def test_shares_of_a_common_command() -> None:
     assert (left.record, right.record) == ({"x": 1.0}, {})
     assert [one.record for one in shares(Command(q, record={"x": 1.0}), [LEFT, RIGHT], 1) if one] == [{}, {"x": 1.0}]
     assert all(one is not None and one.ends for one in shares(Command.stop(), [LEFT, RIGHT]))
+
+
+def test_shares_of_three() -> None:
+    parts = shares(Command(np.arange(21.0)), [LEFT, RIGHT, LEFT])
+    np.testing.assert_array_equal([one.q for one in parts if one is not None], np.arange(21.0).reshape(3, 7))
 
 
 @pytest.mark.parametrize("name", ["q_ext", "rapid_data", "rapid_digital"])
@@ -63,8 +76,8 @@ def test_shares_of_each() -> None:
     [
         (Command(np.zeros(7)), r"Command.q of shape \(14,\), 7 of yumi_left and 7 of yumi_right, got \(7,\)"),
         (Command(qd=np.zeros((2, 7))), r"Command.qd of shape \(14,\)"),
-        ((Command(),) * 3, "got tuple of 3"),
-        (np.zeros(14), "got ndarray"),
+        ((Command(),) * 3, r"got tuple of 3\. Write"),
+        (np.zeros(14), r"got ndarray\. Write"),
     ],
 )
 def test_wrong_shares(asked: Any, words: str) -> None:

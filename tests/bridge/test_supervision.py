@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -23,11 +24,12 @@ class Bench:
     def __init__(self, feed: Any, robot: Robot, **settings: Any) -> None:
         self.port = Port("127.0.0.1", 0)
         self.guide = Guide(robot, Limits.of(robot))
-        self.told: list[str] = []
+        self.told: list[tuple[str, bool]] = []
         self.feed, feed.now = feed, time.monotonic_ns()
-        self.supervisor = Supervisor(
-            self.port, feed.session, self.guide, Settings(**settings), lambda text, warn=False: self.told.append(text)
-        )
+        self.supervisor = Supervisor(self.port, feed.session, self.guide, Settings(**settings), self.tell)
+
+    def tell(self, text: str, warn: bool = False, each: bool = False) -> None:
+        self.told.append((text, warn))
 
     def packet(self) -> None:
         self.guide.observe(self.feed.sample(after=0))
@@ -41,6 +43,11 @@ class Bench:
         self.port.close()
 
 
+def test_a_run_without_settings_goes_on_and_waits_for_its_robot_half_a_minute() -> None:
+    one = Settings()
+    assert (one.seconds, one.resume, one.clock, one.patience, one.alive()) == (None, True, "wall", 30.0, "")
+
+
 def test_patience_ends_with_no_robot_and_a_check_list(feed: Any, robot: Robot) -> None:
     bench = Bench(feed, robot, patience=7.0)
     feed.raw(b"noise", after=0)
@@ -52,12 +59,38 @@ def test_patience_ends_with_no_robot_and_a_check_list(feed: Any, robot: Robot) -
         assert words in str(failure)
 
 
+def test_without_any_datagram_none_is_spoken_of(feed: Any, robot: Robot) -> None:
+    bench = Bench(feed, robot, patience=7.0)
+    bench.look(7.1)
+    assert "but none came. Listening on" in str(bench.guide.failure)
+
+
+def test_exactly_the_patience_is_not_too_long(feed: Any, robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(feed, robot, patience=8.0)
+    bench.port.close()
+    now = iter([5_000_000_000, 5_000_000_001, 8_000_000_000, 8_000_000_100])
+    monkeypatch.setattr("armlab.bridge.supervision.time", SimpleNamespace(monotonic_ns=lambda: next(now)))
+    told, ended = [], []
+    for _ in range(4):
+        bench.supervisor.look(0)
+        told.append(len(bench.told))
+        ended.append(bench.guide.mode is Mode.ENDED)
+    assert told == [0, 1, 1, 1]
+    assert ended == [False, False, False, True]
+
+
 def test_the_check_list_is_told_before(feed: Any, robot: Robot) -> None:
     bench = Bench(feed, robot, patience=30.0)
     bench.look(5.5)
     bench.look(5.6)
-    assert bench.told == [f"No packet yet. {check_list(bench.port)}"]
+    assert bench.told == [(f"No packet yet. {check_list(bench.port)}", True)]
     assert bench.guide.mode is Mode.WAITING
+
+
+def test_the_check_list_says_who_can_be_heard() -> None:
+    port = Port("0.0.0.0", 0)
+    port.close()
+    assert f"Listening on 0.0.0.0:{port.port}. Check" in check_list(port)
 
 
 def test_silence_ends_the_session_and_waits(feed: Any, robot: Robot) -> None:
@@ -91,6 +124,7 @@ def test_a_robot_that_ended_ends_the_run(feed: Any, robot: Robot) -> None:
     bench.look(0.0)
     assert (bench.guide.mode, bench.guide.reason) == (Mode.ENDED, "the simulated robot ended")
     assert bench.guide.failure is None
+    assert not feed.session.active
 
 
 def test_a_robot_that_died_is_an_error(feed: Any, robot: Robot) -> None:
@@ -133,7 +167,7 @@ def test_ten_sessions_in_a_row_that_end_at_once_end_the_run(
     sessions(bench, 10, packets, **fields)
     assert bench.guide.failure is None
     sessions(bench, 1, 1)
-    assert isinstance(bench.guide.failure, SessionEnded) == ends
+    assert ("a session with guidance for" in str(bench.guide.failure)) == ends
 
 
 def test_a_session_that_moves_on_starts_the_count_again(feed: Any, robot: Robot) -> None:
@@ -144,6 +178,13 @@ def test_a_session_that_moves_on_starts_the_count_again(feed: Any, robot: Robot)
     assert bench.guide.failure is None
     sessions(bench, 11, 2)
     assert bench.guide.reason == "sessions ended at once"
+
+
+def test_a_first_session_that_moves_on_does_not_count(feed: Any, robot: Robot) -> None:
+    bench = Bench(feed, robot)
+    sessions(bench, 1, 30)
+    sessions(bench, 10, 2)
+    assert bench.guide.failure is None
 
 
 def test_a_robot_that_reports_an_error_in_each_session_ends_the_run(play: Any) -> None:

@@ -155,20 +155,19 @@ class Arm:
         ----------
         arrival : the first datagram. unanswered : a packet that waits for its reply.
         """
-        turn, refused, woken_ns = unanswered, 0, time.monotonic_ns()
-        for _ in range(_BACKLOG):
-            if arrival is None:
-                break
+        turn, taken, refused, woken_ns = unanswered, 0, 0, time.monotonic_ns()
+        while arrival is not None:
+            taken += 1
             sample = self.session.accept(arrival)
             if sample is None:
                 refused += 1
-                if refused == _DROPS:
-                    break  # before the next is taken from the port: it would be lost
             else:
                 if turn is not None:
                     self._surpassed.append(turn)
                 self._arrival = arrival
                 turn = self._observe(sample, woken_ns)
+            if refused == _DROPS or taken == _BACKLOG:
+                break  # before the next is taken from the port: it would be lost
             arrival = self.port.receive()
         return turn
 
@@ -203,7 +202,7 @@ class Arm:
             if reply is not None:
                 seq, send_ns = self._send(turn.sample, reply)
         finally:  # also when the codec raises: the robot has not got it
-            if reply is not None and send_ns < 0:
+            if reply is not None and seq < 0:
                 self.guide.take_back()
         late = late or (not self._in_lockstep and send_ns > self.deadline(turn.sample))
         self._answered = command
@@ -213,7 +212,7 @@ class Arm:
             self.overtaken += 1
             self._rows.append(_Row(older))
         self._surpassed.clear()
-        self._rows.append(_Row(turn, command, reply if send_ns >= 0 else None, seq, send_ns, call_ns, late))
+        self._rows.append(_Row(turn, command, reply if seq >= 0 else None, seq, send_ns, call_ns, late))
 
     def _send(self, sample: Sample, reply: Reply) -> tuple[int, int]:
         """Send a reply. Return its number and when [ns], -1 and -1 when nothing went out."""
@@ -260,7 +259,7 @@ class Arm:
                 seq_sent=row.seq,
                 stamp_ns=self.stamp(sample),
                 receive_ns=wall_ns + sample.arrival_ns,
-                send_ns=row.send_ns if row.send_ns < 0 else wall_ns + row.send_ns,
+                send_ns=row.send_ns if row.seq < 0 else wall_ns + row.send_ns,
                 step_ns=row.call_ns,
                 late=row.late,
                 drops=self.session.total_drops,

@@ -27,7 +27,7 @@ __all__ = ["Controller", "Loop", "Packets"]
 Controller = Callable[[State], Command | Sequence[Command | None] | None]
 """What decides: called with each state, returns a command or None for hold; with several arms also one per arm."""
 
-_LOOK = 0.05  # s between two looks at silence and interrupts
+_LOOK = 0.05  # s between two looks at silence; an interrupt waits no longer either
 _GRACE = 0.25  # of a period, that the controller has in any case
 _BLAME = 0.5  # of a period: a late cycle is the controller's fault when its call took longer
 _NAP = 2e-3  # s the guard waits for a packet
@@ -125,18 +125,18 @@ class Loop:
     def cycle(self) -> None:
         """Wait for one packet, answer it, record it."""
         found = self._waiting.next(_LOOK)
-        turn, asks = None, False
+        turn = asked = None
         with self._lock:
             if found is not None:
                 arm = self._arms[found[0]]
                 turn = arm.take(found[1])
-                asks = turn is not None and arm is self._pace and self._may_ask(turn)
-                if turn is not None and not asks:
-                    self._answer(arm, turn)
-                elif asks:
+                if turn is not None and arm is self._pace and self._may_ask(turn):
+                    asked = turn
                     self._serve_others()
-        if turn is not None and asks:
-            self._call(turn)
+                elif turn is not None:
+                    self._answer(arm, turn)
+        if asked is not None:
+            self._call(asked)
         self._record()
         self._look(turn is None)
         self._after()
@@ -268,18 +268,18 @@ class Loop:
             self._stop("the controller was late", ControllerLate(sentence))
 
     def _look(self, now: bool) -> None:
-        """Look at silence and interrupts: when nothing came, and often enough when only one arm is silent."""
+        """Look at silence: when nothing came, and often enough when only one arm is silent."""
         now_ns = time.monotonic_ns()
         if now or now_ns - self._looked_ns > 1e9 * _LOOK:
             self._looked_ns = now_ns
-            self._stop_if_interrupted()
             for arm in self._arms:
                 arm.look()
 
     def _after(self) -> None:
-        """After a reply: ends, progress, garbage."""
+        """After a reply: interrupts, ends, progress, garbage."""
         settings, elapsed = self._settings, self.elapsed
-        self._stop_if_interrupted()
+        if self.interrupted:
+            self._stop("interrupted")
         if settings.seconds is not None and elapsed >= settings.seconds:
             self._stop("the time is up")
         if settings.progress is not None and elapsed >= self._next_progress:
@@ -314,10 +314,6 @@ class Loop:
         self._pace.guide.stop(reason, failure)
         for arm in self._others:
             arm.guide.stop(reason)
-
-    def _stop_if_interrupted(self) -> None:
-        if self.interrupted:
-            self._stop("interrupted")
 
 
 def _broken(error: Exception) -> LinkError:

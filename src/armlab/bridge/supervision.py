@@ -67,7 +67,7 @@ class Supervisor:
         guide, session, now = self._guide, self._session, time.monotonic_ns()
         if session.silent(now):
             guide.lose(session.end(), self._settings.resume)
-        gone, failure = "", None
+        failure = None
         try:
             gone = self._settings.alive()
         except LinkError as error:
@@ -111,8 +111,7 @@ class Supervisor:
     def _silence(self) -> LinkError:
         session, seconds = self._session, self._settings.patience
         if session.number:
-            reason = session.end() or "the controller stopped sending"
-            return SessionEnded(f"Expected another packet within {seconds:g} s, but none came: {reason}.")
+            return SessionEnded(f"Expected another packet within {seconds:g} s, but none came: {session.end()}.")
         others = ", ".join(f"{number} {kind}" for kind, number in session.drops.items())
         heard = f" Datagrams that are no packets of a robot came: {others}." if others else ""
         return NoRobot(

@@ -1,0 +1,321 @@
+"""The loop packet by packet, on a clock of its own: when it asks, looks, blames, and what the guard does meanwhile."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab import robots
+from armlab.bridge.states import Mode
+from armlab.errors import ControllerFailed, ControllerLate, LinkError
+from armlab.state import Command, State
+
+from .by_hand import MS, Hands, Make, drift
+
+RIGHT = robots.load("yumi_right")
+
+
+@pytest.fixture
+def one(monkeypatch: pytest.MonkeyPatch) -> Make:
+    """Return what makes a loop of one arm."""
+    return lambda controller, **options: Hands(monkeypatch, [RIGHT], controller, **options)
+
+
+def test_an_interrupt_stops_at_the_next_packet_and_the_second_at_once(one: Make) -> None:
+    hands = one(drift)
+    hands.cycle()
+    hands.loop.interrupt()
+    assert hands.loop.reason == ""
+    hands.cycle()
+    assert hands.loop.reason == "interrupted"
+    assert hands.arms[0].guide.mode is Mode.STOPPING
+    with pytest.raises(KeyboardInterrupt):
+        hands.loop.interrupt()
+
+
+def test_an_interrupt_is_seen_while_nothing_comes(one: Make) -> None:
+    hands = one(drift)
+    hands.cycle()
+    hands.loop.interrupt()
+    hands.loop.cycle()
+    assert hands.loop.reason == "interrupted"
+
+
+def test_only_the_second_interrupt_ends_a_controller_that_does_not_return(one: Make) -> None:
+    def controller(state: State) -> Command:
+        raise KeyboardInterrupt
+
+    hands = one(controller)
+    hands.cycle()
+    assert isinstance(hands.loop.failure, ControllerFailed)
+    assert isinstance(hands.loop.failure.__cause__, KeyboardInterrupt)
+    hands = one(controller)
+    hands.cycle(mci=2)
+    hands.loop.interrupted = True
+    with pytest.raises(KeyboardInterrupt):
+        hands.cycle()
+
+
+def test_looks_come_when_nothing_came_and_twenty_times_a_second(one: Make) -> None:
+    looks: list[int] = []
+
+    def alive() -> str:
+        looks.append(hands.clock.now)
+        return ""
+
+    hands = one(drift, alive=alive)
+    for _ in range(26):
+        hands.cycle()
+    assert len(looks) == 2
+    begun = hands.clock.now - 26 * 4 * MS
+    assert [(ns - begun) // MS for ns in looks] == [52, 104]
+    hands.loop.cycle()
+    hands.loop.cycle()
+    assert len(looks) == 4
+    assert hands.waits == [0.05] * 28
+    for _ in range(12):
+        hands.cycle()
+    assert len(looks) == 4
+    hands.cycle(after=2 * MS)  # exactly 50 ms after the last one
+    assert len(looks) == 4
+    hands.cycle(after=1)
+    assert len(looks) == 5
+
+
+@pytest.mark.parametrize(("waited", "left"), [(0, 3.0), (1, 2.0), (2, 1.0), (3, 1.0), (10, 1.0)])
+def test_the_controller_has_until_three_quarters_of_the_period_and_a_quarter_in_any_case(
+    one: Make, waited: int, left: float
+) -> None:
+    seen: list[float] = []
+
+    def controller(state: State) -> Command:
+        seen.append(1e3 * hands.loop.overdue())
+        hands.clock.now += 500_000
+        seen.append(1e3 * hands.loop.overdue())
+        return drift(state)
+
+    hands = one(controller)
+    hands.cycle(mci=2)
+    assert hands.loop.overdue() == 1.0
+    hands.put()
+    hands.clock.now += waited * MS
+    hands.loop.cycle()
+    assert hands.loop.overdue() == 1.0
+    np.testing.assert_allclose(seen, [left, left - 0.5], atol=1e-6)
+
+
+def test_the_guard_answers_for_a_controller_that_is_overdue(one: Make) -> None:
+    """Held and late, a reply for each packet; what the controller returns at last is thrown away."""
+    called: list[int] = []
+
+    def controller(state: State) -> Command:
+        called.append(state.seq)
+        if state.seq == 10:
+            loop.answer_for_controller()  # too early: nothing
+            assert len(port.sent) == 10
+            assert not clock.slept
+            clock.now += 4 * MS
+            loop.answer_for_controller()
+            assert (len(port.sent), loop.overdue()) == (11, 0.0)
+            loop.answer_for_controller()  # nothing came since
+            assert (len(port.sent), clock.slept) == (11, [2e-3])
+            hands.put()
+            loop.answer_for_controller()
+            assert (len(port.sent), clock.slept) == (12, [2e-3] * 2)
+            assert len(hands.table()) == 12
+        return drift(state)
+
+    hands = one(controller)
+    loop, port, clock = hands.loop, hands.ports[0], hands.clock
+    for _ in range(11):
+        hands.cycle()
+    assert len(port.sent) == 12
+    loop.answer_for_controller()
+    assert len(port.sent) == 12
+    for _ in range(3):
+        hands.cycle()
+    assert called == [*range(11), 12, 13, 14]
+    table = hands.table()
+    np.testing.assert_array_equal(np.flatnonzero(table["late"]), [10, 11])
+    np.testing.assert_array_equal(table["seq_sent"], np.arange(15))
+    assert np.isnan(table["qd_ref"][10:12].astype(float)).all()
+    assert "step_ns" not in table.values  # none of the calls took time but the one that was thrown away
+    np.testing.assert_allclose(np.abs(table["qd_sent"][9:13]).max(axis=1), [0.1, 0.0, 0.0, 0.1], atol=1e-12)
+    assert (loop.reason, loop.failure) == ("", None)
+
+
+@pytest.mark.parametrize("method", ["decode", "encode"])
+def test_an_error_while_the_guard_answers_ends_the_run_and_the_guard_goes_on(
+    one: Make, monkeypatch: pytest.MonkeyPatch, method: str
+) -> None:
+    def controller(state: State) -> Command:
+        if state.seq == 5:
+            hands.put()
+            with monkeypatch.context() as patch:
+                patch.setattr(hands.arms[0].codec, method, lambda data: 1 / 0)
+                hands.loop.answer_for_controller()
+        return drift(state)
+
+    hands = one(controller)
+    for _ in range(6):
+        hands.cycle()
+    assert len(hands.ports[0].sent) == 5  # the packet has been taken: the controller's reply would be late
+    assert hands.loop.reason == "the bridge failed"
+    assert isinstance(hands.loop.failure, LinkError)
+    assert isinstance(hands.loop.failure.__cause__, ZeroDivisionError)
+
+
+@pytest.mark.parametrize(
+    ("waited", "took", "late", "stops"),
+    [
+        (0, 3.01, 5, True),
+        (0, 2.9, 0, False),
+        (2.5, 1.0, 5, False),  # late, and not by the controller's fault
+        (1.5, 2.0, 5, False),
+        (1.5, 2.01, 5, True),
+    ],
+)
+def test_the_controller_is_blamed_for_late_replies_when_it_took_more_than_half_a_period(
+    one: Make, waited: float, took: float, late: int, stops: bool
+) -> None:
+    def controller(state: State) -> Command:
+        hands.clock.now += int(took * MS)
+        return Command(state.q_start)
+
+    hands = one(controller)
+    hands.cycle(mci=2)
+    for count in range(5):
+        assert hands.loop.reason == "", count
+        hands.put()
+        hands.clock.now += int(waited * MS)
+        hands.loop.cycle()
+    assert hands.table()["late"].sum() == late
+    np.testing.assert_array_equal(hands.table()["step_ns"][1:], int(took * MS))
+    assert (hands.loop.reason == "the controller was late") == stops
+    assert isinstance(hands.loop.failure, ControllerLate) == stops
+
+
+def test_in_lockstep_a_controller_takes_what_time_it_likes(one: Make) -> None:
+    def controller(state: State) -> Command:
+        hands.clock.now += 10**9
+        return drift(state)
+
+    hands = one(controller, clock="robot")
+    for _ in range(10):
+        hands.cycle()
+    assert hands.loop.reason == ""
+    assert not hands.table()["late"].any()
+
+
+@pytest.mark.parametrize(
+    ("clock", "took", "collects"),
+    [("wall", 2.9, True), ("wall", 3.0, True), ("wall", 3.1, False), ("robot", 3.1, True)],
+)
+def test_garbage_is_collected_with_a_millisecond_to_spare(
+    one: Make, monkeypatch: pytest.MonkeyPatch, clock: str, took: float, collects: bool
+) -> None:
+    collected: list[bool] = []
+    monkeypatch.setattr("armlab.bridge.loop.collect_if_due", lambda: collected.append(True))
+
+    def controller(state: State) -> None:
+        hands.clock.now += int(took * MS)
+
+    hands = one(controller, clock=clock)
+    hands.loop.cycle()
+    assert collected == [True]  # nobody is there
+    hands.cycle()
+    assert len(collected) == 1 + collects
+
+
+def test_progress_is_told_ten_times_a_second(one: Make) -> None:
+    told: list[float] = []
+    hands = one(drift, progress=told.append)
+    for _ in range(76):
+        hands.cycle()
+    np.testing.assert_allclose(told, [0.0, 0.1, 0.2, 0.3], atol=1e-9)
+
+
+def test_a_display_of_progress_that_fails_stops_the_arm(one: Make) -> None:
+    hands = one(drift, progress=lambda done: 1 / 0)
+    hands.cycle()
+    assert hands.loop.reason == "the display of progress failed"
+    assert isinstance(hands.loop.failure, ControllerFailed)
+    assert isinstance(hands.loop.failure.__cause__, ZeroDivisionError)
+
+
+def test_the_time_is_up(one: Make) -> None:
+    exactly = one(drift, seconds=0.008)
+    for reason in ("", "", "the time is up"):
+        exactly.cycle()
+        assert exactly.loop.reason == reason
+    hands = one(drift, seconds=0.1)
+    for _ in range(25):
+        hands.cycle()
+    assert hands.loop.reason == ""
+    hands.cycle()
+    assert hands.loop.reason == "the time is up"
+
+
+def test_a_run_ends_when_an_error_comes_again(one: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first brings the arm to rest; while that fails too nothing can be sent."""
+    hands = one(drift)
+    for _ in range(5):
+        hands.cycle()
+    monkeypatch.setattr(hands.arms[0].codec, "encode", lambda reference: 1 / 0)
+    for _ in range(2):
+        hands.put()
+    coming = list(hands.ports[0].waiting)
+    hands.ports[0].waiting.clear()
+    monkeypatch.setattr(hands, "next", lambda seconds: (0, coming.pop(0)) if coming else None)
+    hands.loop.run()
+    assert not coming
+    assert "ZeroDivisionError: division by zero" in str(hands.loop.failure)
+    assert isinstance(hands.loop.failure, LinkError)
+    assert hands.warned == [str(hands.loop.failure)]
+
+
+def test_a_run_that_stops_already_ends_with_the_error_that_came_again(one: Make) -> None:
+    hands = one(drift)
+    hands.cycle()
+    hands.loop.interrupt()
+    hands.loop.cycle()
+    hands.next = lambda seconds: 1 / 0  # type: ignore[method-assign, assignment]
+    hands.loop.run()
+    assert hands.loop.reason == "interrupted"
+    assert "ZeroDivisionError" in str(hands.loop.failure)
+
+
+def test_one_error_brings_the_arm_to_rest_and_is_raised(one: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    hands = one(drift)
+    for _ in range(10):
+        hands.cycle()
+    encode, failed = hands.arms[0].codec.encode, []
+
+    def fails_once(reference: Any) -> bytes:
+        failed.append(reference)
+        return encode(reference) if len(failed) > 1 else 1 / 0  # type: ignore[return-value]
+
+    monkeypatch.setattr(hands.arms[0].codec, "encode", fails_once)
+    hands.run()
+    assert hands.speed() == 0.0
+    assert hands.loop.reason == "the bridge failed"
+    assert "ZeroDivisionError" in str(hands.loop.failure)
+    assert 125 <= len(hands.rows) - 10 < 150  # it rests half a second
+
+
+def test_what_is_no_packet_gets_no_answer(one: Make) -> None:
+    hands = one(drift)
+    hands.cycle()
+    hands.ports[0].waiting.append(hands.garbage())
+    hands.loop.cycle()
+    assert len(hands.ports[0].sent) == 1
+
+
+def test_one_arm_is_seen_as_it_is(one: Make) -> None:
+    seen: list[State] = []
+    hands = one(seen.append)
+    hands.cycle()
+    assert hands.arms[0].newest is not None
+    assert seen[0] is hands.arms[0].newest.state
