@@ -22,7 +22,7 @@ from mutmut.mutation import mutators
 from mutmut.mutation.file_mutation import MutationVisitor
 from mutmut.mutation.pragma_handling import get_ignored_lines
 
-__all__ = ["Mutant", "codes", "is_same", "loaded", "mutants", "transplant"]
+__all__ = ["Mutant", "codes", "difference", "is_same", "loaded", "mutants", "transplant"]
 
 _LARGE = 100  # to which 1 more makes no difference
 
@@ -93,12 +93,12 @@ def mutants(path: Path, file: str) -> Iterator[Mutant]:
         changed = module.deep_replace(mutation.original_node, mutation.mutated_node).code  # type: ignore[arg-type]
         if changed != source and changed not in found:
             found.add(changed)
-            first, before, after = _difference(source, changed)
+            first, before, after = difference(source, changed)
             if not before.startswith("__all__"):  # tests/style holds it
                 yield Mutant(file, _function(tree, first + 1), before, after, changed)
 
 
-def _difference(old: str, new: str) -> tuple[int, str, str]:
+def difference(old: str, new: str) -> tuple[int, str, str]:
     """Return where the lines differ, those that do, and what became of them, each on one line.
 
     Lines that stand in the file more than once come with those before them, until they do not.

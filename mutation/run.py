@@ -33,6 +33,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "mutation"))
+import compiled  # noqa: E402
 from mutants import Mutant, codes, is_same, loaded, mutants, transplant  # noqa: E402
 
 EXPLAINED, LAST = ROOT / "mutation" / "survivors.toml", ROOT / "build" / "mutation.json"
@@ -46,12 +47,18 @@ FILES = {  # each with the tests that hold it
     f"{BRIDGE}/session.py": ["bridge/session", "bridge/session_order"],
     f"{BRIDGE}/states.py": ["bridge/states", "bridge/torque"],
     f"{BRIDGE}/rights.py": ["bridge/rights"],
+    f"{BRIDGE}/loop.py": ["bridge/loop_by_hand", "bridge/arms_by_hand"],
+    f"{BRIDGE}/supervision.py": ["bridge/supervision"],
+    f"{BRIDGE}/arm.py": ["bridge/arm", "bridge/arm_by_hand"],
+    f"{BRIDGE}/arms.py": ["bridge/arms"],
     f"{KERNELS}/limits.py": ["kernels/_reference/limits"],
+    "native/limits.cpp": ["kernels/_reference/limits"],
 }
-# Not tests of whole simulated runs, which are slow; nor that the kernels agree, which would spare a law for both.
-MARKED, NAMED = "not slow", "not (native_is or simulated or follows[)"
+MARKED, NAMED = "not slow", "not (simulated or follows[)"  # not tests of whole simulated runs, which are slow
+AGREE = "native_is"  # that the kernels agree holds the compiled ones only: it would spare a law for both
 NONE, FAILED = ("same", "no program"), "harness failed"  # what is no mutant, and what is no judgement of one
 KINDS = "killed", "survived", "not reached", FAILED
+CRASHES = -signal.SIGSEGV, -signal.SIGABRT, -signal.SIGBUS, -signal.SIGFPE, -signal.SIGILL
 PATIENCE, AT_LEAST = 10.0, 5.0  # times what a test takes without a mutant, and s
 
 
@@ -76,7 +83,7 @@ class Runner:
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
         if session.testsfailed:
             raise SystemExit("Expected tests that can be collected, got errors: run them with pytest.")
-        modules = {file: importlib.import_module(file[4:-3].replace("/", ".")) for file in self.files}
+        modules = {file: importlib.import_module(_module(file)) for file in self.files}
         watched = {one.__code__ for module in modules.values() for one in codes(module).values()}
         gc.collect()
         gc.freeze()  # what a child does not touch it shares
@@ -85,8 +92,15 @@ class Runner:
         if calls is None:
             raise SystemExit("Expected tests that pass without a mutant, got one that fails: run them with pytest.")
         for file, module in modules.items():
+            is_compiled = file.endswith(".cpp")
             items = [item for item in session.items if item.path in tests(file)]
-            for mutant in mutants(ROOT / file, file):
+            if is_compiled:
+                same = compiled.prepare(ROOT / file, file)
+                if forked(lambda one=same, at=module, of=items: self.outcome(one, at, of, calls))[0] != "survived":
+                    raise SystemExit("Expected tests that pass with the file compiled alone, got one that fails.")
+            else:
+                items = [item for item in items if AGREE not in item.name]
+            for mutant in (compiled.mutants if is_compiled else mutants)(ROOT / file, file):
                 if self.only is None or key(mutant) in self.only:
                     self.judge(mutant, module, items, calls)
         return True
@@ -94,7 +108,9 @@ class Runner:
     def judge(self, mutant: Mutant, module: ModuleType, items: list[pytest.Item], calls: dict[str, Any]) -> None:
         outcome, end = forked(lambda: self.outcome(mutant, module, items, calls))
         if not outcome:
-            outcome = "killed by time" if end == -signal.SIGALRM else f"{FAILED}, status {end}"
+            crashed = mutant.file.endswith(".cpp") and end in CRASHES
+            ended = "killed by time" if end == -signal.SIGALRM else f"{FAILED}, status {end}"
+            outcome = f"killed by a crash, status {end}" if crashed else ended
         if outcome in NONE:
             return
         self.results.append((mutant, outcome))
@@ -125,26 +141,51 @@ class Runner:
 
     def outcome(self, mutant: Mutant, module: ModuleType, items: list[pytest.Item], calls: dict[str, Any]) -> str:
         """Run the tests that see a mutant, in a child; return what became of it."""
-        names = {name(one.__code__) for one in codes(module).values()}
         try:
-            if is_same(mutant, module):
-                return "same"
-            scratch = loaded(mutant, module)
+            names = place(mutant, module)
         except SyntaxError:
             return "no program"
-        except Exception as error:
-            return f"killed by its import: {error}"
-        changed, has_more = transplant(scratch, module)
-        if not changed and not has_more:
-            return "not reached"
-        names = names if has_more else {name(code) for code in changed}
-        seen = sorted((item for item in items if names & set(calls[item.nodeid][1])), key=lambda i: calls[i.nodeid][0])
+        if isinstance(names, str):
+            return names
+        seen = [item for item in items if names is None or names & set(calls[item.nodeid][1])]
+        seen.sort(key=lambda item: calls[item.nodeid][0])
+        if not seen:
+            return "survived: no test calls it"
         for item, following in zip(seen, [*seen[1:], None], strict=True):
             signal.setitimer(signal.ITIMER_REAL, AT_LEAST + PATIENCE * calls[item.nodeid][0])  # then SIGALRM ends it
-            item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
+            try:
+                item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
+            except KeyboardInterrupt:
+                return f"killed by the interrupt of {item.nodeid}"
             if self.failed:
                 return f"killed by {item.nodeid}"
         return "survived"
+
+
+def place(mutant: Mutant, module: ModuleType) -> str | set[str] | None:
+    """Put a mutant in its place; return the names of the code whose tests see it, None for all, or why there are none.
+
+    Raises
+    ------
+    SyntaxError : it is no program.
+    """
+    if mutant.file.endswith(".cpp"):
+        return None if compiled.placed(mutant, module) else "same"
+    names = {name(one.__code__) for one in codes(module).values()}
+    if is_same(mutant, module):
+        return "same"
+    try:
+        scratch = loaded(mutant, module)
+    except Exception as error:
+        return f"killed by its import: {error}"
+    changed, has_more = transplant(scratch, module)
+    if not changed and not has_more:
+        return "not reached"
+    return names if has_more else {name(code) for code in changed}
+
+
+def _module(file: str) -> str:
+    return "armlab.kernels._native" if file.endswith(".cpp") else file[4:-3].replace("/", ".")
 
 
 def tests(file: str) -> list[Path]:
@@ -207,7 +248,18 @@ def main() -> int:
     files = [file for file in FILES if not given.words or any(word in file for word in given.words)]
     only = {tuple(one) for one in json.loads(LAST.read_text())} if given.again else None
     runner, start = Runner(files, only), time.monotonic()
-    options = ["-p", "no:terminal", "-p", "no:xdist", "-s", "-o", "addopts=", "--import-mode=importlib"]
+    options = [
+        "-p",
+        "no:terminal",
+        "-p",
+        "no:xdist",
+        "-p",
+        "no:faulthandler",
+        "-s",
+        "-o",
+        "addopts=",
+        "--import-mode=importlib",
+    ]
     chosen = sorted({str(test) for file in files for test in tests(file)})
     ended = pytest.main([*options, "-m", MARKED, "-k", NAMED, *chosen], [runner])
     is_whole = ended == pytest.ExitCode.OK

@@ -115,7 +115,6 @@ nb::object limit_reference(nb::handle sent_, nb::handle bounds_, double T, nb::h
   for (int i = 0; i < n; ++i) {
     const Joint &joint = joints[i];
     wanted[i] = qd_ref ? qd_ref[i] : 0.0;
-    reached[i] = false;
     if (!q_ref) continue;
     if (q_ref[i] < joint.q_min || q_ref[i] > joint.q_max) bits[i] |= position_bit;
     const double last = q_last ? q_last[i] : q_ref[i], behind = last - joint.q;

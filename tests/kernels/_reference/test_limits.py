@@ -145,6 +145,12 @@ def test_a_position_reached_is_that_one_to_the_last_bit(kernel: ModuleType) -> N
         np.testing.assert_array_equal(kernel.limit_reference(np.zeros((3, 1)), bounds(1), T, q)[0][0], q)
 
 
+def test_a_speed_within_the_limits_is_sent_to_the_last_bit(kernel: ModuleType) -> None:
+    for speed in np.random.default_rng(4).uniform(-0.04, 0.04, (200, 1)):
+        sent, *_ = kernel.limit_reference(np.array([[0.7], [0.0], [0.0]]), bounds(1), T, None, None, speed)
+        np.testing.assert_array_equal(sent[1:, 0], speed[0])
+
+
 def test_the_speed_given_beside_a_position_is_sent_within_its_own_limits(kernel: ModuleType) -> None:
     sent, clamped, ratio, _ = kernel.limit_reference(
         np.zeros((3, 2)), bounds(2), T, np.zeros(2), np.zeros(2), np.array([0.03, -0.5])
@@ -263,6 +269,11 @@ def test_the_kernel_checks_shapes() -> None:
         pytest.skip("the extension is not built")
     from armlab.kernels import _native
 
+    assert _native.limit_reference(np.zeros((3, 64)), bounds(64), T)[3] == 0
+    with pytest.raises(ShapeError, match=r"at most 64 joints .* got 65 and 0\.004"):
+        _native.limit_reference(np.zeros((3, 65)), bounds(65), T)
+    with pytest.raises(ShapeError, match="sent"):
+        _native.limit_reference(np.zeros((2, 3)), bounds(2), T)
     with pytest.raises(ShapeError, match="bounds"):
         _native.limit_reference(np.zeros((3, 2)), np.zeros((4, 2)), T)
     with pytest.raises(ShapeError, match="q_ref"):
