@@ -85,6 +85,7 @@ def test_a_reply_is_late_after_three_quarters_of_the_period(make: Make, waited: 
     hands.loop.cycle()
     arm = hands.arms[0]
     assert (hands.rows[0][2].late, arm.was_late, arm.late) == (late, late, int(late))
+    assert hands.rows[0][2].send_ns == WALL_NS + hands.clock.now
     hands.cycle(mci=2)
     assert (hands.rows[1][2].late, arm.was_late, arm.late) == (False, False, int(late))
 
@@ -217,13 +218,37 @@ def test_a_reply_is_left_out_for_a_message_that_stays_in_the_queue(make: Make, c
     assert len(hands.ports[0].sent) == 13 - left_out
     _, command, tick = hands.rows[-1]
     assert command is not None
-    assert (tick.send_ns == -1) == (tick.q_sent is None) == bool(left_out)
+    assert (tick.send_ns == -1) == (tick.seq_sent == -1) == (tick.q_sent is None) == bool(left_out)
     hands.cycle()
     reply = hands.reply()
     assert reply is not None
     assert reply.seqno == 13 - left_out
     steps = np.diff([row[2].q_sent for row in hands.rows[5:] if row[2].q_sent is not None], axis=0)
     np.testing.assert_allclose(steps, 0.0004, atol=1e-12)
+
+
+def test_the_first_reply_is_a_step_like_the_others(make: Make) -> None:
+    hands = make()
+    for _ in range(3):
+        hands.cycle()
+    np.testing.assert_allclose(np.diff([np.asarray(row[2].q_sent) for row in hands.rows], axis=0), 0.0004, atol=1e-12)
+
+
+def test_a_packet_that_gets_no_reply_has_a_row(make: Make) -> None:
+    hands = make(answer_stream=False)
+    hands.cycle(mci=2)
+    tick = hands.rows[0][2]
+    assert (hands.reply(), tick.seq_sent, tick.send_ns, tick.q_sent) == (None, -1, -1, None)
+
+
+def test_a_row_that_could_not_be_recorded_is_the_next(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    hands = make()
+    with monkeypatch.context() as patch:
+        patch.setattr(hands.arms[0].recording, "row", lambda *_: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            hands.cycle()
+    hands.cycle()
+    assert [(row[0].seq, row[2].number) for row in hands.rows] == [(0, 0), (1, 1)]
 
 
 def test_a_reply_that_the_system_refuses_is_told_as_a_warning(make: Make) -> None:
@@ -233,7 +258,8 @@ def test_a_reply_that_the_system_refuses_is_told_as_a_warning(make: Make) -> Non
     host, port = CONTROLLER
     what = f"A reply to {host}:{port} did not go out: the system refused it. The robot keeps the last one."
     assert hands.warned == [what]
-    assert (hands.arms[0].replies, hands.arms[0].latency.count, hands.rows[0][2].seq_sent) == (0, 0, -1)
+    assert (hands.arms[0].replies, hands.arms[0].latency.count) == (0, 0)
+    assert (hands.rows[0][2].seq_sent, hands.rows[0][2].send_ns) == (-1, -1)
 
 
 @pytest.mark.parametrize(("ahead", "times"), [(200_000, 2), (199_999, 1)])

@@ -1,0 +1,170 @@
+"""The loop on a clock of its own when something fails: the arm comes to rest, the reason is told, the run ends."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from armlab import robots
+from armlab.errors import ControllerFailed, LinkError
+from armlab.state import Command, State
+
+from .by_hand import Hands, Make, drift
+
+RIGHT = robots.load("yumi_right")
+
+
+@pytest.fixture
+def one(monkeypatch: pytest.MonkeyPatch) -> Make:
+    """Return what makes a loop of one arm."""
+    return lambda controller, **options: Hands(monkeypatch, [RIGHT], controller, **options)
+
+
+def test_only_the_second_interrupt_ends_a_controller_that_does_not_return(one: Make) -> None:
+    def controller(state: State) -> Command:
+        raise KeyboardInterrupt
+
+    hands = one(controller)
+    hands.cycle()
+    assert isinstance(hands.loop.failure, ControllerFailed)
+    assert isinstance(hands.loop.failure.__cause__, KeyboardInterrupt)
+    hands = one(controller)
+    hands.cycle(mci=2)
+    hands.loop.interrupted = True
+    with pytest.raises(KeyboardInterrupt):
+        hands.cycle()
+
+
+@pytest.mark.parametrize("method", ["decode", "encode"])
+def test_an_error_while_the_guard_answers_ends_the_run_and_the_guard_goes_on(
+    one: Make, monkeypatch: pytest.MonkeyPatch, method: str
+) -> None:
+    def controller(state: State) -> Command:
+        if state.seq == 5:
+            hands.put()
+            with monkeypatch.context() as patch:
+                patch.setattr(hands.arms[0].codec, method, lambda data: 1 / 0)
+                hands.loop.answer_for_controller()
+        return drift(state)
+
+    hands = one(controller)
+    for _ in range(6):
+        hands.cycle()
+    assert len(hands.ports[0].sent) == 5  # the packet has been taken: the controller's reply would be late
+    assert hands.loop.reason == "the bridge failed"
+    assert isinstance(hands.loop.failure, LinkError)
+    assert isinstance(hands.loop.failure.__cause__, ZeroDivisionError)
+
+
+def test_a_display_of_progress_that_fails_stops_the_arm(one: Make) -> None:
+    hands = one(drift, progress=lambda done: 1 / 0)
+    hands.cycle()
+    assert hands.loop.reason == "the display of progress failed"
+    assert isinstance(hands.loop.failure, ControllerFailed)
+    assert isinstance(hands.loop.failure.__cause__, ZeroDivisionError)
+
+
+def test_a_run_ends_when_an_error_comes_again(one: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first brings the arm to rest; while that fails too nothing can be sent."""
+    hands = one(drift)
+    for _ in range(5):
+        hands.cycle()
+    monkeypatch.setattr(hands.arms[0].codec, "encode", lambda reference: 1 / 0)
+    for _ in range(2):
+        hands.put()
+    coming = list(hands.ports[0].waiting)
+    hands.ports[0].waiting.clear()
+    monkeypatch.setattr(hands, "next", lambda seconds: (0, coming.pop(0)) if coming else None)
+    hands.loop.run()
+    assert not coming
+    assert "ZeroDivisionError: division by zero" in str(hands.loop.failure)
+    assert isinstance(hands.loop.failure, LinkError)
+    assert hands.warned == [str(hands.loop.failure)]
+
+
+@pytest.mark.parametrize("fails", [1, 1000])
+def test_a_run_that_stops_already_ends_with_the_error(one: Make, fails: int) -> None:
+    hands, failed = one(drift), []
+    hands.cycle()
+    hands.loop.interrupt()
+    hands.loop.cycle()
+    encode = hands.arms[0].codec.encode
+
+    def fails_at_first(reference: Any) -> bytes:
+        failed.append(reference)
+        return encode(reference) if len(failed) > fails else 1 / 0  # type: ignore[return-value]
+
+    hands.arms[0].codec.encode = fails_at_first  # type: ignore[method-assign]
+    hands.run()
+    assert hands.loop.reason == "interrupted"
+    assert "ZeroDivisionError" in str(hands.loop.failure)
+    assert len(failed) >= min(fails, 2)
+
+
+def test_one_error_brings_the_arm_to_rest_and_is_raised(one: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    hands = one(drift)
+    for _ in range(10):
+        hands.cycle()
+    encode, failed = hands.arms[0].codec.encode, []
+
+    def fails_once(reference: Any) -> bytes:
+        failed.append(reference)
+        return encode(reference) if len(failed) > 1 else 1 / 0  # type: ignore[return-value]
+
+    monkeypatch.setattr(hands.arms[0].codec, "encode", fails_once)
+    hands.run()
+    assert hands.speed() == 0.0
+    assert hands.loop.reason == "the bridge failed"
+    assert "ZeroDivisionError" in str(hands.loop.failure)
+    assert 125 <= len(hands.rows) - 10 < 150  # it rests half a second
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (MemoryError("of whatever"), "raised MemoryError: no memory is left. The arm"),
+        (ValueError("bad luck"), "raised ValueError: bad luck. The arm"),
+        (ValueError(), "raised ValueError. The arm"),
+    ],
+)
+def test_what_fails_is_named_and_memory_is_given_back(one: Make, error: Exception, words: str) -> None:
+    def raises(_: Any) -> None:
+        raise error
+
+    for hands in (one(raises), one(drift, progress=raises)):
+        assert hands.loop._reserve == bytes(2**24)
+        hands.cycle()
+        assert words in str(hands.loop.failure)
+        assert hands.loop._reserve is None
+
+
+def test_an_error_of_the_bridge_gives_memory_back_before_it_is_told(one: Make) -> None:
+    hands = one(drift)
+    hands.cycle()
+    told: list[Any] = []
+    hands.event = lambda text, warn=False: told.append(hands.loop._reserve)  # type: ignore[method-assign]
+    hands.loop._fail(MemoryError())
+    assert told[0] is None
+
+
+def test_memory_is_given_back_at_the_end(one: Make) -> None:
+    hands = one(drift, seconds=0.1)
+    hands.run()
+    assert hands.loop.reason == "the time is up"
+    assert hands.loop._reserve is None
+
+
+def test_a_run_ends_when_an_error_cannot_be_told_and_another_comes(one: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    def raises(*_: Any, **__: Any) -> None:
+        raise MemoryError
+
+    hands = one(drift)
+    hands.cycle()
+    with monkeypatch.context() as patch:
+        patch.setattr(hands.arms[0].recording, "event", raises)
+        with pytest.raises(MemoryError):
+            hands.loop._fail(ValueError())
+    monkeypatch.setattr(hands, "next", raises)
+    hands.loop.run()
+    assert "MemoryError" in str(hands.loop.failure)
