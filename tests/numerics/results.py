@@ -135,10 +135,10 @@ def unpacked(topic: dict[str, Any], value: Any, *place: str) -> Any:
     return np.frombuffer(bytes.fromhex(digits), dtype=">f8").astype(float).reshape(shape)
 
 
-def tables() -> dict[str, dict[str, Any]]:
+def tables(folder: Path = FOLDER) -> dict[str, dict[str, Any]]:
     """Return inputs and exact results by topic and name."""
     found: dict[str, dict[str, Any]] = {}
-    for path in sorted(FOLDER.glob("*.json")):
+    for path in sorted(folder.glob("*.json")):
         topic: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         for name, table in topic.items():
             topic[name] = {part: unpacked(topic, value, part) for part, value in table.items()}

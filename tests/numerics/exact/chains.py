@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 from mpmath import mp
-from rigid import array, blocks, exact, hat, nearest, part, pose, position_of, series, vee
+from rigid import array, blocks, each, exact, hat, nearest, part, pose, position_of, series, vee
 
 Table = dict[str, Any]
 GRAVITY = np.array([0.3, -0.2, -9.80665])
@@ -206,8 +206,13 @@ def tables() -> dict[str, Table]:
             given = {key: inputs[key] for key in needs.split()}
             rows = [key for key in given if key.startswith("q")]
             fixed = [exact(given[key]) for key in given if key not in rows]
-            samples = (Motion(frames, prismatic, *map(exact, sample)) for sample in zip(*(given[key] for key in rows)))
-            wanted = np.array([array(call(m, *fixed)) for m in samples])
+
+            def made(
+                *sample: np.ndarray, robot: Any = (frames, prismatic), call: Any = call, fixed: Any = fixed
+            ) -> Any:
+                return array(call(Motion(*robot, *map(exact, sample)), *fixed))
+
+            wanted = each(made, *(given[key] for key in rows))
             table = {"fixed": {"frames": frames, "prismatic": prismatic.astype(float)}, "given": given}
             found[f"{name} {n}"] = table | {"wanted": wanted}
     return found

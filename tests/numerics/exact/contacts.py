@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from chains import GRAVITY, Motion, arm, rnea
 from mpmath import mp
-from rigid import array, exact, hat, logarithm, nearest, part, series
+from rigid import array, chosen, each, exact, filled, hat, logarithm, nearest, part, series
 
 Table = dict[str, Any]
 SMALL = mp.mpf(10) ** -26
@@ -98,16 +98,16 @@ def torques() -> dict[str, Table]:
     qd, qdd, dt = rng.normal(size=(count, n)), rng.normal(size=(count, n)), rng.uniform(1e-3, 5.0, count)
     qd[1], q[2], dt[3] = [0.0, 1e-300, -1e-9], q[1], 1e-9
     rotor = rng.uniform(0.1, 1.0, n)
-    joints, rows = [Joint(parts, i) for i in range(n)], []
-    for at, speed, bend, step in zip(q, qd, qdd, dt):
-        given = [exact(value) for value in (at, speed, bend)]
+    joints, rows = [Joint(parts, i) for i in range(n)], {}
+    for k in chosen(count, in_order=True):
+        given, step = [exact(value[k]) for value in (q, qd, qdd)], dt[k]
         rigid = rnea(Motion(frames, prismatic, *given), exact(GRAVITY), exact(bodies))
         drive = [joint.torque(x, v, mp.mpf(float(step))) for joint, x, v in zip(joints, *given[:2])]
         inertia = [mp.mpf(float(r)) * a for r, a in zip(rotor, given[2])]
-        rows.append(array([a + b + c for a, b, c in zip(rigid, drive, inertia)]))
+        rows[k] = array([a + b + c for a, b, c in zip(rigid, drive, inertia)])
     given = {"gravity": GRAVITY, "links": bodies, "rotor": rotor, "angle": q, "qd": qd, "qdd": qdd, "dt": dt}
     fixed = parts | {"frames": frames, "prismatic": prismatic.astype(float)}
-    return {"model_torque": {"fixed": fixed, "given": given, "wanted": np.array(rows)}}
+    return {"model_torque": {"fixed": fixed, "given": given, "wanted": filled(rows, count)}}
 
 
 def corner(rows: mp.matrix, limits: mp.matrix, aim: mp.matrix, guess: np.ndarray) -> mp.matrix:
@@ -242,15 +242,18 @@ def hand_eye() -> dict[str, Table]:
         R_B[k] = array(exact(R_Y).T * exact(R[k]) * exact(R_X) * off)
     given = {"R_A": R[:count], "t_A": t[:count], "R_B": R_B, "t_B": t_B}
     fixed = {"R_X": R_X, "t_X": t_X, "R_Y": R_Y, "t_Y": t_Y}
-    residuals, derivatives = [], []
-    for rows in zip(*given.values()):
-        call = partial(apart, [exact(v) for v in rows], [exact(v) for v in fixed.values()])
-        r, J = call(mp.zeros(12, 1)), slopes(call, mp.zeros(12, 1))
-        residuals.append(array(r))
-        derivatives += [array(part(J, range(3), range(12))), array(part(J, range(3, 6), range(12)))]
+
+    def made(*row: np.ndarray) -> np.ndarray:
+        call, still = partial(apart, [exact(v) for v in row], [exact(v) for v in fixed.values()]), mp.zeros(12, 1)
+        J = slopes(call, still)
+        blocks = [array(part(J, rows, range(12))) for rows in (range(3), range(3, 6))]
+        return np.column_stack([array(call(still)), np.concatenate(blocks)])
+
+    whole = each(made, *given.values())
+    residuals, derivatives = whole[:, :, 0].copy(), whole[:, :, 1:].reshape(-1, 3, 12)
     return {
-        "hand_eye_rows r": {"fixed": fixed, "given": given, "wanted": np.array(residuals)},
-        "hand_eye_rows J": {"fixed": fixed, "given": given, "wanted": np.array(derivatives)},
+        "hand_eye_rows r": {"fixed": fixed, "given": given, "wanted": residuals},
+        "hand_eye_rows J": {"fixed": fixed, "given": given, "wanted": derivatives},
     }
 
 

@@ -6,14 +6,14 @@ the polytope.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from chains import GRAVITY, Motion, arm, jacobian, rnea
 from contacts import Joint, drives, interval
 from mpmath import mp
-from rigid import array, blocks, exact, hat, rotation_of
+from rigid import array, blocks, chosen, exact, filled, hat, rotation_of
 from wrenches import METHODS, beyond
 
 Table = dict[str, Any]
@@ -37,6 +37,7 @@ class Arm:
     bodies: np.ndarray
     parts: dict[str, np.ndarray]
     rotor: np.ndarray
+    known: dict[tuple[tuple[Any, ...], ...], Motion] = field(default_factory=dict)
 
     def arrays(self) -> dict[str, np.ndarray]:
         return self.parts | {
@@ -45,7 +46,11 @@ class Arm:
         }  # fmt: skip
 
     def motion(self, *motion: Vector) -> Motion:
-        return Motion(self.frames, self.prismatic, *motion)
+        """Return a motion, the same with its derivatives for the same numbers."""
+        key = tuple(tuple(values) for values in motion)
+        if key not in self.known:
+            self.known[key] = Motion(self.frames, self.prismatic, *motion)
+        return self.known[key]
 
     def static(self) -> list[Any]:
         """Return the torque of friction that nothing is known of."""
@@ -86,8 +91,8 @@ def samples(robot: Arm, record: list[np.ndarray], band: bool) -> list[Sample]:
     n, joints = len(robot.rotor), [Joint(robot.parts, i) for i in range(len(robot.rotor))]
     unsure, last, nominal, fresh = [mp.one] * n, None, None, False
     filters, found = [([mp.zero] * 2, [mp.zero] * 2) for _ in range(n)], []
-    for row in zip(*record):
-        q, qd, tau, (dt,) = (exact(np.atleast_1d(value)) for value in row)
+    for k in chosen(len(record[0]), in_order=True):
+        q, qd, tau, (dt,) = (exact(np.atleast_1d(column[k])) for column in record)
         first = last is None
         apart = first or dt > GAP_STEPS * nominal
         if apart:
@@ -178,6 +183,6 @@ def tables() -> dict[str, Table]:
                 continue  # they are those of all that have a bound, or of all that have none
             if "interval" in way and part != "interval":
                 continue  # they are those of the method with a bound
-            wanted = np.array([row[part] for row in said])
+            wanted = filled(dict(enumerate(row[part] for row in said)), len(given["dt"]))
             found[f"WrenchEstimator {way} {part}"] = {"fixed": fixed, "given": given, "wanted": wanted}
     return found

@@ -10,6 +10,7 @@ from mpmath import mp
 from rigid import (
     array,
     commutator,
+    each,
     exact,
     hat,
     logarithm,
@@ -55,8 +56,7 @@ def motions(turns: list[float], seed: int) -> np.ndarray:
 
 def table(call: Callable[..., Any], **given: np.ndarray) -> Table:
     """Return inputs and, sample by sample, what `call` makes of them without rounding."""
-    wanted = [call(*(exact(sample) for sample in samples)) for samples in zip(*given.values(), strict=True)]
-    return {"given": given, "wanted": np.array([array(value) for value in wanted])}
+    return {"given": given, "wanted": each(lambda *sample: array(call(*map(exact, sample))), *given.values())}
 
 
 def along(R_a: mp.matrix, R_b: mp.matrix, s: mp.matrix) -> mp.matrix:
@@ -124,7 +124,7 @@ def euler() -> dict[str, Table]:
     for axes in ("zyx", "xyz", "zyz"):
         values, turn = angles(axes)
         found[f"euler_from_rpy {axes}"] = table(turn, rpy=values)
-        R = found[f"euler_from_rpy {axes}"]["wanted"]
+        R = np.array([array(turn(exact(row))) for row in values])
 
         def back(R: mp.matrix, start: mp.matrix, turn: Callable[[mp.matrix], mp.matrix] = turn) -> mp.matrix:
             R, x = nearest(R), start

@@ -1,4 +1,4 @@
-"""Write the tables anew: `python tests/numerics/exact/make.py [folder [topic ...]]`.
+"""Write the tables anew: `python tests/numerics/exact/make.py [folder [topic ...]]`; with `--few`, a few samples.
 
 Arrays are their shape and their doubles, of 16 hexadecimal digits each; for what an earlier table has as well stands
 its name. Inputs are made without BLAS, whose sums depend on the processor: every machine makes the same tables.
@@ -25,6 +25,7 @@ import limits
 import observers
 import obstacles
 import primitives
+import rigid
 import steppers
 import wrenches
 
@@ -64,5 +65,8 @@ def main(folder: Path, topics: list[str]) -> None:
 
 
 if __name__ == "__main__":
+    if "--few" in sys.argv:
+        sys.argv.remove("--few")
+        rigid.few = 2
     folder, *topics = sys.argv[1:] or [Path(__file__).parents[1] / "tables"]
     main(Path(folder), topics or list(TOPICS))

@@ -14,7 +14,7 @@ from contacts import Joint
 from estimators import COVARIANCE, GAINS, GAP_STEPS, POINT, PRIOR, REST_TIME, Arm, recorded, spread, told, unknowns
 from filters import filtered
 from mpmath import mp
-from rigid import array, blocks, exact, part
+from rigid import array, blocks, chosen, exact, filled, part
 from wrenches import linear
 
 Table = dict[str, Any]
@@ -142,9 +142,11 @@ def tables() -> dict[str, Table]:
     for (way, (filters, biased)), at_point in ((w, at) for w in WAYS.items() for at in (True, False)):
         if biased and not at_point:
             continue  # thrice the numbers, and nothing that the others have not
-        one, rows = Estimator(robot, filters, biased, at_point), []
-        for k, row in enumerate(zip(*given.values())):
-            rows.append(one.step(*(exact(np.atleast_1d(value)) for value in row[:3]), mp.mpf(float(row[3]))))
+        one, rows, count = Estimator(robot, filters, biased, at_point), [], len(q)
+        for k in chosen(count, in_order=True):
+            rows.append(
+                one.step(*(exact(given[key][k]) for key in ("angle", "qd", "tau")), mp.mpf(float(given["dt"][k])))
+            )
             if k == TARE_AFTER and biased:
                 one.tare()
         fixed = robot.arrays() | {
@@ -152,7 +154,7 @@ def tables() -> dict[str, Table]:
             "gain": np.array(GAIN), "point": POINT,
         }  # fmt: skip
         for name in rows[0]:
-            wanted = np.array([said[name] for said in rows])
+            wanted = filled(dict(enumerate(said[name] for said in rows)), count)
             where = f"{way} point" if at_point else way
             found[f"MomentumEstimator {where} {name}"] = {"fixed": fixed, "given": given, "wanted": wanted}
     return found

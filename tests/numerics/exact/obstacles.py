@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from chains import Motion, arm
 from mpmath import mp
-from rigid import array, exact
+from rigid import array, chosen, each, exact, filled
 
 Table = dict[str, Any]
 Vector = Any
@@ -153,14 +153,13 @@ def table(
     damped: bool,
     name: str,
 ) -> dict[str, Table]:
-    rows = [
-        call(exact(y), exact(yd), exact(g), fixed["capsules"]) for y, yd, g in zip(given["y"], given["yd"], given["g"])
-    ]
-    least = np.array([array([min(c.distance for c in row)]) for row in rows])
+    count = len(given["y"])
+    rows = {k: call(*(exact(given[key][k]) for key in ("y", "yd", "g")), fixed["capsules"]) for k in chosen(count)}
+    least = filled({k: array([min(c.distance for c in row)]) for k, row in rows.items()}, count)
     found = {f"Obstacles {name} distance": {"fixed": fixed, "given": given, "wanted": least}}
     for rule in ("steering", "potential"):
-        wanted = [array(added(row, exact(a), damped, rule == "potential")) for row, a in zip(rows, given["ydd"])]
-        found[f"Obstacles {name} {rule}"] = {"fixed": fixed, "given": given, "wanted": np.array(wanted)}
+        made = {k: array(added(row, exact(given["ydd"][k]), damped, rule == "potential")) for k, row in rows.items()}
+        found[f"Obstacles {name} {rule}"] = {"fixed": fixed, "given": given, "wanted": filled(made, count)}
     return found
 
 
@@ -220,13 +219,14 @@ def parallel(fixed: dict[str, np.ndarray]) -> dict[str, Table]:
     robot = {"frames": np.tile(np.eye(4), (2, 1, 1)), "prismatic": np.zeros(1), "links": np.ones(1)}
     bar = np.array([-0.5, 0.0, 0.0, 0.5, 0.0, 0.0, 0.01])
     capsules = np.array([[-0.5, 0.06, 0.08, 0.5, 0.06, 0.08, 0.02, 0.0, 0.0, 0.0]])
-    found = []
-    for q in y:
+
+    def made(q: np.ndarray) -> np.ndarray:
         T, obstacle = Motion(robot["frames"], robot["prismatic"], exact(q)).transform(1), exact(capsules[0])
         ends = [(T * mp.matrix([*exact(bar)[i : i + 3], 1]))[:3] for i in (0, 3)]
-        found.append(array([Contact(ends, exact(bar)[6], obstacle).distance]))
+        return array([Contact(ends, exact(bar)[6], obstacle).distance])
+
     fixed = fixed | robot | {"capsules": capsules, "bodies": bar[None]}
-    return {"Obstacles parallel distance": {"fixed": fixed, "given": {"y": y}, "wanted": np.array(found)}}
+    return {"Obstacles parallel distance": {"fixed": fixed, "given": {"y": y}, "wanted": each(made, y)}}
 
 
 def tables() -> dict[str, Table]:

@@ -3,7 +3,7 @@ series of commutators, inverses inverses of matrices. No closed form of the kern
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from fractions import Fraction
 
 import numpy as np
@@ -11,6 +11,29 @@ from mpmath import mp, mpf
 
 mp.dps = 80  # of which 50 are right also after the cancellations near a half turn and at 1e-300
 TINY = mpf(10) ** -75
+few: int | None = None  # samples of each table that are made, where a check does not want all
+
+
+def chosen(count: int, in_order: bool = False) -> list[int]:
+    """Return which samples are made: all, or a few; twice as many and the first ones where each follows another."""
+    if few is None:
+        return list(range(count))
+    if in_order:
+        return list(range(min(2 * few, count)))
+    return np.random.default_rng(count).choice(count, min(few, count), replace=False).tolist()
+
+
+def filled(made: dict[int, np.ndarray], count: int) -> np.ndarray:
+    """Return all samples, of which those that were not made are NaN."""
+    gap = np.full(np.shape(next(iter(made.values()))), np.nan)
+    return np.array([made.get(k, gap) for k in range(count)])
+
+
+def each(call: Callable[..., np.ndarray], *columns: np.ndarray, slow: int | None = None) -> np.ndarray:
+    """Return what a call makes of each sample; where one alone is slow, a few are all others."""
+    rows = list(zip(*columns, strict=True))
+    wanted = chosen(len(rows)) if slow is None or few is None else [k for k in range(len(rows)) if k != slow]
+    return filled({k: call(*rows[k]) for k in wanted}, len(rows))
 
 
 def exact(values: np.ndarray) -> mp.matrix:

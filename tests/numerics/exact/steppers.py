@@ -13,7 +13,7 @@ from filters import SPRINGS, forcing
 from mpmath import mp
 from obstacles import CLEARANCE, REACH, REACH_, Contact, added, in_space
 from primitives import FILTER, RUN_TAU, SPRING, by_position, phase, runge, shape, spring_step, times
-from rigid import array, exact
+from rigid import array, chosen, exact, filled
 
 Table = dict[str, Any]
 Vector = Any
@@ -128,15 +128,15 @@ def table(kind: str, name: str, given: dict[str, np.ndarray], fixed: dict[str, n
     *ends, goal, scale = (exact(end) for end in given["ends"])
     run = Run(kind, exact(fixed["weights"]), float(fixed["filter"]), ends, fixed.get("capsules"))
     rows, brakes = [], False
-    for k, dt in enumerate(exact(given["dt"])):
+    for k in chosen(len(given["dt"]), in_order=True):
         if k == 3:
             run.change(goal, scale, given.get("limit"))
-        rows.append(array(run.step(dt)))
+        rows.append(array(run.step(mp.mpf(float(given["dt"][k])))))
         brakes = brakes or any(run.braking)
     if brakes != ("limit" in given):
         raise ValueError("brakes that do not act, or act without a limit")
     found = {}
-    for part, values in zip(("y", "yd", "ydd"), np.split(np.array(rows), 3, axis=1)):
+    for part, values in zip(("y", "yd", "ydd"), np.split(filled(dict(enumerate(rows)), len(given["dt"])), 3, axis=1)):
         wanted = np.ascontiguousarray(values[None])
         found[f"PrimitiveStepper {kind} {name}{part}"] = {"fixed": fixed, "given": given, "wanted": wanted}
     return found
