@@ -247,10 +247,10 @@ class Link:
                 feeds=feeds,
                 sources=sources,
             )
-        in_lockstep = settings.clock == "robot"
-        mode: Wait = "block" if in_lockstep else wait
-        waiting = Waiting([arm.port for arm in arms], [arm.prediction for arm in arms], mode)
-        loop = Loop(arms, waiting, controller, settings, paced)
+            in_lockstep = settings.clock == "robot"
+            mode: Wait = "block" if in_lockstep else wait
+            waiting = Waiting([arm.port for arm in arms], [arm.prediction for arm in arms], mode)
+            loop = Loop(arms, waiting, controller, settings, paced)
         rehearsals = [arm.rehearse for arm in arms]
         waiting.rehearse = lambda index: rehearsals[index]()
         arms.insert(0, arms.pop(paced))

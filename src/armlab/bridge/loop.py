@@ -71,7 +71,7 @@ class Loop:
         self.interrupted = self._has_failed = False
         self.reason = ""
         self._lock = threading.Lock()
-        self._reserve: bytearray | None = bytearray(_RESERVE)  # never touched: address space only
+        self._reserve: bytes | None = bytes(_RESERVE)  # zeros that nobody touches: address space, no memory yet
         self._next_progress = 0.0
         self._looked_ns = time.monotonic_ns()
         self._sessions: tuple[int, ...] = ()
