@@ -139,6 +139,7 @@ def test_an_arm_that_falls_silent_holds_the_other(pair: Any) -> None:
 
     run = pair(script, controller, pair.link(clock="wall"), wait="block", seconds=0.25)
     assert run.arms[1].statistics["sessions"] == 2
+    assert any("Session 1 ended: " in text for _, text in run.arms[1].events)
     assert run.reason == "the time is up"
 
 

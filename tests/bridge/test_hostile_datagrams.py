@@ -105,4 +105,5 @@ def test_a_million_mutated_datagrams(robot: Robot) -> None:
     assert grown < 20_000  # objects of Python, bounded by the layouts and sentences of one session
     assert slowest < 5.0  # s for a thousand: nothing hangs
     assert len(told) < 200  # once per kind and session
+    assert any(text.startswith("Dropped a datagram from ") for text in told)
     assert reader.replies == session.received

@@ -238,6 +238,7 @@ def test_ctrl_c_stops_the_arm_first_and_completes_the_log(play: Any, tmp_path: P
         play(lambda peer: peer.rest(), controller, record=path)
     assert signal.getsignal(number) is before
     table = log.read(path)
+    assert "Stopping: interrupted." in [event.text for event in log.inspect(path).events]
     np.testing.assert_array_equal(table["seq"], np.arange(len(table)))
     assert len(table) > 50 + 0.5 / 0.004
     np.testing.assert_array_equal(table["qd_sent"][-1], 0.0)

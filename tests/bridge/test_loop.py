@@ -199,7 +199,7 @@ class Noise:
             self.other.sendto([good, good[: self.rng.integers(len(good))]][self.rng.integers(2)], peer.to)
 
 
-def references(play: Any, noise: Any) -> np.ndarray:
+def disturbed_by(play: Any, noise: Any) -> Any:
     def script(peer: Any) -> None:
         peer.cycles(2)
         for _ in range(50):
@@ -207,17 +207,19 @@ def references(play: Any, noise: Any) -> np.ndarray:
             peer.cycle()
         peer.rest()
 
-    return play(script, sway, play.link(), seconds=0.2).table["q_sent"]
+    return play(script, sway, play.link(), seconds=0.2)
 
 
 def test_a_flood_of_garbage_changes_no_reference(play: Any) -> None:
     """Bit for bit what an undisturbed run sends; nothing of it is answered."""
     noise = Noise()
-    disturbed = references(play, noise)
+    disturbed = disturbed_by(play, noise)
     assert play.peer.surplus() == 0
-    undisturbed = references(play, lambda peer: None)
+    undisturbed = disturbed_by(play, lambda peer: None)
     noise.other.close()
-    np.testing.assert_array_equal(disturbed, undisturbed)
+    np.testing.assert_array_equal(disturbed.table["q_sent"], undisturbed.table["q_sent"])
+    for run, tells in (disturbed, True), (undisturbed, False):
+        assert any("Dropped a datagram from " in text for _, text in run.events) == tells
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
@@ -339,7 +341,7 @@ def test_a_busy_controller_is_answered_for_by_the_guard(play: Any) -> None:
         done.set()
         peer.rest(pause=0.004)
 
-    with pytest.raises(ControllerLate, match=r"one call took 0.\d+ s") as caught:
+    with pytest.raises(ControllerLate, match=r"^The controller was too slow: one call took 0\.\d+ s") as caught:
         play(script, controller, play.link(clock="wall"), wait="block")
     table = caught.value.table
     assert play.peer.surplus() == 0

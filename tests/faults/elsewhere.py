@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from .matrix import cells, held_by
 
+UNFINISHED = "was not finished"
 LEASE = "… no longer commands …: silent for 0.1 s. The arm holds."
 
 held_by(
@@ -24,7 +25,7 @@ held_by(
         "a million mutated datagrams",
         "holding",
         "nothing raises, nothing grows, the reference does not move",
-        "Dropped a datagram from …, once for each kind",
+        "Dropped a datagram from …",
         "nothing to recover",
     ),
 )
@@ -46,7 +47,7 @@ held_by(
         "kill -9 of `armlab record`",
         "listening",
         "nothing was ever sent; the log has what was written down",
-        "reading says that the log was not finished",
+        UNFINISHED,
         "`armlab log recover` makes it whole",
     ),
 )
@@ -57,7 +58,7 @@ held_by(
         "kill -9 of a process that records",
         "running",
         "the log lacks the last hundredths of a second",
-        "reading says that the log was not finished",
+        UNFINISHED,
         "`armlab log recover` makes it whole",
     ),
 )
@@ -68,7 +69,7 @@ held_by(
         "kill -9 of a bridge of two arms",
         "running",
         "the logs of both arms can be read",
-        "reading says that the log was not finished",
+        UNFINISHED,
         "`armlab log recover` makes it whole",
     ),
 )
@@ -98,7 +99,7 @@ held_by(
         "two commanders, killed at random",
         "running",
         "one of them commands at any instant; no jump when the other takes over",
-        LEASE,
+        "… no longer commands …",
         "whoever asks next",
     ),
 )
@@ -108,8 +109,8 @@ held_by(
         "process",
         "a client that reads stands still",
         "running",
-        "the loop and other clients lose nothing",
-        "its own feed names the gap",
+        "the loop and other clients lose nothing; it is told how many rows it missed",
+        "–",
         "when it goes on",
     ),
 )

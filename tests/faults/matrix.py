@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-__all__ = ["CELLS", "KINDS", "STATES", "Cell", "cells", "held_by", "shows"]
+__all__ = ["CELLS", "KINDS", "NO_WORDS", "STATES", "Cell", "cells", "held_by", "shows"]
 
 STATES = ("waiting", "listening", "holding", "running", "stopping")
 """Modes of the bridge when the fault begins, as in `docs/egm.md`."""
@@ -22,6 +22,7 @@ KINDS = ("network", "process", "controller", "disk", "memory", "clock")
 """Sections of the page."""
 
 NO_WORDS = "–"
+"""Where there is nothing to tell."""
 
 TESTS = Path(__file__).parents[1]
 

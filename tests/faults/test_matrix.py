@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from .matrix import KINDS, STATES, cells
+from .matrix import KINDS, NO_WORDS, STATES, cells
 
 ROOT = Path(__file__).parents[2]
 MOVING = {"waiting", "holding", "running", "stopping"}
@@ -28,6 +28,17 @@ def test_every_test_on_the_page_is_there(page: dict[str, list[tuple[str, ...]]])
     for node in nodes:
         path, _, name = node.partition("::")
         assert f"def {name}(" in (ROOT / path).read_text(encoding="utf-8"), node
+
+
+def test_a_test_elsewhere_looks_for_the_words_of_its_row(page: dict[str, list[tuple[str, ...]]]) -> None:
+    """As far as its text tells: the words between the gaps are in its file."""
+    for rows in page.values():
+        for *_, told, _, node in rows:
+            path = node.partition("::")[0]
+            if told == NO_WORDS or path.startswith("tests/faults/"):
+                continue
+            text = (ROOT / path).read_text(encoding="utf-8").replace("\\", "")  # of patterns
+            assert all(words.strip() in text for words in told.split("…")), f"{node} does not look for {told!r}"
 
 
 def test_the_page_has_a_section_for_each_kind(page: dict[str, list[tuple[str, ...]]]) -> None:

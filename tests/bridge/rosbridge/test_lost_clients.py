@@ -142,6 +142,7 @@ def test_one_client_reads_while_the_others_are_lost(tmp_path: Path, monkeypatch:
     assert len(numbers) > 1000
     assert np.all(np.diff(numbers) > 0)
     assert len(numbers) >= 0.999 * (numbers[-1] - numbers[0] + 1)
+    assert re.search(r"To its clients: .* dropped\)", cell_run.report())
     served = cell_run.statistics["servers"]["rosbridge"]
     assert served["lost"] == 0, "the loop waited for no client, and the server for none"
     assert sum(dropped > 0 for _, dropped in served["clients"].values()) == 3  # stopped, and twice gone
