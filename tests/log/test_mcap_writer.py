@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import tracemalloc
 from pathlib import Path
@@ -134,3 +135,31 @@ def test_a_file_that_takes_less_than_given_gets_the_rest(tmp_path: Path) -> None
         writer.message(a, 1, 2, 3, b"data")
         writer.finish()
     assert files[0].getvalue() == files[1].getvalue()
+
+
+@pytest.mark.parametrize("taken", [0, 1, 9, 20, 57])
+def test_a_header_of_which_the_disk_takes_a_part_hides_no_message(taken: int) -> None:
+    """It is written over the open one in a file that is there already: that is what a failure must leave."""
+
+    class Failing(io.BytesIO):
+        failures = 1
+
+        def write(self, data) -> int:  # type: ignore[override]
+            if self.failures and self.tell() < len(self.getvalue()):
+                self.failures -= 1
+                super().write(bytes(data)[:taken])
+                raise OSError(errno.EIO, "Input/output error")
+            return super().write(data)
+
+    file = Failing()
+    writer, a, _ = begun(file)
+    for i in range(5):
+        writer.message(a, i, i, i, b"x" * 90)
+        writer.push()
+    with pytest.raises(OSError, match="Input/output error"):
+        writer.close_chunk()
+    view = memoryview(file.getvalue())
+    found = contents(view)
+    assert [sequence for sequence, _, _ in messages(view, found, a)] == list(range(5))
+    assert found.chunks[-1].is_open
+    assert not found.damaged

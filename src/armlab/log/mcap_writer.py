@@ -42,6 +42,7 @@ _MESSAGE = struct.Struct("<BQHIQQ")
 _MESSAGE_PREFIX = 22
 _CHUNK = struct.Struct("<BQQQQII4sQ")  # record, times, size, checksum, "zstd", length of the data
 _CHUNK_BODY = _CHUNK.size - 9
+_OPENED = _CHUNK.pack(CHUNK, OPEN, 0, 0, 0, 0, 4, b"zstd", OPEN)
 _ENTRY = struct.Struct("<QQ")
 _KEPT = 2**16  # bytes of the index of the chunks in memory, five minutes of one arm
 
@@ -196,7 +197,7 @@ class McapWriter:
         chunk = self._chunk
         if chunk is None:
             chunk = self._chunk = _OpenChunk(self._at, self._compressor.compressobj(), first_ns)
-            self._put(_CHUNK.pack(CHUNK, OPEN, 0, 0, 0, 0, 4, b"zstd", OPEN))
+            self._put(_OPENED)
         for channel, made in entries.items():
             chunk.indexes.setdefault(channel, bytearray()).extend(made)
         chunk.pending.append(data)
@@ -218,10 +219,8 @@ class McapWriter:
         self._push(chunk, COMPRESSOBJ_FLUSH_FINISH)
         times = struct.pack("<QQ", chunk.first_ns, chunk.last_ns)
         length = _CHUNK_BODY + chunk.packed
-        self._file.seek(chunk.start)
         header = (chunk.first_ns, chunk.last_ns, chunk.size, chunk.crc, 4, b"zstd", chunk.packed)
-        self._write(_CHUNK.pack(CHUNK, length, *header))
-        self._file.seek(self._at)
+        self._write_header(chunk.start, _CHUNK.pack(CHUNK, length, *header))
         places, indexes, at = [], [], self._at
         for channel, entries in chunk.indexes.items():
             places.append(struct.pack("<HQ", channel, at))
@@ -255,6 +254,18 @@ class McapWriter:
         packed = chunk.frame.compress(data) + chunk.frame.flush(how)
         chunk.packed += len(packed)
         self._put(packed)
+
+    def _write_header(self, start: int, header: bytes) -> None:
+        """Write the true header of a chunk over the open one, or leave that as it was: a half of each hides the rows."""
+        try:
+            self._file.seek(start)
+            self._write(header)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                self._file.seek(start)
+                self._write(_OPENED)
+            raise
+        self._file.seek(self._at)
 
     def _put(self, data: bytes) -> None:
         try:
