@@ -256,7 +256,7 @@ class McapWriter:
         self._put(packed)
 
     def _write_header(self, start: int, header: bytes) -> None:
-        """Write the true header of a chunk over the open one, or leave that as it was: a half of each hides the rows."""
+        """Write the true header of a chunk over the open one, or leave that: a half of each hides the rows."""
         try:
             self._file.seek(start)
             self._write(header)
