@@ -68,7 +68,7 @@ class Found(NamedTuple):
 
 def run(quick: bool) -> list[Table]:
     """Measure runs without a view, and with one that no browser, one and four look at."""
-    rounds, seconds = (1, 4.0) if quick else (3, 5.0)
+    rounds, seconds = (1, 4.0) if quick else (2, 5.0)
     runs: dict[int | None, list[Found]] = {count: [] for count in BROWSERS}
     for _ in range(rounds):
         for count, found in runs.items():

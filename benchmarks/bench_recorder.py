@@ -37,7 +37,7 @@ def run(quick: bool) -> list[Table]:
     with tempfile.TemporaryDirectory() as folder:
         return [
             *_row(Path(folder), 2.0 if quick else 3.0, 2 if quick else 3),
-            _cpu(Path(folder), 3.0 if quick else 4.0, 2 if quick else 3),
+            _cpu(Path(folder), 3.0, 2 if quick else 3),
             _kill(Path(folder), 4 if quick else 20),
             _stall(Path(folder), 4.0 if quick else 15.0),
         ]

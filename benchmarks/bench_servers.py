@@ -30,7 +30,7 @@ SLOWED = (
     f"An arm in real time sends {RATE} packets per second: where fewer than 95 % of them came, the simulator did not "
     "get its share of the machine, and nothing is judged."
 )
-TOGETHER = 4  # servers with a client that stands still: more ask too much of two cores, for whom a minute each is long
+TOGETHER = 4  # servers with a client that stands still: more at once ask too much of two cores
 TRIES = 3  # to start all servers at once
 ENOUGH = 10**9  # messages: a client that reads until it is ended
 
@@ -54,7 +54,7 @@ class Slow(NamedTuple):
 
 def run(quick: bool) -> list[Table]:
     """Measure runs without and with all servers in turns, then a few servers at a time whose clients stand still."""
-    rounds, seconds, long = (1, 3.0, 3.0) if quick else (3, 6.0, 58.0)
+    rounds, seconds, long = (1, 3.0, 3.0) if quick else (3, 6.0, 40.0)
     with ExitStack() as opened:
         ways = {name: way for name in ONE_EACH if (way := WAYS[name](opened)) is not None}
         loops: list[list[Window]] = [[], []]
