@@ -245,9 +245,12 @@ def _roscore(opened: ExitStack, port: int, environment: Mapping[str, str]) -> No
     )
 
     def end() -> None:
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(master.pid, signal.SIGTERM)
-        master.wait(10.0)
+        for sign in (signal.SIGTERM, signal.SIGKILL):  # one that has just begun may not hear the first
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(master.pid, sign)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                master.wait(10.0)
+                return
 
     opened.callback(end)
     until = time.monotonic() + PATIENCE
