@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 import time
+import warnings
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -162,7 +163,8 @@ def _cpu(folder: Path, seconds: float, rounds: int) -> Table:
 
 def _kill(folder: Path, trials: int) -> Table:
     """Kill processes with two recorders at random times; tell the seconds of rows that each recorder lost."""
-    with ThreadPoolExecutor(TOGETHER) as pool:
+    with warnings.catch_warnings(), ThreadPoolExecutor(TOGETHER) as pool:
+        warnings.simplefilter("ignore")  # recordings were not finished
         losses = PERIOD * np.array(list(pool.map(killed, [folder / f"{k}" for k in range(trials)], range(trials))))
     text = (
         f"{trials} processes, {TOGETHER} at a time, with two recorders, the full layout at {1 / PERIOD:g} Hz in real "
