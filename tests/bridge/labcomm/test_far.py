@@ -45,10 +45,15 @@ def test_a_controller_far_away_moves_a_simulated_robot_over_egm(robot: Robot) ->
     channel = ArmChannel("right", 0, to_arbiter(arbiter, robot.name), robot.abb_axes)
     with LabCommServer([channel]) as server, bridge.connect("sim://yumi_right", robot) as link:
         thread = threading.Thread(target=far_away, args=(server.ports["right"],))
+
+        def obey(state: State) -> Command | None:
+            return arbiter(state) if thread.is_alive() else Command.stop()
+
         thread.start()
-        run = link.run(arbiter, seconds=4.0, feeds=[RowFeed(server, {"yumi_right": "right"})], wait="block")
+        run = link.run(obey, seconds=60.0, feeds=[RowFeed(server, {"yumi_right": "right"})], wait="block")
         thread.join()
     assert far_runs[0].reason == "the time is up"
+    assert run.reason == "the controller ended the run"
     moved, told = run.table["q"][:, 0], far_runs[0].table["q"][:, 0]
     assert np.ptp(moved) == pytest.approx(0.1, abs=0.02)
     assert np.ptp(told) == pytest.approx(0.1, abs=0.02)

@@ -6,19 +6,18 @@ import os
 import signal
 import subprocess
 import sys
-import threading
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from armlab.bridge.cell import parse_cell, run_cell
+from armlab.bridge.cell import parse_cell
 from armlab.bridge.row import read_row
 from armlab.bridge.row_schema import RowSchema
 from armlab.bridge.zenoh import Attached, Place, close_session, key, queried
 
+from ..ros.ending import play
 from .conftest import PATIENCE, free_port, until
 
 CELL = """
@@ -29,26 +28,6 @@ link = "sim://yumi_left"
 [servers.zenoh]
 port = {port}
 """
-
-
-def play(cell: str, script: Callable[[], None], seconds: float) -> Any:
-    """Run a cell in this thread while a script plays its clients in another."""
-    failures: list[BaseException] = []
-
-    def run() -> None:
-        try:
-            script()
-        except BaseException as error:
-            failures.append(error)
-
-    thread = threading.Thread(target=run, daemon=True)
-    try:
-        return run_cell(parse_cell(cell), seconds=seconds, patience=PATIENCE, ready=lambda line: thread.start())
-    finally:
-        thread.join(PATIENCE)
-        assert not thread.is_alive()
-        if failures:
-            raise failures[0]
 
 
 class Client:
@@ -98,7 +77,7 @@ def test_a_client_moves_the_arm_and_another_may_only_read(tmp_path: Path, monkey
         for client in clients:
             close_session(client.session)
 
-    run = play(CELL.format(port=port), script, 4.0)
+    run = play(monkeypatch, parse_cell(CELL.format(port=port)), script)
     assert max(moved) > 0.018
     clients = run.statistics["zenoh" if "zenoh" in run.statistics else "servers"]
     assert "yumi_left live" in str(clients)
@@ -139,8 +118,8 @@ def test_a_reader_that_stands_still_disturbs_nobody(tmp_path: Path, monkeypatch:
         reader.stdout.close()
         close_session(client.session)
 
-    run = play(CELL.format(port=port), script, 22.0)
+    run = play(monkeypatch, parse_cell(CELL.format(port=port)), script)
     received, lost = len(gaps) + 1, sum(gap - 1 for gap in gaps)
     assert min(gaps) == 1, "in order"
     assert lost <= 0.001 * (received + lost), f"{lost} of {received + lost} lost"
-    assert run.reason == "the time is up"
+    assert run.reason == "the controller ended the run"
