@@ -40,7 +40,7 @@ def run(quick: bool) -> list[Table]:
     text = f"Noise of the camera given. On exact data all agree to {worst:.1g}."
     return [
         table("Hand-eye, 30 pairs of poses", f"{text}\n\n{_errors(runs)}", "ms", _contenders(few, BAR, ""), rounds),
-        table("Hand-eye, 1000 pairs of poses", text, "ms", _contenders(many, BAR_MANY, ""), 2),
+        table("Hand-eye, 1000 pairs of poses", text, "ms", _contenders(many, BAR_MANY, ""), 2, warm=False),
         table("Hand-eye, 10 % of 30 pairs wrong", "OpenCV has no means against them: its errors are 18 to 346 bounds.",
               "ms", _contenders(wrong, BAR_ROBUST, "robust"), rounds),
         table("Hand-eye from points of a marker", "100 samples of three LEDs; no peer measures them.", "ms",
