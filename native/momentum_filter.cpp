@@ -7,12 +7,25 @@
 
 namespace armlab {
 
+namespace {
+
+// (1 - 2 phi / h + zz / h) / x^2 up to x = 1, where this form loses digits: the sum of (2^(k+2) - 2) (-x)^k / (k+3)!.
+double series(double x) {
+  double sum = 0.0, term = 1.0 / 6.0, power = 4.0;
+  for (int k = 0; k < 20 && std::fabs(term) > 1e-24; ++k, power *= 2.0) {
+    sum += term * (power - 2.0);
+    term *= -x / (k + 4);
+  }
+  return sum;
+}
+
+}  // namespace
+
 Leak leak_integrals(double a, double h) {
   const double x = a * h;
   if (!(x > 0.0)) return {1.0, h, h, 0.5 * h * h, h * h * h / 3.0};
   const double phi = -std::expm1(-x) / a, zz = -std::expm1(-2.0 * x) / (2.0 * a);
-  const double series = 1.0 / 3.0 - x * (0.25 - x * (7.0 / 60.0 - x * (1.0 / 24.0 - x * (31.0 / 2520.0 - x / 320.0))));
-  const double pp = x > 0.02 ? (h - 2.0 * phi + zz) / (a * a) : h * h * h * series;
+  const double pp = x > 1.0 ? (h - 2.0 * phi + zz) / (a * a) : h * h * h * series(x);
   return {std::exp(-x), phi, zz, 0.5 * phi * phi, pp};
 }
 

@@ -40,7 +40,8 @@ def of_filter(module: Any, name: str, given: dict[str, np.ndarray], fixed: dict[
                 ("y", "yd", "ydd").index(words[2])
             ]
         case "momentum_step":
-            return module.momentum_step(*values[:6], float(given["h"][0]), *values[7:])[int(words[1])]
+            found = module.momentum_step(*values[:6], float(given["h"][0]), *values[7:])
+            return found[1][:2, :2] if words[1] == "wandered" else found[int(words[1])]
     return getattr(module, name)(*values)
 
 

@@ -175,6 +175,20 @@ def estimates(rng: np.random.Generator) -> dict[str, Table]:
     whole = array(filtered(*(exact(value) for value in given.values())))
     for k, wanted in enumerate((whole[:, 0], whole[:, 1:])):
         found[f"momentum_step {k}"] = {"given": given, "wanted": np.ascontiguousarray(wanted[None])}
+    return found | wandered(rng)
+
+
+def wandered(rng: np.random.Generator) -> dict[str, Table]:
+    """Return the covariance that inputs with leaks of all sizes give to the momentum, which is hardly measured."""
+    found: dict[str, Table] = {}
+    for leak in (1e-9, 0.02, 0.3, 0.99, 1.01, 30.0):  # in a step
+        given = {
+            "x": np.zeros(4), "P": np.zeros((4, 4)), "G": rng.normal(size=(2, 2)), "u": np.zeros(2), "y": np.ones(2),
+            "R": 1e9 * np.eye(2), "h": np.array([STEP]), "Qp": np.full(2, 1e-30), "q": np.array([1.0, 0.5]),
+            "a": np.array([leak, 0.98 * leak]) / STEP,
+        }  # fmt: skip
+        P = array(filtered(*(exact(value) for value in given.values()))[:, 1:])
+        found[f"momentum_step wandered {leak}"] = {"given": given, "wanted": np.ascontiguousarray(P[None, :2, :2])}
     return found
 
 

@@ -19,7 +19,7 @@ from armlab.kernels._reference.arrays import read
 
 __all__ = ["leak_integrals", "momentum_step"]
 
-SERIES_BELOW = 0.02  # of a h: there the closed form of int phi^2 would lose half its digits
+SERIES_BELOW = 1.0  # of a h: there the closed form of int phi^2 loses digits
 
 
 def leak_integrals(a: np.ndarray, h: float) -> tuple[np.ndarray, ...]:
@@ -29,9 +29,11 @@ def leak_integrals(a: np.ndarray, h: float) -> tuple[np.ndarray, ...]:
     safe = np.where(x > 0, a, 1.0)
     phi = np.where(x > 0, -np.expm1(-x) / safe, h)
     twice = np.where(x > 0, -np.expm1(-2.0 * x) / (2.0 * safe), h)
-    series = h**3 * (1 / 3 - x / 4 + 7 * x**2 / 60 - x**3 / 24 + 31 * x**4 / 2520 - x**5 / 320)
+    near, series, term = np.minimum(x, SERIES_BELOW), np.zeros(np.shape(x)), np.full(np.shape(x), 1 / 6)
+    for k in range(20):
+        series, term = series + term * (2.0 ** (k + 2) - 2.0), term * -near / (k + 4)
     far = np.where(x > SERIES_BELOW, a, 1.0)
-    return decay, phi, twice, 0.5 * phi**2, np.where(x > SERIES_BELOW, (h - 2.0 * phi + twice) / far**2, series)
+    return decay, phi, twice, 0.5 * phi**2, np.where(x > SERIES_BELOW, (h - 2.0 * phi + twice) / far**2, h**3 * series)
 
 
 def momentum_step(
