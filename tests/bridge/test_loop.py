@@ -120,10 +120,11 @@ def test_after_a_stall_only_the_newest_is_answered_and_none_is_lost(play: Any, g
 
 def test_overtaken_rows_stay_in_order(play: Any) -> None:
     """Packets wait before the controller is called and more come while it computes: rows in the order of arrival."""
-    sent, more, go, called = (threading.Event() for _ in range(4))
+    sent, more, go, held, called = (threading.Event() for _ in range(5))
 
     def progress(*_: Any) -> None:
         if go.is_set() and not sent.is_set():
+            held.set()
             sent.wait(5.0)
 
     def controller(state: State) -> Command:
@@ -135,12 +136,11 @@ def test_overtaken_rows_stay_in_order(play: Any) -> None:
     def script(peer: Any) -> None:
         peer.cycles(40)
         go.set()
-        peer.cycle()
-        while (
-            peer.surplus() == 0 and peer.packets.cycle < 2000
-        ):  # until progress, ten times a second, holds the loop up
+        while not held.is_set() and peer.packets.cycle < 2000:  # progress, ten times a second, holds the loop up
             peer.send()
-            time.sleep(0.002)
+            until = time.monotonic() + 5.0
+            while not held.is_set() and peer.surplus() == 0 and time.monotonic() < until:
+                time.sleep(1e-4)
         for _ in range(3):
             peer.send()
         sent.set()
@@ -151,6 +151,7 @@ def test_overtaken_rows_stay_in_order(play: Any) -> None:
         peer.rest()
 
     run = play(script, controller, seconds=0.5, progress=progress)
+    assert held.is_set()
     assert called.is_set()
     np.testing.assert_array_equal(run.table["seq"], np.arange(len(run.table)))
     assert run.statistics["overtaken"] >= 4
