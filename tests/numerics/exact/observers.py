@@ -41,6 +41,9 @@ class Estimator:
     def step(self, q: Vector, qd: Vector, tau: Vector, dt: Any) -> dict[str, np.ndarray]:
         first = self.nominal is None
         self.apart = first or dt > GAP_STEPS * self.nominal
+        if self.apart:
+            for joint in self.joints:
+                joint.play, joint.z = None, mp.zero
         motion, zero = self.robot.motion(q, qd), mp.zeros(self.n, 1)
         p, beta = (row.T for row in (momentum(motion, exact(self.robot.bodies))[k, :] for k in (0, 1)))
         p += mp.matrix([r * v for r, v in zip(self.rotor, qd)])

@@ -132,11 +132,14 @@ class MomentumEstimator:
             return self._invalid()
         first = not self._started
         apart = first or dt > GAP_STEPS * self._nominal
+        before = start(self._drive, q) if apart else self._state
+        if apart and not first:
+            before.warmth = self._state.warmth
         rise = (1.0 - self._unsure) * (1.0 - np.exp(-dt / REST_TIME))
         with np.errstate(over="ignore", invalid="ignore"):
             p, beta = self._chain.momentum(q, qd, self._links)
             p = p + self._rotor * qd
-            state, dy = move(self._drive, q, start(self._drive, q) if first else self._state)
+            state, dy = move(self._drive, q, before)
             gravity = self._chain.rnea(q, 0 * q, 0 * q, self._gravity, self._links)
             u = tau / self._gains + beta - gravity - drive_torque(self._drive, q, qd, state)
         if not (np.all(np.abs(u) < LARGEST) and np.all(np.abs(p) < LARGEST)):
