@@ -10,7 +10,7 @@ import pytest
 from armlab import robots
 from armlab.bridge.states import Mode
 from armlab.state import Command, State
-from armlab.wire.egm import RobotSideCodec
+from armlab.wire.egm import RobotSideCodec, SensorMessage
 
 from .by_hand import CONTROLLER, MS, Hands, Make, drift
 
@@ -244,11 +244,46 @@ def test_a_packet_that_gets_no_reply_has_a_row(make: Make) -> None:
 def test_a_row_that_could_not_be_recorded_is_the_next(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     hands = make()
     with monkeypatch.context() as patch:
-        patch.setattr(hands.arms[0].recording, "row", lambda *_: 1 / 0)
+        patch.setattr(hands.arms[0].recording, "keep", lambda *_: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             hands.cycle()
     hands.cycle()
     assert [(row[0].seq, row[2].number) for row in hands.rows] == [(0, 0), (1, 1)]
+
+
+def test_a_row_that_was_kept_is_not_kept_again(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What fails behind that, in the file or a feed, costs no second row."""
+    hands = make()
+    recording = hands.arms[0].recording
+    with monkeypatch.context() as patch:
+        patch.setattr(recording, "catch_up", lambda: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            hands.cycle()
+    hands.cycle()
+    assert [(row[0].seq, row[2].number) for row in hands.rows] == [(0, 0), (1, 1)]
+    assert list(hands.table()["tick"]) == [0, 1]
+
+
+def test_a_reply_that_went_out_is_not_taken_back(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever fails behind it: the next is one step from it, and it has its row."""
+    hands = make()
+    for _ in range(5):
+        hands.cycle()
+    with monkeypatch.context() as patch:
+        patch.setattr(hands.arms[0].latency, "add", lambda _: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            hands.cycle()
+    with monkeypatch.context() as patch:
+        patch.setattr(hands.arms[0].session, "replied", lambda _: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            hands.cycle()
+    for _ in range(3):
+        hands.cycle()
+    sent = [RobotSideCodec(hands.robots[0].robot).decode_sensor(data) for data in hands.ports[0].sent]
+    assert len(sent) == 10
+    steps = np.diff([one.q for one in sent if isinstance(one, SensorMessage)], axis=0)
+    np.testing.assert_allclose(steps, 0.0004, atol=1e-12)
+    assert [row[2].seq_sent for row in hands.rows] == [0, 1, 2, 3, 4, 5, 6, 7, 8]  # that of `replied` has no number
 
 
 def test_a_reply_that_the_system_refuses_is_told_as_a_warning(make: Make) -> None:

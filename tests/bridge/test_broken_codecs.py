@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import threading
 import time
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from armlab import log
 from armlab.bridge.recording import Recording
 from armlab.errors import LinkError
 from armlab.state import Command, State
@@ -105,14 +108,14 @@ def test_errors_while_the_arm_stops_end_the_run(play: Any, robot: Any) -> None:
 
 def test_a_row_for_which_there_is_no_memory_is_recorded_later(play: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """No hole and none twice: the table has a row for each packet."""
-    kept, failures = Recording.row, [MemoryError()]
+    keep, failures = Recording.keep, [MemoryError()]
 
-    def row(self: Recording, state: State, command: Command | None, tick: Any) -> None:
+    def fails_once(self: Recording, state: State, command: Command | None, tick: Any) -> Command | None:
         if tick.number == 30 and failures:
             raise failures.pop()
-        kept(self, state, command, tick)
+        return keep(self, state, command, tick)
 
-    monkeypatch.setattr(Recording, "row", row)
+    monkeypatch.setattr(Recording, "keep", fails_once)
 
     def script(peer: Any) -> None:
         peer.begin()
@@ -127,3 +130,41 @@ def test_a_row_for_which_there_is_no_memory_is_recorded_later(play: Any, monkeyp
     np.testing.assert_array_equal(table["tick"], np.arange(len(table)))
     assert len(table) > 31
     assert not table["qd_sent"][-1].any()
+
+
+def test_rows_for_which_there_is_never_memory_leave_the_reason_and_a_whole_file(
+    play: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    keep = Recording.keep
+
+    def fails(self: Recording, state: State, command: Command | None, tick: Any) -> Command | None:
+        if tick.number >= 30:
+            raise MemoryError
+        return keep(self, state, command, tick)
+
+    monkeypatch.setattr(Recording, "keep", fails)
+
+    def script(peer: Any) -> None:
+        peer.begin()
+        while not peer.over.is_set():
+            peer.send()
+            with contextlib.suppress(TimeoutError):
+                peer.answer(0.05)
+
+    link = play.link()
+    with pytest.raises(LinkError, match=r"got MemoryError: no memory is left\."):
+        play(script, lambda state: Command(qd=np.full(7, 0.1)), link, record=tmp_path / "run.mcap")
+    assert len(log.read(tmp_path / "run.mcap")) == 30
+    assert "The last rows were not recorded: MemoryError." in link.last.statistics["problems"]
+
+
+def test_a_run_without_memory_for_its_end_does_not_begin(
+    play: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def none_left(*_: Any) -> None:
+        raise OSError(errno.ENOMEM, "Cannot allocate memory")
+
+    monkeypatch.setattr("armlab.bridge.loop.mmap", none_left)
+    with pytest.raises(LinkError, match=r"Expected 16 MiB .* of the run: Cannot allocate memory\. End other"):
+        play(lambda peer: None, lambda state: None, record=tmp_path / "run.mcap")
+    assert log.inspect(tmp_path / "run.mcap").finished

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 
@@ -133,26 +133,87 @@ def test_what_fails_is_named_and_memory_is_given_back(one: Make, error: Exceptio
         raise error
 
     for hands in (one(raises), one(drift, progress=raises)):
-        assert hands.loop._reserve == bytes(2**24)
         hands.cycle()
         assert words in str(hands.loop.failure)
-        assert hands.loop._reserve is None
 
 
-def test_an_error_of_the_bridge_gives_memory_back_before_it_is_told(one: Make) -> None:
-    hands = one(drift)
-    hands.cycle()
-    told: list[Any] = []
-    hands.event = lambda text, warn=False: told.append(hands.loop._reserve)  # type: ignore[method-assign]
-    hands.loop._fail(MemoryError())
-    assert told[0] is None
+class Reserve:
+    """Stands for `mmap`: what was set aside and given back."""
+
+    made: ClassVar[list[Reserve]] = []
+
+    def __init__(self, file: int, size: int) -> None:
+        assert (file, size) == (-1, 2**24)
+        self.given_back = False
+        self.made.append(self)
+
+    def close(self) -> None:
+        self.given_back = True
 
 
-def test_memory_is_given_back_at_the_end(one: Make) -> None:
+@pytest.fixture
+def reserves(monkeypatch: pytest.MonkeyPatch) -> list[Reserve]:
+    """What a run sets aside."""
+    monkeypatch.setattr(Reserve, "made", [])
+    monkeypatch.setattr("armlab.bridge.loop.mmap", Reserve)
+    return Reserve.made
+
+
+class Looks(Exception):
+    """Tells whether memory had been given back when its text was made."""
+
+    def __str__(self) -> str:
+        return f"{len(Reserve.made)} set aside, back {Reserve.made[0].given_back}"
+
+
+@pytest.mark.parametrize("where", ["controller", "progress", "bridge"])
+def test_memory_is_given_back_before_words_are_made(one: Make, reserves: list[Reserve], where: str) -> None:
+    def raises(_: Any) -> None:
+        assert not reserves[0].given_back
+        raise Looks
+
+    hands = one(raises if where == "controller" else drift, **({"progress": raises} if where == "progress" else {}))
+    if where == "bridge":
+        encode, left = hands.arms[0].codec.encode, [1]
+        hands.arms[0].codec.encode = lambda reference: raises(left.pop()) if left else encode(reference)
+    hands.run()
+    assert "1 set aside, back True" in str(hands.loop.failure)
+
+
+def test_memory_is_given_back_at_the_end(one: Make, reserves: list[Reserve]) -> None:
     hands = one(drift, seconds=0.1)
     hands.run()
     assert hands.loop.reason == "the time is up"
-    assert hands.loop._reserve is None
+    assert [one.given_back for one in reserves] == [True]
+
+
+def test_an_error_that_cannot_be_told_brings_the_arm_to_rest(one: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither the event nor the text of the error: the arm stops all the same, and the run says so."""
+
+    class Mute(Exception):
+        def __str__(self) -> str:
+            raise MemoryError
+
+    def raises(*_: Any, **__: Any) -> None:
+        raise MemoryError
+
+    hands = one(drift)
+    for _ in range(10):
+        hands.cycle()
+    encode, left = hands.arms[0].codec.encode, [Mute()]
+
+    def fails_once(reference: Any) -> bytes:
+        if left:
+            monkeypatch.setattr(hands.arms[0].recording, "event", raises)
+            raise left.pop()
+        monkeypatch.undo()
+        return encode(reference)
+
+    hands.arms[0].codec.encode = fails_once  # type: ignore[method-assign]
+    hands.run()
+    assert hands.speed() == 0.0
+    assert hands.loop.reason == "the bridge failed"
+    assert str(hands.loop.failure) == "Expected a cycle without errors, got Mute: its text cannot be read."
 
 
 def test_a_run_ends_when_an_error_cannot_be_told_and_another_comes(one: Make, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -161,10 +222,8 @@ def test_a_run_ends_when_an_error_cannot_be_told_and_another_comes(one: Make, mo
 
     hands = one(drift)
     hands.cycle()
-    with monkeypatch.context() as patch:
-        patch.setattr(hands.arms[0].recording, "event", raises)
-        with pytest.raises(MemoryError):
-            hands.loop._fail(ValueError())
+    monkeypatch.setattr(hands.arms[0].recording, "event", raises)
     monkeypatch.setattr(hands, "next", raises)
     hands.loop.run()
+    assert hands.loop.reason == "the bridge failed"
     assert "MemoryError" in str(hands.loop.failure)

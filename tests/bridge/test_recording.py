@@ -25,13 +25,18 @@ def row(robot: Robot, k: int) -> tuple[State, Tick]:
     return state, Tick(k, k, 10**18 + 20_000_000 * k, 1, 2, 3)
 
 
+def keep(recording: Recording, state: State, command: Command | None, tick: Tick) -> None:
+    """Do what the loop does with a row."""
+    recording.pass_on(state, recording.keep(state, command, tick), tick)
+
+
 @pytest.mark.parametrize("in_file", [False, True])
 def test_rows_and_events(robot: Robot, tmp_path: Path, in_file: bool) -> None:
     path = tmp_path / "run.mcap" if in_file else None
     recording = Recording(robot, path, {"grip": Column(unit="N")}, wait=True, clock=lambda: 5)
     for k in range(1000):
         state, tick = row(robot, k)
-        recording.row(state, Command(state.q, record={"grip": float(k)}), tick)
+        keep(recording, state, Command(state.q, record={"grip": float(k)}), tick)
     recording.event("Something happened.")
     tail = recording.tail()
     assert recording.close({"rows asked": 1000}) == []
@@ -66,7 +71,7 @@ def test_a_command_of_any_shape_does_not_stop_the_rows(robot: Robot) -> None:
     odd: list[Any] = [Command(np.zeros(3)), Command(q="up"), "no command", None]  # type: ignore[arg-type]
     for k, command in enumerate(odd):
         state, tick = row(robot, k)
-        recording.row(state, command, tick)
+        keep(recording, state, command, tick)
     assert len(recording.table()) == len(odd)
     assert any("without its command" in text for _, text in recording.events)
 
@@ -90,7 +95,7 @@ def test_a_feed_that_raises_is_dropped(robot: Robot) -> None:
     feeds: list[Feed] = [Broken(), Broken()]
     recording = Recording(robot, None, None, wait=False, clock=lambda: 1, feeds=feeds, label="arm")
     state, tick = row(robot, 0)
-    recording.row(state, None, tick)
+    keep(recording, state, None, tick)
     assert not feeds
     assert next(text for _, text in recording.events).startswith("arm: A feed was dropped: it raised ValueError: full")
     assert len(recording.table()) == 1
@@ -106,11 +111,11 @@ def test_a_full_disk_is_told_at_once_and_once(robot: Robot, tmp_path: Path, monk
     asked = 0
     while not recording.events and time.monotonic() < deadline:
         state, tick = row(robot, asked)
-        recording.row(state, None, tick)
+        keep(recording, state, None, tick)
         asked += 1
         time.sleep(0.001)
     state, tick = row(robot, asked)
-    recording.row(state, None, tick)
+    keep(recording, state, None, tick)
     problems = recording.close({})
     ((_, told),) = recording.events
     assert told.startswith("The recording stopped: The log")
@@ -135,7 +140,7 @@ def test_sentences_before_the_clock_is_known_get_the_stamp_of_the_first_row(
     recording.event("before")
     assert not recording.events
     state, tick = row(robot, 0)
-    recording.row(state, None, tick)
+    keep(recording, state, None, tick)
     now[0] = tick.stamp_ns + 5
     recording.event("after")
     recording.close({})

@@ -31,7 +31,7 @@ def controller(state):
         return command(state)
     if not since:
         since.append(state.t)
-        size = 4096 * int(Path("/proc/self/statm").read_text().split()[0]) + 40_000_000
+        size = resource.getpagesize() * int(Path("/proc/self/statm").read_text().split()[0]) + 40_000_000
         resource.setrlimit(resource.RLIMIT_AS, (size, size))
     return goes_on(state)
 def sways(state):

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import errno
+import os
 import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -149,6 +151,31 @@ def test_a_sync_that_fails_stops_the_recorder(
         recorder.row(*rows(0))
     assert recorder.failed.endswith("Input/output error.")
     recorder.close()
+
+
+def test_an_error_whose_text_cannot_be_made_stops_the_recorder(
+    tmp_path: Path, robot: Robot, rows: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """There may be no memory for words: the file is closed all the same."""
+
+    class Mute(Exception):
+        def __str__(self) -> str:
+            raise MemoryError
+
+    def broken(_: Any) -> None:
+        raise Mute
+
+    recorder = Recorder(tmp_path / "run.mcap", robot)
+    number = recorder._file.fileno()
+    monkeypatch.setattr(recorder._file, "write", broken)
+    until = time.monotonic() + PATIENCE
+    while recorder.failed is None:
+        assert time.monotonic() < until
+        recorder.row(*rows(0))
+    assert recorder.failed == f"The log {recorder.path} stopped."
+    recorder.close()
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        os.fstat(number)
 
 
 def test_a_sync_that_fails_last_is_told_when_the_recorder_closes(

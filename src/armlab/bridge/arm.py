@@ -83,7 +83,7 @@ class Arm:
         self.guide, self.recording = guide, recording
         self.latency, self.prediction = Latency(), Prediction()
         self.replies = self.overtaken = self.late = self._ticks = 0
-        self.was_late = False
+        self.was_late = self._went_out = False
         self.newest: Turn | None = None
         self._in_lockstep, self._resumes = settings.clock == "robot", settings.resume
         self._fusion = fusion
@@ -198,11 +198,12 @@ class Arm:
         call_ns : time spent in the controller. late : the controller missed its deadline.
         """
         seq = send_ns = -1
+        self._went_out = False
         try:
             if reply is not None:
                 seq, send_ns = self._send(turn.sample, reply)
         finally:  # also when the codec raises: the robot has not got it
-            if reply is not None and seq < 0:
+            if reply is not None and not self._went_out:
                 self.guide.take_back()
         late = late or (not self._in_lockstep and send_ns > self.deadline(turn.sample))
         self._answered = command
@@ -213,6 +214,9 @@ class Arm:
             self._rows.append(_Row(older))
         self._surpassed.clear()
         self._rows.append(_Row(turn, command, reply if seq >= 0 else None, seq, send_ns, call_ns, late))
+        if seq >= 0:
+            self.replies += 1
+            self.latency.add(send_ns - turn.sample.arrival_ns)
 
     def _send(self, sample: Sample, reply: Reply) -> tuple[int, int]:
         """Send a reply. Return its number and when [ns], -1 and -1 when nothing went out."""
@@ -230,9 +234,8 @@ class Arm:
             what = f"A reply to {host}:{port} did not go out: the system refused it. The robot keeps the last one."
             self.recording.event(what, warn=True)
             return -1, -1
+        self._went_out = True  # whatever fails from here on
         session.replied(now)
-        self.replies += 1
-        self.latency.add(now - sample.arrival_ns)
         return seq, now
 
     def rehearse(self) -> None:
@@ -248,12 +251,11 @@ class Arm:
     def record(self) -> None:
         """Record what was answered or overtaken since the last call: when no reply has to wait for that.
 
-        A row that could not be recorded, for want of memory, is the first of the next call.
+        A row for which there is no memory is the first of the next call; one that was kept never comes again.
         """
         while self._rows:
             row = self._rows[0]
             sample, reply, wall_ns = row.turn.sample, row.reply, self._wall_ns
-            self.prediction.add(sample.arrival_ns, sample.missed + 1, self.period)
             tick = Tick(
                 number=self._ticks,
                 seq_sent=row.seq,
@@ -271,9 +273,11 @@ class Arm:
                 wake_ns=row.turn.wake_ns,
                 record=self._fusion.record(row.turn.state.sources, sample.arrival_ns),
             )
-            self.recording.row(row.turn.state, row.command, tick)
-            self._ticks += 1
+            command = self.recording.keep(row.turn.state, row.command, tick)
+            self._ticks = tick.number + 1
             del self._rows[0]
+            self.prediction.add(sample.arrival_ns, sample.missed + 1, self.period)
+            self.recording.pass_on(row.turn.state, command, tick)
 
 
 def _beside(reply: Reply | None) -> dict[str, Any]:

@@ -200,9 +200,13 @@ def finished(arms: Sequence[Arm], reason: str, feeds: Sequence[Feed] = ()) -> Ru
     for feed in feeds:
         told |= getattr(feed, "summary", dict)()
     for arm in arms:
-        arm.record()
+        try:
+            arm.record()
+            lost = []
+        except Exception as error:  # the recording is finished all the same
+            lost = [f"The last rows were not recorded: {type(error).__name__}."]
         counted = {**statistics(arm, reason), **told}
-        problems = arm.recording.close(counted)
+        problems = lost + arm.recording.close(counted)
         events = tuple(arm.recording.events)
         runs.append(Run(reason, {**counted, "problems": problems}, events, arm.recording.path, arm.recording))
     return runs[0] if len(runs) == 1 else Run.of_several(reason, tuple(runs))

@@ -10,6 +10,8 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from mmap import mmap
 from typing import Any, Protocol
 
 from armlab.bridge.arm import Arm, Turn
@@ -71,7 +73,7 @@ class Loop:
         self.interrupted = self._has_failed = False
         self.reason = ""
         self._lock = threading.Lock()
-        self._reserve: bytes | None = bytes(_RESERVE)  # zeros that nobody touches: address space, no memory yet
+        self._reserve: mmap | None = None  # pages that nobody touches: address space, no memory
         self._next_progress = 0.0
         self._looked_ns = time.monotonic_ns()
         self._sessions: tuple[int, ...] = ()
@@ -98,7 +100,17 @@ class Loop:
         self.interrupted = True
 
     def run(self) -> None:
-        """Run until every guide has ended."""
+        """Run until every guide has ended.
+
+        Raises
+        ------
+        LinkError : there is no memory to set aside for the end.
+        """
+        try:
+            self._reserve = mmap(-1, _RESERVE)
+        except OSError as error:
+            text = f"Expected {_RESERVE >> 20} MiB of memory to set aside for the end of the run: {error.strerror}. "
+            raise LinkError(f"{text}End other programs, or raise the limit of this one.") from error
         ended = False
         while not ended:
             try:
@@ -112,15 +124,23 @@ class Loop:
                         ended = True
                     else:
                         self._fail(error)
-        self._reserve = None
+        self._give_back()
+
+    def _give_back(self) -> None:
+        """Give back what was set aside for the end of the run."""
+        if self._reserve is not None:
+            self._reserve.close()
 
     def _fail(self, error: Exception) -> None:
         """Stop after an error of a codec or a source of the user's, or ours: no arm goes on at its speed."""
-        self._reserve, self._has_failed = None, True
+        self._give_back()
+        self._has_failed = True
         failure = _broken(error)
-        self._pace.recording.event(str(failure), warn=True)
-        self._stop("the bridge failed", failure)
+        with suppress(Exception):  # the arms come to rest, whoever cannot be told
+            self._stop("the bridge failed", failure)
         self._pace.guide.failure = self.failure or failure  # also when the arms were to stop already
+        with suppress(Exception):
+            self._pace.recording.event(str(failure), warn=True)
 
     def cycle(self) -> None:
         """Wait for one packet, answer it, record it."""
@@ -214,7 +234,7 @@ class Loop:
         except BaseException as error:  # also SystemExit: the arm must not go on at its last speed
             if isinstance(error, KeyboardInterrupt) and self.interrupted:
                 raise  # the second Ctrl-C
-            self._reserve = None
+            self._give_back()
             failure = ControllerFailed(f"The controller raised {_named(error)}. The arm was stopped.")
             failure.__cause__ = error
         finally:
@@ -287,7 +307,7 @@ class Loop:
             try:
                 settings.progress(elapsed)
             except Exception as error:
-                self._reserve = None
+                self._give_back()
                 failure = ControllerFailed(f"`progress` raised {_named(error)}. The arm was stopped.")
                 failure.__cause__ = error
                 self._stop("the display of progress failed", failure)
@@ -323,6 +343,9 @@ def _broken(error: Exception) -> LinkError:
 
 
 def _named(error: BaseException) -> str:
-    """Return type and text of an error."""
-    text = "no memory is left" if isinstance(error, MemoryError) else str(error)
+    """Return type and text of an error, whatever it is."""
+    try:
+        text = "no memory is left" if isinstance(error, MemoryError) else str(error)
+    except Exception:
+        text = "its text cannot be read"
     return f"{type(error).__name__}: {text}" if text else type(error).__name__

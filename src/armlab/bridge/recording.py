@@ -95,12 +95,16 @@ class Recording:
         self.events: deque[tuple[int, str]] = deque(maxlen=_KEPT_EVENTS)
         self._early: list[Callable[[int], None]] = []  # what waits for its stamp
 
-    def row(self, state: State, command: Command | None, tick: Tick) -> None:
-        """Keep one row.
+    def keep(self, state: State, command: Command | None, tick: Tick) -> Command | None:
+        """Keep one row in memory. Return the command, or None when it could not be kept with it.
 
         Parameters
         ----------
         state : what the controller saw. command : what it returned. tick : what the bridge knows.
+
+        Raises
+        ------
+        MemoryError : the row was not kept.
         """
         if self._early:
             self._stamp_early(tick.stamp_ns)
@@ -114,6 +118,15 @@ class Recording:
                 self.event(f"A row was kept without its command: {error}", warn=True)
             command = None
             self._log.row(state, None, tick)
+        return command
+
+    def pass_on(self, state: State, command: Command | None, tick: Tick) -> None:
+        """Give a row that was kept to the file and the feeds.
+
+        Parameters
+        ----------
+        state, tick : as of `keep`. command : as `keep` returned it.
+        """
         if self._recorder is not None and not self._recorder.row(state, command, tick):
             self._tell_stop(self._recorder)
         if self._feeds:

@@ -73,8 +73,11 @@ class _Stage:
 class _Nobody:
     """In place of a `Recording`."""
 
-    def row(self, *_: Any) -> None:
+    def keep(self, *_: Any) -> None:
         """Forget a row."""
+
+    def pass_on(self, *_: Any) -> None:
+        """Nobody gets it."""
 
     def event(self, *_: Any, **__: Any) -> None:
         """Forget a sentence."""

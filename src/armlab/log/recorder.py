@@ -196,9 +196,11 @@ class Recorder:
         try:
             work()
         except Exception as error:  # the loop goes on, so this thread has nobody to raise to
-            self.failed = self._stopped  # there may be no memory for more words
-            reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
-            self.failed = f"The log {self.path} stopped after {self._file.rows} rows: {reason}."
+            try:
+                reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
+                self.failed = f"The log {self.path} stopped after {self._file.rows} rows: {reason}."
+            except Exception:  # there may be no memory for words
+                self.failed = self._stopped
             self._file.abandon()
 
     def _has_room(self) -> bool:
