@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from typing import Any, ClassVar
 
 import pytest
@@ -185,6 +186,15 @@ def test_memory_is_given_back_at_the_end(one: Make, reserves: list[Reserve]) -> 
     hands.run()
     assert hands.loop.reason == "the time is up"
     assert [one.given_back for one in reserves] == [True]
+
+
+def test_without_memory_for_its_end_no_run_begins(one: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    def none_left(*_: Any) -> None:
+        raise OSError(errno.ENOMEM, "Cannot allocate memory")
+
+    monkeypatch.setattr("armlab.bridge.loop.mmap", none_left)
+    with pytest.raises(LinkError, match=r"Expected 16 MiB of memory .*: Cannot allocate memory\. End other programs"):
+        one(drift).run()
 
 
 def test_an_error_that_cannot_be_told_brings_the_arm_to_rest(one: Make, monkeypatch: pytest.MonkeyPatch) -> None:

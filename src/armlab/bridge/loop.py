@@ -119,10 +119,8 @@ class Loop:
                     self.cycle()
             except Exception as error:
                 with self._lock:
-                    if self._has_failed:  # again: the arms cannot be brought to rest
-                        self._pace.guide.failure = self.failure or _broken(error)
-                        ended = True
-                    else:
+                    ended = self._has_failed  # again: the arms cannot be brought to rest
+                    if not ended:
                         self._fail(error)
         self._give_back()
 
