@@ -6,7 +6,7 @@ import ctypes
 import os
 import platform
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from time import process_time
@@ -16,11 +16,16 @@ import numpy as np
 PACKAGES = ("armlab", "numpy", "scipy", "protobuf", "rosbags")
 
 
-def describe() -> list[str]:
-    """Return the machine line, the versions of armlab, of what it uses and of its peers, and the commit."""
+def describe(packages: Sequence[str] = ()) -> list[str]:
+    """Return the machine line, versions, and the commit.
+
+    Parameters
+    ----------
+    packages : whose versions; without one, armlab, what it uses here, and its peers.
+    """
     peers = [line.split("==")[0] for file in sorted(Path(__file__).parent.glob("requirements*.txt"))
              for line in file.read_text(encoding="utf-8").splitlines() if "==" in line]  # fmt: skip
-    versions = ", ".join(f"{name} {version(name)}" for name in (*PACKAGES, *peers) if _is_here(name))
+    versions = ", ".join(f"{name} {version(name)}" for name in packages or (*PACKAGES, *peers) if _is_here(name))
     return [
         f"{_cpu()}, {os.cpu_count()} cores, {_memory():.0f} GiB, {platform.system()} {platform.release()}, "
         f"Python {platform.python_version()}.",

@@ -31,6 +31,7 @@ from armlab.wire.egm import Drop, RobotSideCodec, SensorMessage
 
 __all__ = ["Controller"]
 
+_BEYOND = 1e6  # rad or m, and per s: packets have no numbers for more
 _FAILING_TIME = 0.1  # s
 _MCI = {"streaming": 2, "guiding": 3, "failing": 1}
 _NO_DATA = (41822, "No data from the UdpUc device")
@@ -155,7 +156,7 @@ class Controller:
         wrench = self._scene.wrench(self.guidance_time, self.arm.sample.T_base_tool) if moves else None
         self._external.follow(self._target.q_ext if self.phase == "guiding" else None)
         self.arm.step(self._guidance.q, self._guidance.qd, wrench)
-        if self.phase != "over" and not np.isfinite(self.arm.sample.q).all():
+        if self.phase != "over" and not (np.abs([self.arm.sample.q, self.arm.sample.qd]) < _BEYOND).all():  # NaN too
             self._die(0, "the simulated arm was driven beyond all numbers; push it with less force")
 
     def skip(self, cycles: int) -> None:
