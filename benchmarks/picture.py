@@ -92,7 +92,7 @@ def _over_peer(one: Figure) -> Dot | None:
 
 
 def _over_bar(one: Figure) -> Dot | None:
-    if one.bar is None or one.role == "limit":
+    if not one.bar or one.role == "limit":  # of nothing that may be missing there is no multiple
         return None
     values = (one.median, one.lower, one.upper)
     if one.role == "peer":

@@ -216,6 +216,13 @@ def test_picture_has_a_row_per_table(harness: dict[str, ModuleType], tmp_path: P
     assert not picture.draw("A machine.", [harness["report"].Section("pose", [], 0.0)], path)
 
 
+def test_a_bar_of_nothing_at_all_has_no_place_in_the_picture(harness: dict[str, ModuleType]) -> None:
+    """Of rows that may not be missing there is no multiple."""
+    one = harness["blocks"].Figure("local", "armlab", "", 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0)
+    assert one.is_met
+    assert harness["picture"]._over_bar(one) is None
+
+
 def test_what_fails_is_run_once_more(harness: dict[str, ModuleType], monkeypatch: pytest.MonkeyPatch) -> None:
     measure, report = harness["measure"], harness["report"]
 
