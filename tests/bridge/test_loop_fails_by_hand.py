@@ -71,7 +71,12 @@ def test_a_run_ends_when_an_error_comes_again(one: Make, monkeypatch: pytest.Mon
     hands = one(drift)
     for _ in range(5):
         hands.cycle()
-    monkeypatch.setattr(hands.arms[0].codec, "encode", lambda reference: 1 / 0)
+    errors: list[Exception] = [ZeroDivisionError("division by zero"), ValueError("another")]
+
+    def raises(reference: Any) -> bytes:
+        raise errors.pop(0)
+
+    monkeypatch.setattr(hands.arms[0].codec, "encode", raises)
     for _ in range(2):
         hands.put()
     coming = list(hands.ports[0].waiting)
