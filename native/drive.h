@@ -87,6 +87,9 @@ class Drive {
   // The state of joint i at the first position of a record.
   DriveState start(int i, double q) const { return {q, 0.0, warm_up[i].start}; }
 
+  // Its state after a gap, in which nothing is known of the way: as at the first position, but for the warmth.
+  static DriveState restart(double q, const DriveState &before) { return {q, 0.0, before.warmth}; }
+
   // Moves the state of joint i to position q; returns the displacement that the encoder can tell.
   double move(int i, double q, DriveState &state) const {
     const double dy = follow(state.play, q, friction[i].resolution);

@@ -73,9 +73,8 @@ bool WrenchEstimator::advance(const double *q, const double *qd, const double *t
   for (int i = 0; i < n; ++i) {
     Joint &joint = next[i] = joints_[i];
     if (apart) {
-      const double warmth = joint.drive.state.warmth;
-      joint = Joint{JointDrive{p_.drive.start(i, q[i])}, qd[i], {{0.0, 0.0}, {0.0, 0.0}}};
-      if (!first_) joint.drive.state.warmth = warmth;
+      const DriveState state = first_ ? p_.drive.start(i, q[i]) : Drive::restart(q[i], joint.drive.state);
+      joint = Joint{JointDrive{state}, qd[i], {{0.0, 0.0}, {0.0, 0.0}}};
     }
     joint.drive.move(p_.drive, i, q[i], relax);
     qdd[i] = (qd[i] - joint.qd) / dt;

@@ -48,11 +48,7 @@ bool MomentumEstimator::prepare(const double *q, const double *qd, const double 
   rnea(p_.chain, q, zero, zero, p_.gravity.data(), p_.links.data(), gravity);
   for (int i = 0; i < n; ++i) {
     Joint &joint = s.joints[i] = joints_[i];
-    if (s.apart) {  // the way that it went is not known
-      const double warmth = joint.drive.state.warmth;
-      joint.drive.state = p_.drive.start(i, q[i]);
-      if (!first_) joint.drive.state.warmth = warmth;
-    }
+    if (s.apart) joint.drive.state = first_ ? p_.drive.start(i, q[i]) : Drive::restart(q[i], joint.drive.state);
     s.rise[i] = (1.0 - joint.drive.unsure) * relax;
     s.moved[i] = joint.drive.move(p_.drive, i, q[i], relax);
     if (s.apart) {

@@ -33,6 +33,7 @@ __all__ = [
     "heat",
     "model_torque",
     "move",
+    "restart",
     "presliding",
     "slide",
     "start",
@@ -144,6 +145,11 @@ def basis_weights(x: np.ndarray, centres: np.ndarray, widths: np.ndarray) -> np.
 def start(drive: Drive, q: np.ndarray) -> DriveState:
     """Return the state at the first position (n,) of a record."""
     return DriveState(q.copy(), np.zeros(drive.n), drive.warm_up[4])
+
+
+def restart(q: np.ndarray, before: DriveState) -> DriveState:
+    """Return the state at position q (n,) after a gap, of which the way is not known: all but the warmth anew."""
+    return DriveState(q.copy(), np.zeros(len(q)), before.warmth)
 
 
 def move(drive: Drive, q: np.ndarray, state: DriveState) -> tuple[DriveState, np.ndarray]:

@@ -34,7 +34,7 @@ import numpy as np
 from armlab.errors import ShapeError
 from armlab.kernels._reference.arrays import not_negative, positive, read
 from armlab.kernels._reference.chain import Chain
-from armlab.kernels._reference.drive import Drive, drive_torque, heat, move, start
+from armlab.kernels._reference.drive import Drive, drive_torque, heat, move, restart, start
 from armlab.kernels._reference.wrench import METHODS, solve_wrench, wrench_interval
 
 __all__ = ["WrenchEstimator", "check_noise", "contact_map", "read_gains", "speed_variance"]
@@ -161,9 +161,7 @@ class WrenchEstimator:
         apart = first or dt > GAP_STEPS * self._nominal
         before, last, p = self._state, self._qd, self._p
         if apart:
-            before, last, p = start(self._drive, q), qd, np.full(n, UNKNOWN)
-            if not first:
-                before.warmth = self._state.warmth
+            before, last, p = restart(q, self._state), qd, np.full(n, UNKNOWN)
         with np.errstate(over="ignore", invalid="ignore"):
             qdd = (qd - last) / dt
             rigid = self._chain.rnea(q, qd, qdd, self._gravity, self._links) + self._rotor * qdd

@@ -28,7 +28,7 @@ import numpy as np
 from armlab.errors import ShapeError
 from armlab.kernels._reference.arrays import not_negative, positive, read
 from armlab.kernels._reference.chain import Chain
-from armlab.kernels._reference.drive import Drive, DriveState, drive_torque, heat, move, start
+from armlab.kernels._reference.drive import Drive, DriveState, drive_torque, heat, move, restart, start
 from armlab.kernels._reference.estimator import (
     GAP_STEPS,
     INVALID,
@@ -132,9 +132,7 @@ class MomentumEstimator:
             return self._invalid()
         first = not self._started
         apart = first or dt > GAP_STEPS * self._nominal
-        before = start(self._drive, q) if apart else self._state
-        if apart and not first:
-            before.warmth = self._state.warmth
+        before = restart(q, self._state) if apart else self._state
         rise = (1.0 - self._unsure) * (1.0 - np.exp(-dt / REST_TIME))
         with np.errstate(over="ignore", invalid="ignore"):
             p, beta = self._chain.momentum(q, qd, self._links)
