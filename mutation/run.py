@@ -248,18 +248,7 @@ def main() -> int:
     files = [file for file in FILES if not given.words or any(word in file for word in given.words)]
     only = {tuple(one) for one in json.loads(LAST.read_text())} if given.again else None
     runner, start = Runner(files, only), time.monotonic()
-    options = [
-        "-p",
-        "no:terminal",
-        "-p",
-        "no:xdist",
-        "-p",
-        "no:faulthandler",
-        "-s",
-        "-o",
-        "addopts=",
-        "--import-mode=importlib",
-    ]
+    options = ["-pno:terminal", "-pno:xdist", "-pno:faulthandler", "-s", "-oaddopts=", "--import-mode=importlib"]
     chosen = sorted({str(test) for file in files for test in tests(file)})
     ended = pytest.main([*options, "-m", MARKED, "-k", NAMED, *chosen], [runner])
     is_whole = ended == pytest.ExitCode.OK

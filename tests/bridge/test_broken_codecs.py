@@ -106,6 +106,17 @@ def test_errors_while_the_arm_stops_end_the_run(play: Any, robot: Any) -> None:
     assert np.nanmax(caught.value.table["qd_sent"]) > 0.05
 
 
+def answered(peer: Any) -> None:
+    """Guided packets until the run has ended, which the loop under test sees to."""
+    peer.begin()
+    until = time.monotonic() + 20.0
+    while not peer.over.is_set():
+        assert time.monotonic() < until
+        peer.send()
+        with contextlib.suppress(TimeoutError):
+            peer.answer(0.05)
+
+
 def test_a_row_for_which_there_is_no_memory_is_recorded_later(play: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """No hole and none twice: the table has a row for each packet."""
     keep, failures = Recording.keep, [MemoryError()]
@@ -117,15 +128,8 @@ def test_a_row_for_which_there_is_no_memory_is_recorded_later(play: Any, monkeyp
 
     monkeypatch.setattr(Recording, "keep", fails_once)
 
-    def script(peer: Any) -> None:
-        peer.begin()
-        while not peer.over.is_set():
-            peer.send()
-            with contextlib.suppress(TimeoutError):
-                peer.answer(0.05)
-
     with pytest.raises(LinkError, match=r"without errors, got MemoryError: no memory is left\.") as caught:
-        play(script, lambda state: Command(qd=np.full(7, 0.1)))
+        play(answered, lambda state: Command(qd=np.full(7, 0.1)))
     table = caught.value.table
     np.testing.assert_array_equal(table["tick"], np.arange(len(table)))
     assert len(table) > 31
@@ -144,16 +148,9 @@ def test_rows_for_which_there_is_never_memory_leave_the_reason_and_a_whole_file(
 
     monkeypatch.setattr(Recording, "keep", fails)
 
-    def script(peer: Any) -> None:
-        peer.begin()
-        while not peer.over.is_set():
-            peer.send()
-            with contextlib.suppress(TimeoutError):
-                peer.answer(0.05)
-
     link = play.link()
     with pytest.raises(LinkError, match=r"got MemoryError: no memory is left\."):
-        play(script, lambda state: Command(qd=np.full(7, 0.1)), link, record=tmp_path / "run.mcap")
+        play(answered, lambda state: Command(qd=np.full(7, 0.1)), link, record=tmp_path / "run.mcap")
     assert len(log.read(tmp_path / "run.mcap")) == 30
     assert "The last rows were not recorded: MemoryError." in link.last.statistics["problems"]
 
@@ -165,6 +162,8 @@ def test_a_run_without_memory_for_its_end_does_not_begin(
         raise OSError(errno.ENOMEM, "Cannot allocate memory")
 
     monkeypatch.setattr("armlab.bridge.loop.mmap", none_left)
+    link = play.link()
     with pytest.raises(LinkError, match=r"Expected 16 MiB .* of the run: Cannot allocate memory\. End other"):
-        play(lambda peer: None, lambda state: None, record=tmp_path / "run.mcap")
+        play(lambda peer: None, lambda state: None, link, record=tmp_path / "run.mcap")
     assert log.inspect(tmp_path / "run.mcap").finished
+    assert link.last.reason == "there is no memory for its end"

@@ -198,8 +198,10 @@ def test_without_memory_for_its_end_no_run_begins(one: Make, monkeypatch: pytest
         raise OSError(errno.ENOMEM, "Cannot allocate memory")
 
     monkeypatch.setattr("armlab.bridge.loop.mmap", none_left)
+    hands = one(drift)
     with pytest.raises(LinkError, match=r"Expected 16 MiB of memory .*: Cannot allocate memory\. End other programs"):
-        one(drift).run()
+        hands.run()
+    assert hands.loop.reason == "there is no memory for its end"
 
 
 def test_an_error_that_cannot_be_told_brings_the_arm_to_rest(one: Make, monkeypatch: pytest.MonkeyPatch) -> None:

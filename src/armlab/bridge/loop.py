@@ -109,6 +109,7 @@ class Loop:
         try:
             self._reserve = mmap(-1, _RESERVE)
         except OSError as error:
+            self.reason = "there is no memory for its end"
             text = f"Expected {_RESERVE >> 20} MiB of memory to set aside for the end of the run: {error.strerror}. "
             raise LinkError(f"{text}End other programs, or raise the limit of this one.") from error
         ended = False
