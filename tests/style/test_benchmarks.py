@@ -237,6 +237,25 @@ def test_what_fails_is_run_once_more(harness: dict[str, ModuleType], monkeypatch
     assert told("late", "later") == ["**pose failed:** later", "**pose failed at first:** late"]
 
 
+@pytest.mark.parametrize("deaf", ["", "signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGALRM])"])
+def test_what_hangs_is_ended(
+    harness: dict[str, ModuleType], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, deaf: str
+) -> None:
+    """Also where no signal reaches it, as in a compiled function that waits."""
+    (tmp_path / "bench_hangs.py").write_text(
+        "import pathlib, signal, time\n"
+        "def run(quick):\n"
+        f"    {deaf or 'pass'}\n"
+        f"    try:\n        time.sleep(600)\n    finally:\n        pathlib.Path({str(tmp_path / 'ended')!r}).touch()\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(harness["measure"], "LIMIT", 2.0)
+    monkeypatch.setattr(harness["measure"], "GRACE", 1.0)
+    made = harness["measure"]._tried("hangs", False)
+    assert made.failure == "TimeoutError: took more than 2 s"
+    assert (tmp_path / "ended").exists() is not bool(deaf), "what it started is ended where it can be"
+
+
 @pytest.fixture
 def run(harness: dict[str, ModuleType], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> ModuleType:
     """`run.py` in an empty repository, on a machine without peers."""
