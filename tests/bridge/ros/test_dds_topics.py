@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
@@ -14,6 +15,8 @@ from .dds_peers import Node, free_domain, numbers, taken, until, write
 
 pytest.importorskip("cyclonedds", reason="the extra ros is not installed")
 
+from armlab.bridge.ros import dds_topics
+from armlab.bridge.ros._cyclone import DataReader
 from armlab.bridge.ros.dds_domain import joined
 from armlab.bridge.ros.dds_topics import Readers, Writers
 
@@ -94,6 +97,40 @@ def test_messages_come_with_their_writer_and_its_end_is_told(node: Node) -> None
     until(writer.get_matched_subscriptions)
     readers.close()
     until(lambda: not writer.get_matched_subscriptions())
+
+
+def test_writers_may_be_there_first(node: Node, caplog: pytest.LogCaptureFixture) -> None:
+    """DDS tells of them before the reader is an object in Python."""
+    came: list[tuple[str, bytes, str]] = []
+    left: list[str] = []
+    writer = node.writer("/a", TEXT)
+    with caplog.at_level(logging.ERROR, "armlab.bridge"):
+        readers = Readers(node.participant, {"/a": TEXT}, lambda *one: came.append(one), left.append)
+        until(writer.get_matched_subscriptions)
+        write(writer, TEXT, "hello")
+        until(lambda: came)
+        del writer
+        until(lambda: left)
+        readers.close()
+    assert caplog.text == ""
+
+
+def test_what_comes_while_a_reader_is_made_is_read(node: Node, monkeypatch: pytest.MonkeyPatch) -> None:
+    """DDS calls for it in vain then, and would not call again before the next message."""
+    came: list[str] = []
+    writer = node.writer("/a", TEXT)
+
+    def made(*arguments: Any) -> DataReader[Any]:
+        reader = DataReader(*arguments[:-1])  # as if its listener had been called already
+        until(writer.get_matched_subscriptions)
+        write(writer, TEXT, "hello")
+        until(lambda: reader.read(1))
+        return reader
+
+    monkeypatch.setattr(dds_topics, "DataReader", made)
+    readers = Readers(node.participant, {"/a": TEXT}, lambda name, *_: came.append(name), came.append)
+    assert came == ["/a"]
+    readers.close()
 
 
 def test_what_fails_is_told_and_the_next_message_comes(node: Node, caplog: pytest.LogCaptureFixture) -> None:

@@ -100,16 +100,22 @@ class Readers:
                 on_subscription_matched=lambda reader, status: self._guarded(self._matched, reader, status),
             )
             made = Topic(participant, topic_name(name), carrier(type_))
-            self._readers.append(DataReader(participant, made, _COMMAND, listener))
+            reader = DataReader(participant, made, _COMMAND, listener)
+            self._readers.append(reader)
+            self._guarded(self._read, reader, name)  # what came before it was made in Python too
 
     def close(self) -> None:
         """End all readers: none calls any more, which it must not while Python ends."""
         self._readers.clear()
 
-    def _guarded(self, call: Callable[..., None], *arguments: Any) -> None:
-        """Call; what fails is told and no more, since it would come up in C."""
+    def _guarded(self, call: Callable[..., None], reader: DataReader[Any] | None, *arguments: Any) -> None:
+        """Call; what fails is told and no more, since it would come up in C.
+
+        DDS may call as soon as it has the reader itself; there is none in Python then.
+        """
         try:
-            call(*arguments)
+            if reader is not None:
+                call(reader, *arguments)
         except Exception:
             _logger.exception("ros2")
 
