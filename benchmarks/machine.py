@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import os
 import platform
 import subprocess
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from time import process_time
@@ -65,6 +66,15 @@ def arithmetic(n: int = 512) -> Callable[[], float]:
         return (process_time() - start) / (2 * n**3)
 
     return seconds
+
+
+def family(pid: int) -> Iterator[int]:
+    """Give a process and all that it and its children started."""
+    yield pid
+    with contextlib.suppress(OSError):
+        for task in Path(f"/proc/{pid}/task").iterdir():
+            for child in (task / "children").read_text().split():
+                yield from family(int(child))
 
 
 class OtherLoad:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import signal
 import sys
 import traceback
@@ -11,17 +13,21 @@ from importlib import import_module
 from multiprocessing import active_children, get_context
 from time import perf_counter
 
-from machine import OtherLoad
+from machine import OtherLoad, family
 from report import Section
 
-LIMIT = 900.0  # s for one benchmark: the longest takes three minutes
+LIMIT = 900.0  # s for one try: the longest takes three minutes
 GRACE = 30.0  # s to end what it started
+
+
+class TooLong(BaseException):
+    """A try took too long. No `except Exception` of a benchmark, or of what it measures, holds it up."""
 
 
 def measure(name: str, quick: bool) -> Section:
     """Run the benchmark ``bench_NAME.py``, once more if it fails: what runs in real time may do so for a moment's load.
 
-    One that hangs fails after a quarter of an hour. Returns its tables, none with the reason if it fails twice.
+    A try that hangs fails after a quarter of an hour. Returns its tables, none with the reason if it fails twice.
     """
     start = perf_counter()
     section = _tried(name, quick)
@@ -32,20 +38,32 @@ def measure(name: str, quick: bool) -> Section:
 
 
 def _tried(name: str, quick: bool) -> Section:
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        try:
-            return pool.submit(_run, name, quick, LIMIT).result(LIMIT + GRACE)
-        except Exception as error:  # the others are not lost
-            traceback.print_exc()
-            for worker in active_children():  # one that waits where no signal reaches it would be waited for
-                worker.kill()
-            said = str(error) or f"took more than {LIMIT:g} s"
-            return Section(name, [], 0.0, failure=f"{type(error).__name__}: {said}")
+    pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"))
+    future = pool.submit(_run, name, quick, LIMIT)
+    try:
+        return future.result(LIMIT + GRACE)
+    except (Exception, TooLong) as error:  # the others are not lost
+        traceback.print_exc()
+        said = str(error) if future.done() else f"took more than {LIMIT:g} s"
+        return Section(name, [], 0.0, failure=f"{type(error).__name__}: {said}")
+    finally:
+        pool.shutdown(wait=False)
+        for worker in active_children():
+            worker.join(GRACE)
+            if worker.is_alive():  # it waits where no signal reaches it
+                _kill(worker.pid)
+
+
+def _kill(pid: int | None) -> None:
+    """Kill a worker and all that it started."""
+    for one in list(family(pid)) if pid else []:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(one, signal.SIGKILL)
 
 
 def _run(name: str, quick: bool, limit: float) -> Section:
     def too_long(*_: object) -> None:
-        raise TimeoutError(f"took more than {limit:g} s")
+        raise TooLong(f"took more than {limit:g} s")
 
     signal.signal(signal.SIGALRM, too_long)  # an exception: what it started is ended on the way out
     signal.setitimer(signal.ITIMER_REAL, limit)

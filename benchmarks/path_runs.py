@@ -14,6 +14,7 @@ from types import TracebackType
 from typing import NamedTuple
 
 import numpy as np
+from machine import family
 
 from armlab.errors import ArmlabError
 
@@ -142,13 +143,12 @@ def _wait_for(word: str, process: subprocess.Popen[bytes], command: Sequence[str
 
 def processor_time(process: int) -> float:
     """Return processor time of a process and of those that it started [s]."""
-    with contextlib.suppress(OSError):
-        words = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
-        total = (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
-        for task in Path(f"/proc/{process}/task").iterdir():
-            total += sum(processor_time(int(child)) for child in (task / "children").read_text().split())
-        return total
-    return 0.0
+    total = 0.0
+    for one in family(process):
+        with contextlib.suppress(OSError):
+            words = Path(f"/proc/{one}/stat").read_text().rpartition(")")[2].split()
+            total += (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
+    return total
 
 
 def usage(process: int, reader: Reader, most: float) -> float:

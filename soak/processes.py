@@ -5,8 +5,8 @@ Memory is what is anonymous (heap, stacks) and swapped: pages of files that are 
 
 from __future__ import annotations
 
-import contextlib
 import os
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -14,6 +14,10 @@ from pathlib import Path
 from typing import NamedTuple, TextIO
 
 from armlab.errors import ArmlabError
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "benchmarks"))
+
+from machine import family
 
 __all__ = ["COLUMNS", "Sample", "Watch", "family", "held", "label"]
 
@@ -47,15 +51,6 @@ def held(pid: int) -> tuple[int, int, int, float]:
     cpu = (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
     memory = 1024 * (sizes["Anonymous:"] + sizes["Swap:"])
     return memory, len(list((place / "fd").iterdir())), int(words[17]), cpu
-
-
-def family(pid: int) -> Iterator[int]:
-    """Give a process and all that it and its children started."""
-    yield pid
-    with contextlib.suppress(OSError):
-        for task in Path(f"/proc/{pid}/task").iterdir():
-            for child in (task / "children").read_text().split():
-                yield from family(int(child))
 
 
 def label(pid: int, root: int) -> str:

@@ -103,13 +103,16 @@ def test_writers_may_be_there_first(node: Node, caplog: pytest.LogCaptureFixture
     """DDS tells of them before the reader is an object in Python."""
     came: list[tuple[str, bytes, str]] = []
     left: list[str] = []
-    writer = node.writer("/a", TEXT)
+    writer, other = node.writer("/a", TEXT), node.writer("/a", TEXT)
     with caplog.at_level(logging.ERROR, "armlab.bridge"):
         readers = Readers(node.participant, {"/a": TEXT}, lambda *one: came.append(one), left.append)
         until(writer.get_matched_subscriptions)
         write(writer, TEXT, "hello")
         until(lambda: came)
         del writer
+        until(lambda: len(readers._clients) == 1)
+        assert left == [], "it has another writer, which has not written yet"
+        del other
         until(lambda: left)
         readers.close()
     assert caplog.text == ""

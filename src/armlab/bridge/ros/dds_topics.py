@@ -93,7 +93,8 @@ class Readers:
     ) -> None:
         self._take, self._left = take, left
         self._clients: dict[int, str] = {}
-        self._readers = []
+        self._readers: list[DataReader[Any]] = []
+        self._lock = threading.Lock()  # in the order in which it came, though two threads look
         for name, type_ in types.items():
             listener = Listener(
                 on_data_available=lambda reader, name=name: self._guarded(self._read, reader, name),
@@ -102,7 +103,7 @@ class Readers:
             made = Topic(participant, topic_name(name), carrier(type_))
             reader = DataReader(participant, made, _COMMAND, listener)
             self._readers.append(reader)
-            self._guarded(self._read, reader, name)  # what came before it was made in Python too
+            self._guarded(self._begin, reader, name)
 
     def close(self) -> None:
         """End all readers: none calls any more, which it must not while Python ends."""
@@ -111,13 +112,20 @@ class Readers:
     def _guarded(self, call: Callable[..., None], reader: DataReader[Any] | None, *arguments: Any) -> None:
         """Call; what fails is told and no more, since it would come up in C.
 
-        DDS may call as soon as it has the reader itself; there is none in Python then.
+        DDS may call as soon as it has the reader itself, in Python there is none or half of one then: `_begin` follows.
         """
         try:
-            if reader is not None:
-                call(reader, *arguments)
+            with self._lock:
+                if reader in self._readers:
+                    call(reader, *arguments)
         except Exception:
             _logger.exception("ros2")
+
+    def _begin(self, reader: DataReader[Any], name: str) -> None:
+        """Take up what was there before the reader was."""
+        for handle in reader.get_matched_publications():
+            self._client(reader, _handle(handle))
+        self._read(reader, name)
 
     def _read(self, reader: DataReader[Any], name: str) -> None:
         while samples := reader.take(_AT_ONCE):
