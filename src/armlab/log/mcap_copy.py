@@ -85,8 +85,11 @@ class Registry:
 
 
 def pieces(found: Contents) -> list[Chunk | None]:
-    """Return what the messages of a file are in: None for those outside chunks, if any, then the chunks."""
-    return [*([None] if found.loose else []), *found.chunks]
+    """Return what the messages of a file are in: the chunks, then None for those outside them, if any.
+
+    `decode` reads them in this order too: rows of a copy stay in the order in which the file itself is read.
+    """
+    return [*found.chunks, *([None] if found.loose else [])]
 
 
 def records_at(view: memoryview, found: Contents, piece: Chunk | None) -> bytes | None:
