@@ -76,6 +76,17 @@ def test_an_error_in_the_guard_stops_the_arm(play: Any, robot: Any) -> None:
     assert not sent[-1].any()
 
 
+def answered(peer: Any) -> None:
+    """Guided packets until the run has ended, which the loop under test sees to."""
+    peer.begin()
+    until = time.monotonic() + 20.0
+    while not peer.over.is_set():
+        assert time.monotonic() < until
+        peer.send()
+        with contextlib.suppress(TimeoutError):
+            peer.answer(0.05)
+
+
 def test_errors_while_the_arm_stops_end_the_run(play: Any, robot: Any) -> None:
     """A codec that raises from then on: the loop must not go round for ever."""
 
@@ -93,28 +104,9 @@ def test_errors_while_the_arm_stops_end_the_run(play: Any, robot: Any) -> None:
         codec.broken = state.t > 0.1
         return Command.stop() if codec.broken else Command(qd=np.full(7, 0.1))
 
-    def script(peer: Any) -> None:
-        until = time.monotonic() + 20.0
-        while not peer.over.is_set():
-            assert time.monotonic() < until
-            peer.send()
-            with contextlib.suppress(TimeoutError):
-                peer.answer(0.05)
-
     with pytest.raises(LinkError, match=BROKEN) as caught:
-        play(script, controller, play.link(codec=codec))
+        play(answered, controller, play.link(codec=codec))
     assert np.nanmax(caught.value.table["qd_sent"]) > 0.05
-
-
-def answered(peer: Any) -> None:
-    """Guided packets until the run has ended, which the loop under test sees to."""
-    peer.begin()
-    until = time.monotonic() + 20.0
-    while not peer.over.is_set():
-        assert time.monotonic() < until
-        peer.send()
-        with contextlib.suppress(TimeoutError):
-            peer.answer(0.05)
 
 
 def test_a_row_for_which_there_is_no_memory_is_recorded_later(play: Any, monkeypatch: pytest.MonkeyPatch) -> None:
