@@ -20,8 +20,8 @@ def layouts(numbered) -> tuple[memoryview, list[tuple[Chunk, bytes]]]:
 def test_messages_of_all_chunks_keep_their_rows(numbered) -> None:
     view, chunks = layouts(numbered)
     for indexed in (True, False):
-        parts, damage = decode_chunks(view, chunks, numbered.readers(), indexed)
-        assert damage == []
+        parts = decode_chunks(view, chunks, numbered.readers(), indexed)
+        assert parts[1].bad == 0
         assert parts[1].sequence.tolist() == parts[1].log_ns.tolist() == list(range(30))
         fields = split(parts[1].values)
         assert fields["a"][:, 0].tolist() == list(range(30))
@@ -34,17 +34,21 @@ def test_a_wrong_index_is_not_believed(numbered) -> None:
     (first, data), other = chunks[:2]
     start, stop = first.indexes[1]
     for wrong in ((start + 8, stop + 8), (7, 7 + stop - start)):
-        parts, _ = decode_chunks(view, [(replace(first, indexes={1: wrong}), data), other], numbered.readers(), True)
-        whole, _ = decode_chunks(view, chunks[:2], numbered.readers(), True)
+        parts = decode_chunks(view, [(replace(first, indexes={1: wrong}), data), other], numbered.readers(), True)
+        whole = decode_chunks(view, chunks[:2], numbered.readers(), True)
         assert np.array_equal(parts[1].sequence, whole[1].sequence)
 
 
-def test_messages_that_do_not_fit_their_type_are_named(numbered) -> None:
-    view, found = numbered.written([b"\0\1\0\0\1"] * 3)
+def test_messages_that_do_not_fit_their_type_are_left_out_alone(numbered) -> None:
+    bad = b"\0\1\0\0\1"
+    view, found = numbered.written([bad if row % 7 == 2 else numbered.message(row, [0.0]) for row in range(30)])
     chunks = [(chunk, unpacked(view, chunk)) for chunk in found.chunks]
-    parts, damage = decode_chunks(view, chunks, numbered.readers(), True)
-    assert list(parts) == [2]
-    assert damage[0].startswith("messages of type t/msg/T skipped: Expected ")
+    for indexed in (True, False):
+        part = decode_chunks(view, chunks, numbered.readers(), indexed)[1]
+        assert part.sequence.tolist() == part.log_ns.tolist() == [row for row in range(30) if row % 7 != 2]
+        assert split(part.values)["a"][:, 0].tolist() == part.sequence.tolist()
+        assert part.bad == 4
+        assert part.reason.startswith("Expected 1 numbers of type int32 in a, got the end")
 
 
 def test_messages_are_found_by_walking(numbered) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import struct
 from dataclasses import replace
 
 import numpy as np
@@ -157,7 +158,10 @@ def test_messages_that_do_not_fit_their_type_are_named(store) -> None:
     found = contents(view)
     decoded, damage = decode(view, found, {channel: PATHS})
     assert len(decoded[channel].sequence) == 0
-    assert "skipped" in damage[0]
+    assert damage == [
+        "1 message on /states skipped: Expected 1 numbers of type uint32 in header.stamp.nanosec, got the end of the "
+        "message."
+    ]
     with pytest.raises(LogError, match="Expected messages in cdr on /plain, got 'json'"):
         decode(view, found, {plain: PATHS})
 
@@ -176,3 +180,29 @@ def test_a_damaged_chunk_costs_its_own_messages_only(numbered) -> None:
     assert decoded[1].sequence.tolist() == decoded[1].fields["a"][:, 0].tolist() == rows
     assert np.array_equal(decoded[1].fields["x"][:, 0], rows)
     assert np.isnan(decoded[1].fields["x"][:, 1]).sum() == len(rows) - 1
+
+
+@pytest.mark.parametrize("chunking", [True, False])
+def test_a_damaged_message_costs_itself_only(chunking: bool) -> None:
+    """Whether its file has chunks or none; one sentence tells of all of a channel."""
+    out = io.BytesIO()
+    writer = Writer(out, chunk_size=300, use_chunking=chunking)
+    writer.start()
+    schema = writer.register_schema("t/msg/T", "ros2msg", b"int32 a\nuint8[] x")
+    for topic in ("/states", "/bad"):
+        writer.register_channel(topic, "cdr", schema)
+    for row in range(40):
+        count = 1_828_716_544 if row % 9 == 4 else 1
+        for channel, number in ((1, count), (2, 7)):
+            raw = b"\0\1\0\0" + struct.pack("<iIB", row, number, 1)
+            writer.add_message(channel, row, raw, row, row)
+    writer.finish()
+    view = memoryview(out.getvalue())
+    decoded, damage = decode(view, contents(view), {1: ["a", "x"], 2: ["a"]})
+    rows = [row for row in range(40) if row % 9 != 4]
+    assert decoded[1].sequence.tolist() == decoded[1].fields["a"][:, 0].tolist() == rows
+    assert decoded[2].fields == {}
+    assert damage == [
+        "4 messages on /states skipped: Expected at most 13 elements in x, got 1828716544.",
+        "40 messages on /bad skipped: Expected 7 numbers of type uint8 in x, got the end of the message.",
+    ]

@@ -5,8 +5,22 @@ from __future__ import annotations
 import struct
 
 import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from armlab.log.mcap_variants import MessageReader, Values, Variant, assembled, decode_block, split, variant_of
+from armlab.errors import LogError
+from armlab.log.mcap_variants import (
+    MessageReader,
+    Read,
+    Values,
+    Variant,
+    assembled,
+    of_length,
+    read_blocks,
+    split,
+    variant_of,
+)
 from armlab.wire.cdr import definitions
 
 TEXT = "uint32 a\nuint32 b\nstring word\nfloat64[] x"
@@ -25,10 +39,11 @@ def reader(*paths: str) -> MessageReader:
 def test_numbers_that_follow_each_other_are_one_run() -> None:
     found = reader("a", "b", "x")
     block = np.frombuffer(message(1, 2, b"ab\0", [3.0, 4.0]), np.uint8)[None]
-    ((rows, values),) = decode_block(block, np.array([0]), found)
-    assert rows.tolist() == [0]
-    assert list(values) == [(("a", 1), ("b", 1)), (("x", 2),)]
-    fields = split(values)
+    read = read_blocks(1, [(np.array([0]), block)], found)
+    assert isinstance(read, Read)
+    assert read.rows.tolist() == [0]
+    assert list(read.values) == [(("a", 1), ("b", 1)), (("x", 2),)]
+    fields = split(read.values)
     assert fields["b"].tolist() == [[2]]
     assert fields["x"].tolist() == [[3.0, 4.0]]
     (variant,) = found.variants[block.shape[1]]
@@ -46,10 +61,46 @@ def test_a_layout_is_the_places_of_numbers_and_of_what_all_have() -> None:
 def test_rows_go_to_their_own_layout() -> None:
     raw = [message(i, 0, word, [float(i)]) for i, word in enumerate([b"ab\0", b"cd\0", b"ab\0", b"ef\0"])]
     block = np.frombuffer(b"".join(raw), np.uint8).reshape(4, -1)
-    pieces = list(decode_block(block, np.arange(4), reader("x")))
-    assert [rows.tolist() for rows, _ in pieces] == [[0, 2], [1], [3]]
-    values = split(assembled(4, pieces))
+    found = reader("x")
+    values = split(read_blocks(4, [(np.arange(4), block)], found).values)
     assert values["x"].ravel().tolist() == [0.0, 1.0, 2.0, 3.0]
+    assert len(found.variants[block.shape[1]]) == 3
+
+
+def test_the_rows_of_each_length_are_in_order() -> None:
+    assert [rows.tolist() for rows in of_length(np.array([5, 3, 5, 0, 3]))] == [[3], [1, 4], [0, 2]]
+    assert of_length(np.zeros(0, dtype=np.int64)) == []
+
+
+def read_all(raws: list[bytes], found: MessageReader) -> Read:
+    same = of_length(np.array([len(raw) for raw in raws]))
+    joined = (np.frombuffer(b"".join(raws[k] for k in rows), np.uint8).reshape(len(rows), -1) for rows in same)
+    return read_blocks(len(raws), zip(same, joined, strict=True), found)
+
+
+@settings(max_examples=200)
+@given(st.lists(st.tuples(st.integers(0, 30), st.integers(0, 2), st.booleans()), max_size=40))
+def test_messages_that_do_not_fit_are_left_out_alone(made: list[tuple[int, int, bool]]) -> None:
+    """Of more layouts than are remembered, of several lengths, before and behind messages of their layout."""
+    raws, whole = [], []
+    for k, (word, count, is_bad) in enumerate(made):
+        raw = message(k, word, b"%02d\0" % word, [float(k)] * count)
+        raws.append(raw.replace(b"%02d\0" % word, b"\xff\0\0") if is_bad else raw)
+        whole += [] if is_bad else [k]
+    read = read_all(raws, reader("a", "x"))
+    assert read.rows.tolist() == whole
+    assert read.bad == len(made) - len(whole)
+    assert ("do not fit" in read.reason) == bool(read.bad)
+    fields = split(read.values)
+    assert fields.get("a", np.zeros((0, 1))).ravel().tolist() == whole
+    if "x" in fields:
+        assert [row[~np.isnan(row)].tolist() for row in fields["x"]] == [[float(k)] * made[k][1] for k in whole]
+
+
+def test_rows_that_do_not_fit_into_memory_are_told() -> None:
+    huge = np.lib.stride_tricks.as_strided(np.zeros(1), (1, 1 << 40), (0, 0))
+    with pytest.raises(LogError, match=r"Expected x to fit into memory, got 2 rows of up to 1099511627776 numbers"):
+        assembled(2, [(np.array([0]), {(("x", 1 << 40),): huge}), (np.array([1]), {})])
 
 
 def test_what_a_layout_does_not_have_is_nan() -> None:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab.log.mcap_variants import MessageReader, assembled, decode_block, split
+from armlab.log.mcap_variants import MessageReader, read_blocks, split
 from armlab.log.topic_fields import JOINTS, TopicFields, columns_of_fields
 from armlab.wire import cdr
 
@@ -25,10 +25,8 @@ uint8[] picture
 
 def fields(ros: Any, topic: TopicFields, *raws: bytes) -> dict[str, np.ndarray]:
     reader = MessageReader(topic.type, topic.types, None, topic.named)
-    pieces = []
-    for row, raw in enumerate(raws):
-        pieces += decode_block(np.frombuffer(raw, np.uint8)[None], np.array([row]), reader)
-    return split(assembled(len(raws), pieces))
+    blocks = ((np.array([row]), np.frombuffer(raw, np.uint8)[None]) for row, raw in enumerate(raws))
+    return split(read_blocks(len(raws), blocks, reader).values)
 
 
 def test_a_state_of_one_message(ros: Any) -> None:

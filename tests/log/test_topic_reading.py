@@ -176,7 +176,9 @@ def test_split_packed_and_unfinished_bags(ros: Any, tmp_path: Path) -> None:
     np.testing.assert_array_equal(torn["q"], whole["q"][: len(torn)])
 
 
-def test_a_bag_of_ros_1(ros: Any, tmp_path: Path) -> None:
+@pytest.mark.parametrize("lost", [(), (1, 3)])
+def test_a_bag_of_ros_1(ros: Any, tmp_path: Path, lost: tuple[int, ...]) -> None:
+    """Messages that are cut off are left out alone."""
     store = get_typestore(Stores.ROS1_NOETIC)
     path = tmp_path / "run.bag"
     with Ros1Writer(path) as bag:
@@ -188,8 +190,15 @@ def test_a_bag_of_ros_1(ros: Any, tmp_path: Path) -> None:
             numbers = i + np.arange(6.0)
             kind = store.types["sensor_msgs/msg/JointState"]
             message = kind(header=header, name=list(UR), position=numbers, velocity=numbers, effort=numbers)
-            bag.write(connection, ns, store.serialize_ros1(message, kind.__msgtype__))
-    table = log.read(path, robot="ur5e")
+            raw = bytes(store.serialize_ros1(message, kind.__msgtype__))
+            bag.write(connection, ns, raw)
+            if i in lost:
+                bag.write(connection, ns + 1, raw[:-i])
+    if lost:
+        with pytest.warns(UserWarning, match=r"2 messages on /joint_states skipped: Expected a sensor_msgs/msg/JointS"):
+            table = log.read(path, robot="ur5e")
+    else:
+        table = log.read(path, robot="ur5e")
     np.testing.assert_array_equal(table["q"][:, 0], 2 + np.arange(5))
     np.testing.assert_allclose(table.t, np.arange(5) * 0.002, atol=1e-12)
 
@@ -203,6 +212,20 @@ def test_damaged_bags_of_others(ros: Any, tmp_path: Path, storage: str, read_spo
             read_spoilt(path, file, 12)
             with contextlib.suppress(LogError):
                 log.read(file)
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_damaged_messages_of_others_are_left_out_alone(ros: Any, tmp_path: Path, storage: str) -> None:
+    messages = [(f"/n{i % 2}", ros.start + i, ros.numbers([i])) for i in range(12)]
+    spoil = {4: lambda raw: b"", 6: lambda raw: raw[:-1], 7: lambda raw: b"\7" + raw}
+    with pytest.MonkeyPatch.context() as patch:
+        whole = ros.raw
+        patch.setattr(ros, "raw", lambda one: spoil.get(int(one.data[0]), bytes)(whole(one)))
+        path = ros.bag(tmp_path / "bag", messages, storage)
+    with pytest.warns(UserWarning, match=r"2 messages on /n0 skipped: Expected .*; 1 message on /n1 skipped: Expected"):
+        tables = log.read_topics(path)
+    assert tables["/n0"]["n0"].ravel().tolist() == [0, 2, 8, 10]
+    assert tables["/n1"]["n1"].ravel().tolist() == [1, 3, 5, 9, 11]
 
 
 def test_the_functions_behind_read(ros: Any, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armlab.errors import LogError
-from armlab.wire.cdr import Field, Layout, definitions, layout
+from armlab.wire.cdr import Field, Layout, bounded, definitions, held, layout
 
 MIXED = """
 uint8 flag
@@ -113,3 +113,40 @@ def test_foreign_bytes_and_texts_are_refused() -> None:
         definitions("test_msgs/msg/Bad", 100 * "float64 x\n" + "float64 [[[")
     assert "\n" not in str(told.value)
     assert len(str(told.value)) < 250
+
+
+def nested(*fields: str) -> str:
+    """Return the text of type M0 with this field, of the type M1 in it with the next, and so on."""
+    parts = [f"{'=' * 80}\nMSG: test_msgs/M{k}\n{text}" for k, text in enumerate(fields) if k]
+    return "\n".join([fields[0], *parts])
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        pytest.param(nested("M0 a\nM0 b"), "nested at most 32 deep", id="in itself"),
+        pytest.param(nested(*(f"M{k + 1}[] a" for k in range(40))), "nested at most 32 deep", id="deep"),
+        pytest.param(nested(*(f"M{k + 1} a\nM{k + 1} b" for k in range(25)), "int8 x"), "100000 fields", id="twice"),
+        pytest.param(nested(*(f"M{k + 1}[99] a" for k in range(20)), ""), "100000 fields", id="arrays of nothing"),
+        pytest.param(nested(f"M1[{10**400}] a", "int8 x"), "100000 fields", id="a long array"),
+    ],
+)
+def test_types_without_bound_are_refused(text: str, told: str) -> None:
+    """A text of a few hundred bytes may stand for more fields than can ever be walked."""
+    with pytest.raises(LogError, match=told):
+        definitions("test_msgs/msg/M0", text)
+
+
+def test_a_message_of_many_fields_without_a_byte_is_refused() -> None:
+    types = definitions("test_msgs/msg/M0", nested("M1[] a", "M2[8] b\nM2[8] c", "M3[8] d", "float64[0] e"))
+    name = "test_msgs/msg/M0"
+    assert len(layout(b"\0\1\0\0" + struct.pack("<I", 1), name, types).fields) == 128
+    with pytest.raises(LogError, match="at most 8 fields per byte"):
+        layout(b"\0\1\0\0" + struct.pack("<I", 99) + bytes(100), name, types)
+
+
+def test_the_most_fields_that_a_type_may_have() -> None:
+    types = definitions("test_msgs/msg/M0", nested("M1[300] a\nstring[] b", "float64[300] c\nM2 d\nM2[2] e", "int8 x"))
+    assert bounded("test_msgs/msg/M0", types) is types
+    assert [held(one) for _, one in types["test_msgs/msg/M0"]] == [("test_msgs/msg/M1", 300), ("", 1)]
+    assert [held(one) for _, one in types["test_msgs/msg/M1"]][1:] == [("test_msgs/msg/M2", 1), ("test_msgs/msg/M2", 2)]

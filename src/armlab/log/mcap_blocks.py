@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from armlab.log.mcap_chunk import Chunk
-from armlab.log.mcap_records import DAMAGE, MESSAGE, records
-from armlab.log.mcap_variants import MessageReader, Values, assembled, decode_block
+from armlab.log.mcap_records import MESSAGE, records
+from armlab.log.mcap_variants import MessageReader, Values, of_length, read_blocks
 
 __all__ = ["Part", "decode_chunks", "decode_messages", "walked"]
 
@@ -21,17 +21,22 @@ _NO_OFFSETS = np.zeros(0, dtype=np.int64)
 
 @dataclass(slots=True)
 class Part:
-    """Some messages of one channel: sequence numbers (k,), log times (k,) and numbers."""
+    """Some messages of one channel: sequence numbers (k,), log times (k,) and numbers.
+
+    `bad` more do not fit their type, the first of them for the `reason`.
+    """
 
     sequence: np.ndarray
     log_ns: np.ndarray
     values: Values
+    bad: int = 0
+    reason: str = ""
 
 
 def decode_chunks(
     view: memoryview, chunks: Sequence[tuple[Chunk, bytes]], readers: Mapping[int, MessageReader], indexed: bool
-) -> tuple[dict[int, Part], list[str]]:
-    """Return the messages in several chunks, decoded as if they were one, and a sentence per channel that is damaged.
+) -> dict[int, Part]:
+    """Return the messages in several chunks, decoded as if they were one.
 
     Without whole indexes, or where one is wrong, the records are walked.
 
@@ -48,13 +53,7 @@ def decode_chunks(
         indexed = indexed and _are_messages(raw, offsets[number], number)
     if not indexed:
         offsets = walked(raw.data, readers)
-    parts, damage = {}, []
-    for number, reader in readers.items():
-        try:
-            parts[number] = decode_messages(raw, offsets[number], reader)
-        except DAMAGE as error:
-            damage.append(f"messages of type {reader.type} skipped: {error}")
-    return parts, damage
+    return {number: decode_messages(raw, offsets[number], reader) for number, reader in readers.items()}
 
 
 def _indexed(view: memoryview, chunk: Chunk, number: int) -> np.ndarray:
@@ -113,8 +112,7 @@ def decode_messages(raw: np.ndarray, offsets: np.ndarray, reader: MessageReader)
         return Part(np.zeros(0, dtype=np.uint32), np.zeros(0, dtype=np.int64), {})
     prefix = _items(raw, offsets, _PREFIX)
     lengths = prefix["length"].astype(np.int64) - 22
-    pieces: list[tuple[np.ndarray, Values]] = []
-    for length in np.unique(lengths):
-        rows = np.flatnonzero(lengths == length)
-        pieces += decode_block(_blocks(raw, offsets[rows] + _PREFIX.itemsize, int(length)), rows, reader)
-    return Part(prefix["sequence"].copy(), prefix["log"].copy(), assembled(len(offsets), pieces))
+    same = of_length(lengths)
+    blocks = ((rows, _blocks(raw, offsets[rows] + _PREFIX.itemsize, int(lengths[rows[0]]))) for rows in same)
+    read = read_blocks(len(offsets), blocks, reader)
+    return Part(prefix["sequence"][read.rows], prefix["log"][read.rows], read.values, read.bad, read.reason)

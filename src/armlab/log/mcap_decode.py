@@ -23,7 +23,7 @@ from armlab.log.mcap_records import MESSAGE, Contents, records
 from armlab.log.mcap_variants import MessageReader, assembled, split
 from armlab.wire import cdr
 
-__all__ = ["Decoded", "decode", "decode_by", "message_counts", "messages"]
+__all__ = ["Decoded", "decode", "decode_by", "message_counts", "messages", "skipped"]
 
 _BATCH = 2_000_000  # bytes of records read at once: amortises calls, stays in the cache of a core
 
@@ -46,7 +46,7 @@ class Decoded:
 def decode(
     view: memoryview, found: Contents, wanted: Mapping[int, Sequence[str]], progress: Progress | None = None
 ) -> tuple[dict[int, Decoded], list[str]]:
-    """Return the wanted fields of the wanted channels, and one sentence per damaged chunk.
+    """Return the wanted fields of the wanted channels, and one sentence per damaged chunk or channel.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def decode(
 def decode_by(
     view: memoryview, found: Contents, readers: Mapping[int, MessageReader], progress: Progress | None = None
 ) -> tuple[dict[int, Decoded], list[str]]:
-    """Return what the readers of some channels read, and one sentence per damaged chunk.
+    """Return what the readers of some channels read, and one sentence per damaged chunk or channel.
 
     Parameters
     ----------
@@ -94,7 +94,16 @@ def decode_by(
     if found.loose:
         for number, part in _decode_loose(view, found.loose, readers).items():
             parts[number].append(part)
+    for number, of_channel in parts.items():
+        bad = [part for part in of_channel if isinstance(part, Part) and part.bad]
+        if bad:
+            damage.append(skipped(sum(part.bad for part in bad), found.channels[number].topic, bad[0].reason))
     return {number: _joined(reading.room, number, of_channel) for number, of_channel in parts.items()}, damage
+
+
+def skipped(count: int, topic: str, reason: str) -> str:
+    """Return the sentence on messages that are left out, and why the first of them is."""
+    return f"{count} message{'s' if count > 1 else ''} on {topic} skipped: {reason}"
 
 
 def messages(view: memoryview, found: Contents, channel: int) -> Iterator[tuple[int, int, bytes]]:
@@ -178,8 +187,7 @@ class _Reading:
                     others.setdefault(number, []).append((chunk, data))
         for count in sorted({len(chunks) for chunks in others.values()}):  # equally many begin at the same chunk
             readers = {number: self.readers[number] for number, chunks in others.items() if len(chunks) == count}
-            parts, lost = decode_chunks(self.view, others[next(iter(readers))], readers, self.indexed)
-            damage += lost
+            parts = decode_chunks(self.view, others[next(iter(readers))], readers, self.indexed)
             for number, part in parts.items():
                 found[number].append(part)
         return found, damage

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from armlab.errors import LogError
+from armlab.log.mcap_records import DAMAGE
 from armlab.wire import cdr
 
-__all__ = ["MessageReader", "Values", "Variant", "assembled", "decode_block", "split", "variant_of"]
+__all__ = ["MessageReader", "Read", "Values", "Variant", "assembled", "of_length", "read_blocks", "split", "variant_of"]
 
 _MAX_VARIANTS = 8  # layouts remembered per channel and length; text that differs in every message is read one by one
 
@@ -49,8 +51,52 @@ class MessageReader:
     variants: dict[int, list[Variant]] = field(default_factory=dict)
 
 
-def decode_block(block: np.ndarray, rows: np.ndarray, reader: MessageReader) -> Iterator[tuple[np.ndarray, Values]]:
-    """Yield (rows, numbers) of messages of one length, layout by layout."""
+@dataclass(frozen=True, slots=True)
+class Read:
+    """The numbers of messages, without those that do not fit their type.
+
+    Attributes
+    ----------
+    rows : (k,) of all messages, in order. values : numbers of these.
+    bad : how many do not fit. reason : why the first of them does not.
+    """
+
+    rows: np.ndarray
+    values: Values
+    bad: int
+    reason: str
+
+
+def of_length(lengths: np.ndarray) -> list[np.ndarray]:
+    """Return the rows (k,), in order, of the messages of each length."""
+    order = np.argsort(lengths, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(lengths[order])) + 1) if len(order) else []
+
+
+def read_blocks(count: int, blocks: Iterable[tuple[np.ndarray, np.ndarray]], reader: MessageReader) -> Read:
+    """Read messages in blocks of one length each.
+
+    A message is walked only where its layout is a new one or it fits none, so the time is bounded by the bytes.
+
+    Parameters
+    ----------
+    count : of all messages. blocks : rows (k,) and bytes (k, length) of those of each length.
+    """
+    pieces: list[tuple[np.ndarray, Values]] = []
+    bad: dict[int, str] = {}
+    for rows, block in blocks:
+        pieces += _read_block(block, rows, reader, bad)
+    rows = np.arange(count)
+    if bad:
+        rows = np.delete(rows, list(bad))
+        pieces = [(np.searchsorted(rows, piece), values) for piece, values in pieces]
+    return Read(rows, assembled(len(rows), pieces), len(bad), bad[min(bad)] if bad else "")
+
+
+def _read_block(
+    block: np.ndarray, rows: np.ndarray, reader: MessageReader, bad: dict[int, str]
+) -> Iterator[tuple[np.ndarray, Values]]:
+    """Yield (rows, numbers) of messages of one length, layout by layout; why a row does not fit goes to `bad`."""
     known = reader.variants.setdefault(block.shape[1], [])
     for variant in list(known):
         same = _same(block, variant)
@@ -59,14 +105,21 @@ def decode_block(block: np.ndarray, rows: np.ndarray, reader: MessageReader) -> 
             block, rows = block[~same], rows[~same]
         if not len(block):
             return
-    while len(block) and len(known) < _MAX_VARIANTS:
-        variant = variant_of(block[0], reader)
-        known.append(variant)
-        same = _same(block, variant)
-        yield rows[same], variant.numbers(block[same])
-        block, rows = block[~same], rows[~same]
-    for k in range(len(block)):  # all against all would be quadratic
-        yield rows[k : k + 1], variant_of(block[k], reader).numbers(block[k : k + 1])
+    while len(block):
+        try:
+            variant = variant_of(block[0], reader)
+        except DAMAGE as error:
+            bad[int(rows[0])] = str(error)
+            block, rows = block[1:], rows[1:]
+            continue
+        if len(known) < _MAX_VARIANTS:
+            known.append(variant)
+            same = _same(block, variant)
+            yield rows[same], variant.numbers(block[same])
+            block, rows = block[~same], rows[~same]
+        else:  # one by one: all against all would be quadratic
+            yield rows[:1], variant.numbers(block[:1])
+            block, rows = block[1:], rows[1:]
 
 
 def _same(block: np.ndarray, variant: Variant) -> np.ndarray:
@@ -114,7 +167,10 @@ def assembled(count: int, pieces: Sequence[tuple[np.ndarray, Values]]) -> Values
         width = max(array.shape[1] for _, array in there)
         whole = len(there) == len(pieces) and all(array.shape[1] == width for _, array in there)
         kind = np.result_type(*(array.dtype for _, array in there))  # counts with holes are real numbers already
-        target = np.empty((count, width), kind) if whole else np.full((count, width), np.nan)
+        try:
+            target = np.empty((count, width), kind) if whole else np.full((count, width), np.nan)
+        except MemoryError:
+            raise LogError(f"Expected {path} to fit into memory, got {count} rows of up to {width} numbers.") from None
         for rows, array in there:
             target[rows, : array.shape[1]] = array
         values[((path, width),)] = target

@@ -19,7 +19,7 @@ from armlab.errors import LogError
 from armlab.lie import quaternion, se3
 from armlab.log.column import Column
 from armlab.log.description import distinct
-from armlab.log.mcap_variants import MessageReader, assembled, decode_block, split
+from armlab.log.mcap_variants import MessageReader, read_blocks, split
 from armlab.log.messages import blank, definition, store, topic_name
 from armlab.log.table import Table
 from armlab.wire import cdr
@@ -124,9 +124,12 @@ def columns_of(topic: BagTopic, columns: Mapping[str, Column], raws: Sequence[by
     if raws:
         if len({len(raw) for raw in raws}) > 1:
             raise LogError(f"Expected messages of one length on {topic.name}, got several. The bag is not of armlab.")
-        block = np.frombuffer(b"".join(raws), dtype=np.uint8).reshape(len(raws), -1)
-        pieces = list(decode_block(block, np.arange(len(raws)), MessageReader(topic.type, _types(topic.type), wanted)))
-        fields = split(assembled(len(raws), pieces))
+        block = np.frombuffer(b"".join(raws), dtype=np.uint8).reshape(len(raws), len(raws[0]))
+        reader = MessageReader(topic.type, _types(topic.type), wanted)
+        read = read_blocks(len(raws), [(np.arange(len(raws)), block)], reader)
+        if read.bad:
+            raise LogError(f"Expected whole messages on {topic.name}, got {read.bad} damaged ones: {read.reason}")
+        fields = split(read.values)
     return {name: _decoded(topic, paths, fields, len(raws), columns[name]) for name, paths in topic.fields.items()}
 
 

@@ -62,19 +62,16 @@ class TopicFields:
     def __post_init__(self) -> None:
         if self.type in _MARKED:
             self.parts[""] = self.type
-        self._find(self.type, "", 0)
+        self._find(self.type, "")
 
-    def _find(self, name: str, path: str, depth: int) -> None:
-        if depth > 16:  # cdr refuses such messages
-            return
-        for field_name, (node, detail) in self.types.get(name, ()):
-            inner = detail if int(node) == 2 else detail[0][1] if int(node) > 2 and int(detail[0][0]) == 2 else None
-            if inner is None:
-                continue
+    def _find(self, name: str, path: str) -> None:  # cdr bounds the definitions
+        for field_name, description in self.types.get(name, ()):
+            inner, _ = cdr.held(description)
             there = f"{path}.{field_name}" if path else field_name
             if inner in _MARKED or inner == _TRANSFORMS:
                 self.parts[there] = inner
-            self._find(inner, there, depth + 1)
+            if inner:
+                self._find(inner, there)
 
     def named(self, found: cdr.Layout) -> list[cdr.Field]:
         """Return the numbers of a message with the names of joints and frames in place of their numbers."""

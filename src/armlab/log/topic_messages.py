@@ -10,9 +10,9 @@ import numpy as np
 
 from armlab.errors import LogError
 from armlab.log.description import Progress
-from armlab.log.mcap_decode import Decoded, decode_by, messages
-from armlab.log.mcap_records import DAMAGE, Channel, Contents
-from armlab.log.mcap_variants import MessageReader, Values, assembled, decode_block, split
+from armlab.log.mcap_decode import Decoded, decode_by, messages, skipped
+from armlab.log.mcap_records import Channel, Contents
+from armlab.log.mcap_variants import MessageReader, assembled, of_length, read_blocks, split
 from armlab.log.topic_encodings import decode_one_by_one, numbers_in_json, numbers_in_protobuf
 from armlab.log.topic_fields import TopicFields
 from armlab.wire import cdr
@@ -105,7 +105,7 @@ def read_mcap_topics(
         into.fields.setdefault(topic, TopicFields(found.channels[number].type, {}))
         one, bad = decode_one_by_one(messages(view, found, number), numbers)
         if bad:
-            into.damage.append(f"{bad} messages on {topic} skipped: they are no {found.channels[number].encoding}")
+            into.damage.append(skipped(bad, topic, f"they are no {found.channels[number].encoding}"))
         into.add(topic, one)
 
 
@@ -150,11 +150,10 @@ def read_rosbags_topics(
         if progress and done % 10_000 == 0:
             progress(min(done, total), total, "messages")
     for number, (connection, reader, to_cdr) in readers.items():
-        try:
-            whole = [to_cdr(raw) for raw in raws[number]]
-            into.add(connection.topic, _decoded(whole, np.array(stamps[number], dtype=np.int64), reader))
-        except DAMAGE as error:
-            into.damage.append(f"messages on {connection.topic} skipped: {error}")
+        one, lost = _decoded(raws[number], np.array(stamps[number], dtype=np.int64), to_cdr, reader)
+        if lost:
+            into.damage.append(skipped(len(lost), connection.topic, lost[0]))
+        into.add(connection.topic, one)
 
 
 def _types_of(connection: Any) -> tuple[cdr.Definitions, Callable[[bytes], bytes]]:
@@ -171,7 +170,8 @@ def _types_of(connection: Any) -> tuple[cdr.Definitions, Callable[[bytes], bytes
         if _HEADER in held:  # its seq is not in ROS 2
             held[_HEADER] = held[_HEADER][0], [one for one in held[_HEADER][1] if one[0] != "seq"]
         converter.register(held)
-        return {one: entry[1] for one, entry in held.items()}, lambda raw: bytes(converter.ros1_to_cdr(raw, name))
+        types = cdr.bounded(name, {one: entry[1] for one, entry in held.items()})
+        return types, lambda raw: bytes(converter.ros1_to_cdr(raw, name))
     if definition.data:
         encoding = "ros2idl" if definition.format.name == "IDL" else "ros2msg"
         return cdr.definitions(name, definition.data, encoding), bytes
@@ -180,16 +180,31 @@ def _types_of(connection: Any) -> tuple[cdr.Definitions, Callable[[bytes], bytes
     return cdr.definitions(name, store().generate_msgdef(name, ros_version=2)[0]), bytes
 
 
-def _decoded(raws: Sequence[bytes], stamps: np.ndarray, reader: MessageReader) -> Decoded:
-    """Return the numbers of messages that are in memory."""
-    lengths = np.array([len(raw) for raw in raws])
-    pieces: list[tuple[np.ndarray, Values]] = []
-    for length in np.unique(lengths):
-        rows = np.flatnonzero(lengths == length)
-        block = np.frombuffer(b"".join(raws[row] for row in rows.tolist()), dtype=np.uint8).reshape(len(rows), -1)
-        pieces += decode_block(block, rows, reader)
-    values = assembled(len(raws), pieces) if pieces else {}
-    return Decoded(np.arange(len(raws), dtype=np.uint32), stamps, split(values))
+def _decoded(
+    raws: Sequence[bytes], stamps: np.ndarray, to_cdr: Callable[[bytes], bytes], reader: MessageReader
+) -> tuple[Decoded, list[str]]:
+    """Return the numbers of messages that are in memory, and why those do not fit their type that are left out."""
+    whole: list[bytes] = []
+    kept: list[int] = []
+    lost: list[str] = []
+    for row, raw in enumerate(raws):
+        try:
+            whole.append(to_cdr(raw))
+            kept.append(row)
+        except Exception as error:  # rosbags raises its own errors, those of struct and assertions
+            why = str(error).rstrip(".") or type(error).__name__
+            lost.append(f"Expected a {reader.type}, got {len(raw)} bytes that do not fit it ({why}).")
+    same = of_length(np.array([len(raw) for raw in whole], dtype=np.int64))
+    blocks = ((rows, _block([whole[row] for row in rows.tolist()])) for rows in same)
+    read = read_blocks(len(whole), blocks, reader)
+    lost += [read.reason] * read.bad
+    rows = np.array(kept, dtype=np.int64)[read.rows]
+    return Decoded(rows.astype(np.uint32), stamps[rows], split(read.values)), lost
+
+
+def _block(raws: Sequence[bytes]) -> np.ndarray:
+    """Return messages of one length as bytes (k, length)."""
+    return np.frombuffer(b"".join(raws), dtype=np.uint8).reshape(len(raws), len(raws[0]))
 
 
 def _joined(parts: Sequence[Decoded]) -> Decoded:

@@ -11,7 +11,7 @@ from typing import Any
 
 from armlab.errors import LogError
 
-__all__ = ["Field", "Layout", "definitions", "layout"]
+__all__ = ["Field", "Layout", "bounded", "definitions", "held", "layout"]
 
 _SIZES = {
     "bool": ("b1", 1),
@@ -31,6 +31,9 @@ _SIZES = {
 }
 _HEADER = 4  # encapsulation: kind of CDR and byte order; alignment counts from its end
 _MAX_DEPTH = 32
+_MAX_FIELDS = 100_000  # of a type with all in it
+_EMPTY = 1000  # fields of a message that may be there without a byte
+_PER_BYTE = 8  # fields per byte: a message in a message is one without a byte of its own
 
 Definitions = Mapping[str, list[tuple[str, Any]]]
 
@@ -84,7 +87,7 @@ def definitions(name: str, text: str, encoding: str = "ros2msg") -> Definitions:
 
     Raises
     ------
-    LogError : the text is not a message definition.
+    LogError : the text is not a message definition, or one without bound.
     """
     from rosbags.typesys import TypesysError, get_types_from_idl, get_types_from_msg
 
@@ -97,7 +100,37 @@ def definitions(name: str, text: str, encoding: str = "ros2msg") -> Definitions:
         raise LogError(
             f"Expected a {encoding} definition of {name}, got a text that does not parse: {reason}."
         ) from None
-    return {typename: entry[1] for typename, entry in types.items()}
+    return bounded(name, {typename: entry[1] for typename, entry in types.items()})
+
+
+def bounded(name: str, types: Definitions) -> Definitions:
+    """Return the definitions of a type as they are, where a few types do not hold each other times without end.
+
+    Raises
+    ------
+    LogError : too many fields, with those of all types in it, or nested too deep.
+    """
+    known: dict[str, int] = {}
+
+    def fields(one: str, depth: int) -> int:
+        if depth > _MAX_DEPTH:
+            raise LogError(f"Expected message types nested at most {_MAX_DEPTH} deep, got more in {one}.")
+        if one not in known:
+            inner = [held(description) for _, description in types.get(one, ())]
+            known[one] = 1 + sum(count * fields(each, depth + 1) if each else 1 for each, count in inner)
+        return known[one]
+
+    if fields(name, 0) > _MAX_FIELDS:
+        raise LogError(f"Expected at most {_MAX_FIELDS} fields in a message with all in it, got more in {name}.")
+    return types
+
+
+def held(description: Any) -> tuple[str, int]:
+    """Return the type of message that a field holds, nothing for numbers and texts, and how many of them."""
+    # rosbags: 1 a basic type, 2 a message, 3 an array of fixed length, 4 a sequence
+    kind, detail = int(description[0]), description[1]
+    (node, name), length = (description, 1) if kind < 3 else detail
+    return name if int(node) == 2 else "", max(length, 1) if kind == 3 else 1
 
 
 def layout(raw: bytes | memoryview, name: str, types: Definitions) -> Layout:
@@ -129,17 +162,21 @@ class _Walk:
     def __init__(self, raw: bytes | memoryview, order: str, types: Definitions) -> None:
         self.raw, self.order, self.types = raw, order, types
         self.at = _HEADER
+        self.left = _PER_BYTE * len(raw) + _EMPTY
         self.fields: list[Field] = []
         self.texts: dict[str, str | tuple[str, ...]] = {}
 
     def message(self, name: str, path: str, depth: int) -> None:
         if depth > _MAX_DEPTH:
             raise LogError(f"Expected message types nested at most {_MAX_DEPTH} deep, got more in {name}.")
-        for field, description in self.types[name]:
+        fields = self.types[name]
+        self.left -= 1 + len(fields)
+        if self.left < 0:
+            raise LogError(f"Expected at most {_PER_BYTE} fields per byte, got more up to {path}, which hold nothing.")
+        for field, description in fields:
             self.value(description, f"{path}.{field}" if path else field, depth)
 
     def value(self, description: Any, path: str, depth: int) -> None:
-        # rosbags: 1 a basic type, 2 a message, 3 an array of fixed length, 4 a sequence
         node, detail = int(description[0]), description[1]
         if node == 1 and detail[0] == "string":
             self.texts[path] = self.text()
