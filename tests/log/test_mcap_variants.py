@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import struct
 
 import numpy as np
@@ -18,6 +19,7 @@ from armlab.log.mcap_variants import (
     assembled,
     of_length,
     read_blocks,
+    refuse_holes,
     split,
     variant_of,
 )
@@ -97,10 +99,35 @@ def test_messages_that_do_not_fit_are_left_out_alone(made: list[tuple[int, int, 
         assert [row[~np.isnan(row)].tolist() for row in fields["x"]] == [[float(k)] * made[k][1] for k in whole]
 
 
-def test_rows_that_do_not_fit_into_memory_are_told() -> None:
-    huge = np.lib.stride_tricks.as_strided(np.zeros(1), (1, 1 << 40), (0, 0))
-    with pytest.raises(LogError, match=r"Expected x to fit into memory, got 2 rows of up to 1099511627776 numbers"):
-        assembled(2, [(np.array([0]), {(("x", 1 << 40),): huge}), (np.array([1]), {})])
+def test_one_long_message_does_not_ask_for_memory_in_all_rows() -> None:
+    raws = [message(k, 0, b"", [1.0] * (1 if k else 100_000)) for k in range(3000)]
+    read = read_all(raws, reader("a", "x"))
+    assert len(read.rows) == 0
+    assert read.values == {}
+    assert read.bad == 3000
+    assert read.reason == (
+        "Expected messages that are alike, got 3000 with 105999 numbers whose 2 columns, of up to 100000 numbers (x), "
+        "would have 300003000."
+    )
+    assert read_all(raws[:300], reader("a", "x")).bad == 0
+
+
+def test_as_many_columns_as_messages_are_read_or_refused_at_once() -> None:
+    """Each message with a column of its own: looking for each in each would take hours."""
+    pieces: list[tuple[np.ndarray, Values]] = [
+        (np.array([k]), {((f"x{k}", 1),): np.array([[float(k)]])}) for k in range(20_000)
+    ]
+    with pytest.raises(LogError, match="got 20000 with 20000 numbers whose 20000 columns, of up to 1 numbers"):
+        assembled(20_000, pieces)
+    values = split(assembled(2000, pieces[:2000]))
+    assert len(values) == 2000
+    assert np.isfinite(values["x7"][:, 0]).nonzero()[0].tolist() == [7]
+
+
+@pytest.mark.parametrize(("rows", "held", "told"), [(2**21, 0, ""), (2**22, 2**24, ""), (2**22, 2**20, "alike")])
+def test_few_holes_and_small_columns_are_no_matter(rows: int, held: int, told: str) -> None:
+    with pytest.raises(LogError, match=told) if told else contextlib.nullcontext():
+        refuse_holes(rows, {"x": 100, "y": 28}, held)
 
 
 def test_what_a_layout_does_not_have_is_nan() -> None:

@@ -14,7 +14,7 @@ def test_json() -> None:
     found = numbers_in_json(raw)
     assert found == {"t.sec": 1, "q": [1.0, 2.5], "on": True, "deep[0].a": 1, "deep[1].a": 2}
     assert numbers_in_json(b"3.5") == {"value": 3.5}
-    with pytest.raises(ValueError, match="truncated"):
+    with pytest.raises(LogError, match=r"Expected a message in JSON, got: Input data was truncated\."):
         numbers_in_json(b"{")
     assert len(numbers_in_json(b"[%b]" % b",".join([b"1"] * 5000))["value"]) == 5000  # a scan, whole
     assert len(numbers_in_json(b"[" * 40 + b"1" + b"]" * 40)) == 0  # deeper than anything that measures
@@ -22,8 +22,8 @@ def test_json() -> None:
 
 def test_messages_become_fields() -> None:
     raws = [b'{"a": 1, "b": [1, 2]}', b"no", b'{"a": 2, "b": [3], "c": true}', b'{"a": 123456789012345678901}']
-    decoded, bad = decode_one_by_one([(k, 10 * k, raw) for k, raw in enumerate(raws)], numbers_in_json)
-    assert bad == 1
+    decoded, lost = decode_one_by_one([(k, 10 * k, raw) for k, raw in enumerate(raws)], numbers_in_json)
+    assert lost == ["Expected a message in JSON, got: Input data was truncated."]
     assert decoded.sequence.tolist() == [0, 2, 3]
     assert decoded.log_ns.tolist() == [0, 20, 30]
     assert decoded.fields["a"].dtype == float  # one is larger than 64 bits
@@ -31,6 +31,25 @@ def test_messages_become_fields() -> None:
     np.testing.assert_array_equal(decoded.fields["c"][:, 0], [np.nan, 1, np.nan])
     whole, _ = decode_one_by_one([(0, 0, b'{"k": 1, "f": true}')], numbers_in_json)
     assert (whole.fields["k"].dtype.kind, whole.fields["f"].dtype.kind) == ("i", "b")
+
+
+@pytest.mark.parametrize("raw", [b'{"a": 1%b}' % (b"0" * 400), b'{"a": [2, -1%b]}' % (b"0" * 400), b"[" * 5000])
+def test_numbers_that_no_real_number_holds_and_endless_lists(raw: bytes) -> None:
+    decoded, lost = decode_one_by_one([(0, 0, raw), (1, 1, b'{"a": 3}')], numbers_in_json)
+    assert decoded.fields["a"].tolist() == [[3]]
+    assert len(lost) == 1
+    assert lost[0].startswith("Expected a message in JSON, got: ")
+
+
+def test_one_long_message_does_not_ask_for_memory_in_all_rows() -> None:
+    """Ten megabytes of messages, 480 GB of columns; and as many names as messages."""
+    long = b"[%b]" % b",".join([b"1"] * 1_000_000)
+    for raws in ([long, *[b"[1]"] * 60_000], [b'{"%d": 1}' % k for k in range(20_000)]):
+        decoded, lost = decode_one_by_one(((k, k, raw) for k, raw in enumerate(raws)), numbers_in_json)
+        assert decoded.fields == {}
+        assert len(decoded.sequence) == 0
+        assert len(lost) == len(raws)
+        assert lost[0].startswith(f"Expected messages that are alike, got {len(raws)} with ")
 
 
 def test_protobuf() -> None:
@@ -42,7 +61,7 @@ def test_protobuf() -> None:
     definition = files.SerializeToString()
     stamp = numbers_in_protobuf("google.protobuf.Timestamp", definition)
     assert stamp(timestamp_pb2.Timestamp(seconds=3, nanos=4).SerializeToString()) == {"seconds": 3, "nanos": 4}
-    with pytest.raises(ValueError, match="parsing"):
+    with pytest.raises(LogError, match=r"Expected a google\.protobuf\.Timestamp in protobuf, got: Error parsing"):
         stamp(b"\x08")
     listed = struct_pb2.ListValue(values=[struct_pb2.Value(number_value=2.0), struct_pb2.Value(string_value="x")])
     found = numbers_in_protobuf("google.protobuf.ListValue", definition)(listed.SerializeToString())

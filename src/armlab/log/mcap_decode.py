@@ -10,7 +10,7 @@ import struct
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -94,11 +94,13 @@ def decode_by(
     if found.loose:
         for number, part in _decode_loose(view, found.loose, readers).items():
             parts[number].append(part)
+    joined: dict[int, Decoded] = {}
     for number, of_channel in parts.items():
-        bad = [part for part in of_channel if isinstance(part, Part) and part.bad]
-        if bad:
-            damage.append(skipped(sum(part.bad for part in bad), found.channels[number].topic, bad[0].reason))
-    return {number: _joined(reading.room, number, of_channel) for number, of_channel in parts.items()}, damage
+        part = _joined(reading.room, number, of_channel)
+        joined[number] = Decoded(part.sequence, part.log_ns, split(part.values))
+        if part.bad:
+            damage.append(skipped(part.bad, found.channels[number].topic, part.reason))
+    return joined, damage
 
 
 def skipped(count: int, topic: str, reason: str) -> str:
@@ -209,7 +211,7 @@ def _decode_loose(
     }
 
 
-def _joined(room: Room, number: int, found: Sequence[range | Part]) -> Decoded:
+def _joined(room: Room, number: int, found: Sequence[range | Part]) -> Part:
     """Join what was read of one channel."""
     merged: list[range | Part] = []
     for one in found:
@@ -219,16 +221,20 @@ def _joined(room: Room, number: int, found: Sequence[range | Part]) -> Decoded:
         else:
             merged.append(one)
     parts = [room.part(number, one) if isinstance(one, range) else one for one in merged]
+    bad, reason = sum(part.bad for part in parts), next((part.reason for part in parts if part.bad), "")
     parts = [part for part in parts if len(part.sequence)]
     if not parts:
-        return Decoded(np.zeros(0, dtype=np.uint32), np.zeros(0, dtype=np.int64), {})
+        return Part(np.zeros(0, dtype=np.uint32), np.zeros(0, dtype=np.int64), {}, bad, reason)
     if len(parts) == 1:
-        return Decoded(parts[0].sequence, parts[0].log_ns, split(parts[0].values))
+        return replace(parts[0], bad=bad, reason=reason)
     if all(part.values.keys() == parts[0].values.keys() for part in parts):
         values = {run: np.concatenate([part.values[run] for part in parts]) for run in parts[0].values}
     else:
         ends = np.cumsum([len(part.sequence) for part in parts])
         rows = [np.arange(end - len(part.sequence), end) for end, part in zip(ends, parts, strict=True)]
-        values = assembled(int(ends[-1]), [(r, part.values) for r, part in zip(rows, parts, strict=True)])
+        try:
+            values = assembled(int(ends[-1]), [(r, part.values) for r, part in zip(rows, parts, strict=True)])
+        except LogError as error:
+            return Part(parts[0].sequence[:0], parts[0].log_ns[:0], {}, bad + int(ends[-1]), str(error))
     sequence = np.concatenate([part.sequence for part in parts])
-    return Decoded(sequence, np.concatenate([part.log_ns for part in parts]), split(values))
+    return Part(sequence, np.concatenate([part.log_ns for part in parts]), values, bad, reason)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,9 +11,13 @@ from armlab.errors import LogError
 from armlab.log.mcap_records import DAMAGE
 from armlab.wire import cdr
 
-__all__ = ["MessageReader", "Read", "Values", "Variant", "assembled", "of_length", "read_blocks", "split", "variant_of"]
+__all__ = [
+    "MessageReader", "Read", "Values", "Variant", "assembled", "of_length", "read_blocks", "refuse_holes", "split",
+    "variant_of",
+]  # fmt: skip
 
 _MAX_VARIANTS = 8  # layouts remembered per channel and length; text that differs in every message is read one by one
+_LARGEST, _HOLES = 1 << 31, 256  # bytes of columns, and cells per number (one of 200 frames in each message)
 
 # Numbers of one type that follow each other in a message: (path, count) of each.
 Run = tuple[tuple[str, int], ...]
@@ -90,7 +94,10 @@ def read_blocks(count: int, blocks: Iterable[tuple[np.ndarray, np.ndarray]], rea
     if bad:
         rows = np.delete(rows, list(bad))
         pieces = [(np.searchsorted(rows, piece), values) for piece, values in pieces]
-    return Read(rows, assembled(len(rows), pieces), len(bad), bad[min(bad)] if bad else "")
+    try:
+        return Read(rows, assembled(len(rows), pieces), len(bad), bad[min(bad)] if bad else "")
+    except LogError as error:
+        return Read(rows[:0], {}, count, str(error))
 
 
 def _read_block(
@@ -155,26 +162,48 @@ def variant_of(first: np.ndarray, reader: MessageReader) -> Variant:
 
 
 def assembled(count: int, pieces: Sequence[tuple[np.ndarray, Values]]) -> Values:
-    """Put the numbers of several layouts into their rows; NaN where a layout has none."""
+    """Put the numbers of several layouts into their rows; NaN where a layout has none.
+
+    Raises
+    ------
+    LogError : hardly anything but NaN.
+    """
     if len(pieces) == 1:
         return pieces[0][1]
+    parts: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
+    for rows, found in pieces:
+        for path, array in split(found).items():
+            parts.setdefault(path, []).append((rows, array))
+    widths = {path: max(array.shape[1] for _, array in there) for path, there in parts.items()}
+    refuse_holes(count, widths, sum(array.size for there in parts.values() for _, array in there))
     values: Values = {}
-    single = [
-        (rows, {(((path, array.shape[1]),)): array for path, array in split(found).items()}) for rows, found in pieces
-    ]
-    for path in dict.fromkeys(run[0][0] for _, found in single for run in found):
-        there = [(rows, array) for rows, found in single for run, array in found.items() if run[0][0] == path]
-        width = max(array.shape[1] for _, array in there)
-        whole = len(there) == len(pieces) and all(array.shape[1] == width for _, array in there)
+    for path, there in parts.items():
+        width = widths[path]
+        whole = sum(len(rows) for rows, _ in there) == count and all(array.shape[1] == width for _, array in there)
         kind = np.result_type(*(array.dtype for _, array in there))  # counts with holes are real numbers already
-        try:
-            target = np.empty((count, width), kind) if whole else np.full((count, width), np.nan)
-        except MemoryError:
-            raise LogError(f"Expected {path} to fit into memory, got {count} rows of up to {width} numbers.") from None
+        target = np.empty((count, width), kind) if whole else np.full((count, width), np.nan)
         for rows, array in there:
             target[rows, : array.shape[1]] = array
         values[((path, width),)] = target
     return values
+
+
+def refuse_holes(count: int, widths: Mapping[str, int], held: int) -> None:
+    """Refuse messages that differ so much that their columns are large and hardly hold anything.
+
+    One message of a megabyte among thousands of short ones asks for gigabytes.
+
+    Parameters
+    ----------
+    count : messages. widths : dotted name -> most numbers in one of them. held : numbers in all of them.
+    """
+    cells = count * sum(widths.values())
+    if 8 * cells > _LARGEST and cells > _HOLES * held:
+        widest = max(widths, key=lambda path: widths[path])
+        raise LogError(
+            f"Expected messages that are alike, got {count} with {held} numbers whose {len(widths)} columns, of up to "
+            f"{widths[widest]} numbers ({widest}), would have {cells}."
+        )
 
 
 def split(values: Values) -> dict[str, np.ndarray]:

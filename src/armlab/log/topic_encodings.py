@@ -10,6 +10,7 @@ import numpy as np
 
 from armlab.errors import LogError
 from armlab.log.mcap_decode import Decoded
+from armlab.log.mcap_variants import refuse_holes
 
 __all__ = ["decode_one_by_one", "numbers_in_json", "numbers_in_protobuf"]
 
@@ -18,33 +19,45 @@ Numbers = dict[str, Any]
 
 _MAX_DEPTH = 32
 _MAX_NAMES = 4096  # in one message; more are the parts of a cloud or a map
+_LARGEST = 2**63  # larger integers are real numbers, as far as these go
 _PROTOBUF_MESSAGE, _PROTOBUF_NUMBERS = 11, {1, 2, 3, 4, 5, 6, 7, 8, 13, 14, 15, 16, 17, 18}
 
 
 def decode_one_by_one(
     messages: Iterable[tuple[int, int, bytes]], numbers: Callable[[bytes], Numbers]
-) -> tuple[Decoded, int]:
-    """Return the numbers of messages, and how many messages could not be read.
+) -> tuple[Decoded, list[str]]:
+    """Return the numbers of messages, and for each message that could not be read why.
 
     Parameters
     ----------
-    messages : sequence number, log time [ns] and bytes of each. numbers : takes one apart; ValueError where it cannot.
+    messages : sequence number, log time [ns] and bytes of each. numbers : takes one apart; LogError where it cannot.
     """
     sequence: list[int] = []
     log_ns: list[int] = []
     found: list[Numbers] = []
-    bad = 0
+    lost: list[str] = []
     for number, stamp, raw in messages:
         try:
             found.append(numbers(raw))
-        except (ValueError, RecursionError, LogError):
-            bad += 1
+        except LogError as error:
+            lost.append(str(error))
             continue
         sequence.append(number)
         log_ns.append(stamp)
-    names = dict.fromkeys(name for one in found for name in one)
-    fields = {name: _array([one.get(name) for one in found]) for name in names}
-    return Decoded(np.array(sequence, dtype=np.uint32), np.array(log_ns, dtype=np.int64), fields), bad
+    widths: dict[str, int] = {}
+    held = 0
+    for one in found:
+        for name, value in one.items():
+            size = len(value) if isinstance(value, list) else 1
+            widths[name] = max(size, widths.get(name, 0))
+            held += size
+    try:
+        refuse_holes(len(found), widths, held)
+    except LogError as error:
+        lost += [str(error)] * len(found)
+        sequence, log_ns, found, widths = [], [], [], {}
+    fields = {name: _array([one.get(name) for one in found]) for name in widths}
+    return Decoded(np.array(sequence, dtype=np.uint32), np.array(log_ns, dtype=np.int64), fields), lost
 
 
 def _array(values: list[Any]) -> np.ndarray:
@@ -68,10 +81,13 @@ def numbers_in_json(raw: bytes) -> Numbers:
 
     Raises
     ------
-    ValueError : no JSON.
+    LogError : no JSON.
     """
     found: Numbers = {}
-    _collect(msgspec.json.decode(raw), "", found, 0)
+    try:
+        _collect(msgspec.json.decode(raw), "", found, 0)
+    except (ValueError, RecursionError, OverflowError) as error:
+        raise LogError(f"Expected a message in JSON, got: {str(error).rstrip('.')}.") from None
     return found
 
 
@@ -82,7 +98,7 @@ def _collect(value: Any, path: str, found: Numbers, depth: int) -> None:
         for key, inner in value.items():
             _collect(inner, f"{path}.{key}" if path else str(key), found, depth + 1)
     elif isinstance(value, int | float):
-        found[path or "value"] = value
+        found[path or "value"] = value if abs(value) < _LARGEST else float(value)
     elif isinstance(value, list):
         if value and all(isinstance(one, int | float) for one in value):
             found[path or "value"] = [float(one) for one in value]
@@ -116,7 +132,7 @@ def numbers_in_protobuf(name: str, definition: bytes) -> Callable[[bytes], Numbe
         try:
             parsed = kind.FromString(raw)
         except message.DecodeError as error:
-            raise ValueError(str(error)) from None
+            raise LogError(f"Expected a {name} in protobuf, got: {str(error).rstrip('.')}.") from None
         found: Numbers = {}
         _collect_protobuf(parsed, "", found, 0)
         return found

@@ -103,9 +103,9 @@ def read_mcap_topics(
     for number, numbers in others.items():
         topic = found.channels[number].topic
         into.fields.setdefault(topic, TopicFields(found.channels[number].type, {}))
-        one, bad = decode_one_by_one(messages(view, found, number), numbers)
-        if bad:
-            into.damage.append(skipped(bad, topic, f"they are no {found.channels[number].encoding}"))
+        one, lost = decode_one_by_one(messages(view, found, number), numbers)
+        if lost:
+            into.damage.append(skipped(len(lost), topic, lost[0]))
         into.add(topic, one)
 
 
