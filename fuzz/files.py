@@ -26,8 +26,9 @@ def mcap(data: bytes) -> None:
     """An MCAP file, torn or not: what is read of it is read of its recovered copy."""
     path, copy = _file("a.mcap", data), Path(_FOLDER.name) / "b.mcap"
     copy.unlink(missing_ok=True)
-    with contextlib.suppress(ArmlabError):
-        log.inspect(path)
+    for look in (log.inspect, log.read_topics):
+        with contextlib.suppress(ArmlabError):
+            look(path)
     try:
         table = log.read(path)
     except ArmlabError:
@@ -87,8 +88,10 @@ def abb(data: bytes) -> None:
 
 def bag(data: bytes) -> None:
     """A bag of ROS 1; `rosbags` takes it apart."""
-    with contextlib.suppress(ArmlabError):
-        log.read(_file("a.bag", data))
+    path = _file("a.bag", data)
+    for read in (log.read, log.read_topics):
+        with contextlib.suppress(ArmlabError):
+            read(path)
 
 
 def secrets(data: bytes) -> None:

@@ -224,6 +224,7 @@ def test_damaged_messages_of_others_are_left_out_alone(ros: Any, tmp_path: Path,
         path = ros.bag(tmp_path / "bag", messages, storage)
     with pytest.warns(UserWarning, match=r"2 messages on /n0 skipped: Expected .*; 1 message on /n1 skipped: Expected"):
         tables = log.read_topics(path)
+    assert [note.partition(" skipped")[0] for note in tables["/n1"].notes] == ["2 messages on /n0", "1 message on /n1"]
     assert tables["/n0"]["n0"].ravel().tolist() == [0, 2, 8, 10]
     assert tables["/n1"]["n1"].ravel().tolist() == [1, 3, 5, 9, 11]
 
@@ -257,6 +258,7 @@ def test_topics_one_by_one(ros: Any, tmp_path: Path) -> None:
     assert {name: len(table) for name, table in tables.items()} == {
         "/tf_static": 1, "/joint_states": 40, "/ft/wrench": 20, "/tf": 8, "/commands": 8,
     }  # fmt: skip
+    assert tables["/tf"].notes[-1].startswith("left out: /")
     assert tables["/joint_states"].columns["q"].labels == robots.load("ur5e").joint_names
     assert tables["/ft/wrench"].names == ("wrench_raw",)
     assert is_foreign(path)

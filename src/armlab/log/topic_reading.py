@@ -102,7 +102,8 @@ def read_topics(
     """Return the topics of another program's log one by one, each on its own clock, t = 0 at its first message.
 
     Columns have the names that `read` gives them, but those of every JointState are q, qd and tau. Transforms of one
-    topic that do not come together, and joints that never do, are tables of their own.
+    topic that do not come together, and joints that never do, are tables of their own. The notes of each tell what is
+    damaged in the file, and the topics that are left out.
 
     Parameters
     ----------
@@ -120,9 +121,9 @@ def read_topics(
     notes += [f"{file.name} was not finished: {found.torn} bytes torn" for file, found in held.torn.items()]
     if notes:
         warnings.warn("; ".join(notes[:3]), stacklevel=2)
-    source = tuple(origin(one) for one in held.files)
+    source, of_file = tuple(origin(one) for one in held.files), (*notes, *_left_out(held.topics))
     tables = tables_of_streams(path, streams, held.choice)
-    return {name: replace(table, source=source) for name, table in tables.items()}
+    return {name: replace(one, notes=(*of_file, *one.notes), source=source) for name, one in tables.items()}
 
 
 def _held(path: Path, choice: Choice, robot: Robot | str | None, progress: Progress | None) -> _Held:
