@@ -10,12 +10,11 @@ from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
-import msgspec
-
 from armlab import robots
 from armlab.bridge.labcomm.channels import ArmChannel
 from armlab.bridge.labcomm.parameter_channel import ParameterChannel
 from armlab.bridge.labcomm.peer import Peer
+from armlab.bridge.loop_end import encoded
 from armlab.bridge.messages import parameter_message, read_request
 from armlab.bridge.parameters import Parameter, Parameters
 from armlab.bridge.ros import Commands
@@ -57,7 +56,7 @@ class _Loop:
 
     def ask(self, request: Any) -> bool:
         """Take a request."""
-        text = msgspec.json.encode(request)
+        text = encoded(request)
         if len(text) <= 65536:
             read_request(text)
         return True

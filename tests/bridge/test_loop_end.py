@@ -12,7 +12,7 @@ import pytest
 
 from armlab import robots
 from armlab.bridge.feed import Exchange
-from armlab.bridge.loop_end import LoopEnd
+from armlab.bridge.loop_end import LoopEnd, encoded
 from armlab.bridge.messages import CommandRequest, Report, SetRequest, Stop
 from armlab.bridge.outlet import pair
 from armlab.bridge.parameters import Parameter, Parameters
@@ -97,6 +97,8 @@ def test_what_no_json_can_say_is_refused_and_the_next_goes_out(exchange: Exchang
         end = LoopEnd(feed)
         with pytest.raises(CommandRefused, match="Expected what JSON in UTF-8 can say"):
             end.ask(SetRequest("a", {"gain": value}))
+        with pytest.raises(CommandRefused, match="armlab can read"):
+            encoded(SetRequest("a", {"gain": value}))
         assert end.ask(SetRequest("a", {"gain": 2.0}))
         exchange.poll()
         assert exchange.parameters.gain == 2.0

@@ -129,6 +129,14 @@ def test_bad_files_get_a_sentence(tmp_path: Path, text: str, sentence: str) -> N
         read_csv(written(tmp_path, text), separator=separator)
 
 
+def test_whole_numbers_beyond_every_float_are_infinite(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(f"t,x [1],y [1]\n0,1{'0' * 400},1\n1,-1{'0' * 400},2\n2,{'1' * 5000},{2**62}\n", encoding="utf-8")
+    table = read_csv(path)
+    assert table["x"].tolist() == [np.inf, -np.inf, np.inf]
+    assert table["y"].tolist() == [1, 2, 2**62]
+
+
 def test_files_that_are_no_text(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="No such file"):
         read_csv(tmp_path / "none.csv")
@@ -136,9 +144,11 @@ def test_files_that_are_no_text(tmp_path: Path) -> None:
     path.write_bytes(b"PAR1\0\0\0\0")
     with pytest.raises(LogError, match="got a file of format Parquet"):
         read_csv(path)
-    path.write_bytes(gzip.compress(ROWS.encode())[:-12])
-    with pytest.raises(LogError, match="delimited text in UTF-8"):
-        read_csv(path)
+    packed = gzip.compress(ROWS.encode())
+    for damaged in (packed[:-12], packed[:10] + b"\0\0\0\0\0" + packed[15:]):
+        path.write_bytes(damaged)
+        with pytest.raises(LogError, match="delimited text in UTF-8"):
+            read_csv(path)
     path.write_bytes(b"t,\xff\n0,1\n")
     with pytest.raises(LogError, match="delimited text in UTF-8"):
         read_csv(path)

@@ -8,7 +8,7 @@ import numpy as np
 
 from armlab.log.mcap_blocks import Part, decode_chunks, decode_messages, walked
 from armlab.log.mcap_chunk import Chunk, unpacked
-from armlab.log.mcap_variants import split
+from armlab.log.mcap_variants import assembled, split
 
 
 def layouts(numbered) -> tuple[memoryview, list[tuple[Chunk, bytes]]]:
@@ -23,7 +23,7 @@ def test_messages_of_all_chunks_keep_their_rows(numbered) -> None:
         parts = decode_chunks(view, chunks, numbered.readers(), indexed)
         assert parts[1].bad == 0
         assert parts[1].sequence.tolist() == parts[1].log_ns.tolist() == list(range(30))
-        fields = split(parts[1].values)
+        fields = split(assembled(30, parts[1].pieces))
         assert fields["a"][:, 0].tolist() == list(range(30))
         assert np.isfinite(fields["x"]).sum(axis=1).tolist() == [1, 2, 3] * 10
         assert len(parts[2].sequence) == 0
@@ -46,7 +46,7 @@ def test_messages_that_do_not_fit_their_type_are_left_out_alone(numbered) -> Non
     for indexed in (True, False):
         part = decode_chunks(view, chunks, numbered.readers(), indexed)[1]
         assert part.sequence.tolist() == part.log_ns.tolist() == [row for row in range(30) if row % 7 != 2]
-        assert split(part.values)["a"][:, 0].tolist() == part.sequence.tolist()
+        assert split(assembled(len(part.sequence), part.pieces))["a"][:, 0].tolist() == part.sequence.tolist()
         assert part.bad == 4
         assert part.reason.startswith("Expected 1 numbers of type int32 in a, got the end")
 

@@ -22,7 +22,9 @@ def test_messages_go_to_where_they_stay(numbered, order: str) -> None:
     assert all(len(one[2]) == 0 for one in rows)
     part = room.part(1, range(10, 90))
     assert part.sequence.tolist() == part.log_ns.tolist() == list(range(10, 90))
-    numbers = {run[0][0]: array for run, array in part.values.items()}
+    ((rows, values),) = part.pieces
+    assert rows.tolist() == list(range(len(part.sequence)))
+    numbers = {run[0][0]: array for run, array in values.items()}
     assert np.array_equal(numbers["x"], x[10:90])
     assert numbers["a"][:, 0].tolist() == list(range(10, 90))
     assert numbers["b"].dtype == np.float32

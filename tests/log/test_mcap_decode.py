@@ -206,3 +206,28 @@ def test_a_damaged_message_costs_itself_only(chunking: bool) -> None:
         "4 messages on /states skipped: Expected at most 13 elements in x, got 1828716544.",
         "40 messages on /bad skipped: Expected 7 numbers of type uint8 in x, got the end of the message.",
     ]
+
+
+def test_a_channel_whose_columns_would_be_holes_is_left_out_alone() -> None:
+    """However its messages lie in chunks: none of these alone is refused."""
+    out = io.BytesIO()
+    writer = Writer(out, chunk_size=5000)
+    writer.start()
+    schema = writer.register_schema("t/msg/T", "ros2msg", b"int32 a\nfloat64[] x")
+    for topic in ("/ragged", "/good"):
+        writer.register_channel(topic, "cdr", schema)
+    for row in range(3000):
+        for channel in (1, 2):
+            count = 100_000 if (channel, row) == (1, 1500) else 1
+            raw = b"\0\1\0\0" + struct.pack("<iI", row, count) + bytes(8 * count)
+            writer.add_message(channel, row, raw, row, row)
+    writer.finish()
+    view = memoryview(out.getvalue())
+    decoded, damage = decode(view, contents(view), {1: ["a", "x"], 2: ["a", "x"]})
+    assert decoded[1].fields == {}
+    assert decoded[2].fields["a"][:, 0].tolist() == list(range(3000))
+    (sentence,) = damage
+    assert sentence.startswith(
+        "3000 messages on /ragged skipped: Expected messages that are alike, got 3000 with 105999"
+    )
+    assert len(decode(view, contents(view), {1: ["a"]})[0][1].fields["a"]) == 3000

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab.log.mcap_variants import MessageReader, read_blocks, split
+from armlab.log.mcap_variants import MessageReader, assembled, read_blocks, split
 from armlab.log.topic_fields import JOINTS, TopicFields, columns_of_fields
 from armlab.wire import cdr
 
@@ -26,7 +26,7 @@ uint8[] picture
 def fields(ros: Any, topic: TopicFields, *raws: bytes) -> dict[str, np.ndarray]:
     reader = MessageReader(topic.type, topic.types, None, topic.named)
     blocks = ((np.array([row]), np.frombuffer(raw, np.uint8)[None]) for row, raw in enumerate(raws))
-    return split(read_blocks(len(raws), blocks, reader).values)
+    return split(assembled(len(raws), read_blocks(len(raws), blocks, reader).pieces))
 
 
 def test_a_state_of_one_message(ros: Any) -> None:

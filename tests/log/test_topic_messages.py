@@ -14,6 +14,8 @@ from mcap.writer import CompressionType, Writer
 
 from armlab import log
 from armlab.errors import LogError, UnknownName
+from armlab.log.mcap_decode import Decoded
+from armlab.log.topic_fields import TopicFields
 from armlab.log.topic_messages import TopicMessages, is_measurement, read_mcap_topics, read_rosbags_topics
 
 NAMES = ("a", "b", "c")
@@ -153,3 +155,19 @@ def test_the_functions_behind_read(ros: Any, tmp_path: Path) -> None:
     theirs.add("/n", two[2])
     ((_, _, twice),) = theirs.decoded()
     assert twice.fields["data"].shape == (6, 1)
+
+
+def test_parts_of_a_topic_that_are_holes_together_are_left_out_alone() -> None:
+    """Of two files, or two publishers."""
+    into = TopicMessages(fields={name: TopicFields("t/msg/T", {}) for name in ("/ragged", "/good")})
+    for rows, width in ((1, 100_000), (3000, 1)):
+        for topic in ("/ragged", "/good"):
+            array = np.zeros((rows, 1 if topic == "/good" else width))
+            into.add(topic, Decoded(np.zeros(rows, np.uint32), np.arange(rows), {"x": array}))
+    ((name, _, decoded),) = into.decoded()
+    assert name == "/good"
+    assert len(decoded.sequence) == 3001
+    (sentence,) = into.damage
+    assert sentence.startswith(
+        "3001 messages on /ragged skipped: Expected messages that are alike, got 3001 with 103000"
+    )

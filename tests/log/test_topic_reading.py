@@ -267,3 +267,23 @@ def test_topics_one_by_one(ros: Any, tmp_path: Path) -> None:
     assert tables["/commands"].source[0].startswith("bag sha256 ")
     with pytest.raises(LogError, match="Expected a log at"):
         read_topics(tmp_path / "none")
+
+
+def test_a_file_of_which_every_topic_is_left_out_says_so(ros: Any, tmp_path: Path) -> None:
+    path = ros.bag(tmp_path / "bag", [("/words", ros.start, ros.store.types["std_msgs/msg/String"]("x"))])
+    with pytest.warns(UserWarning, match=r"left out: /words \(std_msgs/msg/String\)"):
+        assert read_topics(path) == {}
+
+
+def test_a_bag_of_ros_1_whose_type_is_without_bound(tmp_path: Path) -> None:
+    """Its reader would walk as many elements as a message of four bytes says."""
+    from rosbags.typesys import get_types_from_msg
+
+    store = get_typestore(Stores.EMPTY)
+    text = "Nothing[] a\n" + "=" * 80 + "\nMSG: lab_msgs/Nothing\n"
+    store.register(get_types_from_msg(text, "lab_msgs/msg/Many"))
+    with Ros1Writer(tmp_path / "run.bag") as bag:
+        connection = bag.add_connection("/many", "lab_msgs/msg/Many", typestore=store)
+        bag.write(connection, 1, b"\xff\xff\xff\xff")
+    with pytest.warns(UserWarning, match=r"left out: /many \(Expected elements of at least one byte in a of lab_msgs/"):
+        assert read_topics(tmp_path / "run.bag") == {}

@@ -21,7 +21,7 @@ def streams(ros: Any, topic: str, messages: list[tuple[int, Any]]) -> list[Strea
     into = TopicMessages()
     reader = into.reader(topic, kind, cdr.definitions(kind, ros.store.generate_msgdef(kind, ros_version=2)[0]))
     stamps = np.array([ns for ns, _ in messages])
-    one, _ = _decoded([ros.raw(message) for _, message in messages], stamps, bytes, reader)
+    one, *_ = _decoded([ros.raw(message) for _, message in messages], stamps, bytes, reader)
     into.add(topic, one)
     ((_, fields, decoded),) = into.decoded()
     return streams_of(topic, fields, decoded)[0]

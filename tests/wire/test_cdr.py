@@ -125,10 +125,20 @@ def nested(*fields: str) -> str:
     ("text", "told"),
     [
         pytest.param(nested("M0 a\nM0 b"), "nested at most 32 deep", id="in itself"),
-        pytest.param(nested(*(f"M{k + 1}[] a" for k in range(40))), "nested at most 32 deep", id="deep"),
-        pytest.param(nested(*(f"M{k + 1} a\nM{k + 1} b" for k in range(25)), "int8 x"), "100000 fields", id="twice"),
-        pytest.param(nested(*(f"M{k + 1}[99] a" for k in range(20)), ""), "100000 fields", id="arrays of nothing"),
-        pytest.param(nested(f"M1[{10**400}] a", "int8 x"), "100000 fields", id="a long array"),
+        pytest.param(nested(*(f"M{k + 1}[] a" for k in range(40)), "int8 x"), "nested at most 32 deep", id="deep"),
+        pytest.param(
+            nested("M30 a\nM1 b", *(f"M{k + 1} a" for k in range(1, 60)), "int8 x"), "32 levels", id="deep from behind"
+        ),
+        pytest.param(nested(*(f"M{k + 1} {'a' * 250}" for k in range(4)), "int8 x"), "1000 letters", id="long names"),
+        pytest.param(nested("M1[] a", "M2[0] b\nM2[7] c", ""), "at least one byte in a of", id="any number of nothing"),
+        pytest.param(nested("int8[-1] a"), "at least one byte in a of", id="less than nothing"),
+        pytest.param(
+            nested(*(f"M{k + 1} a\nM{k + 1} b" for k in range(25)), "int8 x"), "at most 100000 fields", id="twice"
+        ),
+        pytest.param(
+            nested(*(f"M{k + 1}[99] a" for k in range(20)), ""), "at most 100000 fields", id="arrays of nothing"
+        ),
+        pytest.param(nested(f"M1[{10**400}] a", "int8 x"), "at most 100000 fields", id="a long array"),
     ],
 )
 def test_types_without_bound_are_refused(text: str, told: str) -> None:
@@ -138,15 +148,19 @@ def test_types_without_bound_are_refused(text: str, told: str) -> None:
 
 
 def test_a_message_of_many_fields_without_a_byte_is_refused() -> None:
-    types = definitions("test_msgs/msg/M0", nested("M1[] a", "M2[8] b\nM2[8] c", "M3[8] d", "float64[0] e"))
+    types = definitions(
+        "test_msgs/msg/M0", nested("M1[] a", "M2[8] b\nM2[8] c\nint8 f", "M3[8] d", "M4 x", "M5 x", "float64[0] e")
+    )
     name = "test_msgs/msg/M0"
-    assert len(layout(b"\0\1\0\0" + struct.pack("<I", 1), name, types).fields) == 128
-    with pytest.raises(LogError, match="at most 8 fields per byte"):
-        layout(b"\0\1\0\0" + struct.pack("<I", 99) + bytes(100), name, types)
+    assert len(layout(b"\0\1\0\0" + struct.pack("<I", 1) + bytes(97), name, types).fields) == 129
+    with pytest.raises(LogError, match=r"Expected a byte for each 8 fields, got 107 bytes for more in a\[\d\]\.[bc]"):
+        layout(b"\0\1\0\0" + struct.pack("<I", 99) + bytes(99), name, types)
 
 
 def test_the_most_fields_that_a_type_may_have() -> None:
     types = definitions("test_msgs/msg/M0", nested("M1[300] a\nstring[] b", "float64[300] c\nM2 d\nM2[2] e", "int8 x"))
     assert bounded("test_msgs/msg/M0", types) is types
-    assert [held(one) for _, one in types["test_msgs/msg/M0"]] == [("test_msgs/msg/M1", 300), ("", 1)]
-    assert [held(one) for _, one in types["test_msgs/msg/M1"]][1:] == [("test_msgs/msg/M2", 1), ("test_msgs/msg/M2", 2)]
+    assert [held(one) for _, one in types["test_msgs/msg/M0"]] == [("test_msgs/msg/M1", 300, False), ("", 1, True)]
+    assert [held(one) for _, one in types["test_msgs/msg/M1"]][1:] == [
+        ("test_msgs/msg/M2", 1, False), ("test_msgs/msg/M2", 2, False)
+    ]  # fmt: skip

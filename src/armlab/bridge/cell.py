@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 
 from armlab import models, robots
+from armlab._toml import parsed
 from armlab.bridge._cell_file import File, LabCommTable, RobotTable, SourceTable
 from armlab.bridge.feed import OPERATOR, Exchange
 from armlab.bridge.labcomm import LabCommSource
@@ -81,7 +82,7 @@ def parse_cell(text: str, path: str = "cell.toml") -> Cell:
     ConfigError : no TOML, an unknown or wrong entry, or entries that contradict each other; one line with the path.
     """
     try:
-        file = msgspec.convert(tomllib.loads(text), File, strict=True)
+        file = msgspec.convert(parsed(text), File, strict=True)
         return replace(_cell(file), text=text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"Expected TOML in {path}: {_line(error)}.") from None

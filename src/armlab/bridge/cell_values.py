@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator
 from typing import Any
 
 import msgspec
 
+from armlab._toml import parsed
 from armlab.bridge._cell_file import File
 from armlab.bridge.cell import parse_cell
 
@@ -26,7 +26,7 @@ def cell_values(text: str, path: str = "cell.toml") -> list[tuple[str, Any, bool
     ConfigError : as of `parse_cell`.
     """
     parse_cell(text, path)
-    raw = tomllib.loads(text)
+    raw = parsed(text)
     return list(_values(msgspec.convert(raw, File, strict=True), raw, ""))
 
 

@@ -20,7 +20,7 @@ from armlab.bridge.row import MAGIC
 from armlab.bridge.row_schema import RowSchema
 from armlab.errors import CommandRefused, LinkError
 
-__all__ = ["LoopEnd"]
+__all__ = ["LoopEnd", "encoded"]
 
 _LARGEST = 2**17
 _URGENT = 256  # requests that wait when the way to the loop is full
@@ -118,7 +118,7 @@ class LoopEnd:
         ------
         CommandRefused : it holds what no JSON in UTF-8 can say, for example half of a surrogate pair.
         """
-        data = _encoded(request)
+        data = encoded(request)
         with self._lock:
             if not self._urgent and self._sent(data):
                 return True
@@ -170,7 +170,13 @@ class LoopEnd:
         return message
 
 
-def _encoded(request: Request) -> bytes:
+def encoded(request: Request) -> bytes:
+    """Return a request as it is sent to the loop.
+
+    Raises
+    ------
+    CommandRefused : values of a client that JSON or the loop cannot take.
+    """
     try:
         return msgspec.json.encode(request)
     except (ValueError, TypeError, OverflowError, RecursionError, msgspec.MsgspecError) as error:

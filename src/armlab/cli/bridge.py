@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from cyclopts import App
 
+from armlab._toml import parsed
 from armlab.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -176,6 +177,6 @@ def _setting(word: str) -> tuple[str, Any]:
     if not sign or not name:
         raise ConfigError(f"Expected NAME=VALUE, got {word!r}. Write for example gain=2.5.")
     try:
-        return name, tomllib.loads(f"x = {value}")["x"]
+        return name, parsed(f"x = {value}")["x"]
     except tomllib.TOMLDecodeError:
         return name, value  # a text without quotes

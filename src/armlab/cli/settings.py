@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
+from armlab._toml import parsed
 from armlab.cli.texts import read_text
 from armlab.errors import ConfigError
 
@@ -106,7 +107,7 @@ def log_folder() -> Path:
 
 def _of_file(path: Path) -> dict[str, Any]:
     try:
-        given = tomllib.loads(read_text(path, "settings"))
+        given = parsed(read_text(path, "settings"))
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"Expected TOML in {path}: {error}.") from None
     return _checked(given, str(path), path.parent, strict=True)

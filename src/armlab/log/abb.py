@@ -24,6 +24,7 @@ import msgspec
 import numpy as np
 
 from armlab import glossary
+from armlab._toml import parsed
 from armlab.errors import ConfigError, LogError, UnknownName
 from armlab.log.column import Column
 from armlab.log.delimited import rows_of
@@ -105,7 +106,7 @@ def read_abb(path: str | Path, map: str | Path, arm: str | None = None, *, raw: 
 
 def _read_map(path: Path) -> _Map:
     try:
-        about = msgspec.toml.decode(path.read_bytes(), type=_Map)
+        about = msgspec.convert(parsed(path.read_text(encoding="utf-8")), _Map)
     except OSError as error:
         raise ConfigError(f"Expected a map of the columns at {path}, got: {error.strerror}.") from None
     except (ValueError, msgspec.ValidationError) as error:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 import gzip
 import re
+import zlib
 from collections.abc import Sequence
 from io import TextIOWrapper
 from itertools import islice
@@ -122,7 +123,7 @@ def rows_of(path: Path, separator: str, count: int | None = None) -> list[list[s
             return list(islice(csv.reader(file, delimiter=separator), count))
     except OSError as error:
         raise LogError(f"Expected a log at {path}, got: {error.strerror or error}.") from None
-    except (EOFError, UnicodeDecodeError, csv.Error) as error:
+    except (EOFError, zlib.error, UnicodeDecodeError, csv.Error) as error:
         raise LogError(f"Expected delimited text in UTF-8 at {path}, got something else: {error}.") from None
 
 
@@ -138,7 +139,7 @@ def _numbers_only(path: Path, skip: int, separator: str) -> list[np.ndarray] | N
             header = [next(lines) for _ in range(skip + 1)][-1]
             while text := file.read(BLOCK) + file.readline():
                 blocks.append(_columns(_decoded(text, separator), len(header)))
-    except (OSError, EOFError, ValueError, StopIteration, csv.Error, msgspec.DecodeError):
+    except (OSError, EOFError, zlib.error, ValueError, OverflowError, StopIteration, csv.Error, msgspec.DecodeError):
         return None
     return [_joined(parts) for parts in zip(*blocks, strict=True)] if blocks else [np.zeros(0) for _ in header]
 
@@ -233,7 +234,7 @@ def _decimals(texts: Sequence[str]) -> np.ndarray | None:
     """Return a column of decimal numbers and empty fields (N,), read as JSON; None of another."""
     try:
         found = np.array(_decoded(",".join(texts).encode(), ",")[0], dtype=float)
-    except (ValueError, msgspec.DecodeError):
+    except (ValueError, OverflowError, msgspec.DecodeError):
         return None
     return found if found.shape == (len(texts),) else None
 

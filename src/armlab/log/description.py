@@ -50,7 +50,7 @@ class Description(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     columns: dict[str, _Column]
 
     def __post_init__(self) -> None:
-        count = sum(math.prod(column.shape) for column in self.columns.values())
+        count = sum(math.prod(max(size, 1) for size in column.shape) for column in self.columns.values())
         if count > _LARGEST or any(size < 0 for column in self.columns.values() for size in column.shape):
             raise ValueError(f"Expected columns of at most {_LARGEST} numbers in a row together, with sizes from 0")
 
@@ -140,7 +140,7 @@ def of_json(text: str | bytes, path: Path) -> Description:
         entries = json.loads(text)
         known = {name: entries[name] for name in Description.__struct_fields__ if name in entries}
         return msgspec.convert(known, Description)
-    except (ValueError, TypeError, msgspec.ValidationError) as error:
+    except (ValueError, TypeError, RecursionError, msgspec.ValidationError) as error:
         raise LogError(
             f"Expected a description of the columns in {path}, got: {str(error).rstrip('.')}. Export the log again."
         ) from None

@@ -9,7 +9,7 @@ import numpy as np
 
 from armlab.log.mcap_chunk import Chunk
 from armlab.log.mcap_records import MESSAGE, records
-from armlab.log.mcap_variants import MessageReader, Values, of_length, read_blocks
+from armlab.log.mcap_variants import MessageReader, Piece, of_length, read_blocks
 
 __all__ = ["Part", "decode_chunks", "decode_messages", "walked"]
 
@@ -21,14 +21,14 @@ _NO_OFFSETS = np.zeros(0, dtype=np.int64)
 
 @dataclass(slots=True)
 class Part:
-    """Some messages of one channel: sequence numbers (k,), log times (k,) and numbers.
+    """Some messages of one channel: sequence numbers (k,), log times (k,) and numbers by layout.
 
     `bad` more do not fit their type, the first of them for the `reason`.
     """
 
     sequence: np.ndarray
     log_ns: np.ndarray
-    values: Values
+    pieces: Sequence[Piece] = ()
     bad: int = 0
     reason: str = ""
 
@@ -109,10 +109,10 @@ def _blocks(raw: np.ndarray, offsets: np.ndarray, length: int) -> np.ndarray:
 def decode_messages(raw: np.ndarray, offsets: np.ndarray, reader: MessageReader) -> Part:
     """Return the messages whose records begin at the offsets (k,) of some bytes."""
     if not len(offsets):
-        return Part(np.zeros(0, dtype=np.uint32), np.zeros(0, dtype=np.int64), {})
+        return Part(np.zeros(0, dtype=np.uint32), np.zeros(0, dtype=np.int64))
     prefix = _items(raw, offsets, _PREFIX)
     lengths = prefix["length"].astype(np.int64) - 22
     same = of_length(lengths)
     blocks = ((rows, _blocks(raw, offsets[rows] + _PREFIX.itemsize, int(lengths[rows[0]]))) for rows in same)
     read = read_blocks(len(offsets), blocks, reader)
-    return Part(prefix["sequence"][read.rows], prefix["log"][read.rows], read.values, read.bad, read.reason)
+    return Part(prefix["sequence"][read.rows], prefix["log"][read.rows], read.pieces, read.bad, read.reason)

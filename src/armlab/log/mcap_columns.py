@@ -73,7 +73,7 @@ class Room:
             native = array[which].astype(array.dtype.newbyteorder("="), copy=False)
             native.flags.writeable = False
             numbers[((path, array.shape[1]),)] = native
-        return Part(columns.sequence[which], columns.log_ns[which], numbers)
+        return Part(columns.sequence[which], columns.log_ns[which], [(np.arange(len(rows)), numbers)])
 
 
 @dataclass(frozen=True, slots=True)

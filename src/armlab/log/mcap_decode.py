@@ -10,7 +10,8 @@ import struct
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from textwrap import shorten
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from armlab.log.mcap_blocks import Part, decode_chunks, decode_messages, walked
 from armlab.log.mcap_chunk import Chunk, unpacked
 from armlab.log.mcap_columns import Room
 from armlab.log.mcap_records import MESSAGE, Contents, records
-from armlab.log.mcap_variants import MessageReader, assembled, split
+from armlab.log.mcap_variants import MessageReader, assembled, joined, split
 from armlab.wire import cdr
 
 __all__ = ["Decoded", "decode", "decode_by", "message_counts", "messages", "skipped"]
@@ -94,18 +95,17 @@ def decode_by(
     if found.loose:
         for number, part in _decode_loose(view, found.loose, readers).items():
             parts[number].append(part)
-    joined: dict[int, Decoded] = {}
+    whole: dict[int, Decoded] = {}
     for number, of_channel in parts.items():
-        part = _joined(reading.room, number, of_channel)
-        joined[number] = Decoded(part.sequence, part.log_ns, split(part.values))
-        if part.bad:
-            damage.append(skipped(part.bad, found.channels[number].topic, part.reason))
-    return joined, damage
+        whole[number], bad, reason = _decoded(reading.room, number, of_channel)
+        if bad:
+            damage.append(skipped(bad, found.channels[number].topic, reason))
+    return whole, damage
 
 
 def skipped(count: int, topic: str, reason: str) -> str:
     """Return the sentence on messages that are left out, and why the first of them is."""
-    return f"{count} message{'s' if count > 1 else ''} on {topic} skipped: {reason}"
+    return f"{count} message{'s' if count > 1 else ''} on {topic} skipped: {shorten(reason, 300)}"
 
 
 def messages(view: memoryview, found: Contents, channel: int) -> Iterator[tuple[int, int, bytes]]:
@@ -119,12 +119,12 @@ def messages(view: memoryview, found: Contents, channel: int) -> Iterator[tuple[
             continue
         for kind, start, stop in records(memoryview(data), 0, len(data)):
             if kind == MESSAGE and stop - start >= 22:
-                number, sequence, log, _ = struct.unpack_from("<HIQQ", data, start)
+                number, sequence, log = struct.unpack_from("<HIq", data, start)
                 if number == channel:
                     yield sequence, log, data[start + 22 : stop]
     for start, stop in found.loose:
         if stop - start >= 22:
-            number, sequence, log, _ = struct.unpack_from("<HIQQ", view, start)
+            number, sequence, log = struct.unpack_from("<HIq", view, start)
             if number == channel:
                 yield sequence, log, bytes(view[start + 22 : stop])
 
@@ -211,8 +211,8 @@ def _decode_loose(
     }
 
 
-def _joined(room: Room, number: int, found: Sequence[range | Part]) -> Part:
-    """Join what was read of one channel."""
+def _decoded(room: Room, number: int, found: Sequence[range | Part]) -> tuple[Decoded, int, str]:
+    """Join what was read of one channel; return also how many messages are left out, and why the first of them is."""
     merged: list[range | Part] = []
     for one in found:
         before = merged[-1] if merged else None
@@ -223,18 +223,16 @@ def _joined(room: Room, number: int, found: Sequence[range | Part]) -> Part:
     parts = [room.part(number, one) if isinstance(one, range) else one for one in merged]
     bad, reason = sum(part.bad for part in parts), next((part.reason for part in parts if part.bad), "")
     parts = [part for part in parts if len(part.sequence)]
+    nothing = Decoded(np.zeros(0, dtype=np.uint32), np.zeros(0, dtype=np.int64), {})
     if not parts:
-        return Part(np.zeros(0, dtype=np.uint32), np.zeros(0, dtype=np.int64), {}, bad, reason)
-    if len(parts) == 1:
-        return replace(parts[0], bad=bad, reason=reason)
-    if all(part.values.keys() == parts[0].values.keys() for part in parts):
-        values = {run: np.concatenate([part.values[run] for part in parts]) for run in parts[0].values}
-    else:
-        ends = np.cumsum([len(part.sequence) for part in parts])
-        rows = [np.arange(end - len(part.sequence), end) for end, part in zip(ends, parts, strict=True)]
-        try:
-            values = assembled(int(ends[-1]), [(r, part.values) for r, part in zip(rows, parts, strict=True)])
-        except LogError as error:
-            return Part(parts[0].sequence[:0], parts[0].log_ns[:0], {}, bad + int(ends[-1]), str(error))
-    sequence = np.concatenate([part.sequence for part in parts])
-    return Part(sequence, np.concatenate([part.log_ns for part in parts]), values, bad, reason)
+        return nothing, bad, reason
+    ends = np.cumsum([len(part.sequence) for part in parts]).tolist()
+    firsts = [end - len(part.sequence) for end, part in zip(ends, parts, strict=True)]
+    pieces = joined((rows + at, values) for at, part in zip(firsts, parts, strict=True) for rows, values in part.pieces)
+    try:
+        fields = split(assembled(ends[-1], pieces))
+    except LogError as error:
+        return nothing, bad + ends[-1], str(error)
+    sequence = np.concatenate([part.sequence for part in parts]) if len(parts) > 1 else parts[0].sequence
+    log_ns = np.concatenate([part.log_ns for part in parts]) if len(parts) > 1 else parts[0].log_ns
+    return Decoded(sequence, log_ns, fields), bad, reason

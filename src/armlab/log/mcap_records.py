@@ -21,7 +21,10 @@ OPEN = (1 << 64) - 1
 _PRIVATE = 128  # from here on kinds of records are the writer's own affair
 
 # What reading damaged bytes can raise.
-DAMAGE = (struct.error, UnicodeDecodeError, ValueError, IndexError, KeyError, OverflowError, MemoryError, LogError)
+DAMAGE = (
+    struct.error, UnicodeDecodeError, ValueError, IndexError, KeyError, OverflowError, MemoryError, RecursionError,
+    LogError,
+)  # fmt: skip
 
 
 @dataclass(slots=True)

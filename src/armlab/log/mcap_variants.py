@@ -12,16 +12,18 @@ from armlab.log.mcap_records import DAMAGE
 from armlab.wire import cdr
 
 __all__ = [
-    "MessageReader", "Read", "Values", "Variant", "assembled", "of_length", "read_blocks", "refuse_holes", "split",
-    "variant_of",
+    "MessageReader", "Piece", "Read", "Values", "Variant", "assembled", "joined", "of_length", "read_blocks",
+    "refuse_holes", "split", "variant_of",
 ]  # fmt: skip
 
 _MAX_VARIANTS = 8  # layouts remembered per channel and length; text that differs in every message is read one by one
-_LARGEST, _HOLES = 1 << 31, 256  # bytes of columns, and cells per number (one of 200 frames in each message)
+_LARGEST, _HOLES = 1 << 31, 512  # bytes of columns, and cells per number: one of 500 frames in each message
 
 # Numbers of one type that follow each other in a message: (path, count) of each.
 Run = tuple[tuple[str, int], ...]
 Values = dict[Run, np.ndarray]
+Piece = tuple[np.ndarray, Values]
+"""Rows (k,) of messages, and their numbers (k, count)."""
 
 
 @dataclass(slots=True)
@@ -55,20 +57,34 @@ class MessageReader:
     variants: dict[int, list[Variant]] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Read:
-    """The numbers of messages, without those that do not fit their type.
+    """Messages without those that do not fit their type.
 
     Attributes
     ----------
-    rows : (k,) of all messages, in order. values : numbers of these.
+    rows : (k,) of all messages, in order. pieces : numbers, by layout, of rows of these.
     bad : how many do not fit. reason : why the first of them does not.
     """
 
     rows: np.ndarray
-    values: Values
+    pieces: list[Piece]
     bad: int
     reason: str
+
+
+@dataclass(slots=True)
+class _Bad:
+    """Rows of messages that do not fit, and why the first does not: as many sentences as messages are too many."""
+
+    rows: list[int] = field(default_factory=list)
+    first: int = 0
+    reason: str = ""
+
+    def add(self, row: int, reason: str) -> None:
+        if not self.rows or row < self.first:
+            self.first, self.reason = row, reason
+        self.rows.append(row)
 
 
 def of_length(lengths: np.ndarray) -> list[np.ndarray]:
@@ -86,24 +102,19 @@ def read_blocks(count: int, blocks: Iterable[tuple[np.ndarray, np.ndarray]], rea
     ----------
     count : of all messages. blocks : rows (k,) and bytes (k, length) of those of each length.
     """
-    pieces: list[tuple[np.ndarray, Values]] = []
-    bad: dict[int, str] = {}
+    pieces: list[Piece] = []
+    bad = _Bad()
     for rows, block in blocks:
         pieces += _read_block(block, rows, reader, bad)
     rows = np.arange(count)
-    if bad:
-        rows = np.delete(rows, list(bad))
+    if bad.rows:
+        rows = np.delete(rows, bad.rows)
         pieces = [(np.searchsorted(rows, piece), values) for piece, values in pieces]
-    try:
-        return Read(rows, assembled(len(rows), pieces), len(bad), bad[min(bad)] if bad else "")
-    except LogError as error:
-        return Read(rows[:0], {}, count, str(error))
+    return Read(rows, joined(pieces), len(bad.rows), bad.reason)
 
 
-def _read_block(
-    block: np.ndarray, rows: np.ndarray, reader: MessageReader, bad: dict[int, str]
-) -> Iterator[tuple[np.ndarray, Values]]:
-    """Yield (rows, numbers) of messages of one length, layout by layout; why a row does not fit goes to `bad`."""
+def _read_block(block: np.ndarray, rows: np.ndarray, reader: MessageReader, bad: _Bad) -> Iterator[Piece]:
+    """Yield (rows, numbers) of messages of one length, layout by layout; what does not fit goes to `bad`."""
     known = reader.variants.setdefault(block.shape[1], [])
     for variant in list(known):
         same = _same(block, variant)
@@ -116,7 +127,7 @@ def _read_block(
         try:
             variant = variant_of(block[0], reader)
         except DAMAGE as error:
-            bad[int(rows[0])] = str(error)
+            bad.add(int(rows[0]), str(error))
             block, rows = block[1:], rows[1:]
             continue
         if len(known) < _MAX_VARIANTS:
@@ -148,20 +159,44 @@ def variant_of(first: np.ndarray, reader: MessageReader) -> Variant:
         if start > at:
             fixed.append((at, start))
         at = stop
-    runs: dict[Run, tuple[int, int, str]] = {}
-    for f in reader.named(found) if reader.named else found.fields:
-        if (reader.wanted is not None and f.path not in reader.wanted) or not f.count:
-            continue
-        run, (start, stop, dtype) = next(reversed(runs.items()), ((), (0, 0, "")))
-        if run and stop == f.start and dtype == f.dtype:
-            del runs[run]
-            runs[(*run, (f.path, f.count))] = (start, f.stop, dtype)
-        else:
-            runs[((f.path, f.count),)] = (f.start, f.stop, f.dtype)
-    return Variant(np.frombuffer(raw, dtype=np.uint8), fixed, runs)
+    fields = reader.named(found) if reader.named else found.fields
+    wanted = (f for f in fields if f.count and (reader.wanted is None or f.path in reader.wanted))
+    return Variant(np.frombuffer(raw, dtype=np.uint8), fixed, dict(_runs(wanted)))
 
 
-def assembled(count: int, pieces: Sequence[tuple[np.ndarray, Values]]) -> Values:
+def _runs(fields: Iterable[cdr.Field]) -> Iterator[tuple[Run, tuple[int, int, str]]]:
+    """Yield the numbers of one type that follow each other, with start, stop and type."""
+    run: list[tuple[str, int]] = []
+    start, stop, dtype = 0, 0, ""
+    for one in fields:
+        if run and (one.start != stop or one.dtype != dtype):
+            yield tuple(run), (start, stop, dtype)
+            run = []
+        if not run:
+            start, dtype = one.start, one.dtype
+        run.append((one.path, one.count))
+        stop = one.stop
+    if run:
+        yield tuple(run), (start, stop, dtype)
+
+
+def joined(pieces: Iterable[Piece]) -> list[Piece]:
+    """Return pieces with the same columns as one, in the order of the first of each."""
+    alike: dict[tuple[Run, ...], list[Piece]] = {}
+    for piece in pieces:
+        alike.setdefault(tuple(piece[1]), []).append(piece)
+    return [
+        one[0]
+        if len(one) == 1
+        else (
+            np.concatenate([rows for rows, _ in one]),
+            {run: np.concatenate([values[run] for _, values in one]) for run in runs},
+        )
+        for runs, one in alike.items()
+    ]
+
+
+def assembled(count: int, pieces: Sequence[Piece]) -> Values:
     """Put the numbers of several layouts into their rows; NaN where a layout has none.
 
     Raises
@@ -169,7 +204,9 @@ def assembled(count: int, pieces: Sequence[tuple[np.ndarray, Values]]) -> Values
     LogError : hardly anything but NaN.
     """
     if len(pieces) == 1:
-        return pieces[0][1]
+        rows, found = pieces[0]
+        order = None if (rows[1:] > rows[:-1]).all() else np.argsort(rows)
+        return found if order is None else {run: array[order] for run, array in found.items()}
     parts: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
     for rows, found in pieces:
         for path, array in split(found).items():
@@ -201,8 +238,8 @@ def refuse_holes(count: int, widths: Mapping[str, int], held: int) -> None:
     if 8 * cells > _LARGEST and cells > _HOLES * held:
         widest = max(widths, key=lambda path: widths[path])
         raise LogError(
-            f"Expected messages that are alike, got {count} with {held} numbers whose {len(widths)} columns, of up to "
-            f"{widths[widest]} numbers ({widest}), would have {cells}."
+            f"Expected messages that are alike, got {count} with {held} numbers, up to {widths[widest]} in "
+            f"{widest[:80]}: {len(widths)} name(s) that would take {cells} cells."
         )
 
 

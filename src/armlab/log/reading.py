@@ -170,7 +170,7 @@ def summary_of(view: memoryview, found: Contents) -> dict[str, Any]:
         if one.name == "summary.json":
             try:
                 told = json.loads(bytes(view[slice(*one.data)]))
-            except ValueError:
+            except (ValueError, RecursionError):
                 return {}
             return told if isinstance(told, dict) else {}
     return {}

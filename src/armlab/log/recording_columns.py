@@ -120,8 +120,11 @@ def _source(channel: int, topic: str, key: str, text: str) -> Source:
             labels=tuple(about["labels"]),
             kind=about["kind"],
         )
-        return Source(channel, tuple(about["fields"]), column, about.get("missing"), about.get("encoding", ""))
-    except (ValueError, KeyError, TypeError) as error:
+        fields = tuple(about["fields"])
+        if not all(isinstance(one, str) for one in fields):
+            raise TypeError("fields that are no texts")
+        return Source(channel, fields, column, about.get("missing"), about.get("encoding", ""))
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise LogError(f"Expected a description of a column in {key} of {topic}, got {text!r} ({error}).") from None
 
 

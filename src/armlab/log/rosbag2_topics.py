@@ -19,7 +19,7 @@ from armlab.errors import LogError
 from armlab.lie import quaternion, se3
 from armlab.log.column import Column
 from armlab.log.description import distinct
-from armlab.log.mcap_variants import MessageReader, read_blocks, split
+from armlab.log.mcap_variants import MessageReader, assembled, read_blocks, split
 from armlab.log.messages import blank, definition, store, topic_name
 from armlab.log.table import Table
 from armlab.wire import cdr
@@ -129,7 +129,7 @@ def columns_of(topic: BagTopic, columns: Mapping[str, Column], raws: Sequence[by
         read = read_blocks(len(raws), [(np.arange(len(raws)), block)], reader)
         if read.bad:
             raise LogError(f"Expected whole messages on {topic.name}, got {read.bad} damaged ones: {read.reason}")
-        fields = split(read.values)
+        fields = split(assembled(len(raws), read.pieces))
     return {name: _decoded(topic, paths, fields, len(raws), columns[name]) for name, paths in topic.fields.items()}
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import msgspec
 import tomli_w
 
+from armlab._toml import parsed
 from armlab.errors import LogError
 from armlab.log.description import Description
 from armlab.log.table import Table
@@ -33,7 +34,7 @@ def read_sidecar(path: Path) -> Description | None:
     """
     beside = sidecar_path(path)
     try:
-        return msgspec.toml.decode(beside.read_bytes(), type=Description)
+        return msgspec.convert(parsed(beside.read_text(encoding="utf-8")), Description)
     except FileNotFoundError:
         return None
     except OSError as error:

@@ -25,8 +25,8 @@ _PROTOBUF_MESSAGE, _PROTOBUF_NUMBERS = 11, {1, 2, 3, 4, 5, 6, 7, 8, 13, 14, 15, 
 
 def decode_one_by_one(
     messages: Iterable[tuple[int, int, bytes]], numbers: Callable[[bytes], Numbers]
-) -> tuple[Decoded, list[str]]:
-    """Return the numbers of messages, and for each message that could not be read why.
+) -> tuple[Decoded, int, str]:
+    """Return the numbers of messages, how many messages are left out, and why one of them is.
 
     Parameters
     ----------
@@ -34,45 +34,46 @@ def decode_one_by_one(
     """
     sequence: list[int] = []
     log_ns: list[int] = []
-    found: list[Numbers] = []
-    lost: list[str] = []
+    columns: dict[str, tuple[list[int], list[Any]]] = {}
+    bad, reason = 0, ""
     for number, stamp, raw in messages:
         try:
-            found.append(numbers(raw))
+            found = numbers(raw)
         except LogError as error:
-            lost.append(str(error))
+            bad, reason = bad + 1, reason or str(error)
             continue
+        for name, value in found.items():
+            rows, values = columns.setdefault(name, ([], []))
+            rows.append(len(sequence))
+            values.append(value)
         sequence.append(number)
         log_ns.append(stamp)
-    widths: dict[str, int] = {}
-    held = 0
-    for one in found:
-        for name, value in one.items():
-            size = len(value) if isinstance(value, list) else 1
-            widths[name] = max(size, widths.get(name, 0))
-            held += size
+    widths = {name: max(map(_size, values)) for name, (_, values) in columns.items()}
     try:
-        refuse_holes(len(found), widths, held)
+        refuse_holes(len(sequence), widths, sum(sum(map(_size, values)) for _, values in columns.values()))
     except LogError as error:
-        lost += [str(error)] * len(found)
-        sequence, log_ns, found, widths = [], [], [], {}
-    fields = {name: _array([one.get(name) for one in found]) for name in widths}
-    return Decoded(np.array(sequence, dtype=np.uint32), np.array(log_ns, dtype=np.int64), fields), lost
+        bad, reason = bad + len(sequence), str(error)
+        sequence, log_ns, columns = [], [], {}
+    fields = {name: _array(len(sequence), *column, widths[name]) for name, column in columns.items()}
+    return Decoded(np.array(sequence, dtype=np.uint32), np.array(log_ns, dtype=np.int64), fields), bad, reason
 
 
-def _array(values: list[Any]) -> np.ndarray:
-    """Return numbers, lists of numbers or None as (N, k), NaN where there is none."""
-    if all(isinstance(value, bool) for value in values):
+def _size(value: Any) -> int:
+    return len(value) if isinstance(value, list) else 1
+
+
+def _array(count: int, rows: list[int], values: list[Any], width: int) -> np.ndarray:
+    """Return numbers or lists of numbers in these of the rows as (N, k), NaN where there is none."""
+    if len(rows) == count and all(isinstance(value, bool) for value in values):
         return np.array(values)[:, None]
-    if all(isinstance(value, int) for value in values):
+    if len(rows) == count and all(isinstance(value, int) for value in values):
         try:
             return np.array(values, dtype=np.int64)[:, None]
         except OverflowError:
             pass
-    lists = [value if isinstance(value, list) else [np.nan if value is None else value] for value in values]
-    array = np.full((len(lists), max(map(len, lists), default=0)), np.nan)
-    for row, numbers in zip(array, lists, strict=True):
-        row[: len(numbers)] = numbers
+    array = np.full((count, width), np.nan)
+    for row, value in zip(rows, values, strict=True):
+        array[row, : _size(value)] = value
     return array
 
 

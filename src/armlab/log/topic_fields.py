@@ -66,7 +66,7 @@ class TopicFields:
 
     def _find(self, name: str, path: str) -> None:  # cdr bounds the definitions
         for field_name, description in self.types.get(name, ()):
-            inner, _ = cdr.held(description)
+            inner, *_ = cdr.held(description)
             there = f"{path}.{field_name}" if path else field_name
             if inner in _MARKED or inner == _TRANSFORMS:
                 self.parts[there] = inner

@@ -56,9 +56,14 @@ class TopicMessages:
             self.parts.setdefault(topic, []).append(decoded)
 
     def decoded(self) -> Iterator[tuple[str, TopicFields, Decoded]]:
-        """Yield topic, names and all messages of each."""
+        """Yield topic, names and all messages of each; what its parts together cannot be goes to the damage."""
         for topic, parts in self.parts.items():
-            yield topic, self.fields[topic], _joined(parts)
+            try:
+                whole = _joined(parts)
+            except LogError as error:
+                self.damage.append(skipped(sum(len(part.sequence) for part in parts), topic, str(error)))
+                continue
+            yield topic, self.fields[topic], whole
 
 
 def is_measurement(type_: str) -> bool:
@@ -103,9 +108,9 @@ def read_mcap_topics(
     for number, numbers in others.items():
         topic = found.channels[number].topic
         into.fields.setdefault(topic, TopicFields(found.channels[number].type, {}))
-        one, lost = decode_one_by_one(messages(view, found, number), numbers)
-        if lost:
-            into.damage.append(skipped(len(lost), topic, lost[0]))
+        one, bad, reason = decode_one_by_one(messages(view, found, number), numbers)
+        if bad:
+            into.damage.append(skipped(bad, topic, reason))
         into.add(topic, one)
 
 
@@ -150,9 +155,9 @@ def read_rosbags_topics(
         if progress and done % 10_000 == 0:
             progress(min(done, total), total, "messages")
     for number, (connection, reader, to_cdr) in readers.items():
-        one, lost = _decoded(raws[number], np.array(stamps[number], dtype=np.int64), to_cdr, reader)
-        if lost:
-            into.damage.append(skipped(len(lost), connection.topic, lost[0]))
+        one, bad, reason = _decoded(raws[number], np.array(stamps[number], dtype=np.int64), to_cdr, reader)
+        if bad:
+            into.damage.append(skipped(bad, connection.topic, reason))
         into.add(connection.topic, one)
 
 
@@ -182,24 +187,27 @@ def _types_of(connection: Any) -> tuple[cdr.Definitions, Callable[[bytes], bytes
 
 def _decoded(
     raws: Sequence[bytes], stamps: np.ndarray, to_cdr: Callable[[bytes], bytes], reader: MessageReader
-) -> tuple[Decoded, list[str]]:
-    """Return the numbers of messages that are in memory, and why those do not fit their type that are left out."""
+) -> tuple[Decoded, int, str]:
+    """Return the numbers of messages that are in memory, how many are left out, and why one of them is."""
     whole: list[bytes] = []
     kept: list[int] = []
-    lost: list[str] = []
+    reason = ""
     for row, raw in enumerate(raws):
         try:
             whole.append(to_cdr(raw))
             kept.append(row)
         except Exception as error:  # rosbags raises its own errors, those of struct and assertions
             why = str(error).rstrip(".") or type(error).__name__
-            lost.append(f"Expected a {reader.type}, got {len(raw)} bytes that do not fit it ({why}).")
+            reason = reason or f"Expected a {reader.type}, got {len(raw)} bytes that do not fit it ({why})."
     same = of_length(np.array([len(raw) for raw in whole], dtype=np.int64))
     blocks = ((rows, _block([whole[row] for row in rows.tolist()])) for rows in same)
     read = read_blocks(len(whole), blocks, reader)
-    lost += [read.reason] * read.bad
     rows = np.array(kept, dtype=np.int64)[read.rows]
-    return Decoded(rows.astype(np.uint32), stamps[rows], split(read.values)), lost
+    try:
+        fields = split(assembled(len(rows), read.pieces))
+    except LogError as error:
+        rows, fields, reason = rows[:0], {}, str(error)
+    return Decoded(rows.astype(np.uint32), stamps[rows], fields), len(raws) - len(rows), reason or read.reason
 
 
 def _block(raws: Sequence[bytes]) -> np.ndarray:

@@ -119,9 +119,9 @@ def read_topics(
     held = _held(path, Choice(), robot, progress)
     streams, notes = _streams(held.topics)
     notes += [f"{file.name} was not finished: {found.torn} bytes torn" for file, found in held.torn.items()]
-    if notes:
-        warnings.warn("; ".join(notes[:3]), stacklevel=2)
     source, of_file = tuple(origin(one) for one in held.files), (*notes, *_left_out(held.topics))
+    if notes or not streams:
+        warnings.warn("; ".join(of_file[:3]) or f"{path.name} has no topic with numbers", stacklevel=2)
     tables = tables_of_streams(path, streams, held.choice)
     return {name: replace(one, notes=(*of_file, *one.notes), source=source) for name, one in tables.items()}
 
@@ -167,12 +167,13 @@ def _held_in_mcap(files: Sequence[Path], choice: Choice, robot: Robot | str | No
 
 def _streams(topics: TopicMessages) -> tuple[list[Stream], list[str]]:
     """Return the streams of all topics, and what was wrong with some."""
-    streams, notes = [], list(topics.damage)
+    streams: list[Stream] = []
+    notes: list[str] = []
     for topic, fields, decoded in topics.decoded():
         found, doubts = streams_of(topic, fields, decoded)
         streams += found
         notes += doubts
-    return streams, notes
+    return streams, [*topics.damage, *notes]
 
 
 def _left_out(topics: TopicMessages) -> list[str]:

@@ -14,6 +14,7 @@ from typing import Any
 
 import tomli_w
 
+from armlab._toml import parsed
 from armlab._whole_files import whole_file
 from armlab.errors import ConfigError, ModelMismatchError
 from armlab.models._torque_file import KIND, read_torque_model, torque_tables
@@ -80,14 +81,25 @@ def load_statistics(path: str | Path) -> dict[str, Any]:
     Parameters
     ----------
     path : file written by `save`.
+
+    Raises
+    ------
+    ConfigError : the file cannot be read.
     """
-    return {name: decode(part) for name, part in _tables(Path(path)).get("fit", {}).items()}
+    fit = _tables(Path(path)).get("fit", {})
+    try:
+        return {name: decode(part) for name, part in fit.items()}
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        what = str(error).rstrip(".")
+        raise ConfigError(
+            f"Expected the tables of a fit in [fit] at {path}, got: {what}. Make the file again."
+        ) from None
 
 
 def _tables(path: Path) -> dict[str, Any]:
     """Read a TOML file that begins with [meta]."""
     try:
-        raw: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+        raw = parsed(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise ConfigError(f"Expected a model file at {path}, got: {error.strerror}. Check the name.") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:

@@ -130,7 +130,7 @@ def read_value(raw: Mapping[str, Any], path: Path) -> Any:
     ModelMismatchError : a kind or format that this version does not know. ConfigError : fields are missing or wrong.
     """
     meta = raw["meta"]
-    kind, version, package = meta.get("kind"), meta.get("format"), str(meta.get("package", "")) or "the package"
+    kind, version, package = str(meta.get("kind")), meta.get("format"), str(meta.get("package", "")) or "the package"
     owner = package.removeprefix("armlab.")
     if kind not in _CLASSES and owner in armlab.__all__:
         getattr(armlab, owner)  # is imported by that, and its kinds are registered
@@ -146,7 +146,7 @@ def read_value(raw: Mapping[str, Any], path: Path) -> Any:
         return value
     except ConfigError:
         raise
-    except (KeyError, TypeError, ValueError) as error:
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
         what = str(error).rstrip(".")
         raise ConfigError(f"Expected the fields of a {kind} at {path}, got: {what}. Make the file again.") from None
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from typing import Any, Literal
 
 import msgspec
 import numpy as np
 
+from armlab._toml import parsed
 from armlab.errors import RobotError, ShapeError
 from armlab.lie import quaternion, se3, so3
 from armlab.robots.build import GRAVITY, RAMP_TIME, Details, from_dh, from_links
@@ -89,7 +89,7 @@ def read_robot(text: str, path: str) -> Robot:
     RobotError : when the text is no TOML, has unknown, missing or wrong fields, or describes no consistent robot.
     """
     try:
-        fields = tomllib.loads(text)
+        fields = parsed(text)
         if isinstance(meta := fields.get("meta"), dict) and "kind" in meta:
             raise RobotError(_no_robot_file(str(meta["kind"])))
         return _build(msgspec.convert(_in_radians(fields), File))

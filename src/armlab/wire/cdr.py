@@ -32,7 +32,8 @@ _SIZES = {
 _HEADER = 4  # encapsulation: kind of CDR and byte order; alignment counts from its end
 _MAX_DEPTH = 32
 _MAX_FIELDS = 100_000  # of a type with all in it
-_EMPTY = 1000  # fields of a message that may be there without a byte
+_MAX_NAME = 1000
+_EMPTY = 64  # fields of a message that may be there without a byte
 _PER_BYTE = 8  # fields per byte: a message in a message is one without a byte of its own
 
 Definitions = Mapping[str, list[tuple[str, Any]]]
@@ -103,34 +104,65 @@ def definitions(name: str, text: str, encoding: str = "ros2msg") -> Definitions:
     return bounded(name, {typename: entry[1] for typename, entry in types.items()})
 
 
+@dataclass(frozen=True, slots=True)
+class _Size:
+    """What a type is at most: fields with all in it, levels, letters of a name; and bytes that it has at least."""
+
+    fields: int = 0
+    depth: int = 0
+    longest: int = 0
+    least: int = 0
+
+
 def bounded(name: str, types: Definitions) -> Definitions:
     """Return the definitions of a type as they are, where a few types do not hold each other times without end.
 
     Raises
     ------
-    LogError : too many fields, with those of all types in it, or nested too deep.
+    LogError : too many fields, with those of all types in it, nested too deep, names too long, or a sequence whose
+        elements have no byte, so that a message may say that it has any number of them.
     """
-    known: dict[str, int] = {}
+    known: dict[str, _Size] = {}
 
-    def fields(one: str, depth: int) -> int:
+    def size(one: str, depth: int) -> _Size:
+        if one in known:
+            return known[one]
         if depth > _MAX_DEPTH:
-            raise LogError(f"Expected message types nested at most {_MAX_DEPTH} deep, got more in {one}.")
-        if one not in known:
-            inner = [held(description) for _, description in types.get(one, ())]
-            known[one] = 1 + sum(count * fields(each, depth + 1) if each else 1 for each, count in inner)
-        return known[one]
+            raise LogError(f"Expected message types nested at most {_MAX_DEPTH} deep, got more in {one[:80]}.")
+        found = _Size(fields=1)
+        for field, description in types.get(one, ()):
+            element, count, is_sequence = held(description)
+            inner = size(element, depth + 1) if element else _Size(fields=1, least=1)
+            if count < 0 or (is_sequence and not inner.least):
+                raise LogError(f"Expected elements of at least one byte in {field[:80]} of {one[:80]}, got others.")
+            found = _Size(
+                found.fields + max(count, 1) * inner.fields,
+                max(found.depth, inner.depth + bool(element)),
+                max(found.longest, len(field) + 1 + inner.longest),
+                found.least + (1 if is_sequence else count * inner.least),
+            )
+        _refuse_large(one, found)
+        known[one] = found
+        return found
 
-    if fields(name, 0) > _MAX_FIELDS:
-        raise LogError(f"Expected at most {_MAX_FIELDS} fields in a message with all in it, got more in {name}.")
+    size(name, 0)
     return types
 
 
-def held(description: Any) -> tuple[str, int]:
-    """Return the type of message that a field holds, nothing for numbers and texts, and how many of them."""
+def _refuse_large(name: str, size: _Size) -> None:
+    most = {"fields": _MAX_FIELDS, "depth": _MAX_DEPTH, "longest": _MAX_NAME}
+    words = {"fields": "fields with all in it", "depth": "levels of messages", "longest": "letters in a name with dots"}
+    for what, limit in most.items():
+        if getattr(size, what) > limit:
+            raise LogError(f"Expected a message of at most {limit} {words[what]}, got more in {name[:80]}.")
+
+
+def held(description: Any) -> tuple[str, int, bool]:
+    """Return the message type that a field holds, nothing for numbers and texts, how many, and if it tells how many."""
     # rosbags: 1 a basic type, 2 a message, 3 an array of fixed length, 4 a sequence
     kind, detail = int(description[0]), description[1]
     (node, name), length = (description, 1) if kind < 3 else detail
-    return name if int(node) == 2 else "", max(length, 1) if kind == 3 else 1
+    return name if int(node) == 2 else "", length if kind == 3 else 1, kind == 4
 
 
 def layout(raw: bytes | memoryview, name: str, types: Definitions) -> Layout:
@@ -172,7 +204,10 @@ class _Walk:
         fields = self.types[name]
         self.left -= 1 + len(fields)
         if self.left < 0:
-            raise LogError(f"Expected at most {_PER_BYTE} fields per byte, got more up to {path}, which hold nothing.")
+            where = path or name
+            raise LogError(
+                f"Expected a byte for each {_PER_BYTE} fields, got {len(self.raw)} bytes for more in {where}."
+            )
         for field, description in fields:
             self.value(description, f"{path}.{field}" if path else field, depth)
 

@@ -1,0 +1,31 @@
+"""TOML of users: one error for all that can be wrong."""
+
+from __future__ import annotations
+
+from tomllib import TOMLDecodeError
+
+import pytest
+
+from armlab._toml import parsed
+
+
+def test_tables() -> None:
+    assert parsed("a = 9223372036854775807\n[b]\nc = [-9223372036854775808, 1.5, true]") == {
+        "a": 2**63 - 1,
+        "b": {"c": [-(2**63), 1.5, True]},
+    }
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("a =", "Invalid value"),
+        ("a = 9223372036854775808", "an integer of 64 bits and a sign, where TOML has 63"),
+        ("[[a]]\nb = {c = [-1" + "0" * 400 + "]}", "an integer of 1329 bits"),
+        ("a = " + "1" * 5000, "4300 digits"),
+        ("a = " + "[" * 5000 + "]" * 5000, "recursion"),
+    ],
+)
+def test_what_is_no_toml(text: str, told: str) -> None:
+    with pytest.raises(TOMLDecodeError, match=told):
+        parsed(text)
