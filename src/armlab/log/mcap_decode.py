@@ -21,7 +21,7 @@ from armlab.log.mcap_blocks import Part, decode_chunks, decode_messages, walked
 from armlab.log.mcap_chunk import Chunk, unpacked
 from armlab.log.mcap_columns import Room
 from armlab.log.mcap_records import MESSAGE, Contents, records
-from armlab.log.mcap_variants import MessageReader, assembled, joined, split
+from armlab.log.mcap_variants import MessageReader, assembled, split
 from armlab.wire import cdr
 
 __all__ = ["Decoded", "decode", "decode_by", "message_counts", "messages", "skipped"]
@@ -228,7 +228,7 @@ def _decoded(room: Room, number: int, found: Sequence[range | Part]) -> tuple[De
         return nothing, bad, reason
     ends = np.cumsum([len(part.sequence) for part in parts]).tolist()
     firsts = [end - len(part.sequence) for end, part in zip(ends, parts, strict=True)]
-    pieces = joined((rows + at, values) for at, part in zip(firsts, parts, strict=True) for rows, values in part.pieces)
+    pieces = [(rows + at, values) for at, part in zip(firsts, parts, strict=True) for rows, values in part.pieces]
     try:
         fields = split(assembled(ends[-1], pieces))
     except LogError as error:

@@ -110,7 +110,8 @@ def read_blocks(count: int, blocks: Iterable[tuple[np.ndarray, np.ndarray]], rea
     if bad.rows:
         rows = np.delete(rows, bad.rows)
         pieces = [(np.searchsorted(rows, piece), values) for piece, values in pieces]
-    return Read(rows, joined(pieces), len(bad.rows), bad.reason)
+    few = len(pieces) <= _MAX_VARIANTS
+    return Read(rows, pieces if few else joined(pieces), len(bad.rows), bad.reason)
 
 
 def _read_block(block: np.ndarray, rows: np.ndarray, reader: MessageReader, bad: _Bad) -> Iterator[Piece]:
@@ -203,26 +204,38 @@ def assembled(count: int, pieces: Sequence[Piece]) -> Values:
     ------
     LogError : hardly anything but NaN.
     """
-    if len(pieces) == 1:
-        rows, found = pieces[0]
-        order = None if (rows[1:] > rows[:-1]).all() else np.argsort(rows)
-        return found if order is None else {run: array[order] for run, array in found.items()}
-    parts: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
-    for rows, found in pieces:
+    places = [_place(rows) for rows, _ in pieces]
+    if len(pieces) == 1 and isinstance(places[0], slice):
+        return pieces[0][1]
+    if all(found.keys() == pieces[0][1].keys() for _, found in pieces):
+        return {
+            run: _filled(count, places, [found[run] for _, found in pieces]) for run in (pieces[0][1] if pieces else ())
+        }
+    parts: dict[str, tuple[list[np.ndarray | slice], list[np.ndarray]]] = {}
+    for place, (_, found) in zip(places, pieces, strict=True):
         for path, array in split(found).items():
-            parts.setdefault(path, []).append((rows, array))
-    widths = {path: max(array.shape[1] for _, array in there) for path, there in parts.items()}
-    refuse_holes(count, widths, sum(array.size for there in parts.values() for _, array in there))
-    values: Values = {}
-    for path, there in parts.items():
-        width = widths[path]
-        whole = sum(len(rows) for rows, _ in there) == count and all(array.shape[1] == width for _, array in there)
-        kind = np.result_type(*(array.dtype for _, array in there))  # counts with holes are real numbers already
-        target = np.empty((count, width), kind) if whole else np.full((count, width), np.nan)
-        for rows, array in there:
-            target[rows, : array.shape[1]] = array
-        values[((path, width),)] = target
-    return values
+            there, arrays = parts.setdefault(path, ([], []))
+            there.append(place)
+            arrays.append(array)
+    widths = {path: max(array.shape[1] for array in arrays) for path, (_, arrays) in parts.items()}
+    refuse_holes(count, widths, sum(array.size for _, arrays in parts.values() for array in arrays))
+    return {((path, widths[path]),): _filled(count, *one) for path, one in parts.items()}
+
+
+def _place(rows: np.ndarray) -> np.ndarray | slice:
+    """Return rows as a slice where they follow each other, which is faster."""
+    return slice(int(rows[0]), int(rows[0]) + len(rows)) if len(rows) and (np.diff(rows) == 1).all() else rows
+
+
+def _filled(count: int, places: Sequence[np.ndarray | slice], arrays: Sequence[np.ndarray]) -> np.ndarray:
+    """Return arrays (k, width) in their rows of one (count, largest width), NaN elsewhere."""
+    width = max(array.shape[1] for array in arrays)
+    whole = sum(map(len, arrays)) == count and all(array.shape[1] == width for array in arrays)
+    kind = np.result_type(*{array.dtype for array in arrays})  # counts with holes are real numbers already
+    target = np.empty((count, width), kind) if whole else np.full((count, width), np.nan)
+    for place, array in zip(places, arrays, strict=True):
+        target[place, : array.shape[1]] = array
+    return target
 
 
 def refuse_holes(count: int, widths: Mapping[str, int], held: int) -> None:
