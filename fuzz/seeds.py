@@ -99,6 +99,7 @@ def logs(folder: Path) -> Seeds:
     yield "mcap", "whole", whole
     yield "mcap", "torn", whole[: 2 * len(whole) // 3]
     yield "mcap", "plain", plain(whole)
+    yield "mcap", "encodings", encodings()
     table = grown.table()
     small = table.select("q", "tau")
     path = log.write(small, folder / "a.csv")
@@ -134,6 +135,39 @@ def plain(whole: bytes) -> bytes:
             number = writer.register_schema(schema.name, schema.encoding, schema.data)
             seen[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, number)
         writer.add_message(seen[channel.id], message.log_time, message.data, message.publish_time, message.sequence)
+    writer.finish()
+    return out.getvalue()
+
+
+def encodings() -> bytes:
+    """Return messages of others in JSON, protobuf and CDR, without checksums."""
+    from google.protobuf import descriptor_pb2, timestamp_pb2
+    from mcap.writer import CompressionType, Writer
+
+    types = descriptor_pb2.FileDescriptorSet()
+    timestamp_pb2.DESCRIPTOR.CopyToProto(types.file.add())
+    types.file[0].ClearField("options")
+    text = f"In[] a\nstring n\nfloat64[2] x\n{'=' * 80}\nMSG: t/In\nbool b\nint16 c"
+    out = io.BytesIO()
+    writer = Writer(out, compression=CompressionType.NONE, use_statistics=False, enable_crcs=False)
+    writer.start()
+    for name, encoding, schema, data in (
+        ("lab.State", "json", "jsonschema", b"{}"),
+        ("google.protobuf.Timestamp", "protobuf", "protobuf", types.SerializeToString()),
+        ("t/msg/T", "cdr", "ros2msg", text.encode()),
+    ):
+        writer.register_channel(f"/{encoding}", encoding, writer.register_schema(name, schema, data))
+    for k in range(4):
+        parts = struct.pack("<Ibxh", 1, k % 2, k), struct.pack("<I3sx", 3, b"ab\0"), struct.pack("<2d", k, 1.5)
+        for channel, raw in enumerate(
+            (
+                b'{"t": %d, "q": [1, 2.5e%d], "s": {"on": true, "x": [{"a": -%d}]}}' % (k, k, k),
+                timestamp_pb2.Timestamp(seconds=k + 1, nanos=7 * k).SerializeToString(),
+                b"\0\1\0\0" + b"".join(parts),
+            ),
+            start=1,
+        ):
+            writer.add_message(channel, 10**9 + k * 10**7, raw, 10**9 + k * 10**7, k)
     writer.finish()
     return out.getvalue()
 
