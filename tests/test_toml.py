@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from tomllib import TOMLDecodeError
-
 import pytest
 
-from armlab._toml import parsed
+from armlab._toml import TomlError, parsed
 
 
 def test_tables() -> None:
@@ -27,5 +25,5 @@ def test_tables() -> None:
     ],
 )
 def test_what_is_no_toml(text: str, told: str) -> None:
-    with pytest.raises(TOMLDecodeError, match=told):
+    with pytest.raises(TomlError, match=told):
         parsed(text)

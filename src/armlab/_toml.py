@@ -5,9 +5,13 @@ from __future__ import annotations
 import tomllib
 from typing import Any
 
-__all__ = ["parsed"]
+__all__ = ["TomlError", "parsed"]
 
 _LARGEST = 2**63
+
+
+class TomlError(ValueError):
+    """A text that is no TOML."""
 
 
 def parsed(text: str) -> dict[str, Any]:
@@ -18,15 +22,13 @@ def parsed(text: str) -> dict[str, Any]:
 
     Raises
     ------
-    TOMLDecodeError : no TOML, nested too deep, an integer beyond 64 bits.
+    TomlError : no TOML, nested too deep, an integer beyond 64 bits.
     """
     try:
         tables = tomllib.loads(text)
         _check(tables)
-    except tomllib.TOMLDecodeError:
-        raise
     except (ValueError, RecursionError) as error:
-        raise tomllib.TOMLDecodeError(str(error)) from None
+        raise TomlError(str(error)) from None
     return tables
 
 

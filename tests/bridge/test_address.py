@@ -8,6 +8,13 @@ from armlab.bridge.address import Address, addresses, split_url
 from armlab.errors import ConfigError
 
 
+@pytest.mark.parametrize("port", ["65536", "0000001000000", "0" * 30 + "70000", "1" * 5000, "٦٥١٠", "-1", "x"])
+def test_ports_that_are_none(port: str) -> None:
+    with pytest.raises(ConfigError, match="a port from 0 to 65535"):
+        addresses([f"egm://127.0.0.1:{port}"], 1)
+    assert addresses([f"egm://127.0.0.1:{'0' * 5000}6510"], 1)[0].port == 6510
+
+
 def test_default_ports() -> None:
     assert addresses(["egm://10.0.0.1"], 1) == [Address("egm", "10.0.0.1", 6510, "", {})]
     assert [one.port for one in addresses(["egm://127.0.0.1", "egm://127.0.0.1"], 2)] == [6511, 6512]

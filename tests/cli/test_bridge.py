@@ -73,6 +73,7 @@ def test_set(running: Exchange, capsys: Any) -> None:
         (["gain=-1"], 1, "from 0 to inf"),  # the bridge that runs knows its parameters, and refuses
         (["gan=1"], 1, "Did you mean 'gain'"),
         (["gain=3", "word=4"], 1, "a text"),
+        (["word=99999999999999999999"], 2, "an integer of 64 bits"),
     ],
 )
 def test_refused(running: Exchange, capsys: Any, words: list[str], code: int, said: str) -> None:

@@ -131,10 +131,24 @@ def test_bad_files_get_a_sentence(tmp_path: Path, text: str, sentence: str) -> N
 
 def test_whole_numbers_beyond_every_float_are_infinite(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
-    path.write_text(f"t,x [1],y [1]\n0,1{'0' * 400},1\n1,-1{'0' * 400},2\n2,{'1' * 5000},{2**62}\n", encoding="utf-8")
+    path.write_text(
+        f"t,x [1],y [1]\n0,1{'0' * 400},1\n1,-1{'0' * 400},2\n2,{'1' * 5000},{2**62 + 1}\n", encoding="utf-8"
+    )
     table = read_csv(path)
     assert table["x"].tolist() == [np.inf, -np.inf, np.inf]
-    assert table["y"].tolist() == [1, 2, 2**62]
+    assert table["y"].tolist() == [1, 2, 2**62 + 1]
+
+
+@pytest.mark.parametrize(("last", "kind"), [("7", "i"), ("1e300", "f"), (f"{2**63}", "f"), ("0.5", "f")])
+def test_large_whole_numbers_stay_whole_where_all_blocks_are(tmp_path: Path, last: str, kind: str) -> None:
+    """A block of the file that only a float holds makes the column real, and turns none of its numbers."""
+    path = tmp_path / "log.csv"
+    rows = [f"{k},{2**62 + 1 if k < 40_000 else last}\n" for k in range(80_000)]
+    path.write_text("t,x [1]\n" + "".join(rows), encoding="utf-8")
+    column = read_csv(path)["x"]
+    assert column.dtype.kind == kind
+    assert column[-1] == float(last)
+    assert column[0] == (2**62 + 1 if kind == "i" else 2.0**62)
 
 
 def test_files_that_are_no_text(tmp_path: Path) -> None:

@@ -30,6 +30,8 @@ def test_messages_become_fields() -> None:
     np.testing.assert_array_equal(decoded.fields["b"], [[1, 2], [3, np.nan], [np.nan, np.nan]])
     np.testing.assert_array_equal(decoded.fields["c"][:, 0], [np.nan, 1, np.nan])
     whole, *_ = decode_one_by_one([(0, 0, b'{"k": 1, "f": true}')], numbers_in_json)
+    least, *_ = decode_one_by_one([(0, 0, b"%d" % -(2**63)), (1, 1, b"%d" % (2**63 - 1))], numbers_in_json)
+    assert least.fields["value"].tolist() == [[-(2**63)], [2**63 - 1]]
     assert (whole.fields["k"].dtype.kind, whole.fields["f"].dtype.kind) == ("i", "b")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import shutil
+import struct
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from armlab import log, robots
 from armlab.errors import LogError, UnknownName
@@ -275,15 +276,27 @@ def test_a_file_of_which_every_topic_is_left_out_says_so(ros: Any, tmp_path: Pat
         assert read_topics(path) == {}
 
 
+def test_messages_without_fields_in_a_bag_of_ros_1(tmp_path: Path) -> None:
+    """They have no byte in ROS 1 and one in ROS 2."""
+    store = get_typestore(Stores.EMPTY)
+    text = "Nothing a\nuint8 x\nfloat64 y\n" + "=" * 80 + "\nMSG: lab_msgs/Nothing\n"
+    store.register(get_types_from_msg(text, "lab_msgs/msg/One"))
+    with Ros1Writer(tmp_path / "run.bag") as bag:
+        connection = bag.add_connection("/one", "lab_msgs/msg/One", typestore=store)
+        bag.write(connection, 1, struct.pack("<Bd", 7, 2.5))
+    table = read_topics(tmp_path / "run.bag")["/one"]
+    assert {name: table[name].tolist() for name in table.names} == {"one.x": [7], "one.y": [2.5]}
+
+
 def test_a_bag_of_ros_1_whose_type_is_without_bound(tmp_path: Path) -> None:
     """Its reader would walk as many elements as a message of four bytes says."""
-    from rosbags.typesys import get_types_from_msg
-
     store = get_typestore(Stores.EMPTY)
     text = "Nothing[] a\n" + "=" * 80 + "\nMSG: lab_msgs/Nothing\n"
     store.register(get_types_from_msg(text, "lab_msgs/msg/Many"))
     with Ros1Writer(tmp_path / "run.bag") as bag:
         connection = bag.add_connection("/many", "lab_msgs/msg/Many", typestore=store)
         bag.write(connection, 1, b"\xff\xff\xff\xff")
-    with pytest.warns(UserWarning, match=r"left out: /many \(Expected elements of at least one byte in a of lab_msgs/"):
+    with pytest.warns(
+        UserWarning, match=r"left out: /many \(Expected elements with a byte for each 16 fields in a of lab_msgs/"
+    ):
         assert read_topics(tmp_path / "run.bag") == {}

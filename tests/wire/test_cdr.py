@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armlab.errors import LogError
-from armlab.wire.cdr import Field, Layout, bounded, definitions, held, layout
+from armlab.wire.cdr import NO_MEMBER, Field, Layout, bounded, definitions, held, layout, with_bytes
 
 MIXED = """
 uint8 flag
@@ -130,8 +130,14 @@ def nested(*fields: str) -> str:
             nested("M30 a\nM1 b", *(f"M{k + 1} a" for k in range(1, 60)), "int8 x"), "32 levels", id="deep from behind"
         ),
         pytest.param(nested(*(f"M{k + 1} {'a' * 250}" for k in range(4)), "int8 x"), "1000 letters", id="long names"),
-        pytest.param(nested("M1[] a", "M2[0] b\nM2[7] c", ""), "at least one byte in a of", id="any number of nothing"),
-        pytest.param(nested("int8[-1] a"), "at least one byte in a of", id="less than nothing"),
+        pytest.param(nested("M1[] a", "int8[0] b"), "got 2 fields in 0 bytes", id="any number of nothing"),
+        pytest.param(
+            nested("M1[] a", "\n".join(["int8 f", *(f"int8[0] g{k}" for k in range(20))])),
+            "22 fields in 1 bytes",
+            id="few",
+        ),
+        pytest.param(nested("int8[-1] a"), "a length from 0 of a in test_msgs/msg/M0", id="less than nothing"),
+        pytest.param(nested("M1[] a"), "the definition of test_msgs/msg/M1 in that of test_msgs/msg/M0", id="no type"),
         pytest.param(
             nested(*(f"M{k + 1} a\nM{k + 1} b" for k in range(25)), "int8 x"), "at most 100000 fields", id="twice"
         ),
@@ -147,20 +153,49 @@ def test_types_without_bound_are_refused(text: str, told: str) -> None:
         definitions("test_msgs/msg/M0", text)
 
 
-def test_a_message_of_many_fields_without_a_byte_is_refused() -> None:
-    types = definitions(
-        "test_msgs/msg/M0", nested("M1[] a", "M2[8] b\nM2[8] c\nint8 f", "M3[8] d", "M4 x", "M5 x", "float64[0] e")
-    )
-    name = "test_msgs/msg/M0"
-    assert len(layout(b"\0\1\0\0" + struct.pack("<I", 1) + bytes(97), name, types).fields) == 129
-    with pytest.raises(LogError, match=r"Expected a byte for each 8 fields, got 107 bytes for more in a\[\d\]\.[bc]"):
-        layout(b"\0\1\0\0" + struct.pack("<I", 99) + bytes(99), name, types)
+def test_a_message_of_many_fields_or_letters_without_a_byte_is_refused() -> None:
+    name, long = "test_msgs/msg/M0", "b" * 700
+    types = definitions(name, nested("M1[] a", f"int8 f\nint8[0] {long}1\nint8[0] {long}2"))
+    few, many = (b"\0\1\0\0" + struct.pack("<I", count) + bytes(count) for count in (1, 1000))
+    assert [field.count for field in layout(few, name, types).fields] == [1, 0, 0]
+    with pytest.raises(LogError, match=r"Expected a byte for each 16 fields, got 1008 for more up to a\[\d*\]\.b"):
+        layout(many, name, types)
+
+
+def test_a_value_in_five_messages_fits() -> None:
+    types = definitions("test_msgs/msg/M0", nested("M1[] a", *(f"M{k + 1} x" for k in range(1, 6)), "uint8 y"))
+    raw = b"\0\1\0\0" + struct.pack("<I", 500) + bytes(500)
+    assert len(layout(raw, "test_msgs/msg/M0", types).fields) == 500
+
+
+def test_messages_without_fields_have_a_byte() -> None:
+    """As those of ROS 2 have."""
+    text = nested("M1 e\nuint8 x\nM1[] several\nfloat64 y", "")
+    types = definitions("test_msgs/msg/M0", text)
+    assert with_bytes(types) == types
+    raw = b"\0\1\0\0" + struct.pack("<BBxxI3B", 0, 7, 3, 0, 0, 0) + bytes(5) + struct.pack("<d", 2.5)
+    found = layout(raw, "test_msgs/msg/M0", types)
+    assert [one.path for one in found.fields if one.path.endswith(NO_MEMBER)] == [
+        f"{where}.{NO_MEMBER}" for where in ("e", "several[0]", "several[1]", "several[2]")
+    ]
+    x, y = found.field("x"), found.field("y")
+    assert x is not None
+    assert y is not None
+    assert raw[x.start] == 7
+    assert np.frombuffer(raw[y.start : y.stop], y.dtype)[0] == 2.5
 
 
 def test_the_most_fields_that_a_type_may_have() -> None:
-    types = definitions("test_msgs/msg/M0", nested("M1[300] a\nstring[] b", "float64[300] c\nM2 d\nM2[2] e", "int8 x"))
+    types = definitions(
+        "test_msgs/msg/M0",
+        nested("M1[300] a\nstring[] b\nuint8[1000000] picture", "float64[300] c\nM2 d\nM2[2] e", "int8 x"),
+    )
     assert bounded("test_msgs/msg/M0", types) is types
-    assert [held(one) for _, one in types["test_msgs/msg/M0"]] == [("test_msgs/msg/M1", 300, False), ("", 1, True)]
+    assert [held(one) for _, one in types["test_msgs/msg/M0"]] == [
+        ("test_msgs/msg/M1", 300, False),
+        ("", 1, True),
+        ("", 1000000, False),
+    ]
     assert [held(one) for _, one in types["test_msgs/msg/M1"]][1:] == [
         ("test_msgs/msg/M2", 1, False), ("test_msgs/msg/M2", 2, False)
     ]  # fmt: skip

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -14,7 +13,7 @@ import msgspec
 import numpy as np
 
 from armlab import models, robots
-from armlab._toml import parsed
+from armlab._toml import TomlError, parsed
 from armlab.bridge._cell_file import File, LabCommTable, RobotTable, SourceTable
 from armlab.bridge.feed import OPERATOR, Exchange
 from armlab.bridge.labcomm import LabCommSource
@@ -84,7 +83,7 @@ def parse_cell(text: str, path: str = "cell.toml") -> Cell:
     try:
         file = msgspec.convert(parsed(text), File, strict=True)
         return replace(_cell(file), text=text)
-    except tomllib.TOMLDecodeError as error:
+    except TomlError as error:
         raise ConfigError(f"Expected TOML in {path}: {_line(error)}.") from None
     except (msgspec.ValidationError, ArmlabError) as error:
         raise ConfigError(f"Expected another cell in {path}: {_line(error)}.") from None

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import re
 import time
-import tomllib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cyclopts import App
 
-from armlab._toml import parsed
+from armlab._toml import TomlError, parsed
 from armlab.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = ["bridge", "certificates", "release", "resume", "set_parameters", "start", "stop"]
 
+_WHOLE = re.compile(r"[-+]?[\d_]+")
 _PATIENCE = 10.0  # s for an answer: reports go on when a request was lost
 
 bridge = App(
@@ -178,5 +179,9 @@ def _setting(word: str) -> tuple[str, Any]:
         raise ConfigError(f"Expected NAME=VALUE, got {word!r}. Write for example gain=2.5.")
     try:
         return name, parsed(f"x = {value}")["x"]
-    except tomllib.TOMLDecodeError:
+    except TomlError:
+        if _WHOLE.fullmatch(value):
+            raise ConfigError(
+                f"Expected an integer of 64 bits, got {word[:80]!r}. Write 1e20 for a large one."
+            ) from None
         return name, value  # a text without quotes

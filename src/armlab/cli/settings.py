@@ -7,7 +7,6 @@ the user's own ``armlab.toml``, the default. Files are read, never written.
 from __future__ import annotations
 
 import os
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from armlab._toml import parsed
+from armlab._toml import TomlError, parsed
 from armlab.cli.texts import read_text
 from armlab.errors import ConfigError
 
@@ -108,7 +107,7 @@ def log_folder() -> Path:
 def _of_file(path: Path) -> dict[str, Any]:
     try:
         given = parsed(read_text(path, "settings"))
-    except tomllib.TOMLDecodeError as error:
+    except TomlError as error:
         raise ConfigError(f"Expected TOML in {path}: {error}.") from None
     return _checked(given, str(path), path.parent, strict=True)
 

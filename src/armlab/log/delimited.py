@@ -175,8 +175,9 @@ def _columns(rows: list[list[Any]], count: int) -> list[np.ndarray]:
 
 def _joined(parts: Sequence[np.ndarray]) -> np.ndarray:
     """Return the blocks of a column as one; whole numbers where one block needs them and all have them."""
-    if any(part.dtype.kind == "i" for part in parts) and all(np.array_equal(part, np.round(part)) for part in parts):
-        parts = [part.astype(np.int64) for part in parts]
+    if any(part.dtype.kind == "i" for part in parts):
+        whole = [_whole(part) for part in parts]
+        parts = whole if all(part.dtype.kind == "i" for part in whole) else parts
     return np.concatenate(parts)
 
 
@@ -217,7 +218,7 @@ def _as_written(path: Path, beside: Description) -> Table:
 
 def _whole(array: np.ndarray) -> np.ndarray:
     """Return whole numbers that a float holds exactly as integers, others as they are."""
-    exact = array.dtype.kind == "f" and (np.abs(array) < _EXACT).all() and (array == np.round(array)).all()
+    exact = array.dtype.kind == "f" and bool((np.abs(array) < _EXACT).all() and (array == np.round(array)).all())
     return array.astype(np.int64) if exact else array
 
 

@@ -128,7 +128,7 @@ def _read_block(block: np.ndarray, rows: np.ndarray, reader: MessageReader, bad:
         try:
             variant = variant_of(block[0], reader)
         except DAMAGE as error:
-            bad.add(int(rows[0]), str(error))
+            bad.add(int(rows[0]), str(error) or type(error).__name__)
             block, rows = block[1:], rows[1:]
             continue
         if len(known) < _MAX_VARIANTS:

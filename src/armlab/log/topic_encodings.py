@@ -99,7 +99,7 @@ def _collect(value: Any, path: str, found: Numbers, depth: int) -> None:
         for key, inner in value.items():
             _collect(inner, f"{path}.{key}" if path else str(key), found, depth + 1)
     elif isinstance(value, int | float):
-        found[path or "value"] = value if abs(value) < _LARGEST else float(value)
+        found[path or "value"] = value if -_LARGEST <= value < _LARGEST else float(value)
     elif isinstance(value, list):
         if value and all(isinstance(one, int | float) for one in value):
             found[path or "value"] = [float(one) for one in value]
@@ -130,12 +130,11 @@ def numbers_in_protobuf(name: str, definition: bytes) -> Callable[[bytes], Numbe
         raise LogError(f"Expected the definition of {name} in protobuf, got something else: {error}.") from None
 
     def numbers(raw: bytes) -> Numbers:
-        try:
-            parsed = kind.FromString(raw)
-        except message.DecodeError as error:
-            raise LogError(f"Expected a {name} in protobuf, got: {str(error).rstrip('.')}.") from None
         found: Numbers = {}
-        _collect_protobuf(parsed, "", found, 0)
+        try:
+            _collect_protobuf(kind.FromString(raw), "", found, 0)
+        except (message.DecodeError, ValueError, RecursionError) as error:
+            raise LogError(f"Expected a {name} in protobuf, got: {str(error).rstrip('.')}.") from None
         return found
 
     return numbers

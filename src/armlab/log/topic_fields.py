@@ -84,7 +84,7 @@ class TopicFields:
                 if self.parts.get(_INDEX.sub("", place)) == _TRANSFORMS:
                     pairs[place] = f"{place[: place.rindex('[')]}[{found.texts.get(f'{place}.header.frame_id')}>{text}]"
         for one in found.fields:
-            if one.dtype in ("u1", "i1") and one.count > _BYTES:
+            if (one.dtype in ("u1", "i1") and one.count > _BYTES) or one.path.endswith(cdr.NO_MEMBER):
                 continue
             place = one.path[: one.path.find("]") + 1]
             if place in pairs:

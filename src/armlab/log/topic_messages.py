@@ -175,7 +175,7 @@ def _types_of(connection: Any) -> tuple[cdr.Definitions, Callable[[bytes], bytes
         if _HEADER in held:  # its seq is not in ROS 2
             held[_HEADER] = held[_HEADER][0], [one for one in held[_HEADER][1] if one[0] != "seq"]
         converter.register(held)
-        types = cdr.bounded(name, {one: entry[1] for one, entry in held.items()})
+        types = cdr.with_bytes(cdr.bounded(name, {one: entry[1] for one, entry in held.items()}))
         return types, lambda raw: bytes(converter.ros1_to_cdr(raw, name))
     if definition.data:
         encoding = "ros2idl" if definition.format.name == "IDL" else "ros2msg"

@@ -7,14 +7,13 @@ has tables that are made to be read by people; other values are written by `arml
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import tomli_w
 
-from armlab._toml import parsed
+from armlab._toml import TomlError, parsed
 from armlab._whole_files import whole_file
 from armlab.errors import ConfigError, ModelMismatchError
 from armlab.models._torque_file import KIND, read_torque_model, torque_tables
@@ -102,7 +101,7 @@ def _tables(path: Path) -> dict[str, Any]:
         raw = parsed(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise ConfigError(f"Expected a model file at {path}, got: {error.strerror}. Check the name.") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (TomlError, UnicodeDecodeError) as error:
         raise ConfigError(f"Expected a TOML model file, got something else in {path}: {error}.") from None
     if not isinstance(raw.get("meta"), dict):
         raise ModelMismatchError(

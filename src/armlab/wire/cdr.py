@@ -11,7 +11,7 @@ from typing import Any
 
 from armlab.errors import LogError
 
-__all__ = ["Field", "Layout", "bounded", "definitions", "held", "layout"]
+__all__ = ["Field", "Layout", "NO_MEMBER", "bounded", "definitions", "held", "layout", "with_bytes"]
 
 _SIZES = {
     "bool": ("b1", 1),
@@ -34,8 +34,11 @@ _MAX_DEPTH = 32
 _MAX_FIELDS = 100_000  # of a type with all in it
 _MAX_NAME = 1000
 _EMPTY = 64  # fields of a message that may be there without a byte
-_PER_BYTE = 8  # fields per byte: a message in a message is one without a byte of its own
+_PER_BYTE = 16  # fields per byte: a message in a message is one without a byte of its own
+_LETTERS = 16  # of a name, that count as a field
+NO_MEMBER = "structure_needs_at_least_one_member"  # a byte in ROS 2
 
+_BYTE = (1, ("uint8", 0))
 Definitions = Mapping[str, list[tuple[str, Any]]]
 
 
@@ -101,7 +104,17 @@ def definitions(name: str, text: str, encoding: str = "ros2msg") -> Definitions:
         raise LogError(
             f"Expected a {encoding} definition of {name}, got a text that does not parse: {reason}."
         ) from None
-    return bounded(name, {typename: entry[1] for typename, entry in types.items()})
+    return bounded(name, with_bytes({typename: entry[1] for typename, entry in types.items()}))
+
+
+def with_bytes(types: Definitions) -> Definitions:
+    """Return the definitions with the byte that CDR of ROS 2 gives to messages without fields.
+
+    Parameters
+    ----------
+    types : as messages are written; ROS 1 has no such byte.
+    """
+    return {name: fields or [(NO_MEMBER, _BYTE)] for name, fields in types.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,8 +132,8 @@ def bounded(name: str, types: Definitions) -> Definitions:
 
     Raises
     ------
-    LogError : too many fields, with those of all types in it, nested too deep, names too long, or a sequence whose
-        elements have no byte, so that a message may say that it has any number of them.
+    LogError : a type that is not defined, too many fields, with those of all types in it, nested too deep, names too
+        long, or a sequence whose elements are hardly any bytes, so that a short message may say that it has many.
     """
     known: dict[str, _Size] = {}
 
@@ -129,14 +142,21 @@ def bounded(name: str, types: Definitions) -> Definitions:
             return known[one]
         if depth > _MAX_DEPTH:
             raise LogError(f"Expected message types nested at most {_MAX_DEPTH} deep, got more in {one[:80]}.")
+        if one not in types:
+            raise LogError(f"Expected the definition of {one[:80]} in that of {name[:80]}, got none.")
         found = _Size(fields=1)
-        for field, description in types.get(one, ()):
+        for field, description in types[one]:
             element, count, is_sequence = held(description)
             inner = size(element, depth + 1) if element else _Size(fields=1, least=1)
-            if count < 0 or (is_sequence and not inner.least):
-                raise LogError(f"Expected elements of at least one byte in {field[:80]} of {one[:80]}, got others.")
+            if count < 0:
+                raise LogError(f"Expected a length from 0 of {field[:80]} in {one[:80]}, got a negative one.")
+            if is_sequence and inner.fields > _PER_BYTE * inner.least:
+                raise LogError(
+                    f"Expected elements with a byte for each {_PER_BYTE} fields in {field[:80]} of {one[:80]}, got "
+                    f"{inner.fields} fields in {inner.least} bytes."
+                )
             found = _Size(
-                found.fields + max(count, 1) * inner.fields,
+                found.fields + (max(count, 1) * inner.fields if element else 1),
                 max(found.depth, inner.depth + bool(element)),
                 max(found.longest, len(field) + 1 + inner.longest),
                 found.least + (1 if is_sequence else count * inner.least),
@@ -201,17 +221,13 @@ class _Walk:
     def message(self, name: str, path: str, depth: int) -> None:
         if depth > _MAX_DEPTH:
             raise LogError(f"Expected message types nested at most {_MAX_DEPTH} deep, got more in {name}.")
-        fields = self.types[name]
-        self.left -= 1 + len(fields)
-        if self.left < 0:
-            where = path or name
-            raise LogError(
-                f"Expected a byte for each {_PER_BYTE} fields, got {len(self.raw)} bytes for more in {where}."
-            )
-        for field, description in fields:
+        for field, description in self.types[name]:
             self.value(description, f"{path}.{field}" if path else field, depth)
 
     def value(self, description: Any, path: str, depth: int) -> None:
+        self.left -= 1 + len(path) // _LETTERS
+        if self.left < 0:
+            raise LogError(f"Expected a byte for each {_PER_BYTE} fields, got {len(self.raw)} for more up to {path}.")
         node, detail = int(description[0]), description[1]
         if node == 1 and detail[0] == "string":
             self.texts[path] = self.text()
