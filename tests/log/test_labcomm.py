@@ -161,3 +161,31 @@ def test_mutated_streams_end_in_a_table_or_a_sentence(tmp_path: Path, seed: int)
             warnings.simplefilter("ignore")
             with contextlib.suppress(LogError):  # anything else fails
                 assert len(read_labcomm(path)) <= 6
+
+
+def declared_twice(path: Path, first: str, one: object, second: str, other: object) -> Path:
+    """Write a sample x with values of two types, as where two programs wrote one file."""
+    data = b""
+    for k, (kind, value) in enumerate([(first, one), (second, other)]):
+        (sample,) = (made for made in parse_lc(f"sample {kind} x;") if isinstance(made, SampleType))
+        encoder = Encoder()
+        data += b"" if k else encoder.version()
+        data += encoder.define(sample) + encoder.data(sample, value)
+    path.write_bytes(data)
+    return path
+
+
+def test_a_sample_that_is_declared_with_two_types(tmp_path: Path) -> None:
+    path = tmp_path / "run.labcomm"
+    assert read_labcomm(declared_twice(path, "int", 3, "double", 1.5), rate=1.0)["x"].tolist() == [3.0, 1.5]
+    assert read_labcomm(declared_twice(path, "boolean", True, "int", 7), rate=1.0)["x"].tolist() == [1, 7]
+    for first, second in ((("int", 3), ("string", "a")), (("string", "4"), ("double", 1.5))):
+        with pytest.raises(LogError, match=r"Expected samples .*run\.labcomm.*numbers or texts in x, got both"):
+            read_labcomm(declared_twice(path, *first, *second), rate=1.0)
+
+
+def test_one_long_value_does_not_ask_for_memory_in_all_rows(tmp_path: Path) -> None:
+    path = tmp_path / "run.labcomm"
+    path.write_bytes(stream("2014", [("force", [0.5] * (200_000 if k == 7 else 1)) for k in range(2000)]))
+    with pytest.raises(LogError, match=r"run\.labcomm.*Expected messages that are alike, got 2000 with 201999 numbers"):
+        read_labcomm(path, rate=1.0)

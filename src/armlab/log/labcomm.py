@@ -6,6 +6,7 @@ numbers stay arrays, structs in arrays are numbered from 0. One sample paces the
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -19,6 +20,7 @@ from armlab.errors import ArmlabError, LabCommError, LogError, UnknownName
 from armlab.log.assemble import rows_in_order
 from armlab.log.column import Column
 from armlab.log.formats import FIRST, format_of
+from armlab.log.mcap_variants import refuse_holes
 from armlab.log.provenance import file_hash
 from armlab.log.table import Table
 from armlab.wire.labcomm import Array, Decoder, Limits, Prim, Sample, Struct
@@ -41,6 +43,21 @@ class _Leaf:
     dtype: Any
     values: list[np.ndarray] = field(default_factory=list)
     rows: list[int] = field(default_factory=list)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of the largest value."""
+        axes = max((value.ndim for value in self.values), default=0)
+        most = [value.shape for value in self.values if value.ndim == axes]
+        return tuple(max(sizes) for sizes in zip(*most, strict=True))
+
+    def add_type(self, dtype: Any, label: str) -> None:
+        """Let values of another type in, which a sample has that is declared once more."""
+        if dtype is self.dtype:
+            return
+        if np.str_ in (dtype, self.dtype):
+            raise LogError(f"Expected numbers or texts in {label}, got both. Its sample was declared with two types.")
+        self.dtype = np.result_type(dtype, self.dtype)
 
 
 def read_labcomm(path: str | Path, *, sample: str | None = None, rate: float | None = None, raw: bool = False) -> Table:
@@ -78,7 +95,12 @@ def read_labcomm(path: str | Path, *, sample: str | None = None, rate: float | N
     if sample is not None and sample not in counts:
         raise UnknownName.among("sample with values", sample, counts)
     pace = max(counts, key=counts.__getitem__) if sample is None else sample
-    leaves = _leaves(samples, pace)
+    try:
+        leaves = _leaves(samples, pace)
+        sizes = {label: math.prod(leaf.shape) for label, leaf in leaves.items()}
+        refuse_holes(len(samples), sizes, sum(value.size for leaf in leaves.values() for value in leaf.values))
+    except LogError as error:
+        raise LogError(f"Expected samples that make a table in {path}, got others: {error}") from None
     columns = {label: _column(leaf, counts[pace]) for label, leaf in leaves.items()}
     t = _clock(path, columns, pace, counts[pace], rate)
     ends = f"{path.name} ends within a packet: its last {torn} bytes are left out"
@@ -127,6 +149,7 @@ def _leaves(samples: Sequence[Sample], pace: str) -> dict[str, _Leaf]:
     for one in samples:
         for label, dtype, value in _parts(one.name, one.type, one.value):
             leaf = leaves.setdefault(label, _Leaf(dtype))
+            leaf.add_type(dtype, label)
             leaf.values.append(np.asarray(value, dtype=dtype))
             leaf.rows.append(row)
         row += one.name == pace
@@ -159,8 +182,7 @@ def _elements(value: Any, depth: int) -> Iterator[tuple[str, Any]]:
 
 def _column(leaf: _Leaf, rows: int) -> np.ndarray:
     """Return the values (rows, ...) of a leaf, each held until the next; whole numbers with holes are real."""
-    axes = max(value.ndim for value in leaf.values)
-    shape = tuple(max(value.shape[axis] if value.ndim == axes else 0 for value in leaf.values) for axis in range(axes))
+    shape, axes = leaf.shape, len(leaf.shape)
     whole = leaf.rows[0] == 0 and all(value.shape == shape for value in leaf.values)
     if whole or leaf.dtype is np.str_:
         block = np.array(leaf.values, dtype=leaf.dtype)
