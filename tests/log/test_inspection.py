@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.writer import Writer
 
 from armlab import robots
 from armlab.errors import LogError
@@ -34,6 +36,26 @@ def test_a_file_that_is_none_is_refused(tmp_path: Path) -> None:
     path.write_bytes(b"text")
     with pytest.raises(LogError, match="format text"):
         inspect(path)
+
+
+@pytest.mark.parametrize(
+    ("encoding", "text", "told"),
+    [("ros2msg", b"string msg", ["a", "c"]), ("ros2msg", b"string[[[", []), ("ros2msg", b"uint32 x", [])],
+)
+def test_events_of_another_program(tmp_path: Path, encoding: str, text: bytes, told: list[str]) -> None:
+    """A damaged one is left out alone, and a type that cannot be read leaves everything else to be seen."""
+    path = tmp_path / "x.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("rcl_interfaces/msg/Log", encoding, text)
+        channel = writer.register_channel("/rosout", "cdr", schema)
+        for row, word in enumerate((b"a", b"\xff", b"c")):
+            writer.add_message(channel, row, b"\0\1\0\0" + struct.pack("<I", 2) + word + b"\0", row, row)
+        writer.finish()
+    held = inspect(path)
+    assert [event.text for event in held.events] == told
+    assert held.topics == (Topic("/rosout", "rcl_interfaces/msg/Log", 3),)
 
 
 def test_settings_of_parameters(tmp_path: Path) -> None:

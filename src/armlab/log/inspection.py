@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from armlab.errors import LogError
 from armlab.log.formats import check_readable
@@ -20,6 +21,7 @@ __all__ = ["Event", "Inspection", "Setting", "Topic", "inspect"]
 
 _EVENTS = "rcl_interfaces/msg/Log"
 _PARAMETERS = "armlab_msgs/msg/Parameter"
+One = TypeVar("One")
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,8 +97,8 @@ def inspect(path: str | Path) -> Inspection:
                 torn=found.torn,
                 metadata=found.metadata,
                 topics=_topics(view, found),
-                events=tuple(Event(stamp, str(one.texts["msg"])) for stamp, _, one in _texts(view, found, _EVENTS)),
-                parameters=tuple(_setting(*one) for one in _texts(view, found, _PARAMETERS)),
+                events=_made(view, found, _EVENTS, _event),
+                parameters=_made(view, found, _PARAMETERS, _setting),
                 attachments=attachments,
                 summary=summary_of(view, found),
                 robots=tuple(topic.strip("/").rpartition("/")[0] for topic in clocks(found).values()),
@@ -112,17 +114,24 @@ def _topics(view: memoryview, found: Contents) -> tuple[Topic, ...]:
     return tuple(Topic(channel.topic, channel.type, counts[number]) for number, channel in found.channels.items())
 
 
-def _texts(view: memoryview, found: Contents, type_: str) -> Iterator[tuple[int, bytes, cdr.Layout]]:
-    """Yield the messages of a type, with their stamps; damaged ones are left out."""
+def _made(
+    view: memoryview, found: Contents, type_: str, make: Callable[[int, bytes, cdr.Layout], One]
+) -> tuple[One, ...]:
+    """Return what is made of stamp [ns], bytes and layout of each message of a type; damaged ones are left out."""
+    made: list[One] = []
     for number, channel in found.channels.items():
         if channel.type != type_ or channel.encoding != "cdr":
             continue
-        types = cdr.definitions(channel.type, channel.schema)
-        for _, stamp_ns, raw in messages(view, found, number):
-            try:
-                yield stamp_ns, bytes(raw), cdr.layout(raw, channel.type, types)
-            except DAMAGE:
-                continue
+        with suppress(LogError):  # a type of another program's, which its schema does not tell
+            types = cdr.definitions(channel.type, channel.schema, channel.schema_encoding)
+            for _, stamp_ns, raw in messages(view, found, number):
+                with suppress(*DAMAGE):
+                    made.append(make(stamp_ns, bytes(raw), cdr.layout(raw, channel.type, types)))
+    return tuple(made)
+
+
+def _event(stamp_ns: int, raw: bytes, held: cdr.Layout) -> Event:
+    return Event(stamp_ns, str(held.texts["msg"]))
 
 
 def _setting(stamp_ns: int, raw: bytes, held: cdr.Layout) -> Setting:
