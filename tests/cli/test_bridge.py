@@ -66,6 +66,12 @@ def test_set(running: Exchange, capsys: Any) -> None:
     assert "gain       3.5" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("word", ["007", "_", "2024_", "x y", "0x", "1.2.3"])
+def test_words_that_are_no_toml_are_texts(running: Exchange, word: str) -> None:
+    assert main(["bridge", "set", f"word={word}"]) == 0
+    assert running.parameters.word == word
+
+
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [

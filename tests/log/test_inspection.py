@@ -40,7 +40,12 @@ def test_a_file_that_is_none_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("encoding", "text", "told"),
-    [("ros2msg", b"string msg", ["a", "c"]), ("ros2msg", b"string[[[", []), ("ros2msg", b"uint32 x", [])],
+    [
+        ("ros2msg", b"string msg", ["a", "c"]),
+        ("ros2idl", b"module rcl_interfaces { module msg { struct Log { string msg; }; }; };", ["a", "c"]),
+        ("ros2msg", b"string[[[", []),
+        ("ros2msg", b"uint32 x", []),
+    ],
 )
 def test_events_of_another_program(tmp_path: Path, encoding: str, text: bytes, told: list[str]) -> None:
     """A damaged one is left out alone, and a type that cannot be read leaves everything else to be seen."""
@@ -69,3 +74,17 @@ def test_settings_of_parameters(tmp_path: Path) -> None:
     torn = tmp_path / "torn.mcap"
     torn.write_bytes(recorder.path.read_bytes()[:-100])
     assert list(inspect(torn).parameters) == found
+
+
+def test_a_setting_in_the_other_byte_order(tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        text = b"int64 sequence\nstring name\nstring value\nstring who"
+        schema = writer.register_schema("armlab_msgs/msg/Parameter", "ros2msg", text)
+        channel = writer.register_channel("/parameters", "cdr", schema)
+        texts = (struct.pack(">I", 2) + letter + b"\0\0\0" for letter in (b"a", b"7", b"b"))
+        writer.add_message(channel, 5, b"\0\0\0\0" + struct.pack(">q", 5) + b"".join(texts), 5, 5)
+        writer.finish()
+    assert inspect(path).parameters == (Setting(5, 5, "a", 7, "b"),)

@@ -164,10 +164,11 @@ def test_mutated_streams_end_in_a_table_or_a_sentence(tmp_path: Path, seed: int)
 
 
 def declared_twice(path: Path, first: str, one: object, second: str, other: object) -> Path:
-    """Write a sample x with values of two types, as where two programs wrote one file."""
+    """Write a sample x with values of two types ("int", "double[3]"), as where two programs wrote one file."""
     data = b""
     for k, (kind, value) in enumerate([(first, one), (second, other)]):
-        (sample,) = (made for made in parse_lc(f"sample {kind} x;") if isinstance(made, SampleType))
+        name, bracket, size = kind.partition("[")
+        (sample,) = (made for made in parse_lc(f"sample {name} x{bracket}{size};") if isinstance(made, SampleType))
         encoder = Encoder()
         data += b"" if k else encoder.version()
         data += encoder.define(sample) + encoder.data(sample, value)
@@ -179,13 +180,33 @@ def test_a_sample_that_is_declared_with_two_types(tmp_path: Path) -> None:
     path = tmp_path / "run.labcomm"
     assert read_labcomm(declared_twice(path, "int", 3, "double", 1.5), rate=1.0)["x"].tolist() == [3.0, 1.5]
     assert read_labcomm(declared_twice(path, "boolean", True, "int", 7), rate=1.0)["x"].tolist() == [1, 7]
-    for first, second in ((("int", 3), ("string", "a")), (("string", "4"), ("double", 1.5))):
-        with pytest.raises(LogError, match=r"Expected samples .*run\.labcomm.*numbers or texts in x, got both"):
+    for first, second, told in (
+        (("int", 3), ("string", "a"), "numbers or texts in x, got both"),
+        (("string", "4"), ("double", 1.5), "numbers or texts in x, got both"),
+        (("double", 7.5), ("double[3]", [1.0, 2.0, 3.0]), "arrays of 0 dimensions in x, got one of 1"),
+        (("double[2]", [1.0, 2.0]), ("double", 7.5), "arrays of 1 dimensions in x, got one of 0"),
+    ):
+        with pytest.raises(LogError, match=rf"Expected samples .*run\.labcomm.*{told}"):
             read_labcomm(declared_twice(path, *first, *second), rate=1.0)
 
 
 def test_one_long_value_does_not_ask_for_memory_in_all_rows(tmp_path: Path) -> None:
     path = tmp_path / "run.labcomm"
     path.write_bytes(stream("2014", [("force", [0.5] * (200_000 if k == 7 else 1)) for k in range(2000)]))
-    with pytest.raises(LogError, match=r"run\.labcomm.*Expected messages that are alike, got 2000 with 201999 numbers"):
+    with pytest.raises(LogError, match=r"run\.labcomm.*Expected values that are alike, got 2000 rows with"):
         read_labcomm(path, rate=1.0)
+    path.write_bytes(stream("2014", [("word", "x" * (500_000 if k == 7 else 1)) for k in range(2000)]))
+    with pytest.raises(LogError, match=r"run\.labcomm.*Expected values that are alike, got 2000 rows with"):
+        read_labcomm(path, rate=1.0)
+
+
+def test_rows_are_those_of_the_sample_that_paces(tmp_path: Path) -> None:
+    """A wide one that came three times beside a fast one is no large table."""
+    path = tmp_path / "run.labcomm"
+    values: list[tuple[str, object]] = [("big", k) for k in range(30_000)]
+    for k in (5, 500, 20_000):
+        values.insert(k, ("force", [float(k)] * 10_000))
+    path.write_bytes(stream("2014", values))
+    table = read_labcomm(path, rate=1.0, sample="force")
+    assert table["force"].shape == (3, 10_000)
+    assert table["force"][:, 0].tolist() == [5.0, 500.0, 20_000.0]

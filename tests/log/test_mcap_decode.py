@@ -228,6 +228,6 @@ def test_a_channel_whose_columns_would_be_holes_is_left_out_alone() -> None:
     assert decoded[2].fields["a"][:, 0].tolist() == list(range(3000))
     (sentence,) = damage
     assert sentence.startswith(
-        "3000 messages on /ragged skipped: Expected messages that are alike, got 3000 with 105999"
+        "3000 messages on /ragged skipped: Expected values that are alike, got 3000 rows with 105999"
     )
     assert len(decode(view, contents(view), {1: ["a"]})[0][1].fields["a"]) == 3000

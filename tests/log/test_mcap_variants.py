@@ -111,8 +111,8 @@ def test_one_long_message_does_not_ask_for_memory_in_all_rows() -> None:
     with pytest.raises(LogError) as told:
         assembled(3000, read.pieces)
     assert str(told.value) == (
-        "Expected messages that are alike, got 3000 with 105999 numbers, up to 100000 in x: 2 name(s) that would take "
-        "300003000 cells."
+        "Expected values that are alike, got 3000 rows with 105999 numbers, up to 100000 in x: 2 name(s) that "
+        "would take 300003000 cells."
     )
 
 
@@ -146,7 +146,7 @@ def test_as_many_columns_as_messages_are_read_or_refused_at_once() -> None:
     pieces: list[tuple[np.ndarray, Values]] = [
         (np.array([k]), {((f"x{k}", 1),): np.array([[float(k)]])}) for k in range(20_000)
     ]
-    with pytest.raises(LogError, match="got 20000 with 20000 numbers, up to 1 in x0: 20000 name"):
+    with pytest.raises(LogError, match="got 20000 rows with 20000 numbers, up to 1 in x0: 20000 name"):
         assembled(20_000, pieces)
     values = split(assembled(2000, pieces[:2000]))
     assert len(values) == 2000

@@ -52,7 +52,9 @@ def test_one_long_message_does_not_ask_for_memory_in_all_rows() -> None:
     assert decoded.fields == {}
     assert len(decoded.sequence) == 0
     assert bad == 60_002
-    assert reason.startswith("Expected messages that are alike, got 60001 with 1060000 numbers, up to 1000000 in value")
+    assert reason.startswith(
+        "Expected values that are alike, got 60001 rows with 1060000 numbers, up to 1000000 in value"
+    )
     decoded, bad, _ = decode_one_by_one(((k, k, b'{"%d": %d}' % (k, k)) for k in range(5000)), numbers_in_json)
     assert bad == 0
     assert [decoded.fields[str(k)][k, 0] for k in range(5000)] == list(range(5000))

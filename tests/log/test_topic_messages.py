@@ -169,5 +169,5 @@ def test_parts_of_a_topic_that_are_holes_together_are_left_out_alone() -> None:
     assert len(decoded.sequence) == 3001
     (sentence,) = into.damage
     assert sentence.startswith(
-        "3001 messages on /ragged skipped: Expected messages that are alike, got 3001 with 103000"
+        "3001 messages on /ragged skipped: Expected values that are alike, got 3001 rows with 103000"
     )

@@ -279,13 +279,15 @@ def test_a_file_of_which_every_topic_is_left_out_says_so(ros: Any, tmp_path: Pat
 def test_messages_without_fields_in_a_bag_of_ros_1(tmp_path: Path) -> None:
     """They have no byte in ROS 1 and one in ROS 2."""
     store = get_typestore(Stores.EMPTY)
-    text = "Nothing a\nuint8 x\nfloat64 y\n" + "=" * 80 + "\nMSG: lab_msgs/Nothing\n"
+    text = "Nothing a\nuint8 x\nbyte b\nbyte[2] c\nfloat64 y\n" + "=" * 80 + "\nMSG: lab_msgs/Nothing\n"
     store.register(get_types_from_msg(text, "lab_msgs/msg/One"))
     with Ros1Writer(tmp_path / "run.bag") as bag:
         connection = bag.add_connection("/one", "lab_msgs/msg/One", typestore=store)
-        bag.write(connection, 1, struct.pack("<Bd", 7, 2.5))
+        bag.write(connection, 1, struct.pack("<B3bd", 7, -1, -2, 3, 2.5))
     table = read_topics(tmp_path / "run.bag")["/one"]
-    assert {name: table[name].tolist() for name in table.names} == {"one.x": [7], "one.y": [2.5]}
+    assert {name: table[name].tolist() for name in table.names} == {
+        "one.x": [7], "one.b": [-1], "one.c": [[-2, 3]], "one.y": [2.5],
+    }  # fmt: skip
 
 
 def test_a_bag_of_ros_1_whose_type_is_without_bound(tmp_path: Path) -> None:

@@ -199,3 +199,19 @@ def test_the_most_fields_that_a_type_may_have() -> None:
     assert [held(one) for _, one in types["test_msgs/msg/M1"]][1:] == [
         ("test_msgs/msg/M2", 1, False), ("test_msgs/msg/M2", 2, False)
     ]  # fmt: skip
+
+
+def test_the_types_of_ros_are_bounded() -> None:
+    """All that rosbags knows, also a sequence whose elements have sequences of elements with sequences."""
+    from rosbags.typesys import Stores, get_typestore
+
+    count = 0
+    for kind in Stores:
+        types = {name: fields for name, (_, fields) in get_typestore(kind).fielddefs.items()}
+        for name in types:
+            assert bounded(name, types) is types
+            count += 1
+    assert count > 1000
+    rich = "\n".join(f"M{k}[] x{k}" for k in range(2, 9))
+    deep = nested("M1[] a", rich, *("\n".join(f"float64 x{k}" for k in range(30)) for _ in range(7)))
+    assert definitions("test_msgs/msg/M0", deep)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = ["bridge", "certificates", "release", "resume", "set_parameters", "start", "stop"]
 
-_WHOLE = re.compile(r"[-+]?[\d_]+")
+_WHOLE = re.compile(r"[-+]?[1-9][0-9]*(_[0-9]+)*")
 _PATIENCE = 10.0  # s for an answer: reports go on when a request was lost
 
 bridge = App(

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
 from armlab.errors import LogError
 from armlab.log.formats import check_readable
 from armlab.log.mcap_decode import message_counts, messages
@@ -136,6 +138,6 @@ def _event(stamp_ns: int, raw: bytes, held: cdr.Layout) -> Event:
 
 def _setting(stamp_ns: int, raw: bytes, held: cdr.Layout) -> Setting:
     place = held.field("sequence")
-    sequence = 0 if place is None else int.from_bytes(raw[place.start : place.stop], "little", signed=True)
+    sequence = 0 if place is None else int(np.frombuffer(raw[place.start : place.stop], place.dtype)[0])
     name, value, who = (str(held.texts[key]) for key in ("name", "value", "who"))
     return Setting(stamp_ns, sequence, name, json.loads(value), who)

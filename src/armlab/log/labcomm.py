@@ -38,26 +38,48 @@ _TYPES = {"boolean": np.bool_, "float": np.float64, "double": np.float64, "strin
 
 @dataclass(slots=True)
 class _Leaf:
-    """The values of one column so far, and how many rows there were before each."""
+    """The values of one column so far, how many rows there were before each, and axes of those that are not empty."""
 
     dtype: Any
     values: list[np.ndarray] = field(default_factory=list)
     rows: list[int] = field(default_factory=list)
+    axes: int | None = None
 
     @property
     def shape(self) -> tuple[int, ...]:
         """Of the largest value."""
-        axes = max((value.ndim for value in self.values), default=0)
+        axes = max((value.ndim for value in self.values), default=0)  # an empty list of lists has one
         most = [value.shape for value in self.values if value.ndim == axes]
         return tuple(max(sizes) for sizes in zip(*most, strict=True))
 
-    def add_type(self, dtype: Any, label: str) -> None:
-        """Let values of another type in, which a sample has that is declared once more."""
-        if dtype is self.dtype:
-            return
-        if np.str_ in (dtype, self.dtype):
-            raise LogError(f"Expected numbers or texts in {label}, got both. Its sample was declared with two types.")
-        self.dtype = np.result_type(dtype, self.dtype)
+    @property
+    def size(self) -> int:
+        """Cells of eight bytes in a row; NumPy gives each text the room of the longest, four bytes a letter."""
+        if self.dtype is np.str_:
+            return max(value.itemsize for value in self.values) // 8 + 1
+        return math.prod(self.shape)
+
+    @property
+    def held(self) -> int:
+        """Cells of the values themselves."""
+        return sum(value.nbytes // 8 + 1 for value in self.values)
+
+    def add(self, value: Any, dtype: Any, row: int, label: str) -> None:
+        """Take a value, of another type too, which a sample has that is declared once more."""
+        array = np.asarray(value, dtype=dtype)
+        if dtype is not self.dtype:
+            if np.str_ in (dtype, self.dtype):
+                raise LogError(f"Expected numbers or texts in {label}, got both. Its sample was declared twice.")
+            self.dtype = np.result_type(dtype, self.dtype)
+        if array.size:
+            self.axes = array.ndim if self.axes is None else self.axes
+            if self.axes != array.ndim:
+                raise LogError(
+                    f"Expected arrays of {self.axes} dimensions in {label}, got one of {array.ndim}. Its sample was "
+                    "declared twice."
+                )
+        self.values.append(array)
+        self.rows.append(row)
 
 
 def read_labcomm(path: str | Path, *, sample: str | None = None, rate: float | None = None, raw: bool = False) -> Table:
@@ -80,7 +102,9 @@ def read_labcomm(path: str | Path, *, sample: str | None = None, rate: float | N
 
     Raises
     ------
-    LogError : no file, no LabComm stream, a stream that is malformed (says at which byte), no values, no clock.
+    LogError : no file, no LabComm stream, a stream that is malformed (says at which byte), no values, no clock, a
+        sample that is declared twice, as numbers and texts or with arrays of other dimensions, values whose columns
+        would hardly hold anything.
     UnknownName : no values of that sample; lists those that have some.
     """
     path = Path(path)
@@ -97,8 +121,10 @@ def read_labcomm(path: str | Path, *, sample: str | None = None, rate: float | N
     pace = max(counts, key=counts.__getitem__) if sample is None else sample
     try:
         leaves = _leaves(samples, pace)
-        sizes = {label: math.prod(leaf.shape) for label, leaf in leaves.items()}
-        refuse_holes(len(samples), sizes, sum(value.size for leaf in leaves.values() for value in leaf.values))
+        sizes = {label: leaf.size for label, leaf in leaves.items()}
+        for label, leaf in leaves.items():
+            refuse_holes(max(len(leaf.values), counts[pace]), {label: leaf.size}, leaf.held)
+        refuse_holes(counts[pace], sizes, sum(leaf.held for leaf in leaves.values()))
     except LogError as error:
         raise LogError(f"Expected samples that make a table in {path}, got others: {error}") from None
     columns = {label: _column(leaf, counts[pace]) for label, leaf in leaves.items()}
@@ -149,9 +175,7 @@ def _leaves(samples: Sequence[Sample], pace: str) -> dict[str, _Leaf]:
     for one in samples:
         for label, dtype, value in _parts(one.name, one.type, one.value):
             leaf = leaves.setdefault(label, _Leaf(dtype))
-            leaf.add_type(dtype, label)
-            leaf.values.append(np.asarray(value, dtype=dtype))
-            leaf.rows.append(row)
+            leaf.add(value, dtype, row, label)
         row += one.name == pace
     return leaves
 

@@ -239,19 +239,19 @@ def _filled(count: int, places: Sequence[np.ndarray | slice], arrays: Sequence[n
 
 
 def refuse_holes(count: int, widths: Mapping[str, int], held: int) -> None:
-    """Refuse messages that differ so much that their columns are large and hardly hold anything.
+    """Refuse values that differ so much that their columns are large and hardly hold anything.
 
     One message of a megabyte among thousands of short ones asks for gigabytes.
 
     Parameters
     ----------
-    count : messages. widths : dotted name -> most numbers in one of them. held : numbers in all of them.
+    count : rows. widths : name -> most numbers in one of them. held : numbers in all of them.
     """
     cells = count * sum(widths.values())
     if 8 * cells > _LARGEST and cells > _HOLES * held:
         widest = max(widths, key=lambda path: widths[path])
         raise LogError(
-            f"Expected messages that are alike, got {count} with {held} numbers, up to {widths[widest]} in "
+            f"Expected values that are alike, got {count} rows with {held} numbers, up to {widths[widest]} in "
             f"{widest[:80]}: {len(widths)} name(s) that would take {cells} cells."
         )
 

@@ -175,7 +175,8 @@ def _types_of(connection: Any) -> tuple[cdr.Definitions, Callable[[bytes], bytes
         if _HEADER in held:  # its seq is not in ROS 2
             held[_HEADER] = held[_HEADER][0], [one for one in held[_HEADER][1] if one[0] != "seq"]
         converter.register(held)
-        types = cdr.with_bytes(cdr.bounded(name, {one: entry[1] for one, entry in held.items()}))
+        fields = {one: [(key, _signed(about)) for key, about in entry[1]] for one, entry in held.items()}
+        types = cdr.with_bytes(cdr.bounded(name, fields))
         return types, lambda raw: bytes(converter.ros1_to_cdr(raw, name))
     if definition.data:
         encoding = "ros2idl" if definition.format.name == "IDL" else "ros2msg"
@@ -183,6 +184,14 @@ def _types_of(connection: Any) -> tuple[cdr.Definitions, Callable[[bytes], bytes
     if name not in store().fielddefs:
         raise LogError(f"Expected a definition of {name} in the bag, got none. Record it as MCAP, which holds it.")
     return cdr.definitions(name, store().generate_msgdef(name, ros_version=2)[0]), bytes
+
+
+def _signed(description: Any) -> Any:
+    """Return the description of a field of ROS 1, whose byte has a sign."""
+    kind, detail = description
+    if int(kind) > 2:
+        return kind, (_signed(detail[0]), detail[1])
+    return (kind, ("int8", 0)) if int(kind) == 1 and detail[0] == "byte" else description
 
 
 def _decoded(

@@ -119,12 +119,13 @@ def with_bytes(types: Definitions) -> Definitions:
 
 @dataclass(frozen=True, slots=True)
 class _Size:
-    """What a type is at most: fields with all in it, levels, letters of a name; and bytes that it has at least."""
+    """Fields of a type with all in it, levels, letters of the longest name; bytes and fields where sequences are empty."""
 
     fields: int = 0
     depth: int = 0
     longest: int = 0
     least: int = 0
+    walked: int = 0
 
 
 def bounded(name: str, types: Definitions) -> Definitions:
@@ -144,22 +145,23 @@ def bounded(name: str, types: Definitions) -> Definitions:
             raise LogError(f"Expected message types nested at most {_MAX_DEPTH} deep, got more in {one[:80]}.")
         if one not in types:
             raise LogError(f"Expected the definition of {one[:80]} in that of {name[:80]}, got none.")
-        found = _Size(fields=1)
+        found = _Size(fields=1, walked=1)
         for field, description in types[one]:
             element, count, is_sequence = held(description)
-            inner = size(element, depth + 1) if element else _Size(fields=1, least=1)
+            inner = size(element, depth + 1) if element else _Size(fields=1, least=1, walked=1)
             if count < 0:
                 raise LogError(f"Expected a length from 0 of {field[:80]} in {one[:80]}, got a negative one.")
-            if is_sequence and inner.fields > _PER_BYTE * inner.least:
+            if is_sequence and inner.walked > _PER_BYTE * inner.least:
                 raise LogError(
                     f"Expected elements with a byte for each {_PER_BYTE} fields in {field[:80]} of {one[:80]}, got "
-                    f"{inner.fields} fields in {inner.least} bytes."
+                    f"{inner.walked} fields in {inner.least} bytes."
                 )
             found = _Size(
                 found.fields + (max(count, 1) * inner.fields if element else 1),
                 max(found.depth, inner.depth + bool(element)),
                 max(found.longest, len(field) + 1 + inner.longest),
                 found.least + (1 if is_sequence else count * inner.least),
+                found.walked + (1 if is_sequence or not element else 1 + count * inner.walked),
             )
         _refuse_large(one, found)
         known[one] = found
