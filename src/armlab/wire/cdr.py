@@ -119,7 +119,7 @@ def with_bytes(types: Definitions) -> Definitions:
 
 @dataclass(frozen=True, slots=True)
 class _Size:
-    """Fields of a type with all in it, levels, letters of the longest name; bytes and fields where sequences are empty."""
+    """Fields of a type with all in it, levels, letters of a name; bytes and fields where all sequences are empty."""
 
     fields: int = 0
     depth: int = 0
