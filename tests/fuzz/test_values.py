@@ -16,7 +16,7 @@ sys.path.append(str(ROOT))
 
 from fuzz.targets import TARGETS  # noqa: E402
 
-MOST = 60  # places of an input
+MOST = 15  # places of an input
 PLACE = re.compile(
     rb"(?<![\w.])-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?(?![\w.])|\"[^\"\n]{0,60}\"|'[^'\n]{0,60}'|\btrue\b|\bfalse\b"
 )
