@@ -10,6 +10,7 @@ import numpy as np
 
 from armlab import log, robots
 from armlab.errors import ArmlabError
+from armlab.log.formats import FIRST, format_of
 from armlab.log.redaction import redacted
 
 _FOLDER = tempfile.TemporaryDirectory(prefix="armlab-fuzz-")
@@ -33,6 +34,8 @@ def mcap(data: bytes) -> None:
         table = log.read(path)
     except ArmlabError:
         table = None
+    if format_of(data[:FIRST]) != "MCAP":  # read as text, for example; there is nothing to recover
+        return
     try:
         log.recover(path, copy)
         again = log.read(copy)
