@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import struct
 
 import numpy as np
@@ -21,7 +20,6 @@ from armlab.log.mcap_variants import (
     joined,
     of_length,
     read_blocks,
-    refuse_holes,
     split,
     variant_of,
 )
@@ -151,12 +149,6 @@ def test_as_many_columns_as_messages_are_read_or_refused_at_once() -> None:
     values = split(assembled(2000, pieces[:2000]))
     assert len(values) == 2000
     assert np.isfinite(values["x7"][:, 0]).nonzero()[0].tolist() == [7]
-
-
-@pytest.mark.parametrize(("rows", "held", "told"), [(2**21, 0, ""), (2**22, 2**20, ""), (2**22, 2**20 - 1, "alike")])
-def test_few_holes_and_small_columns_are_no_matter(rows: int, held: int, told: str) -> None:
-    with pytest.raises(LogError, match=told) if told else contextlib.nullcontext():
-        refuse_holes(rows, {"x": 100, "y": 28}, held)
 
 
 def test_what_a_layout_does_not_have_is_nan() -> None:

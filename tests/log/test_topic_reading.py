@@ -276,15 +276,20 @@ def test_a_file_of_which_every_topic_is_left_out_says_so(ros: Any, tmp_path: Pat
         assert read_topics(path) == {}
 
 
+def bag_of_one(path: Path, text: str, raw: bytes) -> Path:
+    """Write a ROS 1 bag with a message of a type that may hold messages without fields."""
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(f"{text}\n{'=' * 80}\nMSG: lab_msgs/Nothing\n", "lab_msgs/msg/One"))
+    with Ros1Writer(path) as bag:
+        bag.write(bag.add_connection("/one", "lab_msgs/msg/One", typestore=store), 1, raw)
+    return path
+
+
 def test_messages_without_fields_in_a_bag_of_ros_1(tmp_path: Path) -> None:
     """They have no byte in ROS 1 and one in ROS 2."""
-    store = get_typestore(Stores.EMPTY)
-    text = "Nothing a\nuint8 x\nbyte b\nbyte[2] c\nfloat64 y\n" + "=" * 80 + "\nMSG: lab_msgs/Nothing\n"
-    store.register(get_types_from_msg(text, "lab_msgs/msg/One"))
-    with Ros1Writer(tmp_path / "run.bag") as bag:
-        connection = bag.add_connection("/one", "lab_msgs/msg/One", typestore=store)
-        bag.write(connection, 1, struct.pack("<B3bd", 7, -1, -2, 3, 2.5))
-    table = read_topics(tmp_path / "run.bag")["/one"]
+    text = "Nothing a\nuint8 x\nbyte b\nbyte[2] c\nfloat64 y"
+    path = bag_of_one(tmp_path / "run.bag", text, struct.pack("<B3bd", 7, -1, -2, 3, 2.5))
+    table = read_topics(path)["/one"]
     assert {name: table[name].tolist() for name in table.names} == {
         "one.x": [7], "one.b": [-1], "one.c": [[-2, 3]], "one.y": [2.5],
     }  # fmt: skip
@@ -292,13 +297,8 @@ def test_messages_without_fields_in_a_bag_of_ros_1(tmp_path: Path) -> None:
 
 def test_a_bag_of_ros_1_whose_type_is_without_bound(tmp_path: Path) -> None:
     """Its reader would walk as many elements as a message of four bytes says."""
-    store = get_typestore(Stores.EMPTY)
-    text = "Nothing[] a\n" + "=" * 80 + "\nMSG: lab_msgs/Nothing\n"
-    store.register(get_types_from_msg(text, "lab_msgs/msg/Many"))
-    with Ros1Writer(tmp_path / "run.bag") as bag:
-        connection = bag.add_connection("/many", "lab_msgs/msg/Many", typestore=store)
-        bag.write(connection, 1, b"\xff\xff\xff\xff")
+    path = bag_of_one(tmp_path / "run.bag", "Nothing[] a", b"\xff\xff\xff\xff")
     with pytest.warns(
-        UserWarning, match=r"left out: /many \(Expected elements with a byte for each 16 fields in a of lab_msgs/"
+        UserWarning, match=r"left out: /one \(Expected elements with a byte for each 16 fields in a of lab_msgs/"
     ):
-        assert read_topics(tmp_path / "run.bag") == {}
+        assert read_topics(path) == {}

@@ -89,7 +89,7 @@ def _taken_apart(url: str, port: int, rows: int) -> list[Address]:
     elif options:
         raise ConfigError(f"Expected no options in an egm link, got {', '.join(options)} in {url!r}.")
     number = parts.netloc.rpartition(":")[2] if ":" in parts.netloc else str(port)
-    number = number.lstrip("0") or number[:1]
+    number = number.lstrip("0") or number[:1]  # Python reads no number of 5000 digits
     if not parts.hostname or not number.isascii() or not number.isdigit() or int(number[:6]) > 65535:
         raise ConfigError(f"Expected {parts.scheme}://HOST:PORT with a port from 0 to 65535, got {url!r}.")
     return [Address(parts.scheme, parts.hostname, int(number), "", options)]

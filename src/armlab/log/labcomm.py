@@ -20,7 +20,7 @@ from armlab.errors import ArmlabError, LabCommError, LogError, UnknownName
 from armlab.log.assemble import rows_in_order
 from armlab.log.column import Column
 from armlab.log.formats import FIRST, format_of
-from armlab.log.mcap_variants import refuse_holes
+from armlab.log.holes import refuse_holes
 from armlab.log.provenance import file_hash
 from armlab.log.table import Table
 from armlab.wire.labcomm import Array, Decoder, Limits, Prim, Sample, Struct

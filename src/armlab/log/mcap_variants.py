@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from armlab.errors import LogError
+from armlab.log.holes import refuse_holes
 from armlab.log.mcap_records import DAMAGE
 from armlab.wire import cdr
 
 __all__ = [
     "MessageReader", "Piece", "Read", "Values", "Variant", "assembled", "joined", "of_length", "read_blocks",
-    "refuse_holes", "split", "variant_of",
+    "split", "variant_of",
 ]  # fmt: skip
 
 _MAX_VARIANTS = 8  # layouts remembered per channel and length; text that differs in every message is read one by one
-_LARGEST, _HOLES = 1 << 31, 512  # bytes of columns, and cells per number: one of 500 frames in each message
 
 # Numbers of one type that follow each other in a message: (path, count) of each.
 Run = tuple[tuple[str, int], ...]
@@ -236,24 +235,6 @@ def _filled(count: int, places: Sequence[np.ndarray | slice], arrays: Sequence[n
     for place, array in zip(places, arrays, strict=True):
         target[place, : array.shape[1]] = array
     return target
-
-
-def refuse_holes(count: int, widths: Mapping[str, int], held: int) -> None:
-    """Refuse values that differ so much that their columns are large and hardly hold anything.
-
-    One message of a megabyte among thousands of short ones asks for gigabytes.
-
-    Parameters
-    ----------
-    count : rows. widths : name -> most numbers in one of them. held : numbers in all of them.
-    """
-    cells = count * sum(widths.values())
-    if 8 * cells > _LARGEST and cells > _HOLES * held:
-        widest = max(widths, key=lambda path: widths[path])
-        raise LogError(
-            f"Expected values that are alike, got {count} rows with {held} numbers, up to {widths[widest]} in "
-            f"{widest[:80]}: {len(widths)} name(s) that would take {cells} cells."
-        )
 
 
 def split(values: Values) -> dict[str, np.ndarray]:

@@ -9,8 +9,8 @@ import msgspec
 import numpy as np
 
 from armlab.errors import LogError
+from armlab.log.holes import refuse_holes
 from armlab.log.mcap_decode import Decoded
-from armlab.log.mcap_variants import refuse_holes
 
 __all__ = ["decode_one_by_one", "numbers_in_json", "numbers_in_protobuf"]
 
