@@ -21,6 +21,7 @@ FLAGS = """--headless=new --disable-gpu --use-gl=angle --use-angle=swiftshader -
     --ignore-gpu-blocklist --disable-quic --no-first-run --disable-background-networking --disable-component-update
     --disable-sync --window-size=1400,960 --remote-debugging-port=0"""
 ONLY_HERE = "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1, EXCLUDE localhost"
+ONE_RESOLUTION = "fixedDpr=1"  # viser draws coarser, seconds after it began, where it finds the computer slow
 PATIENCE = 120.0  # s for one answer of a browser that draws without a graphics card on a busy machine
 
 
@@ -150,7 +151,7 @@ def open_page(browse: Callable[[str], Page]) -> Iterator[Callable[[Any], Page]]:
     pages: list[tuple[Page, Any]] = []
 
     def open_(server: Any) -> Page:
-        page = browse(live.address(server))
+        page = browse(f"{live.address(server)}/?{ONE_RESOLUTION}")
         pages.append((page, server))
         until = time.monotonic() + PATIENCE
         while not server.get_clients():
