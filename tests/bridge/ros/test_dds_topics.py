@@ -118,21 +118,27 @@ def test_writers_may_be_there_first(node: Node, caplog: pytest.LogCaptureFixture
     assert caplog.text == ""
 
 
-def test_what_comes_while_a_reader_is_made_is_read(node: Node, monkeypatch: pytest.MonkeyPatch) -> None:
-    """DDS calls for it in vain then, and would not call again before the next message."""
+@pytest.mark.parametrize("ends", [False, True])
+def test_what_comes_while_a_reader_is_made_is_read(node: Node, monkeypatch: pytest.MonkeyPatch, ends: bool) -> None:
+    """DDS calls for it in vain then, and would not call again before the next message; nor tell that a writer ended."""
     came: list[str] = []
-    writer = node.writer("/a", TEXT)
+    left: list[str] = []
+    writers = [node.writer("/a", TEXT)]
 
     def made(*arguments: Any) -> DataReader[Any]:
         reader = DataReader(*arguments[:-1])  # as if its listener had been called already
-        until(writer.get_matched_subscriptions)
-        write(writer, TEXT, "hello")
+        until(writers[0].get_matched_subscriptions)
+        write(writers[0], TEXT, "hello")
         until(lambda: reader.read(1))
+        if ends:
+            writers.clear()
+            until(lambda: not reader.get_matched_publications())
         return reader
 
     monkeypatch.setattr(dds_topics, "DataReader", made)
-    readers = Readers(node.participant, {"/a": TEXT}, lambda name, *_: came.append(name), came.append)
-    assert came == ["/a"]
+    readers = Readers(node.participant, {"/a": TEXT}, lambda _name, _cdr, client: came.append(client), left.append)
+    assert len(came) == 1
+    assert left == (came if ends else [])
     readers.close()
 
 

@@ -128,16 +128,25 @@ class Readers:
         self._read(reader, name)
 
     def _read(self, reader: DataReader[Any], name: str) -> None:
+        known = set(self._clients)
         while samples := reader.take(_AT_ONCE):
             for sample in samples:
                 if sample.sample_info.valid_data:  # else a writer that has gone
                     self._take(name, sample.cdr, self._client(reader, _handle(sample.sample_info.publication_handle)))
+        if new := set(self._clients) - known:  # one that ended before it was known is not told as gone any more
+            for handle in new.difference(map(_handle, reader.get_matched_publications())):
+                self._gone(handle)
 
     def _matched(self, reader: DataReader[Any], status: Any) -> None:
         handle = _handle(status.last_publication_handle)
         if status.current_count_change > 0:
             self._client(reader, handle)
-        elif (client := self._clients.pop(handle, None)) is not None and client not in list(self._clients.values()):
+        else:
+            self._gone(handle)
+
+    def _gone(self, handle: int) -> None:
+        client = self._clients.pop(handle, None)
+        if client is not None and client not in list(self._clients.values()):
             self._left(client)
 
     def _client(self, reader: DataReader[Any], handle: int) -> str:
