@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import subprocess
 import sys
@@ -29,6 +30,28 @@ def free_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return probe.getsockname()[1]
+
+
+def bound(process: int, but: int = -1) -> set[str]:
+    """Addresses on which a process and those it started wait for others, as /proc tells; without one of them."""
+    parents = {}
+    for folder in Path("/proc").iterdir():
+        with contextlib.suppress(OSError, ValueError, IndexError):
+            parents[int(folder.name)] = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
+    family, inodes = {process}, set()
+    for _ in range(5):
+        family |= {child for child, parent in parents.items() if parent in family}
+    for one in family - {but}:
+        with contextlib.suppress(OSError):
+            inodes |= {str(entry.readlink()) for entry in Path(f"/proc/{one}/fd").iterdir()}
+    found = set()
+    for table in ("tcp", "tcp6", "udp", "udp6"):
+        for line in Path(f"/proc/net/{table}").read_text().splitlines()[1:]:
+            words = line.split()
+            if f"socket:[{words[9]}]" in inodes and words[3] in ("0A", "07"):  # listening; bound UDP
+                address = words[1].partition(":")[0]
+                found.add(socket.inet_ntoa(bytes.fromhex(address)[::-1]) if len(address) == 8 else address)
+    return found
 
 
 class Started:

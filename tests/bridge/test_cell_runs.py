@@ -26,6 +26,7 @@ from armlab.bridge.rights import Arbiter
 from armlab.bridge.row import Row
 from armlab.cli import main
 from armlab.state import Command
+from tests.processes import bound
 
 
 def server_process(name: str) -> int:
@@ -38,27 +39,6 @@ def server_process(name: str) -> int:
                 parent = (folder / "stat").read_text().rpartition(")")[2].split()[1]
                 found += [int(folder.name)] if int(parent) == os.getpid() else []
     return max(found)
-
-
-def bound(but: int = -1) -> set[str]:
-    """Addresses on which this process and those it started wait for others, as /proc writes them; without one."""
-    parents = {}
-    for folder in Path("/proc").iterdir():
-        with contextlib.suppress(OSError, ValueError, IndexError):
-            parents[int(folder.name)] = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
-    family, inodes = {os.getpid()}, set()
-    for _ in range(5):
-        family |= {child for child, parent in parents.items() if parent in family}
-    for process in family - {but}:
-        with contextlib.suppress(OSError):
-            inodes |= {str(entry.readlink()) for entry in Path(f"/proc/{process}/fd").iterdir()}
-    found = set()
-    for table in ("tcp", "tcp6", "udp", "udp6"):
-        for line in Path(f"/proc/net/{table}").read_text().splitlines()[1:]:
-            words = line.split()
-            if f"socket:[{words[9]}]" in inodes and words[3] in ("0A", "07"):  # listening; bound UDP
-                found.add(words[1].partition(":")[0])
-    return found
 
 
 JOINT = np.eye(7)[3]
@@ -145,7 +125,7 @@ def test_a_local_client_commands_in_real_time(cell_text: str, bench: Bench, monk
         with contextlib.ExitStack() as stack:
             stack.callback(there.set)
             feed = stack.enter_context(LocalFeed())
-            assert bound() == {"0100007F"}, "127.0.0.1 only, in a full run"
+            assert bound(os.getpid()) == {"127.0.0.1"}, "127.0.0.1 only, in a full run"
             feed.ask(Subscribe(rate=None))
             feed.ask(SetRequest(values={"gain": 3.0, "gentle": False}))
             start = None
@@ -321,7 +301,7 @@ def test_a_full_run_with_every_server_listens_on_this_computer_only(cell_text: s
 
     def script(ports: dict[str, int]) -> None:
         ros2 = server_process("ros2")
-        assert bound(but=ros2) == {"0100007F"}
+        assert bound(os.getpid(), but=ros2) == {"127.0.0.1"}
         if shutil.which("ss"):
             listed = subprocess.run(["ss", "-Huanp"], capture_output=True, text=True, check=True).stdout.splitlines()
             own = [line.split()[3] for line in listed if f"pid={ros2}," in line]

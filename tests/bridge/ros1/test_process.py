@@ -30,6 +30,7 @@ from armlab.bridge.servers import Servers, server_command
 from armlab.errors import LinkError
 from armlab.log import Tick
 from armlab.state import State
+from tests.processes import bound
 
 from .conftest import PATIENCE, PYTHON, Ros, end, free_port
 
@@ -76,20 +77,28 @@ while rospy.get_time() < end and not rospy.is_shutdown():
 LONG = ",".join(["0.123456"] * 8000), "Expected at most 65536 bytes of JSON"
 
 
-def options(uri: str, python: str = PYTHON) -> dict[str, Any]:
-    return {"host": "127.0.0.1", "master": uri, "python": python}
+def options(uri: str, python: str = PYTHON, host: str = "127.0.0.1") -> dict[str, Any]:
+    return {"host": host, "master": uri, "python": python}
+
+
+def on_a_network() -> str:
+    """Return an address of this computer by which others reach it."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, contextlib.suppress(OSError):
+        probe.connect(("192.0.2.1", 9))  # chooses a network card and sends nothing
+        return str(probe.getsockname()[0])
+    pytest.skip("this computer is on no network")
 
 
 class Running:
     """The server's process at the other end of an exchange, and rows at 250 Hz for as long as a test wants."""
 
-    def __init__(self, stack: contextlib.ExitStack, uri: str) -> None:
+    def __init__(self, stack: contextlib.ExitStack, uri: str, host: str = "127.0.0.1") -> None:
         self.robot = robots.load("yumi_right")
         parameters = Parameters([Parameter("gain", 0.5)])
         self.exchange = Exchange([self.robot], ["ros1"], parameters, ["ros1"], about={"cell": "yumi"})
         self.told: list[str] = []
         self.exchange.begin(lambda text, *_: self.told.append(text))
-        command = server_command("ros1", options(uri))
+        command = server_command("ros1", options(uri, host=host))
         self.servers = stack.enter_context(Servers(self.exchange, {"ros1": command}, restarts=(1.0, 2.0)))
         (self.where,) = self.servers.ready(PATIENCE)
         self.number, self.due = 0, time.monotonic()
@@ -154,6 +163,17 @@ def test_a_refusal_is_in_the_log_of_ros(ros: Ros, running: Running) -> None:
         assert commander.stdout is not None
         assert commander.stdout.read() == b"told\n", words
     assert "ros1 /commander" in running.exchange.arbiter.refused
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("address", [lambda: "127.0.0.1", on_a_network], ids=["loopback", "network"])
+def test_it_listens_at_its_address_only(ros: Ros, address: Callable[[], str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """By itself rospy listens at every address, unless its own is loopback. Takes 3 s each."""
+    monkeypatch.setenv("ROS_IPV6", "on")  # of the user's shell
+    with contextlib.ExitStack() as stack:
+        running = Running(stack, ros.uri, host := address())
+        assert running.where.startswith(f"{host} (ros1, ")
+        assert bound(running.servers.processes()["ros1"]) == {host}
 
 
 class Alone:
@@ -292,13 +312,18 @@ def test_what_is_missing_is_told_in_one_sentence(tmp_path: Path) -> None:
     exchange.close()
 
 
-def test_no_master_is_told_in_one_sentence() -> None:
+def test_no_master_or_another_address_is_told_in_one_sentence() -> None:
     if subprocess.run([PYTHON, "-c", "import rospy"], capture_output=True, check=False).returncode:
         pytest.skip(f"rospy is not installed for {PYTHON} (Debian: python3-rospy)")
     exchange = Exchange([robots.load("yumi_right")], ["ros1"], about={"cell": "yumi"})
     uri = f"http://127.0.0.1:{free_port()}"
     with exchange.open("ros1") as feed, pytest.raises(LinkError, match=f"master at {uri}.*Start roscore"):
         serve(feed, options(uri))
+    with (
+        exchange.open("ros1") as feed,
+        pytest.raises(LinkError, match=r"this computer for ros1, got 198\.51\.100\.1: "),
+    ):
+        serve(feed, options(uri, host="198.51.100.1"))
     exchange.close()
 
 

@@ -38,7 +38,7 @@ class Ros1Process:
     Parameters
     ----------
     feed : connected to the loop.
-    options : "master", its URI; "python", which has rospy; "host", the address that other nodes reach us by.
+    options : "master", its URI; "python", which has rospy; "host", the address it listens at and others reach.
 
     Raises
     ------
@@ -233,4 +233,4 @@ def _old(type_: str) -> str:
     return type_.replace("/msg/", "/")
 
 
-_NOT_INHERITED = ("PYTHONHOME", "VIRTUAL_ENV", "ROS_HOSTNAME", "ROS_NAMESPACE", "ROS_LOG_DIR")
+_NOT_INHERITED = ("PYTHONHOME", "VIRTUAL_ENV", "ROS_HOSTNAME", "ROS_IPV6", "ROS_NAMESPACE", "ROS_LOG_DIR")

@@ -35,6 +35,9 @@ def main() -> int:
         rospy, rosgraph = importlib.import_module("rospy"), importlib.import_module("rosgraph")
     except ImportError as error:
         return _fail(f"Expected rospy under {sys.executable}, but {error}. Install python3-rospy.")
+    wrong = _listen_at(os.environ["ROS_IP"], rosgraph.network)
+    if wrong:
+        return _fail(wrong)
     socket.setdefaulttimeout(_PATIENCE)
     master = rosgraph.Master("/armlab")
     first = _number(master)
@@ -142,6 +145,17 @@ def _type(name):
         return getattr(importlib.import_module(package + ".msg"), kind)
     except (ImportError, AttributeError):
         return None
+
+
+def _listen_at(host, network):
+    """Have rospy listen at one address, by itself it takes all but for loopback; return a sentence if that fails."""
+    try:
+        with contextlib.closing(socket.socket()) as probe:
+            probe.bind((host, 0))
+    except OSError as error:
+        return f"Expected an address of this computer for ros1, got {host}: {error.strerror}. Name one that it has."
+    network.get_bind_address = lambda address=None: host
+    return ""
 
 
 def _number(master):
