@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -137,6 +138,67 @@ def test_a_refusal_stops_the_run_and_every_reply_says_where_the_axes_stay(feed: 
     assert isinstance(guide.failure, CommandRefused)
     assert last is not None
     np.testing.assert_allclose(last.q_ext, here, atol=0.01)
+
+
+def moving(feed: Any, robot: Robot) -> tuple[Guide, Callable[..., Beside | None]]:
+    """Return a guide whose external axes move at full speed, and what answers its next packet."""
+    feed.packets.codec = RobotSideCodec(robot, "7", external=2)
+    guide = Guide(robot, Limits.of(robot, external=AXES), capabilities=ABLE, on_event=feed.tell)
+    here = np.array([0.3, -0.2])
+
+    def cycle(command: Command | None = None, answered: bool = True, q_ext: Any = here, **fields: Any) -> Beside | None:
+        guide.observe(feed.sample(q_ext=q_ext, **fields))
+        reply = guide.answer(command, T) if answered else None
+        return None if reply is None else reply.beside
+
+    cycle()
+    for k in range(60):
+        found = cycle(Command(q_ext=here + 0.002 * k))
+    assert found is not None
+    np.testing.assert_allclose(found.qd_ext, 0.5)
+    return guide, cycle
+
+
+@pytest.mark.parametrize("away", ["overtaken", "not sent", "answered"])
+def test_axes_begin_anew_where_they_are_when_the_robot_is_ready_again(feed: Any, robot: Robot, away: str) -> None:
+    """Whether or not a packet that said so was answered: RAPID or a hand moved them meanwhile."""
+    guide, cycle = moving(feed, robot)
+    there = np.array([-0.6, 0.4])
+    for _ in range(3):
+        cycle(answered=away != "overtaken", q_ext=there, motors=2)
+        if away == "not sent":
+            guide.take_back()
+    for k in range(3):
+        found = cycle(q_ext=there + 0.001 * k)
+        assert found is not None
+        np.testing.assert_allclose(found.q_ext, there, rtol=1e-14)
+        assert not np.any(found.qd_ext)
+    assert guide.mode is Mode.HOLDING
+
+
+@pytest.mark.parametrize(("off", "mode"), [(0.049, Mode.HOLDING), (0.051, Mode.STOPPING)])
+def test_axes_begin_near_where_they_are_held_after_each_loss_of_readiness(
+    feed: Any, robot: Robot, off: float, mode: Mode
+) -> None:
+    guide, cycle = moving(feed, robot)
+    there = np.array([-0.6, 0.4])
+    cycle(q_ext=there, motors=2)
+    cycle(q_ext=there)
+    cycle(Command(q_ext=there - off), q_ext=there + 0.01)
+    assert guide.mode is mode
+    if guide.failure is None:
+        guide.take_back()
+        cycle(Command(q_ext=there - 0.08), q_ext=there)
+        assert guide.mode is Mode.STOPPING, "the first one did not go out"
+    assert "first position of external axis 1 within 0.05" in str(guide.failure)
+
+
+def test_axes_that_are_others_after_a_loss_of_readiness_do_not_move(feed: Any, robot: Robot) -> None:
+    _, cycle = moving(feed, robot)
+    cycle(motors=2)
+    feed.packets.codec = RobotSideCodec(robot, "7", external=1)
+    assert cycle(q_ext=[0.1]) is None
+    assert cycle(q_ext=[0.1]) is None
 
 
 @pytest.mark.parametrize("name", ["yumi_right", "irb120"])

@@ -31,7 +31,7 @@ class Aside:
     def __init__(self, limits: Limits | None, capabilities: frozenset[str]) -> None:
         self._limits, self._capabilities = limits, capabilities
         self._limiter = None if limits is None else Limiter(limits)
-        self._moves = False
+        self._moves = self._entered = False
 
     @property
     def at_rest(self) -> bool:
@@ -39,29 +39,33 @@ class Aside:
         return not self._moves or self._limiter is None or self._limiter.at_rest
 
     @property
-    def memory(self) -> tuple[bool, Any]:
+    def memory(self) -> tuple[bool, bool, Any]:
         """What the next references depend on. Set it back when the last ones did not go out."""
-        return self._moves, None if self._limiter is None else self._limiter.memory
+        return self._moves, self._entered, None if self._limiter is None else self._limiter.memory
 
     @memory.setter
-    def memory(self, memory: tuple[bool, Any]) -> None:
+    def memory(self, memory: tuple[bool, bool, Any]) -> None:
         """Go on from what it was."""
-        self._moves, sent = memory
+        self._moves, self._entered, sent = memory
         if self._limiter is not None:
             self._limiter.memory = sent
 
     def begin(self) -> None:
         """Forget what was asked for: a new session."""
-        self._moves = False
+        self._moves = self._entered = False
 
     def rest(self, packet: Packet) -> Beside | None:
         """Return what goes with a reply while the robot follows no references: the axes stay where they are measured.
+
+        The next position asked for must be near. Axes of another number are others, of which none was asked for.
 
         Parameters
         ----------
         packet : the newest.
         """
+        self._entered = False
         if not self._moves or self._limiter is None or packet.q_ext.shape != self._limiter.q.shape:
+            self._moves = False
             return None
         reply = self._limiter.rest(packet.q_ext)
         return Beside(reply.q, reply.qd)
@@ -134,16 +138,18 @@ class Aside:
                 f"Expected as many numbers in Command.q_ext and in the limits as the robot has external axes, "
                 f"{len(measured)}, got shape {wanted.shape} and limits of {len(limits.q_min)}."
             )
-        if not self._moves:
-            far = np.flatnonzero(np.abs(wanted - measured) > limits.entry)
+        if not self._entered:
+            if not self._moves:
+                limiter.rest(measured)
+            held = limiter.q
+            far = np.flatnonzero(np.abs(wanted - held) > limits.entry)
             if len(far):
                 k = int(far[0])
                 raise CommandRefused(
                     f"Expected the first position of external axis {k + 1} within {limits.entry[k]:g} of where it is, "
-                    f"{measured[k]:.4f}, got {wanted[k]:.4f}. Begin at state.q_ext."
+                    f"{held[k]:.4f}, got {wanted[k]:.4f}. Begin at state.q_ext."
                 )
-            limiter.rest(measured)
-            self._moves = True
+            self._moves = self._entered = True
         before = limiter.q
         reply = limiter.step(wanted, None, period)
         if reply.refused:
