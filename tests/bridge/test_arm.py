@@ -74,13 +74,14 @@ def test_the_newest_is_answered_and_both_are_recorded(arm: Arm, packets: Any) ->
 
 def test_a_command_that_was_given_serves_for_a_time(arm: Arm, packets: Any) -> None:
     command = Command(qd=np.ones(7))
+    take(arm, packets, 0)
     arm.give(command)
-    served = [arm.given(take(arm, packets, k).sample, 0.0101) is command for k in range(4)]
+    served = [arm.given(take(arm, packets, k).sample, 0.0101) is command for k in range(1, 5)]
     assert served == [True, True, False, False]
     arm.give(command)
-    assert arm.given(take(arm, packets, 4).sample, 0.0101) is command
+    assert arm.given(take(arm, packets, 5).sample, 0.0101) is command
     arm.give(None)
-    assert arm.given(take(arm, packets, 5).sample, 0.0101) is None
+    assert arm.given(take(arm, packets, 6).sample, 0.0101) is None
 
 
 @pytest.mark.parametrize(("ahead_ns", "times"), [(PERIOD_NS // 2, 2), (50_000, 1)])

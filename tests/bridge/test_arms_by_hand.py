@@ -133,6 +133,20 @@ def test_a_command_serves_another_arm_for_two_and_a_half_periods(two: Make) -> N
     assert speeds[1] < 0.05
 
 
+def test_a_command_of_a_session_serves_in_no_later_one(two: Make) -> None:
+    """Both arms begin anew after 0.3 s of silence, the one that does not pace first."""
+    hands = two(drift)
+    for _ in range(20):
+        hands.cycle(0, 1)
+    assert hands.speed(1) == pytest.approx(0.1)
+    hands.clock.now += 300 * MS
+    for packets in hands.robots:
+        packets.seq, packets.cycle = 0, packets.cycle + 75
+    hands.cycle(1)
+    np.testing.assert_allclose(hands.table(1)["q_sent"][-1], hands.robots[1].q, atol=1e-9)
+    assert (hands.arms[1].session.number, hands.speed(1), hands.rows[-1][1]) == (2, 0.0, None)
+
+
 def test_the_pacing_arm_that_holds_takes_its_command_from_the_others(two: Make) -> None:
     hands = two(drift)
     for _ in range(20):

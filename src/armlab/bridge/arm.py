@@ -172,6 +172,8 @@ class Arm:
         return turn
 
     def _observe(self, sample: Sample, woken_ns: int) -> Turn:
+        if sample.fresh:
+            self.give(None)  # what it was told in another session: its age counts the packets, not the silence
         if sample.fresh and sample.session > 1:
             self._supervisor.judge()
         if sample.fresh and sample.session > 1 and not self._resumes:  # restarted before anyone saw the silence
