@@ -201,6 +201,18 @@ def test_axes_that_are_others_after_a_loss_of_readiness_do_not_move(feed: Any, r
     assert cycle(q_ext=[0.1]) is None
 
 
+def test_a_refused_jump_is_one_step_of_the_brake(feed: Any, robot: Robot) -> None:
+    guide, cycle = moving(feed, robot)
+    before = guide._last.beside
+    after = cycle(Command(q_ext=np.array([1.4, -0.2])))
+    assert guide.mode is Mode.STOPPING
+    assert before is not None
+    assert after is not None
+    assert before.q_ext is not None
+    np.testing.assert_allclose(after.qd_ext, 0.5 - 5.0 * T)
+    np.testing.assert_allclose(after.q_ext, before.q_ext + (0.5 - 5.0 * T) * T, rtol=1e-12)
+
+
 @pytest.mark.parametrize("name", ["yumi_right", "irb120"])
 @pytest.mark.parametrize("extension", [False, True])
 def test_the_round_trip_through_the_robots_codec(name: str, extension: bool) -> None:

@@ -150,9 +150,10 @@ class Aside:
                     f"{held[k]:.4f}, got {wanted[k]:.4f}. Begin at state.q_ext."
                 )
             self._moves = self._entered = True
-        before = limiter.q
+        before, memory = limiter.q, limiter.memory
         reply = limiter.step(wanted, None, period)
         if reply.refused:
+            limiter.memory = memory  # nobody gets this reply: the hold that goes out begins where the last one ended
             k = abs(reply.refused) - 1
             raise CommandRefused(
                 f"Expected a position of external axis {k + 1} near the last one sent, {before[k]:.4f}, got "
