@@ -33,6 +33,14 @@ def test_simulated() -> None:
     assert [one.robot for one in both] == ["yumi_left", "yumi_right"]
     assert both[0].options == both[1].options == {"seed": "3"}
     assert addresses(["sim://a?seed=3", "sim://b?seed=3"], 2)[1].robot == "b"
+    files = addresses(["sim://mine/a.toml+/lab/b%3f%20c.toml?seed=3"], 2)
+    assert [(one.robot, one.options) for one in files] == [
+        ("mine/a.toml", {"seed": "3"}),
+        ("/lab/b? c.toml", {"seed": "3"}),
+    ]
+    assert addresses(["sim:///lab/b.toml"], 1)[0].robot == "/lab/b.toml"
+    with pytest.raises(ConfigError, match="Expected a link"):
+        addresses(["sim://"], 1)
 
 
 def test_a_number_of_robots_that_is_not_that_of_the_urls() -> None:

@@ -160,8 +160,8 @@ def test_files_that_are_no_controllers(folder: Path, place: str, words: str) -> 
         (["--log", "nowhere/a"], "folder that exists"),
         (["--speed", "2"], "speed in (0, 1]"),
         (["--link", "http://x"], "Expected a link"),
-        (["--link", "sim://yumi_right"], "Expected a link to yumi_left, got sim://yumi_right, other arms"),
-        (["--link", "sim://yumi_left+yumi_right"], "other arms"),
+        (["--link", "sim://yumi_right"], "Expected a link to yumi_left, got sim://yumi_right, another arm"),
+        (["--link", "sim://yumi_left+yumi_right"], "one url per robot"),
     ],
 )
 def test_refusals(folder: Path, capsys: Any, words: list[str], sentence: str) -> None:

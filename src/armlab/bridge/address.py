@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import NamedTuple
-from urllib.parse import SplitResult, parse_qsl, urlsplit
+from urllib.parse import SplitResult, parse_qsl, unquote, urlsplit
 
 from armlab.errors import ConfigError
 
@@ -22,7 +22,7 @@ class Address(NamedTuple):
     Attributes
     ----------
     scheme : "egm", "sim", "labcomm" or "zenoh". host, port : where to listen, or of the server.
-    robot : name of the simulated robot, else "".
+    robot : name or file of the simulated robot, else "".
     options : of the simulator, the LabComm port or the Zenoh link, there with "lab".
     """
 
@@ -39,7 +39,7 @@ def addresses(urls: Sequence[str], count: int) -> list[Address]:
     Parameters
     ----------
     urls : ``egm://HOST:PORT``, ``labcomm://HOST:PORT`` or ``zenoh://HOST:PORT/LAB`` for each robot, or
-        ``sim://NAME?option=value``, also ``sim://NAME+NAME``. count : robots.
+        ``sim://NAME?option=value``, also ``sim://NAME+NAME`` and ``sim://FOLDER/FILE.toml``. count : robots.
 
     Raises
     ------
@@ -77,11 +77,12 @@ def split_url(url: str) -> SplitResult:
 
 def _taken_apart(url: str, port: int, rows: int) -> list[Address]:
     parts = split_url(url)
-    if parts.scheme not in ("egm", "sim", "labcomm", "zenoh") or not parts.netloc:
+    simulated = parts.netloc + parts.path if parts.scheme == "sim" else ""
+    if parts.scheme not in ("egm", "sim", "labcomm", "zenoh") or not (parts.netloc or simulated):
         raise ConfigError(f"Expected a link like egm://127.0.0.1:6510 or sim://yumi_right, got {url!r}.")
     options = dict(parse_qsl(parts.query, keep_blank_values=True))
     if parts.scheme == "sim":
-        return [Address("sim", "127.0.0.1", 0, robot, options) for robot in parts.netloc.split("+")]
+        return [Address("sim", "127.0.0.1", 0, robot, options) for robot in map(unquote, simulated.split("+"))]
     if parts.scheme == "labcomm":
         port = rows
     elif parts.scheme == "zenoh":

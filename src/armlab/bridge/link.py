@@ -54,7 +54,8 @@ def connect(
     ----------
     url : ``egm://127.0.0.1:6510`` listens there for a robot's controller. ``sim://yumi_right`` starts that simulated
         robot and stops it with the link; ``?seed=1&lockstep=true`` are options of ``armlab sim``. Several arms have
-        one url each, or ``sim://yumi_left+yumi_right``. Without a number the port is 6510, of several 6511, 6512, ...
+        one url each, or ``sim://yumi_left+yumi_right``; ``sim://mine.toml`` simulates what a file describes. Without
+        a number the port is 6510, of several 6511, 6512, ...
         ``labcomm://host:7511`` goes to a LabComm server whose bridge has the robot; ``?order=chain&dialect=2014`` say
         how its port is set. ``zenoh://host:7447/lab`` goes to a bridge that serves Zenoh, or to a router that knows
         it; ``?ca=lab.pem&secret=commander.secret`` are its certificate and our password.

@@ -24,7 +24,7 @@ class Simulator:
 
     Parameters
     ----------
-    robots : names in the library. ports : where each shall send.
+    robots : names in the library, or robot files. ports : where each shall send.
     options : further options by name: "seed" -> "1" becomes ``--seed 1``; "true" a bare ``--name``.
 
     Attributes

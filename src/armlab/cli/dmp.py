@@ -160,6 +160,7 @@ def play(
     from armlab import log as logs
     from armlab import models
     from armlab.cli.dmp_playing import numbers_in, rehearsed, resolved, rolled_out
+    from armlab.cli.links import links_to
     from armlab.cli.output import check_output, note, print_json
     from armlab.cli.settings import log_folder
     from armlab.errors import ConfigError
@@ -170,7 +171,7 @@ def play(
         if robot is None:
             raise ConfigError("Expected --robot NAME to move, or --output FILE to write the motion to, got neither.")
         plan = _plan(primitive, given, robot, speed, firm)
-        return _move(*plan, link, log or log_folder() / "dmp.mcap", json)
+        return _move(*plan, links_to(robot, plan[:1], link), log or log_folder() / "dmp.mcap", json)
     check_output(output, force, [".csv", ".mcap"])
     if robot is None:
         arm, table = None, rolled_out(*resolved(models.load(primitive), given))
@@ -196,14 +197,14 @@ def _plan(
     return arm, motion_of(*resolved(models.load(primitive), given), arm, limits, firm), limits
 
 
-def _move(robot: Robot, motion: Motion, limits: Limits, link: str | None, log: Path, json: bool) -> int:
+def _move(robot: Robot, motion: Motion, limits: Limits, links: list[str], log: Path, json: bool) -> int:
     """Walk to the start, run the motion, and say how near the goal it came."""
     from armlab import bridge
     from armlab.cli.dmp_playing import SETTLES, Walk, distance
     from armlab.cli.output import note, print_json, progress, result
 
     controller, seconds = motion.controller, motion.seconds
-    with bridge.connect(link or f"sim://{robot.name}", robot) as end, progress("motion") as tell:
+    with bridge.connect(links, robot) as end, progress("motion") as tell:
         end.run(Walk(motion.q_start, limits.qd_max), limits=limits)
         whole = seconds + SETTLES
         done = end.run(controller, whole, limits=limits, record=log, extra=controller.columns(), progress=tell)

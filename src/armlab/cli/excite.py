@@ -87,7 +87,7 @@ def excite(
     figure : Path
         Draw the motion into this PNG, SVG or PDF.
     run : str
-        Link to run it on: egm://HOST:PORT for a robot, sim://yumi_left for a simulated one.
+        Link to run it on: egm://HOST:PORT for a robot, sim://yumi_left, or sim://FILE, for a simulated one.
     log : Path
         Recording of the run; -2, -3 is added to a name that exists. excite.mcap in the folder of the settings when not
         given.
@@ -101,6 +101,7 @@ def excite(
     from armlab import log as logs
     from armlab import robots
     from armlab.cli.amounts import as_given, require_positive
+    from armlab.cli.links import links_to
     from armlab.cli.output import FIGURES, check_output, note, print_json, progress, result, save_figure
     from armlab.cli.settings import load_settings, log_folder
     from armlab.errors import ConfigError
@@ -117,7 +118,7 @@ def excite(
     arm, asked = robots.load(robot), motion.speed
     speed = min(SPEED, load_settings().settings.speed) if asked is None else asked
     if run is not None:
-        _check_link(arm, run)
+        links_to(robot, [arm], run)
     with progress("design") as tell:
         if saved is None:
             with as_given():
@@ -178,21 +179,6 @@ def _plain(expected: Expectation) -> dict[str, Any]:
     keys = ("name", "unit", "group", "sd")
     found = {"condition": expected.excitation.condition, "weakest": expected.excitation.weakest}
     return {**found, "parameters": [dict(zip(keys, values, strict=True)) for values in parameters]}
-
-
-def _check_link(robot: Robot, url: str) -> None:
-    """Refuse a simulated arm of another name: the log would say that it is of this one."""
-    from armlab.bridge.address import split_url
-    from armlab.errors import ConfigError
-
-    link = split_url(url)
-    if not link.netloc:
-        raise ConfigError(f"Expected a link like egm://127.0.0.1:6510 or sim://{robot.name}, got {url!r}.")
-    if link.scheme == "sim" and link.netloc != robot.name:
-        raise ConfigError(
-            f"Expected a link to {robot.name!r}, got {url!r}, another arm. Name it as ROBOT, or give the link "
-            f"sim://{robot.name}."
-        )
 
 
 def _check_speed(robot: Robot, qd: np.ndarray, asked: float | None) -> None:

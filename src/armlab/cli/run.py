@@ -61,6 +61,7 @@ def run(
     """
     from armlab import bridge, robots
     from armlab.cli import FAILED
+    from armlab.cli.links import links_to
     from armlab.cli.narration import Narrator
     from armlab.cli.output import note, result
     from armlab.cli.settings import load_settings
@@ -68,8 +69,7 @@ def run(
 
     arms = [robots.load(name) for name in robot.split("+")]
     step, extra = (_hold, None) if controller is None else load_controller(controller)
-    urls = [f"sim://{'+'.join(arm.name for arm in arms)}"] if link is None else link.split(",")
-    _check_links(urls, [arm.name for arm in arms])
+    urls = links_to(robot, arms, link)
     base = _base(log, no_log, robot)
     known = load_settings().settings
     share = known.speed if speed is None else speed
@@ -160,21 +160,6 @@ def _raised_at(error: Exception) -> str:
     frames = extract_tb(error.__cause__.__traceback__ if error.__cause__ else None)
     places = [one for one in frames if not Path(one.filename).is_relative_to(own)]
     return "\n".join(f"{one.filename}, line {one.lineno}: {one.line}" for one in places)
-
-
-def _check_links(urls: list[str], names: list[str]) -> None:
-    """Refuse links that cannot be, and simulated arms of other names: the log would say that it is of these."""
-    from armlab.bridge.address import addresses, split_url
-    from armlab.errors import ConfigError
-
-    links = [split_url(url) for url in urls]
-    simulated = [name for link in links if link.scheme == "sim" for name in link.netloc.split("+")]
-    if simulated and simulated != names:
-        raise ConfigError(
-            f"Expected a link to {'+'.join(names)}, got {','.join(urls)}, other arms. Name the arms as ROBOT, or give "
-            f"the link sim://{'+'.join(names)}."
-        )
-    addresses(urls, len(names))
 
 
 def _hold(state: object) -> None:

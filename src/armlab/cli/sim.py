@@ -180,16 +180,15 @@ class _Cell:
 
     def channel(self, name: str, address: tuple[str, int], index: int, seed: list[int]) -> Channel:
         """Return one simulated robot with its socket."""
-        from armlab import robots
+        from armlab.cli.links import simulated
         from armlab.sim.channel import Channel
         from armlab.sim.controller import Controller
         from armlab.sim.faults import Faults
         from armlab.sim.packets import Packets
-        from armlab.sim.scara import scara
         from armlab.wire.egm import RobotSideCodec
 
         content, settings = self.content, self.settings
-        robot = scara() if name == "scara" else robots.load(name)
+        robot = simulated(name)
         is_rw7 = content.robotware == "7"
         codec = RobotSideCodec(
             robot,
