@@ -43,10 +43,24 @@ def test_a_limit_that_would_never_act_is_refused(robot: Robot, name: str) -> Non
         replace(limits, **{name: bad})
 
 
-def test_a_sliding_joint_may_jump_by_two_centimetres() -> None:
+def test_a_sliding_joint_may_jump_and_begin_two_centimetres_away() -> None:
     links = [np.eye(4)] * 3
     robot = from_links("table", links, [True, False], q_min=[-1.0, -1.0], q_max=[1.0, 1.0], qd_max=[1.0, 1.0])
     assert Limits.of(robot).jump.tolist() == [0.02, 0.1]
+    assert Limits.of(robot).entry.tolist() == [0.02, 0.05]
+    assert Limits.of(robot, entry=0.01).entry.tolist() == [0.01, 0.01]
+
+
+def test_no_first_position_may_be_further_away_than_a_jump(robot: Robot) -> None:
+    """It would pass the entry check and be refused as a jump, three times, which ends the run."""
+    assert Limits.of(robot, entry=0.1).entry.tolist() == [0.1] * 7
+    with pytest.raises(ConfigError, match=r"entry up to jump for each joint.*got \[0\.3.*\] and \[0\.1"):
+        Limits.of(robot, entry=0.3)
+    limits = Limits.of(robot)
+    far = limits.entry.copy()
+    far[6] = 0.1001
+    with pytest.raises(ConfigError, match="entry up to jump"):
+        replace(limits, entry=far)
 
 
 def test_the_limiter_remembers_what_it_sent(robot: Robot) -> None:

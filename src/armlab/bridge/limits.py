@@ -27,15 +27,15 @@ class Limits:
     ----------
     q_min, q_max : positions [rad or m]. qd_max, qdd_max : speed and acceleration.
     jump : how far a position may be from the last one sent, besides ``qd_max dt``.
-    entry : how far the first position may be from where the arm holds.
+    entry : how far the first position may be from where the arm holds; no further than `jump`.
     tau_max, tau_rate : torque [N m or N] and its change per second; None where torques are refused.
     external : of the external axes beyond the robot's joints, see `Limits.of_axes`; None where commands to them are
         refused.
 
     Raises
     ------
-    ConfigError : shapes that differ, NaN, q_min not below q_max, another limit that is not above 0, or one of the
-        torque limits without the other.
+    ConfigError : shapes that differ, NaN, q_min not below q_max, another limit that is not above 0, entry above jump,
+        or one of the torque limits without the other.
     """
 
     q_min: np.ndarray
@@ -62,6 +62,11 @@ class Limits:
         for name in ("qd_max", "qdd_max", "jump", "entry", *torque):
             if not np.all(getattr(self, name) > 0.0):
                 raise ConfigError(f"Expected Limits with {name} above 0 for each joint, got {getattr(self, name)}.")
+        if not np.all(self.entry <= self.jump):
+            raise ConfigError(
+                f"Expected Limits with entry up to jump for each joint, got {self.entry} and {self.jump}: a first "
+                "position further away would be refused as a jump. Begin nearer, and move there gradually."
+            )
 
     @classmethod
     def of(
@@ -80,14 +85,14 @@ class Limits:
         ----------
         margin : distance kept from the ends of the joints [rad or m].
         speed : share of the robot's own speed and acceleration limits, in (0, 1].
-        entry : see `Limits`.
+        entry : see `Limits`; of sliding joints at most 0.02 m.
         tau_max : torque limits, one or (n,); the robot's own by default, none where it has none. The full torque is
             reached in 0.1 s at the earliest.
         external : of external axes, see `of_axes`.
 
         Raises
         ------
-        ConfigError : a share outside (0, 1], or a margin that is negative or leaves no room.
+        ConfigError : a share outside (0, 1], an entry above 0.1 rad, or a margin that is negative or leaves no room.
         """
         if not 0.0 < speed <= 1.0 or not entry > 0.0 or not margin >= 0.0:
             raise ConfigError(
@@ -100,7 +105,8 @@ class Limits:
         most = np.broadcast_to(robot.tau_max if tau_max is None else tau_max, (robot.n,)).astype(np.float64)
         torque = (most, most / _TORQUE_RISE) if np.isfinite(most).all() else (None, None)
         speeds = speed * robot.qd_max, speed * robot.qdd_max
-        return cls(q_min, q_max, *speeds, jump, np.full(robot.n, entry), *torque, external)
+        near = np.where(robot.prismatic, np.minimum(entry, jump), entry)
+        return cls(q_min, q_max, *speeds, jump, near, *torque, external)
 
     @classmethod
     def of_axes(
