@@ -11,6 +11,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from armlab import robots
+from armlab.bridge.fusion import Fusion
 from armlab.bridge.labcomm.channels import ArmChannel
 from armlab.bridge.labcomm.parameter_channel import ParameterChannel
 from armlab.bridge.labcomm.peer import Peer
@@ -174,8 +175,10 @@ def _datagram(data: bytes) -> None:
     fields = {"force": Column(shape=(3,), unit="N", frame="base"), "on": Column(unit="1")}
     for layout in ("json", {"force": "<f4", "on": "u1", "seq": "<u8"}):
         source = UdpSource("sensor", fields, 0.01, 0, layout)  # type: ignore[arg-type]
+        fusion = Fusion([source])
         if source._take(data, _NOW, 1):
             source._take(data, _NOW + 1, 1)
+            fusion.record(fusion.tick(_NOW), _NOW)
         else:
             assert source.drops == 1
 

@@ -110,6 +110,33 @@ def test_a_source_that_breaks_its_promises_grows_old() -> None:
     assert any("OSError: unplugged" in text for text in told)
 
 
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"seq": None}, {"seq": 10**400}, {"seq": float("nan")}, {"source_ns": float("inf")}, {"source_ns": 10**400},
+        {"source_ns": "1"}, {"source_ns": [1]}, {"receive_ns": None}, {"receive_ns": float("nan")}, {"gaps": "x"},
+        {"values": {"p": "far"}}, {"values": {"p": np.array(1j)}}, {"values": {"p": None}}, {"values": None},
+    ],
+    ids=repr,
+)  # fmt: skip
+def test_a_reading_that_is_none_does_not_stop_the_loop(wrong: dict[str, Any]) -> None:
+    told: list[str] = []
+
+    class Odd(Source):
+        def newest(self) -> Reading:
+            k = self.now_ns // MS
+            good = Reading(self.values({"p": 1.0}), self.now_ns, self.now_ns, k)
+            return good if k != 1 else good._replace(**wrong)
+
+    fusion = Fusion([Odd("s", P, 0.001)], lambda text, warn=False: told.append(text))
+    for k in range(3):
+        held = fusion.tick(k * MS)
+        fusion.record(held, k * MS)
+        assert held["s"]["p"] == 1.0
+        assert held["s"].age == (1e-3 if k == 1 else 0.0)
+    assert [text.partition(":")[0] for text in told] == ["The source s has a problem"]
+
+
 def test_a_reading_stamped_in_the_future_is_stale() -> None:
     """A wall clock in place of the monotonic one: such a reading would be fresh for ever, also when its source died."""
     told: list[str] = []

@@ -12,7 +12,7 @@ import pytest
 
 from armlab import robots
 from armlab.bridge import CallableSource, Reading, Source, TimerSource
-from armlab.bridge.sources import TICK_COLUMNS, ThreadSource
+from armlab.bridge.sources import TICK_COLUMNS, ThreadSource, whole
 from armlab.errors import ConfigError, ModelMismatchError, ShapeError, UnknownName
 from armlab.log import Column
 from armlab.models import ForceSensor
@@ -151,3 +151,21 @@ def test_a_source_with_a_thread_of_its_own_ends_it_and_starts_again() -> None:
         assert source.newest() is kept
     with pytest.raises(NotImplementedError):
         ThreadSource("none", FIELDS, 0.001).work()
+
+
+@pytest.mark.parametrize(
+    ("number", "unit", "wanted"),
+    [
+        (5, 1, 5), (1.75, 1000, 1750), (True, 1, 1), (np.uint8(200), 1000, 200_000), (np.float32(2.5), 1000, 2500),
+        (-(2**64) + 1, 1, -(2**64) + 1), (np.uint64(2**64 - 1), 1, 2**64 - 1), (2**53 + 1, 1000, 1000 * (2**53 + 1)),
+    ],
+)  # fmt: skip
+def test_whole_numbers(number: Any, unit: int, wanted: int) -> None:
+    assert whole(number, unit) == wanted
+    assert type(whole(number, unit)) is int
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf, 2**64, 2**60, 1e300, 10**400, "5", None, [5], 1j, np.zeros(1)])
+def test_what_is_no_whole_number(number: Any) -> None:
+    with pytest.raises(ValueError, match="at most 64 bits, got"):
+        whole(number, 1000)

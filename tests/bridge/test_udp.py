@@ -61,6 +61,23 @@ def test_the_newest_counts_and_gaps_are_counted(force: Sender) -> None:
     assert (restarted.seq, restarted.gaps) == (0, 2)
 
 
+@pytest.mark.parametrize("number", ["1" + "0" * 400, "1e400", "NaN", "18446744073709551616", '"1"', "null", "[1]"])
+def test_numbers_beyond_64_bits_are_dropped(number: str) -> None:
+    """Each of them ended a run: the log has them as floats, and stamps are mapped."""
+    sender = Sender(UdpSource("force", {"p": Column(unit="m")}, 0.001, 0))
+    for name in ("seq", "stamp_ns"):
+        sender(b'{"p": 1.0, "%s": %s}' % (name.encode(), number.encode()))
+        assert sender.source.newest() is None
+    assert sender.source.drops == 2
+    sender(b'{"p": 2.0, "seq": -18446744073709551615}')
+    sender.source.newest()
+    sender(b'{"p": 2.0, "seq": 18446744073709551615}')
+    reading = sender.source.newest()
+    assert reading is not None
+    assert reading.gaps == 2**53
+    sender.close()
+
+
 def test_json() -> None:
     sender = Sender(UdpSource("force", FIELDS, 0.001, 0))
     sender(json.dumps({"wrench": [1, 2, 3, 4, 5, 6]}).encode())

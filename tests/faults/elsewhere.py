@@ -162,11 +162,44 @@ held_by(
     "tests/bridge/test_broken_codecs.py::test_an_error_outside_the_controller_stops_the_arm_first",
     cells(
         "controller",
-        "a codec or source of your own raises",
+        "a codec of your own raises",
         "running",
         "the arm comes to rest, and the run ends",
         "Expected a cycle without errors, got …",
         "the next run",
+    ),
+)
+held_by(
+    "tests/bridge/test_fusion.py::test_a_source_that_breaks_its_promises_grows_old",
+    cells(
+        "controller",
+        "a source of your own raises, or gives something else",
+        "running",
+        "its last reading stays and grows old; the arm holds where the source is required",
+        "The source … has a problem",
+        "with its next reading",
+    ),
+)
+held_by(
+    "tests/bridge/test_fusion.py::test_a_reading_that_is_none_does_not_stop_the_loop",
+    cells(
+        "controller",
+        "a source gives a number or a stamp that is none",
+        "running",
+        "its last reading stays; nothing raises",
+        "The source … has a problem",
+        "with its next reading",
+    ),
+)
+held_by(
+    "tests/bridge/test_fusion_runs.py::test_a_required_source_that_is_stale_holds_the_arm",
+    cells(
+        "controller",
+        "a required source falls silent",
+        "running",
+        "the arm holds after the source's `max_age`",
+        "The source … is stale",
+        "with its next reading",
     ),
 )
 held_by(

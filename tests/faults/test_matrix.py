@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import runpy
 from pathlib import Path
 
@@ -31,14 +32,38 @@ def test_every_test_on_the_page_is_there(page: dict[str, list[tuple[str, ...]]])
 
 
 def test_a_test_elsewhere_looks_for_the_words_of_its_row(page: dict[str, list[tuple[str, ...]]]) -> None:
-    """As far as its text tells: the words between the gaps are in its file."""
+    """As far as its text tells: the words between the gaps are in it, or in what it names of its file."""
     for rows in page.values():
         for *_, told, _, node in rows:
-            path = node.partition("::")[0]
+            path, _, name = node.partition("::")
             if told == NO_WORDS or path.startswith("tests/faults/"):
                 continue
-            text = (ROOT / path).read_text(encoding="utf-8").replace("\\", "")  # of patterns
+            text = said(ast.parse((ROOT / path).read_text(encoding="utf-8")), name)
             assert all(words.strip() in text for words in told.split("…")), f"{node} does not look for {told!r}"
+
+
+def said(module: ast.Module, name: str) -> str:
+    """Return the texts in a function and in the functions and constants of its file that it names, but docstrings."""
+    named = {one.name: one for one in module.body if isinstance(one, ast.FunctionDef | ast.ClassDef)}
+    constants = {
+        target.id: one
+        for one in module.body
+        if isinstance(one, ast.Assign)
+        for target in one.targets
+        if isinstance(target, ast.Name)
+    }
+    found, todo = {name}, [named[name]]
+    texts = []
+    while todo:
+        for one in ast.walk(todo.pop()):
+            if isinstance(one, ast.FunctionDef | ast.ClassDef) and ast.get_docstring(one) is not None:
+                del one.body[0]
+            if isinstance(one, ast.Constant) and isinstance(one.value, str):
+                texts.append(one.value.replace("\\", ""))  # of patterns
+            if isinstance(one, ast.Name) and one.id not in found and one.id in (named | constants):
+                found.add(one.id)
+                todo.append((named | constants)[one.id])
+    return "\n".join(texts)
 
 
 def test_the_page_has_a_section_for_each_kind(page: dict[str, list[tuple[str, ...]]]) -> None:

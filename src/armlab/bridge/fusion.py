@@ -15,7 +15,7 @@ import numpy as np
 
 from armlab.bridge.clock_map import ClockMap
 from armlab.bridge.events import Tell, nobody
-from armlab.bridge.sources import TICK_COLUMNS, Reading, Source
+from armlab.bridge.sources import TICK_COLUMNS, Reading, Source, whole
 from armlab.errors import ConfigError
 from armlab.kinematics import forward
 from armlab.robots import Robot
@@ -193,13 +193,19 @@ class Fusion:
             reading = source.newest()
             if reading is None or reading is last:
                 return reading
-            shapes = {field: np.shape(value) for field, value in reading.values.items()}
+            values = {field: np.asarray(value) for field, value in reading.values.items()}
+            for number in (reading.source_ns, reading.receive_ns, reading.seq, reading.gaps):
+                whole(number)
             ahead = 1e-9 * (reading.receive_ns - source.now_ns)
         except Exception as error:  # a user's own source must not stop the loop
             source.problem = f"{type(error).__name__}: {error}"
             return last
+        shapes = {field: value.shape for field, value in values.items()}
         if shapes != {field: column.shape for field, column in source.fields.items()}:
             source.problem = f"expected the fields {', '.join(source.fields)} with their shapes, got {shapes}"
+            return last
+        if wrong := [field for field, value in values.items() if value.dtype.kind not in "biuf"]:
+            source.problem = f"expected numbers in {', '.join(wrong)}"
             return last
         if ahead > _AHEAD:  # its age would stay 0 when the source dies
             source.problem = f"expected a stamp of time.monotonic_ns(), got one {ahead:.3g} s ahead of it"

@@ -21,7 +21,7 @@ from armlab.log import Column
 from armlab.models import ForceSensor
 from armlab.robots import Robot
 
-__all__ = ["TICK_COLUMNS", "CallableSource", "Reading", "Source", "ThreadSource", "TimerSource"]
+__all__ = ["TICK_COLUMNS", "CallableSource", "Reading", "Source", "ThreadSource", "TimerSource", "whole"]
 
 _DEFAULT_AGE = 0.02  # s
 _ROLES = ("pacing", "required", "optional")
@@ -41,7 +41,7 @@ class Reading(NamedTuple):
     Attributes
     ----------
     values : by field. source_ns : its own clock, 0 when it has none. receive_ns : our monotonic clock.
-    seq : its number. gaps : readings lost so far, by its numbers.
+    seq : its number. gaps : readings lost so far, by its numbers. Each of them has at most 64 bits.
     """
 
     values: Mapping[str, np.ndarray]
@@ -49,6 +49,23 @@ class Reading(NamedTuple):
     receive_ns: int
     seq: int
     gaps: int = 0
+
+
+def whole(number: Any, unit: int = 1) -> int:
+    """Return a stamp or a number that somebody sent as an integer of a reading.
+
+    Parameters
+    ----------
+    number : what was sent. unit : by which to multiply it.
+
+    Raises
+    ------
+    ValueError : no number, one that is not finite, or one beyond 64 bits.
+    """
+    plain = number.item() if isinstance(number, np.generic) else number
+    if isinstance(plain, int | float) and abs(plain * unit) < 1 << 64:
+        return int(plain * unit)
+    raise ValueError(f"expected a finite number of at most 64 bits, got {str(plain)[:40]}")
 
 
 class Source:

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from armlab.bridge.port import Arrival, Port
-from armlab.bridge.sources import Reading, Source
+from armlab.bridge.sources import Reading, Source, whole
 from armlab.errors import ConfigError
 from armlab.log import Column
 
@@ -18,6 +18,7 @@ __all__ = ["UdpSource"]
 _STAMPS = ("seq", "stamp_ns")
 _DRAINED = 64  # datagrams per tick: a flood cannot hold the loop up
 _BACKLOG = 2000  # at first: what came before the robot did
+_MOST_GAPS = 1 << 53  # whole numbers in the log
 
 
 class UdpSource(Source):
@@ -92,15 +93,16 @@ class UdpSource(Source):
         last = self._newest
         try:
             given = self._json(data) if self._layout is None else self._numbers(data, self._layout)
-            seq = int(given.pop("seq", 0 if last is None else last.seq + count))
-            stamp_ns = int(given.pop("stamp_ns", 0))
+            seq = whole(given.pop("seq", 0 if last is None else last.seq + count))
+            stamp_ns = whole(given.pop("stamp_ns", 0))
             values = self.values(given)
         except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
             self.drops += 1
             self.problem = self.problem or f"a datagram could not be read, {type(error).__name__}: {error}"
             return False
         lost = 0 if last is None else max(seq - last.seq - count, 0)  # a restart of the numbers loses nothing
-        self._newest = Reading(values, stamp_ns, receive_ns, seq, lost if last is None else last.gaps + lost)
+        gaps = 0 if last is None else min(last.gaps + lost, _MOST_GAPS)
+        self._newest = Reading(values, stamp_ns, receive_ns, seq, gaps)
         return True
 
     def _record(self, layout: Mapping[str, str]) -> np.dtype[Any]:

@@ -12,6 +12,7 @@ from armlab.bridge.labcomm import ArmChannel, LabCommServer, ParameterChannel
 from armlab.bridge.labcomm.source import LabCommSource
 from armlab.errors import ConfigError
 from armlab.log import Column
+from armlab.wire.labcomm import Prim, Sample
 
 from .conftest import Started, row, until
 
@@ -49,6 +50,18 @@ def test_it_connects_again_and_says_what_is_wrong(start: Start) -> None:
     until(source.newest)
     again.close()
     source.close()
+
+
+@pytest.mark.parametrize("stamp", [float("nan"), float("inf"), 1e300, "2", "2" * 60_000, [1], None])
+def test_a_clock_that_is_no_number_is_told(stamp: Any) -> None:
+    source = LabCommSource("arm", {"q": Column((2,), "rad")}, 0.004, 1)
+    for value in ({"q": [0.0, 1.0], "t_us": stamp}, {"q": [0.0, 1.0], "tm": stamp}):
+        source._take(Sample(64, "row", value, Prim("double")))
+        assert source.newest() is None
+        assert "at most 64 bits" in source.problem
+    source._take(Sample(64, "row", {"q": [0.0, 1.0], "tm": 1.5}, Prim("double")))
+    reading: Any = source.newest()
+    assert reading.source_ns == 1_500_000
 
 
 def test_numbers_and_other_samples(start: Start) -> None:

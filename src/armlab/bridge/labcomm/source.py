@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from armlab.bridge.labcomm.client import LabCommClient
-from armlab.bridge.sources import Reading, ThreadSource
+from armlab.bridge.sources import Reading, ThreadSource, whole
 from armlab.errors import ArmlabError, LinkError
 from armlab.log import Column
 from armlab.wire.labcomm import Sample
@@ -69,11 +69,11 @@ class LabCommSource(ThreadSource):
                 missing = ", ".join(name for name in self.fields if name not in given)
                 self.problem = f"Expected {missing} in the sample {sample.name}, got {', '.join(value)}."
             return
-        stamp_ns = next((value[name] * unit for name, unit in _STAMPS.items() if name in value), 0)
         last = self._newest
         try:
+            stamp_ns = next((whole(value[name], unit) for name, unit in _STAMPS.items() if name in value), 0)
             values = self.values(given)
-        except ArmlabError as error:
+        except (ArmlabError, ValueError) as error:
             self.problem = str(error)
             return
         self._newest = Reading(values, stamp_ns, time.monotonic_ns(), 0 if last is None else last.seq + 1)
