@@ -122,6 +122,16 @@ def test_wrong_files_are_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixt
     assert cli.main(["log", "show"]) == 2
 
 
+def test_the_original_stays(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "same.mcap").symlink_to(path)
+    whole = path.read_bytes()
+    for words in (["export", str(path)], ["cut", str(path), "--to", "0.1", "-o"], ["merge", str(path), "b.mcap", "-o"]):
+        for output in (path, tmp_path / "same.mcap"):
+            assert cli.main(["log", *words, str(output), "--force"]) == 2
+            assert "which is or holds what is read" in capsys.readouterr().err
+    assert path.read_bytes() == whole
+
+
 @pytest.mark.parametrize("ending", [".csv", ".mat", ".parquet", ".h5", ".rosbag2"])
 def test_export_and_back(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], ending: str) -> None:
     output = tmp_path / f"run{ending}"

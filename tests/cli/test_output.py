@@ -84,3 +84,19 @@ def test_a_figure_is_written_whole_or_not_at_all(fails: bool, tmp_path: Path) ->
         save_figure(Figure(), path)
     assert path.read_bytes() == (b"old" if fails else b"new")
     assert [file.name for file in tmp_path.iterdir()] == ["a.png"]
+
+
+def test_what_is_read_is_never_replaced(tmp_path: Path) -> None:
+    log, bag = tmp_path / "run.csv", tmp_path / "run.rosbag2"
+    log.write_text("mine")
+    bag.mkdir()
+    (bag / "run_0.mcap").write_text("mine")
+    (tmp_path / "link.csv").symlink_to(log)
+    ways = [(log, log), (tmp_path / "link.csv", log), (log, tmp_path / "link.csv"), (bag / ".." / "run.csv", log)]
+    folders = [(bag, bag), (bag, bag / "run_0.mcap"), (bag / "run_0.mcap", bag)]
+    for path, read in (*ways, *folders):
+        for force in (False, True):
+            with pytest.raises(ConfigError, match="which is or holds what is read"):
+                check_output(path, force, [".csv", ".mcap", ".rosbag2"], [tmp_path / "other.csv", read])
+    check_output(bag / "new.csv", False, [".csv"], [bag])
+    check_output(log, True, [".csv"], [bag, tmp_path / "none.csv"])

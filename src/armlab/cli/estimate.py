@@ -105,7 +105,7 @@ def estimate(
 
     for path, endings in ((output, (".mcap", ".csv")), (report, (".html",)), (figure, FIGURES)):
         if path is not None:
-            check_output(path, force, endings)
+            check_output(path, force, endings, [log])
     arm = robots.load(robot)
     known = models.load(model)
     options = {"force_rate": force_rate, "bias": bias}

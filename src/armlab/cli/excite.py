@@ -114,7 +114,7 @@ def excite(
     require_positive("acceleration", motion.acceleration, "rad/s^2")
     for path, endings in ((output, [".csv"]), (figure, FIGURES)):
         if path is not None:
-            check_output(path, force, endings)
+            check_output(path, force, endings, [] if saved is None else [saved])
     arm, asked = robots.load(robot), motion.speed
     speed = min(SPEED, load_settings().settings.speed) if asked is None else asked
     if run is not None:

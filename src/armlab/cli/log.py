@@ -96,7 +96,7 @@ def export(
     from armlab.log.sidecar import sidecar_path
     from armlab.log.writing import ENDINGS
 
-    check_output(output, force, ENDINGS)
+    check_output(output, force, ENDINGS, [file])
     ending = output.suffix.lower()
     if ending == ".csv":
         refuse_overwrite(sidecar_path(output), force)
@@ -188,7 +188,7 @@ def cut(
     start, stop = (-float("inf") if from_ is None else from_), (float("inf") if to is None else to)
     if not start < stop or (from_, to, robot) == (None, None, None):
         raise ConfigError(f"Expected --from S, --to S or both, the first before the second, got {from_} and {to}.")
-    check_output(output, force, ENDINGS)
+    check_output(output, force, ENDINGS, [file])
     with progress("cut") as tell:
         if output.suffix.lower() == ".mcap" and format_at(file) in ("MCAP", "") and not is_foreign(file):
             logs.cut(file, output, start, stop, robot=robot, progress=tell)
@@ -223,7 +223,7 @@ def merge(*file: Path, output: Annotated[Path, Parameter(alias="-o")], force: bo
     from armlab import log as logs
     from armlab.cli.output import check_output, progress, result
 
-    check_output(output, force, [".mcap"])
+    check_output(output, force, [".mcap"], file)
     with progress("merge") as tell:
         logs.merge(file, output, progress=tell)
     result(str(output))

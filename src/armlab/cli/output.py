@@ -64,7 +64,7 @@ def refuse_overwrite(path: Path, force: bool) -> None:
         raise ConfigError(f"Expected a new file, got {path}, which exists. Choose another name or add --force.")
 
 
-def check_output(path: Path, force: bool, endings: Sequence[str]) -> None:
+def check_output(path: Path, force: bool, endings: Sequence[str], inputs: Sequence[Path] = ()) -> None:
     """Raise `ConfigError` before the work begins when its result could not be written.
 
     Parameters
@@ -72,6 +72,7 @@ def check_output(path: Path, force: bool, endings: Sequence[str]) -> None:
     path : file to be written; must be new unless `force` is set, in a folder that exists.
     force : the file may exist.
     endings : that the name may have.
+    inputs : files and folders that are read: never replaced, under whatever name, nor anything in them or around them.
     """
     if path.suffix.lower() not in endings:
         raise ConfigError(f"Expected a file name that ends in {' or '.join(endings)}, got {path}. Change the ending.")
@@ -79,7 +80,18 @@ def check_output(path: Path, force: bool, endings: Sequence[str]) -> None:
         raise ConfigError(f"Expected {path} in a folder that exists, got {path.parent}. Make the folder first.")
     if not os.access(path.parent, os.W_OK):
         raise ConfigError(f"Expected {path} in a folder that you may write to, got {path.parent}. Choose another.")
+    for one in inputs:
+        if path.exists() and one.exists() and (_holds(path, one) or _holds(one, path)):
+            raise ConfigError(
+                f"Expected a new file, got {path}, which is or holds what is read, {one}. Choose another name."
+            )
     refuse_overwrite(path, force)
+
+
+def _holds(outer: Path, inner: Path) -> bool:
+    """Whether a file or folder is the other one, by whatever way, or has it inside."""
+    place = inner.resolve()
+    return any(outer.samefile(one) for one in (place, *place.parents))
 
 
 def save_figure(drawn: Any, path: Path, dpi: int = 150) -> None:
