@@ -57,6 +57,19 @@ def test_the_history_of_the_parameters(path: Path, tmp_path: Path, capsys: pytes
     assert told.items() <= json.loads(capsys.readouterr().out).items()
 
 
+@pytest.mark.parametrize("size", [10, 2000])
+def test_a_log_cut_off_before_its_first_message_says_what_recover_says(
+    path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], size: int
+) -> None:
+    tiny = tmp_path / "tiny.mcap"
+    tiny.write_bytes(path.read_bytes()[:size])
+    for words in (["show"], ["show", "--json"], ["show", "--parameters"], ["recover"]):
+        assert cli.main(["log", *words, str(tiny)]) == 1
+        said = capsys.readouterr()
+        assert said.out == ""
+        assert f"Expected messages in {tiny}, got none that can be read in {size} bytes." in said.err
+
+
 def test_show_says_what_the_log_holds(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["log", "show", str(path)]) == 0
     captured = capsys.readouterr()

@@ -20,6 +20,18 @@ def test_a_log_of_another_format(tmp_path: Path) -> None:
     assert (data["rows"], data["format"], data["columns"]["q"]["missing"]) == (3, "text", 1)
 
 
+def test_a_log_without_a_topic_of_numbers(tmp_path: Path) -> None:
+    with Recorder(tmp_path / "run.mcap", load("yumi_right")) as recorder:
+        recorder.event("the only word", 10**18)
+    text = text_of(recorder.path, "MCAP", inspect(recorder.path), {})
+    assert "began -" in text
+    assert "no topic with numbers" in text
+    assert "the only word" in text
+    bag = text_of(tmp_path / "run.bag", "ROS 1 bag", None, {})
+    assert "run.bag: ROS 1 bag, began -" in bag
+    assert "no topic with numbers" in bag
+
+
 def test_only_the_first_events_are_shown(tmp_path: Path) -> None:
     with Recorder(tmp_path / "run.mcap", load("yumi_right")) as recorder:
         for i in range(30):

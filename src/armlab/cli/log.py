@@ -33,11 +33,14 @@ def show(file: Path, *, json: bool = False, parameters: bool = False) -> None:
     from armlab.cli.log_text import data_of, parameters_data, parameters_text, text_of
     from armlab.cli.output import print_json, result
     from armlab.cli.reading import reading_bar
+    from armlab.errors import LogError
     from armlab.log.formats import format_at
     from armlab.log.topic_reading import is_foreign
 
     kind = format_at(file)
     held = logs.inspect(file) if kind in ("MCAP", "") else None  # of no file it says why
+    if held and not held.topics:
+        raise LogError(f"Expected messages in {file}, got none that can be read in {held.size} bytes.")
     if parameters:
         if json:
             print_json(parameters_data(held) if held else {"parameters": [], "parameters_at_end": {}})

@@ -105,9 +105,9 @@ def _recording_data(held: Inspection) -> dict[str, Any]:
 
 def _exchanged_text(file: Path, kind: str, tables: Mapping[str, Table]) -> str:
     """Return what is shown of a log that is no recording."""
-    first = min(tables.values(), key=lambda table: table.t0_ns)
-    sources = [f"source: {entry}" for entry in first.source]
-    head = [f"{file}: {kind}, began {_began(first)}", *sources]
+    first = min(tables.values(), key=lambda table: table.t0_ns, default=None)
+    sources = [f"source: {entry}" for entry in first.source] if first else []
+    head = [f"{file}: {kind}, began {_began(first.t0_ns if first else 0)}", *sources]
     return "\n\n".join(["\n".join(head), *_table_texts(tables)])
 
 
@@ -116,7 +116,7 @@ def _table_texts(tables: Mapping[str, Table]) -> list[str]:
     from armlab.cli.output import aligned
     from armlab.log.text import table_text
 
-    blocks = []
+    blocks = [] if tables else ["no topic with numbers"]
     for name, table in tables.items():
         first, *rest = table_text(table).splitlines()
         first = f"{name}: {first}" if name else first
@@ -125,19 +125,19 @@ def _table_texts(tables: Mapping[str, Table]) -> list[str]:
     return blocks
 
 
-def _began(table: Table) -> str:
+def _began(t0_ns: int) -> str:
     from datetime import UTC, datetime
 
-    if not table.t0_ns:
+    if not t0_ns:
         return "-"
-    return datetime.fromtimestamp(table.t0_ns / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+    return datetime.fromtimestamp(t0_ns / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
 
 
 def _text(held: Inspection, tables: Mapping[str, Table]) -> str:
     from armlab.cli.output import aligned
 
     state = "finished" if held.finished else f"not finished, {held.torn} bytes torn"
-    began = min(tables.values(), key=lambda table: table.t0_ns)
+    began = min((table.t0_ns for table in tables.values()), default=0)
     blocks = [f"{held.path}: {held.size / 1e6:.2f} MB, {state}, began {_began(began)}"]
     for about in held.metadata.values():
         blocks.append(
@@ -147,7 +147,7 @@ def _text(held: Inspection, tables: Mapping[str, Table]) -> str:
         )
     blocks += _table_texts(tables)
     blocks.append(aligned([("attachment", "bytes"), *((n, str(len(d))) for n, d in held.attachments.items())], (1,)))
-    lines = [f"{_when(event.stamp_ns, began.t0_ns):>12}  {event.text}" for event in held.events[:_EVENTS_SHOWN]]
+    lines = [f"{_when(event.stamp_ns, began):>12}  {event.text}" for event in held.events[:_EVENTS_SHOWN]]
     more = len(held.events) - len(lines)
     blocks.append("\n".join(["events", *lines, *([f"and {more} more (--json shows all)"] if more > 0 else [])]))
     return "\n\n".join(block for block in blocks if block)
