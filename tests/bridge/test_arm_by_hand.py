@@ -362,7 +362,7 @@ def test_a_command_serves_for_exactly_its_time(make: Make) -> None:
     hands.cycle()
     arm = hands.arms[0]
     assert arm.newest is not None
-    sample, command = arm.newest.sample._replace(dt=0.25), Command()
+    sample = arm.newest.sample._replace(dt=0.25)
     assert arm.given(sample, 1.0) is None
-    arm.give(command)
-    assert [arm.given(sample, 0.5) is command for _ in range(3)] == [True, True, False]
+    arm.give(Command())
+    assert [arm.given(sample, 0.5) is not None for _ in range(3)] == [True, True, False]

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab.bridge.commands import entry_refusal, refusal, wanted
+from armlab.bridge.commands import entry_refusal, kept, refusal, wanted
 from armlab.errors import CommandRefused
 from armlab.robots import Robot
 from armlab.state import Command
@@ -39,6 +39,25 @@ def test_references_pass(robot: Robot) -> None:
 def test_what_is_no_reference_is_refused(robot: Robot, command: Any, words: str) -> None:
     with pytest.raises(CommandRefused, match=words):
         wanted(command, robot)
+
+
+@pytest.mark.parametrize("name", ["q", "qd", "tau", "q_ext", "rapid_data"])
+def test_what_is_kept_does_not_change(name: str) -> None:
+    for numbers in (np.zeros(7), [0.0] * 7):
+        given: dict[str, Any] = {name: numbers, "rapid_digital": True, "record": {"x": 1.0}, "ends": True}
+        command = kept(Command(**given))
+        numbers[2] = 1.0
+        assert command is not None
+        np.testing.assert_array_equal(getattr(command, name), np.zeros(7))
+        assert (command.rapid_digital, command.record, command.ends) == (True, {"x": 1.0}, True)
+        assert sum(getattr(command, one) is not None for one in ("q", "qd", "tau", "q_ext", "rapid_data")) == 1
+
+
+def test_what_is_no_command_is_kept_to_be_refused(robot: Robot) -> None:
+    assert kept(None) is None
+    for odd in (3, Command([[1.0], [2.0, 3.0]])):  # type: ignore[list-item]
+        with pytest.raises(CommandRefused):
+            wanted(kept(odd), robot)  # type: ignore[arg-type]
 
 
 def test_the_sentence_names_joint_and_values(robot: Robot) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
+from armlab.bridge.commands import kept
 from armlab.bridge.fusion import Fusion
 from armlab.bridge.latency import Latency
 from armlab.bridge.limits import Reply
@@ -136,7 +137,7 @@ class Arm:
         ----------
         command : None holds.
         """
-        self._given, self._given_age = command, 0.0
+        self._given, self._given_age = kept(command), 0.0
 
     def given(self, sample: Sample, longest: float) -> Command | None:
         """Return the command kept for this packet; None, hold, once it is too old.

@@ -1,7 +1,8 @@
-"""What a controller returned, checked: `wanted` gives the references, `refusal` the sentence for a refused one."""
+"""What a controller returned: `wanted` gives the references, checked, `refusal` the sentence for a refused one."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,9 +11,10 @@ from armlab.errors import CommandRefused
 from armlab.robots import Robot
 from armlab.state import Command
 
-__all__ = ["entry_refusal", "refusal", "wanted"]
+__all__ = ["entry_refusal", "kept", "refusal", "wanted"]
 
 _DOUBLE = np.dtype(np.float64)
+_NUMBERS = "q", "qd", "tau", "q_ext", "rapid_data"
 _CAUSES = "Usual causes are degrees instead of radians and another joint order."
 
 
@@ -52,6 +54,25 @@ def _vector(name: str, values: Any, robot: Robot) -> np.ndarray | None:
             f"Give one value per joint: {', '.join(robot.joint_names)}."
         )
     return array
+
+
+def kept(command: Command | None) -> Command | None:
+    """Return a command with arrays of its own: while it serves, the controller may write the next one into its own.
+
+    Parameters
+    ----------
+    command : what the controller returned. What is no Command or has no numbers stays as it is, for `wanted` to refuse.
+    """
+    if not isinstance(command, Command):
+        return command
+    return replace(command, **{name: _copied(getattr(command, name)) for name in _NUMBERS})
+
+
+def _copied(values: Any) -> Any:
+    try:
+        return None if values is None else np.array(values)
+    except Exception:  # what a controller returned may be anything
+        return values
 
 
 def refusal(refused: int, q: np.ndarray | None, qd: np.ndarray | None, sent: np.ndarray, robot: Robot) -> str:
