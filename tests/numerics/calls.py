@@ -56,8 +56,7 @@ def of_limits(module: Any, _: str, given: dict[str, np.ndarray], __: dict[str, n
 
 def of_primitive(module: Any, name: str, given: dict[str, np.ndarray], fixed: dict[str, np.ndarray]) -> Any:
     words, outputs = name.split(), ("y", "yd", "ydd")
-    kind = "time" if words[0] == "rotation_rollout" else words[1]
-    primitive = primitive_of(module, kind, fixed)
+    primitive = primitive_of(module, words[1], fixed)
     match words[0]:
         case "rollout":
             return primitive.rollout(given["t"], float(given["tau"]), *given["ends"])[outputs.index(words[2])]
@@ -65,11 +64,25 @@ def of_primitive(module: Any, name: str, given: dict[str, np.ndarray], fixed: di
             return np.concatenate(primitive.response(given["t"], float(given["tau"]), float(given["longest"])), axis=-1)
         case "forcing":
             return primitive.forcing(given["phase"])
-        case "TwoDof":
-            return controlled(module.TwoDof(primitive, *fixed_of_control(fixed)), words[2], **given)
-    values = (given[key] for key in ("q0", "w0", "goal", "turn"))
-    found = module.rotation_rollout(primitive, given["t"], float(given["tau"]), *values)
-    return found[("q", "w", "wd").index(words[1])]
+    return controlled(module.TwoDof(primitive, *fixed_of_control(fixed)), words[2], **given)
+
+
+def of_orientation(module: Any, name: str, given: dict[str, np.ndarray], fixed: dict[str, np.ndarray]) -> Any:
+    """Return what a run gives, or each step of one whose goal, map and time constant change before the fourth."""
+    call, kind, output = name.split()
+    primitive, k = primitive_of(module, kind, fixed), ("q", "w", "wd").index(output)
+    begin = given["q0"], given["w0"], given["goals"][0], given["turns"][0]
+    if call == "rotation_rollout":
+        return module.rotation_rollout(primitive, given["t"], float(given["taus"][0]), *begin)[k]
+    stepper = module.RotationStepper(primitive)
+    stepper.start(*begin, float(given["taus"][0]))
+    rows = [stepper.outputs()[k]]
+    for step, dt in enumerate(given["dt"].tolist()):
+        if step == 3:
+            stepper.change_goal(given["goals"][1], given["turns"][1])
+            stepper.change_tau(float(given["taus"][1]))
+        rows.append(stepper.step(dt)[k])
+    return np.array(rows)
 
 
 def of_stepper(module: Any, name: str, given: dict[str, np.ndarray], fixed: dict[str, np.ndarray]) -> Any:
@@ -204,6 +217,7 @@ FAMILIES = {
     "limits": of_limits,
     "observers": of_observer,
     "obstacles": of_obstacles,
+    "orientations": of_orientation,
     "primitives": of_primitive,
     "steppers": of_stepper,
     "wrenches": of_wrench,

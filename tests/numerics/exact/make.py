@@ -24,12 +24,16 @@ import groups
 import limits
 import observers
 import obstacles
+import orientations
 import primitives
 import rigid
 import steppers
 import wrenches
 
-MODULES = (chains, contacts, estimators, filters, groups, limits, observers, obstacles, primitives, steppers, wrenches)
+MODULES = (
+    chains, contacts, estimators, filters, groups, limits, observers, obstacles, orientations, primitives, steppers,
+    wrenches,
+)  # fmt: skip
 TOPICS = {module.__name__: module for module in MODULES}
 
 

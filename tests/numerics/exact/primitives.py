@@ -1,4 +1,4 @@
-"""Tables of movement primitives: forcing over the position, runs sample by sample, control, orientations.
+"""Tables of movement primitives: forcing over the position, runs sample by sample, control.
 
 Exact springs are matrix exponentials, derivatives along a motion are differences; steps of Runge and Kutta are taken as
 they are said to be, without rounding: what they leave out of a motion is not in these tables.
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from filters import CENTRES, DECAY, PACE, SPRINGS, WIDTHS, forcing, kernels
 from mpmath import mp
-from rigid import array, exact, hat, logarithm, nearest, quaternion, series
+from rigid import array, exact, series
 
 Table = dict[str, Any]
 SPRING = {**SPRINGS, "position": (25.0, 156.25)}
@@ -152,46 +152,6 @@ class Law:
         return state
 
 
-def turned(theta: Vector, R: mp.matrix) -> mp.matrix:
-    return series(hat(theta)) * R
-
-
-def orientations(t: np.ndarray, q0: np.ndarray, w0: np.ndarray, goal: np.ndarray, turn: np.ndarray, W: Vector) -> Any:
-    """Return rotations, angular velocities and accelerations over times, of steps in the chart exp(theta) R."""
-    alpha, stiffness = (mp.mpf(value) for value in SPRING["time"])
-    R, aim = matrix(q0), matrix(goal)
-    tau, clock, rows = mp.mpf(RUN_TAU), exact(t), []
-    z, at = tau * exact(w0), exact(q0) / mp.norm(exact(q0))
-
-    def pull(s: Any, R: mp.matrix, z: Vector) -> Vector:
-        f = exact(turn) * forcing("time", phase("time", s), W)
-        return stiffness * logarithm(nearest(aim * R.T)) - alpha * z + f
-
-    def slope(s: Any, state: Vector) -> Vector:
-        theta, z = state[:3, 0], state[3:, 0]
-        once = hat(theta) * z
-        return mp.matrix([*(z - once / 2 + hat(theta) * once / 12), *pull(s, turned(theta, R), z)])
-
-    for k in range(len(t)):
-        r = (clock[k] - clock[k - 1]) / tau if k else mp.zero
-        parts = max(int(mp.ceil(max(alpha, mp.sqrt(stiffness)) * r)), 1)
-        for part in range(parts if k else 0):
-            s = (clock[k - 1] - clock[0]) / tau + part * r / parts
-            state = runge(slope, s, mp.matrix([0, 0, 0, *z]), r / parts)
-            R, z = turned(state[:3, 0], R), state[3:, 0]
-            q = quaternion(R)
-            at = q if mp.fdot(q, at) > 0 else -q  # no step turns by as much as a half turn
-        rows.append((at, z / tau, pull((clock[k] - clock[0]) / tau, R, z) / tau**2))
-    return [np.array([array(row[part]) for row in rows]) for part in range(3)]
-
-
-def matrix(q: np.ndarray) -> mp.matrix:
-    """Return the rotation of a quaternion: the exponential of twice its logarithm."""
-    w, *v = exact(q) / mp.norm(exact(q))
-    length = mp.norm(mp.matrix(v))
-    return series(hat(mp.matrix(v) * (2 * mp.atan2(length, w) / length)))
-
-
 def shape(kind: str, weights: np.ndarray) -> dict[str, np.ndarray]:
     rates = np.array([*SPRING[kind], DECAY, PACE])
     return {"centres": CENTRES, "widths": WIDTHS, "weights": weights, "rates": rates}
@@ -224,7 +184,7 @@ def runs(rng: np.random.Generator) -> dict[str, Table]:
 
 
 def controls(rng: np.random.Generator) -> dict[str, Table]:
-    """Return the tables of control with two degrees of freedom, and of orientations."""
+    """Return the tables of control with two degrees of freedom."""
     found: dict[str, Table] = {}
     weights = 20 * rng.normal(size=(5, 2))
     for kind in ("canonical", "time", "position"):
@@ -257,12 +217,6 @@ def controls(rng: np.random.Generator) -> dict[str, Table]:
                 "given": {"states": states[3:], "speed": speed},
                 "wanted": wanted,
             }
-    t, W, turn = np.cumsum(rng.uniform(1e-3, 0.2, 6)), rng.normal(size=(5, 3)), rng.normal(size=(3, 3))
-    q0, goal, w0 = np.array([0.8, 0.0, -0.6, 0.0]), np.array([-0.1, 0.7, 0.1, 0.7]), rng.normal(size=3)
-    fixed = shape("time", W)
-    given = {"t": t, "tau": np.array(RUN_TAU), "q0": q0, "w0": w0, "goal": goal, "turn": turn}
-    for name, wanted in zip(("q", "w", "wd"), orientations(t, q0, w0, goal, turn, exact(W))):
-        found[f"rotation_rollout {name}"] = {"fixed": fixed, "given": given, "wanted": wanted[None]}
     return found
 
 
