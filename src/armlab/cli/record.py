@@ -24,8 +24,9 @@ def record(
 ) -> int:
     """Record what robots send over EGM. Nothing is sent to them, so nothing here can move them.
 
-    Ends after --seconds, or on Ctrl-C: the log then holds every packet that came. A process that is killed outright
-    loses what it had not taken up yet, a packet or two; a loss of power costs up to 0.8 s.
+    Ends after --seconds of packets, after --patience without any, or on Ctrl-C: the log then holds every packet that
+    came. A process that is killed outright loses what it had not taken up yet, a packet or two; a loss of power costs
+    up to 0.8 s.
 
     Parameters
     ----------
