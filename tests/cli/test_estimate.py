@@ -153,3 +153,25 @@ def test_gaps_are_named(pushed: str, truth, monkeypatch, capsys) -> None:
     data = json.loads(capsys.readouterr().out)
     assert data["gaps"] == [{"after": pytest.approx(1.996), "seconds": pytest.approx(0.504)}]
     assert data["left_out"] == 0
+
+
+def test_a_log_that_cannot_be_true_is_refused_or_nothing_of_it_is_called_good(
+    pushed: str, truth, monkeypatch, tmp_path, capsys
+) -> None:
+    table = truth.log(identify.dither(truth.robot.q_home, 4.0), seed=5)
+    words = ["estimate", "yumi_left", "push.mcap", "--model", pushed, "-o", str(tmp_path / "est.csv")]
+    degrees = table.with_column("q", np.rad2deg(table["q"])).with_column("qd", np.rad2deg(table["qd"]))
+    silent = table.with_column("tau", np.zeros_like(table["tau"]))
+    for broken, sentence in ((degrees, "degrees"), (silent, "Expected measured torques, got a constant")):
+        monkeypatch.setattr("armlab.log.arm_log.read", lambda path, broken=broken, **_: broken)
+        assert main(words) == 1
+        said = capsys.readouterr()
+        assert sentence in said.err
+        assert said.out == ""
+    assert list(tmp_path.glob("est*")) == []
+    backwards = table.with_column("qd", -table["qd"])
+    monkeypatch.setattr("armlab.log.arm_log.read", lambda path, **_: backwards)
+    assert main(words) == 0
+    said = capsys.readouterr().out
+    assert "not good: Expected qd to be the derivative of q" in said
+    assert "\ngood: " not in said

@@ -82,3 +82,42 @@ def test_without_a_load_none_is_to_be_added(words: list[str], capsys) -> None:
 def test_the_model_of_another_arm_is_refused(words: list[str], capsys) -> None:
     assert main([words[0], "yumi_right", *words[2:]]) == 2
     assert "yumi_left" in capsys.readouterr().err
+
+
+def test_a_log_in_degrees_is_refused(words: list[str], tables: dict[str, Table], monkeypatch, capsys) -> None:
+    log = tables["full.mcap"]
+    degrees = log.with_column("q", np.rad2deg(log["q"])).with_column("qd", np.rad2deg(log["qd"]))
+    monkeypatch.setattr("armlab.log.arm_log.read", lambda path, **_: degrees)
+    assert main(words) == 1
+    said = capsys.readouterr()
+    assert "degrees" in said.err
+    assert said.out == ""
+
+
+def test_torque_that_is_not_explained_is_not_called_good(words: list[str], tables, monkeypatch, capsys) -> None:
+    log = tables["full.mcap"]
+    monkeypatch.setattr("armlab.log.arm_log.read", lambda path, **_: log.with_column("tau", -log["tau"]))
+    assert main([*words, "--json"]) == 0
+    verdict = json.loads(capsys.readouterr().out)["verdict"]
+    assert not any("explain" in said for said in verdict["good"])
+    assert any("% of the torque's deviation unexplained" in said for said in verdict["bad"])
+
+
+def test_of_an_arm_that_rests_in_part_the_joints_that_move_are_judged(
+    words: list[str], truth, monkeypatch, capsys
+) -> None:
+    motion = identify.excitation(truth.robot, seconds=12, speed=0.4, acceleration=8.0, seed=3)
+
+    rests = np.arange(7) < 3
+
+    def wrist(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        q, qd, qdd = motion.sample(t)
+        return np.where(rests, truth.robot.q_home, q), np.where(rests, 0.0, qd), np.where(rests, 0.0, qdd)
+
+    monkeypatch.setattr(
+        "armlab.log.arm_log.read", lambda path, **_: truth.log(identify.Trajectory(motion.seconds, wrist), seed=1)
+    )
+    assert main(words) == 0
+    said = capsys.readouterr().out
+    assert "left out, at rest: axis_1, axis_2, axis_7" in said
+    assert "Arm and load together" in said

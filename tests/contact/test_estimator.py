@@ -9,7 +9,7 @@ import pytest
 
 from armlab import identify, robots
 from armlab.contact import INVALID, STUCK, WEAK, Estimator
-from armlab.errors import ModelMismatchError, ShapeError, UnknownName
+from armlab.errors import ModelMismatchError, NotExcited, ShapeError, UnknownName
 from armlab.log import Table
 from armlab.models import velocity_covariance
 from armlab.state import State
@@ -249,3 +249,12 @@ def test_wrong_use_is_refused(truth, model, excited) -> None:
     six = Table(excited.t, {name: excited[name][:, :6] for name in ("q", "qd", "tau")})
     with pytest.raises(ShapeError, match="belongs to"):
         Estimator(model, truth.robot).run(six)
+
+
+def test_a_log_in_degrees_or_without_measured_torques_is_refused(truth, model, excited) -> None:
+    log, estimator = excited.between(0.0, 4.0), Estimator(model, truth.robot)
+    degrees = log.with_column("q", np.rad2deg(log["q"])).with_column("qd", np.rad2deg(log["qd"]))
+    with pytest.raises(ShapeError, match="degrees"):
+        estimator.run(degrees)
+    with pytest.raises(NotExcited, match="Expected measured torques"):
+        estimator.run(log.with_column("tau", np.zeros_like(log["tau"])))

@@ -9,7 +9,7 @@ import pytest
 
 from armlab import identify
 from armlab.errors import ShapeError
-from armlab.identify.load_record import LoadRecord
+from armlab.identify.load_record import LoadRecord, moving_joints
 from armlab.robots import inertia
 
 PI = inertia.from_body(0.5, [0.03, -0.01, 0.06], np.diag([1e-3, 2e-3, 1.5e-3]))
@@ -59,3 +59,20 @@ def test_another_motion_is_refused(truth, model, loaded, motion) -> None:
     thin = truth.log(motion).rows(slice(None, None, 2))
     with pytest.raises(ShapeError, match="one rate"):
         LoadRecord.of(loaded.log(motion), model, truth.robot, thin)
+
+
+def test_degrees_are_refused_by_the_limits_of_the_arm(truth, model, loaded, motion) -> None:
+    """The model alone knows no limits."""
+    log = truth.log(motion)
+    degrees = log.with_column("q", np.rad2deg(log["q"])).with_column("qd", np.rad2deg(log["qd"]))
+    for pair in ((degrees, None), (loaded.log(motion), degrees)):
+        with pytest.raises(ShapeError, match=r"axis_1 \(\S+, limit 2\.941: degrees"):
+            LoadRecord.of(pair[0], model, truth.robot, pair[1])
+
+
+def test_joints_that_move(truth, motion) -> None:
+    log = truth.log(motion)
+    held = log.with_column("q", np.where(np.arange(7) < 3, 0.1, log["q"]))
+    assert moving_joints([held], truth.robot).tolist() == [3, 4, 5, 6]
+    assert moving_joints([held, log], truth.robot).tolist() == list(range(7))
+    assert moving_joints([log.with_column("q", 0.0 * log["q"])], truth.robot).tolist() == list(range(7))

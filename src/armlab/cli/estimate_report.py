@@ -36,7 +36,7 @@ def judge(
     Parameters
     ----------
     table : of `contact.Estimator.run`. model : that it used. prior : (6,) prior variances. contacts : found in it.
-    doubts : what of the log cannot be true; then nothing else is worth much.
+    doubts : what of the log cannot be true; then nothing can be relied on.
     """
     good: list[str] = []
     bad: list[str] = list(doubts)
@@ -54,7 +54,7 @@ def judge(
         good += part.good
         bad += part.bad
         ahead += part.ahead
-    return Verdict(tuple(good), tuple(bad), tuple(ahead))
+    return Verdict(() if doubts else tuple(good), tuple(bad), tuple(ahead))
 
 
 def _seen(table: Table) -> Verdict:

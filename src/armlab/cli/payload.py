@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from armlab.estimation import Fit
     from armlab.log import Table
     from armlab.models import Payload, TorqueModel
+    from armlab.robots import Robot
 
 __all__ = ["payload"]
 
@@ -79,7 +80,7 @@ def payload(
         tell(0, 1, f"{mode} fit to {len(table)} rows")
         fit = fit_payload(table, told, arm, mode, empty, gain_sd=gain)
         tell(1, 1, "done")
-    verdict = _judge(fit, known, table)
+    verdict = _judge(fit, known, table, arm)
     if json:
         print_json({**_numbers(fit), "verdict": vars(verdict)})
     else:
@@ -104,12 +105,14 @@ def _numbers(fit: Fit[Payload]) -> dict[str, Any]:
     return {"mass": load.mass, "centre": load.centre, "pi": load.pi, "parameters": parameters, "samples": fit.n}
 
 
-def _judge(fit: Fit[Payload], model: TorqueModel, table: Table) -> Verdict:
+def _judge(fit: Fit[Payload], model: TorqueModel, table: Table, arm: Robot) -> Verdict:
     """Return what can be relied on, what not, and what to do next."""
     import numpy as np
 
+    from armlab.cli.identify_verdict import POOR
     from armlab.cli.page import Verdict
     from armlab.identify import extrapolation
+    from armlab.identify.load_record import moving_joints
 
     mass, sd = fit.value.mass, fit.sd[0]
     good, bad, ahead = [], [], []
@@ -120,8 +123,18 @@ def _judge(fit: Fit[Payload], model: TorqueModel, table: Table) -> Verdict:
         ahead.append("Record the same motion without the load and name it by --without.")
     else:
         good.append(f"The load of {1e3 * mass:.0f} g is known to {100 * sd / mass:.1f} %.")
-    explained = 1.0 - np.std(fit.residuals, axis=0) ** 2 / np.var(table["tau"], axis=0)
-    good.append(f"Arm and load together explain {100 * explained.min():.1f} % of the torque variance or more.")
+    joints = moving_joints([table], arm)
+    left = np.std(fit.residuals, axis=0) / np.std(table["tau"][:, joints], axis=0)
+    if left.max() <= POOR:
+        good.append(
+            f"Arm and load together explain {100 * (1 - left.max() ** 2):.1f} % of the torque variance or more."
+        )
+    else:
+        worst = arm.joint_names[joints[left.argmax()]]
+        bad.append(
+            f"{worst}: arm and load together leave {100 * left.max():.0f} % of the torque's deviation unexplained."
+        )
+        ahead.append("Check the log's torques, and that the model is of this arm with the tool that it has now.")
     bad += extrapolation(model, table).warnings
     ahead.append(
         "Use the model of the arm as it is; nothing is to be read from the centre."

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 __all__ = ["doubts", "gaps", "left_out", "read_log", "reading_bar"]
 
 BAND = 5.0  # Hz, in which velocity is compared with the slope of position
-MOVED = (0.005, np.deg2rad(1.0))  # m, rad: a joint that moved less says nothing of its velocity
 SHORTEST = 100  # rows
 LARGE = 50_000_000  # bytes, which take longer than a glance to read
 LOST = 1.5  # median steps: a longer one lacks rows
@@ -61,29 +60,28 @@ def read_log(path: Path, robot: Robot) -> Table:
 
 
 def doubts(table: Table, robot: Robot) -> tuple[str, ...]:
-    """Return what of a log cannot be true: units, velocity that is not the slope of position, torques of the motors.
+    """Return what of a log cannot be true: velocity that is not the slope of position, torques of the motors.
 
     `identify.prepare` refuses such logs. One that is only estimated may rest, so it is looked at where it moves, in its
-    longest stretch without a gap.
+    longest stretch without a gap. `contact.Estimator.run` has refused what is worse.
 
     Parameters
     ----------
     table : with q, qd, tau (N, n). robot : the arm.
     """
     from armlab.errors import NotExcited, ShapeError
-    from armlab.identify.plausibility import check_position, check_torque, check_velocity
+    from armlab.log.plausibility import check_torque, check_velocity, has_moved
     from armlab.signals import lowpass_offline
 
     rows = _longest_stretch(table)
     if rows.stop - rows.start < SHORTEST:
         return ()
     t, q, qd, tau = table.t[rows], table["q"][rows], table["qd"][rows], table["tau"][rows]
-    moved = np.ptp(q, axis=0) >= np.where(robot.prismatic, *MOVED)
+    moved = has_moved(q, robot)
     rate = 1.0 / float(np.median(np.diff(t)))
     slope, speed = (lowpass_offline(x, rate, min(BAND, 0.2 * rate)) for x in (np.gradient(q, t, axis=0), qd))
     found = []
     for check in (
-        lambda: check_position(q, robot),
         lambda: check_velocity(slope, speed, moved, robot),
         lambda: check_torque(q, tau, moved, robot),
     ):

@@ -40,6 +40,7 @@ from armlab._numbers import numbers
 from armlab.contact.wrench import INVALID, TARED, Wrench
 from armlab.errors import ConfigError, ModelMismatchError, NotExcited, ShapeError, UnknownName
 from armlab.log import Table
+from armlab.log.plausibility import check_known
 from armlab.models import FORCE_RATES, PRIOR, TorqueModel
 from armlab.robots import Robot
 from armlab.state import State
@@ -118,7 +119,7 @@ class Estimator:
                 raise ShapeError(f"Expected the contact point as three finite numbers [m], tool axes, got {point!r}.")
         variances = deviations**2
         variances.flags.writeable = False
-        self._n, self._prior, self._at_point = model.n, variances, point is not None
+        self._robot, self._prior, self._at_point = robot, variances, point is not None
         self._method, self._tare = method, None
         if method in STATIC:
             self._kernel = model.estimator_kernel(variances, STATIC.index(method), point)
@@ -204,16 +205,19 @@ class Estimator:
 
         Raises
         ------
-        ShapeError : when the joint count is not the model's, or something else came than a table.
+        ShapeError : when the joint count is not the model's, positions are in degrees or of the motors, or something
+            else came than a table.
+        NotExcited : joints moved, and no torque ever changed: none was measured.
         """
         if not isinstance(table, Table):
             raise ShapeError.no_table(table)
         q, qd, tau = (np.ascontiguousarray(table[name], dtype=float) for name in ("q", "qd", "tau"))
-        if q.shape != (len(table), self._n):
+        if q.shape != (len(table), self._robot.n):
             raise ShapeError(
-                f"Expected q of shape ({len(table)}, {self._n}), got {q.shape}. "
+                f"Expected q of shape ({len(table)}, {self._robot.n}), got {q.shape}. "
                 "Give the log of the robot that the model belongs to."
             )
+        check_known(q, tau, self._robot)
         found = self._run(q, qd, tau, np.ascontiguousarray(table.dt), progress)
         missed = (found[5] & INVALID) > 0
         if missed.any():  # the row after takes its time from the last that counted, as in `step`

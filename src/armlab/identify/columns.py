@@ -12,8 +12,8 @@ import numpy as np
 
 from armlab.identify.base_parameters import BaseParameters
 from armlab.identify.friction_columns import FrictionColumns
-from armlab.identify.plausibility import slow_enough
 from armlab.identify.preparation import Prepared
+from armlab.identify.sampling import slow_enough
 from armlab.identify.thinning import Thinning
 from armlab.robots import Robot
 

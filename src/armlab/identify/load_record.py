@@ -16,7 +16,7 @@ from armlab.log import Table
 from armlab.models import TorqueModel
 from armlab.robots import Robot, inertia
 
-__all__ = ["LoadRecord"]
+__all__ = ["LoadRecord", "moving_joints"]
 
 CHUNK = 4096  # rows whose whole regressor is held at once
 EVERY = 4  # rows apart that are kept; the filter's corner is at a tenth of the rate
@@ -67,8 +67,8 @@ class LoadRecord:
         """
         error = ModelError.of(known, robot)
         model = error.model
-        joints = _moving([table] if isinstance(table, Table) else table, robot)
-        found = model_residuals(table, model, joints.tolist())
+        joints = moving_joints([table] if isinstance(table, Table) else table, robot)
+        found = model_residuals(table, model, joints.tolist(), robot)
         data, cutoff = found.data, found.data.rate / 10.0
         rows = np.concatenate([np.arange(a, b, EVERY) for a, b in data.segments])
         y, sources = data.filter(found.y[:, joints], cutoff), data.sources
@@ -76,7 +76,7 @@ class LoadRecord:
         if without is None:
             A = columns[rows]
             return cls(data, rows, joints, A, y[rows], error, error.against(A, data, rows, joints), sources)
-        other = model_residuals(without, model, joints.tolist())
+        other = model_residuals(without, model, joints.tolist(), robot)
         shift = _shift(data, other.data)
         rows = rows[(rows >= shift) & (rows - shift < len(other.data.t))]
         A, there = columns[rows], rows - shift
@@ -89,8 +89,13 @@ class LoadRecord:
         return np.unique(self.data.blocks(seconds)[self.rows], return_inverse=True)[1]
 
 
-def _moving(tables: Sequence[Table], robot: Robot) -> np.ndarray:
-    """Return the joints that move enough for their friction to be known; all where that cannot be said."""
+def moving_joints(tables: Sequence[Table], robot: Robot) -> np.ndarray:
+    """Return the numbers, from 0, of joints that move enough for their friction to be known; all where none does.
+
+    Parameters
+    ----------
+    tables : logs with q (N, n). robot : the arm.
+    """
     if not tables or any(not isinstance(one, Table) or one["q"].shape[1:] != (robot.n,) for one in tables):
         return np.arange(robot.n)  # `prepare` says what is wrong
     ends = np.array([(np.nanmin(one["q"], axis=0), np.nanmax(one["q"], axis=0)) for one in tables if len(one)])

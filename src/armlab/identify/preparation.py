@@ -11,8 +11,9 @@ import numpy as np
 
 from armlab.errors import NotExcited, ShapeError
 from armlab.identify.base_parameters import measured_joints
-from armlab.identify.plausibility import check_position, check_rate, check_torque, check_velocity
+from armlab.identify.sampling import check_rate
 from armlab.log import Table
+from armlab.log.plausibility import check_position, check_torque, check_velocity
 from armlab.robots import Robot
 from armlab.signals import central_diff, lowpass_offline
 

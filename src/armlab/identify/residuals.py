@@ -12,7 +12,7 @@ from armlab.identify.preparation import Prepared, prepare
 from armlab.kernels import presliding
 from armlab.log import Table
 from armlab.models import TorqueModel
-from armlab.robots import from_links
+from armlab.robots import Robot, from_links
 
 __all__ = ["Residuals", "friction_signs", "model_residuals"]
 
@@ -33,7 +33,10 @@ class Residuals:
 
 
 def model_residuals(
-    table: Table | Sequence[Table], model: TorqueModel, joints: Sequence[int] | None = None
+    table: Table | Sequence[Table],
+    model: TorqueModel,
+    joints: Sequence[int] | None = None,
+    robot: Robot | None = None,
 ) -> Residuals:
     """Return measured minus modelled torque of every row; the acceleration is low-passed at a tenth of the rate.
 
@@ -42,6 +45,7 @@ def model_residuals(
     table : one log or several, of free motion, with columns q, qd, tau.
     model : of the arm that was logged.
     joints : numbers, from 0, of those that must move; all when left out.
+    robot : the arm; its limits and gears, which the model does not know, tell a log in other units.
 
     Raises
     ------
@@ -49,9 +53,10 @@ def model_residuals(
     """
     if not isinstance(model, TorqueModel):
         raise ModelMismatchError.no_model(model)
-    names = [f"joint {i + 1}" for i in range(model.n)]
-    arm = from_links(model.robot_name, model.frames, model.prismatic, gravity=model.gravity, joint_names=names)
-    data = prepare(table, arm, joints)
+    if robot is None:
+        names = [f"joint {i + 1}" for i in range(model.n)]
+        robot = from_links(model.robot_name, model.frames, model.prismatic, gravity=model.gravity, joint_names=names)
+    data = prepare(table, robot, joints)
     qdd = data.filter(data.differentiate(data.qd), data.rate / 10.0)
     y = np.empty_like(data.q)
     for a, b in data.segments:

@@ -21,8 +21,8 @@ from armlab._numbers import numbers
 from armlab.errors import ShapeError
 from armlab.estimation import mad
 from armlab.identify.group_lasso import select_groups
-from armlab.identify.plausibility import SLOW_SHARE, slow_enough
 from armlab.identify.ridge import RIDGE, held_out_error, ridge_solution
+from armlab.identify.sampling import SLOW_SHARE, slow_enough
 from armlab.kernels import basis_weights
 
 __all__ = [

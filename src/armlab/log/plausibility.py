@@ -1,4 +1,4 @@
-"""What a log may be mistaken in: sampling, units and sides of the gears; each refused in a sentence with the factor."""
+"""What a log may be mistaken in: units and sides of the gears; each refused in a sentence with the factor."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ import numpy as np
 from armlab.errors import NotExcited, ShapeError
 from armlab.robots import Robot
 
-__all__ = ["MIN_RATE", "SLOW_SHARE", "check_position", "check_rate", "check_torque", "check_velocity", "slow_enough"]
+__all__ = ["check_known", "check_position", "check_torque", "check_velocity", "has_moved"]
 
-MIN_RATE = 40.0  # Hz: four samples in a period of the 10 Hz that models and estimators keep
 TOLERANCE, CORRELATION = 0.1, 0.98  # of velocity against the slope of position
 BEYOND = 3.0  # times the limits: a position so far out has another unit
 FLAT = 0.8  # share of rows with one and the same torque
@@ -18,45 +17,60 @@ LIGHT = (
 )
 HEAVY, DYNAMIC = 12.0, 3.0  # times lighter than the links, which is no error of masses; share for what is not weight
 GEARED = 10.0
-SLOW_SHARE = 0.25  # of the sampling rate: a faster ripple line folds back
+MOVED = (0.005, np.deg2rad(1.0))  # m, rad: a joint that moved less says nothing of its velocity
+FEW = 0.01  # share of rows with a position out there that may be glitches, not a unit
 
 
-def check_rate(t: np.ndarray) -> None:
-    """Refuse a log whose sampling is too slow for friction: below `MIN_RATE`.
+def has_moved(q: np.ndarray, robot: Robot) -> np.ndarray:
+    """Return the joints (n,) whose position changed by at least one degree, or 5 mm.
 
     Parameters
     ----------
-    t : (N,) times [s], increasing.
+    q : (N, n), finite, N at least 1. robot : says which joints slide.
+    """
+    return np.ptp(q, axis=0) >= np.where(robot.prismatic, *MOVED)
+
+
+def check_known(q: np.ndarray, tau: np.ndarray, robot: Robot) -> None:
+    """Refuse what a known model can make nothing of: positions of another unit, torques that are not measured.
+
+    Less than is asked of a log to identify from: the arm may rest, a few rows may be wrong, a joint may have no torque.
+
+    Parameters
+    ----------
+    q, tau : (N, n) positions and torques; rows that are not finite do not count. robot : its limits and gears.
 
     Raises
     ------
-    ShapeError : with the rate that came.
+    ShapeError : positions in degrees or of the motors. NotExcited : joints moved, and no torque ever changed.
     """
-    rate = 1.0 / float(np.median(np.diff(t)))
-    if rate < MIN_RATE * (1.0 - 1e-6):
-        hint = " If t is in milliseconds, divide it by 1000." if rate < 10.0 else ""
-        raise ShapeError(
-            f"Expected a log of at least {MIN_RATE:g} Hz, got {rate:.4g} Hz: friction changes within one sample when a "
-            f"joint turns round.{hint} Record faster; resampling does not bring it back."
-        )
+    whole = np.isfinite(q).all(axis=1) & np.isfinite(tau).all(axis=1)
+    q, tau = q[whole], tau[whole]
+    if not len(q):
+        return
+    check_position(q, robot, FEW)
+    moved = has_moved(q, robot)
+    if moved.any() and not np.ptp(tau, axis=0).any():
+        _check_constant(tau, moved, robot)
 
 
-def check_position(q: np.ndarray, robot: Robot) -> None:
+def check_position(q: np.ndarray, robot: Robot, few: float = 0.0) -> None:
     """Refuse positions in degrees, or of the motors: far outside the limits, and inside them by a known factor.
 
     Parameters
     ----------
-    q : (N, n) [rad, m]. robot : its limits and gears.
+    q : (N, n) [rad, m]. robot : its limits and gears. few : share of the rows that may be out there.
 
     Raises
     ------
     ShapeError : names the joints and the factor.
     """
     limit = np.maximum(np.abs(robot.q_min), np.abs(robot.q_max))
-    far = np.flatnonzero(np.isfinite(limit) & (limit > 0) & (np.abs(q).max(axis=0) > BEYOND * limit))
+    peak = np.abs(q).max(axis=0)
+    far = np.flatnonzero(np.isfinite(limit) & (limit > 0) & (peak > BEYOND * limit))
+    far = far[np.mean(np.abs(q[:, far]) > BEYOND * limit[far], axis=0) > few]
     if not len(far):
         return
-    peak = np.abs(q).max(axis=0)
     words = [
         f"{robot.joint_names[i]} ({peak[i]:.4g}, limit {limit[i]:.4g}: {_side(peak[i] / limit[i], i, robot)})"
         for i in far
@@ -146,7 +160,7 @@ def check_torque(q: np.ndarray, tau: np.ndarray, used: np.ndarray, robot: Robot)
     ------
     NotExcited : constant torque. ShapeError : torque of the motor side, with the factor of each joint.
     """
-    _check_constant(q, tau, used, robot)
+    _check_constant(tau, used, robot)
     sized = _against_links(q, tau, used, robot) if robot.inertias is not None else _against_reach(tau, used, robot)
     if sized is None:
         return
@@ -164,7 +178,7 @@ def check_torque(q: np.ndarray, tau: np.ndarray, used: np.ndarray, robot: Robot)
     )
 
 
-def _check_constant(q: np.ndarray, tau: np.ndarray, used: np.ndarray, robot: Robot) -> None:
+def _check_constant(tau: np.ndarray, used: np.ndarray, robot: Robot) -> None:
     share = np.array([np.unique(column, return_counts=True)[1].max() / len(column) for column in tau.T])
     flat = np.flatnonzero(used & (share > FLAT))
     if len(flat):
@@ -212,18 +226,6 @@ def _against_reach(tau: np.ndarray, used: np.ndarray, robot: Robot) -> tuple[np.
     if swing > LIGHT * g * reach**4:
         return None
     return np.flatnonzero(turning), f"at most {swing:.2g} N m on an arm of {reach:.2g} m reach"
-
-
-def slow_enough(qd: np.ndarray, rate: float, cycles: np.ndarray) -> np.ndarray:
-    """Return where (N, n) a ripple line passes below a quarter of the sampling rate; a faster one folds back.
-
-    ``cycles |qd| / (2 pi) < rate / 4``
-
-    Parameters
-    ----------
-    qd : (N, n) velocity [rad/s]. rate : of sampling [Hz]. cycles : (n,) line [rad/rad].
-    """
-    return np.abs(qd) * cycles < 2 * np.pi * SLOW_SHARE * rate
 
 
 def _gears(robot: Robot) -> np.ndarray:
