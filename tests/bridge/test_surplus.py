@@ -38,11 +38,11 @@ def test_nothing_is_left_out_of_a_queue_that_empties() -> None:
     assert (set(ages), starved, surplus.left_out) == ({1}, 0, 0)
 
 
-@pytest.mark.parametrize("many", [1, 2, 5])
+@pytest.mark.parametrize("many", [1, 2, 5, 20])
 def test_surplus_messages_cost_no_lag_in_the_end(many: int) -> None:
     """Without the rule the age would stay at 1 + many for ever."""
     surplus = Surplus()
-    ages, starved = controller(surplus, {20: many}, 100)
+    ages, starved = controller(surplus, {20: many}, 120)
     assert max(ages) == 1 + many
     assert set(ages[-60:]) == {1}
     assert surplus.left_out == many
@@ -54,6 +54,21 @@ def test_two_cycles_are_not_enough_and_unknown_depth_never_acts() -> None:
     assert not any(surplus.leaves_out(depth) for depth in [1, 1, 0, 2, 2, 0, -1, -1, -1, -1, -1])
     assert [surplus.leaves_out(depth) for depth in [3, 1, 2, 2]] == [False, False, True, False]
     assert surplus.left_out == 1
+
+
+def test_a_queue_that_has_become_shorter_owes_no_more() -> None:
+    """A new session has an empty queue: its packets are answered at once, and looked at anew."""
+    surplus = Surplus()
+    assert [surplus.leaves_out(depth) for depth in [9, 9, 9, 8, 2, 1, 0, 9, 9]] == [False] * 2 + [True] * 4 + [False] * 3
+    assert surplus.leaves_out(9)
+    assert not surplus.leaves_out(-1), "it tells no longer"
+    assert surplus.left_out == 5
+
+
+def test_whatever_the_robot_tells_it_is_answered() -> None:
+    surplus = Surplus()
+    told = [surplus.leaves_out(2**32 - 1) for _ in range(38)]
+    assert told == ([False] * 2 + [True] * 16) * 2 + [False] * 2
 
 
 @pytest.mark.slow

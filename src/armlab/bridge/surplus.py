@@ -9,6 +9,7 @@ from __future__ import annotations
 __all__ = ["Surplus"]
 
 _CYCLES = 3  # in a row with messages left: fewer are replies on their way
+_MOST = 16  # replies left out in a row: whatever it tells, a robot gets one long before its time-out
 
 
 class Surplus:
@@ -31,11 +32,12 @@ class Surplus:
         ----------
         depth : messages left in the queue after the controller took one; not above 0 also when it does not tell.
         """
+        self._owed = min(self._owed, max(depth, 0))  # a queue that is shorter, or another session's, owes no more
         if not self._owed:
             self._depths = [*self._depths, depth] if depth > 0 else []
             if len(self._depths) < _CYCLES:
                 return False
-            self._owed = min(self._depths)
+            self._owed = min(*self._depths, _MOST)
             self._depths = []  # look anew afterwards: the next two packets still count what was left out
         self._owed -= 1
         self.left_out += 1
