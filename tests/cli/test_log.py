@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ import pytest
 
 from armlab import cli, robots
 from armlab.cli.log import cut, export, log, merge, open_, recover, show
-from armlab.log import Recorder, Tick, read
+from armlab.log import Recorder, Table, Tick, inspect, read, write
 from armlab.state import Command, State
 
 
@@ -135,6 +136,25 @@ def test_wrong_files_are_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixt
     assert cli.main(["log", "show"]) == 2
 
 
+def test_a_recording_is_of_the_robot_that_it_describes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    irb120 = robots.load("irb120")
+    mine = replace(irb120, name="mine", q_home=irb120.q_home + 0.1)
+    robots.save(mine, "mine.toml")
+    write(Table(np.arange(3.0), {"q": np.zeros((3, 6))}), "run.mcap", mine)
+    for words in ([], ["--robot", "mine"], ["--robot", "mine.toml"]):
+        assert cli.main(["log", "export", "run.mcap", "copy.mcap", "--force", *words]) == 0
+        held = inspect("copy.mcap")
+        assert robots.from_toml(held.attachments["robot.toml"].decode(), "it") == mine
+    assert cli.main(["log", "export", "run.mcap", "copy.mcap", "--force", "--robot", "irb120"]) == 2
+    assert "Known: mine." in capsys.readouterr().err
+    assert cli.main(["log", "export", "run.mcap", "run.csv"]) == 0
+    assert cli.main(["log", "export", "run.csv", "copy.mcap", "--force"]) == 2
+    assert "Expected the robot of the table" in capsys.readouterr().err
+
+
 def test_the_original_stays(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "same.mcap").symlink_to(path)
     whole = path.read_bytes()
@@ -169,7 +189,6 @@ def test_export_refuses_in_one_sentence(path: Path, tmp_path: Path, capsys: pyte
         ("run.xls", "ends in .mcap or .csv or .mat"),
         ("none/run.csv", "Make the folder first"),
         ("kept.csv", "kept.csv.toml, which exists"),
-        ("other.mcap", "the robot of the table"),
     ):
         assert cli.main(["log", "export", str(path), str(tmp_path / output)]) == 2
         assert words in capsys.readouterr().err.splitlines()[-1]

@@ -11,8 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from armlab.log.recording_metadata import attached, metadata, revision
-from armlab.robots import Robot, from_toml
+from armlab.errors import RobotError
+from armlab.log.recording_metadata import attached, described, metadata, revision
+from armlab.robots import Robot, from_toml, load, to_toml
 
 
 def git(folder: Path, *words: str) -> str:
@@ -34,6 +35,15 @@ def test_the_commit_of_the_folder(tmp_path: Path) -> None:
     revision.cache_clear()
     (folder / "controller.py").write_text("gain = 2")
     assert revision(folder) == git(folder, "rev-parse", "HEAD") + "+"
+
+
+def test_the_robot_that_attachments_describe() -> None:
+    left, right = load("yumi_left"), load("yumi_right")
+    files = {"model.toml": b"1", "robot.toml": to_toml(left).encode(), "robot-2.toml": to_toml(right).encode()}
+    assert described(files, "yumi_right", "run.mcap") == right
+    assert described(files, "irb120", "run.mcap") is None
+    with pytest.raises(RobotError, match=r"run\.mcap, robot\.toml"):
+        described({"robot.toml": b"\xff"}, "yumi_left", "run.mcap")
 
 
 def test_without_git(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -43,6 +43,13 @@ def test_mcap_reads_back_equal(table: Table, tmp_path) -> None:
     assert [entry.name for entry in tmp_path.iterdir()] == ["est.mcap"]
 
 
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_a_table_without_rows_is_written_too(table: Table, tmp_path, ending: str) -> None:
+    none = table.between(-2.0, -1.0)
+    read = log.read(write(none, tmp_path / f"none{ending}", robots.load("yumi_left")))
+    assert len(none) == len(read) == 0
+
+
 def test_csv_has_units_in_its_header_and_digits_that_read_back_equal(table: Table, tmp_path) -> None:
     path = write(table, tmp_path / "est.csv")
     with path.open(newline="", encoding="utf-8") as file:

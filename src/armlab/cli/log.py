@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import App, Parameter
+
+if TYPE_CHECKING:
+    from armlab.robots import Robot
 
 __all__ = ["cut", "export", "log", "merge", "open_", "recover", "show"]
 
@@ -83,7 +86,7 @@ def export(
         The new file; of a rosbag2 the new folder.
     robot
         Which one, of a recording of several; of a log of another program the arm whose joints it has, or the first part
-        of its topics; the arm of the log, for .mcap.
+        of its topics. For .mcap the arm of the log, by name or file, where this is no recording, which describes it.
     clock
         Of a log of another program, the topic whose stamps are the rows, as armlab log show lists them.
     storage
@@ -92,7 +95,6 @@ def export(
         Replace an existing file.
     """
     from armlab import log as logs
-    from armlab import robots
     from armlab.cli.output import check_output, note, progress, refuse_overwrite, result
     from armlab.log.mat_table import matlab_names
     from armlab.log.reading import names_robots
@@ -103,12 +105,12 @@ def export(
     ending = output.suffix.lower()
     if ending == ".csv":
         refuse_overwrite(sidecar_path(output), force)
-    arm = robots.load(robot) if robot is not None and ending == ".mcap" else None
+    arm = _arm_of(file, robot) if ending == ".mcap" else None
     with progress("export") as tell:
         tell(0, 1, f"reading {file.name}")
         table = logs.read(
             file,
-            robot=robot if names_robots(file) else None,
+            robot=(robot if arm is None else arm) if names_robots(file) else None,
             clock=clock,
             progress=lambda done, total, _: tell(done, total, f"reading {file.name}"),
         )
@@ -124,6 +126,22 @@ def export(
         if changed:
             note(f"Names that MATLAB does not allow: {', '.join(changed)}. The struct names in the file has them, too.")
     result(str(output))
+
+
+def _arm_of(file: Path, robot: str | None) -> Robot | None:
+    """Return the arm of a log: as a recording describes it, else the one that is named."""
+    from armlab import log as logs
+    from armlab import robots
+    from armlab.log.formats import format_at
+    from armlab.log.recording_metadata import described
+
+    if format_at(file) == "MCAP":
+        held = logs.inspect(file)
+        names = held.robots if robot is None and len(held.robots) == 1 else (robot or "",)
+        arm = described(held.attachments, names[0], str(file))
+        if arm is not None:
+            return arm
+    return None if robot is None else robots.load(robot)
 
 
 @log.command(help_epilogue="Example: armlab log recover run.mcap")

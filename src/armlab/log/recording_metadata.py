@@ -20,7 +20,7 @@ from armlab.log.redaction import SECRET, redacted
 if TYPE_CHECKING:
     from armlab.robots import Robot
 
-__all__ = ["attached", "metadata", "revision"]
+__all__ = ["attached", "described", "metadata", "revision"]
 
 ROBOT = "robot.toml"
 _PATIENCE = 2.0  # s for git
@@ -63,6 +63,27 @@ def attached(robot: Robot, attachments: Mapping[str, bytes]) -> dict[str, bytes]
     for name, data in attachments.items():
         found[name] = redacted(name, data)
     return found
+
+
+def described(attachments: Mapping[str, bytes], name: str, origin: str) -> Robot | None:
+    """Return the robot of a name as the attachments of a recording describe it, None where none of them does.
+
+    Parameters
+    ----------
+    attachments : name -> bytes; robot.toml, robot-2.toml of the other arm. name : of the robot. origin : for messages.
+
+    Raises
+    ------
+    RobotError : a description that is none.
+    """
+    from armlab.robots import from_toml
+
+    found = (
+        from_toml(text.decode(errors="replace"), f"{origin}, {file}")
+        for file, text in attachments.items()
+        if file.startswith("robot") and file.endswith(".toml")
+    )
+    return next((robot for robot in found if robot.name == name), None)
 
 
 @cache

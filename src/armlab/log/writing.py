@@ -178,8 +178,8 @@ def _write_mcap(table: Table, part: Path, path: Path, robot: Robot | None, tell:
             )
         if slot.missing is not None:
             array = np.where(np.isfinite(array), array, slot.missing)
-        raw = np.ascontiguousarray(array.reshape(len(table), -1), dtype=slot.dtype)
-        block[:, slot.start : slot.stop] = raw.view(np.uint8).reshape(len(table), -1)
+        raw = np.ascontiguousarray(array, dtype=slot.dtype).reshape(-1).view(np.uint8)
+        block[:, slot.start : slot.stop] = raw.reshape(len(table), slot.stop - slot.start)
     file = RecordingFile(part, robot, layout, {}, "; ".join(table.source), (table.t0_ns, table.clock))
     try:
         for done in range(0, len(block), _TOLD):
