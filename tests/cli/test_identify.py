@@ -174,3 +174,12 @@ def test_refusals_are_one_sentence_and_leave_no_file(
     assert "Traceback" not in said
     assert not list(tmp_path.iterdir())
     assert identify.__doc__
+
+
+@pytest.mark.usefixtures("reading")
+@pytest.mark.parametrize("words", [("run.mcap", "run.mcap"), ("run.mcap", "--test", "run.mcap")])
+def test_a_log_that_comes_twice_is_refused(words: tuple[str, ...], tmp_path, capsys) -> None:
+    """Neither is it another log, nor is it unseen."""
+    assert main(["identify", "yumi_left", *words, "-o", str(tmp_path / "model.toml")]) == 1
+    assert "Expected each log once" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []

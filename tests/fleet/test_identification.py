@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from armlab import fleet, identify, log
-from armlab.errors import LogError, NotExcited
+from armlab.errors import LogError, NotExcited, ShapeError
 from armlab.fleet import identification
 from armlab.log import Table
 
@@ -140,6 +140,13 @@ def test_all_skipped_is_an_error_with_a_reason(short_arm) -> None:
     bad = [table for name, (table, _) in spoilt(short_arm).items() if name != "slow"]
     with pytest.raises(LogError, match=r"among 3, got none.*#1: Expected finite tau"):
         fleet.identify(bad, short_arm.robot)
+
+
+def test_a_log_twice_is_refused_under_any_name(folder: Path, short_arm, tmp_path: Path) -> None:
+    logs = [Path(path) for path in sorted(folder.iterdir())]
+    copy = shutil.copy(logs[1], tmp_path / "again.parquet")
+    with pytest.raises(ShapeError, match=rf"got the rows of {logs[1]} again as {copy}"):
+        fleet.identify([*logs, copy], short_arm.robot)
 
 
 def test_joints_may_move_in_a_log_each(short_arm) -> None:

@@ -76,3 +76,9 @@ def test_joints_that_move(truth, motion) -> None:
     assert moving_joints([held], truth.robot).tolist() == [3, 4, 5, 6]
     assert moving_joints([held, log], truth.robot).tolist() == list(range(7))
     assert moving_joints([log.with_column("q", 0.0 * log["q"])], truth.robot).tolist() == list(range(7))
+
+
+def test_the_log_with_the_load_is_not_the_one_without(truth, model, loaded, motion) -> None:
+    log = loaded.log(motion)
+    with pytest.raises(ShapeError, match="rows of log 1 again as log 2"):
+        LoadRecord.of(log, model, truth.robot, log)

@@ -9,7 +9,7 @@ import pytest
 
 from armlab.errors import NotExcited, RobotError, ShapeError, UnknownName
 from armlab.identify import Prepared, prepare, with_velocity
-from armlab.identify.preparation import pieces, prepare_share
+from armlab.identify.preparation import check_once, log_name, pieces, prepare_share
 from armlab.log import Table
 
 
@@ -39,10 +39,22 @@ def test_prepare_cuts_at_gaps_and_joins_logs(truth, excited) -> None:
 
 
 def test_filter_and_differentiate_do_not_reach_across_a_gap(truth, excited) -> None:
-    data = prepare([excited, excited], truth.robot)
+    data = prepare([excited, excited.with_column("row", np.arange(len(excited)))], truth.robot)
     N = len(excited)
     for result in (data.filter(data.q, 10.0), data.differentiate(data.q)):
         np.testing.assert_array_equal(result[:N], result[N:])
+
+
+def test_a_log_that_comes_twice_is_refused_under_any_name(truth, excited) -> None:
+    """A copy says nothing new, and the deviations would shrink."""
+    copy = replace(excited, source=("copy of it.mcap sha256 0123", "select(q, qd, tau)"))
+    with pytest.raises(ShapeError, match=r"once, got the rows of log 1 again as copy of it\.mcap\. Leave one out"):
+        prepare([excited, copy], truth.robot)
+    prepare([excited.between(0, 10), excited.between(10.001, 20)], truth.robot)
+    assert (log_name(copy, 2), log_name(excited, 2)) == ("copy of it.mcap", "log 2")
+    check_once([("a", "1"), ("b", "2")])
+    with pytest.raises(ShapeError, match="rows of b again as c"):
+        check_once([("a", "1"), ("b", "2"), ("c", "2")])
 
 
 def test_refusals_name_what_is_missing(truth, excited) -> None:

@@ -64,6 +64,7 @@ def identify(
     from armlab.cli.reading import read_log
     from armlab.errors import ConfigError
     from armlab.identify import fit_dynamics, fit_friction, fit_gravity
+    from armlab.identify.preparation import check_once
 
     arm = robots.load(robot)
     if not logs:
@@ -73,6 +74,9 @@ def identify(
             check_output(path, force, endings)
     tables = [read_log(path, arm) for path in logs]
     unseen = None if test is None else read_log(test, arm)
+    if test is not None and unseen is not None:
+        names = [path.name for path in (*logs, test)]
+        check_once(zip(names, (one.sha256 for one in (*tables, unseen))))
     with progress("identify") as tell:
         fit_model = fit_gravity if gravity_only else fit_dynamics
         fit = fit_model(tables, arm, method=method, progress=tell)

@@ -15,7 +15,7 @@ from armlab.fleet.logs import Log, as_table, named
 from armlab.fleet.mapping import Progress, each
 from armlab.identify.drafting import Draft
 from armlab.identify.many import LogSums, Pattern, fit_draft, fit_sums, log_sums, same_rate
-from armlab.identify.preparation import prepare_share
+from armlab.identify.preparation import check_once, prepare_share
 from armlab.identify.shapes import Choice, Chooser, Shapes, choose
 from armlab.log import Table
 from armlab.models import TorqueModel
@@ -74,7 +74,7 @@ def identify(
 
     Raises
     ------
-    LogError : there are no logs, or all were skipped; says why.
+    LogError : there are no logs, or all were skipped; says why. ShapeError : a log twice, be it under another name.
     NotExcited : all logs together do not determine everything, by name.
 
     References
@@ -90,6 +90,7 @@ def identify(
     if lost:
         raise LogError(f"Expected {lost[0]} to read as before, but: {done.skipped[lost[0]]}")
     used = list(done.results)
+    check_once((name, sums.source.rpartition(":")[2]) for name, sums in done.results.items())
     fit = fit_sums(draft, pattern, [done.results[name] for name in used], [used.index(name) for name in first])
     reasons = {**refused, **done.skipped}
     skipped = {name: reasons[name] for name in jobs if name in reasons}

@@ -10,7 +10,7 @@ import numpy as np
 from armlab.errors import ShapeError
 from armlab.estimation import Fit
 from armlab.identify.model_error import ModelError
-from armlab.identify.preparation import MIN_SECONDS, MIN_SLIDE, MIN_TURN, Prepared
+from armlab.identify.preparation import MIN_SECONDS, MIN_SLIDE, MIN_TURN, Prepared, check_once, log_name
 from armlab.identify.residuals import model_residuals
 from armlab.log import Table
 from armlab.models import TorqueModel
@@ -63,11 +63,13 @@ class LoadRecord:
 
         Raises
         ------
-        ShapeError, NotExcited : logs that `prepare` refuses. ShapeError : two motions that are not the same.
+        ShapeError, NotExcited : logs that `prepare` refuses. ShapeError : two motions that are not the same, or one
+            log for both.
         """
         error = ModelError.of(known, robot)
         model = error.model
-        joints = moving_joints([table] if isinstance(table, Table) else table, robot)
+        tables = [table] if isinstance(table, Table) else table
+        joints = moving_joints(tables, robot)
         found = model_residuals(table, model, joints.tolist(), robot)
         data, cutoff = found.data, found.data.rate / 10.0
         rows = np.concatenate([np.arange(a, b, EVERY) for a, b in data.segments])
@@ -77,6 +79,7 @@ class LoadRecord:
             A = columns[rows]
             return cls(data, rows, joints, A, y[rows], error, error.against(A, data, rows, joints), sources)
         other = model_residuals(without, model, joints.tolist(), robot)
+        check_once((log_name(one, k), one.sha256) for k, one in enumerate([*tables, without], 1))
         shift = _shift(data, other.data)
         rows = rows[(rows >= shift) & (rows - shift < len(other.data.t))]
         A, there = columns[rows], rows - shift

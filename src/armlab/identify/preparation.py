@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -17,7 +17,7 @@ from armlab.log.plausibility import check_position, check_torque, check_velocity
 from armlab.robots import Robot
 from armlab.signals import central_diff, lowpass_offline
 
-__all__ = ["Prepared", "pieces", "prepare", "prepare_share", "with_velocity"]
+__all__ = ["Prepared", "check_once", "log_name", "pieces", "prepare", "prepare_share", "with_velocity"]
 
 MIN_SECONDS = 5.0
 MIN_TURN, MIN_SLIDE = np.deg2rad(5.0), 0.02  # rad, m: range of a joint that is said to move
@@ -92,9 +92,9 @@ def prepare(table: Table | Sequence[Table], robot: Robot, joints: Sequence[int] 
     Raises
     ------
     RobotError : something else than a robot. UnknownName : no such joint.
-    ShapeError : something else than a log, wrong joint count, NaN rows by number, logs of different rates or below
-        40 Hz, gaps everywhere, positions in degrees or of the motors, velocity that is not the derivative of position,
-        torque of the motors.
+    ShapeError : something else than a log, one log twice, wrong joint count, NaN rows by number, logs of different
+        rates or below 40 Hz, gaps everywhere, positions in degrees or of the motors, velocity that is not the
+        derivative of position, torque of the motors.
     NotExcited : too short, joints at rest by name, constant torque.
     """
     used = np.bincount(measured_joints(robot, joints), minlength=robot.n) > 0
@@ -148,7 +148,39 @@ def _tables(table: Table | Sequence[Table]) -> list[Table]:
     for one in tables:
         if not isinstance(one, Table):
             raise ShapeError.no_table(one)
+    check_once([(log_name(one, number), one.sha256) for number, one in enumerate(tables, 1)])
     return tables
+
+
+def check_once(logs: Iterable[tuple[str, str]]) -> None:
+    """Refuse a log that comes twice, be it under another name: the second time it says nothing new.
+
+    Parameters
+    ----------
+    logs : name and SHA-256 of the rows of each.
+
+    Raises
+    ------
+    ShapeError : names both.
+    """
+    known: dict[str, str] = {}
+    for name, sha256 in logs:
+        if sha256 in known:
+            raise ShapeError(
+                f"Expected each log once, got the rows of {known[sha256]} again as {name}. Leave one out: counted "
+                "twice, they would seem to tell more than they do."
+            )
+        known[sha256] = name
+
+
+def log_name(table: Table, number: int) -> str:
+    """Return the file that a log was read from; "log 2" where it was not read from one.
+
+    Parameters
+    ----------
+    table : the log. number : its place, from 1.
+    """
+    return table.source[0].partition(" sha256 ")[0] if table.source else f"log {number}"
 
 
 def with_velocity(table: Table) -> Table:
