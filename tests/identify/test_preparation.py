@@ -39,7 +39,7 @@ def test_prepare_cuts_at_gaps_and_joins_logs(truth, excited) -> None:
 
 
 def test_filter_and_differentiate_do_not_reach_across_a_gap(truth, excited) -> None:
-    data = prepare([excited, excited.with_column("row", np.arange(len(excited)))], truth.robot)
+    data = prepare([excited, excited.with_column("row", np.arange(len(excited)), unit="1")], truth.robot)
     N = len(excited)
     for result in (data.filter(data.q, 10.0), data.differentiate(data.q)):
         np.testing.assert_array_equal(result[:N], result[N:])
