@@ -39,13 +39,13 @@ from mutants import Mutant, codes, is_same, loaded, mutants, transplant  # noqa:
 EXPLAINED, LAST = ROOT / "mutation" / "survivors.toml", ROOT / "build" / "mutation.json"
 BRIDGE, KERNELS = "src/armlab/bridge", "src/armlab/kernels/_reference"
 FILES = {  # each with the tests that hold it
-    f"{BRIDGE}/limits.py": ["bridge/limits", "bridge/states", "bridge/torque"],
+    f"{BRIDGE}/limits.py": ["bridge/limits", "bridge/states", "bridge/states_failing", "bridge/torque"],
     f"{BRIDGE}/linked.py": ["bridge/linked"],
     f"{BRIDGE}/torque.py": ["bridge/torque", "bridge/linked", "bridge/states"],
-    f"{BRIDGE}/commands.py": ["bridge/commands", "bridge/states"],
+    f"{BRIDGE}/commands.py": ["bridge/commands", "bridge/states", "bridge/states_failing"],
     f"{BRIDGE}/watchdog.py": ["bridge/watchdog"],
     f"{BRIDGE}/session.py": ["bridge/session", "bridge/session_order"],
-    f"{BRIDGE}/states.py": ["bridge/states", "bridge/torque"],
+    f"{BRIDGE}/states.py": ["bridge/states", "bridge/states_failing", "bridge/torque"],
     f"{BRIDGE}/rights.py": ["bridge/rights"],
     f"{BRIDGE}/loop.py": ["bridge/loop_by_hand", "bridge/loop_fails_by_hand", "bridge/arms_by_hand"],
     f"{BRIDGE}/supervision.py": ["bridge/supervision"],

@@ -244,3 +244,19 @@ def test_a_run_ends_when_an_error_cannot_be_told_and_another_comes(one: Make, mo
     hands.loop.run()
     assert hands.loop.reason == "the bridge failed"
     assert "MemoryError" in str(hands.loop.failure)
+
+
+def test_a_stop_of_which_the_system_sends_nothing_ends_the_run(one: Make) -> None:
+    hands = one(drift)
+    for _ in range(10):
+        hands.cycle()
+    hands.ports[0].works = False
+    hands.loop.interrupt()
+    count = 0
+    while not hands.loop._have_ended():
+        assert count < 1000
+        hands.cycle()
+        count += 1
+    assert count == 501  # the first is the packet after which the interrupt is seen
+    assert isinstance(hands.loop.failure, LinkError)
+    assert any("Expected the replies that bring the arm to rest to go out" in text for text in hands.warned)

@@ -30,6 +30,17 @@ held_by(
     ),
 )
 held_by(
+    "tests/bridge/test_loop_fails_by_hand.py::test_a_stop_of_which_the_system_sends_nothing_ends_the_run",
+    cells(
+        "network",
+        "the system refuses to send for two seconds",
+        "stopping",
+        "the run ends; the robot keeps the last reference until its own time-out",
+        "Expected the replies that bring the arm to rest to go out",
+        "another run",
+    ),
+)
+held_by(
     "tests/bridge/test_arms_loop.py::test_an_arm_that_falls_silent_holds_the_other",
     cells(
         "network",

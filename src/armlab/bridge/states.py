@@ -29,6 +29,7 @@ from armlab.wire.egm import Packet
 __all__ = ["Guide", "Mode"]
 
 STOP_TIME = 0.5  # s at rest before a run ends
+_UNSENT = 500  # replies that do not go out end a stop: 2 s, after which the robot's own time-out has acted
 _REFUSALS = 3  # in a row end the run
 _ENTRY_PATIENCE = 1.0  # s of refused entries before a warning
 _BITS = 1, 2, 4, 8, 16, 32  # of `Reply.clamped`
@@ -92,7 +93,7 @@ class Guide:
         self.reason = ""
         self.clamps = np.zeros((len(_BITS), robot.n), dtype=int)
         self.worst_ratio = 1.0
-        self.refused = self._refused_in_a_row = 0
+        self.refused = self._refused_in_a_row = self._unsent = 0
         self._packet: Packet | None = None
         self._before = self._memory
         self._qd = self._last.qd
@@ -104,8 +105,8 @@ class Guide:
         return self.ready and self.mode in _ASKED
 
     @property
-    def _memory(self) -> tuple[Reply, Any, Any, Any]:
-        return self._last, self._limiter.memory, self._torques.memory, self._aside.memory
+    def _memory(self) -> tuple[float, Reply, Any, Any, Any]:
+        return self._rested, self._last, self._limiter.memory, self._torques.memory, self._aside.memory
 
     @property
     def _is_silent(self) -> bool:
@@ -197,7 +198,17 @@ class Guide:
 
     def take_back(self) -> None:
         """Forget the last reply, which did not go out: the next one may be one step from what the robot has."""
-        self._last, self._limiter.memory, self._torques.memory, self._aside.memory = self._before
+        rested, self._last, self._limiter.memory, self._torques.memory, self._aside.memory = self._before
+        if self.mode is not Mode.STOPPING:
+            return
+        self._rested, self._unsent = rested, self._unsent + 1
+        if self._unsent >= _UNSENT:
+            problem = (
+                f"Expected the replies that bring the arm to rest to go out, but {_UNSENT} of them did not go out. The "
+                "robot keeps the last reference until its own time-out. Check the network of this computer."
+            )
+            self.mode, self.failure = Mode.ENDED, self.failure or LinkError(problem)
+            self._on_event(problem, warn=True)
 
     def stop(self, reason: str, failure: LinkError | None = None) -> None:
         """Bring the arm to rest and end; the first reason stays.
