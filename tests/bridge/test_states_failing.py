@@ -61,6 +61,19 @@ def test_commands_of_the_wrong_kind_stop_at_once(bench: Bench, command: Any) -> 
     assert isinstance(bench.guide.failure, CommandRefused)
 
 
+@pytest.mark.parametrize("fields", [{"motors": 2}, {"seqno": 0}])
+def test_refusals_before_the_robot_was_ready_anew_do_not_count(bench: Bench, fields: dict[str, Any]) -> None:
+    bench.run()
+    bench.reply(BAD)
+    bench.reply(BAD)
+    bench.reply(BAD, **fields)
+    bench.reply(BAD)
+    assert bench.mode is Mode.HOLDING
+    for _ in range(2):
+        bench.reply(BAD)
+    assert bench.mode is Mode.STOPPING
+
+
 @pytest.mark.parametrize("late", [False, True])
 def test_a_reply_that_did_not_go_out_is_no_step(bench: Bench, late: bool) -> None:
     """Else the next one would be a step of two, or of as many as were not sent."""

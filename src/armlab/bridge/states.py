@@ -312,7 +312,7 @@ class Guide:
     def _become_ready(self, packet: Packet) -> None:
         self._torques.reset()
         self._last = joined(self._limiter.rest(packet.q), self._aside.rest(packet))
-        self._waited, self._warned = 0.0, False
+        self._refused_in_a_row, self._waited, self._warned = 0, 0.0, False
         if not self.guided:
             self.guided, self.t, self.q_start = True, 0.0, packet.q
         self._on_event("The robot is ready and holds.")
