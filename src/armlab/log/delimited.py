@@ -8,28 +8,29 @@ read five times as fast.
 from __future__ import annotations
 
 import csv
-import gzip
 import re
 import zlib
-from collections.abc import Sequence
-from io import TextIOWrapper
+from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import Any, BinaryIO, cast
+from typing import Any
 
 import msgspec
 import numpy as np
 
 from armlab.errors import LogError
 from armlab.log.description import Description, put_together
-from armlab.log.formats import FIRST, format_of
+from armlab.log.holes import refuse_holes
 from armlab.log.labelled import labelled_table, names_of
+from armlab.log.lines import LONGEST, open_text, rows_in
 from armlab.log.sidecar import read_sidecar
 from armlab.log.table import Table
 
 __all__ = ["read_csv", "rows_of"]
 
 BLOCK = 1 << 18  # bytes of text at a time
+_ROWS = 1000  # at a time
 _EMPTY = ((b",,", b",null,"), (b",,", b",null,"), (b",\n", b",null\n"), (b"\n,", b"\nnull,"))  # fields
 _NUMERIC = b"0123456789+-.eE, \r\n"
 _EXACT = 2.0**53  # whole numbers up to here are exact as floats
@@ -87,7 +88,7 @@ def read_csv(
     names = names_of(path, [label.strip() for label in header[0]] if header else [])
     found = _numbers_only(path, skip, separator)
     if not found or not len(found[0]):  # words, or what is told by its line
-        texts = list(zip(*_lines(path, skip, separator)))
+        texts = _texts(path, skip, separator)
         found = [_numbers(path, name, of_one, skip) for (name, _), of_one in zip(names, texts, strict=True)]
         for (name, _), of_one, array in zip(names, texts, found, strict=True):
             if array.dtype.kind == "U":
@@ -96,15 +97,6 @@ def read_csv(
     return labelled_table(
         path, arrays, rate=rate, every=every, notes=notes, row=lambda k: f"line {k + skip + 2}", raw=raw
     )
-
-
-def _open(path: Path) -> BinaryIO:
-    """Open a text file, packed or not; of another format it is refused."""
-    with path.open("rb") as file:
-        found = format_of(file.read(FIRST))
-    if found not in ("text", "gzip"):
-        raise LogError(f"Expected delimited text at {path}, got a file of format {found}.")
-    return cast(BinaryIO, gzip.open(path)) if found == "gzip" else path.open("rb")
 
 
 def rows_of(path: Path, separator: str, count: int | None = None) -> list[list[str]]:
@@ -116,15 +108,9 @@ def rows_of(path: Path, separator: str, count: int | None = None) -> list[list[s
 
     Raises
     ------
-    LogError : no file, or no text in UTF-8.
+    LogError : see `rows_in`.
     """
-    try:
-        with _open(path) as raw, TextIOWrapper(raw, encoding="utf-8-sig", newline="") as file:
-            return list(islice(csv.reader(file, delimiter=separator), count))
-    except OSError as error:
-        raise LogError(f"Expected a log at {path}, got: {error.strerror or error}.") from None
-    except (EOFError, zlib.error, UnicodeDecodeError, csv.Error) as error:
-        raise LogError(f"Expected delimited text in UTF-8 at {path}, got something else: {error}.") from None
+    return list(islice(rows_in(path, separator), count))
 
 
 def _numbers_only(path: Path, skip: int, separator: str) -> list[np.ndarray] | None:
@@ -134,11 +120,17 @@ def _numbers_only(path: Path, skip: int, separator: str) -> list[np.ndarray] | N
     """
     blocks = []
     try:
-        with _open(path) as file:
-            lines = csv.reader((line.decode("utf-8-sig") for line in file), delimiter=separator)
-            header = [next(lines) for _ in range(skip + 1)][-1]
-            while text := file.read(BLOCK) + file.readline():
-                blocks.append(_columns(_decoded(text, separator), len(header)))
+        with open_text(path) as file:
+            lines = (line.decode("utf-8-sig") for line in iter(partial(file.readline, LONGEST + 1), b""))
+            of_header = csv.reader(lines, delimiter=separator)
+            header = [next(of_header) for _ in range(skip + 1)][-1]
+            while text := file.read(BLOCK):
+                rest = file.readline(LONGEST + 1)
+                if len(text) - text.rfind(b"\n") - 1 + len(rest) > LONGEST:
+                    return None
+                blocks.append(_columns(_decoded(text + rest, separator), len(header)))
+    except LogError:  # there is too much of it
+        raise
     except (OSError, EOFError, zlib.error, ValueError, OverflowError, StopIteration, csv.Error, msgspec.DecodeError):
         return None
     return [_joined(parts) for parts in zip(*blocks, strict=True)] if blocks else [np.zeros(0) for _ in header]
@@ -181,20 +173,36 @@ def _joined(parts: Sequence[np.ndarray]) -> np.ndarray:
     return np.concatenate(parts)
 
 
-def _lines(path: Path, skip: int, separator: str, least: int = 2) -> list[list[str]]:
-    """Return the fields of each line below the header."""
-    rows = rows_of(path, separator)[skip:]
-    while rows and not any(rows[-1]):
-        rows.pop()
-    if len(rows) < least:
-        raise LogError(f"Expected a header and rows of numbers in {path}, got {len(rows)} lines after {skip} skipped.")
-    for number, row in enumerate(rows, start=skip + 1):
-        if len(row) != len(rows[0]):
+def _texts(path: Path, skip: int, separator: str, least: int = 2) -> list[list[str]]:
+    """Return the texts of each column below the header: as rows they would take twice the memory."""
+    rows = islice(rows_in(path, separator), skip, None)
+    columns = [[] for _ in next(rows, [])]
+    even = _even(rows, len(columns), skip + 2, separator, path)
+    while some := list(islice(even, _ROWS)):
+        for column, texts in zip(columns, zip(*some, strict=True), strict=True):
+            column += texts
+    while columns and columns[0] and not any(column[-1] for column in columns):
+        for column in columns:
+            column.pop()
+    count = len(columns[0]) + 1 if columns else 0
+    if count < least:
+        raise LogError(f"Expected a header and rows of numbers in {path}, got {count} lines after {skip} skipped.")
+    return columns
+
+
+def _even(rows: Iterable[list[str]], width: int, first: int, separator: str, path: Path) -> Iterator[list[str]]:
+    """Yield rows of this width; a line of another one is refused, but for empty ones at the end."""
+    other = None
+    for number, row in enumerate(rows, start=first):
+        if other is None and len(row) == width:
+            yield row
+            continue
+        other = other or (number, len(row))
+        if any(row):
             raise LogError(
-                f"Expected {len(rows[0])} fields separated by {separator!r} in line {number} of {path}, got "
-                f"{len(row)}. Name another separator, or mend the line."
+                f"Expected {width} fields separated by {separator!r} in line {other[0]} of {path}, got "
+                f"{other[1]}. Name another separator, or mend the line."
             )
-    return rows[1:]
 
 
 def _as_written(path: Path, beside: Description) -> Table:
@@ -204,9 +212,9 @@ def _as_written(path: Path, beside: Description) -> Table:
         kinds += [column.kind] * int(np.prod(column.shape, dtype=int))
     parts = None if "text" in kinds else _numbers_only(path, 0, ",")
     if parts is None:
-        fields = _lines(path, 0, ",", least=1)
+        fields = _texts(path, 0, ",", least=1)
         try:
-            parts = [_typed(kind, texts) for kind, texts in zip(kinds, zip(*fields) if fields else [()] * len(kinds))]
+            parts = [_typed(kind, texts) for kind, texts in zip(kinds, fields, strict=True)]
         except (ValueError, OverflowError) as error:
             raise LogError(
                 f"Expected the columns that {path.name}.toml describes in {path}, got: {str(error).rstrip('.')}."
@@ -222,9 +230,16 @@ def _whole(array: np.ndarray) -> np.ndarray:
     return array.astype(np.int64) if exact else array
 
 
+def _words(texts: Sequence[str], where: str) -> np.ndarray:
+    """Return texts (N,); NumPy gives each the room of the longest, four bytes a letter."""
+    sizes = [len(text) // 2 + 1 for text in texts]
+    refuse_holes(len(texts), {where: max(sizes, default=0)}, sum(sizes))
+    return np.array(texts, dtype=np.str_)
+
+
 def _typed(kind: str, texts: Sequence[str]) -> np.ndarray:
     if kind == "text":
-        return np.array(texts, dtype=np.str_)
+        return _words(texts, "a column of texts")
     if kind in _WHOLE:
         return np.array([int(text) for text in texts], dtype=np.int64)
     array = _decimals(texts)
@@ -256,7 +271,7 @@ def _numbers(path: Path, name: str, texts: Sequence[str], skip: int) -> np.ndarr
                     f"Expected a decimal point in the column {name!r} of {path}, got {text.strip()!r} in line "
                     f"{row + skip + 2}. Export with points."
                 ) from None
-        return np.array(texts, dtype=np.str_)
+        return _words(texts, f"{path.name}: {name}")
 
 
 def _whole_numbers(texts: Sequence[str], array: np.ndarray) -> np.ndarray:
