@@ -46,7 +46,7 @@ FILES = {  # each with the tests that hold it
     f"{BRIDGE}/watchdog.py": ["bridge/watchdog"],
     f"{BRIDGE}/session.py": ["bridge/session", "bridge/session_order"],
     f"{BRIDGE}/states.py": ["bridge/states", "bridge/states_failing", "bridge/torque"],
-    f"{BRIDGE}/rights.py": ["bridge/rights"],
+    f"{BRIDGE}/rights.py": ["bridge/rights", "bridge/rights_distances"],
     f"{BRIDGE}/loop.py": ["bridge/loop_by_hand", "bridge/loop_fails_by_hand", "bridge/arms_by_hand"],
     f"{BRIDGE}/supervision.py": ["bridge/supervision"],
     f"{BRIDGE}/arm.py": ["bridge/arm", "bridge/arm_by_hand"],

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab.bridge.commands import entry_refusal, kept, refusal, wanted
+from armlab import robots
+from armlab.bridge.commands import causes, entry_refusal, kept, refusal, wanted
 from armlab.errors import CommandRefused
 from armlab.robots import Robot
 from armlab.state import Command
@@ -80,3 +81,16 @@ def test_entry(robot: Robot) -> None:
     wide = np.where(np.arange(7) == 4, 0.4, 0.05)
     far[1] = 0.1
     assert "joint 2" in entry_refusal(far, held, wide, robot), "twice what is allowed is more than 1.25 times"
+
+
+def test_far_is_what_the_axes_are_where_they_are_not_the_joints(robot: Robot) -> None:
+    """Of an IRB 2400 axis 3 is the sum of joints 2 and 3: both by 0.04 is far, one against the other is not."""
+    linked, entry = robots.load("irb2400"), np.full(6, 0.05)
+    q = np.array([0.0, 0.04, 0.04, 0.0, 0.0, 0.0])
+    held = np.array([0.0, 0.0, 0.01, 0.0, 0.0, 0.0])
+    assert "got 0.0800 for joint 3 (axis_3), which holds at 0.0100" in entry_refusal(q, held, entry, linked)
+    assert entry_refusal(q * [1, 1, -1, 1, 1, 1], held, entry, linked) == ""
+    assert "sent, 0.0100, for joint 3 (axis_3), got 0.0800: a jump of 0.0700" in refusal(-3, q, None, held, linked)
+    for sentence in (entry_refusal(q, held, entry, linked), refusal(-3, q, None, held, linked)):
+        assert sentence.endswith(causes(linked))
+    assert causes(linked) == f"{causes(robot)} The numbers are those of ABB's axes, of which one may be several joints."

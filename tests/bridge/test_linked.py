@@ -7,7 +7,7 @@ import pytest
 
 from armlab import bridge, robots
 from armlab.bridge.limits import Limiter, Limits
-from armlab.bridge.linked import LinkedLimiter, limiter_of
+from armlab.bridge.linked import LinkedLimiter, axes_of, limiter_of
 from armlab.bridge.readiness import implausible
 from armlab.bridge.torque import Torques
 from armlab.state import Command, State
@@ -20,6 +20,12 @@ T = 0.004
 def test_which_robots_need_it() -> None:
     assert type(limiter_of(Limits.of(robots.load("irb120")), robots.load("irb120"))) is Limiter
     assert isinstance(limiter_of(Limits.of(ROBOT), ROBOT), LinkedLimiter)
+
+
+def test_positions_that_limits_are_about() -> None:
+    q = np.array([0.1, 0.2, 0.4, 0.0, 0.3, 0.0])
+    np.testing.assert_allclose(axes_of(ROBOT)(q), [0.1, 0.2, 0.6, 0.0, 0.3, 0.0])
+    assert axes_of(robots.load("irb120"))(q) is q
 
 
 def test_the_sum_of_two_joints_is_limited() -> None:

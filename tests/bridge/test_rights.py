@@ -1,4 +1,4 @@
-"""One commander per arm: taking, keeping, losing an arm, in simulated time."""
+"""`Arbiter`: one commander per arm; taking, keeping, losing an arm, in simulated time."""
 
 from __future__ import annotations
 
@@ -10,58 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armlab import robots
 from armlab.bridge.order import Order
-from armlab.bridge.rights import LEASE, Arbiter
-from armlab.state import Command, State
+from armlab.bridge.rights import LEASE
 
-LEFT, RIGHT = robots.load("yumi_left"), robots.load("yumi_right")
-HOME = np.array(LEFT.q_home)
-TICK = 4_000_000  # ns
-
-
-class Bench:
-    """An arbiter with a clock of its own and a list of what it says."""
-
-    def __init__(self, arms: Any = (LEFT,), allowed: Any = ("labcomm",), **options: Any) -> None:
-        self.now = 10**12
-        self.events: list[str] = []
-        self.warnings: list[str] = []  # those of the events that warn
-        self.each: list[str] = []  # and those that are told each time
-        self.answers: list[tuple[str, str]] = []
-        self.arbiter = Arbiter(arms, allowed, tell=self.tell, answer=self.answer, clock=lambda: self.now, **options)
-        self.q_sent = {robot.name: np.array(robot.q_home) for robot in arms}
-        self.arms = arms
-
-    def tell(self, text: str, warn: bool = False, each: bool = False) -> None:
-        self.events.append(text)
-        if warn:
-            self.warnings.append(text)
-        if each:
-            self.each.append(text)
-
-    def answer(self, client: str, text: str) -> None:
-        self.answers.append((client, text))
-
-    def state(self) -> State:
-        made = [
-            State(0.0, 0.004, np.array(robot.q_home), np.zeros(7), np.zeros(7), q_sent=self.q_sent[robot.name])
-            for robot in self.arms
-        ]
-        return made[0] if len(made) == 1 else State(0.0, 0.004, *np.zeros((3, 14)), arms=tuple(made))
-
-    def __call__(self, *orders: Order, after: float = 0.004) -> Any:
-        self.now += int(1e9 * after)
-        for order in orders:
-            self.arbiter.submit(order)
-        command = self.arbiter(self.state())
-        if isinstance(command, Command) and command.q is not None:
-            self.q_sent[self.arms[0].name] = command.q
-        return command
-
-
-def order(client: str = "labcomm a", offset: float = 0.01, arm: str = "yumi_left", **more: Any) -> Order:
-    return Order(client, arm, HOME + offset, **more)
+from .commanders import HOME, LEFT, RIGHT, Bench, order
 
 
 def test_the_first_valid_command_takes_the_arm() -> None:
@@ -172,48 +124,6 @@ def test_refused(wrong: Order, words: str) -> None:
 def test_torque_where_the_link_carries_it() -> None:
     command = Bench(torque=["yumi_left"])(Order("labcomm a", "yumi_left", tau=np.ones(7)))
     np.testing.assert_array_equal(command.tau, np.ones(7))
-
-
-def test_a_jump_is_refused_and_the_last_command_stays() -> None:
-    bench = Bench()
-    bench(order())
-    assert bench(order(offset=0.2)).q[0] == HOME[0] + 0.01
-    assert "Expected the position within 0.1 of the one last sent" in bench.answers[0][1]
-    bench.q_sent["yumi_left"] = HOME + 0.2  # held elsewhere meanwhile
-    assert bench() is None
-    assert bench(order("labcomm b")) is None, "what is refused makes no old command new"
-    assert bench(order(offset=np.nan)) is None
-
-
-def test_a_commander_may_lead_the_arm_further_than_it_may_enter() -> None:
-    """The first position counts from the joints measured, those after it from the one sent last."""
-    bench = Bench()
-    for offset in (0.04, 0.08, 0.12):
-        assert bench(order(offset=offset)).q[0] == HOME[0] + offset
-    assert bench.events == ["labcomm a commands yumi_left."]
-
-
-def test_a_first_command_far_from_what_was_sent_is_for_the_guide_to_refuse() -> None:
-    """Which says why; an arm that was pushed away from where it holds would else not move, and no one know why."""
-    bench = Bench()
-    bench.q_sent["yumi_left"] = HOME + 0.2
-    assert bench(order()) is not None
-
-
-def test_before_anything_was_sent_the_measured_joints_count() -> None:
-    bench = Bench()
-    for offset, taken in ((0.01, 0.01), (0.02, 0.02), (0.2, 0.02)):
-        bench.q_sent["yumi_left"] = np.full(7, np.nan)
-        assert bench(order(offset=offset)).q[0] == HOME[0] + taken
-
-
-def test_the_ends_of_what_is_allowed_are_within() -> None:
-    q = HOME + 0.05 * (np.arange(7) == 0)
-    bench = Bench(entry=abs(q[0] - HOME[0]))
-    assert bench(Order("labcomm a", "yumi_left", q)) is not None
-    bench.arbiter._jumps["yumi_left"] = np.abs(q - HOME)
-    bench.q_sent["yumi_left"] = HOME
-    assert bench() is not None
 
 
 def test_states_of_other_arms_are_none_of_ours() -> None:

@@ -7,15 +7,16 @@ from typing import Any
 
 import numpy as np
 
+from armlab.bridge.linked import axes_of
 from armlab.errors import CommandRefused
 from armlab.robots import Robot
 from armlab.state import Command
+from armlab.wire.egm.linkage import Linkage
 
-__all__ = ["entry_refusal", "kept", "refusal", "wanted"]
+__all__ = ["causes", "entry_refusal", "kept", "refusal", "wanted"]
 
 _DOUBLE = np.dtype(np.float64)
 _NUMBERS = "q", "qd", "tau", "q_ext", "rapid_data"
-_CAUSES = "Usual causes are degrees instead of radians and another joint order."
 
 
 def wanted(command: Command, robot: Robot) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray | None]:
@@ -84,13 +85,14 @@ def refusal(refused: int, q: np.ndarray | None, qd: np.ndarray | None, sent: np.
     robot : names the joints.
     """
     i = abs(refused) - 1
-    joint = f"joint {i + 1} ({robot.joint_names[i]})"
+    joint, axes = f"joint {i + 1} ({robot.joint_names[i]})", axes_of(robot)
     if refused > 0 or q is None:  # only a position can jump
         got = ", ".join(f"{name} = {values[i]}" for name, values in (("q", q), ("qd", qd)) if values is not None)
         return f"Expected finite numbers in the Command, got {got} for {joint}. NaN never goes to a robot."
+    before, asked = axes(sent)[i], axes(q)[i]
     return (
-        f"Expected a position near the last one sent, {sent[i]:.4f}, for {joint}, got {q[i]:.4f}: a jump of "
-        f"{abs(q[i] - sent[i]):.4f}. Move there gradually. {_CAUSES}"
+        f"Expected a position near the last one sent, {before:.4f}, for {joint}, got {asked:.4f}: a jump of "
+        f"{abs(asked - before):.4f}. Move there gradually. {causes(robot)}"
     )
 
 
@@ -101,6 +103,8 @@ def entry_refusal(q: np.ndarray, held: np.ndarray, entry: np.ndarray, robot: Rob
     ----------
     q : (n,) asked for. held : (n,) where the arm holds. entry : (n,) distance allowed. robot : names the joints.
     """
+    axes = axes_of(robot)
+    q, held = axes(q), axes(held)
     distance = np.abs(q - held)
     far = distance > entry
     if not far.any():
@@ -108,5 +112,17 @@ def entry_refusal(q: np.ndarray, held: np.ndarray, entry: np.ndarray, robot: Rob
     i = int(np.argmax(np.where(far, distance / entry, 0.0)))
     return (
         f"Expected the first position within {entry[i]:g} of where the arm holds, got {q[i]:.4f} for joint {i + 1} "
-        f"({robot.joint_names[i]}), which holds at {held[i]:.4f}. Begin at state.q_start. {_CAUSES}"
+        f"({robot.joint_names[i]}), which holds at {held[i]:.4f}. Begin at state.q_start. {causes(robot)}"
     )
+
+
+def causes(robot: Robot) -> str:
+    """Return why a position may be far from another, and of what the numbers are that a refusal of it names.
+
+    Parameters
+    ----------
+    robot : the arm.
+    """
+    usual = "Usual causes are degrees instead of radians and another joint order."
+    are_joints = Linkage.of(robot) is None
+    return usual if are_joints else f"{usual} The numbers are those of ABB's axes, of which one may be several joints."

@@ -1,6 +1,8 @@
-"""`LinkedLimiter`: limits of a robot whose axes are not its joints, where they belong: on ABB's axes."""
+"""Limits of a robot whose axes are not its joints, where they belong: on ABB's axes."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 
@@ -8,7 +10,7 @@ from armlab.bridge.limits import Limiter, Limits, Reply
 from armlab.robots import Robot
 from armlab.wire.egm.linkage import Linkage
 
-__all__ = ["LinkedLimiter", "limiter_of"]
+__all__ = ["LinkedLimiter", "axes_of", "limiter_of"]
 
 
 class LinkedLimiter(Limiter):
@@ -60,3 +62,22 @@ def limiter_of(limits: Limits, robot: Robot) -> Limiter:
     """
     linkage = Linkage.of(robot)
     return Limiter(limits) if linkage is None else LinkedLimiter(limits, linkage)
+
+
+def axes_of(robot: Robot) -> Callable[[np.ndarray], np.ndarray]:
+    """Return what makes positions (n,) of a robot's joints those that its limits are about: of ABB's axes.
+
+    Parameters
+    ----------
+    robot : the arm; one whose axes are its joints gives them back as they are.
+
+    Raises
+    ------
+    RobotError : see `Linkage.of`.
+    """
+    linkage = Linkage.of(robot)
+    return _same if linkage is None else linkage.axes
+
+
+def _same(joints: np.ndarray) -> np.ndarray:
+    return joints

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from armlab.bridge.linked import axes_of
 from armlab.robots import Robot
-from armlab.wire.egm.linkage import Linkage
 
 __all__ = ["MCI_RUNNING", "implausible", "obstacle"]
 
@@ -40,8 +40,7 @@ def implausible(q: np.ndarray, robot: Robot) -> str:
     ----------
     q : (n,) feedback. robot : the arm.
     """
-    linkage = Linkage.of(robot)
-    q = q if linkage is None else linkage.axes(q)
+    q = axes_of(robot)(q)
     outside = np.maximum(robot.q_min - q, q - robot.q_max)
     i = int(np.argmax(outside))
     if outside[i] <= _PLAUSIBLE:

@@ -12,9 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from armlab.bridge.commands import causes
 from armlab.bridge.events import Tell, nobody
 from armlab.bridge.joint_names import called
 from armlab.bridge.limits import Limits
+from armlab.bridge.linked import axes_of
 from armlab.bridge.order import Order, read_order
 from armlab.robots import Robot
 from armlab.state import Command, State
@@ -26,7 +28,6 @@ LEASE = 0.1
 
 _ANSWER_EVERY = 1_000_000_000  # ns between two answers to one client
 _CLIENTS = 256  # that are counted or wait; more are a flood
-_CAUSES = "Usual causes are degrees instead of radians and another joint order."
 
 
 @dataclass(slots=True)
@@ -77,6 +78,7 @@ class Arbiter:
         self.poll, self._tell, self._answer, self._clock = poll, tell, answer, clock
         self._lease_ns, self._entry, self._torque = int(1e9 * lease), entry, frozenset(torque)
         self._jumps = {robot.name: Limits.of(robot).jump for robot in robots}
+        self._axes = {robot.name: axes_of(robot) for robot in robots}
         self._holders: dict[str, _Holder | None] = {robot.name: None for robot in robots}
         self._inbox: dict[tuple[str, str], tuple[int, Order]] = {}
         self._answered: dict[str, int] = {}
@@ -214,14 +216,15 @@ class Arbiter:
             _count(self.refused, order.client)
             return False
         command, problem = read_order(order, robot, order.arm in self._torque)
-        q = command.q
-        if q is not None and not problem:
+        if command.q is not None and not problem:
+            axes = self._axes[order.arm]
+            q = axes(command.q)
             if holder is None:
                 most = np.full(robot.n, self._entry)
-                problem = _distance(q, state.q, most, "first position", "measured", robot, order)
+                problem = _distance(q, axes(state.q), most, "first position", "measured", robot, order)
             else:
                 most = self._jumps[order.arm]
-                problem = _distance(q, _sent(state), most, "position", "last sent", robot, order)
+                problem = _distance(q, axes(_sent(state)), most, "position", "last sent", robot, order)
         if problem:
             return self._refuse(order.client, problem, now)
         if holder is None:
@@ -234,8 +237,8 @@ class Arbiter:
         holder = self._holders[robot.name]
         if holder is None or self.stopped:  # another thread may have taken the stop while a command came into force
             return None
-        q = holder.command.q
-        if not is_fresh and q is not None and np.any(np.abs(q - _sent(state)) > self._jumps[robot.name]):
+        q, axes = holder.command.q, self._axes[robot.name]
+        if not is_fresh and q is not None and np.any(np.abs(axes(q) - axes(_sent(state))) > self._jumps[robot.name]):
             return None  # the arm was held meanwhile: to go on would be a jump, which ends runs
         return holder.command
 
@@ -277,12 +280,12 @@ def _sent(state: State) -> np.ndarray:
 def _distance(
     q: np.ndarray, near: np.ndarray, most: np.ndarray, what: str, where: str, robot: Robot, order: Order
 ) -> str:
-    """Return the sentence for a position too far from another, "" when it is near enough."""
+    """Return the sentence for a position, of the axes, too far from another, "" when it is near enough."""
     excess = np.abs(q - near) - most
     i = int(np.argmax(excess))
     if excess[i] <= 0.0:
         return ""
     return (
         f"Expected the {what} within {most[i]:g} of the one {where}, got {q[i]:.4f} for "
-        f"{called(robot, i, order.first, order.by_axis)} of {robot.name}, {where} {near[i]:.4f}. {_CAUSES}"
+        f"{called(robot, i, order.first, order.by_axis)} of {robot.name}, {where} {near[i]:.4f}. {causes(robot)}"
     )
