@@ -33,6 +33,65 @@ def test_an_interrupt_stops_at_the_next_packet_and_the_second_at_once(one: Make)
         hands.loop.interrupt()
 
 
+@pytest.mark.parametrize("before", [0, 1])
+@pytest.mark.parametrize("clock", ["wall", "robot"])
+def test_an_interrupt_breaks_off_a_call_that_hangs_and_the_arm_comes_to_rest(
+    one: Make, clock: str, before: int
+) -> None:
+    """After more than a second in the call; a first one that came before did not, nor is it the second one then."""
+    raised: list[int] = []
+
+    def controller(state: State) -> Command:
+        if state.seq == 10:
+            for _ in range(before):
+                hands.loop.interrupt()
+            hands.clock.now += 1000 * MS
+            if not before:
+                assert not hands.loop._hangs
+            hands.clock.now += 1
+            if clock == "wall":
+                hands.loop.answer_for_controller()
+            raised.append(len(hands.ports[0].sent))
+            hands.loop.interrupt()
+            pytest.fail("it goes on")
+        return drift(state)
+
+    hands = one(controller, clock=clock)
+    for _ in range(10):
+        hands.cycle()
+    assert hands.speed() == pytest.approx(0.1)
+    hands.run()
+    assert raised == [11 if clock == "wall" else 10]
+    assert hands.speed() == 0.0
+    assert hands.arms[0].guide.mode is Mode.ENDED
+    assert hands.loop.interrupted
+    if clock == "wall":
+        assert isinstance(hands.loop.failure, ControllerLate)
+        assert "one call took 1.00 s" in str(hands.loop.failure)
+    else:
+        assert (hands.loop.failure, hands.loop.reason) == (None, "interrupted")
+
+
+def test_a_call_that_hangs_is_told_once_after_a_second(one: Make) -> None:
+    sentence = (
+        "The controller has not returned for 1 s; the arm is held meanwhile. Ctrl-C breaks it off and ends the run."
+    )
+
+    def controller(state: State) -> Command:
+        if state.seq == 5:
+            start = hands.clock.now
+            for wait, told in ((400 * MS, 0), (800 * MS, 0), (1000 * MS, 0), (1000 * MS + 1, 1), (1300 * MS, 1)):
+                hands.put(after=start + wait - hands.clock.now)
+                hands.loop._hold_for_controller()
+                assert hands.warned == [sentence] * told
+        return drift(state)
+
+    hands = one(controller)
+    for _ in range(6):
+        hands.cycle()
+    assert isinstance(hands.loop.failure, ControllerLate)
+
+
 def test_an_interrupt_is_seen_while_nothing_comes(one: Make) -> None:
     hands = one(drift)
     hands.cycle()

@@ -22,7 +22,7 @@ def one(monkeypatch: pytest.MonkeyPatch) -> Make:
     return lambda controller, **options: Hands(monkeypatch, [RIGHT], controller, **options)
 
 
-def test_only_the_second_interrupt_ends_a_controller_that_does_not_return(one: Make) -> None:
+def test_an_interrupt_in_a_call_that_does_not_hang_is_the_controllers_or_the_second_one(one: Make) -> None:
     def controller(state: State) -> Command:
         raise KeyboardInterrupt
 

@@ -186,7 +186,8 @@ class Link:
         the controller returns ``Command.stop()``, raises or is late too often, on Ctrl-C, when the robot is gone, or
         when ten sessions in a row end before 0.1 s under guidance; the arm is brought to rest first. Ctrl-C
         raises KeyboardInterrupt once the arm rests and the log is closed; a second one raises at once, and the last
-        speed then acts until the time-out of the robot's controller.
+        speed then acts until the time-out of the robot's controller. A call of the controller that lasts longer
+        than 1 s is broken off by Ctrl-C, and the arm is brought to rest as otherwise.
 
         With several arms the controller is called on the packets of the arm that paces, with the State of all, while
         all are ready; each other arm is answered in its own tick with the newest command it was given. When one is

@@ -32,6 +32,7 @@ Controller = Callable[[State], Command | Sequence[Command | None] | None]
 _LOOK = 0.05  # s between two looks at silence; an interrupt waits no longer either
 _GRACE = 0.25  # of a period, that the controller has in any case
 _BLAME = 0.5  # of a period: a late cycle is the controller's fault when its call took longer
+_HANGS = 1_000_000_000  # ns in one call of the controller, after which nobody waits for its return
 _NAP = 2e-3  # s the guard waits for a packet
 _SPARE = 1_000_000  # ns to the next packet that leave time to collect garbage
 _PROGRESS = 0.1  # s between two calls of progress
@@ -79,8 +80,8 @@ class Loop:
         self._sessions: tuple[int, ...] = ()
         self._t0 = 0.0
         # Shared with the guard. `_calling` becomes False only under the lock, `_turn` does not change while it is True.
-        self._calling = self._taken = False
-        self._deadline_ns = 0.0
+        self._calling = self._taken = self._told = False
+        self._called_ns, self._deadline_ns = 0, 0.0
         self._turn: Turn | None = None
 
     @property
@@ -94,10 +95,15 @@ class Loop:
         return next((arm.guide.failure for arm in self._arms if arm.guide.failure is not None), None)
 
     def interrupt(self) -> None:
-        """Stop at the next packet; the second time raise KeyboardInterrupt at once."""
-        if self.interrupted:
+        """Stop at the next packet; the second time, or to break off a call that hangs, raise KeyboardInterrupt."""
+        again, self.interrupted = self.interrupted, True
+        if again or self._hangs:
             raise KeyboardInterrupt
-        self.interrupted = True
+
+    @property
+    def _hangs(self) -> bool:
+        """Whether the controller has not returned for so long that it may never do."""
+        return self._calling and time.monotonic_ns() - self._called_ns > _HANGS
 
     def run(self) -> None:
         """Run until every guide has ended.
@@ -186,6 +192,10 @@ class Loop:
         if turn is not None:
             pace.reply(turn, None, pace.guide.hold(pace.period), late=True)
         self._serve_others()
+        if self._hangs and not self._told:
+            self._told = True
+            sentence = f"The controller has not returned for {1e-9 * _HANGS:g} s; the arm is held meanwhile."
+            pace.recording.event(f"{sentence} Ctrl-C breaks it off and ends the run.", warn=True)
         self._record()
 
     def _record(self) -> None:
@@ -225,17 +235,19 @@ class Loop:
         state = self._state(turn)
         asked, failure = None, None
         self._turn, self._taken = turn, False
-        start = time.monotonic_ns()
+        start = self._called_ns = time.monotonic_ns()
         self._deadline_ns = max(pace.deadline(turn.sample), start + _GRACE * period_ns)
         self._calling = True
         try:
             asked = controller(state) if controller is not None else None
         except BaseException as error:  # also SystemExit: the arm must not go on at its last speed
-            if isinstance(error, KeyboardInterrupt) and self.interrupted:
+            by_hand = isinstance(error, KeyboardInterrupt) and self.interrupted
+            if by_hand and not self._hangs:
                 raise  # the second Ctrl-C
             self._give_back()
-            failure = ControllerFailed(f"The controller raised {_named(error)}. The arm was stopped.")
-            failure.__cause__ = error
+            if not by_hand:
+                failure = ControllerFailed(f"The controller raised {_named(error)}. The arm was stopped.")
+                failure.__cause__ = error
         finally:
             call_ns = time.monotonic_ns() - start
             with self._lock:
