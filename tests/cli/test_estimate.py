@@ -79,6 +79,13 @@ def test_the_model_of_another_arm_is_refused(pushed: str, capsys) -> None:
     assert "yumi_left" in capsys.readouterr().err
 
 
+def test_a_file_of_another_kind_is_named(pushed: str, truth, tmp_path, capsys) -> None:
+    other = models.save(truth.robot, tmp_path / "load.toml")
+    assert main(["estimate", "yumi_left", "push.mcap", "--model", str(other)]) == 2
+    said = capsys.readouterr().err
+    assert f"Expected a file of kind 'torque_model' at {other}, got 'robot'. Name the right file." in said
+
+
 def test_the_estimate_of_every_row_goes_to_a_file(pushed: str, tmp_path, capsys) -> None:
     words = ["estimate", "yumi_left", "push.mcap", "--model", pushed]
     for name in ("est.mcap", "est.csv"):
@@ -124,6 +131,8 @@ def test_prior_and_point_reach_the_estimator(pushed: str, capsys) -> None:
     assert main([*words, "--point", "0", "0", "0"]) == 0
     known = json.loads(capsys.readouterr().out)
     assert known["axes"][3]["two_sigma"] == pytest.approx(0.0, abs=1e-9)
+    assert main([*words, "--point", "0", "0", "120"]) == 2
+    assert "got one 120 m away. Give metres" in capsys.readouterr().err
     assert main([*words, "--prior-force=-1"]) == 2
     assert "six positive" in capsys.readouterr().err
     assert main([*words, "--method", "kalman"]) == 2

@@ -31,7 +31,7 @@ class Prior:
     prior_moment : float
         The same of the moment [N m].
     point : tuple
-        Where the contact is, in tool axes [m], when that is known: x y z.
+        Where the contact is, in tool axes [m], when that is known: x y z, within the length of the arm.
     """
 
     prior_force: float = 20.0
@@ -107,7 +107,7 @@ def estimate(
         if path is not None:
             check_output(path, force, endings, [log])
     arm = robots.load(robot)
-    known = models.load(model)
+    known = models.load(model, "torque_model")
     options = {"force_rate": force_rate, "bias": bias}
     with as_given():
         estimator = Estimator(known, arm, method, prior.deviations, prior.point, **options)

@@ -150,7 +150,7 @@ def estimate(
     from armlab.cli import SKIPPED
     from armlab.cli.output import aligned, note, print_json, result
 
-    arm, known = job.arm(logs), models.load(model)
+    arm, known = job.arm(logs), models.load(model, "torque_model")
     about = {"method": method, "ending": ".csv" if csv else ".mcap", "force": job.force}
     with job.work("estimate") as (executor, tell):
         done = fleet.estimate(logs, known, arm, output, executor, tell, **about)

@@ -37,6 +37,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab._numbers import numbers
+from armlab.contact.places import contact_point
 from armlab.contact.wrench import INVALID, TARED, Wrench
 from armlab.errors import ConfigError, ModelMismatchError, NotExcited, ShapeError, UnknownName
 from armlab.log import Table
@@ -81,7 +82,8 @@ class Estimator:
     ------
     ModelMismatchError : when the model belongs to another robot, or lacks what a momentum method needs.
     UnknownName : for another method or name of a rate.
-    ShapeError : when prior, rate, leak or gain is not of positive numbers, or the point not three finite ones.
+    ShapeError : when prior, rate, leak or gain is not of positive numbers, or the point not three finite ones, within
+        the length of the arm.
     ConfigError : for an option of another method.
 
     Examples
@@ -114,9 +116,7 @@ class Estimator:
             PRIOR if prior is None else prior, "standard deviations [N, N, N, N m, N m, N m] as prior"
         )
         if point is not None:
-            point = np.array(numbers(point, "the contact point", ShapeError))
-            if point.shape != (3,) or not np.all(np.isfinite(point)):
-                raise ShapeError(f"Expected the contact point as three finite numbers [m], tool axes, got {point!r}.")
+            point = contact_point(point, robot)
         variances = deviations**2
         variances.flags.writeable = False
         self._robot, self._prior, self._at_point = robot, variances, point is not None

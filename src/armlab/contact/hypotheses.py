@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab._numbers import number, numbers
+from armlab.contact.places import check_distance, contact_point
 from armlab.errors import RobotError, ShapeError
 from armlab.log import Table
 from armlab.models import PRIOR
@@ -134,14 +135,15 @@ def hypotheses(
     Raises
     ------
     UnknownName : the table was not estimated. ShapeError : another joint count, a point, segment, prior or time of
-    wrong shape or value, a table shorter than a window, no window without missing rows.
+    wrong shape or value, places further away than the arm is long, a table shorter than a window, no window without
+    missing rows.
 
     References
     ----------
     Kass and Raftery (1995), Bayes factors, for the scale of evidence.
     """
     q, qd, error, variance = _columns(table, robot)
-    at, line, sd = _places(point, segment, prior)
+    at, line, sd = _places(point, segment, prior, robot)
     window, memory = number(window, "the window [s]"), number(memory, "the memory [s]")
     if not 0 < memory < np.inf or not 0 < window < np.inf:
         raise ShapeError(f"Expected a window and a memory above 0 s, got {window} s and {memory} s.")
@@ -178,20 +180,19 @@ def _columns(table: Table, robot: Robot) -> list[np.ndarray]:
 
 
 def _places(
-    point: ArrayLike | None, segment: ArrayLike | None, prior: ArrayLike | None
+    point: ArrayLike | None, segment: ArrayLike | None, prior: ArrayLike | None, robot: Robot
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the point (1 or 0, 3), the places on the segment (GRID or 0, 3), and the deviations (6,)."""
-    at = np.zeros(3) if point is None else numbers(point, "the contact point", ShapeError)
+    at = np.zeros(3) if point is None else contact_point(point, robot)
     sd = numbers(PRIOR if prior is None else prior, "the prior", ShapeError)
     corners = np.zeros((0, 3)) if segment is None else numbers(segment, "the segment", ShapeError)
-    if at.shape != (3,) or not np.isfinite(at).all():
-        raise ShapeError(f"Expected the contact point as three finite numbers [m], tool axes, got {point!r}.")
     if sd.shape != (6,) or not np.isfinite(sd).all() or not np.all(sd > 0):
         raise ShapeError(f"Expected six positive standard deviations [N, N m] as prior, got {prior!r}.")
     if segment is None:
         return at[None], corners, sd
     if corners.ndim != 2 or corners.shape[1] != 3 or not np.isfinite(corners).all() or not _length(corners) > 0:
         raise ShapeError(f"Expected a segment of at least two different points (M, 3) [m], got shape {corners.shape}.")
+    check_distance(corners, robot)
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
     grid = np.linspace(0.0, way[-1], GRID)
     known = at[None] if point is not None else np.zeros((0, 3))
