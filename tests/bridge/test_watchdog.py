@@ -49,6 +49,23 @@ def test_exactly_five_percent_is_not_too_much() -> None:
         assert found[-1] == words
 
 
+@pytest.mark.parametrize("pause", [500, 930, 970, 1100])
+def test_one_late_cycle_after_a_pause_is_not_too_much(pause: int) -> None:
+    lateness = Lateness()
+    times = [k * PERIOD + (pause * 10**6 if k >= 300 else 0) for k in range(600)]
+    assert not any(lateness.add(now, k == 300, PERIOD) for k, now in enumerate(times))
+
+
+@pytest.mark.parametrize(("pause", "call", "forgets"), [(1, 0, True), (0, 0, False), (0, 1000, False)])
+def test_a_quarter_of_a_second_without_a_call_forgets_what_was_late(pause: int, call: int, forgets: bool) -> None:
+    """Eleven late cycles before it and eleven behind it are too many in one second; a call that lasts is no pause."""
+    lateness = Lateness()
+    late = [k >= 300 - 33 and k < 300 + 33 and k % 3 == 0 for k in range(600)]
+    times = [k * PERIOD + (k >= 300) * (250_000_000 - PERIOD + pause + call) for k in range(600)]
+    told = [lateness.add(now, late[k], call * (k == 300)) for k, now in enumerate(times)]
+    assert any(told) != forgets
+
+
 def test_one_long_call() -> None:
     lateness = Lateness()
     assert lateness.add(0, True, 250_000_000) == ""

@@ -15,6 +15,7 @@ _ROW = 5  # late cycles in a row
 _SHARE = 0.05  # of the cycles of one second
 _WINDOW = 1_000_000_000  # ns
 _LONGEST_CALL = 250_000_000  # ns
+_PAUSE = 250_000_000  # ns without a call: the share counts from then on
 _NAP = 2e-3  # s between two looks of the guard
 
 
@@ -33,6 +34,9 @@ class Lateness:
         now_ns : our monotonic clock. late : this cycle was, by the controller's fault. call_ns : time it spent.
         """
         self._row = self._row + 1 if late else 0
+        if self._recent and now_ns - call_ns - self._recent[-1][0] > _PAUSE:
+            self._recent.clear()  # a second of which most was a pause holds few cycles: one of them is not 5 %
+            self._recent_late = 0
         self._recent.append((now_ns, late))
         self._recent_late += late
         while self._recent[0][0] < now_ns - _WINDOW:
