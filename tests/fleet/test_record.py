@@ -41,7 +41,7 @@ def test_messages_of_no_robot_are_counted_and_leave_no_file(tmp_path: Path, monk
         session = open_session("client", connect=[f"127.0.0.1:{port}"])
 
         def sent() -> bool:
-            for name, data in (("nobody", ROW), ("other", b"hello"), (".hidden", ROW)):
+            for name, data in (("nobody", ROW), ("other", b"hello"), (".hidden", ROW), ("\u8a9e" * 80, ROW)):
                 session.put(f"armlab/lab1/{name}/state", data, attachment=checksum(data))
             session.put("armlab/lab1/damaged/state", ROW, attachment=checksum(ROW[:-1] + b"x"))
             session.put("armlab/lab1/damaged/state", ROW)
@@ -50,6 +50,7 @@ def test_messages_of_no_robot_are_counted_and_leave_no_file(tmp_path: Path, monk
 
         until(sent)
         until(lambda: fleet.robots["lab1/nobody"].refused > 0)
+        assert set(fleet.robots) == {"lab1/nobody", "lab1/other", "lab1/damaged"}
         damaged = fleet.robots["lab1/damaged"]
         assert damaged.damaged > 6
         assert (damaged.rows, damaged.refused) == (0, 0)

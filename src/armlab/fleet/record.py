@@ -23,6 +23,7 @@ __all__ = ["FleetRecorder"]
 _INBOX = 50_000  # messages: 20 s of ten robots; what does not fit is a hole in the ticks
 _ROBOTS = 1000
 _NAME = re.compile(r"[\w+-][\w.+-]{0,99}")  # what can be the name of a file
+_NAMES = 220  # bytes of lab and robot together: a letter may take four, and systems allow 255 with number and ending
 
 
 class FleetRecorder:
@@ -139,7 +140,8 @@ class FleetRecorder:
         lab, name = robot_of(where)
         full = f"{lab}/{name}"
         if full not in self._robots:
-            if len(self._robots) >= _ROBOTS or not (_NAME.fullmatch(lab) and _NAME.fullmatch(name)):
+            is_name = _NAME.fullmatch(lab) and _NAME.fullmatch(name) and len(full.encode()) <= _NAMES
+            if len(self._robots) >= _ROBOTS or not is_name:
                 return None
             self._robots[full] = RobotRecord(full, self._folder / f"{lab}-{name}.mcap", self._tell)
         return self._robots[full]
