@@ -20,10 +20,14 @@ FILES = sorted(SOURCE.rglob("*.py"))
 RUNS_DATA = {"pickle", "cPickle", "dill", "cloudpickle", "marshal", "shelve", "joblib", "runpy", "code", "ctypes"}
 """Modules by which data can become code."""
 
-CALLS = {"eval", "exec", "compile", "__import__"}
-ATTRIBUTES = {("tempfile", "mktemp"), ("yaml", "load"), ("yaml", "unsafe_load"), ("subprocess", "getoutput")} | {
-    ("os", name) for name in ("system", "popen", "execv", "execve", "execvp", "spawnv", "spawnlp", "posix_spawn")
-}
+NAMES = {"eval", "exec", "compile", "__import__"}
+
+ATTRIBUTES = re.compile(
+    r"os\.(system|popen|exec[lv]|spawn|posix_spawn|fork)|builtins\.(eval|exec|compile|__import__)|tempfile\.mktemp$|"
+    r"yaml\.(load|load_all|unsafe_\w+|full_\w+)$|subprocess\.get(status)?output$|"
+    r".*\.(spec_from_file_location|exec_module|load_module|SourceFileLoader)$"
+)
+"""What runs a program or a text, as it is written, however it is used."""
 
 STARTS_PROGRAMS = {  # file: which
     "bridge/ros1/process.py": "the Python that has rospy, of the system or named in the cell",
@@ -66,14 +70,13 @@ def runs_data(node: ast.AST) -> list[str]:
         return [one.name for one in node.names if one.name.partition(".")[0] in RUNS_DATA]
     if isinstance(node, ast.ImportFrom) and node.level == 0:
         names = [node.module or "", *(one.name for one in node.names)]
-        return [one for one in names if one.partition(".")[0] in RUNS_DATA | {"spec_from_file_location"}]
-    if not isinstance(node, ast.Call):
-        return []
-    if isinstance(node.func, ast.Name):
-        return [node.func.id] if node.func.id in CALLS else []
-    if isinstance(node.func, ast.Attribute) and isinstance(node.func.value, ast.Name):
-        pair = (node.func.value.id, node.func.attr)
-        return [".".join(pair)] if pair in ATTRIBUTES else []
+        whole = [f"{node.module}.{one.name}" for one in node.names]
+        return [one for one in names if one.partition(".")[0] in RUNS_DATA] + list(filter(ATTRIBUTES.match, whole))
+    if isinstance(node, ast.Name):
+        return [node.id] if node.id in NAMES else []
+    if isinstance(node, ast.Attribute):
+        owner = getattr(node.value, "id", "") or getattr(node.value, "attr", "")
+        return [name] if ATTRIBUTES.match(name := f"{owner}.{node.attr}") else []
     return []
 
 
@@ -154,6 +157,17 @@ BAD = {
     "eval('1')": runs_data,
     "os.system('ls')": runs_data,
     "os.execv('/bin/ls', words)": runs_data,
+    "os.execlp('ls', 'ls')": runs_data,
+    "os.spawnvpe(os.P_WAIT, 'ls', words, {})": runs_data,
+    "run = os.popen": runs_data,
+    "from os import system": runs_data,
+    "from six.moves import cPickle": runs_data,
+    "import importlib.util\nimportlib.util.spec_from_file_location('a', path)": runs_data,
+    "spec.loader.exec_module(module)": runs_data,
+    "builtins.eval('1')": runs_data,
+    "from builtins import exec as do": runs_data,
+    "do = eval": runs_data,
+    "yaml.unsafe_load(text)": runs_data,
     "from subprocess import run": starts_programs,
     "await asyncio.create_subprocess_shell('ls')": starts_programs,
     "subprocess.run('ls', shell=True)": uses_a_shell,
