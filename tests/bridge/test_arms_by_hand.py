@@ -9,6 +9,7 @@ from armlab import robots
 from armlab.bridge.states import Mode
 from armlab.errors import CommandRefused
 from armlab.state import Command, State
+from armlab.wire.egm import RobotSideCodec
 
 from .by_hand import MS, Hands, Make, drift
 
@@ -145,6 +146,29 @@ def test_a_command_of_a_session_serves_in_no_later_one(two: Make) -> None:
     hands.cycle(1)
     np.testing.assert_allclose(hands.table(1)["q_sent"][-1], hands.robots[1].q, atol=1e-9)
     assert (hands.arms[1].session.number, hands.speed(1), hands.rows[-1][1]) == (2, 0.0, None)
+
+
+def test_values_for_rapid_go_out_once(two: Make) -> None:
+    """With the first reply to their command that goes out; the rest of the command serves on."""
+
+    def controller(state: State) -> tuple[None, Command]:
+        return None, Command(qd=np.full(7, 0.1), rapid_data=[float(state.seq)], rapid_digital=True)
+
+    hands = two(controller)
+    hands.robots[1].codec = RobotSideCodec(RIGHT, "7")
+    for _ in range(20):
+        hands.cycle(0, 1)
+    hands.cycle(1)
+    hands.cycle(0)
+    hands.ports[1].works = False
+    hands.cycle(1)
+    hands.ports[1].works = True
+    hands.cycle(1)
+    hands.cycle(1)
+    table = hands.table(1)
+    np.testing.assert_array_equal(table["rapid_data_sent"][-6:, 0], [18.0, 19.0, np.nan, np.nan, 20.0, np.nan])
+    np.testing.assert_array_equal(np.isfinite(table["rapid_digital_sent"][-4:].astype(float)), [0, 0, 1, 0])
+    np.testing.assert_allclose(table["qd_sent"][[-4, -2], 0], 0.1)
 
 
 def test_the_pacing_arm_that_holds_takes_its_command_from_the_others(two: Make) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -208,6 +209,8 @@ class Arm:
         finally:  # also when the codec raises: the robot has not got it
             if reply is not None and not self._went_out:
                 self.guide.take_back()
+        if self._went_out and command is self._given and isinstance(command, Command):
+            self._given = replace(command, rapid_data=None, rapid_digital=None)  # these go out once
         late = late or (not self._in_lockstep and send_ns > self.deadline(turn.sample))
         self._answered = command
         self.was_late = late
