@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from armlab import robots
 from armlab.bridge.fusion import Held
-from armlab.bridge.row import MAGIC, MONO, WALL, Row, RowWriter, beginning, places, read_head, read_row
+from armlab.bridge.row import MAGIC, MONO, WALL, Row, RowWriter, beginning, clock_ms, places, read_head, read_row
 from armlab.bridge.row_schema import LARGEST, RowSchema
 from armlab.errors import LinkError, UnknownName
 from armlab.log import Column, Tick
@@ -125,3 +125,8 @@ def test_the_head_of_a_row() -> None:
     assert beginning(RowSchema.of([LEFT])) != beginning(BOTH)
     with pytest.raises(LinkError, match="Read whole messages"):
         read_head(BOTH, data + bytes(8))
+
+
+def test_the_clock_of_a_robot_or_of_its_session() -> None:
+    assert (clock_ms(2_500_000, 9.0), clock_ms(0, 1.5), clock_ms(-1, 9.0)) == (2, 1500, -1)
+    assert {clock_ms(0, time) for time in (np.nan, np.inf, 1.7e308)} == {None}

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from armlab import robots
 from armlab.bridge.row_schema import LARGEST, RowField, RowSchema
-from armlab.errors import ConfigError
+from armlab.errors import ConfigError, LinkError
 from armlab.log import Column
 
 LEFT, RIGHT = robots.load("yumi_left"), robots.load("yumi_right")
@@ -26,6 +26,19 @@ def test_the_schema_is_its_own_text() -> None:
     assert (field.unit, field.shape, field.labels[0]) == ("N m", (7,), LEFT.joint_names[0])
     assert all(field.offset % 8 == 0 for field in again.fields.values())
     assert RowSchema.of([LEFT]).id != BOTH.id
+
+
+def test_rows_of_an_arm_have_its_fields() -> None:
+    BOTH.require(LEFT)
+    some = RowSchema(["ur5e"], [RowField("ur5e.q", "float64", (6,), "rad", "", (), "ur5e", 40)])
+    arm = robots.load("ur5e")
+    some.require(arm, whole=False)
+    with pytest.raises(LinkError, match=r"Expected rows with ur5e.session_t, float64 of shape \(\), got none"):
+        some.require(arm)
+    for wrong in (("text", (6,)), ("float64", (7,)), ("int64", (6,))):
+        other = RowSchema(["ur5e"], [RowField("ur5e.q", *wrong, "rad", "", (), "ur5e", 40)])
+        with pytest.raises(LinkError, match=r"Use the same description of ur5e"):
+            other.require(arm, whole=False)
 
 
 def test_golden_text_and_id() -> None:

@@ -20,7 +20,7 @@ from armlab.errors import LinkError, UnknownName
 from armlab.log import Tick
 from armlab.state import Command, State
 
-__all__ = ["MAGIC", "MONO", "WALL", "Row", "RowWriter", "beginning", "places", "read_head", "read_row"]
+__all__ = ["MAGIC", "MONO", "WALL", "Row", "RowWriter", "beginning", "clock_ms", "places", "read_head", "read_row"]
 
 MAGIC = b"ALR1"
 
@@ -112,6 +112,19 @@ def beginning(schema: RowSchema) -> bytes:
     schema : of the rows.
     """
     return HEAD.pack(MAGIC, schema.size, schema.id, 0, 0, 0)[:_BEGINNING]
+
+
+def clock_ms(robot_ns: int, session_t: float) -> int | None:
+    """Return the clock of a robot [ms], that of its session where it tells none; None where neither is a time.
+
+    Parameters
+    ----------
+    robot_ns, session_t : of a row [ns, s].
+    """
+    if robot_ns:
+        return robot_ns // 10**6
+    ms = 1e3 * session_t
+    return round(ms) if math.isfinite(ms) else None
 
 
 def places(schema: RowSchema, source: str) -> dict[str, tuple[struct.Struct, int]]:

@@ -22,7 +22,7 @@ from armlab.bridge._row_layout import (
     VERSION,
     WORDS,
 )
-from armlab.errors import ConfigError
+from armlab.errors import ConfigError, LinkError
 from armlab.log import Column
 from armlab.robots import Robot
 
@@ -136,6 +136,26 @@ class RowSchema:
                 add(source, name, "float64", column)
             add(source, "age", "float64", Column(), "s")
         return cls([robot.name for robot in robots], fields)
+
+    def require(self, robot: Robot, *, whole: bool = True) -> None:
+        """Refuse rows whose fields of an arm are not those of this one: who reads them takes them for granted.
+
+        Parameters
+        ----------
+        robot : the arm. whole : also refuse rows that do not have all of them.
+
+        Raises
+        ------
+        LinkError : a field is of another type or shape, or not there.
+        """
+        for name, wanted in RowSchema.of([robot]).fields.items():
+            found = self.fields.get(name, None if whole else wanted)
+            if found is None or (found.type, found.shape) != (wanted.type, wanted.shape):
+                got = "none" if found is None else f"{found.type} of shape {found.shape}"
+                raise LinkError(
+                    f"Expected rows with {name}, {wanted.type} of shape {wanted.shape}, got {got}. Use the same "
+                    f"description of {robot.name}, and the same armlab, at both ends."
+                )
 
     @classmethod
     def read(cls, text: bytes) -> RowSchema:

@@ -53,6 +53,13 @@ def _written(*numbers: float) -> bytes:
     return bytes(data)
 
 
+def test_times_beyond_all_clocks_are_none() -> None:
+    q = np.zeros(7)
+    data = RowWriter(SCHEMA).row(State(t=1.7e308, dt=0.0, q=q, qd=q, tau=q, robot=LEFT.name), None, TICK, 1)
+    assert ArmPlaces(SCHEMA, LEFT.name).held(data) is None
+    assert SourcePlaces(SCHEMA, "force").held(_written(1.0, 2.0, 3.0, 4.0, 1e300), 5_000_000_000) is None
+
+
 def test_a_source_has_its_numbers_in_order_and_its_age() -> None:
     places = SourcePlaces(SCHEMA, "force")
     found = places.held(_written(1.0, 2.0, 3.0, 4.0, 0.002), 5_000_000_000)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import struct
 import threading
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from armlab import bridge, robots
+from armlab.bridge.row import beginning
 from armlab.bridge.row_schema import RowSchema
 from armlab.bridge.zenoh import checksum, key
 from armlab.bridge.zenoh.far import FarCodec, FarPort, far_end
@@ -19,7 +22,7 @@ from armlab.robots import Robot
 from armlab.state import Command, State
 from armlab.wire.egm import Codec, Drop, Packet, Reference
 
-from .conftest import Running, free_port, until
+from .conftest import Bytes, Running, free_port, until
 
 Start = Callable[..., Running]
 
@@ -75,7 +78,7 @@ def test_a_controller_moves_an_arm_over_zenoh(start: Start, robot: Robot) -> Non
 def test_the_port_gives_rows_as_packets_also_after_a_restart(start: Start, robot: Robot) -> None:
     number = free_port()
     one = start(number)
-    port = FarPort(robot.name, Place("127.0.0.1", number, "lab1"))
+    port = FarPort(robot, Place("127.0.0.1", number, "lab1"))
     codec: Codec = FarCodec(robot, port.schema)
     codec.reset()
     assert codec.capabilities == {"position", "velocity"}
@@ -122,7 +125,7 @@ def packet(one: Running, port: FarPort, codec: Codec) -> Packet:
 
 def test_a_damaged_row_is_dropped_and_counted_as_such(start: Start, robot: Robot) -> None:
     one = start()
-    port = FarPort(robot.name, Place("127.0.0.1", one.options["port"], "lab1"))
+    port = FarPort(robot, Place("127.0.0.1", one.options["port"], "lab1"))
     codec = FarCodec(robot, port.schema)
     session, whole = one.process._session, bytes(port.schema.size)
     where, got = key("lab1", robot.name, "live"), list[Any]()
@@ -146,8 +149,29 @@ def test_what_is_no_row_is_dropped(robot: Robot, start: Start) -> None:
     with pytest.raises(UnknownName, match="robot of the bridge"):
         FarCodec(robots.load("yumi_left"), one.exchange.schema)
     other = RowSchema.read(RowSchema.of([robots.load("irb2400")]).text.replace(b"irb2400", b"yumi_right"))
-    with pytest.raises(LinkError, match="Expected yumi_right with 7 joints"):
+    with pytest.raises(
+        LinkError, match=r"Expected rows with yumi_right.q, float64 of shape \(7,\), got float64 of shape \(6,\)"
+    ):
         FarCodec(robot, other)
+
+
+def test_a_time_beyond_all_clocks_is_dropped(robot: Robot) -> None:
+    schema = RowSchema.of([robot])
+    codec, data = FarCodec(robot, schema), bytearray(beginning(schema) + bytes(schema.size - 16))
+    for time, wanted in ((1.5, None), (1.7e308, "not finite"), (np.nan, "not finite")):
+        struct.pack_into("<d", data, schema.fields[f"{robot.name}.session_t"].offset, time)
+        assert getattr(codec.decode(bytes(data)), "reason", None) == wanted
+
+
+def test_a_row_that_is_too_short_is_handed_over_and_not_counted(start: Start, robot: Robot) -> None:
+    one = start()
+    port = FarPort(robot, Place("127.0.0.1", one.options["port"], "lab1"))
+    short = beginning(port.schema)
+    port._take(SimpleNamespace(payload=Bytes(short), attachment=Bytes(checksum(short))))
+    arrival = port.receive()
+    assert arrival is not None
+    assert (arrival.data, port.gaps.rows) == (short, 0)
+    port.close()
 
 
 def test_urls(robot: Robot, start: Start) -> None:

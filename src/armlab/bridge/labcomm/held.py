@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 from armlab.bridge.labcomm.channels import FusedArm, FusedSource
 from armlab.bridge.labcomm.rows import Row
+from armlab.bridge.row import clock_ms
 from armlab.bridge.row_schema import RowField, RowSchema
 
 __all__ = ["ArmPlaces", "Held", "SourcePlaces"]
@@ -53,9 +54,9 @@ class ArmPlaces:
         """
         values: Any = self._form.unpack_from(data)
         fresh, age, receive_ns, robot_ns, session_t, q, qd, tau = [values[place] for place in self._wanted]
-        if not math.isfinite(age):
+        tm = clock_ms(robot_ns, session_t)
+        if tm is None or not math.isfinite(age):
             return None
-        tm = robot_ns // 10**6 if robot_ns else round(1e3 * session_t)
         return Held(bool(fresh), FusedArm(self._name, receive_ns // 1000, Row(tm, q, qd, tau)))
 
 
@@ -81,10 +82,10 @@ class SourcePlaces:
         data : one row of the schema. now_ns : its wall clock.
         """
         numbers = list(self._form.unpack_from(data))
-        age = numbers.pop(self._age)
-        if not math.isfinite(age):
+        age_ns = 1e9 * numbers.pop(self._age)
+        if not math.isfinite(age_ns):
             return None
-        return FusedSource(self._name, (now_ns - round(1e9 * age)) // 1000, numbers)
+        return FusedSource(self._name, (now_ns - round(age_ns)) // 1000, numbers)
 
 
 def _together(fields: Sequence[RowField]) -> tuple[Struct, list[Any]]:

@@ -5,7 +5,6 @@ The loop sees rows of the bridge as it sees packets of EGM; each is answered by 
 
 from __future__ import annotations
 
-import math
 import secrets
 import time
 from typing import Any, cast
@@ -14,7 +13,7 @@ import numpy as np
 
 from armlab.bridge.outlet import pair
 from armlab.bridge.port import Arrival, Port
-from armlab.bridge.row import read_row
+from armlab.bridge.row import clock_ms, read_row
 from armlab.bridge.row_schema import RowSchema
 from armlab.bridge.zenoh.checksum import undamaged
 from armlab.bridge.zenoh.gaps import Gaps
@@ -43,13 +42,8 @@ def far_end(robot: Robot, host: str, port: int, options: dict[str, str]) -> tupl
     ConfigError : other options. UnknownName : the bridge has another arm.
     LinkError : nobody is there, or no bridge of that arm. MissingExtra : no Zenoh.
     """
-    end = FarPort(robot.name, Place.of(host, port, options))
-    try:
-        codec = FarCodec(robot, end.schema)
-    except ArmlabError:
-        end.close()
-        raise
-    return cast(Port, end), codec
+    end = FarPort(robot, Place.of(host, port, options))
+    return cast(Port, end), FarCodec(robot, end.schema)
 
 
 class FarPort:
@@ -59,7 +53,7 @@ class FarPort:
 
     Parameters
     ----------
-    robot : name of the arm. place : of its bridge.
+    robot : the arm. place : of its bridge.
 
     Attributes
     ----------
@@ -71,29 +65,28 @@ class FarPort:
     LinkError, UnknownName, MissingExtra : see `far_end`.
     """
 
-    def __init__(self, robot: str, place: Place) -> None:
+    def __init__(self, robot: Robot, place: Place) -> None:
         self.host, self.port, self.errors = place.host, place.port, 0
         self._session = place.open()
         self._seq, self._sender = 0, secrets.token_bytes(16)
         try:
-            self.schema = RowSchema.read(place.ask(self._session, key(place.lab, robot, "schema")))
-            if robot not in self.schema.robots:
-                raise UnknownName.among("robot of the bridge", robot, self.schema.robots)
+            self.schema = RowSchema.read(place.ask(self._session, key(place.lab, robot.name, "schema")))
+            _check(self.schema, robot)
         except ArmlabError:
             close_session(self._session)
             raise
-        self.gaps = Gaps(self.schema, robot)
+        self.gaps = Gaps(self.schema, robot.name)
         self._inner, self._outer = pair()
         self._outer.setblocking(False)
         drop = zenoh().CongestionControl.DROP
         self._commands = {
             kind: self._session.declare_publisher(
-                key(place.lab, robot, f"command/{kind}"), congestion_control=drop, express=True
+                key(place.lab, robot.name, f"command/{kind}"), congestion_control=drop, express=True
             )
             for kind in ("position", "motion")
         }
-        self._n = self.schema.fields[f"{robot}.q"].shape[0]
-        self._rows = self._session.declare_subscriber(key(place.lab, robot, "live"), self._take)
+        self._n = robot.n
+        self._rows = self._session.declare_subscriber(key(place.lab, robot.name, "live"), self._take)
 
     def fileno(self) -> int:
         """Return the file descriptor on which rows can be waited for."""
@@ -137,7 +130,7 @@ class FarPort:
 
     def _take(self, sample: Any) -> None:
         data = undamaged(sample) or _DAMAGED
-        if data[8:16] == self.schema.id:
+        if data[8:16] == self.schema.id and len(data) == self.schema.size:
             self.gaps.take(data)
         try:
             self._inner.send(data)
@@ -158,15 +151,11 @@ class FarCodec:
 
     Raises
     ------
-    UnknownName : the arm is not in these rows. LinkError : it has another number of joints there.
+    UnknownName : the arm is not in these rows. LinkError : they have other fields of it, as of other joints.
     """
 
     def __init__(self, robot: Robot, schema: RowSchema) -> None:
-        if robot.name not in schema.robots:
-            raise UnknownName.among("robot of the bridge", robot.name, schema.robots)
-        n = schema.fields[f"{robot.name}.q"].shape[0]
-        if n != robot.n:
-            raise LinkError(f"Expected {robot.name} with {robot.n} joints at the bridge, got {n}. Use one description.")
+        _check(schema, robot)
         self.capabilities = frozenset({"position", "velocity"})
         self._name, self._schema = robot.name, schema
         self._empty = np.zeros(0)
@@ -193,8 +182,9 @@ class FarCodec:
             return Drop("not finite", "the positions of a row")
         has_tau = bool(np.isfinite(tau).all())
         robot_ns = values[f"{self._name}.robot_ns"]
-        session_t = values[f"{self._name}.session_t"]
-        tm_ms = robot_ns // 10**6 if robot_ns or not math.isfinite(session_t) else round(1e3 * session_t)
+        tm_ms = clock_ms(robot_ns, values[f"{self._name}.session_t"])
+        if tm_ms is None:
+            return Drop("not finite", "the time of a row")
         q_ext = values[f"{self._name}.q_ext"]
         return Packet(
             seqno=values[f"{self._name}.seq"] % 2**32,
@@ -229,3 +219,10 @@ class FarCodec:
         """
         parts = [ref.q] if ref.qd is None else [ref.q, ref.qd]
         return np.concatenate(parts).astype("<f8").tobytes()
+
+
+def _check(schema: RowSchema, robot: Robot) -> None:
+    """Refuse rows without this arm, or with another one of its name."""
+    if robot.name not in schema.robots:
+        raise UnknownName.among("robot of the bridge", robot.name, schema.robots)
+    schema.require(robot)
