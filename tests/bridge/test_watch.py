@@ -13,7 +13,7 @@ from armlab.bridge.row import RowWriter, read_row
 from armlab.bridge.row_schema import RowSchema
 from armlab.bridge.watch import Watch
 from armlab.errors import UnknownName
-from armlab.log import Tick
+from armlab.log import Column, Tick
 from armlab.state import Command, State
 
 LEFT, RIGHT = robots.load("yumi_left"), robots.load("yumi_right")
@@ -78,6 +78,19 @@ def test_what_there_is_beside_the_arms(tmp_path: Path) -> None:
     assert lost == "Rows lost by this feed: 4"
     assert event.endswith("The robot is ready.")
     assert watch.lines(NOW) == ["No row yet: no packet of a robot has come."]
+
+
+def test_files_of_another_computer_and_a_source_with_a_commander(tmp_path: Path) -> None:
+    watch = Watch()
+    (tmp_path / "file").touch()
+    watch.take({"kind": "recording", "files": ["/" + 300 * "x", "a\0b", str(tmp_path / "file" / "a.mcap")]})
+    assert watch.recording() == "none"
+    schema, q = RowSchema.of([LEFT], {"hand": {"commander": Column(unit="1")}}), np.zeros(7)
+    writer = RowWriter(schema)
+    watch.take(
+        read_row(schema, writer.row(State(0.0, 0.004, q, q, q, robot=LEFT.name), None, Tick(1, 1, NOW, NOW, NOW, 0), 0))
+    )
+    assert [arm["arm"] for arm in watch.arms(NOW)] == [LEFT.name]
 
 
 def test_an_arm_that_is_not_there() -> None:

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from armlab import log
+from armlab.bridge.row_schema import LARGEST
 from armlab.bridge.zenoh import EVERY, Place, checksum, close_session, open_session
-from armlab.fleet import FleetRecorder, Router, robot_record
+from armlab.fleet import FleetRecorder, Router, record, robot_record
 from armlab.fleet.robot_record import RobotRecord
 from armlab.robots import Robot
 
@@ -85,6 +86,24 @@ def test_what_goes_wrong_with_one_robot_ends_its_recording_alone(
         close_session(session)
     assert fleet.robots["lab1/bad"].failed == "RuntimeError: not thought of"
     assert sum("its recording has ended: RuntimeError: not thought of" in text for text in told) == 1
+
+
+def test_what_waits_takes_bounded_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows of robots that nobody describes, and what is larger than rows are."""
+    monkeypatch.setattr(record, "_ROOM", 100)
+    large = b"ALR1" + bytes(LARGEST)
+    with Router(port=(port := free_port())), FleetRecorder(Place(port=port, lab=EVERY), tmp_path) as fleet:
+        session = open_session("client", connect=[f"127.0.0.1:{port}"])
+
+        def refused() -> int:
+            for name, data in (("first", ROW), ("second", ROW), ("second", large), ("other", b"hello")):
+                session.put(f"armlab/lab1/{name}/state", data, attachment=checksum(data))
+            return fleet.robots["lab1/other"].refused if "lab1/other" in fleet.robots else 0
+
+        until(lambda: refused() > 5)
+        assert sum(robot.waiting for robot in fleet.robots.values()) <= 100
+        assert fleet.robots["lab1/second"].damaged > 3
+        close_session(session)
 
 
 @pytest.mark.slow

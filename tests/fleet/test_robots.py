@@ -50,9 +50,10 @@ def test_robots_and_how_they_do(processes: Callable[..., Started]) -> None:
 
 
 def test_damaged_rows_are_counted_and_not_read() -> None:
-    schema = RowSchema.of([robots.load("ur5e")])
-    seen = _Seen("lab1", "ur5e")
-    seen.describe(json.dumps([{"schema": schema.text.decode()}]).encode())
+    robot = robots.load("ur5e")
+    schema, seen = RowSchema.of([robot]), _Seen("lab1", "ur5e")
+    about = {"schema": schema.text.decode(), "robots": {robot.name: robots.to_toml(robot)}}
+    seen.describe(json.dumps([about]).encode())
     seen.take(None)
     assert seen.summary()[2:5] == (0.0, 0, 1)
 

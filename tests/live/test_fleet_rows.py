@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections import deque
 
 import numpy as np
 import pytest
@@ -67,13 +66,34 @@ def test_without_a_router() -> None:
         FleetRows(Place(port=1), patience=0.1)
 
 
+WRONG = [
+    b'{"kind": "status", "arms": {"arm": {"rate": 1.0, "missed": Infinity}}}',
+    b'{"kind": "status", "arms": {"arm": {"rate": 1%s, "missed": 0}}}' % (b"0" * 400),
+    b"[" * 200_000,
+    b"5",
+]
+
+
+def test_texts_that_are_none_end_nothing(fleet: Fleet) -> None:
+    rows = fleet.rows()
+    fleet.bridge(LEFT, "arm")
+    hear_fleet(rows, lambda: "lab1/arm" in rows.robots and math.isfinite(rows.robots["lab1/arm"].rate))
+    seen = rows.robots["lab1/arm"]
+    hear_fleet(
+        rows, lambda: seen.refused >= len(WRONG), lambda: [fleet.put("armlab/lab1/arm/status", x) for x in WRONG]
+    )
+    assert math.isfinite(seen.rate)
+    before = seen.rows
+    hear_fleet(rows, lambda: seen.rows > before)
+
+
 @pytest.mark.parametrize("about", [b"", b"[]", b"[1]", b'[{"schema": "{}"}]', b'[{"schema": 1}]', b"\xff"])
 def test_a_description_that_is_none_is_asked_again(about: bytes) -> None:
     seen = SeenRobot("lab1/ur5e")
     seen.live(True)
     seen.describe(about)
     seen.status(about)
-    assert (seen.wants, seen.robot, seen.missed, seen.decode()) == (True, None, 0, False)
+    assert (seen.wants, seen.robot, seen.missed, seen.decode(), seen.refused) == (True, None, 0, False, 2)
 
 
 def test_a_silent_robot_and_rows_of_another_schema() -> None:
@@ -92,13 +112,13 @@ def test_a_silent_robot_and_rows_of_another_schema() -> None:
     assert seen.wants
 
 
-def test_a_viewer_that_was_not_run_takes_no_robot_for_silent(fleet: Fleet) -> None:
+def test_a_viewer_that_was_not_run_takes_no_robot_for_silent(fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
     """Time in which nobody listened says nothing of a robot; two seconds of listening do."""
     rows = fleet.rows()
     bridge = fleet.bridge(LEFT)
     hear_fleet(rows, lambda: "lab1/yumi_left" in rows.robots and rows.robots["lab1/yumi_left"].state == "there")
     seen, looks = rows.robots["lab1/yumi_left"], 0
-    rows._inbox = deque(maxlen=0)  # nothing of what comes is taken
+    monkeypatch.setattr(rows, "_put", lambda *words: None)  # nothing of what comes is taken
     for _ in range(3):
         rows._looked -= 60.0
         rows.hear(0.0)

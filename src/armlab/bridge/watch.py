@@ -109,14 +109,15 @@ class Watch:
 
     def recording(self) -> str:
         """Return the files of the recording, their size, and for how long the disk has room."""
-        sizes = [file.stat().st_size for file in self._files if file.exists()]
+        found = {file: size for file in self._files if (size := _size(file)) is not None}
+        sizes = list(found.values())
         if not sizes:
             return "none"
         total, now = sum(sizes), time.monotonic()
         if self._sizes is None:
             self._sizes = (now, total)
         seconds, grown = now - self._sizes[0], total - self._sizes[1]
-        room = shutil.disk_usage(self._files[0].parent).free
+        room = shutil.disk_usage(next(iter(found)).parent).free
         hours = f", room for {room / grown * seconds / 3600.0:.0f} h" if grown > 0 else ""
         return f"{', '.join(str(file) for file in self._files)}: {1e-6 * total:.1f} MB{hours}"
 
@@ -139,7 +140,16 @@ class Watch:
 
 
 def _names(row: Row) -> list[str]:
-    return [name.removesuffix(".commander") for name in row.values if name.endswith(".commander")]
+    commanders = [name for name in row.values if name.endswith(".commander") and isinstance(row.values[name], str)]
+    return [name.removesuffix(".commander") for name in commanders]
+
+
+def _size(file: Path) -> int | None:
+    """Return the bytes of a file, None when it is not on this computer, or not for us."""
+    try:
+        return file.stat().st_size
+    except (OSError, ValueError):  # no path at all
+        return None
 
 
 def _state(values: dict[str, Any], now_ns: int) -> str:

@@ -6,7 +6,6 @@ import contextlib
 import re
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -14,6 +13,7 @@ from types import TracebackType
 from typing import Any
 
 from armlab.bridge.zenoh import EVERY, Asking, Place, close_session, key, robot_of, undamaged
+from armlab.bridge.zenoh.inbox import Inbox
 from armlab.bridge.zenoh.session import zenoh
 from armlab.fleet.robot_record import RobotRecord
 from armlab.log.recorder import FLUSH_PERIOD, WRITE_PERIOD
@@ -22,6 +22,7 @@ __all__ = ["FleetRecorder"]
 
 _INBOX = 50_000  # messages: 20 s of ten robots; what does not fit is a hole in the ticks
 _ROBOTS = 1000
+_ROOM = 2**28  # bytes of rows that wait for descriptions, of all robots: ten seconds of fifty
 _NAME = re.compile(r"[\w+-][\w.+-]{0,99}")  # what can be the name of a file
 _NAMES = 220  # bytes of lab and robot together: a letter may take four, and systems allow 255 with number and ending
 
@@ -54,7 +55,8 @@ class FleetRecorder:
         self._robots: dict[str, RobotRecord] = {}
         self._ended: set[str] = set()  # robots of whom nothing more is recorded
         self.strangers = 0
-        self._inbox: deque[tuple[Callable[[RobotRecord], None], str]] = deque()  # append and popleft are atomic
+        self._inbox: Inbox[tuple[Callable[[RobotRecord], None], str]] = Inbox(_INBOX)
+        self._room = _ROOM
         self._wake, self._closed = threading.Event(), False
         self._session = place.open_behind()
         self._asking = Asking(self._session, self._answered)
@@ -87,12 +89,19 @@ class FleetRecorder:
         self._thread.join()
 
     def _take(self, sample: Any) -> None:
-        if len(self._inbox) < _INBOX:
-            self._inbox.append((partial(RobotRecord.take, data=undamaged(sample)), str(sample.key_expr)))
+        data = undamaged(sample)
+        self._inbox.put((partial(self._row, data=data), str(sample.key_expr)), len(data or b""))
 
     def _take_life(self, sample: Any) -> None:
         has_come = sample.kind == zenoh().SampleKind.PUT
-        self._inbox.append((partial(self._live, has_come=has_come), str(sample.key_expr)))
+        self._inbox.put((partial(self._live, has_come=has_come), str(sample.key_expr)))
+
+    def _row(self, robot: RobotRecord, data: bytes | None) -> None:
+        """Take a row; one that finds no room is lost, as its tick will show."""
+        size = len(data or b"")
+        if size <= self._room:
+            self._room -= size
+            robot.take(data)
 
     def _live(self, robot: RobotRecord, has_come: bool) -> None:
         text = "its bridge is there" if has_come else "its bridge has gone, or the way to it"
@@ -107,7 +116,10 @@ class FleetRecorder:
             self._wake.wait(WRITE_PERIOD)
             is_last = self._closed  # looked at before the inbox is emptied: what came until then is in it
             for _ in range(len(self._inbox)):
-                work, where = self._inbox.popleft()
+                message = self._inbox.get()
+                if message is None:
+                    break
+                work, where = message
                 robot = self._robot(where)
                 if robot is None:
                     self.strangers += 1
@@ -118,6 +130,7 @@ class FleetRecorder:
                 if robot.wants and not is_last:
                     lab, _, name = robot.name.partition("/")
                     self._asking.ask(lab, name)
+            self._room = _ROOM - sum(robot.waiting for robot in self._robots.values())
             if time.monotonic() >= due:
                 for robot in self._robots.values():
                     self._do(robot, RobotRecord.flush)
@@ -147,4 +160,4 @@ class FleetRecorder:
         return self._robots[full]
 
     def _answered(self, lab: str, name: str, about: bytes) -> None:
-        self._inbox.append((partial(RobotRecord.describe, about=about), key(lab, name, "about")))
+        self._inbox.put((partial(RobotRecord.describe, about=about), key(lab, name, "about")), len(about))

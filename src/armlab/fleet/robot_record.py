@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import time
 from collections import deque
 from collections.abc import Callable
@@ -11,13 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from armlab.bridge.row import MAGIC
-from armlab.bridge.row_schema import RowSchema
+from armlab.bridge.zenoh.texts import read_about
 from armlab.errors import ArmlabError, LinkError
 from armlab.fleet.row_columns import RowColumns, stamp_of, tick_of
 from armlab.log.recording_file import RecordingFile
 from armlab.log.rows import RowLayout
 from armlab.log.syncing import Syncing
-from armlab.robots import Robot, from_toml
 
 __all__ = ["RobotRecord"]
 
@@ -59,6 +57,11 @@ class RobotRecord:
         self._file: _File | None = None
         self._heard = self._retry = 0.0
 
+    @property
+    def waiting(self) -> int:
+        """Bytes of the rows that wait to be written."""
+        return sum(map(len, self._waiting))
+
     def take(self, data: bytes | None) -> None:
         """Take a row; when too many wait it is lost, as its tick will show.
 
@@ -88,7 +91,7 @@ class RobotRecord:
         self.wants, self._since = False, None
         try:
             run = _Run(self.name.rpartition("/")[2], about)
-        except (ArmlabError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+        except (ArmlabError, KeyError) as error:
             self._refuse(f"its bridge says what cannot be understood: {error}")
             return
         if self._waiting and self._waiting[0][8:16] != run.schema.id:
@@ -266,10 +269,8 @@ class _Run:
     """What the rows of a bridge hold, from its start to its end."""
 
     def __init__(self, robot: str, about: bytes) -> None:
-        said = json.loads(about)[0]
-        self.id = said.get("run")
-        self.schema = RowSchema.read(said["schema"].encode())
-        self.robot: Robot = from_toml(said["robots"][robot], f"the bridge of {robot}")
+        said = read_about(about)
+        self.id, self.schema, self.robot = said.run, said.schema, said.robots[robot]
         self.layout = RowLayout(self.robot)
         self.columns = RowColumns(self.schema, robot, self.layout)
         self.last: int | None = None  # tick

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import threading
 import time
@@ -11,6 +10,7 @@ from typing import Any, NamedTuple
 from armlab.bridge.row import read_row
 from armlab.bridge.row_schema import RowSchema
 from armlab.bridge.zenoh import EVERY, Place, close_session, key, queried, robot_of, robots_at, undamaged
+from armlab.bridge.zenoh.texts import read_about
 from armlab.errors import ArmlabError
 
 __all__ = ["FleetRobot", "list_robots"]
@@ -80,8 +80,8 @@ class _Seen:
 
     def describe(self, about: bytes) -> None:
         try:
-            self._schema = RowSchema.read(json.loads(about)[0]["schema"].encode())
-        except (ArmlabError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
+            self._schema = read_about(about).schema
+        except ArmlabError:
             self._schema = None  # shown without rows
 
     def take(self, data: bytes | None) -> None:

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import json
 import math
-import threading
 import time
-from collections import deque
 from dataclasses import replace
 from typing import Any
 
 from armlab.bridge.row import Row, read_row
 from armlab.bridge.row_schema import RowSchema
 from armlab.bridge.zenoh import EVERY, Asking, Place, close_session, key, robot_of, undamaged
+from armlab.bridge.zenoh.inbox import Inbox
 from armlab.bridge.zenoh.session import zenoh
-from armlab.errors import ArmlabError
-from armlab.robots import Robot, from_toml
+from armlab.bridge.zenoh.texts import read_about, read_message
+from armlab.errors import ArmlabError, LinkError
+from armlab.robots import Robot
 
 __all__ = ["FleetRows", "SeenRobot"]
 
@@ -36,8 +35,9 @@ class SeenRobot:
     ----------
     robot : its description under that name, None before its bridge said it; another object when it changed.
     row : the newest, None without any. is_alive : its bridge is there. restarts : other runs of it that came.
-    rows, damaged : rows that came, and those of another checksum. rate, missed : of its packets at the bridge [Hz], and
-        packets that did not come there since somebody looked; NaN and 0 before the bridge said them.
+    rows, damaged : rows that came, and those of another checksum. refused : texts that were none.
+    rate, missed : of its packets at the bridge [Hz], and packets that did not come there since somebody looked; NaN and
+        0 before the bridge said them.
     wants : its bridge must be asked.
     """
 
@@ -46,7 +46,7 @@ class SeenRobot:
         self.robot: Robot | None = None
         self.row: Row | None = None
         self.is_alive = self.wants = False
-        self.restarts = self.rows = self.damaged = self.missed = 0
+        self.restarts = self.rows = self.damaged = self.refused = self.missed = 0
         self.rate = math.nan
         self._text, self._run = "", ""
         self._schema: RowSchema | None = None
@@ -88,24 +88,24 @@ class SeenRobot:
         self._quiet += seconds
 
     def describe(self, about: bytes) -> None:
-        """Take what the bridge says of itself; what cannot be understood is asked again.
+        """Take what the bridge says of itself; what cannot be understood is counted and asked again.
 
         Parameters
         ----------
         about : the answer to the query "about".
         """
         try:
-            said = json.loads(about)[0]
-            schema, text, run = RowSchema.read(said["schema"].encode()), said["robots"][self._arm], said.get("run", "")
-            robot = None if text == self._text else from_toml(text, f"the bridge of {self.name}")
-        except (ArmlabError, ValueError, LookupError, TypeError, AttributeError):
+            said = read_about(about)
+            robot, text = said.robots[self._arm], said.said[0]["robots"][self._arm]
+        except (ArmlabError, KeyError):
+            self.refused += 1
             return
-        if robot is not None:
+        if text != self._text:
             self.robot, self._text = replace(robot, name=self.name), text
-        if self._run and run != self._run:
+        if self._run and said.run != self._run:
             self.restarts += 1
             self.row, self._data = None, b""
-        self._schema, self._run, self.wants = schema, run, False
+        self._schema, self._run, self.wants = said.schema, said.run, False
 
     def status(self, data: bytes) -> None:
         """Take how its packets come at the bridge.
@@ -115,10 +115,13 @@ class SeenRobot:
         data : of the key "status".
         """
         try:
-            arm = json.loads(data)["arms"][self._arm]
-            self.rate, self.missed = float(arm["rate"] or math.nan), int(arm["missed"])
-        except (ValueError, LookupError, TypeError):
+            said = read_message(data)
+        except LinkError:
+            self.refused += 1
             return
+        arm = said.get("arms", {}).get(self._arm)
+        if arm is not None:
+            self.rate, self.missed = arm.get("rate") or math.nan, arm.get("missed", 0)
 
     def decode(self) -> bool:
         """Make `row` of the newest bytes; return whether there are new ones."""
@@ -171,8 +174,7 @@ class FleetRows:
 
     def __init__(self, place: Place, patience: float = 5.0) -> None:
         self.place, self.robots = place, dict[str, SeenRobot]()
-        self._inbox: deque[tuple[str, str, Any]] = deque(maxlen=_INBOX)  # append and popleft are atomic
-        self._came = threading.Event()
+        self._inbox: Inbox[tuple[str, str, Any]] = Inbox(_INBOX)
         self._looked = time.monotonic()
         self._session = place.open_behind(patience)
         self._asking = Asking(self._session, lambda lab, robot, data: self._put("describe", key(lab, robot, ""), data))
@@ -199,14 +201,16 @@ class FleetRows:
         ----------
         seconds : to wait at most.
         """
-        self._came.wait(seconds)
-        self._came.clear()
+        self._inbox.wait(seconds)
         now = time.monotonic()
         listened, self._looked = min(now - self._looked, seconds + _LATE), now
         for robot in self.robots.values():
             robot.listened(listened)
         for _ in range(len(self._inbox)):
-            what, where, data = self._inbox.popleft()
+            message = self._inbox.get()
+            if message is None:
+                break
+            what, where, data = message
             lab, name = robot_of(where)
             full = f"{lab}/{name}"
             if full not in self.robots and len(self.robots) < _MOST:
@@ -222,5 +226,4 @@ class FleetRows:
         self._put("live", sample.key_expr, sample.kind == zenoh().SampleKind.PUT)
 
     def _put(self, what: str, where: Any, data: Any) -> None:
-        self._inbox.append((what, str(where), data))
-        self._came.set()
+        self._inbox.put((what, str(where), data), len(data) if isinstance(data, bytes) else 0)

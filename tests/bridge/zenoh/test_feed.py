@@ -89,6 +89,29 @@ def test_damaged_rows_are_dropped_and_told(start: Start, robot: Robot) -> None:
         assert said[-1]["text"] == "Rows came damaged and were dropped: 4 so far."
 
 
+def test_texts_that_are_none_are_dropped_and_told(start: Start, robot: Robot) -> None:
+    one = start()
+    with ZenohFeed(f"zenoh://127.0.0.1:{one.options['port']}/lab1") as feed:
+        session, watch, said = one.process._session, Watch(), list[Any]()
+        bad = (b"[1", b"5", b"{}", b'{"kind": "event"}', b'{"kind": "about", "schema": "{}"}', b"[" * 100_000)
+
+        def told(text: str) -> bool:
+            for where, data in zip(("events", "status", "parameters"), bad[feed.refused % 2 * 3 :], strict=False):
+                session.put(key("lab1", robot.name, where), data)
+            while feed.wait(0.05):
+                said.append(feed.receive())
+                watch.take(said[-1])
+            return any(text in str(each) for each in said)
+
+        until(lambda: told("cannot be read and were dropped: 8 so far"))
+        assert {each["kind"] for each in said} <= {"about", "parameters", "event", "status"}
+        feed._is_unsure, before = True, feed.refused
+        feed._answered("lab1", robot.name, b"[[[")
+        assert feed.refused == before + 1
+        one.exchange.event("Hello.")
+        until(lambda: told("Hello."))
+
+
 def test_a_bridge_that_comes_again_is_told_from_one_that_restarted(start: Start, robot: Robot) -> None:
     """Both while the way to it is cut; another run may have other rows."""
     one = start()
@@ -151,7 +174,7 @@ def test_rows_that_did_not_come_or_were_not_read_in_time_are_counted(
         def overflows() -> bool:
             for _ in range(100):
                 one.row()
-            until(lambda: feed._messages.qsize() >= 50)
+            until(lambda: len(feed._messages) >= 50)
             read(lambda each: False)
             return feed.lost > before
 

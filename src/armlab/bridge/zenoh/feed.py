@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-import queue
 import time
 from types import TracebackType
 from typing import Any
@@ -16,16 +14,19 @@ from armlab.bridge.row_schema import RowSchema
 from armlab.bridge.zenoh.asking import Asking
 from armlab.bridge.zenoh.checksum import undamaged
 from armlab.bridge.zenoh.gaps import Gaps
+from armlab.bridge.zenoh.inbox import Inbox
 from armlab.bridge.zenoh.keys import EVERY, key, robot_of
 from armlab.bridge.zenoh.place import Place
 from armlab.bridge.zenoh.session import close_session, zenoh
-from armlab.errors import ConfigError, LinkError
+from armlab.bridge.zenoh.texts import About, read_about, read_message
+from armlab.errors import ArmlabError, ConfigError, LinkError
 
 __all__ = ["ZenohFeed", "robots_at"]
 
 _VIEW = 30.0  # rows/s that a view gets
 _HEARD = 0.5  # s in which all robots of a lab are heard of
 _KEPT = 5000  # messages that wait to be read: the oldest are lost then
+_TEXT = 2**16  # bytes that a text is counted for, read as it is
 
 
 def robots_at(session: Any, lab: str = EVERY, patience: float = 1.0) -> list[tuple[str, str]]:
@@ -50,38 +51,40 @@ class ZenohFeed:
     Attributes
     ----------
     cell : its name. damaged : rows whose checksum was another one; they were dropped.
+    refused : texts that were none, dropped too.
     lost : rows that did not come, or not read in time, counted by their numbers while every row is asked for.
 
     Raises
     ------
-    LinkError : nobody is there. ConfigError : wrong url, or several cells and no robot named.
+    LinkError : nobody is there, or what it says of itself cannot be read. ConfigError : the same, a wrong url, or
+        several cells and no robot named.
     """
 
     def __init__(self, url: str, robot: str = "", patience: float = 5.0) -> None:
         self._place, self._patience = Place.read(url), patience
-        self._messages: queue.SimpleQueue[bytes | dict[str, Any]] = queue.SimpleQueue()
+        self._messages: Inbox[bytes | dict[str, Any]] = Inbox(_KEPT)
         self._next: bytes | dict[str, Any] | None = None
         self._rows: list[Any] = []
         self._gaps: dict[str, Gaps] = {}  # of the robots of which every row is asked for
         self._pace: Pace | None = None
         self._gone: float | None = None  # since when
         self._is_unsure = False  # whether what comes again is the same run
-        self.damaged = self.lost = 0
+        self.damaged = self.lost = self.refused = 0
         self._session = self._place.open(patience)
         try:
             known = [robot] if robot else self._robots()
             arm = known[0]
-            said = json.loads(self._place.ask(self._session, key(self._place.lab, arm, "about"), patience))
-            self._schema = RowSchema.read(said[0]["schema"].encode())
+            about = _whole(self._place.ask(self._session, key(self._place.lab, arm, "about"), patience))
+            self._schema = about.schema
             if not set(known) <= set(self._schema.robots):
                 names = ", ".join(known)
                 raise ConfigError(f"Expected the name of a robot, since several cells serve this lab: {names}.")
         except BaseException:
             self.close()
             raise
-        self.cell: str = said[0].get("cell", "")
-        self._arm, self._run = arm, said[0].get("run")
-        self._take(*said)
+        self.cell = about.cell
+        self._arm, self._run = arm, about.run
+        self._take(*about.said)
         self._asking = Asking(self._session, self._answered)
         declare, lab = self._session.declare_subscriber, self._place.lab
         self._texts = [declare(key(lab, arm, what), self._take_text) for what in ("events", "status", "parameters")]
@@ -109,8 +112,7 @@ class ZenohFeed:
         seconds : at most.
         """
         if self._next is None:
-            with contextlib.suppress(queue.Empty):
-                self._next = self._messages.get(timeout=0.0 if self._has_ended() else max(seconds, 0.0))
+            self._next = self._messages.get(0.0 if self._has_ended() else seconds)
         return self._next is not None or self._has_ended()
 
     def ask(self, request: Request) -> None:
@@ -207,7 +209,15 @@ class ZenohFeed:
             self._take(data)
 
     def _take_text(self, sample: Any) -> None:
-        self._take(json.loads(sample.payload.to_bytes()))
+        try:
+            self._take(read_message(sample.payload.to_bytes()))
+        except LinkError:
+            self._refuse()
+
+    def _refuse(self) -> None:
+        self.refused += 1
+        if self.refused & (self.refused - 1) == 0:  # 1, 2, 4, ...
+            self._tell(f"Texts came that cannot be read and were dropped: {self.refused} so far.")
 
     def _take_life(self, sample: Any) -> None:
         has_gone = sample.kind == zenoh().SampleKind.DELETE
@@ -222,15 +232,19 @@ class ZenohFeed:
 
     def _answered(self, lab: str, robot: str, about: bytes) -> None:
         """Take what a bridge says that has come again."""
-        said = json.loads(about)
         if not self._is_unsure:
             return
+        try:
+            said = _whole(about)
+        except ArmlabError:
+            self._refuse()
+            return
         self._is_unsure = False
-        if said[0].get("run") == self._run:
+        if said.run == self._run:
             self._tell(f"The bridge of {self.cell} is there again, in the same run.")
             return
-        self._run = said[0].get("run")
-        self._take(*said)
+        self._run = said.run
+        self._take(*said.said)
         self._tell(f"The bridge of {self.cell} has restarted.")
 
     def _tell(self, text: str) -> None:
@@ -239,7 +253,12 @@ class ZenohFeed:
     def _take(self, *messages: bytes | dict[str, Any]) -> None:
         """Keep messages; in a thread of Zenoh's, which wakes who waits."""
         for message in messages:
-            if self._messages.qsize() >= _KEPT:
-                with contextlib.suppress(queue.Empty):
-                    self._messages.get_nowait()
-            self._messages.put(message)
+            self._messages.put(message, len(message) if isinstance(message, bytes) else _TEXT)
+
+
+def _whole(data: bytes) -> About:
+    """Return what a bridge says of itself, whose rows tell all of its arms, as a `Watch` wants them."""
+    about = read_about(data)
+    for robot in about.robots.values():
+        about.schema.require(robot)
+    return about
