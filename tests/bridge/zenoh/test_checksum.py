@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 from hypothesis import given
 from hypothesis import strategies as st
 
+from armlab.bridge.row_schema import LARGEST
 from armlab.bridge.zenoh import checksum, undamaged
 
 
@@ -42,3 +43,8 @@ def test_a_row_without_a_sum_is_none() -> None:
     assert undamaged(Sample(Bytes(b"row"), None)) is None
     assert undamaged(Sample(Bytes(b"row"), Bytes(b""))) is None
     assert undamaged(Sample(Bytes(b"row"), Bytes(checksum(b"row") + b"\0"))) is None
+
+
+def test_a_row_that_is_larger_than_rows_are_is_none() -> None:
+    for row in (bytes(LARGEST), bytes(LARGEST + 1)):
+        assert (undamaged(Sample(Bytes(row), Bytes(checksum(row)))) is None) == (len(row) > LARGEST)

@@ -55,6 +55,24 @@ def test_two_find_each_other_through_a_router_and_ask() -> None:
         close_session(session)
 
 
+def test_what_is_too_large_is_not_put_together_and_the_next_message_comes() -> None:
+    """From the same sender and from another; it is cut into parts of 64 KiB on its way."""
+    port = free_port()
+    router, samples = open_session("router", [f"127.0.0.1:{port}"]), list[int]()
+    reading = router.declare_subscriber("a/*", lambda sample: samples.append(len(sample.payload)))
+    senders = [open_session("client", connect=[f"127.0.0.1:{port}"]) for _ in range(2)]
+    block = zenoh().CongestionControl.BLOCK
+    senders[0].put("a/b", bytes(10**6), congestion_control=block)
+    until(lambda: samples == [10**6])
+    senders[0].put("a/b", bytes(3 * 10**6), congestion_control=block)
+    for size, sender in enumerate(senders, 1):
+        until(lambda size=size, sender=sender: sender.put("a/b", bytes(size)) or size in samples)
+    assert max(samples[1:]) == 2
+    assert reading is not None
+    for session in (*senders, router):
+        close_session(session)
+
+
 def test_commands_do_not_come_by_a_router_that_listens_at_every_address() -> None:
     port = free_port()
     everywhere = open_session("router", [f"0.0.0.0:{port}"])

@@ -6,6 +6,7 @@ import struct
 import zlib
 from typing import Any
 
+from armlab.bridge.row_schema import LARGEST
 from armlab.bridge.zenoh.session import data_of
 
 __all__ = ["checksum", "undamaged"]
@@ -26,11 +27,11 @@ def checksum(data: bytes) -> bytes:
 
 
 def undamaged(sample: Any) -> bytes | None:
-    """Return the row of a sample, None when the sum attached is another one or there is none.
+    """Return the row of a sample, None when the sum attached is another one or there is none, or it is no row's size.
 
     Parameters
     ----------
     sample : of the key "state", "live" or "view".
     """
     data = sample.payload.to_bytes()
-    return data if data_of(sample.attachment) == checksum(data) else None
+    return data if len(data) <= LARGEST and data_of(sample.attachment) == checksum(data) else None

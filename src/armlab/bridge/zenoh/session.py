@@ -23,6 +23,9 @@ _BEFORE_CLOSE = 250_000  # us, after seconds in buffers: a put that waits holds 
 _TRIES = 2  # to be router or else to find one: it may end just then
 _FOUND = 1.0  # s in which a router on this computer is found
 _ANYWHERE = "0.0.0.0"
+# Bytes of a message that is put together of its parts. The largest of ours, an answer to "about", has three texts of
+# 2**17 of the loop; a router of ours also passes on what programs of others send each other, such as small pictures.
+_LARGEST = 2**20
 _UNUSED = "127.0.0.2"  # of this computer; nobody listens there who does not listen at every address
 
 _open: set[Any] = set()
@@ -74,6 +77,7 @@ def open_session(
         "connect/retry": _RETRY,
         "scouting/multicast/enabled": False,
         "transport/unicast/open_timeout": _OPENED,
+        "transport/link/rx/max_message_size": _LARGEST,
         "transport/link/tx/queue/congestion_control/drop/wait_before_drop": _BEFORE_DROP,
         "transport/link/tx/queue/congestion_control/block/wait_before_close": _BEFORE_CLOSE,
         **{f"transport/link/tx/queue/size/{priority}": _ROOM for priority in ("data", "data_low")},
