@@ -77,6 +77,15 @@ def test_the_lease_lasts_to_its_last_nanosecond() -> None:
     assert bench(after=LEASE) is not None
 
 
+def test_the_lease_counts_from_when_the_command_came() -> None:
+    """Not from when it was judged: it may have waited for the arm to become ready."""
+    bench = Bench()
+    bench.arbiter.submit(order())
+    assert bench(after=LEASE - 0.004) is not None
+    assert bench(after=0.004) is not None
+    assert bench(after=1e-9) is None
+
+
 def test_the_lease() -> None:
     bench = Bench()
     assert bench(order("labcomm a")) is not None

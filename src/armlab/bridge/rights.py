@@ -198,20 +198,20 @@ class Arbiter:
         for came_ns, order in tuple(inbox.values()):
             if now - came_ns > self._lease_ns:
                 _count(self.refused, order.client)
-            elif self._judge(order, by_name[order.arm], now):
+            elif self._judge(order, by_name[order.arm], came_ns):
                 fresh.add(order.arm)
         commands = tuple(
             self._command(robot, at, robot.name in fresh) for robot, at in zip(self._robots, states, strict=True)
         )
         return commands[0] if len(commands) == 1 else commands
 
-    def _judge(self, order: Order, state: State, now: int) -> bool:
-        """Let a command come into force; False when it was refused."""
+    def _judge(self, order: Order, state: State, came_ns: int) -> bool:
+        """Let a command come into force, for a lease from when it came; False when it was refused."""
         holder, robot = self._holders[order.arm], self._robot(order.arm)
         if self.stopped:
-            return self._refuse(order.client, f"All arms hold, since {self.stopped} stopped them.", now)
+            return self._refuse(order.client, f"All arms hold, since {self.stopped} stopped them.", came_ns)
         if holder is not None and holder.client != order.client:
-            return self._refuse(order.client, f"{order.arm} is commanded by {holder.client}. You may read.", now)
+            return self._refuse(order.client, f"{order.arm} is commanded by {holder.client}. You may read.", came_ns)
         if holder is not None and None not in (order.seq, holder.seq) and order.seq <= holder.seq:  # type: ignore[operator]
             _count(self.refused, order.client)
             return False
@@ -226,10 +226,10 @@ class Arbiter:
                 most = self._jumps[order.arm]
                 problem = _distance(q, axes(_sent(state)), most, "position", "last sent", robot, order)
         if problem:
-            return self._refuse(order.client, problem, now)
+            return self._refuse(order.client, problem, came_ns)
         if holder is None:
             self._tell(f"{order.client} commands {order.arm}.", each=True)
-        self._holders[order.arm] = _Holder(order.client, command, order.seq, now)
+        self._holders[order.arm] = _Holder(order.client, command, order.seq, came_ns)
         _count(self.obeyed[order.arm], order.client)
         return True
 
