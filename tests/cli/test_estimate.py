@@ -53,10 +53,21 @@ def test_nothing_is_overwritten_and_wrong_names_are_refused_before_the_work(push
 def test_rows_without_torque_are_counted_and_none_at_all_is_an_error(pushed: str, truth, monkeypatch, capsys) -> None:
     table = truth.log(identify.dither(truth.robot.q_home, 4.0), seed=5)
     rows = np.arange(len(table))[:, None]
+    torn = np.where(rows < 500, np.nan, table["q"])
     words = ["estimate", "yumi_left", "push.mcap", "--model", pushed]
     for broken, code, sentence in (
         (table.with_column("tau", np.where(rows < 10, np.nan, table["tau"])), 0, "10 of 1000 rows"),
-        (table.with_column("tau", np.where(rows >= 0, np.nan, table["tau"])), 1, "none among 1000"),
+        (table.with_column("tau", np.where(rows >= 0, np.nan, table["tau"])), 1, "none among 1000. Record with the"),
+        (
+            table.with_column("q", np.where(rows >= 0, np.nan, table["q"])),
+            1,
+            "none among 1000. Never finite: q. Record",
+        ),
+        (
+            table.with_column("q", torn).with_column("tau", table["tau"] + 0.0 * torn[::-1]),
+            1,
+            "Never finite: all three in one row",
+        ),
         (table.rows(slice(0, 0)), 1, "none among 0"),
     ):
         monkeypatch.setattr("armlab.log.arm_log.read", lambda path, broken=broken, **_: broken)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -74,6 +76,11 @@ def test_rates() -> None:
     for rate in (0.0, -1.0, float("nan"), float("inf")):
         with pytest.raises(ShapeError, match="rate above zero"):
             table.resample(rate)
+    for rate in (1e9, 1e308):
+        with pytest.raises(ShapeError, match=r"got 1e\+\d+ Hz over 1 s: \S+ rows of 101\. Give the rate in hertz"):
+            table.resample(rate)
+    with pytest.raises(ShapeError, match="t in seconds"):
+        replace(table, t=1e9 * table.t).resample(100.0)
 
 
 def test_no_extrapolation() -> None:

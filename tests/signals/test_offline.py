@@ -105,8 +105,14 @@ def test_bad_input_is_refused_with_a_sentence() -> None:
     ):
         with pytest.raises(ShapeError, match=r"NaN or Inf in 1 rows, first \[7\]"):
             filtered()
-    with pytest.raises(ShapeError, match="strictly increasing"):
-        central_diff(np.zeros(4), np.array([0.0, 1.0, 1.0, 2.0]))
+    for times, got in (
+        ([0.0, 1.0, 1.0, 2.0], r"1 s in row 2 after 1 s\. Drop repeated"),
+        ([0.0, 3.0, 1.0, 2.0], "1 s in row 2 after 3 s"),
+        ([0.0, 1.0, np.nan, 2.0], r"nan in row 2\. Drop the rows without a time"),
+        ([0.0, 1.0, 2.0], r"an array of shape \(3,\)\. Give one time for each sample"),
+    ):
+        with pytest.raises(ShapeError, match=f"strictly increasing times for 4 samples, got {got}"):
+            central_diff(np.zeros(4), np.array(times))
     with pytest.raises(ShapeError, match=r"steps from 0\.5 s to 2 s"):
         smooth_diff(np.zeros(6), np.array([0.0, 1.0, 2.0, 4.0, 4.5, 5.0]), 0.1)
     with pytest.raises(ShapeError, match=r"between 1e-05 and 0\.3 of the sampling rate, got 0\.4"):

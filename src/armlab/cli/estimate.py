@@ -173,15 +173,20 @@ def _say(table: Table, method: str, found: list[tuple[Contact, str]], verdict: V
 
 def _check(table: Table, log: Path) -> None:
     """Refuse a log without a row that could be estimated; say how many could not."""
+    import numpy as np
+
     from armlab.cli.output import note
     from armlab.cli.reading import left_out
     from armlab.errors import LogError
 
     invalid = left_out(table)
     if invalid == len(table):
-        raise LogError(
-            f"Expected rows with finite q, qd, tau in {log}, got none among {len(table)}. "
+        never = [name for name in ("q", "qd", "tau") if not np.isfinite(table[name]).all(axis=1).any()]
+        advice = (
             "Record with the research extension, which sends torques."
+            if never == ["tau"]
+            else f"Never finite: {', '.join(never) or 'all three in one row'}. Record again."
         )
+        raise LogError(f"Expected rows with finite q, qd, tau in {log}, got none among {len(table)}. {advice}")
     if invalid:
         note(f"{invalid} of {len(table)} rows are not finite and have no estimate")

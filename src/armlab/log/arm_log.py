@@ -38,7 +38,7 @@ def read_arm(path: str | Path, robot: Robot, progress: Progress | None = None) -
     if missing:
         raise LogError(
             f"Expected positions and torques, columns q and tau, in {path}, got none for {' and '.join(missing)} among "
-            f"{', '.join(table.names)}. Record with the research extension, which sends torques."
+            f"{', '.join(table.names)}. {_advice(missing)}"
         )
     if table["q"].shape[1:] != (robot.n,):
         raise ModelMismatchError(
@@ -46,6 +46,13 @@ def read_arm(path: str | Path, robot: Robot, progress: Progress | None = None) -
             "Name the robot that was logged."
         )
     return table
+
+
+def _advice(missing: list[str]) -> str:
+    """Say where columns that are missing may come from."""
+    if missing == ["tau"]:
+        return "Record with the research extension, which sends torques."
+    return "Name a log of the joints: armlab log show tells what one holds."
 
 
 def _is_of_several(path: Path, robot: Robot) -> bool:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 __all__ = ["concat", "join", "resample"]
 
 _HELD = ("count", "flag", "text")
+_MOST_ROWS, _MOST_FOR_ONE = 10_000_000, 1000  # more than both is a slip of the rate, or of the unit of t
 _SLOWER = 1.05  # periods may differ that much before resampling counts as going down in rate
 
 
@@ -33,7 +34,8 @@ def resample(table: Table, to: float | np.ndarray, *, max_gap: float | None = No
 
     Raises
     ------
-    ShapeError : the rate goes down (that needs a filter), a time lies outside the table, fewer than two rows.
+    ShapeError : the rate goes down (that needs a filter) or up beyond all sense, a time lies outside the table, fewer
+        than two rows.
     """
     if len(table) < 2:
         raise ShapeError(f"Expected at least two rows to resample, got {len(table)}.")
@@ -140,7 +142,14 @@ def _times(table: Table, to: float | np.ndarray) -> np.ndarray:
         rate = float(np.asarray(to))
         if not rate > 0.0 or not np.isfinite(rate):
             raise ShapeError(f"Expected a rate above zero in hertz, got {rate}.")
-        rows = int(np.floor((table.t[-1] - table.t[0]) * rate * (1 + 1e-12) + 1e-9)) + 1
+        span = table.t[-1] - table.t[0]
+        steps = np.floor(span * rate * (1 + 1e-12) + 1e-9)
+        if steps > max(_MOST_ROWS, _MOST_FOR_ONE * len(table)):
+            raise ShapeError(
+                f"Expected a rate that makes at most {_MOST_FOR_ONE} rows of one, got {rate:g} Hz over {span:g} s: "
+                f"{steps:.3g} rows of {len(table)}. Give the rate in hertz, and t in seconds."
+            )
+        rows = int(steps) + 1
         return np.minimum(table.t[0] + np.arange(rows) / rate, table.t[-1])
     t = np.asarray(to, dtype=float)
     outside = np.flatnonzero(~((t >= table.t[0]) & (t <= table.t[-1])))

@@ -226,12 +226,17 @@ def _record(x: np.ndarray) -> np.ndarray:
 
 def _check_times(t: np.ndarray, count: int, least: int) -> np.ndarray:
     t = numbers(t, "times", ShapeError)
-    if t.ndim != 1 or len(t) != count or count < least or not np.all(np.diff(t) > 0) or not np.isfinite(t).all():
-        raise ShapeError(
-            f"Expected at least {least} finite, strictly increasing times for {count} samples, got an array of shape "
-            f"{t.shape}. Drop repeated and backward stamps first."
-        )
-    return t
+    if t.shape != (count,) or count < least:
+        got = f"an array of shape {t.shape}. Give one time for each sample of a record that is long enough."
+    elif not np.isfinite(t).all():
+        row = int(np.argmin(np.isfinite(t)))
+        got = f"{t[row]} in row {row}. Drop the rows without a time first."
+    elif not np.all(np.diff(t) > 0):
+        row = int(np.argmin(np.diff(t) > 0)) + 1
+        got = f"{t[row]:.6g} s in row {row} after {t[row - 1]:.6g} s. Drop repeated and backward stamps first."
+    else:
+        return t
+    raise ShapeError(f"Expected at least {least} finite, strictly increasing times for {count} samples, got {got}")
 
 
 def _check_finite(x: np.ndarray) -> None:
