@@ -86,6 +86,18 @@ def test_the_lease_counts_from_when_the_command_came() -> None:
     assert bench(after=1e-9) is None
 
 
+def test_a_lease_ends_also_while_nobody_asks_for_commands() -> None:
+    """While the arms are not ready: rows say that nobody commands, and others may set parameters."""
+    bench = Bench()
+    bench(order())
+    for after, holds in ((LEASE, True), (1e-9, False)):
+        bench.now += round(1e9 * after)
+        assert bench.arbiter.commander("yumi_left") == ("labcomm a" if holds else "")
+        assert bench.arbiter.commands("labcomm b") != holds
+    assert bench(order(), after=0.0) is not None
+    assert bench.events[1] == "labcomm a no longer commands yumi_left: silent for 0.1 s. The arm holds."
+
+
 def test_the_lease() -> None:
     bench = Bench()
     assert bench(order("labcomm a")) is not None

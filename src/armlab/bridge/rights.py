@@ -88,12 +88,12 @@ class Arbiter:
 
     def commander(self, arm: str) -> str:
         """Return who commands an arm, "" when nobody does."""
-        holder = self._holders.get(arm)
+        holder = self._holder(arm)
         return "" if holder is None else holder.client
 
     def commands(self, client: str) -> bool:
         """Return whether a client commands an arm, or could take a free one at once: the rights of a commander."""
-        holders = [holder.client for holder in self._holders.values() if holder is not None]
+        holders = [holder.client for holder in map(self._holder, self._holders) if holder is not None]
         return client in holders or (not holders and client.partition(" ")[0] in self._allowed)
 
     def submit(self, order: Order) -> None:
@@ -188,8 +188,8 @@ class Arbiter:
         """
         self.poll()
         now = self._clock()
-        for arm, holder in self._holders.items():
-            if holder is not None and now - holder.heard_ns > self._lease_ns:
+        for arm in self._holders:
+            if self._holder(arm) is None:
                 self._free(arm, f"silent for {1e-9 * self._lease_ns:g} s")
         inbox, self._inbox = self._inbox, {}
         states = state.arms or (state,)
@@ -204,6 +204,11 @@ class Arbiter:
             self._command(robot, at, robot.name in fresh) for robot, at in zip(self._robots, states, strict=True)
         )
         return commands[0] if len(commands) == 1 else commands
+
+    def _holder(self, arm: str) -> _Holder | None:
+        """Return who holds an arm: nobody whose lease is over, also where no tick has freed it yet."""
+        holder = self._holders.get(arm)
+        return None if holder is None or self._clock() - holder.heard_ns > self._lease_ns else holder
 
     def _judge(self, order: Order, state: State, came_ns: int) -> bool:
         """Let a command come into force, for a lease from when it came; False when it was refused."""
