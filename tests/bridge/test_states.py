@@ -136,6 +136,7 @@ def test_entry_near_the_hold_runs(bench: Bench) -> None:
 
 def test_entry_far_from_the_hold_is_refused_and_told_after_a_second(bench: Bench) -> None:
     bench.reply(None)
+    assert bench.guide.refusing == ""
     for _ in range(249):
         reply = bench.reply(Command(bench.home + 0.051))
         np.testing.assert_allclose(reply.q, bench.home, rtol=1e-14)
@@ -145,6 +146,13 @@ def test_entry_far_from_the_hold_is_refused_and_told_after_a_second(bench: Bench
     bench.reply(Command(bench.home + 0.051))
     assert sum("Begin at state.q_start" in event for event in bench.feed.warnings) == 1
     assert bench.guide.refused == 251
+    assert "Begin at state.q_start" in bench.guide.refusing
+    bench.reply(None)
+    assert bench.guide.refusing == ""
+    bench.reply(Command(bench.home + 0.049))
+    assert bench.guide.refusing == ""
+    bench.reply(Command(bench.home + 1.0))
+    assert "a jump of" in bench.guide.refusing
 
 
 def test_velocities_need_no_entry_and_are_integrated(bench: Bench) -> None:

@@ -13,6 +13,7 @@ import pytest
 from armlab import identify, log, robots
 from armlab.cli import main
 from armlab.cli.excite import Motion, excite
+from armlab.state import Command
 
 
 def columns(path) -> dict[str, np.ndarray]:
@@ -110,6 +111,38 @@ def test_a_motion_is_within_the_setting_of_speed_unless_asked_for(tmp_path, monk
     assert np.max(np.abs(log.read("fast.csv")["qd"]) / limit) > 0.2
     assert main(["excite", "yumi_left", "--saved", "fast.csv", "--run", "sim://yumi_left"]) == 2
     assert "within 0.2 of the limits of speed" in capsys.readouterr().err
+
+
+def test_a_saved_motion_beyond_the_limits_is_refused_before_the_robot_moves(tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    robot = robots.load("yumi_left")
+    table = identify.dither(robot.q_home, 2.0).table()
+    q = table["q"].copy()
+    q[100, 3] = 57.3
+    log.write(log.Table(table.t, {"q": q, "qd": table["qd"]}), "far.csv")
+    words = ["excite", "yumi_left", "--saved", "far.csv", "--run", "sim://yumi_left?lockstep=true"]
+    assert main(words) == 2
+    said = capsys.readouterr().err
+    assert f"within the limits of yumi_left, got 57.3 rad at 0.400 s for joint 4 ({robot.joint_names[3]})" in said
+    log.write(log.Table(table.t, {"q": q[:, :6], "qd": table["qd"][:, :6]}), "far.csv")
+    assert main([*words, "--joint", "3"]) == 2
+    assert "the 7 joints of yumi_left" in capsys.readouterr().err
+    assert not list(tmp_path.glob("*.mcap"))
+
+
+def test_a_run_that_was_refused_is_not_to_be_identified(tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    robot = robots.load("yumi_left")
+    log.write(identify.dither(robot.q_home, 0.5).table(), "motion.csv")
+    monkeypatch.setattr(
+        "armlab.identify.Trajectory.controller", lambda *_: lambda state: Command(np.full(7, 1.0) + state.q)
+    )
+    words = ["--saved", "motion.csv", "--run", "sim://yumi_left?lockstep=true", "--approach", "0.5"]
+    assert main(["excite", "yumi_left", *words, "--log", "run.mcap"]) == 1
+    said = capsys.readouterr().err
+    assert "The last command to yumi_left was refused." in said
+    assert "log: run.mcap" in said
+    assert "next: armlab identify" not in said
 
 
 @pytest.mark.slow

@@ -171,3 +171,22 @@ def test_refusals(folder: Path, capsys: Any, words: list[str], sentence: str) ->
     assert "A real arm moves" not in said
     assert not list(folder.glob("*.mcap"))
     assert robots.load("yumi_left").n == 7
+
+
+def test_a_run_whose_last_command_was_refused_says_so_and_fails(folder: Path, capsys: Any) -> None:
+    for name, value in (
+        ("far", "45.0"),
+        ("late", "45.0 if state.t > 0.3 else None"),
+        ("once", "45.0 if state.t < 0.1 else None"),
+    ):
+        body = f"    q = {value}\n    return q and Command(state.q * 0 + q)\n"
+        text = f"from armlab import Command\ndef {name}(state):\n{body}"
+        (folder / f"{name}.py").write_text(text, encoding="utf-8")
+    link = ["--link", "sim://yumi_left?lockstep=true", "--no-log", "--seconds", "0.5"]
+    for name in ("far", "late"):
+        assert main(["run", "yumi_left", f"{name}.py:{name}", *link]) == 1
+        said = capsys.readouterr().out
+        assert "Ended: the time is up." in said
+        assert "The last command to yumi_left was refused. Expected the first position within" in said
+    assert main(["run", "yumi_left", "once.py:once", *link]) == 0
+    assert "The last command" not in capsys.readouterr().out

@@ -206,7 +206,9 @@ def finished(arms: Sequence[Arm], reason: str, feeds: Sequence[Feed] = ()) -> Ru
         except Exception as error:  # the recording is finished all the same
             lost = [f"The last rows were not recorded: {type(error).__name__}."]
         counted = {**statistics(arm, reason), **told}
-        problems = lost + arm.recording.close(counted)
+        why = arm.guide.refusing
+        refused = [f"The last command to {arm.robot.name} was refused. {why}"] if why else []
+        problems = refused + lost + arm.recording.close(counted)
         events = tuple(arm.recording.events)
         runs.append(Run(reason, {**counted, "problems": problems}, events, arm.recording.path, arm.recording))
     return runs[0] if len(runs) == 1 else Run.of_several(reason, tuple(runs))

@@ -66,7 +66,7 @@ class Guide:
     elapsed : robot time while ready since the first readiness [s]. guided : the robot has been ready in this session.
     q_start : (n,) where guidance began.
     failure, reason : why the run stops. clamps : times each limit acted, (6, n). worst_ratio : of the velocity limit.
-    refused : commands refused.
+    refused : commands refused. refusing : why the last one was, "" when it was not.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class Guide:
         self.t = self.elapsed = self._rested = self._waited = 0.0
         self.q_start = self._last.q
         self.failure: LinkError | None = None
-        self.reason = ""
+        self.reason = self.refusing = ""
         self.clamps = np.zeros((len(_BITS), robot.n), dtype=int)
         self.worst_ratio = 1.0
         self.refused = self._refused_in_a_row = self._unsent = 0
@@ -177,6 +177,7 @@ class Guide:
             if self._limiter.at_rest and self._aside.at_rest:
                 self._rest(period)
         else:
+            self.refusing = ""
             self._last = self._follow(Command() if command is None else command, packet, period)
         if any(self._last.clamped.tobytes()):  # a tenth of the time of its method `any`
             self.clamps += [(self._last.clamped & bit) != 0 for bit in _BITS]
@@ -288,7 +289,7 @@ class Guide:
         return self._torques.limited(self._limiter.hold(period), None, period)
 
     def _refuse(self, problem: str) -> None:
-        self.refused += 1
+        self.refused, self.refusing = self.refused + 1, problem
         self._refused_in_a_row += 1
         if self._refused_in_a_row == 1:
             self._on_event(problem, warn=True)
@@ -296,7 +297,7 @@ class Guide:
             self.stop("commands were refused", CommandRefused(problem))
 
     def _refuse_entry(self, problem: str, period: float) -> Reply:
-        self.refused += 1
+        self.refused, self.refusing = self.refused + 1, problem
         self._waited += period
         if self._waited >= _ENTRY_PATIENCE and not self._warned:
             self._warned = True

@@ -52,7 +52,7 @@ def start(*, config: Path | None = None, listen: list[str] | None = None, second
         raise ConfigError("Expected a cell, got none. Name it: --config cell.toml, or `cell` in armlab.toml.")
     cell = parse_cell(read_text(Path(known), "a cell"), str(known))
     run = run_cell(cell, listen or (), seconds, ready=note, ended=lambda run: result(run.report()))
-    return FAILED if run.statistics["problems"] else 0  # the log that was asked for is not whole
+    return FAILED if run.statistics["problems"] else 0  # as the report says
 
 
 @bridge.command(name="set", help_epilogue="Example: armlab bridge set gain=2.5 force=[0,0,5]")

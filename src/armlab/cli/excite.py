@@ -13,11 +13,13 @@ if TYPE_CHECKING:
     import numpy as np
 
     from armlab.identify import Expectation, Trajectory
+    from armlab.log import Table
     from armlab.robots import Robot
 
 __all__ = ["Motion", "excite"]
 
 SPEED = 0.6  # of the limits
+_ROUNDING = 1e-6  # rad or m that a saved motion may be beyond the limits
 ROUNDS = 300  # of the search for the motion that tells most
 
 
@@ -136,6 +138,7 @@ def excite(
         result(f"{trajectory.seconds:.1f} s of motion" if expected is None else _text(expected))
     table = trajectory.table()
     if run is not None:
+        _check_positions(arm, table)
         _check_speed(arm, table["qd"], asked)
     if output is not None:
         note(f"motion: {logs.write(table, output)}")
@@ -145,7 +148,7 @@ def excite(
         save_figure(plots.table(table, "q", "qd", "qdd"), figure)
         note(f"figure: {figure}")
     if run is not None:
-        _run(arm, trajectory, run, log or log_folder() / "excite.mcap", approach)
+        return _run(arm, trajectory, run, log or log_folder() / "excite.mcap", approach)
     return 0
 
 
@@ -181,6 +184,26 @@ def _plain(expected: Expectation) -> dict[str, Any]:
     return {**found, "parameters": [dict(zip(keys, values, strict=True)) for values in parameters]}
 
 
+def _check_positions(robot: Robot, table: Table) -> None:
+    """Refuse a motion that the limits of position would bend: it comes from a file that may be of another arm."""
+    import numpy as np
+
+    from armlab.errors import ConfigError
+
+    q = table["q"]
+    if q.shape[1:] != (robot.n,):
+        raise ConfigError(f"Expected a motion of the {robot.n} joints of {robot.name}, got q of shape {q.shape}.")
+    beyond = np.maximum(robot.q_min - q, q - robot.q_max)
+    row, i = np.unravel_index(np.argmax(beyond), beyond.shape)
+    if beyond[row, i] > _ROUNDING:
+        unit = "m" if robot.prismatic[i] else "rad"
+        raise ConfigError(
+            f"Expected a motion within the limits of {robot.name}, got {q[row, i]:.4g} {unit} at {table.t[row]:.3f} s "
+            f"for joint {i + 1} ({robot.joint_names[i]}), which has {robot.q_min[i]:.4g} to {robot.q_max[i]:.4g} "
+            f"{unit}. Take a motion of this arm, in SI units."
+        )
+
+
 def _check_speed(robot: Robot, qd: np.ndarray, asked: float | None) -> None:
     """Refuse a motion that is faster than the settings allow and was not asked for: a limit would bend it."""
     import numpy as np
@@ -196,12 +219,17 @@ def _check_speed(robot: Robot, qd: np.ndarray, asked: float | None) -> None:
         )
 
 
-def _run(robot: Robot, trajectory: Trajectory, url: str, log: Path, approach: float) -> None:
-    """Run the motion over a link and record it."""
+def _run(robot: Robot, trajectory: Trajectory, url: str, log: Path, approach: float) -> int:
+    """Run the motion over a link and record it; return the exit code."""
     from armlab import bridge
+    from armlab.cli import FAILED
     from armlab.cli.output import note, progress
 
     with progress("excite") as tell, bridge.connect(url, robot) as link:
         done = link.run(trajectory.controller(approach), approach + trajectory.seconds, record=log, progress=tell)
     note(done.report())
+    if done.statistics["problems"]:
+        note(f"log: {done.path}")
+        return FAILED
     note(f"log: {done.path}; next: armlab identify {robot.name} {done.path} -o model.toml --report model.html")
+    return 0

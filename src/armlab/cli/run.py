@@ -92,7 +92,7 @@ def run(
     result(done.report())
     if interactive:
         _prompt(done, end)
-    return FAILED if done.statistics["problems"] else 0  # the log that was asked for is not whole
+    return FAILED if done.statistics["problems"] else 0  # as the report says
 
 
 _CHECKS = """A real arm moves now: nobody in its reach, a hand on the emergency stop, slow at first (--speed 0.1).
