@@ -6,6 +6,7 @@ import logging
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -96,7 +97,7 @@ class Recording:
         self._early: list[Callable[[int], None]] = []  # what waits for its stamp
 
     def keep(self, state: State, command: Command | None, tick: Tick) -> Command | None:
-        """Keep one row in memory. Return the command, or None when it could not be kept with it.
+        """Keep one row in memory. Return the command as it could be kept with it, None when it could not be.
 
         Parameters
         ----------
@@ -113,11 +114,22 @@ class Recording:
         except MemoryError:  # no fault of the command
             raise
         except Exception as error:  # what a controller returned may be anything
-            if str(error) not in self._told:
-                self._told.add(str(error))
-                self.event(f"A row was kept without its command: {error}", warn=True)
-            command = None
+            command = self._keep_less(state, command, tick, error)
+        return command
+
+    def _keep_less(self, state: State, command: Any, tick: Tick, error: Exception) -> Command | None:
+        """Keep a row without what the controller recorded; without the command where this is none, which is refused."""
+        try:
+            command = replace(command, record={})
+            self._log.row(state, command, tick)
+        except MemoryError:
+            raise
+        except Exception:
             self._log.row(state, None, tick)
+            return None
+        if str(error) not in self._told:
+            self._told.add(str(error))
+            self.event(f"A row was kept without what the controller recorded: {error}", warn=True)
         return command
 
     def pass_on(self, state: State, command: Command | None, tick: Tick) -> None:
