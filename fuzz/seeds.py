@@ -28,6 +28,7 @@ from armlab.robots._urdf_writing import write_urdf  # noqa: E402
 from armlab.state import State  # noqa: E402
 from armlab.wire.egm import EgmCodec, Reference, RobotMessage, RobotSideCodec  # noqa: E402
 from armlab.wire.labcomm import PRIMS, Array, Encoder, Field, SampleType, Struct, parse_lc  # noqa: E402
+from fuzz import fleet  # noqa: E402
 
 Seeds = Iterator[tuple[str, str, bytes]]
 ARM = robots.load("yumi_left")
@@ -289,7 +290,7 @@ def main() -> None:
     parse_lc(LANGUAGE, "2014i")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for seeds in (egm(), labcomm(), logs(folder), described(folder), client(), message()):
+        for seeds in (egm(), labcomm(), logs(folder), described(folder), client(), message(), fleet.seeds()):
             for target, label, data in seeds:
                 path = ROOT / "fuzz" / "corpus" / target / label
                 path.parent.mkdir(parents=True, exist_ok=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from fuzz import clients, descriptions, files, wire
+from fuzz import clients, descriptions, files, fleet, wire
 
 __all__ = ["TARGETS"]
 
@@ -30,5 +30,6 @@ TARGETS: dict[str, Callable[[bytes], None]] = {
         clients.zenoh,
         clients.labcomm_client,
         clients.request,
+        fleet.fleet,
     )
 }
