@@ -57,6 +57,18 @@ def test_a_source_without_a_clock() -> None:
     assert (reading.seq, reading.source_ns) == (7, 0)
 
 
+@pytest.mark.parametrize("absent", ["seq", "gaps"])
+def test_a_source_without_numbers(absent: str) -> None:
+    """As another program's recording may be."""
+    source = ReplaySource("tracker", recording().without(f"tracker.{absent}"), 1 / 30)
+    source.now_ns = 0
+    assert source.newest() is None
+    source.now_ns = 16 * MS
+    reading = source.newest()
+    assert reading is not None
+    assert (reading.values["p"], reading.seq, reading.gaps) == (2.0, *((0, 3) if absent == "seq" else (11, 0)))
+
+
 def test_a_source_that_was_not_recorded() -> None:
     with pytest.raises(UnknownName, match=r"source in this recording.*tracker"):
         ReplaySource("force", recording(), 0.001)

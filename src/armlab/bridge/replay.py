@@ -35,7 +35,7 @@ class ReplaySource(Source):
         super().__init__(name, fields, period, **options)
         self._values = {one.removeprefix(prefix): table[one] for one in names}
         self._ages_ns = np.rint(1e9 * table[f"{prefix}age"])
-        absent = np.full(len(table), np.nan)  # the source had no clock of its own
+        absent = np.full(len(table), np.nan)  # the source had no clock or numbers of its own
         self._counts = {one: table.values.get(f"{prefix}{one}", absent) for one in ("seq", "gaps", "source_time")}
         self._ticks_ns = table["receive_ns"] - table["receive_ns"][0]
         self._begun_ns: int | None = None
@@ -54,6 +54,7 @@ class ReplaySource(Source):
         if row < 0 or not np.isfinite(self._ages_ns[row]) or self._begun_ns is None:
             return None
         receive_ns = self._begun_ns + int(self._ticks_ns[row]) - int(self._ages_ns[row])
-        seq, gaps, seconds = (float(counts[row]) for counts in self._counts.values())
+        told = [float(counts[row]) for counts in self._counts.values()]
+        seq, gaps, seconds = (one if np.isfinite(one) else 0.0 for one in told)
         values = self.values({name: array[row] for name, array in self._values.items()})
-        return Reading(values, round(1e9 * seconds) if np.isfinite(seconds) else 0, receive_ns, int(seq), int(gaps))
+        return Reading(values, round(1e9 * seconds), receive_ns, int(seq), int(gaps))
