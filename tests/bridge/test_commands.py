@@ -22,6 +22,10 @@ def test_references_pass(robot: Robot) -> None:
     assert (tau.dtype, tau.sum()) == (np.float64, 7.0)
     assert (q.dtype, qd.dtype) == (np.float64, np.float64)
     assert wanted(Command(), robot) == (None, None, None)
+    [halves, whole, _] = wanted(Command(np.full(14, 0.5)[::2], np.ones(7, dtype=np.uint8)), robot)
+    assert halves is not None
+    assert whole is not None
+    assert (halves.sum(), halves.flags.c_contiguous, whole.sum(), whole.dtype) == (3.5, True, 7.0, np.float64)
 
 
 @pytest.mark.parametrize(
@@ -33,6 +37,10 @@ def test_references_pass(robot: Robot) -> None:
         (Command(0.5), r"got \(\)"),  # type: ignore[arg-type]
         (Command(["a"] * 7), "7 numbers in Command.q"),  # type: ignore[arg-type]
         (Command({}), "7 numbers"),  # type: ignore[arg-type]
+        (Command(["0.1"] * 7), "7 numbers in Command.q.*of type <U3"),  # type: ignore[arg-type]
+        (Command(np.zeros(7, dtype=complex)), "7 numbers in Command.q.*of type complex128"),
+        (Command(qd=np.zeros(7) > 0), "7 numbers in Command.qd.*of type bool"),
+        (Command(tau=np.array(["0.1"] * 7, dtype=object)), "7 numbers in Command.tau.*of type object"),
         (Command([10**400] * 7), "7 numbers"),  # type: ignore[arg-type]
         (Command(tau=np.zeros(6)), r"Command.tau.*got \(6,\)"),
     ],

@@ -15,7 +15,7 @@ from armlab.wire.egm.linkage import Linkage
 
 __all__ = ["causes", "entry_refusal", "kept", "refusal", "wanted"]
 
-_DOUBLE = np.dtype(np.float64)
+_DOUBLE, _REAL = np.dtype(np.float64), "fiu"  # kinds of numbers; of others a conversion would make some
 _NUMBERS = "q", "qd", "tau", "q_ext", "rapid_data"
 
 
@@ -44,17 +44,19 @@ def _vector(name: str, values: Any, robot: Robot) -> np.ndarray | None:
     if type(values) is np.ndarray and values.dtype == _DOUBLE and values.shape == (robot.n,):
         return np.ascontiguousarray(values)
     try:
-        array = np.ascontiguousarray(values, dtype=np.float64)
+        array = np.asarray(values)
+        if array.dtype.kind not in _REAL:
+            raise TypeError(f"of type {array.dtype}")
     except Exception as error:  # what a controller returned may be anything
         raise CommandRefused(
             f"Expected {robot.n} numbers in Command.{name} for {robot.name}, got {values!r} ({error})."
         ) from error
-    if np.shape(values) != (robot.n,):
+    if array.shape != (robot.n,):
         raise CommandRefused(
-            f"Expected Command.{name} of shape ({robot.n},) for {robot.name}, got {np.shape(values)}. "
+            f"Expected Command.{name} of shape ({robot.n},) for {robot.name}, got {array.shape}. "
             f"Give one value per joint: {', '.join(robot.joint_names)}."
         )
-    return array
+    return np.ascontiguousarray(array, dtype=np.float64)
 
 
 def kept(command: Command | None) -> Command | None:
