@@ -72,6 +72,8 @@ def test_who_was_served() -> None:
 def test_replies_that_were_left_out_are_in_the_report(play: Any) -> None:
     run = play(lambda peer: peer.rest(), rush, seconds=0.05)
     assert "Left out" not in run.report()
+    assert "Arrival to reply" in run.report()
+    assert "Arrival to reply" not in play(lambda peer: peer.rest(), rush, seconds=0.0).report()
     run.statistics["left_out"] = 3
     assert "Left out 3 replies: so many messages waited in the robot's queue." in run.report()
 

@@ -127,6 +127,17 @@ def test_an_interrupted_run_is_reported_too(folder: Path, capsys: Any) -> None:
     assert "log: long-" in said.err
 
 
+def test_a_log_in_a_folder_has_the_name_of_the_robot(folder: Path, capsys: Any) -> None:
+    (folder / "logs").mkdir()
+    for log_option in ("logs/", "logs"):
+        words = ["--link", "sim://yumi_left?lockstep=true", "--log", log_option, "--seconds", "0"]
+        assert main(["run", "yumi_left", *words]) == 0
+        assert capsys.readouterr().out.count("Ended: the time is up.") == 1
+    assert len(list((folder / "logs").glob("yumi_left-*.mcap"))) == 2
+    assert main(["run", "yumi_left", "--log", "none/"]) == 2
+    assert "folder that exists" in capsys.readouterr().err
+
+
 def test_load_controller(folder: Path) -> None:
     found, extra = load_controller("code/sine.py:sine")
     assert found.__name__ == "sine"
@@ -138,15 +149,21 @@ def test_load_controller(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("place", "words"),
     [
-        ("none.py:sine", "no file none.py"),
-        ("code/sine", "Expected a controller as FILE.py:NAME"),
-        ("code/sine.py", "Expected a function 'controller' .* sine"),
+        ("no.py:sine", "no file no.py"),
+        ("code/sine", r"Expected a controller as FILE.py:NAME, got 'code/sine'\. Name a file that ends in \.py"),
+        ("motion.csv", r"got 'motion\.csv'\. Name a file that ends in \.py"),
+        ("code/sine.py", "Expected a function 'controller' .*sine.py, but there is no such name in it.* sine"),
+        ("none.py:f", "Expected a function 'f' in none.py, got None"),
+        ("exits.py:f", r"exits\.py to load, but it raised SystemExit: 3\."),
         ("code/sine.py:number", "got 3"),
         ("broken.py:f", "broken.py to load, but it raised ZeroDivisionError"),
         ("wrong.py:f", "SyntaxError"),
     ],
 )
 def test_files_that_are_no_controllers(folder: Path, place: str, words: str) -> None:
+    (folder / "motion.csv").write_text("t,q1\n", encoding="utf-8")
+    (folder / "none.py").write_text("f = None\n", encoding="utf-8")
+    (folder / "exits.py").write_text("import sys\nsys.exit(3)\n", encoding="utf-8")
     (folder / "broken.py").write_text("1 / 0\n", encoding="utf-8")
     (folder / "wrong.py").write_text("def f(\n", encoding="utf-8")
     with pytest.raises(ConfigError, match=words):

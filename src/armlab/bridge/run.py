@@ -63,15 +63,16 @@ class Run:
     def _lines(self) -> list[str]:
         """Return what there is to say of one arm."""
         s = self.statistics
-        latency = ", ".join(f"{name} {value:.0f}" for name, value in s["latency_us"].items())
         lines = [
             f"Ended: {self.reason}.",
             f"{s['robot']}, RobotWare {s['robotware'] or 'unknown'}, {s['sessions']} sessions, "
             f"period {1e3 * s['period_s']:.3f} ms, {s['seconds']:.2f} s under guidance.",
             f"Packets {s['packets']}, replies {s['replies']}, overtaken {s['overtaken']}, missed {s['missed']}, "
             f"late {s['late']}, commands refused {s['refused']}.",
-            f"Arrival to reply [us]: {latency}.",
         ]
+        if s["replies"]:
+            latency = ", ".join(f"{name} {value:.0f}" for name, value in s["latency_us"].items())
+            lines.append(f"Arrival to reply [us]: {latency}.")
         if s["left_out"]:
             lines.append(f"Left out {s['left_out']} replies: so many messages waited in the robot's queue.")
         drops = ", ".join(f"{number} {kind}" for kind, number in s["drops"].items())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Callable, Mapping
@@ -46,8 +47,8 @@ def run(
         egm://HOST:PORT for a robot, where HOST is an address of this computer, separated by commas for two arms; the
         simulated robot when not given.
     log : str
-        Beginning of the name of the log, to which the time is added; the robot's name in the folder of the settings
-        when not given.
+        Beginning of the name of the log, to which the time is added; or a folder, where it is the robot's name. In the
+        folder of the settings when not given.
     no_log : bool
         Record nothing.
     seconds : float
@@ -115,7 +116,9 @@ def load_controller(place: str) -> tuple[Callable[..., Any], Mapping[str, Any] |
     from armlab.errors import ConfigError
 
     path, name = _file_and_name(place)
-    if path.suffix != ".py" or not path.is_file():
+    if path.suffix != ".py":
+        raise ConfigError(f"Expected a controller as FILE.py:NAME, got {place!r}. Name a file that ends in .py.")
+    if not path.is_file():
         raise ConfigError(f"Expected a controller as FILE.py:NAME, got {place!r}, and there is no file {path}.")
     spec = spec_from_file_location(path.stem, path)
     if spec is None or spec.loader is None:
@@ -124,15 +127,16 @@ def load_controller(place: str) -> tuple[Callable[..., Any], Mapping[str, Any] |
     sys.path.insert(0, str(path.parent.resolve()))
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise ConfigError(f"Expected {path} to load, but it raised {type(error).__name__}: {error}.") from error
     finally:
         sys.path.pop(0)
     found = getattr(module, name, None)
     if not callable(found):
+        got = f"got {found!r}" if hasattr(module, name) else "but there is no such name in it"
         named = [key for key, value in vars(module).items() if callable(value) and not key.startswith("_")]
         raise ConfigError(
-            f"Expected a function {name!r} in {path}, got {found!r}. It has {', '.join(named) or 'no function'}. "
+            f"Expected a function {name!r} in {path}, {got}. It has {', '.join(named) or 'no function'}. "
             "Say which: FILE.py:NAME."
         )
     return found, getattr(module, "extra", None)
@@ -176,7 +180,11 @@ def _base(log: str | None, no_log: bool, robot: str) -> Path | None:
         if log is not None:
             raise ConfigError(f"Expected either --log or --no-log, got both (--log {log}). Leave one out.")
         return None
-    start = str(log_folder() / Path(robot).stem if log is None else log).removesuffix(".mcap")
+    name = Path(robot).stem
+    if log is not None and (log.endswith(os.sep) or Path(log).is_dir()):
+        start = str(Path(log) / name)
+    else:
+        start = str(log_folder() / name if log is None else log).removesuffix(".mcap")
     path = Path(f"{start}-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}.mcap")
     check_output(path, force=True, endings=[".mcap"])  # a second start in this second gets -2 from the recorder
     return path
