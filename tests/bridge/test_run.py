@@ -72,10 +72,16 @@ def test_who_was_served() -> None:
 def test_replies_that_were_left_out_are_in_the_report(play: Any) -> None:
     run = play(lambda peer: peer.rest(), rush, seconds=0.05)
     assert "Left out" not in run.report()
-    assert "Arrival to reply" in run.report()
-    assert "Arrival to reply" not in play(lambda peer: peer.rest(), rush, seconds=0.0).report()
     run.statistics["left_out"] = 3
     assert "Left out 3 replies: so many messages waited in the robot's queue." in run.report()
+
+
+def test_a_run_without_replies_reports_no_times_of_them(play: Any) -> None:
+    run = play(lambda peer: peer.rest(), rush, seconds=0.05)
+    assert "Arrival to reply" in run.report()
+    run.statistics["replies"], run.statistics["latency_us"] = 0, {"p50": float("nan")}
+    assert "Arrival to reply" not in run.report()
+    assert "nan" not in run.report()
 
 
 def test_the_table_and_the_wire_agree_on_clamps(play: Any) -> None:
