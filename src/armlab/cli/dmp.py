@@ -200,6 +200,7 @@ def _plan(
 def _move(robot: Robot, motion: Motion, limits: Limits, links: list[str], log: Path, json: bool) -> int:
     """Walk to the start, run the motion, and say how near the goal it came."""
     from armlab import bridge
+    from armlab.cli import FAILED
     from armlab.cli.dmp_playing import SETTLES, Walk, distance
     from armlab.cli.output import note, print_json, progress, result
 
@@ -215,5 +216,8 @@ def _move(robot: Robot, motion: Motion, limits: Limits, links: list[str], log: P
     else:
         apart = " and ".join(f"{value:.2g} {unit}" for unit, value in off.items())
         result(f"{seconds:.2f} s of motion, ended {apart} from the goal: {reason}")
+    problems = done.statistics["problems"]
+    for problem in problems:
+        note(problem)
     note(f"log: {done.path}")
-    return 1 if controller.reason else 0
+    return FAILED if controller.reason or problems else 0

@@ -59,7 +59,7 @@ def sim(
     Parameters
     ----------
     robot : str
-        Names in the library, one motion task each; or none together with --axes.
+        Names in the library, or robot files, one motion task each; or none together with --axes.
     to : str
         HOST:PORT of the bridge; with several robots one each, separated by commas.
     lockstep : bool
