@@ -120,3 +120,20 @@ def test_bad_tables_are_refused_with_a_sentence(columns: tuple, sentence: str) -
 def test_a_prismatic_flag_per_joint() -> None:
     with pytest.raises(RobotError, match="of robot 'r'"):
         robots.from_dh("r", 0.0, [1.0, 1.0], 0.0, prismatic=[True])
+
+
+def test_limits_that_look_like_degrees_are_doubted() -> None:
+    with pytest.warns(UserWarning, match=r"'r' within four turns, got joint_2 \(-170 to 170 rad\)\. If these are d"):
+        robot = robots.from_dh("r", 0.0, [1.0, 1.0], 0.0, q_min=[-3.0, -170.0], q_max=[3.0, 170.0])
+    assert robot.q_max[1] == 170.0
+    turns = 2.0 * np.pi * np.array([1.1, 4.0, 96.0, np.inf])  # 400 degrees; an ABB wrist; without end
+    robots.from_dh("wide", 0.0, np.ones(4), 0.0, q_min=-turns, q_max=turns)
+    robots.from_dh("slide", 0.0, 1.0, 0.0, prismatic=[True], q_min=[0.0], q_max=[100.0])
+
+
+def test_angles_of_a_table_that_look_like_degrees_are_doubted() -> None:
+    with pytest.warns(UserWarning, match=r"one turn, got alpha of 90 rad in the DH table of 'two links'\. If th"):
+        robots.from_dh("two links", 90.0, [1.0, 1.0], 0.0)
+    with pytest.warns(UserWarning, match="got offset of 180 rad"):
+        robots.from_dh("r", 0.0, [1.0, 1.0], 0.0, [0.0, -180.0])
+    robots.from_dh("r", [2.0 * np.pi, -np.pi], [1.0, 1.0], 0.0, [-np.pi, 2.0 * np.pi])

@@ -155,6 +155,7 @@ def test_a_written_file_is_pleasant_to_read(tmp_path: Path) -> None:
 finite = st.floats(-10, 10)
 positive = st.floats(1e-3, 1e3)
 words = st.text(max_size=20)
+names = words.filter(str.strip)
 
 
 def any_mesh(rng: np.random.Generator, word: str) -> Mesh:
@@ -174,7 +175,7 @@ def any_robot(draw: st.DrawFn) -> Robot:
         "q_min": low,
         "q_max": np.where(np.isfinite(low), low, 0.0) + draw(st.lists(positive, min_size=n, max_size=n)),
         "qd_max": draw(st.lists(positive, min_size=n, max_size=n)),
-        "joint_names": draw(st.lists(words, min_size=n, max_size=n, unique=True)),
+        "joint_names": draw(st.lists(names, min_size=n, max_size=n, unique=True)),
         "gravity": draw(st.sampled_from([(0, 0, -9.80665), (0.1, 9.7, -1 / 3)])),
         "coupling": draw(st.sampled_from([np.eye(n), np.diag([-1 / 101] * n), np.eye(n) + np.tri(n) / 3])),
         "abb_axes": [int(axis) for axis in rng.permutation(n) + 1],
@@ -193,13 +194,14 @@ def any_robot(draw: st.DrawFn) -> Robot:
         details["inertias"] = inertia.from_body(*body)
     if draw(st.booleans()):
         details["meshes"] = [[any_mesh(rng, draw(words)) for _ in range(rng.integers(3))] for _ in range(n + 1)]
-    name = draw(words)
+    name = draw(names)
     if draw(st.booleans()):
         return robots.from_links(name, se3.exp(rng.standard_normal((n + 1, 6))), prismatic, **details)
     table = rng.standard_normal((4, n)) if draw(st.booleans()) else np.deg2rad(rng.integers(-180, 180, (4, n)))
     return robots.from_dh(name, *table, prismatic=prismatic, modified=draw(st.booleans()), **details)
 
 
+@pytest.mark.filterwarnings("ignore:Expected limits of revolute joints")
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(robot=any_robot())
 def test_any_robot_survives_a_round_trip(tmp_path: Path, robot: Robot) -> None:
@@ -226,8 +228,12 @@ def test_any_robot_survives_a_round_trip(tmp_path: Path, robot: Robot) -> None:
             "alpha_deg = 90, alpha = 1.5",
             "one of alpha and alpha_deg, got both in 'shoulder'",
         ),
-        ("alpha_deg = 90", 'alpha_deg = "90"', r"Expected `float`, got `str` - at `\$\.joint\[0\]\.alpha`"),
-        ("limits_deg = [-90, 90]", "limits_deg = [-90]", r"at `\$\.joint\[0\]\.limits`"),
+        ("alpha_deg = 90", 'alpha_deg = "90"', r"Expected `float`, got `str` - at `\$\.joint\[0\]\.alpha_deg`"),
+        ("limits_deg = [-90, 90]", "limits_deg = [-90]", r"of length 2, got 1 - at `\$\.joint\[0\]\.limits_deg`"),
+        ("limits_deg = [-90, 90]", 'limits_deg = ["a", 90]', r"got `str` - at `\$\.joint\[0\]\.limits_deg\[0\]`"),
+        ("limits_deg = [-90, 90]", "limits = [-1.5]", r"at `\$\.joint\[0\]\.limits`"),
+        ('"mine"', '""', "Expected a name in name of robot '', got ''"),
+        ('"elbow"', '" "', "Expected a name in joint_names of robot 'mine', got ' '"),
         ("alpha_deg = 90", 'kind = "sliding"', r"Invalid enum value 'sliding' - at `\$\.joint\[0\]\.kind`"),
         ('{ name = "elbow", ', "{ ", r"missing required field `name` - at `\$\.joint\[1\]`"),
         ("elbow", "shoulder", "Expected 2 different joint_names"),

@@ -239,6 +239,15 @@ def test_read_and_load(tmp_path: Path) -> None:
     assert robots.load(tmp_path / "arm.toml") == robot
 
 
+def test_limits_in_degrees_are_doubted_and_a_wrist_of_more_than_a_turn_is_not() -> None:
+    arm = """<robot name="arm"><link name="a"/><link name="b"/><joint name="turn" type="{}"><parent link="a"/>
+      <child link="b"/><axis xyz="0 0 1"/><limit lower="-{}" upper="{}" velocity="3"/></joint></robot>"""
+    with pytest.warns(UserWarning, match=r"joints of robot 'arm' within four turns, got turn \(-170 to 170 rad\)"):
+        urdf.parse(arm.format("revolute", 170, 170)).chain()
+    for kind, limit in (("revolute", 7.0), ("prismatic", 170), ("continuous", 170), ("revolute", 1e16)):
+        urdf.parse(arm.format(kind, limit, limit)).chain()
+
+
 def test_there_and_back(tmp_path: Path, tree: Tree) -> None:
     """A written URDF read back: frames, limits, bodies and meshes; what was mount and tool is in the links now."""
     robot = (

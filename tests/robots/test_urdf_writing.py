@@ -155,6 +155,4 @@ def test_names_that_xml_cannot_hold_are_refused(tmp_path: Path) -> None:
     robot = robots.load("dh_test")
     with pytest.raises(RobotError, match=r"Expected text that XML can hold in robot 'a\\x00b', got 'a\\x00b'"):
         robots.save(replace(robot, name="a\0b"), tmp_path / "a.urdf")
-    with pytest.raises(RobotError, match="Expected a name for the robot and every joint in URDF"):
-        robots.save(replace(robot, name=""), tmp_path / "a.urdf")
     assert not (tmp_path / "a.urdf").exists()

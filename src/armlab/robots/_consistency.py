@@ -96,11 +96,13 @@ def _check_limits(robot: Robot) -> None:
 
 
 def _check_names(robot: Robot) -> None:
-    """Names are text; one name and one ABB axis per joint, none twice."""
+    """Names are text and not empty; one name and one ABB axis per joint, none twice."""
     for field, words in (("name", [robot.name]), ("source", [robot.source]), ("joint_names", robot.joint_names)):
         for word in words:
             if not isinstance(word, str):
                 raise RobotError(f"Expected text in {field} of robot {robot.name!r}, got {word!r}.")
+            if field != "source" and not word.strip():
+                raise RobotError(f"Expected a name in {field} of robot {robot.name!r}, got {word!r}. Give it one.")
     for field in ("joint_names", "abb_axes"):
         value = getattr(robot, field)
         if len(value) != robot.n or len(set(value)) != robot.n:

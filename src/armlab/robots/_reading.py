@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import Any, Literal
 
 import msgspec
@@ -88,6 +89,7 @@ def read_robot(text: str, path: str) -> Robot:
     ------
     RobotError : when the text is no TOML, has unknown, missing or wrong fields, or describes no consistent robot.
     """
+    fields: dict[str, Any] = {}
     try:
         fields = parsed(text)
         if isinstance(meta := fields.get("meta"), dict) and "kind" in meta:
@@ -97,7 +99,7 @@ def read_robot(text: str, path: str) -> Robot:
         raise RobotError(f"The robot file {path} describes no robot. {error}") from None
     except (ValueError, ArithmeticError, RecursionError) as error:  # no TOML, wrong fields, numbers beyond a float
         raise RobotError(
-            f"Expected a robot file in {path}, got one that cannot be read: {error}. "
+            f"Expected a robot file in {path}, got one that cannot be read: {_as_written(str(error), fields)}. "
             "The page Robot files of the documentation lists the fields."
         ) from None
 
@@ -107,6 +109,14 @@ def _no_robot_file(kind: str) -> str:
     if kind == "kinematic_correction":
         text += " Its robot: armlab.robots.save(armlab.models.load(path).robot, 'arm.toml')."
     return text
+
+
+def _as_written(told: str, fields: dict[str, Any]) -> str:
+    """Return what msgspec tells with the name that the file has, ``limits_deg`` for ``limits``."""
+    place = re.search(r"\$\.joint\[(\d+)\]\.(\w+)", told)
+    if place is None or f"{place[2]}_deg" not in fields["joint"][int(place[1])]:
+        return told
+    return told.replace(place[0], f"{place[0]}_deg")
 
 
 def _in_radians(value: Any) -> Any:

@@ -56,10 +56,6 @@ def _check_text(robot: Robot) -> None:
     for text in (robot.name, robot.source, *robot.joint_names, *files):
         if _NOT_IN_XML.search(text):
             raise RobotError(f"Expected text that XML can hold in robot {robot.name!r}, got {text!r}. Rename it.")
-    if not robot.name or not all(robot.joint_names):
-        raise RobotError(
-            f"Expected a name for the robot and every joint in URDF, got {robot.name!r}, {robot.joint_names}."
-        )
 
 
 def _comment(robot: Robot) -> str:

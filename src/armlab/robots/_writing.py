@@ -87,7 +87,7 @@ def _dh_columns(robot: Robot) -> np.ndarray | None:
     alpha = [_restore(-link[1, 2], link[2, 2]) for link in L[1:]]
     offset = [_restore(-link[0, 1], link[0, 0]) for link in L[:-1]]
     columns = np.array([alpha, L[1:, 0, 3], L[1:, 2, 3], offset])
-    same = np.array_equal(from_dh("", *columns, prismatic=robot.prismatic).links, L)
+    same = np.array_equal(from_dh(robot.name, *columns, prismatic=robot.prismatic).links, L)
     return columns if same else None
 
 

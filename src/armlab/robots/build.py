@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from typing import Any, Literal, TypedDict, Unpack
 
@@ -20,6 +21,9 @@ GRAVITY = (0.0, 0.0, -9.80665)
 
 RAMP_TIME = 0.1
 """Where no acceleration limit is given, the speed limit is reached in this time [s]."""
+
+LIKE_DEGREES = (8.0 * np.pi, 500.0)
+"""Limits between these [rad] are degrees, as a rule: few axes turn four times, and those of ABB that do 96 times."""
 
 
 class Details(TypedDict, total=False):
@@ -66,6 +70,10 @@ def from_links(name: str, links: ArrayLike, prismatic: ArrayLike | None = None, 
     Raises
     ------
     RobotError : when the numbers contradict each other or a detail has an unknown name.
+
+    Warns
+    -----
+    UserWarning : limits of a revolute joint that look like degrees.
     """
     for unknown in details.keys() - Details.__annotations__.keys():
         raise RobotError(
@@ -87,7 +95,7 @@ def from_links(name: str, links: ArrayLike, prismatic: ArrayLike | None = None, 
         raise RobotError(f"Expected prismatic of robot {name!r} ({n} joints) to have shape ({n},), got {slides.shape}.")
     inertias = details.get("inertias")
     home = np.clip(0.0, q_min, q_max) if q_min.shape == q_max.shape == (n,) else np.zeros(n)
-    return Robot(
+    robot = Robot(
         name=name,
         links=links,
         prismatic=slides,
@@ -108,6 +116,8 @@ def from_links(name: str, links: ArrayLike, prismatic: ArrayLike | None = None, 
         inertias=None if inertias is None else given("inertias", ()),
         meshes=listed("meshes", ()),
     )
+    _doubt_limits(robot)
+    return robot
 
 
 def from_dh(
@@ -139,10 +149,18 @@ def from_dh(
     Raises
     ------
     RobotError : when the columns have different lengths, hold NaN, or the numbers contradict each other.
+
+    Warns
+    -----
+    UserWarning : alpha or offset of more than a turn, or limits of a revolute joint, that look like degrees.
     """
     if not isinstance(modified, bool | np.bool_):  # "standard" would count as True
         raise RobotError(f"Expected modified of robot {name!r} to be True or False, got {modified!r}.")
     alpha, a, d, offset = _columns(name, alpha=alpha, a=a, d=d, offset=offset)
+    for key, angles in (("alpha", alpha), ("offset", offset)):
+        if np.abs(angles).max(initial=0.0) > 2.0 * np.pi:
+            got = f"{key} of {np.abs(angles).max():.4g} rad in the DH table of {name!r}"
+            _doubt(f"Expected angles of at most one turn, got {got}")
     along_x = _screw_x(alpha, a)
     links = np.tile(np.eye(4), (len(a) + 1, 1, 1))
     if modified:
@@ -169,6 +187,24 @@ def _columns(name: str, **columns: ArrayLike) -> tuple[np.ndarray, ...]:
     except ValueError:
         sizes = ", ".join(f"{key} {array.size}" for key, array in arrays.items())
         raise RobotError(f"Expected DH columns of one length for robot {name!r}, got {sizes}.") from None
+
+
+def _doubt_limits(robot: Robot) -> None:
+    """Warn of limits that look like degrees."""
+    ends = np.abs(np.stack([robot.q_min, robot.q_max]))
+    peak = np.where(np.isfinite(ends), ends, 0.0).max(axis=0)
+    far = np.flatnonzero(~robot.prismatic & (peak > LIKE_DEGREES[0]) & (peak <= LIKE_DEGREES[1]))
+    if len(far):
+        words = [f"{robot.joint_names[i]} ({robot.q_min[i]:.4g} to {robot.q_max[i]:.4g} rad)" for i in far]
+        _doubt(f"Expected limits of revolute joints of robot {robot.name!r} within four turns, got {', '.join(words)}")
+
+
+def _doubt(what: str) -> None:
+    warnings.warn(
+        f"{what}. If these are degrees, convert them: numpy.deg2rad in Python, names with _deg in a robot file.",
+        UserWarning,
+        stacklevel=4,
+    )
 
 
 def _screw_z(angle: np.ndarray, shift: np.ndarray) -> np.ndarray:
