@@ -83,12 +83,14 @@ def test_it_tells_who_comes_and_who_goes(fleet: Fleet) -> None:
     one = fleet.bridge(UR)
 
     def over() -> bool:
+        fleet.put("armlab/lab1/strange/status", b"5")
         if "lab1/ur5e is there" in told:
             one.close()
-        return "lab1/ur5e is gone" in told
+        return {"lab1/ur5e is gone", "lab1/strange says what cannot be understood"} <= set(told)
 
     watch_fleet(Place(port=fleet.port, lab=EVERY), port=0, opened=told.append, tell=told.append, over=over)
     assert told[0].startswith("http://127.0.0.1:")
+    assert told.count("lab1/strange says what cannot be understood") == 1
 
 
 def test_without_a_router_nothing_is_opened() -> None:

@@ -43,7 +43,8 @@ def watch_fleet(
     ----------
     place : of the router; its `lab` may be `bridge.zenoh.EVERY`.
     port : of the view on this computer; from 8080 on the first that is free when None.
-    opened : told the address to open. tell : told who comes and goes. over : whether to end; asked at each frame.
+    opened : told the address to open. tell : told who comes and goes, and once who says what cannot be understood.
+    over : whether to end; asked at each frame.
 
     Raises
     ------
@@ -55,7 +56,7 @@ def watch_fleet(
         server = start(port)
         try:
             opened(address(server))
-            view, states = FleetView(server, rows), dict[str, str]()
+            view, states, strange = FleetView(server, rows), dict[str, str](), set[str]()
             while not over():
                 began = time.monotonic()
                 rows.hear(_WORDS)
@@ -63,6 +64,9 @@ def watch_fleet(
                     if states.get(name) != robot.state and (robot.rows or robot.state == "gone"):
                         states[name] = robot.state
                         tell(f"{name} is {robot.state}")
+                    if robot.refused and name not in strange:
+                        strange.add(name)
+                        tell(f"{name} says what cannot be understood")
                 if server.get_clients():
                     view.draw()
                 time.sleep(max(began + _FRAME - time.monotonic(), 0.0))

@@ -73,6 +73,27 @@ def test_what_is_too_large_is_not_put_together_and_the_next_message_comes() -> N
         close_session(session)
 
 
+def test_answers_without_end_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("armlab.bridge.zenoh.session._ANSWERS", 100)
+    port = free_port()
+    router, rest = open_session("router", [f"127.0.0.1:{port}"]), list[bool]()
+
+    def answer(query: Any) -> None:
+        with query:
+            for number in range(50):
+                query.reply(f"a/{number}", bytes(30))
+        rest.append(True)
+
+    answering = router.declare_queryable("a/*", answer)
+    asker = open_session("client", connect=[f"127.0.0.1:{port}"])
+    until(lambda: queried(asker, "a/*", 1.0))
+    assert len(queried(asker, "a/*", 5.0)) == 3
+    assert rest
+    assert answering is not None
+    for session in (asker, router):
+        close_session(session)
+
+
 def test_commands_do_not_come_by_a_router_that_listens_at_every_address() -> None:
     port = free_port()
     everywhere = open_session("router", [f"0.0.0.0:{port}"])

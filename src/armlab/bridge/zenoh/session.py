@@ -26,6 +26,7 @@ _ANYWHERE = "0.0.0.0"
 # Bytes of a message that is put together of its parts. The largest of ours, an answer to "about", has three texts of
 # 2**17 of the loop; a router of ours also passes on what programs of others send each other, such as small pictures.
 _LARGEST = 2**20
+_ANSWERS = 2**26  # bytes of all answers to a query: of a thousand bridges a few KiB each
 _UNUSED = "127.0.0.2"  # of this computer; nobody listens there who does not listen at every address
 
 _open: set[Any] = set()
@@ -255,16 +256,20 @@ def data_of(part: Any) -> bytes | None:
 
 
 def queried(session: Any, selector: str, patience: float) -> list[tuple[str, bytes]]:
-    """Return what was answered to a query: keys and bytes.
+    """Return what was answered to a query: keys and bytes; what is more than 64 MiB together is left out.
 
     Parameters
     ----------
     session : open. selector : key. patience : s to wait at most.
     """
-    found = []
+    found, room = [], _ANSWERS
     for reply in session.get(selector, timeout=patience):
         if reply.ok is not None:
-            found.append((str(reply.ok.key_expr), reply.ok.payload.to_bytes()))
+            data = reply.ok.payload.to_bytes()
+            room -= len(data)
+            if room < 0:
+                break
+            found.append((str(reply.ok.key_expr), data))
     return found
 
 
