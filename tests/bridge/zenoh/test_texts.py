@@ -45,6 +45,9 @@ def test_a_few_fields_of_an_arm_are_enough_and_others_are_refused() -> None:
     assert read_about(json.dumps([about(schema=some)]).encode()).schema.size == 88
     with pytest.raises(LinkError, match=r"Expected rows with ur5e.q"):
         read_about(json.dumps([about(schema=some.replace("[6]", "[5]"))]).encode())
+    fields.append(RowField("b.commander", "text", (8,), "1", "", (), "b", 88))
+    with pytest.raises(LinkError, match=r"only commanders of arms are texts, got b.commander"):
+        read_about(json.dumps([about(schema=RowSchema(["ur5e"], fields).text.decode())]).encode())
 
 
 @pytest.mark.parametrize(

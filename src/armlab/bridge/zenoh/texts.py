@@ -98,6 +98,9 @@ def read_about(data: bytes) -> About:
     robots = {name: replace(from_toml(text, f"the bridge of {name}"), name=name) for name, text in about.robots.items()}
     for robot in robots.values():
         schema.require(robot, whole=False)
+    for field in schema.fields.values():  # a text is the name of an arm's commander: by that a `Watch` knows the arms
+        if field.type == "text" and field.name.removesuffix(".commander") not in robots:
+            raise LinkError(f"Expected rows in which only commanders of arms are texts, got {field.name[:60]}.")
     return About([{**said[0], "kind": "about"}, *said[1:]], schema, robots, about.run, about.cell)
 
 
