@@ -49,7 +49,7 @@ FILES = {  # each with the tests that hold it
     f"{BRIDGE}/rights.py": ["bridge/rights", "bridge/rights_distances"],
     f"{BRIDGE}/loop.py": ["bridge/loop_by_hand", "bridge/loop_fails_by_hand", "bridge/arms_by_hand"],
     f"{BRIDGE}/supervision.py": ["bridge/supervision"],
-    f"{BRIDGE}/arm.py": ["bridge/arm", "bridge/arm_by_hand"],
+    f"{BRIDGE}/arm.py": ["bridge/arm", "bridge/arm_by_hand", "bridge/arms_by_hand"],
     f"{BRIDGE}/arms.py": ["bridge/arms"],
     f"{KERNELS}/limits.py": ["kernels/_reference/limits"],
     "native/limits.cpp": ["kernels/_reference/limits"],

@@ -97,8 +97,7 @@ class Arm:
         self._rehearsals, self._arrival = rehearsals, None
         self._details = getattr(codec, "details", None)  # a codec of the user's need not have it
         self._answered: Command | None = None
-        self._given: Command | None = None
-        self._given_age = 0.0
+        self.give(None)
 
     @property
     def may_call(self) -> bool:

@@ -15,7 +15,8 @@ from armlab.wire.egm.linkage import Linkage
 
 __all__ = ["causes", "entry_refusal", "kept", "refusal", "wanted"]
 
-_DOUBLE, _REAL = np.dtype(np.float64), "fiu"  # kinds of numbers; of others a conversion would make some
+_DOUBLE = np.dtype(np.float64)
+_REAL = "f", "i", "u"  # kinds of numbers; of others a conversion would make some
 _NUMBERS = "q", "qd", "tau", "q_ext", "rapid_data"
 
 
