@@ -93,6 +93,9 @@ def test_jumps_missing_limits_and_robots_that_cannot_are_refused(robot: Robot) -
     aside.follow(Command(q_ext=here.q_ext), here, T)
     with pytest.raises(CommandRefused, match=r"axis 2 near the last one sent, -0.2000, got 0.8000"):
         aside.follow(Command(q_ext=here.q_ext + np.array([0.0, 1.0])), here, T)
+    aside.begin()
+    with pytest.raises(CommandRefused, match=r"first position of external axis 1 within 0.05"):
+        aside.follow(Command(q_ext=here.q_ext + 0.08), here, T)
     with pytest.raises(CommandRefused, match=r"external=Limits.of_axes"):
         Aside(None, ABLE).follow(Command(q_ext=here.q_ext), here, T)
     with pytest.raises(CommandRefused, match="cannot send external axes"):
