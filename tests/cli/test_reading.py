@@ -44,6 +44,17 @@ def test_what_cannot_be_true_is_doubted(truth) -> None:
     assert ["motors'" in sentence for sentence in doubts(motors, truth.robot)] == [True]
 
 
+def test_a_torque_that_the_model_does_not_know_is_not_doubted(truth, model) -> None:
+    table = truth.log(identify.dither(truth.robot.q_home, 4.0), seed=5)
+    dead = table.with_column("tau", np.where(np.arange(7) == 6, 0.0, table["tau"]))
+    (said,) = doubts(dead, truth.robot, model)
+    assert "got a constant for axis_6" in said
+    partly = replace(model.quality, rms_cv=np.where(np.arange(7) == 6, np.nan, model.quality.rms_cv))
+    assert doubts(dead, truth.robot, replace(model, quality=partly)) == ()
+    bare = replace(model, quality=replace(model.quality, rms_cv=np.full(7, np.nan)))
+    assert doubts(dead, truth.robot, bare) == (said,)
+
+
 def test_gaps_missing_rows_and_rest_are_no_reason_to_doubt(truth) -> None:
     table = truth.log(identify.dither(truth.robot.q_home, 4.0), seed=5)
     torn = table.rows(np.r_[0:300, 600 : len(table)])

@@ -119,7 +119,7 @@ def estimate(
         tell(0, 2, "where the contact may be")
         believed = _believed(table, arm, method, prior) if found else None
         tell(1, 2, "what can be relied on")
-        verdict = reporting.judge(table, known, estimator.prior, found, doubts(table, arm))
+        verdict = reporting.judge(table, known, estimator.prior, found, doubts(table, arm, known))
         tell(1, 1, "done")
     _say(table, method, tables.places(found, believed), verdict, json)
     if output is not None:

@@ -13,6 +13,7 @@ import numpy as np
 if TYPE_CHECKING:
     from armlab.log import Table
     from armlab.log.description import Progress
+    from armlab.models import TorqueModel
     from armlab.robots import Robot
 
 __all__ = ["doubts", "gaps", "left_out", "read_log", "reading_bar"]
@@ -59,7 +60,7 @@ def read_log(path: Path, robot: Robot) -> Table:
         return with_velocity(read_arm(path, robot, tell))
 
 
-def doubts(table: Table, robot: Robot) -> tuple[str, ...]:
+def doubts(table: Table, robot: Robot, model: TorqueModel | None = None) -> tuple[str, ...]:
     """Return what of a log cannot be true: velocity that is not the slope of position, torques of the motors.
 
     `identify.prepare` refuses such logs. One that is only estimated may rest, so it is looked at where it moves, in its
@@ -68,6 +69,7 @@ def doubts(table: Table, robot: Robot) -> tuple[str, ...]:
     Parameters
     ----------
     table : with q, qd, tau (N, n). robot : the arm.
+    model : that it is estimated with; torques of joints that it was not identified from do not count.
     """
     from armlab.errors import NotExcited, ShapeError
     from armlab.log.plausibility import check_torque, check_velocity, has_moved
@@ -78,12 +80,14 @@ def doubts(table: Table, robot: Robot) -> tuple[str, ...]:
         return ()
     t, q, qd, tau = table.t[rows], table["q"][rows], table["qd"][rows], table["tau"][rows]
     moved = has_moved(q, robot)
+    known = np.isfinite(model.quality.rms_cv) if model is not None else moved
+    measured = moved & known if known.any() else moved
     rate = 1.0 / float(np.median(np.diff(t)))
     slope, speed = (lowpass_offline(x, rate, min(BAND, 0.2 * rate)) for x in (np.gradient(q, t, axis=0), qd))
     found = []
     for check in (
         lambda: check_velocity(slope, speed, moved, robot),
-        lambda: check_torque(q, tau, moved, robot),
+        lambda: check_torque(q, tau, measured, robot),
     ):
         try:
             check()
