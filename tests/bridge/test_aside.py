@@ -77,6 +77,8 @@ def test_values_for_rapid_go_out_once(robot: Robot) -> None:
         (Command(q_ext=np.array([0.3, np.nan])), "finite numbers in Command.q_ext"),
         (Command(q_ext=np.array([17.0, -0.2])), r"axis 1 within 0.05 of where it is, 0.3000, got 17.0000"),
         (Command(q_ext=np.array(["a", "b"])), "numbers in Command.q_ext"),
+        (Command(q_ext=np.array([0.3, 1.0 + 1j])), "numbers in Command.q_ext.*of type complex128"),
+        (Command(rapid_data=["1.0"]), "numbers in Command.rapid_data.*of type <U3"),  # type: ignore[list-item]
         (Command(rapid_data=[1.0] * 41), r"at most 40 numbers in a row in Command.rapid_data, got shape \(41,\)"),
         (Command(rapid_data=[[1.0]]), r"shape \(1, 1\)"),
         (Command(rapid_data=[np.inf]), "finite numbers in Command.rapid_data"),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.bridge.commands import causes, entry_refusal, kept, refusal, wanted
+from armlab.bridge.commands import causes, entry_refusal, kept, numbers, refusal, wanted
 from armlab.errors import CommandRefused
 from armlab.robots import Robot
 from armlab.state import Command
@@ -52,10 +52,10 @@ def test_what_is_no_reference_is_refused(robot: Robot, command: Any, words: str)
 
 @pytest.mark.parametrize("name", ["q", "qd", "tau", "q_ext", "rapid_data"])
 def test_what_is_kept_does_not_change(name: str) -> None:
-    for numbers in (np.zeros(7), [0.0] * 7):
-        given: dict[str, Any] = {name: numbers, "rapid_digital": True, "record": {"x": 1.0}, "ends": True}
+    for values in (np.zeros(7), [0.0] * 7):
+        given: dict[str, Any] = {name: values, "rapid_digital": True, "record": {"x": 1.0}, "ends": True}
         command = kept(Command(**given))
-        numbers[2] = 1.0
+        values[2] = 1.0
         assert command is not None
         np.testing.assert_array_equal(getattr(command, name), np.zeros(7))
         assert (command.rapid_digital, command.record, command.ends) == (True, {"x": 1.0}, True)
@@ -67,6 +67,13 @@ def test_what_is_no_command_is_kept_to_be_refused(robot: Robot) -> None:
     for odd in (3, Command([[1.0], [2.0, 3.0]])):  # type: ignore[list-item]
         with pytest.raises(CommandRefused):
             wanted(kept(odd), robot)  # type: ignore[arg-type]
+
+
+def test_real_numbers() -> None:
+    assert [numbers(values).dtype for values in ([1], [0.5], np.ones(1, "u1"))] == [np.int64, np.float64, np.uint8]
+    for odd in (1j, "1", True, None, np.datetime64(1, "s")):
+        with pytest.raises(TypeError, match="of type "):
+            numbers([odd])
 
 
 def test_the_sentence_names_joint_and_values(robot: Robot) -> None:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from armlab.bridge.commands import numbers
 from armlab.bridge.limits import Limiter, Limits, Reply
 from armlab.errors import CommandRefused
 from armlab.state import Command
@@ -175,7 +176,7 @@ def joined(reply: Reply, beside: Beside | None) -> Reply:
 def _numbers(name: str, values: Any) -> np.ndarray:
     """Return a copy of what a controller gave, in finite numbers."""
     try:
-        array = np.array(values, dtype=np.float64)
+        array = np.array(numbers(values), dtype=np.float64)
     except Exception as error:  # what a controller returned may be anything
         raise CommandRefused(f"Expected numbers in Command.{name}, got {values!r} ({error}).") from error
     if not np.isfinite(array).all():

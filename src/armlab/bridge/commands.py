@@ -13,7 +13,7 @@ from armlab.robots import Robot
 from armlab.state import Command
 from armlab.wire.egm.linkage import Linkage
 
-__all__ = ["causes", "entry_refusal", "kept", "refusal", "wanted"]
+__all__ = ["causes", "entry_refusal", "kept", "numbers", "refusal", "wanted"]
 
 _DOUBLE = np.dtype(np.float64)
 _REAL = "f", "i", "u"  # kinds of numbers; of others a conversion would make some
@@ -45,9 +45,7 @@ def _vector(name: str, values: Any, robot: Robot) -> np.ndarray | None:
     if type(values) is np.ndarray and values.dtype == _DOUBLE and values.shape == (robot.n,):
         return np.ascontiguousarray(values)
     try:
-        array = np.asarray(values)
-        if array.dtype.kind not in _REAL:
-            raise TypeError(f"of type {array.dtype}")
+        array = numbers(values)
     except Exception as error:  # what a controller returned may be anything
         raise CommandRefused(
             f"Expected {robot.n} numbers in Command.{name} for {robot.name}, got {values!r} ({error})."
@@ -58,6 +56,23 @@ def _vector(name: str, values: Any, robot: Robot) -> np.ndarray | None:
             f"Give one value per joint: {', '.join(robot.joint_names)}."
         )
     return np.ascontiguousarray(array, dtype=np.float64)
+
+
+def numbers(values: Any) -> np.ndarray:
+    """Return what a controller gave as an array of real numbers.
+
+    Parameters
+    ----------
+    values : may be anything.
+
+    Raises
+    ------
+    Exception : any that NumPy or the values raise. TypeError : texts, truth values, complex numbers or objects.
+    """
+    array = np.asarray(values)
+    if array.dtype.kind not in _REAL:
+        raise TypeError(f"of type {array.dtype}")
+    return array
 
 
 def kept(command: Command | None) -> Command | None:
