@@ -58,7 +58,8 @@ class Details(TypedDict, total=False):
 def from_links(name: str, links: ArrayLike, prismatic: ArrayLike | None = None, **details: Unpack[Details]) -> Robot:
     """Return the robot whose joints turn about, or slide along, z between constant poses.
 
-    ``T_mount_flange = L_0 Z_1(q_1) L_1 ... Z_n(q_n) L_n``.
+    ``T_mount_flange = L_0 Z_1(q_1) L_1 ... Z_n(q_n) L_n``. Limits of a revolute joint that look like degrees are warned
+    of.
 
     Parameters
     ----------
@@ -70,10 +71,6 @@ def from_links(name: str, links: ArrayLike, prismatic: ArrayLike | None = None, 
     Raises
     ------
     RobotError : when the numbers contradict each other or a detail has an unknown name.
-
-    Warns
-    -----
-    UserWarning : limits of a revolute joint that look like degrees.
     """
     for unknown in details.keys() - Details.__annotations__.keys():
         raise RobotError(
@@ -136,7 +133,7 @@ def from_dh(
     Standard: ``A_j = Rz(theta_j) Tz(d_j) Tx(a_j) Rx(alpha_j)``.
     Modified: ``A_j = Rx(alpha_j) Tx(a_j) Rz(theta_j) Tz(d_j)``; alpha and a are those printed in row j
     (called alpha_{j-1} and a_{j-1} by Craig). ``theta_j = offset_j + q_j``; the position of a prismatic joint adds to
-    d_j instead.
+    d_j instead. Angles of more than a turn, and limits of a revolute joint that look like degrees, are warned of.
 
     Parameters
     ----------
@@ -149,10 +146,6 @@ def from_dh(
     Raises
     ------
     RobotError : when the columns have different lengths, hold NaN, or the numbers contradict each other.
-
-    Warns
-    -----
-    UserWarning : alpha or offset of more than a turn, or limits of a revolute joint, that look like degrees.
     """
     if not isinstance(modified, bool | np.bool_):  # "standard" would count as True
         raise RobotError(f"Expected modified of robot {name!r} to be True or False, got {modified!r}.")
