@@ -42,3 +42,12 @@ def test_what_cannot_be_named_is_refused(tmp_path: Path) -> None:
         targets({"a": Table(np.arange(3.0), {"q": np.zeros((3, 1))})}, tmp_path, ".mat")
     with pytest.raises(ConfigError, match=r"Expected a format among \.mcap"):
         targets({"a": tmp_path / "a.mcap"}, tmp_path, ".docx")
+
+
+def test_a_log_is_never_replaced_by_what_it_becomes(tmp_path: Path) -> None:
+    (tmp_path / "a.mcap").write_bytes(b"rows")
+    (tmp_path / "link").symlink_to(tmp_path)
+    for folder in (tmp_path, tmp_path / "link"):
+        with pytest.raises(ConfigError, match=r"got 1 that are read, first .*a\.mcap\. Name another folder or format"):
+            targets({"a": tmp_path / "a.mcap"}, folder, ".mcap", force=True)
+    assert targets({"a": tmp_path / "a.mcap"}, tmp_path, ".csv", force=True) == {"a": tmp_path / "a.csv"}

@@ -23,7 +23,7 @@ def targets(jobs: Mapping[str, Log], folder: Path, ending: str, mark: str = "", 
 
     Raises
     ------
-    ConfigError : a format that cannot be written, or a file exists already.
+    ConfigError : a format that cannot be written, a file exists already, or is one of the logs, also by force.
     ShapeError : a table, which has no name, or two logs that would become one file.
     """
     if ending not in ENDINGS:
@@ -40,6 +40,11 @@ def targets(jobs: Mapping[str, Log], folder: Path, ending: str, mark: str = "", 
             both = f"{owners[path]} and {name}"
             raise ShapeError(f"Expected logs of different names, got {both}, which would both be {path}. Rename one.")
         found[name], owners[path] = path, name
+    read = {log.resolve() for log in paths.values()}
+    if over := [path for path in found.values() if path.resolve() in read]:
+        raise ConfigError(
+            f"Expected new files, got {len(over)} that are read, first {over[0]}. Name another folder or format."
+        )
     there = [path for path in found.values() if path.exists()]
     if there and not force:
         raise ConfigError(
