@@ -76,3 +76,14 @@ def test_the_ends_of_what_is_allowed_are_within() -> None:
     bench.arbiter._jumps["yumi_left"] = np.abs(q - HOME)
     bench.q_sent["yumi_left"] = HOME
     assert bench() is not None
+
+
+def test_a_sliding_joint_enters_as_near_as_its_arm_takes_it() -> None:
+    """0.02 m: what the arm itself would not take, and hold for, is refused, and the client told."""
+    rail = robots.from_dh(
+        "rail", 0.0, [0.0, 0.3], 0.0, prismatic=[True, False], q_min=[-1, -3], q_max=[1, 3], qd_max=[0.5, 2]
+    )
+    bench = Bench((rail,))
+    assert bench(Order("labcomm a", "rail", rail.q_home + [0.03, 0.0])) is None
+    assert "within 0.02 of the one measured" in bench.answers[0][1]
+    assert bench(Order("labcomm a", "rail", rail.q_home + [0.019, 0.049])) is not None

@@ -225,7 +225,7 @@ class Arbiter:
             axes = self._axes[order.arm]
             q = axes(command.q)
             if holder is None:
-                most = np.full(robot.n, self._entry)
+                most = np.minimum(self._entry, self._jumps[order.arm])  # as of `Limits.of`: sliding joints jump less
                 problem = _distance(q, axes(state.q), most, "first position", "measured", robot, order)
             else:
                 most = self._jumps[order.arm]
