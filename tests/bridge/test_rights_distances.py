@@ -84,6 +84,6 @@ def test_a_sliding_joint_enters_as_near_as_its_arm_takes_it() -> None:
         "rail", 0.0, [0.0, 0.3], 0.0, prismatic=[True, False], q_min=[-1, -3], q_max=[1, 3], qd_max=[0.5, 2]
     )
     bench = Bench((rail,))
-    assert bench(Order("labcomm a", "rail", rail.q_home + [0.03, 0.0])) is None
+    assert bench(Order("labcomm a", "rail", rail.q_home + np.array([0.03, 0.0]))) is None
     assert "within 0.02 of the one measured" in bench.answers[0][1]
-    assert bench(Order("labcomm a", "rail", rail.q_home + [0.019, 0.049])) is not None
+    assert bench(Order("labcomm a", "rail", rail.q_home + np.array([0.019, 0.049]))) is not None
