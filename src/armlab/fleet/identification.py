@@ -15,7 +15,7 @@ from armlab.fleet.logs import Log, as_table, named
 from armlab.fleet.mapping import Progress, each
 from armlab.identify.drafting import Draft
 from armlab.identify.many import LogSums, Pattern, fit_draft, fit_sums, log_sums, same_rate
-from armlab.identify.preparation import check_once, prepare_share
+from armlab.identify.preparation import prepare_share
 from armlab.identify.shapes import Choice, Chooser, Shapes, choose
 from armlab.log import Table
 from armlab.models import TorqueModel
@@ -70,11 +70,12 @@ def identify(
 
     Returns
     -------
-    Identified. A log that cannot be used, or that ended its worker twice, is skipped and named.
+    Identified. A log that cannot be used, that ended its worker twice, or that has the rows of one before it, which
+    says nothing new, is skipped and named.
 
     Raises
     ------
-    LogError : there are no logs, or all were skipped; says why. ShapeError : a log twice, be it under another name.
+    LogError : there are no logs, or all were skipped; says why.
     NotExcited : all logs together do not determine everything, by name.
 
     References
@@ -89,10 +90,10 @@ def identify(
     lost = [name for name in first if name not in done.results]
     if lost:
         raise LogError(f"Expected {lost[0]} to read as before, but: {done.skipped[lost[0]]}")
-    used = list(done.results)
-    check_once((name, sums.source.rpartition(":")[2]) for name, sums in done.results.items())
+    copies = _copies({}, {name: sums.source.rpartition(":")[2] for name, sums in done.results.items()})
+    used = [name for name in done.results if name not in copies]
     fit = fit_sums(draft, pattern, [done.results[name] for name in used], [used.index(name) for name in first])
-    reasons = {**refused, **done.skipped}
+    reasons = {**refused, **done.skipped, **copies}
     skipped = {name: reasons[name] for name in jobs if name in reasons}
     sources = tuple(f"{name} skipped: {reason}" for name, reason in skipped.items())
     fit = replace(fit, value=replace(fit.value, sources=(*fit.value.sources, *sources)))
@@ -135,6 +136,7 @@ class _Tried:
         self._waiting = list(jobs)[::-1]
         self._at_once = 1 if executor is None else min(getattr(executor, "_max_workers", AT_ONCE), AT_ONCE)
         self._known: dict[str, tuple[float, float]] = {}
+        self._rows: dict[str, str] = {}
         self.refused: dict[str, str] = {}
 
     @property
@@ -162,8 +164,9 @@ class _Tried:
                 _try, {name: self._jobs[name] for name in some}, self._robot,
                 executor=self._executor, progress=lambda done, total, what: self._tell(),
             )  # fmt: skip
-            self._known.update(done.results)
-            self.refused.update(done.skipped)
+            copies = _copies(self._rows, {name: sha256 for name, (*_, sha256) in done.results.items()})
+            self._known |= {name: found[:2] for name, found in done.results.items() if name not in copies}
+            self.refused |= {**done.skipped, **copies}
 
 
 def _table(name: str, log: Log, robot: Robot) -> Table:
@@ -174,10 +177,19 @@ def _table(name: str, log: Log, robot: Robot) -> Table:
         raise LogError(f"Expected {name} to read here as it did before, but: {error}") from None
 
 
-def _try(log: Log, robot: Robot) -> tuple[float, float]:
-    """Return the rate [Hz] of a log that can be used, and its last time [s]."""
+def _copies(known: dict[str, str], rows: Mapping[str, str]) -> dict[str, str]:
+    """Return why logs are left out that have the rows of another, by name; `known` has the names by rows (SHA-256)."""
+    return {
+        name: f"its rows are those of {known[sha256]}: counted twice, they would seem to tell more than they do"
+        for name, sha256 in rows.items()
+        if known.setdefault(sha256, name) != name
+    }
+
+
+def _try(log: Log, robot: Robot) -> tuple[float, float, str]:
+    """Return the rate [Hz] of a log that can be used, its last time [s], and the SHA-256 of its rows."""
     table = as_table(log, robot)
-    return prepare_share(table, robot).rate, float(table.t[-1])
+    return prepare_share(table, robot).rate, float(table.t[-1]), table.sha256
 
 
 def _chooser(executor: Executor | None, tell: Progress) -> Chooser:
