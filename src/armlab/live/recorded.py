@@ -16,6 +16,7 @@ from armlab import robots as library
 from armlab.bridge.readiness import obstacle
 from armlab.errors import LogError, ModelMismatchError, RobotError, UnknownName
 from armlab.kinematics import forward
+from armlab.log.recording_metadata import described
 from armlab.robots import Robot
 
 if TYPE_CHECKING:
@@ -244,11 +245,9 @@ def _robot(
         return given[name]
     if name is None and waiting:
         return waiting.pop(0)
-    for file, text in attached.items():  # robot.toml, and robot-2.toml of the other arm
-        if file.startswith("robot") and file.endswith(".toml"):
-            described = library.from_toml(text.decode(), f"{path}, {file}")
-            if described.name == name:
-                return described
+    found = described(attached, name or "", str(path))
+    if found is not None:
+        return found
     try:
         return library.load(name or "")
     except (UnknownName, RobotError):
