@@ -53,6 +53,12 @@ def _listed(texts: Iterable[str]) -> str:
     return ("; " if any("," in text for text in texts) else ", ").join(texts)
 
 
+def _text(words: str) -> nodes.inline:
+    """Return a text with what stands between backticks as code."""
+    parts = enumerate(words.split("`"))
+    return nodes.inline("", "", *(nodes.literal("", part) if k % 2 else nodes.Text(part) for k, part in parts if part))
+
+
 class Faults(SphinxDirective):
     """The table of one kind of fault."""
 
@@ -65,7 +71,7 @@ class Faults(SphinxDirective):
         made = []
         for fault, states, happens, told, recovers, test in rows(self.arguments[0]):
             where = nodes.literal("", re.sub(r"(/|::|_)", "\\1\u200b", test.removeprefix("tests/faults/")))
-            made.append(row([*map(nodes.Text, (fault, states, happens, told, recovers)), where]))
+            made.append(row([*map(_text, (fault, states, happens, told, recovers)), where]))
         whole = table(HEAD, made)
         whole["classes"].append("faults")
         return [whole]
