@@ -170,6 +170,17 @@ held_by(
     ),
 )
 held_by(
+    "tests/bridge/test_loop_by_hand.py::test_a_call_that_hangs_is_told_once_after_a_second",
+    cells(
+        "controller",
+        "never returns",
+        "running",
+        "the guard holds the arm; Ctrl-C breaks the call off and the arm comes to rest",
+        "The controller has not returned for 1 s; …",
+        "Ctrl-C, then the next run",
+    ),
+)
+held_by(
     "tests/bridge/test_broken_codecs.py::test_an_error_outside_the_controller_stops_the_arm_first",
     cells(
         "controller",
