@@ -227,6 +227,14 @@ def test_a_reply_is_left_out_for_a_message_that_stays_in_the_queue(make: Make, c
     np.testing.assert_allclose(steps, 0.0004, atol=1e-12)
 
 
+def test_a_queue_that_stays_deep_is_in_the_events_of_the_run(make: Make) -> None:
+    hands = make(extension=True)
+    for _ in range(300):
+        hands.cycle(queue_depth=44)
+    texts = [text for _, text in hands.arms[0].recording.events]
+    assert sum("44 messages have waited in the controller's receive queue for 1 s" in text for text in texts) == 1
+
+
 def test_the_first_reply_is_a_step_like_the_others(make: Make) -> None:
     hands = make()
     for _ in range(3):

@@ -127,6 +127,18 @@ def test_a_surplus_reply_adds_a_cycle_for_ever() -> None:
     assert peer.controller.statistics.age[2] >= 12
 
 
+@pytest.mark.parametrize(("queue", "age", "told"), [("fifo", 45, 1), ("newest", 1, 0)])
+def test_a_stall_of_the_client_costs_lag_only_first_in_first_out(queue: str, age: int, told: int) -> None:
+    peer = start(queue=queue)
+    peer.cycle(ROBOT.q_home, replies=45)
+    for _ in range(300):
+        peer.cycle(ROBOT.q_home)
+    assert peer.controller.statistics.last_age == age
+    events = [text for text in peer.events if "177 ms late" in text]  # type: ignore[attr-defined]
+    assert len(events) == told
+    assert all("Skip as many replies once" in text for text in events)
+
+
 def test_the_queue_is_bounded() -> None:
     peer = start()
     peer.cycle(ROBOT.q_home, replies=QUEUE_LENGTH + 5)

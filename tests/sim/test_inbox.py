@@ -111,3 +111,32 @@ def test_messages_must_hold_what_the_mode_needs(mode: str, reason: str | None) -
     assert isinstance(found, Drop if reason else SensorMessage)
     assert reason is None or (isinstance(found, Drop) and found.reason == reason)
     assert dict(statistics.mtypes) == {3: 1}
+
+
+def test_a_queue_that_is_never_empty_is_reported_after_a_second() -> None:
+    """A client that was stalled for 44 cycles and answered all packets then lags by 44 cycles from then on."""
+    box, _ = inbox()
+    sentences = []
+    for cycle in range(600):
+        for _ in range(45 if cycle == 0 else 1):
+            box.put(SensorMessage(cycle, None, 3), None)
+        box.take(cycle)
+        sentences.append(box.standing())
+    assert [cycle for cycle, text in enumerate(sentences) if text] == [248]
+    assert "44 messages have waited" in sentences[248]
+    assert "177 ms late" in sentences[248]
+    box.begin()
+    assert not any(box.standing() for _ in range(600)), "a new session has an empty queue"
+
+
+def test_the_newest_message_replaces_all_that_wait() -> None:
+    box, statistics = inbox(queue="newest")
+    for number in range(5):
+        box.put(SensorMessage(number, None, 3), number)
+    message = box.take(5)
+    assert message is not None
+    assert message.seqno == 4
+    assert len(box) == 0
+    assert box.take(6) is None
+    assert statistics.counts["overtaken"] == 4
+    assert statistics.age == {1: 1}

@@ -89,7 +89,7 @@ class Arm:
         self.newest: Turn | None = None
         self._in_lockstep, self._resumes = settings.clock == "robot", settings.resume
         self._fusion = fusion
-        self.surplus = Surplus()
+        self.surplus = Surplus(recording.event)
         self._supervisor = Supervisor(port, session, guide, settings, recording.event)
         self._wall_ns, self._heard_ns, self._robot_ns = wall_ns, time.monotonic_ns(), 0
         self._surpassed: list[Turn] = []
@@ -227,7 +227,7 @@ class Arm:
         """Send a reply. Return its number and when [ns], -1 and -1 when nothing went out."""
         session, packet = self.session, sample.packet
         depth = -1 if self._in_lockstep else packet.queue_depth  # lockstep waits for every reply
-        if session.source is None or self.surplus.leaves_out(depth):
+        if session.source is None or self.surplus.leaves_out(depth, self.period):
             return -1, -1
         tm_ms = 0 if packet.tm_ms is None else packet.tm_ms
         echoes = packet.seqno, packet.robot_mono_ns

@@ -2,7 +2,7 @@
 
 It keeps the order of ABB's cycle (3HAC073318-001, section 2.3): build and send the packet; take at most one message of
 a first-in first-out queue; hold the last reference, speed included, when there is none; move. So the reply to a packet
-acts in the next cycle at the earliest, and a surplus reply adds one cycle of lag for ever.
+acts in the next cycle at the earliest, and a surplus reply adds one cycle of lag for ever: an event after 1 s.
 
 Phases: ``streaming`` (packets say STOPPED) -> ``guiding`` (RUNNING) -> ``failing`` (ERROR, while the arm brakes) ->
 ``paused`` (no packets) -> the next session or ``over``. Motors or RAPID that stop lead from guiding back to streaming.
@@ -36,6 +36,7 @@ _FAILING_TIME = 0.1  # s
 _MCI = {"streaming": 2, "guiding": 3, "failing": 1}
 _NO_DATA = (41822, "No data from the UdpUc device")
 _MISMATCH = (41826, "EGM mode mismatch")
+_SKIP = "Skip as many replies once and send one per packet, or take the newest message with --queue newest."
 
 
 class Controller:
@@ -263,6 +264,8 @@ class Controller:
     def _take(self) -> None:
         """Step 5 of the cycle: the next message, or none and the last reference stays."""
         message = self.inbox.take(self.cycle)
+        if standing := self.inbox.standing():
+            self._event(0, f"{standing} {_SKIP}")
         if message is None:
             self._silent_for += self._stride
             self.statistics.counts["starved"] += self._in_phase > 1  # nothing can have come in the first cycle

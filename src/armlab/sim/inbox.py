@@ -1,4 +1,4 @@
-"""`Inbox`: what the peer sent: matched with the packet it answers, judged, queued first in, first out.
+"""`Inbox`: messages of the peer: matched with the packets they answer, checked and queued.
 
 Replies are matched with packets by the sequence number that the research extension echoes, else by the `tm` of the
 header, else by order. By order is right only for a peer that answers every packet. Several packets of one millisecond
@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from armlab.sim.settings import Settings
 from armlab.sim.statistics import Statistics
 from armlab.wire.egm import Drop, RobotSideCodec, SensorMessage
+from armlab.wire.egm.standing_queue import StandingQueue
 
 __all__ = ["QUEUE_LENGTH", "Inbox", "Sent"]
 
@@ -45,12 +46,13 @@ class Inbox:
     ----------
     codec : of the robot's side.
     statistics : receives what is counted.
-    settings : the mode.
+    settings : the mode, and the order of the queue.
     """
 
     def __init__(self, codec: RobotSideCodec, statistics: Statistics, settings: Settings) -> None:
         self._codec, self._statistics = codec, statistics
         self._field, self._missing, self._wanted = _CONTENT[settings.mode]
+        self._takes_newest, self._period = settings.queue == "newest", settings.period
         self.begin()
 
     def __len__(self) -> int:
@@ -60,6 +62,7 @@ class Inbox:
         """Forget everything: a new session."""
         self._queue: deque[tuple[SensorMessage, int | None]] = deque()
         self._sent: deque[Sent] = deque(maxlen=QUEUE_LENGTH)
+        self._standing = StandingQueue()
         self._ordered = -1  # number of the packet that the last reply without an echo answered
         self._last_seqno: int | None = None
 
@@ -125,7 +128,7 @@ class Inbox:
         return True
 
     def take(self, cycle: int) -> SensorMessage | None:
-        """Return the next message, None when none waits, and note how old it is.
+        """Return the next message, None when none waits, and note how old it is. The newest drops all before it.
 
         Parameters
         ----------
@@ -134,11 +137,18 @@ class Inbox:
         self._statistics.queue[len(self._queue)] += 1
         if not self._queue:
             return None
+        if self._takes_newest:
+            self._statistics.counts["overtaken"] += len(self._queue) - 1
+            self._queue = deque([self._queue[-1]])
         message, asked = self._queue.popleft()
         if asked is not None:
             self._statistics.last_age = cycle - asked
             self._statistics.age[cycle - asked] += 1
         return message
+
+    def standing(self) -> str:
+        """Return a sentence when the queue has not been empty for 1 s, "" otherwise. Call it once per cycle."""
+        return self._standing.after(len(self._queue), self._period)
 
     def _find(self, message: SensorMessage) -> tuple[str, Sent | None]:
         if message.echo_mono_ns or message.echo_seq:

@@ -32,6 +32,7 @@ _RANGES: dict[str, tuple[float, float]] = {
 _CHOICES = {
     "program": ("loop", "once", "stream", "lead-through"),
     "stream_queue": ("drop", "keep"),
+    "queue": ("fifo", "newest"),
     "mode": ("joint", "pose", "path"),
     "activated": (None, "joint", "pose", "path"),
 }
@@ -75,6 +76,9 @@ class Settings:
     stream_queue : str
         What becomes of messages that arrive while the controller only streams: "drop", or "keep" for the guidance
         after it. Which of them a real controller does is not known.
+    queue : str
+        Which of the waiting messages a cycle takes: "fifo" the oldest, as ABB's manual says; "newest" the newest, and
+        drops all others.
     mode : str
         What is guided, and so what messages must hold: "joint" references, a "pose", or corrections of a "path".
     activated : str
@@ -100,6 +104,7 @@ class Settings:
     restart: float = 0.2
     program: Literal["loop", "once", "stream", "lead-through"] = "loop"
     stream_queue: Literal["drop", "keep"] = "drop"
+    queue: Literal["fifo", "newest"] = "fifo"
     mode: Literal["joint", "pose", "path"] = "joint"
     activated: Literal["joint", "pose", "path"] | None = None
 

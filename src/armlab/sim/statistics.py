@@ -35,7 +35,8 @@ class Statistics:
 
     Attributes
     ----------
-    counts : packets, replies, sessions; starved cycles, in which the queue was empty; skipped cycles of this process;
+    counts : packets, replies, sessions; starved cycles, in which the queue was empty; overtaken replies, which a newer
+        one replaced in the queue; skipped cycles of this process;
         overruns: those of them that it skipped because its own computing, not the machine, took longer than a period;
         missed: packets of guidance without a usable reply within one period; duplicates: replies that repeat the
         number of the one before; how replies were matched. drops : datagrams by reason. mtypes : types of messages.
