@@ -38,7 +38,37 @@ def test_a_subscriber_gets_rows_in_its_dialect(bench: Bench) -> None:
     assert second["msg"]["header"] == {"seq": 2, "stamp": {"secs": 5, "nsecs": 250}, "frame_id": ""}
     assert first["msg"]["position"] == bench.loop.robot.q_home.tolist()
     assert first["msg"]["effort"] == [], "never zeros for what is not there"
-    assert third == first
+    assert third == first | {"topic": STATES[1:]}
+
+
+def test_names_without_a_leading_slash_are_resolved_and_echoed_as_asked(bench: Bench) -> None:
+    client = bench.client()
+    for topic in (STATES, STATES[1:]):
+        bench.say(client, op="subscribe", topic=topic)
+    bench.row()
+    assert [one["topic"] for one in bench.heard(client)] == [STATES, STATES[1:]]
+    bench.say(client, op="unsubscribe", topic=STATES[1:])
+    bench.row()
+    assert [one["topic"] for one in bench.heard(client)] == [STATES]
+    bench.say(client, op="subscribe", topic="yumi_left/parameters")
+    assert [one["topic"] for one in bench.heard(client)] == ["yumi_left/parameters"]
+    bench.say(client, op="subscribe", topic=f"/{STATES}")
+    assert "Expected the name of a topic" in bench.heard(client)[0]["msg"], "two slashes are no other spelling"
+
+
+def test_services_without_a_leading_slash_are_answered_as_asked(bench: Bench) -> None:
+    client = bench.client()
+    assert bench.ask(client, "rosapi/topics") == bench.ask(client, "/rosapi/topics")
+    assert bench.ask(client, "rosapi/topic_type", args={"topic": STATES[1:]})["type"] == "sensor_msgs/msg/JointState"
+    asked = {"service": "rosapi/get_time"}
+    assert bench.ask(client, "rosapi/service_type", args=asked)["type"] == "rosapi_msgs/srv/GetTime"
+    call = {"op": "call_service", "service": "rosapi/set_param"}
+    bench.say(client, **call, id="late", args=["gain", "1.0"])
+    bench.engine.turn(bench.now + 10**10)
+    (answer,) = bench.heard(client)
+    assert (answer["service"], answer["id"], answer["result"]) == ("rosapi/set_param", "late", False)
+    bench.say(client, **call, id="wrong", args=["gain", "{"])
+    assert bench.heard(client)[0]["service"] == "rosapi/set_param"
 
 
 def test_what_nobody_says_comes_from_the_configuration(bench: Bench) -> None:

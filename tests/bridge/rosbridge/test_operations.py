@@ -20,6 +20,7 @@ from armlab.bridge.rosbridge.operations import (
     Subscribe,
     Unadvertise,
     Unsubscribe,
+    full_name,
     id_of,
     read_operation,
 )
@@ -53,6 +54,11 @@ def test_golden_operations(text: str, operation: Operation) -> None:
 def test_levels() -> None:
     for level in get_args(Level):
         assert read_operation(json.dumps({"op": "set_level", "level": level})) == SetLevel(level=level)
+
+
+def test_a_missing_leading_slash_is_added() -> None:
+    assert full_name("a/b") == full_name("/a/b") == "/a/b"
+    assert full_name("//a") == "//a", "no other spelling is understood"
 
 
 def test_too_long_and_ids_that_are_none() -> None:

@@ -39,4 +39,4 @@ def test_ids_come_back_when_there_were_any() -> None:
 
 
 def test_settings_that_wait_are_told_apart_by_their_call() -> None:
-    assert Setting("a", "gain", 1.0, 5) != Setting("b", "gain", 1.0, 5)
+    assert Setting("/s", "a", "gain", 1.0, 5) != Setting("/s", "b", "gain", 1.0, 5)

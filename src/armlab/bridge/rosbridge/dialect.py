@@ -89,7 +89,7 @@ def publish(topic: str, message: bytes, dialect: Dialect, seq: int) -> bytes:
 
     Parameters
     ----------
-    topic : its full name. message : see `flat`. dialect : of the client.
+    topic : its name as the client spells it. message : see `flat`. dialect : of the client.
     seq : number of the message, which the headers of ROS 1 carry.
     """
     text, form, packed = message.split(b"\1", 2)

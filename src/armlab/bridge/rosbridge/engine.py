@@ -23,6 +23,7 @@ from armlab.bridge.rosbridge.operations import (
     Subscribe,
     Unadvertise,
     Unsubscribe,
+    full_name,
     id_of,
     read_operation,
 )
@@ -149,7 +150,7 @@ class Engine:
                     f"Expected the loop to set {one.parameter}, but it did not say so within 1 s. Its value is "
                     f"{about['value']!r}, set by {about['who'] or 'nobody'}."
                 )
-                session.response(SET_PARAM, one.id, why, False, now_ns)
+                session.response(one.service, one.id, why, False, now_ns)
 
     def _do(self, session: Session, operation: Operation, now_ns: int) -> None:
         match operation:
@@ -158,14 +159,15 @@ class Engine:
             case Subscribe():
                 self._subscribe(session, operation, now_ns)
             case Unsubscribe():
-                name = _full(operation.topic)
+                name = operation.topic
                 if name in session.subscriptions and session.subscriptions[name].remove(_id(operation)):
                     del session.subscriptions[name]
             case Advertise():
-                self._known(_full(operation.topic), operation.type, self._commands.types, "topic that this cell takes")
-                session.advertised.add(_full(operation.topic))
+                name = full_name(operation.topic)
+                self._known(name, operation.type, self._commands.types, "topic that this cell takes")
+                session.advertised.add(name)
             case Unadvertise():
-                session.advertised.discard(_full(operation.topic))
+                session.advertised.discard(full_name(operation.topic))
             case CallService():
                 self._call(session, operation, now_ns)
             case SetLevel():
@@ -176,9 +178,9 @@ class Engine:
                 pass
 
     def _subscribe(self, session: Session, operation: Subscribe, now_ns: int) -> None:
-        name = _full(operation.topic)
+        name = operation.topic
         types = {topic: one.type for topic, one in self._published.items()}
-        dialect = self._known(name, operation.type, types, "topic")
+        dialect = self._known(full_name(name), operation.type, types, "topic")
         if operation.compression not in (None, "", "none"):
             raise CommandRefused(f"Expected no compression, got {operation.compression[:80]!r}. Plain JSON is sent.")
         if operation.fragment_size is not None:
@@ -187,7 +189,7 @@ class Engine:
         if known is None or known.dialect != dialect:
             known = session.subscriptions[name] = Subscription(name, session.outbox, dialect)
         known.add(_id(operation) or "", operation.throttle_rate or 0.0, operation.queue_length or 0)
-        for published, message in self._encoded.of_parameters(self._loop.parameters, {name}):
+        for published, message in self._encoded.of_parameters(self._loop.parameters, {known.full_name}):
             self._send(published, message, [known], now_ns)
 
     def _known(self, topic: str, type_: str | None, types: Mapping[str, str], what: str) -> Dialect:
@@ -202,7 +204,7 @@ class Engine:
         return dialect
 
     def _take_message(self, session: Session, operation: Publish, now_ns: int) -> None:
-        name, types = _full(operation.topic), self._commands.types
+        name, types = full_name(operation.topic), self._commands.types
         if name not in types:
             raise UnknownName.among("topic that this cell takes", name, types)
         missing = [field for field in fields(types[name]) if field not in operation.msg]
@@ -222,7 +224,7 @@ class Engine:
             dialect = "ros2" if call.type.count("/") == 2 else "ros1"
         try:
             given = self._rosapi.arguments(call.service, call.args)
-            if call.service == SET_PARAM:
+            if full_name(call.service) == SET_PARAM:
                 self._set(session, call, given, now_ns)
                 return
             values, is_done = self._rosapi.answer(call.service, given, dialect), True
@@ -240,7 +242,7 @@ class Engine:
             raise CommandRefused(f"Expected the value of {name} as JSON text, but {error}.") from None
         if len(session.settings) >= _SETTINGS:
             raise CommandRefused(f"Expected at most {_SETTINGS} settings that wait for the loop. Send fewer.")
-        session.settings.append(Setting(call.id, name, value, now_ns + _PATIENCE))
+        session.settings.append(Setting(call.service, call.id, name, value, now_ns + _PATIENCE))
         self._ask_next(session, name, now_ns)
 
     def _ask_next(self, session: Session, parameter: str, now_ns: int) -> None:
@@ -258,7 +260,7 @@ class Engine:
 
     def _settle(self, session: Session, one: Setting, values: Any, is_done: bool, now_ns: int) -> None:
         session.settings.remove(one)
-        session.response(SET_PARAM, one.id, values, is_done, now_ns)
+        session.response(one.service, one.id, values, is_done, now_ns)
         self._ask_next(session, one.parameter, now_ns)
 
     def _confirm(self, session: Session, now_ns: int) -> None:
@@ -280,25 +282,21 @@ class Engine:
     def _publish(self, made: Callable[[Mapping[str, Any]], Any], now_ns: int) -> None:
         wanted: dict[str, list[Subscription]] = {}
         for session in self.sessions.values():
-            for name, one in session.subscriptions.items():
+            for one in session.subscriptions.values():
                 if one.is_due(now_ns):
-                    wanted.setdefault(name, []).append(one)
+                    wanted.setdefault(one.full_name, []).append(one)
         for published, message in made(wanted):
             self._send(published, message, wanted[published.name], now_ns)
 
     def _send(self, published: Published, message: bytes, to: Iterable[Subscription], now_ns: int) -> None:
-        """Send a message (see `flat`) as text, made once for all clients of one dialect."""
+        """Send a message (see `flat`) as text, made once for all clients of one dialect and spelling."""
         self._numbers[published.name] += 1
-        texts: dict[Dialect, bytes] = {}
+        texts: dict[tuple[str, Dialect], bytes] = {}
         for one in to:
-            if one.dialect not in texts:
-                number = self._numbers[published.name]
-                texts[one.dialect] = publish(published.name, message, one.dialect, number)
-            one.offer(texts[one.dialect], now_ns)
-
-
-def _full(topic: str) -> str:
-    return f"/{topic.lstrip('/')}"
+            kind = one.topic, one.dialect
+            if kind not in texts:
+                texts[kind] = publish(one.topic, message, one.dialect, self._numbers[published.name])
+            one.offer(texts[kind], now_ns)
 
 
 def _id(operation: Subscribe | Unsubscribe) -> str | None:

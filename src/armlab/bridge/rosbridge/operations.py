@@ -24,6 +24,7 @@ __all__ = [
     "Subscribe",
     "Unadvertise",
     "Unsubscribe",
+    "full_name",
     "id_of",
     "read_operation",
 ]
@@ -146,6 +147,16 @@ def read_operation(data: bytes | str) -> Operation:
         raise CommandRefused(_why(data, error)) from None
     except UnicodeEncodeError:
         raise CommandRefused("Expected text in Unicode, got half a surrogate pair.") from None
+
+
+def full_name(name: str) -> str:
+    """Return the full name of a topic or service; clients may leave out the leading slash, as roslib 2 does.
+
+    Parameters
+    ----------
+    name : as the client spells it. Answers and messages to it repeat this spelling, by which it finds its callbacks.
+    """
+    return name if name.startswith("/") else f"/{name}"
 
 
 def id_of(data: bytes | str) -> str | int | None:

@@ -9,6 +9,7 @@ from typing import Any
 
 from armlab.bridge.ros import store
 from armlab.bridge.rosbridge.dialect import HEADER, TIME, Dialect, fields, read_type, type_name
+from armlab.bridge.rosbridge.operations import full_name
 from armlab.errors import CommandRefused, UnknownName
 
 __all__ = ["SET_PARAM", "Rosapi", "parameter_name"]
@@ -71,15 +72,16 @@ class Rosapi:
 
         Parameters
         ----------
-        service : full name. given : by name, or in their order.
+        service : its name. given : by name, or in their order.
 
         Raises
         ------
         UnknownName : no such service.
         """
-        if service not in self.services:
+        full = full_name(service)
+        if full not in self.services:
             raise UnknownName.among("service", service[:80], self.services)
-        names = self._made[service.removeprefix("/rosapi/")][1]
+        names = self._made[full.removeprefix("/rosapi/")][1]
         return dict(zip(names, given)) if isinstance(given, list) else given or {}
 
     def answer(self, service: str, arguments: Arguments, dialect: Dialect) -> dict[str, Any]:
@@ -87,20 +89,20 @@ class Rosapi:
 
         Parameters
         ----------
-        service : full name. arguments : see `arguments`. dialect : of types and stamps.
+        service : its name. arguments : see `arguments`. dialect : of types and stamps.
 
         Raises
         ------
         CommandRefused, UnknownName : wrong arguments; a sentence for the client.
         """
-        return self._made[service.removeprefix("/rosapi/")][2](arguments, dialect)
+        return self._made[full_name(service).removeprefix("/rosapi/")][2](arguments, dialect)
 
     def _all_topics(self, given: Arguments, dialect: Dialect) -> dict[str, Any]:
         types = [type_name(type_, dialect) for type_ in self._topics.values()]
         return {"topics": list(self._topics), "types": types}
 
     def _topic_type(self, given: Arguments, dialect: Dialect) -> dict[str, Any]:
-        type_ = self._topics.get(_text(given, "topic"))
+        type_ = self._topics.get(full_name(_text(given, "topic")))
         return {"type": "" if type_ is None else type_name(type_, dialect)}
 
     def _topics_for_type(self, given: Arguments, dialect: Dialect) -> dict[str, Any]:
@@ -110,7 +112,7 @@ class Rosapi:
     def _service_type(self, given: Arguments, dialect: Dialect) -> dict[str, Any]:
         package = "rosapi" if dialect == "ros1" else "rosapi_msgs/srv"
         known = {f"/rosapi/{name}": f"{package}/{type_}" for name, (type_, _, _) in self._made.items()}
-        return {"type": known.get(_text(given, "service"), "")}
+        return {"type": known.get(full_name(_text(given, "service")), "")}
 
     def _get_param(self, given: Arguments, dialect: Dialect) -> dict[str, Any]:
         known, default = self._parameters(), given.get("default")

@@ -22,11 +22,13 @@ class Setting:
 
     Attributes
     ----------
-    id : of the call. parameter, value : what it sets. until_ns : how long to wait.
+    service : name of the service as the client spells it. id : of the call. parameter, value : what it sets.
+    until_ns : how long to wait.
     sequence : of the parameter's last change when the loop was asked; None while an earlier setting of it waits, as
         the loop's answers name the parameter, not the call.
     """
 
+    service: str
     id: str | int | None
     parameter: str
     value: Any
@@ -43,7 +45,7 @@ class Session:
 
     Attributes
     ----------
-    name, may_ask : as given. outbox : what waits for it. subscriptions : by full name of the topic.
+    name, may_ask : as given. outbox : what waits for it. subscriptions : by the topic's name as the client spells it.
     advertised : topics that it said it would publish on. warned : topics of whose messages it was warned.
     settings : that the loop has not answered. level : the least of what it is told.
     """
@@ -73,8 +75,8 @@ class Session:
 
         Parameters
         ----------
-        service, id_ : of the call. values : of the answer, or why not. is_done : whether it is one.
-        now_ns : monotonic clock.
+        service, id_ : of the call, as the client spells them. values : of the answer, or why not.
+        is_done : whether it is one. now_ns : monotonic clock.
         """
         about = {} if id_ is None else {"id": id_}
         message = {"op": "service_response", **about, "service": service, "values": values, "result": is_done}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 
 from armlab.bridge.rosbridge.dialect import Dialect
+from armlab.bridge.rosbridge.operations import full_name
 from armlab.bridge.rosbridge.outbox import Outbox
 
 __all__ = ["Subscription"]
@@ -17,16 +18,16 @@ class Subscription:
 
     Parameters
     ----------
-    topic : its full name. outbox : of the client. dialect : see `dialect.Dialect`.
+    topic : its name as the client spells it. outbox : of the client. dialect : see `dialect.Dialect`.
 
     Attributes
     ----------
-    topic, dialect : as given.
+    topic, dialect : as given. full_name : of the topic.
     """
 
     def __init__(self, topic: str, outbox: Outbox, dialect: Dialect) -> None:
         self.dialect: Dialect = dialect
-        self.topic, self._outbox = topic, outbox
+        self.topic, self.full_name, self._outbox = topic, full_name(topic), outbox
         self._ids: dict[str, tuple[int, int]] = {}
         self._waiting: deque[bytes] = deque()
         self._every_ns = self._most = self._due_ns = 0
