@@ -9,6 +9,11 @@ from armlab.errors import ConfigError, UnknownName
 from armlab.sim.settings import Settings
 
 
+def test_the_period_follows_the_mode_where_none_is_given() -> None:
+    assert [Settings(mode=mode).period for mode in ("joint", "pose", "path")] == [0.004032, 0.004032, 0.024]
+    assert Settings(mode="path", period=0.048).period == 0.048
+
+
 def test_abb_defaults_are_slow_and_converge() -> None:
     settings = Settings.abb_defaults()
     assert settings.max_speed == pytest.approx(np.radians(1.0))
@@ -18,14 +23,14 @@ def test_abb_defaults_are_slow_and_converge() -> None:
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("gain", 21.0), ("filter", 0.0), ("level", 3), ("period", 0.0), ("gain", float("nan")), ("stream", np.inf)],
+    [("gain", 21.0), ("filter", 0.0), ("level", 3), ("period", 5e-5), ("gain", float("nan")), ("stream", np.inf)],
 )
 def test_settings_out_of_range(name: str, value: float) -> None:
     with pytest.raises(ConfigError, match=name):
         Settings(**{name: value})
 
 
-@pytest.mark.parametrize("name", ["program", "stream_queue", "mode", "activated"])
+@pytest.mark.parametrize("name", ["program", "stream_queue", "queue", "mode", "activated"])
 def test_unknown_choices_are_refused(name: str) -> None:
     with pytest.raises(UnknownName, match=f"{name} of the simulated controller"):
         Settings(**{name: "sideways"})  # type: ignore[arg-type]

@@ -26,7 +26,7 @@ from armlab.sim.packets import Condition, Packets
 from armlab.sim.scene import Scene
 from armlab.sim.settings import Settings
 from armlab.sim.statistics import Event, Statistics
-from armlab.sim.target import PATH_PERIOD, Target, has_numbers
+from armlab.sim.target import Target, has_numbers
 from armlab.wire.egm import Drop, RobotSideCodec, SensorMessage
 
 __all__ = ["Controller"]
@@ -81,7 +81,6 @@ class Controller:
         self._drive = arm.drive if isinstance(arm, Arm) else None  # without masses there are no torques
         self._external = ExternalAxes(self._scene.external, settings)
         self.inbox = Inbox(self.packets.codec, self.statistics, settings)
-        self._stride = max(1, round(PATH_PERIOD / settings.period)) if settings.mode == "path" else 1
         self._cycles = {
             "streaming": self._stream,
             "guiding": self._guide,
@@ -227,7 +226,7 @@ class Controller:
             self._guidance.brake()
             self._enter("streaming")
             return
-        if self._takes and self._in_phase % self._stride == 0:
+        if self._takes:
             self._take()
         guidance, target = self._guidance, self._target
         if self.phase != "guiding":
@@ -267,7 +266,7 @@ class Controller:
         if standing := self.inbox.standing():
             self._event(0, f"{standing} {_SKIP}")
         if message is None:
-            self._silent_for += self._stride
+            self._silent_for += 1
             self.statistics.counts["starved"] += self._in_phase > 1  # nothing can have come in the first cycle
             return
         self._silent_for, self._left = 0, len(self.inbox)

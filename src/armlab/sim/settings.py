@@ -38,6 +38,9 @@ _CHOICES = {
 }
 
 
+_PERIODS = {"joint": 0.004032, "pose": 0.004032, "path": 0.024}  # s
+
+
 @dataclass(frozen=True)
 class Settings:
     """What RAPID and the system parameters set on a real controller; the defaults follow our RAPID templates.
@@ -45,7 +48,8 @@ class Settings:
     Attributes
     ----------
     period : float
-        Time between two packets [s]; 4.032 ms on a real controller.
+        Time between two packets, and between two messages taken [s]. 0: 4.032 ms as on a real controller, or 24 ms for
+        path corrections, the default of RAPID's \\SampleRate.
     gain : float
         k, the proportional position gain [1/s].
     filter : float
@@ -89,7 +93,7 @@ class Settings:
     ConfigError : for a value outside its range.
     """
 
-    period: float = 0.004032
+    period: float = 0.0
     gain: float = 5.0
     filter: float = 20.0
     level: int = 1
@@ -109,16 +113,17 @@ class Settings:
     activated: Literal["joint", "pose", "path"] | None = None
 
     def __post_init__(self) -> None:
-        """Check the ranges."""
-        for name, (low, high) in _RANGES.items():
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise ConfigError(f"Expected {name} of the simulated controller in [{low:g}, {high:g}], got {value}.")
+        """Check the ranges, and take the period of the mode where none was given."""
         for name, choices in _CHOICES.items():
             if getattr(self, name) not in choices:
                 raise UnknownName.among(
                     f"{name} of the simulated controller", getattr(self, name), filter(None, choices)
                 )
+        object.__setattr__(self, "period", self.period or _PERIODS[self.mode])
+        for name, (low, high) in _RANGES.items():
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise ConfigError(f"Expected {name} of the simulated controller in [{low:g}, {high:g}], got {value}.")
 
     @property
     def only_streams(self) -> bool:

@@ -1,8 +1,7 @@
 """`Target`: what the peer wants, as joints: from joint references, a pose, or a path correction, and the drive's part.
 
 Pose and path correction exist for tests of codecs: the goal is the posture that inverse kinematics finds from the
-planned one. A path correction shifts the posture at the beginning of guidance by y and z of the tool frame; one is
-taken per 24 ms.
+planned one. A path correction shifts the posture at the beginning of guidance by y and z of the tool frame.
 """
 
 from __future__ import annotations
@@ -14,10 +13,7 @@ from armlab.sim.drive import Drive
 from armlab.sim.settings import Settings
 from armlab.wire.egm import SensorMessage
 
-__all__ = ["PATH_PERIOD", "Target", "has_numbers", "is_number"]
-
-PATH_PERIOD = 0.024
-"""Path corrections act at multiples of this time [s]."""
+__all__ = ["Target", "has_numbers", "is_number"]
 
 _ABSURD = 1e9  # rad, rad/s, m
 _LARGEST_GAIN = 2.0
