@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from armlab.bridge.address import Address, addresses, split_url
+from armlab.bridge.address import Address, addresses, simulator_options, split_url
 from armlab.errors import ConfigError
 
 
@@ -41,6 +41,18 @@ def test_simulated() -> None:
     assert addresses(["sim:///lab/b.toml"], 1)[0].robot == "/lab/b.toml"
     with pytest.raises(ConfigError, match="Expected a link"):
         addresses(["sim://"], 1)
+
+
+def test_only_seeds_of_simulated_robots_may_differ() -> None:
+    def options(*urls: str) -> dict[str, str]:
+        return simulator_options(addresses(urls, len(urls)))
+
+    assert options("sim://a?seed=3&loss=0.1", "sim://b?loss=0.1&seed=4") == {"seed": "3,4", "loss": "0.1"}
+    assert options("sim://a", "sim://b?seed=4", "sim://c") == {"seed": "0,4,0"}
+    assert options("sim://a?seed=4", "sim://b?seed=4") == {"seed": "4"}
+    for urls in (["sim://a?loss=0.1", "sim://b"], ["labcomm://a?seed=1", "labcomm://b?seed=2"]):
+        with pytest.raises(ConfigError, match="Only seeds of simulated robots may differ"):
+            addresses(urls, 2)
 
 
 def test_a_number_of_robots_that_is_not_that_of_the_urls() -> None:

@@ -263,7 +263,7 @@ def test_wrong_pairs() -> None:
         ("sim://yumi_left", pair, "one url per robot, got 1 for 2"),
         (["egm://127.0.0.1:6510"] * 2, pair, "a port per arm"),
         (["sim://yumi_left", "egm://127.0.0.1:0"], pair, "of one kind"),
-        (["sim://yumi_left?seed=1", "sim://yumi_right?seed=2"], pair, "the same options"),
+        (["sim://yumi_left?seed=1&loss=0.1", "sim://yumi_right?seed=2"], pair, "the same options"),
         (["egm://127.0.0.1:0"] * 2, [LEFT, LEFT], "different names"),
     ):
         with pytest.raises(ConfigError, match=words):

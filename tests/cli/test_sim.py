@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -90,6 +91,23 @@ def test_two_robots_of_one_name_are_both_counted(tmp_path: Path) -> None:
     assert list(json.loads(stats.read_text(encoding="utf-8"))) == ["yumi_left 1", "yumi_left 2"]
 
 
+def test_each_robot_may_have_a_seed_of_its_own() -> None:
+    def first_packets(seed: str) -> list[bytes]:
+        with ExitStack() as stack:
+            silent = [stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(2)]
+            for one in silent:
+                one.bind(("127.0.0.1", 0))
+            to = ",".join(f"127.0.0.1:{one.getsockname()[1]}" for one in silent)
+            words = ["sim", "yumi_left", "yumi_right", "--to", to, "--seconds", "0.01", "--extension"]
+            assert cli.main([*words, "--seed", seed]) == 0
+            return [one.recv(65535) for one in silent]
+
+    (left, right), same, (left_again, other) = (first_packets(seed) for seed in ("4", "4,4", "4,5"))
+    assert same == [left, right]
+    assert left_again == left
+    assert other != right
+
+
 def test_abb_defaults_do_not_replace_what_was_given(holding_peer: int, monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[Settings] = []
     original = Settings.__post_init__
@@ -118,6 +136,8 @@ def test_abb_defaults_do_not_replace_what_was_given(holding_peer: int, monkeypat
         (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--hand", "missing.csv"], "missing.csv"),
         (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--mismatch.mass", "2"], "mismatch mass"),
         (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--seed", "-1"], "seed"),
+        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--seed", "1,2"], "--seed"),
+        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--seed", "9" * 5000], "--seed"),
         (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--seconds", "nan"], "seconds"),
         (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--patience", "-1"], "patience"),
         (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--stream", "inf"], "stream"),

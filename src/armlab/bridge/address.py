@@ -8,7 +8,7 @@ from urllib.parse import SplitResult, parse_qsl, unquote, urlsplit
 
 from armlab.errors import ConfigError
 
-__all__ = ["Address", "addresses", "split_url"]
+__all__ = ["Address", "addresses", "simulator_options", "split_url"]
 
 _PORT = 6510  # of one arm
 _PORTS = 6511  # of the first of several: 6511 left, 6512 right
@@ -50,12 +50,31 @@ def addresses(urls: Sequence[str], count: int) -> list[Address]:
     found = [one for url, *numbers in zip(urls, ports, rows, strict=True) for one in _taken_apart(url, *numbers)]
     if len(found) != count:
         raise ConfigError(f"Expected one url per robot, got {len(found)} for {count}: {', '.join(urls)}.")
-    if len({address.scheme for address in found}) > 1 or any(one.options != found[0].options for one in found):
-        raise ConfigError(f"Expected urls of one kind and with the same options in one link, got {', '.join(urls)}.")
+    if len({(address.scheme, *sorted(_shared(address).items())) for address in found}) > 1:
+        raise ConfigError(
+            f"Expected urls of one kind and with the same options in one link, got {', '.join(urls)}. "
+            "Only seeds of simulated robots may differ."
+        )
     bound = [(one.host, one.port) for one in found if one.port and one.scheme != "zenoh"]
     if len(set(bound)) < len(bound):
         raise ConfigError(f"Expected a port per arm, since each motion task needs its own, got {', '.join(urls)}.")
     return found
+
+
+def simulator_options(found: Sequence[Address]) -> dict[str, str]:
+    """Return the options of the one simulator that plays all robots, with a seed for each where they differ.
+
+    Parameters
+    ----------
+    found : as `addresses` returns them, all of the scheme "sim".
+    """
+    seeds = [one.options.get("seed", "0") for one in found]
+    return found[0].options if len(set(seeds)) == 1 else {**found[0].options, "seed": ",".join(seeds)}
+
+
+def _shared(address: Address) -> dict[str, str]:
+    """Return the options in which all urls of a link must agree."""
+    return {name: value for name, value in address.options.items() if (address.scheme, name) != ("sim", "seed")}
 
 
 def split_url(url: str) -> SplitResult:

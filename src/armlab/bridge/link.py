@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from armlab.bridge.address import addresses
+from armlab.bridge.address import addresses, simulator_options
 from armlab.bridge.assembly import End, assemble, checked_limits, finished
 from armlab.bridge.codecs import codecs_of
 from armlab.bridge.conditions import LOOP_PRIORITY, interrupts, priority, quiet_memory, short_switches
@@ -54,8 +54,8 @@ def connect(
     ----------
     url : ``egm://127.0.0.1:6510`` listens there for a robot's controller. ``sim://yumi_right`` starts that simulated
         robot and stops it with the link; ``?seed=1&lockstep=true`` are options of ``armlab sim``. Several arms have
-        one url each, or ``sim://yumi_left+yumi_right``; ``sim://mine.toml`` simulates what a file describes. Without
-        a number the port is 6510, of several 6511, 6512, ...
+        one url each, of which only the seeds may differ, or ``sim://yumi_left+yumi_right``; ``sim://mine.toml``
+        simulates what a file describes. Without a number the port is 6510, of several 6511, 6512, ...
         ``labcomm://host:7511`` goes to a LabComm server whose bridge has the robot; ``?order=chain&dialect=2014`` say
         how its port is set. ``zenoh://host:7447/lab`` goes to a bridge that serves Zenoh, or to a router that knows
         it; ``?ca=lab.pem&secret=commander.secret`` are its certificate and our password.
@@ -101,7 +101,9 @@ def connect(
             opened.callback(ends[-1].close)
         simulator = None
         if is_simulated:
-            simulator = Simulator([one.robot for one in where], [end.port.port for end in ends], where[0].options)
+            simulator = Simulator(
+                [one.robot for one in where], [end.port.port for end in ends], simulator_options(where)
+            )
             opened.callback(simulator.stop)
             settings = replace(settings, alive=simulator.gone)
         offering = Offering(robots, offer) if offer else None

@@ -36,7 +36,7 @@ def sim(
     *robot: str,
     to: str,
     lockstep: bool = False,
-    seed: int = 0,
+    seed: str = "0",
     seconds: float | None = None,
     extension: bool = False,
     phase: float = 0.0,
@@ -64,8 +64,8 @@ def sim(
         HOST:PORT of the bridge; with several robots one each, separated by commas.
     lockstep : bool
         Wait for each reply and run as fast as the peer; the same seed gives the same bytes.
-    seed : int
-        Seed of noise, faults and the random hand.
+    seed : str
+        Seed of noise, faults and the random hand; with several robots also one each, separated by commas.
     seconds : float
         Robot time after which to end [s]; without it until Ctrl-C.
     extension : bool
@@ -107,8 +107,6 @@ def sim(
     os.environ.setdefault("MUJOCO_GL", "disable")  # nothing is drawn: MuJoCo need not load what opens windows
     parent = os.getppid() if parent is None else parent  # now, before anything takes time in which it could end
     pace = Pace(lockstep, seconds, patience)
-    if seed < 0:
-        raise ConfigError(f"Expected a seed of at least 0, got {seed}.")
     if not 0.0 <= phase < math.inf:
         raise ConfigError(f"Expected a phase of at least 0 s, got {phase:g}.")
     if abb_defaults:
@@ -121,11 +119,12 @@ def sim(
         raise ConfigError(f"Expected robots and as many addresses in --to, got {len(names)} and {len(addresses)}.")
     if truth is not None and len(names) > 1:
         raise ConfigError(f"Expected one robot together with --truth, got {len(names)}. Start one simulator per robot.")
+    seeds = _seeds(seed, len(names))
     with ExitStack() as opened:
         channels: list[Channel] = []
         for i, (name, address) in enumerate(zip(names, addresses)):
             with deferred():  # MuJoCo loads here
-                channels.append(cell.channel(name, address, i, [seed, i]))
+                channels.append(cell.channel(name, address, i, [seeds[i], i]))
             opened.callback(channels[-1].close)
         summary, exact = (path and opened.enter_context(Written(path)) for path in (stats, truth))
         observe = truth_writer(exact, channels[0].controller) if exact else None
@@ -152,6 +151,14 @@ def _with_abb_defaults(settings: Settings) -> Settings:
     return replace(
         settings, **{name: getattr(careless, name) for name in names if getattr(settings, name) == getattr(ours, name)}
     )
+
+
+def _seeds(seed: str, count: int) -> list[int]:
+    """Return the seed of each robot."""
+    words = [word.strip() for word in seed.split(",")]
+    if len(words) not in (1, count) or not all(word.isascii() and word.isdigit() and len(word) < 20 for word in words):
+        raise ConfigError(f"Expected --seed as one whole number of at least 0, or one per robot, got {seed!r}.")
+    return [int(word) for word in words] * (count // len(words))
 
 
 def _addresses(to: str) -> list[tuple[str, int]]:
