@@ -203,9 +203,7 @@ def _node(program: str) -> Callable[[int], list[str]]:
 
 
 def _dds(reader: Callable[[int], list[str]]) -> Way:
-    from armlab.bridge.ros.dds_domain import configuration
-
-    settings = {"CYCLONEDDS_URI": configuration("127.0.0.1")}
+    settings = {"CYCLONEDDS_URI": f"file://{PEERS}/loopback.xml"}
     writer = [sys.executable, str(HERE / "path_dds.py"), "write", str(_domain())]
     return Way("ros2", f"domain = {_domain()}", reader, settings, writer)
 

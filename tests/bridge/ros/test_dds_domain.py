@@ -32,12 +32,14 @@ def test_settings_of_this_computer_and_of_a_network() -> None:
     assert interface.attrib == {"address": "127.0.0.1", "multicast": "false"}
     assert local.findtext(".//AllowMulticast") == "false"
     assert local.find(".//Peer[@address='127.0.0.1']") is not None
+    assert local.findtext(".//InitialLocatorPruneDelay") == "inf", "nodes may start at any time"
     lab = ElementTree.fromstring(configuration("192.168.1.5"))
     interface = lab.find(".//NetworkInterface")
     assert interface is not None
     assert interface.attrib == {"address": "192.168.1.5"}
     assert lab.findtext(".//AllowMulticast") == "spdp"
     assert lab.find(".//Peer") is None
+    assert lab.find(".//InitialLocatorPruneDelay") is None
 
 
 def test_sockets_open_to_all_are_tied_to_this_computer(monkeypatch: pytest.MonkeyPatch) -> None:

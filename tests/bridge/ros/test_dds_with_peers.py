@@ -31,8 +31,6 @@ from .ending import play
 
 pytest.importorskip("cyclonedds", reason="the extra ros is not installed")
 
-from armlab.bridge.ros.dds_domain import configuration
-
 pytestmark = pytest.mark.slow
 
 SOURCES = Path(__file__).parent / "peers"
@@ -82,10 +80,12 @@ def node(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
 class Peer:
     """A running node: what it read is known when it has ended."""
 
-    def __init__(self, command: list[str], folder: Path, domain: int, count: int, first: int, last: int) -> None:
+    def __init__(
+        self, command: list[str], folder: Path, domain: int, count: int, first: int, last: int, *more: str
+    ) -> None:
         self.out, self.err = folder / f"{time.monotonic_ns()}.out", folder / f"{time.monotonic_ns()}.err"
-        environment = {**os.environ, "CYCLONEDDS_URI": configuration("127.0.0.1")}
-        words = [*command, *map(str, (domain, count, first, last))]
+        environment = {**os.environ, "CYCLONEDDS_URI": f"file://{SOURCES}/loopback.xml"}
+        words = [*command, *map(str, (domain, count, first, last, *more))]
         with self.out.open("wb") as out, self.err.open("wb") as err:
             self.process = subprocess.Popen(words, stdout=out, stderr=err, env=environment)
 
@@ -166,6 +166,19 @@ def test_a_node_reads_every_message_and_commands(node: list[str], tmp_path: Path
     assert len(stream.commands) > 100
     assert all(np.array_equal(qd, [0.05] * 7) for qd in stream.commands)
     assert any(client.startswith("ros2 ") for client in stream.exchange.arbiter.obeyed["yumi_left"])
+
+
+def test_a_fast_dds_node_without_a_profile_finds_a_bridge_that_has_run_for_a_minute(tmp_path: Path) -> None:
+    """The settings of `rmw_fastrtps_cpp`. A second node finds the bridge after the first has left. Takes 75 s."""
+    command = _fast(tmp_path)
+    with Stream() as stream:
+        time.sleep(60.0)
+        for _ in range(2):
+            before = len(stream.commands)
+            lines = Peer(command, tmp_path, stream.domain, 1000, 200, 700, "default").ended()
+            assert len(lines["J"]) >= 1000
+            assert len(stream.commands) > before + 100
+            time.sleep(3.0)
 
 
 def test_a_reader_that_stops_and_one_that_dies_disturb_nobody(node: list[str], tmp_path: Path) -> None:

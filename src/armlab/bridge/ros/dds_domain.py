@@ -21,8 +21,9 @@ _LOOPBACK = b"lo"
 def configuration(host: str) -> str:
     """Return the settings of Cyclone DDS as XML: where it speaks, and how others are found.
 
-    On this computer participants are told each other's ports one by one, every 2 s, so that a node that asks by
-    multicast on its network finds us too. On a network they are found by multicast.
+    On this computer the bridge announces itself to each port of 127.0.0.1 every 2 s, so that a node with multicast
+    discovery also finds it. Cyclone DDS would drop ports that do not answer for 30 s, and with them every node started
+    later. On a network participants are found by multicast.
 
     Parameters
     ----------
@@ -32,6 +33,7 @@ def configuration(host: str) -> str:
         found = (
             f"<Peers><Peer address='127.0.0.1'/></Peers><MaxAutoParticipantIndex>{_PARTICIPANTS}"
             "</MaxAutoParticipantIndex><SPDPInterval>2 s</SPDPInterval>"
+            "<InitialLocatorPruneDelay>inf</InitialLocatorPruneDelay>"
         )
         interface, multicast = "<NetworkInterface address='127.0.0.1' multicast='false'/>", "false"
     else:

@@ -1,4 +1,5 @@
-// A node in C++ with Fast DDS: DOMAIN COUNT FROM TO; see cyclone.c. It speaks on 127.0.0.1 only.
+// A node in C++ with Fast DDS: DOMAIN COUNT FROM TO [default]; see cyclone.c. It uses 127.0.0.1 only; with "default" it
+// has the settings of a program without a profile, as rmw_fastrtps_cpp has.
 #include <atomic>
 #include <chrono>
 #include <cstdio>
@@ -71,11 +72,12 @@ static DomainParticipantQos on_this_computer(int domain) {
 }
 
 int main(int argc, char** argv) {
-  if (argc != 5) return 2;
+  const bool is_default = argc == 6 && std::string(argv[5]) == "default";
+  if (argc != 5 && !is_default) return 2;
   const int domain = std::atoi(argv[1]);
   const long count = std::atol(argv[2]), from = std::atol(argv[3]), to = std::atol(argv[4]);
-  DomainParticipant* node =
-      DomainParticipantFactory::get_instance()->create_participant(domain, on_this_computer(domain));
+  DomainParticipant* node = DomainParticipantFactory::get_instance()->create_participant(
+      domain, is_default ? PARTICIPANT_QOS_DEFAULT : on_this_computer(domain));
   if (node == nullptr) return 3;
   TypeSupport states(new sensor_msgs::msg::dds_::JointState_PubSubType());
   TypeSupport wrenches(new geometry_msgs::msg::dds_::WrenchStamped_PubSubType());
