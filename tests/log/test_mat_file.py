@@ -89,16 +89,11 @@ def attempt(path: Path, data: bytes) -> bool:
     return True
 
 
-def test_version_5_cut_at_every_byte_and_with_wrong_ones(tmp_path: Path) -> None:
+def test_version_5_cut_at_every_byte(tmp_path: Path) -> None:
     savemat(tmp_path / "whole.mat", {"T": np.eye(4)})
     data = (tmp_path / "whole.mat").read_bytes()
     read = [attempt(tmp_path / "cut.mat", data[:n]) for n in range(len(data))]
     assert not any(read)
-    rng = np.random.default_rng(0)
-    for _ in range(200):
-        spoilt = bytearray(data)
-        spoilt[rng.integers(0, len(data))] = rng.integers(0, 256)
-        attempt(tmp_path / "spoilt.mat", bytes(spoilt))
 
 
 def test_version_73_cut_and_with_wrong_bytes(tmp_path: Path) -> None:

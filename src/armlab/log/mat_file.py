@@ -1,11 +1,10 @@
-"""Arrays from MATLAB files: v5 to v7.2 by SciPy, v7.3, which is HDF5, by h5py. Arrays come as MATLAB shows them.
+"""Arrays from MATLAB files: v5 to v7.2 by `mat5`, v7.3, which is HDF5, by h5py. Arrays come as MATLAB shows them.
 
 HDF5 keeps MATLAB's columns as rows: every array of a v7.3 file is transposed on reading.
 """
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ import numpy as np
 
 from armlab.errors import LogError, UnknownName
 from armlab.log.extras import needed
+from armlab.log.mat5 import variables_in
 
 __all__ = ["read_mat", "read_variables"]
 
@@ -73,15 +73,11 @@ def read_variables(path: Path) -> tuple[dict[str, np.ndarray], list[str]]:
 
 
 def _version_5(path: Path) -> dict[str, np.ndarray | None]:
-    from scipy.io import loadmat
-
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # a damaged file is told by an error, or reads as another one
-            found: dict[str, Any] = loadmat(path)
-            return {name: _array(value) for name, value in found.items() if not name.startswith("__")}
-    except Exception as error:  # SciPy raises what its parser happens to meet in a damaged file
+        found = variables_in(path.read_bytes())
+    except (LogError, ValueError, OverflowError) as error:  # sizes that do not fit each other, letters that are none
         raise _damaged(path, error) from None
+    return {name: value for name, value in found.items() if name and not name.startswith("__")}
 
 
 def _hdf5(path: Path) -> dict[str, np.ndarray | None]:
@@ -97,28 +93,13 @@ def _dataset(item: Any, h5py: Any) -> np.ndarray | None:
     """Return an array of version 7.3 as MATLAB shows it."""
     if not isinstance(item, h5py.Dataset) or "MATLAB_empty" in item.attrs:
         return None
-    array = _array(item[()])
-    if array is not None and item.attrs.get("MATLAB_class", b"double") == b"char":
+    array = item[()]
+    if not isinstance(array, np.ndarray) or array.dtype.kind not in "biuf":
+        return None
+    if item.attrs.get("MATLAB_class", b"double") == b"char":
         codes = array.T.astype("<u2")
         return np.array([[codes.tobytes().decode("utf-16-le")]]) if len(codes) == 1 else None
-    return None if array is None else array.T.copy()
-
-
-def _array(value: Any) -> np.ndarray | None:
-    """Return numbers as they are, a text or a cell of texts as an array of text; None for anything else."""
-    if not isinstance(value, np.ndarray) or value.dtype.kind in "biuf":
-        return value if isinstance(value, np.ndarray) else None
-    if value.dtype.kind == "U":
-        return value.reshape(1, 1) if value.size == 1 else None
-    texts = value.ravel().tolist() if value.dtype == object else [None]
-    words = [_word(text) for text in texts]
-    return None if None in words else np.array(words, dtype=np.str_).reshape(value.shape)
-
-
-def _word(cell: Any) -> str | None:
-    """Return the text in a cell; None where it holds something else."""
-    is_text = isinstance(cell, np.ndarray) and cell.dtype.kind == "U" and cell.size <= 1
-    return "".join(cell.ravel().tolist()) if is_text else None
+    return array.T.copy()
 
 
 def _damaged(path: Path, error: Exception) -> LogError:
