@@ -22,8 +22,19 @@ def test_tables() -> None:
         ("[[a]]\nb = {c = [-1" + "0" * 400 + "]}", "an integer of 1329 bits"),
         ("a = " + "1" * 5000, "4300 digits"),
         ("a = " + "[" * 5000 + "]" * 5000, "recursion"),
+        (".".join("a" * 17) + " = 1", "a dotted key of more than 16 names"),
+        ("[" + ".".join(["'a.'", '"\\".#"'] * 9) + "]", "a dotted key of more than 16 names"),
+        ("x = { " + " . ".join("a" * 17) + " = 1}", "a dotted key of more than 16 names"),
+        ("#" + "a" * (1 << 20), "1048577 characters"),
     ],
 )
 def test_what_is_no_toml(text: str, told: str) -> None:
     with pytest.raises(TomlError, match=told):
         parsed(text)
+
+
+def test_dots_that_name_nothing() -> None:
+    """Only keys count: not texts, comments and numbers."""
+    dots = "a." * 40
+    text = f'x = \'{dots}\' # {dots}\ny = """\n{dots}"""\nz = [{"1.5, " * 40}]\n' + ".".join("a" * 16) + " = 1"
+    assert parsed(text)["x"] == dots

@@ -1,13 +1,21 @@
-"""TOML of users: whatever is wrong with a text is told as one error."""
+"""TOML of users: one error for everything that can be wrong with a text, and bounds before Python's parser sees it."""
 
 from __future__ import annotations
 
+import re
 import tomllib
 from typing import Any
 
 __all__ = ["TomlError", "parsed"]
 
 _LARGEST = 2**63
+_LONGEST = 1 << 20  # characters; a robot has 5 kB, the description of a log with 1000 columns 100 kB
+_DEEPEST = 16  # names in a dotted key; the parser takes the square of it in time
+_QUOTED = re.compile(
+    r'"""(?:[^"\\]|\\.|"(?!""))*+(?:""")?|\'\'\'.*?(?:\'\'\'|\Z)|"(?:[^"\\\n]|\\.)*+"?|\'[^\'\n]*+\'?|#[^\n]*+',
+    re.DOTALL,
+)
+_DEEP = re.compile(rf"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){{{_DEEPEST}}}")
 
 
 class TomlError(ValueError):
@@ -17,19 +25,27 @@ class TomlError(ValueError):
 def parsed(text: str) -> dict[str, Any]:
     """Return the tables of a TOML text.
 
-    The parser of Python takes integers of any length, up to those for which it raises something else, and nests as
-    deep as Python may.
+    Python's parser accepts integers of any length, nests as deep as Python allows, and takes quadratic time for dotted
+    keys.
 
     Raises
     ------
-    TomlError : no TOML, nested too deep, an integer beyond 64 bits.
+    TomlError : not TOML, nested too deep, an integer beyond 64 bits, a text beyond 1 MiB.
     """
     try:
+        _check_size(text)
         tables = tomllib.loads(text)
         _check(tables)
     except (ValueError, RecursionError) as error:
         raise TomlError(str(error)) from None
     return tables
+
+
+def _check_size(text: str) -> None:
+    if len(text) > _LONGEST:
+        raise ValueError(f"a text of {len(text)} characters, more than {_LONGEST}")
+    if text.count(".") >= _DEEPEST and _DEEP.search(_QUOTED.sub("_", text)):
+        raise ValueError(f"a dotted key of more than {_DEEPEST} names")
 
 
 def _check(value: Any) -> None:

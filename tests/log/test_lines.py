@@ -88,12 +88,19 @@ def test_what_unpacks_to_far_more_than_its_size_is_refused(
     path = put(tmp_path / "log", text, packed=True)
     with (
         memory(most * SOME),
-        pytest.raises(LogError, match=rf"Expected at most {SOME} bytes of text in .*, 200 times its size.* gunzip"),
+        pytest.raises(LogError, match=rf"Expected at most {SOME} bytes of text, 200 times its size, .* gunzip"),
     ):
         log.read_csv(path, rate=250.0)
     assert len(log.read_csv(put(path, text), rate=250.0)) == SOME
     monkeypatch.setattr("armlab.log.lines._UNPACKED", len(text))
     assert len(log.read_csv(put(path, text, packed=True), rate=250.0)) == SOME
+
+
+def test_more_lines_than_bytes_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("armlab.log.lines._LINES", 1000)
+    path = put(tmp_path / "log", b"x\n" + b"1\n" * 1000, packed=True)
+    with pytest.raises(LogError, match=r"and 1000 lines in .*log, got more\. If you trust it"):
+        log.read_csv(path, rate=250.0)
 
 
 def test_an_arm_that_stands_still_is_no_bomb(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

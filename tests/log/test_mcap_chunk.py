@@ -10,7 +10,7 @@ import pytest
 import zstandard
 
 from armlab.errors import LogError
-from armlab.log.mcap_chunk import Chunk, end_of_blocks, unpacked
+from armlab.log.mcap_chunk import Chunk, end_of_blocks, most_unpacked, unpacked
 
 DATA = b"records " * 500
 
@@ -38,6 +38,14 @@ def test_sizes_are_checked_before_memory_is_taken() -> None:
         unpacked(memoryview(bomb), chunk(bomb, "zstd"))
     with pytest.raises(LogError, match="at most"):
         unpacked(memoryview(bomb), chunk(bomb, "zstd", size=1 << 60))
+
+
+def test_a_file_may_unpack_to_200_times_its_size() -> None:
+    assert most_unpacked(100) == 1 << 24
+    assert most_unpacked(1 << 20) == 200 << 20
+    bomb = zstandard.ZstdCompressor().compress(bytes(1 << 25))
+    with pytest.raises(LogError, match="at most 16777216 bytes at byte 7, got 33554432"):
+        unpacked(memoryview(bomb), chunk(bomb, "zstd", size=1 << 25, crc=0))
 
 
 def test_damage_and_unknown_compression() -> None:

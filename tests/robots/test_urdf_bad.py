@@ -180,7 +180,7 @@ def test_depth_is_bounded() -> None:
 
 def test_long_and_wide_trees() -> None:
     """Nothing is recursive, nothing quadratic that shows."""
-    n = 3000
+    n = 1990
     links = "".join(f'<link name="l{i}"/>' for i in range(n))
     long = "".join(LOOSE.format(f"l{i}", f"l{i + 1}").replace('"j"', f'"j{i}"') for i in range(n - 2))
     wide = "".join(LOOSE.format("l0", f"l{i + 1}").replace('"j"', f'"j{i}"') for i in range(n - 2))
@@ -188,6 +188,16 @@ def test_long_and_wide_trees() -> None:
     for joints in (long, wide):
         robot = urdf.parse(f'<robot name="r">{links}{joints}{last}</robot>').chain()
         assert robot.n == 1
+
+
+@pytest.mark.parametrize(("links", "moving", "words"), [(2001, 1, "at most 2000 links"), (40, 33, "at most 32 joints")])
+def test_more_parts_than_any_robot_has(links: int, moving: int, words: str) -> None:
+    parts = "".join(f'<link name="l{i}"/>' for i in range(links))
+    for i in range(links - 1):
+        kind = "continuous" if i < moving else "fixed"
+        parts += LOOSE.format(f"l{i}", f"l{i + 1}").replace('"j"', f'"j{i}"').replace("fixed", kind)
+    with pytest.raises(RobotError, match=words):
+        urdf.parse(f'<robot name="r">{parts}</robot>').chain(tip=f"l{links - 1}")
 
 
 def survives(text: str | bytes) -> None:

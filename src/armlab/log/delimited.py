@@ -266,7 +266,7 @@ def _numbers(path: Path, name: str, texts: Sequence[str], skip: int) -> np.ndarr
         return _whole_numbers(texts, array) if (np.abs(array) >= _EXACT).any() else array
     except ValueError:
         for row, text in enumerate(texts):
-            if DECIMAL_COMMA.match(text.strip()):
+            if "," in text and DECIMAL_COMMA.match(text.strip()):
                 raise LogError(
                     f"Expected a decimal point in the column {name!r} of {path}, got {text.strip()!r} in line "
                     f"{row + skip + 2}. Export with points."
@@ -283,7 +283,7 @@ def _whole_numbers(texts: Sequence[str], array: np.ndarray) -> np.ndarray:
 
 def _is_number(text: str) -> bool:
     try:
-        np.array(text.strip() or "nan", dtype=float)
+        float(text.strip() or "nan")
     except ValueError:
         return False
     return True

@@ -7,9 +7,9 @@ import gzip
 import io
 import zlib
 from collections.abc import Iterator
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO, cast
 
 from armlab.errors import LogError
 from armlab.log.formats import FIRST, format_of
@@ -19,8 +19,10 @@ __all__ = ["LONGEST", "open_text", "rows_in"]
 LONGEST = 1 << 20
 """Characters of a line: 40 000 numbers with all their digits."""
 
-_UNPACKED, _RATIO = 1 << 25, 200  # bytes of any file; above that, for each of its own: gzip reaches 1030, an arm that
+_UNPACKED, _RATIO = 1 << 24, 200  # bytes of any file; above that, for each of its own: gzip reaches 1030, an arm that
 # stands still with 300 columns that never change 154, one that moves 25
+_LINES = 1 << 18  # of any file; above that, one for each byte: a time that advances takes three bytes or more
+_PIECE = 1 << 16
 
 
 def open_text(path: Path) -> BinaryIO:
@@ -32,13 +34,17 @@ def open_text(path: Path) -> BinaryIO:
 
     Raises
     ------
-    LogError : another format. OSError : no file.
+    LogError : another format, or it unpacks to far more than its size. OSError : no file.
     """
     with path.open("rb") as file:
         found = format_of(file.read(FIRST))
     if found not in ("text", "gzip"):
         raise LogError(f"Expected delimited text at {path}, got a file of format {found}.")
-    return io.BufferedReader(_Unpacked(path), 1 << 16) if found == "gzip" else path.open("rb")
+    if found == "text":
+        return path.open("rb")
+    about = path.stat()
+    _check_unpacked(path, about.st_size, about.st_mtime_ns)
+    return cast(BinaryIO, gzip.open(path))
 
 
 def rows_in(path: Path, separator: str) -> Iterator[list[str]]:
@@ -72,26 +78,14 @@ def _lines(file: io.TextIOWrapper, path: Path) -> Iterator[str]:
         yield line
 
 
-class _Unpacked(io.RawIOBase):
-    """What is in a gzip file, as long as it is not far larger than the file."""
-
-    def __init__(self, path: Path) -> None:
-        self._path, self._file, self._count = path, gzip.GzipFile(path), 0
-        self._most = max(_UNPACKED, _RATIO * path.stat().st_size)
-
-    def readable(self) -> bool:
-        return True
-
-    def readinto(self, buffer: Any, /) -> int:
-        size = self._file.readinto(buffer)
-        self._count += size
-        if self._count > self._most:
-            raise LogError(
-                f"Expected at most {self._most} bytes of text in {self._path}, {_RATIO} times its size, got more. If "
-                "you trust it, unpack it with gunzip and read that."
-            )
-        return size
-
-    def close(self) -> None:
-        self._file.close()
-        super().close()
+@lru_cache(maxsize=4)  # a reader opens a file several times
+def _check_unpacked(path: Path, size: int, mtime_ns: int) -> None:
+    """Refuse a gzip file that unpacks to far more than its size: counted to the end before anything is made of it."""
+    bytes_left, lines_left = max(_UNPACKED, _RATIO * size), max(_LINES, size)
+    most = f"{bytes_left} bytes of text, {_RATIO} times its size, and {lines_left} lines"
+    with gzip.open(path) as file:
+        while piece := file.read(_PIECE):
+            bytes_left -= len(piece)
+            lines_left -= piece.count(b"\n") + piece.count(b"\r")
+            if bytes_left < 0 or lines_left < 0:
+                raise LogError(f"Expected at most {most} in {path}, got more. If you trust it, unpack it with gunzip.")

@@ -12,10 +12,11 @@ from armlab.errors import LogError
 if TYPE_CHECKING:
     import zstandard
 
-__all__ = ["Chunk", "end_of_blocks", "unpacked"]
+__all__ = ["Chunk", "end_of_blocks", "most_unpacked", "unpacked"]
 
 _MAX_CHUNK = 1 << 31  # bytes; a larger size is a damaged one
 _MAX_OPEN = 1 << 28  # bytes; of a chunk that does not tell its size
+_UNPACKED, _RATIO = 1 << 24, 200  # bytes of any file; above that, for each of its own: zstd reaches 15 000
 _PIECE = 1 << 20
 _REPEATED, _RESERVED = 1, 3  # kinds of zstd blocks
 _of_thread = threading.local()
@@ -39,6 +40,16 @@ class Chunk:
     data: tuple[int, int]
     indexes: dict[int, tuple[int, int]] = field(default_factory=dict)
     is_open: bool = False
+
+
+def most_unpacked(size: int) -> int:
+    """Return the bytes that all chunks of a file may unpack to.
+
+    Parameters
+    ----------
+    size : bytes of the file.
+    """
+    return max(_UNPACKED, _RATIO * size)
 
 
 def end_of_blocks(view: memoryview, at: int) -> int:
@@ -76,10 +87,11 @@ def unpacked(view: memoryview, chunk: Chunk) -> bytes:
     LogError : the chunk is damaged (size, checksum) or compressed in an unknown way.
     """
     start, stop = chunk.data
+    most = min(_MAX_OPEN if chunk.is_open else _MAX_CHUNK, most_unpacked(len(view)))
     if chunk.is_open:
-        return _unpacked_open(bytes(view[start:stop]))
-    if chunk.size > _MAX_CHUNK:
-        raise LogError(f"Expected a chunk of at most {_MAX_CHUNK} bytes at byte {chunk.start}, got {chunk.size}.")
+        return _unpacked_open(bytes(view[start:stop]), most)
+    if chunk.size > most:
+        raise LogError(f"Expected a chunk of at most {most} bytes at byte {chunk.start}, got {chunk.size}.")
     data = _decompressed(view[start:stop], chunk)
     if len(data) != chunk.size:
         raise LogError(f"Expected {chunk.size} bytes in the chunk at byte {chunk.start}, got {len(data)}.")
@@ -88,14 +100,14 @@ def unpacked(view: memoryview, chunk: Chunk) -> bytes:
     return data
 
 
-def _unpacked_open(packed: bytes) -> bytes:
-    """Return the whole records in the blocks of an unfinished zstd frame."""
+def _unpacked_open(packed: bytes, most: int) -> bytes:
+    """Return the whole records in the blocks of an unfinished zstd frame, of about so many bytes."""
     import zstandard
 
     pieces, size = [], 0
     try:
         with zstandard.ZstdDecompressor().stream_reader(packed) as reader:
-            while size < _MAX_OPEN and (piece := reader.read(_PIECE)):
+            while size < most and (piece := reader.read(_PIECE)):
                 pieces.append(piece)
                 size += len(piece)
     except zstandard.ZstdError:  # what was read before stays

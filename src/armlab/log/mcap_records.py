@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from armlab.errors import LogError
-from armlab.log.mcap_chunk import Chunk, end_of_blocks, unpacked
+from armlab.log.mcap_chunk import Chunk, end_of_blocks, most_unpacked, unpacked
 
 __all__ = ["DAMAGE", "MAGIC", "OPEN", "Attached", "Channel", "Contents", "contents", "records"]
 
@@ -85,7 +85,7 @@ def contents(view: memoryview) -> Contents:
 
     Raises
     ------
-    LogError : the bytes are not an MCAP file, or its header is damaged.
+    LogError : the bytes are not an MCAP file, its header is damaged, or it unpacks to far more than its size.
     """
     if bytes(view[: len(MAGIC)]) != MAGIC:
         raise LogError(f"Expected an MCAP file, got {bytes(view[:8]).hex(' ') or 'nothing'} at its beginning.")
@@ -136,6 +136,7 @@ def _by_summary(view: memoryview) -> Contents | None:
         found.library, _ = _text(view, at)
     whole = found.channels and found.chunks and chunk_count == len(found.chunks)
     found.indexed = all(chunk.indexes for chunk in found.chunks)
+    _check_sizes(found, view)
     return found if whole else None
 
 
@@ -158,8 +159,20 @@ def _by_walking(view: memoryview) -> Contents:
             break
     if not found.finished:
         found.torn = len(view) - _open_chunk(found, view, at)
+    _check_sizes(found, view)
     _find_channels(found, view)
     return found
+
+
+def _check_sizes(found: Contents, view: memoryview) -> None:
+    """Refuse chunks that together unpack to far more than the file; each that does so alone is left out as damaged."""
+    most = most_unpacked(len(view))
+    whole = sum(chunk.size for chunk in found.chunks if chunk.size <= most)
+    if whole > most:
+        raise LogError(
+            f"Expected chunks that unpack to at most {most} bytes, got {whole} in a file of {len(view)}. If you trust "
+            "the file, write it without compression: mcap compress --compression none."
+        )
 
 
 def _open_chunk(found: Contents, view: memoryview, at: int) -> int:

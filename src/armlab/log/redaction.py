@@ -9,11 +9,12 @@ from __future__ import annotations
 import io
 import json
 import re
-import tomllib
 from collections.abc import Callable
 from configparser import RawConfigParser
 from pathlib import Path
 from typing import Any
+
+from armlab._toml import parsed
 
 __all__ = ["SECRET", "redacted"]
 
@@ -126,7 +127,7 @@ def _to_ini(held: dict[str, Any]) -> str:
 
 
 _FORMATS: dict[str, tuple[Callable[[str], Any], Callable[[Any], str]]] = {
-    ".toml": (tomllib.loads, _to_toml),
+    ".toml": (parsed, _to_toml),
     ".json": (json.loads, _to_json),
     ".yaml": (_from_yaml, _to_yaml),
     ".yml": (_from_yaml, _to_yaml),

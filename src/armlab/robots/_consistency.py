@@ -14,7 +14,7 @@ from armlab.robots.mesh import Mesh
 if TYPE_CHECKING:
     from armlab.robots.robot import Robot
 
-__all__ = ["POSE_TOLERANCE", "body_fault", "check_robot"]
+__all__ = ["POSE_TOLERANCE", "body_fault", "check_joint_count", "check_robot"]
 
 POSE_TOLERANCE = 1e-9
 """Largest entry of |RᵀR - I| in a robot's poses: an error that kinematics carries to the tool undetected."""
@@ -38,8 +38,7 @@ def _check_shapes(robot: Robot) -> None:
     n = robot.prismatic.size
     if robot.prismatic.ndim != 1 or n == 0:
         raise RobotError(f"Expected at least one joint for robot {robot.name!r}, got shape {robot.prismatic.shape}.")
-    if n > MOST_JOINTS:
-        raise RobotError(f"Expected at most {MOST_JOINTS} joints for robot {robot.name!r}, got {n}.")
+    check_joint_count(robot.name, n)
     vectors = dict.fromkeys(("q_min", "q_max", "qd_max", "qdd_max", "q_home", "tau_max"), (n,))
     matrices = {"links": (n + 1, 4, 4), "T_base_mount": (4, 4), "T_flange_tool": (4, 4), "coupling": (n, n)}
     if robot.inertias is not None:
@@ -54,6 +53,12 @@ def _check_shapes(robot: Robot) -> None:
             index = tuple(int(i) for i in np.argwhere(np.isnan(value))[0])
             where = _joint(robot, index[0]) if field in vectors else f"index {index}"
             raise RobotError(f"Expected numbers in {field} of robot {robot.name!r}, got NaN at {where}.")
+
+
+def check_joint_count(name: str, n: int) -> None:
+    """Raise `RobotError` for more joints than the kernels hold."""
+    if n > MOST_JOINTS:
+        raise RobotError(f"Expected at most {MOST_JOINTS} joints for robot {name!r}, got {n}.")
 
 
 def _check_poses(robot: Robot) -> None:

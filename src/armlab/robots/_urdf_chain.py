@@ -14,7 +14,7 @@ from armlab.errors import RobotError, UnknownName
 from armlab.lie import se3
 from armlab.robots import inertia
 from armlab.robots._axes import frames_along
-from armlab.robots._consistency import body_fault
+from armlab.robots._consistency import body_fault, check_joint_count
 from armlab.robots._urdf_structure import fault, follow
 from armlab.robots.build import GRAVITY, from_links
 from armlab.robots.mesh import Mesh
@@ -64,6 +64,7 @@ def build_chain(tree: Tree, base: str | None, tip: str | None, name: str | None)
     joints = [joint for joint, _ in way if joint.moves]
     if not joints:
         raise RobotError(f"Expected a joint that moves between {base!r} and {tip!r} of {tree.file}, got none.")
+    check_joint_count(tree.name if name is None else name, len(joints))
     for joint in joints:
         _check_joint(tree, joint)
     follow(tree, [joint.name for joint in joints])
@@ -91,7 +92,8 @@ def build_chain(tree: Tree, base: str | None, tip: str | None, name: str | None)
 def _only_tip(tree: Tree, base: str) -> str:
     tips = tree.tips_below(base)
     if len(tips) != 1:
-        got = f"several: {', '.join(tips)}. Say which is the tip" if tips else "none"
+        more = f" and {len(tips) - 20} more" if len(tips) > 20 else ""
+        got = f"several: {', '.join(tips[:20])}{more}. Say which is the tip" if tips else "none"
         raise RobotError(f"Expected one branch that moves below link {base!r} of {tree.file}, got {got}.")
     return tips[0]
 

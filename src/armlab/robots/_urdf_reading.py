@@ -16,6 +16,8 @@ from armlab.robots.urdf import Follow, Joint, JointKind, Link, Tree
 
 __all__ = ["read_tree"]
 
+MOST_PARTS = 2000  # links, and joints, of a file; a humanoid with two hands has 150
+
 
 def read_tree(text: str | bytes, file: str) -> Tree:
     """Return the tree that a text describes.
@@ -32,6 +34,9 @@ def read_tree(text: str | bytes, file: str) -> Tree:
     robot = parse_xml(text, file)
     if robot.tag != "robot":
         raise robot.error("<robot> as the outermost element of a URDF", f"<{robot.tag}>")
+    for tag in ("link", "joint"):
+        if len(parts := robot.all(tag)) > MOST_PARTS:
+            raise robot.error(f"at most {MOST_PARTS} {tag}s", len(parts), "Split the file, one robot in each.")
     return Tree(
         name=robot.text("name"),
         file=file,

@@ -16,6 +16,7 @@ LARGEST = 1e9
 """Limits from this on stand for none; no other number of a description is as large."""
 
 DEEPEST = 64  # nesting of elements; URDF needs 5
+MOST_BYTES, MOST_ELEMENTS = 1 << 24, 100_000  # a humanoid with two hands has 200 kB and 3000
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _LIMIT = re.compile(rf"{_NUMBER.pattern}|[+-]?inf(inity)?", re.ASCII | re.IGNORECASE)
 _EXPAND = "Expand the file first: xacro robot.xacro > robot.urdf."
@@ -102,14 +103,22 @@ def parse_xml(data: str | bytes, file: str) -> Element:
 
     Raises
     ------
-    RobotError : when the text is no XML, has a document type (entities), is nested too deep, or is not expanded xacro.
+    RobotError : when the text is no XML, has a document type (entities), is too large, nested too deep, or is not
+        expanded xacro.
     """
+    if len(data) > MOST_BYTES:
+        raise RobotError(f"Expected XML of at most {MOST_BYTES >> 20} MiB in {file}, got {len(data)} bytes.")
     parser = expat.ParserCreate()
     top = Element("", {}, file, 1)
     open_elements = [top]
+    count = 0
 
     def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal count
+        count += 1
         element = Element(tag, attributes, file, parser.CurrentLineNumber)
+        if count > MOST_ELEMENTS:
+            raise element.error(f"at most {MOST_ELEMENTS} elements", "more")
         if tag.startswith("xacro:"):
             raise element.error("a URDF", f"the xacro element <{tag}>", _EXPAND)
         if len(open_elements) > DEEPEST:

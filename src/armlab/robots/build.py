@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from armlab._numbers import members, numbers
 from armlab.errors import RobotError
+from armlab.robots._consistency import check_joint_count
 from armlab.robots.mesh import Mesh
 from armlab.robots.robot import Robot
 
@@ -85,6 +86,7 @@ def from_links(name: str, links: ArrayLike, prismatic: ArrayLike | None = None, 
 
     links = numbers(links, f"links of robot {name!r}")
     n = max(len(links) - 1, 0) if links.ndim else 0
+    check_joint_count(name, n)
     unlimited = np.full(n, np.inf)
     q_min, q_max, qd_max = given("q_min", -unlimited), given("q_max", unlimited), given("qd_max", unlimited)
     slides = np.zeros(n) if prismatic is None else numbers(prismatic, f"prismatic of robot {name!r}")
