@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from armlab import robots
 from armlab.log import Column, Recorder, inspect, read
 from armlab.robots import Robot
 
@@ -28,7 +29,7 @@ def test_a_finished_file_is_read_by_rosbags_and_by_mcap(recording: Callable[...,
     assert len(messages) == 40
     for i, message in enumerate(messages):
         state, _, tick = rows(i)
-        assert message.name == list(state_names(path))
+        assert message.name == [f"yumi_robr_joint_{k}" for k in range(1, 8)]
         assert np.array_equal(message.position, state.q)
         assert np.array_equal(message.effort, state.tau)
         assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == tick.stamp_ns == stamps[i]
@@ -60,8 +61,32 @@ def test_every_topic_is_read_by_mcap_ros2_support(recording: Callable[..., Path]
     assert list(seen["/yumi_right/columns/fext"][7].values) == rows(7)[1].record["fext"].tolist()
 
 
-def state_names(path: Path) -> tuple[str, ...]:
-    return read(path).columns["q"].labels
+@pytest.mark.parametrize("topic", ["joint_states", "joint_states_ref", "joint_states_sent"])
+def test_joints_have_the_names_of_the_urdf_and_of_the_live_topics(
+    recording: Callable[..., Path], robot: Robot, tmp_path: Path, topic: str
+) -> None:
+    """A played recording drives robot_state_publisher."""
+    from rosbags.highlevel import AnyReader
+
+    path = recording(2)
+    robots.save(robot, tmp_path / "arm.urdf")
+    with AnyReader([path]) as reader:
+        states = [c for c in reader.connections if c.topic == f"/yumi_right/{topic}"]
+        names = {tuple(reader.deserialize(raw, c.msgtype).name) for c, _, raw in reader.messages(states)}
+    assert names == {robots.load(tmp_path / "arm.urdf").joint_names} == {robot.ros_joint_names}
+
+
+def test_names_of_joints_in_messages_do_not_change_the_table(
+    recording: Callable[..., Path], robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Recordings from before have the names of the description in their messages."""
+    now = read(recording(3))
+    with monkeypatch.context() as before:
+        before.setattr(Robot, "ros_joint_names", property(lambda robot: robot.joint_names))
+        then = read(recording(3, "before.mcap"))
+    assert now.columns == then.columns
+    assert now.columns["q"].labels == robot.joint_names
+    assert now.sha256 == then.sha256
 
 
 def test_poses_are_written_with_the_real_part_last(recording: Callable[..., Path], rows: Callable) -> None:

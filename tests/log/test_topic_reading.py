@@ -133,6 +133,24 @@ def test_two_arms(ros: Any, tmp_path: Path) -> None:
     assert table["q"][0, 0] == 2.0
 
 
+@pytest.mark.parametrize("kind", ["ros_joint_names", "joint_names"])
+def test_topics_of_a_yumi(ros: Any, tmp_path: Path, kind: str) -> None:
+    """`ros2 bag record` of the bridge's topics; bags of both arms are told apart by the names."""
+    arms = [robots.load(name) for name in ("yumi_left", "yumi_right")]
+    messages = [
+        (f"/{arm.name}/joint_states", ns, ros.joints(ns, reversed(getattr(arm, kind)), k + np.arange(7)[::-1]))
+        for ns in (ros.start, ros.start + STEP)
+        for k, arm in enumerate(arms)
+    ]
+    path = ros.bag(tmp_path / "bag", messages)
+    for k, arm in enumerate(arms):
+        table = log.read(path, ["q"], robot=arm.name)
+        assert table.columns["q"].labels == getattr(arm, kind)
+        np.testing.assert_array_equal(table["q"][0], k + np.arange(7))
+    with pytest.raises(LogError, match="Only in the robot: "):
+        log.read(path, ["q"], robot="ur5e")
+
+
 def test_arm_and_gripper_on_one_topic(ros: Any, tmp_path: Path) -> None:
     """Two drivers publish on /joint_states: the arm is the one with more joints."""
     messages = []

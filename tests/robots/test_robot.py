@@ -89,6 +89,13 @@ def test_equality_is_by_content(yumi: Robot) -> None:
         assert replace(yumi, **{field: value}) != yumi, field
 
 
+def test_joints_of_a_yumi_have_the_names_of_abb_robot_driver_in_ros(yumi: Robot) -> None:
+    assert yumi.ros_joint_names == tuple(f"yumi_robl_joint_{k}" for k in range(1, 8))
+    assert robots.load("yumi_right_urdf").ros_joint_names == tuple(f"yumi_robr_joint_{k}" for k in range(1, 8))
+    assert replace(yumi, side="").ros_joint_names == yumi.joint_names
+    assert robots.load("irb120").ros_joint_names == robots.load("irb120").joint_names
+
+
 def test_hash_counts_numbers_not_words(yumi: Robot) -> None:
     assert len(yumi.hash) == 64
     assert replace(yumi, name="other", source="elsewhere", joint_names=tuple("abcdefg")).hash == yumi.hash

@@ -52,7 +52,7 @@ def assert_pinocchio_agrees(robot: Robot, text: str, seed: int) -> None:
     np.testing.assert_array_equal(model.upperPositionLimit, robot.q_max)
     np.testing.assert_array_equal(model.velocityLimit, np.where(np.isinf(robot.qd_max), 1e9, robot.qd_max))
     np.testing.assert_array_equal(model.effortLimit, np.where(np.isinf(robot.tau_max), 1e9, robot.tau_max))
-    assert tuple(model.names)[1:] == robot.joint_names
+    assert tuple(model.names)[1:] == robot.ros_joint_names
     rng = np.random.default_rng(seed)
     for _ in range(3):
         q, qd, qdd = rng.uniform(-1, 1, (3, robot.n))

@@ -1,26 +1,10 @@
-"""`joint_names`: what the joints of an arm are called in ROS, and `called`, for sentences to a client."""
+"""`called`: the name of a joint in sentences to the client that commands it."""
 
 from __future__ import annotations
 
 from armlab.robots import Robot
 
-__all__ = ["called", "joint_names"]
-
-_YUMI = (1, 2, 7, 3, 4, 5, 6)
-
-
-def joint_names(robot: Robot) -> list[str]:
-    """Return the names of the joints in ROS: the description's, but of a YuMi those of abb_robot_driver.
-
-    Those count from base to tool; ABB, and so the description, calls the third of a YuMi's joints the seventh.
-
-    Parameters
-    ----------
-    robot : the arm.
-    """
-    if robot.abb_axes == _YUMI and robot.side:
-        return [f"yumi_rob{robot.side[0]}_joint_{k}" for k in range(1, robot.n + 1)]
-    return list(robot.joint_names)
+__all__ = ["called"]
 
 
 def called(robot: Robot, i: int, first: int | None = None, by_axis: bool = False) -> str:
@@ -33,7 +17,7 @@ def called(robot: Robot, i: int, first: int | None = None, by_axis: bool = False
     by_axis : the numbers of a command that was none stood in ABB's order, axes 1 to n.
     """
     if first is not None:
-        return f"{joint_names(robot)[i]} (number {first + i + 1} of the message)"
+        return f"{robot.ros_joint_names[i]} (number {first + i + 1} of the message)"
     if by_axis:
         return f"{robot.joint_names[i]} (number {robot.abb_axes[i]} of the vector)"
     return f"joint {i + 1} ({robot.joint_names[i]})"

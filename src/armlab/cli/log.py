@@ -86,7 +86,7 @@ def export(
         The new file; of a rosbag2 the new folder.
     robot
         Which one, of a recording of several; of a log of another program the arm whose joints it has, or the first part
-        of its topics. For .mcap the arm of the log, by name or file, where this is no recording, which describes it.
+        of its topics. For .mcap and .rosbag2 the arm of the log, by name or file, if the log does not describe it.
     clock
         Of a log of another program, the topic whose stamps are the rows, as armlab log show lists them.
     storage
@@ -105,7 +105,7 @@ def export(
     ending = output.suffix.lower()
     if ending == ".csv":
         refuse_overwrite(sidecar_path(output), force)
-    arm = _arm_of(file, robot) if ending == ".mcap" else None
+    arm = _arm_for(ending, file, robot)
     with progress("export") as tell:
         tell(0, 1, f"reading {file.name}")
         table = logs.read(
@@ -128,13 +128,19 @@ def export(
     result(str(output))
 
 
-def _arm_of(file: Path, robot: str | None) -> Robot | None:
-    """Return the arm of a log: as a recording describes it, else the one that is named."""
+def _arm_for(ending: str, file: Path, robot: str | None) -> Robot | None:
+    """Return the arm whose joints a new file names: as a recording describes it, else the one that is named.
+
+    None for formats without names of joints, and for a bag that keeps the names of another program.
+    """
     from armlab import log as logs
     from armlab import robots
     from armlab.log.formats import format_at
     from armlab.log.recording_metadata import described
+    from armlab.log.topic_reading import is_foreign
 
+    if ending not in (".mcap", ".rosbag2") or (ending == ".rosbag2" and is_foreign(file)):
+        return None
     if format_at(file) == "MCAP":
         held = logs.inspect(file)
         names = held.robots if robot is None and len(held.robots) == 1 else (robot or "",)
@@ -198,7 +204,6 @@ def cut(
         Replace an existing file.
     """
     from armlab import log as logs
-    from armlab import robots
     from armlab.cli.output import check_output, progress, result
     from armlab.errors import ConfigError, LogError
     from armlab.log.formats import format_at
@@ -214,7 +219,7 @@ def cut(
         if output.suffix.lower() == ".mcap" and format_at(file) in ("MCAP", "") and not is_foreign(file):
             logs.cut(file, output, start, stop, robot=robot, progress=tell)
         else:
-            arm = robots.load(robot) if robot is not None and output.suffix.lower() == ".mcap" else None
+            arm = _arm_for(output.suffix.lower(), file, robot)
             table = logs.read(file, robot=robot if names_robots(file) else None)
             part = table.between(start, stop)
             if not len(part):

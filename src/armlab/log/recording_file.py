@@ -123,7 +123,7 @@ class RecordingFile:
 
         self._events = channel("events", _EVENT_TYPE, {})
         slots, plans = self._layout.slots, []
-        for topic in topics(self._layout, robot.joint_names):
+        for topic in topics(self._layout, robot.ros_joint_names):
             clock = clock_metadata(*self._clock) if self._clock and "t" in topic.fields else {}
             number = channel(topic.name, topic.type, topic.metadata(slots) | clock)
             plans.append(plan(number, topic, slots))

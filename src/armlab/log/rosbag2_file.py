@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,12 +24,15 @@ BLOCK = 10_000  # rows
 LAST = 2**31 * 10**9  # ns: a header's stamp holds seconds in 31 bits
 
 
-def write_rosbag2(table: Table, folder: Path, storage: str, progress: Progress) -> None:
+def write_rosbag2(
+    table: Table, folder: Path, storage: str, progress: Progress, joint_names: Sequence[str] = ()
+) -> None:
     """Write a folder with metadata.yaml and one file of messages; all types are standard ones of ROS 2.
 
     Parameters
     ----------
     table : to write. folder : must not exist. storage : one of `STORAGES`. progress : is told the rows.
+    joint_names : in JointState messages; those of the columns' labels by default.
 
     Raises
     ------
@@ -52,7 +56,7 @@ def write_rosbag2(table: Table, folder: Path, storage: str, progress: Progress) 
             for start in range(0, len(table), BLOCK):
                 rows = slice(start, start + BLOCK)
                 part = table.rows(rows)
-                messages = zip(*(messages_of(topic, part, stamps[rows]) for topic in topics), strict=True)
+                messages = zip(*(messages_of(topic, part, stamps[rows], joint_names) for topic in topics), strict=True)
                 for stamp, row in zip(stamps[rows].tolist(), messages, strict=True):
                     for connection, message in zip(connections, row, strict=True):
                         bag.write(connection, stamp, message)

@@ -80,19 +80,20 @@ def topics_of(columns: Mapping[str, Column], poses: Iterable[str]) -> list[BagTo
     return topics + [BagTopic(names[name], kind, {name: _FIELDS.get(kind, ("data",))}) for name, kind in kinds.items()]
 
 
-def messages_of(topic: BagTopic, table: Table, stamps: np.ndarray) -> Iterator[bytes]:
+def messages_of(topic: BagTopic, table: Table, stamps: np.ndarray, joint_names: Sequence[str] = ()) -> Iterator[bytes]:
     """Yield the message of each row.
 
     Parameters
     ----------
     topic : which. table : its rows. stamps : (N,) wall clock of each [ns].
+    joint_names : of a JointState; those of the columns' labels by default.
     """
     if topic.type == TEXT:
         (name,) = topic.fields
         yield from (_text(value) for value in table[name].tolist())
         return
     values = {name: _encoded(topic, table[name]) for name in topic.fields}
-    raw = _sample(topic, table, {name: array.shape[1] for name, array in values.items()})
+    raw = _sample(topic, table, {name: array.shape[1] for name, array in values.items()}, joint_names)
     found = cdr.layout(raw, topic.type, _types(topic.type))
     block = np.tile(np.frombuffer(raw, dtype=np.uint8), (len(table), 1))
     filled = {path: part for name, array in values.items() for path, part in _per_field(topic.fields[name], array)}
@@ -176,7 +177,7 @@ def _per_field(paths: Sequence[str], array: np.ndarray) -> Iterator[tuple[str, n
         yield from ((path, array[:, place : place + 1]) for place, path in enumerate(paths))
 
 
-def _sample(topic: BagTopic, table: Table, counts: Mapping[str, int]) -> bytes:
+def _sample(topic: BagTopic, table: Table, counts: Mapping[str, int], joint_names: Sequence[str]) -> bytes:
     """Return a message of the topic with zeros."""
     name = next(iter(topic.fields))
     if topic.type.endswith("MultiArray"):
@@ -185,7 +186,7 @@ def _sample(topic: BagTopic, table: Table, counts: Mapping[str, int]) -> bytes:
         message = blank(topic.type)
     if topic.type == JOINTS:
         labels = next((table.columns[one].labels for one in topic.fields if table.columns[one].labels), ())
-        message.name = list(labels or (f"joint_{k + 1}" for k in range(counts[name])))
+        message.name = list(joint_names or labels or (f"joint_{k + 1}" for k in range(counts[name])))
         for one, (path,) in topic.fields.items():
             setattr(message, path, np.zeros(counts[one]))
     if hasattr(message, "header") and name != "t":

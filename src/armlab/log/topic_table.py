@@ -117,7 +117,7 @@ def _arm(
             )
         fitting = [one for one in states if _places(robot, one)]
         if not fitting:
-            nearest = max(states, key=lambda one: len({*one.joints} & {*robot.joint_names}))
+            nearest = max(states, key=lambda one: len({*one.joints} & {*robot.ros_joint_names}))
             raise LogError(_mismatch(path, robot, nearest))
         states = fitting
     if len(states) > 1 and any(one.topic == clock for one in states):
@@ -142,19 +142,21 @@ def _arm(
 def _places(robot: Robot, stream: Stream) -> list[str]:
     """Return the joints of a stream that are the robot's, in its order; empty where one is missing.
 
-    A prefix that all of them have in front, as drivers of two arms give, does not count.
+    The names are those of ROS or of the description. A prefix that all of them have in front, as drivers of two arms
+    give, does not count.
     """
-    names, wanted = stream.joints, robot.joint_names
-    prefixes = ["", *dict.fromkeys(name.removesuffix(wanted[0]) for name in names if name.endswith(wanted[0]))]
-    for prefix in prefixes:
-        if all(prefix + name in names for name in wanted):
-            return [prefix + name for name in wanted]
+    names = stream.joints
+    for wanted in (robot.ros_joint_names, robot.joint_names):
+        prefixes = ["", *dict.fromkeys(name.removesuffix(wanted[0]) for name in names if name.endswith(wanted[0]))]
+        for prefix in prefixes:
+            if all(prefix + name in names for name in wanted):
+                return [prefix + name for name in wanted]
     return []
 
 
 def _mismatch(path: Path, robot: Robot, stream: Stream) -> str:
-    here, there = set(robot.joint_names), set(stream.joints)
-    only_here = ", ".join(name for name in robot.joint_names if name not in there)
+    here, there = set(robot.ros_joint_names), set(stream.joints)
+    only_here = ", ".join(name for name in robot.ros_joint_names if name not in there)
     only_there = ", ".join(name for name in stream.joints if name not in here) or "none"
     return (
         f"Expected the joints of {robot.name} on {stream.topic} of {path}, got others. Only in the robot: {only_here}; "

@@ -66,7 +66,7 @@ def write(
     ----------
     table : to write; in MCAP no columns of text and no counts of the user's above 2^53.
     path : of the file, of the folder of a rosbag2.
-    robot : the arm, for MCAP.
+    robot : the arm. MCAP needs it; in a rosbag2 it gives the joints the names of its URDF, in place of the labels.
     storage : of a rosbag2, mcap or sqlite3; releases before Iron read the latter without a plugin.
     progress : called with (done, total, what).
 
@@ -91,7 +91,7 @@ def write(
         elif ending == ".mcap":
             _write_mcap(table, part, path, robot, tell)
         else:
-            _write_bag(table, part, path, storage, tell)
+            _write_bag(table, part, path, storage, robot, tell)
     except OSError as error:
         what = (error.strerror or str(error)).rstrip(".")
         raise LogError(f"Expected to create the file {path}, got: {what}.") from None
@@ -112,14 +112,18 @@ def _write_file(table: Table, part: Path, path: Path, tell: Progress) -> None:
     part.replace(path)
 
 
-def _write_bag(table: Table, part: Path, path: Path, storage: str, tell: Progress) -> None:
+def _write_bag(table: Table, part: Path, path: Path, storage: str, robot: Robot | None, tell: Progress) -> None:
     """Write a folder inside a folder, since rosbags names the file of messages after the folder it is in."""
     if path.exists() and not (path / "metadata.yaml").is_file():
         raise LogError(
             f"Expected a new name or a rosbag2 to replace, got {path}, which is something else. Move it away."
         )
+    if robot is not None:
+        for name in (f"{kind}{ending}" for kind in ("q", "qd", "tau") for ending in ("", "_ref", "_sent")):
+            if name in table.names and table[name].shape[1:] != (robot.n,):
+                raise _misfit(name, table, (robot.n,), robot)
     part.mkdir()
-    write_rosbag2(table, part / path.name, storage, tell)
+    write_rosbag2(table, part / path.name, storage, tell, () if robot is None else robot.ros_joint_names)
     if path.exists():
         path.replace(part / "old")
     (part / path.name).replace(path)
@@ -152,6 +156,13 @@ def _encodes(text: str) -> bool:
     return True
 
 
+def _misfit(name: str, table: Table, shape: tuple[int, ...], robot: Robot) -> ShapeError:
+    return ShapeError(
+        f"Expected {name} of shape ({len(table)}, {', '.join(map(str, shape))}) for robot {robot.name!r} of {robot.n} "
+        f"joints, got {table[name].shape}. Name the robot that was logged."
+    )
+
+
 def _write_mcap(table: Table, part: Path, path: Path, robot: Robot | None, tell: Progress) -> None:
     if robot is None:
         raise ConfigError(
@@ -167,10 +178,7 @@ def _write_mcap(table: Table, part: Path, path: Path, robot: Robot | None, tell:
     for name, array in values.items():
         slot = layout.slots[name]
         if array.shape != (len(table), *slot.column.shape):
-            raise ShapeError(
-                f"Expected {name} of shape ({len(table)}, {', '.join(map(str, slot.column.shape))}) for robot "
-                f"{robot.name!r} of {robot.n} joints, got {array.shape}. Name the robot that was logged."
-            )
+            raise _misfit(name, table, slot.column.shape, robot)
         if slot.dtype == "<f8" and array.dtype.kind == "i" and ((array > _EXACT) | (array < -_EXACT)).any():
             raise LogError(
                 f"Expected counts up to 2^53 in {name!r} for MCAP, which has columns of your own as real numbers, got "

@@ -53,7 +53,7 @@ def write_urdf(robot: Robot) -> str:
 
 def _check_text(robot: Robot) -> None:
     files = [mesh.file for meshes in robot.meshes for mesh in meshes]
-    for text in (robot.name, robot.source, *robot.joint_names, *files):
+    for text in (robot.name, robot.source, *robot.ros_joint_names, *files):
         if _NOT_IN_XML.search(text):
             raise RobotError(f"Expected text that XML can hold in robot {robot.name!r}, got {text!r}. Rename it.")
 
@@ -102,7 +102,7 @@ def _joint(robot: Robot, i: int, parent: str, child: str) -> list[str]:
         limits = {"lower": robot.q_min[i], "upper": robot.q_max[i]} | limits
     words = " ".join(f'{name}="{_limit(value)}"' for name, value in limits.items())
     return [
-        f"  <joint name={quoteattr(robot.joint_names[i])} type={quoteattr(kind)}>",
+        f"  <joint name={quoteattr(robot.ros_joint_names[i])} type={quoteattr(kind)}>",
         f'    <parent link="{parent}"/>',
         f'    <child link="{child}"/>',
         f"    {_origin(robot.links[i])}",
@@ -119,7 +119,7 @@ def _limit(value: float) -> str:
 
 def _fixed(parent: str, child: str, T_parent_child: np.ndarray, robot: Robot) -> list[str]:
     name = f"{parent}_to_{child}"
-    while name in robot.joint_names:
+    while name in robot.ros_joint_names:
         name += "_"
     return [
         f'  <joint name={quoteattr(name)} type="fixed">',

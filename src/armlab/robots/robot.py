@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 __all__ = ["POSE_TOLERANCE", "Robot"]
 
+_YUMI_AXES = (1, 2, 7, 3, 4, 5, 6)
+
 
 @dataclass(frozen=True, eq=False)
 class Robot:
@@ -93,6 +95,16 @@ class Robot:
     def n(self) -> int:
         """Number of joints."""
         return len(self.prismatic)
+
+    @property
+    def ros_joint_names(self) -> tuple[str, ...]:
+        """n names in ROS messages, recordings and URDF: `joint_names`, but for a YuMi those of abb_robot_driver.
+
+        abb_robot_driver counts from base to tool: ABB's axis 7 of a left arm is ``yumi_robl_joint_3``.
+        """
+        if self.abb_axes == _YUMI_AXES and self.side:
+            return tuple(f"yumi_rob{self.side[0]}_joint_{k}" for k in range(1, self.n + 1))
+        return self.joint_names
 
     @cached_property
     def frames(self) -> np.ndarray:

@@ -12,7 +12,6 @@ import pytest
 
 from armlab import robots
 from armlab.bridge.feed import Exchange
-from armlab.bridge.joint_names import joint_names
 from armlab.bridge.parameters import Parameter, Parameters
 from armlab.bridge.ros import store
 from armlab.bridge.ros.rmw_zenoh_names import Names, Origin, Writer
@@ -117,7 +116,7 @@ def test_joint_states_reach_a_node_that_reads_them(running: Running) -> None:
     until(lambda: len(samples) == 5)
     found = message(samples[0], JOINTS)
     assert np.array_equal(found.position, ARM.q_home)
-    assert (list(found.name), len(found.velocity)) == (joint_names(ARM), 0)
+    assert (list(found.name), len(found.velocity)) == (list(ARM.ros_joint_names), 0)
     origins = [Origin.read(sample.attachment.to_bytes()) for sample in samples]
     assert [origin.seq for origin in origins if origin] == [1, 2, 3, 4, 5]
     assert samples[0].payload.to_bytes()[:4] == b"\0\1\0\0"

@@ -22,7 +22,6 @@ import pytest
 from armlab import robots
 from armlab.bridge.cell import parse_cell, run_cell
 from armlab.bridge.feed import Exchange
-from armlab.bridge.joint_names import joint_names
 from armlab.bridge.outlet import pair
 from armlab.bridge.parameters import Parameter, Parameters
 from armlab.bridge.ros1.process import Ros1Process, serve
@@ -144,7 +143,7 @@ def test_a_node_gets_every_row_in_order(ros: Ros, running: Running) -> None:
     running.until(lambda: reader.poll() is not None)
     assert reader.stdout is not None
     numbers, values, names, texts = json.loads(reader.stdout.read())
-    assert names == sorted(joint_names(running.robot))
+    assert names == sorted(running.robot.ros_joint_names)
     assert json.loads(texts[0]) == {"gain": 0.5}
     assert np.all(np.diff(numbers) > 0)
     assert values == np.sin(numbers).tolist()

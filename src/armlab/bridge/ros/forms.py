@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from armlab.bridge.joint_names import joint_names
 from armlab.bridge.ros.arm import Arm, header
 from armlab.bridge.ros.types import store
 from armlab.robots import Robot
@@ -63,7 +62,7 @@ class Form(NamedTuple):
 
 def _joint_state(robot: Robot, stamp_ns: int, columns: Columns) -> Any:
     values = [np.array(column, dtype=float) for column in columns]
-    return store().types["sensor_msgs/msg/JointState"](header(stamp_ns), joint_names(robot), *values)
+    return store().types["sensor_msgs/msg/JointState"](header(stamp_ns), list(robot.ros_joint_names), *values)
 
 
 def _wrench_stamped(robot: Robot, stamp_ns: int, columns: Columns) -> Any:
