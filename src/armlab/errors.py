@@ -13,6 +13,7 @@ from typing import Any
 __all__ = [
     "ArmlabError",
     "CommandRefused",
+    "ConcurrentUse",
     "ConfigError",
     "ControllerFailed",
     "ControllerLate",
@@ -184,6 +185,10 @@ class NotConverged(ArmlabError, RuntimeError):
         self.best = best
         self.history = tuple(history)
         self.reason = reason
+
+
+class ConcurrentUse(ArmlabError, RuntimeError):
+    """An object with a state of its own was used by two threads at once."""
 
 
 class SingularPoseError(ArmlabError, ValueError):

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from armlab import identify, robots
 from armlab.contact import INVALID, STUCK, WEAK, Estimator
-from armlab.errors import ModelMismatchError, NotExcited, ShapeError, UnknownName
+from armlab.errors import ConcurrentUse, ModelMismatchError, NotExcited, ShapeError, UnknownName
 from armlab.log import Table
 from armlab.models import velocity_covariance
 from armlab.state import State
@@ -258,3 +261,42 @@ def test_a_log_in_degrees_or_without_measured_torques_is_refused(truth, model, e
         estimator.run(degrees)
     with pytest.raises(NotExcited, match="Expected measured torques"):
         estimator.run(log.with_column("tau", np.zeros_like(log["tau"])))
+
+
+def elsewhere(call: Callable[..., Any], *args: Any) -> Any:
+    """Call in a thread of its own."""
+    with ThreadPoolExecutor(1) as pool:
+        return pool.submit(call, *args).result()
+
+
+def test_two_threads_by_turns_are_refused_until_a_reset(truth, model, excited) -> None:
+    states = list(excited.between(0.0, 0.1).states())
+    estimator = Estimator(model, truth.robot)
+    with ThreadPoolExecutor(1) as other:
+        estimator.step(states[0])
+        other.submit(estimator.step, states[1]).result()  # a thread may take over
+        for _ in range(2):
+            with pytest.raises(ConcurrentUse, match="got samples from two by turns"):
+                estimator.step(states[2])
+        with pytest.raises(ConcurrentUse, match="by turns"):  # of the other as well: its state is mixed
+            other.submit(estimator.step, states[2]).result()
+        estimator.reset()
+        estimator.step(states[0])
+
+
+def test_a_run_is_the_only_user(truth, model, excited) -> None:
+    log = excited.between(0.0, 1.0)
+    estimator = Estimator(model, truth.robot, "kf", bias=True)
+    wanted = estimator.run(log)["wrench_hat"]
+    calls = [(estimator.step, next(iter(log.states()))), (estimator.reset,), (estimator.tare,), (estimator.run, log)]
+    refused = []
+
+    def meanwhile(done: int, total: int, what: str) -> None:
+        if calls:
+            with pytest.raises(ConcurrentUse, match=r"got another one in its run\(\)"):
+                elsewhere(*calls.pop())
+            refused.append(done)
+
+    assert np.array_equal(estimator.run(log, progress=meanwhile)["wrench_hat"], wanted)
+    assert len(refused) == 4
+    elsewhere(estimator.run, log)

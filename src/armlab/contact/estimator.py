@@ -31,6 +31,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import pairwise
+from threading import get_ident
 from typing import Any, Literal
 
 import numpy as np
@@ -39,7 +40,7 @@ from numpy.typing import ArrayLike
 from armlab._numbers import numbers
 from armlab.contact.places import contact_point
 from armlab.contact.wrench import INVALID, TARED, Wrench
-from armlab.errors import ConfigError, ModelMismatchError, NotExcited, ShapeError, UnknownName
+from armlab.errors import ConcurrentUse, ConfigError, ModelMismatchError, NotExcited, ShapeError, UnknownName
 from armlab.log import Table
 from armlab.log.plausibility import check_known
 from armlab.models import FORCE_RATES, PRIOR, TorqueModel
@@ -61,6 +62,10 @@ class Estimator:
     `step` and `run` call the same kernel: for the same rows their results are equal bit for bit. Causal: static methods
     have a residual filter of second order at the model's cut-off (10 Hz: 22 ms delay), the observer one of first order
     (33 ms), the Kalman filter the one that the covariances ask for.
+
+    One estimator belongs to one thread at a time: its filter mixes the samples of two, and the error of the force
+    reaches tens of newtons. Another thread may take over; from then on `step` raises `ConcurrentUse` when one of the
+    earlier threads returns, until `reset`. Make one estimator for each thread.
 
     Parameters
     ----------
@@ -128,7 +133,8 @@ class Estimator:
             gain = float(_positive(GAIN if gain is None else gain, "gain [1/s] of the observer", ()))
             kernel = model.momentum_kernel(variances, rate, leaks, gain, method == "kf", bias, point)
             self._kernel, self._tare = kernel, kernel.tare if bias else None
-        self._forget_clock()
+        self._running = False
+        self._forget()
 
     @property
     def prior(self) -> np.ndarray:
@@ -141,9 +147,15 @@ class Estimator:
         return self._method
 
     def reset(self) -> None:
-        """Forget the past: filter, presliding state and how well it is known, and a tare."""
+        """Forget the past: filter, presliding state and how well it is known, a tare, and the threads.
+
+        Raises
+        ------
+        ConcurrentUse : another thread is in `run`.
+        """
+        self._refuse_running()
         self._kernel.reset()
-        self._forget_clock()
+        self._forget()
 
     def step(self, state: State) -> Wrench:
         """Advance by one state and return the wrench.
@@ -154,7 +166,13 @@ class Estimator:
         Parameters
         ----------
         state : with t, dt and q, qd, tau (n,).
+
+        Raises
+        ------
+        ConcurrentUse : another thread has taken over since this one's last sample, or is in `run`.
         """
+        if get_ident() != self._thread:
+            self._take_over()
         dt = state.dt
         if self._missed and dt > 0 and state.t > self._t:
             dt = state.t - self._t
@@ -178,13 +196,14 @@ class Estimator:
         Raises
         ------
         ConfigError : when the estimator is not ``method="kf"`` with ``bias=True``. NotExcited : when a joint moves or
-        rests for less than 0.4 s.
+        rests for less than 0.4 s. ConcurrentUse : another thread is in `run`.
         """
         if self._tare is None:
             raise ConfigError(
                 f"Expected an estimator with method='kf' and bias=True to tare, got method={self._method!r} without a "
                 "friction error to set. Make one with these options."
             )
+        self._refuse_running()
         if not self._tare():
             raise NotExcited(
                 "Expected every joint at rest for 0.4 s to tare, got motion or no sample. Stop the arm, wait, tare.",
@@ -208,6 +227,7 @@ class Estimator:
         ShapeError : when the joint count is not the model's, positions are in degrees or of the motors, or something
             else came than a table.
         NotExcited : joints moved, and no torque ever changed: none was measured.
+        ConcurrentUse : another thread is in `run`.
         """
         if not isinstance(table, Table):
             raise ShapeError.no_table(table)
@@ -244,6 +264,21 @@ class Estimator:
     ) -> tuple[Any, ...]:
         """Return what the kernel makes of all rows; in parts, from one to the next as it is, when progress is told."""
         self.reset()
+        self._take_over()
+        self._running = True  # the kernel lets other threads run meanwhile
+        try:
+            return self._run_kernel(q, qd, tau, dt, tell)
+        finally:
+            self._running = False
+
+    def _run_kernel(
+        self,
+        q: np.ndarray,
+        qd: np.ndarray,
+        tau: np.ndarray,
+        dt: np.ndarray,
+        tell: Callable[[int, int, str], None] | None,
+    ) -> tuple[Any, ...]:
         rows = len(dt)
         if tell is None or rows < PARTS:
             return self._kernel.run(q, qd, tau, dt)
@@ -254,8 +289,28 @@ class Estimator:
         tell(rows, rows, "done")
         return tuple(None if values[0] is None else np.concatenate(values) for values in zip(*parts))
 
-    def _forget_clock(self) -> None:
+    def _forget(self) -> None:
         self._t, self._missed, self._tared_at = float("nan"), False, None
+        self._thread, self._earlier = 0, set[int]()
+
+    def _refuse_running(self) -> None:
+        if self._running:
+            raise ConcurrentUse(
+                "Expected one thread at a time to use an Estimator, got another one in its run(). Make one for each "
+                "thread."
+            )
+
+    def _take_over(self) -> None:
+        """Make this thread the owner. One that owned it before returns only while two use it by turns."""
+        self._refuse_running()
+        self._earlier.add(self._thread)
+        self._thread = 0  # until a reset each of the threads is refused, for the state is mixed
+        if get_ident() in self._earlier:
+            raise ConcurrentUse(
+                "Expected one thread at a time to use an Estimator, got samples from two by turns. Make one for each "
+                "thread; where one thread hands it back to another, call reset() in between."
+            )
+        self._thread = get_ident()
 
 
 def _refuse_idle(method: str, options: dict[str, dict[str, object]]) -> None:
