@@ -225,4 +225,4 @@ class ControllerLate(LinkError):
 
 
 class ControllerFailed(LinkError):
-    """The user's controller raised. The original exception is `__cause__`."""
+    """The user's controller raised, and the exception is `__cause__`; or it closed descriptors of the bridge."""

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import select
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -63,6 +65,44 @@ def test_errors_are_counted_not_raised() -> None:
     assert not port.send(b"x" * 70_000, ("127.0.0.1", port.port))
     assert port.errors == 1
     port.close()
+
+
+@pytest.mark.parametrize("is_replaced", [False, True])
+def test_a_socket_that_other_code_closed_is_bound_again(is_replaced: bool, tmp_path: Path) -> None:
+    port, peer, lost = Port("127.0.0.1", 0), Port("127.0.0.1", 0), []
+    address, number = (port.host, port.port), port.fileno()
+    port.on_lost = lambda: lost.append(True)
+    os.close(number)
+    if is_replaced:
+        assert os.open(tmp_path / "other", os.O_CREAT | os.O_RDWR) == number
+    assert port.receive() is None
+    assert lost == [True]
+    assert port.send(b"abc", (peer.host, peer.port))
+    assert arrived(peer, 5.0)
+    arrival = peer.receive()
+    assert arrival is not None
+    assert arrival.source == address
+    assert port.errors == 1
+    os.close(port.fileno())
+    assert port.send(b"abc", (peer.host, peer.port)), "also when it sends first"
+    assert len(lost) == port.errors == 2
+    assert peer.errors == 0
+    port.close()
+    peer.close()
+    if is_replaced:
+        os.write(number, b"theirs")
+        os.close(number)
+        assert (tmp_path / "other").read_bytes() == b"theirs"
+
+
+def test_a_socket_whose_number_another_file_has_is_not_closed(tmp_path: Path) -> None:
+    port = Port("127.0.0.1", 0)
+    number = port.fileno()
+    os.close(number)
+    assert os.open(tmp_path / "other", os.O_CREAT | os.O_WRONLY) == number
+    port.close()
+    os.write(number, b"theirs")
+    os.close(number)
 
 
 def test_a_port_in_use_names_its_holder() -> None:

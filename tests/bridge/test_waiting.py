@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import get_args
 
 import pytest
@@ -74,6 +77,22 @@ def other() -> Iterator[Port]:
     port = Port("127.0.0.1", 0)
     yield port
     port.close()
+
+
+def test_a_socket_that_was_bound_again_is_waited_for(port: Port, other: Port, tmp_path: Path) -> None:
+    """The descriptor that it had belongs to another file, which always seems to have something."""
+    waiting = Waiting([port], [Prediction()], "block")
+    assert waiting.next(0.0) is None
+    number = port.fileno()
+    os.close(number)
+    taken = os.open(tmp_path / "other", os.O_CREAT | os.O_RDONLY)
+    assert taken == number
+    before = time.monotonic()
+    assert waiting.next(0.2) is None
+    assert time.monotonic() - before > 0.19
+    other.send(b"x", (port.host, port.port))
+    assert waiting.next(5.0) is not None
+    os.close(taken)
 
 
 @pytest.mark.parametrize("mode", get_args(Wait))

@@ -1,13 +1,18 @@
-"""A controller that raises, sleeps, or returns what is no command; in virtual time."""
+"""A controller that raises, sleeps, or returns what is no command; in virtual time.
+
+One that closes file descriptors runs in a process and in real time: the descriptors of the tests stay open.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
+from armlab import log
 from armlab.errors import CommandRefused, ControllerFailed, ControllerLate, LinkError
 from armlab.state import Command, State
 from armlab.wire.egm import EgmCodec
@@ -16,6 +21,7 @@ from .bench import PERIOD, ROBOT, Bench
 from .judge import judge
 from .matrix import Cell, cells, shows
 from .motion import Motion
+from .processes import PATIENCE, SimulatedRobot, free_port, is_whole, program
 
 BEGINS = {"holding": 0.0, "running": 0.3}
 CALLED = "holding, running"
@@ -132,6 +138,67 @@ def test_the_run_ends(bench: Bench, cell: Cell) -> None:
     again = bench.run(Motion(), seconds=0.3)
     judge(bench, again, count)
     assert again.run.reason == "the time is up"
+
+
+CLOSES = """
+import os
+import sys
+import numpy as np
+from armlab import bridge, robots
+from armlab.errors import ControllerFailed
+from armlab.state import Command
+port, path, phase, own = sys.argv[1:]
+files = []
+def controller(state):
+    if state.t > 0.3 and not files:
+        os.closerange(3, 1000)
+        files.extend(open(f"{own}{k}", "w") for k in range(8))
+    return None if phase == "holding" else Command(state.q_start + 0.1 * (1.0 - np.cos(4.0 * state.t)))
+with bridge.connect(f"egm://127.0.0.1:{port}", robots.load("yumi_right")) as link:
+    try:
+        link.run(controller, record=path)
+    except ControllerFailed as error:
+        print(error, len(error.table))
+    print(link.last.statistics["packets"], *link.last.statistics["problems"])
+    print(link.run(controller, seconds=0.3).reason)
+for file in files:
+    file.write("theirs")
+    file.close()
+"""
+
+
+@shows(
+    cells(
+        "controller",
+        "closes file descriptors that it did not open",
+        CALLED,
+        "socket and log are opened again at once; the arm comes to rest, and the run ends",
+        "The controller, or other code in this process, closed file descriptors that it had not opened, …",
+        AGAIN,
+    )
+)
+def test_the_bridge_outlives_its_descriptors(cell: Cell, tmp_path: Path) -> None:
+    """The controller's own files, which took the numbers of the socket and the log, are left alone."""
+    port, path, own = free_port(), tmp_path / "run.mcap", tmp_path / "own"
+    robot = SimulatedRobot(tmp_path, port)
+    words = ("-c", CLOSES, str(port), str(path), cell.state, str(own))
+    with robot.running(), program(*words) as bridge:
+        told, errors = bridge.communicate(timeout=PATIENCE)
+        assert bridge.returncode == 0, errors
+    first, counted, again = told.splitlines()
+    assert cell.is_told(first)
+    assert again == "the time is up"
+    assert "Traceback" not in errors
+    assert log.inspect(path).finished
+    table = log.read(path)
+    is_whole(table)
+    assert counted == str(len(table)), "every packet has its row, and the log no problem"
+    sent = table["qd_sent"][np.isfinite(table["qd_sent"]).all(axis=1)]
+    assert sent.any() == (cell.state == "running")
+    assert not sent[-50:].any(), "it came to rest, and rested"
+    assert table["t"][-1] > 0.7
+    assert [Path(f"{own}{k}").read_text() for k in range(8)] == ["theirs"] * 8
+    robot.judge()
 
 
 @shows(

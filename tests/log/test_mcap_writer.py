@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import io
+import os
 import tracemalloc
 from pathlib import Path
 
@@ -87,6 +88,26 @@ def test_memory_does_not_grow_with_the_chunks_of_a_day(tmp_path: Path) -> None:
     assert len(summary.chunk_indexes) == summary.statistics.chunk_count == count
     assert [len(one.message_index_offsets) for one in summary.chunk_indexes] == [2] * count
     assert (summary.statistics.message_start_time, summary.statistics.message_end_time) == (0, count)
+
+
+def test_an_index_whose_descriptor_was_closed_costs_the_summary_and_no_message(tmp_path: Path) -> None:
+    """After five minutes the index is in a file without a name; nothing goes into the file that has its number then."""
+    count, path, other = 3000, tmp_path / "long.mcap", tmp_path / "other"
+    with path.open("xb", buffering=0) as file:
+        writer, a, _ = begun(file)
+        for i in range(count):
+            if i == count // 2:
+                with other.open("wb") as theirs:
+                    os.dup2(theirs.fileno(), writer._index._number)
+            writer.message(a, i, i, i, b"")
+            writer.close_chunk()
+        with pytest.raises(OSError, match="armlab log recover makes a new one"):
+            writer.finish()
+    os.close(writer._index._number)
+    assert other.read_bytes() == b""
+    found = contents(memoryview(path.read_bytes()))
+    assert len(found.chunks) == count
+    assert not found.finished
 
 
 def test_cut_at_every_byte_the_messages_pushed_before_are_there() -> None:

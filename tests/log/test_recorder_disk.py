@@ -122,7 +122,7 @@ def test_a_disk_that_is_slow_to_sync_holds_up_no_row(
     gate, reached = threading.Event(), threading.Event()
     monkeypatch.setattr("armlab.log.recorder.FLUSH_PERIOD", 0.0)
     recorder = Recorder(tmp_path / "run.mcap", robot)
-    monkeypatch.setattr("armlab.log.syncing.os.fsync", lambda _: (reached.set(), gate.wait(PATIENCE)))
+    monkeypatch.setattr("armlab.log.recording_file.os.fsync", lambda _: (reached.set(), gate.wait(PATIENCE)))
     recorder.row(*rows(0))
     assert reached.wait(PATIENCE)
     for i in range(1, 5):
@@ -146,7 +146,7 @@ def test_a_sync_that_fails_stops_the_recorder(
 
     monkeypatch.setattr("armlab.log.recorder.FLUSH_PERIOD", 0.0)
     recorder = Recorder(tmp_path / "run.mcap", robot)
-    monkeypatch.setattr("armlab.log.syncing.os.fsync", broken)
+    monkeypatch.setattr("armlab.log.recording_file.os.fsync", broken)
     while recorder.failed is None:
         recorder.row(*rows(0))
     assert recorder.failed.endswith("Input/output error.")
@@ -166,7 +166,7 @@ def test_an_error_whose_text_cannot_be_made_stops_the_recorder(
         raise Mute
 
     recorder = Recorder(tmp_path / "run.mcap", robot)
-    number = recorder._file.fileno()
+    number = recorder._file._file.fileno()
     monkeypatch.setattr(recorder._file, "write", broken)
     until = time.monotonic() + PATIENCE
     while recorder.failed is None:
@@ -189,7 +189,7 @@ def test_a_sync_that_fails_last_is_told_when_the_recorder_closes(
             raise errors.pop()
 
     recorder = Recorder(tmp_path / "run.mcap", robot)
-    monkeypatch.setattr("armlab.log.syncing.os.fsync", broken_once)
+    monkeypatch.setattr("armlab.log.recording_file.os.fsync", broken_once)
     recorder.row(*rows(0))
     recorder._syncing.ask()
     recorder._syncing._thread.join(PATIENCE)

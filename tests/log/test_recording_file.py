@@ -62,7 +62,7 @@ def test_of_a_write_that_failed_half_way_nothing_is_left(tmp_path: Path, robot: 
             raise OSError(errno.ENOSPC, "No space left on device")
 
     size = file.path.stat().st_size
-    file._writer._file = Full(file.fileno(), "r+", closefd=False)
+    file._writer._file = Full(file._file.fileno(), "r+", closefd=False)
     with pytest.raises(OSError, match="No space left"):
         file.write([layout.pack(*rows(i)) for i in range(10, 210)])
     file.abandon()

@@ -29,7 +29,7 @@ TESTS = sorted((ROOT / "tests").rglob("*.py"))
 
 LAYERS = [  # low to high; packages on one line do not see each other
     {"errors"},
-    {"glossary", "state", "_interrupts", "_numbers", "_palette", "_toml", "_whole_files"},
+    {"_descriptors", "glossary", "state", "_interrupts", "_numbers", "_palette", "_toml", "_whole_files"},
     {"kernels"},
     {"lie", "wire"},
     {"robots", "signals"},

@@ -1,13 +1,19 @@
-"""`Port`: the bound UDP socket, with the kernel's stamp of each arrival, and who holds a port that is taken."""
+"""`Port`: the bound UDP socket, with the kernel's stamp of each arrival, and who holds a port that is taken.
+
+A socket whose descriptor other code in this process closed (`os.closerange`) is bound again: a moving arm has to be
+brought to rest.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import errno
 import socket
+from collections.abc import Callable
 from typing import NamedTuple
 
 from armlab import kernels
+from armlab._descriptors import identity
 from armlab.bridge.holder import holder
 from armlab.errors import LinkError
 
@@ -26,7 +32,7 @@ class Arrival(NamedTuple):
 
 
 class Port:
-    """A bound UDP port that never blocks and never raises after construction; socket errors are counted.
+    """A bound UDP port that never blocks; socket errors are counted.
 
     Parameters
     ----------
@@ -34,14 +40,22 @@ class Port:
 
     Attributes
     ----------
-    host, port : the address bound.
+    host, port : the address bound. on_lost : called after the socket was bound again.
 
     Raises
     ------
-    LinkError : the address cannot be bound; names who holds the port where that can be told.
+    LinkError : the address cannot be bound, or not again; names who holds the port where that can be determined.
     """
 
     def __init__(self, host: str, port: int, to_itself: bool = False) -> None:
+        self._errors = self._seen = 0
+        self._is_closed = False
+        self.on_lost: Callable[[], None] = lambda: None
+        self._bind(host, port)
+        self.host, self.port = self._socket.getsockname()
+        self._always_to = (self.host, self.port) if to_itself else None
+
+    def _bind(self, host: str, port: int) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.bind((host, port))
@@ -51,18 +65,21 @@ class Port:
         self._socket.setblocking(False)
         with contextlib.suppress(OSError):
             self._socket.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
-        self.host, self.port = self._socket.getsockname()
-        self._always_to = (self.host, self.port) if to_itself else None
+        self._identity = identity(self._socket.fileno())
         self._datagrams = kernels.Datagrams(self._socket, Arrival)
 
     @property
     def errors(self) -> int:
         """Socket errors so far."""
-        return self._datagrams.errors
+        return self._errors + self._datagrams.errors
 
     def close(self) -> None:
         """Close the socket."""
-        self._datagrams.close()
+        self._is_closed = True
+        if identity(self._socket.fileno()) == self._identity:
+            self._datagrams.close()
+        else:
+            self._socket.detach()
 
     def fileno(self) -> int:
         """Return the number by which the system knows the socket: one can wait on it."""
@@ -70,7 +87,10 @@ class Port:
 
     def receive(self) -> Arrival | None:
         """Return the next datagram, or None when there is none."""
-        return self._datagrams.receive()
+        arrival = self._datagrams.receive()
+        if arrival is None and self._datagrams.errors != self._seen and self._was_lost():
+            arrival = self._datagrams.receive()
+        return arrival
 
     def flush(self) -> None:
         """Throw away what arrived while nobody listened: replies to old packets would be references to old places."""
@@ -80,7 +100,19 @@ class Port:
 
     def send(self, data: bytes, to: tuple[str, int]) -> bool:
         """Send one datagram. Return whether the system took it."""
-        return self._datagrams.send(data, self._always_to or to)
+        to = self._always_to or to
+        return self._datagrams.send(data, to) or (self._was_lost() and self._datagrams.send(data, to))
+
+    def _was_lost(self) -> bool:
+        """After an error: return whether other code had closed the socket, which is bound again then."""
+        self._seen = self._datagrams.errors
+        if self._is_closed or identity(self._socket.fileno()) == self._identity:
+            return False
+        self._errors, self._seen = self._errors + self._seen, 0
+        self._socket.detach()  # its number may belong to another file by now
+        self._bind(self.host, self.port)
+        self.on_lost()
+        return True
 
 
 def _why_not(host: str, port: int, error: Exception) -> str:

@@ -8,6 +8,7 @@ import sys
 import threading
 from collections import deque
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 
 from armlab.errors import LinkError
 
@@ -80,9 +81,11 @@ class Simulator:
                 self._process.wait()
         self._reader.join(_PATIENCE)
         if self._process.stderr is not None:
-            self._process.stderr.close()
+            with suppress(OSError):  # its descriptor may be closed
+                self._process.stderr.close()
 
     def _read(self) -> None:
         if self._process.stderr is not None:
-            for line in self._process.stderr:
-                self.lines.append(line.strip())
+            with suppress(OSError):
+                for line in self._process.stderr:
+                    self.lines.append(line.strip())

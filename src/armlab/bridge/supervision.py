@@ -14,7 +14,7 @@ from armlab.bridge.events import Tell
 from armlab.bridge.port import Port
 from armlab.bridge.session import EGM_ERROR, Session
 from armlab.bridge.states import Guide, Mode
-from armlab.errors import LinkError, NoRobot, SessionEnded
+from armlab.errors import ControllerFailed, LinkError, NoRobot, SessionEnded
 
 __all__ = ["Settings", "Supervisor", "check_list"]
 
@@ -54,6 +54,7 @@ class Supervisor:
     def __init__(self, port: Port, session: Session, guide: Guide, settings: Settings, on_event: Tell) -> None:
         self._port, self._session, self._guide, self._settings = port, session, guide, settings
         self._on_event = on_event
+        port.on_lost = self._stop_without_descriptors
         self._told = False
         self._elapsed, self._brief = 0.0, 0
 
@@ -107,6 +108,16 @@ class Supervisor:
                 "is a reference that it refuses, too far away or too fast."
             )
             guide.stop("sessions ended at once", failure)
+
+    def _stop_without_descriptors(self) -> None:
+        """Bring the arm to rest over the socket that was bound again."""
+        self._guide.stop(
+            "file descriptors were closed",
+            ControllerFailed(
+                "The controller, or other code in this process, closed file descriptors that it had not opened, the "
+                "bridge's socket among them. The arm was stopped. Close only the files that the controller opens."
+            ),
+        )
 
     def _silence(self) -> LinkError:
         session, seconds = self._session, self._settings.patience

@@ -74,9 +74,7 @@ class Waiting:
 
     def __init__(self, ports: Sequence[Port], predictions: Sequence[Prediction], mode: Wait) -> None:
         self._ports, self._predictions, self._mode = tuple(enumerate(ports)), predictions, mode
-        self._poller = select.poll()
-        for port in ports:
-            self._poller.register(port.fileno(), select.POLLIN)
+        self._poller, self._numbers = select.poll(), set[int]()
         self.rehearse: Callable[[int], None] = lambda index: None
 
     def next(self, seconds: float) -> tuple[int, Arrival] | None:
@@ -106,8 +104,17 @@ class Waiting:
                 return found
         if self._mode == "spin":
             return self._poll(end)
-        self._poller.poll(max(1e-6 * (end - time.monotonic_ns()), 0.0))
+        self._sleep(max(1e-6 * (end - time.monotonic_ns()), 0.0))
         return self._receive()
+
+    def _sleep(self, milliseconds: float) -> bool:
+        """Sleep until a datagram comes. Return whether one came in the time."""
+        numbers = {port.fileno() for _, port in self._ports}
+        if numbers != self._numbers:  # at first, and after a socket was bound again
+            self._poller, self._numbers = select.poll(), numbers
+            for number in numbers:
+                self._poller.register(number, select.POLLIN)
+        return bool(self._poller.poll(milliseconds))
 
     def _soonest(self, now: int) -> tuple[float, int] | None:
         """Return the first predicted arrival that is not over, and the index of its port."""
@@ -127,7 +134,7 @@ class Waiting:
         if self._mode == "spin":
             return self._poll(until)
         whole = int(1e-6 * (until - time.monotonic_ns()))
-        if len(self._ports) == 1 or not self._poller.poll(max(whole, 0)):  # another arm's packet does not wait
+        if len(self._ports) == 1 or not self._sleep(max(whole, 0)):  # another arm's packet does not wait
             time.sleep(1e-9 * max(until - time.monotonic_ns(), 0.0))
         return self._receive()
 

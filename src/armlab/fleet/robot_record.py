@@ -288,7 +288,7 @@ class _File:
         self.file = RecordingFile(path, run.robot, run.layout, {}, "")
         self.holes: deque[tuple[int, int, int]] = deque(maxlen=_MOST_HOLES)
         self.lost = self.damaged = 0
-        self._syncing = Syncing(self.file.fileno(), f"sync {path.name}")
+        self._syncing = Syncing(self.file.to_disk, f"sync {path.name}")
 
     def flush(self) -> None:
         self.file.close_chunk()

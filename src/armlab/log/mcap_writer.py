@@ -8,15 +8,19 @@ behind it grows one zstd frame, block by block. What `push` has given to the ker
 from __future__ import annotations
 
 import contextlib
+import errno
+import os
 import struct
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import Any, BinaryIO
+from typing import Any, Protocol
 
+from armlab._descriptors import identity
 from armlab.log.mcap_records import (
     ATTACHMENT,
     ATTACHMENT_INDEX,
@@ -47,6 +51,22 @@ _ENTRY = struct.Struct("<QQ")
 _KEPT = 2**16  # bytes of the index of the chunks in memory, five minutes of one arm
 
 
+class _WritableFile(Protocol):
+    """What a writer needs of a file."""
+
+    def write(self, data: Any, /) -> int:
+        """Write, and return how many bytes the system took."""
+        ...
+
+    def seek(self, at: int, /) -> int:
+        """Go on at another place."""
+        ...
+
+    def truncate(self, size: int, /) -> int:
+        """Cut the file to a size."""
+        ...
+
+
 @dataclass(slots=True)
 class _OpenChunk:
     """The chunk in progress: where it begins, its zstd frame, and what its header and indexes will say."""
@@ -63,29 +83,44 @@ class _OpenChunk:
 
 
 class _Index:
-    """Records that come last in a file. Those of a day have 20 MB: they wait on the disk, in a file without a name."""
+    """Records that come last in a file. Those of a day have 20 MB: they wait on the disk, in a file without a name.
+
+    Where other code closes its descriptor, the file is gone; `taken` then raises.
+    """
 
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
         self._newest = bytearray()
-        self._file: BinaryIO | None = None
+        self._number = -1
+        self._identity: tuple[int, int] | None = None
+
+    def __del__(self) -> None:
+        if self._number >= 0 and not self._is_lost():
+            os.close(self._number)
 
     def add(self, record: bytes) -> None:
         self._newest += record
         if len(self._newest) > _KEPT:
-            if self._file is None:
-                self._file = TemporaryFile(dir=self._folder)  # noqa: SIM115 - closed by `taken`
-            self._file.write(self._newest)
+            if self._number < 0:
+                with TemporaryFile(dir=self._folder) as file:
+                    self._number = os.dup(file.fileno())
+                self._identity = identity(self._number)
+            if not self._is_lost():
+                _write_all(partial(os.write, self._number), self._newest)
             self._newest.clear()
 
     def taken(self) -> Iterator[bytes]:
         """Give all of it, once."""
-        if self._file is not None:
-            with self._file as file:
-                file.seek(0)
-                while part := file.read(_KEPT):
-                    yield part
+        if self._number >= 0:
+            if self._is_lost():
+                raise OSError(errno.EBADF, "the descriptor of its index was closed; armlab log recover makes a new one")
+            os.lseek(self._number, 0, os.SEEK_SET)
+            while part := os.read(self._number, _KEPT):
+                yield part
         yield bytes(self._newest)
+
+    def _is_lost(self) -> bool:
+        return identity(self._number) != self._identity
 
 
 class McapWriter:
@@ -101,7 +136,7 @@ class McapWriter:
     OSError : by every method, when the file cannot be written.
     """
 
-    def __init__(self, file: BinaryIO, profile: str, library: str) -> None:
+    def __init__(self, file: _WritableFile, profile: str, library: str) -> None:
         import zstandard
 
         self._file, self._at = file, 0
@@ -277,10 +312,7 @@ class McapWriter:
         self._at += len(data)
 
     def _write(self, data: bytes) -> None:
-        """Write all of it: a write that is not buffered may take less."""
-        done = self._file.write(data)
-        while done < len(data):
-            done += self._file.write(memoryview(data)[done:])
+        _write_all(self._file.write, data)
 
     def _statistics(self) -> bytes:
         first, last = self._times or (0, 0)
@@ -290,7 +322,14 @@ class McapWriter:
         return _record(STATISTICS, head, struct.pack("<I", sum(map(len, counts))), *counts)
 
 
-def _folder(file: BinaryIO) -> Path | None:
+def _write_all(write: Callable[[Any], int], data: bytes | bytearray) -> None:
+    """Write all of it: a write that is not buffered may take less."""
+    done = write(data)
+    while done < len(data):
+        done += write(memoryview(data)[done:])
+
+
+def _folder(file: _WritableFile) -> Path | None:
     """Return the folder of a file, None for one without."""
     name = getattr(file, "name", None)
     return Path(name).parent if isinstance(name, str) else None

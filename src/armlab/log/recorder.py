@@ -88,7 +88,7 @@ class Recorder:
         self._closed = False
         self._queue: deque[bytes | Callable[[], None]] = deque()  # append and popleft are atomic
         self._wake = threading.Event()
-        self._syncing = Syncing(self._file.fileno(), f"sync {self.path.name}")
+        self._syncing = Syncing(self._file.to_disk, f"sync {self.path.name}")
         self._thread = threading.Thread(target=self._run, name=f"recorder {self.path.name}", daemon=True)
         self._thread.start()
         atexit.register(self.close)

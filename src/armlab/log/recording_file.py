@@ -8,12 +8,13 @@ import os
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
 from armlab.errors import ConfigError, LogError
 from armlab.kernels import RowEncoder
 from armlab.log.mcap_writer import McapWriter
 from armlab.log.messages import Plan, clock_metadata, definition, event, parameter, plan, topic_name, topics
+from armlab.log.persistent_file import PersistentFile
 from armlab.log.recording_metadata import attached, metadata
 from armlab.log.rows import RowLayout
 
@@ -43,7 +44,7 @@ def recording_path(path: str | Path) -> Path:
     return path
 
 
-def open_new(path: str | Path) -> tuple[BinaryIO, Path]:
+def open_new(path: str | Path) -> tuple[PersistentFile, Path]:
     """Open a file that does not exist yet: ``run.mcap``, else ``run-2.mcap``, ``run-3.mcap``, ...
 
     Returns
@@ -60,7 +61,7 @@ def open_new(path: str | Path) -> tuple[BinaryIO, Path]:
         path.parent.mkdir(parents=True, exist_ok=True)
         while True:
             try:
-                return candidate.open("xb", buffering=0), candidate
+                return PersistentFile(candidate), candidate
             except FileExistsError:
                 number += 1
                 candidate = path.with_name(f"{path.stem}-{number}{path.suffix}")
@@ -174,9 +175,10 @@ class RecordingFile:
         media = "application/json" if name.endswith(".json") else "application/octet-stream"
         self._writer.attach(self.last_stamp_ns, name, media, data)
 
-    def fileno(self) -> int:
-        """Return the number of the open file."""
-        return self._file.fileno()
+    def to_disk(self) -> None:
+        """Bring everything to the disk, unless the file is closed. Any thread may call it."""
+        if not self._file.closed:
+            _fsync(self._file)
 
     def sync(self) -> None:
         """Close the chunk and bring everything to the disk: what was written so far survives a power loss."""
@@ -199,7 +201,7 @@ class RecordingFile:
 
     def abandon(self) -> None:
         """Close the file as it is, after a write error."""
-        with contextlib.suppress(OSError, ValueError):
+        with contextlib.suppress(OSError):
             self._file.close()
 
     def close_chunk(self) -> None:
@@ -212,7 +214,7 @@ def _stamp(row: bytes) -> int:
     return int.from_bytes(row[:8], "little", signed=True)
 
 
-def _fsync(file: BinaryIO) -> None:
+def _fsync(file: PersistentFile) -> None:
     os.fsync(file.fileno())
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import threading
+from collections.abc import Callable
 
 __all__ = ["Syncing"]
 
@@ -16,12 +16,11 @@ class Syncing:
 
     Parameters
     ----------
-    number : of the open file; a copy is made, so that the file may be closed before the thread has ended.
-    name : of the thread.
+    sync : brings the file to the disk; called in the thread. name : of the thread.
     """
 
-    def __init__(self, number: int, name: str) -> None:
-        self._number = os.dup(number)
+    def __init__(self, sync: Callable[[], None], name: str) -> None:
+        self._sync = sync
         self._asked = threading.Event()
         self._closed = False
         self._error: OSError | None = None
@@ -61,8 +60,6 @@ class Syncing:
                 self._asked.clear()
                 if self._closed:
                     return
-                os.fsync(self._number)
+                self._sync()
         except OSError as error:
             self._error = error
-        finally:
-            os.close(self._number)

@@ -1,0 +1,82 @@
+"""`PersistentFile`: a file that stays writable when other code in this process closes its descriptor."""
+
+from __future__ import annotations
+
+import errno
+import os
+import threading
+from pathlib import Path
+
+from armlab._descriptors import identity
+
+__all__ = ["PersistentFile"]
+
+_FLAGS = os.O_WRONLY | getattr(os, "O_CLOEXEC", 0)
+
+
+class PersistentFile:
+    """A new file, opened for writing, not buffered.
+
+    Each call looks first whether the descriptor still belongs to the file. If not, the file is opened again by its
+    path, and writing goes on at the same place.
+
+    Parameters
+    ----------
+    path : file that does not exist.
+
+    Attributes
+    ----------
+    name : absolute path. closed : whether `close` was called.
+
+    Raises
+    ------
+    FileExistsError : the file exists. OSError : by every method, when the file cannot be written.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.name = str(Path(path).absolute())
+        self.closed = False
+        self._at = 0
+        self._lock = threading.Lock()  # of the descriptor: threads that write and sync may both find it closed
+        self._number = os.open(self.name, _FLAGS | os.O_CREAT | os.O_EXCL, 0o666)
+        self._identity = identity(self._number)
+
+    def fileno(self) -> int:
+        """Return the descriptor, which may be another one next time."""
+        with self._lock:
+            if self.closed:
+                raise OSError(errno.EBADF, os.strerror(errno.EBADF))
+            if identity(self._number) != self._identity:
+                self._number = self._reopened()
+            return self._number
+
+    def write(self, data: bytes | bytearray | memoryview) -> int:
+        """Write, and return how many bytes the system took."""
+        done = os.write(self.fileno(), data)
+        self._at += done
+        return done
+
+    def seek(self, at: int) -> int:
+        """Go on at another place, counted in bytes from the beginning."""
+        self._at = os.lseek(self.fileno(), at, os.SEEK_SET)
+        return self._at
+
+    def truncate(self, size: int) -> int:
+        """Cut the file to a size; the place stays."""
+        os.ftruncate(self.fileno(), size)
+        return size
+
+    def close(self) -> None:
+        """Close the file. A second call does nothing."""
+        with self._lock:
+            if not self.closed and identity(self._number) == self._identity:
+                os.close(self._number)
+            self.closed = True
+
+    def _reopened(self) -> int:
+        number = os.open(self.name, _FLAGS)
+        if identity(number) != self._identity:
+            os.close(number)
+            raise FileNotFoundError(errno.ENOENT, "its descriptor was closed, and another file has its name")
+        os.lseek(number, self._at, os.SEEK_SET)
+        return number
