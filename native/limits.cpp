@@ -14,12 +14,14 @@ constexpr double slack = 1e-9;  // relative: rounding is not a clamp
 constexpr double infinity = std::numeric_limits<double>::infinity();
 constexpr int max_axes = 64;
 
-// The fastest step velocity from which braking in steps of a T ends within `distance`.
-double brakeable(double distance, double a, double T) {
-  if (std::isinf(distance) || std::isinf(a)) return distance > 0.0 ? infinity : 0.0;
-  const double d = std::max(distance, 0.0);
-  const double k = std::floor(0.5 * (std::sqrt(1.0 + 8.0 * d / (a * T * T)) - 1.0));
-  return d / (T * (k + 1.0)) + 0.5 * a * T * k;
+// The fastest velocity v of a step T after which the arm, late by `lag`, can still stop within `distance`, however
+// long the steps to come are: v T + v lag + v^2 / (2 a) = distance.
+double brakeable(double distance, double a, double T, double lag) {
+  const double d = std::max(distance, 0.0), late = T + lag;
+  if (std::isinf(d)) return infinity;
+  if (std::isinf(a)) return d / late;
+  const double b = a * late;
+  return d > 0.0 ? 2.0 * a * d / (std::sqrt(b * b + 2.0 * a * d) + b) : 0.0;
 }
 
 struct Joint {
@@ -82,14 +84,14 @@ struct Optional {
 };
 
 nb::object limit_reference(nb::handle sent_, nb::handle bounds_, double T, nb::handle q_ref_, nb::handle q_last_,
-                           nb::handle qd_ref_) {
+                           nb::handle qd_ref_, double lag) {
   const Input sent(sent_, "sent"), bounds(bounds_, "bounds");
   const npy_intp count = sent.size() / 3;
   sent.require_exactly({3, count});
   bounds.require_exactly({5, count});
-  if (count > max_axes || !(T > 0.0))
-    raise_shape_error("Expected at most " + std::to_string(max_axes) + " joints and a positive period, got " +
-                      std::to_string(count) + " and " + std::to_string(T) + " s.");
+  if (count > max_axes || !(T > 0.0) || !(lag >= 0.0))
+    raise_shape_error("Expected at most " + std::to_string(max_axes) + " joints, a positive period and no negative lag, " +
+                      "got " + std::to_string(count) + ", " + std::to_string(T) + " s and " + std::to_string(lag) + " s.");
   const int n = static_cast<int>(count);
   const Optional asked(q_ref_, "q_ref", n), before(q_last_, "q_last", n), speed(qd_ref_, "qd_ref", n);
   const double *q_ref = asked.data, *q_last = before.data, *qd_ref = speed.data;
@@ -97,7 +99,8 @@ nb::object limit_reference(nb::handle sent_, nb::handle bounds_, double T, nb::h
   Joint joints[max_axes];
   for (int i = 0; i < n; ++i) {
     const double *b = bounds.data(), q = sent.data()[i], a = b[3 * n + i];
-    joints[i] = {q, b[i], b[n + i], b[2 * n + i], a, -brakeable(q - b[i], a, T), brakeable(b[n + i] - q, a, T)};
+    const double back = brakeable(q - b[i], a, T, lag), forth = brakeable(b[n + i] - q, a, T, lag);
+    joints[i] = {q, b[i], b[n + i], b[2 * n + i], a, -back, forth};
   }
   const int refused = refusal(n, joints, bounds.data() + 4 * n, T, q_ref, q_last, qd_ref);
   if (refused) q_ref = q_last = qd_ref = nullptr;
@@ -119,12 +122,15 @@ nb::object limit_reference(nb::handle sent_, nb::handle bounds_, double T, nb::h
     if (q_ref[i] < joint.q_min || q_ref[i] > joint.q_max) bits[i] |= position_bit;
     const double last = q_last ? q_last[i] : q_ref[i], behind = last - joint.q;
     reached[i] = std::fabs(behind) <= joint.a * T * T;
-    wanted[i] = reached[i] ? (q_ref[i] - joint.q) / T
-                           : (q_ref[i] - last) / T + std::copysign(brakeable(std::fabs(behind), joint.a, T), behind);
+    const double catching_up = std::copysign(brakeable(std::fabs(behind), joint.a, T, 0.0), behind);
+    wanted[i] = reached[i] ? (q_ref[i] - joint.q) / T : (q_ref[i] - last) / T + catching_up;
   }
   std::copy_n(wanted, n, v);
   const double ratio = keep_within(n, joints, T, sent.data() + n, v, bits);
-  std::copy_n(q_ref && qd_ref ? qd_ref : v, n, f);
+  for (int i = 0; i < n; ++i) {  // a speed given beside a position agrees with it to within one step of acceleration
+    const double apart = joints[i].a * T;
+    f[i] = q_ref && qd_ref ? std::min(std::max(qd_ref[i], v[i] - apart), v[i] + apart) : v[i];
+  }
   keep_within(n, joints, T, sent.data() + 2 * n, f, bits);
   for (int i = 0; i < n; ++i) {
     const Joint &joint = joints[i];
@@ -143,6 +149,7 @@ nb::object limit_reference(nb::handle sent_, nb::handle bounds_, double T, nb::h
 void bind_limits(nb::module_ &m) {
   m.def("limit_reference", &armlab::limit_reference, armlab::array("sent"), armlab::array("bounds"), nb::arg("period"),
         nb::arg("q_ref").none() = nb::none(), nb::arg("q_last").none() = nb::none(), nb::arg("qd_ref").none() = nb::none(),
+        nb::arg("lag") = 0.0,
         "Return the reference to send next, clamp bits, velocity ratio and refusal; see "
         "armlab/kernels/_reference/limits.py.");
 }

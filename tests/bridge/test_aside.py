@@ -33,19 +33,19 @@ def packet(robot: Robot, q_ext: Any = (0.3, -0.2), robotware: str = "7") -> Pack
 def test_axes_move_within_their_limits_and_come_to_rest(robot: Robot) -> None:
     """Half a radian per second after 0.1 s, its speed with each position, and a ramp down in the end."""
     aside, here = Aside(AXES, ABLE), packet(robot)
-    assert aside.hold(T) is None, "nobody asked for a motion"
+    assert aside.hold(T, T) is None, "nobody asked for a motion"
     goal = here.q_ext.copy()
     found: list[Beside] = []
     for _ in range(60):
         goal = goal + 0.0025
-        found.append(aside.follow(Command(q_ext=goal), here, T) or Beside())
+        found.append(aside.follow(Command(q_ext=goal), here, T, T) or Beside())
     q = np.array([one.q_ext for one in found])
     steps = np.diff(np.vstack((here.q_ext, q)), axis=0)
     assert steps.max() == pytest.approx(0.5 * T, rel=1e-6)
     assert np.diff(steps, axis=0).max() <= 5.0 * T**2 + 1e-12
     np.testing.assert_allclose(found[-1].qd_ext, steps[-1] / T, rtol=1e-6)
     assert not aside.at_rest
-    rest = [aside.hold(T) for _ in range(40)]
+    rest = [aside.hold(T, T) for _ in range(40)]
     assert aside.at_rest
     assert rest[-1] is not None
     assert rest[-1].qd_ext is not None
@@ -63,11 +63,11 @@ def test_axes_move_within_their_limits_and_come_to_rest(robot: Robot) -> None:
 
 def test_values_for_rapid_go_out_once(robot: Robot) -> None:
     aside, here = Aside(None, ABLE), packet(robot)
-    found = aside.follow(Command(rapid_data=[1.0, 2.5], rapid_digital=True), here, T)
+    found = aside.follow(Command(rapid_data=[1.0, 2.5], rapid_digital=True), here, T, T)
     assert found is not None
     assert (found.rapid_data.tolist(), found.rapid_digital, found.q_ext) == ([1.0, 2.5], True, None)  # type: ignore[union-attr]
-    assert aside.follow(Command(robot.q_home), here, T) is None
-    assert aside.follow(Command(rapid_digital=False), here, T) == Beside(rapid_digital=False)
+    assert aside.follow(Command(robot.q_home), here, T, T) is None
+    assert aside.follow(Command(rapid_digital=False), here, T, T) == Beside(rapid_digital=False)
 
 
 @pytest.mark.parametrize(
@@ -87,27 +87,27 @@ def test_values_for_rapid_go_out_once(robot: Robot) -> None:
 )
 def test_what_is_refused(robot: Robot, command: Command, words: str) -> None:
     with pytest.raises(CommandRefused, match=words):
-        Aside(AXES, ABLE).follow(command, packet(robot), T)
+        Aside(AXES, ABLE).follow(command, packet(robot), T, T)
 
 
 def test_jumps_missing_limits_and_robots_that_cannot_are_refused(robot: Robot) -> None:
     aside, here = Aside(AXES, ABLE), packet(robot)
-    aside.follow(Command(q_ext=here.q_ext), here, T)
+    aside.follow(Command(q_ext=here.q_ext), here, T, T)
     with pytest.raises(CommandRefused, match=r"axis 2 near the last one sent, -0.2000, got 0.8000"):
-        aside.follow(Command(q_ext=here.q_ext + np.array([0.0, 1.0])), here, T)
+        aside.follow(Command(q_ext=here.q_ext + np.array([0.0, 1.0])), here, T, T)
     aside.begin()
     with pytest.raises(CommandRefused, match=r"first position of external axis 1 within 0.05"):
-        aside.follow(Command(q_ext=here.q_ext + 0.08), here, T)
+        aside.follow(Command(q_ext=here.q_ext + 0.08), here, T, T)
     with pytest.raises(CommandRefused, match=r"external=Limits.of_axes"):
-        Aside(None, ABLE).follow(Command(q_ext=here.q_ext), here, T)
+        Aside(None, ABLE).follow(Command(q_ext=here.q_ext), here, T, T)
     with pytest.raises(CommandRefused, match="cannot send external axes"):
-        Aside(AXES, frozenset(("position",))).follow(Command(q_ext=here.q_ext), here, T)
+        Aside(AXES, frozenset(("position",))).follow(Command(q_ext=here.q_ext), here, T, T)
     with pytest.raises(CommandRefused, match=r"need RobotWare 7, this is RobotWare 6.10"):
-        aside.follow(Command(rapid_digital=True), packet(robot, robotware="6.10"), T)
+        aside.follow(Command(rapid_digital=True), packet(robot, robotware="6.10"), T, T)
     with pytest.raises(CommandRefused, match="a codec that cannot send it"):
-        Aside(AXES, frozenset(("position",))).follow(Command(rapid_data=[1.0]), here, T)
+        Aside(AXES, frozenset(("position",))).follow(Command(rapid_data=[1.0]), here, T, T)
     with pytest.raises(CommandRefused, match="external axes, 0, got"):
-        aside.follow(Command(q_ext=here.q_ext), packet(robot, ()), T)
+        aside.follow(Command(q_ext=here.q_ext), packet(robot, ()), T, T)
 
 
 def test_a_refusal_stops_the_run_and_every_reply_says_where_the_axes_stay(feed: Any, robot: Robot) -> None:
@@ -131,6 +131,7 @@ def test_a_refusal_stops_the_run_and_every_reply_says_where_the_axes_stay(feed: 
     assert moving.qd_ext is not None
     assert moving.qd_ext.min() > 0.1
     assert guide.mode is Mode.HOLDING, "the joints hold"
+    guide.observe(feed.sample(q_ext=here, rapid_digital=False))
     late = guide.hold(T)
     assert late is not None
     assert late.beside is not None

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from armlab import bridge, robots
+from armlab.bridge.feedback import outside_range
 from armlab.bridge.limits import Limiter, Limits
 from armlab.bridge.linked import LinkedLimiter, axes_of, limiter_of
-from armlab.bridge.readiness import implausible
 from armlab.bridge.torque import Torques
 from armlab.state import Command, State
 from armlab.wire.egm.linkage import Linkage
@@ -57,8 +57,8 @@ def test_refusals_name_the_axis() -> None:
 
 def test_feedback_is_plausible_where_the_axes_are_within_their_limits() -> None:
     """Lower arm forward by 60 degrees, upper arm level: joint 3 is at -60 - 50 degrees, and that is no mistake."""
-    assert implausible(np.radians([0, 60.0, -110, 0, 30, 0]), ROBOT) == ""
-    assert "joint 3" in implausible(np.radians([0, 60.0, 40, 0, 30, 0]), ROBOT)
+    assert outside_range(np.radians([0, 60.0, -110, 0, 30, 0]), ROBOT) == ""
+    assert "joint 3" in outside_range(np.radians([0, 60.0, 40, 0, 30, 0]), ROBOT)
 
 
 def test_a_torque_alone_is_judged_by_the_axes() -> None:

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import pytest
 
-from armlab.bridge.readiness import MCI_RUNNING, implausible, obstacle
-from armlab.robots import Robot
+from armlab.bridge.readiness import MCI_RUNNING, Readiness, obstacle
 from armlab.wire.egm import EgmCodec, Packet
 
 
@@ -25,7 +23,7 @@ def packet(packets: Any, **fields: Any) -> Packet:
         ({"rapid": 0}, ""),
         ({"rapid": None}, ""),
         ({"motors": 2}, "motors are off"),
-        ({"motors": 0}, "motors are off"),
+        ({"motors": 0}, "no state of the motors"),
         ({"rapid": 1}, "RAPID is stopped"),
         ({"mci": 2}, "EGMRunJoint"),
         ({"mci": 1}, "EGMRunJoint"),
@@ -39,11 +37,12 @@ def test_obstacles(packets: Any, fields: dict[str, int], words: str) -> None:
     assert packet(packets).mci == MCI_RUNNING
 
 
-def test_feedback_outside_the_limits(robot: Robot) -> None:
-    q = np.array(robot.q_max)
-    assert implausible(q + 0.09, robot) == ""
-    q[4] += 0.2
-    sentence = implausible(q, robot)
-    assert f"joint 5 ({robot.joint_names[4]})" in sentence
-    assert f"{q[4]:.3f}" in sentence
-    assert "units" in sentence
+def test_one_or_two_packets_without_a_state_end_no_motion(packets: Any) -> None:
+    readiness = Readiness()
+    for fields in ({}, {"motors": None}, {"mci": None}, {}, {"motors": None, "mci": None}, {"motors": None}):
+        assert readiness.obstacle(packet(packets, **fields)) == ""
+    assert "motors" in readiness.obstacle(packet(packets, motors=None))
+    assert readiness.obstacle(packet(packets)) == ""
+    assert "motors are off" in readiness.obstacle(packet(packets, motors=2))
+    readiness.begin()
+    assert "motors" in readiness.obstacle(packet(packets, motors=None)), "of a new session nothing is known"

@@ -39,9 +39,14 @@ def test_lost_packets_are_counted_and_dt_grows(feed: Any) -> None:
 
 def test_the_period_is_measured(feed: Any) -> None:
     for _ in range(20):
-        feed()
+        feed(after=2 * PERIOD_NS)
         feed.packets.cycle += 1
     assert feed.session.period.seconds == pytest.approx(0.008)
+    assert not feed.warnings
+    for _ in range(20):
+        feed()
+    assert feed.session.period.seconds == pytest.approx(0.004)
+    assert feed.warnings == ["The cycle time of the robot changed from 8.00 to 4.00 ms."]
 
 
 def test_replies_to_another_port_that_took_over_begin_at_zero(feed: Any) -> None:

@@ -107,8 +107,8 @@ def test_an_implausible_arm_stops_the_other_too(pair: Any) -> None:
 
     def script(left: Any, right: Any) -> None:
         right.cycle()
-        left.send(q=np.rad2deg(left.packets.q))
         while not pair.peer.over.is_set():
+            left.send(q=np.rad2deg(left.packets.q))
             right.send()
             time.sleep(0.001)
 

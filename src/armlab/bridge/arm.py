@@ -85,7 +85,7 @@ class Arm:
         self.guide, self.recording = guide, recording
         self.latency, self.prediction = Latency(), Prediction()
         self.replies = self.overtaken = self.late = self._ticks = 0
-        self.was_late = self._went_out = False
+        self.was_late = self._went_out = self._left_out = False
         self.newest: Turn | None = None
         self._in_lockstep, self._resumes = settings.clock == "robot", settings.resume
         self._fusion = fusion
@@ -201,13 +201,13 @@ class Arm:
         call_ns : time spent in the controller. late : the controller missed its deadline.
         """
         seq = send_ns = -1
-        self._went_out = False
+        self._went_out = self._left_out = False
         try:
             if reply is not None:
                 seq, send_ns = self._send(turn.sample, reply)
         finally:  # also when the codec raises: the robot has not got it
             if reply is not None and not self._went_out:
-                self.guide.take_back()
+                self.guide.take_back(self._left_out)
         if self._went_out and command is self._given and isinstance(command, Command):
             self._given = replace(command, rapid_data=None, rapid_digital=None)  # these go out once
         late = late or (not self._in_lockstep and send_ns > self.deadline(turn.sample))
@@ -227,7 +227,8 @@ class Arm:
         """Send a reply. Return its number and when [ns], -1 and -1 when nothing went out."""
         session, packet = self.session, sample.packet
         depth = -1 if self._in_lockstep else packet.queue_depth  # lockstep waits for every reply
-        if session.source is None or self.surplus.leaves_out(depth, self.period):
+        self._left_out = self.surplus.leaves_out(depth, self.period)
+        if session.source is None or self._left_out:
             return -1, -1
         tm_ms = 0 if packet.tm_ms is None else packet.tm_ms
         echoes = packet.seqno, packet.robot_mono_ns

@@ -71,33 +71,29 @@ class Aside:
         reply = self._limiter.rest(packet.q_ext)
         return Beside(reply.q, reply.qd)
 
-    def hold(self, period: float) -> Beside | None:
-        """Return what goes with a reply that holds: the axes come to rest, RAPID gets nothing.
-
-        Parameters
-        ----------
-        period : cycle time of the robot [s].
-        """
+    def hold(self, dt: float, longest: float) -> Beside | None:
+        """Return what goes with a reply that holds: the axes come to rest, RAPID gets nothing. See `Limiter.step`."""
         if not self._moves or self._limiter is None:
             return None
-        reply = self._limiter.hold(period)
+        reply = self._limiter.hold(dt, longest)
         return Beside(reply.q, reply.qd)
 
-    def follow(self, command: Command, packet: Packet, period: float) -> Beside | None:
+    def follow(self, command: Command, packet: Packet, dt: float, longest: float) -> Beside | None:
         """Return what goes with the reply to a command.
 
         Parameters
         ----------
-        command : of the controller. packet : the newest. period : cycle time of the robot [s].
+        command : of the controller. packet : the newest. dt, longest : see `Limiter.step`.
 
         Raises
         ------
         CommandRefused : values of another shape, no numbers, a jump, no limits, or a robot that cannot take them.
         """
         if command.rapid_data is None and command.rapid_digital is None and command.q_ext is None:
-            return self.hold(period)
+            return self.hold(dt, longest)
         data = self._data(command, packet)
-        moved = self.hold(period) if command.q_ext is None else self._moved(command.q_ext, packet, period)
+        q_ext = command.q_ext
+        moved = self.hold(dt, longest) if q_ext is None else self._moved(q_ext, packet, dt, longest)
         return (moved or Beside())._replace(rapid_data=data, rapid_digital=command.rapid_digital)
 
     def _data(self, command: Command, packet: Packet) -> np.ndarray | None:
@@ -123,7 +119,7 @@ class Aside:
             )
         return data
 
-    def _moved(self, q_ext: Any, packet: Packet, period: float) -> Beside:
+    def _moved(self, q_ext: Any, packet: Packet, dt: float, longest: float) -> Beside:
         """Return the next references of the external axes on the way to `q_ext`."""
         limiter, limits, measured = self._limiter, self._limits, packet.q_ext
         if "external_axes" not in self._capabilities:
@@ -152,7 +148,7 @@ class Aside:
                 )
             self._moves = self._entered = True
         before, memory = limiter.q, limiter.memory
-        reply = limiter.step(wanted, None, period)
+        reply = limiter.step(wanted, None, dt, longest)
         if reply.refused:
             limiter.memory = memory  # nobody gets this reply: the hold that goes out begins where the last one ended
             k = abs(reply.refused) - 1

@@ -1,9 +1,11 @@
-"""Time of the robot: `RobotClock` gives dt between packets, `Period` the robot's true cycle time."""
+"""Time of the robot: `RobotClock` measures the time between packets, `Period` the cycle time."""
 
 from __future__ import annotations
 
+from collections import deque
 from statistics import median
 
+from armlab.bridge.events import Tell, nobody
 from armlab.wire.egm import Packet
 
 __all__ = ["NOMINAL_PERIOD", "Period", "RobotClock"]
@@ -12,17 +14,17 @@ NOMINAL_PERIOD = 0.004
 """Cycle time of EGM that is assumed before the first measurement [s]; a real controller has 4.032 ms."""
 
 _LONGEST = 1.0  # s between two packets; a clock that steps further was set
-_SAMPLES = 9  # of the first median; later samples are averaged
-_TRUSTED = 1.5 * NOMINAL_PERIOD  # s, longest before the first median is complete: one gap must not allow a larger step
+_WINDOW = 9  # samples of the median
+_TRUSTED = 1.5 * NOMINAL_PERIOD  # s, longest before the first window is complete: one gap is no cycle
 _GAIN = 0.02
 _NEAR = 0.4  # of the estimate: wider than one tick of a clock in milliseconds, narrower than one skipped cycle
 _WRAP_MS = 2**32
+_AHEAD, _BEHIND = 0.02, 0.1  # s by which robot time may lead or trail arrival times: jitter and bursts of a network
+_FORGETS = 0.01  # of the arrival time: crystals differ by far less
 
 
 class Period:
-    """The robot's cycle time, robust against gaps: a median first, then a slow average of the samples near it.
-
-    Until nine samples are there it stays below 1.5 times the nominal: a gap among them must not allow a larger step.
+    """The robot's cycle time: the median of nine samples, then a slow average; relearnt when it changes.
 
     Attributes
     ----------
@@ -31,48 +33,96 @@ class Period:
 
     def __init__(self) -> None:
         self.seconds = NOMINAL_PERIOD
-        self._first: list[float] = []
+        self._recent: deque[float] = deque(maxlen=_WINDOW)
+        self._learnt = False
 
-    def add(self, sample: float) -> None:
-        """Take one measured cycle time [s]: time between two packets over the difference of their numbers."""
-        if len(self._first) < _SAMPLES:
-            self._first.append(sample)
-            self.seconds = median(self._first)
-            if len(self._first) < _SAMPLES:
-                self.seconds = min(self.seconds, _TRUSTED)
-        elif abs(sample - self.seconds) < _NEAR * self.seconds:
+    def add(self, sample: float) -> bool:
+        """Add the time between two packets over the difference of their numbers [s]; return whether the cycle changed.
+
+        A change shows after five packets: they are the majority of the window then.
+        """
+        self._recent.append(sample)
+        if self._learnt and self._is_near(sample):
             self.seconds += _GAIN * (sample - self.seconds)
+            return False
+        middle = median(self._recent)
+        if not self._learnt:
+            self._learnt = len(self._recent) == _WINDOW
+            self.seconds = middle if self._learnt else min(middle, _TRUSTED)
+            return False
+        if self._is_near(middle):
+            return False
+        self.seconds = middle
+        return True
+
+    def _is_near(self, sample: float) -> bool:
+        return abs(sample - self.seconds) < _NEAR * self.seconds
 
 
 class RobotClock:
-    """Differences of robot time: feedBack.time, else the header's tm, else arrival.
+    """Differences of robot time: feedBack.time, else the header's tm, else arrival; never faster than arrivals allow.
 
     A source that steps back, stands still or jumps by more than 1 s is not used for that step. A tm that is the same in
     two packets is too coarse for the cycle, below 1 ms, and is not used again: its next step would count twice.
+    Robot time may lead arrival times by 20 ms and trail them by 100 ms; what a clock claims beyond that is cut off.
+
+    Parameters
+    ----------
+    checks_arrival : False for a robot in lockstep, whose time is not ours.
+    on_event : called once for each kind of fault.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, checks_arrival: bool = True, on_event: Tell = nobody) -> None:
+        self._checks_arrival, self._on_event = checks_arrival, on_event
         self._is_coarse = False
+        self._lead = self._cut_off = 0.0  # s of robot time beyond arrival time, and of what was not believed
+        self._told: set[str] = set()
         self._last: tuple[int, int | None, int] | None = None  # robot ns, tm ms, arrival ns
 
     def step(self, packet: Packet, arrival_ns: int) -> float | None:
-        """Return the seconds since the previous packet, None for the first.
-
-        Parameters
-        ----------
-        packet : carries the robot's clocks. arrival_ns : our monotonic clock.
-        """
+        """Return the seconds since the previous packet, None for the first."""
         last, self._last = self._last, (packet.robot_ns, packet.tm_ms, arrival_ns)
         if last is None:
             return None
-        robot_ns, tm_ms, arrived = last
+        arrived = max(1e-9 * (arrival_ns - last[2]), 1e-6)
+        claimed = self._claimed(packet, last)
+        if claimed is None:
+            return arrived
+        if not self._checks_arrival:
+            return claimed
+        dt = min(claimed, max(arrived + _AHEAD - self._lead, 1e-6))
+        self._cut_off += claimed - dt
+        if self._cut_off > _AHEAD:  # less is a first packet that came late
+            self._tell(
+                "fast",
+                f"The robot's clock runs ahead of ours: it claims {1e3 * claimed:.1f} ms between packets that arrived "
+                f"{1e3 * arrived:.1f} ms apart. Steps are limited to the time between arrivals.",
+            )
+        forgotten = min(abs(self._lead), _FORGETS * arrived)
+        self._lead -= forgotten if self._lead > 0.0 else -forgotten
+        self._lead = max(self._lead + dt - arrived, -_BEHIND)
+        return dt
+
+    def _claimed(self, packet: Packet, last: tuple[int, int | None, int]) -> float | None:
+        """Return the step by the robot's own clocks, None when neither can be used."""
+        robot_ns, tm_ms, _ = last
         if packet.robot_ns and robot_ns:
             dt = 1e-9 * (packet.robot_ns - robot_ns)
             if 0.0 < dt <= _LONGEST:
                 return dt
+            what = "stands still" if dt == 0.0 else f"was set by {dt:+.3f} s"
+            self._tell(
+                "set" if dt else "still",
+                f"The robot's clock {what}. This step is measured by the header's tm or by arrival.",
+            )
         if packet.tm_ms is not None and tm_ms is not None and not self._is_coarse:
             dt = 1e-3 * ((packet.tm_ms - tm_ms) % _WRAP_MS)
             self._is_coarse = dt == 0.0
             if 0.0 < dt <= _LONGEST:
                 return dt
-        return max(1e-9 * (arrival_ns - arrived), 1e-6)
+        return None
+
+    def _tell(self, kind: str, text: str) -> None:
+        if kind not in self._told:
+            self._told.add(kind)
+            self._on_event(text, warn=True)

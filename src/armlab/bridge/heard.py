@@ -8,9 +8,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from armlab.bridge.feedback import outside_range
 from armlab.bridge.findings import Finding
 from armlab.bridge.port import Arrival
-from armlab.bridge.readiness import implausible, obstacle
+from armlab.bridge.readiness import obstacle
 from armlab.bridge.session import Sample, Session
 from armlab.robots import Robot
 from armlab.wire.egm import EgmCodec
@@ -158,7 +159,7 @@ class Heard:
         value = f"q = {np.round(q, 3).tolist()} rad"
         if self._robot is None:
             return Finding(f"{name}, posture", "ok", value)
-        problem = implausible(q, self._robot)
+        problem = outside_range(q, self._robot)
         return Finding.judged(f"{name}, posture", "failure", bool(problem), value, problem)
 
     def _guidance(self, name: str, last: Sample) -> Finding:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -31,6 +31,9 @@ class Limits:
     tau_max, tau_rate : torque [N m or N] and its change per second; None where torques are refused.
     external : of the external axes beyond the robot's joints, see `Limits.of_axes`; None where commands to them are
         refused.
+    following_error : how far the feedback may be from the reference, besides 0.05 s times its speed; `jump` when None.
+    lag : time constant with which the arm follows its reference [s]: 1/k for EGM's position loop of gain k (1/s), 0.2 s
+        for its default of 5. The reference brakes for its limits earlier by lag times its speed.
 
     Raises
     ------
@@ -47,19 +50,25 @@ class Limits:
     tau_max: np.ndarray | None = None
     tau_rate: np.ndarray | None = None
     external: Limits | None = None
+    following_error: np.ndarray | None = None
+    lag: float = 0.2
 
     def __post_init__(self) -> None:
+        if self.following_error is None:
+            object.__setattr__(self, "following_error", self.jump)
+        if not (isinstance(self.lag, int | float) and 0.0 <= self.lag < np.inf):
+            raise ConfigError(f"Expected Limits with a lag of at least 0 s, got {self.lag!r}.")
         shape = np.shape(self.q_min)
         if (self.tau_max is None) != (self.tau_rate is None):
             raise ConfigError(f"Expected tau_max and tau_rate together, got {self.tau_max} and {self.tau_rate}.")
         torque = () if self.tau_max is None else ("tau_max", "tau_rate")
-        for name in ("q_min", "q_max", "qd_max", "qdd_max", "jump", "entry", *torque):
+        for name in ("q_min", "q_max", "qd_max", "qdd_max", "jump", "entry", "following_error", *torque):
             if len(shape) != 1 or np.shape(getattr(self, name)) != shape:
                 got = f"{name} of shape {np.shape(getattr(self, name))} and q_min of {shape}"
                 raise ConfigError(f"Expected Limits of one shape (n,), got {got}.")
         if not np.all(self.q_min < self.q_max):  # also NaN, with which a limit would never act
             raise ConfigError(f"Expected Limits with q_min below q_max, got {self.q_min} and {self.q_max}.")
-        for name in ("qd_max", "qdd_max", "jump", "entry", *torque):
+        for name in ("qd_max", "qdd_max", "jump", "entry", "following_error", *torque):
             if not np.all(getattr(self, name) > 0.0):
                 raise ConfigError(f"Expected Limits with {name} above 0 for each joint, got {getattr(self, name)}.")
         if not np.all(self.entry <= self.jump):
@@ -78,6 +87,8 @@ class Limits:
         entry: float = 0.05,
         tau_max: float | np.ndarray | None = None,
         external: Limits | None = None,
+        following_error: float | np.ndarray | None = None,
+        lag: float = 0.2,
     ) -> Limits:
         """Return the limits of a robot.
 
@@ -89,6 +100,7 @@ class Limits:
         tau_max : torque limits, one or (n,); the robot's own by default, none where it has none. The full torque is
             reached in 0.1 s at the earliest.
         external : of external axes, see `of_axes`.
+        following_error : one or (n,) [rad or m]; by default 0.1 rad, of prismatic joints 0.02 m. lag : see `Limits`.
 
         Raises
         ------
@@ -106,7 +118,8 @@ class Limits:
         torque = (most, most / _TORQUE_RISE) if np.isfinite(most).all() else (None, None)
         speeds = speed * robot.qd_max, speed * robot.qdd_max
         near = np.where(robot.prismatic, np.minimum(entry, jump), entry)
-        return cls(q_min, q_max, *speeds, jump, near, *torque, external)
+        apart = jump if following_error is None else np.broadcast_to(following_error, (robot.n,)).astype(np.float64)
+        return cls(q_min, q_max, *speeds, jump, near, *torque, external, apart, lag)
 
     @classmethod
     def of_axes(
@@ -157,11 +170,13 @@ class Limiter:
 
     Parameters
     ----------
-    limits : see `Limits`.
+    limits : see `Limits`. reach : range of the robot (n,), to which a position at rest is clipped.
     """
 
-    def __init__(self, limits: Limits) -> None:
+    def __init__(self, limits: Limits, reach: tuple[Any, Any] = (-np.inf, np.inf)) -> None:
+        self._reach = reach
         self._bounds = np.stack((limits.q_min, limits.q_max, limits.qd_max, limits.qdd_max, limits.jump))
+        self._lag = limits.lag
         self._none = np.zeros(len(limits.q_min), dtype=np.uint8)
         self._none.flags.writeable = False
         self._sent = np.zeros((3, len(limits.q_min)))
@@ -174,7 +189,7 @@ class Limiter:
 
     @property
     def memory(self) -> tuple[np.ndarray, np.ndarray | None]:
-        """What the next reference depends on. Set it back when the last one did not go out."""
+        """State on which the next reference depends. Restore it when the last one did not go out."""
         return self._sent, self._asked
 
     @memory.setter
@@ -189,6 +204,7 @@ class Limiter:
 
     def rest(self, q: np.ndarray) -> Reply:
         """Stand still at `q` (n,), wherever the last reference was: for an arm that does not follow references."""
+        q = np.minimum(np.maximum(q, self._reach[0]), self._reach[1])
         self._sent = np.stack((q, np.zeros_like(q), np.zeros_like(q)))
         self._sent.flags.writeable = False
         self._asked = None
@@ -201,18 +217,24 @@ class Limiter:
         self._asked = None
         return Reply(self._sent[0], self._sent[2], self._none, free=True)
 
-    def hold(self, period: float) -> Reply:
-        """Come to rest within the acceleration limits, then stay. `period` in seconds."""
-        return self.step(None, None, period)
+    def hold(self, dt: float, longest: float = np.inf) -> Reply:
+        """Come to rest within the acceleration limits, then stay; see `step`."""
+        return self.step(None, None, dt, longest)
 
-    def step(self, q: np.ndarray | None, qd: np.ndarray | None, period: float) -> Reply:
-        """Return what may be sent for a position `q` (n,), a velocity `qd` (n,), both, or neither (hold).
+    def step(self, q: np.ndarray | None, qd: np.ndarray | None, dt: float, longest: float = np.inf) -> Reply:
+        """Return the reference for a position `q` (n,), a velocity `qd` (n,), both, or neither (hold).
 
         Parameters
         ----------
-        q, qd : references or None. period : cycle time of the robot [s].
+        q, qd : references or None. dt : measured time since the last reference that went out [s].
+        longest : time within which a reference may move on [s]: after a longer gap it moves no further, unless that
+            would brake too hard.
         """
-        sent, clamped, ratio, refused = kernels.limit_reference(self._sent, self._bounds, period, q, self._asked, qd)
+        bounds = self._bounds
+        if dt > longest:
+            bounds = bounds.copy()
+            bounds[2] *= longest / dt
+        sent, clamped, ratio, refused = kernels.limit_reference(self._sent, bounds, dt, q, self._asked, qd, self._lag)
         self._sent = sent
         self._asked = None if q is None or refused else q.copy()
         return Reply(sent[0], sent[2], clamped, ratio, refused)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -18,11 +19,11 @@ class LinkedLimiter(Limiter):
 
     Parameters
     ----------
-    limits : of the axes. linkage : between the two.
+    limits : of the axes. linkage : between the two. reach : see `Limiter`.
     """
 
-    def __init__(self, limits: Limits, linkage: Linkage) -> None:
-        super().__init__(limits)
+    def __init__(self, limits: Limits, linkage: Linkage, reach: tuple[Any, Any] = (-np.inf, np.inf)) -> None:
+        super().__init__(limits, reach)
         self._linkage = linkage
 
     @property
@@ -38,15 +39,10 @@ class LinkedLimiter(Limiter):
         """Go along with an arm at `q` and `qd` (n,), as `Limiter.follow`."""
         return self._linkage.heard(super().follow(self._linkage.axes(q), self._linkage.axes(qd)))
 
-    def step(self, q: np.ndarray | None, qd: np.ndarray | None, period: float) -> Reply:
-        """Return what may be sent, as `Limiter.step`.
-
-        Parameters
-        ----------
-        q, qd : (n,) references of the joints or None. period : cycle time of the robot [s].
-        """
+    def step(self, q: np.ndarray | None, qd: np.ndarray | None, dt: float, longest: float = np.inf) -> Reply:
+        """Return the reference for `q` and `qd` (n,) of the joints, as `Limiter.step`."""
         wanted, speed = (None if values is None else self._linkage.axes(values) for values in (q, qd))
-        return self._linkage.heard(super().step(wanted, speed, period))
+        return self._linkage.heard(super().step(wanted, speed, dt, longest))
 
 
 def limiter_of(limits: Limits, robot: Robot) -> Limiter:
@@ -60,8 +56,8 @@ def limiter_of(limits: Limits, robot: Robot) -> Limiter:
     ------
     RobotError : see `Linkage.of`.
     """
-    linkage = Linkage.of(robot)
-    return Limiter(limits) if linkage is None else LinkedLimiter(limits, linkage)
+    linkage, reach = Linkage.of(robot), (robot.q_min, robot.q_max)
+    return Limiter(limits, reach) if linkage is None else LinkedLimiter(limits, linkage, reach)
 
 
 def axes_of(robot: Robot) -> Callable[[np.ndarray], np.ndarray]:

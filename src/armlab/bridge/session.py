@@ -83,7 +83,7 @@ class Session:
         self.period = Period()
         self.reason = ""
         self._told: set[str] = set()
-        self._clock = RobotClock()
+        self._clock = self._new_clock()
         self._last: Sample | None = None
         self._first_tm: int | None = None
         self._past_tms: deque[int | None] = deque(maxlen=_REMEMBERED)
@@ -196,7 +196,7 @@ class Session:
         if isinstance(packet, Drop):
             return self._drop(packet, arrival)
         self.number, self.active, self.source, self.seq = self.number + 1, True, arrival.source, 0
-        self.period, self._clock, self._last = Period(), RobotClock(), None
+        self.period, self._clock, self._last = Period(), self._new_clock(), None
         self._past_tms.append(self._first_tm)
         self._first_tm, self._begun_ns = packet.tm_ms, arrival.ns
         self._told.clear()
@@ -206,13 +206,19 @@ class Session:
         )
         return self._sample(packet, arrival, 0)
 
+    def _new_clock(self) -> RobotClock:
+        return RobotClock(math.isfinite(self._timeout_ns), self._on_event)  # in lockstep arrivals keep no time
+
     def _sample(self, packet: Packet, arrival: Arrival, missed: int) -> Sample:
         last = self._last
         dt = self._clock.step(packet, arrival.ns)
         if dt is None:
             dt = self.period.seconds
         else:
-            self.period.add(dt / (missed + 1))
+            before = self.period.seconds
+            if self.period.add(dt / (missed + 1)):
+                change = f"from {1e3 * before:.2f} to {1e3 * self.period.seconds:.2f} ms"
+                self._on_event(f"The cycle time of the robot changed {change}.", warn=True)
         if packet.qd is not None:
             qd, source = packet.qd, "measured"
         else:

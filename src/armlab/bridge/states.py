@@ -3,6 +3,10 @@
 WAITING -> HOLDING (not ready: feedback is sent back; ready: a frozen position) -> RUNNING -> STOPPING -> ENDED.
 LISTENING sends nothing, ever. *Hold* means everywhere: the sent velocity ramps to zero within the acceleration limits,
 then the position reached is repeated with speed zero.
+
+The step of a reference is the measured robot time since the last reference that went out. Feedback that is not
+plausible is never sent back and never held at: the robot becomes ready with the third plausible packet in a row, and
+three implausible ones in a row stop the run.
 """
 
 from __future__ import annotations
@@ -16,9 +20,10 @@ from armlab.bridge._seen import seen
 from armlab.bridge.aside import Aside, joined
 from armlab.bridge.commands import entry_refusal, refusal
 from armlab.bridge.events import Tell, nobody
+from armlab.bridge.feedback import READY_AFTER, STOP_AFTER, FeedbackCheck
 from armlab.bridge.limits import Limits, Reply
 from armlab.bridge.linked import limiter_of
-from armlab.bridge.readiness import MCI_RUNNING, implausible, obstacle
+from armlab.bridge.readiness import MCI_RUNNING, Readiness
 from armlab.bridge.session import Sample
 from armlab.bridge.torque import Admittance, Torques
 from armlab.errors import CommandRefused, LinkError
@@ -31,6 +36,7 @@ __all__ = ["Guide", "Mode"]
 STOP_TIME = 0.5  # s at rest before a run ends
 _UNSENT = 500  # replies that do not go out end a stop: 2 s, after which the robot's own time-out has acted
 _REFUSALS = 3  # in a row end the run
+_GAP = 3.0  # periods within which a reference may move on after a gap
 _ENTRY_PATIENCE = 1.0  # s of refused entries before a warning
 _BITS = 1, 2, 4, 8, 16, 32  # of `Reply.clamped`
 
@@ -95,18 +101,21 @@ class Guide:
         self.worst_ratio = 1.0
         self.refused = self._refused_in_a_row = self._unsent = 0
         self._packet: Packet | None = None
+        self._feedback, self._readiness = FeedbackCheck(robot, limits), Readiness()
+        self._dt = self._passed = 0.0  # s since the last reference that went out, and since the last packet
+        self._longest = np.inf
         self._before = self._memory
         self._qd = self._last.qd
-        self.guided = self._plausible = self._warned = False
+        self.guided = self._doubtful = self._warned = False
 
     @property
     def calls(self) -> bool:
         """Whether the controller is asked for this packet."""
-        return self.ready and self.mode in _ASKED
+        return self.ready and not self._doubtful and self.mode in _ASKED
 
     @property
-    def _memory(self) -> tuple[float, Reply, Any, Any, Any]:
-        return self._rested, self._last, self._limiter.memory, self._torques.memory, self._aside.memory
+    def _memory(self) -> tuple[float, float, Reply, Any, Any, Any]:
+        return self._dt, self._rested, self._last, self._limiter.memory, self._torques.memory, self._aside.memory
 
     @property
     def _is_silent(self) -> bool:
@@ -123,20 +132,24 @@ class Guide:
         packet, self._qd = sample.packet, sample.qd
         self._packet = packet
         if sample.fresh:
-            self.t, self.guided, self.ready = 0.0, False, False
+            self.t, self._dt, self.guided, self.ready = 0.0, 0.0, False, False
             self._aside.begin()
-            self._check_plausible(packet)
+            self._feedback.begin()
+            self._readiness.begin()
             if self.mode is Mode.RUNNING:
                 self.mode = Mode.HOLDING
         else:
             self.t += sample.dt if self.guided or self.mode is Mode.LISTENING else 0.0
+        self._passed = sample.dt
+        self._dt += sample.dt
         if self.mode is Mode.LISTENING:
             self.elapsed += 0.0 if sample.fresh else sample.dt
             return
         if self.mode is Mode.WAITING:
             self.mode = Mode.HOLDING
-        why = obstacle(packet.motors, packet.rapid, packet.mci)
-        ready = self._plausible and not why
+        self._check_feedback(sample)
+        why = self._readiness.obstacle(packet)
+        ready = not why and (self.ready or self._feedback.plausible >= READY_AFTER)
         if ready and self.ready:
             self.elapsed += sample.dt
         elif ready:
@@ -162,23 +175,29 @@ class Guide:
 
         Parameters
         ----------
-        command : what the controller returned; None holds. period : cycle time of the robot [s].
+        command : what the controller returned; None holds.
+        period : cycle time of the robot [s]; after a gap of more than three of them a reference moves on no further.
         """
         packet, self._before = self._packet, self._memory
         if packet is None or self.mode in _UNANSWERED or self._is_silent:
             return None
+        self._longest = _GAP * period
         if not self.ready:
-            self._rest(period)
-            if not (self._answer_stream or packet.mci == MCI_RUNNING):
+            self._rest()
+            q = self._feedback.q
+            if q is None or not (self._answer_stream or packet.mci == MCI_RUNNING):
                 return None
-            self._last = joined(self._limiter.rest(packet.q), self._aside.rest(packet))
+            self._last = joined(self._limiter.rest(q), self._aside.rest(packet))
         elif self.mode in _LAST:
-            self._last = self._held(period)
+            self._last = self._held()
             if self._limiter.at_rest and self._aside.at_rest:
-                self._rest(period)
+                self._rest()
+        elif self._doubtful:
+            self._last = self._held()
         else:
             self.refusing = ""
-            self._last = self._follow(Command() if command is None else command, packet, period)
+            self._last = self._follow(Command() if command is None else command, packet)
+        self._dt = 0.0
         if any(self._last.clamped.tobytes()):  # a tenth of the time of its method `any`
             self.clamps += [(self._last.clamped & bit) != 0 for bit in _BITS]
             self.worst_ratio = min(self.worst_ratio, self._last.ratio)
@@ -193,13 +212,20 @@ class Guide:
         """
         if not self.calls:
             return self.answer(None, period)
-        self._before = self._memory
-        self._last = self._held(period)
+        self._before, self._longest = self._memory, _GAP * period
+        self._last, self._dt = self._held(), 0.0
         return self._last
 
-    def take_back(self) -> None:
-        """Forget the last reply, which did not go out: the next one may be one step from what the robot has."""
-        rested, self._last, self._limiter.memory, self._torques.memory, self._aside.memory = self._before
+    def take_back(self, waits: bool = False) -> None:
+        """Forget the last reply, which did not go out: the next one goes on from the reference that the robot has.
+
+        Parameters
+        ----------
+        waits : a reference waits in the robot's queue for this cycle, so that no time has passed since the last one.
+        """
+        self._dt, rested, self._last, self._limiter.memory, self._torques.memory, self._aside.memory = self._before
+        if waits:
+            self._dt = max(0.0, self._dt - self._passed)
         if self.mode is not Mode.STOPPING:
             return
         self._rested, self._unsent = rested, self._unsent + 1
@@ -240,53 +266,53 @@ class Guide:
         elif self.mode is not Mode.LISTENING:
             self.mode = Mode.WAITING
 
-    def _follow(self, command: Command, packet: Packet, period: float) -> Reply:
+    def _follow(self, command: Command, packet: Packet) -> Reply:
         try:
             asked = self._torques.wanted(command, packet.q, self._qd)
             if command.ends:
                 self.stop("the controller ended the run")
-                return self._held(period)
-            beside = self._aside.follow(command, packet, period)
+                return self._held()
+            beside = self._aside.follow(command, packet, self._dt, self._longest)
         except CommandRefused as error:
             self.stop("a command was refused", error)
-            return self._held(period)
-        return joined(self._moved(asked, packet, period), beside)
+            return self._held()
+        return joined(self._moved(asked, packet), beside)
 
-    def _moved(self, wanted: tuple[np.ndarray | None, ...], packet: Packet, period: float) -> Reply:
+    def _moved(self, wanted: tuple[np.ndarray | None, ...], packet: Packet) -> Reply:
         """Return the reply for the joints to a command that is well formed."""
         q, qd, tau = wanted
         if q is None and qd is None:
             if tau is not None:
-                return self._free(tau, packet, period)
+                return self._free(tau, packet)
             self.mode, self._refused_in_a_row = Mode.HOLDING, 0
-            return self._still(period)
+            return self._still()
         before = self._limiter.q
         if self.mode is Mode.HOLDING and q is not None:
             problem = entry_refusal(q, before, self._limits.entry, self._robot)
             if problem:
-                return self._refuse_entry(problem, period)
-        reply = self._limiter.step(q, qd, period)
-        reply = self._torques.limited(reply, None if reply.refused else tau, period)
+                return self._refuse_entry(problem)
+        reply = self._limiter.step(q, qd, self._dt, self._longest)
+        reply = self._torques.limited(reply, None if reply.refused else tau, self._step)
         if reply.refused:
             self._refuse(refusal(reply.refused, q, qd, before, self._robot))
         else:
             self.mode, self._refused_in_a_row, self._waited = Mode.RUNNING, 0, 0.0
         return reply
 
-    def _free(self, tau: np.ndarray, packet: Packet, period: float) -> Reply:
+    def _free(self, tau: np.ndarray, packet: Packet) -> Reply:
         """A torque alone: no position loop, as long as the arm stays within its limits."""
         problem = self._torques.outside(packet.q, self._qd)
         if problem:
             self._refuse(problem)
-            return self._still(period)
+            return self._still()
         self.mode, self._refused_in_a_row, self._waited = Mode.RUNNING, 0, 0.0
-        return self._torques.limited(self._limiter.follow(packet.q, self._qd), tau, period)
+        return self._torques.limited(self._limiter.follow(packet.q, self._qd), tau, self._step)
 
-    def _held(self, period: float) -> Reply:
-        return joined(self._still(period), self._aside.hold(period))
+    def _held(self) -> Reply:
+        return joined(self._still(), self._aside.hold(self._dt, self._longest))
 
-    def _still(self, period: float) -> Reply:
-        return self._torques.limited(self._limiter.hold(period), None, period)
+    def _still(self) -> Reply:
+        return self._torques.limited(self._limiter.hold(self._dt, self._longest), None, self._step)
 
     def _refuse(self, problem: str) -> None:
         self.refused, self.refusing = self.refused + 1, problem
@@ -296,17 +322,17 @@ class Guide:
         if self._refused_in_a_row >= _REFUSALS:
             self.stop("commands were refused", CommandRefused(problem))
 
-    def _refuse_entry(self, problem: str, period: float) -> Reply:
+    def _refuse_entry(self, problem: str) -> Reply:
         self.refused, self.refusing = self.refused + 1, problem
-        self._waited += period
+        self._waited += self._passed
         if self._waited >= _ENTRY_PATIENCE and not self._warned:
             self._warned = True
             self._on_event(problem, warn=True)
-        return self._still(period)
+        return self._still()
 
-    def _rest(self, period: float) -> None:
+    def _rest(self) -> None:
         if self.mode is Mode.STOPPING:
-            self._rested += period
+            self._rested += self._passed
             if self._rested >= STOP_TIME:
                 self.mode = Mode.ENDED
 
@@ -318,10 +344,21 @@ class Guide:
             self.guided, self.t, self.q_start = True, 0.0, packet.q
         self._on_event("The robot is ready and holds.")
 
-    def _check_plausible(self, packet: Packet) -> None:
-        """A first feedback far outside the joint limits means wrong units or order: send nothing then."""
-        problem = implausible(packet.q, self._robot)
-        self._plausible = not problem
-        if problem and self.mode is not Mode.LISTENING:
+    @property
+    def _step(self) -> float:
+        """Time within which a torque may change [s]."""
+        return min(self._dt, self._longest)
+
+    def _check_feedback(self, sample: Sample) -> None:
+        """Doubt a feedback that is not plausible; three in a row stop the run."""
+        sent = self._last if self.ready else None
+        problem = self._feedback.check(sample.packet.q, sample.dt, sent)
+        self._doubtful = bool(problem)
+        if not problem:
+            return
+        if self._feedback.implausible == 1:
+            self._on_event(problem, warn=True)
+        if self._feedback.implausible >= STOP_AFTER and (self.ready or self._feedback.q is None):
             self.stop("the feedback is not plausible", LinkError(problem))
-            self._rested, self.mode = 0.0, Mode.ENDED  # not even feedback goes back: in wrong units it would be a jump
+            if not self.ready:  # nothing is sent back: in wrong units it would be a jump
+                self._rested, self.mode = 0.0, Mode.ENDED

@@ -158,19 +158,19 @@ class Torques:
             f"({self._robot.joint_names[i]}) is {what}, allowed is {within}. The arm holds its position."
         )
 
-    def limited(self, reply: Reply, tau: np.ndarray | None, period: float) -> Reply:
+    def limited(self, reply: Reply, tau: np.ndarray | None, dt: float) -> Reply:
         """Return the reply with the torque that may be sent.
 
         Parameters
         ----------
-        reply : the position. tau : (n,) finite torque asked for, or None. period : cycle time [s].
+        reply : the position. tau : (n,) finite torque asked for, or None. dt : time in which it may change [s].
         """
         tau_max, tau_rate = self._limits.tau_max, self._limits.tau_rate
         if (tau is None and self._sent is None) or tau_max is None or tau_rate is None:
             return reply
         last = np.zeros(self._robot.n) if self._sent is None else self._sent
         wanted = np.zeros(self._robot.n) if tau is None else tau
-        clipped, step = np.clip(wanted, -tau_max, tau_max), tau_rate * period
+        clipped, step = np.clip(wanted, -tau_max, tau_max), tau_rate * dt
         sent = last + np.clip(clipped - last, -step, step)
         sent.flags.writeable = False
         bits = _CLIPPED * (np.abs(wanted) > tau_max + _SLACK) + _SLOWED * (np.abs(clipped - last) > step + _SLACK)

@@ -85,9 +85,9 @@ def test_an_arm_brakes_before_either_end(kernel: ModuleType, sign: float) -> Non
     assert sent[0, 0] == pytest.approx(0.5 * sign, abs=1e-12)
 
 
-@pytest.mark.parametrize(("behind", "nearer"), [(3.0, 2.0), (2.9, 1.95), (1.5, 1.25)])
+@pytest.mark.parametrize(("behind", "nearer"), [(4.0, 2.0), (1.5, 1.0), (7.5, 3.0)])
 def test_catching_up_with_a_reference_that_moves(kernel: ModuleType, behind: float, nearer: float) -> None:
-    """By hand, in a T^2 and a T: 2 + 1 = 3, 1.95 + 0.95 = 2.9; the speed of the reference is added."""
+    """By hand, in a T^2 and a T: 2 + 2^2 / 2 = 4, 1 + 1^2 / 2 = 1.5; the speed of the reference is added."""
     asked, step = np.array([0.2]), 10.0 * T
     sent = np.stack((asked - behind * step * T, *np.full((2, 1), 0.1 + nearer * step)))
     moved, clamped, *_ = kernel.limit_reference(sent, bounds(1), T, asked + 0.1 * T, asked)
@@ -122,7 +122,7 @@ def test_without_a_limit_on_acceleration_an_arm_stops_at_its_end(kernel: ModuleT
     limits, forward = bounds(1, acceleration=np.inf), np.ones(1)
     sent, clamped, *_ = kernel.limit_reference(np.array([[0.999], [0.0], [0.0]]), limits, T, None, None, forward)
     np.testing.assert_allclose(sent[:2, 0], [1.0, 0.001 / T])
-    assert clamped[0] == 0
+    assert clamped[0] == 8
     sent, clamped, *_ = kernel.limit_reference(sent, limits, T, None, None, forward)
     assert (sent[:, 0].tolist(), clamped[0]) == ([1.0, 0.0, 0.0], 8)
 
@@ -156,7 +156,19 @@ def test_the_speed_given_beside_a_position_is_sent_within_its_own_limits(kernel:
         np.zeros((3, 2)), bounds(2), T, np.zeros(2), np.zeros(2), np.array([0.03, -0.5])
     )
     np.testing.assert_allclose(sent, [[0.0, 0.0], [0.0, 0.0], [0.03, -0.04]], rtol=0.0, atol=1e-15)
-    assert (clamped.tolist(), ratio) == ([0, 4], 1.0)
+    assert (clamped.tolist(), ratio) == ([0, 0], 1.0)
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.05, 0.2])
+def test_from_the_speed_allowed_the_arm_can_stop_whatever_the_next_steps_last(kernel: ModuleType, lag: float) -> None:
+    """Full speed towards a limit with steps of 1 to 48 ms: the deceleration is never above the limit."""
+    rng, sent = np.random.default_rng(2), np.array([[-0.9], [1.0], [1.0]])
+    for _ in range(2000):
+        dt, before = float(rng.choice([0.001, 0.004, 0.024, 0.048])), sent
+        sent, *_ = kernel.limit_reference(sent, bounds(1), dt, None, None, np.ones(1), lag)
+        assert before[1, 0] - sent[1, 0] <= 10.0 * dt * (1 + 1e-9)
+        assert sent[0, 0] + lag * sent[1, 0] + sent[1, 0] ** 2 / 20.0 <= 1.0 + 1e-12
+    assert sent[0, 0] > 0.999
 
 
 @pytest.mark.parametrize(
@@ -255,6 +267,7 @@ def test_native_is_the_reference(seed: int) -> None:
     if rng.random() < 0.1:
         qd[-1] = np.nan
     arguments = [x if rng.random() < 0.6 else None for x in (q, last, qd)]
+    arguments.append(rng.choice([0.0, 0.05, 0.3]))
     ours = _native.limit_reference(sent, limits, period, *arguments)
     wanted = _reference.limit_reference(sent, limits, period, *arguments)
     np.testing.assert_allclose(ours[0], wanted[0], rtol=0.0, atol=1e-12)
@@ -270,7 +283,7 @@ def test_the_kernel_checks_shapes() -> None:
     from armlab.kernels import _native
 
     assert _native.limit_reference(np.zeros((3, 64)), bounds(64), T)[3] == 0
-    with pytest.raises(ShapeError, match=r"at most 64 joints .* got 65 and 0\.004"):
+    with pytest.raises(ShapeError, match=r"at most 64 joints.* got 65, 0\.004"):
         _native.limit_reference(np.zeros((3, 65)), bounds(65), T)
     with pytest.raises(ShapeError, match="sent"):
         _native.limit_reference(np.zeros((2, 3)), bounds(2), T)

@@ -1,4 +1,4 @@
-"""Tables of the limits on a reference: the velocity from which an arm can stop is found by counting its steps."""
+"""Tables of the limits on a reference."""
 
 from __future__ import annotations
 
@@ -14,14 +14,11 @@ Vector = list[Any]
 
 
 def stopping(distance: Any, a: Any, T: Any) -> Any:
-    """Return the fastest velocity from which braking in steps of a T ends within a distance, step by step."""
-    if mp.isinf(distance) or mp.isinf(a):
-        return mp.inf if distance > 0 else mp.zero
-    left, steps, step = max(distance, mp.zero), 0, a * T
-    while left >= step * T * (steps + 1):  # from one step velocity more, each step before is longer by `step`
-        steps += 1
-        left -= step * T * steps
-    return steps * step + left / (T * (steps + 1))
+    """Return the velocity v with ``v T + v^2 / (2 a) = distance``."""
+    d = max(distance, mp.zero)
+    if mp.isinf(d):
+        return mp.inf
+    return d / T if mp.isinf(a) else mp.sqrt((a * T) ** 2 + 2 * a * d) - a * T
 
 
 def within(
@@ -59,11 +56,13 @@ def limited(sent: np.ndarray, limits: np.ndarray, period: np.ndarray, asked: np.
     wanted = qd_ref or [mp.zero] * 3
     if q_ref is not None:
         late = [last - x for last, x in zip(q_last or q_ref, q)]
-        catching = [mp.sign(e) * stopping(abs(e), a, T) for e, a in zip(late, bounds[3])]
-        catching = [e / T if mp.isinf(fast) else fast for e, fast in zip(late, catching)]
+        catching = [
+            e / T if abs(e) <= a * T**2 else mp.sign(e) * stopping(abs(e), a, T) for e, a in zip(late, bounds[3])
+        ]
         wanted = [(r - last) / T + fast for r, last, fast in zip(q_ref, q_last or q_ref, catching)]
     v, ratio = within(wanted, v_last, bounds, room, T, bits)
-    f, _ = within(qd_ref if q_ref and qd_ref else v, f_last, bounds, room, T, bits)
+    near = [min(max(f, x - a * T), x + a * T) for f, x, a in zip(qd_ref or v, v, bounds[3])]
+    f, _ = within(near if q_ref and qd_ref else v, f_last, bounds, room, T, bits)
     free = [x + speed * T for x, speed in zip(q, v)]
     moved = [min(max(new, min(low, x)), max(high, x)) for new, x, low, high in zip(free, q, *bounds[:2])]
     v = [speed if new == to else (to - x) / T for speed, new, to, x in zip(v, free, moved, q)]
@@ -98,5 +97,5 @@ def samples(rng: np.random.Generator) -> dict[str, np.ndarray]:
 def tables() -> dict[str, Table]:
     """Return the table of one kernel, of which every sample gives five rows."""
     given = samples(np.random.default_rng(23))
-    wanted = each(limited, *given.values(), slow=14)  # which takes 1e6 steps to stop
+    wanted = each(limited, *given.values())
     return {"limit_reference": {"given": given, "wanted": wanted.reshape(-1, 3)}}

@@ -17,20 +17,22 @@ def limit_reference(
     q_ref: np.ndarray | None = None,
     q_last: np.ndarray | None = None,
     qd_ref: np.ndarray | None = None,
+    lag: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray, float, int]:
     """Return the reference to send next: where it is, how it moves, which limits acted, and whether it was refused.
 
-    With T the period, a the acceleration limit, and ``S(d)`` the fastest step velocity from which braking in steps of
-    a T ends within d (``S <= sqrt(2 a d)``; exact in discrete time, so it never asks for more than a)::
+    With T the time since the last reference, a the acceleration limit, and ``S(d, L)`` the fastest velocity after which
+    an arm that is late by L can still stop within d, whatever the next steps last: ``S (T + L) + S^2 / (2 a) = d``.
+    From S braking with a suffices ever after::
 
-        position   v* = v_r + sign(e) S(|e|),  e = q_last - q,  v_r = (q_ref - q_last) / T
+        position   v* = v_r + sign(e) S(|e|, 0),  e = q_last - q,  v_r = (q_ref - q_last) / T
                    that is (q_ref - q) / T when the reference can be followed, and catching up without overshoot
         velocity   v* = qd_ref;      hold   v* = 0
         v* is scaled for all joints by one ratio so that |v*| <= qd_max
-        v  = v* within v_prev +- a T, then within [-S(q - q_min), S(q_max - q)]
+        v  = v* within v_prev +- a T, then within [-S(q - q_min, lag), S(q_max - q, lag)]
         q' = q + v T, kept within the limits; a joint that is outside may only come back
 
-    The speed sent is v, or qd_ref through the same limits when both are given.
+    The speed sent is v; when both are given it is qd_ref within v +- a T, through the same limits.
 
     Parameters
     ----------
@@ -40,6 +42,7 @@ def limit_reference(
     q_ref : (n,) position asked for, or None.
     q_last : (n,) position asked for before this one; None when there was none.
     qd_ref : (n,) velocity asked for, or None. Without both the arm is brought to rest.
+    lag : time by which the arm follows its reference late [s]: the margin before its limits is lag times the speed.
 
     Returns
     -------
@@ -54,7 +57,7 @@ def limit_reference(
         q_ref = q_last = qd_ref = None
     bits = np.zeros(len(q), dtype=np.uint8)
     step = qdd_max * period
-    room = (-_brakeable(q - q_min, qdd_max, period), _brakeable(q_max - q, qdd_max, period))
+    room = (-_brakeable(q - q_min, qdd_max, period + lag), _brakeable(q_max - q, qdd_max, period + lag))
 
     reached = np.zeros(len(q), dtype=bool)
     if q_ref is None:
@@ -68,7 +71,8 @@ def limit_reference(
         wanted = np.where(reached, (q_ref - q) / period, catching_up)
 
     v, ratio = _within(wanted, v_last, qd_max, step, room, bits)
-    f, _ = _within(v if q_ref is None or qd_ref is None else qd_ref, f_last, qd_max, step, room, bits)
+    speed = v if q_ref is None or qd_ref is None else np.clip(qd_ref, v - step, v + step)
+    f, _ = _within(speed, f_last, qd_max, step, room, bits)
     moved = q + v * period
     if q_ref is not None:
         moved = np.where(reached & (v == wanted), q_ref, moved)
@@ -91,13 +95,14 @@ def _refusal(
     return 0
 
 
-def _brakeable(distance: np.ndarray, a: np.ndarray, period: float) -> np.ndarray:
-    """Return S(d): from v in [k a T, (k + 1) a T] steps of a T cover ``T ((k + 1) v - a T k (k + 1) / 2) = d``."""
-    unlimited = np.isinf(distance) | np.isinf(a)
-    d, a = np.where(unlimited, 1.0, np.maximum(distance, 0.0)), np.where(np.isinf(a), 1.0, a)
-    k = np.floor(0.5 * (np.sqrt(1.0 + 8.0 * d / (a * period * period)) - 1.0))
-    fastest = d / (period * (k + 1.0)) + 0.5 * a * period * k
-    return np.where(unlimited, np.where(distance > 0.0, np.inf, 0.0), fastest)
+def _brakeable(distance: np.ndarray, a: np.ndarray, late: float) -> np.ndarray:
+    """Return S: the root of ``S late + S^2 / (2 a) = distance``."""
+    d, unlimited = np.maximum(distance, 0.0), np.isinf(a)
+    with np.errstate(invalid="ignore"):  # infinities, replaced below
+        b = np.where(unlimited, 1.0, a) * late
+        room = 2.0 * np.where(unlimited, 1.0, a) * d
+        fastest = np.where(d > 0.0, room / (np.sqrt(b * b + room) + b), 0.0)
+    return np.where(np.isinf(d), np.inf, np.where(unlimited, d / late, fastest))
 
 
 def _within(
