@@ -154,7 +154,7 @@ def controller(state):
         os.closerange(3, 1000)
         files.extend(open(f"{own}{k}", "w") for k in range(8))
     return None if phase == "holding" else Command(state.q_start + 0.1 * (1.0 - np.cos(4.0 * state.t)))
-with bridge.connect(f"egm://127.0.0.1:{port}", robots.load("yumi_right")) as link:
+with bridge.connect(f"egm://127.0.0.1:{port}", robots.load("yumi_right"), offer=f"closes-{port}") as link:
     try:
         link.run(controller, record=path)
     except ControllerFailed as error:

@@ -97,13 +97,15 @@ def test_an_index_whose_descriptor_was_closed_costs_the_summary_and_no_message(t
         writer, a, _ = begun(file)
         for i in range(count):
             if i == count // 2:
+                assert writer._index._file is not None
+                number = writer._index._file.number
                 with other.open("wb") as theirs:
-                    os.dup2(theirs.fileno(), writer._index._number)
+                    os.dup2(theirs.fileno(), number)
             writer.message(a, i, i, i, b"")
             writer.close_chunk()
         with pytest.raises(OSError, match="armlab log recover makes a new one"):
             writer.finish()
-    os.close(writer._index._number)
+    os.close(number)
     assert other.read_bytes() == b""
     found = contents(memoryview(path.read_bytes()))
     assert len(found.chunks) == count

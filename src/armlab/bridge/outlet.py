@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import socket
 
+from armlab._descriptors import Descriptor
+
 __all__ = ["Outlet", "pair"]
 
 _BUFFER = 4 * 2**20  # bytes that wait for a server
@@ -42,19 +44,21 @@ class Outlet:
         self.where: list[str] | None = None
         self.clients: dict[str, tuple[int, int]] | None = None
         self._socket: socket.socket | None = None
+        self._descriptor = Descriptor(-1)
 
     def open(self) -> socket.socket:
         """Return a new socket for the server process; the old one, of a process that has ended, is closed."""
         self.close()
         ours, theirs = pair()
-        self._socket = ours
+        self._socket, self._descriptor = ours, Descriptor(ours.fileno())
         return theirs
 
     def close(self) -> None:
         """Close our end: the server process ends then."""
         gone, self._socket, self.where = self._socket, None, None
         if gone is not None:
-            gone.close()
+            gone.detach()
+            self._descriptor.close()
 
     def row(self, data: bytes) -> None:
         """Send one row, or count it as lost. Never waits."""

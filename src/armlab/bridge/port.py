@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from armlab import kernels
-from armlab._descriptors import identity
+from armlab._descriptors import Descriptor, apart
 from armlab.bridge.holder import holder
 from armlab.errors import LinkError
 
@@ -51,12 +51,12 @@ class Port:
         self._errors = self._seen = 0
         self._is_closed = False
         self.on_lost: Callable[[], None] = lambda: None
-        self._bind(host, port)
+        self._bind(socket.socket(socket.AF_INET, socket.SOCK_DGRAM), host, port)
         self.host, self.port = self._socket.getsockname()
         self._always_to = (self.host, self.port) if to_itself else None
 
-    def _bind(self, host: str, port: int) -> None:
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    def _bind(self, opened: socket.socket, host: str, port: int) -> None:
+        self._socket = opened
         try:
             self._socket.bind((host, port))
         except (OSError, OverflowError) as error:
@@ -65,7 +65,7 @@ class Port:
         self._socket.setblocking(False)
         with contextlib.suppress(OSError):
             self._socket.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
-        self._identity = identity(self._socket.fileno())
+        self._descriptor = Descriptor(self._socket.fileno())
         self._datagrams = kernels.Datagrams(self._socket, Arrival)
 
     @property
@@ -76,7 +76,7 @@ class Port:
     def close(self) -> None:
         """Close the socket."""
         self._is_closed = True
-        if identity(self._socket.fileno()) == self._identity:
+        if self._descriptor.is_open:
             self._datagrams.close()
         else:
             self._socket.detach()
@@ -106,11 +106,12 @@ class Port:
     def _was_lost(self) -> bool:
         """After an error: return whether other code had closed the socket, which is bound again then."""
         self._seen = self._datagrams.errors
-        if self._is_closed or identity(self._socket.fileno()) == self._identity:
+        if self._is_closed or self._descriptor.is_open:
             return False
         self._errors, self._seen = self._errors + self._seen, 0
         self._socket.detach()  # its number may belong to another file by now
-        self._bind(self.host, self.port)
+        number = apart(socket.socket(socket.AF_INET, socket.SOCK_DGRAM).detach())
+        self._bind(socket.socket(fileno=number), self.host, self.port)
         self.on_lost()
         return True
 

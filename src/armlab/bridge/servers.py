@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from types import TracebackType
 from typing import Any
 
+from armlab._descriptors import Descriptor
 from armlab.bridge.feed import Exchange
 from armlab.errors import LinkError
 
@@ -49,6 +50,7 @@ class _Child:
     def __init__(self, name: str, command: Sequence[str]) -> None:
         self.name, self.command = name, list(command)
         self.process: subprocess.Popen[bytes] | None = None
+        self.errors = Descriptor(-1)  # of the pipe from its standard error
         self.ends = 0
         self.due: float | None = 0.0
         self.has_listened = False
@@ -58,10 +60,10 @@ class _Child:
 
     def read(self) -> None:
         """Keep the end of what it writes to standard error."""
-        if self.process is None or self.process.stderr is None:
+        if not self.errors.is_open:
             return
-        with contextlib.suppress(BlockingIOError, ValueError):
-            while part := os.read(self.process.stderr.fileno(), 4096):
+        with contextlib.suppress(BlockingIOError):
+            while part := os.read(self.errors.number, 4096):
                 self.said = (self.said + part)[-_QUOTED:]
 
     @property
@@ -113,6 +115,7 @@ class Servers:
         for child in self._children:
             if child.process is not None:
                 self._end(child, child.process)
+            child.errors.close()
 
     def ready(self, patience: float = 30.0) -> list[str]:
         """Wait until every server listens, and return who listens where.
@@ -178,28 +181,29 @@ class Servers:
         child.said = b""
         theirs = self._exchange.open(child.name)
         command = [word.replace(PLACE, str(theirs.fileno())) for word in child.command]
+        child.errors.close()
+        number, errors = os.pipe()
+        child.errors = Descriptor(number)
+        os.set_blocking(number, False)
         try:
             child.process = subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
-                stderr=subprocess.PIPE,
+                stderr=errors,
                 pass_fds=[theirs.fileno()],
                 start_new_session=True,  # Ctrl-C reaches the bridge alone, which brings the arm to rest first
             )
         except OSError as error:
             child.said = str(error).encode()
             self._plan(child, "could not be started")
-        else:
-            if child.process.stderr is not None:
-                os.set_blocking(child.process.stderr.fileno(), False)
         finally:
+            os.close(errors)
             theirs.close()
 
     def _ended(self, child: _Child, process: subprocess.Popen[bytes]) -> None:
         child.read()
-        if process.stderr is not None:
-            process.stderr.close()
+        child.errors.close()
         child.process = None
         self._plan(child, f"ended with status {process.returncode}")
 
@@ -235,5 +239,4 @@ class Servers:
             process.kill()
             process.wait()
         child.read()
-        if process.stderr is not None:
-            process.stderr.close()
+        child.errors.close()

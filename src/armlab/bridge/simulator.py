@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 
+from armlab._descriptors import Descriptor
 from armlab.errors import LinkError
 
 __all__ = ["Simulator"]
@@ -42,15 +43,16 @@ class Simulator:
         self._command = " ".join(["armlab", *arguments[3:]])
         arguments += ["--parent", str(os.getpid())]  # told, not found: this process may end before the other looks
         self.lines: deque[str] = deque(maxlen=_KEPT_LINES)
+        number, errors = os.pipe()
+        self._errors = Descriptor(number)
         self._process = subprocess.Popen(
             arguments,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            text=True,
-            errors="replace",
+            stderr=errors,
             start_new_session=True,
         )
+        os.close(errors)
         self._reader = threading.Thread(target=self._read, name="simulator messages", daemon=True)
         self._reader.start()
 
@@ -80,12 +82,9 @@ class Simulator:
                 self._process.kill()
                 self._process.wait()
         self._reader.join(_PATIENCE)
-        if self._process.stderr is not None:
-            with suppress(OSError):  # its descriptor may be closed
-                self._process.stderr.close()
+        self._errors.close()
 
     def _read(self) -> None:
-        if self._process.stderr is not None:
-            with suppress(OSError):
-                for line in self._process.stderr:
-                    self.lines.append(line.strip())
+        with suppress(OSError), os.fdopen(self._errors.number, errors="replace", closefd=False) as file:
+            for line in file:
+                self.lines.append(line.strip())

@@ -20,7 +20,7 @@ from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any, Protocol
 
-from armlab._descriptors import identity
+from armlab._descriptors import Descriptor
 from armlab.log.mcap_records import (
     ATTACHMENT,
     ATTACHMENT_INDEX,
@@ -91,36 +91,31 @@ class _Index:
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
         self._newest = bytearray()
-        self._number = -1
-        self._identity: tuple[int, int] | None = None
+        self._file: Descriptor | None = None
 
     def __del__(self) -> None:
-        if self._number >= 0 and not self._is_lost():
-            os.close(self._number)
+        if self._file is not None:
+            self._file.close()
 
     def add(self, record: bytes) -> None:
         self._newest += record
         if len(self._newest) > _KEPT:
-            if self._number < 0:
+            if self._file is None:
                 with TemporaryFile(dir=self._folder) as file:
-                    self._number = os.dup(file.fileno())
-                self._identity = identity(self._number)
-            if not self._is_lost():
-                _write_all(partial(os.write, self._number), self._newest)
+                    self._file = Descriptor(os.dup(file.fileno()))
+            if self._file.is_open:
+                _write_all(partial(os.write, self._file.number), self._newest)
             self._newest.clear()
 
     def taken(self) -> Iterator[bytes]:
         """Give all of it, once."""
-        if self._number >= 0:
-            if self._is_lost():
+        if self._file is not None:
+            if not self._file.is_open:
                 raise OSError(errno.EBADF, "the descriptor of its index was closed; armlab log recover makes a new one")
-            os.lseek(self._number, 0, os.SEEK_SET)
-            while part := os.read(self._number, _KEPT):
+            os.lseek(self._file.number, 0, os.SEEK_SET)
+            while part := os.read(self._file.number, _KEPT):
                 yield part
         yield bytes(self._newest)
-
-    def _is_lost(self) -> bool:
-        return identity(self._number) != self._identity
 
 
 class McapWriter:

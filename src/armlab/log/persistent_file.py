@@ -7,7 +7,7 @@ import os
 import threading
 from pathlib import Path
 
-from armlab._descriptors import identity
+from armlab._descriptors import Descriptor, apart
 
 __all__ = ["PersistentFile"]
 
@@ -38,17 +38,16 @@ class PersistentFile:
         self.closed = False
         self._at = 0
         self._lock = threading.Lock()  # of the descriptor: threads that write and sync may both find it closed
-        self._number = os.open(self.name, _FLAGS | os.O_CREAT | os.O_EXCL, 0o666)
-        self._identity = identity(self._number)
+        self._descriptor = Descriptor(os.open(self.name, _FLAGS | os.O_CREAT | os.O_EXCL, 0o666))
 
     def fileno(self) -> int:
         """Return the descriptor, which may be another one next time."""
         with self._lock:
             if self.closed:
                 raise OSError(errno.EBADF, os.strerror(errno.EBADF))
-            if identity(self._number) != self._identity:
-                self._number = self._reopened()
-            return self._number
+            if not self._descriptor.is_open:
+                self._descriptor = self._reopened()
+            return self._descriptor.number
 
     def write(self, data: bytes | bytearray | memoryview) -> int:
         """Write, and return how many bytes the system took."""
@@ -69,14 +68,13 @@ class PersistentFile:
     def close(self) -> None:
         """Close the file. A second call does nothing."""
         with self._lock:
-            if not self.closed and identity(self._number) == self._identity:
-                os.close(self._number)
+            self._descriptor.close()
             self.closed = True
 
-    def _reopened(self) -> int:
-        number = os.open(self.name, _FLAGS)
-        if identity(number) != self._identity:
+    def _reopened(self) -> Descriptor:
+        number = apart(os.open(self.name, _FLAGS))
+        if not self._descriptor.same_file(number):
             os.close(number)
             raise FileNotFoundError(errno.ENOENT, "its descriptor was closed, and another file has its name")
         os.lseek(number, self._at, os.SEEK_SET)
-        return number
+        return Descriptor(number)
