@@ -97,8 +97,12 @@ def play(monkeypatch: pytest.MonkeyPatch) -> Any:
         monkeypatch.setattr(Waiting, "next", lambda waiting, seconds: wire.next())
         monkeypatch.setattr(Port, "receive", lambda port: wire.receive())
         monkeypatch.setattr(Port, "send", lambda port, data, to: wire.send(data))
+
         # a bridge in lockstep never leaves out a reply, because a robot would wait for it; this one does not wait
-        monkeypatch.setattr(Surplus, "leaves_out", lambda surplus, depth: leaves_out(surplus, wire.depth))
+        def with_wire(surplus: Surplus, depth: int, period: float) -> bool:
+            return leaves_out(surplus, wire.depth, period)
+
+        monkeypatch.setattr(Surplus, "leaves_out", with_wire)
         with bridge.connect("egm://127.0.0.1:0", ROBOT, extension=True, clock="robot") as link:
             return link.run(sway, seconds=seconds, wait="block"), wire.controller
 
