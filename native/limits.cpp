@@ -28,8 +28,8 @@ struct Joint {
   double q, q_min, q_max, fastest, a, low, high;  // low, high: velocities from which it can stop before its limits
 };
 
-// Scales the velocities by one ratio, then keeps each within what acceleration and braking allow.
-double keep_within(int n, const Joint *joints, double T, const double *last, double *wanted, std::uint8_t *bits) {
+// Scales the velocities by one ratio when they are too fast. Returns the ratio.
+double scale(int n, const Joint *joints, double *wanted, std::uint8_t *bits) {
   double worst = 0.0, ratio = 1.0;
   for (int i = 0; i < n; ++i) worst = std::max(worst, std::fabs(wanted[i]) / joints[i].fastest);
   if (worst > 1.0 + slack) {
@@ -39,6 +39,11 @@ double keep_within(int n, const Joint *joints, double T, const double *last, dou
       wanted[i] *= ratio;
     }
   }
+  return ratio;
+}
+
+// Keeps each velocity within what acceleration and braking allow.
+void keep_within(int n, const Joint *joints, double T, const double *last, double *wanted, std::uint8_t *bits) {
   for (int i = 0; i < n; ++i) {
     const Joint &joint = joints[i];
     const double step = joint.a * T, tolerance = slack * std::min(step, joint.fastest);
@@ -51,7 +56,6 @@ double keep_within(int n, const Joint *joints, double T, const double *last, dou
       }
     }
   }
-  return ratio;
 }
 
 // 0, or i (from 1) when joint i is not finite, or -i when it jumps.
@@ -126,11 +130,13 @@ nb::object limit_reference(nb::handle sent_, nb::handle bounds_, double T, nb::h
     wanted[i] = reached[i] ? (q_ref[i] - joint.q) / T : (q_ref[i] - last) / T + catching_up;
   }
   std::copy_n(wanted, n, v);
-  const double ratio = keep_within(n, joints, T, sent.data() + n, v, bits);
+  const double ratio = scale(n, joints, v, bits);
+  keep_within(n, joints, T, sent.data() + n, v, bits);
   for (int i = 0; i < n; ++i) {  // a speed given beside a position agrees with it to within one step of acceleration
     const double apart = joints[i].a * T;
     f[i] = q_ref && qd_ref ? std::min(std::max(qd_ref[i], v[i] - apart), v[i] + apart) : v[i];
   }
+  if (q_ref && qd_ref) scale(n, joints, f, bits);
   keep_within(n, joints, T, sent.data() + 2 * n, f, bits);
   for (int i = 0; i < n; ++i) {
     const Joint &joint = joints[i];

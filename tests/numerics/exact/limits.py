@@ -21,19 +21,23 @@ def stopping(distance: Any, a: Any, T: Any) -> Any:
     return d / T if mp.isinf(a) else mp.sqrt((a * T) ** 2 + 2 * a * d) - a * T
 
 
+def scaled(wanted: Vector, bounds: list[Vector], bits: list[int]) -> tuple[Vector, Any]:
+    ratio = min([mp.one, *(top / abs(v) for v, top in zip(wanted, bounds[2]) if v)])
+    for i, v in enumerate(wanted):
+        bits[i] |= 2 * (abs(v) > bounds[2][i])
+    return [v * ratio for v in wanted], ratio
+
+
 def within(
     wanted: Vector, last: Vector, bounds: list[Vector], room: list[tuple[Any, Any]], T: Any, bits: list[int]
-) -> Any:
-    ratio = min([mp.one, *(top / abs(v) for v, top in zip(wanted, bounds[2]) if v)])
+) -> Vector:
     found = []
     for i, (v, before, step) in enumerate(zip(wanted, last, [a * T for a in bounds[3]])):
-        bits[i] |= 2 * (abs(v) > bounds[2][i])
-        v = v * ratio
         for bit, (low, high) in ((4, (before - step, before + step)), (8, room[i])):
             bits[i] |= bit * (v < low or v > high)
             v = min(max(v, low), high)
         found.append(v)
-    return found, ratio
+    return found
 
 
 def refusal(q: Vector, bounds: list[Vector], T: Any, asked: np.ndarray) -> int:
@@ -60,9 +64,11 @@ def limited(sent: np.ndarray, limits: np.ndarray, period: np.ndarray, asked: np.
             e / T if abs(e) <= a * T**2 else mp.sign(e) * stopping(abs(e), a, T) for e, a in zip(late, bounds[3])
         ]
         wanted = [(r - last) / T + fast for r, last, fast in zip(q_ref, q_last or q_ref, catching)]
-    v, ratio = within(wanted, v_last, bounds, room, T, bits)
-    near = [min(max(f, x - a * T), x + a * T) for f, x, a in zip(qd_ref or v, v, bounds[3])]
-    f, _ = within(near if q_ref and qd_ref else v, f_last, bounds, room, T, bits)
+    wanted, ratio = scaled(wanted, bounds, bits)
+    v = f = within(wanted, v_last, bounds, room, T, bits)
+    if q_ref and qd_ref:
+        f, _ = scaled([min(max(f, x - a * T), x + a * T) for f, x, a in zip(qd_ref, v, bounds[3])], bounds, bits)
+    f = within(f, f_last, bounds, room, T, bits)
     free = [x + speed * T for x, speed in zip(q, v)]
     moved = [min(max(new, min(low, x)), max(high, x)) for new, x, low, high in zip(free, q, *bounds[:2])]
     v = [speed if new == to else (to - x) / T for speed, new, to, x in zip(v, free, moved, q)]

@@ -70,9 +70,11 @@ def limit_reference(
         catching_up = (q_ref - before) / period + np.sign(behind) * _brakeable(np.abs(behind), qdd_max, period)
         wanted = np.where(reached, (q_ref - q) / period, catching_up)
 
-    v, ratio = _within(wanted, v_last, qd_max, step, room, bits)
-    speed = v if q_ref is None or qd_ref is None else np.clip(qd_ref, v - step, v + step)
-    f, _ = _within(speed, f_last, qd_max, step, room, bits)
+    slowed, ratio = _scaled(wanted, qd_max, bits)
+    v = f = _within(slowed, v_last, qd_max, step, room, bits)
+    if q_ref is not None and qd_ref is not None:
+        f, _ = _scaled(np.clip(qd_ref, v - step, v + step), qd_max, bits)
+    f = _within(f, f_last, qd_max, step, room, bits)
     moved = q + v * period
     if q_ref is not None:
         moved = np.where(reached & (v == wanted), q_ref, moved)
@@ -105,6 +107,16 @@ def _brakeable(distance: np.ndarray, a: np.ndarray, late: float) -> np.ndarray:
     return np.where(np.isinf(d), np.inf, np.where(unlimited, d / late, fastest))
 
 
+def _scaled(wanted: np.ndarray, fastest: np.ndarray, bits: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return velocities scaled by one ratio so that none is too fast, and the ratio; note in `bits` which were."""
+    excess = np.abs(wanted) / fastest
+    worst = float(excess.max(initial=0.0))
+    if worst <= 1.0 + _SLACK:
+        return wanted, 1.0
+    bits |= np.where(excess > 1.0 + _SLACK, VELOCITY, 0).astype(np.uint8)
+    return wanted / worst, 1.0 / worst
+
+
 def _within(
     wanted: np.ndarray,
     last: np.ndarray,
@@ -112,17 +124,10 @@ def _within(
     step: np.ndarray,
     room: tuple[np.ndarray, np.ndarray],
     bits: np.ndarray,
-) -> tuple[np.ndarray, float]:
-    """Return a velocity within all limits and the ratio of the first one; note in `bits` which acted."""
-    excess = np.abs(wanted) / fastest
-    worst = float(excess.max(initial=0.0))
-    ratio = 1.0
-    if worst > 1.0 + _SLACK:
-        ratio = 1.0 / worst
-        bits |= np.where(excess > 1.0 + _SLACK, VELOCITY, 0).astype(np.uint8)
-        wanted = wanted * ratio
+) -> np.ndarray:
+    """Return a velocity within the limits of acceleration and braking; note in `bits` which acted."""
     for low, high, bit in ((last - step, last + step, ACCELERATION), (*room, BRAKING)):
         slack = _SLACK * np.minimum(step, fastest)
         bits |= np.where((wanted < low - slack) | (wanted > high + slack), bit, 0).astype(np.uint8)
         wanted = np.where(wanted < low - slack, low, np.where(wanted > high + slack, high, wanted))
-    return wanted, ratio
+    return wanted
