@@ -2,6 +2,9 @@
 #define ARMLAB_IMPORTS_NUMPY
 #include "arrays.h"
 
+#include <exception>
+#include <typeinfo>
+
 void bind_chain(nb::module_ &m);
 void bind_datagrams(nb::module_ &m);
 void bind_drive(nb::module_ &m);
@@ -30,6 +33,13 @@ void bind_wrench(nb::module_ &m);
 
 NB_MODULE(_native, m) {
   if (PyArray_ImportNumPyAPI() < 0) throw nb::python_error();
+  nb::register_exception_translator([](const std::exception_ptr &thrown, void *) {
+    try {
+      std::rethrow_exception(thrown);
+    } catch (const std::bad_cast &) {  // an argument within a list or tuple
+      PyErr_SetString(PyExc_TypeError, "Expected arguments of the types that the documentation names, got another.");
+    }
+  });
   nb::set_leak_warnings(false);  // a robot that a module keeps until the interpreter ends is no leak, and nothing prints
   m.doc() = "Compiled kernels of armlab; armlab.kernels is their public face.";
   bind_chain(m);

@@ -11,7 +11,10 @@ from numpy.typing import ArrayLike
 
 from armlab.errors import ArmlabError, RobotError, ShapeError, UnknownName
 
-__all__ = ["check_name", "frozen", "generator", "members", "number", "numbers", "positive", "rows_text"]
+__all__ = [
+    "check_name", "flag", "frozen", "generator", "make_read_only", "members", "number", "numbers", "positive",
+    "rows_text", "still",
+]  # fmt: skip
 
 
 def numbers(value: ArrayLike, what: str, error: type[ArmlabError] = RobotError) -> np.ndarray:
@@ -38,24 +41,25 @@ def numbers(value: ArrayLike, what: str, error: type[ArmlabError] = RobotError) 
     return array.astype(np.float64, copy=False)
 
 
-def members(value: Any, what: str) -> tuple[Any, ...]:
+def members(value: Any, what: str, error: type[ArmlabError] = RobotError) -> tuple[Any, ...]:
     """Return the members of a list or tuple; a text is none, though Python would take its letters.
 
     Parameters
     ----------
     value : anything.
     what : its name, for the message.
+    error : what to raise.
 
     Raises
     ------
-    RobotError : when it has no members or is a text.
+    ArmlabError : when it has no members or is a text.
     """
     if (
         isinstance(value, str | bytes)
         or not isinstance(value, Iterable)
         or (isinstance(value, np.ndarray) and not value.ndim)
     ):
-        raise RobotError(f"Expected {what} as a list or tuple, got {shortened(value)}.")
+        raise error(f"Expected {what} as a list or tuple, got {shortened(value)}.")
     return tuple(value)
 
 
@@ -75,6 +79,61 @@ def frozen(value: ArrayLike, what: str) -> np.ndarray:
     array += 0.0
     array.flags.writeable = False
     return array
+
+
+def still(value: ArrayLike, what: str) -> np.ndarray:
+    """Return real numbers as a read-only copy, to the bit.
+
+    Parameters
+    ----------
+    value : numbers, of any shape.
+    what : their name, for the message.
+
+    Raises
+    ------
+    ShapeError : when they are no real numbers.
+    """
+    array = np.array(numbers(value, what, ShapeError))
+    array.flags.writeable = False
+    return array
+
+
+def make_read_only(result: Any, *names: str) -> None:
+    """Replace arrays of a frozen dataclass by read-only views.
+
+    Parameters
+    ----------
+    result : the instance.
+    names : of its fields.
+
+    Raises
+    ------
+    ShapeError : when one is no array.
+    """
+    for name in names:
+        array = getattr(result, name)
+        if not isinstance(array, np.ndarray):
+            raise ShapeError(f"Expected {name} of a {type(result).__name__} as a NumPy array, got {shortened(array)}.")
+        view = array.view()
+        view.flags.writeable = False
+        object.__setattr__(result, name, view)
+
+
+def flag(value: Any, what: str) -> bool:
+    """Return True or False.
+
+    Parameters
+    ----------
+    value : anything.
+    what : which option it is, for the message.
+
+    Raises
+    ------
+    ShapeError : when it is neither: a list or a text would count as True.
+    """
+    if not isinstance(value, bool | np.bool_):
+        raise ShapeError(f"Expected {what} as True or False, got {shortened(value)}.")
+    return bool(value)
 
 
 def number(value: Any, what: str, error: type[ArmlabError] = ShapeError) -> float:

@@ -23,7 +23,7 @@ from itertools import groupby
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab._numbers import number, numbers
+from armlab._numbers import make_read_only, number, numbers
 from armlab.contact.places import check_distance, contact_point
 from armlab.errors import RobotError, ShapeError
 from armlab.log import Table
@@ -67,10 +67,7 @@ class Hypotheses:
 
     def __post_init__(self) -> None:
         """Freeze the arrays."""
-        for name in ("t", "log_evidence", "posterior", "link", "place", "samples"):
-            values = np.array(getattr(self, name))
-            values.flags.writeable = False
-            object.__setattr__(self, name, values)
+        make_read_only(self, "t", "log_evidence", "posterior", "link", "place", "samples")
 
     def during(self, start: float, end: float) -> str:
         """Return what is believed of the contact from `start` to `end` [s], in words.

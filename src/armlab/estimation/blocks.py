@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from armlab._numbers import generator
+from armlab._numbers import generator, numbers
 from armlab.errors import NotExcited, ShapeError, UnknownName
 from armlab.estimation.bounds import within_bounds
 from armlab.estimation.solution import LinearSolution
@@ -209,6 +209,9 @@ def shrinkage(scores: np.ndarray) -> float:
     ----------
     scores : (B, p) gradients of B independent stretches, in coordinates in which the formal covariance is 1.
     """
+    scores = numbers(scores, "gradients of blocks", ShapeError)
+    if scores.ndim != 2:
+        raise ShapeError(f"Expected gradients of blocks (B, p), got shape {scores.shape}.")
     S, count = scores.T @ scores, len(scores)
     away = S - np.trace(S) / len(S) * np.eye(len(S))
     spread = float(np.sum(away * away))

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from armlab._numbers import numbers
+from armlab.errors import ShapeError
+
 __all__ = ["within_bounds"]
 
 BLOCK_ROUNDS = 10  # rounds without fewer faults after which one fault at a time is mended
@@ -29,6 +32,14 @@ def within_bounds(x: np.ndarray, cov: np.ndarray, lower: np.ndarray, upper: np.n
     ----------
     Portugal, Judice and Vicente (1994), A comparison of block pivoting and interior-point algorithms.
     """
+    x, cov, lower, upper = (
+        numbers(one, "solution, covariance and bounds", ShapeError) for one in (x, cov, lower, upper)
+    )
+    p = x.size
+    if not x.shape == lower.shape == upper.shape == (p,) or cov.shape != (p, p):
+        raise ShapeError(
+            f"Expected x and its bounds (p,) and cov (p, p), got {x.shape}, {lower.shape}, {upper.shape}, {cov.shape}."
+        )
     if np.all((x >= lower) & (x <= upper)):
         return x
     sd = np.sqrt(np.diag(cov))

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from armlab._numbers import flag, number
 from armlab.errors import ConfigError, UnknownName
 from armlab.estimation import _laws, _statistics
 from armlab.estimation._statistics import Trial
@@ -99,7 +100,8 @@ class Limits:
         ----------
         runs : their number. noise_given : False where the fit estimates it, which widens the NEES.
         """
-        if runs < BENCHMARK:
+        noise_given = flag(noise_given, "noise_given")
+        if number(runs, "the number of runs") < BENCHMARK:
             return cls(honest=(0.80, 1.25 if noise_given else 1.30))
         return cls((0.44, 0.54), (0.95, 1.05 if noise_given else 1.10), robust=1.06)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from armlab._numbers import number, numbers
 from armlab.errors import ShapeError
 
 __all__ = ["block_seconds", "correlation_time", "effective_samples"]
@@ -26,7 +27,7 @@ def correlation_time(x: np.ndarray, dt: float) -> float:
     ------
     ShapeError : fewer than two samples, NaN.
     """
-    x = np.asarray(x, dtype=float)
+    x = numbers(x, "a record", ShapeError)
     if x.ndim != 1 or len(x) < 2 or not np.isfinite(x).all():
         raise ShapeError(
             f"Expected a finite record (N,) of at least two samples, got shape {x.shape} with "
@@ -56,4 +57,5 @@ def block_seconds(residuals: np.ndarray, dt: float) -> float:
     ----------
     residuals : (N, k) evenly sampled, finite. dt : time between samples [s].
     """
+    residuals, dt = numbers(residuals, "residuals", ShapeError), number(dt, "the time between samples [s]")
     return max([SHORTEST, *(MEMORIES * correlation_time(column, dt) for column in np.transpose(residuals))])

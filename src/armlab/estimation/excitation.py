@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from armlab._numbers import numbers, still
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation.factors import triangle
 
@@ -69,8 +70,7 @@ class Excitation:
     def __post_init__(self) -> None:
         """Freeze the arrays."""
         for name in ("singular_values", "scale", "vectors", "null_space", "spread"):
-            values = np.array(getattr(self, name), dtype=float)
-            values.flags.writeable = False
+            values = still(getattr(self, name), f"{name} of an excitation")
             object.__setattr__(self, name, values)
 
     @classmethod
@@ -83,6 +83,7 @@ class Excitation:
         names : of the p parameters.
         max_condition : a direction weaker than the strongest by more than this does not count in the rank.
         """
+        A = numbers(A, "a design matrix", ShapeError)
         if A.ndim != 2 or A.shape[1] != len(names) or not np.isfinite(A).all():
             raise ShapeError(
                 f"Expected a finite design matrix with {len(names)} columns, got shape {A.shape}. Name every column."
@@ -106,6 +107,9 @@ class Excitation:
         ----------
         cov : (p, p) of full rank. names : of the p parameters; there may be none.
         """
+        cov = numbers(cov, "a covariance", ShapeError)
+        if cov.shape != (len(names), len(names)):
+            raise ShapeError(f"Expected a covariance of {len(names)} parameters, got shape {cov.shape}.")
         if not len(names):
             return cls(0, 0, np.zeros(0), "nothing was fitted")
         sd = np.sqrt(np.diag(cov))
@@ -152,6 +156,7 @@ def check_excitation(
     NotExcited : when the condition number exceeds the limit, with every direction beyond it by the names of its
         parameters.
     """
+    A = numbers(A, "a design matrix", ShapeError)
     found = Excitation.of(A, names, max_condition)
     weak = range(found.expected - 1, found.rank - 1, -1)  # the weakest first
     directions = tuple(_in_words(found.vectors[:, i], names) for i in weak)
@@ -208,7 +213,7 @@ def check_spread(
     ------
     NotExcited : a direction whose standard deviation exceeds its limit, with the deviation in words.
     """
-    p, limits = len(names), np.asarray(limits, dtype=float)
+    p, J, limits = len(names), numbers(J, "a Jacobian", ShapeError), numbers(limits, "limits", ShapeError)
     if J.ndim != 2 or J.shape[1] != p or limits.shape != (p,) or not np.all(limits > 0) or not np.isfinite(J).all():
         raise ShapeError(
             f"Expected a finite Jacobian (m, {p}) and {p} limits above zero, got shapes {J.shape} and {limits.shape}."

@@ -41,6 +41,9 @@ class Measurement:
 
     def __post_init__(self) -> None:
         """Check the shapes."""
+        for name in ("r", "J", "sample", *(("cov",) if self.cov is not None else ())):
+            if not isinstance(getattr(self, name), np.ndarray):
+                raise ShapeError(f"Expected {name} of a measurement as a NumPy array. This is a fault of the residual.")
         m, k = self.r.shape if self.r.ndim == 2 else (0, 0)
         given = None if self.cov is None else self.cov.shape
         if not self.sample.size:

@@ -15,8 +15,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from armlab._numbers import generator
-from armlab.errors import NotExcited
+from armlab._numbers import generator, numbers
+from armlab.errors import NotExcited, ShapeError
 from armlab.estimation.blocks import BlockSums
 from armlab.estimation.factors import Rows, factorise
 from armlab.estimation.solution import EXACT, LinearSolution, solve
@@ -33,7 +33,7 @@ CUT = 3.0  # robust deviations of log RMS beyond which a block is left out
 
 def mad(x: np.ndarray) -> float:
     """Return the standard deviation of zero-mean Gaussian x as its outliers do not spoil it: median |x| / 0.6745."""
-    return float(np.median(np.abs(x)) / NORMAL_MAD)
+    return float(np.median(np.abs(numbers(x, "numbers", ShapeError))) / NORMAL_MAD)
 
 
 def huber(rows: Iterable[Rows], start: LinearSolution) -> LinearSolution:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from armlab._numbers import numbers
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation.bounds import within_bounds
 from armlab.estimation.excitation import MAX_CONDITION, Excitation, Prior, check_excitation
@@ -57,8 +58,8 @@ class Question:
         lower, upper : (p,) bounds, or None.
         """
         p = len(names)
-        low = np.full(p, -np.inf) if lower is None else np.asarray(lower, dtype=float)
-        high = np.full(p, np.inf) if upper is None else np.asarray(upper, dtype=float)
+        low = np.full(p, -np.inf) if lower is None else numbers(lower, "lower bounds", ShapeError)
+        high = np.full(p, np.inf) if upper is None else numbers(upper, "upper bounds", ShapeError)
         if low.shape != (p,) or high.shape != (p,) or not np.all(low < high):
             raise ShapeError(
                 f"Expected {p} lower bounds below {p} upper bounds, got shapes {low.shape} and {high.shape}. "

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab import kernels
-from armlab._numbers import number
+from armlab._numbers import make_read_only, number
 from armlab.errors import NotExcited, ShapeError
 from armlab.frames._check import marker_points, sightings
 from armlab.lie import so3
@@ -47,10 +47,7 @@ class MarkerPoses:
 
     def __post_init__(self) -> None:
         """Freeze the arrays."""
-        for name in ("T", "valid", "rms", "cov", "marker"):
-            values = np.array(getattr(self, name))
-            values.flags.writeable = False
-            object.__setattr__(self, name, values)
+        make_read_only(self, "T", "valid", "rms", "cov", "marker")
 
 
 def marker_pose(

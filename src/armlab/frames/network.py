@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from armlab._numbers import still
 from armlab.errors import FrameError
 from armlab.estimation import Fit, Measurement, Problem, check_spread, nonlinear_least_squares
 from armlab.frames import loops
@@ -42,8 +43,7 @@ class FrameSet:
 
     def __post_init__(self) -> None:
         """Freeze the poses."""
-        T = np.array(self.T, dtype=float)
-        T.flags.writeable = False
+        T = still(self.T, "poses T of frames")
         object.__setattr__(self, "names", tuple(self.names))
         object.__setattr__(self, "T", T)
 

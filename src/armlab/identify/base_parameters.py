@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from armlab._numbers import flag, members
 from armlab.errors import RobotError, UnknownName
 from armlab.robots import Robot
 
@@ -136,12 +137,13 @@ def measured_joints(robot: Robot, joints: Sequence[int] | None = None) -> list[i
     """
     if not isinstance(robot, Robot):
         raise RobotError.no_robot(robot)
-    numbers = np.arange(robot.n) if joints is None else np.asarray(joints)
-    whole = numbers.ndim == 1 and numbers.size > 0 and numbers.dtype.kind in "iu"
-    found = sorted({*numbers.tolist()} & {*range(robot.n)}) if whole else []
-    if not found or len(found) != len(numbers):
+    given = (
+        range(robot.n) if joints is None else members(joints, f"numbers of joints from 0 to {robot.n - 1}", UnknownName)
+    )
+    found = sorted({int(one) for one in given if isinstance(one, int | np.integer)} & {*range(robot.n)})
+    if not found or len(found) != len(given):
         raise UnknownName(
-            f"Expected numbers of joints from 0 to {robot.n - 1}, each once, got {numbers.tolist()}. "
+            f"Expected numbers of joints from 0 to {robot.n - 1}, each once, got {[*given]}. "
             "Count from 0, or leave them out for all."
         )
     return found
@@ -150,6 +152,7 @@ def measured_joints(robot: Robot, joints: Sequence[int] | None = None) -> list[i
 def _random_regressor(robot: Robot, quasi_static: bool) -> np.ndarray:
     """Return the columns (50 n, n, 12 n) of links, rotors and offsets at random states."""
     n = robot.n
+    quasi_static = flag(quasi_static, "quasi_static")
     rng = np.random.default_rng(SEED)
     q = rng.uniform(-np.pi, np.pi, (50 * n, n))
     qd, qdd = rng.uniform(-2, 2, (2, 50 * n, n)) * (0.0 if quasi_static else 1.0)

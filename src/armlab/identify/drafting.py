@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from armlab.errors import ModelMismatchError, NotExcited, UnknownName
+from armlab._numbers import check_name
+from armlab.errors import ModelMismatchError, NotExcited
 from armlab.estimation import BlockSums, Fit, LinearSolution, Prior, block_seconds, least_squares
 from armlab.identify.base_parameters import BaseParameters
 from armlab.identify.design import Design
@@ -61,8 +62,7 @@ class Job:
                 found = type(self.prior).__name__
                 raise ModelMismatchError(f"Expected an earlier fit as prior, got {found}. See Fit.load.")
             self.prior.value.check_robot(robot)
-        if self.method not in METHODS:
-            raise UnknownName.among("method of identification", self.method, METHODS)
+        check_name(self.method, "method of identification", METHODS)
 
     def solve(self, design: Design, block: np.ndarray) -> LinearSolution:
         """Solve for the linear parameters; `block` (M,) is the block of time of each kept row."""

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from armlab._numbers import numbers
+from armlab._numbers import number, numbers
 from armlab.errors import NotConverged, ShapeError
 
 __all__ = ["GroupLasso", "group_lasso", "select_groups"]
@@ -79,7 +79,7 @@ def group_lasso(A: np.ndarray, y: np.ndarray, size: int, penalty: float) -> Grou
     ----------
     Yuan and Lin (2006); Beck and Teboulle (2009); O'Donoghue and Candes (2015), Adaptive restart.
     """
-    A, y = numbers(A, "A", ShapeError), numbers(y, "y", ShapeError)
+    A, y, penalty = numbers(A, "A", ShapeError), numbers(y, "y", ShapeError), number(penalty, "penalty")
     if A.ndim != 2 or y.shape != A.shape[:1] or size < 1 or A.shape[1] % size or not penalty > 0:
         raise ShapeError(
             f"Expected A (N, p), y (N,), groups of equal size and a penalty above 0, got {A.shape}, {y.shape}, "
@@ -139,7 +139,10 @@ def select_groups(A: np.ndarray, y: np.ndarray, size: int, block: np.ndarray, fo
     block : (N,) block number of each row; whole blocks are held out.
     folds : of the cross-validation.
     """
-    fold = np.asarray(block) % folds
+    A, y, block = (numbers(one, "columns, values and blocks", ShapeError) for one in (A, y, block))
+    if A.ndim != 2 or not y.shape == block.shape == A.shape[:1]:
+        raise ShapeError(f"Expected columns (N, p), values and blocks (N,), got {A.shape}, {y.shape}, {block.shape}.")
+    fold = block % folds
     parts = [_Sums.of(A[fold == k], y[fold == k]) for k in range(folds)]
     whole = _Sums.of(A, y)
     largest = float(_norms(whole.moment, size).max()) / np.sqrt(size)

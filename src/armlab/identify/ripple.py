@@ -199,8 +199,11 @@ def ripple_amplitudes(qd: np.ndarray, z: np.ndarray, speeds: np.ndarray, widths:
     ----------
     qd, z : (N,) velocity [rad/s], presliding state. speeds, widths : (S,) of the Gaussians [rad/s].
     """
+    qd, z = numbers(qd, "velocities [rad/s]", ShapeError), numbers(z, "presliding states", ShapeError)
+    if qd.ndim != 1 or qd.shape != z.shape:
+        raise ShapeError(f"Expected velocities and presliding states (N,), got shapes {qd.shape} and {z.shape}.")
     along = basis_weights(np.abs(qd), speeds, widths)
-    sides = np.stack([0.5 * (1 + np.asarray(z)), 0.5 * (1 - np.asarray(z))], axis=1)
+    sides = np.stack([0.5 * (1 + z), 0.5 * (1 - z)], axis=1)
     return (sides[:, :, None] * along[:, None, :]).reshape(len(along), -1)
 
 

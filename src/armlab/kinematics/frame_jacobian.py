@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab.errors import RobotError
+from armlab._numbers import numbers
+from armlab.errors import RobotError, ShapeError
 from armlab.kernels import Chain
 from armlab.robots import Robot
 
@@ -67,6 +68,9 @@ def twist_jacobian(P: np.ndarray, point: np.ndarray) -> np.ndarray:
     -------
     J : (..., 6, m, 6), rows [v; w].
     """
+    P, point = numbers(P, "poses of frames", ShapeError), numbers(point, "a point [m]", ShapeError)
+    if P.ndim < 3 or P.shape[-2:] != (4, 4) or point.shape[-1:] != (3,):
+        raise ShapeError(f"Expected poses (..., m, 4, 4) and points (..., 3), got shapes {P.shape} and {point.shape}.")
     R = P[..., :3, :3].swapaxes(-2, -3)
     lever = point[..., None, :] - P[..., :3, 3]
     x, y, z = lever[..., 0, None], lever[..., 1, None], lever[..., 2, None]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab._numbers import flag
 from armlab.errors import ConfigError, NotConverged
 from armlab.kinematics._inverse_result import Inverse, freeze
 from armlab.kinematics._tasks import ROWS, Objective, Task, check, check_search, kernel_objective
@@ -106,7 +107,7 @@ def inverse(
             rotation_tolerance,
             damping,
             *kernel_objective(robot, objective, posture, q0),
-            bool(history),
+            flag(history, "history"),
             threads,
         )
     )

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab._numbers import make_read_only
 from armlab.errors import UnknownName
 from armlab.kinematics.jacobian import jacobian
 from armlab.robots import Robot
@@ -35,8 +36,7 @@ class Ellipsoid:
 
     def __post_init__(self) -> None:
         """Freeze the arrays."""
-        for array in (self.axes, self.lengths):
-            array.flags.writeable = False
+        make_read_only(self, "axes", "lengths")
 
 
 def singular_values(robot: Robot, q: ArrayLike, part: Part = "pose") -> np.ndarray:

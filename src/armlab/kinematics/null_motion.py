@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab._numbers import make_read_only
 from armlab.errors import RobotError, ShapeError, SingularPoseError, UnknownName
 from armlab.kinematics.forward import forward
 from armlab.kinematics.jacobian import jacobian
@@ -51,8 +52,7 @@ class NullMotion:
 
     def __post_init__(self) -> None:
         """Freeze the arrays."""
-        for array in (self.q, self.s, self.position_error, self.rotation_error):
-            array.flags.writeable = False
+        make_read_only(self, "q", "s", "position_error", "rotation_error")
 
 
 def null_motion(

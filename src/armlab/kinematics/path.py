@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab._numbers import make_read_only
 from armlab.errors import NotConverged, ShapeError
 from armlab.kinematics._detours import Rows, with_detours
 from armlab.kinematics._inverse_result import REASONS
@@ -52,8 +53,7 @@ class Path:
 
     def __post_init__(self) -> None:
         """Freeze the arrays."""
-        for array in vars(self).values():
-            array.flags.writeable = False
+        make_read_only(self, *vars(self))
 
     def report(self) -> str:
         """Return one sentence: how far the path goes, and what is in the way where it breaks."""

@@ -50,6 +50,6 @@ def to_angular_first(x: ArrayLike, axis: int = -1) -> np.ndarray:
 
 def _swap(x: ArrayLike, axis: int) -> np.ndarray:
     x = _check.array(x, (), "x")
-    if not -x.ndim <= axis < x.ndim or x.shape[axis] != 6:
+    if not isinstance(axis, int | np.integer) or not -x.ndim <= axis < x.ndim or x.shape[axis] != 6:
         raise ShapeError(f"Expected an array of length 6 along axis {axis}, got shape {x.shape}. Choose the axis.")
     return np.roll(x, 3, axis=axis)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab import kernels
-from armlab.errors import UnknownName
+from armlab._numbers import check_name
 from armlab.lie import so3
 from armlab.lie._mean import shares
 
@@ -50,8 +50,7 @@ def interpolate(
     ShapeError : when one is not a pose within `so3.ROTATION_TOLERANCE`.
     UnknownName : when the path does not exist.
     """
-    if path not in PATHS:
-        raise UnknownName.among("path between poses", path, PATHS)
+    check_name(path, "path between poses", PATHS)
     return kernels.se3_interpolate(T_a, T_b, s, path == "screw", out)
 
 

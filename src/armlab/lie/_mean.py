@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab import kernels
-from armlab.errors import NotConverged, ShapeError, UnknownName
+from armlab._numbers import check_name
+from armlab.errors import NotConverged, ShapeError
 from armlab.lie import _check
 
 METHODS = ("chordal", "geodesic")
@@ -45,8 +46,7 @@ def mean(
 
     Reference: R. Hartley, J. Trumpf, Y. Dai, H. Li, Rotation averaging, Int. J. Computer Vision 103, 2013.
     """
-    if method not in METHODS:
-        raise UnknownName.among("mean of rotations", method, METHODS)
+    check_name(method, "mean of rotations", METHODS)
     R = kernels.rotations(R, "R")
     share = shares(weights, R.shape[:-2])
     R = np.where(share[..., None, None] > 0, R, np.eye(3))

@@ -19,6 +19,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from armlab._numbers import number
 from armlab.errors import LogError
 from armlab.log.description import Description, put_together
 from armlab.log.holes import refuse_holes
@@ -73,7 +74,7 @@ def read_csv(
     LogError : no file, no text, no clock, lines of another length, a unit that is not known, names that come
         twice, a decimal comma; each with the line or the column.
     """
-    path = Path(path)
+    path, rate = Path(path), None if rate is None else number(rate, "the rate [Hz]", LogError)
     if (rate is not None and not 0 < rate < np.inf) or skip < 0 or every < 1 or len(separator) != 1:
         raise LogError(
             f"Expected a rate above 0, skip from 0, every from 1 and one character as separator, got {rate}, {skip}, "
@@ -193,11 +194,11 @@ def _texts(path: Path, skip: int, separator: str, least: int = 2) -> list[list[s
 def _even(rows: Iterable[list[str]], width: int, first: int, separator: str, path: Path) -> Iterator[list[str]]:
     """Yield rows of this width; a line of another one is refused, but for empty ones at the end."""
     other = None
-    for number, row in enumerate(rows, start=first):
+    for line, row in enumerate(rows, start=first):
         if other is None and len(row) == width:
             yield row
             continue
-        other = other or (number, len(row))
+        other = other or (line, len(row))
         if any(row):
             raise LogError(
                 f"Expected {width} fields separated by {separator!r} in line {other[0]} of {path}, got "

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from armlab._numbers import positive
 from armlab.errors import LogError
 from armlab.log.assemble import recording_table
 from armlab.log.column import Column
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 __all__ = ["Log", "Tail"]
 
 _TAIL_RATE = 500.0  # rows per second a Tail has room for; EGM's fastest is 250
+_TAIL_ROWS = 1 << 40  # more than any memory
 
 
 class Log:
@@ -124,7 +126,7 @@ class Tail(Log):
     """
 
     def __init__(self, seconds: float, robot: Robot, extra: Mapping[str, Column] | None = None) -> None:
-        self.seconds = seconds
+        self.seconds = positive(seconds, "length of a Tail [s]", "A minute is 60.")
         super().__init__(robot, extra)
 
     def table(self) -> Table:
@@ -133,4 +135,4 @@ class Tail(Log):
         return table.between(table.t[-1] - self.seconds, np.inf) if len(table) else table
 
     def _capacity(self) -> int | None:
-        return int(self.seconds * _TAIL_RATE) + 1
+        return int(min(self.seconds * _TAIL_RATE, _TAIL_ROWS)) + 1

@@ -80,7 +80,7 @@ def from_orca(table: Table, robot: Robot, arm: int) -> Table:
 
 def _motors(table: Table, robot: Robot, arm: int, signal: str, unit: str) -> np.ndarray | None:
     """Return the signal (N, n) of all motors in ABB's order, None where there is none; axes beyond n are external."""
-    pattern = re.compile(rf"(?:^|_)robot_{arm}__joint_(\d{{1,3}})__{signal}$")
+    pattern = re.compile(rf"(?:^|_)robot_{re.escape(str(arm))}__joint_(\d{{1,3}})__{signal}$")
     found: dict[int, str] = {}
     for name in table.names:
         match = pattern.search(alias(name))

@@ -6,12 +6,14 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from reprlib import repr as shortened
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from armlab import glossary
+from armlab._numbers import numbers
 from armlab.errors import ShapeError, UnknownName
 from armlab.log.column import Column, frozen, stored
 from armlab.log.labels import alias, natural_key
@@ -53,8 +55,10 @@ class Table:
     source: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        t = frozen(np.asarray(self.t, dtype="<f8"))
+        t = frozen(numbers(self.t, "times t [s] of a Table", ShapeError))
         _check_clock(t)
+        if not isinstance(self.values, Mapping):
+            raise ShapeError(f"Expected columns of a Table by name, as {{'q': q}}, got {shortened(self.values)}.")
         unknown = sorted(set(self.columns) - set(self.values))
         if unknown:
             raise UnknownName(f"Expected descriptions of columns that have values, got {', '.join(unknown)} without.")

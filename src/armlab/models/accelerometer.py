@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from armlab._numbers import still
 from armlab.errors import ShapeError
 
 __all__ = ["Accelerometer"]
@@ -46,10 +47,9 @@ class Accelerometer:
     def __post_init__(self) -> None:
         """Check the fields and freeze the arrays."""
         for name, shape in _SHAPES.items():
-            values = np.array(getattr(self, name), dtype=np.float64)
+            values = still(getattr(self, name), f"{name} of an accelerometer")
             if values.shape != shape or not np.isfinite(values).all():
                 raise ShapeError(f"Expected finite {name} of shape {shape} of an accelerometer, got {values.tolist()}.")
-            values.flags.writeable = False
             object.__setattr__(self, name, values)
         R = self.R_tool_sensor
         if np.abs(R.T @ R - np.eye(3)).max() > 1e-6 or np.linalg.det(R) < 0.0:

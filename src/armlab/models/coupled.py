@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from armlab._numbers import still
 from armlab.errors import ShapeError
 
 __all__ = ["CoupledKernel", "CoupledMotors"]
@@ -37,16 +38,15 @@ class CoupledMotors:
 
     def __post_init__(self) -> None:
         """Check shapes and freeze."""
-        K = len(np.atleast_2d(self.ratios))
+        K = len(np.atleast_2d(still(self.ratios, "ratios of coupled motors")))
         for name in ("ratios", "inertia", "viscous", "coulomb", "smooth_speed"):
-            values = np.array(getattr(self, name), dtype=float)
+            values = still(getattr(self, name), f"{name} of coupled motors")
             if (
                 values.shape[:1] != (K,)
                 or values.ndim != (2 if name == "ratios" else 1)
                 or not np.isfinite(values).all()
             ):
                 raise ShapeError(f"Expected finite {name} of {K} coupled motors, got shape {values.shape}.")
-            values.flags.writeable = False
             object.__setattr__(self, name, values)
         if np.any(self.smooth_speed <= 0):
             raise ShapeError("Expected smooth_speed > 0 of coupled motors, got a value that is not. Make it positive.")

@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from armlab._numbers import still
 from armlab.errors import ShapeError, UnknownName
 from armlab.lie import so3
 
@@ -59,13 +60,12 @@ class ForceSensor:
     def __post_init__(self) -> None:
         """Check the fields and freeze the arrays."""
         for name, shape in _SHAPES.items():
-            values = np.array(getattr(self, name), dtype=np.float64)
+            values = still(getattr(self, name), f"{name} of a force sensor")
             known = values.ravel().tolist()
             if name in _MOMENTS and values.shape == shape and all(map(isnan, known[_MOMENTS[name]])):
                 known = known[: 3 * (name == "bias")]
             if values.shape != shape or not all(map(isfinite, known)):
                 raise ShapeError(f"Expected finite {name} of shape {shape} of a force sensor, got {values.tolist()}.")
-            values.flags.writeable = False
             object.__setattr__(self, name, values)
         try:
             so3.log(self.R_tool_sensor)

@@ -21,6 +21,7 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
+from armlab._numbers import still
 from armlab.errors import ShapeError
 from armlab.kernels import Drive
 
@@ -38,7 +39,7 @@ def _freeze(instance: Friction | FrictionBound | Ripple) -> None:
     """Make every field a read-only float64 vector of one length."""
     shape = None
     for entry in fields(instance):
-        values = np.array(getattr(instance, entry.name), dtype=float)
+        values = still(getattr(instance, entry.name), f"{entry.name} of {type(instance).__name__}")
         if entry.default_factory is _zeros and values.shape == (0,) and shape is not None:
             values = np.zeros(shape)
         shape = values.shape if shape is None else shape
@@ -47,7 +48,6 @@ def _freeze(instance: Friction | FrictionBound | Ripple) -> None:
                 f"Expected finite {entry.name} of shape (n,) like the other fields, got shape {values.shape}. "
                 "Give one number per joint."
             )
-        values.flags.writeable = False
         object.__setattr__(instance, entry.name, values)
 
 

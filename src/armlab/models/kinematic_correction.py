@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab._numbers import numbers
+from armlab._numbers import numbers, still
 from armlab.errors import ModelMismatchError, RobotError, ShapeError
 from armlab.kinematics import forward, frame_jacobian
 from armlab.lie import se3, so3
@@ -25,8 +25,11 @@ def harmonic_basis(q: np.ndarray, harmonics: tuple[int, ...]) -> np.ndarray:
     ----------
     q : (..., n) joint positions [rad]. harmonics : m orders.
     """
-    angles = q[..., None] * np.array(harmonics, dtype=float)
-    return np.stack([np.cos(angles), np.sin(angles)], axis=-1).reshape(*q.shape, 2 * len(harmonics))
+    q, orders = numbers(q, "joint positions [rad]", ShapeError), numbers(harmonics, "orders of harmonics", ShapeError)
+    if not q.ndim or orders.ndim != 1:
+        raise ShapeError(f"Expected positions (..., n) and orders (m,), got shapes {q.shape} and {orders.shape}.")
+    angles = q[..., None] * orders
+    return np.stack([np.cos(angles), np.sin(angles)], axis=-1).reshape(*q.shape, 2 * len(orders))
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,12 +81,11 @@ class KinematicCorrection:
         for name, shape in shapes.items():
             if getattr(self, name) is None:
                 continue
-            values = np.array(getattr(self, name), dtype=float)
+            values = still(getattr(self, name), f"{name} of a kinematic correction")
             if values.shape != shape or not np.isfinite(values).all():
                 raise ShapeError(
                     f"Expected finite {name} of shape {shape} of a kinematic correction, got shape {values.shape}."
                 )
-            values.flags.writeable = False
             object.__setattr__(self, name, values)
 
     @property
@@ -223,10 +225,9 @@ class DualArmCorrection:
         """Check shapes and freeze the arrays."""
         d = len(self.arm_a.cov) + len(self.arm_b.cov) + 6
         for name, shape in (("T_basea_baseb", (4, 4)), ("cov", (d, d))):
-            values = np.array(getattr(self, name), dtype=float)
+            values = still(getattr(self, name), f"{name} of a kinematic correction")
             if values.shape != shape or not np.isfinite(values).all():
                 raise ShapeError(f"Expected finite {name} of shape {shape} of two arms, got shape {values.shape}.")
-            values.flags.writeable = False
             object.__setattr__(self, name, values)
 
     def forward(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from armlab import kernels
+from armlab._numbers import still
 from armlab.errors import ShapeError
 
 __all__ = ["LaserSensor"]
@@ -45,10 +46,9 @@ class LaserSensor:
         P = len(self.planes)
         shapes = {"T_tool_sensor": (4, 4), "normals": (P, 3), "offsets": (P,)}
         for name, shape in shapes.items():
-            values = np.array(getattr(self, name), dtype=np.float64)
+            values = still(getattr(self, name), f"{name} of a laser sensor")
             if values.shape != shape or not np.isfinite(values).all():
                 raise ShapeError(f"Expected finite {name} of shape {shape} of a laser sensor, got {values.tolist()}.")
-            values.flags.writeable = False
             object.__setattr__(self, name, values)
         kernels.poses(self.T_tool_sensor, "T_tool_sensor")
         if np.abs(np.linalg.norm(self.normals, axis=1) - 1.0).max(initial=0.0) > 1e-9:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from armlab._numbers import still
 from armlab.errors import ShapeError
 
 __all__ = ["FORCE_RATES", "PRIOR", "MomentumNoise"]
@@ -40,8 +41,7 @@ class MomentumNoise:
     def __post_init__(self) -> None:
         """Check and freeze."""
         for name in ("memory", "qd_noise"):
-            values = np.array(getattr(self, name), dtype=float)
-            values.flags.writeable = False
+            values = still(getattr(self, name), f"{name} of the momentum noise")
             object.__setattr__(self, name, values)
         memory, noise = self.memory, self.qd_noise
         regular = memory.ndim == 1 and memory.shape == noise.shape and np.isfinite([memory, noise]).all()

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from armlab._numbers import still
 from armlab.errors import ModelMismatchError, ShapeError
 from armlab.models.torque import TorqueModel
 from armlab.robots import inertia
@@ -34,10 +35,9 @@ class Payload:
     def __post_init__(self) -> None:
         """Check shapes and freeze the arrays."""
         for name, shape in (("pi", (10,)), ("T_last_flange", (4, 4))):
-            values = np.array(getattr(self, name), dtype=float)
+            values = still(getattr(self, name), f"{name} of a payload")
             if values.shape != shape or not np.isfinite(values).all():
                 raise ShapeError(f"Expected finite {name} of shape {shape} of a payload, got shape {values.shape}.")
-            values.flags.writeable = False
             object.__setattr__(self, name, values)
 
     @property

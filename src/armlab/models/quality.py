@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from armlab._numbers import still
 from armlab.errors import ShapeError
 
 __all__ = ["Quality"]
@@ -33,8 +34,7 @@ class Quality:
     def __post_init__(self) -> None:
         """Check shapes and freeze the arrays; NaN stands for joints that could not be judged."""
         for name in ("torque_sd", "rms", "rms_cv", "coverage"):
-            values = np.array(getattr(self, name), dtype=float)
+            values = still(getattr(self, name), f"{name} of the quality")
             if values.ndim != 1 or values.shape != np.shape(self.torque_sd):
                 raise ShapeError(f"Expected {name} of one number per joint, got shape {values.shape}. Identify again.")
-            values.flags.writeable = False
             object.__setattr__(self, name, values)

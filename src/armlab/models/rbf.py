@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from armlab._numbers import still
 from armlab.errors import ShapeError
 from armlab.kernels import Drive, basis_weights
 
@@ -40,8 +41,7 @@ class RadialBasis:
     def __post_init__(self) -> None:
         """Check shapes and freeze."""
         for name in ("positions", "position_widths", "speeds", "speed_widths"):
-            values = np.array(getattr(self, name), dtype=float)
-            values.flags.writeable = False
+            values = still(getattr(self, name), f"{name} of radial bases")
             object.__setattr__(self, name, values)
         p, v = self.positions, self.speeds
         if (
@@ -101,11 +101,10 @@ class FrictionMap:
 
     def __post_init__(self) -> None:
         """Check the shape and freeze."""
-        values = np.array(self.coefficients, dtype=float)
+        values = still(self.coefficients, "coefficients of radial bases")
         shape = (self.basis.n, 2, self.basis.positions.shape[1], self.basis.speeds.shape[1])
         if values.shape != shape or not np.isfinite(values).all():
             raise ShapeError(f"Expected finite coefficients of shape {shape}, got shape {values.shape}.")
-        values.flags.writeable = False
         object.__setattr__(self, "coefficients", values)
 
     def kernel_rows(self) -> tuple[np.ndarray, ...]:

@@ -16,12 +16,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from armlab._numbers import number, still
 from armlab.errors import ShapeError
 from armlab.kernels import Drive
 
 __all__ = ["RippleLines", "speed_basis"]
 
 SPEEDS = 8
+LARGEST = 1e15  # of the numbers of ripple lines, joint numbers among them
 
 
 def speed_basis(slowest: float, fastest: float, count: int = SPEEDS) -> tuple[np.ndarray, np.ndarray]:
@@ -33,6 +35,7 @@ def speed_basis(slowest: float, fastest: float, count: int = SPEEDS) -> tuple[np
         speed for others.
     count : of Gaussians, at least 2.
     """
+    slowest, fastest = number(slowest, "the slowest speed [rad/s]"), number(fastest, "the fastest speed [rad/s]")
     if count < 2 or not fastest > slowest:
         raise ShapeError(f"Expected at least 2 Gaussians from one speed to a faster one, got {count} from {slowest:g} "
                          f"to {fastest:g} rad/s.")  # fmt: skip
@@ -60,12 +63,12 @@ class RippleLines:
     def __post_init__(self) -> None:
         """Check shapes and freeze."""
         for name in ("joint", "cycles", "speeds", "widths", "coefficients"):
-            values = np.array(getattr(self, name), dtype=int if name == "joint" else float)
-            values.flags.writeable = False
-            object.__setattr__(self, name, values)
-            if not np.all(np.isfinite(values)):
+            values = still(getattr(self, name), f"{name} of the ripple lines")
+            if not np.all(np.abs(values) < LARGEST):
                 raise ShapeError(f"Expected finite {name} of the ripple lines, got NaN or Inf.")
-        if np.any(self.widths <= 0) or np.any(np.diff(self.speeds, axis=-1) <= 0):
+            object.__setattr__(self, name, values.astype(int) if name == "joint" else values)
+        self.joint.flags.writeable = False
+        if np.any(self.widths <= 0) or self.speeds.ndim != 2 or np.any(np.diff(self.speeds, axis=-1) <= 0):
             raise ShapeError("Expected ascending speeds and positive widths of the ripple lines, got others.")
         Drive(np.ones((10, len(self.speeds))), np.zeros((3, len(self.speeds))), lines=self.kernel_rows())
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from armlab._numbers import still
 from armlab.errors import ShapeError
 
 __all__ = ["SPEED_EDGES", "Training"]
@@ -40,10 +41,9 @@ class Training:
         n = len(self.q_min)
         shapes = {"q_min": (n,), "q_max": (n,), "qd_peak": (n,), "speed_share": (n, 2 * len(SPEED_EDGES))}
         for name, shape in shapes.items():
-            values = np.array(getattr(self, name), dtype=float)
+            values = still(getattr(self, name), f"{name} of the training")
             if values.shape != shape or not np.all(np.isfinite(values)):
                 raise ShapeError(f"Expected finite {name} of shape {shape} of the training, got {values.shape}.")
-            values.flags.writeable = False
             object.__setattr__(self, name, values)
         if not (0.0 <= self.rest_share <= 1.0 and 0.0 <= self.longest_rest < np.inf):
             raise ShapeError(

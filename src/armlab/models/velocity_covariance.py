@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from armlab.errors import ShapeError, UnknownName
+from armlab._numbers import check_name, numbers, still
+from armlab.errors import ShapeError
 
 __all__ = ["VelocityCovariance", "velocity_covariance"]
 
@@ -37,11 +38,9 @@ class VelocityCovariance:
 
     def __post_init__(self) -> None:
         """Check and freeze."""
-        if self.kind not in KINDS:
-            raise UnknownName.among("covariance kind", self.kind, KINDS)
+        check_name(self.kind, "covariance kind", KINDS)
         for name in ("C0", "Cinf", "shape"):
-            values = np.array(getattr(self, name), dtype=float)
-            values.flags.writeable = False
+            values = still(getattr(self, name), f"{name} of a covariance")
             object.__setattr__(self, name, values)
             if not np.isfinite(values).all():
                 raise ShapeError(f"Expected finite {name} of a torque covariance, got NaN or Inf. Correct it.")
@@ -85,5 +84,5 @@ def velocity_covariance(
     ------
     UnknownName : for another kind. ShapeError : when C0 >= Cinf > 0 does not hold, or a number is not finite.
     """
-    zeros = np.zeros_like(np.asarray(C0, dtype=float))
+    zeros = np.zeros_like(numbers(C0, "C0 of a covariance", ShapeError))
     return VelocityCovariance(kind, C0, Cinf, zeros if shape is None else shape, alpha2)

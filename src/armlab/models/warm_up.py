@@ -13,6 +13,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from armlab._numbers import still
 from armlab.errors import ShapeError
 
 __all__ = ["WarmUp"]
@@ -39,10 +40,9 @@ class WarmUp:
     def __post_init__(self) -> None:
         """Check shapes and freeze."""
         for entry in fields(self):
-            values = np.array(getattr(self, entry.name), dtype=float)
+            values = still(getattr(self, entry.name), f"{entry.name} of the warm-up")
             if values.ndim != 1 or values.shape != np.shape(self.of_coulomb) or not np.isfinite(values).all():
                 raise ShapeError(f"Expected finite {entry.name} of one number per joint, got shape {values.shape}.")
-            values.flags.writeable = False
             object.__setattr__(self, entry.name, values)
         if np.any(self.time < 0) or np.any(self.power <= 0) or np.any(self.start < 0):
             raise ShapeError("Expected time >= 0, power > 0 and start >= 0 of the warm-up, got others.")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab._numbers import check_name, members, number
+from armlab._numbers import check_name, flag, members, number
 from armlab.errors import ConfigError, ShapeError
 from armlab.estimation import Excitation, Fit
 from armlab.motion._basis import SCHEDULES, placed, time_constants
@@ -153,7 +153,7 @@ def _check_options(method: str, schedule: str, scaling: str, bandwidth: float | 
     check_name(scaling, "scaling", SCALINGS)
     if bandwidth is not None and method == "trajectory" and schedule != "position":
         raise ConfigError("Expected a bandwidth only with derivatives, got one with 'trajectory'. Leave it out.")
-    if raw_kernels and method != "lwr":
+    if flag(raw_kernels, "raw_kernels") and method != "lwr":
         raise ConfigError(f"Expected raw_kernels only with method 'lwr', got them with {method!r}. Leave them out.")
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab._numbers import members, numbers
+from armlab._numbers import members, numbers, still
 from armlab.errors import ShapeError
 
 if TYPE_CHECKING:
@@ -40,8 +40,7 @@ class MotionBand:
     def __post_init__(self) -> None:
         """Freeze the arrays."""
         for name in ("t", "y", "yd", "cov", "velocity_cov"):
-            values = np.array(getattr(self, name), dtype=float)
-            values.flags.writeable = False
+            values = still(getattr(self, name), f"{name} of a band")
             object.__setattr__(self, name, values)
 
     @property

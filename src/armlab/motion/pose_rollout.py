@@ -8,6 +8,8 @@ from typing import TypedDict
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab._numbers import make_read_only
+
 __all__ = ["PoseRollout", "PoseRunOptions"]
 
 
@@ -48,5 +50,4 @@ class PoseRollout:
 
     def __post_init__(self) -> None:
         """Freeze the arrays."""
-        for values in (self.t, self.T, self.q, self.twist, self.twistd, self.x):
-            values.flags.writeable = False
+        make_read_only(self, "t", "T", "q", "twist", "twistd", "x")

@@ -8,6 +8,8 @@ from typing import TypedDict
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab._numbers import make_read_only
+
 __all__ = ["Rollout", "RunOptions"]
 
 
@@ -48,7 +50,4 @@ class Rollout:
 
     def __post_init__(self) -> None:
         """Freeze the arrays."""
-        for field in fields(self):
-            values = getattr(self, field.name).view()
-            values.flags.writeable = False
-            object.__setattr__(self, field.name, values)
+        make_read_only(self, *(field.name for field in fields(self)))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab._numbers import numbers
+from armlab._numbers import flag, numbers
 from armlab.errors import RobotError, ShapeError
 from armlab.kinematics import forward, link_transforms
 from armlab.plots import space
@@ -58,10 +58,10 @@ def robot(
         figure, panel = space.space(ax)
         for k in np.unique(np.linspace(0, len(q) - 2, min(_FAINT, len(q) - 1)).astype(int)):
             panel.plot(*stick(robot, q[k]).T, color=GREY, alpha=0.3, linewidth=1.2, gid="faint")
-        if path:
+        if flag(path, "path of a drawn arm"):
             panel.plot(*forward(robot, q)[:, :3, 3].T, color="black", linewidth=1.0, gid="path")
         _arm(panel, robot, q[-1])
-        if frames:
+        if flag(frames, "frames of a drawn arm"):
             _frames(panel, robot, q[-1])
         space.equal_scale(panel)
         if ax is None:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from armlab._numbers import flag
 from armlab.errors import ShapeError, UnknownName
 from armlab.glossary import label
 from armlab.log import Table
@@ -53,6 +54,7 @@ def table(data: Table, *names: str, split: bool = False, ax: Any = None) -> Axes
     for name in names:
         _check(data, name)
         quantities.setdefault(_quantity(name), []).append(name)
+    split = flag(split, "split of a drawn table")
     parts = [
         (shown, component)
         for shown in quantities.values()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 from os import PathLike
 from pathlib import Path
+from reprlib import repr as shortened
 
 from armlab._whole_files import whole_file
 from armlab.errors import RobotError, UnknownName
@@ -35,6 +36,8 @@ def load(name: str | Path, *, base: str | None = None, tip: str | None = None) -
     RobotError : when the file is missing or describes no consistent robot; names file, joint or line, and value.
         When several branches of a URDF move and the tip is not said; lists them.
     """
+    if not isinstance(name, str | Path):
+        raise UnknownName.among("robot", str(name), names())
     suffix = Path(str(name)).suffix.lower()
     if suffix == ".urdf":
         from armlab.robots import urdf
@@ -113,6 +116,8 @@ def from_toml(text: str, origin: str) -> Robot:
     ------
     RobotError : the text describes no consistent robot; names origin, joint or line, and value.
     """
+    if not isinstance(text, str):
+        raise RobotError(f"Expected the text of a robot file, got {shortened(text)}. Of a file: robots.load.")
     from armlab.robots._reading import read_robot  # it brings msgspec, which kinematics alone does not need
 
     return read_robot(text, origin)

@@ -39,10 +39,10 @@ class Mesh:
         """Make the arrays read-only float64 copies and check the fields."""
         for name in ("T_link_mesh", "scale"):
             object.__setattr__(self, name, frozen(getattr(self, name), f"{name} of mesh {self.file!r}"))
-        if self.kind not in ("visual", "collision"):
-            raise RobotError(f'Expected "visual" or "collision" as kind of mesh {self.file!r}, got {self.kind!r}.')
         if not isinstance(self.file, str) or not self.file:
             raise RobotError(f"Expected the file name of a mesh, got {self.file!r}.")
+        if not isinstance(self.kind, str) or self.kind not in ("visual", "collision"):
+            raise RobotError(f'Expected "visual" or "collision" as kind of mesh {self.file!r}, got {self.kind!r}.')
         if self.T_link_mesh.shape != (4, 4) or not se3.is_pose(self.T_link_mesh):
             raise RobotError(f"Expected a pose (4, 4) of mesh {self.file!r}, got {self.T_link_mesh.tolist()}.")
         if self.scale.shape != (3,) or not (np.isfinite(self.scale).all() and self.scale.all()):

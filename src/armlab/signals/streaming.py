@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from armlab._numbers import number
-from armlab.errors import ConfigError, UnknownName
+from armlab._numbers import check_name, number
+from armlab.errors import ConfigError
 from armlab.kernels import SignalOperator
 
 __all__ = ["CausalDiff", "Differentiator", "ExpFilter", "Integrator", "LowPass2", "Notch", "Operator"]
@@ -100,8 +100,7 @@ class Integrator(Operator):
     __slots__ = ()
 
     def __init__(self, dt: float, init: np.ndarray | float = 0.0, rule: str = "trapezoid") -> None:
-        if rule not in RULES:
-            raise UnknownName.among("rule of integration", rule, RULES)
+        check_name(rule, "rule of integration", RULES)
         super().__init__(SignalOperator(rule, 0.0, 0.0, _step(dt), init), _step(dt))
 
 
@@ -148,7 +147,7 @@ class ExpFilter(Operator):
         ----------
         alpha : forgetting factor in (0, 1) per step of dt; higher is smoother. dt : step [s]. init : initial value.
         """
-        if not 0 < alpha < 1:
+        if not 0 < number(alpha, "the forgetting factor alpha", ConfigError) < 1:
             raise ConfigError(f"Expected alpha between 0 and 1, got {alpha!r}. Higher is smoother; 0.99 is usual.")
         return cls(-_step(dt) / np.log(alpha), dt, init)
 
