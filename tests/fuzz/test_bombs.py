@@ -97,6 +97,20 @@ def mat_of_zeros(path: Path) -> None:
     savemat(path, {"t": np.zeros(1 << 25)}, do_compression=True)
 
 
+def hdf5_without_data(path: Path) -> None:
+    h5py = pytest.importorskip("h5py", reason="needs h5py")
+    with h5py.File(path, "w") as file:
+        for name, shape in (("t", (1 << 27,)), ("q", (1 << 27, 7))):
+            file.create_dataset(name, shape=shape, dtype="f8", chunks=(1 << 20, *shape[1:]), compression="gzip")
+
+
+def parquet_of_zeros(path: Path) -> None:
+    pa = pytest.importorskip("pyarrow", reason="needs pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    zeros = pa.array(np.zeros(1 << 22))
+    parquet.write_table(pa.table(dict.fromkeys([f"x{i}" for i in range(8)], zeros)), path, compression="zstd")
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="reads the peak of memory from /proc")
 @pytest.mark.parametrize(
     ("make", "name", "words"),
@@ -109,6 +123,8 @@ def mat_of_zeros(path: Path) -> None:
         (toml_of_joints, "a.toml", "a robot file"),
         (urdf_of_joints, "a.urdf", "at most"),
         (urdf_of_elements, "a.urdf", "at most 100000 elements"),
+        (hdf5_without_data, "a.h5", "arrays of at most"),
+        (parquet_of_zeros, "a.parquet", "arrays of at most"),
         (mat_of_zeros, "a.mat", "variables of at most 67108864 bytes"),
     ],
 )

@@ -21,8 +21,9 @@ from armlab.log.description import Description, Progress, distinct
 from armlab.log.extras import needed
 from armlab.log.foreign import foreign_table
 from armlab.log.table import Table
+from armlab.log.unpacked_size import check_unpacked_size
 
-__all__ = ["read_hdf5", "write_hdf5"]
+__all__ = ["read_hdf5", "stored_size", "write_hdf5"]
 
 CHUNK = 1 << 18  # bytes: what a reader of a few rows unpacks
 
@@ -91,12 +92,14 @@ def read_hdf5(path: Path, columns: Sequence[str] | None = None, *, raw: bool = F
 
     Raises
     ------
-    LogError : a damaged file, no clock, or what its attributes do not fit. MissingExtra : h5py is not installed.
+    LogError : a damaged file, far too large arrays, no clock, or what its attributes do not fit.
+    MissingExtra : h5py is not installed.
     UnknownName : a column that the file does not have.
     """
     h5py = needed("h5py", f"to read {path}, a file in HDF5")
     try:
         with h5py.File(path, "r") as whole:
+            check_unpacked_size(path, stored_size(h5py, whole))
             if "armlab" not in whole.attrs:
                 arrays, left_out = _datasets(h5py, whole)
                 return foreign_table(path, arrays, left_out, raw)
@@ -111,6 +114,13 @@ def read_hdf5(path: Path, columns: Sequence[str] | None = None, *, raw: bool = F
     except Exception as error:  # h5py raises OSError, RuntimeError, KeyError and more on damaged files
         what = " ".join(str(error).split()).rstrip(".") or type(error).__name__
         raise LogError(f"Expected a whole HDF5 file at {path}, got a damaged one: {what[:200]}.") from None
+
+
+def stored_size(h5py: Any, whole: Any) -> int:
+    """Return the bytes of all datasets of a file once they are unpacked; a text counts as 16."""
+    sizes = []
+    whole.visititems(lambda _, item: sizes.append(item.nbytes) if isinstance(item, h5py.Dataset) else None)
+    return sum(sizes)
 
 
 def _described(whole: Any) -> tuple[Description, dict[str, str]]:

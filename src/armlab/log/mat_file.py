@@ -12,7 +12,9 @@ import numpy as np
 
 from armlab.errors import LogError, UnknownName
 from armlab.log.extras import needed
+from armlab.log.hdf5_file import stored_size
 from armlab.log.mat5 import variables_in
+from armlab.log.unpacked_size import check_unpacked_size
 
 __all__ = ["read_mat", "read_variables"]
 
@@ -84,7 +86,10 @@ def _hdf5(path: Path) -> dict[str, np.ndarray | None]:
     h5py = needed("h5py", f"to read {path}, a MAT file of version 7.3", "or save again with save(..., '-v7')")
     try:
         with h5py.File(path, "r") as file:
+            check_unpacked_size(path, stored_size(h5py, file))
             return {name: _dataset(item, h5py) for name, item in file.items() if not name.startswith("#")}
+    except LogError:
+        raise
     except Exception as error:  # h5py raises OSError, RuntimeError, KeyError and more on damaged files
         raise _damaged(path, error) from None
 

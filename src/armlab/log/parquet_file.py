@@ -13,6 +13,7 @@ from armlab.log.description import Description, Progress, components, distinct, 
 from armlab.log.extras import needed
 from armlab.log.labelled import labelled_table, names_of
 from armlab.log.table import Table
+from armlab.log.unpacked_size import check_unpacked_size
 
 __all__ = ["read_parquet", "write_parquet"]
 
@@ -59,13 +60,15 @@ def read_parquet(path: Path, columns: Sequence[str] | None = None, *, raw: bool 
 
     Raises
     ------
-    LogError : a damaged file, no clock, a unit that is not known. MissingExtra : pyarrow is not installed.
+    LogError : a damaged file, far too large arrays, no clock, a unit that is not known.
+    MissingExtra : pyarrow is not installed.
     UnknownName : a column that the file does not have.
     """
     what = f"to read {path}, a file in Parquet"
     pa, parquet = needed("pyarrow", what), needed("pyarrow.parquet", what)
     try:
         with parquet.ParquetFile(path) as file:
+            check_unpacked_size(path, 8 * file.metadata.num_rows * file.metadata.num_columns)
             about = (file.schema_arrow.metadata or {}).get(b"armlab")
             if about is None:
                 return _foreign(pa, path, file, raw)
