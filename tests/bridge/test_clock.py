@@ -17,21 +17,21 @@ def packet(packets: Any, **fields: Any) -> Any:
 def test_dt_is_feedback_time(packets: Any) -> None:
     clock = RobotClock()
     assert clock.step(packet(packets, robot_ns=10**18), 0) is None
-    assert clock.step(packet(packets, robot_ns=10**18 + 4_032_000), 1) == pytest.approx(0.004032)
-    assert clock.step(packet(packets, robot_ns=10**18 + 3 * 4_032_000), 2) == pytest.approx(0.008064)
+    assert clock.step(packet(packets, robot_ns=10**18 + 4_032_000), 4_100_000) == pytest.approx(0.004032)
+    assert clock.step(packet(packets, robot_ns=10**18 + 3 * 4_032_000), 12_000_000) == pytest.approx(0.008064)
 
 
 @pytest.mark.parametrize("robot_ns", [10**18 - 1, 10**18, 10**18 + 1_100_000_000, None])
 def test_a_clock_that_was_set_gives_way_to_tm(packets: Any, robot_ns: int | None) -> None:
     clock = RobotClock()
     clock.step(packet(packets, robot_ns=10**18, tm_ms=100), 0)
-    assert clock.step(packet(packets, robot_ns=robot_ns, tm_ms=108), 1) == pytest.approx(0.008)
+    assert clock.step(packet(packets, robot_ns=robot_ns, tm_ms=108), 8_000_000) == pytest.approx(0.008)
 
 
 def test_tm_wraps_after_seven_weeks(packets: Any) -> None:
     clock = RobotClock()
     clock.step(packet(packets, robot_ns=None, tm_ms=2**32 - 2), 0)
-    assert clock.step(packet(packets, robot_ns=None, tm_ms=2), 1) == pytest.approx(0.004)
+    assert clock.step(packet(packets, robot_ns=None, tm_ms=2), 4_000_000) == pytest.approx(0.004)
 
 
 def test_arrival_is_the_last_resort(packets: Any) -> None:
@@ -83,3 +83,56 @@ def test_a_slower_sample_rate_is_believed_after_nine_samples() -> None:
     for _ in range(9):
         period.add(0.024)
     assert period.seconds == 0.024
+
+
+def test_a_cycle_that_changes_is_relearnt_after_five_packets() -> None:
+    period = Period()
+    assert not any(period.add(0.024) for _ in range(30))
+    changes = [period.add(0.004) for _ in range(30)]
+    assert (changes.index(True), sum(changes)) == (4, 1)
+    assert period.seconds == pytest.approx(0.004)
+
+
+def steps(
+    packets: Any, claimed_ms: list[float], arrived_ms: list[float], **options: Any
+) -> tuple[list[float], list[str]]:
+    """Return the steps [ms] of a clock, and what it says."""
+    told: list[str] = []
+    clock = RobotClock(on_event=lambda text, warn=False, each=False: told.append(text), **options)
+    robot_ns, arrival_ns, found = 10**18, 10**12, []
+    clock.step(packet(packets, robot_ns=robot_ns), arrival_ns)
+    for claimed, arrived in zip(claimed_ms, arrived_ms, strict=True):
+        robot_ns, arrival_ns = robot_ns + int(1e6 * claimed), arrival_ns + int(1e6 * arrived)
+        step = clock.step(packet(packets, robot_ns=robot_ns), arrival_ns)
+        assert step is not None
+        found.append(1e3 * step)
+    return found, told
+
+
+def test_a_clock_that_runs_ahead_of_arrivals_is_not_believed(packets: Any) -> None:
+    found, told = steps(packets, [24.0] * 50, [4.0] * 50)
+    assert sum(found) <= 4.0 * 50 + 1.5
+    assert max(found) <= 5.0
+    assert len(told) == 1
+    assert "24.0 ms between packets that arrived 4.0 ms apart" in told[0]
+
+
+def test_packets_that_come_late_and_in_bunches_keep_the_robots_time(packets: Any) -> None:
+    found, told = steps(packets, [4.0] * 40, ([40.0] + [0.1] * 9) * 4)
+    assert found == pytest.approx([4.0] * 40)
+    assert not told
+
+
+def test_in_lockstep_arrivals_keep_no_time(packets: Any) -> None:
+    found, told = steps(packets, [24.0] * 50, [0.1] * 50, checks_arrival=False)
+    assert found == pytest.approx([24.0] * 50)
+    assert not told
+
+
+def test_a_clock_that_is_set_or_stands_still_is_told_once(packets: Any) -> None:
+    for jumps, words in (([0.0] * 5, "stands still"), ([-5000.0, 4.0, -5000.0], "was set by -5.000 s")):
+        found, told = steps(packets, jumps, [4.0] * len(jumps))
+        assert min(found) > 0.0
+        assert max(found) <= 4.0 + 1e-6
+        assert len(told) == 1
+        assert words in told[0]

@@ -80,7 +80,7 @@ class Station:
 
     Attributes
     ----------
-    sources : all that it had. packets : (q measured, whether it guides) by the `tm` of each packet.
+    sources : all that it had. packets : (q measured, whether it guides, robot time) by the `tm` of each packet.
     motion : q and qd of the arm, cycle by cycle.
     alive : it takes part. change : what is done to each packet before it is sent.
     """
@@ -101,7 +101,7 @@ class Station:
         codec = RobotSideCodec(ROBOT, extension=True)
         self.controller = Controller(LaggingArm(ROBOT, PERIOD, q), codec, RobotSettings(period=PERIOD))
         self.out, self.back = (Way(bad, begin, end, [seed, way], PERIOD) for way in (1, 2))
-        self.packets: dict[int, tuple[np.ndarray, bool]] = {}
+        self.packets: dict[int, tuple[np.ndarray, bool, float]] = {}
         self.motion: list[tuple[np.ndarray, np.ndarray]] = []
 
     def move(self, source: tuple[str, int]) -> None:
@@ -121,7 +121,7 @@ class Station:
         guides = controller.phase == "guiding"
         packet = controller.packet()
         if packet is not None:
-            self.packets[tm] = controller.arm.sample.q, guides
+            self.packets[tm] = controller.arm.sample.q, guides, PERIOD * controller.cycle
             self.out.put(now, self.change(packet))
         controller.advance()
         self.motion.append((controller.arm.sample.q, controller.arm.sample.qd))

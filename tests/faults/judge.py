@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from armlab.bridge.feedback import READY_AFTER
 from armlab.bridge.limits import Limits
 from armlab.log import Table
 from armlab.wire.egm import EgmCodec, Reference
@@ -13,13 +14,13 @@ from .bench import PERIOD, ROBOT, Bench, Outcome
 __all__ = ["judge", "log_is_what_was_sent", "met_in_motion", "within_limits"]
 
 LIMITS = Limits.of(ROBOT)
-STEP = 1.01 * PERIOD  # s that one reference may move on; not one that a gap in the packets makes longer
+GAP = 3 * PERIOD  # s that a reference may move on at most at full speed, however long nothing was sent
 SLACK = 1e-9  # of degrees on the wire
 
 
-def judge(bench: Bench, outcome: Outcome, since: int = 0) -> None:
-    """Judge a run that sent the replies of the bench from number `since` on."""
-    within_limits(bench, since)
+def judge(bench: Bench, outcome: Outcome, since: int = 0, ahead: float = 0.0) -> None:
+    """Judge a run that sent the replies of the bench from number `since` on; `ahead` as in `within_limits`."""
+    within_limits(bench, since, ahead)
     log_is_what_was_sent(bench, outcome.table, since)
     for station in bench.stations:
         q, qd = (np.array(values) for values in zip(*station.motion))
@@ -33,10 +34,16 @@ def met_in_motion(bench: Bench, at: float) -> None:
     assert before[-1].any(), "the arm was at rest before anything failed"
 
 
-def within_limits(bench: Bench, since: int = 0) -> None:
-    """No reply is a jump from the one before, or from where the arm was when there was none."""
+def within_limits(bench: Bench, since: int = 0, ahead: float = 0.0) -> None:
+    """Every reply is within the limits for the robot time since the one before, and a gap allows no larger step.
+
+    Parameters
+    ----------
+    since : first reply. ahead : time by which a clock of the robot may be believed beyond arrivals [s].
+    """
     answered: set[tuple[int, int]] = set()
-    before: tuple[np.ndarray, np.ndarray] | None = None
+    before: tuple[np.ndarray, np.ndarray, float] | None = None
+    echoes = READY_AFTER
     stations = {source: station for station in bench.stations for source in station.sources}
     for reply, sent in zip(bench.heard()[since:], bench.sent[since:], strict=True):
         assert reply.q is not None
@@ -44,7 +51,7 @@ def within_limits(bench: Bench, since: int = 0) -> None:
         assert reply.tm_ms is not None
         assert np.isfinite([reply.q, reply.qd]).all()
         assert ((reply.q >= LIMITS.q_min - SLACK) & (reply.q <= LIMITS.q_max + SLACK)).all()
-        feedback, guides = stations[sent.to].packets[reply.tm_ms]
+        feedback, guides, now = stations[sent.to].packets[reply.tm_ms]
         assert (sent.to[1], reply.tm_ms) not in answered, "two replies to one packet"
         answered.add((sent.to[1], reply.tm_ms))
         if not guides:
@@ -53,14 +60,24 @@ def within_limits(bench: Bench, since: int = 0) -> None:
             before = None
             continue
         if before is None or reply.seqno == 0:
-            before = feedback, np.zeros_like(feedback)
-        q, qd = before
-        assert (np.abs(reply.q - q) <= LIMITS.qd_max * STEP + SLACK).all(), f"a jump at {sent.t:.3f} s"
+            before, echoes = (feedback, np.zeros_like(feedback), now - PERIOD), READY_AFTER
+        if echoes and np.abs(reply.q - feedback).max() < SLACK and not reply.qd.any():
+            before, echoes = (feedback, np.zeros_like(feedback), now), echoes - 1  # not ready yet
+            continue
+        echoes = 0
+        q, qd, then = before
+        longest = 1.01 * (now - then) + ahead
+        moved, step = reply.q - q, longest
+        if reply.qd.any():  # the time in which this speed makes this step
+            step = float(moved @ reply.qd / (reply.qd @ reply.qd))
+            assert 0.9 * PERIOD <= step <= longest, f"a speed of another time at {sent.t:.3f} s"
+        assert np.abs(moved - reply.qd * step).max() <= SLACK, f"not as fast as said at {sent.t:.3f} s"
+        braked = np.maximum(np.abs(qd) - LIMITS.qdd_max * step, 0.0) * step
+        furthest = np.maximum(LIMITS.qd_max * min(step, 1.01 * GAP), braked)
+        assert (np.abs(moved) <= furthest + SLACK).all(), f"a jump at {sent.t:.3f} s"
         assert (np.abs(reply.qd) <= LIMITS.qd_max + SLACK).all(), f"too fast at {sent.t:.3f} s"
-        along = (reply.q - q) / PERIOD - qd  # the speed that is said is the one at which the reference moves
-        assert (np.abs(along) <= LIMITS.qdd_max * STEP + SLACK / PERIOD).all(), f"not as fast as said at {sent.t:.3f} s"
-        assert (np.abs(reply.qd - qd) <= LIMITS.qdd_max * STEP + SLACK).all(), f"too sudden at {sent.t:.3f} s"
-        before = reply.q, reply.qd
+        assert (np.abs(reply.qd - qd) <= LIMITS.qdd_max * step + SLACK / PERIOD).all(), f"too sudden at {sent.t:.3f} s"
+        before = reply.q, reply.qd, now
 
 
 def log_is_what_was_sent(bench: Bench, table: Table, since: int = 0, end: int | None = None) -> None:

@@ -18,7 +18,7 @@ __all__ = ["CELLS", "KINDS", "NO_WORDS", "STATES", "Cell", "cells", "held_by", "
 STATES = ("waiting", "listening", "holding", "running", "stopping")
 """Modes of the bridge when the fault begins, as in `docs/egm.md`."""
 
-KINDS = ("network", "process", "controller", "disk", "memory", "clock")
+KINDS = ("network", "robot", "process", "controller", "disk", "memory", "clock")
 """Sections of the page."""
 
 NO_WORDS = "–"

@@ -34,7 +34,7 @@ def seen(
     fused: Mapping[str, Any],
 ) -> State:
     """Return the state: the packet of a sample, the reply `last` to the one before, and what is `fused` with them."""
-    packet, _, dt, missed, session, _, qd, qd_source = sample
+    packet, _, dt, missed, session, _, qd, qd_source, _ = sample
     (
         seqno, _, robot_ns, q, q_planned, q_ext, _, tau, tau_source, T_frame_tool, wrench_raw, motors, mci, rapid,
         converged, utilization, robotware, rapid_data, rapid_digital, _, _,

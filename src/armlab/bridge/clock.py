@@ -19,8 +19,9 @@ _TRUSTED = 1.5 * NOMINAL_PERIOD  # s, longest before the first window is complet
 _GAIN = 0.02
 _NEAR = 0.4  # of the estimate: wider than one tick of a clock in milliseconds, narrower than one skipped cycle
 _WRAP_MS = 2**32
-_AHEAD, _BEHIND = 0.02, 0.1  # s by which robot time may lead or trail arrival times: jitter and bursts of a network
-_FORGETS = 0.01  # of the arrival time: crystals differ by far less
+_AHEAD, _BEHIND = 1e-3, 0.1  # s by which robot time may lead or trail arrival times: jitter and bursts of a network
+_DRIFT = 1e-4  # of crystals
+_WRONG, _WRONG_SHARE = 0.02, 0.01  # s, and of the time, that were not believed: less is a first packet that came late
 
 
 class Period:
@@ -64,17 +65,22 @@ class RobotClock:
 
     A source that steps back, stands still or jumps by more than 1 s is not used for that step. A tm that is the same in
     two packets is too coarse for the cycle, below 1 ms, and is not used again: its next step would count twice.
-    Robot time may lead arrival times by 20 ms and trail them by 100 ms; what a clock claims beyond that is cut off.
+    Robot time may lead arrival times, those of the fastest packets, by 1 ms and trail them by 100 ms; what a clock
+    claims beyond that is cut off.
 
     Parameters
     ----------
     checks_arrival : False for a robot in lockstep, whose time is not ours.
     on_event : called once for each kind of fault.
+
+    Attributes
+    ----------
+    exact : the last step is of feedBack.time; tm counts milliseconds, and arrivals jitter.
     """
 
     def __init__(self, checks_arrival: bool = True, on_event: Tell = nobody) -> None:
         self._checks_arrival, self._on_event = checks_arrival, on_event
-        self._is_coarse = False
+        self.exact = self._is_coarse = False
         self._lead = self._cut_off = 0.0  # s of robot time beyond arrival time, and of what was not believed
         self._told: set[str] = set()
         self._last: tuple[int, int | None, int] | None = None  # robot ns, tm ms, arrival ns
@@ -84,6 +90,7 @@ class RobotClock:
         last, self._last = self._last, (packet.robot_ns, packet.tm_ms, arrival_ns)
         if last is None:
             return None
+        self.exact = False
         arrived = max(1e-9 * (arrival_ns - last[2]), 1e-6)
         claimed = self._claimed(packet, last)
         if claimed is None:
@@ -91,14 +98,14 @@ class RobotClock:
         if not self._checks_arrival:
             return claimed
         dt = min(claimed, max(arrived + _AHEAD - self._lead, 1e-6))
-        self._cut_off += claimed - dt
-        if self._cut_off > _AHEAD:  # less is a first packet that came late
+        self._cut_off = max(self._cut_off + claimed - dt - _WRONG_SHARE * arrived, 0.0)
+        if self._cut_off > _WRONG:
             self._tell(
                 "fast",
                 f"The robot's clock runs ahead of ours: it claims {1e3 * claimed:.1f} ms between packets that arrived "
                 f"{1e3 * arrived:.1f} ms apart. Steps are limited to the time between arrivals.",
             )
-        forgotten = min(abs(self._lead), _FORGETS * arrived)
+        forgotten = min(abs(self._lead), _DRIFT * arrived)
         self._lead -= forgotten if self._lead > 0.0 else -forgotten
         self._lead = max(self._lead + dt - arrived, -_BEHIND)
         return dt
@@ -109,6 +116,7 @@ class RobotClock:
         if packet.robot_ns and robot_ns:
             dt = 1e-9 * (packet.robot_ns - robot_ns)
             if 0.0 < dt <= _LONGEST:
+                self.exact = True
                 return dt
             what = "stands still" if dt == 0.0 else f"was set by {dt:+.3f} s"
             self._tell(

@@ -40,6 +40,7 @@ class Sample(NamedTuple):
     dt : seconds of robot time since the sample before (the period for the first of a session).
     missed : packets lost before this one. session : number of the session from 1. fresh : first of its session.
     qd : (n,) velocities; qd_source : "measured" (extension) or "difference".
+    step : seconds by which a reference may move on: dt, or the cycles since the sample before if a coarse clock says more.
     """
 
     packet: Packet
@@ -50,6 +51,7 @@ class Sample(NamedTuple):
     fresh: bool
     qd: np.ndarray
     qd_source: str
+    step: float
 
 
 class Session:
@@ -226,7 +228,8 @@ class Session:
         self.received += 1
         self.missed += missed
         self._stray = None
-        self._last = Sample(packet, arrival.ns, dt, missed, self.number, last is None, qd, source)
+        step = dt if self._clock.exact else min(dt, (missed + 1) * self.period.seconds)
+        self._last = Sample(packet, arrival.ns, dt, missed, self.number, last is None, qd, source, step)
         return self._last
 
     def _drop(self, drop: Drop, arrival: Arrival) -> None:

@@ -140,8 +140,8 @@ class Guide:
                 self.mode = Mode.HOLDING
         else:
             self.t += sample.dt if self.guided or self.mode is Mode.LISTENING else 0.0
-        self._passed = sample.dt
-        self._dt += sample.dt
+        self._passed = sample.step
+        self._dt += sample.step
         if self.mode is Mode.LISTENING:
             self.elapsed += 0.0 if sample.fresh else sample.dt
             return

@@ -88,6 +88,9 @@ def recording_clock(values: Mapping[str, np.ndarray], stamp_ns: np.ndarray) -> t
     if session_t is None or not np.isfinite(session_t).all():
         return stamps, "bridge"
     first = np.concatenate(([0], np.flatnonzero(~same) + 1)).astype(int)[: len(stamps)]
+    dt = values.get("dt")
+    if dt is not None and np.isfinite(dt).all() and (np.diff(session_t)[same] == 0).any():
+        session_t = np.cumsum(dt)  # the session's time stands still until guidance begins
     begin = np.repeat(stamps[first] - session_t[first], np.diff(np.append(first, len(stamps))))
     return session_t + begin, "robot"
 
