@@ -25,7 +25,8 @@ def test_tables() -> None:
         (".".join("a" * 17) + " = 1", "a dotted key of more than 16 names"),
         ("[" + ".".join(["'a.'", '"\\".#"'] * 9) + "]", "a dotted key of more than 16 names"),
         ("x = { " + " . ".join("a" * 17) + " = 1}", "a dotted key of more than 16 names"),
-        ("#" + "a" * (1 << 20), "1048577 characters"),
+        ("#" + "a" * (1 << 24), "16777217 characters"),
+        ("[a.b]\n" * 30_000 + "c=1\n" * 30_000, "60000 keys and tables"),
     ],
 )
 def test_what_is_no_toml(text: str, told: str) -> None:

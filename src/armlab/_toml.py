@@ -9,12 +9,14 @@ from typing import Any
 __all__ = ["TomlError", "parsed"]
 
 _LARGEST = 2**63
-_LONGEST = 1 << 20  # characters; a robot has 5 kB, the description of a log with 1000 columns 100 kB
+_LONGEST = 1 << 24  # characters; a robot has 5 kB, a motion with its covariance 2 MB
+_MOST = 50_000  # keys and tables, each of which takes the parser 40 us
 _DEEPEST = 16  # names in a dotted key; the parser takes the square of it in time
 _QUOTED = re.compile(
     r'"""(?:[^"\\]|\\.|"(?!""))*+(?:""")?|\'\'\'.*?(?:\'\'\'|\Z)|"(?:[^"\\\n]|\\.)*+"?|\'[^\'\n]*+\'?|#[^\n]*+',
     re.DOTALL,
 )
+_TABLE = re.compile(r"^[ \t]*+\[", re.MULTILINE)
 _DEEP = re.compile(rf"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){{{_DEEPEST}}}")
 
 
@@ -30,7 +32,7 @@ def parsed(text: str) -> dict[str, Any]:
 
     Raises
     ------
-    TomlError : not TOML, nested too deep, an integer beyond 64 bits, a text beyond 1 MiB.
+    TomlError : not TOML, nested too deep, an integer beyond 64 bits, a text beyond 16 MiB or with too many keys.
     """
     try:
         _check_size(text)
@@ -44,6 +46,9 @@ def parsed(text: str) -> dict[str, Any]:
 def _check_size(text: str) -> None:
     if len(text) > _LONGEST:
         raise ValueError(f"a text of {len(text)} characters, more than {_LONGEST}")
+    statements = text.count("=") + len(_TABLE.findall(text))
+    if statements > _MOST:
+        raise ValueError(f"{statements} keys and tables, more than {_MOST}")
     if text.count(".") >= _DEEPEST and _DEEP.search(_QUOTED.sub("_", text)):
         raise ValueError(f"a dotted key of more than {_DEEPEST} names")
 

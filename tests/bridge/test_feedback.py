@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.bridge.feedback import FeedbackCheck, outside_range
+from armlab.bridge.feedback import READY_AFTER, STOP_AFTER, FeedbackCheck, outside_range
 from armlab.bridge.limits import Limiter, Limits, Reply
 from armlab.bridge.states import Guide, Mode
 from armlab.robots import Robot
@@ -57,7 +57,7 @@ def bench(robot: Robot) -> Bench:
 
 def test_the_third_plausible_packet_makes_the_robot_ready(bench: Bench) -> None:
     ready = []
-    for _ in range(4):
+    for _ in range(READY_AFTER + 1):
         reply = bench()
         assert reply is not None
         np.testing.assert_allclose(reply.q, bench.robot.q_home, rtol=1e-14)
@@ -94,7 +94,7 @@ def test_one_false_packet_in_motion_is_a_hold_and_three_stop_the_run(bench: Benc
     assert "no faster than the arm can" in bench.feed.warnings[0]
     bench(Command(qd=np.zeros(7)))
     assert (bench.guide.mode, bench.guide.calls) == (Mode.RUNNING, True)
-    for k in range(3):
+    for k in range(STOP_AFTER):
         assert bench.guide.mode is Mode.RUNNING, k
         bench(q=bench.q + 0.5)
     assert bench.guide.mode is Mode.STOPPING

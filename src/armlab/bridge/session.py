@@ -40,7 +40,7 @@ class Sample(NamedTuple):
     dt : seconds of robot time since the sample before (the period for the first of a session).
     missed : packets lost before this one. session : number of the session from 1. fresh : first of its session.
     qd : (n,) velocities; qd_source : "measured" (extension) or "difference".
-    step : seconds by which a reference may move on: dt, or the cycles since the sample before if a coarse clock says more.
+    step : seconds by which a reference may move on: dt, or the cycles passed where a coarse clock says more.
     """
 
     packet: Packet

@@ -88,11 +88,22 @@ def recording_clock(values: Mapping[str, np.ndarray], stamp_ns: np.ndarray) -> t
     if session_t is None or not np.isfinite(session_t).all():
         return stamps, "bridge"
     first = np.concatenate(([0], np.flatnonzero(~same) + 1)).astype(int)[: len(stamps)]
-    dt = values.get("dt")
-    if dt is not None and np.isfinite(dt).all() and (np.diff(session_t)[same] == 0).any():
-        session_t = np.cumsum(dt)  # the session's time stands still until guidance begins
+    session_t = _before_guidance(session_t, values.get("dt"), first)
     begin = np.repeat(stamps[first] - session_t[first], np.diff(np.append(first, len(stamps))))
     return session_t + begin, "robot"
+
+
+def _before_guidance(session_t: np.ndarray, dt: np.ndarray | None, first: np.ndarray) -> np.ndarray:
+    """Return the session's time, which stands still until guidance begins, with negative times there."""
+    if dt is None or not np.isfinite(dt).all():
+        return session_t
+    session_t = np.array(session_t)
+    for rows in np.split(np.arange(len(session_t)), first[1:]):
+        moves = np.flatnonzero(session_t[rows] != session_t[rows[:1]])
+        still = rows[: moves[0]] if len(moves) else rows
+        passed = np.cumsum(dt[still])
+        session_t[still] -= passed[-1:] - passed
+    return session_t
 
 
 def wall_at_zero(t: np.ndarray, stamp_ns: np.ndarray) -> int:
