@@ -19,7 +19,7 @@ WAITING = $(filter $(patsubst %,tests/%/%,bridge examples faults interoperabilit
 # Of those that compute the longest come first: at the end both workers have something to do.
 LONGEST := tests/cli/test_demo.py tests/identify/test_dynamics.py tests/style/test_wheel.py
 
-.PHONY: help setup demo test slow waiting computing reference check docs bench atheris fuzz sanitize soak mutants api clean
+.PHONY: help setup demo test slow waiting computing reference check docs bench atheris fuzz sanitize soak mutants house api clean
 
 help:  ## list the commands
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "make %-9s %s\n", $$1, $$2}'
@@ -104,6 +104,9 @@ mutants: $(STAMP)  ## mutation testing of what moves the robot: every mutant is 
 	  $(PIP) install --quiet --constraint constraints.txt "mutmut>=3.8,<4" || \
 	  { echo "Expected to install mutmut, got no network or no package."; exit 1; }
 	OMP_NUM_THREADS=1 nice -n 10 $(BIN)/python mutation/run.py
+
+house: $(STAMP)  ## size and shape of the code base, beside the goals
+	@$(BIN)/python tests/style/house.py
 
 api: $(STAMP)  ## list the public names anew, after a change that is meant
 	$(BIN)/python tests/style/test_public_api.py

@@ -1,0 +1,136 @@
+"""The size and shape of the code base: `make house` prints what is measured beside its goal.
+
+Everything is read from the sources. An import circle of any kind counts: at import, inside functions, or for type hints.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+__all__ = ["GOALS", "Goal", "circles", "measured", "table"]
+
+ROOT = Path(__file__).parents[2]
+SOURCE, TESTS, NATIVE = ROOT / "src" / "armlab", ROOT / "tests", ROOT / "native"
+GENERATED = {SOURCE / "wire/egm/armlab_egm_pb2.py"}
+
+
+class Goal(NamedTuple):
+    """One line of the table: what is measured, as it was when the goals were set, and the most that is wanted."""
+
+    name: str
+    before: int
+    most: int
+
+
+GOALS = (
+    Goal("Python in src, lines", 92_700, 70_000),
+    Goal("Python in src, files", 642, 320),
+    Goal("tests, lines", 86_000, 60_000),
+    Goal("tests, files", 694, 330),
+    Goal("C++, lines", 10_400, 10_000),
+    Goal("widest folder, modules", 66, 15),
+    Goal("import circles", 14, 0),
+    Goal("public names", 1_435, 900),
+)
+
+
+def lines(paths: list[Path]) -> int:
+    """Return the lines of files."""
+    return sum(path.read_bytes().count(b"\n") for path in paths)
+
+
+def modules() -> dict[str, Path]:
+    """Return the modules of the package by dotted name."""
+    found = {}
+    for path in sorted(SOURCE.rglob("*.py")):
+        parts = path.relative_to(SOURCE.parent).with_suffix("").parts
+        found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+def imports(path: Path, known: dict[str, Path]) -> Iterator[str]:
+    """Yield the modules of the package that a file imports anywhere: a name from a package counts as its module."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names if alias.name in known)
+        elif isinstance(node, ast.ImportFrom) and not node.level and node.module in known:
+            for alias in node.names:
+                inside = f"{node.module}.{alias.name}"
+                yield inside if inside in known else node.module
+
+
+def circles() -> list[list[str]]:
+    """Return the groups of modules that import one another, each a strongly connected component (Tarjan)."""
+    known = modules()
+    facade = {"armlab"}  # sees everything, and is seen for its version
+    graph = {name: sorted(set(imports(path, known)) - {name} - facade) for name, path in known.items()}
+    index: dict[str, int] = {}
+    low: dict[str, int] = {}
+    stack: list[str] = []
+    found: list[list[str]] = []
+
+    def visit(start: str) -> None:
+        work = [(start, iter(graph[start]))]
+        index[start] = low[start] = len(index)
+        stack.append(start)
+        while work:
+            name, rest = work[-1]
+            for other in rest:
+                if other not in index:
+                    index[other] = low[other] = len(index)
+                    stack.append(other)
+                    work.append((other, iter(graph[other])))
+                    break
+                if other in stack:
+                    low[name] = min(low[name], index[other])
+            else:
+                work.pop()
+                if work:
+                    low[work[-1][0]] = min(low[work[-1][0]], low[name])
+                if low[name] == index[name]:
+                    group = stack[stack.index(name) :]
+                    del stack[stack.index(name) :]
+                    if len(group) > 1:
+                        found.append(sorted(group))
+
+    for name in graph:
+        if name not in index:
+            visit(name)
+    return found
+
+
+def public_names() -> int:
+    """Return how many names the packages export."""
+    listed = Path(__file__).with_name("public_api.txt").read_text(encoding="utf-8").splitlines()
+    return len(listed)
+
+
+def measured() -> dict[str, int]:
+    """Return each figure by its name."""
+    source = [path for path in SOURCE.rglob("*.py") if path not in GENERATED]
+    tests = list(TESTS.rglob("*.py"))
+    native = [path for path in NATIVE.rglob("*") if path.suffix in (".cpp", ".h")]
+    widest = Counter(path.parent for path in source).most_common(1)[0][1]
+    figures = (
+        lines(source), len(source), lines(tests), len(tests), lines(native), widest, len(circles()), public_names(),
+    )  # fmt: skip
+    return dict(zip((goal.name for goal in GOALS), figures, strict=True))
+
+
+def table() -> str:
+    """Return the table."""
+    figures = measured()
+    rows = [f"{'':28} {'was':>8} {'now':>8} {'goal':>8}"]
+    for goal in GOALS:
+        now = figures[goal.name]
+        rows.append(f"{goal.name:28} {goal.before:>8} {now:>8} {goal.most:>8}{'' if now <= goal.most else '  not met'}")
+    rows += [f"circle: {', '.join(group)}" for group in circles()]
+    return "\n".join(rows)
+
+
+if __name__ == "__main__":
+    print(table())
