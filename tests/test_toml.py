@@ -26,7 +26,9 @@ def test_tables() -> None:
         ("[" + ".".join(["'a.'", '"\\".#"'] * 9) + "]", "a dotted key of more than 16 names"),
         ("x = { " + " . ".join("a" * 17) + " = 1}", "a dotted key of more than 16 names"),
         ("#" + "a" * (1 << 24), "16777217 characters"),
-        ("[a.b]\n" * 30_000 + "c=1\n" * 30_000, "60000 keys and tables"),
+        ("[a.b]\n" * 8_000 + "c=1\n" * 8_000, "16000 keys and tables"),
+        ("a=[" + "1," * (1 << 20) + "]", "arrays of"),
+        ('k="""x""""#x""""\n' + ".".join("a" * 20) + "=1", "a dotted key of more than 16"),
     ],
 )
 def test_what_is_no_toml(text: str, told: str) -> None:

@@ -10,10 +10,11 @@ __all__ = ["TomlError", "parsed"]
 
 _LARGEST = 2**63
 _LONGEST = 1 << 24  # characters; a robot has 5 kB, a motion with its covariance 2 MB
-_MOST = 50_000  # keys and tables, each of which takes the parser 40 us
+_MOST = 10_000  # keys and tables, each of which takes the parser up to 0.3 ms
+_MOST_VALUES = 1 << 20  # of all arrays, each of which takes it 3 us
 _DEEPEST = 16  # names in a dotted key; the parser takes the square of it in time
 _QUOTED = re.compile(
-    r'"""(?:[^"\\]|\\.|"(?!""))*+(?:""")?|\'\'\'.*?(?:\'\'\'|\Z)|"(?:[^"\\\n]|\\.)*+"?|\'[^\'\n]*+\'?|#[^\n]*+',
+    r'"""(?:[^"\\]|\\.|"(?!""))*+(?:"{3,5})?|\'\'\'.*?(?:\'{3,5}|\Z)|"(?:[^"\\\n]|\\.)*+"?|\'[^\'\n]*+\'?|#[^\n]*+',
     re.DOTALL,
 )
 _TABLE = re.compile(r"^[ \t]*+\[", re.MULTILINE)
@@ -49,6 +50,9 @@ def _check_size(text: str) -> None:
     statements = text.count("=") + len(_TABLE.findall(text))
     if statements > _MOST:
         raise ValueError(f"{statements} keys and tables, more than {_MOST}")
+    values = text.count(",") + text.count("[")
+    if values > _MOST_VALUES:
+        raise ValueError(f"arrays of {values} values, more than {_MOST_VALUES}")
     if text.count(".") >= _DEEPEST and _DEEP.search(_QUOTED.sub("_", text)):
         raise ValueError(f"a dotted key of more than {_DEEPEST} names")
 

@@ -115,7 +115,8 @@ class Feed:
 
 @pytest.fixture
 def feed(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> Feed:
-    monkeypatch.setattr("armlab.bridge.states.READY_AFTER", 1)  # what three packets do: test_feedback.py
+    for module in ("states", "aside"):  # what three packets do: test_feedback.py
+        monkeypatch.setattr(f"armlab.bridge.{module}.READY_AFTER", 1)
     return Feed(robot)
 
 

@@ -30,9 +30,19 @@ def packet(robot: Robot, q_ext: Any = (0.3, -0.2), robotware: str = "7") -> Pack
     return found
 
 
+def seen(
+    limits: Limits | None, robot: Robot, capabilities: frozenset[str] = ABLE, **fields: Any
+) -> tuple[Aside, Packet]:
+    """Return external axes whose feedback was plausible three times, and the packet."""
+    aside, here = Aside(limits, capabilities), packet(robot, **fields)
+    for _ in range(3):
+        assert aside.observe(here, T) == ""
+    return aside, here
+
+
 def test_axes_move_within_their_limits_and_come_to_rest(robot: Robot) -> None:
     """Half a radian per second after 0.1 s, its speed with each position, and a ramp down in the end."""
-    aside, here = Aside(AXES, ABLE), packet(robot)
+    aside, here = seen(AXES, robot)
     assert aside.hold(T, T) is None, "nobody asked for a motion"
     goal = here.q_ext.copy()
     found: list[Beside] = []
@@ -87,15 +97,19 @@ def test_values_for_rapid_go_out_once(robot: Robot) -> None:
 )
 def test_what_is_refused(robot: Robot, command: Command, words: str) -> None:
     with pytest.raises(CommandRefused, match=words):
-        Aside(AXES, ABLE).follow(command, packet(robot), T, T)
+        seen(AXES, robot)[0].follow(command, packet(robot), T, T)
 
 
 def test_jumps_missing_limits_and_robots_that_cannot_are_refused(robot: Robot) -> None:
-    aside, here = Aside(AXES, ABLE), packet(robot)
+    aside, here = seen(AXES, robot)
     aside.follow(Command(q_ext=here.q_ext), here, T, T)
     with pytest.raises(CommandRefused, match=r"axis 2 near the last one sent, -0.2000, got 0.8000"):
         aside.follow(Command(q_ext=here.q_ext + np.array([0.0, 1.0])), here, T, T)
     aside.begin()
+    with pytest.raises(CommandRefused, match=r"three times in a row before they are moved"):
+        aside.follow(Command(q_ext=here.q_ext), here, T, T)
+    for _ in range(3):
+        aside.observe(here, T)
     with pytest.raises(CommandRefused, match=r"first position of external axis 1 within 0.05"):
         aside.follow(Command(q_ext=here.q_ext + 0.08), here, T, T)
     with pytest.raises(CommandRefused, match=r"external=Limits.of_axes"):
@@ -170,7 +184,7 @@ def test_axes_begin_anew_where_they_are_when_the_robot_is_ready_again(feed: Any,
     """Whether or not a packet that said so was answered: RAPID or a hand moved them meanwhile."""
     guide, cycle = moving(feed, robot)
     there = np.array([-0.6, 0.4])
-    for _ in range(3):
+    for _ in range(300):  # it takes them more than a second
         cycle(answered=away != "overtaken", q_ext=there, motors=2)
         if away == "not sent":
             guide.take_back()
@@ -188,7 +202,8 @@ def test_axes_begin_near_where_they_are_held_after_each_loss_of_readiness(
 ) -> None:
     guide, cycle = moving(feed, robot)
     there = np.array([-0.6, 0.4])
-    cycle(q_ext=there, motors=2)
+    for _ in range(300):  # it takes them more than a second
+        cycle(q_ext=there, motors=2)
     cycle(q_ext=there)
     cycle(Command(q_ext=there - off), q_ext=there + 0.01)
     assert guide.mode is mode
@@ -275,3 +290,16 @@ def test_a_run_with_the_simulated_controller(tmp_path: Path) -> None:
     states = list(table.states())
     np.testing.assert_array_equal(states[300].rapid_data, back[300])
     assert states[300].rapid_digital is True
+
+
+@pytest.mark.parametrize("false", [100.0, 0.5])
+def test_a_false_feedback_of_external_axes_is_never_a_reference(feed: Any, robot: Robot, false: float) -> None:
+    guide, cycle = moving(feed, robot)
+    here = np.array([0.3, -0.2])
+    cycle(motors=2)
+    for q_ext in (here + false, here + false, here):
+        beside = cycle(q_ext=q_ext, motors=2 if q_ext is not here else 1)
+        assert beside is not None
+        np.testing.assert_allclose(beside.q_ext, here)
+    assert len([text for text in feed.warnings if "external axes" in text]) == 1
+    assert guide.ready

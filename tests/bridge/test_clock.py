@@ -96,7 +96,7 @@ def test_a_cycle_that_changes_is_relearnt_after_five_packets() -> None:
 def steps(
     packets: Any, claimed_ms: list[float], arrived_ms: list[float], **options: Any
 ) -> tuple[list[float], list[str]]:
-    """Return the steps [ms] of a clock, and what it says."""
+    """Return what is believed of the steps of a clock [ms], and what it says."""
     told: list[str] = []
     clock = RobotClock(on_event=lambda text, warn=False, each=False: told.append(text), **options)
     robot_ns, arrival_ns, found = 10**18, 10**12, []
@@ -105,7 +105,7 @@ def steps(
         robot_ns, arrival_ns = robot_ns + int(1e6 * claimed), arrival_ns + int(1e6 * arrived)
         step = clock.step(packet(packets, robot_ns=robot_ns), arrival_ns)
         assert step is not None
-        found.append(1e3 * step)
+        found.append(1e3 * clock.believed)
     return found, told
 
 
@@ -121,6 +121,28 @@ def test_packets_that_come_late_and_in_bunches_keep_the_robots_time(packets: Any
     found, told = steps(packets, [4.0] * 40, ([40.0] + [0.1] * 9) * 4)
     assert found == pytest.approx([4.0] * 40)
     assert not told
+
+
+@pytest.mark.parametrize("stall_ms", [150.0, 300.0, 450.0])
+def test_a_network_that_stood_delivers_what_waited(packets: Any, stall_ms: float) -> None:
+    waits = int(stall_ms / 4.0)
+    found, told = steps(packets, [4.0] * 400, [4.0] * 100 + [stall_ms] + [0.05] * (waits - 1) + [4.0] * (300 - waits))
+    assert found == pytest.approx([4.0] * 400)
+    assert not told
+
+
+def test_a_slow_clock_is_told(packets: Any) -> None:
+    found, told = steps(packets, [1.0] * 8000, [4.0] * 8000)
+    assert found == pytest.approx([1.0] * 8000)
+    assert len(told) == 1
+    assert "runs behind ours" in told[0]
+
+
+def test_bursts_and_steps_that_are_not_believed_are_no_cycles() -> None:
+    period = Period()
+    for sample in [0.004] * 20 + [1e-6] * 100:
+        assert not period.add(sample)
+    assert period.seconds == pytest.approx(0.004)
 
 
 def test_in_lockstep_arrivals_keep_no_time(packets: Any) -> None:

@@ -73,10 +73,11 @@ def test_two_false_packets_at_readiness_are_never_a_reference(bench: Bench, fals
     home = bench.robot.q_home
     replies = [bench(q=home + false), bench(q=home + false), *[bench() for _ in range(100)]]
     sent = [reply.q for reply in replies if reply is not None]
-    if before or false == 100.0:
+    if before >= 3 or false == 100.0:
         np.testing.assert_allclose(sent, np.broadcast_to(home, np.shape(sent)), rtol=1e-14)
-    else:  # the first packets of all are false, and within the limits: the true ones after them look like the jump
-        assert not bench.guide.guided or np.abs(bench.guide.q_start - home).max() < 1e-9
+    else:  # nothing contradicts the first packets of all: each is answered with its own feedback, and nothing holds there
+        np.testing.assert_allclose(sent[2:], np.broadcast_to(home, np.shape(sent[2:])), rtol=1e-14)
+        np.testing.assert_allclose(bench.guide.q_start, home, rtol=1e-14)
     assert bench.guide.ready
     assert bench.guide.mode is Mode.HOLDING
     assert len(bench.feed.warnings) == 1, "told once"
@@ -94,7 +95,7 @@ def test_one_false_packet_in_motion_is_a_hold_and_three_stop_the_run(bench: Benc
     assert "no faster than the arm can" in bench.feed.warnings[0]
     bench(Command(qd=np.zeros(7)))
     assert (bench.guide.mode, bench.guide.calls) == (Mode.RUNNING, True)
-    for k in range(STOP_AFTER):
+    for k in range(int(STOP_AFTER)):
         assert bench.guide.mode is Mode.RUNNING, k
         bench(q=bench.q + 0.5)
     assert bench.guide.mode is Mode.STOPPING

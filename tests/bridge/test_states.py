@@ -199,8 +199,10 @@ def test_losing_readiness_holds_and_needs_entry_again(bench: Bench, fields: dict
         reply = bench.reply(Command(bench.home), **fields)
     assert [text.partition(":")[0] for text in bench.feed.warnings] == ["The robot is not ready"]
     assert bench.mode is Mode.HOLDING
-    np.testing.assert_allclose(reply.q, bench.home, rtol=1e-14)
-    assert bench.mode is Mode.HOLDING
+    if None in fields.values():  # the arm may be guided still: it comes to rest
+        assert 0.0 < reply.qd.max() < 0.8
+    else:
+        np.testing.assert_allclose(reply.q, bench.home, rtol=1e-14)
     bench.reply(Command(bench.home + 0.08), q=bench.home)
     assert bench.mode is Mode.HOLDING
     bench.reply(Command(bench.home + 0.01), q=bench.home)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from armlab.bridge.commands import numbers
+from armlab.bridge.feedback import READY_AFTER
 from armlab.bridge.limits import Limiter, Limits, Reply
 from armlab.errors import CommandRefused
 from armlab.state import Command
@@ -15,6 +16,7 @@ from armlab.wire.egm import Beside, Packet
 __all__ = ["Aside", "joined"]
 
 _MOST_DATA = 40  # numbers that EgmRAPIDdata holds
+_OUTSIDE, _STEP, _FASTER = 0.1, 0.02, 2.0  # as those of the joints, see `feedback`
 _KNOWS_DATA = "7"  # RobotWare
 
 
@@ -32,7 +34,7 @@ class Aside:
     def __init__(self, limits: Limits | None, capabilities: frozenset[str]) -> None:
         self._limits, self._capabilities = limits, capabilities
         self._limiter = None if limits is None else Limiter(limits)
-        self._moves = self._entered = False
+        self.begin()
 
     @property
     def at_rest(self) -> bool:
@@ -54,6 +56,28 @@ class Aside:
     def begin(self) -> None:
         """Forget what was asked for: a new session."""
         self._moves = self._entered = False
+        self._plausible, self._since = 0, 0.0
+        self._q: np.ndarray | None = None
+
+    def observe(self, packet: Packet, dt: float) -> str:
+        """Check the feedback of a packet: only a plausible one is ever a reference. Return the first problem in a row.
+
+        Parameters
+        ----------
+        packet : the newest. dt : seconds since the packet before.
+        """
+        limits, q = self._limits, packet.q_ext
+        if limits is None or q.shape != limits.q_min.shape:
+            return ""
+        self._since += dt
+        reach = _STEP + _FASTER * limits.qd_max * self._since
+        false = not ((q >= limits.q_min - _OUTSIDE) & (q <= limits.q_max + _OUTSIDE)).all()
+        if false or (self._q is not None and (np.abs(q - self._q) > reach).any()):
+            first, self._plausible = self._plausible > 0, 0
+            what = f"Expected external axes within their limits, no faster than they can be, got feedback of {q}."
+            return f"{what} It is not used." if first else ""
+        self._plausible, self._q, self._since = self._plausible + 1, q, 0.0
+        return ""
 
     def rest(self, packet: Packet) -> Beside | None:
         """Return what goes with a reply while the robot follows no references: the axes stay where they are measured.
@@ -65,10 +89,10 @@ class Aside:
         packet : the newest.
         """
         self._entered = False
-        if not self._moves or self._limiter is None or packet.q_ext.shape != self._limiter.q.shape:
+        if not self._moves or self._limiter is None or self._q is None or packet.q_ext.shape != self._limiter.q.shape:
             self._moves = False
             return None
-        reply = self._limiter.rest(packet.q_ext)
+        reply = self._limiter.rest(self._q)
         return Beside(reply.q, reply.qd)
 
     def hold(self, dt: float, longest: float) -> Beside | None:
@@ -136,8 +160,13 @@ class Aside:
                 f"{len(measured)}, got shape {wanted.shape} and limits of {len(limits.q_min)}."
             )
         if not self._entered:
+            if self._plausible < READY_AFTER or self._q is None:
+                raise CommandRefused(
+                    f"Expected external axes that report positions within their limits, {limits.q_min} to "
+                    f"{limits.q_max}, three times in a row before they are moved, got {measured}."
+                )
             if not self._moves:
-                limiter.rest(measured)
+                limiter.rest(self._q)
             held = limiter.q
             far = np.flatnonzero(np.abs(wanted - held) > limits.entry)
             if len(far):

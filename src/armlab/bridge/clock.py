@@ -19,7 +19,9 @@ _TRUSTED = 1.5 * NOMINAL_PERIOD  # s, longest before the first window is complet
 _GAIN = 0.02
 _NEAR = 0.4  # of the estimate: wider than one tick of a clock in milliseconds, narrower than one skipped cycle
 _WRAP_MS = 2**32
-_AHEAD, _BEHIND = 1e-3, 0.1  # s by which robot time may lead or trail arrival times: jitter and bursts of a network
+_SHORTEST = 2e-4  # s between two packets; those of a burst, or of a clock that is not believed, are no cycles
+_AHEAD, _BEHIND = 1e-3, 0.5  # s by which robot time may lead or trail arrival times: jitter, and a network that stood
+_STAYS = 10.0  # s: a lag of robot time that stays is no burst, it is a longer way, or a slow clock
 _DRIFT = 1e-4  # of crystals
 _WRONG, _WRONG_SHARE = 0.02, 0.01  # s, and of the time, that were not believed: less is a first packet that came late
 
@@ -42,6 +44,8 @@ class Period:
 
         A change shows after five packets: they are the majority of the window then.
         """
+        if sample < _SHORTEST:
+            return False
         self._recent.append(sample)
         if self._learnt and self._is_near(sample):
             self.seconds += _GAIN * (sample - self.seconds)
@@ -65,8 +69,8 @@ class RobotClock:
 
     A source that steps back, stands still or jumps by more than 1 s is not used for that step. A tm that is the same in
     two packets is too coarse for the cycle, below 1 ms, and is not used again: its next step would count twice.
-    Robot time may lead arrival times, those of the fastest packets, by 1 ms and trail them by 100 ms; what a clock
-    claims beyond that is cut off.
+    A reference may move on by no more than `believed`: robot time may lead arrival times, those of the fastest packets,
+    by 1 ms, and trail them by 0.5 s, in which a network that stood delivers what waited.
 
     Parameters
     ----------
@@ -76,12 +80,16 @@ class RobotClock:
     Attributes
     ----------
     exact : the last step is of feedBack.time; tm counts milliseconds, and arrivals jitter.
+    believed : the last step, cut off where the robot's clock runs ahead of arrivals [s].
     """
 
     def __init__(self, checks_arrival: bool = True, on_event: Tell = nobody) -> None:
         self._checks_arrival, self._on_event = checks_arrival, on_event
         self.exact = self._is_coarse = False
+        self.believed = 0.0
         self._lead = self._cut_off = 0.0  # s of robot time beyond arrival time, and of what was not believed
+        self._trails = 0.0  # s for which robot time has trailed
+        self._trailed = False
         self._told: set[str] = set()
         self._last: tuple[int, int | None, int] | None = None  # robot ns, tm ms, arrival ns
 
@@ -93,10 +101,13 @@ class RobotClock:
         self.exact = False
         arrived = max(1e-9 * (arrival_ns - last[2]), 1e-6)
         claimed = self._claimed(packet, last)
-        if claimed is None:
-            return arrived
-        if not self._checks_arrival:
-            return claimed
+        self.believed = arrived if claimed is None else claimed
+        if claimed is not None and self._checks_arrival:
+            self.believed = self._check(claimed, arrived)
+        return arrived if claimed is None else claimed
+
+    def _check(self, claimed: float, arrived: float) -> float:
+        """Return what is believed of a step by the robot's clocks."""
         dt = min(claimed, max(arrived + _AHEAD - self._lead, 1e-6))
         self._cut_off = max(self._cut_off + claimed - dt - _WRONG_SHARE * arrived, 0.0)
         if self._cut_off > _WRONG:
@@ -108,6 +119,11 @@ class RobotClock:
         forgotten = min(abs(self._lead), _DRIFT * arrived)
         self._lead -= forgotten if self._lead > 0.0 else -forgotten
         self._lead = max(self._lead + dt - arrived, -_BEHIND)
+        self._trails = self._trails + arrived if self._lead < -_WRONG else 0.0
+        if self._trails > _STAYS:  # the arrivals now are the fastest ones
+            if self._trailed:
+                self._tell("slow", "The robot's clock runs behind ours: steps are those of the slower clock.")
+            self._lead, self._trails, self._trailed = 0.0, 0.0, True
         return dt
 
     def _claimed(self, packet: Packet, last: tuple[int, int | None, int]) -> float | None:

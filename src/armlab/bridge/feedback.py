@@ -12,8 +12,10 @@ __all__ = ["READY_AFTER", "STOP_AFTER", "FeedbackCheck", "outside_range"]
 
 READY_AFTER = 3
 """Plausible packets in a row before the robot counts as ready."""
-STOP_AFTER = 3
-"""Implausible packets in a row that stop the run."""
+STOP_AFTER = 3.0
+"""Implausible packets that stop the run; each plausible one takes off an eighth."""
+
+_TAKES_OFF = 0.125
 
 _OUTSIDE = 0.1  # rad or m beyond the limits of a joint
 _LAG, _CATCHES_UP = 0.05, 0.2  # s: following error for each rad/s, and the time in which the arm catches up
@@ -34,7 +36,8 @@ class FeedbackCheck:
 
     Attributes
     ----------
-    plausible, implausible : packets in a row. q : (n,) last plausible feedback of the session, None before.
+    plausible : packets in a row. implausible : packets, less an eighth for each plausible one.
+    q : (n,) last plausible feedback of the session, None before. confirmed : three in a row were plausible.
     """
 
     def __init__(self, robot: Robot, limits: Limits) -> None:
@@ -44,8 +47,9 @@ class FeedbackCheck:
 
     def begin(self) -> None:
         """Forget the session before."""
-        self.plausible = self.implausible = 0
+        self.plausible, self.implausible = 0, 0.0
         self.q: np.ndarray | None = None
+        self.confirmed = False
         self._since = self._frozen = 0.0
         self._newest: np.ndarray | None = None
         self._guided, self._ramps, self._fastest = 0.0, True, np.zeros(self._robot.n)
@@ -69,10 +73,13 @@ class FeedbackCheck:
             outside_range(q, self._robot) or self._too_fast(q) or ("" if sent is None else self._apart(q, dt, sent))
         )
         if problem:
-            self.plausible, self.implausible = 0, self.implausible + 1
+            self.plausible, self.implausible = 0, self.implausible + 1.0
+            if not self.confirmed and not outside_range(q, self._robot):
+                self.q, self._since = q, 0.0  # of two first ones that contradict each other neither is believed
         else:
-            self.plausible, self.implausible = self.plausible + 1, 0
+            self.plausible, self.implausible = self.plausible + 1, max(0.0, self.implausible - _TAKES_OFF)
             self.q, self._since = q, 0.0
+            self.confirmed = self.confirmed or self.plausible >= READY_AFTER
         return problem
 
     def _too_fast(self, q: np.ndarray) -> str:

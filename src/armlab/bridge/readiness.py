@@ -24,7 +24,12 @@ def obstacle(motors: int, rapid: int, mci: int) -> str:
 
 
 class Readiness:
-    """The states of the newest packets; one or two packets without a state do not end a motion."""
+    """The states of the newest packets; one or two packets without a state do not end a motion.
+
+    Attributes
+    ----------
+    is_unknown : packets without a state have followed a robot that was ready.
+    """
 
     def __init__(self) -> None:
         self.begin()
@@ -32,6 +37,7 @@ class Readiness:
     def begin(self) -> None:
         """Forget the session before."""
         self._motors = self._mci = self._absent = 0
+        self.is_unknown = False
 
     def obstacle(self, packet: Packet) -> str:
         """Return why the robot would not follow a reference, "" when it would."""
@@ -39,5 +45,7 @@ class Readiness:
         self._absent = self._absent + 1 if absent else 0
         if self._absent in range(1, _ABSENT):
             return obstacle(packet.motors or self._motors, packet.rapid, packet.mci or self._mci)
+        was_ready = not obstacle(self._motors, packet.rapid, self._mci)
+        self.is_unknown = absent and (self.is_unknown or was_ready)
         self._motors, self._mci = packet.motors, packet.mci
         return obstacle(packet.motors, packet.rapid, packet.mci)

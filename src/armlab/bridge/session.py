@@ -40,7 +40,8 @@ class Sample(NamedTuple):
     dt : seconds of robot time since the sample before (the period for the first of a session).
     missed : packets lost before this one. session : number of the session from 1. fresh : first of its session.
     qd : (n,) velocities; qd_source : "measured" (extension) or "difference".
-    step : seconds by which a reference may move on: dt, or the cycles passed where a coarse clock says more.
+    step : seconds by which a reference may move on: dt as far as it is believed, see `RobotClock`, and no more than the
+        cycles passed where the clock is coarse.
     """
 
     packet: Packet
@@ -215,10 +216,10 @@ class Session:
         last = self._last
         dt = self._clock.step(packet, arrival.ns)
         if dt is None:
-            dt = self.period.seconds
+            dt = believed = self.period.seconds
         else:
-            before = self.period.seconds
-            if self.period.add(dt / (missed + 1)):
+            before, believed = self.period.seconds, self._clock.believed
+            if self.period.add(believed / (missed + 1)):
                 change = f"from {1e3 * before:.2f} to {1e3 * self.period.seconds:.2f} ms"
                 self._on_event(f"The cycle time of the robot changed {change}.", warn=True)
         if packet.qd is not None:
@@ -228,7 +229,7 @@ class Session:
         self.received += 1
         self.missed += missed
         self._stray = None
-        step = dt if self._clock.exact else min(dt, (missed + 1) * self.period.seconds)
+        step = believed if self._clock.exact else min(believed, (missed + 1) * self.period.seconds)
         self._last = Sample(packet, arrival.ns, dt, missed, self.number, last is None, qd, source, step)
         return self._last
 

@@ -142,6 +142,9 @@ class Guide:
             self.t += sample.dt if self.guided or self.mode is Mode.LISTENING else 0.0
         self._passed = sample.step
         self._dt += sample.step
+        problem = self._aside.observe(packet, sample.dt)
+        if problem:
+            self._on_event(problem, warn=True)
         if self.mode is Mode.LISTENING:
             self.elapsed += 0.0 if sample.fresh else sample.dt
             return
@@ -182,7 +185,11 @@ class Guide:
         if packet is None or self.mode in _UNANSWERED or self._is_silent:
             return None
         self._longest = _GAP * period
-        if not self.ready:
+        if self._dt == 0.0:  # this packet has its reply
+            return self._last
+        if not self.ready and self._readiness.is_unknown and self.guided:
+            self._last = self._held()  # it may be guided still: no step to the feedback
+        elif not self.ready:
             self._rest()
             q = self._feedback.q
             if q is None or not (self._answer_stream or packet.mci == MCI_RUNNING):
@@ -338,6 +345,7 @@ class Guide:
 
     def _become_ready(self, packet: Packet) -> None:
         self._torques.reset()
+        self._dt = self._passed  # from this packet's feedback on
         self._last = joined(self._limiter.rest(packet.q), self._aside.rest(packet))
         self._refused_in_a_row, self._waited, self._warned = 0, 0.0, False
         if not self.guided:
@@ -356,7 +364,7 @@ class Guide:
         self._doubtful = bool(problem)
         if not problem:
             return
-        if self._feedback.implausible == 1:
+        if self._feedback.implausible <= 1.0:
             self._on_event(problem, warn=True)
         if self._feedback.implausible >= STOP_AFTER and (self.ready or self._feedback.q is None):
             self.stop("the feedback is not plausible", LinkError(problem))

@@ -76,7 +76,7 @@ def _elements(view: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
 
 
 def _unpacked(body: memoryview, order: str, most: int) -> tuple[int, memoryview]:
-    """Return kind and data of the element in compressed data, which tells its size first."""
+    """Return kind and data of the element in compressed data, which begins with its size."""
     packed = zlib.decompressobj()
     try:
         kind, size = struct.unpack(order + "II", packed.decompress(body, 8))
@@ -126,6 +126,7 @@ def _words(parts: Iterator[tuple[int, memoryview]], shape: tuple[int, ...], orde
         if text is None:
             return None
         words.append(text)
+    _check_shape((len(words), max(map(len, words), default=0)))  # each takes the room of the longest
     return np.array(words, dtype=np.str_).reshape(shape, order="F")
 
 

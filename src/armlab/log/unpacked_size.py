@@ -8,10 +8,8 @@ from armlab.errors import LogError
 
 __all__ = ["check_unpacked_size"]
 
-_ANY, _RATIO = (
-    1 << 26,
-    1000,
-)  # bytes of any file; above that, for each of its own: a column that never changes reaches it
+_ANY = 1 << 26  # bytes
+_RATIO = 1000  # bytes for each of the file's own, above that: a column that never changes reaches it
 
 
 def check_unpacked_size(path: Path, size: int) -> None:
@@ -20,7 +18,7 @@ def check_unpacked_size(path: Path, size: int) -> None:
     Parameters
     ----------
     path : of the file.
-    size : bytes of its arrays, as it tells them.
+    size : bytes of its arrays, as the file states.
 
     Raises
     ------
