@@ -75,7 +75,7 @@ def test_two_false_packets_at_readiness_are_never_a_reference(bench: Bench, fals
     sent = [reply.q for reply in replies if reply is not None]
     if before >= 3 or false == 100.0:
         np.testing.assert_allclose(sent, np.broadcast_to(home, np.shape(sent)), rtol=1e-14)
-    else:  # nothing contradicts the first packets of all: each is answered with its own feedback, and nothing holds there
+    else:  # nothing contradicts the first packets of all: each is answered with its own feedback
         np.testing.assert_allclose(sent[2:], np.broadcast_to(home, np.shape(sent[2:])), rtol=1e-14)
         np.testing.assert_allclose(bench.guide.q_start, home, rtol=1e-14)
     assert bench.guide.ready

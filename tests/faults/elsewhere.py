@@ -19,6 +19,17 @@ held_by(
     ),
 )
 held_by(
+    "tests/bridge/test_motion_limits.py::test_a_robot_that_streams_slower_than_it_guides",
+    cells(
+        "robot",
+        "the cycle time changes from 24 to 4 ms, or back",
+        "holding",
+        "the step of each reference is the time that the robot measured",
+        "The cycle time of the robot changed from … to … ms.",
+        "nothing to recover",
+    ),
+)
+held_by(
     "tests/bridge/test_hostile_datagrams.py::test_a_million_mutated_datagrams",
     cells(
         "network",

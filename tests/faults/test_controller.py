@@ -195,7 +195,8 @@ def test_the_bridge_outlives_its_descriptors(cell: Cell, tmp_path: Path) -> None
     assert counted == str(len(table)), "every packet has its row, and the log no problem"
     sent = table["qd_sent"][np.isfinite(table["qd_sent"]).all(axis=1)]
     assert sent.any() == (cell.state == "running")
-    assert not sent[-50:].any(), "it came to rest, and rested"
+    rests = np.asarray(table.t) > table.t[-1] - 0.3
+    assert not np.nan_to_num(table["qd_sent"][rests]).any(), "it came to rest, and rested"
     assert table["t"][-1] > 0.7
     assert [Path(f"{own}{k}").read_text() for k in range(8)] == ["theirs"] * 8
     robot.judge()

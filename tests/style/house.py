@@ -1,6 +1,6 @@
 """The size and shape of the code base: `make house` prints what is measured beside its goal.
 
-Everything is read from the sources. An import circle of any kind counts: at import, inside functions, or for type hints.
+Everything is read from the sources. Import circles of any kind count: at import, inside functions, or for type hints.
 """
 
 from __future__ import annotations

@@ -209,7 +209,7 @@ def is_overload(node: ast.FunctionDef | ast.ClassDef) -> bool:
 @cache
 def public_names(layer: str) -> set[str]:
     """Names that a package and the packages in it export."""
-    found = [path for path in (SOURCE / layer).rglob("__init__.py")] or [SOURCE / f"{layer}.py"]
+    found = list((SOURCE / layer).rglob("__init__.py")) or [SOURCE / f"{layer}.py"]
     return {name for path in found if path.exists() for name in exports(tree(path)) or []}
 
 
