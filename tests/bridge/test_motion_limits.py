@@ -58,9 +58,9 @@ class Robot:
         self.arrival_ns = max(self.now_ns + late_ms * MS, self.arrival_ns + 1000)
         sample = self.session.accept(Arrival(data, ("127.0.0.1", 5000), self.arrival_ns))
         assert sample is not None
-        was_ready = self.guide.ready
+        told = len(self.events)
         self.guide.observe(sample)
-        if self.guide.ready and not was_ready:  # a reference begins where the arm is
+        if "The robot is ready and holds." in self.events[told:]:  # a reference begins where the arm is
             self.sent = self.now_ns - round(1e9 * sample.step), self.packets.q, np.zeros(7)
         asked = command(self.guide.state(sample, 0)) if self.guide.calls else None
         reply = self.guide.answer(asked, self.session.period.seconds)
