@@ -18,14 +18,7 @@ from armlab.kinematics import forward, inverse, jacobian
 from armlab.lie import se3, so3
 from armlab.models import KinematicCorrection
 from armlab.sim import cell
-from armlab.sim._cell_kinematics import (
-    ANCHOR,
-    DEGREE,
-    NOISE,
-    KinematicRun,
-    dh_arm,
-    sliding_robot,
-)
+from armlab.sim.experiments.kinematics import ANCHOR, DEGREE, NOISE, KinematicRun, dh_arm, sliding_robot
 
 
 @pytest.fixture(scope="module")

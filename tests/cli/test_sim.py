@@ -16,8 +16,8 @@ import pytest
 
 from armlab import cli, robots
 from armlab.cli.sim import sim
-from armlab.sim.scara import scara
-from armlab.sim.settings import Settings
+from armlab.sim.arm.arm import scara
+from armlab.sim.controller.settings import Settings
 from armlab.wire.egm import EgmCodec, Packet, Reference
 
 HEADER = "t,fx,fy,fz,mx,my,mz\n"

@@ -24,9 +24,9 @@ from armlab.bridge.port import Arrival
 from armlab.bridge.supervision import Settings
 from armlab.errors import LinkError
 from armlab.log import Table
-from armlab.sim.controller import Controller
-from armlab.sim.lagging import LaggingArm
-from armlab.sim.settings import Settings as RobotSettings
+from armlab.sim.arm.arm import LaggingArm
+from armlab.sim.controller.controller import Controller
+from armlab.sim.controller.settings import Settings as RobotSettings
 from armlab.state import Command, State
 from armlab.wire.egm import EgmCodec, RobotSideCodec, SensorMessage
 

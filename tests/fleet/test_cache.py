@@ -16,7 +16,7 @@ import pytest
 
 from armlab import fleet, log
 from armlab.fleet import identification
-from armlab.fleet.cache import SumCache, default_folder
+from armlab.fleet.identification import SumCache, default_folder
 
 pytestmark = pytest.mark.usefixtures("early")
 
@@ -101,7 +101,7 @@ def test_another_version_of_the_code_makes_all_sums_anew(
     folder: Path, short_arm, tmp_path: Path, made: list[int], monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     fleet.identify(folder, short_arm.robot, cache=tmp_path)
-    monkeypatch.setattr(f"armlab.fleet.cache.{name}", "another")
+    monkeypatch.setattr(f"armlab.fleet.identification.{name}", "another")
     fleet.identify(folder, short_arm.robot, cache=tmp_path)
     assert len(made) == 12
 

@@ -11,8 +11,8 @@ import pytest
 from armlab import log
 from armlab.bridge.row_schema import LARGEST
 from armlab.bridge.zenoh import EVERY, Place, checksum, close_session, open_session
-from armlab.fleet import FleetRecorder, Router, record, robot_record
-from armlab.fleet.robot_record import RobotRecord
+from armlab.fleet import FleetRecorder, Router, recorder
+from armlab.fleet.recorder import RobotRecord
 from armlab.robots import Robot
 
 from ..processes import Started, free_port, until
@@ -36,7 +36,7 @@ def check_ticks(path: Path, holes: int = 0) -> np.ndarray:
 
 
 def test_messages_of_no_robot_are_counted_and_leave_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(robot_record, "_UNANSWERED", 0.3)
+    monkeypatch.setattr(recorder, "_UNANSWERED", 0.3)
     told: list[str] = []
     with Router(port=(port := free_port())), FleetRecorder(Place(port=port, lab=EVERY), tmp_path, told.append) as fleet:
         session = open_session("client", connect=[f"127.0.0.1:{port}"])
@@ -90,7 +90,7 @@ def test_what_goes_wrong_with_one_robot_ends_its_recording_alone(
 
 def test_what_waits_takes_bounded_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Rows of robots that nobody describes, and what is larger than rows are."""
-    monkeypatch.setattr(record, "_ROOM", 100)
+    monkeypatch.setattr(recorder, "_ROOM", 100)
     large = b"ALR1" + bytes(LARGEST)
     with Router(port=(port := free_port())), FleetRecorder(Place(port=port, lab=EVERY), tmp_path) as fleet:
         session = open_session("client", connect=[f"127.0.0.1:{port}"])

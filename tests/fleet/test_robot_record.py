@@ -12,8 +12,8 @@ import pytest
 from armlab import log
 from armlab.bridge.row import RowWriter
 from armlab.bridge.row_schema import RowSchema
-from armlab.fleet import robot_record
-from armlab.fleet.robot_record import RobotRecord
+from armlab.fleet import recorder
+from armlab.fleet.recorder import RobotRecord
 from armlab.log import Tick
 from armlab.robots import Robot, to_toml
 from armlab.state import State
@@ -108,7 +108,7 @@ def test_rows_of_a_bridge_that_does_not_answer_are_taken_for_the_same_run(
 ) -> None:
     fed(record, Bridge(robot), [(0, 0)])
     record.doubt()
-    monkeypatch.setattr(robot_record, "_UNANSWERED", -1.0)
+    monkeypatch.setattr(recorder, "_UNANSWERED", -1.0)
     record.take(Bridge(robot).row(3, 3))
     record.write()
     record.write()
@@ -171,7 +171,7 @@ def test_a_recording_that_is_given_up_leaves_what_was_written(
 def test_rows_that_nobody_describes_are_given_up(
     record: RobotRecord, robot: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(robot_record, "_UNANSWERED", -1.0)
+    monkeypatch.setattr(recorder, "_UNANSWERED", -1.0)
     record.take(Bridge(robot).row(0, 0))
     record.write()
     assert (record.refused, record.wants) == (1, False)
@@ -203,7 +203,7 @@ def test_a_full_disk_is_told_and_a_new_file_tried(
 def test_a_silent_robot_s_file_is_finished(record: RobotRecord, robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     bridge = Bridge(robot)
     fed(record, bridge, [(0, 0)])
-    monkeypatch.setattr(robot_record, "_SILENT", -1.0)
+    monkeypatch.setattr(recorder, "_SILENT", -1.0)
     record.write()
     assert log.read(record.paths[0]).notes == ()
     monkeypatch.undo()

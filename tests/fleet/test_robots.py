@@ -12,7 +12,7 @@ from armlab import robots
 from armlab.bridge.row_schema import RowSchema
 from armlab.bridge.zenoh import EVERY, Place
 from armlab.fleet import FleetRobot, Router, list_robots
-from armlab.fleet.robots import _Seen
+from armlab.fleet.discovery import _Seen
 
 from ..processes import PATIENCE, Started, free_port, until
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from armlab.errors import ConfigError, ShapeError
-from armlab.fleet.targets import targets
+from armlab.fleet.logs import targets
 from armlab.log import Table
 
 

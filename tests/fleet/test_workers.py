@@ -12,8 +12,7 @@ import pytest
 
 from armlab import fleet
 from armlab.errors import ConfigError, LinkError
-from armlab.fleet.mapping import each
-from armlab.fleet.workers import workers
+from armlab.fleet.mapping import each, workers
 from armlab.identify.many import fit_draft, log_sums
 
 

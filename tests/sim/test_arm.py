@@ -8,8 +8,9 @@ import pytest
 from armlab import robots
 from armlab.errors import ConfigError, ShapeError
 from armlab.robots import Robot
-from armlab.sim.arm import Arm, Measurement, Sample, build_model
-from armlab.sim.truth import Truth, synthetic_truth
+from armlab.sim.arm.arm import Arm, build_model
+from armlab.sim.arm.sensors import Measurement, Sample
+from armlab.sim.arm.truth import Truth, synthetic_truth
 
 T = 0.004032
 

@@ -8,7 +8,7 @@ import pytest
 from armlab import calibrate, sim
 from armlab.errors import ConfigError
 from armlab.lie import se3, so3
-from armlab.sim.cells import Cell, cell
+from armlab.sim.experiments.cell import Cell, cell
 
 
 def distance(T_a: np.ndarray, T_b: np.ndarray) -> tuple[float, float]:

@@ -13,11 +13,11 @@ import pytest
 
 from armlab import robots
 from armlab.errors import LinkError
-from armlab.sim.arm import Arm
-from armlab.sim.channel import Channel
-from armlab.sim.controller import Controller
-from armlab.sim.settings import Settings
-from armlab.sim.truth import synthetic_truth
+from armlab.sim.arm.arm import Arm
+from armlab.sim.arm.truth import synthetic_truth
+from armlab.sim.controller.channel import Channel
+from armlab.sim.controller.controller import Controller
+from armlab.sim.controller.settings import Settings
 from armlab.wire.egm import RobotSideCodec
 
 ROBOT = robots.load("yumi_right")

@@ -8,13 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armlab import robots
-from armlab.sim.arm import Arm
-from armlab.sim.controller import Controller
-from armlab.sim.inbox import QUEUE_LENGTH
-from armlab.sim.operator import Operator
-from armlab.sim.packets import EPOCH_NS
-from armlab.sim.settings import Settings
-from armlab.sim.truth import synthetic_truth
+from armlab.sim.arm.arm import Arm
+from armlab.sim.arm.truth import synthetic_truth
+from armlab.sim.controller.controller import Controller
+from armlab.sim.controller.inbox import QUEUE_LENGTH
+from armlab.sim.controller.packets import EPOCH_NS
+from armlab.sim.controller.settings import Settings
+from armlab.sim.events import Operator
 from armlab.wire.egm import EgmCodec, Packet, Reference, RobotSideCodec
 
 ROBOT = robots.load("yumi_right")

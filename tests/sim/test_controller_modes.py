@@ -9,15 +9,12 @@ import pytest
 
 from armlab import robots
 from armlab.errors import ShapeError
-from armlab.sim.arm import Arm
-from armlab.sim.controller import Controller
-from armlab.sim.hand import HandPath
-from armlab.sim.lagging import LaggingArm
-from armlab.sim.scene import Scene
-from armlab.sim.script import MOTORS, RAPID, Script
-from armlab.sim.settings import Settings
-from armlab.sim.statistics import Event
-from armlab.sim.truth import synthetic_truth
+from armlab.sim.arm.arm import Arm, LaggingArm
+from armlab.sim.arm.truth import synthetic_truth
+from armlab.sim.controller.controller import Controller
+from armlab.sim.controller.settings import Settings
+from armlab.sim.controller.statistics import Event
+from armlab.sim.events import MOTORS, RAPID, HandPath, Scene, Script
 from armlab.wire.egm import EgmCodec, Packet, Reference, RobotSideCodec
 from armlab.wire.egm import armlab_egm_pb2 as pb
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armlab.sim.drive import INTEGRAL_TIME, POSITION_GAIN, VELOCITY_GAIN, Drive
+from armlab.sim.arm.drive import INTEGRAL_TIME, POSITION_GAIN, VELOCITY_GAIN, Drive
 
 INERTIA, TAU_MAX = np.array([0.2, 0.1]), np.array([40.0, 5.0])
 ZERO = np.zeros(2)

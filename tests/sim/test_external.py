@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from armlab.errors import ConfigError
-from armlab.sim.external import ExternalAxes
-from armlab.sim.settings import Settings
+from armlab.sim.controller.guidance import ExternalAxes
+from armlab.sim.controller.settings import Settings
 
 
 def test_axes_follow_no_faster_than_one_radian_a_second() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from armlab.errors import ConfigError
-from armlab.sim.fault_rates import FaultRates
+from armlab.sim.controller.settings import FaultRates
 
 
 def test_nothing_happens_without_rates() -> None:

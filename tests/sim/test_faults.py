@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from armlab.sim.fault_rates import FaultRates
-from armlab.sim.faults import CORRUPTED, Faults
+from armlab.sim.controller.channel import CORRUPTED, Faults
+from armlab.sim.controller.settings import FaultRates
 
 N = 4000
 

@@ -17,11 +17,10 @@ from armlab import bridge, robots
 from armlab.bridge.port import Arrival, Port
 from armlab.bridge.surplus import Surplus
 from armlab.bridge.waiting import Waiting
-from armlab.sim.controller import Controller
-from armlab.sim.fault_rates import FaultRates
-from armlab.sim.faults import Faults
-from armlab.sim.lagging import LaggingArm
-from armlab.sim.settings import Settings
+from armlab.sim.arm.arm import LaggingArm
+from armlab.sim.controller.channel import Faults
+from armlab.sim.controller.controller import Controller
+from armlab.sim.controller.settings import FaultRates, Settings
 from armlab.state import Command, State
 from armlab.wire.egm import EgmCodec, Packet, RobotSideCodec
 

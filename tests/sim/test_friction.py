@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.sim.friction import Friction
-from armlab.sim.truth import Truth, synthetic_truth
+from armlab.sim.arm.friction import Friction
+from armlab.sim.arm.truth import Truth, synthetic_truth
 
 STEP = 1e-3
 

@@ -7,7 +7,7 @@ import pytest
 
 from armlab.errors import ConfigError
 from armlab.lie import se3, so3
-from armlab.sim.grip import DAMPING, STIFFNESS, STRENGTH, Grip
+from armlab.sim.events import DAMPING, STIFFNESS, STRENGTH, Grip
 
 
 def pose(p: list[float], w: list[float]) -> np.ndarray:

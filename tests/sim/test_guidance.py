@@ -7,8 +7,8 @@ import pytest
 
 from armlab import robots
 from armlab.robots import Robot
-from armlab.sim.guidance import Guidance
-from armlab.sim.settings import Settings
+from armlab.sim.controller.guidance import Guidance
+from armlab.sim.controller.settings import Settings
 
 T = Settings().period
 

@@ -7,7 +7,7 @@ import pytest
 
 from armlab import robots
 from armlab.errors import ShapeError
-from armlab.sim.hand import HandPath
+from armlab.sim.events import HandPath
 
 ROBOT = robots.load("yumi_right")
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.sim.inbox import QUEUE_LENGTH, Inbox, Sent
-from armlab.sim.settings import Settings
-from armlab.sim.statistics import Statistics
+from armlab.sim.controller.inbox import QUEUE_LENGTH, Inbox, Sent
+from armlab.sim.controller.settings import Settings
+from armlab.sim.controller.statistics import Statistics
 from armlab.wire.egm import Drop, EgmCodec, Reference, RobotSideCodec, SensorMessage
 
 ROBOT = robots.load("yumi_right")

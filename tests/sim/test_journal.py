@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from armlab.sim.journal import Journal
-from armlab.sim.statistics import Event, Statistics
+from armlab.sim.controller.statistics import Event, Journal, Statistics
 from armlab.wire.egm import Drop
 
 

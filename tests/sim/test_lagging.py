@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from armlab import robots
-from armlab.sim.lagging import LaggingArm
+from armlab.sim.arm.arm import LaggingArm
 
 ROBOT = robots.load("ur5e")
 

@@ -11,14 +11,12 @@ import pytest
 
 from armlab import robots
 from armlab.errors import ConfigError
-from armlab.sim.arm import Arm
-from armlab.sim.channel import Channel
-from armlab.sim.controller import Controller
-from armlab.sim.fault_rates import FaultRates
-from armlab.sim.faults import Faults
-from armlab.sim.loop import Pace, run
-from armlab.sim.settings import Settings
-from armlab.sim.truth import synthetic_truth
+from armlab.sim.arm.arm import Arm
+from armlab.sim.arm.truth import synthetic_truth
+from armlab.sim.controller.channel import Channel, Faults
+from armlab.sim.controller.controller import Controller
+from armlab.sim.controller.cycles import Pace, run
+from armlab.sim.controller.settings import FaultRates, Settings
 from armlab.wire.egm import RobotSideCodec
 
 RIGHT, LEFT = robots.load("yumi_right"), robots.load("yumi_left")

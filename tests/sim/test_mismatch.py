@@ -10,9 +10,9 @@ import pytest
 from armlab import robots
 from armlab.errors import ConfigError
 from armlab.robots import inertia
-from armlab.sim.arm import Arm
-from armlab.sim.mismatch import Mismatch
-from armlab.sim.truth import Truth, synthetic_truth
+from armlab.sim.arm.arm import Arm
+from armlab.sim.arm.mismatch import Mismatch
+from armlab.sim.arm.truth import Truth, synthetic_truth
 
 ROBOT = robots.load("yumi_left")
 TRUTH = synthetic_truth(ROBOT)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from armlab.errors import ShapeError
-from armlab.sim.operator import Operator
+from armlab.sim.events import Operator
 
 
 def test_linear_between_rows_and_nothing_outside() -> None:

@@ -9,12 +9,12 @@ import pytest
 
 from armlab import robots
 from armlab.errors import UnknownName
-from armlab.sim.arm import Arm
-from armlab.sim.guidance import Guidance
-from armlab.sim.packets import EPOCH_NS, OPTIONAL_FIELDS, Condition, Packets
-from armlab.sim.settings import Settings
-from armlab.sim.target import Target
-from armlab.sim.truth import synthetic_truth
+from armlab.sim.arm.arm import Arm
+from armlab.sim.arm.truth import synthetic_truth
+from armlab.sim.controller.guidance import Guidance
+from armlab.sim.controller.packets import EPOCH_NS, OPTIONAL_FIELDS, Condition, Packets
+from armlab.sim.controller.reference_decoder import Target
+from armlab.sim.controller.settings import Settings
 from armlab.wire.egm import EgmCodec, Packet, RobotSideCodec, SensorMessage
 from armlab.wire.egm import armlab_egm_pb2 as pb
 

@@ -7,10 +7,9 @@ import pytest
 
 from armlab import identify, robots
 from armlab.errors import ConfigError, ShapeError
-from armlab.sim.arm import Arm
-from armlab.sim.mismatch import Mismatch
-from armlab.sim.recording import record
-from armlab.sim.truth import synthetic_truth
+from armlab.sim.arm.arm import Arm, record
+from armlab.sim.arm.mismatch import Mismatch
+from armlab.sim.arm.truth import synthetic_truth
 
 ROBOT = robots.load("yumi_left")
 TRUTH = synthetic_truth(ROBOT)

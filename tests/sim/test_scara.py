@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armlab.sim.scara import scara
+from armlab.sim.arm.arm import scara
 from armlab.wire.egm import EgmCodec, Packet, RobotMessage, RobotSideCodec
 from armlab.wire.egm import armlab_egm_pb2 as pb
 

@@ -7,11 +7,7 @@ import pytest
 
 from armlab import robots
 from armlab.errors import ShapeError
-from armlab.sim.grip import Grip
-from armlab.sim.hand import HandPath
-from armlab.sim.operator import Operator
-from armlab.sim.scene import Scene
-from armlab.sim.script import MOTORS, RAPID, Script
+from armlab.sim.events import MOTORS, RAPID, Grip, HandPath, Operator, Scene, Script
 
 
 def test_readiness() -> None:

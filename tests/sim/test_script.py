@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from armlab.errors import ConfigError, UnknownName
-from armlab.sim.script import MOTORS, RAPID, Script
+from armlab.sim.events import MOTORS, RAPID, Script
 
 
 def test_states_over_time() -> None:

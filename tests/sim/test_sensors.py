@@ -7,10 +7,10 @@ import pytest
 
 from armlab import robots
 from armlab.errors import ConfigError
-from armlab.sim.arm import Arm
-from armlab.sim.mismatch import Mismatch
-from armlab.sim.sensors import Measurement, Sensors
-from armlab.sim.truth import synthetic_truth
+from armlab.sim.arm.arm import Arm
+from armlab.sim.arm.mismatch import Mismatch
+from armlab.sim.arm.sensors import Measurement, Sensors
+from armlab.sim.arm.truth import synthetic_truth
 
 ROBOT = robots.load("yumi_left")
 TRUTH = synthetic_truth(ROBOT).without("noise")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from armlab.errors import ConfigError, UnknownName
-from armlab.sim.settings import Settings
+from armlab.sim.controller.settings import Settings
 
 
 def test_the_period_follows_the_mode_where_none_is_given() -> None:

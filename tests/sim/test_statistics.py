@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from armlab.sim.statistics import Event, Statistics
+from armlab.sim.controller.statistics import Event, Statistics
 
 
 def test_round_trips_leave_out_the_first_second() -> None:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.sim.drive import Drive
-from armlab.sim.settings import Settings
-from armlab.sim.target import Target, has_numbers, is_number
+from armlab.sim.arm.drive import Drive
+from armlab.sim.controller.reference_decoder import Target, has_numbers, is_number
+from armlab.sim.controller.settings import Settings
 from armlab.wire.egm import SensorMessage
 
 ROBOT = robots.load("yumi_right")

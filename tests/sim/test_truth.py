@@ -7,7 +7,7 @@ import pytest
 
 from armlab import robots
 from armlab.errors import ConfigError, ShapeError, UnknownName
-from armlab.sim.truth import Truth, cylinder, synthetic_truth, truth_names
+from armlab.sim.arm.truth import Truth, cylinder, synthetic_truth, truth_names
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 G_LEFT = [6.20953, 5.37511, -0.02260, 0.53069, -0.00042, -0.02481, 0.0]

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.sim.friction import Friction
-from armlab.sim.mismatch import Mismatch
-from armlab.sim.truth import synthetic_truth
-from armlab.sim.worn_friction import WARM_TIME, WornFriction
+from armlab.sim.arm.friction import WARM_TIME, Friction, WornFriction
+from armlab.sim.arm.mismatch import Mismatch
+from armlab.sim.arm.truth import synthetic_truth
 
 ROBOT = robots.load("yumi_left")
 TRUTH = synthetic_truth(ROBOT).without("offset")

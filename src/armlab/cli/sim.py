@@ -17,15 +17,14 @@ from armlab._interrupts import deferred
 from armlab.cli import FAILED, INTERRUPTED
 from armlab.cli.sim_options import Around, Content, FaultOptions
 from armlab.errors import ConfigError
-from armlab.sim.mismatch import Mismatch
-from armlab.sim.settings import Settings
+from armlab.sim.arm.mismatch import Mismatch
+from armlab.sim.controller.settings import Settings
 
 if TYPE_CHECKING:
     from armlab.robots import Robot
-    from armlab.sim.arm import Arm
-    from armlab.sim.channel import Channel
-    from armlab.sim.lagging import LaggingArm
-    from armlab.sim.statistics import Event
+    from armlab.sim.arm.arm import Arm, LaggingArm
+    from armlab.sim.controller.channel import Channel
+    from armlab.sim.controller.statistics import Event
 
 __all__ = ["sim"]
 
@@ -102,7 +101,7 @@ def sim(
     """
     from armlab.cli.output import note
     from armlab.cli.sim_files import Written, truth_writer
-    from armlab.sim.loop import Pace, run
+    from armlab.sim.controller.cycles import Pace, run
 
     os.environ.setdefault("MUJOCO_GL", "disable")  # nothing is drawn: MuJoCo need not load what opens windows
     parent = os.getppid() if parent is None else parent  # now, before anything takes time in which it could end
@@ -188,10 +187,9 @@ class _Cell:
     def channel(self, name: str, address: tuple[str, int], index: int, seed: list[int]) -> Channel:
         """Return one simulated robot with its socket."""
         from armlab.cli.links import simulated
-        from armlab.sim.channel import Channel
-        from armlab.sim.controller import Controller
-        from armlab.sim.faults import Faults
-        from armlab.sim.packets import Packets
+        from armlab.sim.controller.channel import Channel, Faults
+        from armlab.sim.controller.controller import Controller
+        from armlab.sim.controller.packets import Packets
         from armlab.wire.egm import RobotSideCodec
 
         content, settings = self.content, self.settings
@@ -221,9 +219,8 @@ class _Cell:
         return Channel(controller, *address, *ways, phase=index * self.phase)
 
     def _arm(self, robot: Robot, seed: list[int]) -> Arm | LaggingArm:
-        from armlab.sim.arm import Arm
-        from armlab.sim.lagging import LaggingArm
-        from armlab.sim.truth import synthetic_truth, truth_names
+        from armlab.sim.arm.arm import Arm, LaggingArm
+        from armlab.sim.arm.truth import synthetic_truth, truth_names
 
         period = self.settings.period
         if self.content.lagging or robot.name not in truth_names():

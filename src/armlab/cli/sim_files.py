@@ -12,12 +12,11 @@ import numpy as np
 
 from armlab.cli.texts import read_text
 from armlab.errors import ConfigError, LogError
-from armlab.sim.hand import HandPath
-from armlab.sim.operator import Operator
+from armlab.sim.events import HandPath, Operator
 
 if TYPE_CHECKING:
-    from armlab.sim.channel import Channel
-    from armlab.sim.controller import Controller
+    from armlab.sim.controller.channel import Channel
+    from armlab.sim.controller.controller import Controller
 
 __all__ = ["Written", "read_hand", "read_operator", "truth_writer"]
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from armlab.errors import ConfigError
-from armlab.sim.fault_rates import FaultRates
+from armlab.sim.controller.settings import FaultRates
 
 if TYPE_CHECKING:
     from armlab.robots import Robot

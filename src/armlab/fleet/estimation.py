@@ -12,9 +12,8 @@ import numpy as np
 from armlab.contact import Estimator, contacts
 from armlab.contact.estimator import Method
 from armlab.errors import LogError
-from armlab.fleet.logs import Log, as_table, named
+from armlab.fleet.logs import Log, as_table, named, targets
 from armlab.fleet.mapping import Done, Progress, each
-from armlab.fleet.targets import targets
 from armlab.identify import with_velocity
 from armlab.log import write
 from armlab.models import TorqueModel

@@ -1,23 +1,25 @@
-"""`each`: one piece of work per log on any executor, with results in order, failures by name, and no log lost.
+"""`map_logs`: one piece of work per log on any executor, with results in order, failures by name, and no log lost.
 
 A killed worker of a process pool breaks the pool and every job in it. What was finished is kept, the rest starts again
 in a new pool; then the jobs that were under way are tried one by one, and one that ends its worker again is skipped.
 Dask starts its workers anew by itself, and blames every job that waited at workers that died: those are tried one by
 one in the same way.
+
+`workers`: processes of this computer or a Dask cluster to run it on.
 """
 
 from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
+from contextlib import contextmanager
 from dataclasses import dataclass
+from multiprocessing import get_context
 from typing import Any, Generic, TypeVar
 
-from armlab.errors import ArmlabError, ConfigError, LogError
-
-__all__ = ["Done", "Progress", "each"]
+from armlab.errors import ArmlabError, ConfigError, LinkError, LogError, MissingExtra
 
 Progress = Callable[[int, int, str], None]
 Result = TypeVar("Result")
@@ -225,3 +227,46 @@ def _guarded(work: Callable[..., Result], job: Any, *shared: Any) -> tuple[bool,
         return True, work(job, *shared)
     except (ArmlabError, OSError, MemoryError) as error:
         return False, str(error) or type(error).__name__
+
+
+_PATIENCE = "10s"  # for a scheduler that is there
+
+
+@contextmanager
+def workers(count: int = 1, dask: str | None = None) -> Iterator[Executor | None]:
+    """Yield an executor for the block; None where one process is enough.
+
+    Parameters
+    ----------
+    count : processes on this computer. dask : address of a Dask scheduler, which is used instead.
+
+    Raises
+    ------
+    ConfigError : less than one process. MissingExtra : Dask is not installed. LinkError : nobody answers there.
+    """
+    if count < 1:
+        raise ConfigError(f"Expected at least one worker, got {count}.")
+    if dask is None:
+        if count == 1:
+            yield None
+            return
+        # Not forked: threads of this process, of BLAS and of others, are not in a copy, but their locks are.
+        with ProcessPoolExecutor(count, mp_context=get_context("spawn")) as pool:
+            yield pool
+        return
+    try:
+        from distributed import Client
+    except ImportError:
+        raise MissingExtra(
+            "Expected Dask for workers on several computers, got no package distributed. "
+            "Run pip install 'armlab[cluster]'."
+        ) from None
+    try:
+        client = Client(dask, timeout=_PATIENCE)
+    except (OSError, ValueError) as error:
+        raise LinkError(
+            f"Expected a Dask scheduler at {dask}, got: {error}. Start it by dask scheduler "
+            "--host 127.0.0.1 --dashboard-address 127.0.0.1:8787."
+        ) from None
+    with client:
+        yield client.get_executor(pure=False)
