@@ -8,7 +8,7 @@ import pytest
 from armlab import calibrate, sim
 from armlab.errors import ConfigError
 from armlab.lie import se3, so3
-from armlab.sim.experiments.cell import Cell, cell
+from armlab.sim.experiments.cell import CalibrationCell, cell
 
 
 def distance(T_a: np.ndarray, T_b: np.ndarray) -> tuple[float, float]:
@@ -16,7 +16,7 @@ def distance(T_a: np.ndarray, T_b: np.ndarray) -> tuple[float, float]:
 
 
 def test_a_cell_is_its_seed() -> None:
-    assert sim.cell(3) == Cell(3)
+    assert sim.cell(3) == CalibrationCell(3)
     one, same, other = (cell(seed).hand_eye(2) for seed in (7, 7, 8))
     np.testing.assert_array_equal(one.B, same.B)
     assert np.abs(one.B - other.B).max() > 0.1

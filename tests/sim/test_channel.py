@@ -13,23 +13,23 @@ import pytest
 
 from armlab import robots
 from armlab.errors import LinkError
-from armlab.sim.arm.arm import Arm
+from armlab.sim.arm.arm import SimulatedArm
 from armlab.sim.arm.truth import synthetic_truth
-from armlab.sim.controller.channel import Channel
-from armlab.sim.controller.controller import Controller
-from armlab.sim.controller.settings import Settings
+from armlab.sim.controller.channel import UdpClient
+from armlab.sim.controller.controller import SimulatedController
+from armlab.sim.controller.settings import ControllerSettings
 from armlab.wire.egm import RobotSideCodec
 
 ROBOT = robots.load("yumi_right")
 MakePeer = Callable[..., Any]
 
 
-def channel(port: int, host: str = "127.0.0.1", seed: int = 0) -> Channel:
-    arm = Arm(ROBOT, synthetic_truth(ROBOT), seed=seed)
-    return Channel(Controller(arm, RobotSideCodec(ROBOT, extension=True), Settings()), host, port)
+def channel(port: int, host: str = "127.0.0.1", seed: int = 0) -> UdpClient:
+    arm = SimulatedArm(ROBOT, synthetic_truth(ROBOT), seed=seed)
+    return UdpClient(SimulatedController(arm, RobotSideCodec(ROBOT, extension=True), ControllerSettings()), host, port)
 
 
-def cycles(client: Channel, count: int) -> None:
+def cycles(client: UdpClient, count: int) -> None:
     for _ in range(count):
         client.prepare()
         client.send()

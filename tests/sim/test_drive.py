@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from armlab.sim.arm.drive import INTEGRAL_TIME, POSITION_GAIN, VELOCITY_GAIN, Drive
+from armlab.sim.arm.drive import INTEGRAL_TIME, POSITION_GAIN, VELOCITY_GAIN, JointDrives
 
 INERTIA, TAU_MAX = np.array([0.2, 0.1]), np.array([40.0, 5.0])
 ZERO = np.zeros(2)
 
 
-def drive() -> Drive:
-    return Drive(INERTIA, TAU_MAX, np.array([0.9, 0.9]), 1e-3)
+def drive() -> JointDrives:
+    return JointDrives(INERTIA, TAU_MAX, np.array([0.9, 0.9]), 1e-3)
 
 
 def test_law_without_integral() -> None:

@@ -7,11 +7,11 @@ import pytest
 
 from armlab.errors import ConfigError
 from armlab.sim.controller.guidance import ExternalAxes
-from armlab.sim.controller.settings import Settings
+from armlab.sim.controller.settings import ControllerSettings
 
 
 def test_axes_follow_no_faster_than_one_radian_a_second() -> None:
-    axes = ExternalAxes(2, Settings())
+    axes = ExternalAxes(2, ControllerSettings())
     axes.follow(None)
     axes.follow(np.array([1.0]))
     np.testing.assert_array_equal(axes.q, 0.0)
@@ -26,4 +26,4 @@ def test_axes_follow_no_faster_than_one_radian_a_second() -> None:
 @pytest.mark.parametrize("count", [-1, 7])
 def test_counts_that_egm_does_not_have(count: int) -> None:
     with pytest.raises(ConfigError, match="external"):
-        ExternalAxes(count, Settings())
+        ExternalAxes(count, ControllerSettings())

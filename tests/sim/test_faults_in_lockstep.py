@@ -19,8 +19,8 @@ from armlab.bridge.surplus import Surplus
 from armlab.bridge.waiting import Waiting
 from armlab.sim.arm.arm import LaggingArm
 from armlab.sim.controller.channel import Faults
-from armlab.sim.controller.controller import Controller
-from armlab.sim.controller.settings import FaultRates, Settings
+from armlab.sim.controller.controller import SimulatedController
+from armlab.sim.controller.settings import ControllerSettings, FaultRates
 from armlab.state import Command, State
 from armlab.wire.egm import EgmCodec, Packet, RobotSideCodec
 
@@ -45,7 +45,9 @@ class Wire:
 
     def __init__(self, outgoing: FaultRates, incoming: FaultRates) -> None:
         codec = RobotSideCodec(ROBOT, extension=True)
-        self.controller = Controller(LaggingArm(ROBOT, PERIOD, MIDDLE), codec, Settings(period=PERIOD))
+        self.controller = SimulatedController(
+            LaggingArm(ROBOT, PERIOD, MIDDLE), codec, ControllerSettings(period=PERIOD)
+        )
         self._out, self._in = Faults(outgoing, [7, 1], PERIOD), Faults(incoming, [7, 2], PERIOD)
         self._packets, self._replies = deque[bytes](), list[tuple[int, bytes]]()
         self._eyes, self.depth = EgmCodec(ROBOT, extension=True), -1
@@ -91,7 +93,7 @@ def play(monkeypatch: pytest.MonkeyPatch) -> Any:
 
     leaves_out = Surplus.leaves_out
 
-    def run(outgoing: FaultRates, incoming: FaultRates, seconds: float) -> tuple[Any, Controller]:
+    def run(outgoing: FaultRates, incoming: FaultRates, seconds: float) -> tuple[Any, SimulatedController]:
         wire = Wire(outgoing, incoming)
         monkeypatch.setattr(Waiting, "next", lambda waiting, seconds: wire.next())
         monkeypatch.setattr(Port, "receive", lambda port: wire.receive())
@@ -108,7 +110,7 @@ def play(monkeypatch: pytest.MonkeyPatch) -> Any:
     return run
 
 
-def check(found: Any, controller: Controller) -> None:
+def check(found: Any, controller: SimulatedController) -> None:
     table, counted = found.table, found.statistics
     assert found.reason == "the time is up"
     assert not controller.dead

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.sim.arm.friction import Friction
+from armlab.sim.arm.friction import JointFriction
 from armlab.sim.arm.truth import Truth, synthetic_truth
 
 STEP = 1e-3
@@ -17,7 +17,7 @@ def truth() -> Truth:
     return synthetic_truth(robots.load("yumi_left")).without("ripple", "offset")
 
 
-def slide(friction: Friction, speed: float, distance: float) -> np.ndarray:
+def slide(friction: JointFriction, speed: float, distance: float) -> np.ndarray:
     """Move all joints at one speed; return the friction torque at the end."""
     qd = np.full(7, speed)
     for _ in range(max(1, round(distance / abs(speed) / STEP))):
@@ -29,16 +29,16 @@ def slide(friction: Friction, speed: float, distance: float) -> np.ndarray:
 def test_constant_speed_gives_the_stribeck_curve(truth: Truth, speed: float) -> None:
     bump = 1 + 0.3 * np.exp(-((speed / 0.05) ** 2))
     np.testing.assert_allclose(
-        slide(Friction(truth), speed, 0.01), truth.coulomb_pos * bump + truth.viscous * speed, rtol=1e-6
+        slide(JointFriction(truth), speed, 0.01), truth.coulomb_pos * bump + truth.viscous * speed, rtol=1e-6
     )
     np.testing.assert_allclose(
-        slide(Friction(truth), -speed, 0.01), -truth.coulomb_neg * bump - truth.viscous * speed, rtol=1e-6
+        slide(JointFriction(truth), -speed, 0.01), -truth.coulomb_neg * bump - truth.viscous * speed, rtol=1e-6
     )
 
 
 def test_break_away_is_at_static_friction(truth: Truth) -> None:
     """A slowly growing torque on a free mass: it creeps within the presliding distance, then it goes."""
-    friction, inertia = Friction(truth), np.full(7, 0.2)
+    friction, inertia = JointFriction(truth), np.full(7, 0.2)
     qd, q, broke = np.zeros(7), np.zeros(7), np.full(7, np.nan)
     for share in np.linspace(0.0, 1.6, 40000):
         tau = share * truth.coulomb_pos
@@ -52,7 +52,7 @@ def test_break_away_is_at_static_friction(truth: Truth) -> None:
 
 def test_it_sticks_at_rest(truth: Truth) -> None:
     """A mass under 90 % of the static friction comes to rest within a few presliding distances and stays."""
-    friction, qd, q = Friction(truth), np.zeros(7), np.zeros(7)
+    friction, qd, q = JointFriction(truth), np.zeros(7), np.zeros(7)
     tau, inertia = 1.17 * truth.coulomb_pos, 0.2
     damping = 10.0  # a drive's velocity gain; without one the bristle springs ring
     track = []
@@ -67,7 +67,7 @@ def test_it_sticks_at_rest(truth: Truth) -> None:
 
 
 def test_presliding_is_a_spring_with_hysteresis(truth: Truth) -> None:
-    friction = Friction(truth)
+    friction = JointFriction(truth)
     dq = np.full(7, 1e-8)
     friction.advance(dq, np.zeros(7))
     np.testing.assert_allclose(friction.bristle, truth.coulomb_pos / truth.delta * 1e-8, rtol=1e-3)
@@ -86,7 +86,7 @@ def test_presliding_is_a_spring_with_hysteresis(truth: Truth) -> None:
 
 
 def test_the_state_is_kept_at_rest_and_survives_tiny_steps(truth: Truth) -> None:
-    friction = Friction(truth)
+    friction = JointFriction(truth)
     slide(friction, 0.1, 0.01)
     held = friction.bristle.copy()
     for _ in range(1000):
@@ -95,7 +95,7 @@ def test_the_state_is_kept_at_rest_and_survives_tiny_steps(truth: Truth) -> None
 
 
 def test_step_length_does_not_matter_at_constant_speed(truth: Truth) -> None:
-    coarse, fine = Friction(truth), Friction(truth)
+    coarse, fine = JointFriction(truth), JointFriction(truth)
     qd = np.full(7, 0.05)
     coarse.advance(2e-4 * np.ones(7), qd)
     for _ in range(200):
@@ -105,7 +105,7 @@ def test_step_length_does_not_matter_at_constant_speed(truth: Truth) -> None:
 
 def test_ripple_and_offset() -> None:
     truth = synthetic_truth(robots.load("yumi_left"))
-    friction, q = Friction(truth), np.linspace(-1, 1, 7)
+    friction, q = JointFriction(truth), np.linspace(-1, 1, 7)
     expected = truth.offset + truth.ripple * np.sin(truth.ripple_cycles * q + np.arange(7))
     np.testing.assert_allclose(friction.torque(q, np.zeros(7), np.empty(7)), expected, rtol=1e-12)
     turn = friction.torque(q + 2 * np.pi / truth.ripple_cycles, np.zeros(7), np.empty(7))

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.sim.controller.inbox import QUEUE_LENGTH, Inbox, Sent
-from armlab.sim.controller.settings import Settings
+from armlab.sim.controller.inbox import QUEUE_LENGTH, ReplyQueue, Sent
+from armlab.sim.controller.settings import ControllerSettings
 from armlab.sim.controller.statistics import Statistics
 from armlab.wire.egm import Drop, EgmCodec, Reference, RobotSideCodec, SensorMessage
 
@@ -17,19 +17,19 @@ ROBOT = robots.load("yumi_right")
 LATE = 2.0  # s, after the first second
 
 
-def inbox(**changes: Any) -> tuple[Inbox, Statistics]:
+def inbox(**changes: Any) -> tuple[ReplyQueue, Statistics]:
     statistics = Statistics()
-    box = Inbox(RobotSideCodec(ROBOT), statistics, Settings(**changes))
+    box = ReplyQueue(RobotSideCodec(ROBOT), statistics, ControllerSettings(**changes))
     return box, statistics
 
 
-def send(box: Inbox, count: int, same_tm: int = 1) -> None:
+def send(box: ReplyQueue, count: int, same_tm: int = 1) -> None:
     for k in range(count):
         box.note(Sent(k, 10_000 + 4 * (k // same_tm), 100 + k, True))
         box.stamp(10**9 + 4_000_000 * k, LATE)
 
 
-def matched(box: Inbox, message: SensorMessage, arrival_ns: int = 0) -> int | None:
+def matched(box: ReplyQueue, message: SensorMessage, arrival_ns: int = 0) -> int | None:
     sent = box.match(message, arrival_ns, LATE)
     return sent and sent.seq
 

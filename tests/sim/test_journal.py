@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from armlab.sim.controller.statistics import Event, Journal, Statistics
+from armlab.sim.controller.statistics import ControllerEvent, EventLog, Statistics
 from armlab.wire.egm import Drop
 
 
 def test_drops_are_told_once_per_kind_and_session() -> None:
-    statistics, heard = Statistics(), list[Event]()
-    journal = Journal("yumi_left", statistics, heard.append)
+    statistics, heard = Statistics(), list[ControllerEvent]()
+    journal = EventLog("yumi_left", statistics, heard.append)
     for session in range(2):
         for _ in range(3):
             journal.drop(1.0 + session, Drop("no header", "4 bytes"), b"\1\2\3\4")
@@ -23,5 +23,5 @@ def test_drops_are_told_once_per_kind_and_session() -> None:
 
 def test_events_are_kept_without_a_listener() -> None:
     statistics = Statistics()
-    Journal("yumi_left", statistics, None).tell(0.5, 41822, "No data")
-    assert list(statistics.events) == [Event(0.5, "yumi_left", 41822, "No data")]
+    EventLog("yumi_left", statistics, None).tell(0.5, 41822, "No data")
+    assert list(statistics.events) == [ControllerEvent(0.5, "yumi_left", 41822, "No data")]

@@ -11,12 +11,12 @@ import pytest
 
 from armlab import robots
 from armlab.errors import ConfigError
-from armlab.sim.arm.arm import Arm
+from armlab.sim.arm.arm import SimulatedArm
 from armlab.sim.arm.truth import synthetic_truth
-from armlab.sim.controller.channel import Channel, Faults
-from armlab.sim.controller.controller import Controller
-from armlab.sim.controller.cycles import Pace, run
-from armlab.sim.controller.settings import FaultRates, Settings
+from armlab.sim.controller.channel import Faults, UdpClient
+from armlab.sim.controller.controller import SimulatedController
+from armlab.sim.controller.cycles import Timing, run
+from armlab.sim.controller.settings import ControllerSettings, FaultRates
 from armlab.wire.egm import RobotSideCodec
 
 RIGHT, LEFT = robots.load("yumi_right"), robots.load("yumi_left")
@@ -25,19 +25,19 @@ MakePeer = Callable[..., Any]
 
 def channel(
     port: int, seed: int = 0, robot: Any = RIGHT, rates: FaultRates | None = None, phase: float = 0.0, **changes: Any
-) -> Channel:
-    settings = Settings(**changes)
-    arm = Arm(robot, synthetic_truth(robot), period=settings.period, seed=seed)
-    controller = Controller(arm, RobotSideCodec(robot, extension=True), settings)
+) -> UdpClient:
+    settings = ControllerSettings(**changes)
+    arm = SimulatedArm(robot, synthetic_truth(robot), period=settings.period, seed=seed)
+    controller = SimulatedController(arm, RobotSideCodec(robot, extension=True), settings)
     faults = [Faults(rates, [seed, i], settings.period) if rates else None for i in (0, 1)]
-    return Channel(controller, "127.0.0.1", port, *faults, phase=phase)
+    return UdpClient(controller, "127.0.0.1", port, *faults, phase=phase)
 
 
-def lockstep(make_peer: MakePeer, seed: int, rates: FaultRates | None = None) -> tuple[str, bytes, Channel]:
+def lockstep(make_peer: MakePeer, seed: int, rates: FaultRates | None = None) -> tuple[str, bytes, UdpClient]:
     """Two seconds of lockstep; return the digest of the packets, the final state of the arm, the channel."""
     peer = make_peer(RIGHT)
     client = channel(peer.port, seed, rates=rates)
-    assert run([client], Pace(lockstep=True, seconds=2.0)) == "the time is up"
+    assert run([client], Timing(lockstep=True, seconds=2.0)) == "the time is up"
     assert rates is not None or client.controller.statistics.counts["missed"] == 0
     digest = peer.digest.hexdigest()
     return digest, client.controller.arm.sample.q.tobytes(), client
@@ -56,7 +56,7 @@ def test_lockstep_same_seed_same_bytes(make_peer: MakePeer, rates: FaultRates | 
 def test_lockstep_counts_robot_time_exactly(make_peer: MakePeer) -> None:
     peer = make_peer(RIGHT)
     client = channel(peer.port)
-    run([client], Pace(lockstep=True, seconds=4.0))
+    run([client], Timing(lockstep=True, seconds=4.0))
     assert len(peer.packets) == 993
     steps = np.diff([p.robot_ns for p in peer.packets])
     assert (steps == 4_032_000).all()
@@ -65,7 +65,7 @@ def test_lockstep_counts_robot_time_exactly(make_peer: MakePeer) -> None:
 def test_lockstep_gives_a_gone_peer_up(make_peer: MakePeer) -> None:
     peer = make_peer(RIGHT, lambda k, packet, reply: [reply] if k < 50 else [])
     client = channel(peer.port)
-    reason = run([client], Pace(lockstep=True, patience=0.05, gone=0.3))
+    reason = run([client], Timing(lockstep=True, patience=0.05, gone=0.3))
     assert "the peer is gone" in reason
     statistics = client.controller.statistics
     assert statistics.counts["replies"] == 50
@@ -82,14 +82,14 @@ def test_a_pause_of_the_peer_does_not_move_robot_time(make_peer: MakePeer) -> No
         return [reply]
 
     peer = make_peer(RIGHT, answer)
-    run([channel(peer.port)], Pace(lockstep=True, seconds=1.0))
+    run([channel(peer.port)], Timing(lockstep=True, seconds=1.0))
     assert [p.seqno for p in peer.packets] == list(range(len(peer.packets)))
 
 
 @pytest.mark.parametrize("changes", [{"seconds": -1.0}, {"seconds": np.nan}, {"patience": np.nan}, {"gone": -1.0}])
 def test_times_that_make_no_sense_are_refused(changes: dict[str, float]) -> None:
     with pytest.raises(ConfigError, match=next(iter(changes))):
-        Pace(**changes)
+        Timing(**changes)
 
 
 def test_lateness_counts_the_late_cycles_too(make_peer: MakePeer) -> None:
@@ -101,7 +101,7 @@ def test_lateness_counts_the_late_cycles_too(make_peer: MakePeer) -> None:
             late.append(client.controller.seq)
             time.sleep(0.03)
 
-    run([client], Pace(seconds=2.0), observe=observe)
+    run([client], Timing(seconds=2.0), observe=observe)
     assert client.controller.statistics.as_dict()["wake_up_late_us"]["max"] > 20_000
 
 
@@ -112,7 +112,7 @@ def test_it_ends_with_the_process_that_started_it(make_peer: MakePeer) -> None:
         calls.append(0)
         return len(calls) < 20
 
-    assert "has ended" in run([channel(peer.port)], Pace(lockstep=True), alive=alive)
+    assert "has ended" in run([channel(peer.port)], Timing(lockstep=True), alive=alive)
     assert len(peer.packets) <= 20
 
 
@@ -125,15 +125,15 @@ def test_a_dead_controller_ends_the_run(make_peer: MakePeer) -> None:
         return [EgmCodec(RIGHT).encode(Reference(np.full(7, np.nan), None, None, k, packet.tm_ms))]
 
     client = channel(make_peer(RIGHT, answer).port)
-    assert "10014" in run([client], Pace(lockstep=True, seconds=5.0))
+    assert "10014" in run([client], Timing(lockstep=True, seconds=5.0))
     assert client.controller.dead
 
 
 def test_two_arms_in_one_process(make_peer: MakePeer) -> None:
     peers = [make_peer(RIGHT), make_peer(LEFT)]
     clients = [channel(peers[0].port), channel(peers[1].port, 1, LEFT)]
-    seen: list[Channel] = []
-    run(clients, Pace(lockstep=True, seconds=0.5), observe=seen.append)
+    seen: list[UdpClient] = []
+    run(clients, Timing(lockstep=True, seconds=0.5), observe=seen.append)
     assert seen[:4] == clients * 2
     times = [[p.robot_ns for p in peer.packets] for peer in peers]
     assert times[0] == times[1]
@@ -144,7 +144,7 @@ def test_real_time_keeps_the_period(make_peer: MakePeer) -> None:
     peer = make_peer(RIGHT)
     client = channel(peer.port)
     begin = time.monotonic()
-    assert run([client], Pace(seconds=1.5)) == "the time is up"
+    assert run([client], Timing(seconds=1.5)) == "the time is up"
     assert time.monotonic() - begin >= 1.5, "real time does not run ahead of the clock"
     statistics = client.controller.statistics
     assert statistics.counts["packets"] + statistics.counts["skipped"] >= 372
@@ -160,7 +160,7 @@ def test_missed_cycles_are_skipped_not_sent_in_a_burst(make_peer: MakePeer) -> N
         if client.controller.seq == 50 and not stalled:
             stalled.append(time.sleep(0.05) or 0.0)
 
-    run([client], Pace(seconds=0.5), observe=observe)
+    run([client], Timing(seconds=0.5), observe=observe)
     assert client.controller.statistics.counts["skipped"] >= 10
     gaps = np.diff([p.robot_ns for p in peer.packets]) / 4_032_000
     assert gaps.max() >= 10, "robot time went on while the process slept"
@@ -171,7 +171,7 @@ def test_a_listener_hears_a_stream_in_lockstep_at_the_pace_of_the_robot(make_pee
     """It never answers, so there is nothing to wait for; a peer that answers is waited for as ever."""
     silent = make_peer(RIGHT, lambda k, packet, reply: [])
     begin = time.monotonic()
-    assert run([channel(silent.port, program="stream")], Pace(lockstep=True, seconds=0.4)) == "the time is up"
+    assert run([channel(silent.port, program="stream")], Timing(lockstep=True, seconds=0.4)) == "the time is up"
     assert 0.4 <= time.monotonic() - begin < 5.0
     assert [p.seqno for p in silent.packets] == list(range(100))
 
@@ -181,7 +181,7 @@ def test_a_listener_hears_a_stream_in_lockstep_at_the_pace_of_the_robot(make_pee
 
     slow = make_peer(RIGHT, slowly)
     client = channel(slow.port, program="stream")
-    run([client], Pace(lockstep=True, seconds=0.4))
+    run([client], Timing(lockstep=True, seconds=0.4))
     assert client.controller.statistics.counts["replies"] == len(slow.packets) == 100
 
 
@@ -192,11 +192,11 @@ def test_what_the_machine_skips_is_told_from_what_the_simulator_skips(make_peer:
         client = channel(make_peer(RIGHT).port)
         done: list[float] = []
 
-        def observe(_: Channel, client: Any = client, stall: Any = stall, done: list[float] = done) -> None:
+        def observe(_: UdpClient, client: Any = client, stall: Any = stall, done: list[float] = done) -> None:
             if client.controller.seq == 280 and not done:  # of 496, of which a busy machine skips many
                 done.append(stall(0.03) or 0.0)
 
-        run([client], Pace(seconds=2.0), observe=observe)
+        run([client], Timing(seconds=2.0), observe=observe)
         found = client.controller.statistics.as_dict()
         counts.append((found["counts"].get("overruns", 0), found["counts"]["skipped"], found["work_us"]["max"]))
     waited, computed = counts
@@ -217,12 +217,12 @@ def test_two_arms_share_the_clock_and_keep_their_phase(make_peer: MakePeer) -> N
     clients = [channel(peers[0].port), channel(peers[1].port, 1, LEFT, phase=0.002)]
     stalled: list[float] = []
 
-    def observe(which: Channel) -> None:
+    def observe(which: UdpClient) -> None:
         if which is clients[0] and which.controller.seq == 40 and not stalled:
             stalled.append(time.sleep(0.2) or 0.0)  # longer than what the arm makes up
 
     begin = time.monotonic()
-    run(clients, Pace(seconds=0.6), observe=observe)
+    run(clients, Timing(seconds=0.6), observe=observe)
     assert time.monotonic() - begin >= 0.6
     cycles = [client.controller.cycle for client in clients]
     assert abs(cycles[0] - cycles[1]) <= 1, "also after a stall the robot times agree"
@@ -247,6 +247,6 @@ def test_lockstep_waits_for_no_packet_that_faults_hold_back(make_peer: MakePeer,
         client._outgoing = Faults(rates, 5) if outgoing else None
         client._incoming = Faults(rates, 6) if incoming else None
         begin = time.monotonic()
-        assert run([client], Pace(lockstep=True, seconds=1.0, patience=60.0)) == "the time is up"
+        assert run([client], Timing(lockstep=True, seconds=1.0, patience=60.0)) == "the time is up"
         assert time.monotonic() - begin < 50.0
         assert client.controller.statistics.counts["replies"] > 100

@@ -10,7 +10,7 @@ import pytest
 from armlab import robots
 from armlab.errors import ConfigError
 from armlab.robots import inertia
-from armlab.sim.arm.arm import Arm
+from armlab.sim.arm.arm import SimulatedArm
 from armlab.sim.arm.mismatch import Mismatch
 from armlab.sim.arm.truth import Truth, synthetic_truth
 
@@ -40,7 +40,7 @@ REPORTED = {
 }
 
 
-def sway(arm: Arm, seconds: float = 0.5) -> np.ndarray:
+def sway(arm: SimulatedArm, seconds: float = 0.5) -> np.ndarray:
     """Torques that a short sway needs, and what is reported of it (4, K, n): exact torque, then q, qd, tau."""
     rows = []
     for k in range(1, round(seconds / T)):
@@ -54,24 +54,24 @@ def sway(arm: Arm, seconds: float = 0.5) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def plain() -> np.ndarray:
-    return sway(Arm(ROBOT, TRUTH, seed=3))
+    return sway(SimulatedArm(ROBOT, TRUTH, seed=3))
 
 
 def test_nothing_turned_nothing_changed(plain: np.ndarray) -> None:
-    np.testing.assert_array_equal(sway(Arm(ROBOT, TRUTH, seed=3, mismatch=Mismatch(seed=5))), plain)
+    np.testing.assert_array_equal(sway(SimulatedArm(ROBOT, TRUTH, seed=3, mismatch=Mismatch(seed=5))), plain)
     assert Mismatch().robot(ROBOT) is ROBOT
     assert Mismatch().truth(TRUTH, ROBOT) is TRUTH
 
 
 @pytest.mark.parametrize("knob", MOVED)
 def test_the_arm_needs_another_torque(knob: str, plain: np.ndarray) -> None:
-    found = sway(Arm(ROBOT, TRUTH, seed=3, mismatch=Mismatch(**{knob: MOVED[knob]})))
+    found = sway(SimulatedArm(ROBOT, TRUTH, seed=3, mismatch=Mismatch(**{knob: MOVED[knob]})))
     assert np.abs(found[0] - plain[0]).max() > 1e-5
 
 
 @pytest.mark.parametrize("knob", REPORTED)
 def test_the_arm_moves_as_before_and_reports_otherwise(knob: str, plain: np.ndarray) -> None:
-    found = sway(Arm(ROBOT, TRUTH, seed=3, mismatch=Mismatch(**{knob: REPORTED[knob]})))
+    found = sway(SimulatedArm(ROBOT, TRUTH, seed=3, mismatch=Mismatch(**{knob: REPORTED[knob]})))
     np.testing.assert_array_equal(found[0], plain[0])
     assert not np.array_equal(found[1:], plain[1:])
 
@@ -95,14 +95,14 @@ def test_draws_are_seeded_and_independent_of_each_other() -> None:
 
 def test_torque_constants_scale_what_is_measured(plain: np.ndarray) -> None:
     mismatch = Mismatch(torque_constant=0.1, seed=4)
-    found = sway(Arm(ROBOT, TRUTH, seed=3, mismatch=mismatch))
+    found = sway(SimulatedArm(ROBOT, TRUTH, seed=3, mismatch=mismatch))
     np.testing.assert_array_equal(found[3], mismatch.torque_gain(7) * plain[3])
     np.testing.assert_array_equal(found[1:3], plain[1:3])
 
 
 def test_gears_keep_the_power(plain: np.ndarray) -> None:
     mismatch = Mismatch(gear_ratio=0.05, gear_sign=3, seed=4)
-    found = sway(Arm(ROBOT, TRUTH, seed=3, mismatch=mismatch))
+    found = sway(SimulatedArm(ROBOT, TRUTH, seed=3, mismatch=mismatch))
     assert np.count_nonzero(mismatch.position_gain(7) < 0) == 3
     np.testing.assert_allclose(found[2] * found[3], plain[2] * plain[3], rtol=1e-12, atol=1e-15)
     np.testing.assert_array_equal(found[1], mismatch.position_gain(7) * plain[1])
@@ -124,7 +124,7 @@ def test_the_arm_as_built() -> None:
     longer = Mismatch(link_length=0.002).robot(robot)
     assert np.abs(longer.links[1:, :3, 3] - robot.links[1:, :3, 3]).max() <= 0.002
     np.testing.assert_array_equal(longer.links[:, :3, :3], robot.links[:, :3, :3])
-    arm = Arm(robot, TRUTH, mismatch=Mismatch(link_length=0.002))
+    arm = SimulatedArm(robot, TRUTH, mismatch=Mismatch(link_length=0.002))
     np.testing.assert_allclose(arm.sample.T_base_tool, arm.built.chain.forward(arm.sample.q), atol=1e-12)
     assert arm.robot is robot
 

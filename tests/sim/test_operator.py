@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from armlab.errors import ShapeError
-from armlab.sim.events import Operator
+from armlab.sim.events import AppliedWrench
 
 
 def test_linear_between_rows_and_nothing_outside() -> None:
     wrench = np.zeros((3, 6))
     wrench[1] = [5, 0, 0, 0, 0.5, 0]
-    operator = Operator(np.array([1.0, 1.5, 3.0]), wrench)
+    operator = AppliedWrench(np.array([1.0, 1.5, 3.0]), wrench)
     assert operator.at(0.999) is None
     assert operator.at(3.001) is None
     np.testing.assert_allclose(operator.at(1.25), [2.5, 0, 0, 0, 0.25, 0])
@@ -23,7 +23,7 @@ def test_linear_between_rows_and_nothing_outside() -> None:
 
 
 def test_idle_never_touches() -> None:
-    assert Operator.idle().at(0.0) is None
+    assert AppliedWrench.idle().at(0.0) is None
 
 
 @pytest.mark.parametrize(
@@ -37,4 +37,4 @@ def test_idle_never_touches() -> None:
 )
 def test_bad_tables(t: list[float], wrench: np.ndarray, text: str) -> None:
     with pytest.raises(ShapeError, match=text):
-        Operator(np.array(t), wrench)
+        AppliedWrench(np.array(t), wrench)

@@ -9,24 +9,24 @@ import pytest
 
 from armlab import robots
 from armlab.errors import UnknownName
-from armlab.sim.arm.arm import Arm
+from armlab.sim.arm.arm import SimulatedArm
 from armlab.sim.arm.truth import synthetic_truth
 from armlab.sim.controller.guidance import Guidance
-from armlab.sim.controller.packets import EPOCH_NS, OPTIONAL_FIELDS, Condition, Packets
-from armlab.sim.controller.reference_decoder import Target
-from armlab.sim.controller.settings import Settings
+from armlab.sim.controller.packets import EPOCH_NS, OPTIONAL_FIELDS, Condition, PacketBuilder
+from armlab.sim.controller.reference_decoder import ReferenceDecoder
+from armlab.sim.controller.settings import ControllerSettings
 from armlab.wire.egm import EgmCodec, Packet, RobotSideCodec, SensorMessage
 from armlab.wire.egm import armlab_egm_pb2 as pb
 
 ROBOT = robots.load("yumi_left")
-ARM = Arm(ROBOT, synthetic_truth(ROBOT))
+ARM = SimulatedArm(ROBOT, synthetic_truth(ROBOT))
 CONDITION = Condition(seq=5, motors=1, mci=3, rapid=2, converged=False, mode=1, used_seq=4, left=0)
 
 
 def packet(robotware: str = "6.10", external: int = 0, **options: Any) -> bytes:
     codec = RobotSideCodec(ROBOT, robotware, force=options.get("force", False), external=external)
-    guidance = Guidance(ROBOT, Settings(), ROBOT.q_home)
-    packets = Packets(codec, 0.004032, **options)
+    guidance = Guidance(ROBOT, ControllerSettings(), ROBOT.q_home)
+    packets = PacketBuilder(codec, 0.004032, **options)
     return packets.encode(250, ARM, guidance, CONDITION, [0.25] * external)
 
 
@@ -59,7 +59,7 @@ def test_each_field_can_be_left_out(field: str) -> None:
 
 def test_unknown_fields_are_named() -> None:
     with pytest.raises(UnknownName, match="utilizationRate"):
-        Packets(RobotSideCodec(ROBOT), 0.004, fields=["utilisation"])
+        PacketBuilder(RobotSideCodec(ROBOT), 0.004, fields=["utilisation"])
 
 
 @pytest.mark.parametrize("robotware", ["6.10", "7"])
@@ -82,16 +82,18 @@ def test_external_axes_follow_the_seventh() -> None:
 
 
 def test_rapid_sends_back_what_it_heard() -> None:
-    target = Target(ROBOT, Settings())
+    target = ReferenceDecoder(ROBOT, ControllerSettings())
     target.accept(SensorMessage(0, 1, 3, rapid_data=np.arange(5.0), rapid_digital=True), ROBOT.q_home, None)
     condition = Condition(0, 1, 3, 2, False, 1, 0, 0)
     for data in (0, 3):
-        packets = Packets(RobotSideCodec(ROBOT, "7"), 0.004, data=data)
-        found = decode(packets.encode(0, ARM, Guidance(ROBOT, Settings(), ROBOT.q_home), condition, (), target))
+        packets = PacketBuilder(RobotSideCodec(ROBOT, "7"), 0.004, data=data)
+        found = decode(
+            packets.encode(0, ARM, Guidance(ROBOT, ControllerSettings(), ROBOT.q_home), condition, (), target)
+        )
         assert (found.rapid_data.tolist(), found.rapid_digital) == ([0.0, 1.0, 2.0][:data], data > 0)
 
 
 def test_time_is_exact_and_behind_by_the_phase() -> None:
-    packets = Packets(RobotSideCodec(ROBOT), 0.00025, phase=0.0001)
+    packets = PacketBuilder(RobotSideCodec(ROBOT), 0.00025, phase=0.0001)
     assert packets.time_ns(8) == EPOCH_NS + 2_100_000
     assert [packets.tm_ms(cycle) for cycle in range(9)] == [10_000] * 4 + [10_001] * 4 + [10_002]

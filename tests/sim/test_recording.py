@@ -7,7 +7,7 @@ import pytest
 
 from armlab import identify, robots
 from armlab.errors import ConfigError, ShapeError
-from armlab.sim.arm.arm import Arm, record
+from armlab.sim.arm.arm import SimulatedArm, record
 from armlab.sim.arm.mismatch import Mismatch
 from armlab.sim.arm.truth import synthetic_truth
 
@@ -17,8 +17,8 @@ T = 0.004032
 SWAY = identify.dither(ROBOT.q_home, 2.0)
 
 
-def arm(**knobs: float) -> Arm:
-    return Arm(ROBOT, TRUTH, seed=1, mismatch=Mismatch(**knobs))  # type: ignore[arg-type]
+def arm(**knobs: float) -> SimulatedArm:
+    return SimulatedArm(ROBOT, TRUTH, seed=1, mismatch=Mismatch(**knobs))  # type: ignore[arg-type]
 
 
 def test_a_record_follows_the_motion() -> None:

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from armlab.sim.controller.statistics import Event, Statistics
+from armlab.sim.controller.statistics import ControllerEvent, Statistics
 
 
 def test_round_trips_leave_out_the_first_second() -> None:
@@ -28,7 +28,7 @@ def test_everything_is_plain_json() -> None:
     statistics.queue[1] += 2
     statistics.age[1] += 2
     statistics.late(1e-4, uptime=2.0)
-    statistics.events.append(Event(0.5, "yumi_left", 41822, "No data"))
+    statistics.events.append(ControllerEvent(0.5, "yumi_left", 41822, "No data"))
     data = json.loads(json.dumps(statistics.as_dict()))
     assert data["counts"] == {"packets": 3}
     assert data["drops"] == {"unparsable": 1}
@@ -40,8 +40,8 @@ def test_everything_is_plain_json() -> None:
 
 
 def test_an_event_is_one_line() -> None:
-    assert str(Event(1.25, "yumi_left", 41822, "No data")) == "1.250 s yumi_left 41822 No data"
-    assert str(Event(1.25, "yumi_left", 0, "dropped")) == "1.250 s yumi_left - dropped"
+    assert str(ControllerEvent(1.25, "yumi_left", 41822, "No data")) == "1.250 s yumi_left 41822 No data"
+    assert str(ControllerEvent(1.25, "yumi_left", 0, "dropped")) == "1.250 s yumi_left - dropped"
 
 
 def test_line_names_what_was_dropped() -> None:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.sim.arm.drive import Drive
-from armlab.sim.controller.reference_decoder import Target, has_numbers, is_number
-from armlab.sim.controller.settings import Settings
+from armlab.sim.arm.drive import JointDrives
+from armlab.sim.controller.reference_decoder import ReferenceDecoder, has_numbers, is_number
+from armlab.sim.controller.settings import ControllerSettings
 from armlab.wire.egm import SensorMessage
 
 ROBOT = robots.load("yumi_right")
@@ -17,7 +17,7 @@ ONES = np.ones(7)
 
 
 def test_the_extension_takes_the_place_of_joint_references() -> None:
-    target = Target(ROBOT, Settings())
+    target = ReferenceDecoder(ROBOT, ControllerSettings())
     plain = target.read(SensorMessage(0, 1, 3, q=HOME, qd=ONES), HOME)
     other = target.read(SensorMessage(0, 1, 3, q=HOME, q_reference=HOME + 1, qd_reference=2 * ONES), HOME)
     assert plain is not None
@@ -27,7 +27,7 @@ def test_the_extension_takes_the_place_of_joint_references() -> None:
 
 
 def test_a_pose_is_reached_from_the_planned_posture() -> None:
-    target = Target(ROBOT, Settings(mode="pose"))
+    target = ReferenceDecoder(ROBOT, ControllerSettings(mode="pose"))
     goal = HOME + 0.02
     twist = ROBOT.chain.jacobian(HOME) @ (0.1 * ONES)
     found = target.read(SensorMessage(0, 1, 3, T_frame_tool=ROBOT.chain.forward(goal), twist=twist), HOME)
@@ -42,7 +42,7 @@ def test_a_pose_is_reached_from_the_planned_posture() -> None:
 
 
 def test_a_path_correction_shifts_along_y_and_z_of_the_tool() -> None:
-    target = Target(ROBOT, Settings(mode="path"))
+    target = ReferenceDecoder(ROBOT, ControllerSettings(mode="path"))
     target.begin(HOME)
     found = target.read(SensorMessage(0, 1, 4, path_yz=np.array([0.01, -0.02])), HOME + 0.01)
     assert found is not None
@@ -52,7 +52,7 @@ def test_a_path_correction_shifts_along_y_and_z_of_the_tool() -> None:
 
 
 def test_what_is_absent_goes_back_to_its_default() -> None:
-    target = Target(ROBOT, Settings())
+    target = ReferenceDecoder(ROBOT, ControllerSettings())
     assert target.is_plain
     target.accept(SensorMessage(0, 1, 3, tau=ONES, gain_q=9 * ONES, q_ext=np.array([0.5])), HOME, None)
     assert not target.is_plain
@@ -68,7 +68,7 @@ def test_what_is_absent_goes_back_to_its_default() -> None:
 
 
 def test_what_rapid_heard_outlives_a_session() -> None:
-    target = Target(ROBOT, Settings())
+    target = ReferenceDecoder(ROBOT, ControllerSettings())
     assert (target.rapid_data.size, target.rapid_digital) == (0, None)
     target.accept(SensorMessage(0, 1, 3, rapid_data=ONES, rapid_digital=True), HOME, None)
     target.accept(SensorMessage(1, 1, 3), HOME, None)
@@ -78,15 +78,15 @@ def test_what_rapid_heard_outlives_a_session() -> None:
 
 
 def test_modes_of_the_drives() -> None:
-    target = Target(ROBOT, Settings())
+    target = ReferenceDecoder(ROBOT, ControllerSettings())
     assert target.drive_mode == 1
-    assert Target(ROBOT, Settings(position_gain=0.0)).drive_mode == 2
+    assert ReferenceDecoder(ROBOT, ControllerSettings(position_gain=0.0)).drive_mode == 2
     target.accept(SensorMessage(0, 1, 3, gain_q=0 * ONES), HOME, None)
     assert target.drive_mode == 3
 
 
 def test_the_drives_get_their_part() -> None:
-    drive, target = Drive(ONES, 50.0 * ONES, 0.9 * ONES, 1e-3), Target(ROBOT, Settings())
+    drive, target = JointDrives(ONES, 50.0 * ONES, 0.9 * ONES, 1e-3), ReferenceDecoder(ROBOT, ControllerSettings())
     rest = (np.zeros(7),) * 6
     target.accept(SensorMessage(0, 1, 3, tau=3.0 * ONES), HOME, None)
     target.apply(drive)

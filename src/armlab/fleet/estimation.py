@@ -13,7 +13,7 @@ from armlab.contact import Estimator, contacts
 from armlab.contact.estimator import Method
 from armlab.errors import LogError
 from armlab.fleet.logs import Log, as_table, named, targets
-from armlab.fleet.mapping import Done, Progress, each
+from armlab.fleet.mapping import Done, Progress, map_logs
 from armlab.identify import with_velocity
 from armlab.log import write
 from armlab.models import TorqueModel
@@ -80,7 +80,7 @@ def estimate(
     work = {name: (log, paths[name]) for name, log in jobs.items()}
     tell = progress or (lambda done, total, what: None)
     shared = model, robot, method
-    return each(_work, work, *shared, executor=executor, progress=tell, rows=lambda one: one.rows).some()
+    return map_logs(_work, work, *shared, executor=executor, progress=tell, rows=lambda one: one.rows).some()
 
 
 def _work(job: tuple[Log, Path], model: TorqueModel, robot: Robot, method: Method) -> Estimated:

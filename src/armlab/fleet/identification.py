@@ -26,7 +26,7 @@ from armlab.errors import LogError, NotExcited, ShapeError
 from armlab.estimation import Fit
 from armlab.estimation.factors import Factors
 from armlab.fleet.logs import Log, as_table, named
-from armlab.fleet.mapping import Progress, each
+from armlab.fleet.mapping import Progress, map_logs
 from armlab.identify.drafting import Draft
 from armlab.identify.many import LogSums, Pattern, fit_draft, fit_sums, log_sums, same_rate
 from armlab.identify.preparation import prepare_share
@@ -98,7 +98,7 @@ def identify(
     tell = progress or (lambda done, total, what: None)
     draft, pattern, first, refused = _draft(jobs, robot, executor, tell)
     rest = {name: log for name, log in jobs.items() if name not in refused}
-    done = each(_work, rest, pattern, cache, executor=executor, progress=tell, rows=lambda sums: sums.n)
+    done = map_logs(_work, rest, pattern, cache, executor=executor, progress=tell, rows=lambda sums: sums.n)
     lost = [name for name in first if name not in done.results]
     if lost:
         raise LogError(f"Expected {lost[0]} to read as before, but: {done.skipped[lost[0]]}")
@@ -172,7 +172,7 @@ class _Tried:
             if seconds >= wanted or self.all:
                 return names
             some = [self._waiting.pop() for _ in range(min(self._at_once, len(self._waiting)))]
-            done = each(
+            done = map_logs(
                 _try, {name: self._jobs[name] for name in some}, self._robot,
                 executor=self._executor, progress=lambda done, total, what: self._tell(),
             )  # fmt: skip
@@ -209,7 +209,7 @@ def _chooser(executor: Executor | None, tell: Progress) -> Chooser:
 
     def choose_all(choices: Iterable[Choice]) -> list[Shapes]:
         joints = {f"joint {number + 1}": choice for number, choice in enumerate(choices)}
-        done = each(
+        done = map_logs(
             choose, joints, executor=executor, kind="joint",
             progress=lambda done, total, what: tell(2, 5, f"choosing the shape of friction, {done} of {total} joints"),
         )  # fmt: skip

@@ -8,7 +8,7 @@ from concurrent.futures import Executor
 from pathlib import Path
 
 from armlab.errors import ConfigError, LogError, ShapeError
-from armlab.fleet.mapping import Done, Progress, each
+from armlab.fleet.mapping import Done, Progress, map_logs
 from armlab.log import Table, read, read_arm, write
 from armlab.log.writing import ENDINGS
 from armlab.robots import Robot
@@ -148,7 +148,7 @@ def export(
     paths = targets(jobs, Path(folder), ending, force=force)
     work = {name: (log, paths[name]) for name, log in jobs.items()}
     tell = progress or (lambda done, total, what: None)
-    done = each(_export, work, robot, executor=executor, progress=tell, rows=lambda one: one[1]).some()
+    done = map_logs(_export, work, robot, executor=executor, progress=tell, rows=lambda one: one[1]).some()
     return Done({name: path for name, (path, _) in done.results.items()}, done.skipped)
 
 

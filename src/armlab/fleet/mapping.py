@@ -26,9 +26,9 @@ Result = TypeVar("Result")
 
 _AHEAD = 4  # jobs that wait per worker: thousands of pickled jobs are memory for nothing
 _WORKERS = 64  # assumed of executors that do not tell
-_TELL = 0.5  # s between two reports without a job that ends
-_SAY = 1.0  # s between two sentences: a line each where nobody watches
-_LIVES = 2  # of a job that ends its worker
+_REPORT_PERIOD = 0.5  # s between two reports without a job that ends
+_SENTENCE_PERIOD = 1.0  # s between two sentences: a line each where nobody watches
+MAX_CRASHES = 2  # worker crashes before a job is skipped
 _KILLED = "Expected a worker to survive this {}, but it was killed again. Look at the memory it takes, and at its logs."
 _KILLED_BY_DASK = "KilledWorker"  # its name, since Dask need not be there: it has tried several workers by then
 
@@ -58,7 +58,7 @@ class Done(Generic[Result]):
         return self
 
 
-def each(
+def map_logs(
     work: Callable[..., Result],
     jobs: Mapping[str, Any],
     *shared: Any,
@@ -80,7 +80,7 @@ def each(
     -------
     Done; a job that raised an `ArmlabError` or ended its worker is skipped.
     """
-    run = _Run(work, jobs, shared, progress, rows, kind)
+    run = _JobRun(work, jobs, shared, progress, rows, kind)
     run.report()
     if executor is None:
         for name in jobs:
@@ -94,7 +94,7 @@ def each(
     )
 
 
-class _Run:
+class _JobRun:
     """What is done so far."""
 
     def __init__(
@@ -109,7 +109,7 @@ class _Run:
         self._work, self._jobs, self._shared, self._tell, self._count = work, jobs, shared, tell, rows
         self._kind, self._killed = f"{kind}s", _KILLED.format(kind)
         self._began = time.monotonic()
-        self._said, self._what, self._rows = -_SAY, "", 0
+        self._said, self._what, self._rows = -_SENTENCE_PERIOD, "", 0
         self._blamed: list[str] = []
         self.results: dict[str, Any] = {}
         self.skipped: dict[str, str] = {}
@@ -150,7 +150,7 @@ class _Run:
             with _another(executor, 1) as alone:
                 killed.update(self._pass(alone, suspects, ahead=1))
             for name in suspects:
-                if killed[name] == _LIVES:
+                if killed[name] == MAX_CRASHES:
                     self.keep(name, (False, self._killed))
 
     def _left(self, names: Iterable[str]) -> list[str]:
@@ -168,7 +168,7 @@ class _Run:
                     except BrokenExecutor:
                         return [*self._saved(running), waiting[-1]]
                     running[future] = waiting.pop()
-                done, _ = wait(running, timeout=_TELL, return_when=FIRST_COMPLETED)
+                done, _ = wait(running, timeout=_REPORT_PERIOD, return_when=FIRST_COMPLETED)
                 self.report()
                 for future in done:
                     error = future.exception()
@@ -197,7 +197,7 @@ class _Run:
         """Tell how far it is; the sentence once a second."""
         done, total = len(self.results) + len(self.skipped), len(self._jobs)
         passed = time.monotonic() - self._began
-        if done == total or passed - self._said >= _SAY:
+        if done == total or passed - self._said >= _SENTENCE_PERIOD:
             self._said, parts = passed, [f"{done} of {total} {self._kind}"]
             if self._rows:
                 parts.append(f"{self._rows / max(passed, 1e-3):.0f} rows/s")

@@ -202,8 +202,8 @@ class RobotRecord:
         self._waiting: deque[bytes] = deque()
         self._strange: deque[bytes] = deque(maxlen=_STRANGE)
         self._since: float | None = None  # rows wait for a description
-        self._run: _Run | None = None
-        self._file: _File | None = None
+        self._run: _BridgeRun | None = None
+        self._file: _RobotFile | None = None
         self._heard = self._retry = 0.0
 
     @property
@@ -239,7 +239,7 @@ class RobotRecord:
             return
         self.wants, self._since = False, None
         try:
-            run = _Run(self.name.rpartition("/")[2], about)
+            run = _BridgeRun(self.name.rpartition("/")[2], about)
         except (ArmlabError, KeyError) as error:
             self._refuse(f"its bridge says what cannot be understood: {error}")
             return
@@ -340,7 +340,7 @@ class RobotRecord:
         self._tell(f"{self.name}: its bridge has restarted")
         return []
 
-    def _sorted(self, run: _Run, row: bytes, packed: list[bytes]) -> list[bytes]:
+    def _sorted(self, run: _BridgeRun, row: bytes, packed: list[bytes]) -> list[bytes]:
         """Return the rows to be written next: a hole comes between rows."""
         tick = tick_of(row)
         if run.last is not None and tick <= run.last:
@@ -377,7 +377,7 @@ class RobotRecord:
         run = self._run
         if self._file is None and run is not None and time.monotonic() >= self._retry:
             try:
-                self._file = _File(self._path, run)
+                self._file = _RobotFile(self._path, run)
             except ArmlabError as error:
                 self._fail(str(error))
             else:
@@ -414,7 +414,7 @@ class RobotRecord:
         self.refused += count
 
 
-class _Run:
+class _BridgeRun:
     """What the rows of a bridge hold, from its start to its end."""
 
     def __init__(self, robot: str, about: bytes) -> None:
@@ -430,10 +430,10 @@ class _Run:
         return self.last is not None and tick_of(row) <= self.last and stamp_of(row) > self.stamp_ns
 
 
-class _File:
+class _RobotFile:
     """One file, and what is kept of it."""
 
-    def __init__(self, path: Path, run: _Run) -> None:
+    def __init__(self, path: Path, run: _BridgeRun) -> None:
         self.file = RecordingFile(path, run.robot, run.layout, {}, "")
         self.holes: deque[tuple[int, int, int]] = deque(maxlen=_MOST_HOLES)
         self.lost = self.damaged = 0

@@ -10,56 +10,56 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # for type checkers and editors, what `__getattr__` does when a program runs
     from armlab.sim import two_link
-    from armlab.sim.arm.arm import Arm, LaggingArm, Sample, record
+    from armlab.sim.arm.arm import LaggingArm, SimulatedArm, record
     from armlab.sim.arm.mismatch import Mismatch
-    from armlab.sim.arm.sensors import Measurement
+    from armlab.sim.arm.sensors import SensorReading, TrueState
     from armlab.sim.arm.truth import Truth, synthetic_truth, truth_names
-    from armlab.sim.controller.channel import Channel, Faults
-    from armlab.sim.controller.controller import Controller
-    from armlab.sim.controller.cycles import Pace, run
+    from armlab.sim.controller.channel import Faults, UdpClient
+    from armlab.sim.controller.controller import SimulatedController
+    from armlab.sim.controller.cycles import Timing, run
     from armlab.sim.controller.guidance import Guidance
-    from armlab.sim.controller.packets import Packets
-    from armlab.sim.controller.settings import FaultRates, Settings
-    from armlab.sim.events import MOTORS, RAPID, Grip, HandPath, Operator, Scene, Script
-    from armlab.sim.experiments.cell import Cell, cell
+    from armlab.sim.controller.packets import PacketBuilder
+    from armlab.sim.controller.settings import ControllerSettings, FaultRates
+    from armlab.sim.events import MOTORS, RAPID, AppliedWrench, Grip, HandPath, StateScript, Surroundings
+    from armlab.sim.experiments.cell import CalibrationCell, cell
 
 _PLACES = {  # module: its public names
-    "arm.arm": ("Arm", "LaggingArm", "record"),
+    "arm.arm": ("LaggingArm", "SimulatedArm", "record"),
     "arm.mismatch": ("Mismatch",),
-    "arm.sensors": ("Measurement", "Sample"),
+    "arm.sensors": ("SensorReading", "TrueState"),
     "arm.truth": ("Truth", "synthetic_truth", "truth_names"),
-    "controller.channel": ("Channel", "Faults"),
-    "controller.controller": ("Controller",),
-    "controller.cycles": ("Pace", "run"),
+    "controller.channel": ("Faults", "UdpClient"),
+    "controller.controller": ("SimulatedController",),
+    "controller.cycles": ("Timing", "run"),
     "controller.guidance": ("Guidance",),
-    "controller.packets": ("Packets",),
-    "controller.settings": ("FaultRates", "Settings"),
-    "events": ("MOTORS", "RAPID", "Grip", "HandPath", "Operator", "Scene", "Script"),
-    "experiments.cell": ("Cell", "cell"),
+    "controller.packets": ("PacketBuilder",),
+    "controller.settings": ("ControllerSettings", "FaultRates"),
+    "events": ("MOTORS", "RAPID", "AppliedWrench", "Grip", "HandPath", "StateScript", "Surroundings"),
+    "experiments.cell": ("CalibrationCell", "cell"),
 }
 __all__ = [
     "MOTORS",
     "RAPID",
-    "Arm",
-    "Cell",
-    "Channel",
-    "Controller",
+    "AppliedWrench",
+    "CalibrationCell",
+    "ControllerSettings",
     "FaultRates",
     "Faults",
     "Grip",
     "Guidance",
     "HandPath",
     "LaggingArm",
-    "Measurement",
     "Mismatch",
-    "Operator",
-    "Packets",
-    "Pace",
-    "Sample",
-    "Scene",
-    "Script",
-    "Settings",
+    "PacketBuilder",
+    "SensorReading",
+    "SimulatedArm",
+    "SimulatedController",
+    "StateScript",
+    "Surroundings",
+    "Timing",
+    "TrueState",
     "Truth",
+    "UdpClient",
     "cell",
     "record",
     "run",

@@ -1,4 +1,4 @@
-"""Events around a simulated controller: wrenches, grips, lead-through and switched states, together a `Scene`."""
+"""Events around a simulated controller: wrenches, grips, lead-through, switched states; together its `Surroundings`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ RAPID = {"undefined": 0, "stopped": 1, "running": 2}
 """States of RAPID by name. Real controllers are stuck at "undefined" after a restart although RAPID runs."""
 
 
-class Script:
+class StateScript:
     """A piecewise constant state over robot time.
 
     Parameters
@@ -59,7 +59,7 @@ def _number(text: str) -> float:
         return math.nan
 
 
-class Operator:
+class AppliedWrench:
     """A wrench at the tool point, piecewise linear over time, zero before the first and after the last row.
 
     Sign and axes: exerted by the environment on the robot, base axes, about the tool point. A weight of 1 kg is
@@ -94,7 +94,7 @@ class Operator:
             )
 
     @classmethod
-    def idle(cls) -> Operator:
+    def idle(cls) -> AppliedWrench:
         """Return the operator who never touches the arm."""
         return cls(np.zeros(0), np.zeros((0, 6)))
 
@@ -235,7 +235,7 @@ _ON, _STOPPED = MOTORS["on"], RAPID["stopped"]
 
 
 @dataclass(frozen=True)
-class Scene:
+class Surroundings:
     """What happens around the controller.
 
     Attributes
@@ -244,10 +244,10 @@ class Scene:
     motors, rapid : their states over robot time. external : number of external axes. grip : who holds the tool.
     """
 
-    operator: Operator = field(default_factory=Operator.idle)
+    operator: AppliedWrench = field(default_factory=AppliedWrench.idle)
     hand: HandPath | None = None
-    motors: Script = field(default_factory=lambda: Script("on", MOTORS))
-    rapid: Script = field(default_factory=lambda: Script("running", RAPID))
+    motors: StateScript = field(default_factory=lambda: StateScript("on", MOTORS))
+    rapid: StateScript = field(default_factory=lambda: StateScript("running", RAPID))
     external: int = 0
     grip: Grip | None = None
 
@@ -269,7 +269,7 @@ class Scene:
 
         Parameters
         ----------
-        program : see `guidance.Settings`. n : number of joints.
+        program : see `ControllerSettings.program`. n : number of joints.
 
         Raises
         ------

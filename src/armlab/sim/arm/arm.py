@@ -1,4 +1,4 @@
-"""`Arm` with MuJoCo's rigid bodies, our drives and friction; `LaggingArm` without masses; `record`, a log of either.
+"""`SimulatedArm`: MuJoCo's rigid bodies, our drives and friction. `LaggingArm`: no masses. `record`: a log of an arm.
 
 One period is divided into equal steps of at most 1.05 ms, integrated by the leapfrog rule (positions and velocities
 half a step apart), so that the stiff friction springs stay stable and lose no energy by the integration::
@@ -30,10 +30,10 @@ import numpy as np
 from armlab.errors import ConfigError, RobotError, ShapeError
 from armlab.robots import Robot, inertia
 from armlab.robots.build import from_dh
-from armlab.sim.arm.drive import Drive
-from armlab.sim.arm.friction import Friction, WornFriction
+from armlab.sim.arm.drive import JointDrives
+from armlab.sim.arm.friction import JointFriction, WornFriction
 from armlab.sim.arm.mismatch import Mismatch
-from armlab.sim.arm.sensors import Measurement, Sample, Sensors
+from armlab.sim.arm.sensors import SensorReading, Sensors, TrueState
 from armlab.sim.arm.truth import Truth
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 LONGEST_STEP = 1.05e-3  # s
 
 
-class Arm:
+class SimulatedArm:
     """One simulated arm.
 
     Parameters
@@ -102,9 +102,9 @@ class Arm:
         self._dq, self._tau, self._tau_friction = np.zeros((3, robot.n))
         self._sensors = Sensors(truth, mismatch, period, seed)
         worn = mismatch.warm_up or mismatch.load_friction or mismatch.ripple_jump
-        self.friction = WornFriction(truth, mismatch, self.step_time, self._tau) if worn else Friction(truth)
-        self.drive = Drive(self.inertia(robot.q_home), truth.tau_max, truth.feedforward, self.step_time)
-        self.sample: Sample
+        self.friction = WornFriction(truth, mismatch, self.step_time, self._tau) if worn else JointFriction(truth)
+        self.drive = JointDrives(self.inertia(robot.q_home), truth.tau_max, truth.feedforward, self.step_time)
+        self.sample: TrueState
         self.place(robot.q_home if q is None else q)
 
     def place(self, q: np.ndarray) -> None:
@@ -169,7 +169,7 @@ class Arm:
         self._move()
         self._q_ref, self._qd_ref = q_ref.copy(), qd_ref.copy()
 
-    def measure(self) -> Measurement:
+    def measure(self) -> SensorReading:
         """Return what the sensors report of the sampled instant, with fresh noise."""
         return self._sensors.measure()
 
@@ -196,10 +196,10 @@ class Arm:
         self._q += self._dq
         self.friction.advance(self._dq, self._half)
 
-    def _report(self, q_ref: np.ndarray, wrench: np.ndarray | None) -> Sample:
+    def _report(self, q_ref: np.ndarray, wrench: np.ndarray | None) -> TrueState:
         T_base_tool = np.eye(4)
         T_base_tool[:3, :3], T_base_tool[:3, 3] = self._tool[1], self._tool[0]
-        return Sample(
+        return TrueState(
             q=self._q.copy(),
             qd=self._qd.copy(),
             qdd=self._qdd.copy(),
@@ -253,7 +253,7 @@ _LAG = 8e-3  # s
 
 
 class LaggingArm:
-    """The kinematic stand-in of `Arm`: same reports, no torques (NaN), no noise; nobody can push it.
+    """The kinematic stand-in of `SimulatedArm`: same reports, no torques (NaN), no noise; nobody can push it.
 
     Parameters
     ----------
@@ -290,24 +290,26 @@ class LaggingArm:
 
         Parameters
         ----------
-        q_ref : (n,) reference. qd_ref, wrench : as for `Arm`; without effect.
+        q_ref : (n,) reference. qd_ref, wrench : as for `SimulatedArm`; without effect.
         """
         self._under_way.append(np.array(q_ref))
         moved = self._share * (self._under_way.popleft() - self._q)
         self._q = self._q + moved
         self._report(moved / self.period, q_ref)
 
-    def measure(self) -> Measurement:
+    def measure(self) -> SensorReading:
         """Return position and velocity; the torque is NaN."""
-        return Measurement(self._q, self.sample.qd, self._unknown)
+        return SensorReading(self._q, self.sample.qd, self._unknown)
 
     def _report(self, qd: np.ndarray, q_ref: np.ndarray) -> None:
         none = self._unknown
-        self.sample = Sample(self._q, qd, none, none, none, none, q_ref, self._calm, self.robot.chain.forward(self._q))
+        self.sample = TrueState(
+            self._q, qd, none, none, none, none, q_ref, self._calm, self.robot.chain.forward(self._q)
+        )
 
 
 def record(
-    arm: Arm, motion: Trajectory, wrench: Callable[[np.ndarray], np.ndarray] | None = None, seed: int = 0
+    arm: SimulatedArm, motion: Trajectory, wrench: Callable[[np.ndarray], np.ndarray] | None = None, seed: int = 0
 ) -> Table:
     """Run a motion and return what the sensors report: t, q, qd, tau, and wrench_true where there is one.
 

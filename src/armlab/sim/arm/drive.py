@@ -27,7 +27,7 @@ VELOCITY_GAIN = 150.0  # 1/s
 INTEGRAL_TIME = 0.05  # s
 
 
-class Drive:
+class JointDrives:
     """Drives of all joints.
 
     Parameters

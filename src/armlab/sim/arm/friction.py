@@ -1,4 +1,4 @@
-"""Drive friction of the simulated arm: `Friction` (LuGre), and `WornFriction`, which depends on warmth and load too.
+"""Drive friction of the simulated arm: `JointFriction` (LuGre); `WornFriction` depends on temperature and load too.
 
 Bristle state, Stribeck curve, viscous part, offset and torque ripple. Between reversals the bristle force f of a joint
 relaxes over distance, not over time (Canudas de Wit et al. 1995)::
@@ -13,7 +13,7 @@ For constant v in a step the solution is exact::
 
 The torque against motion adds ``viscous v + offset + ripple sin(cycles q + phase)``.
 
-`WornFriction` departs from `Friction` in three ways, each by a parameter of `Mismatch`::
+`WornFriction` departs from `JointFriction` in three ways, each by a parameter of `Mismatch`::
 
     viscous  (1 - warm_up x),             dx/dt = (|F_f qd| / P - x) / 12 min,    P the power at a quarter of full speed
     c        (1 + load_friction |tau| / tau_max)
@@ -28,7 +28,7 @@ from armlab.sim.arm.mismatch import Mismatch
 from armlab.sim.arm.truth import Truth
 
 
-class Friction:
+class JointFriction:
     """Friction state of all joints.
 
     Parameters
@@ -104,7 +104,7 @@ WARM_TIME = 720.0  # s
 WARM_SPEED = 0.25  # of the speed limit, at which friction heats the drive to a warmth of 1
 
 
-class WornFriction(Friction):
+class WornFriction(JointFriction):
     """Friction state of all joints, warmth included.
 
     Parameters

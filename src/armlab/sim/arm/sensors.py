@@ -20,7 +20,7 @@ from armlab.sim.arm.truth import Truth
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sample:
+class TrueState:
     """The exact state at one instant. Over the wire goes only what drives know of themselves: command, `tau_gravity`.
 
     Attributes
@@ -44,7 +44,7 @@ class Sample:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Measurement:
+class SensorReading:
     """What the sensors report of one instant: noise and quantisation included.
 
     Attributes
@@ -77,14 +77,14 @@ class Sensors:
         self._stretch = self._stretching = np.zeros(n)
         gains = mismatch.position_gain(n), mismatch.torque_gain(n)
         self._gains = None if np.all(np.stack(gains) == 1.0) else gains
-        self._sample: Sample | None = None
+        self._sample: TrueState | None = None
 
     def reset(self) -> None:
         """Forget what was seen."""
         self._torques.clear()
         self._sample = None
 
-    def see(self, sample: Sample) -> None:
+    def see(self, sample: TrueState) -> None:
         """Take notice of one instant; each of them once, in order.
 
         Parameters
@@ -100,7 +100,7 @@ class Sensors:
             )
         self._sample = sample
 
-    def measure(self) -> Measurement:
+    def measure(self) -> SensorReading:
         """Return what is reported of the last instant seen, with fresh noise.
 
         Raises
@@ -118,9 +118,9 @@ class Sensors:
         qd = qd + truth.qd_noise * noise[0]
         tau = _quantise(self._torques[0] + truth.tau_noise * noise[1], truth.tau_step)
         if self._gains is None:
-            return Measurement(q=q, qd=qd, tau=tau)
+            return SensorReading(q=q, qd=qd, tau=tau)
         of_position, of_torque = self._gains
-        return Measurement(q=of_position * q, qd=of_position * qd, tau=of_torque * tau)
+        return SensorReading(q=of_position * q, qd=of_position * qd, tau=of_torque * tau)
 
 
 def _quantise(value: np.ndarray, step: np.ndarray) -> np.ndarray:

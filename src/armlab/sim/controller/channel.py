@@ -1,4 +1,4 @@
-"""`Channel`: the UDP client of one motion task, and the seeded `Faults` of its datagrams in each direction."""
+"""`UdpClient`: the UDP client of one motion task, and the seeded `Faults` of its datagrams in each direction."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from armlab.errors import ConfigError, LinkError
-from armlab.sim.controller.controller import Controller
+from armlab.sim.controller.controller import SimulatedController
 from armlab.sim.controller.settings import FaultRates
 from armlab.wire.egm import SensorMessage
 
@@ -25,7 +25,7 @@ _FIRST = 0.5  # s that a peer has for its first reply to a stream; later it is t
 _REFUSED_PAUSE = 0.05  # s before a packet is sent again to a port that nobody has bound yet
 
 
-class Channel:
+class UdpClient:
     """One controller and its socket.
 
     Parameters
@@ -46,7 +46,7 @@ class Channel:
 
     def __init__(
         self,
-        controller: Controller,
+        controller: SimulatedController,
         host: str,
         port: int,
         outgoing: Faults | None = None,

@@ -1,4 +1,4 @@
-"""`Controller`: one motion task of the simulated robot controller, without sockets.
+"""`SimulatedController`: one motion task of the simulated robot controller, without sockets.
 
 It keeps the order of ABB's cycle (3HAC073318-001, section 2.3): build and send the packet; take at most one message of
 a first-in first-out queue; hold the last reference, speed included, when there is none; move. So the reply to a packet
@@ -15,14 +15,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from armlab.sim.arm.arm import Arm, LaggingArm
+from armlab.sim.arm.arm import LaggingArm, SimulatedArm
 from armlab.sim.controller.guidance import ExternalAxes, Guidance
-from armlab.sim.controller.inbox import Inbox, Sent
-from armlab.sim.controller.packets import Condition, Packets
-from armlab.sim.controller.reference_decoder import Target, has_numbers
-from armlab.sim.controller.settings import Settings
-from armlab.sim.controller.statistics import Event, Journal, Statistics
-from armlab.sim.events import Operator, Scene
+from armlab.sim.controller.inbox import ReplyQueue, Sent
+from armlab.sim.controller.packets import Condition, PacketBuilder
+from armlab.sim.controller.reference_decoder import ReferenceDecoder, has_numbers
+from armlab.sim.controller.settings import ControllerSettings
+from armlab.sim.controller.statistics import ControllerEvent, EventLog, Statistics
+from armlab.sim.events import AppliedWrench, Surroundings
 from armlab.wire.egm import Drop, RobotSideCodec, SensorMessage
 
 _BEYOND = 1e6  # rad or m, and per s: packets have no numbers for more
@@ -33,15 +33,15 @@ _MISMATCH = (41826, "EGM mode mismatch")
 _SKIP = "Skip as many replies once and send one per packet, or take the newest message with --queue newest."
 
 
-class Controller:
+class SimulatedController:
     """One motion task: one session at a time, one sequence, one queue, one arm.
 
     Parameters
     ----------
     arm : the simulated arm; its period is the controller's.
     wire : the robot's side of the wire, or packets of chosen content on it.
-    settings : see `Settings`.
-    scene : see `Scene`; an operator alone is a scene too.
+    settings : see `ControllerSettings`.
+    scene : see `Surroundings`; an operator alone is a scene too.
     on_event : called with each event.
 
     Attributes
@@ -58,23 +58,26 @@ class Controller:
 
     def __init__(
         self,
-        arm: Arm | LaggingArm,
-        wire: RobotSideCodec | Packets,
-        settings: Settings,
-        scene: Scene | Operator | None = None,
-        on_event: Callable[[Event], None] | None = None,
+        arm: SimulatedArm | LaggingArm,
+        wire: RobotSideCodec | PacketBuilder,
+        settings: ControllerSettings,
+        scene: Surroundings | AppliedWrench | None = None,
+        on_event: Callable[[ControllerEvent], None] | None = None,
     ) -> None:
         self.arm, self.statistics = arm, Statistics()
-        self.packets = wire if isinstance(wire, Packets) else Packets(wire, settings.period)
-        self._settings, self._journal = settings, Journal(arm.robot.name, self.statistics, on_event)
-        self._scene = scene if isinstance(scene, Scene) else Scene(scene or Operator.idle())
+        self.packets = wire if isinstance(wire, PacketBuilder) else PacketBuilder(wire, settings.period)
+        self._settings, self._journal = settings, EventLog(arm.robot.name, self.statistics, on_event)
+        self._scene = scene if isinstance(scene, Surroundings) else Surroundings(scene or AppliedWrench.idle())
         self._hand = self._scene.leads(settings.program, arm.robot.n)
         if self._hand is not None:
             arm.place(self._hand.at(0.0)[0])
-        self._guidance, self._target = Guidance(arm.robot, settings, arm.sample.q), Target(arm.robot, settings)
-        self._drive = arm.drive if isinstance(arm, Arm) else None  # without masses there are no torques
+        self._guidance, self._target = (
+            Guidance(arm.robot, settings, arm.sample.q),
+            ReferenceDecoder(arm.robot, settings),
+        )
+        self._drive = arm.drive if isinstance(arm, SimulatedArm) else None  # without masses there are no torques
         self._external = ExternalAxes(self._scene.external, settings)
-        self.inbox = Inbox(self.packets.codec, self.statistics, settings)
+        self.inbox = ReplyQueue(self.packets.codec, self.statistics, settings)
         self._cycles = {
             "streaming": self._stream,
             "guiding": self._guide,

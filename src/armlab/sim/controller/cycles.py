@@ -8,13 +8,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from armlab.errors import ConfigError
-from armlab.sim.controller.channel import Channel
+from armlab.sim.controller.channel import UdpClient
 
 _CATCH_UP = 25  # cycles in which the arm moves on without packets after this process was held up
 
 
 @dataclass(frozen=True)
-class Pace:
+class Timing:
     """How time passes.
 
     Attributes
@@ -43,18 +43,18 @@ class Pace:
 
 
 def run(
-    channels: Sequence[Channel],
-    pace: Pace,
+    channels: Sequence[UdpClient],
+    pace: Timing,
     *,
     alive: Callable[[], bool] = lambda: True,
-    observe: Callable[[Channel], None] | None = None,
+    observe: Callable[[UdpClient], None] | None = None,
 ) -> str:
     """Run until all controllers are over, the time is up, or `alive` says no. Return the reason in words.
 
     Parameters
     ----------
     channels : one per motion task, all with the same period; each sends its `phase` after the beat.
-    pace : see `Pace`.
+    pace : see `Timing`.
     alive : asked in every cycle and while waiting.
     observe : called with a channel whenever its packet has been built.
     """
@@ -68,13 +68,13 @@ def run(
             channel.close()
 
 
-def _prepare(channels: Sequence[Channel], observe: Callable[[Channel], None]) -> None:
+def _prepare(channels: Sequence[UdpClient], observe: Callable[[UdpClient], None]) -> None:
     for channel in channels:
         if channel.prepare():
             observe(channel)
 
 
-def _end(channels: Sequence[Channel], pace: Pace, alive: Callable[[], bool]) -> str:
+def _end(channels: Sequence[UdpClient], pace: Timing, alive: Callable[[], bool]) -> str:
     """Return why to end, or nothing."""
     tasks = [channel.controller for channel in channels]
     if all(task.phase == "over" for task in tasks):
@@ -85,7 +85,7 @@ def _end(channels: Sequence[Channel], pace: Pace, alive: Callable[[], bool]) -> 
 
 
 def _lockstep(
-    channels: Sequence[Channel], pace: Pace, alive: Callable[[], bool], observe: Callable[[Channel], None]
+    channels: Sequence[UdpClient], pace: Timing, alive: Callable[[], bool], observe: Callable[[UdpClient], None]
 ) -> str:
     """Send, move while the peer computes, then wait for its reply: it acts in the next cycle, as in real time.
 
@@ -110,11 +110,11 @@ class _Beat:
     """Channels that send at the same time, and when they do next."""
 
     due: float
-    channels: list[Channel]
+    channels: list[UdpClient]
 
 
 def _real_time(
-    channels: Sequence[Channel], pace: Pace, alive: Callable[[], bool], observe: Callable[[Channel], None]
+    channels: Sequence[UdpClient], pace: Timing, alive: Callable[[], bool], observe: Callable[[UdpClient], None]
 ) -> str:
     """Keep the schedule ``t0 + k T + phase``; cycles missed by this process pass without packets, never in a burst."""
     period = channels[0].controller.arm.period
@@ -149,7 +149,7 @@ def _real_time(
         beat.due += (1 + missed) * period
 
 
-def _miss(channels: Sequence[Channel], cycles: int) -> None:
+def _miss(channels: Sequence[UdpClient], cycles: int) -> None:
     """Let cycles pass without packets. The arm moves in the first of them only: a long stall is not made up."""
     for channel in channels:
         channel.controller.statistics.counts["skipped"] += cycles

@@ -19,7 +19,7 @@ import numpy as np
 
 from armlab.errors import ConfigError
 from armlab.robots import Robot
-from armlab.sim.controller.settings import Settings
+from armlab.sim.controller.settings import ControllerSettings
 from armlab.wire.egm.linkage import Linkage
 
 _OVERSHOOT = 0.02  # rad: the filters may carry a reference that stops at a limit this far beyond it
@@ -30,7 +30,7 @@ class Guidance:
 
     Parameters
     ----------
-    robot : for limits. settings : see `Settings`. q : (n,) where it starts.
+    robot : for limits. settings : see `ControllerSettings`. q : (n,) where it starts.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class Guidance:
     utilization : percent of the speed limits that the last reference needed.
     """
 
-    def __init__(self, robot: Robot, settings: Settings, q: np.ndarray) -> None:
+    def __init__(self, robot: Robot, settings: ControllerSettings, q: np.ndarray) -> None:
         self._robot, self._settings, self._linkage = robot, settings, Linkage.of(robot)
         self._pole = 1.0 - math.exp(-2.0 * math.pi * settings.filter * settings.period)
         self._stages = 1 if settings.level == 0 else 2
@@ -162,7 +162,7 @@ class ExternalAxes:
     ConfigError : a count below 0 or above 6.
     """
 
-    def __init__(self, count: int, settings: Settings) -> None:
+    def __init__(self, count: int, settings: ControllerSettings) -> None:
         if not 0 <= count <= _MOST:
             raise ConfigError(f"Expected 0 to {_MOST} external axes, got {count}.")
         self.q, self._gain, self._period = np.zeros(count), settings.gain, settings.period

@@ -1,4 +1,4 @@
-"""`Inbox`: messages of the peer: matched with the packets they answer, checked and queued.
+"""`ReplyQueue`: messages of the peer: matched with the packets they answer, checked and queued.
 
 Replies are matched with packets by the sequence number that the research extension echoes, else by the `tm` of the
 header, else by order. By order is right only for a peer that answers every packet. Several packets of one millisecond
@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
-from armlab.sim.controller.settings import Settings
+from armlab.sim.controller.settings import ControllerSettings
 from armlab.sim.controller.statistics import Statistics
 from armlab.wire.egm import Drop, RobotSideCodec, SensorMessage
 from armlab.wire.egm.standing_queue import StandingQueue
@@ -37,7 +37,7 @@ class Sent:
     answered: bool = False
 
 
-class Inbox:
+class ReplyQueue:
     """The queue of one motion task.
 
     Parameters
@@ -47,7 +47,7 @@ class Inbox:
     settings : the mode, and the order of the queue.
     """
 
-    def __init__(self, codec: RobotSideCodec, statistics: Statistics, settings: Settings) -> None:
+    def __init__(self, codec: RobotSideCodec, statistics: Statistics, settings: ControllerSettings) -> None:
         self._codec, self._statistics = codec, statistics
         self._field, self._missing, self._wanted = _CONTENT[settings.mode]
         self._takes_newest, self._period = settings.queue == "newest", settings.period

@@ -1,4 +1,4 @@
-"""`Packets`: the packet of one motion task in each cycle, with the fields that were asked for."""
+"""`PacketBuilder`: the packet of one motion task in each cycle, with the fields that were asked for."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from armlab.errors import UnknownName
-from armlab.sim.arm.arm import Arm, LaggingArm
+from armlab.sim.arm.arm import LaggingArm, SimulatedArm
 from armlab.sim.controller.guidance import Guidance
-from armlab.sim.controller.reference_decoder import Target
+from armlab.sim.controller.reference_decoder import ReferenceDecoder
 from armlab.wire.egm import RobotMessage, RobotSideCodec
 
 EPOCH_NS = 1_500_000_000_000_000_000
@@ -53,7 +53,7 @@ class Condition:
     left: int
 
 
-class Packets:
+class PacketBuilder:
     """Builds EgmRobot messages.
 
     Parameters
@@ -101,11 +101,11 @@ class Packets:
     def encode(
         self,
         cycle: int,
-        arm: Arm | LaggingArm,
+        arm: SimulatedArm | LaggingArm,
         guidance: Guidance,
         condition: Condition,
         q_ext: Sequence[float] = (),
-        target: Target | None = None,
+        target: ReferenceDecoder | None = None,
     ) -> bytes:
         """Return the bytes of a cycle's packet.
 

@@ -1,4 +1,4 @@
-"""`Target`: from a received message to joint references, whether it holds joints, a pose or a path correction.
+"""`ReferenceDecoder`: joint references from a received message, which holds joints, a pose or a path correction.
 
 Pose and path correction exist for tests of codecs: the goal is the posture that inverse kinematics finds from the
 planned one. A path correction shifts the posture at the beginning of guidance by y and z of the tool frame.
@@ -9,15 +9,15 @@ from __future__ import annotations
 import numpy as np
 
 from armlab.robots import Robot
-from armlab.sim.arm.drive import Drive
-from armlab.sim.controller.settings import Settings
+from armlab.sim.arm.drive import JointDrives
+from armlab.sim.controller.settings import ControllerSettings
 from armlab.wire.egm import SensorMessage
 
 _ABSURD = 1e9  # rad, rad/s, m
 _LARGEST_GAIN = 2.0
 
 
-class Target:
+class ReferenceDecoder:
     """References of one motion task.
 
     Parameters
@@ -32,7 +32,7 @@ class Target:
     rapid_data, rapid_digital : what RAPID heard last, empty and None before; its variables outlive a session.
     """
 
-    def __init__(self, robot: Robot, settings: Settings) -> None:
+    def __init__(self, robot: Robot, settings: ControllerSettings) -> None:
         self._robot, self._mode, self._has_position_loop = robot, settings.mode, settings.position_gain > 0
         self.rapid_data = np.zeros(0)
         self.rapid_digital: bool | None = None
@@ -112,7 +112,7 @@ class Target:
         self.gain_q = np.ones(n) if message.gain_q is None else message.gain_q.clip(0.0, _LARGEST_GAIN)
         self.gain_qd = np.ones(n) if message.gain_qd is None else message.gain_qd.clip(0.0, _LARGEST_GAIN)
 
-    def apply(self, drive: Drive | None) -> None:
+    def apply(self, drive: JointDrives | None) -> None:
         """Hand the drive's part to the drives.
 
         Parameters

@@ -1,4 +1,4 @@
-"""Options of ``armlab sim``: `Settings` of the controller and `FaultRates` of its datagrams. No NumPy here."""
+"""Options of ``armlab sim``, whose help loads this file without NumPy: `ControllerSettings` and `FaultRates`."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _PERIODS = {"joint": 0.004032, "pose": 0.004032, "path": 0.024}  # s
 
 
 @dataclass(frozen=True)
-class Settings:
+class ControllerSettings:
     """What RAPID and the system parameters set on a real controller; the defaults follow our RAPID templates.
 
     Attributes
@@ -126,7 +126,7 @@ class Settings:
         return self.program in ("stream", "lead-through")
 
     @classmethod
-    def abb_defaults(cls) -> Settings:
+    def abb_defaults(cls) -> ControllerSettings:
         """Return what ABB's own defaults give: hardly any speed, and sessions that end when the robot stands still."""
         return cls(max_speed=math.radians(1.0), window=math.radians(0.5))
 

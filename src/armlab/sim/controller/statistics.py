@@ -14,7 +14,7 @@ _WARM_UP = 1.0  # seconds left out of all times: a peer's first reply may be slo
 _KEPT = 100_000  # newest times kept for the quantiles: memory does not grow in a long run
 
 
-class Event(NamedTuple):
+class ControllerEvent(NamedTuple):
     """Something that the controller's event log would show.
 
     Attributes
@@ -57,7 +57,7 @@ class Statistics:
         self.last_age = 0
         self.rapid: dict[str, float] = {}
         self.external: dict[str, float] = {}
-        self.events: deque[Event] = deque(maxlen=1000)
+        self.events: deque[ControllerEvent] = deque(maxlen=1000)
         self._round_trips: deque[float] = deque(maxlen=_KEPT)
         self._wake_ups: deque[float] = deque(maxlen=_KEPT)
         self._work: deque[float] = deque(maxlen=_KEPT)
@@ -165,7 +165,7 @@ def _quantiles(seconds: deque[float]) -> dict[str, float]:
     return {name: round(1e6 * float(value), 1) for name, value in zip(names, np.quantile(seconds, shares))}
 
 
-class Journal:
+class EventLog:
     """Tells events, and each kind of dropped datagram once per session.
 
     Parameters
@@ -173,7 +173,7 @@ class Journal:
     task : name of the robot. statistics : keeps events and counts drops. on_event : called with each event, or None.
     """
 
-    def __init__(self, task: str, statistics: Statistics, on_event: Callable[[Event], None] | None) -> None:
+    def __init__(self, task: str, statistics: Statistics, on_event: Callable[[ControllerEvent], None] | None) -> None:
         self._task, self._statistics, self._on_event = task, statistics, on_event
         self.begin()
 
@@ -188,7 +188,7 @@ class Journal:
         ----------
         uptime : robot time [s]. number : ABB's, or 0. text : in words.
         """
-        event = Event(round(uptime, 6), self._task, number, text)
+        event = ControllerEvent(round(uptime, 6), self._task, number, text)
         self._statistics.events.append(event)
         if self._on_event:
             self._on_event(event)

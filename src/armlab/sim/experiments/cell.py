@@ -18,7 +18,7 @@ from armlab.sim.experiments.tool_sensors import Scanned, Weighed
 
 
 @dataclass(frozen=True)
-class Cell:
+class CalibrationCell:
     """Experiments of calibration whose truth is known; each method draws one.
 
     An experiment has what a robot and its sensors would have recorded, the truth behind it, and `given`, the arguments
@@ -186,7 +186,7 @@ class Cell:
         return period * np.arange(N) + np.clip(e, -0.4 * period, 0.4 * period)
 
 
-def cell(seed: int) -> Cell:
+def cell(seed: int) -> CalibrationCell:
     """Return the cell of known truth of a seed.
 
     Parameters
@@ -205,4 +205,4 @@ def cell(seed: int) -> Cell:
     """
     if seed < 0:
         raise ConfigError(f"Expected a seed from 0, got {seed}. Take another one.")
-    return Cell(seed)
+    return CalibrationCell(seed)
