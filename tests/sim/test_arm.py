@@ -1,16 +1,19 @@
-"""The arm obeys the equation of motion, judged by an independent inverse dynamics; drives track, sensors report."""
+"""The simulated arms and their sensors: equation of motion, tracking, noise, recordings, and the arm without masses."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from armlab import robots
+from armlab import identify, robots
 from armlab.errors import ConfigError, ShapeError
 from armlab.robots import Robot
-from armlab.sim.arm.arm import SimulatedArm, build_model
-from armlab.sim.arm.sensors import SensorReading, TrueState
+from armlab.sim.arm.arm import LaggingArm, SimulatedArm, build_model, record, scara
+from armlab.sim.arm.mismatch import Mismatch
+from armlab.sim.arm.sensors import SensorReading, Sensors, TrueState
 from armlab.sim.arm.truth import Truth, synthetic_truth
+from armlab.wire.egm import EgmCodec, Packet, RobotMessage, RobotSideCodec
+from armlab.wire.egm import armlab_egm_pb2 as pb
 
 T = 0.004032
 
@@ -217,3 +220,143 @@ def test_build_model_keeps_inertias(robot: Robot, truth: Truth) -> None:
     np.testing.assert_allclose(model.dof_armature, truth.rotor)
     diagonal = SimulatedArm(robot, truth).inertia(robot.q_home) - truth.rotor
     np.testing.assert_allclose(diagonal, [0.1636, 0.1976, 0.1013, 0.0803, 0.0016, 0.0009, 0.0002], atol=6e-5)
+
+
+YUMI = robots.load("yumi_left")
+NOISELESS = synthetic_truth(YUMI).without("noise")
+
+
+def walk(arm: SimulatedArm, k: int) -> None:
+    arm.step(YUMI.q_home + 0.1 * (1 - np.cos(3 * k * T)), np.full(7, 0.3 * np.sin(3 * k * T)), None)
+
+
+def test_torque_comes_late_and_position_does_not() -> None:
+    arm = SimulatedArm(YUMI, NOISELESS, mismatch=Mismatch(torque_delay=3))
+    exact = [arm.sample.tau]
+    for k in range(1, 30):
+        walk(arm, k)
+        exact.append(arm.sample.tau)
+        measured = arm.measure()
+        np.testing.assert_array_equal(measured.tau, exact[max(k - 3, 0)])
+        np.testing.assert_array_equal(measured.q, arm.sample.q)
+
+
+def test_an_elastic_gear_turns_by_what_it_carries() -> None:
+    """At rest it carries gravity; a velocity is the derivative of the position that is reported."""
+    arm = SimulatedArm(YUMI, NOISELESS, mismatch=Mismatch(elasticity=1e-2))
+    carried = YUMI.chain.rnea(arm.sample.q, np.zeros(7), np.zeros(7), YUMI.gravity, NOISELESS.pi)
+    np.testing.assert_allclose(arm.measure().q - arm.sample.q, 1e-2 * carried / NOISELESS.tau_max, atol=1e-6)
+    rows = []
+    for k in range(1, 200):
+        walk(arm, k)
+        measured = arm.measure()
+        rows.append((measured.q, measured.qd))
+    q, qd = np.array(rows).transpose(1, 0, 2)
+    np.testing.assert_allclose(np.diff(q, axis=0)[20:] / T, 0.5 * (qd[1:] + qd[:-1])[20:], atol=2e-3)
+
+
+def test_nothing_seen_nothing_measured() -> None:
+    sensors = Sensors(NOISELESS, Mismatch(), T, 0)
+    with pytest.raises(ConfigError, match="instant"):
+        sensors.measure()
+    arm = SimulatedArm(YUMI, NOISELESS)
+    sensors.see(arm.sample)
+    measured = sensors.measure()
+    assert isinstance(measured, SensorReading)
+    np.testing.assert_array_equal(measured.tau, arm.sample.tau)
+    sensors.reset()
+    with pytest.raises(ConfigError, match="instant"):
+        sensors.measure()
+
+
+UR5E = robots.load("ur5e")
+
+
+def test_a_step_comes_after_two_cycles_through_a_lag_of_8_ms() -> None:
+    arm = LaggingArm(UR5E, 0.004)
+    goal, seen = UR5E.q_home + 0.1, []
+    for _ in range(12):
+        arm.step(goal, np.zeros(6), None)
+        seen.append(arm.measure().q - UR5E.q_home)
+    expected = np.where(np.arange(12) < 2, 0.0, 0.1 * (1 - np.exp(-0.004 * (np.arange(12) - 1) / 0.008)))
+    np.testing.assert_allclose(np.array(seen)[:, 0], expected, atol=1e-12)
+    measured = arm.measure()
+    assert np.isnan(measured.tau).all()
+    assert not arm.has_torque
+    np.testing.assert_allclose(arm.sample.T_base_tool, UR5E.chain.forward(measured.q))
+
+
+def test_velocity_is_that_of_the_motion() -> None:
+    arm = LaggingArm(UR5E)
+    before = arm.measure().q
+    for k in range(200):
+        arm.step(UR5E.q_home + 0.1 * 0.004032 * k, np.full(6, 0.1), None)
+        if k == 198:
+            before = arm.measure().q
+    np.testing.assert_allclose((arm.measure().q - before) / 0.004032, arm.measure().qd, atol=1e-12)
+    np.testing.assert_allclose(arm.measure().qd, 0.1, rtol=1e-6)
+    arm.place(UR5E.q_home)
+    np.testing.assert_array_equal(arm.sample.qd, 0.0)
+
+
+TRUTH = synthetic_truth(YUMI)
+SWAY = identify.dither(YUMI.q_home, 2.0)
+
+
+def mismatched(**knobs: float) -> SimulatedArm:
+    return SimulatedArm(YUMI, TRUTH, seed=1, mismatch=Mismatch(**knobs))  # type: ignore[arg-type]
+
+
+def test_a_record_follows_the_motion() -> None:
+    table = record(mismatched(), SWAY)
+    assert len(table) == int(2.0 / T)
+    np.testing.assert_allclose(np.diff(table.t), T, rtol=1e-9)
+    np.testing.assert_allclose(table["q"], SWAY.sample(table.t)[0], atol=2e-3)
+    np.testing.assert_array_equal(record(mismatched(), SWAY)["tau"], table["tau"])
+    assert "wrench_true" not in table
+
+
+def test_a_push_is_in_the_torques() -> None:
+    force = np.array([0, 0, -5.0, 0, 0, 0])
+    pushed = record(mismatched(), SWAY, lambda t: np.outer(t > 1.0, force))
+    np.testing.assert_array_equal(pushed["wrench_true"][-1], force)
+    J = YUMI.chain.jacobian(pushed["q"][-1])
+    change = (pushed["tau"] - record(mismatched(), SWAY)["tau"])[-100:].mean(axis=0)
+    np.testing.assert_allclose(change, -J.T @ force, atol=0.5)
+
+
+def test_stamps_jitter_and_samples_are_lost() -> None:
+    table = record(mismatched(jitter=1e-3), SWAY)
+    plain = record(mismatched(), SWAY)
+    np.testing.assert_array_equal(table["tau"], plain["tau"])
+    error = table.t - plain.t
+    assert 0.9e-3 < np.abs(error).max() <= 1e-3
+    lossy = record(mismatched(lost=0.1), SWAY)
+    assert 0.85 * len(plain) < len(lossy) < 0.95 * len(plain)
+    assert np.isin(lossy.t, plain.t).all()
+
+
+def test_what_cannot_be_recorded_is_refused() -> None:
+    with pytest.raises(ConfigError, match="jitter"):
+        record(mismatched(jitter=0.003), SWAY)
+    with pytest.raises(ShapeError, match="7 joints"):
+        record(mismatched(), identify.dither(np.zeros(6), 2.0))
+    with pytest.raises(ShapeError, match="wrench"):
+        record(mismatched(), SWAY, lambda t: np.zeros((3, 6)))
+
+
+def test_the_slide_goes_down() -> None:
+    robot = scara()
+    T_base_tool = robot.chain.forward(robot.q_home)
+    lower = robot.chain.forward(robot.q_home + np.array([0.0, 0.0, 0.05, 0.0]))
+    np.testing.assert_allclose(lower[:3, 3] - T_base_tool[:3, 3], [0.0, 0.0, -0.05], atol=1e-12)
+
+
+def test_its_packets() -> None:
+    robot, q = scara(), np.array([0.1, 0.2, 0.09, 0.3])
+    data = RobotSideCodec(robot).encode_robot(RobotMessage(0, 1, q))
+    joints = pb.EgmRobot.FromString(data).feedBack.joints.joints[:]
+    np.testing.assert_allclose(joints, np.degrees(q))
+    packet = EgmCodec(robot).decode(data)
+    assert isinstance(packet, Packet)
+    np.testing.assert_allclose(packet.q, q)
