@@ -34,9 +34,12 @@ class FleetRobot(NamedTuple):
 
     Attributes
     ----------
-    lab, robot : names. rate : rows that came per second [Hz]. loss : rows that did not come, by the robot's ticks.
+    lab, robot : names.
+    rate : rows that came per second [Hz].
+    loss : rows that did not come, by the robot's ticks.
     damaged : rows whose checksum was another one; they count as lost as well, once a later one came.
-    age : of the newest row by both computers' clocks [s], NaN without any. commander : who moves it, "" for nobody.
+    age : of the newest row by both computers' clocks [s], NaN without any.
+    commander : who moves it, "" for nobody.
     """
 
     lab: str
@@ -53,7 +56,8 @@ def list_robots(place: Place, seconds: float = 2.0) -> list[FleetRobot]:
 
     Parameters
     ----------
-    place : of the router; its `lab` may be `EVERY`. seconds : to listen.
+    place : of the router; its `lab` may be `EVERY`.
+    seconds : to listen.
 
     Raises
     ------

@@ -29,9 +29,12 @@ class Estimated:
     Attributes
     ----------
     path : file with the columns of the estimate, a row for each of the log.
-    rows, seconds : of the log. left_out : rows without an estimate.
-    contacts : intervals of contact. contact_seconds : their sum.
-    peak : largest estimated force while in contact [N], NaN without any. band : mean 2-sigma of the worst axis [N].
+    rows, seconds : of the log.
+    left_out : rows without an estimate.
+    contacts : intervals of contact.
+    contact_seconds : their sum.
+    peak : largest estimated force while in contact [N], NaN without any.
+    band : mean 2-sigma of the worst axis [N].
     """
 
     path: Path
@@ -60,9 +63,13 @@ def estimate(
 
     Parameters
     ----------
-    logs : files or folders. model : of the arm. robot : the arm.
+    logs : files or folders.
+    model : of the arm.
+    robot : the arm.
     folder : where the files of the estimates go, each whole or not at all.
-    executor, progress : see `identify`. method : of `contact.Estimator`. ending : format of the files.
+    executor, progress : see `identify`.
+    method : of `contact.Estimator`.
+    ending : format of the files.
     force : replace files that exist.
 
     Returns

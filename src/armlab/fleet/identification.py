@@ -46,7 +46,8 @@ class Identified:
     Attributes
     ----------
     fit : of the model; `fit.value.sources` names the logs and, with the reason, those that were skipped.
-    used : names of the logs behind it, in order. skipped : the reason by name.
+    used : names of the logs behind it, in order.
+    skipped : the reason by name.
     """
 
     fit: Fit[TorqueModel]
@@ -245,23 +246,13 @@ def default_folder() -> Path:
 
 
 class SumCache:
-    """Sums of logs in a folder.
-
-    Parameters
-    ----------
-    folder : made when it is missing; see `default_folder`. pattern : of the draft.
-    """
+    """Cached sums of logs in a folder, which is made when it is missing."""
 
     def __init__(self, folder: Path, pattern: Pattern) -> None:
         self._folder, self._pattern = folder, pattern.sha256
 
     def path(self, log: Path) -> Path:
-        """Return the file that keeps the sums of a log.
-
-        Parameters
-        ----------
-        log : file that exists.
-        """
+        """Return the file that keeps the sums of a log."""
         digest = hashlib.sha256(f"{__version__} {VERSION} {self._pattern} ".encode())
         with log.open("rb") as file:
             while part := file.read(_PIECE):
@@ -269,12 +260,7 @@ class SumCache:
         return self._folder / f"{digest.hexdigest()}.npz"
 
     def load(self, path: Path) -> LogSums | None:
-        """Return the sums kept in a file, None when there are none that read.
-
-        Parameters
-        ----------
-        path : from `path`.
-        """
+        """Return the sums in a file, None when it is missing or damaged."""
         try:
             with path.open("rb") as file, np.load(file, allow_pickle=False) as kept:
                 return _sums(kept)
@@ -282,12 +268,7 @@ class SumCache:
             return None
 
     def save(self, path: Path, sums: LogSums) -> None:
-        """Keep sums, whole or not at all; where the disk takes none they are made again the next time.
-
-        Parameters
-        ----------
-        path : from `path`. sums : of that log.
-        """
+        """Write sums, whole or not at all; where the disk refuses they are computed again the next time."""
         groups = {
             f"{name}{g}": part[g]
             for name in ("R", "columns")

@@ -19,16 +19,7 @@ _ENDINGS = {".mcap", ".csv", ".parquet", ".h5", ".hdf5", ".mat", ".db3", ".bag"}
 
 
 def named(logs: Iterable[Table | str | Path] | str | Path) -> Mapping[str, Log]:
-    """Return logs by name: of a folder all files of logs in it and below, in the order of their names.
-
-    Parameters
-    ----------
-    logs : tables, files or folders, or one of the latter.
-
-    Raises
-    ------
-    LogError : nothing there, or a folder without logs. ShapeError : something else than logs, or one name twice.
-    """
+    """Return logs by name; a folder stands for all log files in it and below, sorted by name."""
     found: dict[str, Log] = {}
     files: set[Path] = set()
     given = [logs] if isinstance(logs, str | Path) else list(logs)
@@ -45,16 +36,7 @@ def named(logs: Iterable[Table | str | Path] | str | Path) -> Mapping[str, Log]:
 
 
 def as_table(log: Log, robot: Robot) -> Table:
-    """Return a log as a table; a file is read with the robot's joints in their order.
-
-    Parameters
-    ----------
-    log : table or file. robot : the arm.
-
-    Raises
-    ------
-    LogError, ModelMismatchError : see `log.read_arm`.
-    """
+    """Return a log as a table; a file is read with the robot's joints in their order."""
     return log if isinstance(log, Table) else read_arm(log, robot)
 
 
@@ -75,17 +57,9 @@ def _expanded(one: Table | str | Path, number: int) -> list[tuple[str, Log]]:
 
 
 def targets(jobs: Mapping[str, Log], folder: Path, ending: str, mark: str = "", force: bool = False) -> dict[str, Path]:
-    """Return the file for each log: named as the log below what all logs have in common, and in folders as they are.
+    """Return the output file of each log: its path below the folder that all logs share, in `folder`, name plus `mark`.
 
-    Parameters
-    ----------
-    jobs : logs by name. folder : where the files go. ending : ".csv" and the like. mark : added to the name.
-    force : files that exist may be replaced.
-
-    Raises
-    ------
-    ConfigError : a format that cannot be written, a file exists already, or is one of the logs, also by force.
-    ShapeError : a table, which has no name, or two logs that would become one file.
+    Existing files are refused without `force`, and files that are read always.
     """
     if ending not in ENDINGS:
         raise ConfigError(f"Expected a format among {', '.join(ENDINGS)}, got {ending!r}.")
@@ -129,9 +103,12 @@ def export(
 
     Parameters
     ----------
-    logs : files or folders. folder : where the files go, each whole or not at all.
-    ending : of the format, see `log.write`. executor, progress : see `identify`.
-    robot : the arm, for MCAP. force : replace files that exist.
+    logs : files or folders.
+    folder : where the files go, each whole or not at all.
+    ending : of the format, see `log.write`.
+    executor, progress : see `identify`.
+    robot : the arm, for MCAP.
+    force : replace files that exist.
 
     Returns
     -------

@@ -39,7 +39,8 @@ class Done(Generic[Result]):
 
     Attributes
     ----------
-    results : by name, in the order of the jobs, of those that gave one. skipped : sentence by name of the others.
+    results : by name, in the order of the jobs, of those that gave one.
+    skipped : sentence by name of the others.
     """
 
     results: Mapping[str, Result]
@@ -67,18 +68,11 @@ def map_logs(
     rows: Callable[[Result], int] | None = None,
     kind: str = "log",
 ) -> Done[Result]:
-    """Call ``work(job, *shared)`` for every job.
+    """Call ``work(job, *shared)`` for every job; skip one that raises an `ArmlabError` or ends its worker.
 
-    Parameters
-    ----------
-    work : a function of a module, so that it can travel. jobs : what it gets, by name. shared : what all get.
-    executor : where it runs; here, one after the other, when left out.
-    progress : called with (done, total, what) as jobs end; `what` tells logs done, rows per second, skipped, time left.
-    rows : how many rows a result stands for; not told when left out. kind : what a job is of, for sentences.
-
-    Returns
-    -------
-    Done; a job that raised an `ArmlabError` or ended its worker is skipped.
+    `work` is a function of a module, so that it can be pickled. Without an executor jobs run here, one after the other.
+    `progress` is called with (done, total, what) as jobs end; `rows` counts the rows of a result; `kind` names a job in
+    sentences.
     """
     run = _JobRun(work, jobs, shared, progress, rows, kind)
     run.report()
@@ -236,13 +230,7 @@ _PATIENCE = "10s"  # for a scheduler that is there
 def workers(count: int = 1, dask: str | None = None) -> Iterator[Executor | None]:
     """Yield an executor for the block; None where one process is enough.
 
-    Parameters
-    ----------
-    count : processes on this computer. dask : address of a Dask scheduler, which is used instead.
-
-    Raises
-    ------
-    ConfigError : less than one process. MissingExtra : Dask is not installed. LinkError : nobody answers there.
+    `count` are processes of this computer; `dask` is the address of a Dask scheduler, used instead.
     """
     if count < 1:
         raise ConfigError(f"Expected at least one worker, got {count}.")

@@ -42,7 +42,9 @@ class FleetRecorder:
 
     Parameters
     ----------
-    place : of the router; its `lab` may be `EVERY`. folder : for the files. tell : told what a person should know, in
+    place : of the router; its `lab` may be `EVERY`.
+    folder : for the files.
+    tell : told what a person should know, in
         a thread of the recorder's.
 
     Attributes
@@ -181,14 +183,19 @@ class RobotRecord:
 
     Parameters
     ----------
-    name : "lab1/yumi_left". path : of its first file. tell : told what a person should know.
+    name : "lab1/yumi_left".
+    path : of its first file.
+    tell : told what a person should know.
 
     Attributes
     ----------
     rows, lost : rows written, and rows that never came or could not be written, by the ticks of the robot.
     damaged : rows whose checksum was another one; they are dropped and leave holes.
-    refused : messages that were no rows of this robot. late : rows that had come before.
-    last : newest tick, -1 before the first row. paths : files so far. failed : why the last one stopped, or None.
+    refused : messages that were no rows of this robot.
+    late : rows that had come before.
+    last : newest tick, -1 before the first row.
+    paths : files so far.
+    failed : why the last one stopped, or None.
     wants : rows wait for a description.
     """
 

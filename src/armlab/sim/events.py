@@ -196,7 +196,9 @@ class HandPath:
 
         Parameters
         ----------
-        robot : for limits. seed : of the path. seconds : its length.
+        robot : for limits.
+        seed : of the path.
+        seconds : its length.
         """
         draw = np.random.default_rng(seed)
         t = np.arange(0.0, seconds + 1e-9, 0.05)
@@ -240,8 +242,11 @@ class Surroundings:
 
     Attributes
     ----------
-    operator : who pushes the arm, over guidance time. hand : who leads it in the program "lead-through".
-    motors, rapid : their states over robot time. external : number of external axes. grip : who holds the tool.
+    operator : who pushes the arm, over guidance time.
+    hand : who leads it in the program "lead-through".
+    motors, rapid : their states over robot time.
+    external : number of external axes.
+    grip : who holds the tool.
     """
 
     operator: AppliedWrench = field(default_factory=AppliedWrench.idle)
@@ -269,7 +274,8 @@ class Surroundings:
 
         Parameters
         ----------
-        program : see `ControllerSettings.program`. n : number of joints.
+        program : see `ControllerSettings.program`.
+        n : number of joints.
 
         Raises
         ------

@@ -58,8 +58,11 @@ class SimulatedArm:
 
     Attributes
     ----------
-    robot : the description. built : the arm that moves. truth : its parameters, mismatch included.
-    sample : the exact state at the last instant. has_torque : True.
+    robot : the description.
+    built : the arm that moves.
+    truth : its parameters, mismatch included.
+    sample : the exact state at the last instant.
+    has_torque : True.
 
     Raises
     ------
@@ -218,13 +221,7 @@ def _mujoco() -> Any:
 
 
 def build_model(robot: Robot, truth: Truth) -> Any:
-    """Return MuJoCo's model of the arm: one body per link frame, no contacts, no limits, one site at the tool point.
-
-    Parameters
-    ----------
-    robot : frames, joint kinds and gravity.
-    truth : inertial parameters and rotor inertias.
-    """
+    """Return MuJoCo's model of the arm: one body per link frame, no contacts, no limits, one site at the tool point."""
     mujoco = _mujoco()
 
     def pose(T: np.ndarray) -> dict[str, np.ndarray]:
@@ -257,11 +254,15 @@ class LaggingArm:
 
     Parameters
     ----------
-    robot : the description. period : time between two packets [s]. q : (n,) start; the home posture by default.
+    robot : the description.
+    period : time between two packets [s].
+    q : (n,) start; the home posture by default.
 
     Attributes
     ----------
-    robot, period : as given. sample : the state. has_torque : False.
+    robot, period : as given.
+    sample : the state.
+    has_torque : False.
     """
 
     has_torque = False
@@ -290,7 +291,8 @@ class LaggingArm:
 
         Parameters
         ----------
-        q_ref : (n,) reference. qd_ref, wrench : as for `SimulatedArm`; without effect.
+        q_ref : (n,) reference.
+        qd_ref, wrench : as for `SimulatedArm`; without effect.
         """
         self._under_way.append(np.array(q_ref))
         moved = self._share * (self._under_way.popleft() - self._q)

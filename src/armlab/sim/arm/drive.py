@@ -30,12 +30,8 @@ INTEGRAL_TIME = 0.05  # s
 class JointDrives:
     """Drives of all joints.
 
-    Parameters
-    ----------
-    inertia : (n,) nominal joint inertia, rotor included [kg m^2].
-    tau_max : (n,) torque limits [N m].
-    feedforward : (n,) the part of Coriolis and gravity torque that is known in advance.
-    step : time between two calls [s].
+    `inertia` includes the rotors [kg m^2]; `feedforward` is the known share of Coriolis and gravity torque; `step` is
+    the time between two calls [s].
     """
 
     def __init__(self, inertia: np.ndarray, tau_max: np.ndarray, feedforward: np.ndarray, step: float) -> None:
@@ -50,12 +46,7 @@ class JointDrives:
         self._added: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
 
     def assist(self, tau: np.ndarray, gain_q: np.ndarray, gain_qd: np.ndarray) -> None:
-        """Add a torque and scale the gains from now on.
-
-        Parameters
-        ----------
-        tau : (n,) torque to add [N m]. gain_q, gain_qd : (n,) scales of the position and of the velocity loop.
-        """
+        """Add a torque (n,) [N m] and scale the gains of position and velocity loop (n,) from now on."""
         self._added = (tau, gain_q, gain_qd)
 
     def alone(self) -> None:
@@ -63,13 +54,7 @@ class JointDrives:
         self._added = None
 
     def reset(self, holding: np.ndarray, bias: np.ndarray) -> None:
-        """Set the integral so that the torque at rest, on its reference, is `holding`.
-
-        Parameters
-        ----------
-        holding : (n,) [N m].
-        bias : (n,) gravity torque at this posture [N m].
-        """
+        """Set the integral so that the torque at rest, on its reference, is `holding`; `bias` is gravity's [N m]."""
         self._integral[:] = (holding - self._feedforward * bias) / self._gain
 
     def torque(
@@ -82,15 +67,7 @@ class JointDrives:
         bias: np.ndarray,
         out: np.ndarray,
     ) -> np.ndarray:
-        """Return the torque of this step.
-
-        Parameters
-        ----------
-        q_ref, qd_ref, qdd_ref : (n,) reference.
-        q, qd : (n,) position and velocity.
-        bias : (n,) true Coriolis and gravity torque, of which the drive knows a part [N m].
-        out : (n,) receives the torque [N m].
-        """
+        """Write the torque of this step to `out` and return it; the drive knows a part of the true `bias` [N m]."""
         error, growth = self._error, self._growth
         np.subtract(q_ref, q, out=error)
         error *= POSITION_GAIN

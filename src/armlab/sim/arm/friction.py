@@ -29,12 +29,7 @@ from armlab.sim.arm.truth import Truth
 
 
 class JointFriction:
-    """Friction state of all joints.
-
-    Parameters
-    ----------
-    truth : the parameters.
-    """
+    """Friction state of all joints."""
 
     def __init__(self, truth: Truth) -> None:
         self._truth = truth
@@ -53,13 +48,7 @@ class JointFriction:
         self.bristle[:] = 0.0
 
     def advance(self, dq: np.ndarray, qd: np.ndarray) -> None:
-        """Move the bristles by `dq`.
-
-        Parameters
-        ----------
-        dq : (n,) displacement in this step [rad].
-        qd : (n,) velocity of this step [rad/s], for the Stribeck curve.
-        """
+        """Move the bristles by `dq` [rad] at velocity `qd` [rad/s], for the Stribeck curve."""
         ratio, sliding, sign, decay = self._work
         np.multiply(qd, self._speed_scale, out=ratio)
         np.multiply(ratio, ratio, out=ratio)
@@ -81,13 +70,7 @@ class JointFriction:
         self.bristle += sliding
 
     def torque(self, q: np.ndarray, qd: np.ndarray, out: np.ndarray) -> np.ndarray:
-        """Return the friction torque against motion, ripple included.
-
-        Parameters
-        ----------
-        q, qd : (n,) position and velocity.
-        out : (n,) receives the torque [N m].
-        """
+        """Write the friction torque against motion [N m], ripple included, to `out` and return it."""
         truth, angle = self._truth, self._work[0]
         np.multiply(q, truth.ripple_cycles, out=angle)
         angle += self._phase
@@ -105,14 +88,10 @@ WARM_SPEED = 0.25  # of the speed limit, at which friction heats the drive to a 
 
 
 class WornFriction(JointFriction):
-    """Friction state of all joints, warmth included.
+    """Friction state of all joints, temperature included; `step` [s] is the time between calls of `advance`.
 
-    Parameters
-    ----------
-    truth : the parameters.
-    mismatch : `warm_up`, `load_friction` and `ripple_jump` are used.
-    step : time between two calls of `advance` [s].
-    load : (n,) torque of the drives [N m]; read at every step.
+    `load` (n,) is the torque of the drives [N m], read at every step. Of `mismatch` it uses `warm_up`, `load_friction`
+    and `ripple_jump`.
     """
 
     def __init__(self, truth: Truth, mismatch: Mismatch, step: float, load: np.ndarray) -> None:
@@ -126,13 +105,7 @@ class WornFriction(JointFriction):
         self.warmth = np.zeros_like(coulomb)
 
     def advance(self, dq: np.ndarray, qd: np.ndarray) -> None:
-        """Move the bristles by `dq` and warm the drives.
-
-        Parameters
-        ----------
-        dq : (n,) displacement in this step [rad].
-        qd : (n,) velocity of this step [rad/s].
-        """
+        """Move the bristles by `dq` [rad] at velocity `qd` [rad/s] and warm the drives."""
         share = 1.0 + self._mismatch.load_friction * np.abs(self._load) / self._truth.tau_max
         self._mean, self._skew = share * self._cold[0], share * self._cold[1]
         super().advance(dq, qd)

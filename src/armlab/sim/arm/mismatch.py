@@ -124,7 +124,8 @@ class Mismatch:
 
         Parameters
         ----------
-        knob : name of the attribute. shape : of the result.
+        knob : name of the attribute.
+        shape : of the result.
         """
         return float(getattr(self, knob)) * self._random(knob).uniform(-1.0, 1.0, shape)
 
@@ -162,7 +163,8 @@ class Mismatch:
 
         Parameters
         ----------
-        truth : of the arm as described. robot : its description.
+        truth : of the arm as described.
+        robot : its description.
         """
         from armlab.robots import inertia
 

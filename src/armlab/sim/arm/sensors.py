@@ -26,8 +26,10 @@ class TrueState:
     Attributes
     ----------
     q, qd, qdd : (n,) position, velocity, acceleration.
-    tau : (n,) torque of the drives, joint side. tau_friction : (n,) friction and ripple, counted against motion.
-    tau_gravity : (n,) what the drives feed forward. q_ref : (n,) reference of the drives.
+    tau : (n,) torque of the drives, joint side.
+    tau_friction : (n,) friction and ripple, counted against motion.
+    tau_gravity : (n,) what the drives feed forward.
+    q_ref : (n,) reference of the drives.
     wrench : (6,) by the environment on the robot, base axes, at the tool point.
     T_base_tool : (4, 4) pose of the tool.
     """
@@ -58,15 +60,7 @@ class SensorReading:
 
 
 class Sensors:
-    """Sensors of all joints.
-
-    Parameters
-    ----------
-    truth : noise, steps and rotors.
-    mismatch : errors of delay and conversion.
-    period : time between two instants [s].
-    seed : of the noise.
-    """
+    """Sensors of all joints."""
 
     def __init__(self, truth: Truth, mismatch: Mismatch, period: float, seed: int | Sequence[int]) -> None:
         n = len(truth.pi)
@@ -85,12 +79,7 @@ class Sensors:
         self._sample = None
 
     def see(self, sample: TrueState) -> None:
-        """Take notice of one instant; each of them once, in order.
-
-        Parameters
-        ----------
-        sample : its exact state.
-        """
+        """Receive the exact state of one instant; call once per instant, in order."""
         self._torques.append(sample.tau)
         if self._compliance is not None:
             carried = sample.tau - sample.tau_friction - self._truth.rotor * sample.qdd
@@ -101,12 +90,7 @@ class Sensors:
         self._sample = sample
 
     def measure(self) -> SensorReading:
-        """Return what is reported of the last instant seen, with fresh noise.
-
-        Raises
-        ------
-        ConfigError : nothing was seen yet.
-        """
+        """Return what the sensors report of the last instant, with fresh noise."""
         sample, truth = self._sample, self._truth
         if sample is None:
             raise ConfigError("Expected an instant to measure, got none. Call see first.")

@@ -32,13 +32,21 @@ class Truth:
     ----------
     pi : (n, 10) inertial parameters per link, link frames, about their origins:
         ``m, m cx, m cy, m cz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz``.
-    rotor : inertia of the rotors [kg m^2]. tau_max : torque at which the drives saturate [N m].
+    rotor : inertia of the rotors [kg m^2].
+    tau_max : torque at which the drives saturate [N m].
     coulomb_pos, coulomb_neg : Coulomb friction for positive and negative motion, both counted positive [N m].
-    static_ratio : break-away over Coulomb friction. stribeck_speed : width of the Stribeck curve [rad/s].
-    viscous : [N m s/rad]. offset : [N m]. delta : presliding distance [rad].
-    ripple : amplitude [N m]. ripple_cycles : [rad/rad], so cycles per turn. ripple_phase : [rad].
-    tau_noise : standard deviation of the torque measurement [N m]. tau_step : its quantisation [N m].
-    q_step : quantisation of the position measurement [rad]. qd_noise : standard deviation of the velocity [rad/s].
+    static_ratio : break-away over Coulomb friction.
+    stribeck_speed : width of the Stribeck curve [rad/s].
+    viscous : [N m s/rad].
+    offset : [N m].
+    delta : presliding distance [rad].
+    ripple : amplitude [N m].
+    ripple_cycles : [rad/rad], so cycles per turn.
+    ripple_phase : [rad].
+    tau_noise : standard deviation of the torque measurement [N m].
+    tau_step : its quantisation [N m].
+    q_step : quantisation of the position measurement [rad].
+    qd_noise : standard deviation of the velocity [rad/s].
     feedforward : the part of its own gravity and Coriolis torques that the drive knows in advance.
     """
 
@@ -206,16 +214,10 @@ def synthetic_truth(robot: Robot) -> Truth:
 
 
 def cylinder(mass: float, p: np.ndarray, radius: float, shortest: float) -> np.ndarray:
-    """Return the inertial parameters (10,) of a solid cylinder from the origin of a link frame to the next one.
+    """Return the inertial parameters (10,) of a solid cylinder from a link frame's origin to the next one at p [m].
 
     ``centre = p / 2``, axis along p (z where p = 0), length ``max(|p|, shortest)``;
     ``I_axial = m r^2 / 2``, ``I_across = m (3 r^2 + L^2) / 12``, moved to the origin by Steiner's rule.
-
-    Parameters
-    ----------
-    mass : [kg].
-    p : (3,) position of the next joint's frame in the link frame [m].
-    radius, shortest : radius and least length [m].
     """
     length = float(np.linalg.norm(p))
     axis = p / length if length > 0 else np.array([0.0, 0.0, 1.0])

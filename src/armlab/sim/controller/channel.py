@@ -116,7 +116,8 @@ class UdpClient:
 
         Parameters
         ----------
-        patience : how long to wait [s]. alive : asked now and then whether to go on.
+        patience : how long to wait [s].
+        alive : asked now and then whether to go on.
         """
         if self._packet is None and not self._awaited:
             self.drain()  # what comes between two sessions must not wait in the socket for the next one

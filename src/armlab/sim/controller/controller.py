@@ -46,10 +46,16 @@ class SimulatedController:
 
     Attributes
     ----------
-    phase : see the module. reason : why it is over, "" before. dead : over by a failure that only a restart ends.
-    session : number of the session from 1. seq, cycle : number of the next packet, and of the cycle since the start.
-    uptime : robot time [s]. guidance_time : since guidance began [s], or the stream where there is none.
-    inbox : what has arrived. packets : builds messages. statistics : what was counted.
+    phase : see the module.
+    reason : why it is over, "" before.
+    dead : over by a failure that only a restart ends.
+    session : number of the session from 1.
+    seq, cycle : number of the next packet, and of the cycle since the start.
+    uptime : robot time [s].
+    guidance_time : since guidance began [s], or the stream where there is none.
+    inbox : what has arrived.
+    packets : builds messages.
+    statistics : what was counted.
 
     Raises
     ------
@@ -122,7 +128,8 @@ class SimulatedController:
 
         Parameters
         ----------
-        data : one datagram, whatever it holds. arrival_ns : wall clock of its arrival, for the round trip.
+        data : one datagram, whatever it holds.
+        arrival_ns : wall clock of its arrival, for the round trip.
         """
         found = self.inbox.read(data)
         if isinstance(found, Drop):

@@ -30,7 +30,9 @@ class Guidance:
 
     Parameters
     ----------
-    robot : for limits. settings : see `ControllerSettings`. q : (n,) where it starts.
+    robot : for limits.
+    settings : see `ControllerSettings`.
+    q : (n,) where it starts.
 
     Attributes
     ----------
@@ -58,7 +60,8 @@ class Guidance:
 
         Parameters
         ----------
-        q_ref : (n,) or None for "stay" (nothing was received yet). qd_ref : (n,) or None for zero.
+        q_ref : (n,) or None for "stay" (nothing was received yet).
+        qd_ref : (n,) or None for zero.
         """
         settings = self._settings
         self._time += settings.period
@@ -92,7 +95,8 @@ class Guidance:
 
         Parameters
         ----------
-        q : (n,) where the arm is. free : (n,) which joints.
+        q : (n,) where the arm is.
+        free : (n,) which joints.
         """
         self.q = np.where(free, q, self.q)
 
@@ -147,20 +151,7 @@ _FASTEST = 1.0  # rad/s
 
 
 class ExternalAxes:
-    """External axes at 0 rad that follow at the controller's position gain, at most 1 rad/s: ``q += T k (q_ref - q)``.
-
-    Parameters
-    ----------
-    count : how many, at most six in all with a seventh robot axis. settings : gain and period.
-
-    Attributes
-    ----------
-    q : (count,) [rad].
-
-    Raises
-    ------
-    ConfigError : a count below 0 or above 6.
-    """
+    """At most six external axes, from 0 rad at the controller's gain, up to 1 rad/s: ``q += T k (q_ref - q)``."""
 
     def __init__(self, count: int, settings: ControllerSettings) -> None:
         if not 0 <= count <= _MOST:
@@ -168,12 +159,7 @@ class ExternalAxes:
         self.q, self._gain, self._period = np.zeros(count), settings.gain, settings.period
 
     def follow(self, q_ref: np.ndarray | None) -> None:
-        """Advance by one period.
-
-        Parameters
-        ----------
-        q_ref : references, the first `count` of them are used; None or too few for "stay".
-        """
+        """Advance by one period; the axes stay for None or too few references."""
         if q_ref is None or len(q_ref) < len(self.q):
             return
         qd = np.clip(self._gain * (q_ref[: len(self.q)] - self.q), -_FASTEST, _FASTEST)

@@ -38,14 +38,7 @@ class Sent:
 
 
 class ReplyQueue:
-    """The queue of one motion task.
-
-    Parameters
-    ----------
-    codec : of the robot's side.
-    statistics : receives what is counted.
-    settings : the mode, and the order of the queue.
-    """
+    """Queue of replies of one motion task, bounded, in the order that the settings ask for."""
 
     def __init__(self, codec: RobotSideCodec, statistics: Statistics, settings: ControllerSettings) -> None:
         self._codec, self._statistics = codec, statistics
@@ -69,11 +62,9 @@ class ReplyQueue:
         self._sent.append(sent)
 
     def stamp(self, nanoseconds: int, uptime: float) -> None:
-        """Note when the newest packet left. A reply to the one before it that has not come by now is late or missing.
+        """Note when the newest packet left, by the wall clock [ns] and in robot time [s].
 
-        Parameters
-        ----------
-        nanoseconds : wall clock just before sending. uptime : robot time [s].
+        A reply to the packet before it that has not arrived by now is late or missing.
         """
         if self._sent:
             self._sent[-1].stamp_ns = nanoseconds
@@ -81,12 +72,7 @@ class ReplyQueue:
             self._statistics.miss(uptime)
 
     def read(self, data: bytes, count: bool = True) -> SensorMessage | Drop:
-        """Return what a datagram says, or why it says nothing in this mode.
-
-        Parameters
-        ----------
-        data : one datagram, whatever it holds. count : count its type.
-        """
+        """Decode a datagram; return the message, or the reason why it is not valid in this mode."""
         found = self._codec.decode_sensor(data)
         if isinstance(found, SensorMessage):
             self._statistics.mtypes[found.mtype] += count
@@ -95,12 +81,7 @@ class ReplyQueue:
         return found
 
     def match(self, message: SensorMessage, arrival_ns: int, uptime: float) -> Sent | None:
-        """Return the packet that a message answers, None when it is unknown. Count duplicates and round trips.
-
-        Parameters
-        ----------
-        message : as read. arrival_ns : wall clock of its arrival, 0 when unknown. uptime : robot time [s].
-        """
+        """Return the packet that a message answers, or None; count duplicates and round trips. Arrival 0 is unknown."""
         counts = self._statistics.counts
         counts["duplicates"] += message.seqno is not None and message.seqno == self._last_seqno
         self._last_seqno = message.seqno
@@ -114,24 +95,14 @@ class ReplyQueue:
         return sent
 
     def put(self, message: SensorMessage, cycle: int | None) -> bool:
-        """Append to the queue. Return False when it is full.
-
-        Parameters
-        ----------
-        message : as read. cycle : in which the packet was sent that it answers, None when unknown.
-        """
+        """Append a message and the cycle of the packet it answers, if known. Return False when the queue is full."""
         if len(self._queue) >= QUEUE_LENGTH:
             return False
         self._queue.append((message, cycle))
         return True
 
     def take(self, cycle: int) -> SensorMessage | None:
-        """Return the next message, None when none waits, and note how old it is. The newest drops all before it.
-
-        Parameters
-        ----------
-        cycle : this one.
-        """
+        """Return the next message, or None, and note its age. Mode newest drops all messages before it."""
         self._statistics.queue[len(self._queue)] += 1
         if not self._queue:
             return None

@@ -35,13 +35,7 @@ _UPTIME_MS = 10_000  # tm of the first packet; 0 would look like "no tm" when it
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """What else a packet tells.
-
-    Attributes
-    ----------
-    seq : its number. motors, mci, rapid : states. converged : the window is met. mode : of the drives. used_seq, left :
-    the last reply taken, and how many were left then.
-    """
+    """State fields of a packet; `used_seq` and `left`: the last reply taken and the queue length after it."""
 
     seq: int
     motors: int
@@ -111,8 +105,11 @@ class PacketBuilder:
 
         Parameters
         ----------
-        cycle : number of the cycle. arm, guidance : measured and planned motion. condition : see there.
-        q_ext : external axes [rad]. target : what was asked for; RAPID sends back what it heard.
+        cycle : number of the cycle.
+        arm, guidance : measured and planned motion.
+        condition : see there.
+        q_ext : external axes [rad].
+        target : what was asked for; RAPID sends back what it heard.
         """
         measured, sample, c = arm.measure(), arm.sample, condition
         feels = arm.has_torque

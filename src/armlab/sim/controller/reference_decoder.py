@@ -18,18 +18,10 @@ _LARGEST_GAIN = 2.0
 
 
 class ReferenceDecoder:
-    """References of one motion task.
+    """References of one motion task; q, qd and q_ext are None before the first.
 
-    Parameters
-    ----------
-    robot : for kinematics. settings : the mode.
-
-    Attributes
-    ----------
-    q, qd : (n,) references of the reference generator, None before the first.
-    tau : (n,) torque to add [N m]. gain_q, gain_qd : (n,) scales of the drive's gains in [0, 2].
-    q_ext : references of external axes [rad], None before the first.
-    rapid_data, rapid_digital : what RAPID heard last, empty and None before; its variables outlive a session.
+    `tau` is the torque to add [N m]; `gain_q` and `gain_qd` scale the drive's gains in [0, 2]. RAPID's variables
+    outlive a session.
     """
 
     def __init__(self, robot: Robot, settings: ControllerSettings) -> None:
@@ -39,12 +31,7 @@ class ReferenceDecoder:
         self.begin(robot.q_home)
 
     def begin(self, q: np.ndarray) -> None:
-        """Forget all references: a new session.
-
-        Parameters
-        ----------
-        q : (n,) posture from which guidance begins.
-        """
+        """Forget all references: a new session begins at posture q."""
         n = self._robot.n
         self.q: np.ndarray | None = None
         self.qd: np.ndarray | None = None
@@ -65,12 +52,7 @@ class ReferenceDecoder:
         return bool((self.gain_q == 1).all() and (self.gain_qd == 1).all() and not self.tau.any())
 
     def read(self, message: SensorMessage, planned: np.ndarray) -> tuple[np.ndarray, np.ndarray | None] | None:
-        """Return the references (q, qd) in a message; None when no posture reaches the pose. NaN is let through.
-
-        Parameters
-        ----------
-        message : of the kind that the mode needs. planned : (n,) where the reference generator is.
-        """
+        """Return the references (q, qd) of a message; None when no posture reaches the pose. NaN is passed on."""
         if self._mode == "joint":
             q = message.q if message.q_reference is None else message.q_reference
             qd = message.qd if message.qd_reference is None else message.qd_reference
@@ -94,12 +76,7 @@ class ReferenceDecoder:
         return found.q, np.linalg.pinv(chain.jacobian(planned), rcond=1e-3) @ twist
 
     def accept(self, message: SensorMessage, q: np.ndarray, qd: np.ndarray | None) -> None:
-        """Take what was read, and the drive's part of the message: what is absent goes back to its default.
-
-        Parameters
-        ----------
-        message : a message with numbers only. q, qd : (n,) references.
-        """
+        """Store references and the drive's part of a message; absent fields go back to their defaults."""
         n = self._robot.n
         self.q, self.qd = q, qd
         if message.q_ext is not None:
@@ -113,12 +90,7 @@ class ReferenceDecoder:
         self.gain_qd = np.ones(n) if message.gain_qd is None else message.gain_qd.clip(0.0, _LARGEST_GAIN)
 
     def apply(self, drive: JointDrives | None) -> None:
-        """Hand the drive's part to the drives.
-
-        Parameters
-        ----------
-        drive : of all joints; None for an arm without masses, which has none.
-        """
+        """Pass torque and gains to the drives; None is an arm without masses, which has none."""
         if drive is None:
             return
         if self.is_plain:
@@ -133,21 +105,11 @@ class ReferenceDecoder:
 
 
 def is_number(values: np.ndarray) -> bool:
-    """Return whether all values are finite, and not so large that sums of them would not be.
-
-    Parameters
-    ----------
-    values : (...) any.
-    """
+    """Return whether all values are finite, and small enough that sums of them are finite too."""
     return bool((np.abs(values) < _ABSURD).all())
 
 
 def has_numbers(message: SensorMessage, q: np.ndarray, qd: np.ndarray | None) -> bool:
-    """Return whether all that a message asks for is a usable number.
-
-    Parameters
-    ----------
-    message : as decoded. q, qd : (n,) references read from it.
-    """
+    """Return whether all references of a message are usable numbers."""
     values = (q, qd, message.tau, message.gain_q, message.gain_qd, message.q_ext)
     return all(value is None or is_number(value) for value in values)

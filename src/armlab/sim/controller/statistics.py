@@ -15,12 +15,7 @@ _KEPT = 100_000  # newest times kept for the quantiles: memory does not grow in 
 
 
 class ControllerEvent(NamedTuple):
-    """Something that the controller's event log would show.
-
-    Attributes
-    ----------
-    t : robot time [s]. task : the robot. number : ABB's event number, 0 where there is none. text : in words.
-    """
+    """Entry of the controller's event log: robot time [s], robot, ABB's event number (0: none), text."""
 
     t: float
     task: str
@@ -34,18 +29,10 @@ class ControllerEvent(NamedTuple):
 class Statistics:
     """Counters of one motion task.
 
-    Attributes
-    ----------
-    counts : packets, replies, sessions; starved cycles, in which the queue was empty; overtaken replies, which a newer
-        one replaced in the queue; skipped cycles of this process;
-        overruns: those of them that it skipped because its own computing, not the machine, took longer than a period;
-        missed: packets of guidance without a usable reply within one period; duplicates: replies that repeat the
-        number of the one before; how replies were matched. drops : datagrams by reason. mtypes : types of messages.
-    queue : depth of the queue at each take. age : cycles between packet and take of the reply to it, 1 at best.
-    last_age : of the newest reply taken, 0 before the first.
-    rapid : the values that RAPID heard last: "digital", and the numbers by their place from 1. external : references of
-        external axes, by their place from 1 [rad].
-    events : the newest thousand.
+    Starved cycles found the queue empty; overtaken replies were replaced by newer ones in the queue. Skipped cycles
+    passed without a packet; overruns are those skipped because this process computed too long. Missed packets had no
+    usable reply within one period; duplicates repeat the number of the reply before. The age of a reply is the number
+    of cycles from its packet to its use, 1 at best. The first second is not counted in times, misses and overruns.
     """
 
     def __init__(self) -> None:
@@ -63,32 +50,16 @@ class Statistics:
         self._work: deque[float] = deque(maxlen=_KEPT)
 
     def trip(self, seconds: float, uptime: float) -> None:
-        """Note one round trip.
-
-        Parameters
-        ----------
-        seconds : from just before sending a packet to the kernel's receive stamp of its reply.
-        uptime : robot time at which it was measured; the first second does not count.
-        """
+        """Record a round trip [s]: from just before sending a packet to the kernel's receive stamp of its reply."""
         if uptime > _WARM_UP:
             self._round_trips.append(seconds)
 
     def miss(self, uptime: float) -> None:
-        """Note a packet without a usable reply within one period.
-
-        Parameters
-        ----------
-        uptime : robot time; the first second does not count.
-        """
+        """Count a packet without a usable reply within one period."""
         self.counts["missed"] += uptime > _WARM_UP
 
     def heard(self, rapid_data: np.ndarray | None, rapid_digital: bool | None, q_ext: np.ndarray | None) -> None:
-        """Note what a reply that was taken says beside the joints.
-
-        Parameters
-        ----------
-        rapid_data, rapid_digital : for RAPID. q_ext : references of external axes [rad]. None for what it does not say.
-        """
+        """Record RAPID values and references of external axes [rad] of a reply; None: not sent."""
         for name, values, kept in (("RAPID data", rapid_data, self.rapid), ("external axes", q_ext, self.external)):
             if values is not None:
                 self.counts[name] += 1
@@ -98,23 +69,12 @@ class Statistics:
             self.rapid["digital"] = float(rapid_digital)
 
     def late(self, seconds: float, uptime: float) -> None:
-        """Note how late this process woke up for a cycle.
-
-        Parameters
-        ----------
-        seconds : behind the schedule. uptime : robot time; the first second does not count.
-        """
+        """Record how late this process woke up for a cycle [s]."""
         if uptime > _WARM_UP:
             self._wake_ups.append(seconds)
 
     def worked(self, seconds: float, overruns: int, uptime: float) -> None:
-        """Note how long this process computed for a cycle.
-
-        Parameters
-        ----------
-        seconds : of processor time, in which it was not interrupted. overruns : cycles skipped because of that.
-        uptime : robot time; the first second does not count.
-        """
+        """Record the processor time of a cycle [s] and the cycles skipped because of it."""
         if uptime > _WARM_UP:
             self._work.append(seconds)
             self.counts["overruns"] += overruns
@@ -166,12 +126,7 @@ def _quantiles(seconds: deque[float]) -> dict[str, float]:
 
 
 class EventLog:
-    """Tells events, and each kind of dropped datagram once per session.
-
-    Parameters
-    ----------
-    task : name of the robot. statistics : keeps events and counts drops. on_event : called with each event, or None.
-    """
+    """Event log of a robot: reports events, and each kind of dropped datagram once per session."""
 
     def __init__(self, task: str, statistics: Statistics, on_event: Callable[[ControllerEvent], None] | None) -> None:
         self._task, self._statistics, self._on_event = task, statistics, on_event
@@ -182,24 +137,14 @@ class EventLog:
         self._told: set[str] = set()
 
     def tell(self, uptime: float, number: int, text: str) -> None:
-        """Keep and pass on one event.
-
-        Parameters
-        ----------
-        uptime : robot time [s]. number : ABB's, or 0. text : in words.
-        """
+        """Record and report one event at a robot time [s]."""
         event = ControllerEvent(round(uptime, 6), self._task, number, text)
         self._statistics.events.append(event)
         if self._on_event:
             self._on_event(event)
 
     def drop(self, uptime: float, drop: Drop, data: bytes) -> None:
-        """Count what is no message.
-
-        Parameters
-        ----------
-        uptime : robot time [s]. drop : the reason. data : the datagram.
-        """
+        """Count a datagram that is not a valid message; report the first of its kind."""
         self._statistics.drops[drop.reason] += 1
         if drop.reason not in self._told:
             self._told.add(drop.reason)

@@ -47,7 +47,8 @@ class CalibrationCell:
         ----------
         run : number of the experiment. N : poses.
         tilt : largest angle of the tool from one orientation [rad]; any orientation when None.
-        camera : noise of B (m, rad). robot : noise of A; exact when None.
+        camera : noise of B (m, rad).
+        robot : noise of A; exact when None.
         wrong : how many of the first poses of the marker are turned by 10 degrees and moved by 50 mm.
         """
         return hand_eye.seen_poses([self.seed, run], N, tilt, camera, robot, wrong)
@@ -57,7 +58,8 @@ class CalibrationCell:
 
         Parameters
         ----------
-        run : number of the experiment. N : images, ten per second. jitter : of their times [s].
+        run : number of the experiment. N : images, ten per second.
+        jitter : of their times [s].
         """
         return moving_sights([self.seed, run, 1], self.clock(run, N, jitter=jitter))
 
@@ -74,7 +76,9 @@ class CalibrationCell:
 
         Parameters
         ----------
-        run : number of the experiment. N : poses. sigma : noise of each coordinate [m]. missing : share not seen.
+        run : number of the experiment. N : poses.
+        sigma : noise of each coordinate [m].
+        missing : share not seen.
         robot : noise of the robot's poses (position [m], rotation [rad]); exact when None.
         """
         return hand_eye.seen_points([self.seed, run], N, sigma, missing, robot)
@@ -95,10 +99,12 @@ class CalibrationCell:
 
         Parameters
         ----------
-        run : number of the experiment. N : samples. sigma : noise of forces [N].
+        run : number of the experiment. N : samples.
+        sigma : noise of forces [N].
         tilt : largest angle of the tool from one orientation [rad]; any orientation when None.
         torque : noise of torques [N m]; forces alone when None.
-        unknown : the weight points anywhere. bias : readings without weight are not zero.
+        unknown : the weight points anywhere.
+        bias : readings without weight are not zero.
         contacts : how many of the first samples have a contact of 20 N.
         """
         return tool_sensors.weighed([self.seed, run], N, sigma, tilt, torque, unknown, bias, contacts)
@@ -108,7 +114,8 @@ class CalibrationCell:
 
         Parameters
         ----------
-        run : number of the experiment. N : samples. sigma : noise [m/s^2].
+        run : number of the experiment. N : samples.
+        sigma : noise [m/s^2].
         """
         return tool_sensors.accelerated([self.seed, run], N, sigma)
 
@@ -128,7 +135,8 @@ class CalibrationCell:
         ----------
         run : number of the experiment. N : samples.
         truth : "lpoe", every frame of the arm moved; "dh", every number of its table.
-        tool : the nominal tool is away from the flange. harmonics : joints with errors of orders 1 and 2, 0.02 deg.
+        tool : the nominal tool is away from the flange.
+        harmonics : joints with errors of orders 1 and 2, 0.02 deg.
         wrong : how many of the first poses are turned by 2 degrees and moved by 20 mm.
 
         Raises
@@ -163,7 +171,9 @@ class CalibrationCell:
 
         Parameters
         ----------
-        run : number of the experiment. N : scans. size : of the noise; 1 is 0.5 mm. plates : one to three, in turn.
+        run : number of the experiment. N : scans.
+        size : of the noise; 1 is 0.5 mm.
+        plates : one to three, in turn.
         wrong : how many of the first scans are moved by 20 mm and turned by 10 degrees.
 
         Raises
@@ -179,7 +189,8 @@ class CalibrationCell:
 
         Parameters
         ----------
-        run : number of the experiment. N : samples. period : of the sensor [s].
+        run : number of the experiment. N : samples.
+        period : of the sensor [s].
         jitter : standard deviation of e [s], cut at 0.4 periods.
         """
         e = jitter * np.random.default_rng([self.seed, run]).standard_normal(N)

@@ -149,12 +149,7 @@ class MovingSights:
 
 
 def moving_sights(seed: Any, looked: np.ndarray) -> MovingSights:
-    """Return both recordings of a smooth motion of an IRB 2400.
-
-    Parameters
-    ----------
-    seed : of the generator. looked : (N,) times of the images [s].
-    """
+    """Return both recordings of a smooth motion of an IRB 2400, with images at the times `looked` (N,) [s]."""
     from armlab.log import Column, Table  # here: a simulator that only sends starts without them
 
     rng, robot = np.random.default_rng(seed), load("irb2400")

@@ -134,12 +134,8 @@ def kinematic_run(
 ) -> KinematicRun:
     """Return experiments K1 to K4 and K7: poses, of which positions may be used alone.
 
-    Parameters
-    ----------
-    run : number of the experiment. seed : of the series. n : samples.
-    truth : "lpoe" or "dh". tool : nominal tool away from the flange.
-    harmonics : joints with errors of orders 1 and 2, 0.02 deg.
-    wrong : how many of the first poses are turned by 2 deg and moved by 20 mm.
+    `truth` is "lpoe" or "dh"; `tool` puts the nominal tool away from the flange; `harmonics` adds joint errors of
+    orders 1 and 2, 0.02 deg; the first `wrong` poses are turned by 2 deg and moved by 20 mm.
     """
     rng = np.random.default_rng([seed, run])
     arm = perturbed(rng, truth, tool)

@@ -53,13 +53,10 @@ def weighed(
     bias: bool = True,
     contacts: int = 0,
 ) -> Weighed:
-    """Return experiment F1; F2 with tilt [rad]; F3 with contacts in the first samples; F4 with torques; F5 unknown.
+    """Return experiment F1; F2 with `tilt` [rad]; F3 with `contacts`; F4 with `torque`; F5 with `unknown`.
 
-    Parameters
-    ----------
-    seed : of the generator. N : samples. sigma : noise of forces [N]. tilt : largest angle from one orientation [rad].
-    torque : noise of torques [N m]. unknown : the weight points anywhere. bias : readings without weight are not zero.
-    contacts : how many of the first samples have contact.
+    `sigma` and `torque` are the noise of forces [N] and torques [N m]; `tilt` is the largest angle from one
+    orientation; `unknown` lets the weight point anywhere; `contacts` counts the first samples that have contact.
     """
     rng = np.random.default_rng(seed)
     R = rotations(rng, 1)[0]
@@ -133,12 +130,7 @@ def turns(angles: np.ndarray) -> np.ndarray:
 
 
 def scanned(seed: Any, N: int = 60, size: float = 1.0, plates: int = 3, wrong: int = 0) -> Scanned:
-    """Return experiment L1, plates in turn; L3 with the first scans moved by 20 mm and turned by 10 degrees.
-
-    Parameters
-    ----------
-    seed : of the generator. N : scans. size : of the noise, 1 for 0.5 mm. plates : up to three. wrong : first scans.
-    """
+    """Return experiment L1, noise 0.5 mm times `size`; L3: the first `wrong` scans off by 20 mm and 10 degrees."""
     rng = np.random.default_rng(seed)
     X = se3.from_rp(turns(rng.standard_normal(3)), 0.5 * rng.standard_normal(3))
     plane = np.arange(N) % plates
