@@ -132,10 +132,3 @@ def test_a_camera_with_a_clock_of_its_own_sees_an_arm_that_moves(tmp_path) -> No
     regular = moving.arm.between(0.1, 7.0).rows(np.arange(25, 1525, 25))["q"]
     wrong = calibrate.fit_hand_eye(forward(moving.robot, regular), seen["T_cam_marker"])
     assert np.all(wrong.sigma > 3.0 * fit.sigma)
-
-
-def test_what_the_cell_does_not_have_is_refused() -> None:
-    with pytest.raises(ConfigError, match="'lpoe' or 'dh' of an arm, got 'urdf'"):
-        cell(1).kinematics(truth="urdf")
-    with pytest.raises(ConfigError, match="one to three plates, got 4"):
-        cell(1).laser(plates=4)

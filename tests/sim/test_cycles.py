@@ -15,7 +15,6 @@ from armlab import bridge, robots
 from armlab.bridge.port import Arrival, Port
 from armlab.bridge.surplus import Surplus
 from armlab.bridge.waiting import Waiting
-from armlab.errors import ConfigError
 from armlab.sim.arm.arm import LaggingArm, SimulatedArm
 from armlab.sim.arm.truth import synthetic_truth
 from armlab.sim.controller.channel import Faults, UdpClient
@@ -90,12 +89,6 @@ def test_a_pause_of_the_peer_does_not_move_robot_time(make_peer: MakePeer) -> No
     peer = make_peer(RIGHT, answer)
     run([channel(peer.port)], Timing(lockstep=True, seconds=1.0))
     assert [p.seqno for p in peer.packets] == list(range(len(peer.packets)))
-
-
-@pytest.mark.parametrize("changes", [{"seconds": -1.0}, {"seconds": np.nan}, {"patience": np.nan}, {"gone": -1.0}])
-def test_times_that_make_no_sense_are_refused(changes: dict[str, float]) -> None:
-    with pytest.raises(ConfigError, match=next(iter(changes))):
-        Timing(**changes)
 
 
 def test_lateness_counts_the_late_cycles_too(make_peer: MakePeer) -> None:
@@ -233,12 +226,6 @@ def test_two_arms_share_the_clock_and_keep_their_phase(make_peer: MakePeer) -> N
     cycles = [client.controller.cycle for client in clients]
     assert abs(cycles[0] - cycles[1]) <= 1, "also after a stall the robot times agree"
     assert all(client.controller.statistics.counts["skipped"] >= 45 for client in clients)
-
-
-@pytest.mark.parametrize("phase", [-0.001, 0.004032, np.nan])
-def test_a_phase_outside_the_period_is_refused(phase: float) -> None:
-    with pytest.raises(ConfigError, match="phase"):
-        channel(6510, phase=phase)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.errors import UnknownName
 from armlab.sim.arm.arm import SimulatedArm
 from armlab.sim.arm.truth import synthetic_truth
 from armlab.sim.controller.guidance import Guidance
@@ -58,11 +57,6 @@ def test_each_field_can_be_left_out(field: str) -> None:
     without = packet(fields=[field])
     assert not has(pb.EgmRobot.FromString(without))
     decode(without)
-
-
-def test_unknown_fields_are_named() -> None:
-    with pytest.raises(UnknownName, match="utilizationRate"):
-        PacketBuilder(RobotSideCodec(ROBOT), 0.004, fields=["utilisation"])
 
 
 @pytest.mark.parametrize("robotware", ["6.10", "7"])

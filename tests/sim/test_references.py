@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.errors import ConfigError
 from armlab.robots import Robot
 from armlab.sim.arm.drive import JointDrives
 from armlab.sim.controller.guidance import ExternalAxes, Guidance
@@ -137,12 +136,6 @@ def test_axes_follow_no_faster_than_one_radian_a_second() -> None:
         reached.append(axes.q)
     assert np.abs(np.diff(reached, axis=0)).max() <= 0.004032 + 1e-12
     np.testing.assert_allclose(axes.q, [0.5, -2.0], atol=1e-2)
-
-
-@pytest.mark.parametrize("count", [-1, 7])
-def test_counts_that_egm_does_not_have(count: int) -> None:
-    with pytest.raises(ConfigError, match="external"):
-        ExternalAxes(count, ControllerSettings())
 
 
 ROBOT = robots.load("yumi_right")
