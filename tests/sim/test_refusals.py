@@ -75,7 +75,7 @@ REFUSED: list[tuple[type[Exception], str, Callable[[], object]]] = [
     (ConfigError, "period", lambda: ControllerSettings(period=5e-5)),
     (ConfigError, "stream", lambda: ControllerSettings(stream=INF)),
     *(
-        (UnknownName, f"{name} of the simulated controller", lambda name=name: ControllerSettings(**{name: "sideways"}))
+        (UnknownName, f"{name} of the simulated controller", lambda name=name: ControllerSettings(**{name: "sideways"}))  # type: ignore[arg-type]
         for name in ("program", "stream_queue", "queue", "mode", "activated")
     ),
     (ConfigError, "loss", lambda: FaultRates(loss=1.1)),
